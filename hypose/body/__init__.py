@@ -1,0 +1,1 @@
+"""The body: joint tree, mesh, ready models, and the Motion every tracker returns."""

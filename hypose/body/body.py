@@ -1,0 +1,235 @@
+"""Body: a skeleton with skinned meshes and landmarks; linear blend skinning and the shape deformations.
+
+Source: Alcoverro 2014, section 2.3: skinning (2.12), bone-length deformation and radial deformation, all through the
+skinning weights.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose import compute
+from hypose.body.skeleton import Skeleton
+from hypose.compute.arrays import MeshArrays
+from hypose.errors import InputError
+from hypose.geometry import Array
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Skinned triangle mesh in the model frame at rest.
+
+    vertices (V, 3) m; faces (F, 3), counter-clockwise from outside; skin_index, skin_weight (V, 4): the joints that carry
+    a vertex and their weights (sum 1, unused 0)."""
+
+    vertices: Array
+    faces: NDArray[np.int32]
+    skin_index: NDArray[np.int32]
+    skin_weight: Array
+
+    def __post_init__(self) -> None:
+        v = len(self.vertices)
+        if self.skin_index.shape != (v, 4) or self.skin_weight.shape != (v, 4):
+            raise InputError(f"A mesh of {v} vertices needs skin_index and skin_weight of shape {(v, 4)}.")
+        if len(self.faces) and (self.faces.min() < 0 or self.faces.max() >= v):
+            raise InputError(f"The mesh has {v} vertices but a face refers to vertex {self.faces.max()}.")
+        if not np.isfinite(self.vertices).all():
+            raise InputError("The mesh has vertices that are not finite.")
+
+    @cached_property
+    def edges(self) -> NDArray[np.int32]:
+        """(E, 4): a, b, face with a->b, face with b->a. An InputError when the mesh is not a closed manifold."""
+        owner: dict[tuple[int, int], int] = {}
+        for f, (a, b, c) in enumerate(self.faces.tolist()):
+            for edge in ((a, b), (b, c), (c, a)):
+                if edge in owner:
+                    raise InputError(f"The mesh is not a manifold: the directed edge {edge} belongs to two faces.")
+                owner[edge] = f
+        open_edges = sum((b, a) not in owner for a, b in owner)
+        if open_edges:
+            raise InputError(f"The mesh is not closed: {open_edges} edges have one face only.")
+        rows = [(a, b, f, owner[b, a]) for (a, b), f in owner.items() if a < b]
+        return np.array(rows, dtype=np.int32)
+
+    @cached_property
+    def arrays(self) -> MeshArrays:
+        """Flat arrays for compute (weights sorted descending, edges built)."""
+        order = np.argsort(-self.skin_weight, axis=1, kind="stable")
+        index = np.take_along_axis(self.skin_index, order, 1).astype(np.int32)
+        weight = np.take_along_axis(self.skin_weight, order, 1).astype(np.float32)
+        return MeshArrays(
+            np.ascontiguousarray(self.vertices, dtype=np.float32),
+            np.ascontiguousarray(self.faces, dtype=np.int32),
+            self.edges,
+            np.ascontiguousarray(index),
+            np.ascontiguousarray(weight / weight.sum(1, keepdims=True)),
+            (weight > 0).sum(1).astype(np.int32),
+        )
+
+    @cached_property
+    def main_joint(self) -> NDArray[np.int64]:
+        """(V,) the joint of largest weight: the body part a vertex belongs to."""
+        best = self.skin_weight.argmax(1)[:, None]
+        return np.take_along_axis(self.skin_index, best, 1)[:, 0].astype(np.int64)
+
+    def dense_weights(self, n_joints: int) -> Array:
+        """(V, J) weights."""
+        out = np.zeros((len(self.vertices), n_joints))
+        for k in range(4):
+            np.add.at(out, (np.arange(len(out)), self.skin_index[:, k]), self.skin_weight[:, k])
+        return out
+
+    @property
+    def volume(self) -> float:
+        """Enclosed volume, m^3 (positive when the faces look outward)."""
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Factors relative to the body they are applied to; missing joints keep 1.
+
+    length: joint -> factor on the bone from that joint to its child (the skin is stretched along the bone, children are
+    carried: eq. "scale" of section 2.3.2). girth: joint -> factor, or (3,) factors along model x, y, z, on the distance
+    of the skin from the bone ("radial"; direction-weighted for torso width and depth). offset: joint -> (3,) factors
+    along model x, y, z on the offset of the joint from its parent (hip and shoulder width).
+    scale: uniform factor on everything, applied first."""
+
+    scale: float = 1.0
+    length: dict[str, float] = field(default_factory=dict)
+    girth: dict[str, float | tuple[float, float, float]] = field(default_factory=dict)
+    offset: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """Named points fixed to joints: names (L), joint (L,), offset (L, 3) m in the joint's rest frame."""
+
+    names: tuple[str, ...]
+    joint: NDArray[np.int64]
+    offset: Array
+
+    def index(self, name: str) -> int:
+        """Index of a landmark by name; an InputError lists the names."""
+        if name not in self.names:
+            raise InputError(f"There is no landmark {name!r}; the landmarks are {', '.join(self.names)}.")
+        return self.names.index(name)
+
+
+@dataclass(frozen=True)
+class Body:
+    """A trackable body: skeleton, a coarse closed mesh for scoring, a fine one for display, landmarks."""
+
+    name: str
+    skeleton: Skeleton
+    coarse: Mesh
+    fine: Mesh
+    landmarks: Landmarks
+
+    def joints(self, poses: ArrayLike) -> Array:
+        """Joint centres (..., J, 3) m in the world for poses (..., D)."""
+        return self.skeleton.forward(poses)[1]
+
+    def skin(self, poses: ArrayLike, mesh: Mesh | None = None) -> Array:
+        """Linear blend skinning: vertices (..., V, 3) m in the world for poses (..., D); the coarse mesh by default.
+
+        Source: Alcoverro 2014, eq. 2.12.
+        """
+        q = np.asarray(poses, dtype=np.float64)
+        m = mesh or self.coarse
+        flat = np.ascontiguousarray(q.reshape(-1, self.skeleton.dof))
+        rotations, centres = compute.forward_kinematics(flat, self.skeleton.tree)
+        v = compute.skin(rotations, centres, self.skeleton.tree, m.arrays)
+        return v.reshape(*q.shape[:-1], *v.shape[1:])
+
+    def landmark_points(self, poses: ArrayLike) -> Array:
+        """Landmarks (..., L, 3) m in the world for poses (..., D)."""
+        r, p = self.skeleton.forward(poses)
+        k = self.landmarks.joint
+        return p[..., k, :] + np.einsum("...lij,lj->...li", r[..., k, :, :], self.landmarks.offset)
+
+    @property
+    def stature(self) -> float:
+        """Height of the rest mesh, m."""
+        return float(np.ptp(self.fine.vertices[:, 2]))
+
+    def segment_lengths(self) -> dict[str, float]:
+        """Joint-to-joint segment lengths in m, named by the segment, left and right apart where they exist."""
+        j, s = self.skeleton.rest_joints, self.skeleton
+        pairs = {"torso": ("pelvis", "neck"), "neck": ("neck", "head")}
+        for side in ("left", "right"):
+            pairs[f"{side}_upper_arm"] = (f"{side}_shoulder", f"{side}_elbow")
+            pairs[f"{side}_forearm"] = (f"{side}_elbow", f"{side}_wrist")
+            pairs[f"{side}_thigh"] = (f"{side}_hip", f"{side}_knee")
+            pairs[f"{side}_shank"] = (f"{side}_knee", f"{side}_ankle")
+        pairs["shoulder_width"] = ("left_shoulder", "right_shoulder")
+        pairs["hip_width"] = ("left_hip", "right_hip")
+        return {k: float(np.linalg.norm(j[s.joint(a)] - j[s.joint(b)])) for k, (a, b) in pairs.items()}
+
+
+# the child that ends each limb bone: the bone's axis in radial and length deformation
+BONE_END = {
+    f"{side}_{a}": f"{side}_{b}"
+    for side in ("left", "right")
+    for a, b in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
+}
+
+
+def deform(body: Body, shape: Shape, name: str | None = None) -> Body:
+    """The body with other bone lengths and girths.
+
+    Every vertex is moved by the blend of its joints' deformations, so segments stay joined. Limb bones stretch along
+    the bone and widen across it; the other joints (pelvis, spine, chest, neck, head, hands, feet) stretch along
+    model z and widen along x and y.
+    Source: Alcoverro 2014, section 2.3.2. Deviation: factors instead of additive amounts.
+    """
+    s = body.skeleton
+    names, parents = s.joint_names, s.parents
+    known = set(names)
+    for part in (shape.length, shape.girth, shape.offset):
+        unknown = set(part) - known
+        if unknown:
+            raise InputError(f"The shape names unknown joints {sorted(unknown)}; the joints are {', '.join(names)}.")
+    old = s.rest_joints
+    offsets = s.rest_offsets * shape.scale
+    for j, p in enumerate(parents):
+        if p >= 0:
+            offsets[j] = offsets[j] * shape.length.get(names[p], 1.0) * np.asarray(shape.offset.get(names[j], (1, 1, 1)))
+    skeleton = _with_offsets(s, offsets)
+    new = skeleton.rest_joints
+
+    def move(points: Array, j: int) -> Array:
+        x = (points - old[j]) * shape.scale
+        girth = np.broadcast_to(np.asarray(shape.girth.get(names[j], 1.0), dtype=np.float64), (3,))
+        stretch = shape.length.get(names[j], 1.0)
+        end = BONE_END.get(names[j])
+        if end is not None:
+            axis = old[names.index(end)] - old[j]
+            axis = axis / np.linalg.norm(axis)
+            along = (x @ axis)[..., None] * axis
+            return new[j] + along * stretch + (x - along) * girth
+        return new[j] + x * np.array([girth[0], girth[1], stretch])
+
+    def deform_mesh(mesh: Mesh) -> Mesh:
+        w = mesh.dense_weights(len(names))
+        moved = np.zeros_like(mesh.vertices, dtype=np.float64)
+        for j in np.flatnonzero(w.any(0)):
+            moved += w[:, j : j + 1] * move(mesh.vertices.astype(np.float64), int(j))
+        return replace(mesh, vertices=moved)
+
+    marks = body.landmarks
+    rest = old[marks.joint] + marks.offset
+    moved_marks = np.stack([move(rest[i], int(j)) - new[j] for i, j in enumerate(marks.joint)]) if len(rest) else rest
+    return Body(
+        name or body.name, skeleton, deform_mesh(body.coarse), deform_mesh(body.fine), replace(marks, offset=moved_marks)
+    )
+
+
+def _with_offsets(skeleton: Skeleton, offsets: Array) -> Skeleton:
+    # dataclasses.replace builds a new object, so cached properties of the old shape are not carried over
+    return replace(skeleton, rest_offsets=offsets)

@@ -1,0 +1,243 @@
+"""Skeleton: the joint tree, its degrees of freedom, forward kinematics and the Jacobian.
+
+Poses: q (..., D). q[0:3] is the root's position in the world (m), q[3:6] its rotation vector; every other joint is fixed,
+a ball (rotation vector in its parent's frame: the exponential map, which does not lock inside +-2 pi) or one or two
+hinges. At q = 0 the body is in its rest pose and all joint frames are parallel to the model frame.
+Source: Alcoverro 2014, eq. 2.11 (product of exponentials). Deviations: the root's translation and rotation are kept apart
+(position, rotation vector) instead of one twist, and ball joints use one exponential of a rotation vector instead of
+three successive axes, which has no gimbal lock.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose import compute
+from hypose.compute.arrays import BALL, FIXED, HINGES, TreeArrays
+from hypose.errors import InputError
+from hypose.geometry import Array, nearest_branch, rotation_mean, so3_exp, so3_left_jacobian, so3_log
+
+
+@dataclass(frozen=True)
+class Skeleton:
+    """Joint tree. J joints (parent < child), D dof.
+
+    joint_names (J); parents (J,); rest_offsets (J, 3) m: joint centre minus its parent's at rest (zeros for the root);
+    ball (J,): the joint is a ball; axes (D, 3): rotation axis of each dof in the model frame (translation direction for
+    the first three); joint_of_dof (D,); dof_names (D); lower, upper (D,) limits (rad, m); sigma (D,): usual motion per
+    frame at 25 fps (1 sd).
+    """
+
+    joint_names: tuple[str, ...]
+    parents: NDArray[np.int64]
+    rest_offsets: Array
+    ball: NDArray[np.bool_]
+    axes: Array
+    joint_of_dof: NDArray[np.int64]
+    dof_names: tuple[str, ...]
+    lower: Array
+    upper: Array
+    sigma: Array
+
+    def __post_init__(self) -> None:
+        j, d = len(self.joint_names), len(self.dof_names)
+        for name, shape in (
+            ("parents", (j,)),
+            ("rest_offsets", (j, 3)),
+            ("ball", (j,)),
+            ("axes", (d, 3)),
+            ("joint_of_dof", (d,)),
+            ("lower", (d,)),
+            ("upper", (d,)),
+            ("sigma", (d,)),
+        ):
+            if np.shape(getattr(self, name)) != shape:
+                raise InputError(f"Skeleton.{name} has shape {np.shape(getattr(self, name))}, {shape} is needed.")
+        if self.parents[0] != -1 or (self.parents[1:] >= np.arange(1, j)).any() or (self.parents[1:] < 0).any():
+            raise InputError("Skeleton.parents must hold -1 for the root and a smaller index for every other joint.")
+        if (self.lower > self.upper).any():
+            bad = self.dof_names[int(np.argmax(self.lower > self.upper))]
+            raise InputError(f"Skeleton limits of {bad}: the lower one exceeds the upper one.")
+
+    @property
+    def dof(self) -> int:
+        """Number of degrees of freedom D."""
+        return len(self.dof_names)
+
+    def joint(self, name: str) -> int:
+        """Index of a joint by name; an InputError lists the names."""
+        try:
+            return self.joint_names.index(name)
+        except ValueError:
+            raise InputError(f"There is no joint {name!r}; the joints are {', '.join(self.joint_names)}.") from None
+
+    def dofs_of(self, *names: str) -> NDArray[np.int64]:
+        """Indices of the rotational dof of the named joints (for the root: all six)."""
+        joints = [self.joint(n) for n in names]
+        return np.flatnonzero(np.isin(self.joint_of_dof, joints))
+
+    def descendants(self, name: str) -> NDArray[np.int64]:
+        """Joint indices of the sub-tree that starts at the named joint."""
+        keep = np.zeros(len(self.parents), dtype=bool)
+        keep[self.joint(name)] = True
+        for j, p in enumerate(self.parents):
+            if p >= 0 and keep[p]:
+                keep[j] = True
+        return np.flatnonzero(keep)
+
+    @cached_property
+    def rest_joints(self) -> Array:
+        """(J, 3) joint centres in the model frame at rest, m."""
+        out = np.zeros_like(self.rest_offsets)
+        for j, p in enumerate(self.parents):
+            out[j] = self.rest_offsets[j] + (out[p] if p >= 0 else 0)
+        return out
+
+    @cached_property
+    def tree(self) -> TreeArrays:
+        """The flat arrays that compute works on."""
+        j = len(self.joint_names)
+        kind, start, count = (np.zeros(j, dtype=np.int64) for _ in range(3))
+        for n in range(j):
+            dofs = np.flatnonzero(self.joint_of_dof == n)
+            dofs = dofs[dofs >= 3]  # the root's translations are handled apart
+            if len(dofs):
+                start[n], count[n] = dofs[0], len(dofs)
+                kind[n] = BALL if self.ball[n] else HINGES
+            else:
+                kind[n] = FIXED
+        return TreeArrays(
+            self.parents.astype(np.int64),
+            kind,
+            start,
+            count,
+            np.ascontiguousarray(self.axes, dtype=np.float64),
+            np.ascontiguousarray(self.rest_joints - self.rest_joints[0]),
+            self.joint_of_dof.astype(np.int64),
+        )
+
+    @cached_property
+    def twists(self) -> Array:
+        """(D, 6) twists (w, v) of the dof in the model frame at rest: v = -w x p for a rotation about a line through p."""
+        out = np.zeros((self.dof, 6))
+        out[:3, 3:] = self.axes[:3]
+        out[3:, :3] = self.axes[3:]
+        out[3:, 3:] = -np.cross(self.axes[3:], self.rest_joints[self.joint_of_dof[3:]])
+        return out
+
+    @cached_property
+    def ball_starts(self) -> NDArray[np.int64]:
+        """First dof of every ball joint, the root included."""
+        return self.tree.dof_start[self.tree.kind == BALL]
+
+    def rest_pose(self) -> Array:
+        """(D,) zeros, moved into the limits."""
+        return np.clip(np.zeros(self.dof), self.lower, self.upper)
+
+    def forward(self, poses: ArrayLike) -> tuple[Array, Array]:
+        """Forward kinematics: q (..., D) -> world_from_joint rotations (..., J, 3, 3) and joint centres (..., J, 3) m.
+
+        Source: Alcoverro 2014, eq. 2.11.
+        """
+        q = np.asarray(poses, dtype=np.float64)
+        if q.shape[-1] != self.dof:
+            raise InputError(f"A pose of this skeleton has {self.dof} numbers, got shape {q.shape}.")
+        r, p = compute.forward_kinematics(np.ascontiguousarray(q.reshape(-1, self.dof)), self.tree)
+        j = len(self.joint_names)
+        return r.reshape(*q.shape[:-1], j, 3, 3), p.reshape(*q.shape[:-1], j, 3)
+
+    def world_twists(self, pose: ArrayLike) -> Array:
+        """(D, 6) twists S = (w, v) in the world at pose q (D,): a point x moves with w x x + v per unit of the dof.
+
+        For ball joints these are columns of the left Jacobian, so they are derivatives with respect to the rotation
+        vector's components, not angular velocities about fixed axes.
+        """
+        q = np.asarray(pose, dtype=np.float64)
+        rotations, centres = self.forward(q)
+        out = np.zeros((self.dof, 6))
+        out[:3, 3:] = np.eye(3)
+        tree = self.tree
+        for j in range(len(self.joint_names)):
+            n, s = tree.dof_count[j], tree.dof_start[j]
+            if tree.kind[j] == FIXED:
+                continue
+            parent = rotations[tree.parents[j]] if tree.parents[j] >= 0 else np.eye(3)
+            if tree.kind[j] == BALL:
+                w = (parent @ so3_left_jacobian(q[s : s + 3])).T
+            else:
+                w, frame = np.zeros((n, 3)), parent
+                for k in range(n):
+                    w[k] = frame @ self.axes[s + k]
+                    frame = frame @ so3_exp(q[s + k] * self.axes[s + k])
+            out[s : s + n, :3] = w
+            out[s : s + n, 3:] = np.cross(centres[j], w)
+        return out
+
+    def moves(self) -> NDArray[np.bool_]:
+        """(D, J): dof d moves joint j's frame."""
+        out = np.zeros((self.dof, len(self.joint_names)), dtype=bool)
+        for j in range(len(self.joint_names)):
+            a = j
+            while a >= 0:
+                out[self.joint_of_dof == a, j] = True
+                a = self.parents[a]
+        return out
+
+    def jacobian(self, pose: ArrayLike, joint: int, points_world: ArrayLike) -> Array:
+        """d points / d q (N, 3, D) for points_world (N, 3) rigidly attached to a joint, at pose q (D,)."""
+        p = np.asarray(points_world, dtype=np.float64)
+        s = self.world_twists(pose)
+        rows = np.cross(s[None, :, :3], p[:, None]) + s[None, :, 3:]
+        rows[:, ~self.moves()[:, joint]] = 0
+        return np.swapaxes(rows, 1, 2)
+
+    def clamp(self, poses: ArrayLike) -> Array:
+        """Poses (..., D) moved into the joint limits."""
+        return np.clip(np.asarray(poses, dtype=np.float64), self.lower, self.upper)
+
+    def on_branch(self, poses: ArrayLike, reference: ArrayLike) -> Array:
+        """Poses (..., D) with every ball's rotation vector on the branch nearest to the reference pose's (D,)."""
+        q, ref = np.array(poses, dtype=np.float64), np.asarray(reference, dtype=np.float64)
+        for s in self.ball_starts[:1]:  # only the root turns through more than half a turn
+            q[..., s : s + 3] = nearest_branch(q[..., s : s + 3], ref[..., s : s + 3])
+        return q
+
+    def canonical(self, pose: ArrayLike) -> Array:
+        """Pose (D,) with the root's rotation vector of norm <= pi."""
+        q = np.array(pose, dtype=np.float64)
+        q[..., 3:6] = nearest_branch(q[..., 3:6], np.zeros(3))
+        return q
+
+    def mean(self, poses: ArrayLike, weights: ArrayLike) -> Array:
+        """Weighted mean pose (D,) of poses (N, D): rotations of ball joints and root averaged on SO(3), the rest plainly.
+
+        Source: spec of the estimate (weighted mean in the tangent space, never raw angles across +-pi).
+        """
+        q, w = np.asarray(poses, dtype=np.float64), np.asarray(weights, dtype=np.float64)
+        out = w @ q / w.sum()
+        for s in self.ball_starts:
+            r = so3_log(rotation_mean(so3_exp(q[:, s : s + 3]), w))
+            out[s : s + 3] = nearest_branch(r, q[int(w.argmax()), s : s + 3])
+        return out
+
+    def difference(self, a: ArrayLike, b: ArrayLike) -> Array:
+        """Tangent vector d (..., D) with step(b, d) = a: rotation vectors of R_a R_b^T for balls, plain elsewhere."""
+        qa, qb = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+        d = qa - qb
+        for s in self.ball_starts:
+            ra, rb = so3_exp(qa[..., s : s + 3]), so3_exp(qb[..., s : s + 3])
+            d[..., s : s + 3] = so3_log(ra @ np.swapaxes(rb, -1, -2))
+        return d
+
+    def step(self, pose: ArrayLike, tangent: ArrayLike) -> Array:
+        """Pose (..., D) moved along a tangent vector (..., D): the inverse of `difference`, kept on the pose's branch."""
+        q, d = np.asarray(pose, dtype=np.float64), np.asarray(tangent, dtype=np.float64)
+        out = q + d
+        for s in self.ball_starts:
+            r = so3_log(so3_exp(d[..., s : s + 3]) @ so3_exp(q[..., s : s + 3]))
+            out[..., s : s + 3] = nearest_branch(r, q[..., s : s + 3])
+        return out

@@ -1,0 +1,1 @@
+"""Cameras: pinhole with lens distortion, and rigs of them."""

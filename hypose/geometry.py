@@ -1,0 +1,176 @@
+"""Rotations and rigid motions: SO(3)/SE(3) exponential and logarithm, averages, Procrustes.
+
+All functions take leading batch axes. Angles in radians, lengths in metres. A rigid motion is a (4, 4) matrix named
+`target_from_source`; it maps homogeneous source coordinates to target coordinates.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def skew(vector: ArrayLike) -> Array:
+    """Cross-product matrix: (..., 3) -> (..., 3, 3) with skew(a) @ b = a x b."""
+    v = np.asarray(vector, dtype=np.float64)
+    out = np.zeros((*v.shape, 3))
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    return out - np.swapaxes(out, -1, -2)
+
+
+def so3_exp(rotation_vector: ArrayLike) -> Array:
+    """Rodrigues' formula: rotation vector (..., 3) in rad -> rotation matrix (..., 3, 3)."""
+    r = np.asarray(rotation_vector, dtype=np.float64)
+    angle = np.linalg.norm(r, axis=-1)[..., None, None]
+    small = angle < 1e-4
+    safe = np.where(small, 1.0, angle)
+    a = np.where(small, 1 - angle**2 / 6, np.sin(safe) / safe)
+    b = np.where(small, 0.5 - angle**2 / 24, (1 - np.cos(safe)) / safe**2)
+    k = skew(r)
+    return np.eye(3) + a * k + b * (k @ k)
+
+
+def so3_log(rotation: ArrayLike) -> Array:
+    """Rotation matrix (..., 3, 3) -> rotation vector (..., 3) with norm in [0, pi].
+
+    Goes through the unit quaternion of largest component, so it is accurate at every angle including pi.
+    """
+    m = np.asarray(rotation, dtype=np.float64)
+    q = quaternion_from_matrix(m)
+    q = np.where(q[..., :1] < 0, -q, q)
+    norm = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2 * np.arctan2(norm, q[..., :1])
+    scale = np.where(norm < 1e-12, 2.0, angle / np.where(norm < 1e-12, 1.0, norm))
+    return scale * q[..., 1:]
+
+
+def quaternion_from_matrix(rotation: ArrayLike) -> Array:
+    """Rotation matrix (..., 3, 3) -> unit quaternion (..., 4) as (w, x, y, z), by the largest component."""
+    m = np.asarray(rotation, dtype=np.float64)
+    t = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
+    k = np.empty((*m.shape[:-2], 4, 4))
+    k[..., 0, 0] = t
+    k[..., 0, 1] = k[..., 1, 0] = m[..., 2, 1] - m[..., 1, 2]
+    k[..., 0, 2] = k[..., 2, 0] = m[..., 0, 2] - m[..., 2, 0]
+    k[..., 0, 3] = k[..., 3, 0] = m[..., 1, 0] - m[..., 0, 1]
+    for i in range(3):
+        for j in range(3):
+            k[..., i + 1, j + 1] = m[..., i, j] + m[..., j, i] - (t if i == j else 0)
+    # K/3's dominant eigenvector is the quaternion (Bar-Itzhack 2000); its column of largest diagonal is
+    # proportional to it for exact rotations and avoids an eigen-decomposition.
+    diagonal = np.stack([k[..., i, i] for i in range(4)], -1)
+    best = diagonal.argmax(-1)
+    column = np.take_along_axis(k, best[..., None, None], axis=-1)[..., 0]
+    column = column + np.where(np.arange(4) == best[..., None], 1.0, 0.0)
+    return column / np.linalg.norm(column, axis=-1, keepdims=True)
+
+
+def so3_left_jacobian(rotation_vector: ArrayLike) -> Array:
+    """Left Jacobian J (..., 3, 3): exp(r + dr) = exp(J(r) dr) exp(r) to first order."""
+    r = np.asarray(rotation_vector, dtype=np.float64)
+    angle = np.linalg.norm(r, axis=-1)[..., None, None]
+    small = angle < 1e-3
+    safe = np.where(small, 1.0, angle)
+    b = np.where(small, 0.5 - angle**2 / 24, (1 - np.cos(safe)) / safe**2)
+    c = np.where(small, 1 / 6 - angle**2 / 120, (safe - np.sin(safe)) / safe**3)
+    k = skew(r)
+    return np.eye(3) + b * k + c * (k @ k)
+
+
+def nearest_branch(rotation_vector: ArrayLike, reference: ArrayLike) -> Array:
+    """The rotation vector of the same rotation that lies nearest to `reference`; both (..., 3).
+
+    r and r (1 - 2 pi / |r|) are one rotation; differences and means of rotation vectors are only meaningful on one
+    branch.
+    """
+    r = np.asarray(rotation_vector, dtype=np.float64)
+    ref = np.broadcast_to(np.asarray(reference, dtype=np.float64), r.shape)
+    angle = np.linalg.norm(r, axis=-1, keepdims=True)
+    other = r - 2 * np.pi * r / np.maximum(angle, 1e-12)
+    closer = np.linalg.norm(other - ref, axis=-1, keepdims=True) < np.linalg.norm(r - ref, axis=-1, keepdims=True)
+    return np.where(closer & (angle > 1e-9), other, r)
+
+
+def rotation_mean(rotations: ArrayLike, weights: ArrayLike | None = None, iterations: int = 10) -> Array:
+    """Weighted Karcher mean on SO(3): rotations (N, ..., 3, 3), weights (N,) -> (..., 3, 3)."""
+    m = np.asarray(rotations, dtype=np.float64)
+    w = np.full(len(m), 1 / len(m)) if weights is None else np.asarray(weights, dtype=np.float64) / np.sum(weights)
+    mean = m[int(w.argmax())]
+    for _ in range(iterations):
+        step = np.tensordot(w, so3_log(m @ np.swapaxes(mean, -1, -2)), 1)
+        mean = so3_exp(step) @ mean
+        if np.abs(step).max() < 1e-12:
+            break
+    return mean
+
+
+def se3(rotation: ArrayLike, translation: ArrayLike) -> Array:
+    """Rigid motion (..., 4, 4) from rotation (..., 3, 3) and translation (..., 3)."""
+    r, t = np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64)
+    out = np.zeros((*np.broadcast_shapes(r.shape[:-2], t.shape[:-1]), 4, 4))
+    out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = r, t, 1
+    return out
+
+
+def se3_inverse(motion: ArrayLike) -> Array:
+    """Inverse of rigid motions (..., 4, 4): b_from_a -> a_from_b."""
+    m = np.asarray(motion, dtype=np.float64)
+    r = np.swapaxes(m[..., :3, :3], -1, -2)
+    return se3(r, -np.einsum("...ij,...j->...i", r, m[..., :3, 3]))
+
+
+def se3_exp(twist: ArrayLike) -> Array:
+    """Exponential of a twist (..., 6) = (rotation w, velocity v) -> rigid motion (..., 4, 4)."""
+    x = np.asarray(twist, dtype=np.float64)
+    v = np.einsum("...ij,...j->...i", so3_left_jacobian(x[..., :3]), x[..., 3:])
+    return se3(so3_exp(x[..., :3]), v)
+
+
+def se3_log(motion: ArrayLike) -> Array:
+    """Logarithm of rigid motions (..., 4, 4) -> twist (..., 6) = (rotation w, velocity v)."""
+    m = np.asarray(motion, dtype=np.float64)
+    w = so3_log(m[..., :3, :3])
+    v = np.linalg.solve(so3_left_jacobian(w), m[..., :3, 3:])[..., 0]
+    return np.concatenate([w, v], -1)
+
+
+def transform(motion: ArrayLike, points: ArrayLike) -> Array:
+    """Apply target_from_source (..., 4, 4) to points_source (..., N, 3)."""
+    m, p = np.asarray(motion, dtype=np.float64), np.asarray(points, dtype=np.float64)
+    return p @ np.swapaxes(m[..., :3, :3], -1, -2) + m[..., None, :3, 3]
+
+
+def rotation_between(a: ArrayLike, b: ArrayLike) -> Array:
+    """Smallest rotation (3, 3) that takes direction a (3,) to direction b (3,)."""
+    u = np.asarray(a, dtype=np.float64) / np.linalg.norm(a)
+    v = np.asarray(b, dtype=np.float64) / np.linalg.norm(b)
+    axis = np.cross(u, v)
+    sine, cosine = np.linalg.norm(axis), float(u @ v)
+    if sine < 1e-12:
+        if cosine > 0:
+            return np.eye(3)
+        axis = np.cross(u, np.eye(3)[int(np.abs(u).argmin())])  # opposite directions: any perpendicular axis serves
+        return so3_exp(np.pi * axis / np.linalg.norm(axis))
+    return so3_exp(axis / sine * np.arctan2(sine, cosine))
+
+
+def procrustes(
+    source: ArrayLike, target: ArrayLike, weights: ArrayLike | None = None, *, scale: bool = False
+) -> tuple[Array, float]:
+    """Rigid (or similarity) motion that takes source (N, 3) to target (N, 3) in the least-squares sense.
+
+    Returns (target_from_source (4, 4), scale); with a scale s the map is x -> s R x + t, and the (4, 4) holds s R.
+    The determinant guard (Umeyama 1991) keeps R a rotation: with three points, or noise, the unguarded SVD solution is
+    a reflection half of the time.
+    """
+    a, b = np.asarray(source, dtype=np.float64), np.asarray(target, dtype=np.float64)
+    w = np.ones(len(a)) if weights is None else np.asarray(weights, dtype=np.float64)
+    w = w / w.sum()
+    ca, cb = w @ a, w @ b
+    u, s, vt = np.linalg.svd(((b - cb) * w[:, None]).T @ (a - ca))
+    guard = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0])
+    r = (u * guard) @ vt
+    k = float((s * guard).sum() / (w @ ((a - ca) ** 2).sum(1))) if scale else 1.0
+    return se3(k * r, cb - k * r @ ca), k
