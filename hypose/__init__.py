@@ -1,4 +1,4 @@
-"""Human motion from ordinary cameras: a weighted set of pose hypotheses, held to the evidence in the images."""
+"""Human motion from ordinary cameras: weighted hypotheses of pose, held to the evidence in the images."""
 
 from importlib.metadata import PackageNotFoundError, version
 
