@@ -1,0 +1,20 @@
+# Needs only Python 3.11+ and pip (or uv, or python3-venv): everything goes into this folder, see scripts/bootstrap.py.
+#   make demo                        a synthetic four-camera recording, tracked and compared with the truth, in demo/
+#   make test [ARGS="-k camera"]     the fast test suite;  make test ARGS="-m slow": the slow one
+#   make lint                        format, lint, types, import contracts
+#   make bench [ARGS=table-2.3]      the benchmarks
+#   make setup                       install everything again
+#   make clean                       remove caches, builds and demo/;  make distclean: and .venv
+# Without make: ./run demo, ./run test, and ./run <any hypose command>.
+PYTHON ?= python3
+
+.PHONY: demo test lint bench setup clean distclean
+demo test lint bench setup:
+	@$(PYTHON) scripts/bootstrap.py $@ $(ARGS)
+
+clean:
+	rm -rf .cache build dist demo opensim.log
+	find . -name .venv -prune -o -name .git -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
+
+distclean: clean
+	rm -rf .venv
