@@ -1,0 +1,163 @@
+"""A weighted set of hypotheses: the one value that every tracker proposes, weighs, selects and reads.
+
+Weights live in the log domain and are only defined up to a common factor per population, so adding evidence
+never under- or overflows. ``label`` is inherited by selection: it carries the sensor of birth, the kind of
+proposal or the parent, so that a survival rate is a histogram of labels and no method needs hidden state.
+Source: Alcoverro 2014, section 2.2.1 (weighted particle set, eq. 2.5); batch axes for the swarm of
+Asteriadis et al. 2013.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Hypotheses:
+    """N states per population with their log-weights. Never mutated: every operation returns a new set.
+
+    values (*B, N, D) float64, in the units of the caller; log_weights (*B, N) float64, up to a constant per
+    population, NaN and +inf count as no evidence for that hypothesis (weight 0); label (*B, N) int32;
+    covariance (*B, N, D, D) float64 of each single hypothesis, or None. Raises ValueError when the shapes
+    do not agree or a population is empty.
+    """
+
+    values: FloatArray
+    log_weights: FloatArray
+    label: NDArray[np.int32]
+    covariance: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        values = np.asarray(self.values, dtype=np.float64)
+        log_weights = np.asarray(self.log_weights, dtype=np.float64)
+        label = np.asarray(self.label, dtype=np.int32)
+        if values.ndim < 2 or values.shape[-2] == 0:
+            raise ValueError(f"hypotheses need values of shape (..., N, D) with N >= 1, got {values.shape}")
+        if log_weights.shape != values.shape[:-1] or label.shape != values.shape[:-1]:
+            raise ValueError(
+                f"log_weights {log_weights.shape} and label {label.shape} must be {values.shape[:-1]}, "
+                f"the shape {values.shape} of the values without the last axis"
+            )
+        object.__setattr__(self, "values", values)
+        object.__setattr__(self, "log_weights", log_weights)
+        object.__setattr__(self, "label", label)
+        if self.covariance is not None:
+            covariance = np.asarray(self.covariance, dtype=np.float64)
+            if covariance.shape != (*values.shape, values.shape[-1]):
+                raise ValueError(
+                    f"covariance must be {(*values.shape, values.shape[-1])}, got {covariance.shape}"
+                )
+            object.__setattr__(self, "covariance", covariance)
+
+    @staticmethod
+    def uniform(
+        values: ArrayLike, label: ArrayLike | None = None, covariance: ArrayLike | None = None
+    ) -> Hypotheses:
+        """Equal weights 1/N for values (*B, N, D); label (*B, N) defaults to 0."""
+        states = np.asarray(values, dtype=np.float64)
+        shape = states.shape[:-1]
+        return Hypotheses(
+            states,
+            np.full(shape, -np.log(max(shape[-1], 1)) if shape else 0.0),
+            np.zeros(shape, np.int32) if label is None else np.asarray(label, np.int32),
+            None if covariance is None else np.asarray(covariance, np.float64),
+        )
+
+    @property
+    def count(self) -> int:
+        """N, the hypotheses per population."""
+        return self.values.shape[-2]
+
+    @property
+    def dimension(self) -> int:
+        """D, the coordinates of a state."""
+        return self.values.shape[-1]
+
+    @property
+    def evidence_lost(self) -> NDArray[np.bool_]:
+        """(*B,) True where no hypothesis of the population has any weight left; its weights are then all
+        equal.
+        """
+        return np.logical_not(np.any(_usable(self.log_weights), axis=-1))
+
+    @property
+    def relative_log_weights(self) -> FloatArray:
+        """(*B, N) log-weights shifted so that the best is 0; unusable ones -inf; all 0 where the evidence
+        is lost.
+        """
+        usable = _usable(self.log_weights)
+        log_weights = np.where(usable, self.log_weights, -np.inf)
+        peak = log_weights.max(axis=-1, keepdims=True)
+        lost = np.isneginf(peak)
+        return np.where(lost, 0.0, log_weights - np.where(lost, 0.0, peak))
+
+    @property
+    def weights(self) -> FloatArray:
+        """(*B, N) weights, non-negative, finite and summing to 1; all 1/N where the evidence is lost."""
+        weights = np.exp(self.relative_log_weights)
+        return weights / weights.sum(axis=-1, keepdims=True)
+
+    @property
+    def ess(self) -> FloatArray:
+        """(*B,) effective number of hypotheses 1 / sum(weights^2), between 1 and N."""
+        return 1.0 / np.square(self.weights).sum(axis=-1)
+
+    def reweighted(self, log_likelihood: ArrayLike) -> Hypotheses:
+        """The same states after new evidence: log_likelihood (*B, N) is added to the log-weights.
+
+        A population that had lost all evidence starts again from equal weights, so that one blind frame
+        cannot silence it for ever. Raises ValueError when the shape is not (*B, N).
+        """
+        extra = np.asarray(log_likelihood, dtype=np.float64)
+        if extra.shape != self.log_weights.shape:
+            raise ValueError(
+                f"log-likelihoods must have the shape {self.log_weights.shape}, got {extra.shape}"
+            )
+        usable = np.where(_usable(extra), extra, -np.inf)
+        return Hypotheses(self.values, self.relative_log_weights + usable, self.label, self.covariance)
+
+    def mean(self) -> FloatArray:
+        """(*B, D) weighted Euclidean mean. For coordinates that are rotations use
+        ``estimates.TangentMean``.
+        """
+        return np.einsum("...n,...nd->...d", self.weights, self.values)
+
+    def best(self) -> FloatArray:
+        """(*B, D) the state of largest weight (the first one among equals)."""
+        index = self.weights.argmax(axis=-1)[..., None, None]
+        return np.take_along_axis(self.values, index, axis=-2)[..., 0, :]
+
+    def scatter(self) -> FloatArray:
+        """(*B, D, D) weighted covariance of the states around their mean (no small-sample correction)."""
+        deviation = self.values - self.mean()[..., None, :]
+        return np.einsum("...nd,...ne->...de", self.weights[..., None] * deviation, deviation)
+
+    def spread(self) -> FloatArray:
+        """(*B, D) weighted standard deviation per coordinate, in the units of the coordinates."""
+        deviation = self.values - self.mean()[..., None, :]
+        return np.sqrt(np.einsum("...n,...nd->...d", self.weights, np.square(deviation)))
+
+    def take(self, index: ArrayLike) -> Hypotheses:
+        """The hypotheses at index (*B, M), with their log-weights, labels and covariances."""
+        chosen = np.asarray(index, dtype=np.intp)
+        axis = self.log_weights.ndim - 1
+        return Hypotheses(
+            np.take_along_axis(self.values, chosen[..., None], axis),
+            np.take_along_axis(self.log_weights, chosen, axis),
+            np.take_along_axis(self.label, chosen, axis),
+            None
+            if self.covariance is None
+            else np.take_along_axis(self.covariance, chosen[..., None, None], axis),
+        )
+
+
+def _usable(log_weights: FloatArray) -> NDArray[np.bool_]:
+    """True where a log-weight is a finite number: -inf is weight 0, NaN and +inf come from a failed
+    measurement.
+    """
+    return np.isfinite(log_weights)

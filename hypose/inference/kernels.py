@@ -1,0 +1,319 @@
+"""Kernels: how hypotheses move. Values (*B, N, D) in, new values of the same shape out; labels stay unless
+a mixture sets them.
+
+Every kernel draws its numbers as one block of the shape of the values, filled in row order, and hypothesis
+i reads row i (see ``random_streams``). Products are formed with einsum and plain loops, never with a
+threaded BLAS, so the numbers do not depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.inference.hypotheses import FloatArray, Hypotheses
+from hypose.inference.layer import Kernel
+
+
+class LogPrior(Protocol):
+    """Log-probability (*B, N) of states (*B, N, D), up to a constant."""
+
+    def __call__(self, values: FloatArray, /) -> FloatArray:
+        """One number per state."""
+        ...
+
+
+def reflect(values: FloatArray, lower: ArrayLike | None, upper: ArrayLike | None) -> FloatArray:
+    """Brings values (..., D) into the box [lower, upper] (D,): mirrored once at the violated bound, then
+    clamped.
+
+    Mirroring keeps a population from piling up on a joint limit, as clamping alone would do; a step longer
+    than the box is wide would need several mirrors and is clamped. A missing or infinite bound does
+    nothing.
+    """
+    low = -np.inf if lower is None else np.asarray(lower, np.float64)
+    high = np.inf if upper is None else np.asarray(upper, np.float64)
+    with np.errstate(invalid="ignore"):
+        mirrored = np.where(
+            values > high, 2 * high - values, np.where(values < low, 2 * low - values, values)
+        )
+    return np.clip(mirrored, low, high)
+
+
+def stay(h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
+    """No movement (a refinement layer without propagation)."""
+    return h
+
+
+@dataclass(frozen=True)
+class HeavyTail:
+    """A share of the hypotheses takes steps ``factor`` times longer on the chosen coordinates (D,) bool.
+
+    Resampling cannot bring back a lost limb: a few long steps can, while the others keep the small sigma
+    that the mean needs. The far-stepping rows are spread evenly over the set, for resampled sets are sorted
+    by ancestor.
+    """
+
+    share: float
+    factor: float
+    coordinates: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.share <= 1 or not self.factor >= 0:
+            raise ValueError(
+                f"a heavy tail needs a share in [0, 1] and a factor >= 0, got {self.share}, {self.factor}"
+            )
+
+    def gain(self, count: int, dimension: int) -> FloatArray:
+        """(N, D) factors on the steps."""
+        steps = np.floor(np.arange(count + 1) * self.share)
+        far = np.diff(steps) > 0
+        return np.where(far[:, None] & _mask(self.coordinates, dimension), self.factor, 1.0)
+
+
+@dataclass(frozen=True)
+class GaussianDiffusion:
+    """Independent Gaussian steps, sigma (D,) in the units of the coordinates; a sigma of 0 leaves a
+    coordinate alone.
+
+    lower, upper (D,): bounds by ``reflect``, applied to the moved coordinates only, so that a frozen one
+    keeps its value to the last bit. Source: Alcoverro 2014, section 2.2.1 (kernel K) and 2.2.4.
+    """
+
+    sigma: FloatArray
+    lower: FloatArray | None = None
+    upper: FloatArray | None = None
+    heavy_tail: HeavyTail | None = None
+
+    def __post_init__(self) -> None:
+        sigma = np.asarray(self.sigma, dtype=np.float64)
+        if sigma.ndim != 1 or not np.all(np.isfinite(sigma) & (sigma >= 0)):
+            raise ValueError(f"sigma must be (D,), finite and not negative, got {sigma}")
+        object.__setattr__(self, "sigma", sigma)
+
+    def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
+        """One Gaussian step for every hypothesis."""
+        step = rng.standard_normal(h.values.shape) * self.sigma
+        if self.heavy_tail is not None:
+            step *= self.heavy_tail.gain(h.count, h.dimension)
+        moved = reflect(h.values + step, self.lower, self.upper)
+        return replace(h, values=np.where(self.sigma > 0, moved, h.values))
+
+
+@dataclass(frozen=True)
+class AdaptiveDiffusion:
+    """Gaussian steps whose covariance is scale^2 times the sample covariance of the current set, plus
+    diag(floor^2).
+
+    The steps follow the shape of the set, so coordinates that the layers have already pinned down are
+    disturbed no more; no schedule is needed. coordinates (D,) bool limits the movement, floor (D,) keeps a
+    collapsed set alive. Source: Deutscher & Reid 2005, adaptive diffusion (covariance proportional to that
+    of the set); the floor and the limit to some coordinates are additions.
+    """
+
+    scale: float
+    floor: FloatArray | None = None
+    coordinates: NDArray[np.bool_] | None = None
+    lower: FloatArray | None = None
+    upper: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.scale) and self.scale >= 0):
+            raise ValueError(
+                f"the scale of an adaptive diffusion must be finite and not negative, got {self.scale}"
+            )
+
+    def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
+        """One step in the shape of the current set."""
+        covariance = self.scale**2 * h.scatter()
+        if self.floor is not None:
+            covariance = covariance + np.diag(np.square(np.broadcast_to(self.floor, (h.dimension,))))
+        factor = semidefinite_cholesky(covariance)
+        step = np.einsum("...nk,...dk->...nd", rng.standard_normal(h.values.shape), factor)
+        moved = reflect(h.values + step, self.lower, self.upper)
+        if self.coordinates is not None:
+            moved = np.where(_mask(self.coordinates, h.dimension), moved, h.values)
+        return replace(h, values=moved)
+
+
+@dataclass(frozen=True)
+class ConstantVelocity:
+    """The step between two frames: gain * velocity (D,), per frame, then ``reflect`` into the bounds.
+
+    A gain of 0 is constant position. A velocity from unrefined means mostly adds noise: use refined
+    estimates.
+    """
+
+    velocity: FloatArray
+    gain: float = 1.0
+    lower: FloatArray | None = None
+    upper: FloatArray | None = None
+
+    def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
+        """The same step for every hypothesis."""
+        step = self.gain * np.asarray(self.velocity, np.float64)
+        moved = reflect(h.values + step, self.lower, self.upper)
+        return replace(h, values=np.where(step != 0, moved, h.values))
+
+
+@dataclass(frozen=True)
+class Compose:
+    """Kernels one after the other, drawing from the same stream."""
+
+    kernels: tuple[Kernel, ...]
+
+    def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
+        """The last kernel's result."""
+        for kernel in self.kernels:
+            h = kernel(h, frame, rng)
+        return h
+
+
+@dataclass(frozen=True)
+class RejectionSampling:
+    """Steps that a prior may refuse: a candidate x' from ``propose`` is accepted if P(x') > tau P(x).
+
+    Refused hypotheses try again, ``trials`` times at most, and then stay where they are (the thesis says
+    only that the trials are limited). A state of probability 0 accepts any candidate that is possible at
+    all. Source: Alcoverro 2014, section 2.3.3, where the test is printed with the candidate on both sides;
+    tau = 0.7 there.
+    """
+
+    propose: Kernel
+    log_prior: LogPrior
+    tau: float = 0.7
+    trials: int = 10
+
+    def __post_init__(self) -> None:
+        if not self.tau > 0 or self.trials < 1:
+            raise ValueError(
+                f"rejection sampling needs tau > 0 and at least one trial, got {self.tau}, {self.trials}"
+            )
+
+    def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
+        """The accepted steps."""
+        threshold = np.log(self.tau) + self.log_prior(h.values)
+        values, waiting = h.values, np.ones(h.log_weights.shape, bool)
+        for _ in range(self.trials):
+            candidate = self.propose(h, frame, rng).values
+            accepted = waiting & (self.log_prior(candidate) > threshold)
+            values = np.where(accepted[..., None], candidate, values)
+            waiting = waiting & ~accepted
+            if not waiting.any():
+                break
+        return replace(h, values=values)
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """Each hypothesis moves by one of several kernels; its label becomes the number of that kernel.
+
+    shares are the proportions of the set, met to within one hypothesis; which hypothesis goes where is
+    drawn at random. After selection the histogram of labels is the survival rate of each kind of proposal.
+    Every kernel sees the whole set and must keep its size. Source: Alcoverro 2014, section 2.5.2
+    (inverse-kinematics and Gaussian particles).
+    """
+
+    kernels: tuple[Kernel, ...]
+    shares: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        shares = np.asarray(self.shares, np.float64)
+        if len(self.kernels) == 0 or shares.shape != (len(self.kernels),) or not np.all(shares >= 0):
+            raise ValueError(f"a mixture needs one share >= 0 per kernel, got {self.shares}")
+        if not np.isclose(shares.sum(), 1.0):
+            raise ValueError(f"the shares of a mixture must add up to 1, got {self.shares}")
+
+    def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
+        """The set with each hypothesis moved by its own kernel, labelled with its number."""
+        limits = np.round(np.cumsum(self.shares) * h.count)[:-1]
+        in_order = np.searchsorted(limits, np.arange(h.count), side="right")
+        kind = rng.permuted(np.broadcast_to(in_order, h.log_weights.shape), axis=-1)
+        values, covariance = h.values, h.covariance
+        for number, kernel in enumerate(self.kernels):
+            moved = kernel(h, frame, rng)
+            chosen = kind == number
+            values = np.where(chosen[..., None], moved.values, values)
+            if covariance is not None and moved.covariance is not None:
+                covariance = np.where(chosen[..., None, None], moved.covariance, covariance)
+        return replace(h, values=values, label=kind.astype(np.int32), covariance=covariance)
+
+
+def layered_sigma(sigma: ArrayLike, partitions: Sequence[ArrayLike], decay: float, layer: int) -> FloatArray:
+    """Step sizes (D,) of one layer of a layered filter.
+
+    sigma (D,) per frame; partitions: the coordinate indices (or (D,) bool mask) of each layer; layer counts
+    from 0. A coordinate first filtered at this layer gets sigma, one first filtered at layer m < l gets
+    decay^(l - m) sigma, one not filtered yet gets 0. With every partition = all coordinates this is the
+    annealed schedule (2.10). Source: Alcoverro 2014, Algorithm 3. As printed, its loop over m overwrites a
+    hit with 0 at the next m, and only Psi_(l-1) is asked for the first visit; this is the meaning of the
+    text around it.
+    """
+    sigma_frame = np.asarray(sigma, dtype=np.float64)
+    first = first_layer(partitions, sigma_frame.size)
+    return np.where(first <= layer, sigma_frame * float(decay) ** np.maximum(layer - first, 0), 0.0)
+
+
+def first_layer(partitions: Sequence[ArrayLike], dimension: int) -> NDArray[np.intp]:
+    """(D,) the first layer whose partition holds each coordinate; len(partitions) where none does."""
+    first = np.full(dimension, len(partitions), dtype=np.intp)
+    for number in range(len(partitions) - 1, -1, -1):
+        first[_mask(partitions[number], dimension)] = number
+    return first
+
+
+def filtered_mask(partitions: Sequence[ArrayLike], dimension: int, layer: int) -> NDArray[np.bool_]:
+    """(D,) True for the coordinates in the union of the partitions of layers 0..layer: what Algorithm 4
+    resamples.
+    """
+    return first_layer(partitions, dimension) <= min(layer, len(partitions) - 1)
+
+
+def annealed_sigma(sigma: ArrayLike, variance_decays: Sequence[float], layer: int) -> FloatArray:
+    """Step sizes (D,) of layer k of the annealed filter: Sigma^k = alpha_0 ... alpha_(k-1) Sigma_0.
+
+    The alphas are rates of *variance*, so sigma shrinks by their square roots. Source: Alcoverro 2014, eq.
+    (2.10).
+    """
+    return np.asarray(sigma, dtype=np.float64) * np.sqrt(
+        np.prod(np.asarray(variance_decays[:layer], np.float64))
+    )
+
+
+def semidefinite_cholesky(covariance: ArrayLike) -> FloatArray:
+    """Lower factor L (..., D, D) with L L^T = covariance, positive semidefinite: exact zeros where it has
+    no rank.
+
+    A plain column loop: a sample covariance is singular as soon as a coordinate is frozen, where LAPACK's
+    refuses.
+    """
+    remainder = np.array(covariance, dtype=np.float64)
+    size = remainder.shape[-1]
+    floor = 1e-12 * np.diagonal(remainder, axis1=-2, axis2=-1)
+    factor = np.zeros_like(remainder)
+    for k in range(size):
+        pivot = remainder[..., k, k]
+        usable = pivot > floor[..., k]
+        scale = np.sqrt(np.where(usable, pivot, 1.0))
+        column = np.where(usable[..., None], remainder[..., k:, k] / scale[..., None], 0.0)
+        factor[..., k:, k] = column
+        remainder[..., k:, k:] -= column[..., :, None] * column[..., None, :]
+    return factor
+
+
+def _mask(coordinates: ArrayLike, dimension: int) -> NDArray[np.bool_]:
+    chosen = np.asarray(coordinates)
+    if chosen.dtype == np.bool_:
+        if chosen.shape != (dimension,):
+            raise ValueError(f"a mask of coordinates must have the shape ({dimension},), got {chosen.shape}")
+        return chosen
+    mask = np.zeros(dimension, bool)
+    index = chosen.astype(np.intp).ravel()
+    if index.size and (index.min() < 0 or index.max() >= dimension):
+        raise ValueError(f"coordinates must lie in 0..{dimension - 1}, got {index.tolist()}")
+    mask[index] = True
+    return mask

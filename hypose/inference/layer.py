@@ -1,0 +1,147 @@
+"""The spine: a recipe is a list of layers, and one loop runs them all.
+
+propose -> weigh -> (estimate) -> select. Methods differ only in what they put into the layers: the
+annealed, partitioned, layered and detector-driven particle filters, the swarm over depth sensors and the
+pruned multiple hypotheses are lists for this loop. Source: Alcoverro 2014, Algorithms 1, 2 and 5.
+Deviation: the thesis starts the cycle at the weighing; here it starts at the proposal, so that a frame ends
+with its own estimate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from hypose.inference.hypotheses import FloatArray, Hypotheses
+
+RngOfLayer = Callable[[int], np.random.Generator]
+
+
+class Kernel(Protocol):
+    """Moves hypotheses: sees the frame too, for a local optimiser or a detector is a kernel that looks at
+    the evidence.
+    """
+
+    def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
+        """The moved set, of the same number of populations."""
+        ...
+
+
+class Weigh(Protocol):
+    """Log-likelihoods (*B, N) of the hypotheses; sees the whole population because its mean may place the
+    evidence.
+    """
+
+    def __call__(self, h: Hypotheses, frame: Any, /) -> FloatArray:
+        """Log-likelihoods, up to a constant per population."""
+        ...
+
+
+@runtime_checkable
+class SelectiveWeigh(Protocol):
+    """A Weigh that chooses its own exponent and can tell it: measure returns log-likelihoods (*B, N) and
+    beta (*B,).
+    """
+
+    def measure(self, h: Hypotheses, frame: Any, /) -> tuple[FloatArray, FloatArray]:
+        """Log-likelihoods and the exponent behind them."""
+        ...
+
+
+class Select(Protocol):
+    """Chooses which hypotheses go on, and resets their weights (only ``keep`` does not)."""
+
+    def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
+        """The set that goes on."""
+        ...
+
+
+class Estimate(Protocol):
+    """One state (*B, D) out of a weighted set; ``Hypotheses.mean`` and ``Hypotheses.best`` are the plain
+    ones.
+    """
+
+    def __call__(self, h: Hypotheses, /) -> FloatArray:
+        """The state that the set stands for."""
+        ...
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One turn of the cycle."""
+
+    propose: Kernel
+    weigh: Weigh
+    select: Select
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A tracker as data. Raises ValueError when it has no layer."""
+
+    name: str
+    layers: tuple[Layer, ...]
+    estimate: Estimate = Hypotheses.mean
+    citation: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "layers", tuple(self.layers))
+        if not self.layers:
+            raise ValueError(f"recipe '{self.name}' has no layers; give it at least one")
+
+
+@dataclass(frozen=True)
+class LayerReport:
+    """What one layer did: ess (*B,) after weighing, beta (*B,) used by its weigh (NaN if it does not tell),
+    lost (*B,).
+    """
+
+    name: str
+    ess: FloatArray
+    beta: FloatArray
+    evidence_lost: np.ndarray
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """estimate (*B, D); the weighted set of the last layer it was read from; the selected set to carry to
+    the next frame.
+    """
+
+    estimate: FloatArray
+    weighted: Hypotheses
+    selected: Hypotheses
+    reports: tuple[LayerReport, ...]
+
+    @property
+    def evidence_lost(self) -> bool:
+        """True when the last layer found no evidence for any hypothesis of some population."""
+        return bool(np.any(self.weighted.evidence_lost))
+
+
+def search(h: Hypotheses, recipe: Recipe, frame: Any, rng_of_layer: RngOfLayer) -> SearchResult:
+    """Runs the layers of a recipe on one frame.
+
+    ``rng_of_layer(l)`` gives the generator of layer l, for example ``partial(stream, seed, frame.index)``.
+    Weighing adds to the log-weights, selectors reset them. The estimate is read after the last weighing and
+    before its selection, which would only add noise to it.
+    """
+    weighted, reports = h, []
+    for index, layer in enumerate(recipe.layers):
+        rng = rng_of_layer(index)
+        proposed = layer.propose(h, frame, rng)
+        log_likelihood, beta = _measure(layer.weigh, proposed, frame)
+        weighted = proposed.reweighted(log_likelihood)
+        reports.append(LayerReport(layer.name, weighted.ess, beta, weighted.evidence_lost))
+        h = layer.select(weighted, rng)
+    return SearchResult(recipe.estimate(weighted), weighted, h, tuple(reports))
+
+
+def _measure(weigh: Weigh, h: Hypotheses, frame: Any) -> tuple[FloatArray, FloatArray]:
+    if isinstance(weigh, SelectiveWeigh):
+        return weigh.measure(h, frame)
+    return weigh(h, frame), np.full(h.log_weights.shape[:-1], np.nan)
