@@ -3,9 +3,9 @@
     python3 scripts/bootstrap.py demo | test | lint | bench | setup | <any other hypose command> [arguments]
 
 1. Inside a virtual environment (venv, or conda other than `base`) that one is used.
-2. Otherwise `.venv` is made in this folder, in the first way that works: uv; venv; venv without pip, filled by
-   the system's pip (Debian without python3-venv); a uv that the system's pip puts into `.cache`. None of them
-   installs into the system's Python, so an "externally managed" one (PEP 668) is no obstacle.
+2. Otherwise `.venv` is made in this folder, in the first way that works: uv; venv; venv without pip, filled
+   by the system's pip (Debian without python3-venv); a uv that the system's pip puts into `.cache`. None of
+   them installs into the system's Python, so an "externally managed" one (PEP 668) is no obstacle.
 3. The packages are installed when pyproject.toml has changed since the last time; else this costs nothing.
 
 Caches and temporary files go to `.cache` in this folder; nothing is left outside it. This file keeps to the
@@ -27,8 +27,8 @@ OWN_ENVIRONMENT = os.path.join(ROOT, ".venv")
 MINIMUM = (3, 11)
 PIP_WITH_PYTHON_OPTION = (22, 3)  # the first pip that can install into another environment
 
-# What a command needs: `core` is hypose itself, `dev` adds the developers' tools, `oracles` adds, where they can
-# be had, the programs that tests compare with.
+# What a command needs: `core` is hypose itself, `dev` adds the developers' tools, `oracles` adds, where they
+# can be had, the programs that tests compare with.
 PROFILES = ("core", "dev", "oracles")
 PROFILE_OF_COMMAND = {"test": "oracles", "setup": "oracles", "lint": "dev"}
 
@@ -295,26 +295,27 @@ def install(machine: Machine, python: str, profile: str, log: List[str]) -> List
     borrowed_uv = borrowed if os.path.exists(borrowed) else None
     if not (machine.uv or borrowed_uv or has_pip) and machine.pip and machine.pip < PIP_WITH_PYTHON_OPTION:
         borrowed_uv = borrow_uv(machine, log)
-    target = ROOT if profile == "core" else ROOT + "[dev]"
+    target = ["-e", ROOT if profile == "core" else ROOT + "[dev]"]
+    oracles = []  # type: List[str]
+    if profile == "oracles":
+        with open(os.path.join(ROOT, "pyproject.toml"), "rb") as file:
+            oracles = tomllib.load(file)["project"]["optional-dependencies"]["oracles"]
+    wheels = ["--only-binary", ":all:"]  # building one of the oracles would take an hour and a compiler
     command = []  # type: List[str]
     start = len(log)
     for way in ways_to_install(machine, has_pip, borrowed_uv):
         command = install_command(way, machine, python, borrowed_uv)
+        if oracles and call(command + target + wheels + oracles, log):
+            return []
         start = len(log)
-        if call(command + ["-e", target], log):
+        if call(command + target, log):
             break
     else:
         print("".join(log[start:][-12:]), file=sys.stderr)
         raise SetupError(why_it_failed("".join(log)) + ", then run this again.")
-    missing = []
-    if profile == "oracles":
-        with open(os.path.join(ROOT, "pyproject.toml"), "rb") as file:
-            requirements = tomllib.load(file)["project"]["optional-dependencies"]["oracles"]
-        for requirement in requirements:
-            # With hypose itself on the line an oracle cannot bring a version that hypose refuses.
-            if not call(command + ["--only-binary", ":all:", requirement, "-e", target], log):
-                missing.append(requirement.split(">")[0].split("=")[0].strip())
-    return missing
+    # One by one, and with hypose itself on the line: an oracle cannot bring a version that hypose refuses.
+    missing = [one for one in oracles if not call(command + target + wheels + [one], log)]
+    return [one.split(">")[0].split("=")[0].strip() for one in missing]
 
 
 def prepare(machine: Machine, profile: str, again: bool = False) -> str:
@@ -357,8 +358,8 @@ def prepare(machine: Machine, profile: str, again: bool = False) -> str:
     if missing and isinstance(missing, list) and profile == "oracles":
         names = ", ".join(map(str, missing))
         print(
-            f"hypose: NOTE {names} could not be installed (.cache/setup.log); the tests that compare with it will "
-            "be SKIPPED. `make setup` tries again.",
+            f"hypose: NOTE {names} could not be installed (.cache/setup.log); the tests that compare with it "
+            "will be SKIPPED. `make setup` tries again.",
             flush=True,
         )
     return folder
@@ -381,8 +382,8 @@ def commands_of(name: str, arguments: List[str], folder: str, python: str) -> Li
 
 
 def run(command: List[str], folder: Optional[str], environment: Dict[str, str]) -> int:
-    """Run with the terminal's own input and output. On Ctrl-C the program, which gets it too, ends by itself: it
-    may have work to save (subprocess.call would kill it after a quarter of a second)."""
+    """Run with the terminal's own input and output. On Ctrl-C the program, which gets it too, ends by itself:
+    it may have work to save (subprocess.call would kill it after a quarter of a second)."""
     process = subprocess.Popen(command, cwd=folder, env=environment)
     while True:
         try:
@@ -419,7 +420,7 @@ def main(arguments: List[str]) -> int:
             return run([other, os.path.abspath(__file__)] + arguments, None, dict(os.environ))
         folder = prepare(machine, PROFILE_OF_COMMAND.get(name, "core"), again=name == "setup")
         python = program(folder, "python") if folder == OWN_ENVIRONMENT else machine.python
-        # hypose's own commands get file names as the user typed them; the developers' ones work on the project.
+        # hypose's own commands get file names as the user typed them; the others work on the project.
         place = ROOT if name in PROFILE_OF_COMMAND else None
         worst = 0
         for command in commands_of(name, rest, folder, python):
