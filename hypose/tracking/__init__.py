@@ -1,0 +1,1 @@
+"""Tracking: silhouettes and key points of several cameras in, a Motion of the articulated body out."""

@@ -1,0 +1,57 @@
+"""Costs of hypotheses on the evidence of a frame: the silhouette XOR and what is read off it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hypose import compute
+from hypose.body.body import Body
+from hypose.geometry import Array
+from hypose.inference.hypotheses import Hypotheses
+from hypose.tracking.evidence import PreparedFrame
+
+
+@dataclass(frozen=True)
+class SilhouetteXor:
+    """Energy E = sum over usable views of XOR(M_v, S_v) / C(S_v), so that the weight is exp(-E).
+
+    M_v: silhouette of the posed coarse mesh in view v, S_v: the mask, C: its foreground pixels. With no usable view
+    every hypothesis costs the same (0). Source: Alcoverro 2014, eq. 2.8.
+    """
+
+    body: Body
+
+    def __call__(self, h: Hypotheses, frame: PreparedFrame, /) -> Array:
+        """(N,) energies of h.values (N, D)."""
+        return xor_energy(self.body, h.values, frame)
+
+
+def xor_energy(body: Body, poses: Array, frame: PreparedFrame) -> Array:
+    """(N,) energies of eq. 2.8 for poses (N, D); zeros when no view is usable."""
+    if frame.masks is None:
+        return np.zeros(len(poses))
+    counts = _counts(body, poses, frame.masks)
+    use = frame.masks.usable
+    return (counts[:, use, 0] / frame.masks.areas[use]).sum(1)
+
+
+def silhouette_iou(body: Body, pose: Array, frame: PreparedFrame) -> Array:
+    """(C,) intersection over union of the posed body and the mask per view; NaN for views without a usable mask."""
+    if frame.masks is None:
+        return np.full(0, np.nan)
+    counts = _counts(body, pose[None], frame.masks)[0]
+    union = counts[:, 0] + counts[:, 2]  # XOR and intersection are disjoint
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(frame.masks.usable, counts[:, 2] / union, np.nan)
+
+
+def _counts(body: Body, poses: Array, masks: compute.PreparedMasks) -> np.ndarray:
+    flat = np.ascontiguousarray(poses, dtype=np.float64)
+    return compute.silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, masks)
+
+
+def no_evidence(h: Hypotheses, frame: PreparedFrame, /) -> Array:
+    """Log-likelihood 0 for every hypothesis: a layer that moves without weighing."""
+    return np.zeros(h.log_weights.shape)

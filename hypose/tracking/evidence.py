@@ -1,0 +1,109 @@
+"""What a recipe sees of one frame: the frame's masks and key points prepared for the hot functions, and the prediction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose import compute
+from hypose.body.body import Body
+from hypose.errors import EvidenceError
+from hypose.evidence.frame import Frame, Silhouettes
+from hypose.evidence.keypoints import landmark_of
+from hypose.fitting.articulated import ContourTerm, KeypointTerm, contour_term
+from hypose.geometry import Array
+
+
+@dataclass(frozen=True)
+class PreparedFrame:
+    """One frame ready to be searched. masks and contours are None when no view has a usable silhouette, keypoints is
+    None when there are no key points. prediction (D,): the pose expected before looking at the evidence."""
+
+    frame: Frame
+    prediction: Array
+    masks: compute.PreparedMasks | None
+    contours: ContourTerm | None
+    keypoints: KeypointTerm | None
+
+    @property
+    def usable(self) -> bool:
+        """True when some evidence is left."""
+        return self.masks is not None or self.keypoints is not None
+
+
+def prepare_masks(silhouettes: Silhouettes) -> compute.PreparedMasks:
+    """The masks of one frame as compute's silhouette scorer takes them.
+
+    A view without foreground is left out, never divided by zero (Alcoverro 2014, after eq. 2.8, says nothing of it).
+    """
+    areas = silhouettes.areas
+    return compute.PreparedMasks(
+        np.ascontiguousarray(silhouettes.masks),
+        areas,
+        np.asarray(silhouettes.usable & (areas > 0)),
+        silhouettes.rig.sizes,
+        silhouettes.rig.projections,
+    )
+
+
+def keypoint_term(frame: Frame, body: Body, scale_px: float, weight: float) -> KeypointTerm | None:
+    """The key points of a frame as rows of the solver; None when the frame has none that the body knows.
+
+    scale_px is the robust scale in pixels of the key points' rig.
+    """
+    if frame.keypoints is None:
+        return None
+    joint, offset, known = landmark_of(frame.keypoints.names, body)
+    points = np.nan_to_num(frame.keypoints.points[:, known])
+    if not (points[..., 2] > 0).any():
+        return None
+    return KeypointTerm(
+        np.ascontiguousarray(points),
+        frame.keypoints.rig.projections,
+        joint[known],
+        offset[known],
+        scale_px,
+        weight,
+    )
+
+
+def prepare(
+    frame: Frame,
+    body: Body,
+    prediction: Array,
+    *,
+    use_silhouettes: bool = True,
+    use_keypoints: bool = False,
+    contour_weight: float = 0.05,
+    keypoint_scale_px: float = 8.0,
+    keypoint_weight: float = 1.0,
+) -> PreparedFrame:
+    """Prepares a frame for `body`; see PreparedFrame. An EvidenceError when the frame has none of the wanted pieces."""
+    silhouettes = frame.silhouettes if use_silhouettes else None
+    if silhouettes is None and not (use_keypoints and frame.keypoints is not None):
+        raise EvidenceError(
+            f"Frame {frame.index} carries no {'silhouettes' if use_silhouettes else 'key points'}; "
+            "choose an evidence that the recording has."
+        )
+    masks = contours = None
+    if silhouettes is not None:
+        masks = prepare_masks(silhouettes)
+        if masks.usable.any():
+            contours = contour_term(silhouettes, weight=contour_weight)
+        else:
+            masks = None
+    term = keypoint_term(frame, body, keypoint_scale_px, keypoint_weight) if use_keypoints else None
+    return PreparedFrame(frame, prediction, masks, contours, term)
+
+
+def view_count(prepared: PreparedFrame) -> int:
+    """Number of views that carry evidence."""
+    seen: NDArray[np.bool_] | None = None
+    if prepared.masks is not None:
+        seen = prepared.masks.usable
+    if prepared.keypoints is not None:
+        by_points = (prepared.keypoints.points[..., 2] > 0).any(1)
+        seen = by_points if seen is None else seen | by_points
+    return 0 if seen is None else int(seen.sum())

@@ -1,0 +1,165 @@
+"""Where to start: from triangulated key points, from a known pose at the visual hull, or again after a loss."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.errors import EvidenceError, InputError
+from hypose.evidence.hull import Hull, visual_hull
+from hypose.fitting.articulated import PointTerm, PoseFit, SolveOptions, fit_pose
+from hypose.geometry import Array, procrustes, rotation_between, so3_exp, so3_log
+from hypose.tracking.costs import xor_energy
+from hypose.tracking.evidence import PreparedFrame
+from hypose.tracking.refinement import anatomical_prior, refine
+
+# direction of the upper arm in each known pose, for the left side (x = the subject's left, y backward, z up)
+_ARM_DIRECTION = {
+    "t": (1.0, 0.0, 0.0),
+    "standing": (0.15, 0.0, -1.0),
+    "hands-up": (0.3, 0.0, 1.0),
+}
+KNOWN_POSES = ("a", *_ARM_DIRECTION)
+"""Poses a subject may be asked to take at the start; 'a' is the body's rest pose."""
+
+
+def known_pose(body: Body, name: str) -> Array:
+    """(D,) a known pose at the origin, facing -y: 'a', 't', 'standing' (arms hanging) or 'hands-up'; arms straight."""
+    s = body.skeleton
+    pose = np.zeros(s.dof)
+    if name not in KNOWN_POSES:
+        raise InputError(f"There is no known pose {name!r}; the known poses are {', '.join(KNOWN_POSES)}.")
+    if name in _ARM_DIRECTION:
+        joints = s.rest_joints
+        for side, mirror in (("left", 1.0), ("right", -1.0)):
+            shoulder, elbow, wrist = (s.joint(f"{side}_{n}") for n in ("shoulder", "elbow", "wrist"))
+            upper, fore = joints[elbow] - joints[shoulder], joints[wrist] - joints[elbow]
+            direction = np.array(_ARM_DIRECTION[name]) * (mirror, 1, 1)
+            pose[s.dofs_of(f"{side}_shoulder")] = so3_log(rotation_between(upper, direction))
+            straight = np.arccos(np.clip(upper @ fore / np.linalg.norm(upper) / np.linalg.norm(fore), -1, 1))
+            pose[s.dofs_of(f"{side}_elbow")] = -straight
+    return s.clamp(pose)
+
+
+def start_from_keypoints(
+    body: Body, points_world: Array, joint: NDArray[np.int64], offset: Array, *, weight: Array | None = None
+) -> PoseFit:
+    """Bounded inverse kinematics on 3D points of one frame.
+
+    points_world (K, 3) m (NaN = missing) lie at `offset` (K, 3) m in the frame of `joint` (K,). Several arm poses
+    and headings are tried and the cheapest solution is taken. An EvidenceError when fewer than 6 points are known.
+    """
+    known = np.isfinite(points_world).all(1)
+    if known.sum() < 6:
+        raise EvidenceError(
+            f"Only {int(known.sum())} of {len(points_world)} key points could be triangulated; at least 6 are needed to "
+            "start: choose another start frame or check the calibration with `hypose check`."
+        )
+    term = PointTerm(points_world, np.ones(len(points_world)) if weight is None else weight, joint, offset, 0.03)
+    best: PoseFit | None = None
+    for root in _root_guesses(body, points_world, joint, offset, known):
+        for name in ("standing", "t"):
+            start = known_pose(body, name)
+            start[:6] = root
+            fit = fit_pose(
+                body,
+                start,
+                points=term,
+                priors=(anatomical_prior(body.skeleton),),
+                options=SolveOptions(iterations=40, coarse_iterations=20),
+            )
+            if best is None or fit.cost < best.cost:
+                best = fit
+    assert best is not None
+    return best
+
+
+def _root_guesses(
+    body: Body, points: Array, joint: NDArray[np.int64], offset: Array, known: NDArray[np.bool_]
+) -> list[Array]:
+    """Root poses (6,) from the trunk's points when they are there (rigid fit), else four headings at the centroid."""
+    s = body.skeleton
+    rest = s.rest_joints[joint] + offset
+    trunk_joints = [s.joint(n) for n in ("left_shoulder", "right_shoulder", "left_hip", "right_hip", "neck", "pelvis")]
+    trunk = known & np.isin(joint, trunk_joints)
+    centre = points[known].mean(0) - rest[known].mean(0)
+    if trunk.sum() >= 3:
+        # the trunk is nearly rigid: its points give position and heading at once
+        motion, _ = procrustes(rest[trunk], points[trunk])
+        return [np.concatenate([motion[:3, 3], so3_log(motion[:3, :3])])]
+    return [np.concatenate([centre, [0, 0, yaw]]) for yaw in np.arange(4) * np.pi / 2]
+
+
+def start_from_hull(
+    body: Body,
+    frame: PreparedFrame,
+    poses: tuple[str, ...] = KNOWN_POSES,
+    headings: int = 12,
+    options: SolveOptions | None = None,
+) -> PoseFit:
+    """The known pose and heading that explain the silhouettes best, placed at the visual hull and refined.
+
+    An EvidenceError when the views have no common hull. Source: Alcoverro 2014, section 2.3.3 step 1 (hull placement);
+    the choice among several poses and headings is an addition.
+    """
+    hull = hull_of(frame)
+    candidates = []
+    for name in poses:
+        base = known_pose(body, name)
+        height = body.skin(base)[:, 2]
+        for heading in np.arange(headings) * 2 * np.pi / headings:
+            q = base.copy()
+            q[3:6] = [0, 0, heading]
+            q[:2] = hull.centroid[:2]
+            q[2] = hull.points[:, 2].min() - height.min()
+            candidates.append(_centred(body, q, hull))
+    return _best_refined(body, np.stack(candidates), frame, options or SolveOptions(24, 12))
+
+
+def recover(body: Body, frame: PreparedFrame, pose: Array, options: SolveOptions) -> Array:
+    """The best pose (D,) after a loss: the last pose carried to the hull and turned, and known poses; refined."""
+    try:
+        hull = hull_of(frame)
+    except EvidenceError:
+        return pose
+    candidates = [pose]
+    for base in (pose, known_pose(body, "standing"), known_pose(body, "a")):
+        for heading in np.arange(8) * np.pi / 4:
+            q = base.copy()
+            q[3:6] = so3_log(so3_exp([0, 0, heading]) @ so3_exp(base[3:6]))
+            candidates.append(_centred(body, q, hull))
+    return _best_refined(body, np.stack(candidates), frame, options).pose
+
+
+def hull_of(frame: PreparedFrame) -> Hull:
+    """The visual hull of a frame; an EvidenceError naming the frame when nothing is left of it."""
+    silhouettes = frame.frame.silhouettes
+    if silhouettes is None or frame.masks is None:
+        raise EvidenceError(f"Frame {frame.frame.index} has no usable silhouette to start from; choose another frame.")
+    hull = visual_hull(silhouettes)
+    if len(hull.points) == 0:
+        raise EvidenceError(
+            f"Frame {frame.frame.index}: the silhouettes of the views have no common volume; check the calibration and "
+            "the masks, or start from key points."
+        )
+    return hull
+
+
+def _centred(body: Body, pose: Array, hull: Hull) -> Array:
+    """The pose moved so that the mesh's centre lies at the hull's."""
+    vertices = body.skin(pose)
+    middle = 0.5 * (vertices.min(0) + vertices.max(0))
+    target = 0.5 * (hull.points.min(0) + hull.points.max(0))
+    out = pose.copy()
+    out[:3] += 0.5 * (target - middle) + 0.5 * (hull.centroid - vertices.mean(0))
+    return out
+
+
+def _best_refined(body: Body, candidates: Array, frame: PreparedFrame, options: SolveOptions, keep: int = 4) -> PoseFit:
+    """Ranks candidates (N, D) by XOR, refines the `keep` best distinct ones, returns the best by XOR."""
+    order = np.argsort(xor_energy(body, candidates, frame), kind="stable")[:keep]
+    fits = refine(body, candidates[order], frame, options)
+    energy = xor_energy(body, np.stack([f.pose for f in fits]), frame)
+    return fits[int(np.argmin(energy))]
+

@@ -1,0 +1,224 @@
+"""Recipes: the published particle filters and the product's default, as named data for the one search loop.
+
+Every recipe is a function of the body and a few numbers. Published layer settings are the presets; the step sizes are
+half of what one would first guess (too large is worse than too small: limbs jump) and the selectivity is solved for a
+survival rate, because a fixed exponent <= 1 hardly selects on the flat energies of eq. 2.8.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.body.skeleton import Skeleton
+from hypose.errors import InputError
+from hypose.fitting.articulated import SolveOptions
+from hypose.geometry import Array
+from hypose.inference.kernels import GaussianDiffusion, HeavyTail, filtered_mask, layered_sigma
+from hypose.inference.layer import Layer, Recipe
+from hypose.inference.selectivity import Annealed, FixedSelectivity, Selectivity, SurvivalRate
+from hypose.inference.selectors import LayeredSystematic, keep, systematic
+from hypose.tracking.costs import SilhouetteXor, no_evidence
+from hypose.tracking.refinement import ContourRefinement, RefinedEstimate, pose_mean
+
+THESIS = "Alcoverro, M. (2014). Stochastic optimization and interactive machine learning for human motion analysis."
+DEUTSCHER = "Deutscher, J., Reid, I. (2005). Articulated body motion capture by stochastic search. IJCV 61(2)."
+MACCORMICK = "MacCormick, J., Isard, M. (2000). Partitioned sampling, articulated objects, and interface-quality hand tracking."
+ISARD = "Isard, M., Blake, A. (1998). CONDENSATION - conditional density propagation for visual tracking. IJCV 29(1)."
+CONTOURS = "Particles as proposals, bounded robust Gauss-Newton on two-way contours as the refinement (hypose)."
+
+# the layers of the hierarchical filter (Alcoverro 2014, section 2.5.2): joints whose dof a layer filters first
+HPF_LAYERS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("torso", ("pelvis", "spine", "neck")),
+    ("left_leg", ("left_hip", "left_knee", "left_ankle")),
+    ("right_leg", ("right_hip", "right_knee", "right_ankle")),
+    ("left_shoulder", ("left_clavicle", "left_shoulder")),
+    ("right_shoulder", ("right_clavicle", "right_shoulder")),
+    ("left_elbow", ("left_elbow",)),
+    ("right_elbow", ("right_elbow",)),
+)
+LIMB_LAYERS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    *HPF_LAYERS[:3],
+    ("left_arm", ("left_clavicle", "left_shoulder", "left_elbow")),
+    ("right_arm", ("right_clavicle", "right_shoulder", "right_elbow")),
+)
+
+
+def partitions_of(skeleton: Skeleton, layers: Sequence[tuple[str, tuple[str, ...]]]) -> list[NDArray[np.int64]]:
+    """The coordinate subset Psi_l of every layer."""
+    return [skeleton.dofs_of(*joints) for _, joints in layers]
+
+
+def sir(body: Body, particles: int = 4000, survival: float = 0.15, frame_rate: float = 25.0) -> tuple[Recipe, int]:
+    """Plain particle filter: one layer over all coordinates. Source: Isard & Blake 1998 (Alcoverro 2014, Alg. 1)."""
+    s = body.skeleton
+    layer = Layer(_diffusion(s, step_sigma(s, frame_rate)), _weigh(body, SurvivalRate(survival)), systematic, "all")
+    return Recipe("sir", (layer,), pose_mean(s), ISARD), particles
+
+
+def apf(
+    body: Body,
+    particles: int = 240,
+    layers: int = 15,
+    survival: float = 0.30,
+    decay: float = 0.8,
+    frame_rate: float = 25.0,
+) -> tuple[Recipe, int]:
+    """Annealed particle filter: every layer moves all coordinates, with steps shrinking by `decay` per layer.
+
+    Source: Deutscher & Reid 2005; 15 layers x 240 particles as run by Alcoverro 2014, section 2.4.
+    """
+    s = body.skeleton
+    sigma = step_sigma(s, frame_rate)
+    everything = [np.arange(s.dof)] * layers
+    rows = tuple(
+        Layer(
+            _diffusion(s, layered_sigma(sigma, everything, decay, n)),
+            _weigh(body, SurvivalRate(survival)),
+            systematic,
+            f"annealing {n}",
+        )
+        for n in range(layers)
+    )
+    return Recipe("apf", rows, pose_mean(s), DEUTSCHER), particles
+
+
+def partitioned(
+    body: Body, particles: int = 572, survival: float = 0.15, frame_rate: float = 25.0
+) -> tuple[Recipe, int]:
+    """Partitioned sampling: each layer moves only its own coordinates and resamples whole states.
+
+    Source: MacCormick & Isard 2000 (Alcoverro 2014, section 2.2.5).
+    """
+    s = body.skeleton
+    sigma = step_sigma(s, frame_rate)
+    rows = []
+    for (name, _), psi in zip(HPF_LAYERS, partitions_of(s, HPF_LAYERS), strict=True):
+        own = np.zeros(s.dof)
+        own[psi] = sigma[psi]
+        rows.append(Layer(_diffusion(s, own), _weigh(body, SurvivalRate(survival)), systematic, name))
+    return Recipe("partitioned", tuple(rows), pose_mean(s), MACCORMICK), particles
+
+
+def hpf(
+    body: Body,
+    particles: int = 572,
+    survival: float | None = 0.15,
+    decay: float = 0.8,
+    frame_rate: float = 25.0,
+    betas: Sequence[float] | None = None,
+) -> tuple[Recipe, int]:
+    """Hierarchical (layered) particle filter: 7 layers x 572 particles as published.
+
+    Coordinates are first filtered in their own layer with full steps and go on moving with steps shrinking by `decay`
+    (Algorithm 3); only coordinates filtered so far are resampled (Algorithm 4). `betas` gives fixed exponents, one per
+    layer, as the thesis has them; by default the survival rate sets them.
+    Source: Alcoverro 2014, sections 2.2.6 and 2.4.
+    """
+    s = body.skeleton
+    sigma = step_sigma(s, frame_rate)
+    psi = partitions_of(s, HPF_LAYERS)
+    rows = []
+    for n, (name, _) in enumerate(HPF_LAYERS):
+        selectivity: Selectivity = FixedSelectivity(betas[n]) if betas is not None else SurvivalRate(survival or 0.15)
+        rows.append(
+            Layer(
+                _diffusion(s, layered_sigma(sigma, psi, decay, n)),
+                _weigh(body, selectivity),
+                LayeredSystematic(filtered_mask(psi, s.dof, n)),
+                name,
+            )
+        )
+    return Recipe("hpf", tuple(rows), pose_mean(s), THESIS), particles
+
+
+def default(
+    body: Body,
+    particles: int = 96,
+    survival: float = 0.10,
+    frame_rate: float = 25.0,
+    iterations: int = 8,
+) -> tuple[Recipe, int]:
+    """The product's default: contour refinement from the prediction, a layered search of one limb at a time around it
+    with long-tailed steps, and a second refinement of the best proposals.
+
+    The first solve puts the body within centimetres; the particles find limbs that went elsewhere (a local solve cannot
+    pull in what lies beyond about 10 cm); the last solve removes the noise of the mean. About 5 x 96 silhouette
+    evaluations and five solves per frame.
+    """
+    s = body.skeleton
+    sigma = 2.0 * step_sigma(s, frame_rate)
+    options = SolveOptions(iterations=iterations, coarse_iterations=iterations // 2)
+    rows = [
+        Layer(
+            ContourRefinement(body, options, from_prediction=True, collapse=True), no_evidence, keep, "contours"
+        )
+    ]
+    for name, joints in LIMB_LAYERS[1:]:
+        own = s.dofs_of(*joints)
+        step = np.zeros(s.dof)
+        step[own] = sigma[own]
+        mask = np.zeros(s.dof, dtype=bool)
+        mask[own] = True
+        rows.append(
+            Layer(
+                _diffusion(s, step, HeavyTail(0.3, 4.0, mask)),
+                _weigh(body, SurvivalRate(survival)),
+                LayeredSystematic(mask),
+                name,
+            )
+        )
+    rows.append(
+        Layer(ContourRefinement(body, options, best=1, from_prediction=True), no_evidence, keep, "refinement")
+    )
+    return Recipe("default", tuple(rows), RefinedEstimate(s), CONTOURS), particles
+
+
+RECIPES: dict[str, Callable[..., tuple[Recipe, int]]] = {
+    "default": default,
+    "sir": sir,
+    "apf": apf,
+    "partitioned": partitioned,
+    "hpf": hpf,
+}
+
+
+def recipe(name: str, body: Body, *, frame_rate: float = 25.0, refine: bool = False) -> tuple[Recipe, int]:
+    """A preset by name with its number of particles; `refine` adds the contour refinement as a last layer.
+
+    An InputError lists the presets when the name is unknown.
+    """
+    if name not in RECIPES:
+        raise InputError(f"There is no recipe {name!r}; the recipes are {', '.join(RECIPES)}.")
+    made, particles = RECIPES[name](body, frame_rate=frame_rate)
+    return (with_refinement(made, body), particles) if refine and name != "default" else (made, particles)
+
+
+def with_refinement(base: Recipe, body: Body, options: SolveOptions | None = None) -> Recipe:
+    """The recipe with contour refinement and feedback after its last layer."""
+    kernel = ContourRefinement(body, options or SolveOptions(), best=1, from_prediction=True)
+    layer = Layer(kernel, no_evidence, keep, "refinement")
+    return replace(
+        base,
+        name=f"{base.name}+refine",
+        layers=(*base.layers, layer),
+        estimate=RefinedEstimate(body.skeleton),
+        citation=f"{base.citation} {CONTOURS}",
+    )
+
+
+def step_sigma(skeleton: Skeleton, frame_rate: float) -> Array:
+    """(D,) usual motion per frame at this frame rate: proportional to the time between frames within limits."""
+    return skeleton.sigma * float(np.clip(25.0 / frame_rate, 0.4, 2.0))
+
+
+def _diffusion(skeleton: Skeleton, sigma: Array, tail: HeavyTail | None = None) -> GaussianDiffusion:
+    return GaussianDiffusion(sigma, skeleton.lower, skeleton.upper, tail)
+
+
+def _weigh(body: Body, selectivity: Selectivity) -> Annealed:
+    return Annealed(SilhouetteXor(body), selectivity)

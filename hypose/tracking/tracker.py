@@ -1,0 +1,274 @@
+"""Tracker: one frame at a time from evidence to a pose with its uncertainty; knows when the person is lost and recovers.
+
+The tracker is a value and its state is a value: `step` returns the next state, so a run can be stopped after any frame,
+saved, and resumed with the same numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.body.motion import Motion
+from hypose.evidence.frame import Frame
+from hypose.fitting.articulated import SolveOptions
+from hypose.geometry import Array
+from hypose.inference.hypotheses import Hypotheses
+from hypose.inference.layer import Recipe, SearchResult, search
+from hypose.inference.random_streams import stream
+from hypose.tracking.costs import silhouette_iou
+from hypose.tracking.evidence import PreparedFrame, prepare, view_count
+from hypose.tracking.initialise import recover
+from hypose.tracking.recipes import step_sigma
+from hypose.tracking.refinement import REFINED, refine
+from hypose.tracking.uncertainty import joint_sd_of_pose, joint_sd_of_set
+
+BETWEEN_FRAMES, RECOVERY, START = -1, -2, -3
+"""Layer numbers of the random streams used outside a recipe's layers."""
+
+
+@dataclass(frozen=True)
+class TrackerSettings:
+    """evidence: 'silhouettes', 'keypoints' or 'both'. seed: of every random draw. frame_rate: Hz. velocity_gain: share of
+    the last step expected again (0 = constant position). lost_share: lost when the mean IoU falls below this share of
+    its usual value; lost_floor: or below this value. keypoint_scale_px: robust scale of key points in their pixels.
+    extrapolate: seconds without evidence after which the person counts as lost."""
+
+    evidence: str = "silhouettes"
+    seed: int = 0
+    frame_rate: float = 25.0
+    velocity_gain: float = 0.8
+    lost_share: float = 0.6
+    lost_floor: float = 0.25
+    recover: bool = True
+    contour_weight: float = 0.05
+    keypoint_scale_px: float = 8.0
+    extrapolate: float = 1.0
+
+
+@dataclass(frozen=True)
+class FrameEstimate:
+    """pose (D,), joint_sd (J,) m per axis, cost: 1 - mean IoU (NaN without silhouettes), flags, number of views."""
+
+    pose: Array
+    joint_sd: Array
+    cost: float
+    lost: bool
+    extrapolated: bool
+    n_views: int
+
+
+@dataclass(frozen=True)
+class TrackerState:
+    """What the next frame needs. frames: frames done; pose, previous (D,); joint_sd (J,); usual_iou: running mean of the
+    IoU while not lost (NaN before the first); blind: frames since the last evidence; lost: the last frame was lost."""
+
+    frames: int
+    hypotheses: Hypotheses
+    pose: Array
+    previous: Array
+    joint_sd: Array
+    usual_iou: float
+    blind: int
+    lost: bool
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Plain arrays for a checkpoint."""
+        return {
+            "frames": np.array(self.frames),
+            "values": self.hypotheses.values,
+            "log_weights": self.hypotheses.log_weights,
+            "label": self.hypotheses.label,
+            "pose": self.pose,
+            "previous": self.previous,
+            "joint_sd": self.joint_sd,
+            "usual_iou": np.array(self.usual_iou),
+            "blind": np.array(self.blind),
+            "lost": np.array(self.lost),
+        }
+
+    @staticmethod
+    def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrackerState:
+        """The state that `to_arrays` wrote."""
+        h = Hypotheses(arrays["values"], arrays["log_weights"], arrays["label"].astype(np.int32))
+        return TrackerState(
+            int(arrays["frames"]),
+            h,
+            arrays["pose"],
+            arrays["previous"],
+            arrays["joint_sd"],
+            float(arrays["usual_iou"]),
+            int(arrays["blind"]),
+            bool(arrays["lost"]),
+        )
+
+
+@dataclass(frozen=True)
+class Tracker:
+    """A body, a recipe with its number of particles, and settings."""
+
+    body: Body
+    recipe: Recipe
+    particles: int
+    settings: TrackerSettings = TrackerSettings()
+
+    def start(self, pose: Array) -> TrackerState:
+        """State before the first frame, around a start pose (D,)."""
+        s = self.body.skeleton
+        pose = s.canonical(s.clamp(pose))
+        rng = stream(self.settings.seed, 0, START)
+        noise = rng.standard_normal((self.particles, s.dof)) * 0.5 * step_sigma(s, self.settings.frame_rate)
+        h = Hypotheses.uniform(s.clamp(pose + noise))
+        return TrackerState(0, h, pose, pose, np.full(len(s.joint_names), np.nan), float("nan"), 0, False)
+
+    def step(self, state: TrackerState, frame: Frame) -> tuple[TrackerState, FrameEstimate]:
+        """One frame: predict, search, judge, and recover when lost."""
+        s, settings = self.body.skeleton, self.settings
+        state = self._on_canonical_branch(state)
+        velocity = settings.velocity_gain ** (1 + state.blind) * (state.pose - s.on_branch(state.previous, state.pose))
+        if state.lost:
+            velocity = np.zeros_like(velocity)
+        prediction = s.clamp(state.pose + velocity)
+        prepared = self._prepare(frame, prediction)
+        if not prepared.usable:
+            return self._extrapolate(state, prediction, velocity)
+        if state.frames == 0:
+            prepared, state = self._settle(prepared, state)
+            velocity = np.zeros_like(velocity)
+        h = replace(state.hypotheses, values=s.clamp(state.hypotheses.values + velocity))
+        result = search(h, self.recipe, prepared, partial(stream, settings.seed, frame.index))
+        pose, selected = s.clamp(result.estimate), result.selected
+        iou = _mean_iou(self.body, pose, prepared)
+        lost = self._is_lost(iou, state.usual_iou)
+        if settings.recover and prepared.masks is not None and (lost or state.lost or state.blind > 2):
+            found = recover(self.body, prepared, pose, self._settle_options())
+            found_iou = _mean_iou(self.body, found, prepared)
+            if found_iou > iou + 0.02:
+                pose, iou = found, found_iou
+                rng = stream(settings.seed, frame.index, RECOVERY)
+                noise = rng.standard_normal(selected.values.shape) * step_sigma(s, settings.frame_rate)
+                selected = Hypotheses.uniform(s.clamp(pose + noise))
+                lost = self._is_lost(iou, state.usual_iou)
+                state = replace(state, pose=pose)  # the step back is no velocity
+        sd = self._joint_sd(pose, result, prepared)
+        usual = state.usual_iou
+        if not lost and np.isfinite(iou):
+            usual = iou if np.isnan(usual) else usual + 0.1 * (iou - usual)
+        following = TrackerState(state.frames + 1, selected, pose, state.pose, sd, usual, 0, lost)
+        cost = 1 - iou if np.isfinite(iou) else float("nan")
+        return following, FrameEstimate(pose, sd, cost, lost, False, view_count(prepared))
+
+    def _on_canonical_branch(self, state: TrackerState) -> TrackerState:
+        s = self.body.skeleton
+        pose = s.canonical(state.pose)
+        values = s.on_branch(state.hypotheses.values, pose)
+        return replace(
+            state, pose=pose, previous=s.on_branch(state.previous, pose), hypotheses=replace(state.hypotheses, values=values)
+        )
+
+    def _prepare(self, frame: Frame, prediction: Array) -> PreparedFrame:
+        wanted = self.settings.evidence
+        return prepare(
+            frame,
+            self.body,
+            prediction,
+            use_silhouettes=wanted in ("silhouettes", "both"),
+            use_keypoints=wanted in ("keypoints", "both"),
+            contour_weight=self.settings.contour_weight,
+            keypoint_scale_px=self.settings.keypoint_scale_px,
+        )
+
+    def _settle_options(self) -> SolveOptions:
+        return SolveOptions(iterations=24, coarse_iterations=12)
+
+    def _settle(self, prepared: PreparedFrame, state: TrackerState) -> tuple[PreparedFrame, TrackerState]:
+        """Before the first search: a long solve from the given start, which may be centimetres off."""
+        fit = refine(self.body, prepared.prediction[None], prepared, self._settle_options())[0]
+        shifted = self.body.skeleton.clamp(state.hypotheses.values + (fit.pose - prepared.prediction))
+        h = replace(state.hypotheses, values=shifted)
+        return replace(prepared, prediction=fit.pose), replace(state, pose=fit.pose, previous=fit.pose, hypotheses=h)
+
+    def _is_lost(self, iou: float, usual: float) -> bool:
+        if not np.isfinite(iou):
+            return False  # key points alone: nothing to judge the silhouette by
+        floor = self.settings.lost_floor if np.isnan(usual) else max(self.settings.lost_floor, self.settings.lost_share * usual)
+        return bool(iou < floor)
+
+    def _extrapolate(self, state: TrackerState, prediction: Array, velocity: Array) -> tuple[TrackerState, FrameEstimate]:
+        s = self.body.skeleton
+        blind = state.blind + 1
+        # what moved on unseen may have moved by its usual step: the variance of a random walk
+        growth = joint_step(self.body, prediction, step_sigma(s, self.settings.frame_rate))
+        sd = np.sqrt(np.nan_to_num(state.joint_sd, nan=0.0) ** 2 + growth**2)
+        lost = state.lost or blind > self.settings.extrapolate * self.settings.frame_rate
+        h = replace(state.hypotheses, values=s.clamp(state.hypotheses.values + velocity))
+        following = TrackerState(state.frames + 1, h, prediction, state.pose, sd, state.usual_iou, blind, lost)
+        return following, FrameEstimate(prediction, sd, float("nan"), lost, True, 0)
+
+    def _joint_sd(self, pose: Array, result: SearchResult, prepared: PreparedFrame) -> Array:
+        if (result.weighted.label == REFINED).any():
+            return joint_sd_of_pose(self.body, pose, prepared)
+        return joint_sd_of_set(self.body, result.weighted)
+
+
+def joint_step(body: Body, pose: Array, sigma: Array) -> Array:
+    """(J,) rms motion of each joint per axis when every coordinate moves by its sigma (D,), at a pose (D,), m."""
+    s = body.skeleton
+    centres = s.forward(pose)[1]
+    out = np.zeros(len(s.joint_names))
+    for j in range(len(out)):
+        jacobian = s.jacobian(pose, j, centres[j][None])[0]
+        out[j] = np.sqrt(((jacobian * sigma) ** 2).sum() / 3)
+    return out
+
+
+def _mean_iou(body: Body, pose: Array, prepared: PreparedFrame) -> float:
+    if prepared.masks is None:
+        return float("nan")
+    return float(np.nanmean(silhouette_iou(body, pose, prepared)))
+
+
+def motion_of(
+    body: Body, times: Array, estimates: Sequence[FrameEstimate], provenance: Mapping[str, Any] | None = None
+) -> Motion:
+    """The Motion of tracked frames: one estimate per time (T,)."""
+    poses = np.stack([e.pose for e in estimates])
+    return Motion(
+        body.skeleton,
+        np.asarray(times, dtype=np.float64),
+        body.joints(poses),
+        poses,
+        np.stack([e.joint_sd for e in estimates]),
+        np.array([e.lost for e in estimates], dtype=bool),
+        np.array([e.extrapolated for e in estimates], dtype=bool),
+        np.array([e.n_views for e in estimates], dtype=np.int64),
+        np.array([e.cost for e in estimates], dtype=np.float64),
+        provenance or {},
+    )
+
+
+def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray[Any]]:
+    """Plain arrays of the finished frames for a checkpoint."""
+    return {
+        "poses": np.stack([e.pose for e in estimates]),
+        "joint_sds": np.stack([e.joint_sd for e in estimates]),
+        "costs": np.array([e.cost for e in estimates]),
+        "flags": np.array([[e.lost, e.extrapolated] for e in estimates]),
+        "views": np.array([e.n_views for e in estimates]),
+    }
+
+
+def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimate]:
+    """The estimates that `estimates_to_arrays` wrote."""
+    return [
+        FrameEstimate(pose, sd, float(cost), bool(flags[0]), bool(flags[1]), int(views))
+        for pose, sd, cost, flags, views in zip(
+            arrays["poses"], arrays["joint_sds"], arrays["costs"], arrays["flags"], arrays["views"], strict=True
+        )
+    ]

@@ -1,0 +1,43 @@
+"""Uncertainty of joints: from the curvature of the solved cost, or from the spread of a weighted set."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hypose.body.body import Body
+from hypose.fitting.articulated import SolveOptions
+from hypose.geometry import Array
+from hypose.inference.hypotheses import Hypotheses
+from hypose.tracking.evidence import PreparedFrame
+from hypose.tracking.refinement import refine
+
+# Contour rows are not independent (a mask's edge errs over tens of pixels at once) and the body's shape is never exact,
+# so the curvature is too optimistic by a factor that is measured, not derived: docs/benchmarks.md, "uncertainty".
+CURVATURE_INFLATION = 1.0
+FLOOR = 0.005
+"""m; no joint centre of a fitted body is known better than this."""
+
+
+def joint_sd_of_pose(body: Body, pose: Array, frame: PreparedFrame) -> Array:
+    """(J,) sd per axis (m) of the joint centres at a solved pose (D,), from the inverse of the cost's Hessian.
+
+    Covariance = inflation^2 H^-1 with the priors in H, so a joint that no view sees keeps the prior's spread.
+    """
+    fit = refine(body, pose[None], frame, SolveOptions(iterations=0, coarse_iterations=0))[0]
+    values, vectors = np.linalg.eigh(0.5 * (fit.hessian + fit.hessian.T))
+    covariance = (vectors / np.maximum(values, 1e-9)) @ vectors.T
+    skeleton = body.skeleton
+    centres = skeleton.forward(fit.pose)[1]
+    sd = np.zeros(len(centres))
+    for j, centre in enumerate(centres):
+        jacobian = skeleton.jacobian(fit.pose, j, centre[None])[0]
+        sd[j] = np.sqrt(np.trace(jacobian @ covariance @ jacobian.T) / 3)
+    return np.hypot(CURVATURE_INFLATION * sd, FLOOR)
+
+
+def joint_sd_of_set(body: Body, h: Hypotheses) -> Array:
+    """(J,) sd per axis (m) of the joint centres over a weighted set (N, D)."""
+    joints = body.joints(h.values)
+    w = h.weights[:, None, None]
+    mean = (w * joints).sum(0)
+    return np.hypot(np.sqrt((w * (joints - mean) ** 2).sum((0, 2)) / 3), FLOOR)
