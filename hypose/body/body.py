@@ -220,7 +220,10 @@ def deform(body: Body, shape: Shape, name: str | None = None) -> Body:
         moved = np.zeros_like(mesh.vertices, dtype=np.float64)
         for j in np.flatnonzero(w.any(0)):
             moved += w[:, j : j + 1] * move(mesh.vertices.astype(np.float64), int(j))
-        return replace(mesh, vertices=moved)
+        out = replace(mesh, vertices=moved)
+        if "edges" in mesh.__dict__:  # the topology is the same; building it again would dominate a shape search
+            out.__dict__["edges"] = mesh.edges
+        return out
 
     marks = body.landmarks
     rest = old[marks.joint] + marks.offset

@@ -48,14 +48,23 @@ def prepare_masks(silhouettes: Silhouettes) -> compute.PreparedMasks:
     )
 
 
-def keypoint_term(frame: Frame, body: Body, scale_px: float, weight: float) -> KeypointTerm | None:
+def keypoint_term(
+    frame: Frame, body: Body, scale_px: float, weight: float, model: KeypointModel | None = None
+) -> KeypointTerm | None:
     """The key points of a frame as rows of the solver; None when the frame has none that the body knows.
 
-    scale_px is the robust scale in pixels of the key points' rig.
+    scale_px is the robust scale in pixels of the key points' rig; model: where the points sit on this subject (by
+    default where the body's landmarks say).
     """
     if frame.keypoints is None:
         return None
-    joint, offset, known = landmark_of(frame.keypoints.names, body)
+    model = model or keypoint_model(body, frame.keypoints.names)
+    if model.names != frame.keypoints.names:
+        raise EvidenceError(
+            f"Frame {frame.index} has other key points ({len(frame.keypoints.names)}) than the subject was fitted with "
+            f"({len(model.names)}); fit the subject again from this recording."
+        )
+    joint, offset, known = model.joint, model.offset, model.known
     points = np.nan_to_num(frame.keypoints.points[:, known])
     if not (points[..., 2] > 0).any():
         return None
@@ -69,6 +78,22 @@ def keypoint_term(frame: Frame, body: Body, scale_px: float, weight: float) -> K
     )
 
 
+@dataclass(frozen=True)
+class KeypointModel:
+    """Where named key points sit on a body: joint (K,), offset (K, 3) m in that joint's frame, known (K,)."""
+
+    names: tuple[str, ...]
+    joint: NDArray[np.int64]
+    offset: Array
+    known: NDArray[np.bool_]
+
+
+def keypoint_model(body: Body, names: tuple[str, ...]) -> KeypointModel:
+    """The key points on a body by its joints and landmarks."""
+    joint, offset, known = landmark_of(names, body)
+    return KeypointModel(tuple(names), joint, offset, known)
+
+
 def prepare(
     frame: Frame,
     body: Body,
@@ -79,6 +104,7 @@ def prepare(
     contour_weight: float = 0.05,
     keypoint_scale_px: float = 8.0,
     keypoint_weight: float = 1.0,
+    keypoints_on_body: KeypointModel | None = None,
 ) -> PreparedFrame:
     """Prepares a frame for `body`; see PreparedFrame. An EvidenceError when the frame has none of the wanted pieces."""
     silhouettes = frame.silhouettes if use_silhouettes else None
@@ -94,7 +120,9 @@ def prepare(
             contours = contour_term(silhouettes, weight=contour_weight)
         else:
             masks = None
-    term = keypoint_term(frame, body, keypoint_scale_px, keypoint_weight) if use_keypoints else None
+    term = None
+    if use_keypoints:
+        term = keypoint_term(frame, body, keypoint_scale_px, keypoint_weight, keypoints_on_body)
     return PreparedFrame(frame, prediction, masks, contours, term)
 
 

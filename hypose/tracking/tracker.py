@@ -23,7 +23,7 @@ from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Recipe, SearchResult, search
 from hypose.inference.random_streams import stream
 from hypose.tracking.costs import silhouette_iou
-from hypose.tracking.evidence import PreparedFrame, prepare, view_count
+from hypose.tracking.evidence import KeypointModel, PreparedFrame, prepare, view_count
 from hypose.tracking.initialise import recover
 from hypose.tracking.recipes import step_sigma
 from hypose.tracking.refinement import REFINED, refine
@@ -111,12 +111,13 @@ class TrackerState:
 
 @dataclass(frozen=True)
 class Tracker:
-    """A body, a recipe with its number of particles, and settings."""
+    """A body, a recipe with its number of particles, settings, and where key points sit on the body."""
 
     body: Body
     recipe: Recipe
     particles: int
     settings: TrackerSettings = TrackerSettings()
+    keypoints_on_body: KeypointModel | None = None
 
     def start(self, pose: Array) -> TrackerState:
         """State before the first frame, around a start pose (D,)."""
@@ -182,6 +183,7 @@ class Tracker:
             use_keypoints=wanted in ("keypoints", "both"),
             contour_weight=self.settings.contour_weight,
             keypoint_scale_px=self.settings.keypoint_scale_px,
+            keypoints_on_body=self.keypoints_on_body,
         )
 
     def _settle_options(self) -> SolveOptions:

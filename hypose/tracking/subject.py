@@ -1,0 +1,224 @@
+"""The subject's body: height from the hull, segment lengths from key points, girths from silhouettes.
+
+A tracker is as good as its body. Lengths come from medians over the clip, so they are constant; girths
+are searched on the silhouette XOR at known poses, within bounds and with a prior, because views that are not spread
+trade the torso's width against its depth.
+Source: Alcoverro 2014, section 2.3 (entities, grouped symmetrically); the fitting from key points is an addition.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hypose.body.body import Body, Shape, deform
+from hypose.errors import EvidenceError
+from hypose.fitting.articulated import PointTerm, SolveOptions, fit_pose
+from hypose.geometry import Array
+from hypose.tracking.costs import xor_energy
+from hypose.tracking.evidence import KeypointModel, PreparedFrame, keypoint_model
+from hypose.tracking.initialise import start_from_keypoints
+from hypose.tracking.refinement import anatomical_prior
+
+PAIRED = {
+    "upper_arm": ("shoulder", "elbow"),
+    "forearm": ("elbow", "wrist"),
+    "thigh": ("hip", "knee"),
+    "shank": ("knee", "ankle"),
+}
+TRUNK = ("pelvis", "spine", "chest")
+
+# groups of girth factors that vary together: (joint, model axis or None for all three)
+GIRTHS: dict[str, tuple[tuple[str, int | None], ...]] = {
+    "torso width": tuple((j, 0) for j in TRUNK),
+    "torso depth": tuple((j, 1) for j in TRUNK),
+    "upper arms": (("left_shoulder", None), ("right_shoulder", None)),
+    "forearms": (("left_elbow", None), ("right_elbow", None)),
+    "thighs": (("left_hip", None), ("right_hip", None)),
+    "shanks": (("left_knee", None), ("right_knee", None)),
+    "hands": (("left_wrist", None), ("right_wrist", None)),
+    "feet": (("left_ankle", None), ("right_ankle", None)),
+    "head": (("head", None),),
+    "neck": (("neck", None),),
+}
+
+
+@dataclass(frozen=True)
+class KeypointSubject:
+    """A body fitted to key points: body, where the key points sit on it, poses (T, D) (NaN where not solved), residual
+    (T, K) m between the triangulated points and the fitted body."""
+
+    body: Body
+    keypoints: KeypointModel
+    poses: Array
+    residual: Array
+
+
+def scaled_to_height(body: Body, height: float) -> Body:
+    """The body scaled uniformly to a standing height in m."""
+    if not 0.5 < height < 2.5:
+        raise EvidenceError(
+            f"A subject height of {height:.2f} m is not a person's; give --height in metres or check the calibration's unit."
+        )
+    return deform(body, Shape(scale=height / body.stature))
+
+
+def subject_from_keypoints(
+    body: Body, points_world: Array, names: tuple[str, ...], *, rounds: int = 3, max_frames: int = 40
+) -> KeypointSubject:
+    """Segment lengths, shoulder width and the key points' offsets from triangulated points (T, K, 3) m, NaN = missing.
+
+    Lengths are medians over the frames, left and right averaged. Then poses and offsets are found in turn: offsets
+    within 5 cm for joints, 12 cm for the face and 8 cm for the feet, since what a detector calls a hip is not the
+    joint's centre. An EvidenceError when a segment is never seen.
+    """
+    deformed = deform(body, shape_from_keypoints(body, points_world, names))
+    model = keypoint_model(deformed, names)
+    usable = np.flatnonzero(np.isfinite(points_world[:, model.known]).all(-1).sum(1) >= 6)
+    if len(usable) == 0:
+        raise EvidenceError("No frame has 6 triangulated key points; check the key points' folder and the calibration.")
+    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(max_frames, len(usable))).astype(int))]
+    base, limit = model.offset.copy(), _offset_limits(names)
+    poses = np.full((len(points_world), body.skeleton.dof), np.nan)
+    for _ in range(rounds):
+        _solve_frames(deformed, points_world, model, chosen, poses)
+        local = _in_joint_frames(deformed, points_world, model, poses)
+        with np.errstate(all="ignore"):
+            shift = np.nan_to_num(np.nanmedian(local[chosen], axis=0) - base)
+        length = np.linalg.norm(shift, axis=1, keepdims=True)
+        offset = base + shift * np.minimum(1, limit[:, None] / np.maximum(length, 1e-9))
+        model = replace(model, offset=np.where(model.known[:, None], offset, base))
+    _solve_frames(deformed, points_world, model, chosen, poses)
+    residual = np.linalg.norm(_in_joint_frames(deformed, points_world, model, poses) - model.offset, axis=-1)
+    return KeypointSubject(deformed, model, poses, residual)
+
+
+def shape_from_keypoints(body: Body, points_world: Array, names: tuple[str, ...]) -> Shape:
+    """Length factors of `body` from triangulated points (T, K, 3) m."""
+    model = keypoint_model(body, names)
+    skeleton, rest = body.skeleton, body.skeleton.rest_joints
+    column = {skeleton.joint_names[j]: k for k, j in enumerate(model.joint) if model.known[k] and not model.offset[k].any()}
+
+    def measured(a: str, b: str) -> float:
+        if a not in column or b not in column:
+            return float("nan")
+        d = np.linalg.norm(points_world[:, column[a]] - points_world[:, column[b]], axis=-1)
+        return float(np.nanmedian(d)) if np.isfinite(d).any() else float("nan")
+
+    def factor(a: str, b: str) -> float:
+        own = float(np.linalg.norm(rest[skeleton.joint(a)] - rest[skeleton.joint(b)]))
+        return measured(a, b) / own
+
+    limbs = {}
+    for segment, (a, b) in PAIRED.items():
+        sides = np.array([factor(f"{side}_{a}", f"{side}_{b}") for side in ("left", "right")])
+        if not np.isfinite(sides).any():
+            raise EvidenceError(f"The key points never show the {segment} in two views; check their folder and calibration.")
+        limbs[segment] = float(np.nanmean(sides))
+    trunk = np.nanmean([factor(f"{side}_shoulder", f"{side}_hip") for side in ("left", "right")])
+    scale = float(np.nanmean([limbs["thigh"], limbs["shank"], trunk]))
+    shoulders = factor("left_shoulder", "right_shoulder")
+    shoulders = scale if np.isnan(shoulders) else float(np.clip(shoulders, 0.8 * scale, 1.2 * scale))
+    trunk = scale if np.isnan(trunk) else float(trunk)
+    length: dict[str, float] = {j: trunk / scale for j in TRUNK}
+    offset: dict[str, tuple[float, float, float]] = {}
+    for side in ("left", "right"):
+        for segment, (joint, _) in PAIRED.items():
+            length[f"{side}_{joint}"] = limbs[segment] / scale
+        # hips hang on the pelvis and clavicles on the chest: undo the trunk's stretch across the body
+        offset[f"{side}_hip"] = (scale / trunk, 1.0, 1.0)
+        offset[f"{side}_clavicle"] = (scale / trunk, 1.0, 1.0)
+        offset[f"{side}_shoulder"] = (shoulders / scale, 1.0, 1.0)
+    return Shape(scale=scale, length=length, offset=offset)
+
+
+def _offset_limits(names: tuple[str, ...]) -> Array:
+    face = ("nose", "eye", "ear", "head")
+    foot = ("toe", "heel")
+    lower = [n.lower() for n in names]
+    return np.array(
+        [0.12 if any(f in n for f in face) else 0.08 if any(f in n for f in foot) else 0.05 for n in lower]
+    )
+
+
+def _solve_frames(body: Body, points: Array, model: KeypointModel, frames: np.ndarray, poses: Array) -> None:
+    """Solves the chosen frames in order, each from the last; fills poses (T, D) in place."""
+    last: Array | None = None
+    joint, offset = model.joint[model.known], model.offset[model.known]
+    for t in frames:
+        seen = points[t][model.known]
+        if last is None:
+            poses[t] = start_from_keypoints(body, seen, joint, offset).pose
+        else:
+            start = poses[t] if np.isfinite(poses[t]).all() else last
+            term = PointTerm(seen, np.ones(len(seen)), joint, offset, 0.03)
+            options = SolveOptions(iterations=20, coarse_iterations=8)
+            poses[t] = fit_pose(body, start, points=term, priors=(anatomical_prior(body.skeleton),), options=options).pose
+        last = poses[t]
+
+
+def _in_joint_frames(body: Body, points: Array, model: KeypointModel, poses: Array) -> Array:
+    """(T, K, 3) points in the frames of their joints; NaN where not solved or not seen."""
+    out = np.full((len(points), len(model.names), 3), np.nan)
+    done = np.flatnonzero(np.isfinite(poses).all(1))
+    rotations, centres = body.skeleton.forward(poses[done])
+    r, p = rotations[:, model.joint], centres[:, model.joint]
+    out[done] = np.einsum("tkba,tkb->tka", r, points[done] - p)
+    return out
+
+
+def fit_girths(
+    body: Body,
+    poses: Array,
+    frames: Sequence[PreparedFrame],
+    *,
+    bounds: tuple[float, float] = (0.75, 1.35),
+    prior: float = 0.02,
+    rounds: int = 3,
+) -> tuple[Body, Shape, float, float]:
+    """Girths of the body from the silhouettes at known poses (F, D).
+
+    Coordinate search over symmetric groups; cost = mean XOR share + prior x mean squared log factor. Returns the body,
+    the shape, and the mean XOR share before and after.
+    """
+    light = replace(body, fine=body.coarse)  # the display mesh would only cost time in the search
+
+    def shape_of(factors: dict[str, float]) -> Shape:
+        girth: dict[str, list[float]] = {}
+        for group, members in GIRTHS.items():
+            for joint, axis in members:
+                row = girth.setdefault(joint, [1.0, 1.0, 1.0])
+                for k in range(3) if axis is None else (axis,):
+                    row[k] = factors[group]
+        return Shape(girth={j: (r[0], r[1], r[2]) for j, r in girth.items()})
+
+    def share(factors: dict[str, float]) -> float:
+        shaped = deform(light, shape_of(factors))
+        total = [
+            xor_energy(shaped, pose[None], f)[0] / max(int(f.masks.usable.sum()), 1)
+            for pose, f in zip(poses, frames, strict=True)
+            if f.masks is not None
+        ]
+        return float(np.mean(total))
+
+    def cost(factors: dict[str, float]) -> float:
+        return share(factors) + prior * float(np.mean(np.log(list(factors.values())) ** 2))
+
+    factors = dict.fromkeys(GIRTHS, 1.0)
+    light.coarse.arrays  # noqa: B018 - builds the edges once, before the copies
+    before, best, step = share(factors), cost(factors), 0.08
+    for _ in range(rounds):
+        for group in GIRTHS:
+            for sign in (1, -1):
+                while True:
+                    trial = dict(factors)
+                    trial[group] = float(np.clip(trial[group] * (1 + sign * step), *bounds))
+                    value = cost(trial)
+                    if value >= best - 1e-5:
+                        break
+                    factors, best = trial, value
+        step /= 2
+    shape = shape_of(factors)
+    return deform(body, shape), shape, before, share(factors)
