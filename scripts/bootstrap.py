@@ -13,6 +13,7 @@ syntax of Python 3.6, so that an old Python gets as far as saying that it is too
 """
 
 import hashlib
+import importlib
 import importlib.util
 import json
 import os
@@ -106,7 +107,15 @@ def install_command(way: str, machine: Machine, python: str, borrowed_uv: Option
     """The command line, without requirements, that installs wheels into the environment of `python`."""
     if way == "uv":
         return [machine.uv or borrowed_uv or "uv", "pip", "install", "--python", python]
-    options = ["install", "--no-cache-dir", "--disable-pip-version-check", "--progress-bar", "off"]
+    options = [
+        "install",
+        "--no-cache-dir",
+        "--disable-pip-version-check",
+        "--progress-bar",
+        "off",
+        "--retries",
+        "3",
+    ]
     if way == "pip":
         return [python, "-m", "pip"] + options
     return [machine.python, "-m", "pip", "--python", python] + options
@@ -185,9 +194,8 @@ def look() -> Machine:
     """This machine."""
     pip = None  # type: Optional[Tuple[int, ...]]
     if importlib.util.find_spec("pip"):
-        import pip as pip_module
-
-        pip = tuple(int(part) for part in pip_module.__version__.split(".")[:2] if part.isdigit())
+        words = importlib.import_module("pip").__version__.split(".")
+        pip = tuple(int(word) for word in words[:2] if word.isdigit())
     return Machine(
         python=sys.executable,
         version=tuple(sys.version_info[:3]),
@@ -311,7 +319,7 @@ def install(machine: Machine, python: str, profile: str, log: List[str]) -> List
         if call(command + target, log):
             break
     else:
-        print("".join(log[start:][-12:]), file=sys.stderr)
+        print("".join([line for line in log[start:] if "WARNING" not in line][-8:]), file=sys.stderr)
         raise SetupError(why_it_failed("".join(log)) + ", then run this again.")
     # One by one, and with hypose itself on the line: an oracle cannot bring a version that hypose refuses.
     missing = [one for one in oracles if not call(command + target + wheels + [one], log)]
@@ -413,7 +421,7 @@ def main(arguments: List[str]) -> int:
             other = newer_python()
             if other is None or uses_current_environment(machine):
                 raise SetupError(
-                    f"hypose needs Python {MINIMUM[0]}.{MINIMUM[1]} or newer, {sys.executable} is "
+                    f"Python {MINIMUM[0]}.{MINIMUM[1]} or newer is needed, {sys.executable} is "
                     f"{'.'.join(map(str, machine.version))}; install a newer one and name it: "
                     "make PYTHON=/path/to/python3.11"
                 )

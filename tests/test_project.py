@@ -173,7 +173,7 @@ def test_old_python_is_told_so(monkeypatch, capsys):
     monkeypatch.setattr(bootstrap, "newer_python", lambda: None)
     assert bootstrap.main(["demo"]) == 1
     error = capsys.readouterr().err
-    assert "needs Python 3.11 or newer" in error
+    assert "Python 3.11 or newer is needed" in error
     assert "3.9.18" in error
     assert "make PYTHON=" in error
     assert len(error.strip().splitlines()) == 1
