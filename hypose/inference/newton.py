@@ -158,7 +158,7 @@ def _checked_start(cost: Cost, x: FloatArray) -> tuple[float, FloatArray, FloatA
     gradient, hessian = np.asarray(gradient, np.float64), np.asarray(hessian, np.float64)
     if gradient.shape != x.shape or hessian.shape != (x.size, x.size):
         raise SolverError(
-            f"{x.size} unknowns need a gradient of shape {x.shape} and a Hessian of shape {(x.size, x.size)}, "
+            f"{x.size} unknowns need a gradient {x.shape} and a Hessian {(x.size, x.size)}, "
             f"the cost returned {gradient.shape} and {hessian.shape}"
         )
     if not (np.all(np.isfinite(gradient)) and np.all(np.isfinite(hessian))):

@@ -80,7 +80,8 @@ class Lorentzian:
     def second(self, x: ArrayLike, /) -> FloatArray:
         """rho''(x)."""
         t = _ratio(x, self.scale)
-        return _gain(self.scale, self.height) * (1 - t) / np.square(1 + t)
+        near = 1 / (1 + t)  # no power of t: it overflows before its quotient does
+        return _gain(self.scale, self.height) * (1 - t) * near * near
 
 
 @dataclass(frozen=True)
@@ -124,12 +125,14 @@ class GemanMcClure:
 
     def weight(self, x: ArrayLike, /) -> FloatArray:
         """rho'(x) / x."""
-        return _gain(self.scale, self.height) / np.square(1 + _ratio(x, self.scale))
+        near = 1 / (1 + _ratio(x, self.scale))
+        return _gain(self.scale, self.height) * near * near
 
     def second(self, x: ArrayLike, /) -> FloatArray:
         """rho''(x)."""
         t = _ratio(x, self.scale)
-        return _gain(self.scale, self.height) * (1 - 3 * t) / (1 + t) ** 3
+        near = 1 / (1 + t)
+        return _gain(self.scale, self.height) * (1 - 3 * t) * near * near * near
 
 
 def _check(scale: float, height: float | None) -> None:

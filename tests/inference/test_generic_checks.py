@@ -1,0 +1,220 @@
+"""Checks that every kernel, selector, weight and robust cost must pass, discovered from their modules.
+
+A new one is found by its signature; without an example here the suite fails, so none escapes.
+"""
+
+import inspect
+from dataclasses import fields
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from hypose.inference import kernels, robust, selectivity, selectors
+from hypose.inference.hypotheses import Hypotheses
+
+D = 4
+LOWER, UPPER = np.array([-2.0, -1.0, -np.inf, -0.5]), np.array([2.0, 1.0, np.inf, 0.5])
+SIGMA = np.array([0.5, 3.0, 0.2, 0.0])
+SOME = np.array([True, False, True, False])
+
+
+def gaussian():
+    return kernels.GaussianDiffusion(SIGMA, LOWER, UPPER)
+
+
+KERNELS = {
+    "stay": [kernels.stay],
+    "GaussianDiffusion": [
+        gaussian(),
+        kernels.GaussianDiffusion(SIGMA),
+        kernels.GaussianDiffusion(SIGMA, LOWER, UPPER, kernels.HeavyTail(0.15, 4.0, SOME)),
+        kernels.GaussianDiffusion(np.zeros(D)),
+    ],
+    "AdaptiveDiffusion": [
+        kernels.AdaptiveDiffusion(0.5),
+        kernels.AdaptiveDiffusion(0.5, floor=0.1 * SIGMA, coordinates=SOME, lower=LOWER, upper=UPPER),
+        kernels.AdaptiveDiffusion(0.0),
+    ],
+    "ConstantVelocity": [
+        kernels.ConstantVelocity(np.array([0.1, -5.0, 0.0, 9.0]), 0.7, LOWER, UPPER),
+        kernels.ConstantVelocity(np.ones(D), 0.0),
+    ],
+    "Compose": [
+        kernels.Compose((kernels.ConstantVelocity(np.ones(D), 1.0, LOWER, UPPER), gaussian())),
+        kernels.Compose(()),
+    ],
+    "RejectionSampling": [
+        kernels.RejectionSampling(gaussian(), lambda x: -np.square(x).sum(-1), tau=0.7, trials=5),
+        kernels.RejectionSampling(gaussian(), lambda x: np.full(x.shape[:-1], -np.inf), trials=2),
+        kernels.RejectionSampling(gaussian(), lambda x: np.full(x.shape[:-1], np.nan), trials=2),
+    ],
+    "Mixture": [
+        kernels.Mixture((gaussian(), kernels.stay), (0.3, 0.7)),
+        kernels.Mixture((kernels.stay,), (1.0,)),
+    ],
+}
+SELECTORS = {
+    "systematic": [selectors.systematic],
+    "roulette": [selectors.roulette],
+    "keep": [selectors.keep],
+    "LayeredSystematic": [selectors.LayeredSystematic(SOME), selectors.LayeredSystematic(np.zeros(D, bool))],
+    "Prune": [selectors.Prune(3), selectors.Prune(1000)],
+}
+SELECTIVITIES = {
+    "FixedSelectivity": [selectivity.FixedSelectivity(0.5), selectivity.FixedSelectivity(0.0)],
+    "SurvivalRate": [
+        selectivity.SurvivalRate(),
+        selectivity.SurvivalRate(1.0),
+        selectivity.SurvivalRate(1e-3),
+    ],
+}
+ROBUST = {
+    "Quadratic": [robust.Quadratic(), robust.Quadratic(2.0, 3.0)],
+    "Lorentzian": [robust.Lorentzian(0.5), robust.Lorentzian(2.0, 0.3)],
+    "Leclerc": [robust.Leclerc(0.5), robust.Leclerc(2.0, 0.3)],
+    "GemanMcClure": [robust.GemanMcClure(0.5), robust.GemanMcClure(2.0, 0.3)],
+}
+# what looks like one of them by its signature but is the type itself
+PROTOCOLS = {"Kernel", "Weigh", "Select", "Energy", "Selectivity", "Robust", "LogPrior", "Estimate"}
+
+
+def discovered(module: ModuleType, arguments: tuple[str, ...]) -> set[str]:
+    """Names of the public functions and classes of a module that are called with these arguments."""
+    found = set()
+    for name, thing in vars(module).items():
+        if name.startswith("_") or name in PROTOCOLS or getattr(thing, "__module__", "") != module.__name__:
+            continue
+        call = vars(thing).get("__call__") if inspect.isclass(thing) else thing
+        if callable(call):
+            names = tuple(p for p in inspect.signature(call).parameters if p != "self")
+            if names == arguments:
+                found.add(name)
+    return found
+
+
+def examples(table: dict) -> list:
+    return [pytest.param(x, id=f"{name}-{i}") for name, xs in table.items() for i, x in enumerate(xs)]
+
+
+def test_every_part_has_an_example():
+    assert discovered(kernels, ("h", "frame", "rng")) == set(KERNELS)
+    assert discovered(selectors, ("h", "rng")) == set(SELECTORS)
+    assert discovered(selectivity, ("energies",)) == set(SELECTIVITIES)
+    assert discovered(selectivity, ("h", "frame")) == {"Annealed"}
+    costs = {n for n, c in vars(robust).items() if inspect.isclass(c) and "rho" in vars(c)} - PROTOCOLS
+    assert costs == set(ROBUST)
+
+
+def population(shape: tuple[int, ...], lost: bool = False, covariance: bool = False) -> Hypotheses:
+    rng = np.random.default_rng(7)
+    values = np.clip(rng.normal(size=(*shape, D)), LOWER, UPPER)
+    log_weights = np.full(shape, -np.inf) if lost else rng.normal(size=shape) * 3 - 1000
+    spread = np.broadcast_to(np.eye(D), (*shape, D, D)) * rng.random((*shape, 1, 1)) if covariance else None
+    return Hypotheses(values, log_weights, rng.integers(0, 3, shape), spread)
+
+
+POPULATIONS = {
+    "plain": population((60,)),
+    "single": population((1,)),
+    "batch": population((3, 20)),
+    "batch2": population((2, 1, 20), covariance=True),
+    "lost": population((25,), lost=True),
+}
+
+
+def snapshot(h: Hypotheses) -> list[bytes]:
+    return [b"" if getattr(h, f.name) is None else getattr(h, f.name).tobytes() for f in fields(h)]
+
+
+def well_formed(h: Hypotheses, like: Hypotheses) -> None:
+    assert h.values.shape[:-2] == like.values.shape[:-2] and h.dimension == like.dimension
+    assert h.label.dtype == np.int32 and h.values.dtype == np.float64
+    assert np.isfinite(h.values).all()
+    weights = h.weights
+    assert np.isfinite(weights).all() and (weights >= 0).all()
+    np.testing.assert_allclose(weights.sum(-1), 1, rtol=1e-12)
+    assert (h.covariance is None) == (like.covariance is None)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("h", POPULATIONS.values(), ids=POPULATIONS.keys())
+@pytest.mark.parametrize("kernel", examples(KERNELS))
+def test_kernels(kernel, h):
+    before = snapshot(h)
+    moved = kernel(h, None, np.random.default_rng(3))
+    assert snapshot(h) == before
+    well_formed(moved, h)
+    assert moved.values.shape == h.values.shape
+    np.testing.assert_array_equal(moved.log_weights, h.log_weights)
+    assert snapshot(moved) == snapshot(kernel(h, None, np.random.default_rng(3)))
+    if getattr(kernel, "lower", None) is not None:
+        assert (moved.values >= LOWER).all() and (moved.values <= UPPER).all()
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("h", POPULATIONS.values(), ids=POPULATIONS.keys())
+@pytest.mark.parametrize("selector", examples(SELECTORS))
+def test_selectors(selector, h):
+    before = snapshot(h)
+    chosen = selector(h, np.random.default_rng(3))
+    assert snapshot(h) == before
+    well_formed(chosen, h)
+    assert snapshot(chosen) == snapshot(selector(h, np.random.default_rng(3)))
+    if selector is not selectors.keep:
+        np.testing.assert_array_equal(chosen.log_weights, np.full(chosen.label.shape, -np.log(chosen.count)))
+    for d in range(D):  # nothing is invented: each coordinate comes from the set
+        assert np.isin(chosen.values[..., d], h.values[..., d]).all()
+
+
+ENERGIES = {
+    "plain": np.random.default_rng(1).random((3, 40)),
+    "equal": np.full(40, 0.3),
+    "ties": np.repeat([1.0, 2.0], 20),
+    "some not finite": np.where(
+        np.arange(40) % 3 == 0, np.array([np.nan, np.inf, -np.inf, 1.0])[np.arange(40) % 4], 0.5
+    ),
+    "none finite": np.array([np.nan, np.inf, -np.inf]),
+    "huge": np.array([-1e308, 1e308, 0.0, 1.0]),
+    "tiny differences": 1e6 + 1e-8 * np.arange(30.0),
+    "subnormal": np.array([0.0, 5e-324, 1.0, 2.0]),
+    "one": np.array([0.7]),
+}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("energies", ENERGIES.values(), ids=ENERGIES.keys())
+@pytest.mark.parametrize("chooser", examples(SELECTIVITIES))
+def test_weights(chooser, energies):
+    h = Hypotheses.uniform(np.zeros((*energies.shape, D)))
+    before = energies.tobytes()
+    weigh = selectivity.Annealed(lambda h, frame: energies, chooser)
+    log_weights, beta = weigh.measure(h, None)
+    assert energies.tobytes() == before
+    assert log_weights.shape == energies.shape and beta.shape == energies.shape[:-1]
+    assert np.isfinite(beta).all() and (beta >= 0).all()
+    assert not np.isnan(log_weights).any() and (log_weights <= 0).all()
+    np.testing.assert_array_equal(np.isneginf(log_weights), ~np.isfinite(energies))
+    np.testing.assert_array_equal(weigh(h, None), log_weights)
+    weighted = h.reweighted(log_weights)
+    well_formed(weighted, h)
+    np.testing.assert_array_equal(weighted.evidence_lost, ~np.isfinite(energies).any(-1))
+    kept = np.where(np.isfinite(energies), energies, np.inf)  # a lower energy never weighs less
+    order = np.argsort(kept, axis=-1)
+    assert (np.diff(np.take_along_axis(weighted.weights, order, -1), axis=-1) <= 0).all()
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("cost", examples(ROBUST))
+def test_robust_costs(cost):
+    x = np.array([-3.1, -1.0, -0.2, 0.0, 0.05, 0.7, 2.0, 6.0])
+    for part in (cost.rho, cost.weight, cost.second):
+        assert part(x).shape == x.shape and np.shape(part(0.5)) == () and np.isfinite(part(1e150)).all()
+    np.testing.assert_allclose(cost.rho(x), cost.rho(-x))
+    assert cost.rho(0.0) == 0 and (cost.rho(x) >= 0).all() and (cost.weight(x) >= 0).all()
+    e = 1e-5
+    slope = (cost.rho(x + e) - cost.rho(x - e)) / (2 * e)
+    np.testing.assert_allclose(cost.weight(x) * x, slope, atol=1e-9)
+    bend = ((x + e) * cost.weight(x + e) - (x - e) * cost.weight(x - e)) / (2 * e)
+    np.testing.assert_allclose(cost.second(x), bend, atol=1e-8)
+    np.testing.assert_allclose(cost.second(0.0), cost.weight(0.0))

@@ -1,0 +1,128 @@
+"""The weighted set: log-domain weights, moments, and what happens when the evidence is gone."""
+
+import numpy as np
+import pytest
+
+from hypose.inference.hypotheses import Hypotheses
+from hypose.inference.random_streams import stream
+
+
+def make(log_weights, values=None):
+    lw = np.asarray(log_weights, float)
+    v = np.arange(lw.size * 2.0).reshape(*lw.shape, 2) if values is None else values
+    return Hypotheses(v, lw, np.zeros(lw.shape, np.int32))
+
+
+def test_uniform():
+    h = Hypotheses.uniform(np.zeros((3, 5, 2)))
+    np.testing.assert_allclose(h.weights, 0.2)
+    assert (h.count, h.dimension, h.label.dtype) == (5, 2, np.int32)
+    np.testing.assert_allclose(h.ess, [5, 5, 5])
+    assert not h.evidence_lost.any()
+
+
+def test_weights_survive_any_offset():
+    expected = np.exp([0, -1, -2]) / np.exp([0, -1, -2]).sum()
+    for offset in (0.0, -1e5, 1e5):
+        np.testing.assert_allclose(make(np.array([0, -1, -2]) + offset).weights, expected, rtol=1e-9)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("bad", [[-np.inf] * 3, [np.nan] * 3, [np.inf, np.nan, -np.inf]])
+def test_lost_evidence_is_flagged_and_equal(bad):
+    h = make([bad, [0.0, -1.0, -2.0]])
+    np.testing.assert_array_equal(h.evidence_lost, [True, False])
+    np.testing.assert_allclose(h.weights[0], 1 / 3)
+    np.testing.assert_allclose(h.weights.sum(-1), 1)
+
+
+def test_failed_measurements_weigh_nothing():
+    np.testing.assert_allclose(make([0.0, np.nan, np.inf, 0.0]).weights, [0.5, 0, 0, 0.5])
+    np.testing.assert_array_equal(make([np.nan, -5.0, -4.0, np.inf]).best(), [4.0, 5.0])
+
+
+@pytest.mark.filterwarnings("error")
+def test_evidence_adds_up_and_a_lost_population_starts_again():
+    h = make([0.0, -1.0]).reweighted([-1.0, -3.0])
+    np.testing.assert_allclose(h.weights, np.exp([-1, -4]) / np.exp([-1, -4]).sum())
+    lost = h.reweighted([-np.inf, np.nan])
+    assert lost.evidence_lost
+    again = lost.reweighted([np.log(0.25), np.log(0.75)])
+    assert not again.evidence_lost
+    np.testing.assert_allclose(again.weights, [0.25, 0.75])
+    with pytest.raises(ValueError, match=r"shape \(2,\)"):
+        h.reweighted(np.zeros(3))
+
+
+def test_moments_equal_numpy():
+    rng = np.random.default_rng(0)
+    h = make(rng.normal(size=(2, 50)), rng.normal(size=(2, 50, 3)))
+    for b in range(2):
+        covariance = np.cov(h.values[b].T, aweights=h.weights[b], ddof=0)
+        np.testing.assert_allclose(h.mean()[b], np.average(h.values[b], axis=0, weights=h.weights[b]))
+        np.testing.assert_allclose(h.scatter()[b], covariance)
+        np.testing.assert_allclose(h.spread()[b], np.sqrt(np.diag(covariance)))
+        np.testing.assert_allclose(h.ess[b], 1 / (h.weights[b] ** 2).sum())
+        np.testing.assert_array_equal(h.best()[b], h.values[b, h.log_weights[b].argmax()])
+
+
+def test_take_carries_everything():
+    rng = np.random.default_rng(0)
+    h = Hypotheses(
+        rng.normal(size=(2, 4, 3)),
+        rng.normal(size=(2, 4)),
+        rng.integers(0, 9, (2, 4)),
+        rng.normal(size=(2, 4, 3, 3)),
+    )
+    index = np.array([[3, 3, 0], [1, 2, 1]])
+    t = h.take(index)
+    assert t.covariance is not None and h.covariance is not None
+    for b in range(2):
+        np.testing.assert_array_equal(t.values[b], h.values[b, index[b]])
+        np.testing.assert_array_equal(t.log_weights[b], h.log_weights[b, index[b]])
+        np.testing.assert_array_equal(t.label[b], h.label[b, index[b]])
+        np.testing.assert_array_equal(t.covariance[b], h.covariance[b, index[b]])
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (np.zeros(3), np.zeros(()), np.zeros(())),
+        (np.zeros((0, 2)), np.zeros(0), np.zeros(0)),
+        (np.zeros((4, 2)), np.zeros(3), np.zeros(4)),
+        (np.zeros((4, 2)), np.zeros(4), np.zeros(3)),
+        (np.zeros((4, 2)), np.zeros(4), np.zeros(4), np.zeros((4, 2))),
+    ],
+)
+def test_shapes_are_checked(arguments):
+    with pytest.raises(ValueError, match=r"\("):
+        Hypotheses(*arguments)
+
+
+def test_streams_depend_on_their_address_only():
+    def draw(*address):
+        return stream(*address).standard_normal((6, 3))
+
+    np.testing.assert_array_equal(draw(1, 2, 3), draw(1, 2, 3))
+    addresses = [
+        (1, 2, 3),
+        (2, 2, 3),
+        (1, 3, 3),
+        (1, 2, 4),
+        (1, 3, 2),
+        (1, 2, -1),
+        (1, 2, 3, 0),
+        (1, 2, 3, 1),
+    ]
+    assert len({draw(*a).tobytes() for a in addresses}) == len(addresses)
+    np.testing.assert_array_equal(
+        stream(1, 2, 3).standard_normal((50, 3))[:6], draw(1, 2, 3)
+    )  # N does not matter
+
+
+def test_streams_are_not_correlated():
+    blocks = np.array(
+        [stream(5, frame, layer).standard_normal(2000) for frame in range(8) for layer in range(5)]
+    )
+    correlation = np.corrcoef(blocks) - np.eye(len(blocks))
+    assert np.abs(correlation).max() < 5 / np.sqrt(2000)

@@ -1,0 +1,160 @@
+"""Kernels move what they should, by as much as they should."""
+
+import numpy as np
+import pytest
+
+from hypose.inference.hypotheses import Hypotheses
+from hypose.inference.kernels import (
+    AdaptiveDiffusion,
+    Compose,
+    ConstantVelocity,
+    GaussianDiffusion,
+    HeavyTail,
+    Mixture,
+    RejectionSampling,
+    filtered_mask,
+    first_layer,
+    reflect,
+    semidefinite_cholesky,
+    stay,
+)
+
+INF = np.inf
+
+
+def zeros(n, d=3):
+    return Hypotheses.uniform(np.zeros((n, d)))
+
+
+def test_diffusion_has_the_asked_spread_and_freezes():
+    sigma = np.array([0.5, 0.0, 2.0])
+    moved = GaussianDiffusion(sigma)(zeros(40000), None, np.random.default_rng(0)).values
+    np.testing.assert_allclose(moved.std(0), sigma, rtol=0.02)
+    np.testing.assert_array_equal(moved[:, 1], 0)
+    assert np.abs(np.corrcoef(moved[:, 0], moved[:, 2])[0, 1]) < 0.02
+
+
+def test_a_frozen_coordinate_keeps_even_a_value_outside_the_bounds():
+    h = Hypotheses.uniform(np.full((10, 2), 5.0))
+    moved = GaussianDiffusion(np.array([0.0, 0.1]), np.zeros(2), np.ones(2))(
+        h, None, np.random.default_rng(0)
+    )
+    np.testing.assert_array_equal(moved.values[:, 0], 5.0)
+    assert (moved.values[:, 1] <= 1).all()
+
+
+def test_reflect_mirrors_once_and_then_clamps():
+    x = np.array([[-0.25, 0.5, 1.25, 3.5, -9.0]]).T
+    np.testing.assert_allclose(reflect(x, [0.0], [1.0])[:, 0], [0.25, 0.5, 0.75, 0.0, 1.0])
+    np.testing.assert_allclose(reflect(x, [-INF], [1.0])[:, 0], [-0.25, 0.5, 0.75, -1.5, -9.0])
+    np.testing.assert_array_equal(reflect(x, None, None), x)
+    np.testing.assert_array_equal(reflect(x, [0.3], [0.3]), np.full((5, 1), 0.3))
+
+
+def test_a_set_does_not_pile_up_on_a_limit():
+    h = Hypotheses.uniform(np.zeros((20000, 1)))
+    moved = GaussianDiffusion(np.array([1.0]), np.zeros(1), np.array([INF]))(
+        h, None, np.random.default_rng(0)
+    ).values
+    assert (moved == 0).sum() == 0
+    np.testing.assert_allclose(moved.mean(), np.sqrt(2 / np.pi), rtol=0.02)  # a folded normal
+
+
+def test_heavy_tail_reaches_its_share_on_its_coordinates():
+    sigma, tail = np.array([1.0, 1.0, 0.0]), HeavyTail(0.15, 4.0, np.array([True, False, True]))
+    light = GaussianDiffusion(sigma)(zeros(200), None, np.random.default_rng(1)).values
+    heavy = GaussianDiffusion(sigma, heavy_tail=tail)(zeros(200), None, np.random.default_rng(1)).values
+    np.testing.assert_array_equal(heavy[:, 1:], light[:, 1:])
+    far = ~np.isclose(heavy[:, 0], light[:, 0])
+    assert far.sum() == 30
+    np.testing.assert_allclose(heavy[far, 0], 4 * light[far, 0])
+    assert np.diff(np.flatnonzero(far)).max() <= 7  # spread over the set, not one block of it
+
+
+def test_rows_do_not_depend_on_the_size_of_the_set():
+    kernel = GaussianDiffusion(np.ones(3), heavy_tail=HeavyTail(0.2, 3.0, np.ones(3, bool)))
+    small = kernel(zeros(20), None, np.random.default_rng(5)).values
+    np.testing.assert_array_equal(kernel(zeros(90), None, np.random.default_rng(5)).values[:20], small)
+
+
+def test_adaptive_diffusion_follows_the_covariance_of_the_set():
+    rng = np.random.default_rng(0)
+    shape = np.array([[2.0, 0.0, 0.0], [1.5, 0.3, 0.0], [0.0, 0.0, 0.0]])
+    h = Hypotheses.uniform(rng.normal(size=(50000, 3)) @ shape.T)
+    step = AdaptiveDiffusion(0.5)(h, None, rng).values - h.values
+    np.testing.assert_allclose(np.cov(step.T), 0.25 * shape @ shape.T, atol=0.03)
+    np.testing.assert_array_equal(step[:, 2], 0)  # a collapsed coordinate stays so
+    floored = AdaptiveDiffusion(0.5, floor=np.array([0.0, 0.0, 0.7]))(h, None, rng).values - h.values
+    np.testing.assert_allclose(floored[:, 2].std(), 0.7, rtol=0.02)
+    some = AdaptiveDiffusion(0.5, coordinates=np.array([True, False, False]))(h, None, rng).values - h.values
+    assert some[:, 0].std() > 0.9 and not some[:, 1:].any()
+
+
+def test_semidefinite_cholesky():
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(4, 6, 3))
+    singular = np.einsum("bik,bjk->bij", root, root)
+    factor = semidefinite_cholesky(singular)
+    np.testing.assert_allclose(factor @ np.swapaxes(factor, -1, -2), singular, atol=1e-9)
+    np.testing.assert_array_equal(np.triu(factor, 1), 0)
+    full = singular + np.eye(6)
+    np.testing.assert_allclose(semidefinite_cholesky(full), np.linalg.cholesky(full), atol=1e-12)
+
+
+def test_constant_velocity_and_composition():
+    shift = ConstantVelocity(np.array([1.0, 0.0, -2.0]), gain=0.5)
+    moved = Compose((shift, shift))(zeros(4), None, np.random.default_rng(0)).values
+    np.testing.assert_allclose(moved, np.broadcast_to([1.0, 0.0, -2.0], (4, 3)))
+    bounded = ConstantVelocity(np.array([3.0, 0.0, 0.4]), 1.0, np.array([0, 1, 0]), np.array([2, 2, 1]))
+    np.testing.assert_allclose(bounded(zeros(1), None, np.random.default_rng(0)).values[0], [1.0, 0.0, 0.4])
+
+
+def test_rejection_refuses_what_the_prior_dislikes():
+    def inside(x):
+        return np.where(np.abs(x[..., 0]) <= 1, 0.0, -INF)
+
+    h = zeros(3000, 1)
+    kernel = RejectionSampling(GaussianDiffusion(np.array([1.0])), inside, tau=0.7, trials=50)
+    moved = kernel(h, None, np.random.default_rng(0)).values[:, 0]
+    assert np.abs(moved).max() <= 1 and (moved != 0).all()
+    once = RejectionSampling(GaussianDiffusion(np.array([1.0])), inside, trials=1)
+    stayed = once(h, None, np.random.default_rng(0)).values[:, 0] == 0
+    np.testing.assert_allclose(stayed.mean(), 1 - 0.6827, atol=0.03)
+
+
+def test_mixture_shares_labels_and_numbers():
+    kinds = (stay, ConstantVelocity(np.full(3, 10.0)), ConstantVelocity(np.full(3, 20.0)))
+    moved = Mixture(kinds, (0.25, 0.5, 0.25))(zeros(40), None, np.random.default_rng(0))
+    np.testing.assert_array_equal(np.bincount(moved.label), [10, 20, 10])
+    np.testing.assert_array_equal(moved.values, np.repeat(10.0 * moved.label[:, None], 3, axis=1))
+    assert (np.diff(moved.label) != 0).sum() > 10  # drawn, not in blocks
+    with pytest.raises(ValueError, match="add up to 1"):
+        Mixture((stay, stay), (0.5, 0.6))
+    with pytest.raises(ValueError, match="one share"):
+        Mixture((stay, stay), (1.0,))
+
+
+def test_first_layers_and_filtered_masks():
+    parts = [[0], np.array([False, True, True, False, False]), [0, 3]]
+    np.testing.assert_array_equal(first_layer(parts, 5), [0, 1, 1, 2, 3])
+    np.testing.assert_array_equal(filtered_mask(parts, 5, 1), [True, True, True, False, False])
+    np.testing.assert_array_equal(filtered_mask(parts, 5, 9), [True, True, True, True, False])
+    with pytest.raises(ValueError, match=r"0\.\.4"):
+        first_layer([[5]], 5)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: GaussianDiffusion(np.array([-1.0])),
+        lambda: GaussianDiffusion(np.array([np.nan])),
+        lambda: GaussianDiffusion(np.ones((2, 2))),
+        lambda: AdaptiveDiffusion(-1.0),
+        lambda: HeavyTail(1.5, 2.0, np.ones(1, bool)),
+        lambda: RejectionSampling(stay, lambda x: x[..., 0], tau=0.0),
+        lambda: RejectionSampling(stay, lambda x: x[..., 0], trials=0),
+    ],
+)
+def test_settings_are_checked(make):
+    with pytest.raises(ValueError, match="got"):
+        make()
