@@ -1,0 +1,380 @@
+"""Results on disk: the folder of a run, motions as .npz that are equal byte for byte, checkpoints of a tracker.
+
+Every file is written under a temporary name in its own folder and renamed when complete, so that a crash, a full disk
+or Ctrl-C leaves either the old file or the new one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import io
+import json
+import os
+import shutil
+import zipfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hypose.body.motion import Motion
+from hypose.body.skeleton import Skeleton
+from hypose.errors import InputError
+from hypose.geometry import Array
+
+_MAX_ARCHIVE_BYTES = 4 << 30
+_FORMAT = 1
+# name: (kinds of dtype, stored dtype, number of dimensions); poses may be absent
+_MOTION_ARRAYS: dict[str, tuple[str, str, int]] = {
+    "times": ("f", "<f8", 1),
+    "joints": ("f", "<f8", 3),
+    "poses": ("f", "<f8", 2),
+    "joint_sd": ("f", "<f8", 2),
+    "lost": ("b", "|b1", 1),
+    "extrapolated": ("b", "|b1", 1),
+    "n_views": ("i", "<i8", 1),
+    "cost": ("f", "<f8", 1),
+    "parents": ("i", "<i8", 1),
+    "rest_offsets": ("f", "<f8", 2),
+    "ball": ("b", "|b1", 1),
+    "axes": ("f", "<f8", 2),
+    "joint_of_dof": ("i", "<i8", 1),
+    "lower": ("f", "<f8", 1),
+    "upper": ("f", "<f8", 1),
+    "sigma": ("f", "<f8", 1),
+    "joint_names": ("U", "", 1),
+    "dof_names": ("U", "", 1),
+    "provenance": ("U", "", 0),
+}
+_SKELETON = ("parents", "rest_offsets", "ball", "axes", "joint_of_dof", "lower", "upper", "sigma")
+_SERIES = ("times", "joints", "joint_sd", "lost", "extrapolated", "n_views", "cost")
+
+
+# ---- atomic files ----------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def atomic_path(path: str | Path) -> Iterator[Path]:
+    """A temporary path beside `path` (same ending) to write to; renamed to `path` when the block ends well.
+
+    The folder is made if needed. If the block raises, the temporary file is removed and an existing `path` stays as it
+    was; an OSError (disk full, read-only) becomes an InputError.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        os.replace(temporary, path)
+    except OSError as error:
+        raise InputError(_cannot_write(path, error)) from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def _cannot_write(path: Path, error: OSError) -> str:
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        try:
+            free = f" ({shutil.disk_usage(path.parent).free / 1e6:.0f} MB free)"
+        except OSError:
+            free = ""
+        return (
+            f"{path} cannot be written because the disk is full{free}; what was written before is intact: free some "
+            "space and run the same command with --resume."
+        )
+    reason = (error.strerror or str(error)).lower()
+    return (
+        f"{path} cannot be written ({reason}); what was written before is intact: choose a folder that you may write "
+        "to, or change its permissions."
+    )
+
+
+def to_json(value: Any) -> str:
+    """Readable JSON with sorted keys; numpy numbers, arrays and paths become plain values."""
+
+    def plain(v: Any) -> Any:
+        if isinstance(v, np.ndarray | np.generic):
+            return v.tolist()
+        if isinstance(v, Mapping):
+            return dict(v)
+        if isinstance(v, os.PathLike):
+            return os.fspath(v)
+        raise TypeError(f"no JSON for {type(v).__name__}")
+
+    return json.dumps(value, indent=2, sort_keys=True, ensure_ascii=False, default=plain) + "\n"
+
+
+@dataclass(frozen=True)
+class ResultsFolder:
+    """The folder of one run, results/<recipe>/ of a recording; made on the first write."""
+
+    path: Path
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "path", Path(self.path))
+
+    @staticmethod
+    def of(recording_folder: str | Path, recipe: str) -> ResultsFolder:
+        """results/<recipe>/ in a recording's folder."""
+        return ResultsFolder(Path(recording_folder) / "results" / recipe)
+
+    @property
+    def motion(self) -> Path:
+        """Where the motion lies."""
+        return self.path / "motion.npz"
+
+    @property
+    def checkpoint(self) -> Path:
+        """Where a run that is under way keeps its state."""
+        return self.path / "checkpoint.npz"
+
+    def file(self, name: str) -> Path:
+        """Path of a file in this folder."""
+        return self.path / name
+
+    def atomic(self, name: str) -> contextlib.AbstractContextManager[Path]:
+        """`atomic_path` of a file in this folder."""
+        return atomic_path(self.path / name)
+
+    def write_text(self, name: str, text: str) -> Path:
+        """Write a text file (UTF-8, \\n line ends) whole or not at all; returns its path."""
+        with self.atomic(name) as temporary:
+            temporary.write_text(text, encoding="utf-8", newline="\n")
+        return self.path / name
+
+    def write_bytes(self, name: str, data: bytes) -> Path:
+        """Write a binary file whole or not at all; returns its path."""
+        with self.atomic(name) as temporary:
+            temporary.write_bytes(data)
+        return self.path / name
+
+    def write_json(self, name: str, value: Any) -> Path:
+        """Write a JSON file whole or not at all; returns its path."""
+        return self.write_text(name, to_json(value))
+
+    def check_writable(self) -> None:
+        """Fail now, with one sentence, instead of after the work is done."""
+        self.write_bytes(".write-test", b"")
+        with contextlib.suppress(OSError):
+            (self.path / ".write-test").unlink()
+
+
+# ---- archives --------------------------------------------------------------------------------------------------------
+
+
+def _write_archive(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """An .npz (np.load reads it) whose bytes depend on the arrays alone: fixed dates, stored, sorted by name."""
+    with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
+        for name in sorted(arrays):
+            buffer = io.BytesIO()
+            np.lib.format.write_array(buffer, np.ascontiguousarray(arrays[name]), (1, 0), allow_pickle=False)
+            entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
+            entry.create_system, entry.external_attr = 3, 0o644 << 16  # else Windows writes other bytes
+            archive.writestr(entry, buffer.getvalue())
+
+
+def _read_archive(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of an archive that `_write_archive` wrote; raises ValueError with a short reason on anything else.
+
+    Nothing is unpacked or allocated before its size is known: entries must be stored (a compressed one could be a zip
+    bomb), array headers must agree with the bytes that follow, Python objects are refused.
+    """
+    out: dict[str, np.ndarray] = {}
+    with zipfile.ZipFile(path) as archive:
+        entries = archive.infolist()
+        if len(entries) > 10_000 or sum(e.file_size for e in entries) > min(
+            _MAX_ARCHIVE_BYTES, path.stat().st_size
+        ):
+            raise ValueError("its contents are larger than the file")
+        for entry in entries:
+            name = entry.filename.removesuffix(".npy")
+            if not entry.filename.endswith(".npy") or not all(c.isalnum() or c in "_.-" for c in name):
+                raise ValueError(f"it holds {entry.filename!r}, which is no array")
+            if entry.compress_type != zipfile.ZIP_STORED or entry.flag_bits & 1:
+                raise ValueError(f"{name} is compressed or encrypted")
+            if name in out:
+                raise ValueError(f"{name} occurs twice")
+            out[name] = _parse_array(name, archive.read(entry))
+    return out
+
+
+def _parse_array(name: str, data: bytes) -> np.ndarray:
+    stream = io.BytesIO(data)
+    version = np.lib.format.read_magic(stream)
+    if version != (1, 0):
+        raise ValueError(f"{name} has another version of the array format")
+    shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+    if dtype.hasobject or dtype.kind not in "fiubU" or dtype.itemsize == 0 and dtype.kind != "U":
+        raise ValueError(f"{name} holds {dtype}, which is not allowed")
+    count = 1
+    for n in shape:
+        if n < 0:
+            raise ValueError(f"{name} has shape {shape}")
+        count *= n  # Python integers do not overflow
+    rest = data[stream.tell() :]
+    if count * dtype.itemsize != len(rest):
+        raise ValueError(f"{name} of shape {shape} does not fit its {len(rest)} bytes")
+    if dtype.itemsize == 0:
+        return np.zeros(shape, dtype)
+    array = np.frombuffer(rest, dtype)
+    return (array.reshape(shape[::-1]).T if fortran else array.reshape(shape)).copy()
+
+
+def _load_arrays(path: Path, what: str, next_step: str) -> dict[str, np.ndarray]:
+    if not path.is_file():
+        raise InputError(f"The {what} {path} does not exist; {next_step}.")
+    try:
+        return _read_archive(path)
+    except (zipfile.BadZipFile, ValueError, EOFError, NotImplementedError, RuntimeError, KeyError) as error:
+        raise InputError(f"{path} is not a {what} of hypose, or is damaged: {error}; {next_step}.") from None
+    except (OSError, MemoryError) as error:
+        raise InputError(f"{path} cannot be read ({error}); {next_step}.") from None
+
+
+# ---- motions ---------------------------------------------------------------------------------------------------------
+
+
+def save_motion(motion: Motion, path: str | Path) -> None:
+    """Write motion.npz (np.load reads it without pickle). Equal motions give equal bytes.
+
+    The provenance's "run" part (command, times, machine) is left out for that reason; it belongs in provenance.json.
+    """
+    arrays = {name: np.asarray(getattr(motion, name)) for name in _SERIES}
+    arrays |= {name: np.asarray(getattr(motion.skeleton, name)) for name in _SKELETON}
+    if motion.poses is not None:
+        arrays["poses"] = motion.poses
+    arrays = {name: a.astype(_MOTION_ARRAYS[name][1]) for name, a in arrays.items()}
+    arrays["joint_names"] = np.array(motion.skeleton.joint_names, dtype=np.str_)
+    arrays["dof_names"] = np.array(motion.skeleton.dof_names, dtype=np.str_)
+    provenance = {k: v for k, v in motion.provenance.items() if k != "run"}
+    arrays["provenance"] = np.array(to_json({"format": _FORMAT, "provenance": provenance}))
+    _write_archive(path, arrays)
+
+
+def load_motion(path: str | Path) -> Motion:
+    """Read a motion.npz; an InputError names the file and what is wrong (damaged, foreign or hostile archive)."""
+    path = Path(path)
+    next_step = "give the motion.npz that hypose track wrote"
+    arrays = _load_arrays(path, "motion", next_step)
+
+    def bad(reason: str) -> InputError:
+        return InputError(f"{path} is not a motion of hypose, or is damaged: {reason}; {next_step}.")
+
+    for name, array in arrays.items():
+        if name not in _MOTION_ARRAYS:
+            raise bad(f"it holds the unknown array {name!r}")
+        kinds, stored, ndim = _MOTION_ARRAYS[name]
+        if array.dtype.kind not in kinds or (stored and array.dtype != np.dtype(stored)) or array.ndim != ndim:
+            raise bad(f"{name} is {array.dtype} with {array.ndim} dimensions")
+    missing = [n for n in _MOTION_ARRAYS if n not in arrays and n != "poses"]
+    if missing:
+        raise bad(f"{', '.join(missing)} is missing")
+    for name in (*_SKELETON, "times"):
+        if arrays[name].dtype.kind == "f" and not np.isfinite(arrays[name]).all():
+            raise bad(f"{name} contains NaN or infinity")
+    if (np.diff(arrays["times"]) <= 0).any():
+        raise bad("times do not increase")
+    try:
+        document = json.loads(str(arrays["provenance"]))
+        provenance, version = document["provenance"], document["format"]
+        if not isinstance(provenance, dict):
+            raise ValueError
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise bad("its provenance is no JSON") from None
+    if version != _FORMAT:
+        raise bad(f"it has format {version}, this version of hypose reads format {_FORMAT}")
+    try:
+        skeleton = Skeleton(
+            joint_names=tuple(str(n) for n in arrays["joint_names"]),
+            dof_names=tuple(str(n) for n in arrays["dof_names"]),
+            **{name: arrays[name] for name in _SKELETON},
+        )
+        if len(arrays["joint_names"]) == 0 or not (
+            (arrays["joint_of_dof"] >= 0) & (arrays["joint_of_dof"] < len(arrays["joint_names"]))
+        ).all():
+            raise bad("joint_of_dof names joints that do not exist")
+        return Motion(
+            skeleton=skeleton,
+            poses=arrays.get("poses"),
+            provenance=provenance,
+            **{name: arrays[name] for name in _SERIES},
+        )
+    except InputError as error:
+        if str(path) in str(error):
+            raise
+        raise bad(str(error).rstrip(".")) from None
+
+
+# ---- checkpoints -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """The state of a tracker after some frames, to go on from after a break.
+
+    frame: the next frame to track. arrays: the tracker's state and what was tracked so far. meta: plain JSON values.
+    identity: what must be equal for a resumed run to give the same result (`provenance.identity`).
+    """
+
+    frame: int
+    arrays: Mapping[str, Array]
+    meta: Mapping[str, Any]
+    identity: Mapping[str, Any]
+
+    def save(self, path: str | Path) -> None:
+        """Write whole or not at all."""
+        document = {
+            "format": _FORMAT,
+            "frame": self.frame,
+            "meta": dict(self.meta),
+            "identity": dict(self.identity),
+        }
+        arrays = {f"state.{k}": np.asarray(v) for k, v in self.arrays.items()}
+        _write_archive(path, {**arrays, "checkpoint": np.array(to_json(document))})
+
+    @staticmethod
+    def load(path: str | Path, identity: Mapping[str, Any]) -> Checkpoint:
+        """Read a checkpoint of the same run; an InputError says what differs (inputs, settings, seed, versions)."""
+        path = Path(path)
+        next_step = "run again without --resume to start from the first frame"
+        arrays = _load_arrays(path, "checkpoint", next_step)
+        try:
+            document = json.loads(str(arrays.pop("checkpoint")))
+            frame, meta, stored = document["frame"], document["meta"], document["identity"]
+            version = document["format"]
+        except (ValueError, KeyError, TypeError, RecursionError):
+            raise InputError(f"{path} is not a checkpoint of hypose; {next_step}.") from None
+        if version != _FORMAT or not (isinstance(frame, int) and isinstance(meta, dict) and isinstance(stored, dict)):
+            raise InputError(f"{path} is a checkpoint of another version of hypose; {next_step}.")
+        difference = _first_difference(stored, json.loads(to_json(dict(identity))))
+        if difference:
+            raise InputError(
+                f"{path} belongs to another run: {difference}; {next_step}, or restore the former inputs and settings."
+            )
+        return Checkpoint(frame, {k.removeprefix("state."): v for k, v in arrays.items()}, meta, stored)
+
+
+def _first_difference(stored: Any, current: Any, where: str = "") -> str:
+    if isinstance(stored, dict) and isinstance(current, dict):
+        for key in sorted(set(stored) | set(current)):
+            name = f"{where}.{key}" if where else key
+            if key not in stored:
+                return f"{name} was not given then and is now"
+            if key not in current:
+                return f"{name} was given then and is not now"
+            difference = _first_difference(stored[key], current[key], name)
+            if difference:
+                return difference
+        return ""
+    if stored == current:
+        return ""
+    return f"{where} was {_short(stored)} then and is {_short(current)} now"
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 40 else text[:37] + "..."
