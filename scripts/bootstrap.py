@@ -113,8 +113,6 @@ def install_command(way: str, machine: Machine, python: str, borrowed_uv: Option
         "--disable-pip-version-check",
         "--progress-bar",
         "off",
-        "--retries",
-        "3",
     ]
     if way == "pip":
         return [python, "-m", "pip"] + options
@@ -152,6 +150,9 @@ def contained(environment: Dict[str, str]) -> Dict[str, str]:
     result = dict(environment)
     result.update({name: os.path.normpath(os.path.join(CACHE, folder)) for name, folder in inside.items()})
     result.pop("PYTHONHOME", None)
+    result.setdefault(
+        "PIP_RETRIES", "2"
+    )  # a variable, since pip starts another pip: give up soon without a network
     return result
 
 

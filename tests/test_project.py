@@ -149,6 +149,7 @@ def test_damaged_stamp_counts_as_none(tmp_path):
 def test_caches_and_temporary_files_stay_in_the_folder():
     result = bootstrap.contained({"HOME": "/home/me", "PYTHONHOME": "/odd", "TMPDIR": "/tmp"})
     assert result.pop("HOME") == "/home/me"
+    assert result.pop("PIP_RETRIES") == "2"
     assert "PYTHONHOME" not in result
     assert {"TMPDIR", "NUMBA_CACHE_DIR", "MPLCONFIGDIR", "PIP_CACHE_DIR", "XDG_CACHE_HOME"} <= set(result)
     assert all(Path(value).is_relative_to(ROOT / ".cache") for value in result.values())
