@@ -1,0 +1,1 @@
+"""Scenes with known truth, and the measures that compare an estimate with it."""
