@@ -44,7 +44,7 @@ def survival_rate(energies: ArrayLike, beta: ArrayLike) -> FloatArray:
     return _rate(excess, usable, np.asarray(beta, np.float64))
 
 
-def solve_selectivity(energies: ArrayLike, target: float, iterations: int = 64) -> FloatArray:
+def solve_selectivity(energies: ArrayLike, target: float, iterations: int = 56) -> FloatArray:
     """beta (*B,) at which the survival rate of energies (*B, N) equals target, by bisection in log beta.
 
     The rate falls from the share of finite energies (beta = 0) to the share tied at the minimum (beta ->
@@ -59,9 +59,15 @@ def solve_selectivity(energies: ArrayLike, target: float, iterations: int = 64) 
     # from nothing selected (largest exponent 1e-7) to all but the ties at weight 0 (smallest exponent 800)
     low = np.log(1e-7) - np.log(np.where(flat, 1.0, largest))
     high = np.minimum(np.log(800.0) - np.log(np.where(flat, 1.0, smallest)), 700.0)
+    wanted = target * excess.shape[-1]
+    away = np.where(usable, -excess, -np.inf)
     for _ in range(iterations):
         middle = 0.5 * (low + high)
-        selects_too_little = _rate(excess, usable, np.exp(middle)) > target
+        with np.errstate(over="ignore"):
+            weights = np.exp(np.exp(middle)[..., None] * away)
+        total = weights.sum(axis=-1)
+        # a set without any usable energy has total 0, and any answer will do
+        selects_too_little = total * total > wanted * np.einsum("...n,...n->...", weights, weights)
         low, high = np.where(selects_too_little, middle, low), np.where(selects_too_little, high, middle)
     unreachable = usable.mean(axis=-1) <= target
     return np.where(flat, 1.0, np.where(unreachable, 0.0, np.exp(0.5 * (low + high))))
