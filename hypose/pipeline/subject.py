@@ -1,0 +1,163 @@
+"""Who is in the recording and how they stand in the first frame: the subject's body and the start pose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hypose.body.body import Body
+from hypose.body.models import human
+from hypose.errors import EvidenceError, InputError
+from hypose.evidence.frame import Frame
+from hypose.evidence.keypoints import triangulate_keypoints
+from hypose.geometry import Array
+from hypose.tracking.evidence import KeypointModel, PreparedFrame, keypoint_model, prepare
+from hypose.tracking.initialise import KNOWN_POSES, hull_of, start_from_hull, start_from_keypoints
+from hypose.tracking.recipes import default
+from hypose.tracking.subject import fit_girths, scaled_to_height, subject_from_keypoints
+from hypose.tracking.tracker import Tracker, TrackerSettings
+
+FrameAt = Callable[[int], Frame]
+
+
+@dataclass(frozen=True)
+class Subject:
+    """body; where key points sit on it (None without key points); the start pose (D,) in the first frame; how it was
+    found, in words."""
+
+    body: Body
+    keypoints: KeypointModel | None
+    start: Array
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SubjectOptions:
+    """start: 'auto', 'keypoints', 'hull' or a known pose's name. height: m, None = from key points or the hull.
+    girths: fit girths to the silhouettes. body: the template. frame_rate: Hz. seed."""
+
+    start: str = "auto"
+    height: float | None = None
+    girths: bool = True
+    body: Body | None = None
+    frame_rate: float = 25.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        allowed = ("auto", "keypoints", "hull", *KNOWN_POSES)
+        if self.start not in allowed:
+            raise InputError(f"There is no start {self.start!r}; the starts are {', '.join(allowed)}.")
+
+
+def find_subject(frame_at: FrameAt, n_frames: int, options: SubjectOptions) -> Subject:
+    """Subject and start pose from the frames of a recording.
+
+    With key points: lengths and start from their robust triangulation. Without: height from the visual hulls, start
+    from the known poses at the hull. Then girths from the silhouettes.
+    """
+    template = options.body or human()
+    sampled = np.unique(np.linspace(0, n_frames - 1, min(n_frames, 40)).astype(int))
+    first = frame_at(0)
+    by_points = options.start == "keypoints" or (options.start == "auto" and first.keypoints is not None)
+    if by_points:
+        if first.keypoints is None:
+            raise InputError("The start 'keypoints' needs key points, and this recording has none; use the start 'hull'.")
+        return _from_keypoints(template, frame_at, sampled, first, options)
+    return _from_hull(template, frame_at, sampled, first, options)
+
+
+def _from_keypoints(
+    template: Body, frame_at: FrameAt, sampled: np.ndarray, first: Frame, options: SubjectOptions
+) -> Subject:
+    frames = [frame_at(int(i)) for i in sampled]
+    seen = [(i, f) for i, f in enumerate(frames) if f.keypoints is not None]
+    points, _, _ = triangulate_keypoints([f.keypoints for _, f in seen if f.keypoints is not None])
+    assert first.keypoints is not None
+    fitted = subject_from_keypoints(template, points, first.keypoints.names)
+    body, model, poses = fitted.body, fitted.keypoints, fitted.poses
+    notes = [f"segment lengths from the key points of {len(points)} frames"]
+    if options.height is not None:
+        notes.append("the given height is not used: lengths come from the key points")
+    if options.girths:
+        solved = [n for n in range(len(points)) if np.isfinite(poses[n]).all()]
+        few = [solved[k] for k in np.unique(np.linspace(0, len(solved) - 1, min(10, len(solved))).astype(int))]
+        body, note = _with_girths(body, poses[few], [seen[n][1] for n in few])
+        notes.append(note)
+        # the landmarks on the skin moved with the girths; the fitted offsets did not
+        model = replace(keypoint_model(body, model.names), offset=model.offset)
+    known = model.known
+    start_points = triangulate_keypoints([first.keypoints])[0][0][known]
+    start = start_from_keypoints(body, start_points, model.joint[known], model.offset[known])
+    return Subject(body, model, start.pose, tuple(notes))
+
+
+def _from_hull(
+    template: Body, frame_at: FrameAt, sampled: np.ndarray, first: Frame, options: SubjectOptions
+) -> Subject:
+    notes = []
+    if options.height is not None:
+        height = options.height
+        notes.append(f"height {height:.3f} m as given")
+    else:
+        height, n = _hull_height(frame_at, sampled)
+        notes.append(f"height {height:.3f} m from the visual hulls of {n} frames")
+    body = scaled_to_height(template, height)
+    prepared = prepare(first, body, np.zeros(body.skeleton.dof))
+    poses = KNOWN_POSES if options.start in ("auto", "hull") else (options.start,)
+    start = start_from_hull(body, prepared, poses).pose
+    if options.girths:
+        short = [frame_at(i) for i in range(0, min(len(sampled), 12))]
+        tracked = _track_briefly(body, start, short, options)
+        body, note = _with_girths(body, tracked[::2], short[::2])
+        notes.append(note)
+    return Subject(body, None, start, tuple(notes))
+
+
+def _track_briefly(body: Body, start: Array, frames: Sequence[Frame], options: SubjectOptions) -> Array:
+    """(F, D) poses of the first frames with the default recipe: girths need poses, poses need girths, so both are
+    approximate the first time."""
+    recipe, particles = default(body, frame_rate=options.frame_rate)
+    tracker = Tracker(body, recipe, particles, TrackerSettings(seed=options.seed, frame_rate=options.frame_rate))
+    state, poses = tracker.start(start), []
+    for frame in frames:
+        state, estimate = tracker.step(state, frame)
+        poses.append(estimate.pose)
+    return np.stack(poses)
+
+
+def _with_girths(body: Body, poses: Array, frames: Sequence[Frame]) -> tuple[Body, str]:
+    prepared = [_prepared(f, body, p) for f, p in zip(frames, poses, strict=True)]
+    usable = [n for n, f in enumerate(prepared) if f is not None and f.masks is not None]
+    if not usable:
+        return body, "girths of the template: no frame has a usable silhouette"
+    fitted, _, before, after = fit_girths(body, poses[usable], [f for f in (prepared[n] for n in usable) if f])
+    return fitted, f"girths from {len(usable)} frames: silhouette mismatch {before:.3f} -> {after:.3f}"
+
+
+def _prepared(frame: Frame, body: Body, pose: Array) -> PreparedFrame | None:
+    return prepare(frame, body, pose) if frame.silhouettes is not None else None
+
+
+def _hull_height(frame_at: FrameAt, sampled: np.ndarray) -> tuple[float, int]:
+    """Standing height (m) from hulls of the sampled frames, and the number of hulls.
+
+    The hull's extent along z is the height of a person standing upright and less when bent or striding, more with arms
+    up; the 75th percentile over the recording is used. It is a rough value: give the height when it is known.
+    """
+    heights = []
+    for i in sampled[:: max(1, len(sampled) // 12)]:
+        frame = frame_at(int(i))
+        if frame.silhouettes is None:
+            continue
+        try:
+            heights.append(hull_of(prepare(frame, human(), np.zeros(human().skeleton.dof))).height)
+        except EvidenceError:
+            continue
+    if not heights:
+        raise EvidenceError(
+            "No frame has a visual hull, so the subject's height cannot be found; check masks and calibration with "
+            "`hypose check`, or give --height."
+        )
+    return float(np.percentile(heights, 75)), len(heights)
