@@ -2,7 +2,9 @@
 
 import ast
 import importlib.util
+import os
 import re
+import signal
 import subprocess
 import sys
 import tomllib
@@ -195,6 +197,33 @@ def test_unknown_commands_go_to_hypose_and_test_to_pytest():
         ["track", "rec"]
     ]
     assert len(bootstrap.commands_of("lint", [], "/e", "p")) == 4
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C reaches processes differently on Windows")
+def test_ctrl_c_leaves_the_program_time_to_save_its_work():
+    child = """
+import time
+print("ready", flush=True)
+try:
+    time.sleep(60)
+except KeyboardInterrupt:
+    time.sleep(0.6)
+    print("saved", flush=True)
+"""
+    parent = f"""
+import os, sys
+sys.path.insert(0, {str(ROOT / "scripts")!r})
+import bootstrap
+print(bootstrap.run([sys.executable, "-c", {child!r}], None, dict(os.environ)))
+"""
+    with subprocess.Popen(
+        [sys.executable, "-c", parent], stdout=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        os.killpg(process.pid, signal.SIGINT)
+        output, _ = process.communicate(timeout=30)
+    assert output.split() == ["saved", "0"]
 
 
 # --- what is installed ---
