@@ -119,11 +119,10 @@ def least_squares(residuals: Residuals, robust: Robust | None = None) -> Cost:
     def cost(x: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         r, jacobian = residuals(x)
         weight = loss.weight(r)
-        return (
-            float(np.sum(loss.rho(r))),
-            jacobian.T @ (weight * r),
-            jacobian.T @ (weight[:, None] * jacobian),
-        )
+        # einsum, not @: a threaded BLAS adds up in an order that depends on the number of threads
+        weighted = weight[:, None] * jacobian
+        gradient, hessian = np.einsum("md,m->d", weighted, r), np.einsum("md,me->de", weighted, jacobian)
+        return float(np.sum(loss.rho(r))), gradient, hessian
 
     return cost
 

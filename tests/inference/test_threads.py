@@ -1,0 +1,49 @@
+"""The same bytes for any number of threads of the linear algebra library, which is set before numpy is loaded."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+SCRIPT = """
+import hashlib
+from functools import partial
+import numpy as np
+from hypose.inference.estimates import TangentMean
+from hypose.inference.hypotheses import Hypotheses
+from hypose.inference.kernels import AdaptiveDiffusion
+from hypose.inference.layer import Layer, Recipe, search
+from hypose.inference.newton import least_squares, minimise
+from hypose.inference.random_streams import stream
+from hypose.inference.robust import GemanMcClure
+from hypose.inference.selectivity import Annealed
+from hypose.inference.selectors import systematic
+
+rng = np.random.default_rng(0)
+layer = Layer(AdaptiveDiffusion(0.4, np.full(36, 0.01)), Annealed(lambda h, z: (h.values**2).sum(-1)), systematic)
+start = Hypotheses.uniform(rng.normal(size=(600, 36)))
+result = search(start, Recipe("r", (layer,) * 3, TangentMean((3, 6))), None, partial(stream, 0, 0))
+a, b = rng.normal(size=(2000, 36)), rng.normal(size=2000)
+
+def residuals(x):
+    s = np.tanh(np.einsum("md,d->m", a, x))
+    return s - b, (1 - s**2)[:, None] * a
+
+found = minimise(least_squares(residuals, GemanMcClure(1.0)), np.zeros(36), -np.full(36, 0.02), np.full(36, 0.02))
+parts = result.estimate, result.selected.values, result.weighted.log_weights, found.x, found.hessian
+print(hashlib.sha256(b"".join(p.tobytes() for p in parts)).hexdigest())
+"""
+
+
+def digest(threads: int) -> str:
+    names = "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"
+    environment = {**os.environ, **dict.fromkeys(names, str(threads))}
+    root = Path(__file__).resolve().parents[2]
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT], env=environment, cwd=root, capture_output=True, text=True, check=True
+    )
+    return done.stdout
+
+
+def test_the_number_of_threads_changes_nothing():
+    assert digest(1) == digest(2) != ""
