@@ -1,1 +1,292 @@
-"""Compute: the only room that imports numba (or CUDA); every hot function takes and returns arrays."""
+"""Compute: the only room that imports numba (or CUDA); every hot function takes and returns arrays.
+
+The functions here choose the back end (`selection.use`), check and tidy arrays, and spread work over threads; the
+definitions are in reference.py (numpy), the fast versions in cpu_*.py (numba, imported when first needed).
+"""
+
+from __future__ import annotations
+
+import time
+from functools import cache
+from types import ModuleType
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.compute import reference, selection
+from hypose.compute.arrays import BALL, FIXED, MeshArrays, TreeArrays
+from hypose.compute.contours import signed_distance
+from hypose.compute.selection import default_threads, over_chunks, use
+from hypose.compute.terms import (
+    ContourArrays,
+    KeypointArrays,
+    PointArrays,
+    PreparedMasks,
+    PriorArrays,
+    SolveSettings,
+    Workspace,
+)
+from hypose.errors import InputError, SolverError
+
+__all__ = [
+    "MeshArrays",
+    "PreparedMasks",
+    "TreeArrays",
+    "Workspace",
+    "default_threads",
+    "evaluate",
+    "forward_kinematics",
+    "outline_points",
+    "prepare_masks",
+    "signed_distance",
+    "silhouette_xor",
+    "skin",
+    "solve",
+    "use",
+    "warm_up",
+    "workspace",
+]
+
+Array = NDArray[np.float64]
+_Arrays = TypeVar("_Arrays", bound=NamedTuple)
+
+
+@cache
+def _numba(name: str) -> ModuleType:
+    import importlib
+
+    selection.drop_stale_kernels()
+    return importlib.import_module(f"hypose.compute.cpu_{name}")
+
+
+def _plain(a: ArrayLike, dtype: type) -> NDArray:
+    # numba compiles a kernel again for every layout and for read-only arrays
+    return np.require(a, dtype, ["C", "W", "A"])
+
+
+def _tidy(arrays: _Arrays) -> _Arrays:
+    if all(not isinstance(a, np.ndarray) or (a.flags.c_contiguous and a.flags.writeable) for a in arrays):
+        return arrays
+    return type(arrays)(*(np.require(a, None, ["C", "W", "A"]) if isinstance(a, np.ndarray) else a for a in arrays))
+
+
+def forward_kinematics(poses: ArrayLike, tree: TreeArrays) -> tuple[Array, Array]:
+    """Poses (N, D) -> rotations world_from_joint (N, J, 3, 3) and joint centres (N, J, 3) m."""
+    q = _plain(poses, np.float64)
+    if selection.backend() == "numpy":
+        return reference.forward_kinematics(q, tree)
+    n, j = len(q), len(tree.parents)
+    rotations, centres = np.empty((n, j, 3, 3)), np.empty((n, j, 3))
+    _numba("kinematics").forward_kinematics(q, _tidy(tree), rotations, centres)
+    return rotations, centres
+
+
+def skin(rotations: ArrayLike, centres: ArrayLike, tree: TreeArrays, mesh: MeshArrays) -> Array:
+    """Linear blend skinning: rotations (N, J, 3, 3), centres (N, J, 3) -> vertices (N, V, 3) m."""
+    r, c = _plain(rotations, np.float64), _plain(centres, np.float64)
+    if selection.backend() == "numpy":
+        return reference.skin(r, c, tree, mesh)
+    out = np.empty((len(r), len(mesh.vertices), 3))
+    _numba("kinematics").skin_batch(r, c, _tidy(tree), _tidy(mesh), out)
+    return out
+
+
+def prepare_masks(masks: ArrayLike, usable: ArrayLike, sizes: ArrayLike, projections: ArrayLike) -> PreparedMasks:
+    """Masks (C, h, w) non-zero = person, usable (C,), sizes (C, 2) width and height, pinhole projections (C, 3, 4)."""
+    m = np.ascontiguousarray(np.asarray(masks) != 0).astype(np.uint8)
+    areas = m.reshape(len(m), -1).sum(1, dtype=np.int64)
+    return PreparedMasks(
+        m, areas, _plain(usable, np.bool_), _plain(sizes, np.int64), _plain(projections, np.float64)
+    )
+
+
+def silhouette_xor(
+    poses: ArrayLike,
+    tree: TreeArrays,
+    mesh: MeshArrays,
+    prepared: PreparedMasks,
+    boxes: ArrayLike | None = None,
+    threads: int | None = None,
+) -> NDArray[np.int64]:
+    """Silhouettes of the mesh at poses (N, D) against the frame's masks: (N, C, 3) = (xor, model, intersection) pixels.
+
+    boxes (C, 4) = x0, x1, y0, y1 (half open, px) restricts the counting; default: each view's whole image. Views that
+    are not usable give zeros. The same counts for any number of threads. Exact up to 1-2 pixels of a silhouette whose
+    edge passes through a pixel's centre. Parts nearer than 0.05 m to a camera's plane, or behind it, are cut off.
+    A SolverError for poses that are not finite.
+    """
+    q = _plain(poses, np.float64)
+    if q.size and not np.abs(q).max() < 1e6:
+        bad = int(np.argmax(~(np.abs(q).max(1) < 1e6)))
+        raise SolverError(f"Pose {bad} of {len(q)} is not finite; check the motion model that made it.")
+    n, c = len(q), len(prepared.masks)
+    whole = np.stack([0 * prepared.sizes[:, 0], prepared.sizes[:, 0], 0 * prepared.sizes[:, 1], prepared.sizes[:, 1]], 1)
+    b = whole if boxes is None else np.array(boxes, dtype=np.int64)
+    if b.shape != (c, 4):
+        raise InputError(f"boxes needs one row x0, x1, y0, y1 per view: shape {(c, 4)}, got {b.shape}.")
+    b = np.ascontiguousarray(np.clip(b, 0, whole[:, [1, 1, 3, 3]]))
+    b[:, 1::2] = np.maximum(b[:, 1::2], b[:, ::2])
+    if selection.backend() == "numpy":
+        return reference.silhouette_xor(q, tree, mesh, prepared, b)
+    kernels = _numba("silhouettes")
+    t, m, prepared = _tidy(tree), _tidy(mesh), _tidy(prepared)
+    areas = prepared.areas
+    if boxes is not None:
+        areas = np.empty(c, dtype=np.int64)
+        kernels.areas_in_boxes(prepared.masks, b, areas)
+    out = np.zeros((n, c, 3), dtype=np.int64)
+    over_chunks(lambda i, k: kernels.silhouette_xor(q, i, k, t, m, prepared, b, areas, out), n, threads, smallest=8)
+    return out
+
+
+def outline_points(sdf: NDArray[np.float32], size: tuple[int, int], k: int) -> tuple[NDArray[np.float32], int]:
+    """Up to k points on the zero line of a signed distance (h, w), in the size = (width, height) it really has.
+
+    Returns (k, 2) float32 px (repeated when the outline has fewer pixels, -1e6 when it has none) and the number of
+    outline pixels. Three pixels along the image border are left out: there the image cuts the person, not an outline.
+    """
+    out = np.empty((k, 2), dtype=np.float32)
+    n = _numba("rows").outline_points(_plain(sdf, np.float32), int(size[0]), int(size[1]), out)
+    return out, int(n)
+
+
+def workspace(tree: TreeArrays, mesh: MeshArrays, height: int, width: int) -> Workspace:
+    """Scratch memory for `solve` and `evaluate` on images up to (height, width); one per thread."""
+    v, f, e, j, d = len(mesh.vertices), len(mesh.faces), len(mesh.edges), len(tree.parents), len(tree.axes)
+    f4 = np.float32
+    return Workspace(
+        np.zeros((v, 3), f4),
+        np.zeros(v, f4),
+        np.zeros(v, f4),
+        np.zeros(f, np.uint8),
+        np.zeros(e, np.int32),
+        np.zeros(e, np.int32),
+        np.zeros((height + 1, width), np.int16),
+        np.zeros((height, width), np.uint8),
+        np.zeros(width, np.int16),
+        np.zeros(2048, f4),
+        np.zeros(2048, f4),
+        np.zeros(2048, np.int32),
+        np.zeros((j, 3, 3)),
+        np.zeros((j, 3)),
+        np.zeros((d, 6)),
+        np.zeros((j, 21)),
+        np.zeros((j, 6)),
+    )
+
+
+class Evaluation(NamedTuple):
+    """Cost (half the weighted robust squares), its gradient (D,), Gauss-Newton matrix (D, D), rows per cue (C + 2, 2)."""
+
+    cost: float
+    gradient: Array
+    hessian: Array
+    counts: NDArray[np.int64]
+
+
+def evaluate(
+    pose: Array,
+    tree: TreeArrays,
+    mesh: MeshArrays,
+    contours: ContourArrays,
+    keypoints: KeypointArrays,
+    points: PointArrays,
+    priors: PriorArrays,
+    ws: Workspace,
+    *,
+    coarse: bool = False,
+) -> Evaluation:
+    """Cost and derivatives of all evidence at one pose (D,); the numba kernel, on either back end."""
+    d = len(pose)
+    gradient, hessian = np.empty(d), np.empty((d, d))
+    counts = np.zeros((len(contours.sdf) + 2, 2), dtype=np.int64)
+    scale = float(contours.coarse_scale if coarse else contours.scale)
+    cost = _numba("solver").evaluate(
+        _plain(pose, np.float64), tree, mesh, contours, scale, keypoints, points, priors, ws, hessian, gradient, counts
+    )
+    return Evaluation(float(cost), gradient, hessian, counts)
+
+
+class Solution(NamedTuple):
+    """A solved pose (D,) and what `Evaluation` says there."""
+
+    pose: Array
+    evaluation: Evaluation
+    iterations: int
+    evaluations: int
+    converged: bool
+
+
+def solve(
+    start: Array,
+    tree: TreeArrays,
+    mesh: MeshArrays,
+    contours: ContourArrays,
+    keypoints: KeypointArrays,
+    points: PointArrays,
+    priors: PriorArrays,
+    settings: SolveSettings,
+    ws: Workspace,
+) -> Solution:
+    """Bounded damped Gauss-Newton from pose start (D,); the numba kernel, on either back end. Releases the GIL."""
+    q = np.array(start, dtype=np.float64)
+    d = len(q)
+    gradient, hessian, info = np.zeros(d), np.zeros((d, d)), np.zeros(4)
+    counts = np.zeros((len(contours.sdf) + 2, 2), dtype=np.int64)
+    ok = _numba("solver").solve(
+        q, tree, mesh, contours, keypoints, points, priors, settings, ws, hessian, gradient, counts, info
+    )
+    if not ok:
+        raise SolverError(
+            "The cost at the start pose is not finite; check the start pose, the key points and the masks for NaN."
+        )
+    evaluation = Evaluation(float(info[0]), gradient, hessian, counts)
+    return Solution(q, evaluation, int(info[1]), int(info[2]), bool(info[3]))
+
+
+def warm_up() -> float:
+    """Compile (or load from disk) every kernel on a toy body; returns the seconds it took.
+
+    The first time on a machine this takes some tens of seconds; afterwards the compiled code is on disk.
+    """
+    began = time.perf_counter()
+    tree = TreeArrays(
+        np.array([-1, 0]),
+        np.array([BALL, FIXED]),
+        np.array([3, 0]),
+        np.array([3, 0]),
+        np.tile(np.eye(3), (2, 1)),
+        np.zeros((2, 3)),
+        np.zeros(6, dtype=np.int64),
+    )
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=np.float32)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int32)
+    edges = np.array([[0, 2, 0, 2], [2, 1, 0, 3], [1, 0, 0, 1], [1, 3, 1, 3], [3, 0, 1, 2], [3, 2, 2, 3]], dtype=np.int32)
+    mesh = MeshArrays(
+        corners,
+        faces,
+        edges,
+        np.zeros((4, 4), dtype=np.int32),
+        np.tile(np.float32([1, 0, 0, 0]), (4, 1)),
+        np.ones(4, dtype=np.int32),
+    )
+    q, projection = np.array([0.0, 0, 4, 0, 0, 0]), np.array([[[40.0, 0, 16, 0], [0, 40, 16, 0], [0, 0, 1, 0]]])
+    mask = np.zeros((1, 32, 32), dtype=np.uint8)
+    mask[:, 8:24, 8:24] = 1
+    sizes, usable = np.array([[32, 32]]), np.array([True])
+    with use("numba"):
+        skin(*forward_kinematics(q[None], tree), tree, mesh)
+        prepared = prepare_masks(mask, usable, sizes, projection)
+        silhouette_xor(q[None], tree, mesh, prepared, np.array([[0, 32, 0, 32]]))
+    sdf = signed_distance(mask, sizes)
+    outline = outline_points(sdf[0], (32, 32), 16)[0]
+    contours = ContourArrays(sdf, outline[None], usable, sizes, projection, 1.0, 1.0, 2.0, 4.0, 2.0, 2)
+    none = np.zeros((0, 3))
+    keypoints = KeypointArrays(np.zeros((0, 0, 3)), np.zeros((0, 3, 4)), np.zeros(0, dtype=np.int64), none, 1.0)
+    points = PointArrays(none, np.zeros(0), np.zeros(0, dtype=np.int64), none, 1.0)
+    priors = PriorArrays(np.zeros((1, 6)), np.ones((1, 6)), np.full(6, -np.inf), np.full(6, np.inf))
+    ws = workspace(tree, mesh, 32, 32)
+    evaluate(q, tree, mesh, contours, keypoints, points, priors, ws)
+    solve(q, tree, mesh, contours, keypoints, points, priors, SolveSettings(1, 0, 1e-3, 1e-2), ws)
+    return time.perf_counter() - began

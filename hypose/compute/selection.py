@@ -1,0 +1,80 @@
+"""Which back end the hot functions run on, how many threads they may use, and the hygiene of numba's cache on disk."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import ContextVar
+from functools import cache
+from pathlib import Path
+
+from hypose.errors import InputError
+
+BACKENDS = ("auto", "numba", "numpy")
+_backend: ContextVar[str] = ContextVar("hypose_backend", default="auto")
+
+
+def backend() -> str:
+    """The back end in force: "numba" (also what "auto" means) or "numpy" (the reference, slow)."""
+    name = _backend.get()
+    return "numba" if name == "auto" else name
+
+
+@contextlib.contextmanager
+def use(name: str) -> Iterator[None]:
+    """Run the enclosed block on another back end: "numpy", "numba" or "auto"."""
+    if name not in BACKENDS:
+        raise InputError(f"There is no compute back end {name!r}; choose one of {', '.join(BACKENDS)}.")
+    token = _backend.set(name)
+    try:
+        yield
+    finally:
+        _backend.reset(token)
+
+
+def default_threads() -> int:
+    """Threads a call may use when it is not told: NUMBA_NUM_THREADS when set, else the cores of this process."""
+    wanted = os.environ.get("NUMBA_NUM_THREADS", "")
+    if wanted.isdigit() and int(wanted) > 0:
+        return int(wanted)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="hypose")
+
+
+def over_chunks(work: Callable[[int, int], None], n: int, threads: int | None, smallest: int = 1) -> None:
+    """Call work(start, stop) on contiguous chunks of range(n), one per thread (work must release the GIL).
+
+    Python threads around serial kernels instead of numba's own parallel loops: nothing is compiled twice, there is no
+    process-wide thread count, and numba's default layer may not be entered from two Python threads at once.
+    """
+    count = max(1, min(threads if threads is not None else default_threads(), n // max(smallest, 1)))
+    if count == 1:
+        if n:
+            work(0, n)
+        return
+    cuts = [n * k // count for k in range(count + 1)]
+    waiting = [_pool(count).submit(work, a, b) for a, b in zip(cuts[1:-1], cuts[2:], strict=True)]
+    work(cuts[0], cuts[1])
+    for future in waiting:
+        future.result()
+
+
+@cache
+def drop_stale_kernels() -> None:
+    """Forget compiled kernels that are older than any source of this room.
+
+    numba's disk cache watches only the file of the outermost function: after an edit of a kernel that another file
+    calls, the caller would go on running the old one.
+    """
+    room = Path(__file__).parent
+    with contextlib.suppress(OSError):
+        newest = max(p.stat().st_mtime for p in room.glob("*.py"))
+        for index in (room / "__pycache__").glob("*.nbi"):
+            if index.stat().st_mtime < newest:
+                index.unlink(missing_ok=True)

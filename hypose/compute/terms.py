@@ -1,0 +1,131 @@
+"""Flat arrays of the solver's evidence and options (NamedTuples, so that numba takes them; every field always present,
+with zero rows when a cue is absent, so that one compiled solver serves all)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class PreparedMasks(NamedTuple):
+    """The masks of one frame, ready for `silhouette_xor`."""
+
+    masks: NDArray[np.uint8]
+    """(C, h, w) 1 = person; smaller views are padded at the right and bottom."""
+    areas: NDArray[np.int64]
+    """(C,) foreground pixels."""
+    usable: NDArray[np.bool_]
+    """(C,) False: the view is left out."""
+    sizes: NDArray[np.int64]
+    """(C, 2) each view's own width and height inside the padded array."""
+    projections: NDArray[np.float64]
+    """(C, 3, 4) pinhole projections of these masks' pixels."""
+
+
+class ContourArrays(NamedTuple):
+    """Two-way contour distances. Forward rows: points of the body's outline against the signed distance of the mask;
+    reverse rows: points of the mask's outline against the nearest outline point of the body."""
+
+    sdf: NDArray[np.float32]
+    """(C, h, w) signed distance to the mask's edge, px, negative inside."""
+    outline: NDArray[np.float32]
+    """(C, K, 2) points on the mask's edge, px."""
+    usable: NDArray[np.bool_]
+    """(C,)"""
+    sizes: NDArray[np.int64]
+    """(C, 2) width, height."""
+    projections: NDArray[np.float64]
+    """(C, 3, 4)"""
+    forward_weight: float
+    """weight of one forward row"""
+    reverse_weight: float
+    """weight of one reverse row"""
+    scale: float
+    """Geman-McClure scale, px"""
+    coarse_scale: float
+    """the same for the first iterations"""
+    spacing: float
+    """px between outline points of the body (candidates for the reverse rows)"""
+    stride: int
+    """every stride-th of them makes a forward row"""
+
+
+class KeypointArrays(NamedTuple):
+    """2D key points; Cauchy cost of the distance in px."""
+
+    points: NDArray[np.float64]
+    """(C, K, 3) u, v, weight (0 = not seen)"""
+    projections: NDArray[np.float64]
+    """(C, 3, 4)"""
+    joint: NDArray[np.int64]
+    """(K,)"""
+    offset: NDArray[np.float64]
+    """(K, 3) m in the joint's frame"""
+    scale: float
+    """px, 1 sd"""
+
+
+class PointArrays(NamedTuple):
+    """3D points; Cauchy cost of the distance in m."""
+
+    points_world: NDArray[np.float64]
+    """(M, 3) m"""
+    weight: NDArray[np.float64]
+    """(M,) 0 = not seen"""
+    joint: NDArray[np.int64]
+    """(M,)"""
+    offset: NDArray[np.float64]
+    """(M, 3) m in the joint's frame"""
+    scale: float
+    """m, 1 sd"""
+
+
+class PriorArrays(NamedTuple):
+    """Sum of quadratics 1/2 weight (q - centre)^2 and the limits."""
+
+    centre: NDArray[np.float64]
+    """(P, D)"""
+    weight: NDArray[np.float64]
+    """(P, D)"""
+    lower: NDArray[np.float64]
+    """(D,)"""
+    upper: NDArray[np.float64]
+    """(D,)"""
+
+
+class SolveSettings(NamedTuple):
+    """Settings of one solve."""
+
+    iterations: int
+    """all, the coarse ones included"""
+    coarse_iterations: int
+    tolerance: float
+    """stop when no dof moves further (rad; twice the metres)"""
+    damping: float
+    """initial Levenberg-Marquardt damping relative to the diagonal"""
+
+
+class Workspace(NamedTuple):
+    """Scratch memory of one thread for one body and one image size; contents mean nothing between calls."""
+
+    vertices: NDArray[np.float32]
+    u: NDArray[np.float32]
+    v: NDArray[np.float32]
+    front: NDArray[np.uint8]
+    start: NDArray[np.int32]
+    end: NDArray[np.int32]
+    difference: NDArray[np.int16]
+    own: NDArray[np.uint8]
+    running: NDArray[np.int16]
+    rim_u: NDArray[np.float32]
+    rim_v: NDArray[np.float32]
+    rim_edge: NDArray[np.int32]
+    rotations: NDArray[np.float64]
+    centres: NDArray[np.float64]
+    twists: NDArray[np.float64]
+    wrench_hessian: NDArray[np.float64]
+    """(J, 21) lower triangle of the 6 x 6 sum of each joint"""
+    wrench_gradient: NDArray[np.float64]
+    """(J, 6)"""

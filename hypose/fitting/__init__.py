@@ -1,0 +1,29 @@
+"""Fitting: the one articulated solver that trackers, fusion, subject and calibration share."""
+
+from hypose.fitting.articulated import (
+    ContourTerm,
+    KeypointTerm,
+    PointTerm,
+    PoseFit,
+    Quadratic,
+    SolveOptions,
+    contour_term,
+    fit_pose,
+    fit_poses,
+    workspace_for,
+)
+from hypose.fitting.clip import fit_clip
+
+__all__ = [
+    "ContourTerm",
+    "KeypointTerm",
+    "PointTerm",
+    "PoseFit",
+    "Quadratic",
+    "SolveOptions",
+    "contour_term",
+    "fit_clip",
+    "fit_pose",
+    "fit_poses",
+    "workspace_for",
+]

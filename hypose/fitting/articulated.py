@@ -1,0 +1,429 @@
+"""Fitting a pose to contours, key points and 3D points: bounded damped Gauss-Newton on robust rows.
+
+Every cue is a sum of rows (point, direction, residual, weight, joint); rows become 6 x 6 sums per joint that are folded
+up the joint tree (hypose.compute.cpu_rows, cpu_solver), so a whole solve is one compiled call without the GIL.
+The cost is F(q) = 1/2 sum of weighted robust squares + 1/2 sum of the priors' quadratics; gradient and (Gauss-Newton)
+Hessian of the result are those of F. With weights that are inverse variances its inverse is the pose's covariance.
+
+Sources: two-way contour distances with a robust weight as in the silhouette trackers of Alcoverro 2014, chapter 4, and
+Gall et al. 2009; Geman & McClure 1985; the spatial (wrench) form of the sums follows Featherstone 2008, chapter 6.
+Deviation: outline association is by nearest point of the visible outline, not along normals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose import compute
+from hypose.body.body import Body
+from hypose.compute.selection import over_chunks
+from hypose.compute.terms import (
+    ContourArrays,
+    KeypointArrays,
+    PointArrays,
+    PriorArrays,
+    SolveSettings,
+    Workspace,
+)
+from hypose.errors import EvidenceError, InputError, SolverError
+from hypose.evidence.frame import Silhouettes
+from hypose.geometry import Array, nearest_branch
+
+# Reference density of the contour rows, for a person `height` px tall: weights are per arc length, so changing the
+# spacing or the number of points does not change the balance with key points and priors.
+SPACING_OF_HEIGHT = 6 / 260
+SCALE_OF_HEIGHT = 2.5 / 260
+REFERENCE_OUTLINE = 130
+
+
+@dataclass(frozen=True)
+class ContourTerm:
+    """Silhouette contours of one frame, both ways (body outline -> mask, mask outline -> body). Built by `contour_term`.
+
+    sdf (C, h, w) float32 signed distance px, negative inside; outline (C, K, 2) float32 px points on the mask's edge;
+    usable (C,); sizes (C, 2) width, height; projections (C, 3, 4) pinhole; weight: of one row at the reference density
+    (rows 6 px apart on a person 260 px tall, 130 outline points a view); scale_px, coarse_scale_px: Geman-McClure scale
+    of the distance; row_spacing_px: distance of the forward rows along the body's outline; outline_count: K;
+    height_px: apparent height of the person (median over the usable views)."""
+
+    sdf: NDArray[np.float32]
+    outline: NDArray[np.float32]
+    usable: NDArray[np.bool_]
+    sizes: NDArray[np.int64]
+    projections: Array
+    weight: float
+    scale_px: float
+    coarse_scale_px: float
+    row_spacing_px: float
+    outline_count: int
+    height_px: float = 260.0
+
+    def __post_init__(self) -> None:
+        c = len(self.sdf)
+        if self.outline.shape != (c, self.outline_count, 2) or self.projections.shape != (c, 3, 4):
+            raise InputError(
+                f"ContourTerm of {c} views needs outline {(c, self.outline_count, 2)} and projections {(c, 3, 4)}, got "
+                f"{self.outline.shape} and {self.projections.shape}."
+            )
+        for name in ("scale_px", "coarse_scale_px", "row_spacing_px", "height_px"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"ContourTerm.{name} must be positive, got {getattr(self, name)}.")
+
+
+@dataclass(frozen=True)
+class KeypointTerm:
+    """2D key points of one frame. Cauchy (Lorentzian) cost with scale 2 sd: 2 w log(1 + (r / 2 sd)^2).
+
+    points (C, K, 3) = u, v px, confidence (the row's weight; rows below min_confidence or not finite are left out);
+    projections (C, 3, 4) pinhole of these pixels; joint (K,), offset (K, 3) m in the joint's frame: where the key point
+    sits on the body; scale_px: 1 sd; weight: factor on all rows."""
+
+    points: Array
+    projections: Array
+    joint: NDArray[np.int64]
+    offset: Array
+    scale_px: float
+    weight: float = 1.0
+    min_confidence: float = 0.3
+
+    def __post_init__(self) -> None:
+        c, k = self.points.shape[:2]
+        if self.points.shape != (c, k, 3) or np.shape(self.projections) != (c, 3, 4):
+            raise InputError(
+                f"KeypointTerm.points must be (C, K, 3) with projections (C, 3, 4), got {self.points.shape} and "
+                f"{np.shape(self.projections)}."
+            )
+        if np.shape(self.joint) != (k,) or np.shape(self.offset) != (k, 3) or not self.scale_px > 0:
+            raise InputError(f"KeypointTerm of {k} key points needs joint ({k},), offset ({k}, 3) and scale_px > 0.")
+
+
+@dataclass(frozen=True)
+class PointTerm:
+    """3D points of one frame. Cauchy (Lorentzian) cost with scale 2 sd, as for key points.
+
+    points_world (M, 3) m, NaN where missing; weight (M,); joint (M,), offset (M, 3) m in the joint's frame; scale_m: 1
+    sd."""
+
+    points_world: Array
+    weight: Array
+    joint: NDArray[np.int64]
+    offset: Array
+    scale_m: float
+
+    def __post_init__(self) -> None:
+        m = len(self.points_world)
+        shapes = (self.points_world.shape, np.shape(self.weight), np.shape(self.joint), np.shape(self.offset))
+        if shapes != ((m, 3), (m,), (m,), (m, 3)) or not self.scale_m > 0:
+            raise InputError(
+                f"PointTerm needs points_world (M, 3), weight (M,), joint (M,), offset (M, 3) and scale_m > 0, got {shapes} "
+                f"and {self.scale_m}."
+            )
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """Prior 1/2 sum_d weight_d (q_d - centre_d)^2: centre (D,), weight (D,) >= 0 (inverse variances).
+
+    Balls are compared by their rotation-vector components; the root's centre is taken on the branch nearest to the start."""
+
+    centre: Array
+    weight: Array
+
+
+@dataclass(frozen=True)
+class SolveOptions:
+    """iterations: all, the first coarse_iterations of them with the contours' coarse scale; tolerance: stop when no dof
+    moves further than this (rad; twice the metres); damping: initial, relative to the Hessian's diagonal."""
+
+    iterations: int = 8
+    coarse_iterations: int = 4
+    tolerance: float = 1e-3
+    damping: float = 1e-2
+
+
+@dataclass(frozen=True)
+class PoseFit:
+    """Result of one solve: pose (D,), cost F, Gauss-Newton hessian (D, D) and gradient (D,) of F at the pose, iterations,
+    evaluations, converged (the last step was below the tolerance), rows: how many rows of evidence there were (0: only
+    the priors spoke), view_rows (C, 2): contour rows of each view, forward and reverse."""
+
+    pose: Array
+    cost: float
+    hessian: Array
+    gradient: Array
+    iterations: int
+    evaluations: int
+    converged: bool
+    rows: int
+    view_rows: NDArray[np.int64]
+
+
+def contour_term(
+    silhouettes: Silhouettes,
+    weight: float = 0.05,
+    scale_px: float | None = None,
+    *,
+    coarse_factor: float = 2.0,
+    row_spacing_px: float | None = None,
+    outline_count: int = REFERENCE_OUTLINE,
+) -> ContourTerm:
+    """The contour evidence of a frame's masks.
+
+    weight: of one row at the reference density. scale_px: Geman-McClure scale; default 2.5 px for a person 260 px tall, in
+    proportion (10 px in a 1080p image). coarse_factor: scale of the first iterations relative to it. Views that are not
+    usable, or whose mask has no outline away from the image border, are left out; an EvidenceError when none is left.
+    """
+    sizes = silhouettes.rig.sizes
+    heights = np.array([_apparent_height(m[:h, :w]) for m, (w, h) in zip(silhouettes.masks, sizes.tolist(), strict=True)])
+    usable = np.array(silhouettes.usable, dtype=np.bool_) & (heights > 8)
+    sdf = np.zeros(silhouettes.masks.shape, dtype=np.float32)
+    outline = np.zeros((len(sdf), outline_count, 2), dtype=np.float32)
+    for c in np.flatnonzero(usable):
+        sdf[c] = compute.signed_distance(silhouettes.masks[c : c + 1], sizes[c : c + 1])[0]
+        outline[c], n = compute.outline_points(sdf[c], silhouettes.rig[int(c)].size, outline_count)
+        usable[c] = n >= 20
+    if not usable.any():
+        reasons = "; ".join(f"{n}: {r or 'no outline'}" for n, r in zip(silhouettes.rig.names, silhouettes.reasons, strict=True))
+        raise EvidenceError(f"No view has a usable silhouette ({reasons}); leave the contours out of this frame.")
+    height = float(np.median(heights[usable]))
+    scale = scale_px if scale_px is not None else max(SCALE_OF_HEIGHT * height, 0.5)
+    spacing = row_spacing_px if row_spacing_px is not None else max(SPACING_OF_HEIGHT * height, 1.0)
+    return ContourTerm(
+        sdf,
+        outline,
+        usable,
+        sizes,
+        silhouettes.rig.projections,
+        weight,
+        scale,
+        scale * coarse_factor,
+        spacing,
+        outline_count,
+        height,
+    )
+
+
+def _apparent_height(mask: NDArray[np.uint8]) -> int:
+    # the longer side of the box, so that a lying or crouching person does not shrink the scale
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    return int(max(np.ptp(rows), np.ptp(columns)) + 1) if len(rows) else 0
+
+
+def workspace_for(body: Body, contours: ContourTerm | None = None) -> Workspace:
+    """Scratch memory for fits of this body to images of this size; hand it to `fit_pose` to save its making. Not shared
+    between threads."""
+    h, w = (2, 2) if contours is None else contours.sdf.shape[1:]
+    return compute.workspace(body.skeleton.tree, body.coarse.arrays, h, w)
+
+
+def fit_pose(
+    body: Body,
+    start: ArrayLike,
+    *,
+    contours: ContourTerm | None = None,
+    keypoints: KeypointTerm | None = None,
+    points: PointTerm | None = None,
+    priors: Sequence[Quadratic] = (),
+    options: SolveOptions | None = None,
+    workspace: Workspace | None = None,
+) -> PoseFit:
+    """The pose near start (D,) that explains the evidence best, inside the joint limits.
+
+    A SolverError when the start has the wrong size or its cost is not finite. A step is taken when its cost is finite and
+    at most 0.2 % higher (contour costs jump when the outline changes); no joint turns more than 0.35 rad per step.
+    """
+    return _Problem(body, contours, keypoints, points, priors, options or SolveOptions()).fit(start, workspace)
+
+
+def fit_poses(
+    body: Body,
+    starts: ArrayLike,
+    *,
+    contours: ContourTerm | None = None,
+    keypoints: KeypointTerm | None = None,
+    points: PointTerm | None = None,
+    priors: Sequence[Quadratic] = (),
+    options: SolveOptions | None = None,
+    threads: int | None = None,
+) -> list[PoseFit]:
+    """Independent solves from starts (N, D) on the same evidence, over threads; the same results for any number of them."""
+    q = np.asarray(starts, dtype=np.float64)
+    problem = _Problem(body, contours, keypoints, points, priors, options or SolveOptions())
+    fits: list[PoseFit | None] = [None] * len(q)
+
+    def work(first: int, last: int) -> None:
+        ws = workspace_for(body, contours)
+        for n in range(first, last):
+            fits[n] = problem.fit(q[n], ws)
+
+    over_chunks(work, len(q), threads)
+    return [f for f in fits if f is not None]
+
+
+class _Problem:
+    """Evidence and priors as the flat arrays of the kernel, made once for any number of starts."""
+
+    def __init__(
+        self,
+        body: Body,
+        contours: ContourTerm | None,
+        keypoints: KeypointTerm | None,
+        points: PointTerm | None,
+        priors: Sequence[Quadratic],
+        options: SolveOptions,
+    ) -> None:
+        self.body, self.contour_term = body, contours
+        self.tree, self.mesh = body.skeleton.tree, body.coarse.arrays
+        self.contours = contour_arrays(contours)
+        self.keypoints = keypoint_arrays(keypoints, len(self.tree.parents))
+        self.points = point_arrays(points, len(self.tree.parents))
+        self.centre, self.weight = prior_arrays(priors, body.skeleton.dof)
+        self.lower = np.ascontiguousarray(body.skeleton.lower, dtype=np.float64)
+        self.upper = np.ascontiguousarray(body.skeleton.upper, dtype=np.float64)
+        self.settings = SolveSettings(
+            int(options.iterations),
+            int(options.coarse_iterations),
+            float(options.tolerance),
+            float(options.damping),
+        )
+
+    def start(self, start: ArrayLike) -> Array:
+        """The start with its root's rotation vector inside +-pi, where the exponential map is far from singular."""
+        q = np.array(start, dtype=np.float64)
+        if q.shape != (self.body.skeleton.dof,):
+            raise SolverError(f"A start pose of this body has {self.body.skeleton.dof} numbers, got shape {q.shape}.")
+        if not np.isfinite(q).all():
+            bad = self.body.skeleton.dof_names[int(np.argmin(np.isfinite(q)))]
+            raise SolverError(f"The start pose is not finite in {bad}; start from another pose.")
+        q[3:6] = nearest_branch(q[3:6], np.zeros(3))
+        return q
+
+    def priors(self, start: Array) -> PriorArrays:
+        centre = self.centre.copy()
+        centre[:, 3:6] = nearest_branch(centre[:, 3:6], start[3:6])
+        return PriorArrays(centre, self.weight, self.lower, self.upper)
+
+    def fit(self, start: ArrayLike, workspace: Workspace | None) -> PoseFit:
+        q = self.start(start)
+        ws = workspace if workspace is not None else workspace_for(self.body, self.contour_term)
+        check_workspace(ws, self.body, self.contour_term)
+        out = compute.solve(
+            q,
+            self.tree,
+            self.mesh,
+            self.contours,
+            self.keypoints,
+            self.points,
+            self.priors(q),
+            self.settings,
+            ws,
+        )
+        pose = out.pose
+        pose[3:6] = nearest_branch(pose[3:6], np.asarray(start, dtype=np.float64)[3:6])
+        counts = out.evaluation.counts
+        return PoseFit(
+            pose,
+            out.evaluation.cost,
+            out.evaluation.hessian,
+            out.evaluation.gradient,
+            out.iterations,
+            out.evaluations,
+            out.converged,
+            int(counts.sum()),
+            counts[:-2].copy(),
+        )
+
+
+def check_workspace(ws: Workspace, body: Body, contours: ContourTerm | None) -> None:
+    """An InputError when the scratch memory was made for another body or smaller images (it would be overrun)."""
+    h, w = (0, 0) if contours is None else contours.sdf.shape[1:]
+    mesh, tree = body.coarse.arrays, body.skeleton.tree
+    fits = (
+        len(ws.vertices) == len(mesh.vertices)
+        and len(ws.front) == len(mesh.faces)
+        and len(ws.start) == len(mesh.edges)
+        and len(ws.centres) == len(tree.parents)
+        and len(ws.twists) == len(tree.axes)
+        and ws.own.shape[0] >= h
+        and ws.own.shape[1] >= w
+    )
+    if not fits:
+        raise InputError("The workspace was made for another body or a smaller image; make one with workspace_for.")
+
+
+def contour_arrays(term: ContourTerm | None) -> ContourArrays:
+    """Flat arrays of a contour term (no views when None)."""
+    if term is None:
+        f4 = np.float32
+        empty = np.zeros((0, 2, 2), f4), np.zeros((0, 0, 2), f4), np.zeros(0, np.bool_), np.zeros((0, 2), np.int64)
+        return ContourArrays(*empty, np.zeros((0, 3, 4)), 0.0, 0.0, 1.0, 1.0, 1.0, 1)
+    stride = 2 if term.row_spacing_px >= 2 else 1
+    return ContourArrays(
+        np.require(term.sdf, np.float32, ["C", "W"]),
+        np.require(term.outline, np.float32, ["C", "W"]),
+        np.require(term.usable, np.bool_, ["C", "W"]),
+        np.require(term.sizes, np.int64, ["C", "W"]),
+        np.require(term.projections, np.float64, ["C", "W"]),
+        float(term.weight * term.row_spacing_px / (SPACING_OF_HEIGHT * term.height_px)),
+        float(term.weight * REFERENCE_OUTLINE / term.outline_count),
+        float(term.scale_px),
+        float(term.coarse_scale_px),
+        float(term.row_spacing_px / stride),
+        stride,
+    )
+
+
+def _joints(joint: ArrayLike, n_joints: int, what: str) -> NDArray[np.int64]:
+    j = np.array(joint, dtype=np.int64)
+    if len(j) and (j.min() < 0 or j.max() >= n_joints):
+        raise InputError(f"{what}.joint refers to joint {int(j.max() if j.max() >= n_joints else j.min())} of {n_joints}.")
+    return j
+
+
+def keypoint_arrays(term: KeypointTerm | None, n_joints: int) -> KeypointArrays:
+    """Flat arrays of a key-point term (none when None); rows to leave out get weight 0."""
+    if term is None:
+        return KeypointArrays(np.zeros((0, 0, 3)), np.zeros((0, 3, 4)), np.zeros(0, np.int64), np.zeros((0, 3)), 1.0)
+    points = np.array(term.points, dtype=np.float64)
+    seen = np.isfinite(points).all(-1) & (points[..., 2] > max(term.min_confidence, 0.0))
+    points[..., 2] *= term.weight
+    points[~seen] = 0
+    return KeypointArrays(
+        points,
+        np.require(term.projections, np.float64, ["C", "W"]),
+        _joints(term.joint, n_joints, "KeypointTerm"),
+        np.require(term.offset, np.float64, ["C", "W"]),
+        float(term.scale_px),
+    )
+
+
+def point_arrays(term: PointTerm | None, n_joints: int) -> PointArrays:
+    """Flat arrays of a 3D point term (none when None); missing points get weight 0."""
+    if term is None:
+        return PointArrays(np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 3)), 1.0)
+    points, weight = np.array(term.points_world, dtype=np.float64), np.array(term.weight, dtype=np.float64)
+    missing = ~(np.isfinite(points).all(1) & np.isfinite(weight))
+    points[missing], weight[missing] = 0, 0
+    return PointArrays(
+        points,
+        weight,
+        _joints(term.joint, n_joints, "PointTerm"),
+        np.require(term.offset, np.float64, ["C", "W"]),
+        float(term.scale_m),
+    )
+
+
+def prior_arrays(priors: Sequence[Quadratic], dof: int) -> tuple[Array, Array]:
+    """Centres (P, D) and weights (P, D) of the priors."""
+    centre, weight = np.zeros((len(priors), dof)), np.zeros((len(priors), dof))
+    for i, p in enumerate(priors):
+        if np.shape(p.centre) != (dof,) or np.shape(p.weight) != (dof,):
+            raise InputError(f"A Quadratic prior needs centre and weight of shape {(dof,)}, got {np.shape(p.centre)}.")
+        if not (np.asarray(p.weight) >= 0).all():
+            raise InputError("The weights of a Quadratic prior must not be negative or NaN.")
+        centre[i], weight[i] = p.centre, p.weight
+    return centre, weight
