@@ -1,0 +1,234 @@
+"""Visual hull: the space that the silhouettes leave to the person (space carving on voxels, coarse to fine)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from hypose.cameras.camera import CameraRig
+from hypose.errors import EvidenceError, InputError
+from hypose.evidence.frame import Silhouettes
+from hypose.geometry import Array
+
+_LEVELS = 4  # the coarsest cells are 2**_LEVELS voxels wide
+_MAX_CELLS = 20_000_000
+
+
+@dataclass(frozen=True)
+class Hull:
+    """Occupied voxels. occupancy: (nx, ny, nz) bool; origin: (3,) m, centre of voxel [0, 0, 0] in the world; voxel: m."""
+
+    occupancy: NDArray[np.bool_]
+    origin: Array
+    voxel: float
+
+    @cached_property
+    def points(self) -> Array:
+        """(M, 3) centres of the occupied voxels in the world, m."""
+        return self.origin + np.argwhere(self.occupancy) * self.voxel
+
+    @property
+    def volume(self) -> float:
+        """m^3."""
+        return float(self.occupancy.sum()) * self.voxel**3
+
+    @property
+    def centroid(self) -> Array:
+        """(3,) world, m."""
+        return self.points.mean(0)
+
+    @property
+    def height(self) -> float:
+        """Extent along world z, m."""
+        return float(np.ptp(self.points[:, 2])) + self.voxel
+
+    @cached_property
+    def _surface(self) -> tuple[Array, Array]:
+        solid = np.pad(self.occupancy, 3)
+        rim = solid & ~ndimage.binary_erosion(solid)
+        smooth = ndimage.gaussian_filter(solid.astype(np.float64), 1.2)
+        index = np.argwhere(rim)
+        at = tuple(index.T)
+        outward = -np.stack([g[at] for g in np.gradient(smooth)], -1)
+        norm = np.linalg.norm(outward, axis=1, keepdims=True)
+        normals = np.where(norm > 1e-9, outward / np.maximum(norm, 1e-12), [0.0, 0.0, 1.0])
+        return self.origin + (index - 3) * self.voxel, normals
+
+    @property
+    def surface_points(self) -> Array:
+        """(S, 3) centres of the voxels that touch free space, m."""
+        return self._surface[0]
+
+    @property
+    def normals(self) -> Array:
+        """(S, 3) unit outward normals at surface_points (gradient of the smoothed occupancy)."""
+        return self._surface[1]
+
+
+def common_view_bounds(rig: CameraRig) -> Array:
+    """(2, 3) m, lowest and highest corner of the cube in which the cameras look: around the point nearest to all optical
+    axes, as far as the farthest camera. A CalibrationError-like EvidenceError when the axes do not meet."""
+    directions = np.stack([c.camera_from_world[2, :3] for c in rig])
+    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
+    a = across.sum(0)
+    if len(rig) < 2 or np.linalg.eigvalsh(a)[0] < 0.02 * len(rig):
+        raise EvidenceError(
+            f"The optical axes of the cameras {', '.join(rig.names)} (nearly) run in parallel, so the place of the person "
+            "cannot be guessed; give the bounds of the space."
+        )
+    centre = np.linalg.solve(a, np.einsum("cij,cj->i", across, rig.positions))
+    reach = float(np.linalg.norm(rig.positions - centre, axis=1).max())
+    return np.stack([centre - reach, centre + reach])
+
+
+def visual_hull(
+    silhouettes: Silhouettes,
+    bounds: Array | None = None,
+    voxel: float = 0.03,
+    miss: int = 0,
+    min_views: int = 2,
+    largest: bool = True,
+) -> Hull:
+    """The visual hull of the usable silhouettes.
+
+    A voxel is occupied when at most `miss` of the views that see it (in front of the camera and inside the image) have
+    no person at its centre, and at least min_views see it. bounds (2, 3) m: the space searched (default: the cameras'
+    common view). voxel: edge, m. largest: keep only the biggest connected body. Works coarse to fine: a cell is refined
+    unless more than `miss` views are free of person all over the circle around its image.
+    Raises EvidenceError when fewer than min_views views are usable or nothing is left.
+    Source: Alcoverro 2014, section 2.6 (space carving with v_miss missing views).
+    """
+    views = np.flatnonzero(silhouettes.usable)
+    if len(views) < min_views:
+        raise EvidenceError(
+            f"A visual hull needs {min_views} usable silhouettes, there {'is' if len(views) == 1 else 'are'} {len(views)}: "
+            f"{'; '.join(r for r in silhouettes.reasons if r) or 'too few cameras'}."
+        )
+    if voxel <= 0 or miss < 0:
+        raise InputError(f"The voxel size must be positive and miss 0 or more, got {voxel:g} m and {miss}.")
+    rig = silhouettes.rig
+    box = common_view_bounds(rig) if bounds is None else np.asarray(bounds, dtype=np.float64)
+    if box.shape != (2, 3) or not (box[1] > box[0]).all():
+        raise InputError(
+            "The bounds of the hull must be (lowest, highest) corners of shape (2, 3) in metres."
+        )
+    coarse = voxel * 2**_LEVELS
+    cells = np.ceil((box[1] - box[0]) / coarse).astype(np.int64)
+    if cells.prod() > _MAX_CELLS:
+        raise InputError(
+            f"A space of {box[1] - box[0]} m is too large for {voxel:g} m voxels; narrow it or use larger ones."
+        )
+    index = np.stack(np.meshgrid(*(np.arange(n) for n in cells), indexing="ij"), -1).reshape(-1, 3)
+    sums = {
+        int(c): np.pad(silhouettes.masks[c].astype(np.int32).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+        for c in views
+    }
+    corner = np.stack(np.meshgrid(*[(0, 1)] * 3, indexing="ij"), -1).reshape(8, 3)
+    for level in range(_LEVELS, -1, -1):
+        edge = voxel * 2**level
+        centres = box[0] + (index + 0.5) * edge
+        free, seen = np.zeros(len(index), np.int16), np.zeros(len(index), np.int16)
+        for c in views:
+            empty, sees = _free_cells(silhouettes, int(c), sums[int(c)], centres, edge if level else 0.0)
+            free += empty
+            seen += sees
+        index = index[(free <= miss) & (seen >= min_views)]
+        if level:
+            index = (2 * index[:, None] + corner).reshape(-1, 3)
+            if len(index) > _MAX_CELLS:
+                raise InputError(
+                    f"The masks fill too much space for {voxel:g} m voxels; use larger ones or give bounds."
+                )
+    if len(index) == 0:
+        raise EvidenceError(
+            "The visual hull is empty: the silhouettes of the cameras "
+            f"{', '.join(rig.names[c] for c in views)} have no point in common; check calibration and synchronisation, or "
+            "allow one missing view."
+        )
+    low = index.min(0)
+    occupancy = np.zeros(index.max(0) - low + 1, dtype=np.bool_)
+    occupancy[tuple((index - low).T)] = True
+    if largest:
+        occupancy, shift = _largest(occupancy)
+        low = low + shift
+    return Hull(occupancy, box[0] + (low + 0.5) * voxel, voxel)
+
+
+def _free_cells(
+    silhouettes: Silhouettes, view: int, sums: NDArray[np.int64], centres: Array, edge: float
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """For cubes (M,): surely without person in this view; and possibly seen by it. edge 0: judged at the centre."""
+    camera = silhouettes.rig[view]
+    w, h = camera.size
+    x = centres @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
+    radius = 0.5 * np.sqrt(3.0) * edge
+    front = x[:, 2] > radius + 1e-6
+    z = np.where(front, x[:, 2], 1.0)
+    u = camera.K[0, 0] * x[:, 0] / z + camera.K[0, 1] * x[:, 1] / z + camera.K[0, 2]
+    v = camera.K[1, 1] * x[:, 1] / z + camera.K[1, 2]
+    u, v = np.clip(u, -1e6, 1e6), np.clip(v, -1e6, 1e6)
+    if edge == 0.0:
+        iu, iv = np.rint(u).astype(np.int64), np.rint(v).astype(np.int64)
+        inside = front & (iu >= 0) & (iu < w) & (iv >= 0) & (iv < h)
+        person = silhouettes.masks[view][np.clip(iv, 0, h - 1), np.clip(iu, 0, w - 1)] > 0
+        return inside & ~person, inside
+    # an upper bound of the image of the ball around the cube: |d(u)| <= r (f + |u - cx|) / (z - r)
+    depth = np.maximum(z - radius, 1e-6)
+    ru = radius * (camera.K[0, 0] + abs(camera.K[0, 1]) + np.abs(u - camera.K[0, 2])) / depth + 1
+    rv = radius * (camera.K[1, 1] + np.abs(v - camera.K[1, 2])) / depth + 1
+    near = ~front & (x[:, 2] > -radius)  # holds or touches the camera's plane: nothing is known
+    u0, u1, v0, v1 = np.floor(u - ru), np.ceil(u + ru), np.floor(v - rv), np.ceil(v + rv)
+    within = front & (u0 >= 0) & (u1 < w) & (v0 >= 0) & (v1 < h)
+    touches = near | (front & (u1 >= 0) & (u0 < w) & (v1 >= 0) & (v0 < h))
+    a0, a1 = np.clip(u0, 0, w).astype(np.int64), np.clip(u1 + 1, 0, w).astype(np.int64)
+    b0, b1 = np.clip(v0, 0, h).astype(np.int64), np.clip(v1 + 1, 0, h).astype(np.int64)
+    pixels = sums[b1, a1] - sums[b0, a1] - sums[b1, a0] + sums[b0, a0]
+    return within & (pixels == 0), touches
+
+
+def _largest(occupancy: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    label = np.zeros(occupancy.shape, np.int32)
+    count = ndimage.label(occupancy, np.ones((3, 3, 3)), output=label)
+    if count == 1:
+        return occupancy, np.zeros(3, dtype=np.int64)
+    best = int(np.bincount(label.ravel())[1:].argmax()) + 1
+    where = ndimage.find_objects(label, best)[best - 1]
+    return label[where] == best, np.array([s.start for s in where])
+
+
+def hull_masks(hull: Hull, rig: CameraRig) -> NDArray[np.uint8]:
+    """(C, h, w) uint8 pictures of the hull's voxel cubes in pinhole cameras, padded to the common size."""
+    points = hull.surface_points
+    sizes = rig.sizes
+    out = np.zeros((len(rig), int(sizes[:, 1].max()), int(sizes[:, 0].max())), np.uint8)
+    for c, camera in enumerate(rig):
+        w, h = camera.size
+        depth = points @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
+        near = depth[depth > 1e-3].min(initial=np.inf)
+        if not np.isfinite(near):
+            continue
+        # samples within each cube at most one pixel apart, its faces included
+        n = int(np.clip(np.ceil(max(camera.K[0, 0], camera.K[1, 1]) * hull.voxel / near) + 1, 2, 24))
+        step = np.linspace(-0.5, 0.5, n) * hull.voxel
+        grid = np.stack(np.meshgrid(step, step, step, indexing="ij"), -1).reshape(-1, 3)
+        if n > 2:  # the inside of a cube is hidden by its faces
+            grid = grid[(np.abs(grid) > 0.499 * hull.voxel).any(1)]
+        for offset in grid:
+            uv = camera.project_pinhole(points + offset)
+            uv = np.rint(uv[np.isfinite(uv).all(1)]).astype(np.int64)
+            uv = uv[((uv >= 0) & (uv < (w, h))).all(1)]
+            out[c, uv[:, 1], uv[:, 0]] = 1
+    return out
+
+
+def hull_iou(hull: Hull, silhouettes: Silhouettes) -> Array:
+    """(C,) intersection over union of the hull's picture and each mask; NaN for views that are not usable."""
+    pictures = hull_masks(hull, silhouettes.rig).astype(bool)
+    masks = silhouettes.masks > 0
+    both = (pictures & masks).sum((1, 2))
+    either = (pictures | masks).sum((1, 2))
+    return np.where(silhouettes.usable, both / np.maximum(either, 1), np.nan)

@@ -1,0 +1,372 @@
+"""2D key points of any detector: the sets of names, OpenPose-style JSON, the choice of one person, triangulation.
+
+Names are lower case with the side first (left_shoulder); left is the person's own left.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.body.body import Body
+from hypose.cameras.camera import CameraRig, triangulate
+from hypose.errors import InputError
+from hypose.evidence.frame import Keypoints
+from hypose.geometry import Array
+
+_FACE = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
+_LIMBS = tuple(
+    f"{side}_{part}"
+    for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+    for side in ("left", "right")
+)
+
+
+def _sided(parts: Sequence[str]) -> tuple[str, ...]:
+    long = {"L": "left_", "R": "right_"}
+    return tuple(long[p[0]] + p[1:] if p[0] in long else p for p in parts)
+
+
+COCO_17 = _FACE + _LIMBS
+BODY_25 = _sided(
+    "nose neck Rshoulder Relbow Rwrist Lshoulder Lelbow Lwrist mid_hip Rhip Rknee Rankle Lhip Lknee Lankle Reye Leye Rear "
+    "Lear Lbig_toe Lsmall_toe Lheel Rbig_toe Rsmall_toe Rheel".split()
+)
+BODY_25B = COCO_17 + _sided("upper_neck head_top Lbig_toe Lsmall_toe Lheel Rbig_toe Rsmall_toe Rheel".split())
+HALPE_26 = COCO_17 + _sided(
+    "head_top neck mid_hip Lbig_toe Rbig_toe Lsmall_toe Rsmall_toe Lheel Rheel".split()
+)
+BODY_135 = BODY_25B + tuple(
+    [f"{side}_hand_{i}" for side in ("left", "right") for i in range(20)] + [f"face_{i}" for i in range(70)]
+)
+COCO_133 = (
+    COCO_17
+    + _sided("Lbig_toe Lsmall_toe Lheel Rbig_toe Rsmall_toe Rheel".split())
+    + tuple(
+        [f"face_{i}" for i in range(68)]
+        + [f"{side}_hand_{i}" for side in ("left", "right") for i in range(21)]
+    )
+)
+BLAZEPOSE_33 = _sided(
+    "nose Leye_inner Leye Leye_outer Reye_inner Reye Reye_outer Lear Rear Lmouth Rmouth Lshoulder Rshoulder Lelbow Relbow "
+    "Lwrist Rwrist Lpinky Rpinky Lindex Rindex Lthumb Rthumb Lhip Rhip Lknee Rknee Lankle Rankle Lheel Rheel Lbig_toe "
+    "Rbig_toe".split()
+)
+KEYPOINT_SETS: Mapping[str, tuple[str, ...]] = {
+    "BODY_25": BODY_25,
+    "BODY_25B": BODY_25B,
+    "COCO_17": COCO_17,
+    "HALPE_26": HALPE_26,
+    "BLAZEPOSE_33": BLAZEPOSE_33,
+    "COCO_133": COCO_133,
+    "BODY_135": BODY_135,
+}
+"""The named sets. BODY_25 and BODY_25B have the same length: a recording must say which one it holds."""
+
+_BONES = tuple(
+    (f"{side}_{a}", f"{side}_{b}")
+    for side in ("left", "right")
+    for a, b in (
+        ("shoulder", "elbow"),
+        ("elbow", "wrist"),
+        ("hip", "knee"),
+        ("knee", "ankle"),
+        ("ankle", "big_toe"),
+        ("ankle", "heel"),
+        ("shoulder", "hip"),
+    )
+) + (
+    ("left_shoulder", "right_shoulder"),
+    ("left_hip", "right_hip"),
+    ("upper_neck", "head_top"),
+    ("neck", "head_top"),
+    ("neck", "nose"),
+)
+
+
+def keypoint_names(keypoint_set: str) -> tuple[str, ...]:
+    """The names of a set; an InputError lists the sets."""
+    found = {k.upper(): v for k, v in KEYPOINT_SETS.items()}.get(
+        keypoint_set.strip().upper().replace("-", "_")
+    )
+    if found is None:
+        raise InputError(
+            f"There is no key-point set {keypoint_set!r}; the sets are {', '.join(KEYPOINT_SETS)}."
+        )
+    return found
+
+
+def names_of_length(count: int) -> tuple[str, ...]:
+    """The set with that many points (25 is taken as OpenPose's BODY_25); an InputError lists the sets."""
+    for names in KEYPOINT_SETS.values():
+        if len(names) == count:
+            return names
+    known = ", ".join(f"{k} ({len(v)})" for k, v in KEYPOINT_SETS.items())
+    raise InputError(f"No key-point set has {count} points; the sets are {known}.")
+
+
+def parse_openpose(
+    document: str | bytes | Mapping[str, Any],
+    names: Sequence[str] | None = None,
+    source: str = "The key-point file",
+) -> Array:
+    """People of one OpenPose-style JSON document -> (people, K, 3) = (u px, v px, confidence 0..1).
+
+    names: the expected set (by default the set of that length). source: what the error sentence calls the file. A point
+    that is (0, 0), or has no finite position and no confidence, is missing: confidence 0. Raises InputError for
+    anything that is not such a document.
+    """
+    if isinstance(document, (str, bytes)):
+        try:
+            document = json.loads(document)
+        except (json.JSONDecodeError, UnicodeDecodeError) as problem:
+            raise InputError(
+                f"{source} is not JSON ({problem}); export it from the detector again."
+            ) from None
+    if not isinstance(document, Mapping) or not isinstance(document.get("people"), list):
+        raise InputError(
+            f'{source} is not an OpenPose-style file: it needs a list "people"; export key points in the OpenPose format.'
+        )
+    people = []
+    for number, person in enumerate(document["people"]):
+        flat = person.get("pose_keypoints_2d") if isinstance(person, Mapping) else None
+        if flat is None:
+            raise InputError(
+                f'{source}, person {number}: "pose_keypoints_2d" is missing; export body key points.'
+            )
+        try:
+            values = np.array(flat, dtype=np.float64).ravel()
+        except (TypeError, ValueError):
+            raise InputError(
+                f'{source}, person {number}: "pose_keypoints_2d" must hold numbers only.'
+            ) from None
+        if values.size == 0:
+            continue
+        if values.size % 3 or (names is not None and values.size != 3 * len(names)):
+            wanted = "a multiple of 3" if names is None else f"3 x {len(names)} = {3 * len(names)}"
+            raise InputError(
+                f"{source}, person {number}: {values.size} numbers, but {wanted} are needed; name the detector's set with "
+                f"`keypoint_set` (one of {', '.join(KEYPOINT_SETS)})."
+            )
+        points = values.reshape(-1, 3)
+        if names is None:
+            names_of_length(len(points))
+        finite = np.isfinite(points[:, :2]).all(1)
+        confident = np.nan_to_num(points[:, 2], nan=0.0) > 0
+        if (bad := ~finite & confident).any() or np.isinf(points).any():
+            k = int(np.argmax(bad | np.isinf(points).any(1)))
+            raise InputError(
+                f"{source}, person {number}: key point {k} is not a finite position; export it again."
+            )
+        missing = ~finite | ~confident | (points[:, :2] == 0).all(1)
+        people.append(np.where(missing[:, None], 0.0, np.clip(points, None, [np.inf, np.inf, 1.0])))
+    k = len(names) if names is not None else (len(people[0]) if people else 0)
+    if any(len(p) != k for p in people):
+        raise InputError(f"{source}: the people have different numbers of key points.")
+    return np.stack(people) if people else np.zeros((0, k, 3))
+
+
+def choose_person(
+    people: ArrayLike, previous: ArrayLike | None = None, max_jump: float = 0.5, min_confidence: float = 0.2
+) -> int | None:
+    """Index of the person to follow among people (P, K, 3), None when nobody fits.
+
+    Without `previous` (K, 3) the tallest. With it the one whose key points lie nearest to the previous frame's (median
+    distance over the points both have), refused when farther than max_jump times the previous person's height: another
+    person is never picked up in the place of one who is hidden.
+    """
+    p = np.asarray(people, dtype=np.float64)
+    if len(p) == 0:
+        return None
+    seen = p[..., 2] > min_confidence
+    height = np.array([np.ptp(q[s, 1]) if s.sum() > 1 else 0.0 for q, s in zip(p, seen, strict=True)])
+    if previous is None:
+        return int(height.argmax()) if height.max() > 0 else None
+    last = np.asarray(previous, dtype=np.float64)
+    last_seen = last[:, 2] > min_confidence
+    size = float(np.ptp(last[last_seen, :2], axis=0).max()) if last_seen.any() else 0.0
+    best, nearest = None, max_jump * size
+    for i, q in enumerate(p):
+        both = seen[i] & last_seen
+        if both.any():
+            distance = float(np.median(np.linalg.norm(q[both, :2] - last[both, :2], axis=1)))
+            if distance <= nearest:
+                best, nearest = i, distance
+    return best
+
+
+def follow_person(documents: Sequence[Array | None], patience: int = 30) -> Array:
+    """One person through the frames of one view: people per frame (P, K, 3), or None without a file -> (T, K, 3).
+
+    Confidence 0 where the person is missing. After `patience` frames without the person the tallest is taken again.
+    """
+    k = next((d.shape[1] for d in documents if d is not None and len(d)), 0)
+    out = np.zeros((len(documents), k, 3))
+    previous, missed = None, 0
+    for t, people in enumerate(documents):
+        found = None if people is None else choose_person(people, previous)
+        if found is None:
+            missed += 1
+            if missed > patience:
+                previous = None
+            continue
+        assert people is not None
+        out[t] = previous = people[found]
+        missed = 0
+    return out
+
+
+def to_keypoints(
+    points: Sequence[ArrayLike], names: Sequence[str], rig: CameraRig, pinhole: CameraRig
+) -> Keypoints:
+    """Detected points of one person, per view (K, 3) in pixels of the calibrated (distorted) cameras of `rig`, as
+    Keypoints in undistorted pixels of the working-size cameras `pinhole`."""
+    out = np.zeros((len(rig), len(names), 3))
+    for c, p in enumerate(points):
+        a = np.asarray(p, dtype=np.float64)
+        if a.shape != (len(names), 3):
+            raise InputError(
+                f"Camera {rig.names[c]}: key points of shape {a.shape}, {(len(names), 3)} is needed."
+            )
+        scale = np.array(pinhole[c].size) / np.array(rig[c].size)
+        out[c, :, :2] = (rig[c].undistort_points(a[:, :2]) + 0.5) * scale - 0.5
+        out[c, :, 2] = np.where(np.isfinite(out[c, :, :2]).all(1), a[:, 2], 0.0)
+    return Keypoints(np.nan_to_num(out), tuple(names), pinhole)
+
+
+def landmark_of(names: Sequence[str], body: Body) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_]]:
+    """Where each key point sits on the body: joint (K,), offset (K, 3) m in that joint's rest frame, known (K,).
+
+    Elbows, wrists, knees and ankles are joint centres; shoulders ride on the clavicles and hips on the pelvis (the
+    same points, but an offset learnt there does not turn with the limb); OpenPose's neck is the middle between the
+    shoulders, mid_hip the middle between the hips. Face, heels, toes are the body's landmarks of that name. Unknown names
+    get known = False.
+    """
+    s, rest = body.skeleton, body.skeleton.rest_joints
+    at: dict[str, tuple[str, Array]] = {}
+    for side in ("left", "right"):
+        for part in ("elbow", "wrist", "knee", "ankle"):
+            at[f"{side}_{part}"] = (f"{side}_{part}", rest[s.joint(f"{side}_{part}")])
+        at[f"{side}_shoulder"] = (f"{side}_clavicle", rest[s.joint(f"{side}_shoulder")])
+        at[f"{side}_hip"] = ("pelvis", rest[s.joint(f"{side}_hip")])
+    for name, carrier, part in (("neck", "chest", "shoulder"), ("mid_hip", "pelvis", "hip")):
+        at[name] = (carrier, 0.5 * (rest[s.joint(f"left_{part}")] + rest[s.joint(f"right_{part}")]))
+    at["upper_neck"] = ("neck", rest[s.joint("neck")])
+    joint, offset = np.zeros(len(names), dtype=np.int64), np.zeros((len(names), 3))
+    known = np.zeros(len(names), dtype=np.bool_)
+    for k, name in enumerate(names):
+        if name in at:
+            joint[k] = s.joint(at[name][0])
+            offset[k] = at[name][1] - rest[joint[k]]
+        elif name in body.landmarks.names:
+            i = body.landmarks.index(name)
+            joint[k], offset[k] = body.landmarks.joint[i], body.landmarks.offset[i]
+        else:
+            continue
+        known[k] = True
+    return joint, offset, known
+
+
+def triangulate_keypoints(
+    frames: Sequence[Keypoints], max_residual: float | None = None, min_confidence: float = 0.2
+) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Robust triangulation of T frames -> points (T, K, 3) m world, residual (T, K) px, number of views (T, K).
+
+    Confidence-weighted linear triangulation. Where the largest reprojection distance exceeds max_residual (px of the
+    working size; default 1 % of the longest image side) and three or more views see the point, every view is left out
+    in turn and the best solution is kept when it is at least twice as good. The residual is the root mean square over the
+    views used; what still exceeds twice max_residual, or has fewer than two views, is NaN.
+    """
+    if not frames:
+        raise InputError("There are no key points to triangulate; give at least one frame.")
+    rig = frames[0].rig
+    points = np.stack([f.points for f in frames], 1)  # (C, T, K, 3)
+    uv, w = points[..., :2], np.where(points[..., 2] > min_confidence, points[..., 2], 0.0)
+    limit = 0.01 * float(rig.sizes.max()) if max_residual is None else max_residual
+    shape = uv.shape[1:3]
+    uv, w = uv.reshape(len(rig), -1, 2), w.reshape(len(rig), -1)
+    x, n = triangulate(rig, uv, w)
+    distance = _reprojection(rig, x, uv, w)
+    worst = distance.max(0, initial=0.0, where=w > 0)
+    doubtful = np.flatnonzero((worst > limit) & (n >= 3))
+    if len(doubtful):
+        best_worst = worst[doubtful].copy()
+        best_x, best_w = x[doubtful].copy(), w[:, doubtful].copy()
+        for c in range(len(rig)):
+            less = w[:, doubtful].copy()
+            had = less[c] > 0
+            less[c] = 0.0
+            y, _ = triangulate(rig, uv[:, doubtful], less)
+            left = _reprojection(rig, y, uv[:, doubtful], less).max(0, initial=0.0, where=less > 0)
+            better = had & (left < 0.5 * worst[doubtful]) & (left < best_worst)
+            best_worst[better], best_x[better] = left[better], y[better]
+            best_w[:, better] = less[:, better]
+        x[doubtful], w[:, doubtful], worst[doubtful] = best_x, best_w, best_worst
+    used = w > 0
+    n = used.sum(0)
+    distance = np.where(used, _reprojection(rig, x, uv, w), 0.0)
+    residual = np.sqrt((distance**2).sum(0) / np.maximum(n, 1))
+    bad = (n < 2) | (worst > 2 * limit) | ~np.isfinite(x).all(1)
+    x = np.where(bad[:, None], np.nan, x)
+    return (
+        x.reshape(*shape, 3),
+        np.where(bad, np.nan, residual).reshape(shape),
+        np.where(bad, 0, n).reshape(shape),
+    )
+
+
+def _reprojection(rig: CameraRig, x: Array, uv: Array, w: Array) -> Array:
+    """(C, N) px between projections of x (N, 3) and uv (C, N, 2); a point behind a camera that sees it: a large number."""
+    d = np.stack([np.linalg.norm(camera.project_pinhole(x) - uv[c], axis=-1) for c, camera in enumerate(rig)])
+    return np.where(w > 0, np.nan_to_num(d, nan=1e6), 0.0)
+
+
+def person_size(points: ArrayLike, min_confidence: float = 0.3) -> float:
+    """Longer side of the box around the confident points (K, 3), px; 0 when there are fewer than three."""
+    p = np.asarray(points, dtype=np.float64)
+    p = p[p[:, 2] > min_confidence]
+    return float(np.ptp(p[:, :2], axis=0).max()) if len(p) > 2 else 0.0
+
+
+def thick_skeleton(
+    points: ArrayLike,
+    names: Sequence[str],
+    shape: tuple[int, int],
+    radius: float,
+    min_confidence: float = 0.3,
+) -> NDArray[np.uint8]:
+    """Mask (h, w) = `shape` of limbs drawn `radius` px thick to either side, a filled torso, a head and hands.
+
+    points (K, 3) px of that image. Bones with an end below min_confidence are left out.
+    """
+    p = np.asarray(points, dtype=np.float64)
+    mask = np.zeros(shape, np.uint8)
+    far = 4 * max(shape)
+    at = {
+        n: (int(np.clip(round(u), -far, far)), int(np.clip(round(v), -far, far)))
+        for n, (u, v, c) in zip(names, p, strict=True)
+        if c > min_confidence
+    }
+    thickness = max(1, round(2 * radius + 1))
+    for a, b in _BONES:
+        if a in at and b in at:
+            cv2.line(mask, at[a], at[b], 1, thickness)
+    torso = [at[n] for n in ("left_shoulder", "right_shoulder", "right_hip", "left_hip") if n in at]
+    if len(torso) == 4:
+        cv2.fillConvexPoly(mask, cv2.convexHull(np.array(torso, dtype=np.int32)), 1)
+    for n in ("left_wrist", "right_wrist", "left_ankle", "right_ankle"):
+        if n in at:
+            cv2.circle(mask, at[n], max(1, round(1.3 * radius)), 1, -1)
+    head = np.array([at[n] for n in _FACE if n in at])
+    if len(head):
+        u, v = np.rint(head.mean(0)).astype(int)
+        cv2.circle(mask, (int(u), int(v)), max(1, round(1.6 * radius)), 1, -1)
+        if "left_shoulder" in at and "right_shoulder" in at:
+            a, b = at["left_shoulder"], at["right_shoulder"]
+            cv2.line(mask, (int(u), int(v)), ((a[0] + b[0]) // 2, (a[1] + b[1]) // 2), 1, thickness)
+    return mask

@@ -1,0 +1,338 @@
+"""Masks of the person from images: difference against a background model, shadow test, clean-up, thin-rim refinement.
+
+Images are BGR uint8 at working size, undistorted; masks are (h, w) uint8 with 1 = person. Lengths in px of that size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.cameras.camera import CameraRig
+from hypose.errors import InputError
+from hypose.evidence.background import BackgroundModel, Image
+from hypose.evidence.frame import Silhouettes
+
+Mask = NDArray[np.uint8]
+Segmenter = Callable[[Image, Mask | None], Mask]
+"""(image (h, w, 3), where the person can be (h, w) or None) -> mask (h, w)."""
+
+
+@dataclass(frozen=True)
+class SilhouetteOptions:
+    """How masks are made. The defaults suit a person of 80-400 px height.
+
+    method: 'gaussian' (one Gaussian per pixel) or 'mog2' (OpenCV's mixture, frozen after learning the background).
+    threshold: foreground beyond this many sd. min_sd: lower bound of the sd, grey levels (compression, light).
+    shadow: take away shadows: the same colour, darker. Switch it off in grey scenes, where the person is 'the same
+    colour' too. shadow_range: brightness of a shadow relative to the lit ground. shadow_chroma: largest colour
+    distance from the darkened ground, grey levels.
+    open_px, close_px: sizes of the morphological opening and closing, 0 = off. hole_px: holes up to this area are filled.
+    keep_share: connected parts smaller than this share of the biggest one are dropped (1 keeps only the biggest).
+    keep_gap: parts farther from the biggest than this share of its longer side are dropped.
+    grabcut: refine the mask in a rim of rim_px to either side of its outline by GrabCut (slow: 25 ms and more per view).
+    """
+
+    method: Literal["gaussian", "mog2"] = "gaussian"
+    threshold: float = 4.0
+    min_sd: float = 5.0
+    shadow: bool = True
+    shadow_range: tuple[float, float] = (0.45, 0.97)
+    shadow_chroma: float = 12.0
+    open_px: int = 0
+    close_px: int = 5
+    hole_px: int = 60
+    keep_share: float = 0.02
+    keep_gap: float = 0.1
+    grabcut: bool = False
+    rim_px: int = 3
+
+    def __post_init__(self) -> None:
+        if self.method not in ("gaussian", "mog2"):
+            raise InputError(f"Silhouette method {self.method!r} does not exist; use 'gaussian' or 'mog2'.")
+        low, high = self.shadow_range
+        for name, right, rule in (
+            ("threshold", self.threshold > 0, "positive"),
+            ("min_sd", self.min_sd > 0, "positive"),
+            ("shadow_range", 0 < low < high <= 1, "0 < darkest < lightest <= 1"),
+            ("shadow_chroma", self.shadow_chroma >= 0, "0 or more"),
+            ("open_px", self.open_px >= 0, "0 or more"),
+            ("close_px", self.close_px >= 0, "0 or more"),
+            ("hole_px", self.hole_px >= 0, "0 or more"),
+            ("keep_share", 0 <= self.keep_share <= 1, "between 0 and 1"),
+            ("keep_gap", self.keep_gap >= 0, "0 or more"),
+            ("rim_px", self.rim_px >= 1, "1 or more"),
+        ):
+            if not right:
+                raise InputError(f"Silhouette option {name} = {getattr(self, name)} must be {rule}.")
+
+
+def make_segmenter(background: BackgroundModel, options: SilhouetteOptions | None = None) -> Segmenter:
+    """The function that turns an image of this view into a mask.
+
+    It keeps no memory of earlier images, so frames may come in any order; one segmenter must not be called from two
+    threads at once.
+    """
+    o = options or SilhouetteOptions()
+    differ = _gaussian(background, o) if o.method == "gaussian" else _mog2(background, o)
+    unseen = (~background.valid).astype(np.uint8) if not background.valid.all() else None
+
+    def segment(image: Image, band: Mask | None = None) -> Mask:
+        h, w = background.valid.shape
+        if image.shape != (h, w, 3):
+            raise InputError(f"An image of {image.shape[1::-1]} px does not fit a background of {(w, h)} px.")
+        box = bounding_box(band) if band is not None else (0, h, 0, w)
+        mask = np.zeros((h, w), np.uint8)
+        if box is None:
+            return mask
+        y0, y1, x0, x1 = box
+        raw = differ(image, box)
+        if unseen is not None:
+            # the room is unknown there: the person if anything says so, else nothing
+            hidden = unseen[y0:y1, x0:x1]
+            raw = np.where(hidden > 0, 0 if band is None else band[y0:y1, x0:x1], raw).astype(np.uint8)
+        if band is not None:
+            raw &= (band[y0:y1, x0:x1] > 0).astype(np.uint8)
+        mask[y0:y1, x0:x1] = raw
+        mask = clean(mask, o)
+        return refine_rim(image, mask, o.rim_px, band) if o.grabcut else mask
+
+    return segment
+
+
+def _gaussian(
+    background: BackgroundModel, options: SilhouetteOptions
+) -> Callable[[Image, tuple[int, int, int, int]], Mask]:
+    """Single Gaussian per pixel and channel, with the brightness cone for shadows.
+
+    Foreground: some channel more than `threshold` sd from the mean. Shadow: the pixel's colour a seen as s b + rest, b the
+    background; darkened (s in shadow_range) with a small rest. Source: Xu, Landabaso & Pardas 2005 (as used by
+    Alcoverro 2014, section 2.6); the brightness and colour distortions are those of Horprasert et al. 1999. Deviation:
+    the colour distortion is in grey levels, not in sd: with the sd of clean video a soft shadow never passes.
+    """
+    reach = options.threshold * np.maximum(background.sd, np.float32(options.min_sd))
+    low = np.clip(np.ceil(background.mean - reach), 0, 255).astype(np.uint8)
+    high = np.clip(np.floor(background.mean + reach), 0, 255).astype(np.uint8)
+    mean = background.mean.astype(np.float32)
+    square = np.maximum((mean * mean).sum(2), np.float32(1))
+    darkest, lightest = options.shadow_range
+
+    def differ(image: Image, box: tuple[int, int, int, int]) -> Mask:
+        y0, y1, x0, x1 = box
+        part = np.ascontiguousarray(image[y0:y1, x0:x1])
+        same = cv2.inRange(part, low[y0:y1, x0:x1], high[y0:y1, x0:x1])
+        mask = (same == 0).astype(np.uint8)
+        if options.shadow:
+            ys, xs = np.nonzero(mask)
+            a, b = part[ys, xs].astype(np.float32), mean[ys + y0, xs + x0]
+            s = np.einsum("ij,ij->i", a, b) / square[ys + y0, xs + x0]
+            rest = a - s[:, None] * b
+            colour = np.einsum("ij,ij->i", rest, rest)
+            dark = (s > darkest) & (s < lightest) & (colour < options.shadow_chroma**2)
+            shadow = np.zeros_like(mask)
+            shadow[ys[dark], xs[dark]] = 1
+            # where dark clothing meets a bright wall, mixed pixels along the edge look like shadow; a shadow is an area
+            mask &= 1 - cv2.morphologyEx(shadow, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+        return mask
+
+    return differ
+
+
+def _mog2(
+    background: BackgroundModel, options: SilhouetteOptions
+) -> Callable[[Image, tuple[int, int, int, int]], Mask]:
+    """OpenCV's MOG2 taught with pictures of the background model (its quantiles), then frozen.
+
+    Deviation from its usual form: it does not go on learning, so that a person who stands still is not absorbed and
+    frames may be read in any order.
+    """
+    levels = np.linspace(-1.5, 1.5, 9)
+    model = cv2.createBackgroundSubtractorMOG2(
+        history=4 * len(levels), varThreshold=options.threshold**2, detectShadows=options.shadow
+    )
+    model.setVarMin(options.min_sd**2)
+    model.setVarInit(max(options.min_sd**2, 15.0))
+    model.setShadowThreshold(options.shadow_range[0])
+    for level in np.tile(levels, 4):
+        picture = background.mean + np.float32(level) * background.sd
+        model.apply(np.clip(np.rint(picture), 0, 255).astype(np.uint8))
+
+    def differ(image: Image, box: tuple[int, int, int, int]) -> Mask:
+        y0, y1, x0, x1 = box
+        return (model.apply(image, None, 0)[y0:y1, x0:x1] == 255).astype(np.uint8)
+
+    return differ
+
+
+def bounding_box(mask: ArrayLike, margin: int = 0) -> tuple[int, int, int, int] | None:
+    """(y0, y1, x0, x1), half open, around the non-zero pixels of mask (h, w) plus a margin; None when there are none."""
+    m = np.asarray(mask)
+    rows, columns = np.flatnonzero(m.any(1)), np.flatnonzero(m.any(0))
+    if len(rows) == 0:
+        return None
+    h, w = m.shape
+    return (
+        max(int(rows[0]) - margin, 0),
+        min(int(rows[-1]) + 1 + margin, h),
+        max(int(columns[0]) - margin, 0),
+        min(int(columns[-1]) + 1 + margin, w),
+    )
+
+
+def _disc(size: int) -> Mask:
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+
+
+def clean(mask: Mask, options: SilhouetteOptions | None = None) -> Mask:
+    """Opening, closing, small holes filled, small parts dropped."""
+    o = options or SilhouetteOptions()
+    box = bounding_box(mask, o.close_px + 1)
+    if box is None:
+        return mask
+    y0, y1, x0, x1 = box
+    part = np.ascontiguousarray(mask[y0:y1, x0:x1])
+    if o.open_px > 1:
+        part = cv2.morphologyEx(part, cv2.MORPH_OPEN, np.ones((o.open_px, o.open_px), np.uint8))
+    if o.close_px > 1:
+        part = cv2.morphologyEx(part, cv2.MORPH_CLOSE, _disc(o.close_px))
+    if o.hole_px:
+        count, label, stats, _ = cv2.connectedComponentsWithStats(1 - part, connectivity=4)
+        small = stats[:, cv2.CC_STAT_AREA] <= o.hole_px
+        small[0] = False  # label 0 is the foreground here
+        if small.any():
+            part = part | small[label].astype(np.uint8)
+    out = np.zeros_like(mask)
+    out[y0:y1, x0:x1] = biggest_parts(part, o.keep_share, o.keep_gap)
+    return out
+
+
+def biggest_parts(mask: Mask, keep_share: float, keep_gap: float = np.inf) -> Mask:
+    """The biggest connected part of mask (h, w), and those of at least keep_share times its area whose boxes are not
+    farther from its box than keep_gap times the longer side of that."""
+    count, label, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    if count < 2:
+        return mask
+    area = stats[:, cv2.CC_STAT_AREA].astype(np.int64)
+    area[0] = 0
+    main = int(area.argmax())
+    keep = (area >= max(keep_share * area[main], 1)) & (area > 0)
+    if keep_share >= 1:
+        keep = np.arange(count) == main
+    start = stats[:, [cv2.CC_STAT_LEFT, cv2.CC_STAT_TOP]].astype(np.int64)
+    size = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].astype(np.int64)
+    gap = np.maximum(np.maximum(start - (start + size)[main], start[main] - (start + size)), 0).max(1)
+    keep &= gap <= keep_gap * size[main].max()
+    return keep[label].astype(np.uint8)
+
+
+def refine_rim(
+    image: Image, mask: Mask, rim_px: int = 3, band: Mask | None = None, core: Mask | None = None
+) -> Mask:
+    """GrabCut in a rim of rim_px inside and outside the mask's outline; the rest of the mask is taken as sure.
+
+    band (h, w): the person is nowhere else. core (h, w): probably the person (a thin skeleton), also outside the mask.
+    An empty or collapsed result (GrabCut does that now and then) keeps the mask as it was.
+    Source: Rother, Kolmogorov & Blake 2004, as in OpenCV.
+    """
+    box = bounding_box(mask if band is None else mask | (band > 0), 2 * rim_px + 2)
+    area = int(mask.sum())
+    if box is None or area == 0:
+        return mask
+    y0, y1, x0, x1 = box
+    m, part = mask[y0:y1, x0:x1], np.ascontiguousarray(image[y0:y1, x0:x1])
+    label = np.where(m > 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
+    label[cv2.erode(m, _disc(2 * rim_px + 1)) > 0] = cv2.GC_FGD
+    label[cv2.dilate(m, _disc(2 * rim_px + 1)) == 0] = cv2.GC_BGD
+    if core is not None:
+        label[(core[y0:y1, x0:x1] > 0) & (label != cv2.GC_FGD)] = cv2.GC_PR_FGD
+    if band is not None:
+        label[band[y0:y1, x0:x1] == 0] = cv2.GC_BGD
+    out = np.zeros_like(mask)
+    try:
+        cv2.setRNGSeed(0)  # this thread's generator: the same mask for any number of threads
+        cv2.grabCut(part, label, None, np.zeros((1, 65)), np.zeros((1, 65)), 2, cv2.GC_INIT_WITH_MASK)
+        out[y0:y1, x0:x1] = label & 1
+    except cv2.error:  # no sure background or foreground left: nothing to learn colours from
+        return mask
+    return out if int(out.sum()) >= 0.6 * area else mask
+
+
+def as_mask(image: ArrayLike, source: str = "The mask image") -> Mask:
+    """Mask (h, w) of an image from elsewhere: grey, colour or with alpha, 0/1, 0-255 or 16 bit, cut at half its range.
+
+    An image with two values is cut between them, so 0/1 masks work; a colour image counts by its brightest channel.
+    """
+    a = np.asarray(image)
+    if a.ndim == 3 and a.shape[2] in (1, 3, 4):
+        a = a[..., : min(a.shape[2], 3)].max(2)
+    if a.ndim != 2:
+        raise InputError(f"{source} has the shape {np.shape(image)}; a grey or colour image is needed.")
+    if a.dtype == np.bool_:
+        return a.astype(np.uint8)
+    if not np.issubdtype(a.dtype, np.integer):
+        top = 1.0
+    else:
+        top = 1 if int(a.max(initial=0)) <= 1 else np.iinfo(a.dtype).max
+    return (a > 0.5 * top).astype(np.uint8)
+
+
+def flag_collapsed(
+    areas: ArrayLike,
+    history: ArrayLike,
+    names: Sequence[str],
+    frame: int,
+    lowest: float = 0.6,
+    highest: float = 2.5,
+) -> tuple[str, ...]:
+    """Why each view's mask cannot be trusted: C sentences, "" for a good view.
+
+    areas (C,) foreground pixels of this frame; history (C, H) of frames around or before it (H may be 0). A view is left
+    out when its mask is empty, below `lowest` or above `highest` times its median area.
+    """
+    now = np.asarray(areas, dtype=np.float64)
+    past = np.asarray(history, dtype=np.float64).reshape(len(now), -1)
+    reasons = []
+    for c, (area, name) in enumerate(zip(now, names, strict=True)):
+        seen = past[c][past[c] > 0]
+        usual = float(np.median(seen)) if len(seen) else 0.0
+        if area <= 0:
+            reasons.append(f"{name}, frame {frame}: the mask is empty")
+        elif usual > 0 and not lowest * usual <= area <= highest * usual:
+            what = "collapsed" if area < usual else "far too large"
+            reasons.append(
+                f"{name}, frame {frame}: the mask is {what} ({area:.0f} px, usually {usual:.0f} px)"
+            )
+        else:
+            reasons.append("")
+    return tuple(reasons)
+
+
+def make_silhouettes(
+    masks: Sequence[Mask | None], rig: CameraRig, reasons: Sequence[str] | None = None
+) -> Silhouettes:
+    """Silhouettes of one instant: masks (h_c, w_c) per view padded with 0 to the common size.
+
+    A view without a mask, with an empty one, or with a reason is not usable.
+    """
+    sizes = rig.sizes
+    h, w = int(sizes[:, 1].max()), int(sizes[:, 0].max())
+    out = np.zeros((len(rig), h, w), np.uint8)
+    why = list(reasons) if reasons is not None else [""] * len(rig)
+    for c, mask in enumerate(masks):
+        if mask is None:
+            why[c] = why[c] or f"{rig.names[c]}: no image"
+            continue
+        if mask.shape != (sizes[c, 1], sizes[c, 0]):
+            raise InputError(
+                f"Camera {rig.names[c]}: the mask is {mask.shape[1]} x {mask.shape[0]} px, the camera "
+                f"{sizes[c, 0]} x {sizes[c, 1]} px."
+            )
+        out[c, : mask.shape[0], : mask.shape[1]] = mask > 0
+        if not why[c] and not mask.any():
+            why[c] = f"{rig.names[c]}: the mask is empty"
+    return Silhouettes(out, rig, np.array([not r for r in why]), tuple(why))
