@@ -64,8 +64,8 @@ class TangentMean:
         return np.asarray(self.rotations, dtype=np.intp)[:, None] + np.arange(3)
 
 
-# Unit quaternions (w, x, y, z) rather than matrices: whole populations are averaged in every frame, and a product
-# of quaternions is a few array operations where one of small matrices is a call each.
+# Unit quaternions (w, x, y, z) rather than matrices: whole populations are averaged in every frame, and their
+# products are a few array operations where those of small matrices are a call each.
 def _quaternion(rotation_vector: FloatArray) -> FloatArray:
     half = 0.5 * np.linalg.norm(rotation_vector, axis=-1, keepdims=True)
     return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * rotation_vector], axis=-1)

@@ -1,4 +1,4 @@
-"""The same bytes for any number of threads of the linear algebra library, which is set before numpy is loaded."""
+"""The same bytes for any number of threads of the linear algebra library (set before numpy is loaded)."""
 
 import os
 import subprocess
@@ -20,7 +20,8 @@ from hypose.inference.selectivity import Annealed
 from hypose.inference.selectors import systematic
 
 rng = np.random.default_rng(0)
-layer = Layer(AdaptiveDiffusion(0.4, np.full(36, 0.01)), Annealed(lambda h, z: (h.values**2).sum(-1)), systematic)
+weigh = Annealed(lambda h, z: (h.values**2).sum(-1))
+layer = Layer(AdaptiveDiffusion(0.4, np.full(36, 0.01)), weigh, systematic)
 start = Hypotheses.uniform(rng.normal(size=(600, 36)))
 result = search(start, Recipe("r", (layer,) * 3, TangentMean((3, 6))), None, partial(stream, 0, 0))
 a, b = rng.normal(size=(2000, 36)), rng.normal(size=2000)
@@ -29,7 +30,8 @@ def residuals(x):
     s = np.tanh(np.einsum("md,d->m", a, x))
     return s - b, (1 - s**2)[:, None] * a
 
-found = minimise(least_squares(residuals, GemanMcClure(1.0)), np.zeros(36), -np.full(36, 0.02), np.full(36, 0.02))
+limit = np.full(36, 0.02)
+found = minimise(least_squares(residuals, GemanMcClure(1.0)), np.zeros(36), -limit, limit)
 parts = result.estimate, result.selected.values, result.weighted.log_weights, found.x, found.hessian
 print(hashlib.sha256(b"".join(p.tobytes() for p in parts)).hexdigest())
 """
