@@ -1,0 +1,187 @@
+"""What goes wrong in real recordings, switchable and named: in the images, in the masks, in the timing, in the rig."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.cameras.camera import CameraRig
+from hypose.errors import InputError
+from hypose.geometry import Array, se3, so3_exp
+
+Mask = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Corruptions:
+    """Switches; the defaults corrupt nothing. Lengths in px are those of the camera's own image size.
+
+    boundary_px: sd of the smooth displacement of a mask's outline. holes, blobs: mean number of missing and false pieces
+    per mask (ellipses of 4-14 px). shadow: 0..1, share of the cast shadow that is taken for the person (in RGB frames the
+    shadow is always there). occluder: "" or "table" or "treadmill", in front of the person in several views; it belongs to
+    the room. dropped: share of frames that a camera does not deliver (its last image is repeated). dead_camera: index
+    of a camera whose images are black from a third of the recording on, -1 for none. desync: the c-th camera is late by
+    desync[c % len] frames, so (0, 1, 0, 2) delays the second camera by one frame and the fourth by two.
+    calibration_error: relative; 0.01 changes focal lengths and positions by 1 % (1 sd).
+    """
+
+    boundary_px: float = 0.0
+    holes: float = 0.0
+    blobs: float = 0.0
+    shadow: float = 0.0
+    occluder: str = ""
+    dropped: float = 0.0
+    dead_camera: int = -1
+    desync: tuple[int, ...] = (0,)
+    calibration_error: float = 0.0
+
+
+CORRUPTIONS: dict[str, Corruptions] = {
+    "clean": Corruptions(),
+    "level-1": Corruptions(boundary_px=1.5, holes=1.0, blobs=1.5, shadow=0.2),
+    "level-2": Corruptions(boundary_px=3.0, holes=3.0, blobs=4.0, shadow=0.5),
+    "jitter": Corruptions(boundary_px=1.5),
+    "shadow": Corruptions(shadow=0.5),
+    "holes": Corruptions(holes=3.0),
+    "false-blobs": Corruptions(blobs=4.0),
+    "table": Corruptions(occluder="table"),
+    "treadmill": Corruptions(occluder="treadmill"),
+    "dropped-frames": Corruptions(dropped=0.08),
+    "dead-camera": Corruptions(dead_camera=1),
+    "desync": Corruptions(desync=(0, 1, 0, 2)),
+    "calibration-error": Corruptions(calibration_error=0.01),
+}
+"""The corruptions by name. level-1 is what a decent background model leaves in a good room, level-2 a bad one."""
+
+
+def corruptions(*names: str) -> Corruptions:
+    """The named corruptions (CORRUPTIONS) together; where two set the same switch, the later one counts."""
+    out = Corruptions()
+    for name in names:
+        if name not in CORRUPTIONS:
+            raise InputError(f"There is no corruption {name!r}; the corruptions are {', '.join(CORRUPTIONS)}.")
+        one = CORRUPTIONS[name]
+        changed = {f.name: getattr(one, f.name) for f in fields(one) if getattr(one, f.name) != f.default}
+        out = replace(out, **changed)
+    return out
+
+
+def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cell: float) -> NDArray[np.float32]:
+    """Noise of about unit sd, smooth over `cell` px, (h, w)."""
+    h, w = shape
+    s = max(1, round(cell))
+    coarse = rng.normal(size=(h // s + 3, w // s + 3)).astype(np.float32)
+    return cv2.resize(coarse, ((w // s + 3) * s, (h // s + 3) * s), interpolation=cv2.INTER_CUBIC)[:h, :w]
+
+
+def corrupt_mask(mask: Mask, shadow: Mask, what: Corruptions, rng: np.random.Generator, scale: float = 1.0) -> Mask:
+    """A mask as a background model would deliver it.
+
+    mask, shadow: (h, w) uint8 0/1, the true silhouette and the person's cast shadow (without the silhouette); scale:
+    working size / camera size, by which lengths in px are multiplied. Returns a new (h, w) mask.
+    """
+    out = mask.copy()
+    if what.boundary_px > 0 and mask.any():
+        inside = cv2.distanceTransform(mask, cv2.DIST_L2, 5)
+        outside = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5)
+        noise = smooth_noise(rng, mask.shape, 8 * scale)
+        # distances to the nearest pixel centre of the other kind: half a pixel more than to the outline
+        signed = np.where(mask > 0, inside - 0.5, 0.5 - outside)
+        out = (signed + what.boundary_px * scale * noise > 0).astype(np.uint8)
+    rows, columns = np.nonzero(mask)
+    for value, mean in ((0, what.holes), (1, what.blobs)):
+        for _ in range(int(rng.poisson(mean)) if mean > 0 else 0):
+            if len(rows):
+                k = int(rng.integers(len(rows)))
+                centre = np.array([columns[k], rows[k]], dtype=np.float64)
+            else:
+                centre = rng.uniform(0, 1, 2) * mask.shape[::-1]
+            if value:
+                centre = centre + rng.normal(0, 60 * scale, 2)  # near the person or farther away
+            axes = np.maximum(np.round(rng.integers(4, 14, 2) * scale), 1).astype(int)
+            at = (round(float(centre[0])), round(float(centre[1])))
+            cv2.ellipse(out, at, (int(axes[0]), int(axes[1])), float(rng.uniform(0, 180)), 0, 360, value, -1)
+    if what.shadow > 0:
+        # patches: the threshold that leaves this share of a standard normal
+        field = smooth_noise(rng, mask.shape, 24 * scale)
+        threshold = np.quantile(field, 1 - min(what.shadow, 1.0))
+        out |= (shadow > 0) & (field >= threshold)
+    return out
+
+
+def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> tuple[Array, NDArray[np.int32]]:
+    """An axis-aligned box as a mesh: vertices (8, 3) m, faces (12, 3) counter-clockwise from outside."""
+    x, y, z = zip(low, high, strict=True)
+    v = np.array([[a, b, c] for a in x for b in y for c in z], dtype=np.float64)
+    quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+    f = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
+    return v, np.array(f, dtype=np.int32)
+
+
+def occluder_mesh(name: str) -> tuple[Array, NDArray[np.int32]] | None:
+    """World mesh (vertices (V, 3) m, faces (F, 3)) of an occluder, or None for "".
+
+    "table": 1.6 x 0.7 m, 0.75 m high, 1.35 m from the volume's centre towards -y. "treadmill": two hand rails with
+    posts, 0.55 m left and right of the centre, 1.0 m high, and a console bar in front.
+    """
+    if name == "":
+        return None
+    if name == "table":
+        boxes = [((-0.8, -1.7, 0.71), (0.8, -1.0, 0.75))]
+        boxes += [((x, y, 0.0), (x + 0.05, y + 0.05, 0.71)) for x in (-0.78, 0.73) for y in (-1.68, -1.07)]
+        boxes.append(((-0.75, -1.66, 0.3), (0.75, -1.63, 0.71)))  # its front board hides most
+    elif name == "treadmill":
+        boxes = []
+        for x in (-0.58, 0.53):
+            boxes.append(((x, -0.75, 0.96), (x + 0.05, 0.35, 1.01)))
+            boxes += [((x, y, 0.0), (x + 0.05, y + 0.05, 0.96)) for y in (-0.75, 0.3)]
+        boxes.append(((-0.58, -0.8, 1.0), (0.58, -0.75, 1.2)))
+    else:
+        raise InputError(f"There is no occluder {name!r}; the occluders are table and treadmill.")
+    vertices, faces = [], []
+    for low, high in boxes:
+        v, f = box(low, high)
+        faces.append(f + 8 * len(vertices))
+        vertices.append(v)
+    return np.concatenate(vertices), np.concatenate(faces).astype(np.int32)
+
+
+def disturb_rig(rig: CameraRig, relative: float, rng: np.random.Generator) -> CameraRig:
+    """The rig as a careless calibration gives it: for `relative` = 0.01, focal lengths off by 1 % and camera positions by
+    1 % of the distance to the volume's centre per axis, and the centre seen up to 1 % of the image's half width beside
+    where it is (each 1 sd). Image size and lens distortion stay."""
+    if relative <= 0:
+        return rig
+    out = []
+    target = np.array([0.0, 0.0, 0.95])
+    for c in rig.cameras:
+        k = c.K.copy()
+        k[0, 0] *= 1 + rng.normal(0, relative)
+        k[1, 1] = k[0, 0] * c.K[1, 1] / c.K[0, 0]
+        r, p = c.camera_from_world[:3, :3], c.position
+        new = p + rng.normal(0, relative * np.linalg.norm(target - p), 3)
+        # turn it so that the centre stays in sight, up to the aiming error
+        a, b = r @ (target - p), r @ (target - new)
+        axis = np.cross(b, a)
+        sine = np.linalg.norm(axis) / (np.linalg.norm(a) * np.linalg.norm(b))
+        aim = so3_exp(axis / max(float(np.linalg.norm(axis)), 1e-12) * np.arcsin(min(float(sine), 1.0)))
+        wobble = np.append(rng.normal(0, relative * 0.5 * c.size[0] / c.K[0, 0], 2), 0.0)
+        r = so3_exp(wobble) @ aim @ r
+        out.append(replace(c, K=k, camera_from_world=se3(r, -r @ new)))
+    return CameraRig(tuple(out))
+
+
+def dropped_frames(n_frames: int, share: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """(T,) True where a camera delivers no image; single frames and short runs, never the first frame."""
+    out = np.zeros(n_frames, dtype=bool)
+    t = 1
+    while share > 0 and t < n_frames:
+        if rng.random() < share / 1.5:
+            length = 1 if rng.random() < 0.67 else 2
+            out[t : t + length] = True
+            t += length
+        t += 1
+    return out
