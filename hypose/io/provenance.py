@@ -72,11 +72,15 @@ def file_identity(path: str | Path) -> dict[str, Any]:
     path = Path(path)
     try:
         if path.is_dir():
-            files = sorted((p for p in path.rglob("*") if p.is_file()), key=lambda p: natural_key(p.as_posix()))
+            files = sorted(
+                (p for p in path.rglob("*") if p.is_file()), key=lambda p: natural_key(p.as_posix())
+            )
             digest, total, partial = hashlib.sha256(), 0, False
             for file in files:
                 one = file_identity(file)
-                digest.update(f"{file.relative_to(path).as_posix()} {one['bytes']} {one['sha256']}\n".encode())
+                digest.update(
+                    f"{file.relative_to(path).as_posix()} {one['bytes']} {one['sha256']}\n".encode()
+                )
                 total += one["bytes"]
                 partial |= one["hashed"] != "all"
             hashed = "first and last MiB of large files" if partial else "all"
@@ -100,6 +104,11 @@ def file_identity(path: str | Path) -> dict[str, Any]:
             stream.seek(-_ENDS_BYTES, 2)
             digest.update(stream.read(_ENDS_BYTES))
             digest.update(str(size).encode())
-            return {"name": path.name, "bytes": size, "sha256": digest.hexdigest(), "hashed": "first and last MiB"}
+            return {
+                "name": path.name,
+                "bytes": size,
+                "sha256": digest.hexdigest(),
+                "hashed": "first and last MiB",
+            }
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}); check that it exists.") from None

@@ -268,7 +268,11 @@ def load_motion(path: str | Path) -> Motion:
         if name not in _MOTION_ARRAYS:
             raise bad(f"it holds the unknown array {name!r}")
         kinds, stored, ndim = _MOTION_ARRAYS[name]
-        if array.dtype.kind not in kinds or (stored and array.dtype != np.dtype(stored)) or array.ndim != ndim:
+        if (
+            array.dtype.kind not in kinds
+            or (stored and array.dtype != np.dtype(stored))
+            or array.ndim != ndim
+        ):
             raise bad(f"{name} is {array.dtype} with {array.ndim} dimensions")
     missing = [n for n in _MOTION_ARRAYS if n not in arrays and n != "poses"]
     if missing:
@@ -293,9 +297,12 @@ def load_motion(path: str | Path) -> Motion:
             dof_names=tuple(str(n) for n in arrays["dof_names"]),
             **{name: arrays[name] for name in _SKELETON},
         )
-        if len(arrays["joint_names"]) == 0 or not (
-            (arrays["joint_of_dof"] >= 0) & (arrays["joint_of_dof"] < len(arrays["joint_names"]))
-        ).all():
+        if (
+            len(arrays["joint_names"]) == 0
+            or not (
+                (arrays["joint_of_dof"] >= 0) & (arrays["joint_of_dof"] < len(arrays["joint_names"]))
+            ).all()
+        ):
             raise bad("joint_of_dof names joints that do not exist")
         return Motion(
             skeleton=skeleton,
@@ -348,7 +355,9 @@ class Checkpoint:
             version = document["format"]
         except (ValueError, KeyError, TypeError, RecursionError):
             raise InputError(f"{path} is not a checkpoint of hypose; {next_step}.") from None
-        if version != _FORMAT or not (isinstance(frame, int) and isinstance(meta, dict) and isinstance(stored, dict)):
+        if version != _FORMAT or not (
+            isinstance(frame, int) and isinstance(meta, dict) and isinstance(stored, dict)
+        ):
             raise InputError(f"{path} is a checkpoint of another version of hypose; {next_step}.")
         difference = _first_difference(stored, json.loads(to_json(dict(identity))))
         if difference:

@@ -37,7 +37,6 @@ _CODECS = {
     ".mov": ("mp4v", "avc1"),
     ".avi": ("MJPG", "mp4v"),
     ".mkv": ("FFV1", "mp4v"),
-    ".webm": ("VP90", "VP80"),
 }
 
 
@@ -56,7 +55,9 @@ def read_image(path: str | Path) -> Image:
     """(h, w, 3) uint8 BGR of an image file; an InputError names a missing or damaged one."""
     path = Path(path)
     try:
-        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)  # cv2.imread fails on some names under Windows
+        data = np.frombuffer(
+            path.read_bytes(), dtype=np.uint8
+        )  # cv2.imread fails on some names under Windows
     except OSError as error:
         raise InputError(f"The image {path} cannot be read ({error.strerror}); check the path.") from None
     with _quiet():
@@ -107,10 +108,7 @@ class VideoReader:
             self.stated_frames = max(0, int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
             ok, frame = self._capture.read()
             if not ok:
-                raise InputError(
-                    f"The video {path} contains no frame that can be decoded (it is empty, cut off or of an unknown "
-                    "codec); record or copy it again, or convert it with: ffmpeg -i INPUT -c:v libx264 OUTPUT.mp4."
-                )
+                raise _undecodable(path)
             first = frame
             self.n_frames = count_frames(path)
             self._restart()
@@ -209,6 +207,21 @@ def open_video(path: str | Path) -> VideoReader:
     return VideoReader(path)
 
 
+def frame_size(path: str | Path) -> tuple[int, int]:
+    """(width, height) px of the first frame of a video, image folder or image."""
+    path = Path(path)
+    if path.is_dir() or path.suffix.lower() in IMAGE_ENDINGS:
+        return open_video(path).size
+    capture = _open_capture(path)
+    try:
+        ok, frame = capture.read()
+    finally:
+        capture.release()
+    if not ok:
+        raise _undecodable(path)
+    return int(frame.shape[1]), int(frame.shape[0])
+
+
 def count_frames(path: str | Path) -> int:
     """Number of frames that can be decoded: the stated one if the last frame decodes, else counted one by one."""
     path = Path(path)
@@ -237,6 +250,13 @@ def count_frames(path: str | Path) -> int:
         capture.release()
 
 
+def _undecodable(path: Path) -> InputError:
+    return InputError(
+        f"The video {path} contains no frame that can be decoded (it is empty, cut off or of an unknown codec); record "
+        "or copy it again, or convert it with: ffmpeg -i INPUT -c:v libx264 OUTPUT.mp4."
+    )
+
+
 def _open_capture(path: Path) -> cv2.VideoCapture:
     """FFmpeg only: OpenCV's other back ends take numbers in file names for image sequences."""
     if not path.is_file():
@@ -259,12 +279,14 @@ def _open_capture(path: Path) -> cv2.VideoCapture:
 class VideoWriter:
     """Write frames (h, w, 3) uint8 BGR to a video, as a context manager.
 
-    The codec follows from the ending: .mp4 MPEG-4 (players show it, browsers may not), .webm VP9 (browsers),
-    .avi motion JPEG, .mkv FFV1 (lossless). The file has another name until it is complete, and is checked then; after
+    The codec follows from the ending: .mp4 MPEG-4 (players show it, browsers do not; codec="vp09" gives VP9, which
+    browsers show, at a fifth of the speed), .avi motion JPEG, .mkv FFV1 (lossless). The file has another name until it is complete, and is checked then; after
     an exception in the block nothing is left. Width and height are rounded down to even numbers (codecs need that).
     """
 
-    def __init__(self, path: str | Path, frame_rate: float, size: tuple[int, int], codec: str | None = None) -> None:
+    def __init__(
+        self, path: str | Path, frame_rate: float, size: tuple[int, int], codec: str | None = None
+    ) -> None:
         self.path = Path(path)
         self.frame_rate = float(frame_rate)
         self.size = (int(size[0]) // 2 * 2, int(size[1]) // 2 * 2)
@@ -294,7 +316,9 @@ class VideoWriter:
         for codec in self._codecs:
             with _quiet():
                 fourcc = cv2.VideoWriter.fourcc(*codec)
-                writer = cv2.VideoWriter(str(self._temporary), cv2.CAP_FFMPEG, fourcc, self.frame_rate, self.size)
+                writer = cv2.VideoWriter(
+                    str(self._temporary), cv2.CAP_FFMPEG, fourcc, self.frame_rate, self.size
+                )
             if writer.isOpened():
                 return writer
         raise InputError(
@@ -332,7 +356,9 @@ class VideoWriter:
     def _check(self) -> None:
         """OpenCV reports no write error, so what lies on the disk is opened and its end decoded."""
         if self.n_frames == 0:
-            raise InputError(f"{self.path} was not written because no frame was given; choose a range with frames.")
+            raise InputError(
+                f"{self.path} was not written because no frame was given; choose a range with frames."
+            )
         try:
             written = count_frames(self._temporary)
         except InputError:
