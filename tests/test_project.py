@@ -203,8 +203,8 @@ def test_unknown_commands_go_to_hypose_and_test_to_pytest():
 def test_ctrl_c_leaves_the_program_time_to_save_its_work():
     child = """
 import time
-print("ready", flush=True)
 try:
+    print("ready", flush=True)
     time.sleep(60)
 except KeyboardInterrupt:
     time.sleep(0.6)
