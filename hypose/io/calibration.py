@@ -14,10 +14,10 @@ The TOML family has one table per camera:
     [metadata]
     unit = "m"                            # of the translations; absent in files of other programs
 
-Caliscope nests the tables under [cameras]. Pose2Sim and Caliscope write metres, anipose and FreeMoCap the unit of the
-calibration board, usually millimetres. Nobody records which, so `unit="auto"` decides by size: cameras whose typical
-distance from each other (for a single camera: from the world's origin) exceeds 50 are in millimetres, since rigs wider
-than 50 m and rigs narrower than 50 mm are both implausible.
+Caliscope nests the tables under [cameras]. Pose2Sim and Caliscope write metres, anipose and FreeMoCap the
+unit of the calibration board, usually millimetres. Nobody records which, so `unit="auto"` decides by size:
+cameras whose typical distance from each other (for a single camera: from the world's origin) exceeds 50 are
+in millimetres, since rigs wider than 50 m and rigs narrower than 50 mm are both implausible.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ _KEYS = {
 def read_calibration(path: str | Path, unit: str = "auto") -> CameraRig:
     """Rig of a calibration file (.toml or .qca.txt), in the file's camera order, world in metres.
 
-    unit: 'auto' (see the module), 'm', 'cm' or 'mm', the unit of the file's translations. A CalibrationError names
-    the file, the camera and what is wrong.
+    unit: 'auto' (see the module), 'm', 'cm' or 'mm', the unit of the file's translations. A CalibrationError
+    names the file, the camera and what is wrong.
     """
     return read_calibration_with_notes(path, unit)[0]
 
@@ -73,13 +73,14 @@ def read_calibration_with_notes(path: str | Path, unit: str = "auto") -> tuple[C
     if path.suffix.lower() == ".toml":
         return _read_toml(path, text, unit)
     raise CalibrationError(
-        f"{path}: calibrations are read from .toml (Pose2Sim, anipose, FreeMoCap, Caliscope) and Qualisys .qca.txt; "
-        "convert this file with Pose2Sim's calibration step, or name it by one of these endings."
+        f"{path}: calibrations are read from .toml (Pose2Sim, anipose, FreeMoCap, Caliscope) and Qualisys "
+        ".qca.txt; convert this file with Pose2Sim's calibration step, or name it by one of these endings."
     )
 
 
 def find_calibration(folder: Path) -> Path | None:
-    """The calibration file in a folder: calibration.toml, else the only .toml that holds cameras, else .qca.txt.
+    """The calibration file in a folder: calibration.toml, else the only .toml that holds cameras, else
+    .qca.txt.
 
     With several, the last in natural order of their names; None when there is none.
     """
@@ -171,7 +172,7 @@ def _read_text(path: Path) -> str:
         raise CalibrationError(f"{path} cannot be read ({error.strerror}); check its permissions.") from None
 
 
-# ---- TOML family -----------------------------------------------------------------------------------------------------
+# ---- TOML family -------------------------------------------------------------------------------------------
 
 
 def _read_toml(path: Path, text: str, unit: str) -> tuple[CameraRig, tuple[str, ...]]:
@@ -194,8 +195,8 @@ def _read_toml(path: Path, text: str, unit: str) -> tuple[CameraRig, tuple[str, 
         cameras.append(_camera_from_table(path, key, table))
     if not cameras:
         raise CalibrationError(
-            f"{path} holds no cameras: each needs a table with size, matrix, distortions, rotation and translation; "
-            "name a calibration file of Pose2Sim, anipose, FreeMoCap or Caliscope."
+            f"{path} holds no cameras: each needs a table with size, matrix, distortions, rotation and "
+            "translation; name a calibration file of Pose2Sim, anipose, FreeMoCap or Caliscope."
         )
     metadata = document.get("metadata")
     stated = metadata.get("unit", metadata.get("units")) if isinstance(metadata, Mapping) else None
@@ -233,7 +234,8 @@ def _camera_from_table(path: Path, key: str, table: Mapping[str, Any]) -> Camera
             )
         if not np.isfinite(array).all():
             raise CalibrationError(
-                f"{where}: {field} contains NaN or infinity, so this camera's calibration failed; calibrate it again."
+                f"{where}: {field} contains NaN or infinity, so this camera's calibration failed; calibrate "
+                "it again."
             )
         return array
 
@@ -252,7 +254,8 @@ def _camera_from_table(path: Path, key: str, table: Mapping[str, Any]) -> Camera
 
 
 def as_numbers(value: Any) -> Array | None:
-    """A (nested, rectangular) list of numbers as float64, None for anything else (text, booleans, ragged lists)."""
+    """A (nested, rectangular) list of numbers as float64, None for anything else (text, booleans, ragged
+    lists)."""
 
     def plain(v: Any) -> bool:
         if isinstance(v, list):
@@ -278,32 +281,35 @@ def _checked_camera(
     w, h = size
     if not (1 <= w <= 100_000 and 1 <= h <= 100_000 and float(w).is_integer() and float(h).is_integer()):
         raise CalibrationError(
-            f"{where}: size must be the image's width and height in whole pixels, got {w:g} x {h:g}; correct this entry."
+            f"{where}: size must be the image's width and height in whole pixels, got {w:g} x {h:g}; correct "
+            "this entry."
         )
     if not np.allclose(k[2], [0, 0, 1], atol=1e-9) or abs(k[1, 0]) > 1e-9:
         raise CalibrationError(
-            f"{where}: matrix must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {k.tolist()}; "
-            "it may have been written transposed: exchange its rows and columns."
+            f"{where}: matrix must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {k.tolist()}; it may have "
+            "been written transposed: exchange its rows and columns."
         )
     if not (0 < k[0, 0] < 1e6 and 0 < k[1, 1] < 1e6 and np.abs(k[:2, 2]).max() < 1e6):
         raise CalibrationError(
-            f"{where}: focal lengths must be positive pixel numbers, got matrix {k.tolist()}; calibrate it again."
+            f"{where}: focal lengths must be positive pixel numbers, got matrix {k.tolist()}; calibrate it "
+            "again."
         )
     if np.abs(rotation.T @ rotation - np.eye(3)).max() > 1e-2 or np.linalg.det(rotation) < 0:
         raise CalibrationError(
-            f"{where}: rotation is not a rotation matrix (its rows must be perpendicular unit vectors, right-handed); "
-            "correct this entry or calibrate again."
+            f"{where}: rotation is not a rotation matrix (its rows must be perpendicular unit vectors, "
+            "right-handed); correct this entry or calibrate again."
         )
     if np.abs(translation).max() > 1e7:
         raise CalibrationError(
-            f"{where}: translation {translation.tolist()} is farther than any camera stands; calibrate it again."
+            f"{where}: translation {translation.tolist()} is farther than any camera stands; calibrate it "
+            "again."
         )
     n = len(distortions)
     allowed = (0, 1, 2, 4) if fisheye else (0, 1, 2, 4, 5, 8, 12, 14)
     if n not in allowed:
         raise CalibrationError(
-            f"{where}: {n} distortion coefficients; OpenCV's model has {', '.join(map(str, allowed[3:]))} of them, so "
-            "write them in OpenCV's order (k1 k2 p1 p2 k3 ...)."
+            f"{where}: {n} distortion coefficients; OpenCV's model has {', '.join(map(str, allowed[3:]))} of "
+            "them, so write them in OpenCV's order (k1 k2 p1 p2 k3 ...)."
         )
     if n < 4:
         distortions = np.concatenate([distortions, np.zeros(4 - n)])
@@ -324,8 +330,8 @@ def _guess_unit(path: Path, cameras: list[Camera]) -> tuple[str, list[str]]:
     if typical <= _UNIT_LIMIT:
         return "m", []
     return "mm", [
-        f"{path.name}: translations are taken as millimetres because the {what} is {typical:.0f} "
-        f"(= {typical / 1000:.2f} m); set the calibration unit to m or cm if that is wrong."
+        f"{path.name}: translations are taken as millimetres because the {what} is {typical:.0f} (= "
+        f"{typical / 1000:.2f} m); set the calibration unit to m or cm if that is wrong."
     ]
 
 
@@ -342,16 +348,16 @@ def _rig(path: Path, cameras: list[Camera]) -> CameraRig:
         raise CalibrationError(f"{path}: {error}") from None
 
 
-# ---- Qualisys --------------------------------------------------------------------------------------------------------
+# ---- Qualisys ----------------------------------------------------------------------------------------------
 
 
 def _read_qca(path: Path, text: str) -> tuple[CameraRig, tuple[str, ...]]:
-    """Qualisys Track Manager's XML. Intrinsics are in 1/64 px, the translation is the camera's position in mm, the
-    rotation world_from_camera stored by columns, of a camera that looks along -z with y up (turned by pi about x into
-    OpenCV's).
+    """Qualisys Track Manager's XML. Intrinsics are in 1/64 px, the translation is the camera's position in
+    mm, the rotation world_from_camera stored by columns, of a camera that looks along -z with y up (turned by
+    pi about x into OpenCV's).
 
-    Deviation: Pose2Sim divides the distortion coefficients by 64, too. They belong to normalised coordinates, and
-    undivided they agree with a chessboard calibration of the same cameras, so they are taken as they are.
+    Deviation: Pose2Sim divides the distortion coefficients by 64, too. They belong to normalised coordinates,
+    and undivided they agree with a chessboard calibration of the same cameras, so they are taken as they are.
     """
     if "<!DOCTYPE" in text or "<!ENTITY" in text:  # QTM writes none; entities can make a small file huge
         raise CalibrationError(
@@ -380,8 +386,8 @@ def _read_qca(path: Path, text: str) -> tuple[CameraRig, tuple[str, ...]]:
         where = f"{path}, camera {name}"
         if element.get("viewrotation", "0") not in ("0", ""):
             notes.append(
-                f"{path.name}: camera {name} is marked as turned by {element.get('viewrotation')} degrees; its images "
-                "must not be turned in the video files."
+                f"{path.name}: camera {name} is marked as turned by {element.get('viewrotation')} degrees; "
+                "its images must not be turned in the video files."
             )
         view = _attributes(where, element, "fov_video", ("left", "top", "right", "bottom"))
         optics = _attributes(

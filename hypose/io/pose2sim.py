@@ -1,9 +1,9 @@
 """A Pose2Sim project or trial folder, taken as it is: translated into what recording.toml would say.
 
-Read: Config.toml of the trial and of up to two levels above it (a key of the trial wins), `calibration/` there or above
-(the .toml that Pose2Sim wrote, else Qualisys .qca.txt), `videos/` (files or folders of images, in natural order),
-`pose/<camera>_json/` (OpenPose JSON), and the photos in `calibration/extrinsics/`, which show the room with the cameras
-of the recording and so serve as background plates. Nothing is written.
+Read: Config.toml of the trial and of up to two levels above it (a key of the trial wins), `calibration/`
+there or above (the .toml that Pose2Sim wrote, else Qualisys .qca.txt), `videos/` (files or folders of images,
+in natural order), `pose/<camera>_json/` (OpenPose JSON), and the photos in `calibration/extrinsics/`, which
+show the room with the cameras of the recording and so serve as background plates. Nothing is written.
 """
 
 from __future__ import annotations
@@ -28,13 +28,15 @@ _MODELS = {
     "whole_body": "COCO_133",
     "whole_body_wrist": "COCO_133_WRIST",
 }
-# Which set a JSON of so many points holds when Config.toml does not say (Pose2Sim's default for 25 is BODY_25B).
+# Which set a JSON of so many points holds when Config.toml does not say (Pose2Sim's default for 25 is
+# BODY_25B).
 _SET_OF_COUNT = {17: "COCO_17", 18: "COCO", 25: "BODY_25B", 26: "HALPE_26", 33: "BLAZEPOSE", 133: "COCO_133"}
 _COUNT_OF_SET = {"BODY_25": 25} | {name: count for count, name in _SET_OF_COUNT.items()}
 
 
 def is_project(folder: Path) -> bool:
-    """Whether a folder looks like a Pose2Sim project or trial: Config.toml or a calibration folder, and videos."""
+    """Whether a folder looks like a Pose2Sim project or trial: Config.toml or a calibration folder, and
+    videos."""
     has_config = _file(folder, "config.toml") is not None
     return has_config or (
         _subfolder(folder, "videos") is not None and _calibration_folder(folder) is not None
@@ -42,7 +44,8 @@ def is_project(folder: Path) -> bool:
 
 
 def read_project(folder: Path) -> tuple[dict[str, Any], list[str]]:
-    """(settings, notes): the settings of recording.toml with absolute paths; an InputError names what is missing."""
+    """(settings, notes): the settings of recording.toml with absolute paths; an InputError names what is
+    missing."""
     folder = folder.absolute()
     config = _merged_config(folder)
     videos = _subfolder(folder, "videos")
@@ -52,7 +55,8 @@ def read_project(folder: Path) -> tuple[dict[str, Any], list[str]]:
         ]
         if trials:
             raise InputError(
-                f"{folder} is a Pose2Sim session with the trials {', '.join(trials)}; name one of these folders."
+                f"{folder} is a Pose2Sim session with the trials {', '.join(trials)}; name one of these "
+                "folders."
             )
         raise InputError(
             f"The Pose2Sim project {folder} has no videos folder; put the videos into {folder / 'videos'}."
@@ -98,8 +102,9 @@ def read_project(folder: Path) -> tuple[dict[str, Any], list[str]]:
 
 
 def match_names(wanted: Sequence[str], available: Sequence[str]) -> list[int | None]:
-    """Index in `available` for each wanted name: the same name; else the same letters and digits without decoration
-    (cam01_json, ext_cam01_img, Cam-01); else the only one with the same number. None where nothing fits uniquely."""
+    """Index in `available` for each wanted name: the same name; else the same letters and digits without
+    decoration (cam01_json, ext_cam01_img, Cam-01); else the only one with the same number. None where nothing
+    fits uniquely."""
 
     def unique(key: Any) -> list[int | None]:
         keys = [key(a) for a in available]
@@ -145,7 +150,8 @@ def _calibration_folder(folder: Path) -> Path | None:
 
 
 def _levels(folder: Path) -> list[Path]:
-    """The folder and those above it that belong to the same session (they have a Config.toml or a calibration)."""
+    """The folder and those above it that belong to the same session (they have a Config.toml or a
+    calibration)."""
     out = [folder]
     for parent in list(folder.parents)[:_LEVELS_ABOVE]:
         try:
@@ -189,7 +195,8 @@ def _find_calibration(folder: Path) -> Path:
             return found
     where = " and ".join(map(str, looked)) if looked else f"{folder} (it has no calibration folder)"
     raise InputError(
-        f"No calibration (.toml or .qca.txt) in {where}; run Pose2Sim's calibration step or hypose calibrate first."
+        f"No calibration (.toml or .qca.txt) in {where}; run Pose2Sim's calibration step or hypose calibrate "
+        "first."
     )
 
 
@@ -211,8 +218,8 @@ def _keypoint_folders(folder: Path, names: Sequence[str], notes: list[str]) -> l
     matched = match_names(names, [p.name for p in folders])
     if None in matched and len(folders) == len(names):
         notes.append(
-            f"Key-point folders and videos are paired in their order ({folders[0].name} with {names[0]}, ...), since "
-            "their names do not say which belong together."
+            f"Key-point folders and videos are paired in their order ({folders[0].name} with {names[0]}, "
+            "...), since their names do not say which belong together."
         )
         return list(folders)
     missing = [n for n, m in zip(names, matched, strict=True) if m is None]
@@ -220,7 +227,8 @@ def _keypoint_folders(folder: Path, names: Sequence[str], notes: list[str]) -> l
         notes.append(f"No key points for {', '.join(missing)} in {pose}.")
     if _subfolder(folder, "pose-sync") is not None:
         notes.append(
-            "pose-sync is not read: hypose takes the videos as synchronous, and the key points of pose as they are."
+            "pose-sync is not read: hypose takes the videos as synchronous, and the key points of pose as "
+            "they are."
         )
     return [None if m is None else folders[m] for m in matched]
 
@@ -256,8 +264,8 @@ def _count_points(folder: Path) -> int | None:
                 return len(people[0]["pose_keypoints_2d"]) // 3
         except (ValueError, KeyError, TypeError, IndexError, RecursionError, OSError) as error:
             raise InputError(
-                f"{path} is not OpenPose JSON ({error}): people[].pose_keypoints_2d is needed; detect the key points "
-                "again, or move the pose folder away to track without them."
+                f"{path} is not OpenPose JSON ({error}): people[].pose_keypoints_2d is needed; detect the "
+                "key points again, or move the pose folder away to track without them."
             ) from None
     return None
 
@@ -289,6 +297,6 @@ def _add_plates(extrinsics: Path, views: list[dict[str, Any]], notes: list[str])
         used.append(view["name"])
     if used:
         notes.append(
-            f"The extrinsics photos serve as background plates of {', '.join(used)}; look at the silhouettes, since "
-            "people in a photo leave ghosts."
+            f"The extrinsics photos serve as background plates of {', '.join(used)}; look at the "
+            "silhouettes, since people in a photo leave ghosts."
         )

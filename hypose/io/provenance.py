@@ -27,10 +27,10 @@ def provenance(
 ) -> dict[str, Any]:
     """Plain JSON values that tell how a result was made.
 
-    recipe; seed; settings (the effective ones); versions of hypose, python, numpy, scipy, numba and opencv; inputs:
-    for each its file name, size in bytes, sha256 and what the hash covers (see `file_identity`). Everything that may
-    differ between two runs of equal results (the command, the machine, and what the caller gives in `run`: times,
-    threads) is under "run", which `save_motion` leaves out.
+    recipe; seed; settings (the effective ones); versions of hypose, python, numpy, scipy, numba and opencv;
+    inputs: for each its file name, size in bytes, sha256 and what the hash covers (see `file_identity`).
+    Everything that may differ between two runs of equal results (the command, the machine, and what the
+    caller gives in `run`: times, threads) is under "run", which `save_motion` leaves out.
     """
     return {
         "recipe": recipe,
@@ -65,9 +65,9 @@ def versions() -> dict[str, str]:
 def file_identity(path: str | Path) -> dict[str, Any]:
     """name, bytes, sha256 and `hashed` of a file or a folder of files.
 
-    Files under 64 MiB are hashed whole; of larger ones the first and the last MiB and the size, which is quick for
-    hours of video and still notices a re-encoded or cut file (`hashed` = "first and last MiB"). A folder's hash is that
-    of its files' names and hashes in natural order.
+    Files under 64 MiB are hashed whole; of larger ones the first and the last MiB and the size, which is
+    quick for hours of video and still notices a re-encoded or cut file (`hashed` = "first and last MiB"). A
+    folder's hash is that of its files' names and hashes in natural order.
     """
     path = Path(path)
     try:

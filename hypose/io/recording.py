@@ -1,17 +1,18 @@
 """Recordings: what was filmed, by which calibrated cameras; recording.toml and its checks.
 
-A recording folder holds recording.toml, calibration.toml and the videos (or images, or masks). A Pose2Sim project or
-trial folder is taken as it is (`hypose.io.pose2sim`). recording.toml, with the defaults; paths are relative to it:
+A recording folder holds recording.toml, calibration.toml and the videos (or images, or masks). A Pose2Sim
+project or trial folder is taken as it is (`hypose.io.pose2sim`). recording.toml, with the defaults; paths are
+relative to it:
 
     name = "walk"                     # default: the folder's name
-    calibration = "calibration.toml"  # Pose2Sim / anipose / FreeMoCap / Caliscope TOML, or Qualisys .qca.txt
+    calibration = "calibration.toml"  # Pose2Sim, anipose, FreeMoCap, Caliscope TOML, or Qualisys .qca.txt
     calibration_unit = "auto"         # auto, m, cm or mm: unit of the calibration's translations
-    world_up = "z"                    # axis of the calibration's world that points up: x, y, z, -x, -y or -z
+    world_up = "z"                    # axis of the calibration's world that points up: x y z -x -y -z
     frame_rate = 60.0                 # frames/s; default: what the videos say
-    frame_range = [0, 100]            # first frame and the one after the last, counted from 0; default: all
+    frame_range = [0, 100]            # first frame and the one after the last, from 0; default: all
     keypoint_set = "BODY_25"          # order of the 2D key points
     keypoint_lag = 0                  # key-point file t belongs to video frame t + keypoint_lag
-    keypoint_pixels = "calibration"   # the key points are pixels of the calibrated image size, or of the stored "image"
+    keypoint_pixels = "calibration"   # key points are pixels of the calibrated size, or of the stored "image"
     subject_height = 1.75             # m; default: estimated
     subject_mass = 70.0               # kg; default: unknown
 
@@ -20,15 +21,16 @@ trial folder is taken as it is (`hypose.io.pose2sim`). recording.toml, with the 
     camera = "cam_01"                 # its name in the calibration; default: by name, else by order
     video = "videos/cam01.mp4"        # a video file, or
     images = "images/cam01"           # a folder of images in natural order
-    masks = "masks/cam01"             # silhouettes made elsewhere: a folder of images or a video; needs no video then
+    masks = "masks/cam01"             # silhouettes made elsewhere: folder of images or video; needs no video
     background = "background/cam01"   # an image, a folder of images or a video of the empty scene
     keypoints = "pose/cam01_json"     # a folder of OpenPose JSON files, one per frame
-    image_shift = [0.0, 0.0]          # px to add to this view's image coordinates (after scaling to the calibrated
-                                      # size) so that they agree with calibration and key points
-    accept_scaled = false             # images of another shape (width : height) than calibrated are stretched, not cut
+    image_shift = [0.0, 0.0]          # px to add to this view's image coordinates (after scaling to the
+                                      # calibrated size) so that they agree with calibration and key points
+    accept_scaled = false             # images of another shape (width : height) than calibrated were
+                                      # stretched, not cut
 
-Images of another size but of the calibrated shape (to 1 %) are taken as scaled; a note says so. Videos are taken as
-synchronous: frame t of one belongs to frame t of the others.
+Images of another size but of the calibrated shape (to 1 %) are taken as scaled; a note says so. Videos are
+taken as synchronous: frame t of one belongs to frame t of the others.
 """
 
 from __future__ import annotations
@@ -105,9 +107,10 @@ class View:
 
 @dataclass(frozen=True)
 class Recording:
-    """A checked recording. rig: the cameras in the order of `views`, world in metres, z up. frame_rate: frames/s.
-    frame_range: (first, stop) as given, None = all. n_frames: frames that every view has. keypoint_set None: there are
-    no key points. subject_height m, subject_mass kg. notes: sentences about accepted oddities, for the user."""
+    """A checked recording. rig: the cameras in the order of `views`, world in metres, z up. frame_rate:
+    frames/s. frame_range: (first, stop) as given, None = all. n_frames: frames that every view has.
+    keypoint_set None: there are no key points. subject_height m, subject_mass kg. notes: sentences about
+    accepted oddities, for the user."""
 
     folder: Path
     name: str
@@ -147,7 +150,8 @@ class Recording:
 def load_recording(path: str | Path) -> Recording:
     """Load and check a recording folder, a recording.toml, or a Pose2Sim project or trial folder.
 
-    An InputError (CalibrationError for the cameras) names the file or camera, what is allowed and the next step.
+    An InputError (CalibrationError for the cameras) names the file or camera, what is allowed and the next
+    step.
     """
     path = Path(path)
     if not path.exists():
@@ -159,7 +163,8 @@ def load_recording(path: str | Path) -> Recording:
     if path.is_file():
         if path.suffix.lower() != ".toml":
             raise InputError(
-                f"{path} is no recording; give a folder with recording.toml, that file, or a Pose2Sim project folder."
+                f"{path} is no recording; give a folder with recording.toml, that file, or a Pose2Sim "
+                "project folder."
             )
         return _build(path.parent, path, _read_toml(path), [])
     toml = path / "recording.toml"
@@ -176,7 +181,8 @@ def load_recording(path: str | Path) -> Recording:
 
 
 def write_recording(recording: Recording, folder: str | Path) -> Path:
-    """Write recording.toml and calibration.toml (metres, z up) to a folder; returns the path of recording.toml.
+    """Write recording.toml and calibration.toml (metres, z up) to a folder; returns the path of
+    recording.toml.
 
     Paths inside the folder are written relative to it, others absolute. Videos are not copied.
     """
@@ -218,7 +224,7 @@ def _relative(path: Path, folder: Path) -> str:
     return full.relative_to(base).as_posix() if full.is_relative_to(base) else full.as_posix()
 
 
-# ---- reading recording.toml ------------------------------------------------------------------------------------------
+# ---- reading recording.toml --------------------------------------------------------------------------------
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
@@ -264,7 +270,7 @@ def _choice(where: str, key: str, value: str, allowed: Sequence[str]) -> str:
     return value
 
 
-# ---- checks ----------------------------------------------------------------------------------------------------------
+# ---- checks ------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -274,6 +280,7 @@ class _Clip:
     path: Path
     size: tuple[int, int]
     n_frames: int
+    stated_frames: int
     frame_rate: float | None
 
 
@@ -311,8 +318,9 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
         first, stop = _numbers(where, "frame_range", settings["frame_range"], 2, whole=True)
         if not 0 <= first < stop <= n_frames:
             raise InputError(
-                f"{where}: frame_range = [{first}, {stop}] lies outside the recording, which has the frames 0 to "
-                f"{n_frames - 1}; give the first frame and the one after the last, at most [0, {n_frames}]."
+                f"{where}: frame_range = [{first}, {stop}] lies outside the recording, which has the frames "
+                f"0 to {n_frames - 1}; give the first frame and the one after the last, at most [0, "
+                f"{n_frames}]."
             )
         frame_range = (first, stop)
     for key, low, high, unit in (
@@ -372,8 +380,8 @@ def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> Vie
         )
     if "keypoints" in paths and next(paths["keypoints"].glob("*.json"), None) is None:
         raise InputError(
-            f"{where}: the key-point folder {paths['keypoints']} holds no .json files; detect key points (OpenPose "
-            "JSON, one file per frame) or remove the key."
+            f"{where}: the key-point folder {paths['keypoints']} holds no .json files; detect key points "
+            "(OpenPose JSON, one file per frame) or remove the key."
         )
     shift = _numbers(where, "image_shift", table.get("image_shift", [0.0, 0.0]), 2, whole=False)
     return View(
@@ -396,7 +404,8 @@ def _calibration(
         path = path or folder / "calibration.toml"
     if not path.is_file():
         raise CalibrationError(
-            f"{where}: there is no calibration ({path} does not exist); run hypose calibrate, or name the file with "
+            f"{where}: there is no calibration ({path} does not exist); run hypose calibrate, or name the "
+            "file with "
             'calibration = "...".'
         )
     unit = _choice(where, "calibration_unit", settings.get("calibration_unit", "auto"), ("auto", *UNITS))
@@ -433,14 +442,14 @@ def _match_cameras(
     matched = pose2sim.match_names(keys, rig.names)
     if all(m is not None for m in matched):
         if any(k != rig.names[m] for k, m in zip(keys, matched, strict=True) if m is not None):
-            pairs = ", ".join(
-                f"{v.name} = {rig.names[m]}" for v, m in zip(views, matched, strict=True) if m is not None
-            )
+            order = [rig.names[m] for m in matched if m is not None]
+            pairs = ", ".join(f"{v.name} = {n}" for v, n in zip(views, order, strict=True))
             notes.append(f"Views and cameras are matched by their names: {pairs}.")
         return CameraRig(tuple(rig[m] for m in matched if m is not None))
     pairs = ", ".join(f"{v.name} = {c}" for v, c in zip(views, rig.names, strict=True))
     notes.append(
-        f"The names of views and cameras do not tell which belong together, so they are taken in their order: {pairs}; "
+        "The names of views and cameras do not tell which belong together, so they are taken in their "
+        f"order: {pairs}; "
         'if that is wrong, give each view its camera = "..." in recording.toml.'
     )
     return rig
@@ -453,7 +462,7 @@ def _look(view: View) -> list[_Clip]:
         if path is None:
             continue
         with open_video(path) as reader:
-            out.append(_Clip(path, reader.size, reader.n_frames, reader.frame_rate))
+            out.append(_Clip(path, reader.size, reader.n_frames, reader.stated_frames, reader.frame_rate))
     return out
 
 
@@ -465,20 +474,20 @@ def _check_size(
     (w, h), (cw, ch) = size, camera.size
     ratio = (w / h) / (cw / ch)
     if abs(ratio - 1) > 0.01 and not view.accept_scaled:
-        turned = abs((h / w) / (cw / ch) - 1) <= 0.01
+        advice = (
+            "calibrate at this size, or, if the images were stretched (not cut), set accept_scaled = true for "
+            "this view in recording.toml"
+        )
+        if abs((h / w) / (cw / ch) - 1) <= 0.01:
+            advice = "the images look turned by 90 degrees: turn them back, or calibrate turned images"
         raise CalibrationError(
             f"View {view.name}: {path} is {w} x {h} px, camera {camera.name} is calibrated for {cw} x {ch} px"
-            + (
-                "; the images look turned by 90 degrees: turn them back, or calibrate turned images."
-                if turned
-                else "; calibrate at this size, or, if the images were stretched (not cut), set accept_scaled = true for "
-                "this view in recording.toml."
-            )
+            f"; {advice}."
         )
     if notes is not None:
         notes.append(
-            f"View {view.name}: {path.name} is {w} x {h} px, the calibration {cw} x {ch} px; the images are taken as "
-            "scaled."
+            f"View {view.name}: {path.name} is {w} x {h} px, the calibration {cw} x {ch} px; the images are "
+            "taken as scaled."
         )
 
 
@@ -499,8 +508,8 @@ def _frame_rate(
     if rates and max(rates.values()) / min(rates.values()) > 1.005:
         said = ", ".join(f"{n} {r:g}" for n, r in rates.items())
         raise InputError(
-            f"{where}: the videos have different frame rates ({said} frames/s); convert them to one rate, for example "
-            "with: ffmpeg -i INPUT -r 30 OUTPUT.mp4."
+            f"{where}: the videos have different frame rates ({said} frames/s); convert them to one rate, "
+            "for example with: ffmpeg -i INPUT -r 30 OUTPUT.mp4."
         )
     found = float(np.median(list(rates.values()))) if rates else None
     if given is None and found is None:
@@ -516,6 +525,12 @@ def _common_frames(views: Sequence[View], clips: Sequence[list[_Clip]], notes: l
         for clip in found:
             with_masks = len(found) > 1 and clip.path == view.masks
             counts[f"{view.name} masks" if with_masks else view.name] = clip.n_frames
+            if clip.stated_frames - clip.n_frames > 2:
+                notes.append(
+                    f"View {view.name}: {clip.path.name} states {clip.stated_frames} frames but decoding ends "
+                    f"after frame {clip.n_frames - 1}; the file is probably cut off: copy it again if more was "
+                    "recorded."
+                )
         counts_of_view = [c.n_frames for c in found]
         if min(counts_of_view) == 0:
             raise InputError(f"View {view.name}: {found[0].path} has no frames; record or copy it again.")
@@ -523,7 +538,7 @@ def _common_frames(views: Sequence[View], clips: Sequence[list[_Clip]], notes: l
     if high - low > 2:
         said = ", ".join(f"{n} {c}" for n, c in counts.items())
         notes.append(
-            f"The views have different numbers of frames ({said}); the first {low} frames, which all have, are used. "
-            "Check that all cameras start at the same instant."
+            f"The views have different numbers of frames ({said}); the first {low} frames, which all have, "
+            "are used. Check that all cameras start at the same instant."
         )
     return low

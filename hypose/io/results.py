@@ -1,7 +1,8 @@
-"""Results on disk: the folder of a run, motions as .npz that are equal byte for byte, checkpoints of a tracker.
+"""Results on disk: the folder of a run, motions as .npz that are equal byte for byte, checkpoints of a
+tracker.
 
-Every file is written under a temporary name in its own folder and renamed when complete, so that a crash, a full disk
-or Ctrl-C leaves either the old file or the new one.
+Every file is written under a temporary name in its own folder and renamed when complete, so that a crash, a
+full disk or Ctrl-C leaves either the old file or the new one.
 """
 
 from __future__ import annotations
@@ -53,15 +54,15 @@ _SKELETON = ("parents", "rest_offsets", "ball", "axes", "joint_of_dof", "lower",
 _SERIES = ("times", "joints", "joint_sd", "lost", "extrapolated", "n_views", "cost")
 
 
-# ---- atomic files ----------------------------------------------------------------------------------------------------
+# ---- atomic files ------------------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """A temporary path beside `path` (same ending) to write to; renamed to `path` when the block ends well.
 
-    The folder is made if needed. If the block raises, the temporary file is removed and an existing `path` stays as it
-    was; an OSError (disk full, read-only) becomes an InputError.
+    The folder is made if needed. If the block raises, the temporary file is removed and an existing `path`
+    stays as it was; an OSError (disk full, read-only) becomes an InputError.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
@@ -83,13 +84,13 @@ def _cannot_write(path: Path, error: OSError) -> str:
         except OSError:
             free = ""
         return (
-            f"{path} cannot be written because the disk is full{free}; what was written before is intact: free some "
-            "space and run the same command with --resume."
+            f"{path} cannot be written because the disk is full{free}; what was written before is intact: "
+            "free some space and run the same command with --resume."
         )
     reason = (error.strerror or str(error)).lower()
     return (
-        f"{path} cannot be written ({reason}); what was written before is intact: choose a folder that you may write "
-        "to, or change its permissions."
+        f"{path} cannot be written ({reason}); what was written before is intact: choose a folder that you "
+        "may write to, or change its permissions."
     )
 
 
@@ -163,11 +164,12 @@ class ResultsFolder:
             (self.path / ".write-test").unlink()
 
 
-# ---- archives --------------------------------------------------------------------------------------------------------
+# ---- archives ----------------------------------------------------------------------------------------------
 
 
 def _write_archive(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """An .npz (np.load reads it) whose bytes depend on the arrays alone: fixed dates, stored, sorted by name."""
+    """An .npz (np.load reads it) whose bytes depend on the arrays alone: fixed dates, stored, sorted by
+    name."""
     with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
         for name in sorted(arrays):
             buffer = io.BytesIO()
@@ -178,10 +180,11 @@ def _write_archive(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
 
 
 def _read_archive(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of an archive that `_write_archive` wrote; raises ValueError with a short reason on anything else.
+    """The arrays of an archive that `_write_archive` wrote; raises ValueError with a short reason on anything
+    else.
 
-    Nothing is unpacked or allocated before its size is known: entries must be stored (a compressed one could be a zip
-    bomb), array headers must agree with the bytes that follow, Python objects are refused.
+    Nothing is unpacked or allocated before its size is known: entries must be stored (a compressed one could
+    be a zip bomb), array headers must agree with the bytes that follow, Python objects are refused.
     """
     out: dict[str, np.ndarray] = {}
     with zipfile.ZipFile(path) as archive:
@@ -235,13 +238,14 @@ def _load_arrays(path: Path, what: str, next_step: str) -> dict[str, np.ndarray]
         raise InputError(f"{path} cannot be read ({error}); {next_step}.") from None
 
 
-# ---- motions ---------------------------------------------------------------------------------------------------------
+# ---- motions -----------------------------------------------------------------------------------------------
 
 
 def save_motion(motion: Motion, path: str | Path) -> None:
     """Write motion.npz (np.load reads it without pickle). Equal motions give equal bytes.
 
-    The provenance's "run" part (command, times, machine) is left out for that reason; it belongs in provenance.json.
+    The provenance's "run" part (command, times, machine) is left out for that reason; it belongs in
+    provenance.json.
     """
     arrays = {name: np.asarray(getattr(motion, name)) for name in _SERIES}
     arrays |= {name: np.asarray(getattr(motion.skeleton, name)) for name in _SKELETON}
@@ -256,7 +260,8 @@ def save_motion(motion: Motion, path: str | Path) -> None:
 
 
 def load_motion(path: str | Path) -> Motion:
-    """Read a motion.npz; an InputError names the file and what is wrong (damaged, foreign or hostile archive)."""
+    """Read a motion.npz; an InputError names the file and what is wrong (damaged, foreign or hostile
+    archive)."""
     path = Path(path)
     next_step = "give the motion.npz that hypose track wrote"
     arrays = _load_arrays(path, "motion", next_step)
@@ -316,15 +321,15 @@ def load_motion(path: str | Path) -> Motion:
         raise bad(str(error).rstrip(".")) from None
 
 
-# ---- checkpoints -----------------------------------------------------------------------------------------------------
+# ---- checkpoints -------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Checkpoint:
     """The state of a tracker after some frames, to go on from after a break.
 
-    frame: the next frame to track. arrays: the tracker's state and what was tracked so far. meta: plain JSON values.
-    identity: what must be equal for a resumed run to give the same result (`provenance.identity`).
+    frame: the next frame to track. arrays: the tracker's state and what was tracked so far. meta: plain JSON
+    values. identity: what must be equal for a resumed run to give the same result (`provenance.identity`).
     """
 
     frame: int
@@ -345,7 +350,8 @@ class Checkpoint:
 
     @staticmethod
     def load(path: str | Path, identity: Mapping[str, Any]) -> Checkpoint:
-        """Read a checkpoint of the same run; an InputError says what differs (inputs, settings, seed, versions)."""
+        """Read a checkpoint of the same run; an InputError says what differs (inputs, settings, seed,
+        versions)."""
         path = Path(path)
         next_step = "run again without --resume to start from the first frame"
         arrays = _load_arrays(path, "checkpoint", next_step)
@@ -362,7 +368,8 @@ class Checkpoint:
         difference = _first_difference(stored, json.loads(to_json(dict(identity))))
         if difference:
             raise InputError(
-                f"{path} belongs to another run: {difference}; {next_step}, or restore the former inputs and settings."
+                f"{path} belongs to another run: {difference}; {next_step}, or restore the former inputs and "
+                "settings."
             )
         return Checkpoint(frame, {k.removeprefix("state."): v for k, v in arrays.items()}, meta, stored)
 

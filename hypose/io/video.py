@@ -1,9 +1,9 @@
 """Videos and image folders: read frame by frame, exactly; count frames truthfully; write.
 
-What a container says about its number of frames is often wrong (capture software that adds two, files cut off while
-being copied), so the number is checked by decoding the stated last frame, and counted when that fails. Seeking by
-cv2.CAP_PROP_POS_FRAMES is not exact for all codecs and frame rates, so going back means opening the file again and
-decoding forward: slower, never off by one.
+What a container says about its number of frames is often wrong (capture software that adds two, files cut off
+while being copied), so the number is checked by decoding the stated last frame, and counted when that fails.
+Seeking by cv2.CAP_PROP_POS_FRAMES is not exact for all codecs and frame rates, so going back means opening
+the file again and decoding forward: slower, never off by one.
 """
 
 from __future__ import annotations
@@ -29,8 +29,9 @@ Image = NDArray[np.uint8]
 
 VIDEO_ENDINGS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".wmv", ".mts")
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
-# Encoders by ending, the first that opens is used. Tried with opencv-python-headless 5.0.0.93: the wheel cannot encode
-# H.264 (avc1), the one that both players and browsers show; in .mp4 it writes mp4v, MJPG, VP9 and FFV1.
+# Encoders by ending, the first that opens is used. Tried with opencv-python-headless 5.0.0.93: the wheel
+# cannot encode H.264 (avc1), the one that both players and browsers show; in .mp4 it writes mp4v, MJPG, VP9
+# and FFV1.
 _CODECS = {
     ".mp4": ("mp4v", "avc1"),
     ".m4v": ("mp4v", "avc1"),
@@ -79,9 +80,9 @@ def list_images(folder: Path) -> list[Path]:
 class VideoReader:
     """Frames of a video file, of a folder of images, or of one image: BGR uint8 (h, w, 3).
 
-    Iterating gives the frames from the present position (0 after opening) to the end. path; size (width, height) px;
-    frame_rate (frames/s, None for images); n_frames that can be decoded; stated_frames what the container says.
-    Opened by `open_video`; usable as a context manager.
+    Iterating gives the frames from the present position (0 after opening) to the end. path; size (width,
+    height) px; frame_rate (frames/s, None for images); n_frames that can be decoded; stated_frames what the
+    container says. Opened by `open_video`; usable as a context manager.
     """
 
     def __init__(self, path: Path) -> None:
@@ -93,7 +94,8 @@ class VideoReader:
             self._images = list_images(path)
             if not self._images:
                 raise InputError(
-                    f"The folder {path} holds no images ({', '.join(IMAGE_ENDINGS)}); check the path in recording.toml."
+                    f"The folder {path} holds no images ({', '.join(IMAGE_ENDINGS)}); check the path in "
+                    "recording.toml."
                 )
         elif path.suffix.lower() in IMAGE_ENDINGS:
             self._images = [path]
@@ -132,11 +134,12 @@ class VideoReader:
             yield self._advance()
 
     def seek(self, index: int) -> None:
-        """Let the next frame be `index` (0-based), exactly. Going back in a video decodes it from its start."""
+        """Let the next frame be `index` (0-based), exactly. Going back in a video decodes it from its
+        start."""
         if not 0 <= index <= self.n_frames:
             raise InputError(
-                f"{self.path} has no frame {index}; its frames are 0 to {self.n_frames - 1}: "
-                "choose a frame range inside."
+                f"{self.path} has no frame {index}; its frames are 0 to {self.n_frames - 1}: choose a frame "
+                "range inside."
             )
         if self._capture is not None:
             if index < self._next:
@@ -153,8 +156,8 @@ class VideoReader:
             self.seek(index)
         if self._next >= self.n_frames:
             raise InputError(
-                f"{self.path} ends with frame {self.n_frames - 1}, frame {self._next} was asked for; "
-                "choose a frame range inside."
+                f"{self.path} ends with frame {self.n_frames - 1}, frame {self._next} was asked for; choose "
+                "a frame range inside."
             )
         return self._advance()
 
@@ -174,8 +177,9 @@ class VideoReader:
             image = read_image(self._images[self._next])
             if (image.shape[1], image.shape[0]) != self.size:
                 raise InputError(
-                    f"{self._images[self._next]} is {image.shape[1]} x {image.shape[0]} px, the first image of its "
-                    f"folder is {self.size[0]} x {self.size[1]} px; give all images of a view one size."
+                    f"{self._images[self._next]} is {image.shape[1]} x {image.shape[0]} px, the first image "
+                    f"of its folder is {self.size[0]} x {self.size[1]} px; give all images of a view one "
+                    "size."
                 )
         else:
             assert self._capture is not None
@@ -194,13 +198,15 @@ class VideoReader:
 
     def _broken(self) -> InputError:
         return InputError(
-            f"The video {self.path} cannot be decoded beyond frame {self._next - 1} of {self.n_frames}; it is damaged "
-            f"or was changed while being read: copy it again, or set frame_range to end at frame {self._next}."
+            f"The video {self.path} cannot be decoded beyond frame {self._next - 1} of {self.n_frames}; it "
+            "is damaged or was changed while being read: copy it again, or set frame_range to end at frame "
+            f"{self._next}."
         )
 
 
 def open_video(path: str | Path) -> VideoReader:
-    """Open a video file, a folder of images (natural order) or one image; an InputError names what is wrong."""
+    """Open a video file, a folder of images (natural order) or one image; an InputError names what is
+    wrong."""
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path} does not exist; check the file name in recording.toml.")
@@ -223,7 +229,8 @@ def frame_size(path: str | Path) -> tuple[int, int]:
 
 
 def count_frames(path: str | Path) -> int:
-    """Number of frames that can be decoded: the stated one if the last frame decodes, else counted one by one."""
+    """Number of frames that can be decoded: the stated one if the last frame decodes, else counted one by
+    one."""
     path = Path(path)
     if path.is_dir():
         return len(list_images(path))
@@ -234,7 +241,8 @@ def count_frames(path: str | Path) -> int:
         stated = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         if stated > 0:
             capture.set(cv2.CAP_PROP_POS_FRAMES, stated - 1)
-            # position: some files jump elsewhere without complaint; one frame more: the container may say too little
+            # position: some files jump elsewhere without complaint; one frame more: the container may say too
+            # little
             landed = int(round(capture.get(cv2.CAP_PROP_POS_FRAMES)))
             if landed == stated - 1 and capture.grab() and not capture.grab():
                 return stated
@@ -252,8 +260,8 @@ def count_frames(path: str | Path) -> int:
 
 def _undecodable(path: Path) -> InputError:
     return InputError(
-        f"The video {path} contains no frame that can be decoded (it is empty, cut off or of an unknown codec); record "
-        "or copy it again, or convert it with: ffmpeg -i INPUT -c:v libx264 OUTPUT.mp4."
+        f"The video {path} contains no frame that can be decoded (it is empty, cut off or of an unknown "
+        "codec); record or copy it again, or convert it with: ffmpeg -i INPUT -c:v libx264 OUTPUT.mp4."
     )
 
 
@@ -270,8 +278,8 @@ def _open_capture(path: Path) -> cv2.VideoCapture:
             capture = None
     if capture is None or not capture.isOpened():
         raise InputError(
-            f"{path} cannot be opened as a video (not a video, cut off, or an unknown codec); copy it again, or "
-            "convert it with: ffmpeg -i INPUT -c:v libx264 OUTPUT.mp4."
+            f"{path} cannot be opened as a video (not a video, cut off, or an unknown codec); copy it again, "
+            "or convert it with: ffmpeg -i INPUT -c:v libx264 OUTPUT.mp4."
         )
     return capture
 
@@ -279,9 +287,10 @@ def _open_capture(path: Path) -> cv2.VideoCapture:
 class VideoWriter:
     """Write frames (h, w, 3) uint8 BGR to a video, as a context manager.
 
-    The codec follows from the ending: .mp4 MPEG-4 (players show it, browsers do not; codec="vp09" gives VP9, which
-    browsers show, at a fifth of the speed), .avi motion JPEG, .mkv FFV1 (lossless). The file has another name until it is complete, and is checked then; after
-    an exception in the block nothing is left. Width and height are rounded down to even numbers (codecs need that).
+    The codec follows from the ending: .mp4 MPEG-4 (players show it, browsers do not; codec="vp09" gives VP9,
+    which browsers show, at a fifth of the speed), .avi motion JPEG, .mkv FFV1 (lossless). The file has
+    another name until it is complete, and is checked then; after an exception in the block nothing is left.
+    Width and height are rounded down to even numbers (codecs need that).
     """
 
     def __init__(
@@ -322,8 +331,8 @@ class VideoWriter:
             if writer.isOpened():
                 return writer
         raise InputError(
-            f"{self.path} cannot be written: this OpenCV has no encoder for {' or '.join(self._codecs)}; choose "
-            f"another ending ({', '.join(_CODECS)}) or install opencv-python-headless from PyPI."
+            f"{self.path} cannot be written: this OpenCV has no encoder for {' or '.join(self._codecs)}; "
+            f"choose another ending ({', '.join(_CODECS)}) or install opencv-python-headless from PyPI."
         )
 
     def write(self, image: Image) -> None:
@@ -333,8 +342,8 @@ class VideoWriter:
         h, w = image.shape[:2]
         if (w // 2 * 2, h // 2 * 2) != self.size or image.ndim != 3 or image.dtype != np.uint8:
             raise InputError(
-                f"{self.path}: frame {self.n_frames} is {image.shape} {image.dtype}, needed are {self.size[0]} x "
-                f"{self.size[1]} px, three channels, uint8; scale it first."
+                f"{self.path}: frame {self.n_frames} is {image.shape} {image.dtype}, needed are "
+                f"{self.size[0]} x {self.size[1]} px, three channels, uint8; scale it first."
             )
         self._writer.write(np.ascontiguousarray(image[: self.size[1], : self.size[0]]))
         self.n_frames += 1
@@ -365,6 +374,6 @@ class VideoWriter:
             written = 0
         if written != self.n_frames:
             raise InputError(
-                f"{self.path} could not be completed: {written} of {self.n_frames} frames arrived on the disk, which "
-                "may be full; free some space and write it again."
+                f"{self.path} could not be completed: {written} of {self.n_frames} frames arrived on the "
+                "disk, which may be full; free some space and write it again."
             )
