@@ -177,6 +177,7 @@ class Skeleton:
             out[s : s + n, 3:] = np.cross(centres[j], w)
         return out
 
+    @cached_property
     def moves(self) -> NDArray[np.bool_]:
         """(D, J): dof d moves joint j's frame."""
         out = np.zeros((self.dof, len(self.joint_names)), dtype=bool)
@@ -192,8 +193,14 @@ class Skeleton:
         p = np.asarray(points_world, dtype=np.float64)
         s = self.world_twists(pose)
         rows = np.cross(s[None, :, :3], p[:, None]) + s[None, :, 3:]
-        rows[:, ~self.moves()[:, joint]] = 0
+        rows[:, ~self.moves[:, joint]] = 0
         return np.swapaxes(rows, 1, 2)
+
+    def joint_jacobians(self, pose: ArrayLike) -> Array:
+        """d joint centres / d q (J, 3, D) at pose q (D,)."""
+        s, centres = self.world_twists(pose), self.forward(pose)[1]
+        rows = np.cross(s[None, :, :3], centres[:, None]) + s[None, :, 3:]
+        return np.swapaxes(np.where(self.moves.T[..., None], rows, 0.0), 1, 2)
 
     def clamp(self, poses: ArrayLike) -> Array:
         """Poses (..., D) moved into the joint limits."""

@@ -221,13 +221,7 @@ class Tracker:
 
 def joint_step(body: Body, pose: Array, sigma: Array) -> Array:
     """(J,) rms motion of each joint per axis when every coordinate moves by its sigma (D,), at a pose (D,), m."""
-    s = body.skeleton
-    centres = s.forward(pose)[1]
-    out = np.zeros(len(s.joint_names))
-    for j in range(len(out)):
-        jacobian = s.jacobian(pose, j, centres[j][None])[0]
-        out[j] = np.sqrt(((jacobian * sigma) ** 2).sum() / 3)
-    return out
+    return np.sqrt(((body.skeleton.joint_jacobians(pose) * sigma) ** 2).sum((1, 2)) / 3)
 
 
 def _mean_iou(body: Body, pose: Array, prepared: PreparedFrame) -> float:

@@ -8,6 +8,7 @@ from hypose.body.body import Body
 from hypose.fitting.articulated import SolveOptions
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
+from hypose.inference.kernels import semidefinite_cholesky
 from hypose.tracking.evidence import PreparedFrame
 from hypose.tracking.refinement import refine
 
@@ -24,14 +25,14 @@ def joint_sd_of_pose(body: Body, pose: Array, frame: PreparedFrame) -> Array:
     Covariance = inflation^2 H^-1 with the priors in H, so a joint that no view sees keeps the prior's spread.
     """
     fit = refine(body, pose[None], frame, SolveOptions(iterations=0, coarse_iterations=0))[0]
-    values, vectors = np.linalg.eigh(0.5 * (fit.hessian + fit.hessian.T))
-    covariance = (vectors / np.maximum(values, 1e-9)) @ vectors.T
-    skeleton = body.skeleton
-    centres = skeleton.forward(fit.pose)[1]
-    sd = np.zeros(len(centres))
-    for j, centre in enumerate(centres):
-        jacobian = skeleton.jacobian(fit.pose, j, centre[None])[0]
-        sd[j] = np.sqrt(np.trace(jacobian @ covariance @ jacobian.T) / 3)
+    # trace(J H^-1 J^T) = |L^-1 J^T|^2 by plain forward substitution: LAPACK's threads may change the last bits
+    factor = semidefinite_cholesky(fit.hessian + 1e-9 * np.eye(len(pose)))
+    jacobians = body.skeleton.joint_jacobians(fit.pose)  # (J, 3, D)
+    whitened = np.zeros((len(pose), *jacobians.shape[:2]))
+    for d in range(len(pose)):
+        rest = jacobians[..., d] - np.einsum("k,kja->ja", factor[d, :d], whitened[:d])
+        whitened[d] = rest / max(factor[d, d], 1e-6)
+    sd = np.sqrt((whitened**2).sum((0, 2)) / 3)
     return np.hypot(CURVATURE_INFLATION * sd, FLOOR)
 
 
