@@ -1,0 +1,67 @@
+"""Tables for spreadsheets: joint angles in degrees, and joint positions with their uncertainty in metres.
+
+Comma-separated, one header line whose names end in the unit, an empty cell where a value is not known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hypose.body.joint_angles import is_length
+from hypose.body.motion import Motion
+from hypose.errors import InputError
+from hypose.io.files import write_text
+
+
+def write_angles_csv(path: str | Path, names: Sequence[str], values: ArrayLike, times: ArrayLike) -> None:
+    """Write joint angles: names (A), values (T, A) in rad (m for *_tx, *_ty, *_tz), times (T,) s.
+
+    Columns: time_s, <name>_deg, and <name>_m for positions. Signs: body.joint_angles.
+    """
+    v, t = np.asarray(values, dtype=np.float64), np.asarray(times, dtype=np.float64)
+    if v.shape != (len(t), len(names)):
+        raise InputError(
+            f"{path}: {len(names)} names and {len(t)} times need values of that shape, got {v.shape}."
+        )
+    scale = np.array([1.0 if is_length(n) else 180 / np.pi for n in names])
+    header = ["time_s", *(f"{n}_{'m' if is_length(n) else 'deg'}" for n in names)]
+    rows = [
+        [_cell(time, 6), *(_cell(x, 6) for x in row)]
+        for time, row in zip(t.tolist(), (v * scale).tolist(), strict=True)
+    ]
+    _write(path, header, rows)
+
+
+def write_joints_csv(path: str | Path, motion: Motion) -> None:
+    """Write joint centres (world, z up, m) with their standard deviation, and what is known of each frame.
+
+    Columns: time_s, lost and extrapolated (0 or 1), n_views, then x, y, z, sd per joint. `sd` is per axis
+    (root mean square of the three). Lost and extrapolated frames keep their predicted positions.
+    """
+    header = ["time_s", "lost", "extrapolated", "n_views"]
+    header += [f"{n}_{c}_m" for n in motion.skeleton.joint_names for c in ("x", "y", "z", "sd")]
+    data = np.concatenate([motion.joints, motion.joint_sd[..., None]], axis=2).reshape(len(motion), -1)
+    rows = [
+        [
+            _cell(float(motion.times[t]), 6),
+            str(int(motion.lost[t])),
+            str(int(motion.extrapolated[t])),
+            str(int(motion.n_views[t])),
+            *(_cell(x, 6) for x in data[t].tolist()),
+        ]
+        for t in range(len(motion))
+    ]
+    _write(path, header, rows)
+
+
+def _cell(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else ""
+
+
+def _write(path: str | Path, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    write_text(path, "\n".join(",".join(row) for row in [header, *rows]) + "\n")
