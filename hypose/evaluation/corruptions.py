@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from statistics import NormalDist
 
 import cv2
 import numpy as np
@@ -62,7 +63,9 @@ def corruptions(*names: str) -> Corruptions:
     out = Corruptions()
     for name in names:
         if name not in CORRUPTIONS:
-            raise InputError(f"There is no corruption {name!r}; the corruptions are {', '.join(CORRUPTIONS)}.")
+            raise InputError(
+                f"There is no corruption {name!r}; the corruptions are {', '.join(CORRUPTIONS)}."
+            )
         one = CORRUPTIONS[name]
         changed = {f.name: getattr(one, f.name) for f in fields(one) if getattr(one, f.name) != f.default}
         out = replace(out, **changed)
@@ -70,28 +73,35 @@ def corruptions(*names: str) -> Corruptions:
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cell: float) -> NDArray[np.float32]:
-    """Noise of about unit sd, smooth over `cell` px, (h, w)."""
+    """Noise of sd 0.8, smooth over `cell` px, (h, w)."""
     h, w = shape
     s = max(1, round(cell))
     coarse = rng.normal(size=(h // s + 3, w // s + 3)).astype(np.float32)
     return cv2.resize(coarse, ((w // s + 3) * s, (h // s + 3) * s), interpolation=cv2.INTER_CUBIC)[:h, :w]
 
 
-def corrupt_mask(mask: Mask, shadow: Mask, what: Corruptions, rng: np.random.Generator, scale: float = 1.0) -> Mask:
+def corrupt_mask(
+    mask: Mask, shadow: Mask, what: Corruptions, rng: np.random.Generator, scale: float = 1.0
+) -> Mask:
     """A mask as a background model would deliver it.
 
     mask, shadow: (h, w) uint8 0/1, the true silhouette and the person's cast shadow (without the silhouette); scale:
     working size / camera size, by which lengths in px are multiplied. Returns a new (h, w) mask.
     """
     out = mask.copy()
-    if what.boundary_px > 0 and mask.any():
-        inside = cv2.distanceTransform(mask, cv2.DIST_L2, 5)
-        outside = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5)
-        noise = smooth_noise(rng, mask.shape, 8 * scale)
+    x, y, w, h = cv2.boundingRect(mask)
+    margin = int(np.ceil(4 * what.boundary_px * scale)) + 2
+    near = (slice(max(y - margin, 0), y + h + margin), slice(max(x - margin, 0), x + w + margin))
+    if what.boundary_px > 0 and w > 0:
+        part = mask[near]
+        inside = cv2.distanceTransform(part, cv2.DIST_L2, 5)
+        outside = cv2.distanceTransform(1 - part, cv2.DIST_L2, 5)
+        noise = smooth_noise(rng, part.shape, 8 * scale)
         # distances to the nearest pixel centre of the other kind: half a pixel more than to the outline
-        signed = np.where(mask > 0, inside - 0.5, 0.5 - outside)
-        out = (signed + what.boundary_px * scale * noise > 0).astype(np.uint8)
-    rows, columns = np.nonzero(mask)
+        signed = np.where(part > 0, inside - 0.5, 0.5 - outside)
+        out[near] = signed + what.boundary_px * scale * noise > 0
+    rows, columns = np.nonzero(mask[near])
+    rows, columns = rows + near[0].start, columns + near[1].start
     for value, mean in ((0, what.holes), (1, what.blobs)):
         for _ in range(int(rng.poisson(mean)) if mean > 0 else 0):
             if len(rows):
@@ -104,11 +114,12 @@ def corrupt_mask(mask: Mask, shadow: Mask, what: Corruptions, rng: np.random.Gen
             axes = np.maximum(np.round(rng.integers(4, 14, 2) * scale), 1).astype(int)
             at = (round(float(centre[0])), round(float(centre[1])))
             cv2.ellipse(out, at, (int(axes[0]), int(axes[1])), float(rng.uniform(0, 180)), 0, 360, value, -1)
-    if what.shadow > 0:
-        # patches: the threshold that leaves this share of a standard normal
-        field = smooth_noise(rng, mask.shape, 24 * scale)
-        threshold = np.quantile(field, 1 - min(what.shadow, 1.0))
-        out |= (shadow > 0) & (field >= threshold)
+    x, y, w, h = cv2.boundingRect(shadow)
+    if what.shadow > 0 and w > 0:
+        there = (slice(y, y + h), slice(x, x + w))
+        # patches: above the threshold that leaves this share of the noise (its sd is 0.8 after interpolation)
+        threshold = 0.8 * NormalDist().inv_cdf(1 - what.shadow) if what.shadow < 1 else -np.inf
+        out[there] |= (shadow[there] > 0) & (smooth_noise(rng, (h, w), 24 * scale) > threshold)
     return out
 
 

@@ -20,20 +20,58 @@ from hypose.geometry import Array
 
 # degrees over one stride, in % from heel strike
 _WALK = {
-    "hip": ((0, 26), (10, 23), (20, 15), (30, 5), (40, -4), (50, -10), (57, -9), (65, 2), (75, 17), (85, 26), (93, 27)),
-    "knee": ((0, 5), (8, 14), (15, 17), (25, 13), (38, 6), (48, 10), (57, 30), (66, 54), (73, 61), (82, 46), (92, 14), (97, 5)),
+    "hip": (
+        (0, 26),
+        (10, 23),
+        (20, 15),
+        (30, 5),
+        (40, -4),
+        (50, -10),
+        (57, -9),
+        (65, 2),
+        (75, 17),
+        (85, 26),
+        (93, 27),
+    ),
+    "knee": (
+        (0, 5),
+        (8, 14),
+        (15, 17),
+        (25, 13),
+        (38, 6),
+        (48, 10),
+        (57, 30),
+        (66, 54),
+        (73, 61),
+        (82, 46),
+        (92, 14),
+        (97, 5),
+    ),
     "ankle": ((0, 0), (7, -5), (20, 4), (40, 10), (48, 9), (55, -3), (62, -17), (70, -9), (80, 0), (90, 2)),
 }
 _JOG = {
     "hip": ((0, 34), (12, 26), (25, 5), (36, -12), (44, -13), (57, 8), (72, 38), (84, 46), (94, 39)),
-    "knee": ((0, 19), (14, 41), (25, 32), (36, 18), (45, 34), (58, 82), (67, 94), (79, 68), (91, 25), (96, 18)),
+    "knee": (
+        (0, 19),
+        (14, 41),
+        (25, 32),
+        (36, 18),
+        (45, 34),
+        (58, 82),
+        (67, 94),
+        (79, 68),
+        (91, 25),
+        (96, 18),
+    ),
     "ankle": ((0, 6), (14, 21), (25, 12), (37, -18), (50, -9), (70, 4), (88, 7)),
 }
 
 
 def _times(duration: float, frame_rate: float) -> Array:
     if not (duration > 0 and frame_rate > 0):
-        raise InputError(f"A motion needs a positive duration and frame rate, got {duration} s and {frame_rate} Hz.")
+        raise InputError(
+            f"A motion needs a positive duration and frame rate, got {duration} s and {frame_rate} Hz."
+        )
     return np.arange(max(2, round(duration * frame_rate))) / frame_rate
 
 
@@ -50,7 +88,11 @@ class _Take:
         self.rng = rng
 
     def factor(self, share: float) -> float:
-        return 1.0 if self.rng is None else float(np.exp(np.clip(self.rng.normal(0, share), -2 * share, 2 * share)))
+        return (
+            1.0
+            if self.rng is None
+            else float(np.exp(np.clip(self.rng.normal(0, share), -2 * share, 2 * share)))
+        )
 
     def offset(self, size: float) -> float:
         return 0.0 if self.rng is None else float(np.clip(self.rng.normal(0, size), -2 * size, 2 * size))
@@ -66,7 +108,13 @@ class _Take:
 
 
 def _gait(
-    name: str, t: Array, rng: np.random.Generator | None, amplitude: float, speed: float, radius: float, jog: bool
+    name: str,
+    t: Array,
+    rng: np.random.Generator | None,
+    amplitude: float,
+    speed: float,
+    radius: float,
+    jog: bool,
 ) -> Angles:
     take = _Take(rng)
     curves = _JOG if jog else _WALK
@@ -80,7 +128,9 @@ def _gait(
     for side, shift in (("left", 0.0), ("right", 0.5)):
         p = phase + shift
         arm = np.cos(2 * np.pi * (p - 0.03))  # the arm is back when the leg of its side is in front
-        values[f"{side}_hip_flexion"] = size * _periodic(curves["hip"], p) + take.drift(t, 0.8) + (4 if jog else 0)
+        values[f"{side}_hip_flexion"] = (
+            size * _periodic(curves["hip"], p) + take.drift(t, 0.8) + (4 if jog else 0)
+        )
         values[f"{side}_knee_flexion"] = np.maximum(size * _periodic(curves["knee"], p), 2.0)
         values[f"{side}_ankle_dorsiflexion"] = size * _periodic(curves["ankle"], p)
         values[f"{side}_hip_internal"] = np.full_like(t, -6.0)
@@ -103,7 +153,9 @@ def _gait(
     if jog:
         # flight: both feet off the ground after each toe-off at 37 %, until the other foot strikes at 50 %
         air = ((2 * phase) % 1.0 - 0.74) / 0.26
-        values["up"] = 0.05 * size * np.where((air > 0) & (air < 1), np.sin(np.pi * np.clip(air, 0, 1)) ** 2, 0.0)
+        values["up"] = (
+            0.05 * size * np.where((air > 0) & (air < 1), np.sin(np.pi * np.clip(air, 0, 1)) ** 2, 0.0)
+        )
     return Angles(name, t, values, None, radius)
 
 
@@ -117,7 +169,9 @@ def walk(
     radius: float = 0.8,
 ) -> Performance:
     """Walking on a circle of `radius` m to the left (infinite: straight on), about 1.2 m/s."""
-    return _around(perform(_gait("walk", _times(duration, frame_rate), rng, amplitude, speed, radius, False), subject))
+    return _around(
+        perform(_gait("walk", _times(duration, frame_rate), rng, amplitude, speed, radius, False), subject)
+    )
 
 
 def jog(
@@ -130,7 +184,9 @@ def jog(
     radius: float = 0.9,
 ) -> Performance:
     """Slow running on a circle of `radius` m to the left (infinite: straight on), with short flights."""
-    return _around(perform(_gait("jog", _times(duration, frame_rate), rng, amplitude, speed, radius, True), subject))
+    return _around(
+        perform(_gait("jog", _times(duration, frame_rate), rng, amplitude, speed, radius, True), subject)
+    )
 
 
 def _around(p: Performance) -> Performance:
@@ -140,7 +196,12 @@ def _around(p: Performance) -> Performance:
 
 
 # key poses: channel values in degrees; both_ = left_ and right_
-_RELAXED = {"both_shoulder_flexion": 3, "both_shoulder_abduction": 9, "both_shoulder_internal": 12, "both_elbow_flexion": 18}
+_RELAXED = {
+    "both_shoulder_flexion": 3,
+    "both_shoulder_abduction": 9,
+    "both_shoulder_internal": 12,
+    "both_elbow_flexion": 18,
+}
 _GUARD = {
     "spine_lean": 10,
     "neck_lean": -4,
@@ -158,13 +219,20 @@ def _pose(*parts: dict[str, float]) -> dict[str, float]:
     out: dict[str, float] = {}
     for part in parts:
         for k, v in part.items():
-            for name in [k.replace("both_", f"{s}_") for s in ("left", "right")] if k.startswith("both_") else [k]:
+            for name in (
+                [k.replace("both_", f"{s}_") for s in ("left", "right")] if k.startswith("both_") else [k]
+            ):
                 out[name] = float(v)
     return out
 
 
 def _keyed(
-    name: str, t: Array, keys: Sequence[tuple[float, dict[str, float]]], take: _Take, stance: Stance, smooth: float = 0.05
+    name: str,
+    t: Array,
+    keys: Sequence[tuple[float, dict[str, float]]],
+    take: _Take,
+    stance: Stance,
+    smooth: float = 0.05,
 ) -> Angles:
     """Key poses (time, channels) joined monotonically and smoothed by `smooth` s, with a little sway."""
     keys = [k for i, k in enumerate(keys) if i == 0 or k[0] > keys[i - 1][0] + 1e-6]
@@ -174,12 +242,20 @@ def _keyed(
     values = {}
     for c in channels:
         y = np.array([pose.get(c, 0.0) for _, pose in keys])
-        course = PchipInterpolator(at, y)(np.clip(fine, at[0], at[-1])) if len(at) > 1 else np.full_like(fine, y[0])
+        course = (
+            PchipInterpolator(at, y)(np.clip(fine, at[0], at[-1]))
+            if len(at) > 1
+            else np.full_like(fine, y[0])
+        )
         values[c] = np.interp(t, fine, gaussian_filter1d(course, smooth * 200, mode="nearest"))
     sway = {"spine_lean": 0.8, "spine_list": 0.8, "spine_turn": 1.5, "neck_turn": 3.0, "neck_lean": 1.5}
     sway |= {"forward": 0.006, "left": 0.008, "pelvis_turn": 1.0}
     for side in ("left", "right"):
-        sway |= {f"{side}_shoulder_flexion": 1.5, f"{side}_shoulder_abduction": 1.0, f"{side}_elbow_flexion": 2.0}
+        sway |= {
+            f"{side}_shoulder_flexion": 1.5,
+            f"{side}_shoulder_abduction": 1.0,
+            f"{side}_elbow_flexion": 2.0,
+        }
     for c, size in sway.items():
         values[c] = values.get(c, np.zeros_like(t)) + take.drift(t, size)
     return Angles(name, t, values, stance)
@@ -222,7 +298,11 @@ def box(
     while now < t[-1] + 1:
         blow = _scaled(_pose(_GUARD, _jab(side, take.factor(0.08))), guard, amplitude)
         rise = 0.17 / speed * take.factor(0.1)
-        back = guard | {"spine_list": take.offset(5), "up": -0.06 + take.offset(0.015), "neck_lean": -4 + take.offset(4)}
+        back = guard | {
+            "spine_list": take.offset(5),
+            "up": -0.06 + take.offset(0.015),
+            "neck_lean": -4 + take.offset(4),
+        }
         keys += [(now, guard), (now + rise, blow), (now + 2.2 * rise, back)]
         now += 2.2 * rise + (0.35 + abs(take.offset(0.2))) / speed
         side = "right" if side == "left" else "left"
@@ -244,14 +324,21 @@ def punch(
     """Strong straight punches of the right hand from a relaxed stance, with wind-up, every 1.6 s."""
     take, t = _Take(rng), _times(duration, frame_rate)
     rest = _pose(_RELAXED, {"up": -0.02})
-    wind = {"right_shoulder_flexion": -22, "right_elbow_flexion": 115, "right_shoulder_internal": 15, "spine_turn": -22}
+    wind = {
+        "right_shoulder_flexion": -22,
+        "right_elbow_flexion": 115,
+        "right_shoulder_internal": 15,
+        "spine_turn": -22,
+    }
     wind |= {"pelvis_turn": -12, "neck_turn": 24, "up": -0.06, "forward": -0.05, "left_elbow_flexion": 85}
     wind |= {"left_shoulder_flexion": 45, "left_shoulder_internal": 35, "right_shoulder_abduction": 14}
     keys, now = [(0.0, rest)], 0.3
     while now < t[-1] + 1:
         step = take.factor(0.1) / speed
         back = _scaled(_pose(_RELAXED, wind), rest, amplitude)
-        blow = _scaled(_pose(_RELAXED, wind, _jab("right", take.factor(0.06)), {"spine_lean": 8}), rest, amplitude)
+        blow = _scaled(
+            _pose(_RELAXED, wind, _jab("right", take.factor(0.06)), {"spine_lean": 8}), rest, amplitude
+        )
         keys += [(now, rest), (now + 0.45 * step, back), (now + 0.68 * step, blow), (now + 1.15 * step, rest)]
         now += (1.3 + abs(take.offset(0.25))) / speed
     return perform(_keyed("punch", t, keys, take, Stance(0.20, -0.16, 0.16, 12.0)), subject)
@@ -275,7 +362,11 @@ def wave(
         keys.append((now, rest))
         now += 0.6 / speed
         for k in range(6):
-            swing = _pose(_RELAXED, up, {"right_elbow_flexion": 78 + (24 if k % 2 else -24) * amplitude + take.offset(4)})
+            swing = _pose(
+                _RELAXED,
+                up,
+                {"right_elbow_flexion": 78 + (24 if k % 2 else -24) * amplitude + take.offset(4)},
+            )
             keys.append((now, swing))
             now += 0.3 / speed * take.factor(0.06)
         keys.append((now + 0.4 / speed, rest))
@@ -294,7 +385,12 @@ def cross_arms(
     """Folding the arms in front of the chest, holding, and letting them hang again (an IXMAS action)."""
     take, t = _Take(rng), _times(duration, frame_rate)
     rest = _pose(_RELAXED)
-    folded = {"both_shoulder_internal": 62, "both_elbow_flexion": 100, "both_clavicle_forward": 10, "spine_lean": -2}
+    folded = {
+        "both_shoulder_internal": 62,
+        "both_elbow_flexion": 100,
+        "both_clavicle_forward": 10,
+        "spine_lean": -2,
+    }
     folded |= {"left_shoulder_flexion": 40, "right_shoulder_flexion": 28, "both_shoulder_abduction": 10}
     keys, now = [(0.0, rest)], 0.3
     while now < t[-1] + 1:
@@ -341,27 +437,78 @@ def serve(
 ) -> Performance:
     """A right-handed tennis serve without racket: toss, trophy pose with bent knees, strike, follow-through; every 3.2 s."""
     take, t = _Take(rng), _times(duration, frame_rate)
-    ready = _pose(_RELAXED, {"both_shoulder_flexion": 32, "both_elbow_flexion": 55, "both_shoulder_internal": 35})
+    ready = _pose(
+        _RELAXED, {"both_shoulder_flexion": 32, "both_elbow_flexion": 55, "both_shoulder_internal": 35}
+    )
     ready |= {"spine_turn": -12, "pelvis_turn": -10, "neck_turn": 15, "up": -0.03}
-    drop = {"left_shoulder_flexion": 18, "left_elbow_flexion": 14, "right_shoulder_flexion": -12, "right_elbow_flexion": 12}
-    drop |= {"right_shoulder_abduction": 22, "spine_turn": -20, "pelvis_turn": -18, "neck_turn": 26, "forward": -0.05}
-    trophy = {"left_shoulder_flexion": 148, "left_elbow_flexion": 8, "left_clavicle_up": 12, "left_shoulder_abduction": 8}
+    drop = {
+        "left_shoulder_flexion": 18,
+        "left_elbow_flexion": 14,
+        "right_shoulder_flexion": -12,
+        "right_elbow_flexion": 12,
+    }
+    drop |= {
+        "right_shoulder_abduction": 22,
+        "spine_turn": -20,
+        "pelvis_turn": -18,
+        "neck_turn": 26,
+        "forward": -0.05,
+    }
+    trophy = {
+        "left_shoulder_flexion": 148,
+        "left_elbow_flexion": 8,
+        "left_clavicle_up": 12,
+        "left_shoulder_abduction": 8,
+    }
     trophy |= {"right_shoulder_flexion": 0, "right_shoulder_abduction": 88, "right_shoulder_internal": -75}
-    trophy |= {"right_elbow_flexion": 88, "spine_turn": -28, "pelvis_turn": -24, "spine_lean": -14, "spine_list": -8}
+    trophy |= {
+        "right_elbow_flexion": 88,
+        "spine_turn": -28,
+        "pelvis_turn": -24,
+        "spine_lean": -14,
+        "spine_list": -8,
+    }
     trophy |= {"neck_lean": -22, "neck_turn": 30, "up": -0.13, "forward": 0.05}
     strike = {"right_shoulder_flexion": 25, "right_shoulder_abduction": 148, "right_shoulder_internal": -20}
-    strike |= {"right_elbow_flexion": 8, "right_clavicle_up": 18, "left_shoulder_flexion": 38, "left_elbow_flexion": 80}
-    strike |= {"left_shoulder_internal": 45, "spine_turn": 14, "pelvis_turn": 6, "spine_list": -16, "spine_lean": 6}
+    strike |= {
+        "right_elbow_flexion": 8,
+        "right_clavicle_up": 18,
+        "left_shoulder_flexion": 38,
+        "left_elbow_flexion": 80,
+    }
+    strike |= {
+        "left_shoulder_internal": 45,
+        "spine_turn": 14,
+        "pelvis_turn": 6,
+        "spine_list": -16,
+        "spine_lean": 6,
+    }
     strike |= {"neck_lean": -16, "neck_turn": -6, "forward": 0.16, "both_heel": 0.10, "up": 0.0}
     follow = {"right_shoulder_flexion": 58, "right_shoulder_abduction": -16, "right_shoulder_internal": 40}
-    follow |= {"right_elbow_flexion": 35, "left_shoulder_flexion": 10, "left_elbow_flexion": 70, "spine_turn": 32}
-    follow |= {"left_shoulder_internal": 40, "pelvis_turn": 20, "spine_lean": 28, "neck_lean": -16, "neck_turn": -24}
+    follow |= {
+        "right_elbow_flexion": 35,
+        "left_shoulder_flexion": 10,
+        "left_elbow_flexion": 70,
+        "spine_turn": 32,
+    }
+    follow |= {
+        "left_shoulder_internal": 40,
+        "pelvis_turn": 20,
+        "spine_lean": 28,
+        "neck_lean": -16,
+        "neck_turn": -24,
+    }
     follow |= {"up": -0.07, "forward": 0.20, "right_heel": 0.16}
     keys, now = [(0.0, ready)], 0.3
     while now < t[-1] + 1:
         k = take.factor(0.06) / speed
         poses = [_scaled(_pose(_RELAXED, x), ready, amplitude) for x in (drop, trophy, strike, follow)]
-        keys += [(now, ready), (now + 0.45 * k, poses[0]), (now + 1.05 * k, poses[1]), (now + 1.2 * k, poses[1])]
+        keys += [
+            (now, ready),
+            (now + 0.45 * k, poses[0]),
+            (now + 1.05 * k, poses[1]),
+            (now + 1.2 * k, poses[1]),
+        ]
         keys += [(now + 1.46 * k, poses[2]), (now + 1.78 * k, poses[3]), (now + 2.6 * k, ready)]
         now += 3.2 * k
     return perform(_keyed("serve", t, keys, take, Stance(0.26, -0.22, 0.15, 22.0)), subject)
@@ -379,7 +526,9 @@ def combo(
     parts = [(walk, 0.34), (jog, 0.24), (box, 0.22), (wave, 0.20)]
     blend, n = 0.5, round(duration * frame_rate)
     extra = blend * (len(parts) - 1) / len(parts)
-    shows = [f(subject, duration * share + extra + 0.1, frame_rate, rng, amplitude, speed) for f, share in parts]
+    shows = [
+        f(subject, duration * share + extra + 0.1, frame_rate, rng, amplitude, speed) for f, share in parts
+    ]
     whole = chain("combo", shows, subject, blend)
     n = min(n, len(whole))
     return centred(

@@ -25,8 +25,21 @@ CHANNELS = (
         f"{side}_{channel}"
         for side in ("left", "right")
         for channel in (
-            *("clavicle_up", "clavicle_forward", "shoulder_flexion", "shoulder_abduction", "shoulder_internal"),
-            *("elbow_flexion", "hip_flexion", "hip_abduction", "hip_internal", "knee_flexion", "ankle_dorsiflexion"),
+            *(
+                "clavicle_up",
+                "clavicle_forward",
+                "shoulder_flexion",
+                "shoulder_abduction",
+                "shoulder_internal",
+            ),
+            *(
+                "elbow_flexion",
+                "hip_flexion",
+                "hip_abduction",
+                "hip_internal",
+                "knee_flexion",
+                "ankle_dorsiflexion",
+            ),
             "heel",  # height of a planted foot's heel, m per m of leg length
         )
     ),
@@ -82,7 +95,9 @@ class Performance:
     @property
     def frame_rate(self) -> float:
         """Frames per second."""
-        return float((len(self.times) - 1) / (self.times[-1] - self.times[0])) if len(self.times) > 1 else 25.0
+        return (
+            float((len(self.times) - 1) / (self.times[-1] - self.times[0])) if len(self.times) > 1 else 25.0
+        )
 
 
 def assemble(name: str, subject: Subject, times: Array, rotations: Array, root: Array) -> Performance:
@@ -120,7 +135,9 @@ def local_rotations(angles: Angles) -> Array:
     out = np.tile(np.eye(3), (len(angles.times), len(JOINT_NAMES), 1, 1))
     out[:, 0] = turn(2, g("pelvis_turn")) @ turn(1, g("pelvis_list")) @ turn(0, g("pelvis_lean"))
     for part, joints in (("spine", (1, 2)), ("neck", (3, 4))):
-        half = turn(2, g(f"{part}_turn") / 2) @ turn(1, g(f"{part}_list") / 2) @ turn(0, g(f"{part}_lean") / 2)
+        half = (
+            turn(2, g(f"{part}_turn") / 2) @ turn(1, g(f"{part}_list") / 2) @ turn(0, g(f"{part}_lean") / 2)
+        )
         for j in joints:
             out[:, j] = half
     for side, sign, first_arm, first_leg in (("left", 1.0, 5, 13), ("right", -1.0, 9, 16)):
@@ -217,7 +234,9 @@ def _travel(angles: Angles, subject: Subject, rotations: Array) -> tuple[Array, 
     else:
         root[:, :2] -= (root[0, :2] + root[-1, :2]) / 2
     sideways = np.stack([np.cos(yaw), np.sin(yaw)], 1)
-    root[:, :2] += (angles.get("forward")[:, None] * direction + angles.get("left")[:, None] * sideways) * scale
+    root[:, :2] += (
+        angles.get("forward")[:, None] * direction + angles.get("left")[:, None] * sideways
+    ) * scale
     root[:, 2] = gaussian_filter1d(height, 0.02 * rate, mode="nearest")
     return root, turn(2, np.degrees(yaw))
 
@@ -241,7 +260,10 @@ def _planted(angles: Angles, subject: Subject, world: Array, align: Array) -> tu
         ankles.append(np.stack([np.full_like(p, x), y, sole + 2 * ball * np.sin(p) * 0.9], 1))
     hips = rotations[:, :1] @ joints[[13, 16], :, None]
     hips = hips[..., 0]
-    lengths = [(np.linalg.norm(joints[a + 1] - joints[a]), np.linalg.norm(joints[a + 2] - joints[a + 1])) for a in (13, 16)]
+    lengths = [
+        (np.linalg.norm(joints[a + 1] - joints[a]), np.linalg.norm(joints[a + 2] - joints[a + 1]))
+        for a in (13, 16)
+    ]
     root = np.zeros((len(angles.times), 3))
     root[:, 0] = g("left") * scale
     root[:, 1] = -g("forward") * scale
@@ -250,7 +272,9 @@ def _planted(angles: Angles, subject: Subject, world: Array, align: Array) -> tu
     for k in range(2):
         across = ankles[k][:, :2] - root[:, :2] - hips[:, k, :2]
         longest = 0.992 * sum(lengths[k])
-        reach.append(ankles[k][:, 2] + np.sqrt(np.maximum(longest**2 - (across**2).sum(1), 0.01)) - hips[:, k, 2])
+        reach.append(
+            ankles[k][:, 2] + np.sqrt(np.maximum(longest**2 - (across**2).sum(1), 0.01)) - hips[:, k, 2]
+        )
     root[:, 2] = _soft_minimum(np.stack(reach, 1), 0.005) + np.minimum(g("up"), 0.0) * scale
     for k, (j, sign) in enumerate(((13, 1.0), (16, -1.0))):
         yaw = sign * stance.toes_out

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
-from hypose.compute.render import interpolate, rasterize, silhouette
+from hypose.compute.render import blend_shaded, darken, expose, interpolate, rasterize, silhouette
 from hypose.evaluation.subjects import Subject, vertex_normals
 from hypose.geometry import Array
 
@@ -69,7 +69,9 @@ class Backdrop:
     depth: Floats
 
 
-def render_room(room: Room, camera: Camera, occluder: tuple[Array, NDArray[np.int32]] | None = None) -> Backdrop:
+def render_room(
+    room: Room, camera: Camera, occluder: tuple[Array, NDArray[np.int32]] | None = None
+) -> Backdrop:
     """The empty room through a camera with its lens distortion, and what stands in it."""
     w, h = camera.size
     uv = np.stack(np.meshgrid(np.arange(w), np.arange(h)), -1).astype(np.float64)
@@ -101,7 +103,10 @@ def render_room(room: Room, camera: Camera, occluder: tuple[Array, NDArray[np.in
     wall *= np.where(side == 0, 0.9, 1.0)
     cell = np.floor(along / 2.4)
     poster = (np.mod(along, 2.4) > 0.6) & (np.mod(along, 2.4) < 1.5) & (z > 1.1) & (z < 2.3)
-    hue = np.stack([0.55 + 0.45 * np.sin(2.1 * cell + k * 2.0 + 5.0 * (side == 0) + np.sign(x * y)) for k in range(3)], -1)
+    hue = np.stack(
+        [0.55 + 0.45 * np.sin(2.1 * cell + k * 2.0 + 5.0 * (side == 0) + np.sign(x * y)) for k in range(3)],
+        -1,
+    )
     wall_image = np.where(poster[..., None], 170 * (0.35 + 0.5 * hue), room.walls) * wall[..., None]
     image = np.where(floor[..., None], image, wall_image)
     image = np.where(((side == 2) & ~floor)[..., None], room.walls * 1.15, image).astype(np.float32)
@@ -137,7 +142,9 @@ class Outfit:
 
 def make_outfit(subject: Subject, rng: np.random.Generator) -> Outfit:
     """Shirt, trousers, shoes, skin and hair by body part, colours from the rng."""
-    palette = np.array([[140, 60, 40], [40, 40, 150], [60, 120, 50], [165, 165, 170], [45, 45, 50], [35, 120, 170]])
+    palette = np.array(
+        [[140, 60, 40], [40, 40, 150], [60, 120, 50], [165, 165, 170], [45, 45, 50], [35, 120, 170]]
+    )
     i, k = rng.permutation(len(palette))[:2]
     shirt, trousers = palette[i] * rng.uniform(0.8, 1.15), palette[k] * rng.uniform(0.55, 0.9)
     skin = np.array([125.0, 155.0, 200.0]) * rng.uniform(0.5, 1.08)
@@ -166,7 +173,10 @@ def make_outfit(subject: Subject, rng: np.random.Generator) -> Outfit:
         low, high = v[head, 2].min(), v[head, 2].max()
         middle = (v[head, 1].min() + v[head, 1].max()) / 2
         # hair on top and behind; the face looks to -y
-        hairy = head & ((v[:, 2] > low + 0.78 * (high - low)) | ((v[:, 1] > middle) & (v[:, 2] > low + 0.3 * (high - low))))
+        hairy = head & (
+            (v[:, 2] > low + 0.78 * (high - low))
+            | ((v[:, 1] > middle) & (v[:, 2] > low + 0.3 * (high - low)))
+        )
         color[hairy] = hair
     direction = rng.normal(size=(3, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -192,7 +202,13 @@ def light_at(time: float, drift: float, phase: Array) -> Array:
 
 
 def render_person(
-    picture: Floats, backdrop: Backdrop, camera: Camera, subject: Subject, outfit: Outfit, vertices: Array, samples: int
+    picture: Floats,
+    backdrop: Backdrop,
+    camera: Camera,
+    subject: Subject,
+    outfit: Outfit,
+    vertices: Array,
+    samples: int,
 ) -> None:
     """Draw the subject's vertices (V, 3) m, world, with the cast shadow on the floor, into picture (h, w, 3)."""
     cast_shadow(picture, backdrop, camera, subject, vertices)
@@ -211,31 +227,23 @@ def render_person(
     hidden = backdrop.depth[y0:y1, x0:x1]
     if np.isfinite(hidden).any():
         face = np.where(depth < np.repeat(np.repeat(hidden, s, 0), s, 1), face, np.int32(-1))
-    drawn = face >= 0
     n = vertex_normals(vertices, subject.faces)
     fold = np.sin(subject.vertices @ outfit.pattern.T).sum(1)
     values = np.column_stack([outfit.color * (1 + 0.08 * outfit.weave * fold)[:, None], n @ LIGHT, n[:, 2]])
-    at = interpolate(face[drawn], bary[drawn], subject.faces, values)
-    lit = 0.42 + 0.62 * np.clip(at[:, 3], 0, None) + 0.10 * at[:, 4]
-    patch = np.zeros((*face.shape, 4), np.float32)
-    patch[drawn, :3] = at[:, :3] * lit[:, None]
-    patch[drawn, 3] = 1
-    if s > 1:
-        patch = cv2.resize(patch, (int(x1 - x0), int(y1 - y0)), interpolation=cv2.INTER_AREA)
-    part = picture[y0:y1, x0:x1]
-    part *= 1 - patch[..., 3:]
-    part += patch[..., :3]
+    blend_shaded(picture[y0:y1, x0:x1], face, bary, subject.faces, values, s, (0.42, 0.62, 0.10))
 
 
-def cast_shadow(picture: Floats, backdrop: Backdrop, camera: Camera, subject: Subject, vertices: Array) -> None:
+def cast_shadow(
+    picture: Floats, backdrop: Backdrop, camera: Camera, subject: Subject, vertices: Array
+) -> None:
     """Darken the floor where the body hides the main light; the edge is as soft as a lamp's."""
-    w, h = camera.size
     mask = shadow_mask(camera, subject.faces, vertices)
-    if not mask.any():
+    x, y, w, h = cv2.boundingRect(mask)
+    if w == 0:
         return
-    soft = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 1.5)
-    soft *= backdrop.floor
-    picture *= 1 - SHADOW_DEPTH * soft[..., None]
+    rows, columns = slice(max(y - 5, 0), y + h + 5), slice(max(x - 5, 0), x + w + 5)
+    soft = cv2.GaussianBlur(mask[rows, columns].astype(np.float32), (0, 0), 1.5)
+    darken(picture[rows, columns], soft, backdrop.floor[rows, columns], SHADOW_DEPTH)
 
 
 def shadow_mask(camera: Camera, faces: NDArray[np.int32], vertices: Array) -> NDArray[np.uint8]:
@@ -258,9 +266,7 @@ def develop(picture: Floats, gain: Array, noise: NDArray[np.int16], rng: np.rand
         grain = grain[::-1]
     if rng.random() < 0.5:
         grain = grain[:, ::-1]
-    out = picture * gain.astype(np.float32)
-    out += grain
-    return np.clip(out + 0.5, 0, 255, out=out).astype(np.uint8)
+    return expose(picture, gain, grain)
 
 
 def noise_bank(size: tuple[int, int], sd: float, rng: np.random.Generator) -> NDArray[np.int16]:

@@ -169,9 +169,7 @@ class Scene:
             distance = float(np.linalg.norm(p.root[t] - camera.position))
             people.append((-distance, k, subject, subject.skin(p.rotations[t], p.root[t])))
         for _, k, subject, vertices in sorted(people, key=lambda x: x[:2]):  # the farthest first
-            render_person(
-                picture, backdrop, camera, subject, self._outfits[k], vertices, self.sensor.samples
-            )
+            render_person(picture, backdrop, camera, subject, self._outfits[k], vertices, self.sensor.samples)
         return self._develop(picture, view, float(self.times[s]), index + 1)
 
     def background_frames(self, view: int, n: int = 25) -> list[Image]:
@@ -204,7 +202,9 @@ class Scene:
     @cached_property
     def _outfits(self) -> list[Outfit]:
         people = [self.subject, *(s for s, _ in self.others)]
-        return [make_outfit(s, np.random.default_rng([self.seed, _CLOTHES, 1, k])) for k, s in enumerate(people)]
+        return [
+            make_outfit(s, np.random.default_rng([self.seed, _CLOTHES, 1, k])) for k, s in enumerate(people)
+        ]
 
     @cached_property
     def _noise(self) -> NDArray[np.int16]:

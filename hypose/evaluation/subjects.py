@@ -40,9 +40,17 @@ class Subject:
     def __post_init__(self) -> None:
         v = len(self.vertices)
         if self.joints.shape != (len(JOINT_NAMES), 3):
-            raise InputError(f"Subject {self.name}: joints must be ({len(JOINT_NAMES)}, 3), got {self.joints.shape}.")
-        if self.skin_index.shape != (v, 4) or self.skin_weight.shape != (v, 4) or self.cloth_weight.shape != (v,):
-            raise InputError(f"Subject {self.name}: skin and cloth weights must have one row per vertex ({v}).")
+            raise InputError(
+                f"Subject {self.name}: joints must be ({len(JOINT_NAMES)}, 3), got {self.joints.shape}."
+            )
+        if (
+            self.skin_index.shape != (v, 4)
+            or self.skin_weight.shape != (v, 4)
+            or self.cloth_weight.shape != (v,)
+        ):
+            raise InputError(
+                f"Subject {self.name}: skin and cloth weights must have one row per vertex ({v})."
+            )
 
     @property
     def stature(self) -> float:
@@ -137,7 +145,9 @@ def dress(subject: Subject, thickness_m: float, rng: np.random.Generator) -> Sub
     place to place, as it does on real people, without roughness that no silhouette would show.
     """
     if not 0 <= thickness_m <= MAX_CLOTHING_M:
-        raise InputError(f"Clothing of {thickness_m} m was asked for; between 0 and {MAX_CLOTHING_M} m is possible.")
+        raise InputError(
+            f"Clothing of {thickness_m} m was asked for; between 0 and {MAX_CLOTHING_M} m is possible."
+        )
     direction = rng.normal(size=(8, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     wave = 2 * np.pi / rng.uniform(0.15, 0.6, 8)
@@ -151,7 +161,9 @@ def dress(subject: Subject, thickness_m: float, rng: np.random.Generator) -> Sub
         np.add.at(neighbours, subject.faces[:, k], normals[subject.faces[:, (k + 1) % 3]])
     normals = normals + 0.3 * neighbours
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return replace(subject, vertices=subject.vertices + amount[:, None] * normals, clothing_m=float(thickness_m))
+    return replace(
+        subject, vertices=subject.vertices + amount[:, None] * normals, clothing_m=float(thickness_m)
+    )
 
 
 # height of each joint, lateral place and depth as shares of the stature (Drillis & Contini's segment shares, rounded)
@@ -212,7 +224,9 @@ def procedural_subject(rng: np.random.Generator, stature: float | None = None) -
         parts.append((joints[w], joints[w] + along * 0.095 * h, np.array([0.018, 0.024]) * h, w, 0.0))
         a = JOINT_NAMES.index(f"{side}_ankle")
         sole = joints[a] + np.array([0, 0, -0.018]) * h
-        parts.append((sole + [0, 0.02 * h, 0], sole + [0, -0.09 * h, 0], np.array([0.022, 0.022]) * h, a, 0.2))
+        parts.append(
+            (sole + [0, 0.02 * h, 0], sole + [0, -0.09 * h, 0], np.array([0.022, 0.022]) * h, a, 0.2)
+        )
         limb(f"{side}_clavicle", f"{side}_shoulder", (0.04, 0.04), 1.0)
     n, hd = joints[3], joints[4]
     parts.append((n, hd, np.array([0.033, 0.033]) * h, 3, 0.0))
@@ -243,7 +257,9 @@ def procedural_subject(rng: np.random.Generator, stature: float | None = None) -
     )
 
 
-def _capsule(a: Array, b: Array, r0: float, r1: float, around: int = 14, rings: int = 12) -> tuple[Array, Array]:
+def _capsule(
+    a: Array, b: Array, r0: float, r1: float, around: int = 14, rings: int = 12
+) -> tuple[Array, Array]:
     """Closed tapered capsule from a to b, faces counter-clockwise from outside."""
     axis = b - a
     length = np.linalg.norm(axis)
