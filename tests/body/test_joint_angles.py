@@ -64,7 +64,8 @@ def named(skeleton, *poses):
 
 
 def turned(skeleton, pose, joint, axis, degrees):
-    """The pose with one ball joint turned further about an axis of the model frame (after its neutral rotation)."""
+    """The pose with one ball joint turned further about an axis of the model frame (after its neutral
+    rotation)."""
     q, d = pose.copy(), skeleton.dofs_of(joint)[-3:]
     q[d] = so3_log(so3_exp(np.radians(degrees) * np.asarray(axis, float)) @ so3_exp(q[d]))
     return q
@@ -77,9 +78,7 @@ def test_neutral_hangs_straight(skeleton, neutral):
             bone = p[skeleton.joint(f"{side}_{b}")] - p[skeleton.joint(f"{side}_{a}")]
             np.testing.assert_allclose(bone / np.linalg.norm(bone), DOWN, atol=1e-9)
         shank = p[skeleton.joint(f"{side}_ankle")] - p[skeleton.joint(f"{side}_knee")]
-        assert (
-            shank[2] / np.linalg.norm(shank) < -0.995
-        )  # the knee's axis lets it leave the vertical sideways only
+        assert shank[2] / np.linalg.norm(shank) < -0.995  # the knee's axis lets it leave the vertical sideways only
         assert abs(shank[1]) < 1e-3
 
 
@@ -97,7 +96,8 @@ def test_all_angles_are_zero_in_the_neutral(skeleton, neutral):
 @pytest.mark.parametrize(("s", "side", "sign"), SIDES)
 @pytest.mark.parametrize("degrees", [-20, 35, 70])
 def test_one_rotation_gives_one_angle(skeleton, neutral, s, side, sign, degrees):
-    """Model axes: thigh forwards is about -x (x left: down turns forwards), towards the midline about +-y, ..."""
+    """Model axes: thigh forwards is about -x (x left: down turns forwards), towards the midline about
+    +-y, ..."""
     inwards = {"left": -1, "right": 1}[side]
     cases = [
         (f"{side}_hip", (-1, 0, 0), f"hip_flexion_{s}"),
@@ -123,10 +123,7 @@ def test_signs_seen_on_the_body(skeleton, neutral, s, side, sign):
     out = {"left": 1, "right": -1}[side]
 
     def place(q, joint):
-        return (
-            skeleton.forward(q)[1][skeleton.joint(f"{side}_{joint}")]
-            - pelvis[skeleton.joint(f"{side}_{joint}")]
-        )
+        return skeleton.forward(q)[1][skeleton.joint(f"{side}_{joint}")] - pelvis[skeleton.joint(f"{side}_{joint}")]
 
     # found by trying both directions of each rotation and looking at the angle's sign
     for joint, end, axis, name, direction in (
@@ -202,9 +199,7 @@ def test_general_rotations_follow_the_stated_order(skeleton, neutral):
             r = BODY_AXES.T @ _zxy(np.radians(angles) * [1, sign, sign]) @ BODY_AXES
             q[skeleton.dofs_of(f"{side}_{joint}")] = so3_log(r @ frames[f"{side}_{joint}"])
         got = named(skeleton, q)
-        assert [got[f"hip_{k}_{s}"][0] for k in ("flexion", "adduction", "rotation")] == pytest.approx(
-            [50, -20, 15]
-        )
+        assert [got[f"hip_{k}_{s}"][0] for k in ("flexion", "adduction", "rotation")] == pytest.approx([50, -20, 15])
         assert [got[f"arm_{k}_{s}"][0] for k in ("flex", "add", "rot")] == pytest.approx([80, -35, -30])
 
 
@@ -217,7 +212,8 @@ def test_turning_on_the_spot_has_no_jump(skeleton, neutral):
 
 
 def test_arm_raised_sideways_past_the_gimbal_lock(skeleton, neutral, rng):
-    """Abduction to 160 degrees and back, with tracking noise: the angle follows, and the arm that hangs again is at 0."""
+    """Abduction to 160 degrees and back, with tracking noise: the angle follows, and the arm that hangs
+    again is at 0."""
     lift = np.concatenate([np.linspace(0, 160, 60), np.linspace(160, 0, 60)])
     noise = np.radians(1.0) * rng.standard_normal((len(lift), 3))
     q = np.tile(neutral, (len(lift), 1))
@@ -262,10 +258,9 @@ def test_wrong_shape_is_one_sentence(skeleton):
 
 
 def test_opensim_model_agrees_on_every_sign_and_order(skeleton, neutral, rng):
-    """Random coordinates posed by OpenSim's own full-body model: our angles of its body rotations are the same."""
-    osim = pytest.importorskip(
-        "opensim", reason="opensim is not installed: signs are NOT compared with its model"
-    )
+    """Random coordinates posed by OpenSim's own full-body model: our angles of its body rotations are the
+    same."""
+    osim = pytest.importorskip("opensim", reason="opensim is not installed: signs are NOT compared with its model")
     shared = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "pose2sim_balancing"
     path = shared / "opensim_v0.8.4" / "Model_Pose2Sim_body25b_scaled.osim"
     if not path.exists():

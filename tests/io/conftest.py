@@ -77,8 +77,8 @@ def small_motion(small_body):
     phase, speed = rng.uniform(0, 2 * np.pi, skeleton.dof), rng.uniform(0.5, 2, skeleton.dof)
     swing = 0.5 * np.sin(phase + 2 * np.pi * speed * (times[:, None] - times[0]) / 2)
     middle, half = np.zeros(skeleton.dof), np.ones(skeleton.dof)
-    middle[6:] = (skeleton.lower + skeleton.upper)[6:] / 2
-    half[6:] = (skeleton.upper - skeleton.lower)[6:] / 2
+    middle[6:] = (skeleton.lower[6:] + skeleton.upper[6:]) / 2
+    half[6:] = (skeleton.upper[6:] - skeleton.lower[6:]) / 2
     poses = middle + half * swing
     poses[:, 2] += 0.95
     poses[:, 5] += np.linspace(0, 2 * np.pi, n)
@@ -103,8 +103,6 @@ def small_motion(small_body):
 @pytest.fixture(scope="session")
 def opensim():
     """The OpenSim library; tests that compare with it are skipped, by name, where it is not installed."""
-    module = pytest.importorskip(
-        "opensim", reason="opensim is not installed: its reading of our files is NOT checked"
-    )
+    module = pytest.importorskip("opensim", reason="opensim is not installed: its reading is NOT checked")
     module.Logger.setLevelString("Error")
     return module

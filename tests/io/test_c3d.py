@@ -1,4 +1,5 @@
-"""C3D: ezc3d reads what we write to 0.001 mm, our reader agrees with ezc3d on real files and refuses damaged ones."""
+"""C3D: ezc3d reads what we write to 0.001 mm, our reader agrees with ezc3d on real files and refuses
+damaged ones."""
 
 import struct
 
@@ -56,9 +57,7 @@ def test_more_frames_than_the_format_counts_are_refused(tmp_path):
         write_c3d(tmp_path / "a.c3d", ["a"], np.zeros((65536, 1, 3)), 50)
 
 
-@pytest.mark.parametrize(
-    "name", ["kinematics_tennis_serve.c3d", "kinematics_tennis_serve_nan.c3d", "walking2.c3d"]
-)
+@pytest.mark.parametrize("name", ["kinematics_tennis_serve.c3d", "kinematics_tennis_serve_nan.c3d", "walking2.c3d"])
 def test_real_files_agree_with_ezc3d(shared_data, name):
     path = shared_data("mocap") / name
     mine, file = read_c3d(path), ezc3d.c3d(str(path))
@@ -75,9 +74,7 @@ def _integer_file(order):
     def real(x):
         if order != 85:
             return struct.pack(end + "f", x)
-        bits = struct.unpack("<I", struct.pack("<f", x * 4))[
-            0
-        ]  # VAX F: exponent bias 2 larger, halves exchanged
+        bits = struct.unpack("<I", struct.pack("<f", x * 4))[0]  # VAX F: exponent bias 2 larger, halves exchanged
         return struct.pack("<HH", bits >> 16, bits & 0xFFFF)
 
     def entry(name, group, body):
@@ -91,9 +88,7 @@ def _integer_file(order):
     section += entry(b"UNITS", 1, struct.pack("bBB", -1, 1, 2) + b"mm" + b"\0")
     head = struct.pack("BB", 2, 0x50) + struct.pack(end + "5H", 2, 1, 1, 3, 10) + real(0.1)
     head += struct.pack(end + "2H", 3, 1) + real(100.0)
-    frames = np.array(
-        [[k, 10 * k, -k, 0, 5, 6, 7, -1 if k == 2 else 3, 99] for k in range(3)], dtype=end + "i2"
-    )
+    frames = np.array([[k, 10 * k, -k, 0, 5, 6, 7, -1 if k == 2 else 3, 99] for k in range(3)], dtype=end + "i2")
     return head.ljust(512, b"\0") + section.ljust(512, b"\0") + frames.tobytes()
 
 
@@ -115,9 +110,7 @@ def test_truncated_files_are_refused(tmp_path, points):
         read_c3d(tmp_path / "b.c3d")
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"x", b"\2\x50" + b"\0" * 600, b"\xff" * 2000, b"PK\3\4" + b"\0" * 2000]
-)
+@pytest.mark.parametrize("content", [b"", b"x", b"\2\x50" + b"\0" * 600, b"\xff" * 2000, b"PK\3\4" + b"\0" * 2000])
 def test_foreign_files_are_refused(tmp_path, content):
     (tmp_path / "x.c3d").write_bytes(content)
     with pytest.raises(InputError, match=r"x\.c3d"):

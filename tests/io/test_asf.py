@@ -1,0 +1,190 @@
+"""ASF/AMC: a skeleton by hand with known answers, the real walk, and files that are refused."""
+
+import numpy as np
+import pytest
+
+from hypose.errors import InputError
+from hypose.geometry import so3_exp
+from hypose.io.asf import bone_ends, global_rotations, read_amc, read_asf
+
+ASF = """# made by hand
+:version 1.10
+:name test
+:units
+  mass 1.0
+  length 0.45
+  angle deg
+:documentation
+  anything may stand here
+:root
+  order TX TY TZ RX RY RZ
+  axis XYZ
+  position 0 0 0
+  orientation 0 0 0
+:bonedata
+  begin
+    id 1
+    name lower
+    direction 0 0 5
+    length 2
+    axis 0 0 0 XYZ
+    dof rx
+    limits (-10.0 170.0)
+  end
+  begin
+    id 2
+    name upper
+    direction 0 -1 0
+    length 3
+    axis 0 0 90 XYZ
+    dof rx ry rz
+  end
+  begin
+    id 3
+    name stiff
+    direction 1 0 0
+    length 1
+    axis 10 20 30 XYZ
+  end
+:hierarchy
+  begin
+    root upper stiff
+    upper lower
+  end
+"""
+AMC = """#!comment
+:FULLY-SPECIFIED
+:DEGREES
+1
+root 1 2 3 0 0 0
+upper 0 0 0
+lower 0
+2
+root 1 2 3 0 90 0
+upper 30 0 0
+lower 40
+"""
+
+
+@pytest.fixture
+def files(tmp_path):
+    (tmp_path / "a.asf").write_text(ASF)
+    (tmp_path / "a.amc").write_text(AMC)
+    return tmp_path
+
+
+def test_skeleton(files):
+    asf = read_asf(files / "a.asf")
+    assert asf.names == ("root", "upper", "stiff", "lower")  # parents first, whatever the order of :bonedata
+    assert asf.parents.tolist() == [-1, 0, 0, 1]
+    np.testing.assert_allclose(asf.directions[asf.index("lower")], [0, 0, 1])  # made a unit vector
+    assert asf.lengths.tolist() == [0, 3, 1, 2]
+    assert asf.metres_per_unit == pytest.approx(0.0254 / 0.45)
+    assert asf.dofs[1] == ("rx", "ry", "rz")
+
+
+def test_rotations_are_conjugated_by_the_axis_and_follow_the_parent(files):
+    asf, frames = read_asf(files / "a.asf"), read_amc(files / "a.amc")
+    position, r = global_rotations(asf, frames)
+    np.testing.assert_allclose(position, [[1, 2, 3], [1, 2, 3]])
+    for name in asf.names:
+        np.testing.assert_allclose(r[name][0], np.eye(3), atol=1e-12)
+    root = so3_exp([0, np.pi / 2, 0])
+    np.testing.assert_allclose(r["root"][1], root, atol=1e-12)
+    # the bone's own x axis is the file's y axis: its axis entry turns x by 90 degrees about z
+    upper = root @ so3_exp([0, np.radians(30), 0])
+    np.testing.assert_allclose(r["upper"][1], upper, atol=1e-12)
+    np.testing.assert_allclose(r["lower"][1], upper @ so3_exp([np.radians(40), 0, 0]), atol=1e-12)
+    np.testing.assert_allclose(r["stiff"][1], root, atol=1e-12)
+    ends = bone_ends(asf, frames)
+    np.testing.assert_allclose(ends[0], [[1, 2, 3], [1, -1, 3], [2, 2, 3], [1, -1, 5]], atol=1e-12)
+    lower = asf.index("lower")
+    np.testing.assert_allclose(np.linalg.norm(ends[:, lower] - ends[:, asf.parents[lower]], axis=1), 2)
+
+
+def test_three_angles_turn_about_fixed_axes_x_first(files):
+    amc = AMC.replace("upper 30 0 0", "upper 30 40 50").replace("root 1 2 3 0 90 0", "root 1 2 3 0 0 0")
+    (files / "a.amc").write_text(amc)
+    _, r = global_rotations(read_asf(files / "a.asf"), read_amc(files / "a.amc"))
+    x, y, z = (so3_exp(np.radians(a) * np.eye(3)[k]) for k, a in enumerate((30, 40, 50)))
+    c = so3_exp([0, 0, np.pi / 2])
+    np.testing.assert_allclose(r["upper"][1], c @ z @ y @ x @ c.T, atol=1e-12)
+
+
+def test_real_walk_is_a_walk(shared_data):
+    folder = shared_data("mocap")
+    asf = read_asf(folder / "02.asf")
+    frames = read_amc(folder / "02_01.amc")
+    ends = bone_ends(asf, frames) * asf.metres_per_unit
+    assert ends.shape == (343, 31, 3)
+    height = {n: ends[:, asf.index(n), 1] for n in ("head", "lfoot", "rfoot", "ltibia")}
+    assert (height["head"] > 1.4).all() and (height["head"] < 1.8).all()
+    for foot in ("lfoot", "rfoot"):  # each foot comes down to one level, again and again, and leaves it
+        assert -0.02 < height[foot].min() < 0.1 and np.ptp(height[foot]) > 0.05
+    walked = ends[-1, 0] - ends[0, 0]
+    assert 2 < np.linalg.norm(walked[[0, 2]]) < 5 and walked[2] > 2  # 2.9 s along the file's z
+    # the subject faces where it goes: toes lie ahead of ankles on average, left hip on +x
+    toes = (ends[:, asf.index("ltoes")] - ends[:, asf.index("ltibia")]).mean(0)
+    assert toes[2] > 0.1
+    assert (ends[:, asf.index("lhipjoint"), 0] > ends[:, asf.index("rhipjoint"), 0]).all()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (":hierarchy", ":other", "lacks :bonedata or :hierarchy"),
+        ("direction 0 0 5", "direction 0 0", "'lower' needs a direction of three"),
+        ("direction 0 0 5", "direction 0 0 x", "line 19 holds something that is not a number"),
+        ("direction 0 0 5", "direction 0 0 nan", "line 19 holds a number that is not finite"),
+        ("    length 2\n", "", "lacks its length"),
+        ("dof rx\n", "dof tx\n", "'lower' has channels tx"),
+        ("name lower", "name upper", "'upper' occurs twice"),
+        ("upper lower", "upper upper", "'upper' has two parents"),
+        ("upper lower", "upper nothing", "'nothing', which :bonedata lacks"),
+        ("upper lower\n", "", "'lower' does not hang on the root"),
+        ("root upper stiff", "lower stiff", "does not hang on the root"),
+        ("axis 0 0 90 XYZ", "axis 0 0 90 XXZ", "order such as XYZ"),
+        ("TX TY TZ RX RY RZ", "TX TY TZ RX RY RW", "root's order"),
+        ("length 0.45", "length 0", "must be positive"),
+    ],
+)
+def test_malformed_skeletons_are_refused(files, old, new, message):
+    assert old in ASF
+    (files / "bad.asf").write_text(ASF.replace(old, new, 1))
+    with pytest.raises(InputError, match=message) as error:
+        read_asf(files / "bad.asf")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("lower 40\n", "", "the last frame lacks a bone"),
+        ("lower 0\n", "", "line 10: the bone 'lower' differs"),
+        ("lower 40", "lower 40 50", "line 11: the bone 'lower' differs"),
+        ("lower 40", "lower forty", "line 11 holds something that is not a number"),
+        ("1\nroot", "root", "is neither a keyword nor a frame number"),
+    ],
+)
+def test_malformed_motions_are_refused(files, old, new, message):
+    (files / "bad.amc").write_text(AMC.replace(old, new, 1))
+    with pytest.raises(InputError, match=message):
+        read_amc(files / "bad.amc")
+
+
+@pytest.mark.parametrize("reader", [read_asf, read_amc])
+@pytest.mark.parametrize("content", [b"", b"\0" * 50, b"hello world\n", b":nothing\n"])
+def test_foreign_files_are_refused(tmp_path, reader, content):
+    (tmp_path / "x").write_bytes(content)
+    with pytest.raises(InputError, match="x"):
+        reader(tmp_path / "x")
+
+
+def test_motion_of_another_skeleton_is_refused(files):
+    asf = read_asf(files / "a.asf")
+    with pytest.raises(InputError, match="moves the bone 'tail'"):
+        global_rotations(asf, {"root": np.zeros((1, 6)), "tail": np.zeros((1, 1))})
+    with pytest.raises(InputError, match="for 'upper', the skeleton needs"):
+        global_rotations(asf, {"root": np.zeros((1, 6)), "upper": np.zeros((1, 2))})
+    with pytest.raises(InputError, match="no root channels"):
+        global_rotations(asf, {"upper": np.zeros((1, 3))})
