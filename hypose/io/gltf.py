@@ -85,7 +85,7 @@ def write_glb(path: str | Path, motion: Motion, body: Body) -> None:
         scene=0,
         scenes=[Scene(name="motion", nodes=[0, joints])],
         nodes=nodes,
-        meshes=[GltfMesh(name=body.name, primitives=[_primitive(store, body.fine)])],
+        meshes=[GltfMesh(name=body.name, primitives=[_primitive(store, body.fine, joints)])],
         materials=[
             Material(
                 name="skin",
@@ -117,9 +117,7 @@ class _Store:
         """Append an array (rows = elements) and return its accessor. float64 is stored as float32."""
         array = np.ascontiguousarray(values.astype("<f4") if values.dtype == np.float64 else values)
         component = {"f4": FLOAT, "u1": UNSIGNED_BYTE, "u4": UNSIGNED_INT}[array.dtype.str[1:]]
-        self.data.extend(
-            b"\0" * (-len(self.data) % 4)
-        )  # accessors start at multiples of their component size
+        self.data.extend(b"\0" * (-len(self.data) % 4))  # accessors start at multiples of their component size
         view = BufferView(buffer=0, byteOffset=len(self.data), byteLength=array.nbytes, target=target)
         accessor = Accessor(
             bufferView=len(self.views), componentType=component, count=len(array), type=kind, byteOffset=0
@@ -133,11 +131,14 @@ class _Store:
         return len(self.accessors) - 1
 
 
-def _primitive(store: _Store, mesh: Mesh) -> Primitive:
+def _primitive(store: _Store, mesh: Mesh, joints: int) -> Primitive:
     vertices = mesh.vertices @ Y_UP.T
-    weights = mesh.skin_weight / mesh.skin_weight.sum(1, keepdims=True)
-    # an unused slot must name joint 0
-    index = np.where(weights > 0, mesh.skin_index, 0).astype(np.uint8)
+    # a vertex must not name a joint twice, and unused slots must name joint 0
+    dense = mesh.dense_weights(joints)
+    index = np.argsort(-dense, axis=1, kind="stable")[:, :4]
+    weights = np.take_along_axis(dense, index, 1)
+    index = np.where(weights > 0, index, 0).astype(np.uint8)
+    weights = weights / weights.sum(1, keepdims=True)
     return Primitive(
         attributes=Attributes(
             POSITION=store.add(vertices, "VEC3", ARRAY_BUFFER, limits=True),
@@ -171,9 +172,7 @@ def _animation(store: _Store, motion: Motion, poses: Array) -> Animation:
     channels: list[AnimationChannel] = []
 
     def channel(node: int, what: str, values: Array, kind: str) -> None:
-        channels.append(
-            AnimationChannel(sampler=len(samplers), target=AnimationChannelTarget(node=node, path=what))
-        )
+        channels.append(AnimationChannel(sampler=len(samplers), target=AnimationChannelTarget(node=node, path=what)))
         samplers.append(AnimationSampler(input=clock, output=store.add(values, kind), interpolation="LINEAR"))
 
     _, centres = skeleton.forward(poses)

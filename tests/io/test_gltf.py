@@ -136,11 +136,13 @@ def test_normals_are_unit(written):
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-6)
 
 
-def test_unused_weight_slots_name_joint_zero(written):
+def test_weights_name_each_joint_once_and_joint_zero_when_unused(written):
     glb = Glb(written)
     attributes = glb.json["meshes"][0]["primitives"][0]["attributes"]
     weight, index = glb.array(attributes["WEIGHTS_0"]), glb.array(attributes["JOINTS_0"])
     assert not index[weight == 0].any()
+    for i, w in zip(index, weight, strict=True):  # the test's mesh names the pelvis twice
+        assert len(set(i[w > 0])) == (w > 0).sum()
 
 
 def test_another_body_s_motion_is_refused(tmp_path, small_motion, small_body):
