@@ -1,4 +1,5 @@
-"""What goes wrong in real recordings, switchable and named: in the images, in the masks, in the timing, in the rig."""
+"""What goes wrong in real recordings, switchable and named: in the images, in the masks, in the timing, in
+the rig."""
 
 from __future__ import annotations
 
@@ -20,13 +21,14 @@ Mask = NDArray[np.uint8]
 class Corruptions:
     """Switches; the defaults corrupt nothing. Lengths in px are those of the camera's own image size.
 
-    boundary_px: sd of the smooth displacement of a mask's outline. holes, blobs: mean number of missing and false pieces
-    per mask (ellipses of 4-14 px). shadow: 0..1, share of the cast shadow that is taken for the person (in RGB frames the
-    shadow is always there). occluder: "" or "table" or "treadmill", in front of the person in several views; it belongs to
-    the room. dropped: share of frames that a camera does not deliver (its last image is repeated). dead_camera: index
-    of a camera whose images are black from a third of the recording on, -1 for none. desync: the c-th camera is late by
-    desync[c % len] frames, so (0, 1, 0, 2) delays the second camera by one frame and the fourth by two.
-    calibration_error: relative; 0.01 changes focal lengths and positions by 1 % (1 sd).
+    boundary_px: sd of the smooth displacement of a mask's outline. holes, blobs: mean number of missing and
+    false pieces per mask (ellipses of 4-14 px). shadow: 0..1, share of the cast shadow that is taken for the
+    person (in RGB frames the shadow is always there). occluder: "" or "table" or "treadmill", in front of the
+    person in several views; it belongs to the room. dropped: share of frames that a camera does not deliver
+    (its last image is repeated). dead_camera: index of a camera whose images are black from a third of the
+    recording on, -1 for none. desync: the c-th camera is late by desync[c % len] frames, so (0, 1, 0, 2)
+    delays the second camera by one frame and the fourth by two. calibration_error: relative; 0.01 changes
+    focal lengths and positions by 1 % (1 sd).
     """
 
     boundary_px: float = 0.0
@@ -55,7 +57,8 @@ CORRUPTIONS: dict[str, Corruptions] = {
     "desync": Corruptions(desync=(0, 1, 0, 2)),
     "calibration-error": Corruptions(calibration_error=0.01),
 }
-"""The corruptions by name. level-1 is what a decent background model leaves in a good room, level-2 a bad one."""
+"""The corruptions by name. level-1 is what a decent background model leaves in a good room, level-2 a bad
+one."""
 
 
 def corruptions(*names: str) -> Corruptions:
@@ -63,9 +66,7 @@ def corruptions(*names: str) -> Corruptions:
     out = Corruptions()
     for name in names:
         if name not in CORRUPTIONS:
-            raise InputError(
-                f"There is no corruption {name!r}; the corruptions are {', '.join(CORRUPTIONS)}."
-            )
+            raise InputError(f"There is no corruption {name!r}; the corruptions are {', '.join(CORRUPTIONS)}.")
         one = CORRUPTIONS[name]
         changed = {f.name: getattr(one, f.name) for f in fields(one) if getattr(one, f.name) != f.default}
         out = replace(out, **changed)
@@ -77,16 +78,15 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cell: float) 
     h, w = shape
     s = max(1, round(cell))
     coarse = rng.normal(size=(h // s + 3, w // s + 3)).astype(np.float32)
-    return cv2.resize(coarse, ((w // s + 3) * s, (h // s + 3) * s), interpolation=cv2.INTER_CUBIC)[:h, :w]
+    fine = cv2.resize(coarse, ((w // s + 3) * s, (h // s + 3) * s), interpolation=cv2.INTER_CUBIC)
+    return np.asarray(fine[:h, :w], dtype=np.float32)
 
 
-def corrupt_mask(
-    mask: Mask, shadow: Mask, what: Corruptions, rng: np.random.Generator, scale: float = 1.0
-) -> Mask:
+def corrupt_mask(mask: Mask, shadow: Mask, what: Corruptions, rng: np.random.Generator, scale: float = 1.0) -> Mask:
     """A mask as a background model would deliver it.
 
-    mask, shadow: (h, w) uint8 0/1, the true silhouette and the person's cast shadow (without the silhouette); scale:
-    working size / camera size, by which lengths in px are multiplied. Returns a new (h, w) mask.
+    mask, shadow: (h, w) uint8 0/1, the true silhouette and the person's cast shadow (without the silhouette);
+    scale: working size / camera size, by which lengths in px are multiplied. Returns a new (h, w) mask.
     """
     out = mask.copy()
     x, y, w, h = cv2.boundingRect(mask)
@@ -135,8 +135,8 @@ def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> tu
 def occluder_mesh(name: str) -> tuple[Array, NDArray[np.int32]] | None:
     """World mesh (vertices (V, 3) m, faces (F, 3)) of an occluder, or None for "".
 
-    "table": 1.6 x 0.7 m, 0.75 m high, 1.35 m from the volume's centre towards -y. "treadmill": two hand rails with
-    posts, 0.55 m left and right of the centre, 1.0 m high, and a console bar in front.
+    "table": 1.6 x 0.7 m, 0.75 m high, 1.35 m from the volume's centre towards -y. "treadmill": two hand rails
+    with posts, 0.55 m left and right of the centre, 1.0 m high, and a console bar in front.
     """
     if name == "":
         return None
@@ -161,9 +161,9 @@ def occluder_mesh(name: str) -> tuple[Array, NDArray[np.int32]] | None:
 
 
 def disturb_rig(rig: CameraRig, relative: float, rng: np.random.Generator) -> CameraRig:
-    """The rig as a careless calibration gives it: for `relative` = 0.01, focal lengths off by 1 % and camera positions by
-    1 % of the distance to the volume's centre per axis, and the centre seen up to 1 % of the image's half width beside
-    where it is (each 1 sd). Image size and lens distortion stay."""
+    """The rig as a careless calibration gives it: for `relative` = 0.01, focal lengths off by 1 % and camera
+    positions by 1 % of the distance to the volume's centre per axis, and the centre seen up to 1 % of the
+    image's half width beside where it is (each 1 sd). Image size and lens distortion stay."""
     if relative <= 0:
         return rig
     out = []

@@ -1,14 +1,16 @@
 """Measures of an estimate against the truth, and the one-time alignment of joint definitions.
 
-Every length goes in and comes out in metres (reports print millimetres). Arrays of joints are (T, J, 3), world.
+Every length goes in and comes out in metres (reports print millimetres). Arrays of joints are (T, J, 3),
+world.
 
-What "error" means here: the Euclidean distance between an estimated and a true joint centre. Two bodies rarely define a
-joint at the same anatomical place, so definitions are aligned once, by a fixed offset per joint in the frame of a
-segment, never per frame:
-- `definition_offsets`: from two neutral rest bodies, once for all subjects and sequences: no information about the
-  subject or the sequence enters. The default for the figures.
-- `fitted_offsets`: one offset per joint fitted on the sequence itself, as comparisons with marker sets do (HumanEva).
-  More generous: a constant bias of the estimate disappears with the difference of definitions. Say so beside the number.
+What "error" means here: the Euclidean distance between an estimated and a true joint centre. Two bodies
+rarely define a joint at the same anatomical place, so definitions are aligned once, by a fixed offset per
+joint in the frame of a segment, never per frame:
+- `definition_offsets`: from two neutral rest bodies, once for all subjects and sequences: no information
+  about the subject or the sequence enters. The default for the figures.
+- `fitted_offsets`: one offset per joint fitted on the sequence itself, as comparisons with marker sets do
+  (HumanEva). More generous: a constant bias of the estimate disappears with the difference of definitions.
+  Say so beside the number.
 """
 
 from __future__ import annotations
@@ -35,11 +37,9 @@ EVALUATED: NDArray[np.int64] = np.array([JOINT_NAMES.index(n) for n in EVALUATED
 """Their indices among the 19 joints."""
 LOST_M = 0.120
 """A frame whose mean error exceeds this counts as lost."""
-# The segment whose frame carries a joint's offset: the one that ends in the joint (an elbow's place is a matter of the
-# upper arm), the joint's own for the root. The head joint is carried by the head.
-_CARRIER = np.array(
-    [j if JOINT_NAMES[j] in ("pelvis", "head") else int(PARENTS[j]) for j in range(len(JOINT_NAMES))]
-)
+# The segment whose frame carries a joint's offset: the one that ends in the joint (an elbow's place is a
+# matter of the upper arm), the joint's own for the root. The head joint is carried by the head.
+_CARRIER = np.array([j if JOINT_NAMES[j] in ("pelvis", "head") else int(PARENTS[j]) for j in range(len(JOINT_NAMES))])
 
 
 def carriers() -> NDArray[np.int64]:
@@ -50,14 +50,15 @@ def carriers() -> NDArray[np.int64]:
 def definition_offsets(
     estimated_rest: ArrayLike, true_rest: ArrayLike, estimated_stature: float, true_stature: float
 ) -> Array:
-    """(19, 3) offsets: where the truth defines each joint, seen from where the estimate's body defines it, in the rest
-    frame, per metre of stature.
+    """(19, 3) offsets: where the truth defines each joint, seen from where the estimate's body defines it, in
+    the rest frame, per metre of stature.
 
-    estimated_rest, true_rest: (19, 3) rest joints of two NEUTRAL bodies in the model frame (e.g. the tracker's template
-    and the mean of all subjects), measured once; statures in m. Both are scaled to stature 1 and placed so that all
-    joints agree in the mean. A limb segment that rests more than 10 degrees apart in the two bodies is turned to the
-    same direction first: that is posture, not definition. Multiply by the subject's stature and give to `joint_errors`;
-    no information about a subject or a sequence is used except that stature.
+    estimated_rest, true_rest: (19, 3) rest joints of two NEUTRAL bodies in the model frame (e.g. the
+    tracker's template and the mean of all subjects), measured once; statures in m. Both are scaled to stature
+    1 and placed so that all joints agree in the mean. A limb segment that rests more than 10 degrees apart in
+    the two bodies is turned to the same direction first: that is posture, not definition. Multiply by the
+    subject's stature and give to `joint_errors`; no information about a subject or a sequence is used except
+    that stature.
     """
     a = np.asarray(estimated_rest, dtype=np.float64) / estimated_stature
     b = np.asarray(true_rest, dtype=np.float64) / true_stature
@@ -68,8 +69,9 @@ def definition_offsets(
 
 
 def population_offsets(body: Body) -> Array:
-    """`definition_offsets` of a body (the tracker's template as shipped, not fitted to anybody) against the mean of all
-    baked subjects, per metre of stature: measured once, the same for every subject and sequence."""
+    """`definition_offsets` of a body (the tracker's template as shipped, not fitted to anybody) against the
+    mean of all baked subjects, per metre of stature: measured once, the same for every subject and
+    sequence."""
     subjects = load_subjects().values()
     mean = np.mean([s.joints / s.stature for s in subjects], axis=0)
     return definition_offsets(body.skeleton.rest_joints, mean, body.stature, 1.0)
@@ -88,10 +90,11 @@ def _posed_like(joints: Array, other: Array) -> Array:
 
 
 def fitted_offsets(estimated: ArrayLike, rotations: ArrayLike, truth: ArrayLike) -> Array:
-    """(19, 3) m: the mean over the frames of (true - estimated) joint in the frame of the estimate's carrying segment.
+    """(19, 3) m: the mean over the frames of (true - estimated) joint in the frame of the estimate's carrying
+    segment.
 
-    estimated (T, 19, 3) m, rotations (T, 19, 3, 3) world_from_joint of the ESTIMATE, truth (T, 19, 3) m. Fitted on the
-    sequence itself: more generous than `definition_offsets`. Least squares per joint.
+    estimated (T, 19, 3) m, rotations (T, 19, 3, 3) world_from_joint of the ESTIMATE, truth (T, 19, 3) m.
+    Fitted on the sequence itself: more generous than `definition_offsets`. Least squares per joint.
     """
     e, t, r = (np.asarray(x, dtype=np.float64) for x in (estimated, truth, rotations))
     _check_joints(e, t)
@@ -109,8 +112,8 @@ def with_offsets(estimated: ArrayLike, rotations: ArrayLike, offsets: ArrayLike)
 
 @dataclass(frozen=True)
 class JointErrors:
-    """distances: (T, J) m, joint by joint and frame by frame; frames with NaN in the truth or the estimate are NaN.
-    names: the J joints. The figures below ignore NaN."""
+    """distances: (T, J) m, joint by joint and frame by frame; frames with NaN in the truth or the estimate
+    are NaN. names: the J joints. The figures below ignore NaN."""
 
     distances: Array
     names: tuple[str, ...]
@@ -159,18 +162,17 @@ def joint_errors(
     rotations: ArrayLike | None = None,
     joints: ArrayLike | None = None,
 ) -> JointErrors:
-    """Distances between estimated and true joints (T, 19, 3) m in world coordinates, no alignment of any frame.
+    """Distances between estimated and true joints (T, 19, 3) m in world coordinates, no alignment of any
+    frame.
 
-    offsets (19, 3) m: added to the estimate in its carrying segments (needs rotations (T, 19, 3, 3) of the estimate).
-    joints: indices of the joints that count, EVALUATED (15) by default.
+    offsets (19, 3) m: added to the estimate in its carrying segments (needs rotations (T, 19, 3, 3) of the
+    estimate). joints: indices of the joints that count, EVALUATED (15) by default.
     """
     e, t = np.asarray(estimated, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     _check_joints(e, t)
     if offsets is not None:
         if rotations is None:
-            raise InputError(
-                "Offsets of joint definitions turn with the segments: give the estimate's rotations too."
-            )
+            raise InputError("Offsets of joint definitions turn with the segments: give the estimate's rotations too.")
         e = with_offsets(e, rotations, offsets)
     keep = EVALUATED if joints is None else np.asarray(joints, dtype=np.int64)
     distances = np.linalg.norm(e[:, keep] - t[:, keep], axis=-1)
@@ -178,8 +180,9 @@ def joint_errors(
 
 
 def root_aligned_errors(estimated: ArrayLike, truth: ArrayLike) -> JointErrors:
-    """As `joint_errors`, after moving the estimate of every frame so that both pelves coincide (no turn, no scale). It
-    measures the posture alone; the place in the world is free. The pelvis itself (always 0) is left out: 14 joints."""
+    """As `joint_errors`, after moving the estimate of every frame so that both pelves coincide (no turn, no
+    scale). It measures the posture alone; the place in the world is free. The pelvis itself (always 0) is
+    left out: 14 joints."""
     e, t = np.asarray(estimated, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     _check_joints(e, t)
     return joint_errors(e - e[:, :1] + t[:, :1], t, joints=EVALUATED[EVALUATED != 0])
@@ -190,18 +193,19 @@ def coverage(
 ) -> dict[float, Array]:
     """Share of the frames in which the true joint lies in the reported region, per level: {level: (J,)}.
 
-    estimated, truth (T, J, 3) m; joint_sd (T, J) m per axis, or covariances (T, J, 3, 3) m^2. The region of a level is
-    the sphere (ellipsoid) that holds that share of a 3D normal distribution: squared Mahalanobis distance below the
-    chi-square quantile with 3 degrees of freedom. A well calibrated method has coverage = level. NaN where no sd is known.
+    estimated, truth (T, J, 3) m; joint_sd (T, J) m per axis, or covariances (T, J, 3, 3) m^2. The region of a
+    level is the sphere (ellipsoid) that holds that share of a 3D normal distribution: squared Mahalanobis
+    distance below the chi-square quantile with 3 degrees of freedom. A well calibrated method has coverage =
+    level. NaN where no sd is known.
     """
     d = np.asarray(truth, dtype=np.float64) - np.asarray(estimated, dtype=np.float64)
     s = np.asarray(joint_sd, dtype=np.float64)
     if s.ndim == 4:
-        known = np.isfinite(s).all((-1, -2))
+        known = np.asarray(np.isfinite(s).all((-1, -2)))
         safe = np.where(known[..., None, None], s, np.eye(3))
         squared = np.einsum("tja,tja->tj", d, np.linalg.solve(safe, d[..., None])[..., 0])
     else:
-        known = np.isfinite(s) & (s > 0)
+        known = np.asarray(np.isfinite(s) & (s > 0))
         squared = (d**2).sum(-1) / np.where(known, s, 1.0) ** 2
     known &= np.isfinite(squared)
     out = {}
@@ -218,12 +222,12 @@ def joint_angle_errors(
     estimated_rest: ArrayLike | None = None,
     true_rest: ArrayLike | None = None,
 ) -> Array:
-    """(T, 19) rad: angle of the rotation between the estimated and true orientation of each joint relative to its
-    parent (the pelvis: relative to the world).
+    """(T, 19) rad: angle of the rotation between the estimated and true orientation of each joint relative to
+    its parent (the pelvis: relative to the world).
 
-    estimated, truth (T, 19, 3, 3) world_from_joint. The two bodies may rest differently: give what takes each body's
-    rest to a common posture (performance.hanging_from_rest for subjects), (19, 3, 3) each, and orientations are compared
-    as turns from there.
+    estimated, truth (T, 19, 3, 3) world_from_joint. The two bodies may rest differently: give what takes each
+    body's rest to a common posture (performance.hanging_from_rest for subjects), (19, 3, 3) each, and
+    orientations are compared as turns from there.
     """
     e, t = np.asarray(estimated, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     if estimated_rest is not None:
@@ -245,8 +249,9 @@ _HINGES = {
 
 
 def flexion_errors(estimated: ArrayLike, truth: ArrayLike) -> dict[str, Array]:
-    """{elbow or knee: (T,) rad}: estimated minus true angle between the two bones that meet there, from joints
-    (T, 19, 3) alone: independent of any body's rest pose and of how its segments' frames are defined."""
+    """{elbow or knee: (T,) rad}: estimated minus true angle between the two bones that meet there, from
+    joints (T, 19, 3) alone: independent of any body's rest pose and of how its segments' frames are
+    defined."""
 
     def angle(p: Array, a: int, b: int, c: int) -> Array:
         u, v = p[:, b] - p[:, a], p[:, c] - p[:, b]
@@ -258,8 +263,8 @@ def flexion_errors(estimated: ArrayLike, truth: ArrayLike) -> dict[str, Array]:
 
 
 def bone_length_sd(joints: ArrayLike, parents: ArrayLike = PARENTS) -> Array:
-    """(J,) m: standard deviation over the frames of the distance of each joint (T, J, 3) from its parent (root: 0). A
-    body model keeps it at 0; points that are estimated one by one do not."""
+    """(J,) m: standard deviation over the frames of the distance of each joint (T, J, 3) from its parent
+    (root: 0). A body model keeps it at 0; points that are estimated one by one do not."""
     p, q = np.asarray(joints, dtype=np.float64), np.asarray(parents)
     lengths = np.linalg.norm(p - p[:, np.maximum(q, 0)], axis=-1)
     return np.where(q >= 0, np.nanstd(lengths, axis=0), 0.0)

@@ -1,199 +1,25 @@
-"""Built-in motions: walk, jog, box, wave, cross_arms, punch, sit_down, serve, combo; nothing external is needed.
+"""Built-in motions: walk, jog, box, wave, cross_arms, punch, sit_down, serve, combo; nothing external is
+needed.
 
-Walking and running follow published joint-angle curves (Winter 2009, normal gait, rounded; a slow run likewise), the rest
-are key poses joined smoothly. `amplitude` scales how far the limbs move, `speed` how fast; with an rng every take differs
-a little in both, in posture and in timing. All angles are anatomical, see performance.CHANNELS.
+Walking and running follow published joint-angle curves (Winter 2009, normal gait, rounded; a slow run
+likewise), the rest are key poses joined smoothly. `amplitude` scales how far the limbs move, `speed` how
+fast; with an rng every take differs a little in both, in posture and in timing. All angles are anatomical,
+see performance.CHANNELS.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
 from hypose.errors import InputError
+from hypose.evaluation.gait import Take, jog, sample_times, walk
 from hypose.evaluation.performance import Angles, Performance, Stance, centred, chain, perform
 from hypose.evaluation.subjects import Subject
 from hypose.geometry import Array
-
-# degrees over one stride, in % from heel strike
-_WALK = {
-    "hip": (
-        (0, 26),
-        (10, 23),
-        (20, 15),
-        (30, 5),
-        (40, -4),
-        (50, -10),
-        (57, -9),
-        (65, 2),
-        (75, 17),
-        (85, 26),
-        (93, 27),
-    ),
-    "knee": (
-        (0, 5),
-        (8, 14),
-        (15, 17),
-        (25, 13),
-        (38, 6),
-        (48, 10),
-        (57, 30),
-        (66, 54),
-        (73, 61),
-        (82, 46),
-        (92, 14),
-        (97, 5),
-    ),
-    "ankle": ((0, 0), (7, -5), (20, 4), (40, 10), (48, 9), (55, -3), (62, -17), (70, -9), (80, 0), (90, 2)),
-}
-_JOG = {
-    "hip": ((0, 34), (12, 26), (25, 5), (36, -12), (44, -13), (57, 8), (72, 38), (84, 46), (94, 39)),
-    "knee": (
-        (0, 19),
-        (14, 41),
-        (25, 32),
-        (36, 18),
-        (45, 34),
-        (58, 82),
-        (67, 94),
-        (79, 68),
-        (91, 25),
-        (96, 18),
-    ),
-    "ankle": ((0, 6), (14, 21), (25, 12), (37, -18), (50, -9), (70, 4), (88, 7)),
-}
-
-
-def _times(duration: float, frame_rate: float) -> Array:
-    if not (duration > 0 and frame_rate > 0):
-        raise InputError(
-            f"A motion needs a positive duration and frame rate, got {duration} s and {frame_rate} Hz."
-        )
-    return np.arange(max(2, round(duration * frame_rate))) / frame_rate
-
-
-def _periodic(points: Sequence[tuple[float, float]], phase: Array) -> Array:
-    x, y = np.array(points, dtype=np.float64).T
-    spline = CubicSpline(np.append(x, x[0] + 100) / 100, np.append(y, y[0]), bc_type="periodic")
-    return spline(phase % 1.0)
-
-
-class _Take:
-    """Random variation of one take: factors near 1, offsets near 0; exactly 1 and 0 without an rng."""
-
-    def __init__(self, rng: np.random.Generator | None) -> None:
-        self.rng = rng
-
-    def factor(self, share: float) -> float:
-        return (
-            1.0
-            if self.rng is None
-            else float(np.exp(np.clip(self.rng.normal(0, share), -2 * share, 2 * share)))
-        )
-
-    def offset(self, size: float) -> float:
-        return 0.0 if self.rng is None else float(np.clip(self.rng.normal(0, size), -2 * size, 2 * size))
-
-    def drift(self, t: Array, size: float, period: float = 2.5) -> Array:
-        """A smooth random course of the given sd: people are never quite periodic."""
-        if self.rng is None:
-            return np.zeros_like(t)
-        n = 4
-        f = self.rng.uniform(0.5, 1.5, n) / period
-        phase = self.rng.uniform(0, 2 * np.pi, n)
-        return size * np.sqrt(2 / n) * np.sin(2 * np.pi * f[:, None] * t + phase[:, None]).sum(0)
-
-
-def _gait(
-    name: str,
-    t: Array,
-    rng: np.random.Generator | None,
-    amplitude: float,
-    speed: float,
-    radius: float,
-    jog: bool,
-) -> Angles:
-    take = _Take(rng)
-    curves = _JOG if jog else _WALK
-    rate = (1.35 if jog else 0.9) * speed * take.factor(0.05)
-    phase = rate * t + take.offset(0.2) + take.drift(t, 0.008)
-    size = amplitude * take.factor(0.06) * (0.75 if jog else 1.0)  # the curves are those of a faster run
-    swing, elbow, lean = (36.0, 82.0, 8.0) if jog else (21.0, 22.0, 2.0)
-    swing *= amplitude * take.factor(0.15)
-    elbow += take.offset(6)
-    values: dict[str, Array] = {}
-    for side, shift in (("left", 0.0), ("right", 0.5)):
-        p = phase + shift
-        arm = np.cos(2 * np.pi * (p - 0.03))  # the arm is back when the leg of its side is in front
-        values[f"{side}_hip_flexion"] = (
-            size * _periodic(curves["hip"], p) + take.drift(t, 0.8) + (4 if jog else 0)
-        )
-        values[f"{side}_knee_flexion"] = np.maximum(size * _periodic(curves["knee"], p), 2.0)
-        values[f"{side}_ankle_dorsiflexion"] = size * _periodic(curves["ankle"], p)
-        values[f"{side}_hip_internal"] = np.full_like(t, -6.0)
-        values[f"{side}_hip_abduction"] = np.full_like(t, -1.0 if jog else 0.5)
-        values[f"{side}_shoulder_flexion"] = (-8.0 if jog else 3.0) - swing * arm + take.drift(t, 1.5)
-        values[f"{side}_shoulder_abduction"] = np.full_like(t, (14.0 if jog else 9.0) + take.offset(2))
-        values[f"{side}_shoulder_internal"] = (22.0 if jog else 8.0) - (12.0 if jog else 4.0) * arm
-        values[f"{side}_elbow_flexion"] = elbow - (0.45 if jog else 0.4) * swing * arm + take.drift(t, 1.5)
-        values[f"{side}_clavicle_forward"] = -0.12 * swing * arm
-    stride = np.cos(2 * np.pi * phase)
-    values["pelvis_turn"] = -(7.0 if jog else 5.0) * size * stride
-    values["pelvis_list"] = -(3.0 if jog else 3.0) * np.sin(2 * np.pi * (phase + 0.02))
-    values["pelvis_lean"] = np.full_like(t, lean * 0.5 + take.offset(1))
-    values["spine_turn"] = (16.0 if jog else 11.0) * size * stride
-    values["spine_list"] = (4.0 if jog else 3.5) * np.sin(2 * np.pi * (phase + 0.02))
-    values["spine_lean"] = lean + 1.0 * np.cos(4 * np.pi * phase) + take.drift(t, 0.7)
-    values["neck_turn"] = -(9.0 if jog else 6.0) * size * stride + take.drift(t, 4.0, 4.0)
-    values["neck_lean"] = -lean + take.drift(t, 2.5, 4.0)
-    values["left"] = 0.022 * np.sin(2 * np.pi * (phase + 0.02)) * (0.5 if jog else 1.0)
-    if jog:
-        # flight: both feet off the ground after each toe-off at 37 %, until the other foot strikes at 50 %
-        air = ((2 * phase) % 1.0 - 0.74) / 0.26
-        values["up"] = (
-            0.05 * size * np.where((air > 0) & (air < 1), np.sin(np.pi * np.clip(air, 0, 1)) ** 2, 0.0)
-        )
-    return Angles(name, t, values, None, radius)
-
-
-def walk(
-    subject: Subject,
-    duration: float,
-    frame_rate: float,
-    rng: np.random.Generator | None = None,
-    amplitude: float = 1.0,
-    speed: float = 1.0,
-    radius: float = 0.8,
-) -> Performance:
-    """Walking on a circle of `radius` m to the left (infinite: straight on), about 1.2 m/s."""
-    return _around(
-        perform(_gait("walk", _times(duration, frame_rate), rng, amplitude, speed, radius, False), subject)
-    )
-
-
-def jog(
-    subject: Subject,
-    duration: float,
-    frame_rate: float,
-    rng: np.random.Generator | None = None,
-    amplitude: float = 1.0,
-    speed: float = 1.0,
-    radius: float = 0.9,
-) -> Performance:
-    """Slow running on a circle of `radius` m to the left (infinite: straight on), with short flights."""
-    return _around(
-        perform(_gait("jog", _times(duration, frame_rate), rng, amplitude, speed, radius, True), subject)
-    )
-
-
-def _around(p: Performance) -> Performance:
-    """A circle stays about its centre; anything that covers less than half of one is centred."""
-    spread = np.ptp(p.root[:, :2], axis=0)
-    return p if spread.min() > 0.6 * spread.max() else centred(p)
-
 
 # key poses: channel values in degrees; both_ = left_ and right_
 _RELAXED = {
@@ -214,14 +40,12 @@ _GUARD = {
 }
 
 
-def _pose(*parts: dict[str, float]) -> dict[str, float]:
+def _pose(*parts: Mapping[str, float]) -> dict[str, float]:
     """Later parts override earlier ones; both_X sets left_X and right_X."""
     out: dict[str, float] = {}
     for part in parts:
         for k, v in part.items():
-            for name in (
-                [k.replace("both_", f"{s}_") for s in ("left", "right")] if k.startswith("both_") else [k]
-            ):
+            for name in [k.replace("both_", f"{s}_") for s in ("left", "right")] if k.startswith("both_") else [k]:
                 out[name] = float(v)
     return out
 
@@ -230,7 +54,7 @@ def _keyed(
     name: str,
     t: Array,
     keys: Sequence[tuple[float, dict[str, float]]],
-    take: _Take,
+    take: Take,
     stance: Stance,
     smooth: float = 0.05,
 ) -> Angles:
@@ -242,11 +66,7 @@ def _keyed(
     values = {}
     for c in channels:
         y = np.array([pose.get(c, 0.0) for _, pose in keys])
-        course = (
-            PchipInterpolator(at, y)(np.clip(fine, at[0], at[-1]))
-            if len(at) > 1
-            else np.full_like(fine, y[0])
-        )
+        course = PchipInterpolator(at, y)(np.clip(fine, at[0], at[-1])) if len(at) > 1 else np.full_like(fine, y[0])
         values[c] = np.interp(t, fine, gaussian_filter1d(course, smooth * 200, mode="nearest"))
     sway = {"spine_lean": 0.8, "spine_list": 0.8, "spine_turn": 1.5, "neck_turn": 3.0, "neck_lean": 1.5}
     sway |= {"forward": 0.006, "left": 0.008, "pelvis_turn": 1.0}
@@ -261,7 +81,7 @@ def _keyed(
     return Angles(name, t, values, stance)
 
 
-def _scaled(pose: dict[str, float], base: dict[str, float], amplitude: float) -> dict[str, float]:
+def _scaled(pose: Mapping[str, float], base: Mapping[str, float], amplitude: float) -> dict[str, float]:
     """The pose with its distance from the base pose scaled."""
     keys = set(pose) | set(base)
     return {k: base.get(k, 0.0) + amplitude * (pose.get(k, 0.0) - base.get(k, 0.0)) for k in keys}
@@ -291,8 +111,9 @@ def box(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Performance:
-    """Shadow boxing from a guard, left foot forward: jabs and crosses about every 0.8 s, bobbing on planted feet."""
-    take, t = _Take(rng), _times(duration, frame_rate)
+    """Shadow boxing from a guard, left foot forward: jabs and crosses about every 0.8 s, bobbing on planted
+    feet."""
+    take, t = Take(rng), sample_times(duration, frame_rate)
     guard = _pose(_GUARD)
     keys, now, side = [(0.0, guard)], 0.35, "left"
     while now < t[-1] + 1:
@@ -322,7 +143,7 @@ def punch(
     speed: float = 1.0,
 ) -> Performance:
     """Strong straight punches of the right hand from a relaxed stance, with wind-up, every 1.6 s."""
-    take, t = _Take(rng), _times(duration, frame_rate)
+    take, t = Take(rng), sample_times(duration, frame_rate)
     rest = _pose(_RELAXED, {"up": -0.02})
     wind = {
         "right_shoulder_flexion": -22,
@@ -336,9 +157,7 @@ def punch(
     while now < t[-1] + 1:
         step = take.factor(0.1) / speed
         back = _scaled(_pose(_RELAXED, wind), rest, amplitude)
-        blow = _scaled(
-            _pose(_RELAXED, wind, _jab("right", take.factor(0.06)), {"spine_lean": 8}), rest, amplitude
-        )
+        blow = _scaled(_pose(_RELAXED, wind, _jab("right", take.factor(0.06)), {"spine_lean": 8}), rest, amplitude)
         keys += [(now, rest), (now + 0.45 * step, back), (now + 0.68 * step, blow), (now + 1.15 * step, rest)]
         now += (1.3 + abs(take.offset(0.25))) / speed
     return perform(_keyed("punch", t, keys, take, Stance(0.20, -0.16, 0.16, 12.0)), subject)
@@ -352,8 +171,9 @@ def wave(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Performance:
-    """Raising the right arm and waving the forearm from side to side, then lowering it; again after a pause."""
-    take, t = _Take(rng), _times(duration, frame_rate)
+    """Raising the right arm and waving the forearm from side to side, then lowering it; again after a
+    pause."""
+    take, t = Take(rng), sample_times(duration, frame_rate)
     rest = _pose(_RELAXED)
     up = {"right_shoulder_flexion": 30, "right_shoulder_abduction": 92, "right_shoulder_internal": -78}
     up |= {"right_clavicle_up": 8, "spine_list": -3, "neck_list": 3}
@@ -383,7 +203,7 @@ def cross_arms(
     speed: float = 1.0,
 ) -> Performance:
     """Folding the arms in front of the chest, holding, and letting them hang again (an IXMAS action)."""
-    take, t = _Take(rng), _times(duration, frame_rate)
+    take, t = Take(rng), sample_times(duration, frame_rate)
     rest = _pose(_RELAXED)
     folded = {
         "both_shoulder_internal": 62,
@@ -409,8 +229,9 @@ def sit_down(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Performance:
-    """Sitting down as on a chair 45 cm high (which is not there) and standing up again; the trunk leads the way."""
-    take, t = _Take(rng), _times(duration, frame_rate)
+    """Sitting down as on a chair 45 cm high (which is not there) and standing up again; the trunk leads the
+    way."""
+    take, t = Take(rng), sample_times(duration, frame_rate)
     rest = _pose(_RELAXED, {"forward": 0.02})
     half = {"up": -0.24, "forward": -0.24, "pelvis_lean": 24, "spine_lean": 22, "neck_lean": -18}
     half |= {"both_shoulder_flexion": 42, "both_elbow_flexion": 30}
@@ -435,11 +256,10 @@ def serve(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Performance:
-    """A right-handed tennis serve without racket: toss, trophy pose with bent knees, strike, follow-through; every 3.2 s."""
-    take, t = _Take(rng), _times(duration, frame_rate)
-    ready = _pose(
-        _RELAXED, {"both_shoulder_flexion": 32, "both_elbow_flexion": 55, "both_shoulder_internal": 35}
-    )
+    """A right-handed tennis serve without racket: toss, trophy pose with bent knees, strike, follow-through;
+    every 3.2 s."""
+    take, t = Take(rng), sample_times(duration, frame_rate)
+    ready = _pose(_RELAXED, {"both_shoulder_flexion": 32, "both_elbow_flexion": 55, "both_shoulder_internal": 35})
     ready |= {"spine_turn": -12, "pelvis_turn": -10, "neck_turn": 15, "up": -0.03}
     drop = {
         "left_shoulder_flexion": 18,
@@ -522,18 +342,15 @@ def combo(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Performance:
-    """Walk, jog, box and wave one after the other (HumanEva's combo likewise starts with walking and jogging)."""
+    """Walk, jog, box and wave one after the other (HumanEva's combo likewise starts with walking and
+    jogging)."""
     parts = [(walk, 0.34), (jog, 0.24), (box, 0.22), (wave, 0.20)]
     blend, n = 0.5, round(duration * frame_rate)
     extra = blend * (len(parts) - 1) / len(parts)
-    shows = [
-        f(subject, duration * share + extra + 0.1, frame_rate, rng, amplitude, speed) for f, share in parts
-    ]
+    shows = [f(subject, duration * share + extra + 0.1, frame_rate, rng, amplitude, speed) for f, share in parts]
     whole = chain("combo", shows, subject, blend)
     n = min(n, len(whole))
-    return centred(
-        Performance("combo", whole.times[:n], whole.rotations[:n], whole.root[:n], whole.joints[:n])
-    )
+    return centred(Performance("combo", whole.times[:n], whole.rotations[:n], whole.root[:n], whole.joints[:n]))
 
 
 MOTIONS: dict[str, Callable[..., Performance]] = {
@@ -550,7 +367,8 @@ def act(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Performance:
-    """A built-in motion by name (MOTIONS) of `duration` s at `frame_rate` Hz about the origin; an InputError lists them."""
+    """A built-in motion by name (MOTIONS) of `duration` s at `frame_rate` Hz about the origin; an InputError
+    lists them."""
     if name not in MOTIONS:
         raise InputError(f"There is no motion {name!r}; the motions are {', '.join(MOTIONS)}.")
     return MOTIONS[name](subject, duration, frame_rate, rng, amplitude, speed)

@@ -1,8 +1,8 @@
 """Performance: a subject's known motion, and how joint angles become one.
 
-Angles are anatomical and relative to standing upright with hanging arms; `perform` turns them into one world rotation per
-joint for a given subject, whatever its rest pose, and finds the root's path from the feet: a foot that carries stays on
-the ground and does not slide.
+Angles are anatomical and relative to standing upright with hanging arms; `perform` turns them into one world
+rotation per joint for a given subject, whatever its rest pose, and finds the root's path from the feet: a
+foot that carries stays on the ground and does not slide.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ CHANNELS = (
 
 
 class Stance(NamedTuple):
-    """Where planted feet stand, in m per m of leg length, relative to the point under the pelvis at rest: forward and
-    outward (half the width) of the left and right ankle, and toes turned out in degrees."""
+    """Where planted feet stand, in m per m of leg length, relative to the point under the pelvis at rest:
+    forward and outward (half the width) of the left and right ankle, and toes turned out in degrees."""
 
     left_forward: float = 0.0
     right_forward: float = 0.0
@@ -59,9 +59,10 @@ class Stance(NamedTuple):
 
 @dataclass(frozen=True)
 class Angles:
-    """A motion as angles over time. times (T,) s; values: channel -> (T,), absent ones are 0. stance: the feet stay
-    planted there and the legs follow by inverse kinematics (leg channels are ignored); None: the legs follow the
-    channels, and the body travels as far as its feet push it, on a circle of `turn_radius` m (infinite: straight)."""
+    """A motion as angles over time. times (T,) s; values: channel -> (T,), absent ones are 0. stance: the
+    feet stay planted there and the legs follow by inverse kinematics (leg channels are ignored); None: the
+    legs follow the channels, and the body travels as far as its feet push it, on a circle of `turn_radius` m
+    (infinite: straight)."""
 
     name: str
     times: Array
@@ -80,8 +81,8 @@ class Angles:
 
 @dataclass(frozen=True)
 class Performance:
-    """What a subject does, exactly. times (T,) s; rotations (T, 19, 3, 3) world_from_joint; root (T, 3) m: pelvis in the
-    world; joints (T, 19, 3) m, world."""
+    """What a subject does, exactly. times (T,) s; rotations (T, 19, 3, 3) world_from_joint; root (T, 3) m:
+    pelvis in the world; joints (T, 19, 3) m, world."""
 
     name: str
     times: Array
@@ -95,9 +96,7 @@ class Performance:
     @property
     def frame_rate(self) -> float:
         """Frames per second."""
-        return (
-            float((len(self.times) - 1) / (self.times[-1] - self.times[0])) if len(self.times) > 1 else 25.0
-        )
+        return float((len(self.times) - 1) / (self.times[-1] - self.times[0])) if len(self.times) > 1 else 25.0
 
 
 def assemble(name: str, subject: Subject, times: Array, rotations: Array, root: Array) -> Performance:
@@ -113,8 +112,8 @@ def turn(axis: int, degrees: Array) -> Array:
 
 
 def hanging_from_rest(subject: Subject) -> Array:
-    """(19, 3, 3) rotations that take the subject's rest pose to upright standing with arms and legs hanging straight
-    down, the smallest ones; feet stay level. Angles are measured from there."""
+    """(19, 3, 3) rotations that take the subject's rest pose to upright standing with arms and legs hanging
+    straight down, the smallest ones; feet stay level. Angles are measured from there."""
     down, j = np.array([0.0, 0.0, -1.0]), subject.joints
     out = np.tile(np.eye(3), (len(JOINT_NAMES), 1, 1))
     for a, b, c in ((6, 7, 8), (10, 11, 12), (13, 14, 15), (16, 17, 18)):
@@ -128,16 +127,14 @@ def hanging_from_rest(subject: Subject) -> Array:
 def local_rotations(angles: Angles) -> Array:
     """Rotations (T, 19, 3, 3) of each joint in its parent's frame, relative to the hanging pose.
 
-    x = left, y = backward, z = up: a lean forwards is a positive turn about x, flexion of hip, shoulder and elbow a
-    negative one, and left and right mirror the turns about y and z.
+    x = left, y = backward, z = up: a lean forwards is a positive turn about x, flexion of hip, shoulder and
+    elbow a negative one, and left and right mirror the turns about y and z.
     """
     g = angles.get
     out = np.tile(np.eye(3), (len(angles.times), len(JOINT_NAMES), 1, 1))
     out[:, 0] = turn(2, g("pelvis_turn")) @ turn(1, g("pelvis_list")) @ turn(0, g("pelvis_lean"))
     for part, joints in (("spine", (1, 2)), ("neck", (3, 4))):
-        half = (
-            turn(2, g(f"{part}_turn") / 2) @ turn(1, g(f"{part}_list") / 2) @ turn(0, g(f"{part}_lean") / 2)
-        )
+        half = turn(2, g(f"{part}_turn") / 2) @ turn(1, g(f"{part}_list") / 2) @ turn(0, g(f"{part}_lean") / 2)
         for j in joints:
             out[:, j] = half
     for side, sign, first_arm, first_leg in (("left", 1.0, 5, 13), ("right", -1.0, 9, 16)):
@@ -182,8 +179,8 @@ def perform(angles: Angles, subject: Subject) -> Performance:
 
 
 def soles(subject: Subject, rotations: Array, joints: Array) -> tuple[Array, Array]:
-    """Lowest point of each foot (left, right): (T, 2) heights (m) and (T, 2, 3) the motion of that point of the foot per
-    frame (m), for rotations (T, 19, 3, 3) and joints (T, 19, 3)."""
+    """Lowest point of each foot (left, right): (T, 2) heights (m) and (T, 2, 3) the motion of that point of
+    the foot per frame (m), for rotations (T, 19, 3, 3) and joints (T, 19, 3)."""
     low, motion = [], []
     for j in (15, 18):
         rest = subject.vertices[subject.main_joint == j] - subject.joints[j]
@@ -199,7 +196,8 @@ def soles(subject: Subject, rotations: Array, joints: Array) -> tuple[Array, Arr
 
 
 def _soft_minimum(values: Array, width: float) -> Array:
-    """Smooth minimum over the last axis (never above the true one by more than 0, below by at most width * ln n)."""
+    """Smooth minimum over the last axis (never above the true one by more than 0, below by at most width * ln
+    n)."""
     lowest = values.min(-1, keepdims=True)
     return lowest[..., 0] - width * np.log(np.exp(-(values - lowest) / width).sum(-1))
 
@@ -234,15 +232,14 @@ def _travel(angles: Angles, subject: Subject, rotations: Array) -> tuple[Array, 
     else:
         root[:, :2] -= (root[0, :2] + root[-1, :2]) / 2
     sideways = np.stack([np.cos(yaw), np.sin(yaw)], 1)
-    root[:, :2] += (
-        angles.get("forward")[:, None] * direction + angles.get("left")[:, None] * sideways
-    ) * scale
+    root[:, :2] += (angles.get("forward")[:, None] * direction + angles.get("left")[:, None] * sideways) * scale
     root[:, 2] = gaussian_filter1d(height, 0.02 * rate, mode="nearest")
     return root, turn(2, np.degrees(yaw))
 
 
 def _planted(angles: Angles, subject: Subject, world: Array, align: Array) -> tuple[Array, Array]:
-    """Rotations (T, 19, 3, 3) and root (T, 3) with the feet at their stance, the legs by inverse kinematics."""
+    """Rotations (T, 19, 3, 3) and root (T, 3) with the feet at their stance, the legs by inverse
+    kinematics."""
     stance, scale, g = angles.stance or Stance(), subject.leg_length, angles.get
     joints = subject.joints
     rotations = world @ align
@@ -261,26 +258,24 @@ def _planted(angles: Angles, subject: Subject, world: Array, align: Array) -> tu
     hips = rotations[:, :1] @ joints[[13, 16], :, None]
     hips = hips[..., 0]
     lengths = [
-        (np.linalg.norm(joints[a + 1] - joints[a]), np.linalg.norm(joints[a + 2] - joints[a + 1]))
-        for a in (13, 16)
+        (np.linalg.norm(joints[a + 1] - joints[a]), np.linalg.norm(joints[a + 2] - joints[a + 1])) for a in (13, 16)
     ]
     root = np.zeros((len(angles.times), 3))
     root[:, 0] = g("left") * scale
     root[:, 1] = -g("forward") * scale
-    # as high as a nearly straight leg allows, lowered by `up`; smooth, because either leg may be the shorter one
+    # as high as a nearly straight leg allows, lowered by `up`; smooth, because either leg may be the shorter
+    # one
     reach = []
     for k in range(2):
         across = ankles[k][:, :2] - root[:, :2] - hips[:, k, :2]
         longest = 0.992 * sum(lengths[k])
-        reach.append(
-            ankles[k][:, 2] + np.sqrt(np.maximum(longest**2 - (across**2).sum(1), 0.01)) - hips[:, k, 2]
-        )
+        reach.append(ankles[k][:, 2] + np.sqrt(np.maximum(longest**2 - (across**2).sum(1), 0.01)) - hips[:, k, 2])
     root[:, 2] = _soft_minimum(np.stack(reach, 1), 0.005) + np.minimum(g("up"), 0.0) * scale
     for k, (j, sign) in enumerate(((13, 1.0), (16, -1.0))):
         yaw = sign * stance.toes_out
         foot = turn(2, np.full(len(root), yaw)) @ turn(0, np.degrees(pitch[k]))
         to = ankles[k] - (root + hips[:, k])
-        thigh, shank = _leg(to, *lengths[k], forward=foot @ np.array([0.0, -1.0, 0.0]))
+        thigh, shank = _leg(to, float(lengths[k][0]), float(lengths[k][1]), forward=foot @ np.array([0.0, -1.0, 0.0]))
         rotations[:, j] = thigh @ align[j]
         rotations[:, j + 1] = shank @ align[j + 1]
         rotations[:, j + 2] = foot @ align[j + 2]
@@ -288,8 +283,8 @@ def _planted(angles: Angles, subject: Subject, world: Array, align: Array) -> tu
 
 
 def _leg(to_ankle: Array, thigh: float, shank: float, forward: Array) -> tuple[Array, Array]:
-    """Rotations (T, 3, 3) of thigh and shank from hanging, that reach to_ankle (T, 3) from the hip with the knee bent
-    towards `forward` (T, 3): the two-bone triangle."""
+    """Rotations (T, 3, 3) of thigh and shank from hanging, that reach to_ankle (T, 3) from the hip with the
+    knee bent towards `forward` (T, 3): the two-bone triangle."""
     d = np.linalg.norm(to_ankle, axis=1)
     d = np.clip(d, abs(thigh - shank) * 1.05 + 0.02, (thigh + shank) * 0.99999)
     axis = to_ankle / np.linalg.norm(to_ankle, axis=1, keepdims=True)
@@ -299,13 +294,13 @@ def _leg(to_ankle: Array, thigh: float, shank: float, forward: Array) -> tuple[A
     knee = thigh * (np.cos(at_hip)[:, None] * axis + np.sin(at_hip)[:, None] * ahead)
     down_thigh = knee / thigh
     down_shank = (d[:, None] * axis - knee) / shank
-    left = np.cross(-axis, ahead)  # x = up x ... : z (up) x forward(-y) = left
+    left = np.cross(-axis, ahead)
 
     def frame(down: Array) -> Array:
         z = -down
         x = left / np.linalg.norm(left, axis=1, keepdims=True)
         y = np.cross(z, x)
-        return np.stack([x, y, z], 2)
+        return np.asarray(np.stack([x, y, z], 2), dtype=np.float64)
 
     return frame(down_thigh), frame(down_shank)
 
@@ -324,8 +319,8 @@ def heading(rotation: Array) -> float:
 
 
 def chain(name: str, parts: list[Performance], subject: Subject, blend: float = 0.5) -> Performance:
-    """Performances one after the other, each starting where (and facing as) the one before ends, cross-faded over
-    `blend` seconds; the ground contact is restored in the blends."""
+    """Performances one after the other, each starting where (and facing as) the one before ends, cross-faded
+    over `blend` seconds; the ground contact is restored in the blends."""
     out = parts[0]
     rate = out.frame_rate
     n = max(2, round(blend * rate))

@@ -1,7 +1,9 @@
-"""Colour pictures of synthetic scenes: a dressed person in a textured room, with light, shadow, noise and lens.
+"""Colour pictures of synthetic scenes: a dressed person in a textured room, with light, shadow, noise and
+lens.
 
-The point is not beauty but that a real background model meets what it meets in reality: colours of clothes that are near
-the room's in places, a soft cast shadow, light that drifts, noise. All colours are linear-ish BGR in 0..255.
+The point is not beauty but that a real background model meets what it meets in reality: colours of clothes
+that are near the room's in places, a soft cast shadow, light that drifts, noise. All colours are linear-ish
+BGR in 0..255.
 """
 
 from __future__ import annotations
@@ -29,8 +31,8 @@ SHADOW_DEPTH = 0.42
 
 @dataclass(frozen=True)
 class Room:
-    """A box-shaped room about the origin with procedural textures. half: (3,) m half width, half depth, height.
-    floor, walls: BGR colours; tile: (256, 256) float32 noise of unit range, repeated."""
+    """A box-shaped room about the origin with procedural textures. half: (3,) m half width, half depth,
+    height. floor, walls: BGR colours; tile: (256, 256) float32 noise of unit range, repeated."""
 
     half: Array
     floor: Array
@@ -52,26 +54,25 @@ def make_room(rng: np.random.Generator, reach: float = 5.0) -> Room:
     return Room(half, floor, walls, np.stack(tiles))
 
 
-def _sample(tile: Floats, u: Array, v: Array, per_metre: float) -> Floats:
+def _sample(tile: Floats, u: Array | Floats, v: Array | Floats, per_metre: float) -> Floats:
     """Repeated texture (256, 256) at coordinates (m), `per_metre` texels per metre."""
     x = np.mod(u * per_metre, 255.0).astype(np.float32)
     y = np.mod(v * per_metre, 255.0).astype(np.float32)
-    return cv2.remap(tile, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+    out = cv2.remap(tile, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+    return np.asarray(out, dtype=np.float32)
 
 
 @dataclass(frozen=True)
 class Backdrop:
-    """What one camera sees of the empty room: image (h, w, 3) float32 BGR; floor (h, w) bool: pixels of the floor that
-    nothing hides; depth (h, w) m of the occluders (inf elsewhere)."""
+    """What one camera sees of the empty room: image (h, w, 3) float32 BGR; floor (h, w) bool: pixels of the
+    floor that nothing hides; depth (h, w) m of the occluders (inf elsewhere)."""
 
     image: Floats
     floor: NDArray[np.bool_]
     depth: Floats
 
 
-def render_room(
-    room: Room, camera: Camera, occluder: tuple[Array, NDArray[np.int32]] | None = None
-) -> Backdrop:
+def render_room(room: Room, camera: Camera, occluder: tuple[Array, NDArray[np.int32]] | None = None) -> Backdrop:
     """The empty room through a camera with its lens distortion, and what stands in it."""
     w, h = camera.size
     uv = np.stack(np.meshgrid(np.arange(w), np.arange(h)), -1).astype(np.float64)
@@ -123,7 +124,7 @@ def render_room(
         wood = 1 + 0.12 * _sample(middle, at[:, 0][None], at[:, 1][None] * 5, 50)[0]
         image[drawn] = np.array([60.0, 85.0, 110.0]) * (shade[face[drawn]] * wood)[:, None]
         floor = floor & ~drawn
-    return Backdrop(cv2.GaussianBlur(image, (0, 0), 0.6), floor, depth)
+    return Backdrop(np.asarray(cv2.GaussianBlur(image, (0, 0), 0.6), dtype=np.float32), floor, depth)
 
 
 def _depth(camera: Camera, points: Array) -> Array:
@@ -132,8 +133,8 @@ def _depth(camera: Camera, points: Array) -> Array:
 
 @dataclass(frozen=True)
 class Outfit:
-    """Colours of a subject: color (V, 3) BGR per vertex, weave (V,) strength of the cloth's pattern, pattern (3, 3)
-    wave vectors of it (1/m)."""
+    """Colours of a subject: color (V, 3) BGR per vertex, weave (V,) strength of the cloth's pattern, pattern
+    (3, 3) wave vectors of it (1/m)."""
 
     color: Floats
     weave: Floats
@@ -142,9 +143,7 @@ class Outfit:
 
 def make_outfit(subject: Subject, rng: np.random.Generator) -> Outfit:
     """Shirt, trousers, shoes, skin and hair by body part, colours from the rng."""
-    palette = np.array(
-        [[140, 60, 40], [40, 40, 150], [60, 120, 50], [165, 165, 170], [45, 45, 50], [35, 120, 170]]
-    )
+    palette = np.array([[140, 60, 40], [40, 40, 150], [60, 120, 50], [165, 165, 170], [45, 45, 50], [35, 120, 170]])
     i, k = rng.permutation(len(palette))[:2]
     shirt, trousers = palette[i] * rng.uniform(0.8, 1.15), palette[k] * rng.uniform(0.55, 0.9)
     skin = np.array([125.0, 155.0, 200.0]) * rng.uniform(0.5, 1.08)
@@ -174,8 +173,7 @@ def make_outfit(subject: Subject, rng: np.random.Generator) -> Outfit:
         middle = (v[head, 1].min() + v[head, 1].max()) / 2
         # hair on top and behind; the face looks to -y
         hairy = head & (
-            (v[:, 2] > low + 0.78 * (high - low))
-            | ((v[:, 1] > middle) & (v[:, 2] > low + 0.3 * (high - low)))
+            (v[:, 2] > low + 0.78 * (high - low)) | ((v[:, 1] > middle) & (v[:, 2] > low + 0.3 * (high - low)))
         )
         color[hairy] = hair
     direction = rng.normal(size=(3, 3))
@@ -186,8 +184,8 @@ def make_outfit(subject: Subject, rng: np.random.Generator) -> Outfit:
 
 @dataclass(frozen=True)
 class Sensor:
-    """noise_sd: grey levels of Gaussian noise per channel; drift: relative sd of the slow change of the light; samples:
-    supersampling of the body's outline."""
+    """noise_sd: grey levels of Gaussian noise per channel; drift: relative sd of the slow change of the
+    light; samples: supersampling of the body's outline."""
 
     noise_sd: float = 2.5
     drift: float = 0.012
@@ -195,7 +193,8 @@ class Sensor:
 
 
 def light_at(time: float, drift: float, phase: Array) -> Array:
-    """(3,) gain per colour channel at a time (s): slow drift of the light, periods of 20 to 90 s, colour included."""
+    """(3,) gain per colour channel at a time (s): slow drift of the light, periods of 20 to 90 s, colour
+    included."""
     common = np.sin(2 * np.pi * time / 37.0 + phase[0]) + 0.6 * np.sin(2 * np.pi * time / 90.0 + phase[1])
     color = 0.35 * np.sin(2 * np.pi * time / 23.0 + phase[2:5])
     return 1 + drift * (common + color)
@@ -210,7 +209,8 @@ def render_person(
     vertices: Array,
     samples: int,
 ) -> None:
-    """Draw the subject's vertices (V, 3) m, world, with the cast shadow on the floor, into picture (h, w, 3)."""
+    """Draw the subject's vertices (V, 3) m, world, with the cast shadow on the floor, into picture (h, w,
+    3)."""
     cast_shadow(picture, backdrop, camera, subject, vertices)
     uv, z = camera.project(vertices), _depth(camera, vertices)
     w, h = camera.size
@@ -233,9 +233,7 @@ def render_person(
     blend_shaded(picture[y0:y1, x0:x1], face, bary, subject.faces, values, s, (0.42, 0.62, 0.10))
 
 
-def cast_shadow(
-    picture: Floats, backdrop: Backdrop, camera: Camera, subject: Subject, vertices: Array
-) -> None:
+def cast_shadow(picture: Floats, backdrop: Backdrop, camera: Camera, subject: Subject, vertices: Array) -> None:
     """Darken the floor where the body hides the main light; the edge is as soft as a lamp's."""
     mask = shadow_mask(camera, subject.faces, vertices)
     x, y, w, h = cv2.boundingRect(mask)
@@ -243,11 +241,12 @@ def cast_shadow(
         return
     rows, columns = slice(max(y - 5, 0), y + h + 5), slice(max(x - 5, 0), x + w + 5)
     soft = cv2.GaussianBlur(mask[rows, columns].astype(np.float32), (0, 0), 1.5)
-    darken(picture[rows, columns], soft, backdrop.floor[rows, columns], SHADOW_DEPTH)
+    darken(picture[rows, columns], np.asarray(soft, dtype=np.float32), backdrop.floor[rows, columns], SHADOW_DEPTH)
 
 
 def shadow_mask(camera: Camera, faces: NDArray[np.int32], vertices: Array) -> NDArray[np.uint8]:
-    """(h, w) 0/1: floor that the body (V, 3) m hides from the main light, as the camera sees it (body not drawn)."""
+    """(h, w) 0/1: floor that the body (V, 3) m hides from the main light, as the camera sees it (body not
+    drawn)."""
     ground = vertices - LIGHT * (vertices[:, 2:] / LIGHT[2])
     ground[:, 2] = 0.0
     mask = silhouette(camera.project(ground), _depth(camera, ground), faces, camera.size)
@@ -257,8 +256,8 @@ def shadow_mask(camera: Camera, faces: NDArray[np.int32], vertices: Array) -> ND
 def develop(picture: Floats, gain: Array, noise: NDArray[np.int16], rng: np.random.Generator) -> Image:
     """What the sensor delivers: picture (h, w, 3) times the light's gain, plus noise, as 8 bit.
 
-    noise: a bank (h + 64, w + 64, 3) of which each frame takes another window, mirrored at random: as good as fresh noise
-    for a background model, and ten times faster."""
+    noise: a bank (h + 64, w + 64, 3) of which each frame takes another window, mirrored at random: as good as
+    fresh noise for a background model, and ten times faster."""
     h, w = picture.shape[:2]
     y, x = rng.integers(0, 65, 2)
     grain = noise[y : y + h, x : x + w]

@@ -1,4 +1,5 @@
-"""Captured motion (ASF/AMC skeleton files) on a subject: bone directions and turns are kept, proportions are the subject's."""
+"""Captured motion (ASF/AMC skeleton files) on a subject: bone directions and turns are kept, proportions are
+the subject's."""
 
 from __future__ import annotations
 
@@ -34,20 +35,20 @@ def retarget(
     seconds: float | None = None,
     keep_trend: float = 0.25,
 ) -> Performance:
-    """A CMU capture performed by the subject at frame_rate (Hz), about the origin of the world, facing as captured.
+    """A CMU capture performed by the subject at frame_rate (Hz), about the origin of the world, facing as
+    captured.
 
-    Arms and legs point where the captured ones point (the rests of both skeletons are aligned bone by bone), trunk and
-    head turn as the captured ones turn; the path is scaled by the legs' lengths. start, seconds: the part to take.
-    keep_trend: share of the straight forward motion that is kept, so that somebody who walks through stays in the
-    volume (as on a treadmill); 1 keeps all. The body stands on the ground (z = 0) with the subject's own feet.
+    Arms and legs point where the captured ones point (the rests of both skeletons are aligned bone by bone),
+    trunk and head turn as the captured ones turn; the path is scaled by the legs' lengths. start, seconds:
+    the part to take. keep_trend: share of the straight forward motion that is kept, so that somebody who
+    walks through stays in the volume (as on a treadmill); 1 keeps all. The body stands on the ground (z = 0)
+    with the subject's own feet.
     """
     skeleton, motion = read_asf(asf), read_amc(amc)
     position, rotations = global_rotations(skeleton, motion)
     missing = [b for b in set(_DRIVE) if b not in rotations]
     if missing:
-        raise InputError(
-            f"{asf} lacks the bones {', '.join(sorted(missing))}; give a skeleton with CMU's bone names."
-        )
+        raise InputError(f"{asf} lacks the bones {', '.join(sorted(missing))}; give a skeleton with CMU's bone names.")
     n = len(position)
     last = (n - 1) / captured_rate
     end = last if seconds is None else min(last, start + seconds - 0.5 / frame_rate)
@@ -63,9 +64,7 @@ def retarget(
         step = so3_log(r[low + 1] @ np.swapaxes(r[low], -1, -2))
         return so3_exp(share[:, None] * step) @ r[low]
 
-    align = _alignment(
-        subject, {b: _WORLD @ skeleton.directions[skeleton.names.index(b)] for b in set(_DRIVE)}
-    )
+    align = _alignment(subject, {b: _WORLD @ skeleton.directions[skeleton.names.index(b)] for b in set(_DRIVE)})
     out = np.stack([sampled(b) @ align[j] for j, b in enumerate(_DRIVE)], 1)
     length = {b: skeleton.lengths[skeleton.names.index(b)] for b in ("lfemur", "ltibia")}
     path = (position @ _WORLD.T) * (subject.leg_length / sum(length.values()))
@@ -76,12 +75,10 @@ def retarget(
         root[:, :2] -= (1 - keep_trend) * t[:, None] * np.polyfit(t, root[:, :2], 1)[0]
     root[:, :2] -= (root[:, :2].min(0) + root[:, :2].max(0)) / 2
     low_sole = soles(subject, out, subject.place_joints(out, root))[0].min(1)
-    # In any 0.4 s of walking or running some foot is on the ground: the lower envelope of the soles is the ground, so
-    # other feet and legs than the captured ones neither float nor sink, and flights stay flights.
+    # In any 0.4 s of walking or running some foot is on the ground: the lower envelope of the soles is the
+    # ground, so other feet and legs than the captured ones neither float nor sink, and flights stay flights.
     window = 2 * round(0.2 * frame_rate) + 1
-    ground = gaussian_filter1d(
-        minimum_filter1d(low_sole, window, mode="nearest"), 0.1 * frame_rate, mode="nearest"
-    )
+    ground = gaussian_filter1d(minimum_filter1d(low_sole, window, mode="nearest"), 0.1 * frame_rate, mode="nearest")
     sunk = np.maximum(0.0, ground - low_sole)
     root[:, 2] += gaussian_filter1d(sunk, 0.04 * frame_rate, mode="nearest") - ground
     return assemble(Path(amc).stem, subject, times, out, root)

@@ -1,7 +1,7 @@
 """Camera rigs of the synthetic scenes: humaneva-4, humaneva-7, ixmas-5, court-4 and ring-N.
 
-They follow the set-ups that the published figures come from: azimuths, heights, image sizes and the person's apparent
-size, not the original calibrations.
+They follow the set-ups that the published figures come from: azimuths, heights, image sizes and the person's
+apparent size, not the original calibrations.
 """
 
 from __future__ import annotations
@@ -67,10 +67,11 @@ def circle(
 def rig(name: str, *, distorted: bool = False) -> CameraRig:
     """A rig by name: humaneva-4, humaneva-7, ixmas-5, court-4, or ring-N with N from 1 to 16.
 
-    The volume is centred at the world's origin; a person within about 1 m of it (court-4: 3 m) is seen whole by every
-    camera. distorted: with the lens distortion DISTORTION instead of ideal pinholes.
-    humaneva-*: 640x480, indoor corners, 4.1 m away, the person about 270 px tall. ixmas-5: 390x291, four cameras high on
-    the walls and one overhead. court-4: 640x480, 14 m away in the court's corners 5 m up, the person about 80 px tall.
+    The volume is centred at the world's origin; a person within about 1 m of it (court-4: 3 m) is seen whole
+    by every camera. distorted: with the lens distortion DISTORTION instead of ideal pinholes. humaneva-*:
+    640x480, indoor corners, 4.1 m away, the person about 270 px tall. ixmas-5: 390x291, four cameras high on
+    the walls and one overhead. court-4: 640x480, 14 m away in the court's corners 5 m up, the person about 80
+    px tall.
     """
     d = DISTORTION if distorted else None
     ring = re.fullmatch(r"ring-(\d+)", name)

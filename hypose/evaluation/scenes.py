@@ -1,8 +1,9 @@
-"""Scene: a subject that moves in front of a rig, with exact truth and the evidence that cameras would give of it.
+"""Scene: a subject that moves in front of a rig, with exact truth and the evidence that cameras would give of
+it.
 
-Truth: times, joints (T, 19, 3), rotations (T, 19, 3, 3), vertices on demand. Evidence: `mask_frames` (silhouettes straight
-from the truth, corrupted) or `rgb_frames` (colour pictures for the real background model). The same seed gives the same
-scene, picture for picture, in whatever order they are asked for.
+Truth: times, joints (T, 19, 3), rotations (T, 19, 3, 3), vertices on demand. Evidence: `mask_frames`
+(silhouettes straight from the truth, corrupted) or `rgb_frames` (colour pictures for the real background
+model). The same seed gives the same scene, picture for picture, in whatever order they are asked for.
 """
 
 from __future__ import annotations
@@ -53,9 +54,9 @@ _CLOTHES, _MOTION, _ROOM, _RIG, _DROPS, _MASKS, _NOISE, _PHASE, _OTHER = range(9
 
 @dataclass(frozen=True)
 class Scene:
-    """subject: the truth body (dressed). performance: what it does. rig: the cameras as they are, given_rig: the
-    calibration that the user has. corruption: what goes wrong. seed: of everything random. others: further people in view
-    (subject, performance) that are not to be tracked."""
+    """subject: the truth body (dressed). performance: what it does. rig: the cameras as they are, given_rig:
+    the calibration that the user has. corruption: what goes wrong. seed: of everything random. others:
+    further people in view (subject, performance) that are not to be tracked."""
 
     name: str
     subject: Subject
@@ -96,8 +97,8 @@ class Scene:
         return self.subject.skin(p.rotations[index], p.root[index])
 
     def shown(self, view: int, index: int) -> int:
-        """The frame that camera `view` shows as its frame `index`: late by its desynchronisation, the last one delivered
-        before a dropped one."""
+        """The frame that camera `view` shows as its frame `index`: late by its desynchronisation, the last
+        one delivered before a dropped one."""
         while index > 0 and self._dropped[view, index]:
             index -= 1
         return max(0, index - self.corruption.desync[view % len(self.corruption.desync)])
@@ -107,13 +108,14 @@ class Scene:
         return view == self.corruption.dead_camera and index >= len(self) // 3
 
     def clean_mask(self, view: int, index: int, scale: float = 1.0) -> NDArray[np.uint8]:
-        """(h, w) 0/1: the subject alone in frame `index` through camera `view`, undistorted, at `scale` times its size;
-        cut by what stands in front, by nothing else."""
+        """(h, w) 0/1: the subject alone in frame `index` through camera `view`, undistorted, at `scale` times
+        its size; cut by what stands in front, by nothing else."""
         camera = self.rig.pinhole().scaled(scale)[view]
         return _mask(camera, self.subject, self.vertices(index), self._occluder_depth(view, scale))
 
     def mask_frames(self, scale: float = 1.0) -> Iterator[Frame]:
-        """Frames with silhouettes straight from the truth, corrupted, undistorted, at `scale` times the cameras' size.
+        """Frames with silhouettes straight from the truth, corrupted, undistorted, at `scale` times the
+        cameras' size.
 
         Views without an image (dropped, dead) are marked unusable with the reason.
         """
@@ -155,7 +157,8 @@ class Scene:
             yield self.rgb_frame(view, t)
 
     def rgb_frame(self, view: int, index: int) -> Image:
-        """Picture `index` of camera `view`; black from a dead camera, the last delivered one where a frame is dropped."""
+        """Picture `index` of camera `view`; black from a dead camera, the last delivered one where a frame is
+        dropped."""
         camera = self.rig[view]
         if self.dead(view, index):
             return np.zeros((camera.size[1], camera.size[0], 3), np.uint8)
@@ -173,7 +176,8 @@ class Scene:
         return self._develop(picture, view, float(self.times[s]), index + 1)
 
     def background_frames(self, view: int, n: int = 25) -> list[Image]:
-        """n pictures of the empty room, taken during the 10 s before the recording; black ones from no camera."""
+        """n pictures of the empty room, taken during the 10 s before the recording; black ones from no
+        camera."""
         return [
             self._develop(self._backdrops[view].image.copy(), view, -11.0 + 10.0 * k / max(n - 1, 1), -1 - k)
             for k in range(n)
@@ -202,9 +206,7 @@ class Scene:
     @cached_property
     def _outfits(self) -> list[Outfit]:
         people = [self.subject, *(s for s, _ in self.others)]
-        return [
-            make_outfit(s, np.random.default_rng([self.seed, _CLOTHES, 1, k])) for k, s in enumerate(people)
-        ]
+        return [make_outfit(s, np.random.default_rng([self.seed, _CLOTHES, 1, k])) for k, s in enumerate(people)]
 
     @cached_property
     def _noise(self) -> NDArray[np.int16]:
@@ -232,9 +234,7 @@ def _projected(camera: Camera, vertices: Array) -> tuple[Array, Array]:
     return camera.project_pinhole(vertices), z
 
 
-def _mask(
-    camera: Camera, subject: Subject, vertices: Array, hidden: NDArray[np.float32] | None
-) -> NDArray[np.uint8]:
+def _mask(camera: Camera, subject: Subject, vertices: Array, hidden: NDArray[np.float32] | None) -> NDArray[np.uint8]:
     uv, z = _projected(camera, vertices)
     if hidden is None:
         return silhouette(uv, z, subject.faces, camera.size).astype(np.uint8, copy=False)
@@ -258,9 +258,9 @@ def make_scene(
 ) -> Scene:
     """A scene by names.
 
-    motion: a name of motions.MOTIONS, or a Performance of that subject; subject: a name of `load_subjects` ("": chosen by
-    the seed) or a Subject, dressed in clothing_m (0 to 0.04); rig: a name (rigs.rig) or a rig; corruption: Corruptions or
-    names of them. `court-4` puts a second person into view.
+    motion: a name of motions.MOTIONS, or a Performance of that subject; subject: a name of `load_subjects`
+    ("": chosen by the seed) or a Subject, dressed in clothing_m (0 to 0.04); rig: a name (rigs.rig) or a rig;
+    corruption: Corruptions or names of them. `court-4` puts a second person into view.
     """
     known = {} if isinstance(subject, Subject) else load_subjects()
     if isinstance(subject, Subject):

@@ -1,8 +1,9 @@
 """Subjects: truth bodies of synthetic scenes, from another shape space than the tracker's own body.
 
-A subject has its own mesh and joint centres and is posed by one global rotation per joint (linear blend skinning over
-the 19-joint tree), never by the tracker's degrees of freedom, so that the truth is not confined to what the tracker can
-express. The subjects in hypose/assets/subjects.npz are described in hypose/assets/LICENSE-assets.md.
+A subject has its own mesh and joint centres and is posed by one global rotation per joint (linear blend
+skinning over the 19-joint tree), never by the tracker's degrees of freedom, so that the truth is not confined
+to what the tracker can express. The subjects in hypose/assets/subjects.npz are described in
+hypose/assets/LICENSE-assets.md.
 """
 
 from __future__ import annotations
@@ -23,9 +24,10 @@ from hypose.geometry import Array
 class Subject:
     """A person whose every point is known.
 
-    vertices (V, 3) m and joints (19, 3) m in the model frame at rest (origin at the pelvis joint, x = the subject's
-    left, y = backward, z = up); faces (F, 3) counter-clockwise from outside; skin_index, skin_weight (V, 4);
-    cloth_weight (V,) 0..1: where clothing may lie; clothing_m: the thickness it was dressed with.
+    vertices (V, 3) m and joints (19, 3) m in the model frame at rest (origin at the pelvis joint, x = the
+    subject's left, y = backward, z = up); faces (F, 3) counter-clockwise from outside; skin_index,
+    skin_weight (V, 4); cloth_weight (V,) 0..1: where clothing may lie; clothing_m: the thickness it was
+    dressed with.
     """
 
     name: str
@@ -40,17 +42,9 @@ class Subject:
     def __post_init__(self) -> None:
         v = len(self.vertices)
         if self.joints.shape != (len(JOINT_NAMES), 3):
-            raise InputError(
-                f"Subject {self.name}: joints must be ({len(JOINT_NAMES)}, 3), got {self.joints.shape}."
-            )
-        if (
-            self.skin_index.shape != (v, 4)
-            or self.skin_weight.shape != (v, 4)
-            or self.cloth_weight.shape != (v,)
-        ):
-            raise InputError(
-                f"Subject {self.name}: skin and cloth weights must have one row per vertex ({v})."
-            )
+            raise InputError(f"Subject {self.name}: joints must be ({len(JOINT_NAMES)}, 3), got {self.joints.shape}.")
+        if self.skin_index.shape != (v, 4) or self.skin_weight.shape != (v, 4) or self.cloth_weight.shape != (v,):
+            raise InputError(f"Subject {self.name}: skin and cloth weights must have one row per vertex ({v}).")
 
     @property
     def stature(self) -> float:
@@ -77,7 +71,8 @@ class Subject:
         return self.dense_weights.argmax(1)
 
     def place_joints(self, rotations: ArrayLike, root: ArrayLike) -> Array:
-        """Joint centres (..., 19, 3) m for world_from_joint rotations (..., 19, 3, 3) and pelvis positions (..., 3)."""
+        """Joint centres (..., 19, 3) m for world_from_joint rotations (..., 19, 3, 3) and pelvis positions
+        (..., 3)."""
         r, p = np.asarray(rotations, dtype=np.float64), np.asarray(root, dtype=np.float64)
         out = np.zeros((*r.shape[:-3], len(JOINT_NAMES), 3))
         out[..., 0, :] = p
@@ -138,16 +133,14 @@ MAX_CLOTHING_M = 0.04
 
 
 def dress(subject: Subject, thickness_m: float, rng: np.random.Generator) -> Subject:
-    """The subject in clothes: a smooth outward displacement of 0.3 to 1 times thickness_m (<= 4 cm) where cloth_weight
-    is 1, less towards the naked parts. Joints stay where they are.
+    """The subject in clothes: a smooth outward displacement of 0.3 to 1 times thickness_m (<= 4 cm) where
+    cloth_weight is 1, less towards the naked parts. Joints stay where they are.
 
-    The folds are a sum of random plane waves over the body (wavelengths about 15 to 60 cm), so that clothing differs from
-    place to place, as it does on real people, without roughness that no silhouette would show.
+    The folds are a sum of random plane waves over the body (wavelengths about 15 to 60 cm), so that clothing
+    differs from place to place, as it does on real people, without roughness that no silhouette would show.
     """
     if not 0 <= thickness_m <= MAX_CLOTHING_M:
-        raise InputError(
-            f"Clothing of {thickness_m} m was asked for; between 0 and {MAX_CLOTHING_M} m is possible."
-        )
+        raise InputError(f"Clothing of {thickness_m} m was asked for; between 0 and {MAX_CLOTHING_M} m is possible.")
     direction = rng.normal(size=(8, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     wave = 2 * np.pi / rng.uniform(0.15, 0.6, 8)
@@ -161,12 +154,11 @@ def dress(subject: Subject, thickness_m: float, rng: np.random.Generator) -> Sub
         np.add.at(neighbours, subject.faces[:, k], normals[subject.faces[:, (k + 1) % 3]])
     normals = normals + 0.3 * neighbours
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return replace(
-        subject, vertices=subject.vertices + amount[:, None] * normals, clothing_m=float(thickness_m)
-    )
+    return replace(subject, vertices=subject.vertices + amount[:, None] * normals, clothing_m=float(thickness_m))
 
 
-# height of each joint, lateral place and depth as shares of the stature (Drillis & Contini's segment shares, rounded)
+# height of each joint, lateral place and depth as shares of the stature (Drillis & Contini's segment shares,
+# rounded)
 _PROPORTIONS = {
     "pelvis": (0.0, 0.0, 0.53),
     "spine": (0.0, 0.01, 0.60),
@@ -181,12 +173,14 @@ _PROPORTIONS = {
     "knee": (0.06, 0.0, 0.28),
     "ankle": (0.065, 0.01, 0.045),
 }
-# ellipsoids: centre between two joints (or joint + offset), radii as shares of the stature, the joint that carries them
+# ellipsoids: centre between two joints (or joint + offset), radii as shares of the stature, the joint that
+# carries them
 _RADII = {"shoulder": (0.032, 0.026), "elbow": (0.026, 0.018), "hip": (0.052, 0.036), "knee": (0.036, 0.024)}
 
 
 def procedural_subject(rng: np.random.Generator, stature: float | None = None) -> Subject:
-    """A person of ellipsoids with random proportions: the fallback when no baked subjects exist, and the tests' double.
+    """A person of ellipsoids with random proportions: the fallback when no baked subjects exist, and the
+    tests' double.
 
     Segments vary by +-6 %, girths by +-15 %. Every part is a closed surface of its own; parts overlap.
     """
@@ -224,9 +218,7 @@ def procedural_subject(rng: np.random.Generator, stature: float | None = None) -
         parts.append((joints[w], joints[w] + along * 0.095 * h, np.array([0.018, 0.024]) * h, w, 0.0))
         a = JOINT_NAMES.index(f"{side}_ankle")
         sole = joints[a] + np.array([0, 0, -0.018]) * h
-        parts.append(
-            (sole + [0, 0.02 * h, 0], sole + [0, -0.09 * h, 0], np.array([0.022, 0.022]) * h, a, 0.2)
-        )
+        parts.append((sole + [0, 0.02 * h, 0], sole + [0, -0.09 * h, 0], np.array([0.022, 0.022]) * h, a, 0.2))
         limb(f"{side}_clavicle", f"{side}_shoulder", (0.04, 0.04), 1.0)
     n, hd = joints[3], joints[4]
     parts.append((n, hd, np.array([0.033, 0.033]) * h, 3, 0.0))
@@ -259,7 +251,7 @@ def procedural_subject(rng: np.random.Generator, stature: float | None = None) -
 
 def _capsule(
     a: Array, b: Array, r0: float, r1: float, around: int = 14, rings: int = 12
-) -> tuple[Array, Array]:
+) -> tuple[Array, NDArray[np.int64]]:
     """Closed tapered capsule from a to b, faces counter-clockwise from outside."""
     axis = b - a
     length = np.linalg.norm(axis)
@@ -283,4 +275,4 @@ def _capsule(
     for k in range(m):
         q = (k + 1) % m
         f += [[n * m, q, k], [n * m + 1, (n - 1) * m + k, (n - 1) * m + q]]
-    return v, np.array(f, dtype=np.int64)
+    return np.asarray(v, dtype=np.float64), np.array(f, dtype=np.int64)

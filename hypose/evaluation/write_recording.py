@@ -1,4 +1,5 @@
-"""Writes a scene as a recording folder, as a user would have it: videos, background clips, calibration, key points."""
+"""Writes a scene as a recording folder, as a user would have it: videos, background clips, calibration, key
+points."""
 
 from __future__ import annotations
 
@@ -31,10 +32,10 @@ def write_scene(
 ) -> Path:
     """Write the scene to a folder; returns recording.toml's path.
 
-    videos/NAME.mp4 and background/NAME.mp4 per camera (their width and height even, the calibration to match),
-    calibration.toml with the rig the user was given, recording.toml, with keypoints=True pose/NAME_json/ with one
-    OpenPose BODY_25 file per frame, and truth.npz: times (T,), joints (T, 19, 3) m, rotations (T, 19, 3, 3), joint_names,
-    stature m. progress(done, total) is called after every picture.
+    videos/NAME.mp4 and background/NAME.mp4 per camera (their width and height even, the calibration to
+    match), calibration.toml with the rig the user was given, recording.toml, with keypoints=True
+    pose/NAME_json/ with one OpenPose BODY_25 file per frame, and truth.npz: times (T,), joints (T, 19, 3) m,
+    rotations (T, 19, 3, 3), joint_names, stature m. progress(done, total) is called after every picture.
     """
     folder = Path(folder)
     for sub in ("videos", "background"):
@@ -66,9 +67,7 @@ def write_scene(
             for t, people in enumerate(points):
                 person = {"person_id": [-1], "pose_keypoints_2d": np.round(people, 3).ravel().tolist()}
                 document = {"version": 1.3, "people": [person] if (people[:, 2] > 0).any() else []}
-                (pose / f"{camera.name}_{t:012d}_keypoints.json").write_text(
-                    json.dumps(document), encoding="utf-8"
-                )
+                (pose / f"{camera.name}_{t:012d}_keypoints.json").write_text(json.dumps(document), encoding="utf-8")
         views.append(View(camera.name, video=video, background=background, keypoints=pose))
     with atomic_path(folder / "truth.npz") as temporary:
         with open(temporary, "wb") as file:
@@ -99,7 +98,8 @@ def _even(camera: Camera) -> Camera:
 
 
 def surface_landmarks(subject: Subject) -> dict[str, tuple[int, Array]]:
-    """Nose, eyes, ears, toes and heels of a subject: name -> (joint, point (3,) m in the model frame at rest)."""
+    """Nose, eyes, ears, toes and heels of a subject: name -> (joint, point (3,) m in the model frame at
+    rest)."""
     v, j, part = subject.vertices, subject.joints, subject.main_joint
     out: dict[str, tuple[int, Array]] = {}
     head = v[part == 4] if (part == 4).any() else j[4:5] + [[0, -0.1, 0.08], [0, 0.1, 0.08], [0, 0, 0.2]]
@@ -121,11 +121,13 @@ def surface_landmarks(subject: Subject) -> dict[str, tuple[int, Array]]:
 
 
 def keypoint_detections(scene: Scene, view: int, noise_px: float = 4.0) -> Array:
-    """(T, 25, 3) = (u px, v px, confidence): BODY_25 detections of the subject in the camera's own (distorted) images.
+    """(T, 25, 3) = (u px, v px, confidence): BODY_25 detections of the subject in the camera's own
+    (distorted) images.
 
-    Where joints and surface landmarks really are, plus noise of noise_px at a person 250 px tall, in proportion to the
-    size: half of it white, half slow (detectors err alike in neighbouring frames). 2 % of the points are off by ten times
-    that, with low confidence, 2 % are missing. Detectors' systematic offsets and left-right swaps are not imitated.
+    Where joints and surface landmarks really are, plus noise of noise_px at a person 250 px tall, in
+    proportion to the size: half of it white, half slow (detectors err alike in neighbouring frames). 2 % of
+    the points are off by ten times that, with low confidence, 2 % are missing. Detectors' systematic offsets
+    and left-right swaps are not imitated.
     """
     subject, p, camera = scene.subject, scene.performance, scene.rig[view]
     t = np.array([scene.shown(view, k) for k in range(len(scene))])
