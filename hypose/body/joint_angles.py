@@ -8,19 +8,23 @@ flat).
 
 Names, signs and order of rotations are those of OpenSim's full-body model (Rajagopal 2016). Body axes: X
 forwards, Y up, Z to the subject's right. A ball's rotation is Rz Rx Ry about the moving axes, in this order;
-for the left side X and Y are mirrored, so that the same motion has the same sign on both sides. Positive are:
-  pelvis_tilt backwards, pelvis_list right side down, pelvis_rotation turning left (all against OpenSim's
-  ground: X = world y, Y = world z, Z = world x); pelvis_tx, _ty, _tz: the pelvis joint centre in that ground,
-  metres hip_flexion thigh forwards, hip_adduction towards the midline, hip_rotation inwards knee_angle
-  flexion; ankle_angle dorsiflexion; subtalar_angle inversion (about the foot's long axis, not OpenSim's
-  oblique subtalar axis) lumbar (chest against pelvis) extension backwards, bending to the right, rotation to
-  the left; neck (head against chest) likewise arm_flex forwards, arm_add towards the midline, arm_rot
-  inwards: upper arm against the chest, so that the clavicle's motion is part of it, as in OpenSim's model,
-  which has no clavicle joint elbow_flex flexion
+for the left side X and Y are mirrored, so that the same motion has the same sign on both sides. Positive are
+- pelvis_tilt backwards, pelvis_list right side down, pelvis_rotation turning left, all against OpenSim's
+  ground (X = world y, Y = world z, Z = world x); pelvis_tx, _ty, _tz: the pelvis joint centre there, metres;
+- hip_flexion thigh forwards, hip_adduction towards the midline, hip_rotation inwards;
+- knee_angle flexion; ankle_angle dorsiflexion; subtalar_angle inversion (about the foot's long axis, not
+  OpenSim's oblique subtalar axis);
+- lumbar (chest against pelvis) extension backwards, bending to the right, rotation to the left; neck (head
+  against chest) likewise;
+- arm_flex forwards, arm_add towards the midline, arm_rot inwards: upper arm against the chest, so that the
+  clavicle's motion is part of it, as in OpenSim's model, which has no clavicle joint;
+- elbow_flex flexion.
 Knee and elbow are hinges: their angle is that of the hinge, without crosstalk from the small angle between
-the hinge's axis and the limb. Source: Rajagopal et al. 2016, "Full-body musculoskeletal model for
-muscle-driven simulation of human gait", joint definitions. Deviation: neck_extension is this product's name;
-OpenSim models that have a neck disagree on it.
+the hinge's axis and the limb.
+
+Source: Rajagopal et al. 2016, "Full-body musculoskeletal model for muscle-driven simulation of human gait",
+joint definitions. Deviation: the full-body model has no neck; models that have one call neck_extension
+neck_flexion, with the sign used here.
 """
 
 from __future__ import annotations
@@ -160,9 +164,7 @@ def straight_offset(skeleton: Skeleton, name: str) -> float:
 def _hinge_axis(skeleton: Skeleton, name: str) -> Array:
     dofs = skeleton.dofs_of(name)
     if len(dofs) != 1:
-        raise InputError(
-            f"Joint angles need a hinge at {name!r}, this skeleton has {len(dofs)} degrees of freedom."
-        )
+        raise InputError(f"Joint angles need a hinge at {name!r}, this skeleton has {len(dofs)} degrees of freedom.")
     return skeleton.axes[dofs[0]]
 
 

@@ -25,9 +25,7 @@ def write_angles_csv(path: str | Path, names: Sequence[str], values: ArrayLike, 
     """
     v, t = np.asarray(values, dtype=np.float64), np.asarray(times, dtype=np.float64)
     if v.shape != (len(t), len(names)):
-        raise InputError(
-            f"{path}: {len(names)} names and {len(t)} times need values of that shape, got {v.shape}."
-        )
+        raise InputError(f"{path}: {len(names)} names and {len(t)} times need values of that shape, got {v.shape}.")
     scale = np.array([1.0 if is_length(n) else 180 / np.pi for n in names])
     header = ["time_s", *(f"{n}_{'m' if is_length(n) else 'deg'}" for n in names)]
     rows = [

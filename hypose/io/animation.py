@@ -27,14 +27,11 @@ def filled_poses(motion: Motion, path: str | Path) -> Array:
     """
     if motion.poses is None:
         raise InputError(
-            f"{path}: this motion holds joint positions but no poses, which the format needs; "
-            "write TRC or C3D instead."
+            f"{path}: this motion holds joint positions but no poses, which the format needs; write TRC or C3D instead."
         )
     good = np.isfinite(motion.poses).all(1)
     if not good.any():
-        raise InputError(
-            f"{path}: the motion has no frame with a finite pose, so there is nothing to animate."
-        )
+        raise InputError(f"{path}: the motion has no frame with a finite pose, so there is nothing to animate.")
     index = np.maximum.accumulate(np.where(good, np.arange(len(motion)), -1))
     return motion.poses[np.where(index >= 0, index, int(good.argmax()))]
 

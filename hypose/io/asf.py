@@ -1,11 +1,12 @@
 """Acclaim motion capture files: ASF (skeleton) and AMC (motion), as of the CMU database.
 
-Axes are those of the files (CMU: Y up, the subject faces +Z in the rest pose, +X is the subject's left);
-angles come out in radians, lengths in the file's units, with the factor to metres at hand. A bone named b
+Axes, lengths and angles are those of the files (CMU: Y up, the subject faces +Z at rest, +X is its left;
+degrees; a unit of 56 mm); Asf has the factors to metres and radians, and rotations are matrices. A bone
 turns, relative to its parent, by C M C^T: C is the bone's constant `axis` rotation and M its motion, both
 compositions about fixed axes in the order stated (XYZ: first x, so Rz Ry Rx). At M = 1 a bone points along
-its `direction`, in the file's axes. Source: Acclaim ASF/AMC format description (J. Lander, "Working with
-Motion Capture File Formats", 1998).
+its `direction`.
+
+Source: Acclaim ASF/AMC format (J. Lander, "Working with Motion Capture File Formats", 1998).
 """
 
 from __future__ import annotations
@@ -94,15 +95,11 @@ def read_amc(path: str | Path) -> dict[str, Array]:
             continue
         if len(words) == 1 and words[0].isdigit():
             if frames and seen != len(values):
-                raise InputError(
-                    f"{path}: the frame before line {number} lacks a bone that other frames have."
-                )
+                raise InputError(f"{path}: the frame before line {number} lacks a bone that other frames have.")
             frames, seen = frames + 1, 0
             continue
         if not frames:
-            raise InputError(
-                f"{path} is not an AMC motion: line {number} is neither a keyword nor a frame number."
-            )
+            raise InputError(f"{path} is not an AMC motion: line {number} is neither a keyword nor a frame number.")
         row = _floats(words[1:], path, number)
         column = values.setdefault(words[0], [])
         if len(column) != frames - 1 or (column and len(column[0]) != len(row)):
@@ -112,9 +109,7 @@ def read_amc(path: str | Path) -> dict[str, Array]:
     if not frames or not values:
         raise InputError(f"{path} is not an AMC motion: it has no frames.")
     if seen != len(values):
-        raise InputError(
-            f"{path}: the last frame lacks a bone that other frames have; the file may be truncated."
-        )
+        raise InputError(f"{path}: the last frame lacks a bone that other frames have; the file may be truncated.")
     return {name: np.array(rows, dtype=np.float64).reshape(frames, -1) for name, rows in values.items()}
 
 
@@ -128,9 +123,7 @@ def global_rotations(asf: Asf, frames: Mapping[str, ArrayLike]) -> tuple[Array, 
     """
     unknown = [name for name in frames if name not in asf.names]
     if unknown:
-        raise InputError(
-            f"The motion moves the bone {unknown[0]!r}, which the skeleton lacks; give the matching ASF."
-        )
+        raise InputError(f"The motion moves the bone {unknown[0]!r}, which the skeleton lacks; give the matching ASF.")
     if "root" not in frames:
         raise InputError("The motion has no root channels; give a complete AMC file.")
     count = len(np.asarray(frames["root"]))
@@ -189,9 +182,7 @@ def _sections(path: str | Path) -> dict[str, list[tuple[int, list[str]]]]:
         if words[0].startswith(":"):
             current = out.setdefault(words[0][1:].lower(), [])
         elif current is None:
-            raise InputError(
-                f"{path} is not an ASF skeleton: line {number} stands before the first :keyword."
-            )
+            raise InputError(f"{path} is not an ASF skeleton: line {number} stands before the first :keyword.")
         else:
             current.append((number, words))
     return out
@@ -240,9 +231,7 @@ def _bones(lines: list[tuple[int, list[str]]], angle: float, path: str | Path) -
         elif key == "end":
             name, bone = _bone(entry, angle, path, number)
             if name in bones or name == "root" or len(bones) >= _MAX_BONES:
-                raise InputError(
-                    f"{path}: line {number}: the bone {name!r} occurs twice, or there are too many bones."
-                )
+                raise InputError(f"{path}: line {number}: the bone {name!r} occurs twice, or there are too many bones.")
             bones[name] = bone
             entry = None
         else:
@@ -252,9 +241,7 @@ def _bones(lines: list[tuple[int, list[str]]], angle: float, path: str | Path) -
     return bones
 
 
-def _bone(
-    entry: dict[str, tuple[int, list[str]]], angle: float, path: str | Path, number: int
-) -> tuple[str, _Bone]:
+def _bone(entry: dict[str, tuple[int, list[str]]], angle: float, path: str | Path, number: int) -> tuple[str, _Bone]:
     missing = [k for k in ("name", "direction", "length") if not entry.get(k, (0, []))[1]]
     if missing:
         raise InputError(f"{path}: the bone that ends in line {number} lacks its {missing[0]}.")
@@ -263,22 +250,16 @@ def _bone(
     length = _floats(entry["length"][1][:1], path, entry["length"][0])[0]
     norm = np.linalg.norm(direction) if direction.shape == (3,) else 0.0
     if norm == 0 or length < 0:
-        raise InputError(
-            f"{path}: the bone {name!r} needs a direction of three numbers, not all 0, and a length >= 0."
-        )
+        raise InputError(f"{path}: the bone {name!r} needs a direction of three numbers, not all 0, and a length >= 0.")
     line, turn = entry.get("axis", (number, ["0", "0", "0", "XYZ"]))
     axis = _axis(turn[:3], turn[3] if len(turn) > 3 else "XYZ", angle, path, line)
     dofs = tuple(w.lower() for w in entry.get("dof", (0, []))[1])
     if not set(dofs) <= {"rx", "ry", "rz"} or len(set(dofs)) < len(dofs):
-        raise InputError(
-            f"{path}: the bone {name!r} has channels {' '.join(dofs)}; rx, ry and rz can be read."
-        )
+        raise InputError(f"{path}: the bone {name!r} has channels {' '.join(dofs)}; rx, ry and rz can be read.")
     return name, _Bone(direction / norm, length, axis, dofs)
 
 
-def _parents(
-    lines: list[tuple[int, list[str]]], bones: Mapping[str, _Bone], path: str | Path
-) -> dict[str, str]:
+def _parents(lines: list[tuple[int, list[str]]], bones: Mapping[str, _Bone], path: str | Path) -> dict[str, str]:
     parents: dict[str, str] = {}
     for number, words in lines:
         if words[0].lower() in ("begin", "end") and len(words) == 1:

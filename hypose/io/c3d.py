@@ -26,7 +26,7 @@ from hypose.io.results import atomic_path
 
 _KIND = "a C3D file"
 _BLOCK = 512
-_MAX_BYTES = 2 * 2**30
+_MAX_BYTES = 512 * 2**20
 MAX_FRAMES = 65_535  # the header counts frames in 16 bits
 
 
@@ -46,9 +46,7 @@ def write_c3d(
     names, p = checked(names, points, frame_rate, str(path))
     t, m = p.shape[:2]
     if t > MAX_FRAMES:
-        raise InputError(
-            f"{path}: C3D holds at most {MAX_FRAMES} frames, these are {t}; write TRC, or cut the motion."
-        )
+        raise InputError(f"{path}: C3D holds at most {MAX_FRAMES} frames, these are {t}; write TRC, or cut the motion.")
     if m > 65_535:
         raise InputError(f"{path}: C3D holds at most 65535 points, these are {m}.")
     residuals = np.ones((t, m)) if residuals_mm is None else np.array(residuals_mm, dtype=np.float64)
@@ -96,9 +94,7 @@ def read_c3d(path: str | Path) -> Markers:
     return Markers(names, points * metres_per_unit(unit, str(path)), layout.rate, unit)
 
 
-def _read(
-    file: BinaryIO, size: int, path: str | Path
-) -> tuple[bytes, _Layout, dict[str, tuple[Any, ...]], str]:
+def _read(file: BinaryIO, size: int, path: str | Path) -> tuple[bytes, _Layout, dict[str, tuple[Any, ...]], str]:
     """Bytes of the frames, their layout, the parameters and the byte order."""
     head = file.read(_BLOCK)
     if len(head) < _BLOCK or head[1] != 0x50 or head[0] < 1:
@@ -114,8 +110,7 @@ def _read(
     if layout.data_start + wanted > size:
         held = max(0, size - layout.data_start) // layout.frame_bytes
         raise InputError(
-            f"{path} is truncated: its header promises {layout.frames} frames, the file holds {held}; "
-            "copy it again."
+            f"{path} is truncated: its header promises {layout.frames} frames, the file holds {held}; copy it again."
         )
     file.seek(layout.data_start)
     return file.read(wanted), layout, parameters, order
@@ -217,21 +212,15 @@ def _layout(head: bytes, parameters: Mapping[str, tuple[Any, ...]], order: str, 
     rate = float(_first(parameters.get("POINT:RATE"), _floats(head[20:24], order)[0]))
     block = int(_first(parameters.get("POINT:DATA_START"), words[8])) & 0xFFFF
     if points == 0 or last < first or block < 2:
-        raise InputError(
-            f"{path} holds no points: {points} markers, frames {first} to {last}; a recording is needed."
-        )
+        raise InputError(f"{path} holds no points: {points} markers, frames {first} to {last}; a recording is needed.")
     if not np.isfinite([scale, rate]).all() or scale == 0 or not 0 < rate < 1e6:
-        raise InputError(
-            f"{path}: point scale {scale:g} and frame rate {rate:g} are not possible; export it again."
-        )
+        raise InputError(f"{path}: point scale {scale:g} and frame rate {rate:g} are not possible; export it again.")
     return _Layout(points, int(words[2]), last - first + 1, rate, scale, (block - 1) * _BLOCK)
 
 
 def _points(raw: bytes, layout: _Layout, order: str) -> Array:
     values = _floats(raw, order) if layout.scale < 0 else _integers(raw, order).astype(np.float64)
-    values = values.reshape(layout.frames, -1)[:, : 4 * layout.points].reshape(
-        layout.frames, layout.points, 4
-    )
+    values = values.reshape(layout.frames, -1)[:, : 4 * layout.points].reshape(layout.frames, layout.points, 4)
     out = values[..., :3] * (1.0 if layout.scale < 0 else layout.scale)
     # ">= 0" is false for NaN too
     out[~((values[..., 3] >= 0) & np.isfinite(out).all(-1))] = np.nan

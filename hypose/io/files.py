@@ -7,8 +7,8 @@ from pathlib import Path
 from hypose.errors import InputError
 from hypose.io.results import atomic_path
 
-# An hour at 100 Hz with 60 markers is about 600 MB as text; such recordings come in pieces or as C3D.
-MAX_TEXT_BYTES = 512 * 2**20
+# Half an hour at 100 Hz with 60 markers as text; longer recordings come in pieces or as C3D.
+MAX_TEXT_BYTES = 256 * 2**20
 
 
 def write_text(path: str | Path, text: str) -> None:
@@ -36,9 +36,7 @@ def readable_size(path: str | Path, kind: str, limit: int) -> int:
 
 def unreadable(path: str | Path, error: OSError) -> InputError:
     """The InputError for a file that the system does not let us read."""
-    return InputError(
-        f"{path} cannot be read ({(error.strerror or str(error)).lower()}); check its permissions."
-    )
+    return InputError(f"{path} cannot be read ({(error.strerror or str(error)).lower()}); check its permissions.")
 
 
 def text_lines(path: str | Path, kind: str, limit: int = MAX_TEXT_BYTES) -> list[str]:

@@ -41,9 +41,7 @@ def metres_per_unit(unit: str, where: str) -> float:
         raise InputError(f"{where} is in unit {unit!r}; known units are {', '.join(METRES)}.") from None
 
 
-def checked(
-    names: Sequence[str], points: ArrayLike, frame_rate: float, where: str
-) -> tuple[tuple[str, ...], Array]:
+def checked(names: Sequence[str], points: ArrayLike, frame_rate: float, where: str) -> tuple[tuple[str, ...], Array]:
     """Names and points (T, M, 3) of a file to be written, or an InputError that says what is wrong with
     them."""
     p, n = np.asarray(points, dtype=np.float64), tuple(str(name) for name in names)
@@ -58,9 +56,7 @@ def checked(
     if any(not x or any(c in x for c in "\t\r\n") for x in n):
         raise InputError(f"{where}: a marker name is empty or holds a tab or line break; rename it.")
     if not np.isfinite(frame_rate) or frame_rate <= 0:
-        raise InputError(
-            f"{where}: the frame rate is {frame_rate}; it must be a positive number of frames/s."
-        )
+        raise InputError(f"{where}: the frame rate is {frame_rate}; it must be a positive number of frames/s.")
     if np.isinf(p).any():
         raise InputError(f"{where}: some points are infinite; use NaN for a marker that was not seen.")
     return n, p

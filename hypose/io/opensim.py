@@ -30,9 +30,7 @@ def write_mot(path: str | Path, names: Sequence[str], values: ArrayLike, times: 
     """
     v, t = np.asarray(values, dtype=np.float64), np.asarray(times, dtype=np.float64)
     if v.shape != (len(t), len(names)):
-        raise InputError(
-            f"{path}: {len(names)} names and {len(t)} times need values of that shape, got {v.shape}."
-        )
+        raise InputError(f"{path}: {len(names)} names and {len(t)} times need values of that shape, got {v.shape}.")
     if (np.diff(t) <= 0).any() or not np.isfinite(t).all():
         raise InputError(f"{path}: frame times must increase; correct the recording's time stamps.")
     keep = np.isfinite(v).all(1)
