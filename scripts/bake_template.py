@@ -29,13 +29,13 @@ from scipy.spatial import cKDTree
 
 OUT = Path(__file__).resolve().parent.parent / "hypose/assets/template.npz"
 STATURE = 1.70
-# weight 0.58: about 60 kg at 1.70 m; MakeHuman's "average" is thinner than real adults are
-NEUTRAL = Phenotype(weight=0.58)
+# MakeHuman's "average weight" is thinner than real adults are: 0.5 gives 56 l at 1.70 m
+NEUTRAL = Phenotype(weight=0.68)
 FINE, COARSE = 2600, 550
 # Errors in these parts count less, so they get fewer triangles; the limbs' outlines decide a pose.
 IMPORTANCE = {
     "fine": {"head": 0.4, "wrist": 0.6, "ankle": 0.6},
-    "coarse": {"head": 0.35, "neck": 0.7, "wrist": 0.4, "ankle": 0.5},
+    "coarse": {"head": 0.35, "neck": 0.7, "wrist": 0.3, "ankle": 0.6},
 }
 
 
@@ -100,7 +100,7 @@ def _coarse(human: MakeHuman, vertices: np.ndarray, volume: float) -> tuple[np.n
     half, faces = envelope_half(vertices, human.faces, hands_and_head | toes, radius=0.017)
     surface, _, _ = mirrored(half, faces)
     importance = _importance("coarse", interpolated_weights(half, vertices, human.weights))
-    half, faces, _ = decimate_half(half, faces, COARSE, importance)
+    half, faces, _ = decimate_half(half, faces, COARSE, importance, shortest=0.007)
     v, f, mirror = mirrored(half, faces)
     v = fit_surface(v, f, mirror, surface, volume)
     left = interpolated_weights(v[: len(half)], vertices, human.weights)

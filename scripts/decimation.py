@@ -16,8 +16,9 @@ from scipy.sparse import coo_matrix, diags
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import cKDTree
 
-NEEDLE = 0.02
-"""A collapse may not make a face worse when its double area over its longest side squared falls below this."""
+NEEDLE = 0.1
+"""A collapse may not make a face worse when its double area over its longest side squared falls below this
+(halved whenever nothing else can be collapsed)."""
 EVENNESS = 1e-3
 """Share of an edge's squared length in the cost of its collapse: flat regions stay evenly meshed."""
 
@@ -56,6 +57,7 @@ class _Half:
                 self.around[v].add(k)
         self.middle = vertices[:, 0] == 0
         self.subset = subset
+        self.needle = NEEDLE
         corners = vertices[faces]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         area = np.linalg.norm(normal, axis=1)
@@ -102,7 +104,7 @@ class _Half:
         length = (a - b) @ (a - b)
         return max(cost, 0.0) + EVENNESS * (self.weight[u] + self.weight[v]) * length, best
 
-    def allowed(self, u: int, v: int, place: np.ndarray) -> bool:
+    def allowed(self, u: int, v: int, place: np.ndarray, needle: float) -> bool:
         """Link condition, no chord across the symmetry plane, no flipped or needle-shaped face."""
         shared = self.around[u] & self.around[v]
         near_u, near_v = self.neighbours(u), self.neighbours(v)
@@ -129,7 +131,7 @@ class _Half:
             assert f is not None
             n0, shape0 = _normal_and_shape([at[w] for w in f])
             n1, shape1 = _normal_and_shape([target if w in (u, v) else at[w] for w in f])
-            if shape1 < NEEDLE and shape1 < shape0:
+            if shape1 < needle and shape1 < shape0:
                 return False
             # the normal of a needle says nothing about a flip
             if shape0 > 0.05 and n0[0] * n1[0] + n0[1] * n1[1] + n0[2] * n1[2] < 0.25:
@@ -169,12 +171,18 @@ def _normal_and_shape(p: list[list[float]]) -> tuple[tuple[float, float, float],
 
 
 def decimate_half(
-    vertices: np.ndarray, faces: np.ndarray, target: int, importance: np.ndarray, subset: bool = False
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    target: int,
+    importance: np.ndarray,
+    subset: bool = False,
+    shortest: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Decimate a left half (H,3), (G,3) until the whole mesh has about `target` vertices.
 
     importance (H,) multiplies the squared error of the faces around a vertex. With subset=True the result uses only
-    vertices of the input. Returns vertices (h,3), faces (g,3) and source (h,): the input vertex each one grew from
+    vertices of the input. Edges shorter than `shortest` (m) go first, whatever the error: that clears the needles of
+    marching cubes, which would block better collapses later. Returns vertices (h,3), faces (g,3) and source (h,): the input vertex each one grew from
     (with subset=True the very vertex).
     """
     mesh = _Half(vertices, faces, importance, subset)
@@ -185,19 +193,30 @@ def decimate_half(
 
     def push(u: int, v: int) -> None:
         u, v = min(u, v), max(u, v)
-        heapq.heappush(heap, (mesh.candidate(u, v)[0], u, v, int(stamp[u]), int(stamp[v])))
+        length = math.dist(mesh.at[u], mesh.at[v])
+        cost = mesh.candidate(u, v)[0] if length >= shortest else length - shortest
+        heapq.heappush(heap, (cost, u, v, int(stamp[u]), int(stamp[v])))
 
     edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), 1), axis=0)
     for u, v in edges.tolist():
         push(u, v)
     middles = int(mesh.middle.sum())
     count = 2 * (len(vertices) - middles) + middles
-    while count > target and heap:
-        _, u, v, su, sv = heapq.heappop(heap)
+    while count > target:
+        if not heap:  # only refused edges are left: be less choosy about the shape of faces
+            mesh.needle *= 0.5
+            for u in sorted(refused):
+                for v in sorted(refused[u] & mesh.neighbours(u)):
+                    if u < v:
+                        push(u, v)
+            refused.clear()
+            if not heap or mesh.needle < 1e-4:
+                break
+        cost, u, v, su, sv = heapq.heappop(heap)
         if stamp[u] != su or stamp[v] != sv or not mesh.around[u] or not mesh.around[v]:
             continue
         place = mesh.candidate(u, v)[1]
-        if not mesh.allowed(u, v, place):
+        if not mesh.allowed(u, v, place, mesh.needle if cost >= 0 else 0.0):
             refused.setdefault(u, set()).add(v)
             refused.setdefault(v, set()).add(u)
             continue
