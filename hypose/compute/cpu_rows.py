@@ -305,13 +305,23 @@ def outline_points(sdf, width, height, out):
     found = np.empty(4 * (width + height), np.int32)
     n = 0
     for y in range(BORDER, height - BORDER):
-        for x in range(BORDER, width - BORDER):
-            if sdf[y, x] < 0 and (sdf[y, x - 1] > 0 or sdf[y, x + 1] > 0 or sdf[y - 1, x] > 0 or sdf[y + 1, x] > 0):
+        above, row, below = sdf[y - 1, :width], sdf[y, :width], sdf[y + 1, :width]
+        inside = 0
+        for x in range(width):  # most rows are empty, and this loop vectorises
+            inside += row[x] < 0
+        if inside == 0:
+            continue
+        for i in range(width - 2 * BORDER):
+            x = np.uint64(i + BORDER)
+            if row[x] >= 0:
+                continue
+            before, after = np.uint64(i + BORDER - 1), np.uint64(i + BORDER + 1)
+            if row[before] > 0 or row[after] > 0 or above[x] > 0 or below[x] > 0:
                 if n == found.shape[0]:
                     longer = np.empty(2 * n, np.int32)
                     longer[:n] = found
                     found = longer
-                found[n] = y * width + x
+                found[n] = y * width + i + BORDER
                 n += 1
     k = out.shape[0]
     m = min(n, k)

@@ -70,7 +70,7 @@ def cross_columns(xa, ya, xb, yb, sign, width, height, difference):
         slope = (yb - ya) / (xb - xa)
         for c in range(c0, c1):
             y = min(max(ya + (f4(c) - xa) * slope, f4(0)), f4(height))
-            difference[np.uint64(math.ceil(y)), np.uint64(c)] += s
+            difference[np.uint32(np.ceil(y)), np.uint32(c)] += s  # unsigned: no test for indices from the end
 
 
 @njit(**OPTIONS)

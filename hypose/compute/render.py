@@ -1,7 +1,8 @@
-"""Z-buffer rasterizer for rendering known scenes: exact pixels of the truth mesh, with depth and interpolated attributes.
+"""Z-buffer rasterizer for rendering known scenes: exact pixels of the truth mesh, with depth and interpolated
+attributes.
 
-This is the renderer of the truth, kept apart from the scorer of the trackers (which approximates): a pixel belongs to a
-triangle when its centre lies inside. Pixel centres are at integer coordinates.
+This is the renderer of the truth, kept apart from the scorer of the trackers (which approximates): a pixel
+belongs to a triangle when its centre lies inside. Pixel centres are at integer coordinates.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ def _raster(uv, z, faces, cull, depth, face_id, bary):
             continue
         xa, ya, xb, yb, xc, yc = uv[a, 0], uv[a, 1], uv[b, 0], uv[b, 1], uv[c, 0], uv[c, 1]
         area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
-        # y points down: a triangle that is counter-clockwise from outside has negative area when seen from outside
+        # y points down: a triangle that is counter-clockwise from outside has negative area when seen from
+        # outside
         if area == 0.0 or (cull and area > 0.0):
             continue
         if not np.isfinite(area):
@@ -100,9 +102,9 @@ def rasterize(
 ) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.float32]]:
     """Draw triangles with a z-buffer.
 
-    uv (V, 2) px and z (V,) m: projected vertices and their depth along the optical axis; faces (F, 3), counter-clockwise
-    from outside; size (width, height); cull: leave out faces seen from inside.
-    Returns depth (h, w) m (inf where empty), face_id (h, w) (-1 where empty) and bary (h, w, 2): perspective-correct
+    uv (V, 2) px and z (V,) m: projected vertices and their depth along the optical axis; faces (F, 3),
+    counter-clockwise from outside; size (width, height); cull: leave out faces seen from inside. Returns
+    depth (h, w) m (inf where empty), face_id (h, w) (-1 where empty) and bary (h, w, 2): perspective-correct
     weights of the face's second and third corner. A triangle that reaches nearer than NEAR is left out.
     """
     w, h = size
@@ -147,8 +149,9 @@ def silhouette(
 ) -> NDArray[np.float32] | NDArray[np.uint8]:
     """Exact silhouette of a mesh.
 
-    uv (V, 2) px, z (V,) m, faces (F, 3) of any orientation, size (width, height). With supersample = 1 a mask (h, w)
-    uint8 of 0 and 1 (pixel centres inside); with s > 1 the coverage (h, w) float32 in 0..1 from s x s samples per pixel.
+    uv (V, 2) px, z (V,) m, faces (F, 3) of any orientation, size (width, height). With supersample = 1 a mask
+    (h, w) uint8 of 0 and 1 (pixel centres inside); with s > 1 the coverage (h, w) float32 in 0..1 from s x s
+    samples per pixel.
     """
     w, h = size
     s = int(supersample)
@@ -203,9 +206,9 @@ def blend_shaded(
 ) -> None:
     """Blend a drawn mesh into picture (h, w, 3), in place.
 
-    face, bary: what `rasterize` drew at samples x samples per pixel; values (V, 5): BGR colour, cosine to the light, and
-    upward component of the normal, per vertex; light: (ambient, direct, sky). A pixel gets the mean of its samples,
-    Lambert-shaded, the picture showing through where there are none.
+    face, bary: what `rasterize` drew at samples x samples per pixel; values (V, 5): BGR colour, cosine to the
+    light, and upward component of the normal, per vertex; light: (ambient, direct, sky). A pixel gets the
+    mean of its samples, Lambert-shaded, the picture showing through where there are none.
     """
     a, d, s = (np.float32(x) for x in light)
     v = np.ascontiguousarray(values, dtype=np.float32)
@@ -222,9 +225,7 @@ def _darken(picture, shade, floor, depth):
                     picture[y, x, c] *= k
 
 
-def darken(
-    picture: NDArray[np.float32], shade: NDArray[np.float32], where: NDArray[np.bool_], depth: float
-) -> None:
+def darken(picture: NDArray[np.float32], shade: NDArray[np.float32], where: NDArray[np.bool_], depth: float) -> None:
     """picture (h, w, 3) *= 1 - depth * shade (h, w) where `where` (h, w), in place."""
     _darken(picture, shade, where, np.float32(depth))
 
