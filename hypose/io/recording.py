@@ -475,14 +475,14 @@ def _check_size(
     ratio = (w / h) / (cw / ch)
     if abs(ratio - 1) > 0.01 and not view.accept_scaled:
         advice = (
-            "calibrate at this size, or, if the images were stretched (not cut), set accept_scaled = true for "
-            "this view in recording.toml"
+            "calibrate at this size, or, if the images were stretched (not cut), set accept_scaled = true "
+            "for this view in recording.toml"
         )
         if abs((h / w) / (cw / ch) - 1) <= 0.01:
             advice = "the images look turned by 90 degrees: turn them back, or calibrate turned images"
         raise CalibrationError(
-            f"View {view.name}: {path} is {w} x {h} px, camera {camera.name} is calibrated for {cw} x {ch} px"
-            f"; {advice}."
+            f"View {view.name}: {path} is {w} x {h} px, camera {camera.name} is calibrated for {cw} x {ch} "
+            f"px; {advice}."
         )
     if notes is not None:
         notes.append(
@@ -527,9 +527,9 @@ def _common_frames(views: Sequence[View], clips: Sequence[list[_Clip]], notes: l
             counts[f"{view.name} masks" if with_masks else view.name] = clip.n_frames
             if clip.stated_frames - clip.n_frames > 2:
                 notes.append(
-                    f"View {view.name}: {clip.path.name} states {clip.stated_frames} frames but decoding ends "
-                    f"after frame {clip.n_frames - 1}; the file is probably cut off: copy it again if more was "
-                    "recorded."
+                    f"View {view.name}: {clip.path.name} states {clip.stated_frames} frames but decoding "
+                    f"ends after frame {clip.n_frames - 1}; the file is probably cut off: copy it again if "
+                    "more was recorded."
                 )
         counts_of_view = [c.n_frames for c in found]
         if min(counts_of_view) == 0:

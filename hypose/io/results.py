@@ -189,9 +189,7 @@ def _read_archive(path: Path) -> dict[str, np.ndarray]:
     out: dict[str, np.ndarray] = {}
     with zipfile.ZipFile(path) as archive:
         entries = archive.infolist()
-        if len(entries) > 10_000 or sum(e.file_size for e in entries) > min(
-            _MAX_ARCHIVE_BYTES, path.stat().st_size
-        ):
+        if len(entries) > 10_000 or sum(e.file_size for e in entries) > min(_MAX_ARCHIVE_BYTES, path.stat().st_size):
             raise ValueError("its contents are larger than the file")
         for entry in entries:
             name = entry.filename.removesuffix(".npy")
@@ -273,17 +271,18 @@ def load_motion(path: str | Path) -> Motion:
         if name not in _MOTION_ARRAYS:
             raise bad(f"it holds the unknown array {name!r}")
         kinds, stored, ndim = _MOTION_ARRAYS[name]
-        if (
-            array.dtype.kind not in kinds
-            or (stored and array.dtype != np.dtype(stored))
-            or array.ndim != ndim
-        ):
+        if array.dtype.kind not in kinds or (stored and array.dtype != np.dtype(stored)) or array.ndim != ndim:
             raise bad(f"{name} is {array.dtype} with {array.ndim} dimensions")
     missing = [n for n in _MOTION_ARRAYS if n not in arrays and n != "poses"]
     if missing:
         raise bad(f"{', '.join(missing)} is missing")
     for name in (*_SKELETON, "times"):
-        if arrays[name].dtype.kind == "f" and not np.isfinite(arrays[name]).all():
+        values = arrays[name]
+        if values.dtype.kind != "f":
+            continue
+        # a free degree of freedom has infinite limits
+        usable = ~np.isnan(values) if name in ("lower", "upper") else np.isfinite(values)
+        if not usable.all():
             raise bad(f"{name} contains NaN or infinity")
     if (np.diff(arrays["times"]) <= 0).any():
         raise bad("times do not increase")
@@ -304,9 +303,7 @@ def load_motion(path: str | Path) -> Motion:
         )
         if (
             len(arrays["joint_names"]) == 0
-            or not (
-                (arrays["joint_of_dof"] >= 0) & (arrays["joint_of_dof"] < len(arrays["joint_names"]))
-            ).all()
+            or not ((arrays["joint_of_dof"] >= 0) & (arrays["joint_of_dof"] < len(arrays["joint_names"]))).all()
         ):
             raise bad("joint_of_dof names joints that do not exist")
         return Motion(
@@ -361,15 +358,12 @@ class Checkpoint:
             version = document["format"]
         except (ValueError, KeyError, TypeError, RecursionError):
             raise InputError(f"{path} is not a checkpoint of hypose; {next_step}.") from None
-        if version != _FORMAT or not (
-            isinstance(frame, int) and isinstance(meta, dict) and isinstance(stored, dict)
-        ):
+        if version != _FORMAT or not (isinstance(frame, int) and isinstance(meta, dict) and isinstance(stored, dict)):
             raise InputError(f"{path} is a checkpoint of another version of hypose; {next_step}.")
         difference = _first_difference(stored, json.loads(to_json(dict(identity))))
         if difference:
             raise InputError(
-                f"{path} belongs to another run: {difference}; {next_step}, or restore the former inputs and "
-                "settings."
+                f"{path} belongs to another run: {difference}; {next_step}, or restore the former inputs and settings."
             )
         return Checkpoint(frame, {k.removeprefix("state."): v for k, v in arrays.items()}, meta, stored)
 

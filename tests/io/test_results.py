@@ -1,0 +1,345 @@
+"""Motions equal byte for byte, archives that cannot hurt, checkpoints of the same run only, whole files or none."""
+
+import dataclasses
+import errno
+import io
+import json
+import pickle
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hypose.body.motion import Motion
+from hypose.errors import InputError
+from hypose.io.provenance import file_identity, identity, provenance
+from hypose.io.results import (
+    Checkpoint,
+    ResultsFolder,
+    atomic_path,
+    load_motion,
+    save_motion,
+    to_json,
+)
+
+
+def assert_same(a: Motion, b: Motion):
+    for holder_a, holder_b in ((a, b), (a.skeleton, b.skeleton)):
+        for field in dataclasses.fields(holder_a):
+            x, y = getattr(holder_a, field.name), getattr(holder_b, field.name)
+            if isinstance(x, np.ndarray):
+                assert x.dtype == y.dtype and np.array_equal(x, y, equal_nan=x.dtype.kind == "f"), field.name
+            elif field.name not in ("skeleton", "provenance"):
+                assert x == y, field.name
+
+
+# ---- motions -----------------------------------------------------------------------------------------------
+
+
+def test_motion_round_trip(small_motion, tmp_path):
+    save_motion(small_motion, tmp_path / "motion.npz")
+    back = load_motion(tmp_path / "motion.npz")
+    assert_same(small_motion, back)
+    assert back.provenance == {"recipe": "test"}
+    points_only = dataclasses.replace(small_motion, poses=None)
+    save_motion(points_only, tmp_path / "points.npz")
+    assert load_motion(tmp_path / "points.npz").poses is None
+
+
+def test_same_motion_same_bytes(small_motion, tmp_path):
+    """Whenever, wherever and by which command it was written; in any memory order."""
+    record = provenance("hpf", 3, {"particles": np.int64(200)}, {}, {"seconds": 1.5})
+    first = dataclasses.replace(small_motion, provenance=record)
+    save_motion(first, tmp_path / "a.npz")
+    record = provenance("hpf", 3, {"particles": 200}, {}, {"seconds": 9.0, "threads": 2})
+    joints = np.asfortranarray(small_motion.joints)
+    save_motion(dataclasses.replace(small_motion, provenance=record, joints=joints), tmp_path / "sub" / "b.npz")
+    data = (tmp_path / "a.npz").read_bytes()
+    assert data == (tmp_path / "sub" / "b.npz").read_bytes()
+    assert b"seconds" not in data
+    assert "run" not in load_motion(tmp_path / "a.npz").provenance
+    save_motion(load_motion(tmp_path / "a.npz"), tmp_path / "c.npz")
+    assert data == (tmp_path / "c.npz").read_bytes()
+
+
+def test_motion_opens_with_plain_numpy(small_motion, tmp_path):
+    save_motion(small_motion, tmp_path / "motion.npz")
+    with np.load(tmp_path / "motion.npz", allow_pickle=False) as archive:
+        assert np.array_equal(archive["joints"], small_motion.joints)
+        assert tuple(archive["joint_names"]) == small_motion.skeleton.joint_names
+        assert json.loads(str(archive["provenance"]))["provenance"] == {"recipe": "test"}
+
+
+def entries(path):
+    with zipfile.ZipFile(path) as archive:
+        return {e.filename: archive.read(e) for e in archive.infolist()}
+
+
+def rewrite(path, content, **options):
+    with zipfile.ZipFile(path, "w", **options) as archive:
+        for name, data in content.items():
+            archive.writestr(name, data)
+
+
+def npy(array, **options):
+    stream = io.BytesIO()
+    np.lib.format.write_array(stream, np.asarray(array), (1, 0), **options)
+    return stream.getvalue()
+
+
+def header(shape, descr="<f8"):
+    stream = io.BytesIO()
+    np.lib.format.write_array_header_1_0(stream, {"descr": descr, "fortran_order": False, "shape": shape})
+    return stream.getvalue()
+
+
+class Bomb:
+    def __reduce__(self):
+        return (Path("exploded").touch, ())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"times.npy": None}, r"times is missing"),
+        ({"other.npy": npy([1.0])}, r"it holds the unknown array 'other'"),
+        ({"../evil.npy": npy([1.0])}, r"it holds '\.\./evil\.npy', which is no array"),
+        ({"readme.txt": b"x"}, r"it holds 'readme\.txt', which is no array"),
+        ({"joints.npy": npy(np.array([Bomb()], dtype=object), allow_pickle=True)}, r"joints holds object"),
+        ({"joints.npy": pickle.dumps(Bomb())}, r"is not a motion of hypose, or is damaged: .*magic string"),
+        ({"joints.npy": b""}, r"is not a motion of hypose, or is damaged"),
+        ({"joints.npy": header((10**9, 19, 3))}, r"joints of shape .* does not fit its 0 bytes"),
+        ({"joints.npy": header((2**40, 2**40, 2**40))}, r"does not fit its 0 bytes"),
+        ({"joints.npy": header((-5, 19, 3))}, r"joints has shape \(-5, 19, 3\)"),
+        ({"joints.npy": npy(np.zeros((60, 19, 3), np.float32))}, r"joints is float32 with 3 dimensions"),
+        ({"joints.npy": npy(np.zeros((60, 19)))}, r"joints is float64 with 2 dimensions"),
+        ({"joints.npy": npy(np.zeros((59, 19, 3)))}, r"Motion\.joints has shape \(59, 19, 3\)"),
+        ({"poses.npy": npy(np.zeros((60, 7)))}, r"Motion\.poses has shape \(60, 7\)"),
+        ({"times.npy": npy(np.zeros(60))}, r"times do not increase"),
+        ({"times.npy": npy(np.full(60, np.nan))}, r"times contains NaN"),
+        ({"lost.npy": npy(np.zeros(60))}, r"lost is float64"),
+        ({"parents.npy": npy(np.full(19, 25))}, r"Skeleton\.parents must hold -1 for the root"),
+        ({"joint_of_dof.npy": npy(np.full(36, 99))}, r"joint_of_dof names joints that do not exist"),
+        ({"axes.npy": npy(np.full((36, 3), np.nan))}, r"axes contains NaN"),
+        ({"provenance.npy": npy(np.array("not json"))}, r"its provenance is no JSON"),
+        ({"provenance.npy": npy(np.array('{"format": 99, "provenance": {}}'))}, r"it has format 99"),
+        ({"provenance.npy": npy(np.array("[" * 100_000))}, r"its provenance is no JSON"),
+    ],
+)
+def test_hostile_or_damaged_motion(small_motion, tmp_path, monkeypatch, change, message):
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "motion.npz"
+    save_motion(small_motion, path)
+    content = {k: v for k, v in (entries(path) | change).items() if v is not None}
+    rewrite(path, content)
+    with pytest.raises(InputError, match=message) as caught:
+        load_motion(path)
+    assert "motion.npz" in str(caught.value) and "give the motion.npz that hypose track wrote" in str(caught.value)
+    assert not Path("exploded").exists()
+
+
+def test_compressed_archives_are_refused_before_unpacking(small_motion, tmp_path):
+    path = tmp_path / "motion.npz"
+    save_motion(small_motion, path)
+    bomb = header((30_000_000,)) + bytes(240_000_000)
+    rewrite(path, entries(path) | {"cost.npy": bomb}, compression=zipfile.ZIP_DEFLATED)
+    assert path.stat().st_size < 1_000_000
+    with pytest.raises(InputError, match=r"its contents are larger than the file"):
+        load_motion(path)
+    save_motion(small_motion, path)
+    rewrite(path, {"times.npy": npy(np.arange(9.0))}, compression=zipfile.ZIP_DEFLATED)
+    with pytest.raises(InputError, match=r"larger than the file|times is compressed"):
+        load_motion(path)
+
+
+def test_no_archive_at_all(small_motion, tmp_path):
+    with pytest.raises(InputError, match=r"The motion .*none\.npz does not exist; give the motion\.npz"):
+        load_motion(tmp_path / "none.npz")
+    for data in (b"", b"text", b"PK\x03\x04" + bytes(100)):
+        (tmp_path / "a.npz").write_bytes(data)
+        with pytest.raises(InputError, match=r"a\.npz is not a motion of hypose, or is damaged: .*; give the"):
+            load_motion(tmp_path / "a.npz")
+    save_motion(small_motion, tmp_path / "a.npz")
+    data = (tmp_path / "a.npz").read_bytes()
+    (tmp_path / "a.npz").write_bytes(data[: len(data) // 2])
+    with pytest.raises(InputError, match=r"is not a motion of hypose, or is damaged"):
+        load_motion(tmp_path / "a.npz")
+    spoilt = bytearray(data)
+    spoilt[200] ^= 255
+    (tmp_path / "a.npz").write_bytes(spoilt)
+    with pytest.raises(InputError, match=r"damaged: Bad CRC"):
+        load_motion(tmp_path / "a.npz")
+
+
+# ---- checkpoints -------------------------------------------------------------------------------------------
+
+
+RUN = {"recipe": "hpf", "seed": 3, "settings": {"particles": 200}, "inputs": {"cam1": {"sha256": "ab" * 32}}}
+
+
+def make_checkpoint(path, run=RUN):
+    arrays = {"values": np.arange(12.0).reshape(3, 4), "lost": np.array([True, False]), "n": np.array(7)}
+    Checkpoint(40, arrays, {"phase": "tracking"}, run).save(path)
+    return arrays
+
+
+def test_checkpoint_round_trip(tmp_path):
+    arrays = make_checkpoint(tmp_path / "checkpoint.npz")
+    back = Checkpoint.load(tmp_path / "checkpoint.npz", json.loads(json.dumps(RUN)))
+    assert back.frame == 40 and back.meta == {"phase": "tracking"} and back.identity == RUN
+    assert set(back.arrays) == set(arrays)
+    for name, value in arrays.items():
+        assert back.arrays[name].dtype == value.dtype and np.array_equal(back.arrays[name], value)
+    before = (tmp_path / "checkpoint.npz").read_bytes()
+    make_checkpoint(tmp_path / "checkpoint.npz")
+    assert before == (tmp_path / "checkpoint.npz").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"seed": 4}, r"seed was 3 then and is 4 now"),
+        ({"settings": {"particles": 100}}, r"settings\.particles was 200 then and is 100 now"),
+        ({"settings": {}}, r"settings\.particles was given then and is not now"),
+        ({"extra": 1}, r"extra was not given then and is now"),
+        ({"inputs": {"cam1": {"sha256": "cd" * 32}}}, r"inputs\.cam1\.sha256 was \"abab.*\.\.\. then"),
+    ],
+)
+def test_checkpoint_of_another_run_is_refused(tmp_path, change, message):
+    make_checkpoint(tmp_path / "checkpoint.npz")
+    with pytest.raises(InputError, match=message) as caught:
+        Checkpoint.load(tmp_path / "checkpoint.npz", RUN | change)
+    assert "belongs to another run" in str(caught.value)
+    assert "run again without --resume to start from the first frame" in str(caught.value)
+
+
+def test_damaged_checkpoint(tmp_path, small_motion):
+    path = tmp_path / "checkpoint.npz"
+    with pytest.raises(InputError, match=r"The checkpoint .* does not exist; run again without --resume"):
+        Checkpoint.load(path, RUN)
+    path.write_bytes(b"PK nonsense")
+    with pytest.raises(InputError, match=r"is not a checkpoint of hypose, or is damaged"):
+        Checkpoint.load(path, RUN)
+    save_motion(small_motion, path)
+    with pytest.raises(InputError, match=r"is not a checkpoint of hypose; run again"):
+        Checkpoint.load(path, RUN)
+    make_checkpoint(path)
+    document = str(np.load(path)["checkpoint"]).replace('"format": 1', '"format": 2')
+    rewrite(path, entries(path) | {"checkpoint.npy": npy(np.array(document))})
+    with pytest.raises(InputError, match=r"is a checkpoint of another version of hypose"):
+        Checkpoint.load(path, RUN)
+
+
+# ---- files -------------------------------------------------------------------------------------------------
+
+
+def test_results_folder(tmp_path):
+    results = ResultsFolder.of(tmp_path, "hpf")
+    assert results.path == tmp_path / "results" / "hpf" and not results.path.exists()
+    results.write_text("a.txt", "ä\n")
+    results.write_bytes("b.bin", b"\0")
+    results.write_json("provenance.json", {"b": np.float64(1.5), "a": [np.int32(2), Path("x")]})
+    results.check_writable()
+    assert results.file("a.txt").read_bytes() == "ä\n".encode()
+    assert json.loads(results.file("provenance.json").read_text()) == {"a": [2, "x"], "b": 1.5}
+    assert sorted(p.name for p in results.path.iterdir()) == ["a.txt", "b.bin", "provenance.json"]
+    assert results.motion.name == "motion.npz" and results.checkpoint.name == "checkpoint.npz"
+
+
+def test_an_interrupted_write_leaves_the_old_file(tmp_path):
+    (tmp_path / "a.txt").write_text("old")
+    with pytest.raises(KeyboardInterrupt), atomic_path(tmp_path / "a.txt") as temporary:
+        assert temporary.parent == tmp_path and temporary.suffix == ".txt"
+        temporary.write_text("half")
+        raise KeyboardInterrupt
+    assert (tmp_path / "a.txt").read_text() == "old" and len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full: a full disk is NOT tried here")
+def test_full_disk(tmp_path):
+    (tmp_path / "a.txt").write_text("old")
+    message = r"a\.txt cannot be written because the disk is full \(\d+ MB free\); what was written before is intact"
+    with pytest.raises(InputError, match=message) as caught, atomic_path(tmp_path / "a.txt") as temporary:
+        temporary.write_text("half")
+        Path("/dev/full").write_text("x" * 100)
+    assert "--resume" in str(caught.value)
+    assert (tmp_path / "a.txt").read_text() == "old" and len(list(tmp_path.iterdir())) == 1
+
+
+def test_full_disk_while_saving_a_motion(small_motion, tmp_path, monkeypatch):
+    save_motion(small_motion, tmp_path / "motion.npz")
+    old = (tmp_path / "motion.npz").read_bytes()
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(zipfile.ZipFile, "writestr", full)
+    with pytest.raises(InputError, match=r"motion\.npz cannot be written because the disk is full"):
+        save_motion(dataclasses.replace(small_motion, cost=np.zeros(60)), tmp_path / "motion.npz")
+    assert (tmp_path / "motion.npz").read_bytes() == old and len(list(tmp_path.iterdir())) == 1
+
+
+def test_read_only_or_impossible_folder(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"cannot be written \(.*\); .* choose a folder that you may write to"):
+        ResultsFolder(tmp_path / "file" / "results").check_writable()
+
+    def refuse(*_, **__):
+        raise PermissionError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(Path, "write_bytes", refuse)
+    with pytest.raises(InputError, match=r"cannot be written \(read-only file system\); .* intact"):
+        ResultsFolder(tmp_path).check_writable()
+
+
+# ---- provenance --------------------------------------------------------------------------------------------
+
+
+def test_provenance_is_json_and_names_everything(tmp_path):
+    (tmp_path / "a.mp4").write_bytes(b"abc")
+    record = provenance("hpf", 7, {"sigma": np.float64(0.5)}, {"cam1": tmp_path / "a.mp4"}, {"seconds": 2.0})
+    back = json.loads(to_json(record))
+    assert back["recipe"] == "hpf" and back["seed"] == 7 and back["settings"] == {"sigma": 0.5}
+    assert set(back["versions"]) >= {"hypose", "python", "numpy", "numba", "opencv-python-headless"}
+    assert back["versions"]["numpy"] == np.__version__
+    assert back["inputs"]["cam1"] == {
+        "name": "a.mp4",
+        "bytes": 3,
+        "sha256": "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad",
+        "hashed": "all",
+    }
+    assert back["run"]["seconds"] == 2.0 and back["run"]["command"]
+    assert "run" not in identity(record) and identity(record)["seed"] == 7
+
+
+def test_large_files_are_hashed_at_both_ends(tmp_path):
+    path = tmp_path / "large.bin"
+    with path.open("wb") as stream:
+        stream.truncate(65 << 20)
+    seen = {file_identity(path)["sha256"]}
+    assert file_identity(path)["hashed"] == "first and last MiB"
+    for offset in (0, (65 << 20) - 1):
+        with path.open("r+b") as stream:
+            stream.seek(offset)
+            stream.write(b"x")
+        seen.add(file_identity(path)["sha256"])
+    with path.open("r+b") as stream:
+        stream.truncate(66 << 20)
+    seen.add(file_identity(path)["sha256"])
+    assert len(seen) == 4
+
+
+def test_folders_are_hashed_by_names_and_contents(tmp_path):
+    folder = tmp_path / "pose"
+    folder.mkdir()
+    (folder / "1.json").write_text("a")
+    (folder / "2.json").write_text("b")
+    first = file_identity(folder)
+    assert first["files"] == 2 and first["bytes"] == 2 and first["hashed"] == "all"
+    (folder / "2.json").rename(folder / "3.json")
+    second = file_identity(folder)
+    (folder / "3.json").write_text("c")
+    assert len({first["sha256"], second["sha256"], file_identity(folder)["sha256"]}) == 3
+    with pytest.raises(InputError, match=r"none cannot be read"):
+        file_identity(tmp_path / "none")

@@ -1,0 +1,167 @@
+"""Videos: exact frames, true counts, whole files or none."""
+
+import cv2
+import numpy as np
+import pytest
+
+from hypose.errors import InputError
+from hypose.io.video import VideoWriter, count_frames, frame_size, open_video, read_image
+from tests.io.recordings import SIZE, frame, frame_number, make_video
+
+
+@pytest.mark.parametrize("ending", [".avi", ".mkv"])
+def test_written_frames_come_back_in_order(tmp_path, ending):
+    path = make_video(tmp_path / f"a{ending}", 40, frame_rate=50)
+    with open_video(path) as reader:
+        assert reader.size == SIZE == frame_size(path)
+        assert reader.frame_rate == pytest.approx(50)
+        assert len(reader) == reader.n_frames == reader.stated_frames == 40 and not reader.truncated
+        assert [frame_number(f) for f in reader] == list(range(40))
+        assert list(reader) == []
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]  # no temporary file is left
+
+
+@pytest.mark.parametrize("codec", ["mp4v", "vp09"])
+def test_mp4(tmp_path, codec):
+    with VideoWriter(tmp_path / "a.mp4", 30, (65, 49), codec) as writer:
+        for i in range(20):
+            writer.write(np.full((49, 65, 3), 10 * i, np.uint8))
+    with open_video(tmp_path / "a.mp4") as reader:
+        assert reader.size == (64, 48) and reader.n_frames == 20
+        # these codecs give grey levels back about 3 darker (rounding in the conversion to YUV and back)
+        assert np.abs([f.mean() - 10 * i for i, f in enumerate(reader)]).max() < 4
+
+
+@pytest.mark.parametrize("ending", [".avi", ".mp4"])
+def test_seeking_is_exact(tmp_path, ending, rng):
+    path = make_video(tmp_path / f"a{ending}", 60)
+    reader = open_video(path)
+    in_order = [f.copy() for f in reader]
+    for i in [0, 59, 30, 31, 30, *rng.integers(0, 60, 10)]:
+        assert np.array_equal(reader.read(int(i)), in_order[i])
+        assert reader.position == i + 1
+    reader.seek(57)
+    assert len(list(reader)) == 3
+    reader.seek(0)
+    assert np.array_equal(reader.read(), in_order[0])
+    for bad in (-1, 61):
+        with pytest.raises(InputError, match=r"has no frame -?\d+; its frames are 0 to 59"):
+            reader.seek(bad)
+    with pytest.raises(InputError, match=r"ends with frame 59, frame 60 was asked for"):
+        reader.read(60)
+
+
+def test_a_folder_of_images_behaves_like_a_video(tmp_path):
+    for i in range(12):
+        cv2.imwrite(str(tmp_path / f"f{i}.png"), frame(i))
+    (tmp_path / "notes.txt").write_text("not an image")
+    with open_video(tmp_path) as reader:
+        assert (reader.size, reader.n_frames, reader.frame_rate) == (SIZE, 12, None)
+        assert [frame_number(f) for f in reader] == list(range(12))  # f10 after f9
+        assert frame_number(reader.read(3)) == 3
+    assert count_frames(tmp_path) == 12
+    single = open_video(tmp_path / "f7.png")
+    assert single.n_frames == 1 and frame_number(single.read(0)) == 7
+    cv2.imwrite(str(tmp_path / "f5.png"), frame(5, (32, 32)))
+    reader = open_video(tmp_path)
+    with pytest.raises(InputError, match=r"f5\.png is 32 x 32 px, the first image of its folder is 64 x 48 px"):
+        list(reader)
+
+
+def test_damaged_image(tmp_path):
+    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n broken")
+    with pytest.raises(InputError, match=r"a\.png is not an image or is damaged; replace it"):
+        read_image(tmp_path / "a.png")
+    (tmp_path / "b.png").write_bytes(b"")
+    with pytest.raises(InputError, match=r"b\.png is not an image"):
+        read_image(tmp_path / "b.png")
+    with pytest.raises(InputError, match=r"none\.png cannot be read"):
+        read_image(tmp_path / "none.png")
+
+
+def test_truncated_video_is_counted_by_decoding(tmp_path):
+    whole = make_video(tmp_path / "whole.avi", 60)
+    cut = tmp_path / "cut.avi"
+    data = whole.read_bytes()
+    cut.write_bytes(data[: len(data) // 2])
+    reader = open_video(cut)
+    assert 10 < reader.n_frames < 40
+    assert count_frames(cut) == reader.n_frames
+    assert [frame_number(f) for f in reader] == list(range(reader.n_frames))
+
+
+def test_a_container_that_promises_too_much(shared_data):
+    """These files state two frames more than they hold."""
+    with open_video(shared_data("uu4cam/cam1/background.avi")) as reader:
+        assert reader.stated_frames == 134 and reader.n_frames == 132
+        assert sum(1 for _ in reader) == 132
+
+
+def test_a_video_that_shrinks_while_it_is_read(tmp_path):
+    reader = open_video(make_video(tmp_path / "a.avi", 30))
+    reader.n_frames = 40  # as if the file had held 40 when it was opened
+    with pytest.raises(InputError, match=r"a\.avi cannot be decoded beyond frame 29 of 40; .*frame_range"):
+        list(reader)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "message"),
+    [
+        ("empty.mp4", b"", r"empty\.mp4 is empty \(0 bytes\); record or copy it again"),
+        ("text.mp4", b"hello " * 100, r"text\.mp4 cannot be opened as a video"),
+        ("cut.mp4", None, r"cut\.mp4 cannot be opened as a video \(not a video, cut off"),
+    ],
+)
+def test_not_a_video(tmp_path, name, data, message):
+    if data is None:  # the index of an .mp4 stands at its end
+        data = make_video(tmp_path / "whole.mp4", 30).read_bytes()[:-800]
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(InputError, match=message):
+        open_video(tmp_path / name)
+
+
+def test_missing(tmp_path):
+    with pytest.raises(InputError, match=r"none\.mp4 does not exist; check the file name"):
+        open_video(tmp_path / "none.mp4")
+    with pytest.raises(InputError, match=r"holds no images"):
+        open_video(tmp_path)
+
+
+def test_an_exception_leaves_the_old_video(tmp_path):
+    path = make_video(tmp_path / "a.avi", 5)
+    old = path.read_bytes()
+    with pytest.raises(KeyboardInterrupt), VideoWriter(path, 25, SIZE) as writer:
+        writer.write(frame(0))
+        raise KeyboardInterrupt
+    assert path.read_bytes() == old and len(list(tmp_path.iterdir())) == 1
+
+
+def test_writer_refuses(tmp_path):
+    with pytest.raises(InputError, match=r"frame 0 is .*, needed are 64 x 48 px"):
+        with VideoWriter(tmp_path / "a.avi", 25, SIZE) as writer:
+            writer.write(frame(0, (32, 32)))
+    with pytest.raises(InputError, match="no frame was given"), VideoWriter(tmp_path / "a.avi", 25, SIZE):
+        pass
+    with pytest.raises(InputError, match=r"name the video \.mp4"):
+        VideoWriter(tmp_path / "a.gif", 25, SIZE)
+    with pytest.raises(InputError, match="give a positive frame rate"):
+        VideoWriter(tmp_path / "a.avi", 0, SIZE)
+    with (
+        pytest.raises(InputError, match=r"no encoder for XXXX"),
+        VideoWriter(tmp_path / "a.avi", 25, SIZE, "XXXX"),
+    ):
+        pass
+    (tmp_path / "file").write_text("")
+    with (
+        pytest.raises(InputError, match="cannot be written"),
+        VideoWriter(tmp_path / "file" / "a.avi", 25, SIZE),
+    ):
+        pass
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_video_that_did_not_reach_the_disk(tmp_path, monkeypatch):
+    monkeypatch.setattr("hypose.io.video.count_frames", lambda _: 3)
+    with pytest.raises(InputError, match="3 of 5 frames arrived on the disk, which may be full"):
+        make_video(tmp_path / "a.avi", 5)
+    assert list(tmp_path.iterdir()) == []
