@@ -81,7 +81,7 @@ def _root_guesses(
     """Root poses (6,) from the trunk's points when they are there (rigid fit), else four headings at the centroid."""
     s = body.skeleton
     rest = s.rest_joints[joint] + offset
-    trunk_joints = [s.joint(n) for n in ("left_shoulder", "right_shoulder", "left_hip", "right_hip", "neck", "pelvis")]
+    trunk_joints = [s.joint(n) for n in ("pelvis", "chest", "neck", "left_clavicle", "right_clavicle", "left_shoulder", "right_shoulder", "left_hip", "right_hip")]
     trunk = known & np.isin(joint, trunk_joints)
     centre = points[known].mean(0) - rest[known].mean(0)
     if trunk.sum() >= 3:

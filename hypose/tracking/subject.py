@@ -97,9 +97,8 @@ def subject_from_keypoints(
 
 def shape_from_keypoints(body: Body, points_world: Array, names: tuple[str, ...]) -> Shape:
     """Length factors of `body` from triangulated points (T, K, 3) m."""
-    model = keypoint_model(body, names)
     skeleton, rest = body.skeleton, body.skeleton.rest_joints
-    column = {skeleton.joint_names[j]: k for k, j in enumerate(model.joint) if model.known[k] and not model.offset[k].any()}
+    column = {name: k for k, name in enumerate(names) if name in skeleton.joint_names}  # limbs: key point = joint name
 
     def measured(a: str, b: str) -> float:
         if a not in column or b not in column:

@@ -26,7 +26,7 @@ from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.evidence import KeypointModel, PreparedFrame, prepare, view_count
 from hypose.tracking.initialise import recover
 from hypose.tracking.recipes import step_sigma
-from hypose.tracking.refinement import REFINED, refine
+from hypose.tracking.refinement import REFINED, RefinedEstimate, refine
 from hypose.tracking.uncertainty import joint_sd_of_pose, joint_sd_of_set
 
 BETWEEN_FRAMES, RECOVERY, START = -1, -2, -3
@@ -132,9 +132,7 @@ class Tracker:
         """One frame: predict, search, judge, and recover when lost."""
         s, settings = self.body.skeleton, self.settings
         state = self._on_canonical_branch(state)
-        velocity = settings.velocity_gain ** (1 + state.blind) * (state.pose - s.on_branch(state.previous, state.pose))
-        if state.lost:
-            velocity = np.zeros_like(velocity)
+        velocity = self._gain(state) * (state.pose - s.on_branch(state.previous, state.pose))
         prediction = s.clamp(state.pose + velocity)
         prepared = self._prepare(frame, prediction)
         if not prepared.usable:
@@ -164,6 +162,13 @@ class Tracker:
         following = TrackerState(state.frames + 1, selected, pose, state.pose, sd, usual, 0, lost)
         cost = 1 - iou if np.isfinite(iou) else float("nan")
         return following, FrameEstimate(pose, sd, cost, lost, False, view_count(prepared))
+
+    def _gain(self, state: TrackerState) -> float:
+        """Share of the last step that is expected again: none after a loss, and none for estimates that are means of
+        a set, whose noise a velocity would feed back."""
+        if state.lost or not isinstance(self.recipe.estimate, RefinedEstimate):
+            return 0.0
+        return self.settings.velocity_gain ** (1 + state.blind)
 
     def _on_canonical_branch(self, state: TrackerState) -> TrackerState:
         s = self.body.skeleton

@@ -1,0 +1,55 @@
+"""The silhouette cost of eq. 2.8 and the overlap read off it."""
+
+import numpy as np
+import pytest
+
+from hypose.inference.hypotheses import Hypotheses
+from hypose.tracking.costs import SilhouetteXor, silhouette_iou, xor_energy
+from hypose.tracking.evidence import prepare, view_count
+
+
+def test_energy_is_zero_at_the_truth_and_grows_with_distance(body, standing, frame_of):
+    frame = prepare(frame_of(body, standing), body, standing)
+    shifts = np.array([0.0, 0.05, 0.10, 0.20])
+    poses = np.repeat(standing[None], 4, 0)
+    poses[:, 0] += shifts
+    energy = xor_energy(body, poses, frame)
+    assert energy[0] < 0.02
+    assert (np.diff(energy) > 0.1).all()
+
+
+def test_energy_is_the_printed_sum_over_views(body, standing, frame_of):
+    """Alcoverro 2014, eq. 2.8: sum over views of XOR over silhouette pixels, from masks drawn by another rasterizer."""
+    frame = frame_of(body, standing)
+    moved = standing.copy()
+    moved[1] += 0.07
+    own = frame_of(body, moved).silhouettes
+    assert frame.silhouettes is not None and own is not None
+    expected = sum(
+        float((a != b).sum()) / a.sum() for a, b in zip(frame.silhouettes.masks, own.masks, strict=True)
+    )
+    energy = xor_energy(body, moved[None], prepare(frame, body, standing))[0]
+    assert energy == pytest.approx(expected, abs=0.02)
+
+
+def test_an_empty_view_is_left_out_not_divided_by_zero(body, standing, frame_of):
+    whole = prepare(frame_of(body, standing), body, standing)
+    without = prepare(frame_of(body, standing, dead=(1,)), body, standing)
+    moved = standing + np.r_[0.05, np.zeros(len(standing) - 1)]
+    assert view_count(without) == 3
+    assert np.isfinite(xor_energy(body, moved[None], without)).all()
+    assert xor_energy(body, moved[None], without)[0] < xor_energy(body, moved[None], whole)[0]
+
+
+def test_no_usable_view_costs_the_same_for_all(body, standing, frame_of):
+    blind = prepare(frame_of(body, standing, dead=(0, 1, 2, 3)), body, standing)
+    assert not blind.usable
+    h = Hypotheses.uniform(np.stack([standing, standing + 0.1]))
+    assert (SilhouetteXor(body)(h, blind) == 0).all()
+
+
+def test_iou_is_one_at_the_truth_and_nan_for_a_dead_view(body, standing, frame_of):
+    frame = prepare(frame_of(body, standing, dead=(2,)), body, standing)
+    iou = silhouette_iou(body, standing, frame)
+    assert np.isnan(iou[2])
+    assert (iou[[0, 1, 3]] > 0.98).all()

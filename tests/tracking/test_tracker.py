@@ -1,0 +1,148 @@
+"""The tracker: follows, reports what it does not know, recovers, and goes on from a saved state with the same numbers."""
+
+import numpy as np
+import pytest
+
+from hypose.errors import InputError
+from hypose.tracking.recipes import RECIPES, recipe
+from hypose.tracking.tracker import (
+    Tracker,
+    TrackerSettings,
+    TrackerState,
+    estimates_from_arrays,
+    estimates_to_arrays,
+    motion_of,
+)
+from tests.tracking.measures import joint_error
+
+
+def moving(body, standing, n):
+    """A step to the side while the left forearm lifts and the right knee bends."""
+    poses = np.repeat(standing[None], n, 0)
+    t = np.linspace(0, 1, n)
+    poses[:, 0] += 0.25 * t
+    poses[:, body.skeleton.dofs_of("left_elbow")[0]] += 1.2 * t
+    poses[:, body.skeleton.dofs_of("right_knee")[0]] += 0.7 * t
+    return poses
+
+
+def small(body, name, particles, **options):
+    made, _ = recipe(name, body, **options)
+    return Tracker(body, made, particles)
+
+
+def run(tracker, poses, frame_of, dead=lambda t: ()):
+    state, estimates = tracker.start(poses[0]), []
+    for t, pose in enumerate(poses):
+        state, estimate = tracker.step(state, frame_of(tracker.body, pose, t, dead(t)))
+        estimates.append(estimate)
+    return state, estimates
+
+
+def test_default_recipe_follows_within_a_centimetre(body, standing, frame_of):
+    poses = moving(body, standing, 10)
+    _, estimates = run(small(body, "default", 24), poses, frame_of)
+    errors = [joint_error(body, e.pose, p) for e, p in zip(estimates, poses, strict=True)]
+    assert np.mean(errors) < 0.010
+    assert not any(e.lost or e.extrapolated for e in estimates)
+    assert all(e.n_views == 4 for e in estimates)
+
+
+@pytest.mark.parametrize("name", ["sir", "apf", "partitioned", "hpf"])
+def test_published_recipes_stay_with_the_body(body, standing, frame_of, name):
+    poses = moving(body, standing, 20)[:6]
+    particles = 600 if name == "sir" else 80
+    _, estimates = run(small(body, name, particles), poses, frame_of)
+    assert np.mean([joint_error(body, e.pose, p) for e, p in zip(estimates, poses, strict=True)]) < 0.05
+
+
+def test_refinement_after_a_published_recipe_improves_it(body, standing, frame_of):
+    poses = moving(body, standing, 6)
+    errors = {}
+    for refine in (False, True):
+        _, estimates = run(small(body, "hpf", 60, refine=refine), poses, frame_of)
+        errors[refine] = np.mean([joint_error(body, e.pose, p) for e, p in zip(estimates, poses, strict=True)])
+    assert errors[True] < 0.6 * errors[False]
+
+
+def test_without_evidence_it_extrapolates_with_growing_uncertainty(body, standing, frame_of):
+    poses = moving(body, standing, 9)
+    blind = range(4, 7)
+    _, estimates = run(small(body, "default", 16), poses, frame_of, lambda t: (0, 1, 2, 3) if t in blind else ())
+    assert [e.extrapolated for e in estimates] == [t in blind for t in range(9)]
+    assert estimates[4].n_views == 0
+    sd = [e.joint_sd.mean() for e in estimates]
+    assert sd[3] < sd[4] < sd[5] < sd[6] and sd[8] < sd[6]
+    assert joint_error(body, estimates[8].pose, poses[8]) < 0.02
+
+
+def test_one_dead_view_is_counted_and_survived(body, standing, frame_of):
+    poses = moving(body, standing, 5)
+    _, estimates = run(small(body, "default", 16), poses, frame_of, lambda t: (2,) if t > 1 else ())
+    assert [e.n_views for e in estimates] == [4, 4, 3, 3, 3]
+    assert joint_error(body, estimates[-1].pose, poses[-1]) < 0.03
+
+
+def test_a_jump_is_noticed_and_recovered(body, standing, frame_of):
+    jumped = standing.copy()
+    jumped[:2] += [-0.7, 0.5]
+    jumped[5] += 1.0
+    poses = np.stack([standing] * 4 + [jumped] * 3)
+    _, estimates = run(small(body, "default", 16), poses, frame_of)
+    assert joint_error(body, estimates[-1].pose, jumped) < 0.05
+    assert not estimates[-1].lost
+
+
+def test_without_recovery_a_jump_is_flagged_as_lost(body, standing, frame_of):
+    jumped = standing.copy()
+    jumped[:2] += [-0.9, 0.7]
+    made, _ = recipe("default", body)
+    tracker = Tracker(body, made, 16, TrackerSettings(recover=False))
+    _, estimates = run(tracker, np.stack([standing] * 3 + [jumped]), frame_of)
+    assert [e.lost for e in estimates] == [False, False, False, True]
+
+
+def test_saved_state_goes_on_with_the_same_bytes(body, standing, frame_of):
+    poses = moving(body, standing, 6)
+    tracker = small(body, "hpf", 40)
+    _, whole = run(tracker, poses, frame_of)
+    state, first = tracker.start(poses[0]), []
+    for t in range(3):
+        state, estimate = tracker.step(state, frame_of(body, poses[t], t))
+        first.append(estimate)
+    state = TrackerState.from_arrays({k: np.copy(v) for k, v in state.to_arrays().items()})
+    resumed = estimates_from_arrays(estimates_to_arrays(first))
+    for t in range(3, 6):
+        state, estimate = tracker.step(state, frame_of(body, poses[t], t))
+        resumed.append(estimate)
+    for a, b in zip(whole, resumed, strict=True):
+        assert a.pose.tobytes() == b.pose.tobytes()
+        assert a.joint_sd.tobytes() == b.joint_sd.tobytes()
+
+
+def test_root_turning_through_a_whole_circle_is_followed(body, standing, frame_of):
+    n = 26
+    poses = np.repeat(standing[None], n, 0)
+    poses[:, 5] = np.linspace(0.5, 0.5 + 2 * np.pi, n)
+    _, estimates = run(small(body, "default", 16), poses, frame_of)
+    assert joint_error(body, estimates[-1].pose, poses[-1]) < 0.04
+    assert max(np.linalg.norm(e.pose[3:6]) for e in estimates) < np.pi + 0.5
+
+
+def test_motion_carries_flags_and_shapes(body, standing, frame_of):
+    poses = moving(body, standing, 3)
+    _, estimates = run(small(body, "default", 16), poses, frame_of)
+    motion = motion_of(body, np.arange(3) / 25, estimates, {"recipe": "default"})
+    assert motion.joints.shape == (3, 19, 3) and motion.frame_rate == pytest.approx(25)
+    assert (motion.joint_sd > 0).all() and (motion.cost < 0.1).all()
+
+
+def test_unknown_recipe_lists_the_presets(body):
+    with pytest.raises(InputError, match="hpf"):
+        recipe("magic", body)
+
+
+@pytest.mark.parametrize("name", list(RECIPES))
+def test_every_preset_cites_its_source(body, name):
+    made, particles = recipe(name, body)
+    assert made.name == name and made.citation and particles > 0
