@@ -11,7 +11,7 @@ from skimage.measure import marching_cubes
 
 
 def envelope_half(
-    vertices: np.ndarray, faces: np.ndarray, close_near: np.ndarray, step: float = 0.008, radius: float = 0.009
+    vertices: np.ndarray, faces: np.ndarray, close_near: np.ndarray, step: float = 0.007, radius: float = 0.009
 ) -> tuple[np.ndarray, np.ndarray]:
     """Left half (H,3), (G,3) of the outer surface of a closed symmetric mesh.
 
@@ -31,7 +31,9 @@ def envelope_half(
     value = np.where(distance < step, np.where(np.abs(plane) < distance, plane, sign * distance), sign * distance)
     field = np.where(inside, -5 * step, 5 * step)
     field[tuple(band.T)] = value
-    filled = radius + 0.5 * step - distance_transform_edt(field <= radius) * step
+    # closing = erosion of the dilation; the nearest point outside the dilation is known to a fraction of a step
+    depth, outside = distance_transform_edt(field <= radius, return_indices=True)
+    filled = radius - (depth * step - (field[tuple(outside)] - radius))
     near = cKDTree(vertices[close_near]).query(points)[0] < 2 * radius
     where = tuple(band[near].T)
     field[where] = np.minimum(field[where], filled[where])
