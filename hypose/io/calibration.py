@@ -156,9 +156,7 @@ def _read_text(path: Path) -> str:
     if path.is_dir():
         raise CalibrationError(f"{path} is a folder; name the calibration file in it.")
     if not path.is_file():
-        raise CalibrationError(
-            f"The calibration file {path} does not exist; check the path, or run hypose calibrate."
-        )
+        raise CalibrationError(f"The calibration file {path} does not exist; check the path, or run hypose calibrate.")
     if path.stat().st_size > MAX_FILE_BYTES:
         raise CalibrationError(
             f"{path} has {path.stat().st_size / 1e6:.1f} MB; a calibration file has at most "
@@ -234,8 +232,7 @@ def _camera_from_table(path: Path, key: str, table: Mapping[str, Any]) -> Camera
             )
         if not np.isfinite(array).all():
             raise CalibrationError(
-                f"{where}: {field} contains NaN or infinity, so this camera's calibration failed; calibrate "
-                "it again."
+                f"{where}: {field} contains NaN or infinity, so this camera's calibration failed; calibrate it again."
             )
         return array
 
@@ -246,9 +243,7 @@ def _camera_from_table(path: Path, key: str, table: Mapping[str, Any]) -> Camera
     translation = numbers("translation", ((3,), (3, 1), (1, 3))).ravel()
     fisheye = table.get("fisheye", False)
     if not isinstance(fisheye, bool):
-        raise CalibrationError(
-            f"{where}: fisheye must be true or false, got {fisheye!r}; correct this entry."
-        )
+        raise CalibrationError(f"{where}: fisheye must be true or false, got {fisheye!r}; correct this entry.")
     matrix = so3_exp(rotation.ravel()) if rotation.size == 3 else rotation
     return _checked_camera(where, name, k, distortions, matrix, translation, size, fisheye)
 
@@ -291,8 +286,7 @@ def _checked_camera(
         )
     if not (0 < k[0, 0] < 1e6 and 0 < k[1, 1] < 1e6 and np.abs(k[:2, 2]).max() < 1e6):
         raise CalibrationError(
-            f"{where}: focal lengths must be positive pixel numbers, got matrix {k.tolist()}; calibrate it "
-            "again."
+            f"{where}: focal lengths must be positive pixel numbers, got matrix {k.tolist()}; calibrate it again."
         )
     if np.abs(rotation.T @ rotation - np.eye(3)).max() > 1e-2 or np.linalg.det(rotation) < 0:
         raise CalibrationError(
@@ -301,8 +295,7 @@ def _checked_camera(
         )
     if np.abs(translation).max() > 1e7:
         raise CalibrationError(
-            f"{where}: translation {translation.tolist()} is farther than any camera stands; calibrate it "
-            "again."
+            f"{where}: translation {translation.tolist()} is farther than any camera stands; calibrate it again."
         )
     n = len(distortions)
     allowed = (0, 1, 2, 4) if fisheye else (0, 1, 2, 4, 5, 8, 12, 14)
@@ -360,26 +353,18 @@ def _read_qca(path: Path, text: str) -> tuple[CameraRig, tuple[str, ...]]:
     and undivided they agree with a chessboard calibration of the same cameras, so they are taken as they are.
     """
     if "<!DOCTYPE" in text or "<!ENTITY" in text:  # QTM writes none; entities can make a small file huge
-        raise CalibrationError(
-            f"{path} is not a Qualisys calibration (it has a DOCTYPE); export it again from QTM."
-        )
+        raise CalibrationError(f"{path} is not a Qualisys calibration (it has a DOCTYPE); export it again from QTM.")
     try:
         root = ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError, RecursionError) as error:
-        raise CalibrationError(
-            f"{path} is not valid XML: {error}; export the calibration again from QTM."
-        ) from None
+        raise CalibrationError(f"{path} is not valid XML: {error}; export the calibration again from QTM.") from None
     elements = root.findall("cameras/camera")
     if not elements:
-        raise CalibrationError(
-            f"{path} holds no cameras; export the calibration of the video cameras from QTM."
-        )
+        raise CalibrationError(f"{path} holds no cameras; export the calibration of the video cameras from QTM.")
     video = [e for e in elements if any(m in e.get("model", "").lower() for m in ("video", "hybrid", "none"))]
     notes = []
     if video and len(video) < len(elements):
-        notes.append(
-            f"{path.name}: {len(video)} video cameras; the {len(elements) - len(video)} others are left out."
-        )
+        notes.append(f"{path.name}: {len(video)} video cameras; the {len(elements) - len(video)} others are left out.")
     cameras = []
     for element in sorted(video or elements, key=lambda e: natural_key(e.get("serial", ""))):
         name = element.get("serial") or f"cam_{len(cameras) + 1}"
@@ -407,9 +392,7 @@ def _read_qca(path: Path, text: str) -> tuple[CameraRig, tuple[str, ...]]:
         turn = np.diag([1.0, -1.0, -1.0]) @ pose[:9].reshape(3, 3)
         size = np.array([view[2] - view[0] + 1, view[3] - view[1] + 1])
         cameras.append(
-            _checked_camera(
-                where, name, k, np.concatenate([lens, third]), turn, -turn @ pose[9:] / 1000, size
-            )
+            _checked_camera(where, name, k, np.concatenate([lens, third]), turn, -turn @ pose[9:] / 1000, size)
         )
     return _rig(path, cameras), tuple(notes)
 

@@ -38,9 +38,7 @@ def is_project(folder: Path) -> bool:
     """Whether a folder looks like a Pose2Sim project or trial: Config.toml or a calibration folder, and
     videos."""
     has_config = _file(folder, "config.toml") is not None
-    return has_config or (
-        _subfolder(folder, "videos") is not None and _calibration_folder(folder) is not None
-    )
+    return has_config or (_subfolder(folder, "videos") is not None and _calibration_folder(folder) is not None)
 
 
 def read_project(folder: Path) -> tuple[dict[str, Any], list[str]]:
@@ -50,22 +48,17 @@ def read_project(folder: Path) -> tuple[dict[str, Any], list[str]]:
     config = _merged_config(folder)
     videos = _subfolder(folder, "videos")
     if videos is None:
-        trials = [
-            p.name for p in sorted(folder.iterdir()) if p.is_dir() and _subfolder(p, "videos") is not None
-        ]
+        trials = [p.name for p in sorted(folder.iterdir()) if p.is_dir() and _subfolder(p, "videos") is not None]
         if trials:
             raise InputError(
-                f"{folder} is a Pose2Sim session with the trials {', '.join(trials)}; name one of these "
-                "folders."
+                f"{folder} is a Pose2Sim session with the trials {', '.join(trials)}; name one of these folders."
             )
         raise InputError(
             f"The Pose2Sim project {folder} has no videos folder; put the videos into {folder / 'videos'}."
         )
     clips = _clips(videos)
     if not clips:
-        raise InputError(
-            f"{videos} holds no videos ({', '.join(VIDEO_ENDINGS)}) and no folders of images; add them."
-        )
+        raise InputError(f"{videos} holds no videos ({', '.join(VIDEO_ENDINGS)}) and no folders of images; add them.")
     calibration = _find_calibration(folder)
     notes: list[str] = []
     project = config.get("project")
@@ -145,21 +138,19 @@ def _subfolder(folder: Path, lower_name: str) -> Path | None:
 
 
 def _calibration_folder(folder: Path) -> Path | None:
-    found = [p for p in folder.iterdir() if p.is_dir() and "calib" in p.name.lower()]
-    return min(found, key=lambda p: natural_key(p.name), default=None)
+    found = [p for p in folder.iterdir() if p.is_dir() and p.name.lower().startswith("calib")]
+    return min(found, key=lambda p: (p.name.lower() != "calibration", natural_key(p.name)), default=None)
 
 
 def _levels(folder: Path) -> list[Path]:
-    """The folder and those above it that belong to the same session (they have a Config.toml or a
-    calibration)."""
+    """The folder and those above it that belong to the same session, which is to say have a Config.toml."""
     out = [folder]
     for parent in list(folder.parents)[:_LEVELS_ABOVE]:
         try:
-            belongs = _file(parent, "config.toml") is not None or _calibration_folder(parent) is not None
+            if _file(parent, "config.toml") is not None:
+                out.append(parent)
         except OSError:
             break
-        if belongs:
-            out.append(parent)
     return out
 
 
@@ -195,8 +186,7 @@ def _find_calibration(folder: Path) -> Path:
             return found
     where = " and ".join(map(str, looked)) if looked else f"{folder} (it has no calibration folder)"
     raise InputError(
-        f"No calibration (.toml or .qca.txt) in {where}; run Pose2Sim's calibration step or hypose calibrate "
-        "first."
+        f"No calibration (.toml or .qca.txt) in {where}; run Pose2Sim's calibration step or hypose calibrate first."
     )
 
 
@@ -227,8 +217,7 @@ def _keypoint_folders(folder: Path, names: Sequence[str], notes: list[str]) -> l
         notes.append(f"No key points for {', '.join(missing)} in {pose}.")
     if _subfolder(folder, "pose-sync") is not None:
         notes.append(
-            "pose-sync is not read: hypose takes the videos as synchronous, and the key points of pose as "
-            "they are."
+            "pose-sync is not read: hypose takes the videos as synchronous, and the key points of pose as they are."
         )
     return [None if m is None else folders[m] for m in matched]
 
@@ -280,9 +269,7 @@ def _add_plates(extrinsics: Path, views: list[dict[str, Any]], notes: list[str])
         elif path.is_file() and path.suffix.lower() in IMAGE_ENDINGS:
             photos.append((path.stem, path))
     used = []
-    for view, index in zip(
-        views, match_names([v["name"] for v in views], [n for n, _ in photos]), strict=True
-    ):
+    for view, index in zip(views, match_names([v["name"] for v in views], [n for n, _ in photos]), strict=True):
         if index is None:
             continue
         photo = photos[index][1]

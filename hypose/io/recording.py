@@ -155,16 +155,13 @@ def load_recording(path: str | Path) -> Recording:
     """
     path = Path(path)
     if not path.exists():
-        raise InputError(
-            f"{path} does not exist; give a recording folder, its recording.toml, or a Pose2Sim project."
-        )
+        raise InputError(f"{path} does not exist; give a recording folder, its recording.toml, or a Pose2Sim project.")
     if path.is_file() and path.name.lower() == "config.toml":
         path = path.parent
     if path.is_file():
         if path.suffix.lower() != ".toml":
             raise InputError(
-                f"{path} is no recording; give a folder with recording.toml, that file, or a Pose2Sim "
-                "project folder."
+                f"{path} is no recording; give a folder with recording.toml, that file, or a Pose2Sim project folder."
             )
         return _build(path.parent, path, _read_toml(path), [])
     toml = path / "recording.toml"
@@ -244,8 +241,8 @@ def _check_keys(where: str, table: Mapping[str, Any], known: Mapping[str, type |
     for key, value in table.items():
         if key not in known:
             near = difflib.get_close_matches(key, known, 1, 0.5)
-            hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}."
-            raise InputError(f"{where}: the key {key} is unknown; {hint}")
+            hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
+            raise InputError(f"{where}: the key {key} is unknown ({hint}); correct or remove it.")
         types = known[key]
         right = isinstance(value, types) and (types is bool or not isinstance(value, bool))
         if not right:
@@ -365,9 +362,7 @@ def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> Vie
             continue
         path = folder / Path(table[key]).expanduser()
         if not path.exists():
-            raise InputError(
-                f"{where}: the {key} {path} does not exist; correct the path or copy the file there."
-            )
+            raise InputError(f"{where}: the {key} {path} does not exist; correct the path or copy the file there.")
         if key in ("images", "keypoints") and not path.is_dir() or key == "video" and not path.is_file():
             wanted = "a file" if key == "video" else "a folder"
             raise InputError(f"{where}: {key} must be {wanted}, {path} is not; correct the path.")
@@ -375,9 +370,7 @@ def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> Vie
     if "video" in paths and "images" in paths:
         raise InputError(f"{where}: video and images are both given; keep the one to use.")
     if not paths.keys() & {"video", "images", "masks"}:
-        raise InputError(
-            f"{where}: neither video, images nor masks are given; add one of them, or remove the view."
-        )
+        raise InputError(f"{where}: neither video, images nor masks are given; add one of them, or remove the view.")
     if "keypoints" in paths and next(paths["keypoints"].glob("*.json"), None) is None:
         raise InputError(
             f"{where}: the key-point folder {paths['keypoints']} holds no .json files; detect key points "
@@ -392,15 +385,11 @@ def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> Vie
     )
 
 
-def _calibration(
-    folder: Path, where: str, settings: Mapping[str, Any], notes: list[str]
-) -> tuple[Path, CameraRig]:
+def _calibration(folder: Path, where: str, settings: Mapping[str, Any], notes: list[str]) -> tuple[Path, CameraRig]:
     if "calibration" in settings:
         path: Path | None = folder / Path(settings["calibration"]).expanduser()
     else:
-        path = (
-            find_calibration(folder / "calibration") if not (folder / "calibration.toml").is_file() else None
-        )
+        path = find_calibration(folder / "calibration") if not (folder / "calibration.toml").is_file() else None
         path = path or folder / "calibration.toml"
     if not path.is_file():
         raise CalibrationError(
@@ -466,9 +455,7 @@ def _look(view: View) -> list[_Clip]:
     return out
 
 
-def _check_size(
-    view: View, camera: Camera, path: Path, size: tuple[int, int], notes: list[str] | None
-) -> None:
+def _check_size(view: View, camera: Camera, path: Path, size: tuple[int, int], notes: list[str] | None) -> None:
     if size == camera.size:
         return
     (w, h), (cw, ch) = size, camera.size
@@ -495,9 +482,7 @@ def _frame_rate(
     where: str, given: float | None, views: Sequence[View], clips: Sequence[list[_Clip]], notes: list[str]
 ) -> float:
     if given is not None and not 0.1 <= given <= 10_000:
-        raise InputError(
-            f"{where}: frame_rate = {given:g} is implausible; give frames per second (0.1 to 10000)."
-        )
+        raise InputError(f"{where}: frame_rate = {given:g} is implausible; give frames per second (0.1 to 10000).")
     rates = {
         v.name: c.frame_rate
         for v, found in zip(views, clips, strict=True)

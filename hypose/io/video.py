@@ -56,9 +56,7 @@ def read_image(path: str | Path) -> Image:
     """(h, w, 3) uint8 BGR of an image file; an InputError names a missing or damaged one."""
     path = Path(path)
     try:
-        data = np.frombuffer(
-            path.read_bytes(), dtype=np.uint8
-        )  # cv2.imread fails on some names under Windows
+        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)  # cv2.imread fails on some names under Windows
     except OSError as error:
         raise InputError(f"The image {path} cannot be read ({error.strerror}); check the path.") from None
     with _quiet():
@@ -94,8 +92,7 @@ class VideoReader:
             self._images = list_images(path)
             if not self._images:
                 raise InputError(
-                    f"The folder {path} holds no images ({', '.join(IMAGE_ENDINGS)}); check the path in "
-                    "recording.toml."
+                    f"The folder {path} holds no images ({', '.join(IMAGE_ENDINGS)}); check the path in recording.toml."
                 )
         elif path.suffix.lower() in IMAGE_ENDINGS:
             self._images = [path]
@@ -293,9 +290,7 @@ class VideoWriter:
     Width and height are rounded down to even numbers (codecs need that).
     """
 
-    def __init__(
-        self, path: str | Path, frame_rate: float, size: tuple[int, int], codec: str | None = None
-    ) -> None:
+    def __init__(self, path: str | Path, frame_rate: float, size: tuple[int, int], codec: str | None = None) -> None:
         self.path = Path(path)
         self.frame_rate = float(frame_rate)
         self.size = (int(size[0]) // 2 * 2, int(size[1]) // 2 * 2)
@@ -325,9 +320,7 @@ class VideoWriter:
         for codec in self._codecs:
             with _quiet():
                 fourcc = cv2.VideoWriter.fourcc(*codec)
-                writer = cv2.VideoWriter(
-                    str(self._temporary), cv2.CAP_FFMPEG, fourcc, self.frame_rate, self.size
-                )
+                writer = cv2.VideoWriter(str(self._temporary), cv2.CAP_FFMPEG, fourcc, self.frame_rate, self.size)
             if writer.isOpened():
                 return writer
         raise InputError(
@@ -365,9 +358,7 @@ class VideoWriter:
     def _check(self) -> None:
         """OpenCV reports no write error, so what lies on the disk is opened and its end decoded."""
         if self.n_frames == 0:
-            raise InputError(
-                f"{self.path} was not written because no frame was given; choose a range with frames."
-            )
+            raise InputError(f"{self.path} was not written because no frame was given; choose a range with frames.")
         try:
             written = count_frames(self._temporary)
         except InputError:

@@ -49,10 +49,11 @@ def write_toml(path, settings):
     return path
 
 
-def make_recording(folder, views=None, calibration=True, names=("cam_1", "cam_2"), **settings):
-    """A recording folder of two views with 12 frames at 25 fps; views: tables of recording.toml to use instead."""
+def make_recording(folder, views=None, calibrated=True, names=("cam_1", "cam_2"), **settings):
+    """A recording folder of two views with 12 frames at 25 fps; views: tables of recording.toml to use
+    instead."""
     folder.mkdir(parents=True, exist_ok=True)
-    if calibration:
+    if calibrated:
         write_calibration(make_rig(names), folder / "calibration.toml")
     if views is None:
         for n in names:

@@ -1,4 +1,5 @@
-"""Calibration files: what is written comes back, what other programs write is understood, the rest is refused."""
+"""Calibration files: what is written comes back, what other programs write is understood, the rest is
+refused."""
 
 import tomllib
 
@@ -73,9 +74,7 @@ def family(rotation, scale=1.0, keys=None, nested=False, extra=""):
             "translation": t * scale,
         }
         text += f"[cameras.{i}]\n" if nested else f"[cam_{i + 1}]\n"
-        text += "".join(
-            f"{keys.get(k, k)} = {toml_value(v)}\n" for k, v in values.items() if k not in keys or keys[k]
-        )
+        text += "".join(f"{keys.get(k, k)} = {toml_value(v)}\n" for k, v in values.items() if k not in keys or keys[k])
     return text
 
 
@@ -145,7 +144,8 @@ def test_find_calibration(tmp_path):
 
 
 def test_qualisys_agrees_with_pose2sims_conversion(shared_data):
-    """Pose and K equal Pose2Sim's conversion of the same file; the distortion differs by its division by 64."""
+    """Pose and K equal Pose2Sim's conversion of the same file; the distortion differs by its division by
+    64."""
     folder = shared_data("pose2sim_balancing") / "calibration"
     qca, notes = read_calibration_with_notes(folder / "Calib.qca.txt")
     toml = read_calibration(folder / "Calib_qualisys.toml")
@@ -168,9 +168,7 @@ def test_caliscope(shared_data):
     assert np.allclose(new.projections, old.projections, atol=1e-9)
     found = np.genfromtxt(folder / "calibration/extrinsic/CHARUCO/xy_CHARUCO.csv", delimiter=",", names=True)
     space = np.genfromtxt(folder / "calibration/extrinsic/CHARUCO/xyz_CHARUCO.csv", delimiter=",", names=True)
-    corner = {
-        (int(r["sync_index"]), int(r["keypoint_id"])): (r["x_coord"], r["y_coord"], r["z_coord"]) for r in space
-    }
+    corner = {(int(r["sync_index"]), int(r["keypoint_id"])): (r["x_coord"], r["y_coord"], r["z_coord"]) for r in space}
     errors = []
     for row in found:
         point = corner.get((int(row["sync_index"]), int(row["keypoint_id"])))
@@ -252,9 +250,7 @@ def test_bad_files(tmp_path):
         with pytest.raises(CalibrationError, match=message):
             read_calibration(tmp_path / name)
 
-    refuses(
-        "none.toml", r"calibration file .*none\.toml does not exist; check the path, or run hypose calibrate"
-    )
+    refuses("none.toml", r"calibration file .*none\.toml does not exist; check the path, or run hypose calibrate")
     refuses(".", r"is a folder; name the calibration file in it")
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00\x81" * 100)
     refuses("binary.toml", r"is not a text file; name a calibration")
@@ -276,9 +272,7 @@ QCA = """<calibration><cameras><camera model="{model}" serial="{serial}" viewrot
 
 
 def qca(tmp_path, **changes):
-    text = QCA.format(
-        **{"model": "Miqus Video", "serial": "7", "z": "1200", "fv": "4032", "r32": "-1"} | changes
-    )
+    text = QCA.format(**{"model": "Miqus Video", "serial": "7", "z": "1200", "fv": "4032", "r32": "-1"} | changes)
     (tmp_path / "a.qca.txt").write_text(text)
     return tmp_path / "a.qca.txt"
 

@@ -1,4 +1,5 @@
-"""Motions equal byte for byte, archives that cannot hurt, checkpoints of the same run only, whole files or none."""
+"""Motions equal byte for byte, archives that cannot hurt, checkpoints of the same run only, whole files or
+none."""
 
 import dataclasses
 import errno
