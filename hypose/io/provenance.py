@@ -72,15 +72,11 @@ def file_identity(path: str | Path) -> dict[str, Any]:
     path = Path(path)
     try:
         if path.is_dir():
-            files = sorted(
-                (p for p in path.rglob("*") if p.is_file()), key=lambda p: natural_key(p.as_posix())
-            )
+            files = sorted((p for p in path.rglob("*") if p.is_file()), key=lambda p: natural_key(p.as_posix()))
             digest, total, partial = hashlib.sha256(), 0, False
             for file in files:
                 one = file_identity(file)
-                digest.update(
-                    f"{file.relative_to(path).as_posix()} {one['bytes']} {one['sha256']}\n".encode()
-                )
+                digest.update(f"{file.relative_to(path).as_posix()} {one['bytes']} {one['sha256']}\n".encode())
                 total += one["bytes"]
                 partial |= one["hashed"] != "all"
             hashed = "first and last MiB of large files" if partial else "all"

@@ -1,10 +1,13 @@
 """Recording folders: what recording.toml says is what is loaded, and written again."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 
 from hypose.errors import InputError
+from hypose.io import video
 from hypose.io.calibration import write_calibration
 from hypose.io.recording import Recording, View, load_recording, write_recording
 from tests.io.recordings import SIZE, frame, make_recording, make_rig, make_video
@@ -161,20 +164,19 @@ def test_different_lengths_use_the_common_part(tmp_path):
 
 
 def test_a_cut_off_video_is_named(tmp_path):
+    """With the frame that it reaches; the other views are cut to the same length."""
     make_recording(tmp_path)
-    data = make_video(tmp_path / "whole.avi", 60).read_bytes()
-    reached = []
-    for share in (0.5, 0.7):
-        (tmp_path / "cam_1.avi").write_bytes(data[: int(share * len(data))])
-        recording = load_recording(tmp_path)
-        reached.append(recording.n_frames)
-        assert recording.n_frames <= 12 or any("numbers of frames" in n for n in recording.notes)
-    assert reached == [12, 12]
+    data = make_video(tmp_path / "cam_1.avi", 60).read_bytes()
+    make_video(tmp_path / "cam_2.avi", 60)
+    (tmp_path / "cam_1.avi").write_bytes(data[: len(data) // 2])
+    recording = load_recording(tmp_path)
+    n = recording.n_frames
+    assert 10 < n < 40 and recording.frames == range(n)
+    assert any(f"cam_1.avi states 60 frames but decoding ends after frame {n - 1}; " in x for x in recording.notes)
+    assert any(f"(cam_1 {n}, cam_2 60); the first {n} frames" in x for x in recording.notes)
 
 
 def test_a_container_that_promises_too_much_is_named(tmp_path, monkeypatch):
-    from hypose.io import video
-
     make_recording(tmp_path)
     monkeypatch.setattr(video, "count_frames", lambda _: 8)
     recording = load_recording(tmp_path)
@@ -205,6 +207,4 @@ def test_world_up(tmp_path, up):
 
 def test_mismatched_rig_is_refused():
     with pytest.raises(InputError, match="2 cameras for 1 views"):
-        from pathlib import Path
-
         Recording(Path("."), "a", make_rig(), (View("a"),), 25.0, None)
