@@ -1,0 +1,165 @@
+"""Forward kinematics and its derivatives against independent routes; poses as a manifold."""
+
+import numpy as np
+import pytest
+
+from hypose import compute
+from hypose.geometry import se3_exp, so3_exp, so3_left_jacobian, so3_log, transform
+from tests.capsule_person import capsule_person, random_pose
+
+
+@pytest.fixture(scope="module")
+def body():
+    return capsule_person(0.08)
+
+
+@pytest.fixture
+def poses(body, rng):
+    return np.stack([random_pose(body, rng, 0.6) + np.r_[rng.normal(size=3), np.zeros(33)] for _ in range(6)])
+
+
+def test_numba_is_the_reference(body, poses):
+    tree, mesh = body.skeleton.tree, body.coarse.arrays
+    with compute.use("numpy"):
+        r0, p0 = compute.forward_kinematics(poses, tree)
+        v0 = compute.skin(r0, p0, tree, mesh)
+    r1, p1 = compute.forward_kinematics(poses, tree)
+    np.testing.assert_allclose(r1, r0, atol=1e-12)
+    np.testing.assert_allclose(p1, p0, atol=1e-12)
+    np.testing.assert_allclose(compute.skin(r1, p1, tree, mesh), v0, atol=1e-12)
+
+
+def test_forward_is_the_product_of_twist_exponentials(body, poses):
+    """Alcoverro 2014, eq. 2.11: x = prod_d exp(xi_d q_d) x_rest, in joint order, along the chain."""
+    s = body.skeleton
+    for q in poses:
+        rotations, centres = s.forward(q)
+        for j in range(len(s.joint_names)):
+            chain, a = [], j
+            while a >= 0:
+                chain.append(a)
+                a = int(s.parents[a])
+            m = np.eye(4)
+            for a in reversed(chain):
+                dofs = np.flatnonzero(s.joint_of_dof == a)
+                if a == 0:
+                    m[:3, 3] = q[:3]
+                    dofs = dofs[3:]
+                if s.ball[a]:  # one exponential of the summed twist: they share the joint's centre
+                    m = m @ se3_exp(q[dofs] @ s.twists[dofs])
+                else:
+                    for d in dofs:
+                        m = m @ se3_exp(q[d] * s.twists[d])
+            np.testing.assert_allclose(transform(m, s.rest_joints[j : j + 1])[0], centres[j], atol=1e-12)
+            np.testing.assert_allclose(m[:3, :3], rotations[j], atol=1e-12)
+
+
+def test_jacobian_by_finite_differences(body, poses, rng):
+    s, h = body.skeleton, 1e-6
+    offset = rng.normal(size=3) * 0.1
+    for q in poses[:3]:
+        for joint in (0, 4, 8, 12, 15):
+
+            def point(q, joint=joint):
+                r, p = s.forward(q)
+                return p[joint] + r[joint] @ offset
+
+            analytic = s.jacobian(q, joint, point(q)[None])[0]
+            numeric = np.stack([(point(q + h * e) - point(q - h * e)) / (2 * h) for e in np.eye(s.dof)], 1)
+            np.testing.assert_allclose(analytic, numeric, atol=1e-8)
+
+
+def test_against_pinocchio(body, poses):
+    """An independent rigid-body library: every hinge a revolute joint, every ball a spherical one (a quaternion)."""
+    pin = pytest.importorskip("pinocchio", reason="pinocchio (package pin) is not installed: no independent check of FK")
+    s = body.skeleton
+    model = pin.Model()
+    last, offset, order = {-1: 0}, {}, []
+    for j, name in enumerate(s.joint_names):
+        a = int(s.parents[j])
+        parent, place = last[a], s.rest_offsets[j] + (offset[a] if a >= 0 else 0)
+        dofs = [int(d) for d in np.flatnonzero(s.joint_of_dof == j)]
+        if a < 0:
+            parent = model.addJoint(parent, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name)
+            order.append(("free", dofs))
+            place = np.zeros(3)
+        elif not dofs:
+            pass
+        elif s.ball[j]:
+            parent = model.addJoint(parent, pin.JointModelSpherical(), pin.SE3(np.eye(3), place), name)
+            order.append(("ball", dofs))
+            place = np.zeros(3)
+        else:
+            for d in dofs:
+                motion = pin.JointModelRevoluteUnaligned(s.axes[d])
+                parent = model.addJoint(parent, motion, pin.SE3(np.eye(3), place), s.dof_names[d])
+                order.append(("hinge", [d]))
+                place = np.zeros(3)
+        last[j], offset[j] = parent, place
+        model.addFrame(pin.Frame(name, parent, pin.SE3(np.eye(3), place), pin.FrameType.OP_FRAME))
+    data = model.createData()
+    for q in poses:
+        x = []
+        for kind, dofs in order:
+            if kind == "hinge":
+                x.append([q[dofs[0]]])
+            else:
+                quaternion = pin.Quaternion(so3_exp(q[dofs[-3:]])).coeffs()
+                x.append(np.r_[q[dofs[:3]], quaternion] if kind == "free" else quaternion)
+        x = np.concatenate(x)
+        pin.framesForwardKinematics(model, data, x)
+        pin.computeJointJacobians(model, data, x)
+        rotations, centres = s.forward(q)
+        for j, name in enumerate(s.joint_names):
+            frame = model.getFrameId(name, pin.FrameType.OP_FRAME)
+            np.testing.assert_allclose(data.oMf[frame].rotation, rotations[j], atol=1e-12)
+            np.testing.assert_allclose(data.oMf[frame].translation, centres[j], atol=1e-12)
+            # pinocchio's velocities of a ball are angular velocities in the turned frame: R^T J_left per component's rate
+            spatial = pin.getFrameJacobian(model, data, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)[:3]
+            ours = s.jacobian(q, j, centres[j][None])[0]
+            column = 0
+            for kind, dofs in order:
+                theirs = spatial[:, column : column + len(dofs)]
+                column += len(dofs)
+                if kind != "hinge":
+                    r = q[dofs[-3:]]
+                    theirs = theirs.copy()
+                    theirs[:, -3:] = theirs[:, -3:] @ so3_exp(r).T @ so3_left_jacobian(r)
+                    if kind == "free":
+                        theirs[:, :3] = theirs[:, :3] @ so3_exp(r).T
+                np.testing.assert_allclose(theirs, ours[:, dofs], atol=1e-11)
+            assert column == spatial.shape[1]
+
+
+def test_step_inverts_difference(body, poses):
+    s = body.skeleton
+    for a, b in zip(poses[1:], poses[:-1], strict=True):
+        back = s.step(b, s.difference(a, b))
+        np.testing.assert_allclose(s.forward(back)[1], s.forward(a)[1], atol=1e-10)
+
+
+def test_mean_of_poses_is_invariant_to_the_branch(body, rng):
+    s = body.skeleton
+    q = np.stack([random_pose(body, rng, 0.2) for _ in range(5)])
+    q[:, 3:6] = so3_log(so3_exp(rng.normal(size=(5, 3)) * 0.2) @ so3_exp([0, 0, np.pi]))  # headings on both sides of +-pi
+    w = rng.uniform(size=5)
+    mean = s.mean(q, w)
+    turned = q.copy()
+    turned[::2, 3:6] *= 1 - 2 * np.pi / np.linalg.norm(q[::2, 3:6], axis=1, keepdims=True)
+    np.testing.assert_allclose(s.forward(s.mean(turned, w))[1], s.forward(mean)[1], atol=1e-9)
+    spread = np.linalg.norm(so3_log(so3_exp(q[:, 3:6]) @ so3_exp(mean[3:6]).T), axis=1)
+    assert spread.max() < 1.2  # not the quarter-turn-off average of raw angles
+
+
+def test_mean_of_one_pose_is_that_pose(body, poses):
+    np.testing.assert_allclose(body.skeleton.mean(poses[:1], np.ones(1)), poses[0], atol=1e-10)
+
+
+def test_skinning_moves_rigid_vertices_with_their_joint(body, poses):
+    s, mesh = body.skeleton, body.coarse
+    rigid = np.flatnonzero(mesh.skin_weight.max(1) > 1 - 1e-12)
+    assert len(rigid) > 20
+    rotations, centres = s.forward(poses[0])
+    j = mesh.main_joint[rigid]
+    expected = centres[j] + np.einsum("vij,vj->vi", rotations[j], mesh.vertices[rigid] - s.rest_joints[j])
+    np.testing.assert_allclose(body.skin(poses[0])[rigid], expected, atol=1e-6)  # float32 rest vertices

@@ -1,0 +1,207 @@
+"""Silhouette XOR by contour differences against the plain rasterizer; signed distances and outlines of masks."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import distance_transform_edt
+
+from hypose import compute
+from hypose.compute import reference
+from hypose.errors import InputError, SolverError
+from tests.capsule_person import capsule_person, look_at, random_pose, ring
+
+SIZE = (96, 128)
+
+
+@pytest.fixture(scope="module")
+def body():
+    return capsule_person(0.09)
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return ring(3, f=110.0, size=SIZE)
+
+
+def masks_at(body, pose, rig):
+    v = body.skin(pose)
+    return np.stack([reference.rasterize(v, body.coarse.faces, c.projection, c.size) for c in rig])
+
+
+def both(body, poses, prepared, **options):
+    tree, mesh = body.skeleton.tree, body.coarse.arrays
+    with compute.use("numpy"):
+        slow = compute.silhouette_xor(poses, tree, mesh, prepared, **options)
+    return slow, compute.silhouette_xor(poses, tree, mesh, prepared, **options)
+
+
+@pytest.fixture
+def scene(body, rig, rng):
+    poses = np.stack([random_pose(body, rng) for _ in range(12)])
+    prepared = compute.prepare_masks(masks_at(body, poses[0], rig), np.ones(3, bool), rig.sizes, rig.projections)
+    return poses, prepared
+
+
+def test_rasterizer_draws_a_known_triangle_half_open():
+    p = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]])
+    corners = np.array([[1.0, 1, 1], [4, 1, 1], [1, 4, 1], [4, 4, 1]])
+    one = reference.rasterize(corners, np.array([[0, 1, 2]], np.int32), p, (6, 6))
+    other = reference.rasterize(corners, np.array([[1, 3, 2]], np.int32), p, (6, 6))
+    square = np.zeros((6, 6), bool)
+    square[1:4, 1:4] = True
+    np.testing.assert_array_equal(one | other, square)
+    assert not (one & other).any()
+
+
+def test_counts_are_those_of_the_rasterizer(body, scene):
+    slow, fast = both(body, scene[0][:6], scene[1])
+    assert np.abs(slow - fast).max() <= 2
+    np.testing.assert_array_equal(fast[0, :, 0], 0)  # its own masks
+    np.testing.assert_array_equal(fast[..., 0], fast[..., 1] + scene[1].areas - 2 * fast[..., 2])
+
+
+def test_rasterized_silhouette_agrees_with_ray_casting(body, rig):
+    """An independent definition: a pixel is model when the ray through its centre hits the mesh."""
+    pose = body.skeleton.rest_pose()
+    pose[2] = 0.95
+    mask = masks_at(body, pose, rig)[0]
+    trimesh = pytest.importorskip("trimesh")
+    mesh = trimesh.Trimesh(body.skin(pose), body.coarse.faces, process=False)
+    rows = np.arange(20, 110, 6)
+    pixels = np.stack(np.meshgrid(np.arange(SIZE[0]), rows), -1).reshape(-1, 2)
+    origin, direction = rig[0].rays(pixels)
+    hits = mesh.ray.intersects_any(np.broadcast_to(origin, direction.shape), direction)
+    assert (hits != mask[pixels[:, 1], pixels[:, 0]]).mean() < 0.002
+    assert 100 < hits.sum() < len(hits) / 2
+
+
+def test_boxes_restrict_the_counting(body, scene):
+    boxes = np.array([[20, 60, 30, 90], [-5, 200, 50, 500], [70, 60, 10, 20]])
+    slow, fast = both(body, scene[0][:4], scene[1], boxes=boxes)
+    assert np.abs(slow - fast).max() <= 2
+    np.testing.assert_array_equal(fast[:, 2], 0)
+
+
+def test_bodies_across_the_image_border(body, scene):
+    poses = np.repeat(scene[0][:1], 9, 0)
+    poses[:, :3] += [[0, 0, 0], [0.8, 0, 0], [-0.8, 0, 0], [0, 0, 0.9], [0, 0, -0.9], [0, 0.9, 0], [0, -0.9, 0.7], [0, 0, 9], [0, 0, -9]]
+    slow, fast = both(body, poses, scene[1])
+    assert np.abs(slow - fast).max() <= 2
+    np.testing.assert_array_equal(fast[-2:, :, 1:], 0)
+    np.testing.assert_array_equal(fast[-2:, :, 0], np.broadcast_to(scene[1].areas, (2, 3)))
+
+
+@pytest.mark.parametrize("distance", [0.5, 0.25, 0.1, 0.0, -0.3, -3.0])
+def test_bodies_through_and_behind_the_camera_plane(body, rng, distance):
+    """The camera looks at the body from so near that parts lie behind it, or from inside."""
+    pose = random_pose(body, rng)
+    m, k = look_at(np.array([distance, 0.05, 1.0]), np.array([distance - 1.0, 0.0, 1.0]), 60.0, SIZE)
+    projection = (k @ m[:3])[None]
+    mask = np.zeros((1, SIZE[1], SIZE[0]), np.uint8)
+    mask[0, 30:90, 20:50] = 1
+    prepared = compute.prepare_masks(mask, [True], [SIZE], projection)
+    slow, fast = both(body, pose[None], prepared)
+    # cut edges come as close as 0.05 m, where float32 moves a pixel more
+    assert np.abs(slow - fast).max() <= 4
+    if distance < -2:
+        assert fast[0, 0, 1] == 0
+
+
+def test_views_of_different_size_and_unusable_views(body, scene, rig):
+    poses, prepared = scene
+    masks = np.zeros((3, 140, 130), np.uint8)
+    masks[:, : SIZE[1], : SIZE[0]] = prepared.masks
+    padded = compute.prepare_masks(masks, [True, False, True], rig.sizes, rig.projections)
+    tree, mesh = body.skeleton.tree, body.coarse.arrays
+    whole = compute.silhouette_xor(poses, tree, mesh, prepared)
+    some = compute.silhouette_xor(poses, tree, mesh, padded)
+    np.testing.assert_array_equal(some[:, [0, 2]], whole[:, [0, 2]])
+    np.testing.assert_array_equal(some[:, 1], 0)
+
+
+def test_same_counts_for_any_number_of_threads(body, scene):
+    poses = np.repeat(scene[0], 4, 0)
+    tree, mesh = body.skeleton.tree, body.coarse.arrays
+    one = compute.silhouette_xor(poses, tree, mesh, scene[1], threads=1)
+    for threads in (2, 3, 5):
+        np.testing.assert_array_equal(compute.silhouette_xor(poses, tree, mesh, scene[1], threads=threads), one)
+
+
+def test_more_than_127_layers(body):
+    """Running counts hold as many layers as there are faces: 300 nested copies of a tetrahedron."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=np.float32)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int32)
+    edges = np.array([[0, 2, 0, 2], [2, 1, 0, 3], [1, 0, 0, 1], [1, 3, 1, 3], [3, 0, 1, 2], [3, 2, 2, 3]], dtype=np.int32)
+    n = 300
+    shift = np.arange(n)[:, None, None]
+    mesh = compute.MeshArrays(
+        np.concatenate([corners] * n),
+        (faces + 4 * shift).reshape(-1, 3).astype(np.int32),
+        (edges + [4, 4, 4, 4] * shift).reshape(-1, 4).astype(np.int32),
+        np.zeros((4 * n, 4), np.int32),
+        np.tile(np.float32([1, 0, 0, 0]), (4 * n, 1)),
+        np.ones(4 * n, np.int32),
+    )
+    tree = body.skeleton.tree
+    pose = np.zeros((1, len(tree.axes)))
+    pose[0, 2] = 4
+    projection = np.array([[[120.0, 0, 32, 0], [0, 120, 32, 0], [0, 0, 1, 0]]])
+    prepared = compute.prepare_masks(np.zeros((1, 64, 64), np.uint8), [True], [(64, 64)], projection)
+    single = compute.MeshArrays(*(a[: len(b)] for a, b in zip(mesh, (corners, faces, edges, corners, corners, corners), strict=True)))
+    expected = compute.silhouette_xor(pose, tree, single, prepared)
+    assert expected[0, 0, 1] > 300
+    np.testing.assert_array_equal(compute.silhouette_xor(pose, tree, mesh, prepared), expected)
+
+
+def test_inputs_are_not_changed_and_bad_ones_are_named(body, scene):
+    poses, prepared = scene
+    before = [a.copy() for a in (poses, *prepared)]
+    tree, mesh = body.skeleton.tree, body.coarse.arrays
+    compute.silhouette_xor(poses, tree, mesh, prepared)
+    for a, b in zip((poses, *prepared), before, strict=True):
+        np.testing.assert_array_equal(a, b)
+    bad = poses.copy()
+    bad[3, 7] = np.nan
+    with pytest.raises(SolverError, match="Pose 3 of 12"):
+        compute.silhouette_xor(bad, tree, mesh, prepared)
+    with pytest.raises(InputError, match="one row x0, x1, y0, y1 per view"):
+        compute.silhouette_xor(poses, tree, mesh, prepared, boxes=np.zeros((2, 4)))
+    with pytest.raises(InputError, match="no compute back end"), compute.use("gpu"):
+        pass
+
+
+def test_signed_distance_and_outline_of_a_disc():
+    y, x = np.mgrid[:90, :120]
+    radius = np.hypot(x - 60, y - 44)
+    mask = (radius < 25).astype(np.uint8)
+    padded = np.zeros((1, 100, 130), np.uint8)
+    padded[0, :90, :120] = mask
+    sdf = compute.signed_distance(padded, [(120, 90)])
+    exact = np.where(mask, 0.5 - distance_transform_edt(mask), distance_transform_edt(1 - mask) - 0.5)
+    near = np.abs(exact) < 30
+    assert np.abs(sdf[0, :90, :120] - exact)[near].max() < 0.7  # chamfer distance: 2 %
+    assert (np.sign(sdf[0, :90, :120]) == np.where(mask, -1, 1)).all()
+    assert not sdf[0, 90:].any() and not sdf[0, :, 120:].any()
+    points, n = compute.outline_points(sdf[0], (120, 90), 64)
+    assert n >= 64
+    r = np.hypot(points[:, 0] - 60, points[:, 1] - 44)
+    assert np.abs(r - 24.9).max() < 0.8
+    assert abs(r.mean() - 24.9) < 0.15
+
+
+def test_outlines_cut_by_the_image_border_are_left_out():
+    mask = np.zeros((1, 60, 80), np.uint8)
+    mask[0, 20:40, :50] = 1
+    sdf = compute.signed_distance(mask, [(80, 60)])
+    points, n = compute.outline_points(sdf[0], (80, 60), 500)
+    assert 0 < n < 500
+    assert points[:, 0].min() >= 2.5
+    np.testing.assert_array_equal(points[n : 2 * n], points[: len(points[n : 2 * n])])
+
+
+def test_distance_of_empty_and_full_masks_is_finite():
+    masks = np.zeros((2, 40, 50), np.uint8)
+    masks[1] = 1
+    sdf = compute.signed_distance(masks, [(50, 40)] * 2)
+    assert np.isfinite(sdf).all() and (sdf[0] > 50).all() and (sdf[1] < -50).all()
+    points, n = compute.outline_points(sdf[0], (50, 40), 8)
+    assert n == 0 and (points < -1e5).all()

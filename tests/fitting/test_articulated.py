@@ -1,0 +1,286 @@
+"""The articulated solver: derivatives, recovery of a known pose, limits, loud failure, determinism."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose import compute, fitting
+from hypose.compute import reference
+from hypose.compute.terms import PriorArrays
+from hypose.errors import EvidenceError, InputError, SolverError
+from hypose.evidence.frame import Silhouettes
+from hypose.fitting.articulated import contour_arrays, keypoint_arrays, point_arrays
+from hypose.geometry import so3_exp, so3_log
+from tests.capsule_person import capsule_person, random_pose, ring
+
+BODY = capsule_person(0.055)
+SKELETON = BODY.skeleton
+JOINTS = len(SKELETON.joint_names)
+
+
+def start_near(pose, rng, turn=0.055, shift=0.01):
+    return SKELETON.clamp(pose + rng.normal(size=SKELETON.dof) * np.r_[[shift] * 3, [turn] * (SKELETON.dof - 3)])
+
+
+def joint_error_mm(a, b):
+    return 1000 * np.linalg.norm(BODY.joints(a) - BODY.joints(b), axis=-1).mean()
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return ring(4, f=480.0, size=(480, 360))
+
+
+def silhouettes_of(pose, rig, usable=None):
+    v = BODY.skin(pose)
+    masks = np.stack([reference.rasterize(v, BODY.coarse.faces, c.projection, c.size) for c in rig])
+    use = np.ones(len(rig), bool) if usable is None else np.asarray(usable)
+    return Silhouettes(masks.astype(np.uint8), rig, use, ("",) * len(rig))
+
+
+@pytest.fixture(scope="module")
+def scene(rig):
+    pose = random_pose(BODY, np.random.default_rng(3), 0.25)
+    return pose, fitting.contour_term(silhouettes_of(pose, rig))
+
+
+def keypoints_of(pose, rig, rng, noise=0.0):
+    joint = np.arange(JOINTS)
+    offset = rng.normal(size=(JOINTS, 3)) * 0.05
+    r, p = SKELETON.forward(pose)
+    world = p + np.einsum("jab,jb->ja", r, offset)
+    uv = np.stack([c.project_pinhole(world) for c in rig])
+    uv += noise * rng.normal(size=uv.shape)
+    points = np.concatenate([uv, np.full((*uv.shape[:2], 1), 0.8)], -1)
+    return fitting.KeypointTerm(points, rig.projections, joint, offset, scale_px=2.0)
+
+
+def points_of(pose, rng):
+    joint = np.arange(JOINTS)
+    offset = rng.normal(size=(JOINTS, 3)) * 0.05
+    r, p = SKELETON.forward(pose)
+    return fitting.PointTerm(p + np.einsum("jab,jb->ja", r, offset), np.ones(JOINTS), joint, offset, scale_m=0.03)
+
+
+def evaluate(pose, contours=None, keypoints=None, points=None):
+    d = SKELETON.dof
+    priors = PriorArrays(np.zeros((0, d)), np.zeros((0, d)), np.full(d, -np.inf), np.full(d, np.inf))
+    ws = fitting.workspace_for(BODY, contours)
+    return compute.evaluate(
+        pose,
+        SKELETON.tree,
+        BODY.coarse.arrays,
+        contour_arrays(contours),
+        keypoint_arrays(keypoints, JOINTS),
+        point_arrays(points, JOINTS),
+        priors,
+        ws,
+    )
+
+
+def numeric_gradient(pose, step=1e-5, **terms):
+    e = np.eye(len(pose)) * step
+    return np.array([(evaluate(pose + a, **terms).cost - evaluate(pose - a, **terms).cost) / (2 * step) for a in e])
+
+
+@pytest.mark.parametrize("cue", ["keypoints", "points"])
+def test_gradient_of_point_rows_by_finite_differences(cue, rig, rng):
+    truth = random_pose(BODY, rng, 0.3)
+    term = {"keypoints": keypoints_of(truth, rig, rng)} if cue == "keypoints" else {"points": points_of(truth, rng)}
+    pose = start_near(truth, rng, 0.2, 0.05)
+    analytic, numeric = evaluate(pose, **term).gradient, numeric_gradient(pose, **term)
+    assert np.abs(analytic - numeric).max() < 1e-6 * np.abs(numeric).max()
+
+
+def test_matrix_of_point_rows_is_the_rows_own_product(rng):
+    """The sums per joint, folded up the tree, are J^T W J of rows formed one by one."""
+    truth = random_pose(BODY, rng, 0.3)
+    term = points_of(truth, rng)
+    pose = start_near(truth, rng)
+    out = evaluate(pose, points=term)
+    r, p = SKELETON.forward(pose)
+    expected, pull = np.zeros((SKELETON.dof, SKELETON.dof)), np.zeros(SKELETON.dof)
+    for m in range(JOINTS):
+        x = p[m] + r[m] @ term.offset[m]
+        jac = SKELETON.jacobian(pose, m, x[None])[0]
+        e = (x - term.points_world[m]) / term.scale_m
+        w = 1 / (1 + e @ e / 4) / term.scale_m**2
+        expected += w * jac.T @ jac
+        pull += w * jac.T @ (e * term.scale_m)
+    np.testing.assert_allclose(out.hessian, expected, rtol=1e-9, atol=1e-7)
+    np.testing.assert_allclose(out.gradient, pull, rtol=1e-9, atol=1e-7)
+
+
+def test_contour_gradient_follows_the_cost(scene, rng):
+    """Which points are the outline changes with the pose and no gradient knows that, so the two agree in direction only."""
+    pose, term = scene
+    dense = replace(term, row_spacing_px=1.0)
+    near = start_near(pose, rng)
+    analytic = evaluate(near, contours=dense).gradient
+    numeric = numeric_gradient(near, 2e-3, contours=dense)
+    assert np.corrcoef(analytic, numeric)[0, 1] > 0.85
+    assert (np.linalg.eigvalsh(evaluate(near, contours=dense).hessian) > -1e-6).all()
+
+
+def test_contours_do_not_depend_on_their_density(scene, rng):
+    pose, term = scene
+    near = start_near(pose, rng)
+    cost = [evaluate(near, contours=replace(term, row_spacing_px=s)).cost for s in (1.5, 3.0, 6.0)]
+    assert max(cost) < 1.15 * min(cost)
+
+
+def test_recovers_a_pose_from_its_own_silhouettes(rig):
+    rng = np.random.default_rng(11)
+    before, after = [], []
+    for _ in range(5):
+        pose = random_pose(BODY, rng, 0.25)
+        start = start_near(pose, rng)
+        fit = fitting.fit_pose(
+            BODY,
+            start,
+            contours=fitting.contour_term(silhouettes_of(pose, rig)),
+            priors=[fitting.Quadratic(start, np.full(SKELETON.dof, 0.3))],
+            options=fitting.SolveOptions(iterations=24, coarse_iterations=12),
+        )
+        before.append(joint_error_mm(start, pose))
+        after.append(joint_error_mm(fit.pose, pose))
+    assert np.mean(before) > 40
+    assert np.median(after) < 5
+
+
+def test_recovers_a_pose_from_key_points_and_from_points(rig, rng):
+    pose = random_pose(BODY, rng, 0.3)
+    start = start_near(pose, rng, 0.15, 0.1)
+    options = fitting.SolveOptions(iterations=30, coarse_iterations=0, tolerance=1e-8)
+    for term in ({"keypoints": keypoints_of(pose, rig, rng)}, {"points": points_of(pose, rng)}):
+        fit = fitting.fit_pose(BODY, start, **term, options=options)
+        assert joint_error_mm(fit.pose, pose) < 0.01
+        assert fit.converged and fit.rows > 0 and fit.cost < 1e-6
+
+
+def test_one_wild_key_point_does_little(rig, rng):
+    pose = random_pose(BODY, rng, 0.3)
+    term = keypoints_of(pose, rig, rng, noise=0.5)
+    options = fitting.SolveOptions(iterations=30, coarse_iterations=0)
+    good = fitting.fit_pose(BODY, pose, keypoints=term, options=options)
+    wild = term.points.copy()
+    wild[0, 8, :2] += 150
+    bad = fitting.fit_pose(BODY, pose, keypoints=replace(term, points=wild), options=options)
+    assert joint_error_mm(good.pose, bad.pose) < 5
+
+
+def test_missing_points_are_left_out(rig, rng):
+    pose = random_pose(BODY, rng, 0.3)
+    keypoints, points = keypoints_of(pose, rig, rng), points_of(pose, rng)
+    uvc = keypoints.points.copy()
+    uvc[0, 3] = np.nan
+    uvc[1, 4, 2] = 0.1
+    xyz = points.points_world.copy()
+    xyz[2] = np.nan
+    fit = fitting.fit_pose(BODY, pose, keypoints=replace(keypoints, points=uvc), points=replace(points, points_world=xyz))
+    assert np.isfinite(fit.pose).all()
+    assert fit.rows == uvc.shape[0] * uvc.shape[1] - 2 + JOINTS - 1
+
+
+def test_limits_hold_and_bind(rng):
+    pose = random_pose(BODY, rng, 0.2)
+    knee = int(SKELETON.dofs_of("left_knee")[0])
+    beyond = pose.copy()
+    beyond[knee] = SKELETON.lower[knee] - 0.5
+    fit = fitting.fit_pose(BODY, pose, points=points_of(beyond, rng), options=fitting.SolveOptions(30, 0))
+    assert (fit.pose >= SKELETON.lower).all() and (fit.pose <= SKELETON.upper).all()
+    assert fit.pose[knee] == SKELETON.lower[knee]
+    assert fit.gradient[knee] > 0  # it pushes outwards
+
+
+def test_priors_alone_give_their_weighted_mean():
+    a, b = np.full(SKELETON.dof, 0.1), np.full(SKELETON.dof, 0.2)
+    w = np.ones(SKELETON.dof)
+    fit = fitting.fit_pose(
+        BODY,
+        np.zeros(SKELETON.dof),
+        priors=[fitting.Quadratic(a, w), fitting.Quadratic(b, 3 * w)],
+        options=fitting.SolveOptions(60, 0, tolerance=1e-9),
+    )
+    np.testing.assert_allclose(fit.pose, SKELETON.clamp(np.full(SKELETON.dof, 0.175)), atol=1e-6)
+    np.testing.assert_allclose(fit.hessian, 4 * np.eye(SKELETON.dof), atol=1e-9)
+    assert fit.rows == 0
+
+
+def test_heading_beyond_half_a_turn_is_kept_on_the_branch_of_the_start(rng):
+    pose = random_pose(BODY, rng, 0.2)
+    pose[3:6] = [0, 0, 3.4]
+    start = start_near(pose, rng, 0.05)
+    prior = fitting.Quadratic(pose * 1.0, np.full(SKELETON.dof, 1e-3))
+    prior.centre[3:6] = so3_log(so3_exp(pose[3:6]))  # the same heading on the other branch
+    fit = fitting.fit_pose(BODY, start, points=points_of(pose, rng), priors=[prior], options=fitting.SolveOptions(30, 0))
+    assert joint_error_mm(fit.pose, pose) < 0.5
+    np.testing.assert_allclose(fit.pose[3:6], pose[3:6], atol=1e-2)
+
+
+def test_a_lost_view_is_left_out(scene, rig):
+    pose, term = scene
+    masks = silhouettes_of(pose, rig)
+    broken = replace(masks, masks=masks.masks * np.array([1, 0, 1, 1], np.uint8)[:, None, None])
+    reduced = fitting.contour_term(broken)
+    assert reduced.usable.tolist() == [True, False, True, True]
+    fit = fitting.fit_pose(BODY, pose, contours=reduced)
+    assert joint_error_mm(fit.pose, pose) < 5
+    assert fit.view_rows[1].tolist() == [0, 0]
+    with pytest.raises(EvidenceError, match="No view has a usable silhouette"):
+        fitting.contour_term(replace(masks, usable=np.zeros(4, bool), reasons=("empty",) * 4))
+
+
+def test_a_body_out_of_sight_is_no_cheap_way_out(scene):
+    pose, term = scene
+    away = pose.copy()
+    away[:3] += [0, 0, 30]
+    behind = pose.copy()
+    behind[:3] += [300, 0, 0]
+    for lost in (away, behind):
+        assert evaluate(lost, contours=term).cost > 3 * evaluate(pose, contours=term).cost
+
+
+def test_unusable_starts_are_refused_loudly(scene, rig, rng):
+    pose, term = scene
+    bad = pose.copy()
+    bad[5] = np.nan
+    with pytest.raises(SolverError, match="pelvis_rz"):
+        fitting.fit_pose(BODY, bad, contours=term)
+    with pytest.raises(SolverError, match="36 numbers"):
+        fitting.fit_pose(BODY, pose[:-1], contours=term)
+    sdf = term.sdf.copy()
+    sdf[:] = np.nan
+    with pytest.raises(SolverError, match="not finite"):
+        fitting.fit_pose(BODY, pose, contours=replace(term, sdf=sdf))
+    with pytest.raises(InputError, match="workspace"):
+        fitting.fit_pose(BODY, pose, contours=term, workspace=fitting.workspace_for(BODY))
+    with pytest.raises(InputError, match="joint 99"):
+        fitting.fit_pose(BODY, pose, points=replace(points_of(pose, rng), joint=np.full(JOINTS, 99)))
+
+
+def test_the_same_result_for_any_number_of_threads_and_any_workspace(scene, rng):
+    pose, term = scene
+    starts = np.stack([start_near(pose, rng) for _ in range(5)])
+    one = fitting.fit_poses(BODY, starts, contours=term, threads=1)
+    two = fitting.fit_poses(BODY, starts, contours=term, threads=3)
+    ws = fitting.workspace_for(BODY, term)
+    for a, b, s in zip(one, two, starts, strict=True):
+        np.testing.assert_array_equal(a.pose, b.pose)
+        c = fitting.fit_pose(BODY, s, contours=term, workspace=ws)
+        np.testing.assert_array_equal(a.pose, c.pose)
+        assert a.cost == b.cost == c.cost
+
+
+def test_read_only_inputs_are_taken_and_not_changed(scene):
+    pose, term = scene
+    for a in (pose, term.sdf, term.outline):
+        a.flags.writeable = False
+    try:
+        before = pose.copy()
+        fitting.fit_pose(BODY, pose, contours=term, options=fitting.SolveOptions(2, 1))
+        np.testing.assert_array_equal(pose, before)
+    finally:
+        for a in (pose, term.sdf, term.outline):
+            a.flags.writeable = True

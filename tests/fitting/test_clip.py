@@ -1,0 +1,80 @@
+"""Fitting a clip: coupled frames are smoother, gaps are bridged, the banded solve is the dense one."""
+
+import numpy as np
+import pytest
+
+from hypose import fitting
+from hypose.errors import SolverError
+from hypose.fitting.clip import _Clip, default_acceleration
+from tests.capsule_person import capsule_person, random_pose
+
+BODY = capsule_person(0.09)
+S = BODY.skeleton
+J = len(S.joint_names)
+
+
+@pytest.fixture
+def motion(rng):
+    a, b = random_pose(BODY, rng, 0.2), random_pose(BODY, rng, 0.2)
+    t = 0.5 - 0.5 * np.cos(np.linspace(0, np.pi, 20))[:, None]
+    return (1 - t) * a + t * b
+
+
+def point_terms(motion, rng, noise):
+    return [
+        fitting.PointTerm(p + noise * rng.normal(size=p.shape), np.ones(J), np.arange(J), np.zeros((J, 3)), 0.02)
+        for p in BODY.joints(motion)
+    ]
+
+
+def test_smooth_clip_is_closer_to_the_truth_than_single_frames(motion, rng):
+    terms = point_terms(motion, rng, 0.02)
+    prior = [fitting.Quadratic(np.zeros(S.dof), np.full(S.dof, 0.3))]
+    single = np.stack([fitting.fit_pose(BODY, m, points=t, priors=prior).pose for m, t in zip(motion, terms, strict=True)])
+    clip = fitting.fit_clip(BODY, motion, points=terms, acceleration=10.0, priors=prior)
+    truth = BODY.joints(motion)
+    error = [np.linalg.norm(BODY.joints(q) - truth, axis=-1).mean() for q in (single, clip)]
+    assert error[1] < 0.75 * error[0]
+    jerk = [np.abs(np.diff(BODY.joints(q), 3, axis=0)).mean() for q in (single, clip)]
+    assert jerk[1] < 0.5 * jerk[0]
+
+
+def test_frames_without_evidence_are_bridged(motion, rng):
+    terms = point_terms(motion, rng, 0.0)
+    gap = [None if 8 <= t < 12 else term for t, term in enumerate(terms)]
+    start = motion.copy()
+    start[8:12] = motion[7]
+    clip = fitting.fit_clip(BODY, start, points=gap, acceleration=1.0)
+    assert np.linalg.norm(BODY.joints(clip) - BODY.joints(motion), axis=-1).max() < 0.02
+
+
+def test_banded_step_is_the_dense_step(motion, rng):
+    problem = _Clip(BODY, 6, point_terms(motion[:6], rng, 0.02), None, None, (), default_acceleration(S.dof, 2.0))
+    q = motion[:6] + 0.02 * rng.normal(size=(6, S.dof))
+    _, gradient, hessian = problem.evaluate(q, False)
+    free = np.full(S.dof, np.inf)
+    step = problem.step(gradient, hessian, q, -free, free, 1e-2)
+    d2 = np.diff(np.eye(6), 2, axis=0)
+    dense = np.kron(d2.T @ d2, np.diag(default_acceleration(S.dof, 2.0)))
+    for t in range(6):
+        dense[t * S.dof : (t + 1) * S.dof, t * S.dof : (t + 1) * S.dof] += hessian[t]
+    dense += 1e-2 * np.diag(np.maximum(np.diag(dense), 1))
+    np.testing.assert_allclose(step.ravel(), -np.linalg.solve(dense, gradient.ravel()), rtol=1e-7, atol=1e-10)
+
+
+def test_clip_gradient_by_finite_differences(motion, rng):
+    problem = _Clip(BODY, 4, point_terms(motion[:4], rng, 0.02), None, None, (), default_acceleration(S.dof))
+    q = motion[:4] + 0.02 * rng.normal(size=(4, S.dof))
+    _, gradient, _ = problem.evaluate(q, False)
+    numeric = np.zeros_like(q)
+    for t in range(4):
+        for d in range(S.dof):
+            e = np.zeros_like(q)
+            e[t, d] = 1e-5
+            numeric[t, d] = (problem.evaluate(q + e, False)[0] - problem.evaluate(q - e, False)[0]) / 2e-5
+    np.testing.assert_allclose(gradient, numeric, atol=1e-6 * np.abs(numeric).max())
+
+
+def test_wrong_number_of_terms_is_named(motion, rng):
+    with pytest.raises(SolverError, match="one entry of points per frame: 20, got 3"):
+        fitting.fit_clip(BODY, motion, points=point_terms(motion[:3], rng, 0.0))
