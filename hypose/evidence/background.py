@@ -1,7 +1,7 @@
 """Background models: what each pixel looks like when the person is not there.
 
-From a clip of the empty room, from photos, or from the recording itself (the person moves, the room does not).
-Images are BGR uint8 at working size, undistorted; all arrays (h, w[, 3]).
+From a clip of the empty room, from photos, or from the recording itself (the person moves, the room does
+not). Images are BGR uint8 at working size, undistorted; all arrays (h, w[, 3]).
 """
 
 from __future__ import annotations
@@ -18,23 +18,22 @@ from hypose.errors import InputError
 Image = NDArray[np.uint8]
 Images = NDArray[np.uint8] | Sequence[NDArray[np.uint8]]
 
-_PLATE_SD = (
-    5.0  # grey levels: a photo says nothing about noise, and light differs a little between photo and video
-)
+_PLATE_SD = 5.0  # grey levels: a photo says nothing about noise, and light differs a little between photo and video
 _SD_FLOOR = 1.0  # 8-bit video cannot be quieter
 _AGREE = 40  # grey levels: photo and video within this show the same thing (for the gain)
 _STATIC = 12  # grey levels: a pixel within this of its median has not changed
 _OTHER_THING = 20  # grey levels: photo and median beyond this show different things
 _STATIC_SHARE = 0.6  # a thing must be there in this share of the frames to be called part of the room
-_MIN_FREE = 4  # frames in which a pixel must be free of the person
+_MIN_FREE = 4  # frames in which a pixel must be free of the person, and the share of all frames
+_MIN_FREE_SHARE = 0.12
 
 
 @dataclass(frozen=True)
 class BackgroundModel:
     """A Gaussian per pixel and channel.
 
-    mean, sd: (h, w, 3) float32 grey levels (BGR, 0-255). valid: (h, w) bool, False where the room was never seen.
-    note: a sentence for the user about doubtful areas, "" when there are none.
+    mean, sd: (h, w, 3) float32 grey levels (BGR, 0-255). valid: (h, w) bool, False where the room was
+    never seen. note: a sentence for the user about doubtful areas, "" when there are none.
     """
 
     mean: NDArray[np.float32]
@@ -57,19 +56,19 @@ class BackgroundModel:
 
 
 def from_frames(frames: Images) -> BackgroundModel:
-    """Model of a clip of the empty room: frames (N, h, w, 3) uint8 -> median and robust sd per pixel (1.4826 MAD)."""
+    """Model of a clip of the empty room: frames (N, h, w, 3) uint8 -> median and robust sd per pixel
+    (1.4826 MAD)."""
     stack = _stack(frames, "background clip")
     median, sd, _ = _masked_median(stack, None)
     return BackgroundModel(median, sd, np.ones(stack.shape[1:3], dtype=np.bool_))
 
 
 def from_plates(images: Images) -> BackgroundModel:
-    """Model of one or more photos of the empty room (N, h, w, 3) uint8: median, and an sd that allows for the light."""
+    """Model of one or more photos of the empty room (N, h, w, 3) uint8: median, and an sd that allows for
+    the light."""
     stack = _stack(images, "background photos")
     median, sd, _ = _masked_median(stack, None)
-    return BackgroundModel(
-        median, np.maximum(sd, np.float32(_PLATE_SD)), np.ones(stack.shape[1:3], dtype=np.bool_)
-    )
+    return BackgroundModel(median, np.maximum(sd, np.float32(_PLATE_SD)), np.ones(stack.shape[1:3], dtype=np.bool_))
 
 
 def from_recording(
@@ -77,25 +76,25 @@ def from_recording(
 ) -> BackgroundModel:
     """Model of the room from the recording of the moving person.
 
-    frames (N, h, w, 3) uint8, spread over the recording. covered (N, h, w), non-zero where the person is or may be (thick
-    skeleton of key points, or the silhouette of a tracked model): a pixel is the median over the frames in which it is
-    free, the photo where it never is. Without `covered`, the photo, except where the recording shows another thing
-    there nearly all the time (a box that was moved after the photo, somebody in the photo): there the temporal median.
-    Such a static thing is kept out of the room when its outline moves: then it is a part of the person that stands still.
-    Without `plate` and `covered` the temporal median; `note` says what to mistrust.
+    frames (N, h, w, 3) uint8, spread over the recording. covered (N, h, w), non-zero where the person is
+    or may be (thick skeleton of key points, or the silhouette of a tracked model): a pixel is the median
+    over the frames in which it is free, the photo where it never is. Without `covered`, the photo, except
+    where the recording shows another thing there nearly all the time (a box that was moved after the
+    photo, somebody in the photo): there the temporal median. Such a static thing is kept out of the room
+    when its outline moves: then it is a part of the person that stands still. Without `plate` and
+    `covered` the temporal median; `note` says what to mistrust.
     """
     stack = _stack(frames, "recording")
     shape = stack.shape[1:3]
     if plate is not None and plate.valid.shape != shape:
         raise InputError(
-            f"The background picture is {plate.valid.shape[::-1]} px at working size, the recording {shape[::-1]} px; give "
+            f"The background picture is {plate.valid.shape[::-1]} px at working size, the recording "
+            f"{shape[::-1]} px; give "
             "a picture of the same camera in the same orientation."
         )
     if covered is not None:
         if covered.shape != stack.shape[:3]:
-            raise InputError(
-                f"{len(stack)} frames need masks of shape {stack.shape[:3]}, got {covered.shape}."
-            )
+            raise InputError(f"{len(stack)} frames need masks of shape {stack.shape[:3]}, got {covered.shape}.")
         return _from_free_frames(stack, np.asarray(covered) != 0, plate)
     median, sd, _ = _masked_median(stack, None)
     if plate is None:
@@ -104,8 +103,8 @@ def from_recording(
 
 
 def match_gain(plate: BackgroundModel, reference: NDArray[np.floating]) -> BackgroundModel:
-    """The plate with every channel's brightness scaled to the reference picture (h, w, 3), by the median ratio over the
-    pixels where both roughly agree. The plate itself when hardly any do."""
+    """The plate with every channel's brightness scaled to the reference picture (h, w, 3), by the median
+    ratio over the pixels where both roughly agree. The plate itself when hardly any do."""
     agree = (np.abs(plate.mean - reference).max(2) < _AGREE) & (plate.mean.min(2) > 10)
     if agree.mean() < 0.05:
         return plate
@@ -125,7 +124,8 @@ def _stack(images: Images, what: str) -> Image:
 def _masked_median(
     stack: Image, free: NDArray[np.bool_] | None
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
-    """Median and robust sd (h, w, 3) of stack (N, h, w, 3) over the frames where free (N, h, w), and their number."""
+    """Median and robust sd (h, w, 3) of stack (N, h, w, 3) over the frames where free (N, h, w), and their
+    number."""
     n, h, w, _ = stack.shape
     count = np.full((h, w), n) if free is None else free.sum(0)
     median, sd = np.empty((h, w, 3), np.float32), np.empty((h, w, 3), np.float32)
@@ -142,9 +142,7 @@ def _masked_median(
 
         def centre(v: NDArray[np.int16], low: NDArray[np.int64] = low, high: NDArray[np.int64] = high):  # noqa: ANN202
             v = np.sort(v, axis=-1)
-            return 0.5 * (np.take_along_axis(v, low, -1) + np.take_along_axis(v, high, -1))[..., 0].astype(
-                np.float32
-            )
+            return 0.5 * (np.take_along_axis(v, low, -1) + np.take_along_axis(v, high, -1))[..., 0].astype(np.float32)
 
         median[rows] = centre(x)
         deviation = np.abs(x - np.rint(median[rows])[..., None].astype(np.int16))
@@ -152,11 +150,9 @@ def _masked_median(
     return median, np.maximum(sd, np.float32(_SD_FLOOR)), count
 
 
-def _from_free_frames(
-    stack: Image, covered: NDArray[np.bool_], plate: BackgroundModel | None
-) -> BackgroundModel:
+def _from_free_frames(stack: Image, covered: NDArray[np.bool_], plate: BackgroundModel | None) -> BackgroundModel:
     median, sd, count = _masked_median(stack, ~covered)
-    free = count >= min(_MIN_FREE, len(stack))
+    free = count >= min(max(_MIN_FREE, _MIN_FREE_SHARE * len(stack)), len(stack))
     if plate is not None:
         plate = match_gain(plate, np.where(free[..., None], median, plate.mean))
         pick = free[..., None]
@@ -167,13 +163,12 @@ def _from_free_frames(
         return BackgroundModel(median, sd, free)
     whole, _, _ = _masked_median(stack, None)
     note = (
-        f"{100 * (1 - free.mean()):.1f} % of the picture is covered by the person in every frame, so the room behind is "
+        f"{100 * (1 - free.mean()):.1f} % of the picture is covered by the person in every frame, so the room "
+        f"behind is "
         "unknown there; a photo or clip of the empty room would show it."
     )
     wide = np.maximum(sd, np.float32(_PLATE_SD))
-    return BackgroundModel(
-        np.where(free[..., None], median, whole), np.where(free[..., None], sd, wide), free, note
-    )
+    return BackgroundModel(np.where(free[..., None], median, whole), np.where(free[..., None], sd, wide), free, note)
 
 
 def _from_median_alone(stack: Image, median: NDArray[np.float32], sd: NDArray[np.float32]) -> BackgroundModel:
@@ -204,16 +199,15 @@ def _cure_ghosts(
     differs = np.mean([((f < low) | (f > high)).any(2) for f in stack], axis=0)
     ghost &= ~_parts_of_the_person(ghost, differs)
     pick = ghost[..., None]
-    return BackgroundModel(
-        np.where(pick, median, plate.mean), np.where(pick, sd, plate.sd), plate.valid, plate.note
-    )
+    return BackgroundModel(np.where(pick, median, plate.mean), np.where(pick, sd, plate.sd), plate.valid, plate.note)
 
 
 def _parts_of_the_person(ghost: NDArray[np.bool_], differs: NDArray[np.floating]) -> NDArray[np.bool_]:
     """Of the static regions that contradict the photo, those whose surroundings come and go.
 
-    ghost (h, w): static and unlike the photo. differs (h, w): share of frames that differ from the photo. The torso of
-    somebody who moves the limbs is static too, but along its outline pixels are now person, now room.
+    ghost (h, w): static and unlike the photo. differs (h, w): share of frames that differ from the photo.
+    The torso of somebody who moves the limbs is static too, but along its outline pixels are now person,
+    now room.
     """
     count, label = cv2.connectedComponents(ghost.astype(np.uint8), connectivity=4)
     moving = ((differs > 0.1) & (differs < 0.9) & ~ghost).astype(np.uint8)

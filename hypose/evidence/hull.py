@@ -1,4 +1,5 @@
-"""Visual hull: the space that the silhouettes leave to the person (space carving on voxels, coarse to fine)."""
+"""Visual hull: the space that the silhouettes leave to the person (space carving on voxels, coarse to
+fine)."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ _MAX_CELLS = 20_000_000
 
 @dataclass(frozen=True)
 class Hull:
-    """Occupied voxels. occupancy: (nx, ny, nz) bool; origin: (3,) m, centre of voxel [0, 0, 0] in the world; voxel: m."""
+    """Occupied voxels. occupancy: (nx, ny, nz) bool; origin: (3,) m, centre of voxel [0, 0, 0] in the
+    world; voxel: m."""
 
     occupancy: NDArray[np.bool_]
     origin: Array
@@ -49,11 +51,11 @@ class Hull:
     @cached_property
     def _surface(self) -> tuple[Array, Array]:
         solid = np.pad(self.occupancy, 3)
-        rim = solid & ~ndimage.binary_erosion(solid)
-        smooth = ndimage.gaussian_filter(solid.astype(np.float64), 1.2)
+        rim = solid & ~np.asarray(ndimage.binary_erosion(solid), dtype=np.bool_)
+        smooth = np.asarray(ndimage.gaussian_filter(solid.astype(np.float64), 1.2))
         index = np.argwhere(rim)
         at = tuple(index.T)
-        outward = -np.stack([g[at] for g in np.gradient(smooth)], -1)
+        outward = -np.stack([np.gradient(smooth, axis=a)[at] for a in range(3)], -1)
         norm = np.linalg.norm(outward, axis=1, keepdims=True)
         normals = np.where(norm > 1e-9, outward / np.maximum(norm, 1e-12), [0.0, 0.0, 1.0])
         return self.origin + (index - 3) * self.voxel, normals
@@ -70,14 +72,15 @@ class Hull:
 
 
 def common_view_bounds(rig: CameraRig) -> Array:
-    """(2, 3) m, lowest and highest corner of the cube in which the cameras look: around the point nearest to all optical
-    axes, as far as the farthest camera. A CalibrationError-like EvidenceError when the axes do not meet."""
+    """(2, 3) m, lowest and highest corner of the cube in which the cameras look: around the point nearest
+    to all optical axes, as far as the farthest camera. An EvidenceError when the axes do not meet."""
     directions = np.stack([c.camera_from_world[2, :3] for c in rig])
     across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
     a = across.sum(0)
     if len(rig) < 2 or np.linalg.eigvalsh(a)[0] < 0.02 * len(rig):
         raise EvidenceError(
-            f"The optical axes of the cameras {', '.join(rig.names)} (nearly) run in parallel, so the place of the person "
+            f"The optical axes of the cameras {', '.join(rig.names)} (nearly) run in parallel, so the place of "
+            f"the person "
             "cannot be guessed; give the bounds of the space."
         )
     centre = np.linalg.solve(a, np.einsum("cij,cj->i", across, rig.positions))
@@ -90,22 +93,27 @@ def visual_hull(
     bounds: Array | None = None,
     voxel: float = 0.03,
     miss: int = 0,
-    min_views: int = 2,
+    min_views: int | None = None,
     largest: bool = True,
 ) -> Hull:
     """The visual hull of the usable silhouettes.
 
-    A voxel is occupied when at most `miss` of the views that see it (in front of the camera and inside the image) have
-    no person at its centre, and at least min_views see it. bounds (2, 3) m: the space searched (default: the cameras'
-    common view). voxel: edge, m. largest: keep only the biggest connected body. Works coarse to fine: a cell is refined
-    unless more than `miss` views are free of person all over the circle around its image.
-    Raises EvidenceError when fewer than min_views views are usable or nothing is left.
-    Source: Alcoverro 2014, section 2.6 (space carving with v_miss missing views).
+    A voxel is occupied when at most `miss` of the views that see it (in front of the camera and inside the
+    image) have no person at its centre, and at least min_views have it
+    there (default: three quarters of the usable views, at least 2, as far as `miss` allows). bounds (2, 3)
+    m: the space searched (default: the cameras' common view). voxel: edge, m. largest: keep only the
+    biggest connected body. Works coarse to fine: a cell is refined unless more than `miss` views are free
+    of person all over the circle around its image. Raises EvidenceError when fewer than min_views views
+    are usable or nothing is left. Source: Alcoverro 2014, section 2.6 (space carving with v_miss missing
+    views).
     """
     views = np.flatnonzero(silhouettes.usable)
+    if min_views is None:
+        min_views = max(2, min(-(-3 * len(views) // 4), len(views) - miss))
     if len(views) < min_views:
         raise EvidenceError(
-            f"A visual hull needs {min_views} usable silhouettes, there {'is' if len(views) == 1 else 'are'} {len(views)}: "
+            f"A visual hull needs {min_views} usable silhouettes, there {'is' if len(views) == 1 else 'are'} "
+            f"{len(views)}: "
             f"{'; '.join(r for r in silhouettes.reasons if r) or 'too few cameras'}."
         )
     if voxel <= 0 or miss < 0:
@@ -113,9 +121,7 @@ def visual_hull(
     rig = silhouettes.rig
     box = common_view_bounds(rig) if bounds is None else np.asarray(bounds, dtype=np.float64)
     if box.shape != (2, 3) or not (box[1] > box[0]).all():
-        raise InputError(
-            "The bounds of the hull must be (lowest, highest) corners of shape (2, 3) in metres."
-        )
+        raise InputError("The bounds of the hull must be (lowest, highest) corners of shape (2, 3) in metres.")
     coarse = voxel * 2**_LEVELS
     cells = np.ceil((box[1] - box[0]) / coarse).astype(np.int64)
     if cells.prod() > _MAX_CELLS:
@@ -123,20 +129,17 @@ def visual_hull(
             f"A space of {box[1] - box[0]} m is too large for {voxel:g} m voxels; narrow it or use larger ones."
         )
     index = np.stack(np.meshgrid(*(np.arange(n) for n in cells), indexing="ij"), -1).reshape(-1, 3)
-    sums = {
-        int(c): np.pad(silhouettes.masks[c].astype(np.int32).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
-        for c in views
-    }
+    sums = {int(c): np.pad(silhouettes.masks[c].astype(np.int32).cumsum(0).cumsum(1), ((1, 0), (1, 0))) for c in views}
     corner = np.stack(np.meshgrid(*[(0, 1)] * 3, indexing="ij"), -1).reshape(8, 3)
     for level in range(_LEVELS, -1, -1):
         edge = voxel * 2**level
         centres = box[0] + (index + 0.5) * edge
-        free, seen = np.zeros(len(index), np.int16), np.zeros(len(index), np.int16)
+        free, hits = np.zeros(len(index), np.int16), np.zeros(len(index), np.int16)
         for c in views:
-            empty, sees = _free_cells(silhouettes, int(c), sums[int(c)], centres, edge if level else 0.0)
+            empty, hit = _free_cells(silhouettes, int(c), sums[int(c)], centres, edge if level else 0.0)
             free += empty
-            seen += sees
-        index = index[(free <= miss) & (seen >= min_views)]
+            hits += hit
+        index = index[(free <= miss) & (hits >= min_views)]
         if level:
             index = (2 * index[:, None] + corner).reshape(-1, 3)
             if len(index) > _MAX_CELLS:
@@ -146,7 +149,8 @@ def visual_hull(
     if len(index) == 0:
         raise EvidenceError(
             "The visual hull is empty: the silhouettes of the cameras "
-            f"{', '.join(rig.names[c] for c in views)} have no point in common; check calibration and synchronisation, or "
+            f"{', '.join(rig.names[c] for c in views)} have no point in common; check calibration and "
+            f"synchronisation, or "
             "allow one missing view."
         )
     low = index.min(0)
@@ -161,7 +165,7 @@ def visual_hull(
 def _free_cells(
     silhouettes: Silhouettes, view: int, sums: NDArray[np.int64], centres: Array, edge: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """For cubes (M,): surely without person in this view; and possibly seen by it. edge 0: judged at the centre."""
+    """For cubes (M,): surely without person in this view; and possibly with. edge 0: judged at the centre."""
     camera = silhouettes.rig[view]
     w, h = camera.size
     x = centres @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
@@ -175,7 +179,7 @@ def _free_cells(
         iu, iv = np.rint(u).astype(np.int64), np.rint(v).astype(np.int64)
         inside = front & (iu >= 0) & (iu < w) & (iv >= 0) & (iv < h)
         person = silhouettes.masks[view][np.clip(iv, 0, h - 1), np.clip(iu, 0, w - 1)] > 0
-        return inside & ~person, inside
+        return inside & ~person, inside & person
     # an upper bound of the image of the ball around the cube: |d(u)| <= r (f + |u - cx|) / (z - r)
     depth = np.maximum(z - radius, 1e-6)
     ru = radius * (camera.K[0, 0] + abs(camera.K[0, 1]) + np.abs(u - camera.K[0, 2])) / depth + 1
@@ -183,11 +187,10 @@ def _free_cells(
     near = ~front & (x[:, 2] > -radius)  # holds or touches the camera's plane: nothing is known
     u0, u1, v0, v1 = np.floor(u - ru), np.ceil(u + ru), np.floor(v - rv), np.ceil(v + rv)
     within = front & (u0 >= 0) & (u1 < w) & (v0 >= 0) & (v1 < h)
-    touches = near | (front & (u1 >= 0) & (u0 < w) & (v1 >= 0) & (v0 < h))
     a0, a1 = np.clip(u0, 0, w).astype(np.int64), np.clip(u1 + 1, 0, w).astype(np.int64)
     b0, b1 = np.clip(v0, 0, h).astype(np.int64), np.clip(v1 + 1, 0, h).astype(np.int64)
     pixels = sums[b1, a1] - sums[b0, a1] - sums[b1, a0] + sums[b0, a0]
-    return within & (pixels == 0), touches
+    return within & (pixels == 0), near | (front & (pixels > 0))
 
 
 def _largest(occupancy: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:

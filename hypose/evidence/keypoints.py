@@ -1,4 +1,5 @@
-"""2D key points of any detector: the sets of names, OpenPose-style JSON, the choice of one person, triangulation.
+"""2D key points of any detector: the sets of names, OpenPose-style JSON, the choice of one person,
+triangulation.
 
 Names are lower case with the side first (left_shoulder); left is the person's own left.
 """
@@ -21,9 +22,7 @@ from hypose.geometry import Array
 
 _FACE = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
 _LIMBS = tuple(
-    f"{side}_{part}"
-    for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-    for side in ("left", "right")
+    f"{side}_{part}" for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle") for side in ("left", "right")
 )
 
 
@@ -34,26 +33,24 @@ def _sided(parts: Sequence[str]) -> tuple[str, ...]:
 
 COCO_17 = _FACE + _LIMBS
 BODY_25 = _sided(
-    "nose neck Rshoulder Relbow Rwrist Lshoulder Lelbow Lwrist mid_hip Rhip Rknee Rankle Lhip Lknee Lankle Reye Leye Rear "
+    "nose neck Rshoulder Relbow Rwrist Lshoulder Lelbow Lwrist mid_hip Rhip Rknee Rankle Lhip Lknee Lankle Reye "
+    "Leye Rear "
     "Lear Lbig_toe Lsmall_toe Lheel Rbig_toe Rsmall_toe Rheel".split()
 )
 BODY_25B = COCO_17 + _sided("upper_neck head_top Lbig_toe Lsmall_toe Lheel Rbig_toe Rsmall_toe Rheel".split())
-HALPE_26 = COCO_17 + _sided(
-    "head_top neck mid_hip Lbig_toe Rbig_toe Lsmall_toe Rsmall_toe Lheel Rheel".split()
-)
+HALPE_26 = COCO_17 + _sided("head_top neck mid_hip Lbig_toe Rbig_toe Lsmall_toe Rsmall_toe Lheel Rheel".split())
 BODY_135 = BODY_25B + tuple(
     [f"{side}_hand_{i}" for side in ("left", "right") for i in range(20)] + [f"face_{i}" for i in range(70)]
 )
 COCO_133 = (
     COCO_17
     + _sided("Lbig_toe Lsmall_toe Lheel Rbig_toe Rsmall_toe Rheel".split())
-    + tuple(
-        [f"face_{i}" for i in range(68)]
-        + [f"{side}_hand_{i}" for side in ("left", "right") for i in range(21)]
-    )
+    + tuple([f"face_{i}" for i in range(68)] + [f"{side}_hand_{i}" for side in ("left", "right") for i in range(21)])
 )
+COCO_18 = BODY_25[:8] + BODY_25[9:19]
 BLAZEPOSE_33 = _sided(
-    "nose Leye_inner Leye Leye_outer Reye_inner Reye Reye_outer Lear Rear Lmouth Rmouth Lshoulder Rshoulder Lelbow Relbow "
+    "nose Leye_inner Leye Leye_outer Reye_inner Reye Reye_outer Lear Rear Lmouth Rmouth Lshoulder Rshoulder "
+    "Lelbow Relbow "
     "Lwrist Rwrist Lpinky Rpinky Lindex Rindex Lthumb Rthumb Lhip Rhip Lknee Rknee Lankle Rankle Lheel Rheel Lbig_toe "
     "Rbig_toe".split()
 )
@@ -61,12 +58,22 @@ KEYPOINT_SETS: Mapping[str, tuple[str, ...]] = {
     "BODY_25": BODY_25,
     "BODY_25B": BODY_25B,
     "COCO_17": COCO_17,
+    "COCO_18": COCO_18,
     "HALPE_26": HALPE_26,
     "BLAZEPOSE_33": BLAZEPOSE_33,
     "COCO_133": COCO_133,
     "BODY_135": BODY_135,
 }
 """The named sets. BODY_25 and BODY_25B have the same length: a recording must say which one it holds."""
+# what Pose2Sim and OpenPose call the same sets
+_ALIASES = {
+    "COCO": "COCO_18",
+    "BLAZEPOSE": "BLAZEPOSE_33",
+    "COCO_133_WRIST": "COCO_133",
+    "BODY_WITH_FEET": "HALPE_26",
+    "BODY": "COCO_17",
+    "WHOLE_BODY": "COCO_133",
+}
 
 _BONES = tuple(
     (f"{side}_{a}", f"{side}_{b}")
@@ -91,13 +98,9 @@ _BONES = tuple(
 
 def keypoint_names(keypoint_set: str) -> tuple[str, ...]:
     """The names of a set; an InputError lists the sets."""
-    found = {k.upper(): v for k, v in KEYPOINT_SETS.items()}.get(
-        keypoint_set.strip().upper().replace("-", "_")
-    )
+    found = {k.upper(): v for k, v in KEYPOINT_SETS.items()}.get(keypoint_set.strip().upper().replace("-", "_"))
     if found is None:
-        raise InputError(
-            f"There is no key-point set {keypoint_set!r}; the sets are {', '.join(KEYPOINT_SETS)}."
-        )
+        raise InputError(f"There is no key-point set {keypoint_set!r}; the sets are {', '.join(KEYPOINT_SETS)}.")
     return found
 
 
@@ -117,40 +120,36 @@ def parse_openpose(
 ) -> Array:
     """People of one OpenPose-style JSON document -> (people, K, 3) = (u px, v px, confidence 0..1).
 
-    names: the expected set (by default the set of that length). source: what the error sentence calls the file. A point
-    that is (0, 0), or has no finite position and no confidence, is missing: confidence 0. Raises InputError for
-    anything that is not such a document.
+    names: the expected set (by default the set of that length). source: what the error sentence calls the
+    file. A point that is (0, 0), or has no finite position and no confidence, is missing: confidence 0.
+    Raises InputError for anything that is not such a document.
     """
     if isinstance(document, (str, bytes)):
         try:
             document = json.loads(document)
         except (json.JSONDecodeError, UnicodeDecodeError) as problem:
-            raise InputError(
-                f"{source} is not JSON ({problem}); export it from the detector again."
-            ) from None
+            raise InputError(f"{source} is not JSON ({problem}); export it from the detector again.") from None
     if not isinstance(document, Mapping) or not isinstance(document.get("people"), list):
         raise InputError(
-            f'{source} is not an OpenPose-style file: it needs a list "people"; export key points in the OpenPose format.'
+            f'{source} is not an OpenPose-style file: it needs a list "people"; export key points in the '
+            f"OpenPose format."
         )
     people = []
     for number, person in enumerate(document["people"]):
         flat = person.get("pose_keypoints_2d") if isinstance(person, Mapping) else None
         if flat is None:
-            raise InputError(
-                f'{source}, person {number}: "pose_keypoints_2d" is missing; export body key points.'
-            )
+            raise InputError(f'{source}, person {number}: "pose_keypoints_2d" is missing; export body key points.')
         try:
             values = np.array(flat, dtype=np.float64).ravel()
         except (TypeError, ValueError):
-            raise InputError(
-                f'{source}, person {number}: "pose_keypoints_2d" must hold numbers only.'
-            ) from None
+            raise InputError(f'{source}, person {number}: "pose_keypoints_2d" must hold numbers only.') from None
         if values.size == 0:
             continue
         if values.size % 3 or (names is not None and values.size != 3 * len(names)):
             wanted = "a multiple of 3" if names is None else f"3 x {len(names)} = {3 * len(names)}"
             raise InputError(
-                f"{source}, person {number}: {values.size} numbers, but {wanted} are needed; name the detector's set with "
+                f"{source}, person {number}: {values.size} numbers, but {wanted} are needed; name the "
+                f"detector's set with "
                 f"`keypoint_set` (one of {', '.join(KEYPOINT_SETS)})."
             )
         points = values.reshape(-1, 3)
@@ -160,9 +159,7 @@ def parse_openpose(
         confident = np.nan_to_num(points[:, 2], nan=0.0) > 0
         if (bad := ~finite & confident).any() or np.isinf(points).any():
             k = int(np.argmax(bad | np.isinf(points).any(1)))
-            raise InputError(
-                f"{source}, person {number}: key point {k} is not a finite position; export it again."
-            )
+            raise InputError(f"{source}, person {number}: key point {k} is not a finite position; export it again.")
         missing = ~finite | ~confident | (points[:, :2] == 0).all(1)
         people.append(np.where(missing[:, None], 0.0, np.clip(points, None, [np.inf, np.inf, 1.0])))
     k = len(names) if names is not None else (len(people[0]) if people else 0)
@@ -176,9 +173,9 @@ def choose_person(
 ) -> int | None:
     """Index of the person to follow among people (P, K, 3), None when nobody fits.
 
-    Without `previous` (K, 3) the tallest. With it the one whose key points lie nearest to the previous frame's (median
-    distance over the points both have), refused when farther than max_jump times the previous person's height: another
-    person is never picked up in the place of one who is hidden.
+    Without `previous` (K, 3) the tallest. With it the one whose key points lie nearest to the previous
+    frame's (median distance over the points both have), refused when farther than max_jump times the
+    previous person's height: another person is never picked up in the place of one who is hidden.
     """
     p = np.asarray(people, dtype=np.float64)
     if len(p) == 0:
@@ -201,9 +198,11 @@ def choose_person(
 
 
 def follow_person(documents: Sequence[Array | None], patience: int = 30) -> Array:
-    """One person through the frames of one view: people per frame (P, K, 3), or None without a file -> (T, K, 3).
+    """One person through the frames of one view: people per frame (P, K, 3), or None without a file -> (T,
+    K, 3).
 
-    Confidence 0 where the person is missing. After `patience` frames without the person the tallest is taken again.
+    Confidence 0 where the person is missing. After `patience` frames without the person the tallest is
+    taken again.
     """
     k = next((d.shape[1] for d in documents if d is not None and len(d)), 0)
     out = np.zeros((len(documents), k, 3))
@@ -221,18 +220,14 @@ def follow_person(documents: Sequence[Array | None], patience: int = 30) -> Arra
     return out
 
 
-def to_keypoints(
-    points: Sequence[ArrayLike], names: Sequence[str], rig: CameraRig, pinhole: CameraRig
-) -> Keypoints:
-    """Detected points of one person, per view (K, 3) in pixels of the calibrated (distorted) cameras of `rig`, as
-    Keypoints in undistorted pixels of the working-size cameras `pinhole`."""
+def to_keypoints(points: Sequence[ArrayLike], names: Sequence[str], rig: CameraRig, pinhole: CameraRig) -> Keypoints:
+    """Detected points of one person, per view (K, 3) in pixels of the calibrated (distorted) cameras of
+    `rig`, as Keypoints in undistorted pixels of the working-size cameras `pinhole`."""
     out = np.zeros((len(rig), len(names), 3))
     for c, p in enumerate(points):
         a = np.asarray(p, dtype=np.float64)
         if a.shape != (len(names), 3):
-            raise InputError(
-                f"Camera {rig.names[c]}: key points of shape {a.shape}, {(len(names), 3)} is needed."
-            )
+            raise InputError(f"Camera {rig.names[c]}: key points of shape {a.shape}, {(len(names), 3)} is needed.")
         scale = np.array(pinhole[c].size) / np.array(rig[c].size)
         out[c, :, :2] = (rig[c].undistort_points(a[:, :2]) + 0.5) * scale - 0.5
         out[c, :, 2] = np.where(np.isfinite(out[c, :, :2]).all(1), a[:, 2], 0.0)
@@ -240,12 +235,13 @@ def to_keypoints(
 
 
 def landmark_of(names: Sequence[str], body: Body) -> tuple[NDArray[np.int64], Array, NDArray[np.bool_]]:
-    """Where each key point sits on the body: joint (K,), offset (K, 3) m in that joint's rest frame, known (K,).
+    """Where each key point sits on the body: joint (K,), offset (K, 3) m in that joint's rest frame, known
+    (K,).
 
-    Elbows, wrists, knees and ankles are joint centres; shoulders ride on the clavicles and hips on the pelvis (the
-    same points, but an offset learnt there does not turn with the limb); OpenPose's neck is the middle between the
-    shoulders, mid_hip the middle between the hips. Face, heels, toes are the body's landmarks of that name. Unknown names
-    get known = False.
+    Elbows, wrists, knees and ankles are joint centres; shoulders ride on the clavicles and hips on the
+    pelvis (the same points, but an offset learnt there does not turn with the limb); OpenPose's neck is
+    the middle between the shoulders, mid_hip the middle between the hips. Face, heels, toes are the body's
+    landmarks of that name. Unknown names get known = False.
     """
     s, rest = body.skeleton, body.skeleton.rest_joints
     at: dict[str, tuple[str, Array]] = {}
@@ -275,12 +271,14 @@ def landmark_of(names: Sequence[str], body: Body) -> tuple[NDArray[np.int64], Ar
 def triangulate_keypoints(
     frames: Sequence[Keypoints], max_residual: float | None = None, min_confidence: float = 0.2
 ) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Robust triangulation of T frames -> points (T, K, 3) m world, residual (T, K) px, number of views (T, K).
+    """Robust triangulation of T frames -> points (T, K, 3) m world, residual (T, K) px, number of views
+    (T, K).
 
-    Confidence-weighted linear triangulation. Where the largest reprojection distance exceeds max_residual (px of the
-    working size; default 1 % of the longest image side) and three or more views see the point, every view is left out
-    in turn and the best solution is kept when it is at least twice as good. The residual is the root mean square over the
-    views used; what still exceeds twice max_residual, or has fewer than two views, is NaN.
+    Confidence-weighted linear triangulation. Where the largest reprojection distance exceeds max_residual
+    (px of the working size; default 1 % of the longest image side) and three or more views see the point,
+    every view is left out in turn and the best solution is kept when it is at least twice as good. The
+    residual is the root mean square over the views used; what still exceeds four times max_residual, or
+    has fewer than two views, is NaN.
     """
     if not frames:
         raise InputError("There are no key points to triangulate; give at least one frame.")
@@ -311,7 +309,7 @@ def triangulate_keypoints(
     n = used.sum(0)
     distance = np.where(used, _reprojection(rig, x, uv, w), 0.0)
     residual = np.sqrt((distance**2).sum(0) / np.maximum(n, 1))
-    bad = (n < 2) | (worst > 2 * limit) | ~np.isfinite(x).all(1)
+    bad = (n < 2) | (worst > 4 * limit) | ~np.isfinite(x).all(1)
     x = np.where(bad[:, None], np.nan, x)
     return (
         x.reshape(*shape, 3),
@@ -321,7 +319,8 @@ def triangulate_keypoints(
 
 
 def _reprojection(rig: CameraRig, x: Array, uv: Array, w: Array) -> Array:
-    """(C, N) px between projections of x (N, 3) and uv (C, N, 2); a point behind a camera that sees it: a large number."""
+    """(C, N) px between projections of x (N, 3) and uv (C, N, 2); a point behind a camera that sees it: a
+    large number."""
     d = np.stack([np.linalg.norm(camera.project_pinhole(x) - uv[c], axis=-1) for c, camera in enumerate(rig)])
     return np.where(w > 0, np.nan_to_num(d, nan=1e6), 0.0)
 
@@ -340,7 +339,8 @@ def thick_skeleton(
     radius: float,
     min_confidence: float = 0.3,
 ) -> NDArray[np.uint8]:
-    """Mask (h, w) = `shape` of limbs drawn `radius` px thick to either side, a filled torso, a head and hands.
+    """Mask (h, w) = `shape` of limbs drawn `radius` px thick to either side, a filled torso, a head and
+    hands.
 
     points (K, 3) px of that image. Bones with an end below min_confidence are left out.
     """
@@ -359,6 +359,11 @@ def thick_skeleton(
     torso = [at[n] for n in ("left_shoulder", "right_shoulder", "right_hip", "left_hip") if n in at]
     if len(torso) == 4:
         cv2.fillConvexPoly(mask, cv2.convexHull(np.array(torso, dtype=np.int32)), 1)
+    thighs = [n for side in ("left", "right") for n in (f"{side}_hip", f"{side}_knee")]
+    if all(n in at for n in thighs):  # between the thighs: shorts, and what the hip points, set too high, leave out
+        hips = np.array([at[n] for n in thighs], dtype=np.float64).reshape(2, 2, 2)
+        middle = 0.6 * hips[:, 0] + 0.4 * hips[:, 1]
+        cv2.fillConvexPoly(mask, cv2.convexHull(np.rint([*hips[:, 0], *middle]).astype(np.int32)), 1)
     for n in ("left_wrist", "right_wrist", "left_ankle", "right_ankle"):
         if n in at:
             cv2.circle(mask, at[n], max(1, round(1.3 * radius)), 1, -1)

@@ -1,6 +1,8 @@
-"""Masks of the person from images: difference against a background model, shadow test, clean-up, thin-rim refinement.
+"""Masks of the person from images: difference against a background model, shadow test, clean-up, thin-rim
+refinement.
 
-Images are BGR uint8 at working size, undistorted; masks are (h, w) uint8 with 1 = person. Lengths in px of that size.
+Images are BGR uint8 at working size, undistorted; masks are (h, w) uint8 with 1 = person. Lengths in px of
+that size.
 """
 
 from __future__ import annotations
@@ -27,15 +29,16 @@ Segmenter = Callable[[Image, Mask | None], Mask]
 class SilhouetteOptions:
     """How masks are made. The defaults suit a person of 80-400 px height.
 
-    method: 'gaussian' (one Gaussian per pixel) or 'mog2' (OpenCV's mixture, frozen after learning the background).
-    threshold: foreground beyond this many sd. min_sd: lower bound of the sd, grey levels (compression, light).
-    shadow: take away shadows: the same colour, darker. Switch it off in grey scenes, where the person is 'the same
-    colour' too. shadow_range: brightness of a shadow relative to the lit ground. shadow_chroma: largest colour
-    distance from the darkened ground, grey levels.
-    open_px, close_px: sizes of the morphological opening and closing, 0 = off. hole_px: holes up to this area are filled.
-    keep_share: connected parts smaller than this share of the biggest one are dropped (1 keeps only the biggest).
-    keep_gap: parts farther from the biggest than this share of its longer side are dropped.
-    grabcut: refine the mask in a rim of rim_px to either side of its outline by GrabCut (slow: 25 ms and more per view).
+    method: 'gaussian' (one Gaussian per pixel) or 'mog2' (OpenCV's mixture, frozen after learning the
+    background). threshold: foreground beyond this many sd. min_sd: lower bound of the sd, grey levels
+    (compression, light). shadow: take away shadows: the same colour, darker. Switch it off in grey scenes,
+    where the person is 'the same colour' too. shadow_range: brightness of a shadow relative to the lit
+    ground. shadow_chroma: largest colour distance from the darkened ground, grey levels.
+    open_px, close_px: sizes of the morphological opening and closing, 0 = off. hole_px: holes up to this
+    area are filled. keep_share: connected parts smaller than this share of the biggest one are dropped (1
+    keeps only the biggest). keep_gap: parts farther from the biggest than this share of its longer side
+    are dropped. grabcut: refine the mask in a rim of rim_px to either side of its outline by GrabCut
+    (slow: 25 ms and more per view).
     """
 
     method: Literal["gaussian", "mog2"] = "gaussian"
@@ -75,8 +78,8 @@ class SilhouetteOptions:
 def make_segmenter(background: BackgroundModel, options: SilhouetteOptions | None = None) -> Segmenter:
     """The function that turns an image of this view into a mask.
 
-    It keeps no memory of earlier images, so frames may come in any order; one segmenter must not be called from two
-    threads at once.
+    It keeps no memory of earlier images, so frames may come in any order; one segmenter must not be called
+    from two threads at once.
     """
     o = options or SilhouetteOptions()
     differ = _gaussian(background, o) if o.method == "gaussian" else _mog2(background, o)
@@ -110,10 +113,11 @@ def _gaussian(
 ) -> Callable[[Image, tuple[int, int, int, int]], Mask]:
     """Single Gaussian per pixel and channel, with the brightness cone for shadows.
 
-    Foreground: some channel more than `threshold` sd from the mean. Shadow: the pixel's colour a seen as s b + rest, b the
-    background; darkened (s in shadow_range) with a small rest. Source: Xu, Landabaso & Pardas 2005 (as used by
-    Alcoverro 2014, section 2.6); the brightness and colour distortions are those of Horprasert et al. 1999. Deviation:
-    the colour distortion is in grey levels, not in sd: with the sd of clean video a soft shadow never passes.
+    Foreground: some channel more than `threshold` sd from the mean. Shadow: the pixel's colour a seen as s
+    b + rest, b the background; darkened (s in shadow_range) with a small rest. Source: Xu, Landabaso &
+    Pardas 2005 (as used by Alcoverro 2014, section 2.6); the brightness and colour distortions are those
+    of Horprasert et al. 1999. Deviation: the colour distortion is in grey levels, not in sd: with the sd
+    of clean video a soft shadow never passes.
     """
     reach = options.threshold * np.maximum(background.sd, np.float32(options.min_sd))
     low = np.clip(np.ceil(background.mean - reach), 0, 255).astype(np.uint8)
@@ -136,7 +140,8 @@ def _gaussian(
             dark = (s > darkest) & (s < lightest) & (colour < options.shadow_chroma**2)
             shadow = np.zeros_like(mask)
             shadow[ys[dark], xs[dark]] = 1
-            # where dark clothing meets a bright wall, mixed pixels along the edge look like shadow; a shadow is an area
+            # where dark clothing meets a bright wall, mixed pixels along the edge look like shadow; a shadow
+            # is an area
             mask &= 1 - cv2.morphologyEx(shadow, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
         return mask
 
@@ -148,8 +153,8 @@ def _mog2(
 ) -> Callable[[Image, tuple[int, int, int, int]], Mask]:
     """OpenCV's MOG2 taught with pictures of the background model (its quantiles), then frozen.
 
-    Deviation from its usual form: it does not go on learning, so that a person who stands still is not absorbed and
-    frames may be read in any order.
+    Deviation from its usual form: it does not go on learning, so that a person who stands still is not
+    absorbed and frames may be read in any order.
     """
     levels = np.linspace(-1.5, 1.5, 9)
     model = cv2.createBackgroundSubtractorMOG2(
@@ -170,7 +175,8 @@ def _mog2(
 
 
 def bounding_box(mask: ArrayLike, margin: int = 0) -> tuple[int, int, int, int] | None:
-    """(y0, y1, x0, x1), half open, around the non-zero pixels of mask (h, w) plus a margin; None when there are none."""
+    """(y0, y1, x0, x1), half open, around the non-zero pixels of mask (h, w) plus a margin; None when
+    there are none."""
     m = np.asarray(mask)
     rows, columns = np.flatnonzero(m.any(1)), np.flatnonzero(m.any(0))
     if len(rows) == 0:
@@ -185,7 +191,7 @@ def bounding_box(mask: ArrayLike, margin: int = 0) -> tuple[int, int, int, int] 
 
 
 def _disc(size: int) -> Mask:
-    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
 
 
 def clean(mask: Mask, options: SilhouetteOptions | None = None) -> Mask:
@@ -205,15 +211,15 @@ def clean(mask: Mask, options: SilhouetteOptions | None = None) -> Mask:
         small = stats[:, cv2.CC_STAT_AREA] <= o.hole_px
         small[0] = False  # label 0 is the foreground here
         if small.any():
-            part = part | small[label].astype(np.uint8)
+            part = np.asarray(part, dtype=np.uint8) | small[np.asarray(label, dtype=np.int64)].astype(np.uint8)
     out = np.zeros_like(mask)
-    out[y0:y1, x0:x1] = biggest_parts(part, o.keep_share, o.keep_gap)
+    out[y0:y1, x0:x1] = biggest_parts(np.asarray(part, dtype=np.uint8), o.keep_share, o.keep_gap)
     return out
 
 
 def biggest_parts(mask: Mask, keep_share: float, keep_gap: float = np.inf) -> Mask:
-    """The biggest connected part of mask (h, w), and those of at least keep_share times its area whose boxes are not
-    farther from its box than keep_gap times the longer side of that."""
+    """The biggest connected part of mask (h, w), and those of at least keep_share times its area whose
+    boxes are not farther from its box than keep_gap times the longer side of that."""
     count, label, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     if count < 2:
         return mask
@@ -227,16 +233,15 @@ def biggest_parts(mask: Mask, keep_share: float, keep_gap: float = np.inf) -> Ma
     size = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].astype(np.int64)
     gap = np.maximum(np.maximum(start - (start + size)[main], start[main] - (start + size)), 0).max(1)
     keep &= gap <= keep_gap * size[main].max()
-    return keep[label].astype(np.uint8)
+    return keep[np.asarray(label, dtype=np.int64)].astype(np.uint8)
 
 
-def refine_rim(
-    image: Image, mask: Mask, rim_px: int = 3, band: Mask | None = None, core: Mask | None = None
-) -> Mask:
-    """GrabCut in a rim of rim_px inside and outside the mask's outline; the rest of the mask is taken as sure.
+def refine_rim(image: Image, mask: Mask, rim_px: int = 3, band: Mask | None = None, core: Mask | None = None) -> Mask:
+    """GrabCut in a rim of rim_px inside and outside the mask's outline; the rest of the mask is taken as
+    sure.
 
-    band (h, w): the person is nowhere else. core (h, w): probably the person (a thin skeleton), also outside the mask.
-    An empty or collapsed result (GrabCut does that now and then) keeps the mask as it was.
+    band (h, w): the person is nowhere else. core (h, w): probably the person (a thin skeleton), also
+    outside the mask. An empty or collapsed result (GrabCut does that now and then) keeps the mask as it was.
     Source: Rother, Kolmogorov & Blake 2004, as in OpenCV.
     """
     box = bounding_box(mask if band is None else mask | (band > 0), 2 * rim_px + 2)
@@ -255,7 +260,7 @@ def refine_rim(
     out = np.zeros_like(mask)
     try:
         cv2.setRNGSeed(0)  # this thread's generator: the same mask for any number of threads
-        cv2.grabCut(part, label, None, np.zeros((1, 65)), np.zeros((1, 65)), 2, cv2.GC_INIT_WITH_MASK)
+        cv2.grabCut(part, label, (0, 0, 1, 1), np.zeros((1, 65)), np.zeros((1, 65)), 2, cv2.GC_INIT_WITH_MASK)
         out[y0:y1, x0:x1] = label & 1
     except cv2.error:  # no sure background or foreground left: nothing to learn colours from
         return mask
@@ -263,9 +268,11 @@ def refine_rim(
 
 
 def as_mask(image: ArrayLike, source: str = "The mask image") -> Mask:
-    """Mask (h, w) of an image from elsewhere: grey, colour or with alpha, 0/1, 0-255 or 16 bit, cut at half its range.
+    """Mask (h, w) of an image from elsewhere: grey, colour or with alpha, 0/1, 0-255 or 16 bit, cut at
+    half its range.
 
-    An image with two values is cut between them, so 0/1 masks work; a colour image counts by its brightest channel.
+    An image with two values is cut between them, so 0/1 masks work; a colour image counts by its brightest
+    channel.
     """
     a = np.asarray(image)
     if a.ndim == 3 and a.shape[2] in (1, 3, 4):
@@ -291,8 +298,8 @@ def flag_collapsed(
 ) -> tuple[str, ...]:
     """Why each view's mask cannot be trusted: C sentences, "" for a good view.
 
-    areas (C,) foreground pixels of this frame; history (C, H) of frames around or before it (H may be 0). A view is left
-    out when its mask is empty, below `lowest` or above `highest` times its median area.
+    areas (C,) foreground pixels of this frame; history (C, H) of frames around or before it (H may be 0).
+    A view is left out when its mask is empty, below `lowest` or above `highest` times its median area.
     """
     now = np.asarray(areas, dtype=np.float64)
     past = np.asarray(history, dtype=np.float64).reshape(len(now), -1)
@@ -304,17 +311,13 @@ def flag_collapsed(
             reasons.append(f"{name}, frame {frame}: the mask is empty")
         elif usual > 0 and not lowest * usual <= area <= highest * usual:
             what = "collapsed" if area < usual else "far too large"
-            reasons.append(
-                f"{name}, frame {frame}: the mask is {what} ({area:.0f} px, usually {usual:.0f} px)"
-            )
+            reasons.append(f"{name}, frame {frame}: the mask is {what} ({area:.0f} px, usually {usual:.0f} px)")
         else:
             reasons.append("")
     return tuple(reasons)
 
 
-def make_silhouettes(
-    masks: Sequence[Mask | None], rig: CameraRig, reasons: Sequence[str] | None = None
-) -> Silhouettes:
+def make_silhouettes(masks: Sequence[Mask | None], rig: CameraRig, reasons: Sequence[str] | None = None) -> Silhouettes:
     """Silhouettes of one instant: masks (h_c, w_c) per view padded with 0 to the common size.
 
     A view without a mask, with an empty one, or with a reason is not usable.
