@@ -147,10 +147,10 @@ class Recording:
         return out
 
 
-def load_recording(path: str | Path) -> Recording:
+def load_recording(path: str | Path, calibration: str | Path | None = None) -> Recording:
     """Load and check a recording folder, a recording.toml, or a Pose2Sim project or trial folder.
 
-    An InputError (CalibrationError for the cameras) names the file or camera, what is allowed and the next
+    calibration: a calibration file to use instead of the recording's own. An InputError (CalibrationError for the cameras) names the file or camera, what is allowed and the next
     step.
     """
     path = Path(path)
@@ -163,18 +163,26 @@ def load_recording(path: str | Path) -> Recording:
             raise InputError(
                 f"{path} is no recording; give a folder with recording.toml, that file, or a Pose2Sim project folder."
             )
-        return _build(path.parent, path, _read_toml(path), [])
+        return _build(path.parent, path, _with_calibration(_read_toml(path), calibration), [])
     toml = path / "recording.toml"
     if toml.is_file():
-        return _build(path, toml, _read_toml(toml), [])
+        return _build(path, toml, _with_calibration(_read_toml(toml), calibration), [])
     if pose2sim.is_project(path):
         settings, notes = pose2sim.read_project(path)
-        return _build(path, path, settings, notes)
+        return _build(path, path, _with_calibration(settings, calibration), notes)
     inside = [p.name for p in sorted(path.iterdir()) if p.is_dir() and (p / "recording.toml").is_file()]
     hint = f"it holds the recordings {', '.join(inside)}: name one" if inside else "write recording.toml"
     raise InputError(
         f"The folder {path} has no recording.toml and is no Pose2Sim project (Config.toml, videos); {hint}."
     )
+
+
+def _with_calibration(settings: Mapping[str, Any], path: str | Path | None) -> Mapping[str, Any]:
+    if path is None:
+        return settings
+    # the unit that was stated belongs to the other file
+    rest = {k: v for k, v in settings.items() if k != "calibration_unit"}
+    return {**rest, "calibration": os.path.abspath(path)}
 
 
 def write_recording(recording: Recording, folder: str | Path) -> Path:

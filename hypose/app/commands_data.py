@@ -1,0 +1,147 @@
+"""`hypose check`, `hypose silhouettes` and `hypose synth`: look at recordings, and make them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hypose.app.commands_track import Seed, Threads, set_threads
+from hypose.app.console import Stages, note, out, say
+from hypose.errors import InputError
+
+
+def check(
+    recording: Annotated[Path, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")],
+    sheet: Annotated[
+        Path | None, typer.Option("--out", help="Contact sheet to write. [default: results/check.png there]")
+    ] = None,
+    samples: Annotated[int, typer.Option(help="Frames to look at.")] = 5,
+    calibration: Annotated[
+        Path | None, typer.Option(help="Use this calibration file instead of the recording's.")
+    ] = None,
+) -> None:
+    """Load everything, show what there is, and look whether the views agree. Exit code 0: fine, 1: look at the warnings."""
+    from hypose.app.checking import camera_table, check_recording
+    from hypose.io.recording import load_recording
+
+    loaded = load_recording(recording, calibration)
+    console = out()
+    if not console.is_terminal:
+        console.width = 160
+    console.print(camera_table(loaded))
+    for text in loaded.notes:
+        say(f"note: {text}")
+    path = sheet or loaded.folder / "results" / "check.png"
+    with Stages() as progress:
+        found = check_recording(loaded, path, max(1, samples), progress)
+    for text in found.facts:
+        say(text)
+    for text in found.warnings:
+        say(f"warning: {text}", "yellow")
+    say(f"Contact sheet: {path}")
+    if found.warnings:
+        raise typer.Exit(1)
+    say("No problem found.", "green")
+
+
+def silhouettes(
+    recording: Annotated[Path, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")],
+    folder: Annotated[
+        Path | None, typer.Option("--out", help="Folder to write to. [default: results/silhouettes there]")
+    ] = None,
+    frames: Annotated[
+        str | None, typer.Option(help="first:stop, counted from 0. [default: recording.toml's, else all]")
+    ] = None,
+) -> None:
+    """Write the masks of the person as PNG, one folder per view, and a contact sheet."""
+    from hypose.app.checking import write_sheet
+    from hypose.app.job import choose_frames
+    from hypose.io.frames import FrameStream, write_masks
+    from hypose.io.recording import load_recording
+
+    loaded = choose_frames(load_recording(recording), frames)
+    target = folder or loaded.folder / "results" / "silhouettes"
+    with Stages() as progress:
+        progress("background", 0, 1)
+        with FrameStream(loaded) as source:
+            progress("background", 1, 1)
+            try:
+                write_masks(source, target, lambda done, total: progress("masks", done, total))
+            except KeyboardInterrupt:
+                say(f"Stopped; the masks written until then are in {target}.")
+                raise typer.Exit(130) from None
+            notes = source.notes
+            write_sheet(loaded, source, target / "sheet.jpg", 4)
+    for text in (*loaded.notes, *notes):
+        note(f"note: {text}")
+    say(f"Masks: {target} (0 and 255, undistorted, one folder per view)")
+    say(f"Contact sheet: {target / 'sheet.jpg'}")
+    say('To use them, corrected by hand perhaps, give each view in recording.toml: masks = "FOLDER/VIEW"')
+
+
+def synth(
+    folder: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write the recording to.")],
+    motion: Annotated[
+        str, typer.Option(help="walk, jog, box, wave, cross_arms, punch, sit_down, serve or combo.")
+    ] = "walk",
+    subject: Annotated[str, typer.Option(help="Name or number of a subject. [default: chosen by the seed]")] = "",
+    rig: Annotated[str, typer.Option(help="humaneva-4, humaneva-7, ixmas-5, court-4 or ring-N.")] = "humaneva-4",
+    seconds: Annotated[float, typer.Option(help="Length.")] = 4.0,
+    frame_rate: Annotated[float, typer.Option(help="Frames per second.")] = 25.0,
+    corruption: Annotated[
+        list[str] | None,
+        typer.Option(help="What goes wrong; may be given several times (level-1, shadow, desync, ...)."),
+    ] = None,
+    clothing: Annotated[float, typer.Option(help="Thickness of the clothes in metres, 0 to 0.04.")] = 0.02,
+    distorted: Annotated[bool, typer.Option(help="Lenses with distortion.")] = True,
+    keypoints: Annotated[
+        bool, typer.Option("--keypoints", help="Write 2D key points (OpenPose JSON) as well.")
+    ] = False,
+    seed: Seed = 0,
+    threads: Threads = None,
+) -> None:
+    """Make a synthetic recording with known truth: videos, background clips, calibration, recording.toml, truth.npz."""
+    set_threads(threads)
+    from hypose.evaluation.scenes import make_scene
+    from hypose.evaluation.write_recording import write_scene
+
+    if not 0 < seconds <= 3600:
+        raise InputError(f"--seconds {seconds:g} is not possible; give more than 0 and at most 3600.")
+    if folder.is_file():
+        raise InputError(f"{folder} is a file; give a folder.")
+    if folder.is_dir() and any(folder.iterdir()) and not (folder / "truth.npz").is_file():
+        raise InputError(f"The folder {folder} holds other files; give an empty or new folder.")
+    scene = make_scene(
+        motion,
+        _subject_name(subject),
+        rig,
+        seconds=seconds,
+        frame_rate=frame_rate,
+        seed=seed,
+        corruption=tuple(corruption or ()),
+        clothing_m=clothing,
+        distorted=distorted,
+    )
+    try:
+        with Stages() as progress:
+            path = write_scene(
+                scene, folder, keypoints=keypoints, progress=lambda done, total: progress("render", done, total)
+            )
+    except KeyboardInterrupt:
+        say(f"Stopped; {folder} is not complete. Start again with the same command.")
+        raise typer.Exit(130) from None
+    say(f"{path}: {scene.name}, {len(scene)} frames, {len(scene.rig)} cameras")
+
+
+def _subject_name(text: str) -> str:
+    """A subject's name from its name or number."""
+    if not text.isdigit():
+        return text
+    from hypose.evaluation.subjects import load_subjects
+
+    names = list(load_subjects())
+    if int(text) >= len(names):
+        raise InputError(f"There is no subject {text}; the subjects are 0 to {len(names) - 1}: {', '.join(names)}.")
+    return names[int(text)]

@@ -1,0 +1,95 @@
+"""`hypose export` and `hypose bench`: work on results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hypose.app.commands_track import Threads, set_threads, split_names
+from hypose.app.console import Stages, say
+from hypose.errors import InputError
+
+
+def export(
+    results: Annotated[Path, typer.Argument(help="Results folder of hypose track, or its motion.npz.")],
+    formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot",
+    out: Annotated[Path | None, typer.Option(help="Folder to write to. [default: the results folder]")] = None,
+) -> None:
+    """Write motion files (TRC, C3D, BVH, GLB, CSV, MOT) from a tracked motion."""
+    from hypose.io.bodies import load_body
+    from hypose.io.export import export_motion
+    from hypose.io.results import ResultsFolder, load_motion
+
+    if not results.exists():
+        raise InputError(f"{results} does not exist; give the results folder that hypose track wrote.")
+    folder = ResultsFolder(results if results.is_dir() else results.parent)
+    motion = load_motion(folder.motion if results.is_dir() else results)
+    body = load_body(folder.file("body.npz"))
+    if body.skeleton.joint_names != motion.skeleton.joint_names:
+        raise InputError(
+            f"{folder.path}: body.npz and the motion belong to different bodies; track the recording again."
+        )
+    names = split_names(formats)
+    with Stages() as progress:
+        progress("export", 0, 1)
+        written = export_motion(motion, body, out or folder.path, names)
+        progress("export", 1, 1)
+    for path in written:
+        say(str(path))
+
+
+def bench(
+    name: Annotated[str, typer.Argument(help="Name of the benchmark; a wrong one lists them.")] = "",
+    quick: Annotated[bool, typer.Option("--quick", help="At most a minute on two cores; small, and says so.")] = False,
+    seeds: Annotated[int, typer.Option(help="Repetitions; 0 = the benchmark's own number.")] = 0,
+    data: Annotated[Path | None, typer.Option(help="Folder with the real recordings, for real-* benchmarks.")] = None,
+    json: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
+    threads: Threads = None,
+) -> None:
+    """Measure accuracy and speed."""
+    set_threads(threads)
+    from hypose.evaluation.benchmarks import run_benchmark
+    from hypose.io.results import atomic_path, to_json
+
+    if seeds < 0:
+        raise InputError(f"--seeds {seeds} is not possible; give 0 (the benchmark's own number) or more.")
+    with Stages() as progress:
+        report = run_benchmark(name, quick=quick, seeds=seeds, data=data, progress=progress)
+    _show(report)
+    if json is not None:
+        with atomic_path(json) as temporary:
+            temporary.write_text(to_json(report), encoding="utf-8", newline="\n")
+        say(f"Written: {json}")
+
+
+def _show(report: dict[str, Any]) -> None:
+    from rich.table import Table
+
+    from hypose.app.console import out
+
+    table = Table(title=f"{report.get('name', '')}: {report.get('seconds', 0):.0f} s", title_justify="left")
+    for column in ("metric", "case", "value", "sd", "n", "baseline", "ratio"):
+        table.add_column(column, justify="left" if column in ("metric", "case", "baseline") else "right")
+    for row in report.get("results", []):
+        baseline = f"{row['baseline']} {_number(row.get('baseline_value'))}" if row.get("baseline") else ""
+        table.add_row(
+            str(row["metric"]),
+            str(row["case"]),
+            f"{_number(row['value'])} {row.get('unit') or ''}".strip(),
+            _number(row.get("sd")),
+            _number(row.get("n")),
+            baseline,
+            _number(row.get("ratio")),
+        )
+    console = out()
+    if not console.is_terminal:
+        console.width = 160  # a pipe has no width; wrapped tables are hard to read
+    console.print(table)
+
+
+def _number(value: Any) -> str:
+    if value is None:
+        return ""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

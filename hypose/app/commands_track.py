@@ -1,0 +1,192 @@
+"""`hypose track` and `hypose demo`."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import signal
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hypose.app.console import Stages, note, say
+from hypose.errors import InputError
+
+if TYPE_CHECKING:
+    from hypose.app.job import Job, Outcome
+
+Threads = Annotated[
+    int | None, typer.Option(help="Processor threads; the result does not depend on it. [default: all]")
+]
+Seed = Annotated[int, typer.Option(help="Of every random draw; the same seed gives the same motion.")]
+
+
+def track(
+    context: typer.Context,
+    recording: Annotated[Path, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")],
+    recipe: Annotated[str, typer.Option(help="default, hpf, apf, sir or partitioned.")] = "default",
+    refine: Annotated[bool, typer.Option("--refine", help="Contour refinement after a published recipe.")] = False,
+    evidence: Annotated[str, typer.Option(help="silhouettes, keypoints or both.")] = "silhouettes",
+    start: Annotated[
+        str, typer.Option(help="auto, keypoints, hull, or the first frame's pose: a, t, standing, hands-up.")
+    ] = "auto",
+    height: Annotated[
+        float | None, typer.Option(help="The subject's height in metres. [default: recording.toml's, else estimated]")
+    ] = None,
+    seed: Seed = 0,
+    frames: Annotated[
+        str | None, typer.Option(help="first:stop, counted from 0. [default: recording.toml's, else all]")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Results folder. [default: results/RECIPE in the recording's folder]")
+    ] = None,
+    formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot",
+    no_overlay: Annotated[bool, typer.Option("--no-overlay", help="Do not write overlay.mp4.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")] = False,
+    threads: Threads = None,
+    calibration: Annotated[
+        Path | None, typer.Option(help="Use this calibration file instead of the recording's.")
+    ] = None,
+) -> None:
+    """Track the person in a recording: poses with their uncertainty, motion files, overlay video, report."""
+    set_threads(threads)
+    from hypose.app.job import Job, choose_frames
+    from hypose.io.recording import load_recording
+    from hypose.io.results import ResultsFolder
+    from hypose.pipeline.run import TrackOptions
+
+    loaded = choose_frames(load_recording(recording, calibration), frames)
+    options = TrackOptions(
+        recipe=recipe,
+        refine=refine,
+        evidence=evidence,
+        seed=seed,
+        start=start,
+        height=height if height is not None else loaded.subject_height,
+    )
+    results = ResultsFolder(out) if out is not None else ResultsFolder.of(loaded.folder, recipe)
+    job = Job(
+        loaded,
+        options,
+        results,
+        formats=split_names(formats),
+        overlay=not no_overlay,
+        resume=resume,
+        run={"threads": threads},
+    )
+    report_outcome(job, run_shown(job, list(context.find_root().obj or [])))
+
+
+def demo(
+    context: typer.Context,
+    out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("demo"),
+    seconds: Annotated[float, typer.Option(help="Length of the recording.")] = 2.4,
+    seed: Seed = 1,
+    threads: Threads = None,
+) -> None:
+    """Make a synthetic four-camera recording, track it as `hypose track` would, and compare with the truth."""
+    set_threads(threads)
+    from hypose.app.job import Job
+    from hypose.app.truth import compare_with
+    from hypose.evaluation.scenes import make_scene
+    from hypose.evaluation.write_recording import write_scene
+    from hypose.io.recording import load_recording
+    from hypose.io.results import ResultsFolder
+    from hypose.pipeline.run import TrackOptions
+
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out} is a file; give a folder with --out.")
+    if out.is_dir() and any(out.iterdir()) and not (out / "truth.npz").is_file():
+        raise InputError(f"The folder {out} holds other files; give an empty or new folder with --out.")
+    say(f"Writing a synthetic recording of {seconds:g} s of walking, seen by four cameras, to {out}")
+    scene = make_scene("walk", rig="humaneva-4", seconds=seconds, seed=seed, distorted=True)
+    with Stages() as progress:
+        write_scene(scene, out, progress=lambda done, total: progress("render", done, total))
+    say(f"Tracking it as `hypose track {shlex.quote(str(out))}` would")
+    recording = load_recording(out)
+    results = ResultsFolder.of(recording.folder, "default")
+    job = Job(recording, TrackOptions(), results, run={"threads": threads}, truth=compare_with(out / "truth.npz"))
+    report_outcome(job, run_shown(job, list(context.find_root().obj or [])))
+
+
+def run_shown(job: Job, arguments: list[str]) -> tuple[Outcome, dict[str, float]]:
+    """Run a job with progress; when it is interrupted, say what was kept and how to go on, and exit with code 130."""
+    from hypose.app.job import run_job
+
+    previous = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        with Stages() as progress:
+            outcome = run_job(job, progress, progress.seconds)
+    except KeyboardInterrupt:
+        _stopped(job, arguments)
+        raise typer.Exit(130) from None
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+    if not outcome.complete:
+        _stopped(job, arguments)
+        raise typer.Exit(130)
+    return outcome, progress.seconds
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def _stopped(job: Job, arguments: list[str]) -> None:
+    from hypose.io.results import load_motion
+
+    results, total = job.results, len(job.recording.frames)
+    again = [a for a in arguments if a != "--resume"]
+    command = f"hypose {shlex.join([*again, '--resume'])}" if again[:1] == ["track"] else "the same command"
+    if results.checkpoint.exists():
+        done = f"{len(load_motion(results.motion))} of {total} frames" if results.motion.exists() else "tracked frames"
+        say(f"Stopped. Kept: {done} in {results.motion}, and the state of the tracker. Go on with: {command}")
+    elif results.motion.exists():
+        say(f"Stopped. The motion is complete in {results.motion}. Write the other files with: {command}")
+    else:
+        say(f"Stopped before the first frame was tracked, so nothing was kept. Start again with: {command}")
+
+
+def report_outcome(job: Job, finished: tuple[Outcome, dict[str, float]]) -> None:
+    """The closing lines."""
+    from hypose.app.report import summarize
+
+    outcome, seconds = finished
+    s = summarize(outcome.motion)
+    for text in outcome.notes:
+        note(f"note: {text}")
+    parts = [f"{s.frames} frames in {len(job.recording.rig)} views", f"{s.lost} lost", f"{s.extrapolated} extrapolated"]
+    if s.iou == s.iou:
+        parts.append(f"mean IoU {s.iou:.3f}")
+    if s.sd_mm == s.sd_mm:
+        parts.append(f"median joint sd {s.sd_mm:.1f} mm")
+    if seconds.get("track"):
+        parts.append(f"{s.frames / seconds['track']:.1f} frames/s")
+    say(f"{job.recording.name}: " + ", ".join(parts))
+    if outcome.truth is not None:
+        say(f"Mean joint error: {outcome.truth.mean_mm:.1f} mm over {len(outcome.truth.names)} joints", "bold")
+    say(f"Results: {job.results.path}")
+    say(f"Report:  {job.results.file('report.html')}")
+
+
+def split_names(text: str) -> tuple[str, ...]:
+    """The names of a comma-separated list; an InputError when there is none."""
+    names = tuple(dict.fromkeys(n.strip().lower().lstrip(".") for n in text.split(",") if n.strip()))
+    if not names:
+        raise InputError("The list of formats is empty; give at least one, for example --formats trc,c3d.")
+    return names
+
+
+def set_threads(count: int | None) -> None:
+    """Limit the threads of everything that uses threads; call it before numpy and OpenCV are imported."""
+    if count is None:
+        return
+    if not 1 <= count <= 256:
+        raise InputError(f"--threads {count} is not possible; give 1 to 256, or leave it out to use all cores.")
+    for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = str(count)
+    import cv2
+
+    cv2.setNumThreads(count)

@@ -1,0 +1,150 @@
+"""What the command line shows: stages with frames/s and time left, tables, sentences.
+
+Results go to stdout, progress and errors to stderr, so that `hypose ... > file` keeps what matters.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.progress import Task as RichTask
+from rich.text import Text
+
+TITLES = {
+    "prepare": "Prepare",
+    "compile": "Compile (once per machine)",
+    "background": "Background",
+    "masks": "Silhouettes",
+    "subject": "Subject",
+    "track": "Track",
+    "export": "Export",
+    "overlay": "Overlay video",
+    "report": "Report",
+    "render": "Render",
+    "check": "Check",
+}
+"""What a stage is called in front of the user."""
+COUNTED_IN_FRAMES = frozenset({"track", "overlay", "masks", "render"})
+_PLAIN_SECONDS = 10.0  # without a terminal a line at most this often
+
+
+def out() -> Console:
+    """For results; made anew so that a redirected stdout is respected."""
+    return Console(file=sys.stdout, highlight=False, soft_wrap=True)
+
+
+def err() -> Console:
+    """For progress and errors."""
+    return Console(file=sys.stderr, highlight=False, soft_wrap=True)
+
+
+def say(text: str = "", style: str | None = None) -> None:
+    """One line of result."""
+    out().print(text, style=style, markup=False)
+
+
+def note(text: str) -> None:
+    """One line beside the results (stderr)."""
+    err().print(text, style="dim", markup=False)
+
+
+def error(text: str) -> None:
+    """The sentence that ends a failed command."""
+    err().print(Text.assemble(("error: ", "bold red"), text))
+
+
+class _Speed(ProgressColumn):
+    """Frames per second over the last steps."""
+
+    def render(self, task: RichTask) -> Text:
+        """The figure, or nothing for stages that are not counted in frames."""
+        speed = task.finished_speed or task.speed
+        if not speed or task.fields.get("unit") != "frames":
+            return Text("")
+        return Text(f"{speed:.1f} frames/s" if speed < 100 else f"{speed:.0f} frames/s")
+
+
+class Stages:
+    """Progress of the stages of one command; call it with (stage, done, total).
+
+    In a terminal one bar per stage with frames/s and time left; elsewhere (a log, a pipe) a plain line at the start and
+    end of each stage and every 10 s. seconds: how long each stage took.
+    """
+
+    def __init__(self, quiet: bool = False) -> None:
+        console = err()
+        self.seconds: dict[str, float] = {}
+        self._began: dict[str, float] = {}
+        self._tasks: dict[str, TaskID] = {}
+        self._said: dict[str, float] = {}
+        self._plain = None if quiet or console.is_terminal else console
+        self._bars: Progress | None = None
+        if console.is_terminal and not quiet:
+            self._bars = Progress(
+                TextColumn("{task.description:<26}"),
+                BarColumn(bar_width=30),
+                MofNCompleteColumn(),
+                _Speed(),
+                TimeRemainingColumn(compact=True, elapsed_when_finished=True),
+                console=console,
+            )
+
+    def __enter__(self) -> Stages:
+        if self._bars is not None:
+            self._bars.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bars is not None:
+            self._bars.stop()
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Say that `done` of `total` steps of a stage are done."""
+        now = time.monotonic()
+        began = self._began.setdefault(stage, now)
+        self.seconds[stage] = now - began
+        title = TITLES.get(stage, stage.capitalize())
+        if self._bars is not None:
+            task = self._tasks.get(stage)
+            if task is None:
+                unit = "frames" if stage in COUNTED_IN_FRAMES else ""
+                task = self._tasks[stage] = self._bars.add_task(title, total=total, unit=unit)
+            self._bars.update(task, completed=done, total=total)
+        elif self._plain is not None:
+            self._say_plainly(stage, title, done, total, now)
+
+    def _say_plainly(self, stage: str, title: str, done: int, total: int, now: float) -> None:
+        first, last = stage not in self._said, done >= total
+        if not first and not last and now - self._said[stage] < _PLAIN_SECONDS:
+            return
+        if self._said.get(stage) == float("inf"):
+            return
+        self._said[stage] = float("inf") if last else now
+        elapsed = now - self._began[stage]
+        rate = f", {done / elapsed:.1f} per s" if elapsed > 0.5 and done else ""
+        left = f", {(total - done) * elapsed / done:.0f} s left" if rate and not last else f", {elapsed:.1f} s"
+        if self._plain is not None:
+            self._plain.print(f"{title}: {done}/{total}{rate}{left if not first or last else ''}", markup=False)
+
+
+ProgressCall = Callable[[str, int, int], None]
+"""progress(stage, done, total)."""
+
+
+def ignore(stage: str, done: int, total: int) -> None:
+    """A progress that shows nothing."""

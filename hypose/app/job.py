@@ -1,0 +1,233 @@
+"""A tracking job: what `hypose track` and `hypose demo` do with one recording, from videos to the report.
+
+Each step writes its files before the next begins, so that whatever ends the job early leaves all earlier work.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from hypose import compute
+from hypose.app.console import ProgressCall, ignore
+from hypose.app.plots import Truth
+from hypose.body.body import Body
+from hypose.body.motion import Motion
+from hypose.errors import InputError
+from hypose.io.bodies import load_body, save_body
+from hypose.io.export import FORMATS, export_motion
+from hypose.io.frames import FrameOptions, FrameStream
+from hypose.io.provenance import identity, provenance
+from hypose.io.recording import Recording
+from hypose.io.results import ResultsFolder, load_motion, to_json
+from hypose.pipeline.run import TrackOptions, TrackResult, track_source
+from hypose.tracking.recipes import recipe
+
+DESCRIPTIONS = {
+    "motion.npz": "poses, joints, uncertainty and flags (numpy; metres, radians, seconds; world z up)",
+    "body.npz": "the subject's body",
+    "motion.trc": "joint centres for OpenSim (millimetres, y up)",
+    "motion.c3d": "joint centres as float C3D (millimetres, z up; residual = standard deviation)",
+    "motion.mot": "joint angles for OpenSim (degrees, metres)",
+    "motion.bvh": "skeleton animation (metres, degrees, y up)",
+    "motion.glb": "skinned, animated body for Blender and browsers (metres, y up)",
+    "angles.csv": "joint angles (degrees)",
+    "joints.csv": "joint centres with their standard deviation (metres, z up) and flags per frame",
+    "overlay.mp4": "the body on the recorded images",
+    "provenance.json": "settings, versions, inputs with their hashes",
+    "report.html": "this report",
+}
+"""What each file of a results folder is."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """recording: its frame_range is what is tracked. results: where files go. formats: of hypose.io.export. overlay:
+    write overlay.mp4. resume: go on from a checkpoint, or fill in what is missing of a complete run. threads: for the
+    record only. truth: compares the motion with a known truth, for synthetic recordings."""
+
+    recording: Recording
+    options: TrackOptions
+    results: ResultsFolder
+    formats: Sequence[str] = tuple(FORMATS)
+    overlay: bool = True
+    resume: bool = False
+    run: Mapping[str, Any] = field(default_factory=dict)
+    truth: Callable[[Motion, Body], Truth] | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came out. files: written paths in order; notes: for the user; truth: the comparison, if there was one."""
+
+    motion: Motion
+    body: Body
+    complete: bool
+    files: tuple[Path, ...]
+    notes: tuple[str, ...]
+    truth: Truth | None = None
+
+
+def choose_frames(recording: Recording, text: str | None) -> Recording:
+    """The recording limited to frames "A:B" (from A up to, not including, B, counted from 0; either may be left out)."""
+    if text is None:
+        return recording
+    first, colon, stop = text.partition(":")
+    try:
+        if not colon:
+            raise ValueError
+        a, b = int(first or 0), int(stop or recording.n_frames)
+    except ValueError:
+        raise InputError(f"--frames {text} is no range; write first:stop, for example 0:100.") from None
+    if not 0 <= a < b <= recording.n_frames:
+        raise InputError(
+            f"--frames {text} lies outside the recording, which has the frames 0 to {recording.n_frames - 1}; give the "
+            f"first frame and the one after the last, at most 0:{recording.n_frames}."
+        )
+    return replace(recording, frame_range=(a, b))
+
+
+def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, float] | None = None) -> Outcome:
+    """Track, export, draw and report. seconds: filled by the progress while this runs, read for the report.
+
+    KeyboardInterrupt while tracking gives an Outcome with complete=False (checkpoint and partial motion are on disk); in
+    any other stage it is passed on.
+    """
+    recording, options, results = job.recording, job.options, job.results
+    _check_formats(job.formats)
+    results.check_writable()
+    record = _record(job)
+    progress("compile", 0, 1)
+    compute.warm_up()
+    progress("compile", 1, 1)
+    finished = _finished(job, record) if job.resume else None
+    progress("background", 0, 1)
+    # key points alone need no image, so nothing is decoded
+    evidence = FrameOptions(silhouettes=None) if options.evidence == "keypoints" else FrameOptions()
+    with FrameStream(recording, evidence) as source:
+        progress("background", 1, 1)
+        if finished is None:
+            tracked = track_source(
+                source,
+                recording.frame_rate,
+                options,
+                results=results,
+                record=record,
+                resume=job.resume,
+                progress=progress,
+            )
+            save_body(tracked.body, results.file("body.npz"))
+            results.write_json("provenance.json", tracked.motion.provenance)
+        else:
+            tracked = finished
+        notes = (*recording.notes, *source.notes, *tracked.notes)
+        files = [results.motion, results.file("body.npz"), results.file("provenance.json")]
+        truth = job.truth(tracked.motion, tracked.body) if job.truth is not None else None
+        if not tracked.complete:
+            return Outcome(tracked.motion, tracked.body, False, tuple(files), notes, truth)
+        files += _export(job, tracked, progress)
+        files += _draw(job, tracked, source, notes, truth, files, progress, seconds or {})
+    _remove_stale(results, files)
+    return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth)
+
+
+def _check_formats(formats: Sequence[str]) -> None:
+    unknown = [f for f in formats if f not in FORMATS]
+    if unknown:
+        raise InputError(f"There is no export format {unknown[0]!r}; the formats are {', '.join(FORMATS)}.")
+
+
+def _record(job: Job) -> dict[str, Any]:
+    """The provenance: everything that decides the result, and the run."""
+    recording, options = job.recording, job.options
+    frames = recording.frames
+    settings = {
+        **options.settings(),
+        "frames": [frames.start, frames.stop],
+        "frame_rate": recording.frame_rate,
+        "views": [v.name for v in recording.views],
+    }
+    inputs = dict(recording.inputs)
+    toml = recording.folder / "recording.toml"
+    if toml.is_file():
+        inputs["recording"] = toml
+    return provenance(options.recipe, options.seed, settings, inputs, job.run)
+
+
+def _finished(job: Job, record: Mapping[str, Any]) -> TrackResult | None:
+    """The complete motion of an earlier run with the same inputs and settings, when only later files may be missing."""
+    results = job.results
+    body = results.file("body.npz")
+    if results.checkpoint.exists() or not results.motion.exists() or not body.exists():
+        return None
+    motion = load_motion(results.motion)
+    if to_json(identity(motion.provenance)) != to_json(identity(record)) or len(motion) != len(job.recording.frames):
+        return None
+    return TrackResult(motion, load_body(body), True, ("tracked in an earlier run with the same inputs and settings",))
+
+
+def _export(job: Job, tracked: TrackResult, progress: ProgressCall) -> list[Path]:
+    written: list[Path] = []
+    for done, name in enumerate(job.formats):
+        progress("export", done, len(job.formats))
+        written += export_motion(tracked.motion, tracked.body, job.results.path, (name,))
+    progress("export", len(job.formats), len(job.formats))
+    return written
+
+
+def _draw(
+    job: Job,
+    tracked: TrackResult,
+    source: FrameStream,
+    notes: Sequence[str],
+    truth: Truth | None,
+    files: Sequence[Path],
+    progress: ProgressCall,
+    seconds: Mapping[str, float],
+) -> list[Path]:
+    """Overlay and report."""
+    from hypose.app.overlay import still_rows, write_overlay
+    from hypose.app.report import ReportInput, write_report
+
+    recording, motion, results = job.recording, tracked.motion, job.results
+    rows = still_rows(motion)
+    path = results.file("overlay.mp4")
+    stills = write_overlay(
+        path, recording, source, motion, tracked.body, stills=rows, video=job.overlay, progress=progress
+    )
+    out = [path] if job.overlay else []
+    report = results.file("report.html")
+    progress("report", 0, 1)
+    numbers = recording.frames
+    listed = [*files, *out, report]
+    made, _ = recipe(job.options.recipe, tracked.body, frame_rate=recording.frame_rate, refine=job.options.refine)
+    write_report(
+        report,
+        ReportInput(
+            title=recording.name,
+            motion=motion,
+            body=tracked.body,
+            rig=recording.rig,
+            stills=[(f"Frame {numbers[r]}", stills[r]) for r in rows],
+            files=[(p.name, DESCRIPTIONS.get(p.name, "")) for p in listed],
+            notes=notes,
+            citation=made.citation,
+            seconds=dict(seconds),
+            truth=truth,
+            complete=tracked.complete,
+        ),
+    )
+    progress("report", 1, 1)
+    return [*out, report]
+
+
+def _remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:
+    """Files of an earlier run that this one did not write again would pass for results of this one."""
+    keep = {p.name for p in written}
+    for name in DESCRIPTIONS:
+        if name not in keep:
+            with contextlib.suppress(OSError):
+                results.file(name).unlink(missing_ok=True)

@@ -1,0 +1,217 @@
+"""report.html: one file that tells how a run went; pictures and plots are inside it, nothing is loaded from anywhere."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from hypose import __version__
+from hypose.app import plots
+from hypose.app.pictures import Image
+from hypose.app.plots import Truth
+from hypose.body.body import Body
+from hypose.body.motion import Motion
+from hypose.cameras.camera import CameraRig
+from hypose.io.results import to_json
+
+_STYLE = """
+:root { color-scheme: light; }
+body { font: 15px/1.5 system-ui, sans-serif; color: #222; background: #fff; margin: 0 auto; max-width: 1080px;
+  padding: 24px; }
+h1 { font-size: 24px; margin: 0 0 2px; } h2 { font-size: 17px; margin: 34px 0 6px; border-bottom: 1px solid #ddd; }
+p { margin: 6px 0; } .dim { color: #666; } .bad { color: #b3261e; font-weight: 600; }
+.cards { display: flex; flex-wrap: wrap; gap: 10px; margin: 16px 0; }
+.card { border: 1px solid #ddd; border-radius: 6px; padding: 8px 14px; min-width: 110px; }
+.card b { display: block; font-size: 21px; font-weight: 600; } .card span { color: #666; font-size: 13px; }
+table { border-collapse: collapse; font-size: 14px; } td, th { padding: 3px 14px 3px 0; text-align: left;
+  vertical-align: top; border-bottom: 1px solid #eee; } td.n { text-align: right; font-variant-numeric: tabular-nums; }
+img, svg { max-width: 100%; height: auto; } figure { margin: 12px 0; } figcaption { color: #666; font-size: 13px; }
+details { margin: 8px 0; } pre { background: #f6f6f6; padding: 10px; overflow-x: auto; font-size: 12px; }
+.two { display: flex; flex-wrap: wrap; gap: 24px; align-items: flex-start; }
+"""
+
+
+@dataclass(frozen=True)
+class ReportInput:
+    """What a report shows. title; motion, body, rig; stills: (caption, picture BGR); files: (name, what it is); notes:
+    sentences; citation of the method; seconds per stage; truth of a synthetic recording; complete: every frame was
+    tracked."""
+
+    title: str
+    motion: Motion
+    body: Body
+    rig: CameraRig
+    stills: Sequence[tuple[str, Image]] = ()
+    files: Sequence[tuple[str, str]] = ()
+    notes: Sequence[str] = ()
+    citation: str = ""
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    truth: Truth | None = None
+    complete: bool = True
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Figures of a motion. iou: mean overlap (NaN when not known); worst_iou; sd_mm: median over joints and frames."""
+
+    frames: int
+    seconds: float
+    lost: int
+    extrapolated: int
+    iou: float
+    worst_iou: float
+    sd_mm: float
+
+
+def summarize(motion: Motion) -> Summary:
+    """The figures that the closing lines and the report share."""
+    iou, sd = 1 - motion.cost, motion.joint_sd
+    iou, sd = iou[np.isfinite(iou)], sd[np.isfinite(sd)]
+    return Summary(
+        len(motion),
+        len(motion) / motion.frame_rate,
+        int(motion.lost.sum()),
+        int((motion.extrapolated & ~motion.lost).sum()),
+        float(iou.mean()) if len(iou) else float("nan"),
+        float(iou.min()) if len(iou) else float("nan"),
+        float(np.median(sd)) * 1000 if len(sd) else float("nan"),
+    )
+
+
+def write_report(path: str | Path, what: ReportInput) -> Path:
+    """Write the report whole or not at all; returns its path."""
+    from hypose.io.files import write_text
+
+    write_text(path, report_html(what))
+    return Path(path)
+
+
+def report_html(what: ReportInput) -> str:
+    """The page."""
+    m = what.motion
+    parts = [_head(what), _cards(what)]
+    if not what.complete:
+        parts.append('<p class="bad">The run was interrupted: this is what was tracked until then.</p>')
+    if what.notes:
+        parts.append("<h2>Notes</h2><ul>" + "".join(f"<li>{html.escape(n)}</li>" for n in what.notes) + "</ul>")
+    if what.truth is not None:
+        text = f"The recording is synthetic, so the truth is known: {what.truth.mean_mm:.1f} mm mean distance over "
+        text += f"{len(what.truth.names)} joints. {what.truth.note}"
+        parts.append(f"<h2>Distance to the truth</h2><p>{html.escape(text)}</p>")
+        parts.append(_figure(plots.error_plot(m, what.truth), "Left: over time. Right: mean per joint."))
+    if what.stills:
+        parts.append("<h2>Pictures</h2>")
+        parts += [_still(caption, picture) for caption, picture in what.stills]
+        parts.append(
+            '<p class="dim">Tinted: the body. Thin pink line: edge of the mask. Orange: left limbs, blue: right limbs.</p>'
+        )
+    parts.append("<h2>How well the body fits the images</h2>")
+    if np.isfinite(m.cost).any():
+        caption = (
+            "Intersection over union of the body's silhouette and the mask, mean over the views; 1 is a perfect fit."
+        )
+        parts.append(_figure(plots.fit_plot(m), caption))
+    else:
+        parts.append("<p>No silhouettes were used, so there is no overlap to show.</p>")
+    if np.isfinite(m.joint_sd).any():
+        caption = "Standard deviation per axis of the joints' positions as the tracker sees it, median of each region."
+        parts.append(_figure(plots.sd_plot(m), caption))
+    if m.poses is not None and np.isfinite(m.poses).any():
+        caption = (
+            "Names and signs as in OpenSim's full-body model (Rajagopal 2016), degrees; all angles are in angles.csv."
+        )
+        parts.append("<h2>Joint angles</h2>" + _figure(plots.angle_plot(m), caption))
+    parts.append('<div class="two"><div><h2>Seen from above</h2>')
+    parts.append(_figure(plots.top_view_plot(m, what.rig, what.truth), "Metres; cameras are squares.") + "</div>")
+    parts.append(f"<div><h2>Subject</h2>{_subject(what.body)}</div></div>")
+    if what.files:
+        rows = "".join(f"<tr><td>{html.escape(n)}</td><td>{html.escape(t)}</td></tr>" for n, t in what.files)
+        parts.append(f"<h2>Files</h2><table>{rows}</table>")
+    parts.append(_origin(what))
+    body = "\n".join(parts)
+    return (
+        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{html.escape(what.title)}</title>'
+        '<meta name="viewport" content="width=device-width"><link rel="icon" href="data:,">'
+        f"<style>{_STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
+    )
+
+
+def _head(what: ReportInput) -> str:
+    recipe = str(what.motion.provenance.get("recipe", "unknown"))
+    return (
+        f"<h1>{html.escape(what.title)}</h1>"
+        f'<p class="dim">recipe {html.escape(recipe)} · hypose {html.escape(__version__)}</p>'
+    )
+
+
+def _cards(what: ReportInput) -> str:
+    s = summarize(what.motion)
+    cards = [(f"{s.frames}", f"frames, {s.seconds:.1f} s"), (str(len(what.rig)), "views")]
+    cards.append((f"{s.lost}", "frames lost"))
+    cards.append((f"{s.extrapolated}", "frames extrapolated"))
+    if np.isfinite(s.iou):
+        cards.append((f"{s.iou:.3f}", f"mean IoU (worst {s.worst_iou:.2f})"))
+    if np.isfinite(s.sd_mm):
+        cards.append((f"{s.sd_mm:.1f} mm", "median joint sd"))
+    if what.truth is not None:
+        cards.append((f"{what.truth.mean_mm:.1f} mm", "mean joint error"))
+    if what.seconds.get("track"):
+        cards.append((f"{s.frames / what.seconds['track']:.1f}", "frames/s tracked"))
+    return '<div class="cards">' + "".join(_card(a, b) for a, b in cards) + "</div>"
+
+
+def _card(value: str, label: str) -> str:
+    return f'<div class="card"><b>{html.escape(value)}</b><span>{html.escape(label)}</span></div>'
+
+
+def _figure(svg: str, caption: str) -> str:
+    return f"<figure>{svg}<figcaption>{html.escape(caption)}</figcaption></figure>"
+
+
+def _still(caption: str, picture: Image) -> str:
+    h, w = picture.shape[:2]
+    if w > 1280:
+        picture = np.asarray(cv2.resize(picture, (1280, round(h * 1280 / w)), interpolation=cv2.INTER_AREA), np.uint8)
+    data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
+    text = base64.b64encode(data).decode("ascii")
+    alt = html.escape(caption)
+    return f'<figure><img alt="{alt}" src="data:image/jpeg;base64,{text}"><figcaption>{alt}</figcaption></figure>'
+
+
+def _subject(body: Body) -> str:
+    rows = [("stature", body.stature)]
+    lengths: dict[str, float] = body.segment_lengths()
+    for name, value in lengths.items():
+        if name.startswith("left_"):
+            plain = name.removeprefix("left_")
+            rows.append((plain, 0.5 * (value + lengths[f"right_{plain}"])))
+        elif not name.startswith("right_"):
+            rows.append((name, value))
+    cells = "".join(
+        f'<tr><td>{html.escape(n.replace("_", " "))}</td><td class="n">{v:.3f} m</td></tr>' for n, v in rows
+    )
+    return f'<table>{cells}</table><p class="dim">Between joint centres; limbs: mean of both sides.</p>'
+
+
+def _origin(what: ReportInput) -> str:
+    record: dict[str, Any] = dict(what.motion.provenance)
+    out = "<h2>How this was made</h2>"
+    if what.citation:
+        out += f"<p>Method: {html.escape(what.citation)}</p>"
+    if what.seconds:
+        rows = "".join(
+            f'<tr><td>{html.escape(k)}</td><td class="n">{v:.1f} s</td></tr>' for k, v in what.seconds.items()
+        )
+        out += f"<details><summary>Time per stage</summary><table>{rows}</table></details>"
+    text = html.escape(to_json(record))
+    return (
+        out
+        + f"<details><summary>Provenance: settings, versions, inputs with their hashes</summary><pre>{text}</pre></details>"
+    )
