@@ -135,15 +135,18 @@ def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> tu
 def occluder_mesh(name: str) -> tuple[Array, NDArray[np.int32]] | None:
     """World mesh (vertices (V, 3) m, faces (F, 3)) of an occluder, or None for "".
 
-    "table": 1.6 x 0.7 m, 0.75 m high, 1.35 m from the volume's centre towards -y. "treadmill": two hand rails
-    with posts, 0.55 m left and right of the centre, 1.0 m high, and a console bar in front.
+    "table": 1.6 x 0.7 m, 0.75 m high, 1.55 m from the volume's centre, before the cameras near azimuth 218 degrees (all
+    rigs but court-4 have one there). "treadmill": two hand rails with posts, 0.55 m left and right of the centre, 1.0 m
+    high, and a console bar in front (for people who stay at the centre).
     """
     if name == "":
         return None
+    turn = np.eye(3)
     if name == "table":
-        boxes = [((-0.8, -1.7, 0.71), (0.8, -1.0, 0.75))]
-        boxes += [((x, y, 0.0), (x + 0.05, y + 0.05, 0.71)) for x in (-0.78, 0.73) for y in (-1.68, -1.07)]
-        boxes.append(((-0.75, -1.66, 0.3), (0.75, -1.63, 0.71)))  # its front board hides most
+        boxes = [((-0.8, -1.9, 0.71), (0.8, -1.2, 0.75))]
+        boxes += [((x, y, 0.0), (x + 0.05, y + 0.05, 0.71)) for x in (-0.78, 0.73) for y in (-1.88, -1.27)]
+        boxes.append(((-0.75, -1.86, 0.3), (0.75, -1.83, 0.71)))  # its front board hides most
+        turn = so3_exp([0.0, 0.0, np.radians(218.0 - 270.0)])
     elif name == "treadmill":
         boxes = []
         for x in (-0.58, 0.53):
@@ -157,7 +160,7 @@ def occluder_mesh(name: str) -> tuple[Array, NDArray[np.int32]] | None:
         v, f = box(low, high)
         faces.append(f + 8 * len(vertices))
         vertices.append(v)
-    return np.concatenate(vertices), np.concatenate(faces).astype(np.int32)
+    return np.concatenate(vertices) @ turn.T, np.concatenate(faces).astype(np.int32)
 
 
 def disturb_rig(rig: CameraRig, relative: float, rng: np.random.Generator) -> CameraRig:

@@ -85,6 +85,7 @@ def _gait(
     swing *= amplitude * take.factor(0.15)
     elbow += take.offset(6)
     values: dict[str, Array] = {}
+    hip_drop = -3.0 * np.sin(2 * np.pi * (phase + 0.02))  # the pelvis sinks on the side of the swinging leg
     for side, shift in (("left", 0.0), ("right", 0.5)):
         p = phase + shift
         arm = np.cos(2 * np.pi * (p - 0.03))  # the arm is back when the leg of its side is in front
@@ -92,7 +93,9 @@ def _gait(
         values[f"{side}_knee_flexion"] = np.maximum(size * _periodic(curves["knee"], p), 2.0)
         values[f"{side}_ankle_dorsiflexion"] = size * _periodic(curves["ankle"], p)
         values[f"{side}_hip_internal"] = np.full_like(t, -6.0)
-        values[f"{side}_hip_abduction"] = np.full_like(t, -1.0 if jog else 0.5)
+        # the legs stay upright under the listing pelvis
+        sign = 1.0 if side == "left" else -1.0
+        values[f"{side}_hip_abduction"] = (-1.0 if jog else 0.5) + sign * hip_drop
         values[f"{side}_shoulder_flexion"] = (-8.0 if jog else 3.0) - swing * arm + take.drift(t, 1.5)
         values[f"{side}_shoulder_abduction"] = np.full_like(t, (14.0 if jog else 9.0) + take.offset(2))
         values[f"{side}_shoulder_internal"] = (22.0 if jog else 8.0) - (12.0 if jog else 4.0) * arm
@@ -100,14 +103,13 @@ def _gait(
         values[f"{side}_clavicle_forward"] = -0.12 * swing * arm
     stride = np.cos(2 * np.pi * phase)
     values["pelvis_turn"] = -(7.0 if jog else 5.0) * size * stride
-    values["pelvis_list"] = -(3.0 if jog else 3.0) * np.sin(2 * np.pi * (phase + 0.02))
+    values["pelvis_list"] = hip_drop
     values["pelvis_lean"] = np.full_like(t, lean * 0.5 + take.offset(1))
     values["spine_turn"] = (16.0 if jog else 11.0) * size * stride
     values["spine_list"] = (4.0 if jog else 3.5) * np.sin(2 * np.pi * (phase + 0.02))
     values["spine_lean"] = lean + 1.0 * np.cos(4 * np.pi * phase) + take.drift(t, 0.7)
     values["neck_turn"] = -(9.0 if jog else 6.0) * size * stride + take.drift(t, 4.0, 4.0)
     values["neck_lean"] = -lean + take.drift(t, 2.5, 4.0)
-    values["left"] = 0.022 * np.sin(2 * np.pi * (phase + 0.02)) * (0.5 if jog else 1.0)
     if jog:
         # flight: both feet off the ground after each toe-off at 37 %, until the other foot strikes at 50 %
         air = ((2 * phase) % 1.0 - 0.74) / 0.26

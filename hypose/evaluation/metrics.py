@@ -120,8 +120,10 @@ class JointErrors:
 
     @property
     def frame_means(self) -> Array:
-        """(T,) m: mean over the joints."""
-        return np.nanmean(self.distances, axis=1)
+        """(T,) m: mean over the joints; NaN where none is known."""
+        known = np.isfinite(self.distances)
+        with np.errstate(invalid="ignore"):
+            return np.where(known, self.distances, 0.0).sum(1) / known.sum(1)
 
     @property
     def mean(self) -> float:

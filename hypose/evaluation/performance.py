@@ -210,12 +210,17 @@ def _travel(angles: Angles, subject: Subject, rotations: Array) -> tuple[Array, 
     low, motion = soles(subject, rotations, joints)
     scale = subject.leg_length
     height = -_soft_minimum(low, 0.006) + angles.get("up") * scale
+    rate = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else 25.0
     # the body goes as fast forward as the sole that carries it goes backward under the pelvis
     backward = motion[..., 1] / dt[:, None]
+    aside = -motion[..., 0] / dt[:, None]
     # (a foot that swings forward close above the ground does not carry)
     carries = np.exp(-(low - low.min(1, keepdims=True)) / 0.01) / (1 + np.exp(-backward / 0.1)) + 1e-6
     speed = (backward * carries).sum(1) / carries.sum(1)
-    rate = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else 25.0
+    # and sways over it from side to side, without drifting away
+    sway = gaussian_filter1d((aside * carries).sum(1) / carries.sum(1), 0.06 * rate, mode="nearest")
+    sway = np.concatenate([[0.0], np.cumsum((sway[1:] + sway[:-1]) / 2 * np.diff(times))])
+    sway -= gaussian_filter1d(sway, 0.6 * rate, mode="nearest")
     flight = angles.get("up") > 1e-4
     if flight.any():
         speed = np.where(flight, np.median(speed[~flight]) if (~flight).any() else 0.0, speed)
@@ -233,6 +238,7 @@ def _travel(angles: Angles, subject: Subject, rotations: Array) -> tuple[Array, 
         root[:, :2] -= (root[0, :2] + root[-1, :2]) / 2
     sideways = np.stack([np.cos(yaw), np.sin(yaw)], 1)
     root[:, :2] += (angles.get("forward")[:, None] * direction + angles.get("left")[:, None] * sideways) * scale
+    root[:, :2] += sway[:, None] * sideways
     root[:, 2] = gaussian_filter1d(height, 0.02 * rate, mode="nearest")
     return root, turn(2, np.degrees(yaw))
 

@@ -1,0 +1,123 @@
+"""Benchmarks by name, and the document that each of them writes.
+
+A benchmark is a function from options to rows. Names, metrics and cases are fixed, so that figures of different versions
+can be compared; ratios are taken against a baseline of the same run, because machines are noisy.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hypose.errors import InputError
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class BenchOptions:
+    """quick: end within a minute and be small; seeds: repetitions, 0 = the benchmark's own number; data: folder of real
+    recordings (None: only what needs none); progress(stage, done, total)."""
+
+    quick: bool = False
+    seeds: int = 0
+    data: Path | None = None
+    progress: Progress = field(default=lambda stage, done, total: None)
+
+    def folder(self, name: str) -> Path:
+        """A real recording's folder; an InputError says what is missing."""
+        if self.data is None or not (self.data / name).exists():
+            where = "no --data folder was given" if self.data is None else f"{self.data / name} does not exist"
+            raise InputError(
+                f"This benchmark needs the recording {name!r}, but {where}; give the folder that holds it with --data."
+            )
+        return self.data / name
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure: metric, case, value, unit, sd over the repetitions, n repetitions, and the baseline if there is one."""
+
+    metric: str
+    case: str
+    value: float
+    unit: str
+    sd: float | None = None
+    n: int = 1
+    baseline: str | None = None
+    baseline_value: float | None = None
+
+    @property
+    def ratio(self) -> float | None:
+        """value / baseline_value."""
+        return None if not self.baseline_value else self.value / self.baseline_value
+
+
+@dataclass(frozen=True)
+class BenchReport:
+    """The rows of a benchmark and the settings it ran with."""
+
+    rows: tuple[Row, ...]
+    settings: Mapping[str, Any]
+
+
+def row(metric: str, case: str, values: Any, unit: str, **more: Any) -> Row:
+    """The mean of values (n,) with their sd."""
+    v = np.atleast_1d(np.asarray(values, dtype=np.float64))
+    sd = float(v.std(ddof=1)) if len(v) > 1 else None
+    return Row(metric, case, float(v.mean()), unit, sd, len(v), **more)
+
+
+def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
+    """All benchmarks by name (imported when asked for, because they pull in the whole product)."""
+    from hypose.evaluation import published, real, speed
+
+    return {
+        "table-2.3": published.table_2_3,
+        "real-balancing": real.real_balancing,
+        "real-uu4cam": real.real_uu4cam,
+        "silhouette-scorer": speed.silhouette_scorer,
+        "contour-solve": speed.contour_solve,
+        "multiview-speed": speed.multiview_speed,
+    }
+
+
+def run_benchmark(
+    name: str, *, quick: bool = False, seeds: int = 0, data: Path | None = None, progress: Progress | None = None
+) -> dict[str, Any]:
+    """Runs one benchmark and returns its JSON document; an InputError lists the names when it is unknown."""
+    known = benchmarks()
+    if name not in known:
+        raise InputError(f"There is no benchmark {name!r}; the benchmarks are {', '.join(known)}.")
+    options = BenchOptions(quick, seeds, data, progress or (lambda stage, done, total: None))
+    begin = time.perf_counter()
+    report = known[name](options)
+    return {
+        "name": name,
+        "machine": machine(),
+        "settings": {**report.settings, "quick": quick},
+        "results": [{**asdict(r), "ratio": r.ratio} for r in report.rows],
+        "seconds": time.perf_counter() - begin,
+    }
+
+
+def machine() -> dict[str, Any]:
+    """Processor, number of usable cores, python and load of this machine."""
+    model = platform.processor() or platform.machine()
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                model = line.split(":", 1)[1].strip()
+                break
+    except OSError:
+        pass
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+    return {"processor": model, "cores": cores, "python": platform.python_version(), "load": load}

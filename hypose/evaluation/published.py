@@ -1,0 +1,133 @@
+"""The published comparison of particle filters on HumanEva-like scenes (Alcoverro 2014, Table 2.3)."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from hypose.body.models import human
+from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row, row
+from hypose.evaluation.metrics import EVALUATED, JointErrors, carriers, joint_errors, population_offsets
+from hypose.evaluation.retarget import retarget
+from hypose.evaluation.scenes import Scene, make_scene
+from hypose.evaluation.subjects import Subject, load_subjects
+from hypose.evidence.frame import Frame
+from hypose.pipeline.subject import Subject as TrackedSubject
+from hypose.tracking.initialise import start_from_keypoints
+from hypose.tracking.recipes import recipe
+from hypose.tracking.subject import scaled_to_height
+from hypose.tracking.tracker import Tracker, TrackerSettings, motion_of
+
+PRESETS = ("apf", "hpf", "default")
+ACTIONS = ("walk", "box", "run", "combo")
+_CAPTURES = {"walk": ("02_01", 0.0), "run": ("02_03", 0.0), "box": ("02_05", 2.5)}
+_BUILT_IN = {"walk": "walk", "run": "jog", "box": "box", "combo": "combo"}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """errors of one run and its seconds per frame."""
+
+    errors: JointErrors
+    seconds_per_frame: float
+
+
+def table_2_3(options: BenchOptions) -> BenchReport:
+    """Mean joint error of the presets on walk, box, run and combo.
+
+    Scenes: subjects of another shape space than the tracker's body, dressed, one per seed; captured motion where the
+    data folder has it (walk, box, run), built-in motion otherwise; rig humaneva-4; masks with outline jitter, holes,
+    blobs and shadow (level-1). The tracker is given the subject's height (not shape) and starts at the inverse
+    kinematics of the true joints in frame 0. Errors after population offsets of the joint definitions (no subject
+    information). Baseline of every row: apf on the same scenes in the same run.
+    """
+    seeds = options.seeds or (1 if options.quick else 5)
+    seconds = 0.6 if options.quick else 2.0
+    actions = ("walk",) if options.quick else ACTIONS
+    jobs = [(a, s) for a in actions for s in range(seeds)]
+    found: dict[tuple[str, str], list[Outcome]] = {}
+    for n, (action, seed) in enumerate(jobs):
+        scene = action_scene(action, seed, seconds, options)
+        frames = list(scene.mask_frames(1.0))
+        for k, preset in enumerate(PRESETS):
+            options.progress(f"{preset} {action} seed {seed}", n * len(PRESETS) + k, len(jobs) * len(PRESETS))
+            found.setdefault((preset, action), []).append(track_scene(scene, frames, preset, seed))
+    options.progress("done", len(jobs) * len(PRESETS), len(jobs) * len(PRESETS))
+    rows = _rows(found, actions)
+    settings = {"seeds": seeds, "seconds": seconds, "rig": "humaneva-4", "corruption": "level-1", "frame_rate": 25}
+    settings["motion"] = "captured" if _mocap(options) else "built-in"
+    return BenchReport(tuple(rows), settings)
+
+
+def _rows(found: dict[tuple[str, str], list[Outcome]], actions: tuple[str, ...]) -> list[Row]:
+    rows = []
+    for preset in PRESETS:
+        for action in (*actions, "all"):
+            chosen = [o for a in actions if action in (a, "all") for o in found[preset, a]]
+            base = [o for a in actions if action in (a, "all") for o in found["apf", a]]
+            case = f"{preset}/{action}"
+            mean = [1e3 * o.errors.mean for o in chosen]
+            against = {
+                "baseline": f"apf/{action}",
+                "baseline_value": float(np.mean([1e3 * o.errors.mean for o in base])),
+            }
+            rows.append(row("mean_error_mm", case, mean, "mm", **against))
+            rows.append(row("sd_error_mm", case, [1e3 * o.errors.sd for o in chosen], "mm"))
+            rows.append(row("p95_error_mm", case, [1e3 * o.errors.p95 for o in chosen], "mm"))
+            rows.append(row("lost_share", case, [o.errors.lost_share for o in chosen], "1"))
+            rows.append(row("seconds_per_frame", case, [o.seconds_per_frame for o in chosen], "s"))
+    return rows
+
+
+def _mocap(options: BenchOptions) -> bool:
+    return options.data is not None and (options.data / "mocap" / "02.asf").exists()
+
+
+def subject_of_seed(seed: int) -> Subject:
+    """The truth body of a seed: spread over all subjects, the neutral one left out."""
+    subjects = [s for name, s in load_subjects().items() if name != "neutral"]
+    return subjects[(7 * seed) % len(subjects)]
+
+
+def action_scene(action: str, seed: int, seconds: float, options: BenchOptions) -> Scene:
+    """The scene of an action and a seed; see table_2_3."""
+    subject = subject_of_seed(seed)
+    if action in _CAPTURES and _mocap(options):
+        clip, start = _CAPTURES[action]
+        folder = options.folder("mocap")
+        performance = retarget(folder / "02.asf", folder / f"{clip}.amc", subject, 25.0, start=start, seconds=seconds)
+        return make_scene(performance, subject, "humaneva-4", seed=seed, corruption=("level-1",))
+    return make_scene(_BUILT_IN[action], subject, "humaneva-4", seconds=seconds, seed=seed, corruption=("level-1",))
+
+
+def known_subject(scene: Scene) -> TrackedSubject:
+    """The tracker's body scaled to the subject's height, posed at the true joints of frame 0 (definitions aligned)."""
+    stature = scene.subject.stature
+    body = scaled_to_height(human(), stature)
+    offsets = population_offsets(human()) * stature
+    # an offset is fixed in the segment that carries it, seen from that segment's own joint
+    rest, carrier = body.skeleton.rest_joints, carriers()
+    place = rest + offsets - rest[carrier]
+    start = start_from_keypoints(body, scene.joints[0][EVALUATED], carrier[EVALUATED], place[EVALUATED])
+    return TrackedSubject(body, None, start.pose, ("height and start pose are given",))
+
+
+def track_scene(scene: Scene, frames: list[Frame], preset: str, seed: int) -> Outcome:
+    """One preset on one scene from the given subject and start."""
+    subject = known_subject(scene)
+    made, particles = recipe(preset, subject.body, frame_rate=scene.frame_rate)
+    settings = TrackerSettings(seed=seed, frame_rate=scene.frame_rate)
+    tracker = Tracker(subject.body, made, particles, settings)
+    state, estimates = tracker.start(subject.start), []
+    begin = time.perf_counter()
+    for frame in frames:
+        state, estimate = tracker.step(state, frame)
+        estimates.append(estimate)
+    seconds = (time.perf_counter() - begin) / len(frames)
+    motion = motion_of(subject.body, scene.times[: len(frames)], estimates)
+    assert motion.poses is not None
+    rotations, _ = subject.body.skeleton.forward(motion.poses)
+    offsets = population_offsets(human()) * scene.subject.stature
+    return Outcome(joint_errors(motion.joints, scene.joints[: len(frames)], offsets, rotations), seconds)

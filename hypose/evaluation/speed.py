@@ -1,0 +1,153 @@
+"""Speed of the hot parts and of whole tracking, each against a baseline measured in the same run."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from hypose import compute
+from hypose.body.body import Body
+from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row, row
+from hypose.evaluation.published import action_scene, known_subject
+from hypose.evaluation.write_recording import write_scene
+from hypose.evidence.frame import Frame
+from hypose.fitting.articulated import SolveOptions, contour_term, fit_pose
+from hypose.geometry import Array
+from hypose.io.frames import FrameStream
+from hypose.io.recording import load_recording
+from hypose.io.video import open_video
+from hypose.tracking.evidence import prepare_masks
+from hypose.tracking.recipes import recipe
+from hypose.tracking.refinement import anatomical_prior, prediction_prior
+from hypose.tracking.tracker import Tracker, TrackerSettings
+
+
+def _best(call: Callable[[], object], repeats: int) -> float:
+    """Seconds of the fastest of some calls: the figure that other load on the machine disturbs least."""
+    seconds = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        call()
+        seconds.append(time.perf_counter() - begin)
+    return min(seconds)
+
+
+def _poses(body: Body, start: Array, n: int) -> Array:
+    rng = np.random.default_rng(0)
+    return body.skeleton.clamp(start + rng.standard_normal((n, len(start))) * 2 * body.skeleton.sigma)
+
+
+def silhouette_scorer(options: BenchOptions) -> BenchReport:
+    """Microseconds per silhouette (one pose, one view, 640 x 480) with 1 and 2 threads against OpenCV filling every
+    front-facing triangle, and the largest difference of the counts from the plain rasterizer."""
+    scene = action_scene("walk", 0, 0.2, options)
+    frame = next(iter(scene.mask_frames(1.0)))
+    subject = known_subject(scene)
+    body = subject.body
+    assert frame.silhouettes is not None
+    masks = prepare_masks(frame.silhouettes)
+    tree, mesh = body.skeleton.tree, body.coarse.arrays
+    poses = _poses(body, subject.start, 100 if options.quick else 500)
+    views, repeats = len(masks.masks), 5 if options.quick else 15
+    compute.silhouette_xor(poses[:8], tree, mesh, masks)
+    few = poses[:4]
+    opencv = _best(lambda: _opencv_xor(body, few, masks), 3) / (len(few) * views) * 1e6
+    rows = []
+    for threads in (1, 2):
+        seconds = _best(lambda t=threads: compute.silhouette_xor(poses, tree, mesh, masks, threads=t), repeats)
+        value = seconds / (len(poses) * views) * 1e6
+        against = {"baseline": "OpenCV fillConvexPoly per triangle, 1 thread", "baseline_value": opencv}
+        rows.append(Row("us_per_silhouette", f"{threads}t", value, "us", n=len(poses), **against))
+        rows.append(Row("ratio_to_opencv", f"{threads}t", value / opencv, "1"))
+    checked = poses[:20]
+    with compute.use("numpy"):
+        plain = compute.silhouette_xor(checked, tree, mesh, masks)
+    difference = np.abs(compute.silhouette_xor(checked, tree, mesh, masks)[..., 0] - plain[..., 0]).max()
+    rows.append(Row("max_count_difference_px", "all", float(difference), "px", n=plain[..., 0].size))
+    return BenchReport(tuple(rows), {"views": views, "size": [640, 480], "vertices": len(body.coarse.vertices)})
+
+
+def _opencv_xor(body: Body, poses: Array, masks: compute.PreparedMasks) -> Array:
+    """The obvious way: skin, project, fill every front-facing triangle with OpenCV, XOR."""
+    vertices = body.skin(poses)
+    faces = body.coarse.faces
+    out = np.zeros((len(poses), len(masks.masks)))
+    for n, v in enumerate(vertices):
+        for c, (mask, projection) in enumerate(zip(masks.masks, masks.projections, strict=True)):
+            h = v @ projection[:, :3].T + projection[:, 3]
+            uv = h[:, :2] / h[:, 2:]
+            a, b, d = uv[faces[:, 0]], uv[faces[:, 1]], uv[faces[:, 2]]
+            front = (b[:, 0] - a[:, 0]) * (d[:, 1] - a[:, 1]) - (d[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1]) < 0
+            image = np.zeros_like(mask)
+            for triangle in np.round(uv[faces[front]]).astype(np.int32):
+                cv2.fillConvexPoly(image, triangle, 1)
+            out[n, c] = np.count_nonzero(image != mask)
+    return out
+
+
+def contour_solve(options: BenchOptions) -> BenchReport:
+    """Milliseconds per frame of the robust contour solve (8 iterations, 4 views), its iterations, and key points alone."""
+    scene = action_scene("walk", 0, 0.4 if options.quick else 1.0, options)
+    subject = known_subject(scene)
+    body, start = subject.body, subject.start
+    rows = []
+    for case, scale in (("contours", 1.0), ("contours, half size", 0.5)):
+        seconds, iterations, pose = [], [], start
+        for frame in scene.mask_frames(scale):
+            assert frame.silhouettes is not None
+            term = contour_term(frame.silhouettes)
+            priors = (anatomical_prior(body.skeleton), prediction_prior(pose))
+            fit = fit_pose(body, pose, contours=term, priors=priors, options=SolveOptions())
+            seconds.append(
+                _best(
+                    lambda q=pose, t=term, p=priors: fit_pose(body, q, contours=t, priors=p, options=SolveOptions()), 3
+                )
+            )
+            iterations.append(fit.iterations)
+            pose = fit.pose
+        rows.append(row("ms_per_frame", case, 1e3 * np.array(seconds), "ms"))
+        rows.append(Row("iterations_p90", case, float(np.percentile(iterations, 90)), "1", n=len(iterations)))
+    return BenchReport(tuple(rows), {"views": 4, "iterations": 8, "dof": body.skeleton.dof})
+
+
+def multiview_speed(options: BenchOptions) -> BenchReport:
+    """Frames per second of whole tracking from masks and from 640 x 480 videos, per preset, against merely decoding."""
+    seconds = 0.4 if options.quick else 2.0
+    scene = action_scene("walk", 0, seconds, options)
+    frames = list(scene.mask_frames(1.0))
+    rows = []
+    for preset in ("default",) if options.quick else ("default", "hpf", "apf"):
+        options.progress(preset, 0, 1)
+        rows.append(
+            Row("frames_per_second", f"masks:{preset}/4", _tracking_rate(scene, frames, preset), "1/s", n=len(frames))
+        )
+    with tempfile.TemporaryDirectory() as folder:
+        recording = load_recording(write_scene(scene, Path(folder)).parent)
+        decode = _best(lambda: [list(open_video(v.video)) for v in recording.views if v.video], 2) / len(frames)
+        stream = FrameStream(recording)
+        begin = time.perf_counter()
+        from_video = [stream.frame(i) for i in range(len(stream))]
+        evidence = (time.perf_counter() - begin) / len(from_video)
+        track = 1 / _tracking_rate(scene, from_video, "default")
+        total = evidence + track
+        against = {"baseline": "decoding the videos alone", "baseline_value": 1 / decode}
+        rows.append(Row("frames_per_second", "480p:default/4", 1 / total, "1/s", n=len(frames), **against))
+        for stage, value in (("evidence", evidence), ("tracking", track)):
+            rows.append(Row("stage_share", stage, value / total, "1"))
+    return BenchReport(tuple(rows), {"views": 4, "size": [640, 480], "seconds": seconds})
+
+
+def _tracking_rate(scene, frames: list[Frame], preset: str) -> float:  # noqa: ANN001 - a Scene
+    subject = known_subject(scene)
+    made, particles = recipe(preset, subject.body, frame_rate=scene.frame_rate)
+    tracker = Tracker(subject.body, made, particles, TrackerSettings(frame_rate=scene.frame_rate))
+    state, _ = tracker.step(tracker.start(subject.start), frames[0])
+    begin = time.perf_counter()
+    for frame in frames[1:]:
+        state, _ = tracker.step(state, frame)
+    return (len(frames) - 1) / (time.perf_counter() - begin)
