@@ -64,18 +64,17 @@ def find_subject(frame_at: FrameAt, n_frames: int, options: SubjectOptions) -> S
     if by_points:
         if first.keypoints is None:
             raise InputError("The start 'keypoints' needs key points, and this recording has none; use the start 'hull'.")
-        return _from_keypoints(template, frame_at, sampled, first, options)
+        return _from_keypoints(template, frame_at, sampled, n_frames, options)
     return _from_hull(template, frame_at, sampled, first, options)
 
 
 def _from_keypoints(
-    template: Body, frame_at: FrameAt, sampled: np.ndarray, first: Frame, options: SubjectOptions
+    template: Body, frame_at: FrameAt, sampled: np.ndarray, n_frames: int, options: SubjectOptions
 ) -> Subject:
-    frames = [frame_at(int(i)) for i in sampled]
-    seen = [(i, f) for i, f in enumerate(frames) if f.keypoints is not None]
-    points, _, _ = triangulate_keypoints([f.keypoints for _, f in seen if f.keypoints is not None])
-    assert first.keypoints is not None
-    fitted = subject_from_keypoints(template, points, first.keypoints.names)
+    seen = [f for f in (frame_at(int(i)) for i in sampled) if f.keypoints is not None]
+    keypoints = [f.keypoints for f in seen if f.keypoints is not None]
+    points, _, _ = triangulate_keypoints(keypoints)
+    fitted = subject_from_keypoints(template, points, keypoints[0].names)
     body, model, poses = fitted.body, fitted.keypoints, fitted.poses
     notes = [f"segment lengths from the key points of {len(points)} frames"]
     if options.height is not None:
@@ -83,14 +82,31 @@ def _from_keypoints(
     if options.girths:
         solved = [n for n in range(len(points)) if np.isfinite(poses[n]).all()]
         few = [solved[k] for k in np.unique(np.linspace(0, len(solved) - 1, min(10, len(solved))).astype(int))]
-        body, note = _with_girths(body, poses[few], [seen[n][1] for n in few])
+        body, note = _with_girths(body, poses[few], [seen[n] for n in few])
         notes.append(note)
         # the landmarks on the skin moved with the girths; the fitted offsets did not
         model = replace(keypoint_model(body, model.names), offset=model.offset)
+    start, at = _first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
+    if at:
+        notes.append(f"the start is the pose of frame {at}, the first with enough key points")
+    return Subject(body, model, start, tuple(notes))
+
+
+def _first_start(body: Body, model: KeypointModel, frame_at: FrameAt, last: int) -> tuple[Array, int]:
+    """The pose at the first of the frames before `last` whose key points can be triangulated, and its number. It stands
+    for the frames before it, which lie within a second."""
     known = model.known
-    start_points = triangulate_keypoints([first.keypoints])[0][0][known]
-    start = start_from_keypoints(body, start_points, model.joint[known], model.offset[known])
-    return Subject(body, model, start.pose, tuple(notes))
+    error: EvidenceError | None = None
+    for i in range(last):
+        keypoints = frame_at(i).keypoints
+        if keypoints is None:
+            continue
+        try:
+            points = triangulate_keypoints([keypoints])[0][0][known]
+            return start_from_keypoints(body, points, model.joint[known], model.offset[known]).pose, i
+        except EvidenceError as e:
+            error = error or e
+    raise error or EvidenceError("No frame of the first second has key points; start from the hull.")
 
 
 def _from_hull(
