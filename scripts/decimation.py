@@ -12,9 +12,9 @@ import heapq
 import math
 
 import numpy as np
-from scipy.sparse import coo_matrix, diags
+from scipy.sparse import coo_matrix, csc_matrix, identity
 from scipy.sparse.linalg import spsolve
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 NEEDLE = 0.1
 """A collapse may not make a face worse when its double area over its longest side squared falls below this
@@ -182,8 +182,10 @@ def decimate_half(
 
     importance (H,) multiplies the squared error of the faces around a vertex. With subset=True the result uses only
     vertices of the input. Edges shorter than `shortest` (m) go first, whatever the error: that clears the needles of
-    marching cubes, which would block better collapses later. Returns vertices (h,3), faces (g,3) and source (h,): the input vertex each one grew from
-    (with subset=True the very vertex).
+    marching cubes, which would block better collapses later.
+
+    Returns vertices (h,3), faces (g,3) and source (h,): the input vertex each one grew from (with subset=True the very
+    vertex).
     """
     mesh = _Half(vertices, faces, importance, subset)
     source = np.arange(len(vertices))
@@ -253,7 +255,7 @@ def fit_surface(
     out = vertices.copy()
     for _ in range(rounds):
         points = np.einsum("sc,fcd->fsd", corner, out[faces])
-        nearest = cKDTree(points.reshape(-1, 3)).query(samples)[1]
+        nearest = KDTree(points.reshape(-1, 3)).query(samples)[1]
         face, bary = nearest // len(corner), corner[nearest % len(corner)]
         normal, face_normal = vertex_normals(out, faces)
         n = face_normal[face]
@@ -263,8 +265,8 @@ def fit_surface(
         rows = np.repeat(np.flatnonzero(keep), 3)
         a = coo_matrix((entries[keep].ravel(), (rows, faces[face][keep].ravel())), shape=(len(samples), len(out)))
         a = a.tocsr()
-        lhs = a.T @ a + diags(np.full(len(out), 0.15 * len(samples) / len(out)))
-        step = spsolve(lhs.tocsc(), a.T @ np.where(keep, signed, 0))
+        lhs = a.T @ a + identity(len(out), format="csr") * (0.15 * len(samples) / len(out))
+        step = spsolve(csc_matrix(lhs), a.T @ np.where(keep, signed, 0))
         out = _symmetric(out + 0.8 * step[:, None] * normal, mirror)
     for _ in range(4):
         normal, face_normal = vertex_normals(out, faces)

@@ -3,10 +3,14 @@ marching cubes. Exactly symmetric: only x >= 0 is computed, and the grid has a l
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 from decimation import vertex_normals
 from scipy.ndimage import distance_transform_edt
-from scipy.spatial import cKDTree
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 
 
@@ -20,11 +24,11 @@ def envelope_half(
     low = np.array([0.0, vertices[:, 1].min() - 6 * step, vertices[:, 2].min() - 6 * step])
     size = np.ceil((vertices.max(0) - low) / step).astype(int) + 7
     inside = _inside(vertices, faces, low, size, step)
-    edge = distance_transform_edt(inside) + distance_transform_edt(~inside)
+    edge = _steps_inside(inside) + _steps_inside(~inside)
     band = np.argwhere(edge <= 4.5)
     points = low + band * step
     surface, normal = _samples(vertices, faces, 0.5 * step)
-    distance, index = cKDTree(surface).query(points)
+    distance, index = KDTree(surface).query(points)
     plane = ((points - surface[index]) * normal[index]).sum(1)
     sign = np.where(inside[tuple(band.T)], -1.0, 1.0)
     # near the surface the nearest sample's plane is exact where the distance to the sample itself is not
@@ -32,9 +36,9 @@ def envelope_half(
     field = np.where(inside, -5 * step, 5 * step)
     field[tuple(band.T)] = value
     # closing = erosion of the dilation; the nearest point outside the dilation is known to a fraction of a step
-    depth, outside = distance_transform_edt(field <= radius, return_indices=True)
+    depth, outside = cast("tuple[np.ndarray, np.ndarray]", distance_transform_edt(field <= radius, return_indices=True))
     filled = radius - (depth * step - (field[tuple(outside)] - radius))
-    near = cKDTree(vertices[close_near]).query(points)[0] < 2 * radius
+    near = KDTree(vertices[close_near]).query(points)[0] < 2 * radius
     where = tuple(band[near].T)
     field[where] = np.minimum(field[where], filled[where])
     out, triangles, _, _ = marching_cubes(field, 0.0, gradient_direction="descent")
@@ -43,9 +47,14 @@ def envelope_half(
     return _clean(out, triangles.astype(int))
 
 
+def _steps_inside(mask: np.ndarray) -> np.ndarray:
+    """Distance in steps from each true grid point to the nearest false one."""
+    return cast("np.ndarray", distance_transform_edt(mask))
+
+
 def _inside(vertices: np.ndarray, faces: np.ndarray, low: np.ndarray, size: np.ndarray, step: float) -> np.ndarray:
     """Grid points (size) enclosed by the mesh: signed crossings of the vertical line through each column."""
-    crossings = np.zeros(size + [0, 0, 1], np.int32)
+    crossings = np.zeros((size[0], size[1], size[2] + 1), np.int32)
     shift = np.array([1.1e-5, 1.7e-5])  # off the mesh's own edges in the plane x = 0
     for a, b, c in (vertices[faces] - low) / step:
         first = np.maximum(np.floor(np.min([a, b, c], 0)[:2]).astype(int), 0)
@@ -86,9 +95,6 @@ def _samples(vertices: np.ndarray, faces: np.ndarray, spacing: float) -> tuple[n
 
 def _clean(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Without vertices no face uses, and without small separate pieces."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     edges = faces[:, [0, 1, 1, 2]].reshape(-1, 2)
     graph = coo_matrix((np.ones(len(edges)), edges.T), shape=(len(vertices),) * 2)
     label = connected_components(graph, directed=False)[1]

