@@ -133,7 +133,7 @@ def se3_log(motion: ArrayLike) -> Array:
     m = np.asarray(motion, dtype=np.float64)
     w = so3_log(m[..., :3, :3])
     v = np.linalg.solve(so3_left_jacobian(w), m[..., :3, 3:])[..., 0]
-    return np.concatenate([w, v], -1)
+    return np.concatenate([w, np.asarray(v, dtype=np.float64)], -1)
 
 
 def transform(motion: ArrayLike, points: ArrayLike) -> Array:

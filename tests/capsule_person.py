@@ -31,7 +31,16 @@ CAPSULES = [
     ("spine", "chest", 0.13),
     ("chest", "neck", 0.12),
     ("neck", "head", 0.06),
-    *((f"{s}_{a}", f"{s}_{b}", r) for s in ("left", "right") for a, b, r in (("shoulder", "elbow", 0.055), ("elbow", "wrist", 0.045), ("hip", "knee", 0.08), ("knee", "ankle", 0.06))),
+    *(
+        (f"{s}_{a}", f"{s}_{b}", r)
+        for s in ("left", "right")
+        for a, b, r in (
+            ("shoulder", "elbow", 0.055),
+            ("elbow", "wrist", 0.045),
+            ("hip", "knee", 0.08),
+            ("knee", "ankle", 0.06),
+        )
+    ),
     ("chest", "left_shoulder", 0.075),
     ("chest", "right_shoulder", 0.075),
 ]
@@ -54,7 +63,9 @@ def capsule_person(pitch: float = 0.055) -> Body:
     for s in ("left", "right"):
         foot, hand = at[f"{s}_ankle"], at[f"{s}_wrist"]
         pieces.append((foot + [0, 0, -0.03], foot + [0, -0.15, -0.04], 0.05, JOINT_NAMES.index(f"{s}_ankle")))
-        pieces.append((hand, hand + 0.12 * np.sign(hand[0]) * np.array([1.0, -0.1, 0]), 0.04, JOINT_NAMES.index(f"{s}_wrist")))
+        pieces.append(
+            (hand, hand + 0.12 * np.sign(hand[0]) * np.array([1.0, -0.1, 0]), 0.04, JOINT_NAMES.index(f"{s}_wrist"))
+        )
 
     def distances(points):
         out = np.empty((len(points), len(pieces)))

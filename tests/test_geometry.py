@@ -65,10 +65,7 @@ def test_left_jacobian_by_finite_differences(angle, rng):
     for r in angle * directions(rng, 5):
         step = 1e-6
         numeric = np.stack(
-            [
-                so3_log(so3_exp(r + step * e) @ so3_exp(r - step * e).T) / (2 * step)
-                for e in np.eye(3)
-            ],
+            [so3_log(so3_exp(r + step * e) @ so3_exp(r - step * e).T) / (2 * step) for e in np.eye(3)],
             1,
         )
         np.testing.assert_allclose(so3_left_jacobian(r), numeric, atol=2e-9)

@@ -96,9 +96,7 @@ def prepare_masks(masks: ArrayLike, usable: ArrayLike, sizes: ArrayLike, project
     """Masks (C, h, w) non-zero = person, usable (C,), sizes (C, 2) width and height, pinhole projections (C, 3, 4)."""
     m = np.ascontiguousarray(np.asarray(masks) != 0).astype(np.uint8)
     areas = m.reshape(len(m), -1).sum(1, dtype=np.int64)
-    return PreparedMasks(
-        m, areas, _plain(usable, np.bool_), _plain(sizes, np.int64), _plain(projections, np.float64)
-    )
+    return PreparedMasks(m, areas, _plain(usable, np.bool_), _plain(sizes, np.int64), _plain(projections, np.float64))
 
 
 def silhouette_xor(
@@ -121,7 +119,9 @@ def silhouette_xor(
         bad = int(np.argmax(~(np.abs(q).max(1) < 1e6)))
         raise SolverError(f"Pose {bad} of {len(q)} is not finite; check the motion model that made it.")
     n, c = len(q), len(prepared.masks)
-    whole = np.stack([0 * prepared.sizes[:, 0], prepared.sizes[:, 0], 0 * prepared.sizes[:, 1], prepared.sizes[:, 1]], 1)
+    whole = np.stack(
+        [0 * prepared.sizes[:, 0], prepared.sizes[:, 0], 0 * prepared.sizes[:, 1], prepared.sizes[:, 1]], 1
+    )
     b = whole if boxes is None else np.array(boxes, dtype=np.int64)
     if b.shape != (c, 4):
         raise InputError(f"boxes needs one row x0, x1, y0, y1 per view: shape {(c, 4)}, got {b.shape}.")
@@ -177,7 +177,8 @@ def workspace(tree: TreeArrays, mesh: MeshArrays, height: int, width: int) -> Wo
 
 
 class Evaluation(NamedTuple):
-    """Cost (half the weighted robust squares), its gradient (D,), Gauss-Newton matrix (D, D), rows per cue (C + 2, 2)."""
+    """Cost (half the weighted robust squares), its gradient (D,), Gauss-Newton matrix (D, D), rows per cue (C + 2,
+    2)."""
 
     cost: float
     gradient: Array
@@ -262,7 +263,9 @@ def warm_up() -> float:
     )
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=np.float32)
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int32)
-    edges = np.array([[0, 2, 0, 2], [2, 1, 0, 3], [1, 0, 0, 1], [1, 3, 1, 3], [3, 0, 1, 2], [3, 2, 2, 3]], dtype=np.int32)
+    edges = np.array(
+        [[0, 2, 0, 2], [2, 1, 0, 3], [1, 0, 0, 1], [1, 3, 1, 3], [3, 0, 1, 2], [3, 2, 2, 3]], dtype=np.int32
+    )
     mesh = MeshArrays(
         corners,
         faces,

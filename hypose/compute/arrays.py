@@ -1,4 +1,4 @@
-"""The flat arrays that hot functions work on: a joint tree and a skinned mesh (NamedTuples, so that numba takes them)."""
+"""The flat arrays that hot functions work on: a joint tree and a skinned mesh, as NamedTuples that numba takes."""
 
 from __future__ import annotations
 

@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 def signed_distance(masks: ArrayLike, sizes: ArrayLike, margin: int | None = None) -> NDArray[np.float32]:
     """Signed distance to the edge of each mask, px, negative inside; 0 between the last inside and first outside pixel.
 
-    masks (C, h, w) uint8, non-zero = person; sizes (C, 2) own width and height of each view. Returns (C, h, w) float32,
-    zero in the padding. margin: px around the mask inside which the distance is a true one (default: a sixth of the
-    mask's larger side, at least 32); further out the rows and columns to that box are added, a continuous upper bound. An empty (full) mask gives the image's diagonal (minus it) everywhere.
-    Distances are those of OpenCV's 5 x 5 chamfer mask (within 2 % of Euclid).
-    """
+    masks (C, h, w) uint8, non-zero = person; sizes (C, 2) own width and height of each view. Returns (C, h, w)
+    float32, zero in the padding. margin: px around the mask inside which the distance is a true one (default: a sixth
+    of the mask's larger side, at least 32); further out the rows and columns to that box are added, a continuous
+    upper bound. An empty (full) mask gives the image's diagonal (minus it) everywhere. Distances are those of
+    OpenCV's 5 x 5 chamfer mask (within 2 % of Euclid)."""
     m = np.asarray(masks)
     out = np.zeros(m.shape, dtype=np.float32)
     for c, (w, h) in enumerate(np.asarray(sizes, dtype=np.int64).tolist()):

@@ -15,7 +15,7 @@ import math
 import numpy as np
 from numba import njit
 
-from hypose.compute.cpu_kinematics import OPTIONS, camera_about_root
+from hypose.compute.cpu_kinematics import OPTIONS
 from hypose.compute.cpu_silhouettes import NEAR, contour_edges, emit_contours, front_faces, project
 
 f4 = np.float32
@@ -88,8 +88,8 @@ def add_edge_row(hessian, gradient, a, b, t, vertices, mesh, p, gx, gy, w, r):
 
 @njit(**OPTIONS)
 def nearest(rim_u, rim_v, blocks, x, y):
-    """Index of the nearest of 16 * blocks points: squared distance in 1/64 px^2 and the index are packed into one integer,
-    so that the minimum needs no branch and vectorises (a float arg-min does not)."""
+    """Index of the nearest of 16 * blocks points: squared distance in 1/64 px^2 and the index are packed into one
+    integer, so that the minimum needs no branch and vectorises (a float arg-min does not)."""
     best = 2147483647
     for i in range(blocks * 16):
         dx, dy = rim_u[i] - x, rim_v[i] - y
@@ -113,8 +113,8 @@ def own_silhouette(x0, y0, width, height, difference, running, own):
 
 @njit(**OPTIONS)
 def contour_rows(c, p, mesh, contours, scale, ws, hessian, gradient, count):
-    """Rows of view c under p (3, 4) f4 about the root. Adds to hessian and gradient, count[0] forward and count[1] reverse
-    rows; returns the view's cost.
+    """Rows of view c under p (3, 4) f4 about the root. Adds to hessian and gradient, count[0] forward and count[1]
+    reverse rows; returns the view's cost.
 
     Cost of a row: 1/2 w e^2 / (1 + e^2), e = r / scale (Geman & McClure 1985), weight in the normal equations
     w / (1 + e^2)^2. A view in which the body is not to be seen costs what its outline points cost at infinite distance.
@@ -151,7 +151,8 @@ def contour_rows(c, p, mesh, contours, scale, ws, hessian, gradient, count):
     forward = f4(contours.forward_weight) * thinned
     cost_forward = 0.0
     cost_reverse = 0.0
-    # Points of the body's outline, evenly spaced along the contour edges: the pixel just outside must not be the body's.
+    # Points of the body's outline, evenly spaced along the contour edges: the pixel just outside must not be the
+    # body's.
     n_rim = 0
     position = spacing * f4(0.5)
     for e in range(n):
@@ -181,9 +182,7 @@ def contour_rows(c, p, mesh, contours, scale, ws, hessian, gradient, count):
                 e2 = r * r * i2
                 k = f4(1) / (f4(1) + e2)
                 cost_forward += e2 * k
-                add_edge_row(
-                    hessian, gradient, a, b, t, ws.vertices, mesh, p, gx, gy, forward * i2 * k * k, r
-                )
+                add_edge_row(hessian, gradient, a, b, t, ws.vertices, mesh, p, gx, gy, forward * i2 * k * k, r)
                 count[0] += 1
             n_rim += 1
         position -= edge
@@ -208,9 +207,7 @@ def contour_rows(c, p, mesh, contours, scale, ws, hessian, gradient, count):
         k = f4(1) / (f4(1) + e2)
         cost_reverse += e2 * k
         if r > f4(0.05):
-            add_edge_row(
-                hessian, gradient, a, b, t, ws.vertices, mesh, p, dx / r, dy / r, reverse * i2 * k * k, r
-            )
+            add_edge_row(hessian, gradient, a, b, t, ws.vertices, mesh, p, dx / r, dy / r, reverse * i2 * k * k, r)
         count[1] += 1
     return 0.5 * (forward * cost_forward + reverse * cost_reverse)
 
@@ -284,24 +281,10 @@ def point_rows(q, points, rotations, centres, hessian, gradient, count):
 
 
 @njit(**OPTIONS)
-def all_contour_rows(q, mesh, contours, scale, ws, hessian, gradient, counts):
-    """Rows of every usable view; counts (C, 2)."""
-    cost = 0.0
-    p = np.empty((3, 4), np.float32)
-    for c in range(contours.sdf.shape[0]):
-        counts[c, 0] = 0
-        counts[c, 1] = 0
-        if contours.usable[c]:
-            camera_about_root(contours.projections[c], q, p)
-            cost += contour_rows(c, p, mesh, contours, scale, ws, hessian, gradient, counts[c])
-    return cost
-
-
-@njit(**OPTIONS)
 def outline_points(sdf, width, height, out):
-    """Up to K points on the zero line of sdf (h, w), evenly taken in row order, BORDER px of the image border left out:
-    inside pixels with an outside neighbour, moved by -sdf along its gradient. Fills out (K, 2) (repeating when there are
-    fewer) and returns how many outline pixels there are."""
+    """Up to K points on the zero line of sdf (h, w), evenly taken in row order, BORDER px of the image border left
+    out: inside pixels with an outside neighbour, moved by -sdf along its gradient. Fills out (K, 2) (repeating when
+    there are fewer) and returns how many outline pixels there are."""
     found = np.empty(4 * (width + height), np.int32)
     n = 0
     for y in range(BORDER, height - BORDER):

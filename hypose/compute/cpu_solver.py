@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numba import njit
 
-from hypose.compute.cpu_kinematics import OPTIONS, joint_frames, skin_about_root
-from hypose.compute.cpu_rows import all_contour_rows, keypoint_rows, point_rows
+from hypose.compute.cpu_kinematics import OPTIONS, camera_about_root, joint_frames, skin_about_root
+from hypose.compute.cpu_rows import contour_rows, keypoint_rows, point_rows
 
 LARGEST_TURN = 0.35
 """rad: steps that turn a joint further are shortened"""
@@ -93,8 +93,8 @@ def solve_positive(a, n, b, x):
 
 @njit(**OPTIONS)
 def bounded_step(hessian, gradient, q, lower, upper, damping, step):
-    """Minimum of 1/2 s'(H + damping D)s + g's subject to lower <= q + s <= upper, by an active set that only grows (at most
-    six rounds; then what still sticks out is cut off). False when the matrix is not positive."""
+    """Minimum of 1/2 s'(H + damping D)s + g's subject to lower <= q + s <= upper, by an active set that only grows
+    (at most six rounds; then what still sticks out is cut off). False when the matrix is not positive."""
     n_dof = q.shape[0]
     a = np.empty((n_dof, n_dof))
     rhs, x = np.empty(n_dof), np.empty(n_dof)
@@ -141,8 +141,8 @@ def bounded_step(hessian, gradient, q, lower, upper, damping, step):
 
 @njit(**OPTIONS)
 def evaluate(q, tree, mesh, contours, scale, keypoints, points, priors, ws, hessian, gradient, counts):
-    """Cost at pose q (D,); hessian (D, D) and gradient (D,) are overwritten; counts (C + 2, 2): forward and reverse rows of
-    each view, then the key points, then the points."""
+    """Cost at pose q (D,); hessian (D, D) and gradient (D,) are overwritten; counts (C + 2, 2): forward and reverse
+    rows of each view, then the key points, then the points."""
     joint_frames(q, tree, ws.rotations, ws.centres, ws.twists)
     ws.wrench_hessian[:] = 0.0
     ws.wrench_gradient[:] = 0.0
@@ -150,14 +150,18 @@ def evaluate(q, tree, mesh, contours, scale, keypoints, points, priors, ws, hess
     counts[n_views:] = 0
     cost = 0.0
     if n_views > 0:
+        p = np.empty((3, 4), np.float32)
         skin_about_root(ws.rotations, ws.centres, tree, mesh, ws.vertices)
-        cost += all_contour_rows(q, mesh, contours, scale, ws, ws.wrench_hessian, ws.wrench_gradient, counts)
+        for c in range(n_views):
+            counts[c, 0] = 0
+            counts[c, 1] = 0
+            if contours.usable[c]:
+                camera_about_root(contours.projections[c], q, p)
+                cost += contour_rows(c, p, mesh, contours, scale, ws, ws.wrench_hessian, ws.wrench_gradient, counts[c])
     cost += keypoint_rows(
         q, keypoints, ws.rotations, ws.centres, ws.wrench_hessian, ws.wrench_gradient, counts[n_views]
     )
-    cost += point_rows(
-        q, points, ws.rotations, ws.centres, ws.wrench_hessian, ws.wrench_gradient, counts[n_views + 1]
-    )
+    cost += point_rows(q, points, ws.rotations, ws.centres, ws.wrench_hessian, ws.wrench_gradient, counts[n_views + 1])
     fold(tree, ws.twists, ws.wrench_hessian, ws.wrench_gradient, hessian, gradient)
     for i in range(priors.centre.shape[0]):
         for d in range(q.shape[0]):
@@ -174,11 +178,10 @@ def evaluate(q, tree, mesh, contours, scale, keypoints, points, priors, ws, hess
 def solve(q, tree, mesh, contours, keypoints, points, priors, settings, ws, hessian, gradient, counts, info):
     """Bounded Levenberg-Marquardt from pose q (D,), which is overwritten; hessian and gradient are those at the result.
 
-    info (4,): cost, iterations, evaluations, converged (1 when the last step was below the tolerance). Returns False when
-    the cost at the start is not finite.
-    The first coarse_iterations use the coarse contour scale. A step that raises the cost is retried with 6 times the
-    damping at most 3 times; near the end the cost jitters with the outline, so a rejected step below the tolerance stops.
-    """
+    info (4,): cost, iterations, evaluations, converged (1 when the last step was below the tolerance). Returns False
+    when the cost at the start is not finite. The first coarse_iterations use the coarse contour scale. A step that
+    raises the cost is retried with 6 times the damping at most 3 times; near the end the cost jitters with the
+    outline, so a rejected step below the tolerance stops."""
     n = q.shape[0]
     new_hessian, new_gradient = np.empty((n, n)), np.empty(n)
     step, trial = np.empty(n), np.empty(n)

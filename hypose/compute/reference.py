@@ -45,10 +45,9 @@ def skin(rotations: Array, centres: Array, tree: TreeArrays, mesh: MeshArrays) -
 def rasterize(vertices: Array, faces: NDArray[np.int32], projection: Array, size: tuple[int, int]) -> NDArray[np.bool_]:
     """Silhouette (h, w) of a triangle mesh: vertices (V, 3), projection (3, 4), size (width, height).
 
-    A pixel is set when its centre lies in the image of any triangle, cut at the near plane. Half open: a triangle covers
-    column x when ceil(xmin) <= x < ceil(xmax), and there the rows ceil(top) <= y < ceil(bottom), so meshes that share
-    vertices leave no gap and count no pixel twice.
-    """
+    A pixel is set when its centre lies in the image of any triangle, cut at the near plane. Half open: a triangle
+    covers column x when ceil(xmin) <= x < ceil(xmax), and there the rows ceil(top) <= y < ceil(bottom), so meshes
+    that share vertices leave no gap and count no pixel twice."""
     w, h = size
     image = np.zeros((h, w), dtype=bool)
     homogeneous = vertices @ projection[:, :3].T + projection[:, 3]

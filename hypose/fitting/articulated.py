@@ -42,7 +42,8 @@ REFERENCE_OUTLINE = 130
 
 @dataclass(frozen=True)
 class ContourTerm:
-    """Silhouette contours of one frame, both ways (body outline -> mask, mask outline -> body). Built by `contour_term`.
+    """Silhouette contours of one frame, both ways (body outline -> mask, mask outline -> body). Built by
+    `contour_term`.
 
     sdf (C, h, w) float32 signed distance px, negative inside; outline (C, K, 2) float32 px points on the mask's edge;
     usable (C,); sizes (C, 2) width, height; projections (C, 3, 4) pinhole; weight: of one row at the reference density
@@ -119,8 +120,8 @@ class PointTerm:
         shapes = (self.points_world.shape, np.shape(self.weight), np.shape(self.joint), np.shape(self.offset))
         if shapes != ((m, 3), (m,), (m,), (m, 3)) or not self.scale_m > 0:
             raise InputError(
-                f"PointTerm needs points_world (M, 3), weight (M,), joint (M,), offset (M, 3) and scale_m > 0, got {shapes} "
-                f"and {self.scale_m}."
+                f"PointTerm needs points_world (M, 3), weight (M,), joint (M,), offset (M, 3) and "
+                f"scale_m > 0, got {shapes} and {self.scale_m}."
             )
 
 
@@ -128,7 +129,8 @@ class PointTerm:
 class Quadratic:
     """Prior 1/2 sum_d weight_d (q_d - centre_d)^2: centre (D,), weight (D,) >= 0 (inverse variances).
 
-    Balls are compared by their rotation-vector components; the root's centre is taken on the branch nearest to the start."""
+    Balls are compared by their rotation-vector components; the root's centre is taken on the branch nearest to the
+    start."""
 
     centre: Array
     weight: Array
@@ -147,9 +149,9 @@ class SolveOptions:
 
 @dataclass(frozen=True)
 class PoseFit:
-    """Result of one solve: pose (D,), cost F, Gauss-Newton hessian (D, D) and gradient (D,) of F at the pose, iterations,
-    evaluations, converged (the last step was below the tolerance), rows: how many rows of evidence there were (0: only
-    the priors spoke), view_rows (C, 2): contour rows of each view, forward and reverse."""
+    """Result of one solve: pose (D,), cost F, Gauss-Newton hessian (D, D) and gradient (D,) of F at the pose,
+    iterations, evaluations, converged (the last step was below the tolerance), rows: how many rows of evidence there
+    were (0: only the priors spoke), view_rows (C, 2): contour rows of each view, forward and reverse."""
 
     pose: Array
     cost: float
@@ -173,12 +175,14 @@ def contour_term(
 ) -> ContourTerm:
     """The contour evidence of a frame's masks.
 
-    weight: of one row at the reference density. scale_px: Geman-McClure scale; default 2.5 px for a person 260 px tall, in
-    proportion (10 px in a 1080p image). coarse_factor: scale of the first iterations relative to it. Views that are not
-    usable, or whose mask has no outline away from the image border, are left out; an EvidenceError when none is left.
-    """
+    weight: of one row at the reference density. scale_px: Geman-McClure scale; default 2.5 px for a person 260 px
+    tall, in proportion (10 px in a 1080p image). coarse_factor: scale of the first iterations relative to it. Views
+    that are not usable, or whose mask has no outline away from the image border, are left out; an EvidenceError when
+    none is left."""
     sizes = silhouettes.rig.sizes
-    heights = np.array([_apparent_height(m[:h, :w]) for m, (w, h) in zip(silhouettes.masks, sizes.tolist(), strict=True)])
+    heights = np.array(
+        [_apparent_height(m[:h, :w]) for m, (w, h) in zip(silhouettes.masks, sizes.tolist(), strict=True)]
+    )
     usable = np.array(silhouettes.usable, dtype=np.bool_) & (heights > 8)
     sdf = np.zeros(silhouettes.masks.shape, dtype=np.float32)
     outline = np.zeros((len(sdf), outline_count, 2), dtype=np.float32)
@@ -187,7 +191,9 @@ def contour_term(
         outline[c], n = compute.outline_points(sdf[c], silhouettes.rig[int(c)].size, outline_count)
         usable[c] = n >= 20
     if not usable.any():
-        reasons = "; ".join(f"{n}: {r or 'no outline'}" for n, r in zip(silhouettes.rig.names, silhouettes.reasons, strict=True))
+        reasons = "; ".join(
+            f"{n}: {r or 'no outline'}" for n, r in zip(silhouettes.rig.names, silhouettes.reasons, strict=True)
+        )
         raise EvidenceError(f"No view has a usable silhouette ({reasons}); leave the contours out of this frame.")
     height = float(np.median(heights[usable]))
     scale = scale_px if scale_px is not None else max(SCALE_OF_HEIGHT * height, 0.5)
@@ -233,9 +239,9 @@ def fit_pose(
 ) -> PoseFit:
     """The pose near start (D,) that explains the evidence best, inside the joint limits.
 
-    A SolverError when the start has the wrong size or its cost is not finite. A step is taken when its cost is finite and
-    at most 0.2 % higher (contour costs jump when the outline changes); no joint turns more than 0.35 rad per step.
-    """
+    A SolverError when the start has the wrong size or its cost is not finite. A step is taken when its cost is finite
+    and at most 0.2 % higher (contour costs jump when the outline changes); no joint turns more than 0.35 rad per
+    step."""
     return _Problem(body, contours, keypoints, points, priors, options or SolveOptions()).fit(start, workspace)
 
 
@@ -250,7 +256,8 @@ def fit_poses(
     options: SolveOptions | None = None,
     threads: int | None = None,
 ) -> list[PoseFit]:
-    """Independent solves from starts (N, D) on the same evidence, over threads; the same results for any number of them."""
+    """Independent solves from starts (N, D) on the same evidence, over threads; the same results for any number of
+    them."""
     q = np.asarray(starts, dtype=np.float64)
     problem = _Problem(body, contours, keypoints, points, priors, options or SolveOptions())
     fits: list[PoseFit | None] = [None] * len(q)
@@ -380,7 +387,9 @@ def contour_arrays(term: ContourTerm | None) -> ContourArrays:
 def _joints(joint: ArrayLike, n_joints: int, what: str) -> NDArray[np.int64]:
     j = np.array(joint, dtype=np.int64)
     if len(j) and (j.min() < 0 or j.max() >= n_joints):
-        raise InputError(f"{what}.joint refers to joint {int(j.max() if j.max() >= n_joints else j.min())} of {n_joints}.")
+        raise InputError(
+            f"{what}.joint refers to joint {int(j.max() if j.max() >= n_joints else j.min())} of {n_joints}."
+        )
     return j
 
 

@@ -45,19 +45,19 @@ def fit_clip(
     priors: Sequence[Quadratic] = (),
     options: SolveOptions | None = None,
 ) -> Array:
-    """Poses (T, D) of a clip from starts (T, D): the frames' evidence plus 1/2 sum_d a_d (q_{t-1} - 2 q_t + q_{t+1})_d^2.
+    """Poses (T, D) of a clip from starts (T, D): the frames' evidence plus 1/2 sum_d a_d (q_{t-1} - 2 q_t +
+    q_{t+1})_d^2.
 
-    points, keypoints, contours: one term (or None) per frame. acceleration: strength a (times `default_acceleration`), or
-    (D,) weights. priors act on every frame. Damped Gauss-Newton on all frames together: the matrix is block-pentadiagonal
-    and solved as a banded Cholesky, so the cost is linear in T. Joint limits are kept by cutting the step off.
-    A SolverError when a frame's cost at the start is not finite.
-    """
+    points, keypoints, contours: one term (or None) per frame. acceleration: strength a (times
+    `default_acceleration`), or (D,) weights. priors act on every frame. Damped Gauss-Newton on all frames together:
+    the matrix is block-pentadiagonal and solved as a banded Cholesky, so the cost is linear in T. Joint limits are
+    kept by cutting the step off. A SolverError when a frame's cost at the start is not finite."""
     q = _continuous(np.array(starts, dtype=np.float64))
     n_frames, dof = q.shape
     o = options or SolveOptions(iterations=15, coarse_iterations=0)
-    weights = (
-        default_acceleration(dof, float(acceleration)) if np.ndim(acceleration) == 0 else np.asarray(acceleration, float)
-    )
+    weights = np.asarray(acceleration, dtype=np.float64)
+    if weights.ndim == 0:
+        weights = default_acceleration(dof, float(weights))
     problem = _Clip(body, n_frames, points, keypoints, contours, priors, weights)
     lower, upper = body.skeleton.lower, body.skeleton.upper
     q = np.clip(q, lower, upper)
@@ -126,7 +126,9 @@ class _Clip:
         self.ws = workspace_for(body, largest)
         d2 = np.diff(np.eye(n_frames), 2, axis=0) if n_frames > 2 else np.zeros((0, n_frames))
         # bands of the second-difference operator's square: (T, T) only through its three diagonals
-        self.bands = [np.einsum("ki,ki->i", d2[:, : n_frames - s], d2[:, s:]) if s < n_frames else np.zeros(0) for s in range(3)]
+        self.bands = [
+            np.einsum("ki,ki->i", d2[:, : n_frames - s], d2[:, s:]) if s < n_frames else np.zeros(0) for s in range(3)
+        ]
 
     def evaluate(self, q: Array, coarse: bool) -> tuple[float, Array, Array]:
         cost, (t, d) = 0.0, q.shape

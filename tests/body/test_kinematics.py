@@ -71,7 +71,9 @@ def test_jacobian_by_finite_differences(body, poses, rng):
 
 def test_against_pinocchio(body, poses):
     """An independent rigid-body library: every hinge a revolute joint, every ball a spherical one (a quaternion)."""
-    pin = pytest.importorskip("pinocchio", reason="pinocchio (package pin) is not installed: no independent check of FK")
+    pin = pytest.importorskip(
+        "pinocchio", reason="pinocchio (package pin) is not installed: no independent check of FK"
+    )
     s = body.skeleton
     model = pin.Model()
     last, offset, order = {-1: 0}, {}, []
@@ -114,7 +116,8 @@ def test_against_pinocchio(body, poses):
             frame = model.getFrameId(name, pin.FrameType.OP_FRAME)
             np.testing.assert_allclose(data.oMf[frame].rotation, rotations[j], atol=1e-12)
             np.testing.assert_allclose(data.oMf[frame].translation, centres[j], atol=1e-12)
-            # pinocchio's velocities of a ball are angular velocities in the turned frame: R^T J_left per component's rate
+            # pinocchio's velocities of a ball are angular velocities in the turned frame: R^T J_left per component's
+            # rate
             spatial = pin.getFrameJacobian(model, data, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)[:3]
             ours = s.jacobian(q, j, centres[j][None])[0]
             column = 0
@@ -141,7 +144,9 @@ def test_step_inverts_difference(body, poses):
 def test_mean_of_poses_is_invariant_to_the_branch(body, rng):
     s = body.skeleton
     q = np.stack([random_pose(body, rng, 0.2) for _ in range(5)])
-    q[:, 3:6] = so3_log(so3_exp(rng.normal(size=(5, 3)) * 0.2) @ so3_exp([0, 0, np.pi]))  # headings on both sides of +-pi
+    q[:, 3:6] = so3_log(
+        so3_exp(rng.normal(size=(5, 3)) * 0.2) @ so3_exp([0, 0, np.pi])
+    )  # headings on both sides of +-pi
     w = rng.uniform(size=5)
     mean = s.mean(q, w)
     turned = q.copy()

@@ -30,7 +30,9 @@ def point_terms(motion, rng, noise):
 def test_smooth_clip_is_closer_to_the_truth_than_single_frames(motion, rng):
     terms = point_terms(motion, rng, 0.02)
     prior = [fitting.Quadratic(np.zeros(S.dof), np.full(S.dof, 0.3))]
-    single = np.stack([fitting.fit_pose(BODY, m, points=t, priors=prior).pose for m, t in zip(motion, terms, strict=True)])
+    single = np.stack(
+        [fitting.fit_pose(BODY, m, points=t, priors=prior).pose for m, t in zip(motion, terms, strict=True)]
+    )
     clip = fitting.fit_clip(BODY, motion, points=terms, acceleration=10.0, priors=prior)
     truth = BODY.joints(motion)
     error = [np.linalg.norm(BODY.joints(q) - truth, axis=-1).mean() for q in (single, clip)]
