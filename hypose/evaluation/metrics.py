@@ -69,12 +69,10 @@ def definition_offsets(
 
 
 def population_offsets(body: Body) -> Array:
-    """`definition_offsets` of a body (the tracker's template as shipped, not fitted to anybody) against the
-    mean of all baked subjects, per metre of stature: measured once, the same for every subject and
-    sequence."""
-    subjects = load_subjects().values()
-    mean = np.mean([s.joints / s.stature for s in subjects], axis=0)
-    return definition_offsets(body.skeleton.rest_joints, mean, body.stature, 1.0)
+    """`definition_offsets` of a body (the tracker's template as shipped, not fitted to anybody) against the subject
+    "neutral", per metre of stature: measured once, the same for every subject and sequence."""
+    neutral = load_subjects()["neutral"]
+    return definition_offsets(body.skeleton.rest_joints, neutral.joints, body.stature, neutral.stature)
 
 
 def _posed_like(joints: Array, other: Array) -> Array:

@@ -26,6 +26,7 @@ from hypose.evaluation.corruptions import (
     dropped_frames,
     occluder_mesh,
 )
+from hypose.evaluation.detections import keypoint_detections
 from hypose.evaluation.motions import act
 from hypose.evaluation.performance import Performance, moved
 from hypose.evaluation.render_rgb import (
@@ -46,6 +47,7 @@ from hypose.evaluation.render_rgb import (
 from hypose.evaluation.rigs import rig as named_rig
 from hypose.evaluation.subjects import Subject, dress, load_subjects
 from hypose.evidence.frame import Frame, Silhouettes
+from hypose.evidence.keypoints import BODY_25, to_keypoints
 from hypose.geometry import Array
 
 # first numbers of the random streams: (seed, stream, ...)
@@ -113,15 +115,17 @@ class Scene:
         camera = self.rig.pinhole().scaled(scale)[view]
         return _mask(camera, self.subject, self.vertices(index), self._occluder_depth(view, scale))
 
-    def mask_frames(self, scale: float = 1.0) -> Iterator[Frame]:
+    def mask_frames(self, scale: float = 1.0, *, keypoints: bool = False) -> Iterator[Frame]:
         """Frames with silhouettes straight from the truth, corrupted, undistorted, at `scale` times the
         cameras' size.
 
-        Views without an image (dropped, dead) are marked unusable with the reason.
+        Views without an image (dropped, dead) are marked unusable with the reason. keypoints: with noisy 2D key points
+        (detections.keypoint_detections) beside the masks.
         """
         given = self.given_rig.pinhole().scaled(scale)
         cameras = self.rig.pinhole().scaled(scale)
         w, h = cameras.sizes.max(0)
+        points = [keypoint_detections(self, c) for c in range(len(cameras))] if keypoints else []
         for t in range(len(self)):
             masks = np.zeros((len(cameras), h, w), np.uint8)
             usable, reasons = np.ones(len(cameras), bool), [""] * len(cameras)
@@ -134,7 +138,10 @@ class Scene:
                 masks[c, : mask.shape[0], : mask.shape[1]] = mask
                 if not mask.any():
                     usable[c], reasons[c] = False, "empty mask"
-            yield Frame(float(self.times[t]), t, Silhouettes(masks, given, usable, tuple(reasons)))
+            found = None
+            if keypoints:
+                found = to_keypoints([p[t] for p in points], BODY_25, self.given_rig, given)
+            yield Frame(float(self.times[t]), t, Silhouettes(masks, given, usable, tuple(reasons)), found)
 
     def _corrupted(self, view: int, index: int, camera: Camera, scale: float) -> NDArray[np.uint8]:
         s = self.shown(view, index)
@@ -164,7 +171,7 @@ class Scene:
             return np.zeros((camera.size[1], camera.size[0], 3), np.uint8)
         while index > 0 and self._dropped[view, index]:
             index -= 1
-        backdrop, s = self._backdrops[view], self.shown(view, index)
+        backdrop, s = self._backdrop(view), self.shown(view, index)
         picture = backdrop.image.copy()
         people = []
         for k, (subject, p) in enumerate(((self.subject, self.performance), *self.others)):
@@ -179,7 +186,7 @@ class Scene:
         """n pictures of the empty room, taken during the 10 s before the recording; black ones from no
         camera."""
         return [
-            self._develop(self._backdrops[view].image.copy(), view, -11.0 + 10.0 * k / max(n - 1, 1), -1 - k)
+            self._develop(self._backdrop(view).image.copy(), view, -11.0 + 10.0 * k / max(n - 1, 1), -1 - k)
             for k in range(n)
         ]
 
@@ -198,10 +205,15 @@ class Scene:
         reach = float(np.abs(self.rig.positions[:, :2]).max())
         return make_room(np.random.default_rng([self.seed, _ROOM]), max(reach, 3.0))
 
+    def _backdrop(self, view: int) -> Backdrop:
+        if view not in self._backdrops:
+            mesh = occluder_mesh(self.corruption.occluder)
+            self._backdrops[view] = render_room(self._room, self.rig[view], mesh)
+        return self._backdrops[view]
+
     @cached_property
-    def _backdrops(self) -> list[Backdrop]:
-        mesh = occluder_mesh(self.corruption.occluder)
-        return [render_room(self._room, c, mesh) for c in self.rig]
+    def _backdrops(self) -> dict[int, Backdrop]:
+        return {}
 
     @cached_property
     def _outfits(self) -> list[Outfit]:

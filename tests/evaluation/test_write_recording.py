@@ -3,8 +3,9 @@ import json
 import numpy as np
 import pytest
 
+from hypose.evaluation.detections import keypoint_detections, surface_landmarks
 from hypose.evaluation.scenes import make_scene
-from hypose.evaluation.write_recording import keypoint_detections, surface_landmarks, write_scene
+from hypose.evaluation.write_recording import write_scene
 from hypose.evidence.keypoints import BODY_25
 from hypose.io.recording import load_recording
 from hypose.io.video import VideoReader
