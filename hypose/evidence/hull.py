@@ -15,7 +15,7 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array
 
-_LEVELS = 4  # the coarsest cells are 2**_LEVELS voxels wide
+_COARSE = 24  # cells along the longest side of the space at the coarsest level
 _MAX_CELLS = 20_000_000
 
 
@@ -122,16 +122,13 @@ def visual_hull(
     box = common_view_bounds(rig) if bounds is None else np.asarray(bounds, dtype=np.float64)
     if box.shape != (2, 3) or not (box[1] > box[0]).all():
         raise InputError("The bounds of the hull must be (lowest, highest) corners of shape (2, 3) in metres.")
-    coarse = voxel * 2**_LEVELS
-    cells = np.ceil((box[1] - box[0]) / coarse).astype(np.int64)
-    if cells.prod() > _MAX_CELLS:
-        raise InputError(
-            f"A space of {box[1] - box[0]} m is too large for {voxel:g} m voxels; narrow it or use larger ones."
-        )
+    extent = box[1] - box[0]
+    levels = max(0, int(np.ceil(np.log2(extent.max() / (voxel * _COARSE)))))
+    cells = np.ceil(extent / (voxel * 2**levels)).astype(np.int64)
     index = np.stack(np.meshgrid(*(np.arange(n) for n in cells), indexing="ij"), -1).reshape(-1, 3)
     sums = {int(c): np.pad(silhouettes.masks[c].astype(np.int32).cumsum(0).cumsum(1), ((1, 0), (1, 0))) for c in views}
     corner = np.stack(np.meshgrid(*[(0, 1)] * 3, indexing="ij"), -1).reshape(8, 3)
-    for level in range(_LEVELS, -1, -1):
+    for level in range(levels, -1, -1):
         edge = voxel * 2**level
         centres = box[0] + (index + 0.5) * edge
         free, hits = np.zeros(len(index), np.int16), np.zeros(len(index), np.int16)

@@ -277,7 +277,7 @@ def triangulate_keypoints(
     Confidence-weighted linear triangulation. Where the largest reprojection distance exceeds max_residual
     (px of the working size; default 1 % of the longest image side) and three or more views see the point,
     every view is left out in turn and the best solution is kept when it is at least twice as good. The
-    residual is the root mean square over the views used; what still exceeds four times max_residual, or
+    residual is the root mean square over the views used; what still exceeds twice max_residual, or
     has fewer than two views, is NaN.
     """
     if not frames:
@@ -309,7 +309,7 @@ def triangulate_keypoints(
     n = used.sum(0)
     distance = np.where(used, _reprojection(rig, x, uv, w), 0.0)
     residual = np.sqrt((distance**2).sum(0) / np.maximum(n, 1))
-    bad = (n < 2) | (worst > 4 * limit) | ~np.isfinite(x).all(1)
+    bad = (n < 2) | (worst > 2 * limit) | ~np.isfinite(x).all(1)
     x = np.where(bad[:, None], np.nan, x)
     return (
         x.reshape(*shape, 3),

@@ -1,0 +1,121 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.cameras.camera import CameraRig
+from hypose.errors import EvidenceError, InputError
+from hypose.evidence.hull import common_view_bounds, hull_iou, visual_hull
+from hypose.geometry import transform
+from tests.evidence.scenes import far_ring, ring, solid_masks
+
+CORNERS = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3, indexing="ij"), -1).reshape(-1, 3)
+
+
+def sphere(centre, radius, n=2000):
+    rng = np.random.default_rng(0)
+    p = rng.normal(size=(n, 3))
+    return centre + radius * p / np.linalg.norm(p, axis=1, keepdims=True)
+
+
+def test_box_seen_from_many_sides_has_its_volume_height_and_place():
+    size, centre = np.array([0.4, 0.3, 1.5]), np.array([0.1, -0.2, 0.93])
+    s = solid_masks(far_ring(8), CORNERS * size + centre)
+    hull = visual_hull(s, voxel=0.02)
+    assert hull.volume == pytest.approx(size.prod(), rel=0.06)
+    assert hull.height == pytest.approx(1.5, abs=0.021)
+    assert np.allclose(hull.centroid, centre, atol=0.01)
+    assert (hull_iou(hull, s) > 0.88).all()
+
+
+def test_sphere_and_its_normals():
+    centre = np.array([0.2, 0.1, 1.0])
+    hull = visual_hull(solid_masks(ring(10, height=2.2, target=(0.2, 0.1, 1.0)), sphere(centre, 0.4)), voxel=0.02)
+    assert hull.volume == pytest.approx(4 / 3 * np.pi * 0.4**3, rel=0.15)
+    outward = hull.surface_points - centre
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    assert np.allclose(np.linalg.norm(hull.normals, axis=1), 1)
+    assert np.median((hull.normals * outward).sum(1)) > 0.95
+
+
+def test_coarse_to_fine_keeps_every_voxel_of_the_plain_search():
+    rig = ring(4)
+    s = solid_masks(rig, CORNERS * [0.5, 0.4, 1.2] + [0.3, 0.2, 0.8])
+    bounds = np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.92]])
+    voxel = 0.04
+    hull = visual_hull(s, bounds, voxel, min_views=4, largest=False)
+    grid = np.stack(np.meshgrid(*(np.arange(n) for n in (50, 50, 48)), indexing="ij"), -1).reshape(-1, 3)
+    centres = bounds[0] + (grid + 0.5) * voxel
+    keep = np.ones(len(centres), bool)
+    for c, camera in enumerate(rig):
+        u, v = np.rint(camera.project_pinhole(centres)).astype(int).T
+        inside = (u >= 0) & (u < 320) & (v >= 0) & (v < 240)
+        keep &= inside & (s.masks[c][np.clip(v, 0, 239), np.clip(u, 0, 319)] > 0)
+    assert {tuple(p) for p in np.round(hull.points, 6)} == {tuple(p) for p in np.round(centres[keep], 6)}
+
+
+def test_one_missing_view_is_tolerated():
+    s = solid_masks(ring(6), CORNERS * [0.4, 0.4, 1.4] + [0, 0, 0.9])
+    masks = s.masks.copy()
+    masks[2, :, :160] = 0  # half of the person is missing in one view
+    damaged = replace(s, masks=masks)
+    whole, cut, mended = visual_hull(s), visual_hull(damaged), visual_hull(damaged, miss=1)
+    assert cut.volume < 0.85 * whole.volume
+    assert mended.volume >= whole.volume
+
+
+def test_view_that_does_not_see_the_place_does_not_count_against_it():
+    rig = far_ring(8)
+    k = rig[0].K.copy()
+    k[0, 2] += 178  # camera 1 looks past the person
+    rig = CameraRig((replace(rig[0], K=k), *rig.cameras[1:]))
+    s = solid_masks(rig, CORNERS * [0.4, 0.4, 1.4] + [0, 0, 0.9])
+    assert 0 < s.areas[0] < 0.2 * s.areas[4]
+    assert visual_hull(s, common_view_bounds(far_ring(8))).height == pytest.approx(1.4, abs=0.031)
+
+
+def test_unusable_views_are_left_out():
+    s = solid_masks(far_ring(5), CORNERS * [0.4, 0.4, 1.4] + [0, 0, 0.9])
+    masks = s.masks.copy()
+    masks[1] = 0
+    without = replace(
+        s, masks=masks, usable=np.arange(5) != 1, reasons=("", "c2, frame 3: the mask is empty", "", "", "")
+    )
+    hull = visual_hull(without)
+    assert hull.height == pytest.approx(1.4, abs=0.031)
+    assert np.isnan(hull_iou(hull, without)[1])
+    with pytest.raises(EvidenceError, match="c2, frame 3"):
+        visual_hull(replace(without, usable=np.arange(5) == 0))
+
+
+def test_nothing_in_common_is_an_error_that_says_what_to_check():
+    s = solid_masks(ring(4), CORNERS * 0.3 + [0, 0, 0.9])
+    masks = s.masks.copy()
+    masks[0] = 0
+    masks[0, 5:15, 5:15] = 1
+    with pytest.raises(EvidenceError, match="calibration and synchronisation"):
+        visual_hull(replace(s, masks=masks))
+    with pytest.raises(InputError, match="bounds"):
+        visual_hull(s, np.array([[0.0, 0, 0], [-1, 1, 1]]))
+    with pytest.raises(InputError, match="voxel"):
+        visual_hull(s, voxel=0)
+
+
+def test_parallel_cameras_need_bounds():
+    camera = ring(1)[0]
+    shifted = replace(camera, name="d", camera_from_world=camera.camera_from_world.copy())
+    shifted.camera_from_world[0, 3] += 0.3
+    with pytest.raises(EvidenceError, match="bounds"):
+        common_view_bounds(CameraRig((camera, shifted)))
+
+
+def test_hull_moves_with_the_world():
+    rig = ring(6)
+    s = solid_masks(rig, CORNERS * [0.3, 0.5, 1.3] + [0, 0, 0.9])
+    move = np.eye(4)
+    move[:3, 3] = [5, -3, 0.5]
+    inverse = np.linalg.inv(move)
+    moved = CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ inverse) for c in rig))
+    a, b = visual_hull(s), visual_hull(replace(s, rig=moved))
+    assert np.allclose(transform(move, a.centroid), b.centroid, atol=1e-6)
+    assert a.volume == pytest.approx(b.volume)
