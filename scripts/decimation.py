@@ -264,9 +264,9 @@ def fit_surface(
         entries = bary * np.einsum("sd,scd->sc", n, normal[faces[face]])
         rows = np.repeat(np.flatnonzero(keep), 3)
         a = coo_matrix((entries[keep].ravel(), (rows, faces[face][keep].ravel())), shape=(len(samples), len(out)))
-        a = a.tocsr()
-        lhs = a.T @ a + identity(len(out), format="csr") * (0.15 * len(samples) / len(out))
-        step = spsolve(csc_matrix(lhs), a.T @ np.where(keep, signed, 0))
+        a = csc_matrix(a)
+        lhs = a.T @ a + identity(len(out), format="csc") * (0.15 * len(samples) / len(out))
+        step = np.asarray(spsolve(csc_matrix(lhs), a.T @ np.where(keep, signed, 0)))
         out = _symmetric(out + 0.8 * step[:, None] * normal, mirror)
     for _ in range(4):
         normal, face_normal = vertex_normals(out, faces)

