@@ -15,7 +15,7 @@ from hypose.cameras.camera import Camera, CameraRig
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.hull import hull_iou, visual_hull
-from hypose.evidence.keypoints import BODY_25
+from hypose.evidence.keypoints import BODY_25B
 from hypose.evidence.silhouettes import as_mask, make_silhouettes
 from hypose.geometry import Array, se3, so3_exp
 from hypose.io.frames import FrameOptions, FrameStream
@@ -26,7 +26,7 @@ from hypose.pipeline.subject import SubjectOptions, find_subject
 from hypose.tracking.evidence import KeypointModel
 
 LIMBS = tuple(
-    BODY_25.index(f"{side}_{part}")
+    BODY_25B.index(f"{side}_{part}")
     for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
     for side in ("left", "right")
 )
@@ -64,7 +64,7 @@ def real_balancing(options: BenchOptions) -> BenchReport:
     rate = with_points.recording.frame_rate
     n = 20 if options.quick else len(with_points)
     rows: list[Row] = []
-    options.progress("subject", 0, 4)
+    options.progress("subject", 0, 5)
     subject = find_subject(with_points.frame, n, SubjectOptions("keypoints", frame_rate=rate))
     cases = (
         ("silhouettes", without, "silhouettes"),
@@ -73,10 +73,11 @@ def real_balancing(options: BenchOptions) -> BenchReport:
         ("both", with_points, "both"),
     )
     for k, (case, stream, evidence) in enumerate(cases):
-        options.progress(case, k, len(cases))
+        options.progress(case, k + 1, len(cases) + 1)
         source = _First(stream, n)
         result = track_source(source, rate, TrackOptions(evidence=evidence), subject=subject)
         assert result.motion.poses is not None and subject.keypoints is not None
+        assert subject.keypoints.names == BODY_25B  # the order of the reference
         # key-point file t belongs to video frame t + 1: frame 0 of the video has none
         rows += _against(case, subject.body, subject.keypoints, result.motion.poses[1:], reference[: n - 1])
         if evidence != "keypoints":
