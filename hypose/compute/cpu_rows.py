@@ -302,7 +302,8 @@ def outline_points(sdf, width, height, out):
             if row[before] > 0 or row[after] > 0 or above[x] > 0 or below[x] > 0:
                 if n == found.shape[0]:
                     longer = np.empty(2 * n, np.int32)
-                    longer[:n] = found
+                    for k in range(n):  # a slice assignment would compile numba's error texts too: 3 s
+                        longer[k] = found[k]
                     found = longer
                 found[n] = y * width + i + BORDER
                 n += 1

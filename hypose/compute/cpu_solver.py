@@ -232,10 +232,14 @@ def solve(q, tree, mesh, contours, keypoints, points, priors, settings, ws, hess
         done += 1
         used += 1
         if accepted:
-            q[:] = trial
-            hessian[:] = new_hessian
-            gradient[:] = new_gradient
-            counts[:] = new_counts
+            for d in range(n):  # array assignments would compile numba's error texts too: 2 s
+                q[d] = trial[d]
+                gradient[d] = new_gradient[d]
+                for e in range(n):
+                    hessian[d, e] = new_hessian[d, e]
+            for r in range(counts.shape[0]):
+                counts[r, 0] = new_counts[r, 0]
+                counts[r, 1] = new_counts[r, 1]
             damping = max(damping / 4, 1e-4)
         if moved < settings.tolerance or not accepted:
             if coarse == 0:

@@ -43,7 +43,8 @@ def default_threads() -> int:
 
 
 @cache
-def _pool(threads: int) -> ThreadPoolExecutor:
+def _pool(threads: int, process: int) -> ThreadPoolExecutor:
+    # one per process: in a forked child the parent's pool looks alive but has no threads
     return ThreadPoolExecutor(threads, thread_name_prefix="hypose")
 
 
@@ -59,7 +60,7 @@ def over_chunks(work: Callable[[int, int], None], n: int, threads: int | None, s
             work(0, n)
         return
     cuts = [n * k // count for k in range(count + 1)]
-    waiting = [_pool(count).submit(work, a, b) for a, b in zip(cuts[1:-1], cuts[2:], strict=True)]
+    waiting = [_pool(count, os.getpid()).submit(work, a, b) for a, b in zip(cuts[1:-1], cuts[2:], strict=True)]
     work(cuts[0], cuts[1])
     for future in waiting:
         future.result()

@@ -1,0 +1,57 @@
+"""Choosing the back end, spreading work over threads, and never running kernels older than their source."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from hypose import compute
+from hypose.compute import selection
+
+
+def test_importing_the_package_does_not_import_numba():
+    code = "import sys, hypose.compute, hypose.body.skeleton, hypose.fitting; assert 'numba' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_back_end_is_restored_after_the_block_and_after_an_error():
+    assert selection.backend() == "numba"
+    with pytest.raises(ZeroDivisionError), compute.use("numpy"):
+        assert selection.backend() == "numpy"
+        raise ZeroDivisionError
+    assert selection.backend() == "numba"
+
+
+@pytest.mark.parametrize(("n", "threads"), [(0, 2), (1, 4), (7, 3), (16, 1)])
+def test_chunks_cover_everything_once(n, threads):
+    seen = [0] * n
+
+    def work(first, last):
+        for k in range(first, last):
+            seen[k] += 1
+
+    selection.over_chunks(work, n, threads)
+    assert seen == [1] * n
+
+
+def test_an_error_in_any_chunk_is_raised():
+    def work(first, last):
+        if last == 6:
+            raise ValueError("in the last chunk")
+
+    with pytest.raises(ValueError, match="last chunk"):
+        selection.over_chunks(work, 6, 3)
+
+
+def test_kernels_older_than_a_source_are_forgotten(tmp_path, monkeypatch):
+    cache = tmp_path / "__pycache__"
+    cache.mkdir()
+    (tmp_path / "kernels.py").write_text("")
+    for name, age in (("old.nbi", 100), ("new.nbi", -100)):
+        (cache / name).write_text("")
+        stamp = (tmp_path / "kernels.py").stat().st_mtime - age
+        os.utime(cache / name, (stamp, stamp))
+    monkeypatch.setattr(selection, "__file__", str(tmp_path / "selection.py"))
+    selection.drop_stale_kernels.__wrapped__()
+    assert [p.name for p in cache.iterdir()] == ["new.nbi"]
