@@ -30,7 +30,7 @@ def far_ring(count, target=(0.0, 0.0, 0.9)):
 
 
 def solid_masks(rig, inside_points):
-    """Silhouettes of a convex solid, by its points (N, 3): pixels whose centre lies in the convex hull of the images."""
+    """Silhouettes of a convex solid, by its points (N, 3): pixels whose centre is in the hull of the images."""
     masks = []
     for camera in rig:
         u, v = np.meshgrid(np.arange(camera.size[0]), np.arange(camera.size[1]))

@@ -1,0 +1,307 @@
+"""The frame stream on a small film of four views, and on the real recordings when they are there."""
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from hypose.cameras.camera import Camera, CameraRig
+from hypose.errors import InputError
+from hypose.evidence.hull import hull_iou, visual_hull
+from hypose.evidence.keypoints import BODY_25B, triangulate_keypoints
+from hypose.evidence.silhouettes import SilhouetteOptions, as_mask, biggest_parts
+from hypose.geometry import se3, so3_exp
+from hypose.io.frames import FrameOptions, FrameStream, build_backgrounds, working_rig, write_masks
+from hypose.io.recording import Recording, View
+from tests.evidence.scenes import ellipse, iou, picture, ring, room
+
+SHAPE, COUNT = (240, 320), 14
+OPTIONS = FrameOptions(longer_side=320)
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory):
+    """(recording, truth (C, T, h, w)): PNG folders, an empty room each, COCO key points as if in every view."""
+    folder = tmp_path_factory.mktemp("film")
+    rng = np.random.default_rng(8)
+    truth, views = [], []
+    for name in ("a", "b", "c"):
+        background = room(rng, SHAPE)
+        masks = [ellipse(SHAPE, t) for t in np.linspace(0.1, 0.9, COUNT)]
+        for sub, images in (
+            ("images", [picture(rng, background, m) for m in masks]),
+            ("empty", [np.clip(background + rng.normal(0, 3, background.shape), 0, 255) for _ in range(12)]),
+        ):
+            path = folder / sub / name
+            path.mkdir(parents=True)
+            for i, image in enumerate(images):
+                cv2.imwrite(str(path / f"{i:04d}.png"), image.astype(np.uint8))
+        truth.append(masks)
+        views.append(View(name, images=folder / "images" / name, background=folder / "empty" / name))
+    rig = CameraRig(tuple(replace(c, name=v.name) for c, v in zip(ring(3), views, strict=True)))
+    return Recording(folder, "film", rig, tuple(views), 25.0, None, None, n_frames=COUNT), np.array(truth)
+
+
+def test_masks_are_those_of_the_person(film):
+    recording, truth = film
+    with FrameStream(recording, OPTIONS) as stream:
+        assert len(stream) == COUNT
+        frames = list(stream)
+    assert [f.index for f in frames] == list(range(COUNT)) and frames[5].time == pytest.approx(0.2)
+    for t, frame in enumerate(frames):
+        assert frame.silhouettes.usable.all()
+        assert min(iou(m, truth[c, t]) for c, m in enumerate(frame.silhouettes.masks)) > 0.93
+
+
+def test_any_order_and_a_new_stream_give_the_same_frames(film):
+    recording, _ = film
+    with FrameStream(recording, OPTIONS) as stream:
+        frames = list(stream)
+        backgrounds = stream.backgrounds
+    with FrameStream(recording, OPTIONS, backgrounds) as resumed:
+        for i in (11, 3, 12, 0):
+            again = resumed.frame(i)
+            assert np.array_equal(again.silhouettes.masks, frames[i].silhouettes.masks)
+            assert again.silhouettes.reasons == frames[i].silhouettes.reasons
+        with pytest.raises(InputError, match="frames 0 to 13; 14 was asked"):
+            resumed.frame(14)
+
+
+def test_frame_range_counts_from_its_start(film):
+    recording, _ = film
+    with FrameStream(recording, OPTIONS) as stream:
+        whole = stream.frame(6)
+        backgrounds = stream.backgrounds
+    with FrameStream(replace(recording, frame_range=(5, 9)), OPTIONS, backgrounds) as part:
+        assert len(part) == 4
+        assert part.frame(1).index == 6 and part.frame(1).time == whole.time
+        assert np.array_equal(part.frame(1).silhouettes.masks, whole.silhouettes.masks)
+
+
+def test_working_size_is_a_share_and_never_enlarged(film):
+    recording, _ = film
+    assert working_rig(recording.rig, FrameOptions(longer_side=160)).sizes.tolist() == [[160, 120]] * 3
+    assert working_rig(recording.rig, FrameOptions(longer_side=4000)).sizes.tolist() == [[320, 240]] * 3
+    assert working_rig(recording.rig, FrameOptions(factor=0.25)).sizes.tolist() == [[80, 60]] * 3
+    with pytest.raises(InputError, match="factor"):
+        FrameOptions(factor=2.0)
+
+
+def test_views_that_fail_are_left_out_with_a_reason(film, tmp_path):
+    recording, _ = film
+    short, dark = tmp_path / "short", tmp_path / "dark"
+    for path in (short, dark):
+        path.mkdir()
+    for i in range(COUNT):
+        data = (recording.views[1].images / f"{i:04d}.png").read_bytes()
+        (short / f"{i:04d}.png").write_bytes(data if i < 9 else b"cut off")
+        empty = (recording.views[2].background / "0000.png").read_bytes()
+        (dark / f"{i:04d}.png").write_bytes(
+            empty if i == 6 else (recording.views[2].images / f"{i:04d}.png").read_bytes()
+        )
+    views = (recording.views[0], replace(recording.views[1], images=short), replace(recording.views[2], images=dark))
+    with FrameStream(replace(recording, views=views), OPTIONS) as stream:
+        frames = list(stream)
+    assert [f.silhouettes.usable.tolist() for f in (frames[5], frames[6], frames[10])] == [
+        [True, True, True],
+        [True, True, False],
+        [True, False, True],
+    ]
+    assert "c, frame 6" in frames[6].silhouettes.reasons[2]
+    assert "b, frame 10" in frames[10].silhouettes.reasons[1] and "damaged" in frames[10].silhouettes.reasons[1]
+
+
+def test_masks_written_are_read_back_exactly(film, tmp_path):
+    recording, _ = film
+    with FrameStream(recording, OPTIONS) as stream:
+        frames = list(stream)
+        seen = []
+        write_masks(stream, tmp_path, lambda done, total: seen.append((done, total)))
+    assert seen[-1] == (COUNT, COUNT)
+    views = tuple(View(v.name, masks=tmp_path / v.name) for v in recording.views)
+    with FrameStream(replace(recording, views=views), OPTIONS) as stream:
+        assert stream.backgrounds == (None, None, None)
+        for a, b in zip(stream, frames, strict=True):
+            assert np.array_equal(a.silhouettes.masks, b.silhouettes.masks)
+
+
+def test_masks_from_elsewhere_are_undistorted_and_shifted(tmp_path):
+    camera = replace(ring(1)[0], distortion=np.array([-0.25, 0.05, 0.0, 0.0, 0.0]))
+    rig = CameraRig((camera,))
+    circle = np.stack([camera.position * 0 + [0.5 * np.cos(a), 0.5 * np.sin(a), 0.9] for a in np.linspace(0, 6.28, 80)])
+    outline = camera.project(circle) - [5, 0]  # stored 5 px too far left
+    mask = np.zeros(SHAPE, np.uint8)
+    cv2.fillPoly(mask, [np.rint(outline).astype(np.int32)], 255)
+    cv2.imwrite(str(tmp_path / "0.png"), mask)
+    recording = Recording(
+        tmp_path, "m", rig, (View("c1", masks=tmp_path, image_shift=(5.0, 0.0)),), 25.0, None, None, n_frames=1
+    )
+    with FrameStream(recording, OPTIONS) as stream:
+        found = stream.frame(0).silhouettes.masks[0]
+    truth = np.zeros(SHAPE, np.uint8)
+    cv2.fillPoly(truth, [np.rint(camera.project_pinhole(circle)).astype(np.int32)], 1)
+    assert iou(found, truth) > 0.95
+
+
+def keypoint_files(folder, first, count, lag=0, skip=(), names=25):
+    folder.mkdir()
+    for t in range(count):
+        if t in skip:
+            continue
+        points = np.column_stack([50 + t + lag + np.arange(names), 3.0 * np.arange(names) + 20, np.full(names, 0.9)])
+        text = json.dumps({"people": [{"pose_keypoints_2d": points.ravel().tolist()}]})
+        (folder / f"x_{first + t:06d}_keypoints.json").write_text(text)
+    return folder
+
+
+def test_key_points_are_matched_by_number_with_the_lag(film, tmp_path):
+    recording, _ = film
+    views = (
+        replace(recording.views[0], keypoints=keypoint_files(tmp_path / "a", 1, COUNT, lag=2)),
+        replace(recording.views[1], keypoints=keypoint_files(tmp_path / "b", 1, COUNT, lag=2, skip=(0, 4))),
+        recording.views[2],
+    )
+    r = replace(recording, views=views, keypoint_set="BODY_25", keypoint_lag=2)
+    with FrameStream(r, FrameOptions(longer_side=320, silhouettes=None)) as stream:
+        frames = list(stream)
+    assert frames[0].silhouettes is None
+    points = np.stack([f.keypoints.points for f in frames])
+    assert (points[:2, ..., 2] == 0).all()  # no file for the first two frames
+    assert np.allclose(points[2:, 0, 0, 0], 50 + np.arange(2, COUNT))
+    assert points[6, 1, 0, 2] == 0 and points[7, 1, 0, 2] > 0 and (points[:, 2, :, 2] == 0).all()
+    (tmp_path / "a" / "x_000003_keypoints.json").write_text("{}")
+    with pytest.raises(InputError, match="x_000003_keypoints.json"):
+        FrameStream(r, FrameOptions(silhouettes=None))
+
+
+def test_key_points_of_image_pixels_are_scaled(film, tmp_path):
+    recording, _ = film
+    folder = keypoint_files(tmp_path / "a", 0, COUNT)
+    views = tuple(replace(v, keypoints=folder) for v in recording.views)
+    big = CameraRig(tuple(c.scaled((640, 480)) for c in recording.rig))
+    r = replace(recording, rig=big, views=views, keypoint_set="BODY_25", keypoint_pixels="image")
+    with FrameStream(r, FrameOptions(longer_side=320, silhouettes=None)) as stream:
+        assert stream.frame(3).keypoints.points[1, 0, 0] == pytest.approx(53, abs=1e-6)
+
+
+def test_background_from_the_tracked_model_alone(film):
+    recording, truth = film
+    views = tuple(replace(v, background=None) for v in recording.views)
+
+    def covers(view, frame):
+        return cv2.dilate(truth[view, frame], np.ones((9, 9), np.uint8))
+
+    with_model = FrameStream(replace(recording, views=views), OPTIONS, covers=covers)
+    with with_model as stream:
+        got = [iou(m, truth[c, 4]) for c, m in enumerate(stream.frame(4).silhouettes.masks)]
+    assert min(got) > 0.85
+    assert "whoever stands still" in build_backgrounds(replace(recording, views=views), OPTIONS)[0].note
+
+
+# ---- real recordings -----------------------------------------------------------------------------------------
+
+
+def uu4cam(folder):
+    cameras, views = [], []
+    for k, c in json.loads((folder / "calib_refined.json").read_text()).items():
+        rotation = so3_exp(np.ravel(c["rvec"])) @ np.diag([1.0, -1.0, -1.0])  # its world has z down
+        pose = se3(rotation, np.ravel(c["tvec"]) / 1000)
+        cameras.append(Camera(f"cam{k}", np.array(c["K"]), np.ravel(c["D"]), pose, (644, 486)))
+        sub = folder / f"cam{k}"
+        views.append(View(f"cam{k}", video=sub / "video.avi", background=sub / "background.avi"))
+    return Recording(folder, "uu4cam", CameraRig(tuple(cameras)), tuple(views), 50.0, (0, 426), None, n_frames=426)
+
+
+@pytest.mark.slow
+def test_uu4cam_masks_agree_with_the_students_and_the_hull_with_the_masks(shared_data):
+    recording = uu4cam(shared_data("uu4cam"))
+    students = tuple(View(v.name, masks=v.video.with_name("foreground_mask.avi")) for v in recording.views)
+    with FrameStream(recording) as ours, FrameStream(replace(recording, views=students)) as theirs:
+        found, hulls = [], []
+        for i in range(0, 426, 71):
+            a, b = ours.frame(i).silhouettes, theirs.frame(i).silhouettes
+            # their masks hold a moved chessboard beside the man, ours the ceiling's lamps
+            pairs = [(biggest_parts(x, 1.0), biggest_parts(y, 1.0)) for x, y in zip(a.masks, b.masks, strict=True)]
+            found.append([iou(x, y) for x, y in pairs])
+            only = replace(a, masks=np.stack([x for x, _ in pairs]))
+            hulls.append(hull_iou(visual_hull(only, voxel=0.02), only))
+            assert a.usable.all()
+    assert np.mean(found) >= 0.9 and np.mean(found, axis=0).min() >= 0.87
+    assert np.mean(hulls, axis=0).min() >= 0.85
+
+
+def balancing(folder, keypoints):
+    import re
+    import tomllib
+
+    table = tomllib.loads((folder / "calibration/Calib_qualisys.toml").read_text())
+    lens = re.findall(r"<intrinsic ([^>]*)>", (folder / "calibration/Calib.qca.txt").read_text())
+    refined = json.loads((folder / "extrinsics_refined.json").read_text())
+    kinds = ("radialDistortion1", "radialDistortion2", "tangentalDistortion1", "tangentalDistortion2")
+    cameras, views = [], []
+    for i in range(4):
+        n = f"cam0{i + 1}"
+        distortion = np.array([float(re.search(rf'{k}="([^"]*)"', lens[i])[1]) for k in kinds])
+        pose = se3(so3_exp(refined["rvec"][i]), refined["tvec"][i])
+        k = np.array(table[f"cam_0{i + 1}"]["matrix"])
+        cameras.append(Camera(n, k, distortion, pose, (1088, 1920)))
+        photo = folder / f"calibration/extrinsics/ext_{n}_img/{n}_ext.png"
+        json_folder = folder / f"pose/{n}_json" if keypoints else None
+        shift = (6.0 if i == 0 else 0.0, 0.0)
+        views.append(
+            View(n, video=folder / f"videos/{n}.mp4", background=photo, keypoints=json_folder, image_shift=shift)
+        )
+    names = "BODY_25B" if keypoints else None
+    return Recording(folder, "b", CameraRig(tuple(cameras)), tuple(views), 60.0, (1, 100), names, 1, n_frames=100)
+
+
+LIMBS = [(a, a + 2) for a in (5, 6, 7, 8, 11, 12, 13, 14)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("keypoints", "least"), [(True, 0.96), (False, 0.93)])
+def test_balancing_masks_hold_the_limbs_in_all_views(shared_data, keypoints, least):
+    folder = shared_data("pose2sim_balancing")
+    with (
+        FrameStream(balancing(folder, keypoints)) as stream,
+        FrameStream(balancing(folder, True), FrameOptions(silhouettes=None)) as detected,
+    ):
+        hits, areas = np.zeros((4, 2)), []
+        for i in range(0, 99, 7):
+            frame, points = stream.frame(i), detected.frame(i).keypoints.points
+            assert frame.silhouettes.usable.all()
+            areas.append(frame.silhouettes.areas)
+            for c, (mask, p) in enumerate(zip(frame.silhouettes.masks, points, strict=True)):
+                for a, b in LIMBS:
+                    for s in (0.2, 0.5, 0.8):
+                        u, v = np.rint(p[a, :2] * (1 - s) + p[b, :2] * s).astype(int)
+                        if min(p[a, 2], p[b, 2]) > 0.5 and 0 <= u < 272 and 0 <= v < 480:
+                            hits[c] += [mask[v, u], 1]
+        assert (hits[:, 0] / hits[:, 1]).min() >= least, hits[:, 0] / hits[:, 1]
+        assert np.max(areas) < 16_000  # a man, no observer and no mats
+
+
+def test_balancing_key_points_agree_with_the_reference(shared_data):
+    folder = shared_data("pose2sim_balancing")
+    with FrameStream(balancing(folder, True), FrameOptions(silhouettes=None)) as stream:
+        frames = [f.keypoints for f in stream]
+    assert frames[0].names == BODY_25B
+    points, residual, _ = triangulate_keypoints(frames)
+    reference = np.load(folder / "kp3d_refined_m.npy")[:99]  # of the key-point files, which lag one frame
+    error = np.linalg.norm(points - reference, axis=-1)
+    assert np.nanmedian(error) < 0.002 and np.nanpercentile(error, 95) < 0.05
+    assert np.nanmedian(residual) < 3
+    assert np.isnan(error).mean() < np.isnan(reference).any(-1).mean() + 0.03
+
+
+def test_mog2_and_key_point_only_streams(film):
+    recording, truth = film
+    with FrameStream(recording, replace(OPTIONS, silhouettes=SilhouetteOptions(method="mog2"))) as stream:
+        assert iou(stream.frame(7).silhouettes.masks[0], as_mask(truth[0, 7])) > 0.85
+    with (
+        FrameStream(recording, FrameOptions(silhouettes=None)) as stream,
+        pytest.raises(InputError, match="decodes no"),
+    ):
+        stream.image(0, 0)
