@@ -35,7 +35,8 @@ class Findings:
 
 def camera_table(recording: Recording) -> Table:
     """One row per camera: files, sizes, frame rate, frames, background, key points, place."""
-    title = f"{recording.name}: {len(recording.views)} views, {recording.n_frames} frames, {recording.frame_rate:g} frames/s"
+    title = f"{recording.name}: {len(recording.views)} views, {recording.n_frames} frames, "
+    title += f"{recording.frame_rate:g} frames/s"
     table = Table(title=title, title_justify="left")
     for column in (
         "view",

@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # accepted in any place: who needs it is in a hurry
     given = [a for a in given if a != "--debug"]
     try:
-        app(given, prog_name="hypose")
+        app(given, prog_name="hypose", obj=given)
     except HyposeError as error:
         _fail(str(error), debug)
         sys.exit(2)
@@ -70,7 +70,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if isinstance(error, MemoryError):
             reason = "the memory is full; close other programs, or track fewer frames at a time with --frames"
         else:
-            reason = f"this should not have happened ({reason}); please report it with the output of the same command and --debug"
+            reason = (
+                f"this should not have happened ({reason}); please report it with the output of the same command "
+                "and --debug"
+            )
         _fail(reason + ".", debug)
         sys.exit(1)
 

@@ -22,7 +22,7 @@ def check(
         Path | None, typer.Option(help="Use this calibration file instead of the recording's.")
     ] = None,
 ) -> None:
-    """Load everything, show what there is, and look whether the views agree. Exit code 0: fine, 1: look at the warnings."""
+    """Load everything, show what there is, and look whether the views agree. Exit code 0: fine, 1: warnings."""
     from hypose.app.checking import camera_table, check_recording
     from hypose.io.recording import load_recording
 

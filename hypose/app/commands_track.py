@@ -82,7 +82,7 @@ def track(
 def demo(
     context: typer.Context,
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("demo"),
-    seconds: Annotated[float, typer.Option(help="Length of the recording.")] = 2.4,
+    seconds: Annotated[float, typer.Option(help="Length of the recording.")] = 4.0,
     seed: Seed = 1,
     threads: Threads = None,
 ) -> None:

@@ -24,7 +24,8 @@ from hypose.io.provenance import identity, provenance
 from hypose.io.recording import Recording
 from hypose.io.results import ResultsFolder, load_motion, to_json
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
-from hypose.tracking.recipes import recipe
+from hypose.pipeline.subject import SubjectOptions
+from hypose.tracking.recipes import RECIPES, recipe
 
 DESCRIPTIONS = {
     "motion.npz": "poses, joints, uncertainty and flags (numpy; metres, radians, seconds; world z up)",
@@ -72,7 +73,7 @@ class Outcome:
 
 
 def choose_frames(recording: Recording, text: str | None) -> Recording:
-    """The recording limited to frames "A:B" (from A up to, not including, B, counted from 0; either may be left out)."""
+    """The recording limited to frames "A:B" (B is the one after the last; either may be left out)."""
     if text is None:
         return recording
     first, colon, stop = text.partition(":")
@@ -93,11 +94,11 @@ def choose_frames(recording: Recording, text: str | None) -> Recording:
 def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, float] | None = None) -> Outcome:
     """Track, export, draw and report. seconds: filled by the progress while this runs, read for the report.
 
-    KeyboardInterrupt while tracking gives an Outcome with complete=False (checkpoint and partial motion are on disk); in
-    any other stage it is passed on.
+    KeyboardInterrupt while tracking gives an Outcome with complete=False (checkpoint and partial motion are on disk);
+    in any other stage it is passed on.
     """
     recording, options, results = job.recording, job.options, job.results
-    _check_formats(job.formats)
+    _check_choices(job)
     results.check_writable()
     record = _record(job)
     progress("compile", 0, 1)
@@ -134,10 +135,22 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
     return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth)
 
 
-def _check_formats(formats: Sequence[str]) -> None:
-    unknown = [f for f in formats if f not in FORMATS]
+def _check_choices(job: Job) -> None:
+    """Refuse now what would be refused only after minutes of work."""
+    options = job.options
+    unknown = [f for f in job.formats if f not in FORMATS]
     if unknown:
         raise InputError(f"There is no export format {unknown[0]!r}; the formats are {', '.join(FORMATS)}.")
+    if options.recipe not in RECIPES:
+        raise InputError(f"There is no recipe {options.recipe!r}; the recipes are {', '.join(RECIPES)}.")
+    SubjectOptions(options.start)
+    if options.height is not None and not 0.4 <= options.height <= 2.8:
+        raise InputError(f"A height of {options.height:g} m is implausible; give it in metres (0.4 to 2.8).")
+    if options.evidence == "keypoints" and job.recording.keypoint_set is None:
+        raise InputError(
+            "The evidence 'keypoints' needs key points, and this recording has none; add keypoints = ... to the views "
+            "in recording.toml, or use silhouettes."
+        )
 
 
 def _record(job: Job) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hypose.app.console import ProgressCall, ignore
-from hypose.app.pictures import Drawing, Image, draw_all, layout, open_images
+from hypose.app.pictures import Drawing, Image, draw_all, draw_close_ups, layout, open_images
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
@@ -33,7 +33,7 @@ def write_overlay(
     """Draw the motion over the recording.
 
     source: gives the silhouettes; motion row i belongs to frame frames[i] of the recording (default: recording.frames)
-    and to frame i of the source. Returns the pictures of the rows in `stills`; with video=False only those are drawn and
+    and to frame i of the source. Returns close-ups of the rows in `stills`; with video=False only those are drawn and
     no file is written.
     """
     numbers = frames if frames is not None else recording.frames
@@ -52,11 +52,11 @@ def write_overlay(
         for done, i in enumerate(rows):
             progress("overlay", done, len(rows))
             what = _drawing(source, motion, body, i, numbers[i])
-            picture = draw_all([v.read(numbers[i]) for v in images], recording, plan, body, what)
+            pictures = [v.read(numbers[i]) for v in images]
             if writer is not None:
-                writer.write(picture)
+                writer.write(draw_all(pictures, recording, plan, body, what))
             if i in stills:
-                kept[i] = picture
+                kept[i] = draw_close_ups(pictures, recording, body, what)
         progress("overlay", len(rows), len(rows))
     return kept
 

@@ -1,7 +1,7 @@
 """Pictures of a result: the recorded images of all views with the body, its skeleton and the mask drawn on, tiled.
 
-Points are projected with the lens distortion of the calibration, and moved by the view's image_shift, onto the images as
-they were recorded; a body that lies off in the picture is off in the result.
+Points are projected with the lens distortion of the calibration, and moved by the view's image_shift, onto the images
+as they were recorded; a body that lies off in the picture is off in the result.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def open_images(recording: Recording) -> list[ViewImages]:
 
 
 def image_points(view: View, camera: Camera, points_world: Array, size: tuple[int, int]) -> Array:
-    """Pixels (..., 2) of points (..., 3) m in the recorded image shown at `size` (width, height); NaN behind the camera."""
+    """Pixels (..., 2) of points (..., 3) m in the recorded image shown at `size`; NaN behind the camera."""
     uv = camera.project(points_world) - np.asarray(view.image_shift)
     scale = np.array([size[0] / camera.size[0], size[1] / camera.size[1]])
     return (uv + 0.5) * scale - 0.5
@@ -181,15 +181,16 @@ def draw_skeleton(image: Image, view: View, camera: Camera, body: Body, joints: 
 
 def write_text(image: Image, text: str, x: int, y: int, colour: tuple[int, int, int] = (255, 255, 255)) -> None:
     """White text with a dark rim; x, y: left end of the base line."""
-    size = 0.45
-    cv2.putText(image, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, size, (0, 0, 0), 3, cv2.LINE_AA)
-    cv2.putText(image, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
+    font, size = cv2.FONT_HERSHEY_SIMPLEX, 0.5
+    for dx, dy in ((-1, 0), (1, 0), (0, -1), (0, 1)):  # a thicker stroke would be wider in OpenCV 5, hence no rim
+        cv2.putText(image, text, (x + dx, y + dy), font, size, (0, 0, 0), 1, cv2.LINE_AA)
+    cv2.putText(image, text, (x, y), font, size, colour, 1, cv2.LINE_AA)
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """What is drawn into one frame: the body's vertices (V, 3) and joints (J, 3) m, world; its silhouettes, if any; what
-    the title bar says, in alarming red when `alarm`."""
+    """What is drawn into one frame: the body's vertices (V, 3) and joints (J, 3) m, world; its silhouettes, if any;
+    what the title bar says, in alarming red when `alarm`."""
 
     vertices: Array | None
     joints: Array | None
@@ -212,19 +213,22 @@ def draw_view(
         shown = np.asarray(
             cv2.resize(image, size, interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR), np.uint8
         )
-    reason = ""
     if body is not None and what.vertices is not None:
         draw_body(shown, view, camera, what.vertices, body.fine.faces, ALARM if what.alarm else BODY)
     s = what.silhouettes
     if s is not None:
         draw_mask(shown, mask_outline(view, camera, s.rig[index], s.masks[index], size))
-        reason = "" if s.usable[index] else (s.reasons[index] or "left out")
     if body is not None and what.joints is not None:
         draw_skeleton(shown, view, camera, body, what.joints)
-    write_text(shown, view.name, 6, 18)
-    if reason:
-        write_text(shown, f"left out: {reason}"[:80], 6, size[1] - 8, (120, 120, 255))
     return shown
+
+
+def _write_labels(shown: Image, view: View, index: int, what: Drawing) -> None:
+    write_text(shown, view.name, 6, 18)
+    s = what.silhouettes
+    if s is not None and not s.usable[index]:
+        reason = (s.reasons[index] or "no reason given").split(": ", 1)[-1].split(" (")[0]
+        write_text(shown, f"left out: {reason}"[:70], 6, shown.shape[0] - 8, (120, 140, 255))
 
 
 def draw_all(
@@ -235,9 +239,37 @@ def draw_all(
     for c, (image, tile) in enumerate(zip(images, plan.tiles, strict=True)):
         x, y = plan.origin(tile)
         shown = draw_view(image, recording.views[c], recording.rig[c], c, tile.size, body, what)
+        _write_labels(shown, recording.views[c], c, what)
         bottom, right = min(y + tile.size[1], plan.size[1]), min(x + tile.size[0], plan.size[0])
         picture[y:bottom, x:right] = shown[: bottom - y, : right - x]
     if what.alarm:
         picture[:_BAR] = (30, 30, 150)
     write_text(picture, what.title, 8, 18)
     return picture
+
+
+def draw_close_ups(
+    images: Sequence[Image | None], recording: Recording, body: Body, what: Drawing, side: int = 300, columns: int = 4
+) -> Image:
+    """Every view of one frame cut to a square of `side` px around the body, side by side."""
+    cells = []
+    for c, (image, view, camera) in enumerate(zip(images, recording.views, recording.rig, strict=True)):
+        cell = np.full((side, side, 3), 40, np.uint8)
+        if image is not None and what.vertices is not None:
+            full = (image.shape[1], image.shape[0])
+            uv = image_points(view, camera, what.vertices, full)
+            uv = uv[np.isfinite(uv).all(1)]
+            low, high = (uv.min(0), uv.max(0)) if len(uv) else (np.zeros(2), np.array(full, dtype=float))
+            reach = 1.2 * float((high - low).max())
+            scale = float(np.clip(side / max(reach, 1.0), 0.1, 2.5))
+            size = (max(2, round(full[0] * scale)), max(2, round(full[1] * scale)))
+            shown = draw_view(image, view, camera, c, size, body, what)
+            x, y = np.rint(scale * 0.5 * (low + high) - side / 2).astype(int).tolist()
+            x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + side, size[0]), min(y + side, size[1])
+            if x0 < x1 and y0 < y1:
+                cell[y0 - y : y1 - y, x0 - x : x1 - x] = shown[y0:y1, x0:x1]
+        _write_labels(cell, view, c, what)
+        cells.append(cell)
+    columns = min(columns, len(cells))
+    cells += [np.full_like(cells[0], 255)] * (-len(cells) % columns)
+    return np.concatenate([np.concatenate(cells[i : i + columns], 1) for i in range(0, len(cells), columns)])

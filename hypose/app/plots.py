@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import matplotlib
 
@@ -28,7 +30,7 @@ GROUPS = {
 }
 _GROUP_COLOURS = {"trunk and head": MIDDLE, "legs": "#2a9d6f", "arms": "#8e4ec6"}
 _MAX_POINTS = 3000
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -68,7 +70,8 @@ def _svg(draw: Callable[[Figure], None], size: tuple[float, float]) -> str:
         finally:
             plt.close(figure)
     text = buffer.getvalue()
-    return text[text.index("<svg") :]
+    # the block of metadata names web addresses; nothing else in the file would be fetched, so nothing shall look so
+    return re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
 
 
 def _thin(n: int) -> slice:
@@ -84,7 +87,7 @@ def _shade(axes: Axes, motion: Motion) -> None:
     ):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
         for k, (a, b) in enumerate(zip(edges[::2], edges[1::2], strict=True)):
-            start, stop = motion.times[a] - step / 2, motion.times[b - 1] + step / 2
+            start, stop = float(motion.times[a]) - step / 2, float(motion.times[b - 1]) + step / 2
             axes.axvspan(start, stop, color=colour, alpha=0.25, lw=0, label=name if k == 0 else None)
 
 
@@ -105,7 +108,7 @@ def fit_plot(motion: Motion) -> str:
         views.set_ylabel("views used")
         views.set_xlabel("time (s)")
 
-    return _svg(draw, (9, 3.2))
+    return _svg(draw, (10.6, 3.2))
 
 
 def sd_plot(motion: Motion) -> str:
@@ -128,7 +131,7 @@ def sd_plot(motion: Motion) -> str:
         axes.set_xlabel("time (s)")
         axes.legend(loc="upper right", ncols=3)
 
-    return _svg(draw, (9, 2.6))
+    return _svg(draw, (10.6, 2.6))
 
 
 _PANELS = (
@@ -163,7 +166,7 @@ def angle_plot(motion: Motion) -> str:
         for axes in figure.axes[3:]:
             axes.set_xlabel("time (s)")
 
-    return _svg(draw, (9, 4.2))
+    return _svg(draw, (10.6, 4.2))
 
 
 def top_view_plot(motion: Motion, rig: CameraRig, truth: Truth | None = None) -> str:
@@ -217,4 +220,4 @@ def error_plot(motion: Motion, truth: Truth) -> str:
         bars.invert_yaxis()
         bars.set_xlabel("mm")
 
-    return _svg(draw, (9, 3.2))
+    return _svg(draw, (10.6, 3.2))

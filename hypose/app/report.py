@@ -1,4 +1,4 @@
-"""report.html: one file that tells how a run went; pictures and plots are inside it, nothing is loaded from anywhere."""
+"""report.html: one file that tells how a run went; pictures and plots are inside, nothing is loaded from elsewhere."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def report_html(what: ReportInput) -> str:
         parts.append("<h2>Pictures</h2>")
         parts += [_still(caption, picture) for caption, picture in what.stills]
         parts.append(
-            '<p class="dim">Tinted: the body. Thin pink line: edge of the mask. Orange: left limbs, blue: right limbs.</p>'
+            '<p class="dim">Tinted: the body. Pink line: edge of the mask. Orange: left limbs, blue: right limbs.</p>'
         )
     parts.append("<h2>How well the body fits the images</h2>")
     if np.isfinite(m.cost).any():
@@ -211,7 +211,5 @@ def _origin(what: ReportInput) -> str:
         )
         out += f"<details><summary>Time per stage</summary><table>{rows}</table></details>"
     text = html.escape(to_json(record))
-    return (
-        out
-        + f"<details><summary>Provenance: settings, versions, inputs with their hashes</summary><pre>{text}</pre></details>"
-    )
+    title = "Provenance: settings, versions, inputs with their hashes"
+    return out + f"<details><summary>{title}</summary><pre>{text}</pre></details>"

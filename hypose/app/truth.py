@@ -1,4 +1,4 @@
-"""Comparison of a tracked motion with the truth of a synthetic recording (truth.npz of `hypose synth` and `hypose demo`)."""
+"""Comparison of a tracked motion with the truth.npz of a synthetic recording (`hypose synth`, `hypose demo`)."""
 
 from __future__ import annotations
 

@@ -150,8 +150,8 @@ class Recording:
 def load_recording(path: str | Path, calibration: str | Path | None = None) -> Recording:
     """Load and check a recording folder, a recording.toml, or a Pose2Sim project or trial folder.
 
-    calibration: a calibration file to use instead of the recording's own. An InputError (CalibrationError for the cameras) names the file or camera, what is allowed and the next
-    step.
+    calibration: a calibration file to use instead of the recording's own. An InputError (CalibrationError for the
+    cameras) names the file or camera, what is allowed and the next step.
     """
     path = Path(path)
     if not path.exists():

@@ -1,0 +1,53 @@
+"""A tiny synthetic recording (4 cameras, 160x120, 8 frames) that the whole command line can be run on in seconds."""
+
+import shutil
+
+import pytest
+
+from hypose.app.cli import main
+from hypose.evaluation.rigs import rig
+from hypose.evaluation.scenes import make_scene
+from hypose.evaluation.write_recording import write_scene
+
+
+def write_tiny(folder, seconds):
+    cameras = rig("humaneva-4", distorted=True).scaled(0.25)
+    scene = make_scene("walk", "neutral", cameras, seconds=seconds, seed=3)
+    write_scene(scene, folder, background_frames=10)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def tiny(tmp_path_factory):
+    """The recording; read only."""
+    return write_tiny(tmp_path_factory.mktemp("tiny") / "walk", 0.32)
+
+
+@pytest.fixture
+def recording(tiny, tmp_path):
+    """A copy of the recording that a test may spoil."""
+    return shutil.copytree(tiny, tmp_path / "walk")
+
+
+@pytest.fixture
+def hypose(capsys):
+    """hypose(*arguments) -> (exit code, stdout, stderr) of the command line, run in this process."""
+
+    def run(*arguments):
+        with pytest.raises(SystemExit) as stopped:
+            main([str(a) for a in arguments])
+        printed = capsys.readouterr()
+        code = stopped.value.code
+        return (0 if code is None else code), printed.out, printed.err
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def tracked(tiny, tmp_path_factory):
+    """Results folder of `hypose track` on the tiny recording, made once."""
+    out = tmp_path_factory.mktemp("tracked") / "results"
+    with pytest.raises(SystemExit) as stopped:
+        main(["track", str(tiny), "--out", str(out)])
+    assert stopped.value.code in (None, 0)
+    return out

@@ -1,0 +1,217 @@
+"""Every input a user can spoil ends in one sentence that names it and the next step, exit code 2, and no traceback."""
+
+import io
+import json
+import re
+import shutil
+import zipfile
+
+import numpy as np
+import pytest
+
+from hypose.app import commands_data
+from hypose.io.video import VideoWriter, open_video
+
+
+def fails(result, *fragments):
+    """The command failed with one sentence that contains the fragments; returns the sentence."""
+    code, _, err = result
+    assert code == 2, err
+    assert "Traceback" not in err
+    sentence = err[err.index("error: ") :].strip()
+    assert "\n" not in sentence
+    for fragment in fragments:
+        assert fragment in sentence, sentence
+    return sentence
+
+
+def rewrite(path, size=None, rate=None, image=None):
+    """Write a video again with another size, frame rate or content."""
+    with open_video(path) as reader:
+        frames, old_rate, old_size = list(reader), reader.frame_rate, reader.size
+    size = size or old_size
+    with VideoWriter(path, rate or old_rate, size) as writer:
+        for frame in frames:
+            blank = np.zeros((size[1], size[0], 3), np.uint8)
+            h, w = min(size[1], frame.shape[0]), min(size[0], frame.shape[1])
+            blank[:h, :w] = frame[:h, :w]
+            writer.write(blank if image is None else image)
+
+
+def replace_in(path, old, new):
+    text = path.read_text()
+    assert re.search(old, text), text
+    path.write_text(re.sub(old, new, text, count=1))
+
+
+def test_missing_recording(hypose, tmp_path):
+    fails(hypose("track", tmp_path / "nowhere"), "nowhere does not exist", "give a recording folder")
+
+
+def test_folder_without_recording(hypose, tmp_path):
+    fails(hypose("track", tmp_path), "no recording.toml", "Pose2Sim")
+
+
+def test_missing_video(hypose, recording):
+    (recording / "videos" / "cam2.mp4").unlink()
+    fails(hypose("track", recording), "cam2", "does not exist", "correct the path")
+
+
+def test_video_of_another_size(hypose, recording):
+    rewrite(recording / "videos" / "cam3.mp4", size=(200, 120))
+    fails(hypose("track", recording), "cam3", "200 x 120 px", "calibrated for 160 x 120 px", "accept_scaled")
+
+
+def test_two_frame_rates(hypose, recording):
+    rewrite(recording / "videos" / "cam1.mp4", rate=50.0)
+    sentence = fails(hypose("track", recording), "different frame rates", "ffmpeg")
+    assert "cam1 50" in sentence and "cam2 25" in sentence
+
+
+def test_empty_silhouettes(hypose, recording):
+    for name in ("cam1", "cam2", "cam3", "cam4"):
+        shutil.copy(recording / "background" / f"{name}.mp4", recording / "videos" / f"{name}.mp4")
+    fails(hypose("track", recording), "hypose check")
+
+
+def test_nan_in_the_calibration(hypose, recording):
+    replace_in(recording / "calibration.toml", r"translation = \[[^,]*,", "translation = [nan,")
+    fails(hypose("track", recording), "calibration.toml, camera cam1: translation contains NaN", "calibrate it again")
+
+
+def test_truncated_video(hypose, recording):
+    path = recording / "videos" / "cam4.mp4"
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    fails(hypose("track", recording), "cam4.mp4", "copy it again")
+
+
+def test_empty_video(hypose, recording):
+    (recording / "videos" / "cam4.mp4").write_bytes(b"")
+    fails(hypose("track", recording), "cam4.mp4 is empty", "copy it again")
+
+
+def test_foreign_json_among_the_key_points(hypose, recording):
+    folder = recording / "pose"
+    folder.mkdir()
+    for t in range(8):
+        (folder / f"{t:06d}.json").write_text(json.dumps({"cats": [1, 2, 3]}))
+    replace_in(recording / "recording.toml", r"\[\[view\]\]\n", '[[view]]\nkeypoints = "pose"\n')
+    fails(hypose("track", recording, "--evidence", "both"), "000000.json")
+
+
+def test_unknown_key_in_recording_toml(hypose, recording):
+    replace_in(recording / "recording.toml", r"frame_rate", "framerate")
+    fails(hypose("track", recording), "framerate is unknown", "did you mean frame_rate?")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fragments"),
+    [
+        (("--recipe", "hfp"), ("There is no recipe 'hfp'", "default, sir, apf")),
+        (("--start", "sitting"), ("There is no start 'sitting'", "hands-up")),
+        (("--evidence", "depth"), ("There is no evidence 'depth'", "keypoints")),
+        (("--evidence", "keypoints"), ("key points",)),
+        (("--start", "keypoints"), ("needs key points", "hull")),
+        (("--frames", "5:99"), ("lies outside the recording", "0 to 7", "at most 0:8")),
+        (("--frames", "three"), ("--frames three is no range", "0:100")),
+        (("--formats", "trc,fbx"), ("There is no export format 'fbx'", "trc, c3d, bvh, glb")),
+        (("--formats", ","), ("list of formats is empty",)),
+        (("--threads", "0"), ("--threads 0 is not possible",)),
+        (("--height", "17.5"), ("17.5", "metres")),
+        (("--calibration", "nowhere.toml"), ("nowhere.toml", "does not exist")),
+    ],
+)
+def test_options_that_cannot_be(hypose, tiny, tmp_path, arguments, fragments):
+    fails(hypose("track", tiny, "--out", tmp_path, "--no-overlay", *arguments), *fragments)
+
+
+def test_results_folder_that_cannot_be_written(hypose, tiny, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    fails(hypose("track", tiny, "--out", tmp_path / "file" / "results"), "cannot be written", "choose a folder")
+
+
+def npz(path, **arrays):
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in arrays.items():
+            archive.writestr(f"{name}.npy", data)
+
+
+def test_archive_with_python_objects(hypose, tracked, tmp_path):
+    class Payload:
+        def __reduce__(self):
+            return (open, (str(tmp_path / "owned"), "w"))
+
+    buffer = io.BytesIO()
+    np.save(buffer, np.array([Payload()], dtype=object), allow_pickle=True)
+    folder = shutil.copytree(tracked, tmp_path / "results")
+    npz(folder / "motion.npz", joints=buffer.getvalue())
+    fails(hypose("export", folder), "motion.npz is not a motion of hypose", "give the motion.npz")
+    npz(folder / "body.npz", coarse_vertices=buffer.getvalue())
+    shutil.copy(tracked / "motion.npz", folder)
+    fails(hypose("export", folder), "body.npz is not a body of hypose")
+    assert not (tmp_path / "owned").exists()
+
+
+def test_archive_that_would_fill_the_memory(hypose, tmp_path):
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**12, 19, 3)})
+    npz(tmp_path / "motion.npz", joints=header.getvalue())
+    fails(hypose("export", tmp_path), "motion.npz is not a motion of hypose")
+
+
+def test_archive_of_something_else(hypose, tmp_path):
+    np.savez(tmp_path / "motion.npz", photographs=np.zeros(3))
+    fails(hypose("export", tmp_path), "motion.npz is not a motion of hypose", "photographs")
+
+
+def test_results_without_a_body(hypose, tracked, tmp_path):
+    shutil.copy(tracked / "motion.npz", tmp_path)
+    fails(hypose("export", tmp_path), "body.npz does not exist", "results folder")
+
+
+def test_results_that_do_not_exist(hypose, tmp_path):
+    fails(hypose("export", tmp_path / "nowhere"), "nowhere does not exist")
+
+
+def test_unknown_benchmark_lists_the_names(hypose):
+    fails(hypose("bench", "speed-of-light"), "There is no benchmark 'speed-of-light'", "table-2.3")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fragments"),
+    [
+        (("--motion", "moonwalk"), ("There is no motion 'moonwalk'", "walk, jog")),
+        (("--rig", "circle"), ("circle", "ring-N")),
+        (("--subject", "nobody"), ("There is no subject 'nobody'", "neutral")),
+        (("--subject", "999"), ("There is no subject 999",)),
+        (("--corruption", "rain"), ("There is no corruption 'rain'", "shadow")),
+        (("--seconds", "-1"), ("--seconds -1 is not possible",)),
+        (("--clothing", "0.5"), ("0.5", "0.04")),
+    ],
+)
+def test_synthetic_scenes_that_cannot_be(hypose, tmp_path, arguments, fragments):
+    fails(hypose("synth", tmp_path / "out", *arguments), *fragments)
+
+
+@pytest.mark.parametrize("command", ["synth", "demo --out"])
+def test_a_folder_with_other_files_is_left_alone(hypose, tmp_path, command):
+    (tmp_path / "thesis.txt").write_text("years of work")
+    fails(hypose(*command.split(), tmp_path), "holds other files", "empty or new folder")
+    assert (tmp_path / "thesis.txt").read_text() == "years of work"
+
+
+def test_debug_shows_where_the_error_came_from(hypose, tmp_path):
+    code, _, err = hypose("track", tmp_path / "nowhere", "--debug")
+    assert code == 2
+    assert "Traceback" in err and "load_recording" in err
+
+
+def test_a_bug_is_called_one(hypose, monkeypatch):
+    def broken(text):
+        raise ZeroDivisionError("division by zero")
+
+    monkeypatch.setattr(commands_data, "_subject_name", broken)
+    code, _, err = hypose("synth", "out")
+    assert code == 1
+    assert "Traceback" not in err
+    assert "should not have happened (ZeroDivisionError: division by zero)" in err and "--debug" in err

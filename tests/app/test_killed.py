@@ -1,0 +1,74 @@
+"""What survives kill -9, and equal bytes from processes with other numbers of threads. Slow: real processes."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from hypose.io.results import load_motion
+from tests.app.conftest import write_tiny
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def longer(tmp_path_factory):
+    """72 frames: checkpoints are written every 25."""
+    return write_tiny(tmp_path_factory.mktemp("longer") / "walk", 2.88)
+
+
+def command(recording, out, *more):
+    return [
+        *(sys.executable, "-m", "hypose.app.cli", "track", str(recording), "--out", str(out)),
+        *("--no-overlay", "--formats", "trc", *more),
+    ]
+
+
+def run(*arguments):
+    environment = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
+    done = subprocess.run(command(*arguments), capture_output=True, text=True, env=environment, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return done.stdout + done.stderr
+
+
+def test_a_killed_run_resumes_to_the_same_bytes(longer, tmp_path):
+    run(longer, tmp_path / "whole")
+    process = subprocess.Popen(
+        command(longer, tmp_path / "killed"), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    try:
+        deadline = time.monotonic() + 240
+        while not (tmp_path / "killed" / "checkpoint.npz").exists():
+            assert process.poll() is None and time.monotonic() < deadline
+            time.sleep(0.02)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    assert not (tmp_path / "killed" / "motion.npz").exists()
+    said = run(longer, tmp_path / "killed", "--resume")
+    assert "Track: 25/72" in said or "Track: 50/72" in said  # it went on, it did not start again
+    whole, killed = (tmp_path / name / "motion.npz" for name in ("whole", "killed"))
+    assert len(load_motion(whole)) == 72
+    assert killed.read_bytes() == whole.read_bytes()
+
+
+def test_sigterm_is_an_orderly_stop(longer, tmp_path):
+    process = subprocess.Popen(command(longer, tmp_path), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    deadline = time.monotonic() + 240
+    while not (tmp_path / "checkpoint.npz").exists():
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.02)
+    process.terminate()
+    out, _ = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Kept: " in out and "--resume" in out
+    assert 25 <= len(load_motion(tmp_path / "motion.npz")) < 72
+
+
+def test_one_and_two_threads_give_the_same_bytes(longer, tmp_path):
+    for count in ("1", "2"):
+        run(longer, tmp_path / count, "--threads", count, "--frames", "0:12")
+    assert (tmp_path / "1" / "motion.npz").read_bytes() == (tmp_path / "2" / "motion.npz").read_bytes()

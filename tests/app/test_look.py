@@ -1,0 +1,218 @@
+"""`hypose check`, `silhouettes`, `synth`, `demo`, the report and the pictures."""
+
+import re
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from hypose.app import __main__ as module_entry
+from hypose.app.pictures import Drawing, draw_all, draw_view, image_points, layout, mask_outline
+from hypose.app.report import ReportInput, report_html, summarize
+from hypose.body.models import human
+from hypose.cameras.camera import Camera
+from hypose.compute.render import silhouette
+from hypose.evaluation.rigs import rig
+from hypose.geometry import se3, so3_exp
+from hypose.io.bodies import load_body
+from hypose.io.recording import View, load_recording
+from hypose.io.results import load_motion
+from hypose.io.video import open_video
+
+
+def test_check_shows_every_camera_and_finds_nothing_wrong(hypose, tiny, tmp_path):
+    code, out, err = hypose("check", tiny, "--out", tmp_path / "sheet.png")
+    assert code == 0, out + err
+    for name in ("cam1", "cam2", "cam3", "cam4", "cam1.mp4", "160x120", "No problem found"):
+        assert name in out
+    heights = [float(h) for h in re.findall(r"litres, (\d\.\d+) m high", out)]
+    assert len(heights) == 5 and 1.4 < np.median(heights) < 2.1
+    assert cv2.imread(str(tmp_path / "sheet.png")).shape[1] == 320
+
+
+def test_check_warns_of_a_view_that_contradicts_the_others(hypose, recording):
+    # the calibration now says that camera 2 stands where camera 1 does: what it sees does not fit the others
+    path = recording / "calibration.toml"
+    parts = re.split(r"(?=\[cam\d\])", path.read_text())
+    first, second = (next(p for p in parts if p.startswith(f"[cam{k}]")) for k in (1, 2))
+    for key in ("rotation", "translation"):
+        value = re.search(rf"{key} = .*", first).group(0)
+        parts[parts.index(second)] = second = re.sub(rf"{key} = .*", lambda m, value=value: value, second)
+    path.write_text("".join(parts))
+    code, out, _ = hypose("check", recording)
+    assert code == 1
+    assert "warning: " in out and "calibration" in out
+
+
+def test_masks_can_be_given_back(hypose, recording):
+    code, out, err = hypose("silhouettes", recording)
+    assert code == 0, err
+    folder = recording / "results" / "silhouettes"
+    assert len(list((folder / "cam3").glob("*.png"))) == 8 and str(folder) in out
+    assert (folder / "sheet.jpg").is_file()
+    toml = recording / "recording.toml"
+    given = re.sub(r'name = "(cam\d)"\n', r'name = "\1"\nmasks = "results/silhouettes/\1"\n', toml.read_text())
+    toml.write_text(given)
+    assert all(v.masks is not None for v in load_recording(recording).views)
+    code, out, err = hypose("check", recording)
+    assert code == 0, out + err
+
+
+def test_synth_writes_what_was_asked_for(hypose, tmp_path):
+    arguments = ("--motion", "wave", "--subject", "1", "--rig", "ring-2", "--seconds", "0.12", "--corruption", "shadow")
+    code, out, err = hypose("synth", tmp_path / "scene", *arguments, "--keypoints", "--frame-rate", "50")
+    assert code == 0, err
+    assert "6 frames, 2 cameras" in out
+    loaded = load_recording(tmp_path / "scene")
+    assert loaded.frame_rate == 50 and loaded.n_frames == 6 and loaded.keypoint_set == "BODY_25"
+    with np.load(tmp_path / "scene" / "truth.npz") as truth:
+        assert truth["joints"].shape == (6, 19, 3)
+
+
+def test_demo_tracks_its_recording_and_names_the_error(hypose, tmp_path):
+    code, out, err = hypose("demo", "--out", tmp_path / "demo", "--seconds", "0.2")
+    assert code == 0, err
+    error = float(re.search(r"Mean joint error: ([\d.]+) mm over 15 joints", out).group(1))
+    assert error < 40
+    report = tmp_path / "demo" / "results" / "default" / "report.html"
+    assert str(report) in out and "Distance to the truth" in report.read_text()
+
+
+def test_help_and_version(hypose):
+    code, out, _ = hypose("--help")
+    assert code == 0
+    for command in ("demo", "check", "silhouettes", "track", "export", "synth", "bench"):
+        assert command in out
+    assert re.match(r"hypose \S+", hypose("--version")[1])
+    assert callable(module_entry.main)
+
+
+# ---- report
+
+
+@pytest.fixture
+def result(tracked, tiny):
+    return load_motion(tracked / "motion.npz"), load_body(tracked / "body.npz"), load_recording(tiny)
+
+
+def test_the_report_loads_nothing(tracked):
+    page = (tracked / "report.html").read_text()
+    targets = re.findall(r'(?:src|href|action|data|poster)\s*=\s*"([^"]*)"', page)
+    assert targets and all(t.startswith(("data:", "#")) for t in targets)
+    assert not re.search(r"@import|url\(\s*['\"]?(?!#)|<script|<iframe", page)
+
+
+def test_the_report_holds_plots_pictures_and_origin(tracked):
+    page = (tracked / "report.html").read_text()
+    assert page.count("<svg") == 4
+    assert page.count("data:image/jpeg;base64,") >= 4
+    for text in ("mean IoU", "knee flexion", "stature", "sha256", "motion.c3d", "Gauss-Newton"):
+        assert text in page
+
+
+def test_the_report_says_what_went_wrong(result):
+    motion, body, recording = result
+    lost = np.arange(8) >= 5
+    nothing = np.full(8, np.nan)
+    bad = replace(motion, lost=lost, extrapolated=lost, cost=nothing, joint_sd=np.full((8, 19), np.nan))
+    notes = ['View <cam1>: "dark" & blurred']
+    page = report_html(ReportInput("a < b", bad, body, recording.rig, notes=notes, complete=False))
+    assert "View &lt;cam1&gt;: &quot;dark&quot; &amp; blurred" in page and "a &lt; b" in page
+    assert "interrupted" in page and "No silhouettes were used" in page
+    assert "<b>3</b><span>frames lost" in page
+
+
+def test_the_summary_counts_lost_and_extrapolated_frames_once(result):
+    motion, _, _ = result
+    flags = np.zeros((2, 8), dtype=bool)
+    flags[0, 3:5], flags[1, 4:7] = True, True
+    s = summarize(replace(motion, lost=flags[0], extrapolated=flags[1]))
+    assert (s.frames, s.lost, s.extrapolated) == (8, 2, 2)
+    assert s.seconds == pytest.approx(0.32)
+    assert s.worst_iou == pytest.approx(1 - motion.cost.max())
+
+
+# ---- pictures
+
+
+def wide(size=(640, 480)):
+    return rig("humaneva-4", distorted=True)[0].scaled(size)
+
+
+def test_points_are_drawn_with_distortion_scale_and_shift(rng):
+    camera = wide()
+    points = rng.uniform(-0.7, 0.7, (20, 3)) + [0, 0, 1]
+    view = View("v", image_shift=(3.0, -2.0))
+    expected = camera.scaled((320, 240)).project(points) - np.array([3.0, -2.0]) / 2
+    np.testing.assert_allclose(image_points(view, camera, points, (320, 240)), expected, atol=1e-9)
+    assert np.linalg.norm(camera.project(points) - camera.project_pinhole(points), axis=1).max() > 1
+
+
+def test_the_outline_of_an_undistorted_mask_lies_on_the_recorded_person():
+    camera, body = wide(), human()
+    working = camera.scaled((480, 360)).pinhole()
+    pose = np.zeros(body.skeleton.dof)
+    pose[:3] = 0.3, -0.6, 0.95
+    vertices = body.skin(pose, body.fine)
+
+    def shape(uv, size):
+        depth = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
+        return silhouette(uv, depth, body.fine.faces, size).astype(np.uint8)
+
+    mask = shape(working.project_pinhole(vertices), working.size)
+    recorded = shape(camera.project(vertices), camera.size)
+    distance = cv2.distanceTransform(1 - recorded, cv2.DIST_L2, 5) + cv2.distanceTransform(recorded, cv2.DIST_L2, 5)
+    outlines = mask_outline(View("v"), camera, working, mask, camera.size)
+    uv = np.rint(np.concatenate(outlines)[:, 0] / 16).astype(int)
+    assert len(uv) > 100
+    off = distance[uv[:, 1], uv[:, 0]]
+    assert np.percentile(off, 95) < 3 and off.mean() < 1.5
+    moved = np.rint(working.scaled((640, 480)).project_pinhole(vertices) - camera.project(vertices))
+    assert np.abs(moved).max() > 2  # without the lens it would show
+
+
+def test_a_body_behind_the_camera_is_left_out_of_the_picture():
+    body, size = human(), (64, 48)
+    k = np.array([[60.0, 0, 31.5], [0, 60.0, 23.5], [0, 0, 1]])
+    looking_up = Camera("c", k, np.zeros(5), se3(so3_exp([0.3, 0, 0]), np.zeros(3)), size)
+    vertices = body.skin(np.zeros(body.skeleton.dof), body.fine)
+    grey = np.full((48, 64, 3), 90, np.uint8)
+    what = Drawing(vertices, body.joints(np.zeros(body.skeleton.dof)), None, "")
+    shown = draw_view(grey, View("v"), looking_up, 0, size, body, what)
+    assert shown.shape == grey.shape  # it did not fail; the skeleton's visible part may be drawn
+
+
+def test_missing_frames_are_said_to_be_missing(tiny):
+    recording = load_recording(tiny)
+    plan = layout([(160, 120)] * 4)
+    picture = draw_all([None] * 4, recording, plan, None, Drawing(None, None, None, "frame 3"))
+    assert picture.shape == (plan.size[1], plan.size[0], 3)
+    assert (picture > 200).any()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 8, 16])
+def test_the_tiles_fit_the_picture(count):
+    sizes = [(1920, 1080), (1080, 1920), (640, 480), (390, 291)] * 4
+    plan = layout(sizes[:count])
+    assert plan.size[0] <= 1920 and plan.size[0] % 2 == plan.size[1] % 2 == 0
+    boxes = []
+    for (w, h), tile in zip(sizes[:count], plan.tiles, strict=True):
+        x, y = plan.origin(tile)
+        assert tile.size[0] <= 960 and x >= 0 and y >= 26
+        assert x + tile.size[0] <= plan.size[0] + 1 and y + tile.size[1] <= plan.size[1] + 1
+        assert tile.size[0] / tile.size[1] == pytest.approx(w / h, rel=0.02)
+        boxes.append((x, y, x + tile.size[0], y + tile.size[1]))
+    for i, a in enumerate(boxes):
+        for b in boxes[:i]:
+            assert a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1]
+
+
+def test_the_overlay_marks_the_person(tracked, tiny):
+    with open_video(tracked / "overlay.mp4") as video, open_video(tiny / "videos" / "cam1.mp4") as plain:
+        overlay = video.read(4)[26 : 26 + 120, :160].astype(int)
+        image = plain.read(4).astype(int)
+    changed = np.abs(overlay - image).max(2) > 25
+    rows, columns = np.nonzero(changed[20:])  # below the view's name
+    assert 40 < len(rows) < 0.2 * changed.size
+    assert np.ptp(columns) < 60

@@ -1,0 +1,150 @@
+"""`hypose track`, `export` and what an interruption leaves: everything through the command line."""
+
+import re
+
+import ezc3d
+import numpy as np
+import pytest
+
+from hypose.app import console
+from hypose.app.job import DESCRIPTIONS
+from hypose.evaluation.metrics import joint_errors
+from hypose.io.bodies import load_body
+from hypose.io.results import load_motion
+from hypose.io.trc import read_trc
+from hypose.io.video import open_video
+
+LIGHT = ("--no-overlay", "--formats", "trc")
+
+
+def interrupt_at(monkeypatch, stage, done):
+    """Ctrl-C when the progress of `stage` reaches `done`."""
+    shown = console.Stages.__call__
+
+    def call(self, now, count, total):
+        if (now, count) == (stage, done):
+            raise KeyboardInterrupt
+        shown(self, now, count, total)
+
+    monkeypatch.setattr(console.Stages, "__call__", call)
+
+
+def test_every_file_of_the_results_folder_is_written(tracked):
+    assert {p.name for p in tracked.iterdir()} == set(DESCRIPTIONS)
+
+
+def test_the_motion_is_that_of_the_recording(tracked, tiny):
+    motion = load_motion(tracked / "motion.npz")
+    assert len(motion) == 8 and motion.frame_rate == pytest.approx(25)
+    assert not motion.lost.any() and not motion.extrapolated.any()
+    with np.load(tiny / "truth.npz") as truth:
+        errors = joint_errors(motion.joints, truth["joints"])
+    assert errors.mean < 0.08  # the person is 60 px tall
+
+
+def test_motion_files_agree_with_the_motion(tracked):
+    motion = load_motion(tracked / "motion.npz")
+    c3d = ezc3d.c3d(str(tracked / "motion.c3d"))
+    points = c3d["data"]["points"][:3].transpose(2, 1, 0) / 1000
+    np.testing.assert_allclose(points, motion.joints, atol=1e-6)
+    assert read_trc(tracked / "motion.trc").points.shape == motion.joints.shape
+    assert load_body(tracked / "body.npz").skeleton.joint_names == motion.skeleton.joint_names
+
+
+def test_the_overlay_has_every_frame(tracked):
+    with open_video(tracked / "overlay.mp4") as video:
+        assert video.n_frames == 8
+        assert video.size == (320, 266)
+
+
+def test_the_closing_lines_tell_what_came_out(hypose, tiny, tmp_path):
+    code, out, err = hypose("track", tiny, "--out", tmp_path, "--frames", "2:5", *LIGHT)
+    assert code == 0, err
+    assert re.search(r"3 frames in 4 views, 0 lost, 0 extrapolated, mean IoU 0\.\d+", out)
+    assert str(tmp_path / "report.html") in out
+    assert "Track: 3/3" in err
+    assert load_motion(tmp_path / "motion.npz").provenance["settings"]["frames"] == [2, 5]
+    assert not (tmp_path / "overlay.mp4").exists() and not (tmp_path / "motion.c3d").exists()
+
+
+def test_results_go_into_the_recording_by_default(hypose, recording):
+    code, _, err = hypose("track", recording, "--frames", ":2", *LIGHT)
+    assert code == 0, err
+    assert (recording / "results" / "default" / "motion.npz").is_file()
+
+
+def test_another_calibration_file_can_be_given(hypose, recording, tmp_path):
+    other = tmp_path / "other.toml"
+    (recording / "calibration.toml").rename(other)
+    code, _, err = hypose("track", recording, "--frames", ":2", "--calibration", other, *LIGHT)
+    assert code == 0, err
+
+
+def test_a_published_recipe_with_refinement(hypose, tiny, tmp_path):
+    code, _, err = hypose("track", tiny, "--recipe", "hpf", "--refine", "--frames", ":2", "--out", tmp_path, *LIGHT)
+    assert code == 0, err
+    assert load_motion(tmp_path / "motion.npz").provenance["recipe"] == "hpf"
+
+
+def test_export_writes_the_chosen_formats_again(hypose, tracked, tmp_path):
+    code, out, err = hypose("export", tracked, "--formats", "bvh,.TRC", "--out", tmp_path)
+    assert code == 0, err
+    assert {p.name for p in tmp_path.iterdir()} == {"motion.bvh", "motion.trc"}
+    assert (tmp_path / "motion.trc").read_bytes() == (tracked / "motion.trc").read_bytes()
+    assert str(tmp_path / "motion.bvh") in out
+
+
+@pytest.mark.parametrize("frame", [1, 5])
+def test_resume_after_ctrl_c_gives_the_same_bytes(hypose, tiny, tracked, tmp_path, monkeypatch, frame):
+    arguments = ("track", tiny, "--out", tmp_path / "out", *LIGHT)
+    with monkeypatch.context() as patch:
+        interrupt_at(patch, "track", frame)
+        code, out, _ = hypose(*arguments)
+    assert code == 130
+    assert f"Kept: {frame} of 8 frames" in out and "--resume" in out
+    assert len(load_motion(tmp_path / "out" / "motion.npz")) == frame
+    code, _, err = hypose(*arguments, "--resume")
+    assert code == 0, err
+    assert (tmp_path / "out" / "motion.npz").read_bytes() == (tracked / "motion.npz").read_bytes()
+    assert not (tmp_path / "out" / "checkpoint.npz").exists()
+
+
+def test_ctrl_c_before_the_first_frame_keeps_nothing_and_says_so(hypose, tiny, tmp_path, monkeypatch):
+    interrupt_at(monkeypatch, "track", 0)
+    code, out, _ = hypose("track", tiny, "--out", tmp_path / "out", *LIGHT)
+    assert code == 130
+    assert "nothing was kept" in out
+
+
+def test_ctrl_c_after_tracking_keeps_the_motion_and_resume_writes_the_rest(
+    hypose, tiny, tracked, tmp_path, monkeypatch
+):
+    arguments = ("track", tiny, "--out", tmp_path / "out")
+    with monkeypatch.context() as patch:
+        interrupt_at(patch, "overlay", 3)
+        code, out, _ = hypose(*arguments)
+    assert code == 130 and "motion is complete" in out
+    assert not (tmp_path / "out" / "overlay.mp4").exists()
+    code, _, err = hypose(*arguments, "--resume")
+    assert code == 0, err
+    assert "Track:" not in err  # it was not tracked again
+    assert (tmp_path / "out" / "motion.npz").read_bytes() == (tracked / "motion.npz").read_bytes()
+    assert {p.name for p in (tmp_path / "out").iterdir()} == set(DESCRIPTIONS)
+
+
+def test_resume_with_other_settings_is_refused(hypose, tiny, tmp_path, monkeypatch):
+    arguments = ("track", tiny, "--out", tmp_path / "out", *LIGHT)
+    with monkeypatch.context() as patch:
+        interrupt_at(patch, "track", 3)
+        assert hypose(*arguments)[0] == 130
+    code, _, err = hypose(*arguments, "--resume", "--seed", "7")
+    assert code == 2
+    assert "belongs to another run: seed" in err and "run again without --resume" in err
+
+
+def test_the_number_of_threads_does_not_change_the_bytes(hypose, tiny, tracked, tmp_path, monkeypatch):
+    for count in ("1", "2"):
+        monkeypatch.setenv("NUMBA_NUM_THREADS", count)
+        assert hypose("track", tiny, "--out", tmp_path / count, *LIGHT)[0] == 0
+    one, two = ((tmp_path / count / "motion.npz").read_bytes() for count in ("1", "2"))
+    assert one == two == (tracked / "motion.npz").read_bytes()
