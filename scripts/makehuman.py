@@ -357,8 +357,10 @@ def interpolated_weights(vertices: np.ndarray, source: np.ndarray, weights: np.n
 def four_influences(weights: np.ndarray, least: float = 0.02) -> tuple[np.ndarray, np.ndarray]:
     """The 4 largest of the weights (V,J) as (index (V,4) u1, weight (V,4) f4): sorted, rounded to 1e-4, sum 1,
     unused entries index 0 and weight 0."""
-    index = np.argsort(-weights, axis=1, kind="stable")[:, :4]
-    w = np.take_along_axis(weights, index, 1)
+    order = np.argsort(-weights, axis=1, kind="stable")
+    index = order[:, :4]
+    w, fifth = np.take_along_axis(weights, index, 1), np.take_along_axis(weights, order[:, 4:5], 1)
+    w = np.where(w > fifth + 1e-9, w, 0)  # of a left-right pair in the middle of the body keep both or none
     w = np.where(w < least, 0, w)
     w = np.round(w / w.sum(1, keepdims=True), 4)
     w[:, 0] += 1 - w.sum(1)

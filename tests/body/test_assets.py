@@ -1,0 +1,266 @@
+"""The baked bodies and the procedural one: closed, symmetric, outward, human in size, readable without pickle."""
+
+from __future__ import annotations
+
+from importlib import resources
+
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+from hypose.body.body import Body, Mesh
+from hypose.body.models import JOINT_NAMES, PARENTS, human, human_skeleton
+from hypose.body.procedural import Proportions, procedural_body
+from hypose.errors import InputError
+
+MIRROR = [
+    JOINT_NAMES.index(n.replace("left_", "right_") if n.startswith("left_") else n.replace("right_", "left_"))
+    for n in JOINT_NAMES
+]
+FLIP = np.array([-1.0, 1.0, 1.0])
+
+
+def asset(name: str) -> dict[str, np.ndarray]:
+    with resources.files("hypose.assets").joinpath(name).open("rb") as file:
+        return dict(np.load(file, allow_pickle=False))
+
+
+@pytest.fixture(scope="module")
+def template() -> dict[str, np.ndarray]:
+    return asset("template.npz")
+
+
+@pytest.fixture(scope="module")
+def subjects() -> dict[str, np.ndarray]:
+    return asset("subjects.npz")
+
+
+@pytest.fixture(scope="module")
+def procedural() -> Body:
+    return procedural_body()
+
+
+def mesh_of(data: dict[str, np.ndarray], prefix: str) -> Mesh:
+    return Mesh(
+        data[prefix + "vertices"].astype(np.float64),
+        data[prefix + "faces"].astype(np.int32),
+        data[prefix + "skin_index"].astype(np.int32),
+        data[prefix + "skin_weight"].astype(np.float64),
+    )
+
+
+def euler_number(mesh: Mesh) -> int:
+    return len(mesh.vertices) - len(mesh.edges) + len(mesh.faces)
+
+
+def inside(mesh: Mesh, points: np.ndarray) -> np.ndarray:
+    """Generalised winding number (solid angle over 4 pi) above one half."""
+    t = mesh.vertices[mesh.faces][None] - points[:, None, None]
+    a, b, c = t[:, :, 0], t[:, :, 1], t[:, :, 2]
+    la, lb, lc = (np.linalg.norm(x, axis=-1) for x in (a, b, c))
+    volume = np.einsum("...i,...i->...", a, np.cross(b, c))
+    dots = [np.einsum("...i,...i->...", x, y) for x, y in ((a, b), (b, c), (c, a))]
+    angle = 2 * np.arctan2(volume, la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb)
+    return angle.sum(1) / (4 * np.pi) > 0.5
+
+
+@pytest.mark.parametrize("level", ["coarse_", "fine_"])
+def test_template_mesh_is_a_closed_sphere_facing_outward(template, level):
+    mesh = mesh_of(template, level)
+    assert euler_number(mesh) == 2  # `edges` has already refused open and non-manifold meshes
+    assert mesh.volume > 0
+    assert len(np.unique(mesh.faces)) == len(mesh.vertices)
+    areas = np.linalg.norm(
+        np.cross(*(mesh.vertices[mesh.faces[:, k]] - mesh.vertices[mesh.faces[:, 0]] for k in (1, 2))), axis=1
+    )
+    assert areas.min() > 1e-8  # m^2: no degenerate face
+
+
+@pytest.mark.parametrize("level", ["coarse_", "fine_"])
+def test_template_mesh_is_its_own_mirror_image(template, level):
+    mesh = mesh_of(template, level)
+    distance, partner = KDTree(mesh.vertices).query(mesh.vertices * FLIP)
+    assert distance.max() == 0
+    np.testing.assert_array_equal(partner[partner], np.arange(len(partner)))
+    faces = {tuple(np.roll(f, -int(np.argmin(f)))) for f in mesh.faces}
+    mirrored = {tuple(np.roll(f, -int(np.argmin(f)))) for f in partner[mesh.faces][:, ::-1]}
+    assert faces == mirrored
+    w = mesh.dense_weights(len(JOINT_NAMES))
+    np.testing.assert_allclose(w[partner][:, MIRROR], w, atol=4e-4)  # four weights are rounded to 1e-4
+
+
+def test_template_sizes(template):
+    coarse, fine = mesh_of(template, "coarse_"), mesh_of(template, "fine_")
+    assert 400 <= len(coarse.vertices) <= 700
+    assert 2000 <= len(fine.vertices) <= 3000
+    full = float(template["volume"])
+    assert abs(coarse.volume / full - 1) < 0.01
+    assert abs(fine.volume / full - 1) < 0.01
+    assert 0.050 < full < 0.075
+    assert float(template["stature"]) == pytest.approx(1.70, abs=1e-3)
+    for mesh in (coarse, fine):
+        assert np.ptp(mesh.vertices[:, 2]) == pytest.approx(1.70, abs=0.02)
+
+
+def test_template_parts_get_few_triangles_where_outlines_say_little(template):
+    mesh = mesh_of(template, "coarse_")
+    part = mesh.main_joint[mesh.faces[:, 0]]
+    details = [JOINT_NAMES.index(n) for n in ("head", "left_wrist", "right_wrist", "left_ankle", "right_ankle")]
+    assert np.isin(part, details).mean() < 0.3
+
+
+@pytest.mark.parametrize("name", ["coarse_", "fine_"])
+def test_weights_are_a_partition_of_unity(template, name):
+    index, weight = template[name + "skin_index"], template[name + "skin_weight"]
+    assert weight.dtype == np.float32
+    np.testing.assert_allclose(weight.sum(1), 1, atol=1e-6)
+    assert weight.min() >= 0
+    assert (np.diff(weight, axis=1) <= 0).all()
+    assert (index[weight == 0] == 0).all()
+    assert index.max() < len(JOINT_NAMES)
+    used = mesh_of(template, name).dense_weights(len(JOINT_NAMES)).max(0)
+    assert (used > 0.3).all()  # every joint carries some skin, the collar bones too
+
+
+def test_joints_follow_the_conventions_and_lie_inside_the_body(template):
+    assert tuple(template["joint_names"].tolist()) == JOINT_NAMES
+    np.testing.assert_array_equal(template["parents"], PARENTS)
+    joints = template["joints"]
+    np.testing.assert_array_equal(joints[0], 0)
+    np.testing.assert_allclose(joints[MIRROR] * FLIP, joints, atol=1e-6)
+    assert (joints[[JOINT_NAMES.index(n) for n in JOINT_NAMES if n.startswith("left_")], 0] > 0).all()
+    assert joints[JOINT_NAMES.index("head"), 2] > joints[JOINT_NAMES.index("neck"), 2] > 0
+    for level in ("coarse_", "fine_"):
+        assert inside(mesh_of(template, level), joints).all()
+    collar, neck = joints[JOINT_NAMES.index("left_clavicle")], joints[JOINT_NAMES.index("neck")]
+    assert collar[0] < 0.04
+    assert collar[2] < neck[2]
+
+
+def test_landmarks_lie_where_their_names_say(template):
+    names = template["landmark_names"].tolist()
+    needed = [f"{s}_{n}" for s in ("left", "right") for n in ("eye", "ear", "big_toe", "small_toe", "heel", "hand_tip")]
+    assert set(needed + ["nose", "head_top", "neck_base"]) <= set(names)
+    at = template["joints"][template["landmark_joint"]] + template["landmark_offset"]
+    point = dict(zip(names, at, strict=True))
+    fine = template["fine_vertices"]
+    for name, p in point.items():
+        if name.startswith("left_"):
+            np.testing.assert_allclose(point["right_" + name[5:]], p * FLIP, atol=2e-6)
+            assert p[0] > 0
+        if name != "neck_base":  # toe and finger tips are the ends of bones, a little below the skin
+            assert np.linalg.norm(fine - p, axis=1).min() < 0.03, name
+    assert point["nose"][1] < point["left_eye"][1] < point["left_ear"][1]
+    assert point["left_big_toe"][1] < point["left_heel"][1]
+    assert point["left_big_toe"][0] < point["left_small_toe"][0]
+    floor = fine[:, 2].min()
+    for name in ("sole_heel", "sole_ball", "sole_toe"):
+        assert point["left_" + name][2] - floor < 0.015, name
+    shoulders = template["joints"][[JOINT_NAMES.index("left_shoulder"), JOINT_NAMES.index("right_shoulder")]]
+    np.testing.assert_allclose(point["neck_base"], shoulders.mean(0), atol=2e-6)
+
+
+def test_the_ready_body_is_the_template(template):
+    body = human()
+    assert body.skeleton.dof == 36
+    np.testing.assert_allclose(body.skeleton.rest_joints, template["joints"], atol=1e-6)
+    assert body.landmarks.names == tuple(template["landmark_names"].tolist())
+
+
+def test_files_are_small():
+    folder = resources.files("hypose.assets")
+    for name, limit in (("template.npz", 400_000), ("subjects.npz", 1_500_000)):
+        assert len(folder.joinpath(name).read_bytes()) <= limit
+
+
+def test_subjects_are_closed_symmetric_people_of_their_stature(subjects):
+    names = subjects["names"].tolist()
+    assert names[0] == "neutral"
+    assert {"slim", "heavy", "broad"} <= set(names)
+    assert len(names) == len(set(names)) == 24
+    assert subjects["vertices_q"].dtype == np.int16
+    height = subjects["height"]
+    assert height.min() < 1.55
+    assert height.max() > 1.90
+    assert height[names.index("slim")] == pytest.approx(1.82)
+    assert height[names.index("heavy")] == pytest.approx(1.66)
+    vertices = subjects["vertices_q"] * float(subjects["vertex_scale"])
+    base = {k: subjects[k] for k in ("faces", "skin_index", "skin_weight")}
+    partner = KDTree(vertices[0]).query(vertices[0] * FLIP)[1]
+    assert euler_number(mesh_of(base | {"vertices": vertices[0]}, "")) == 2
+    body_mass_index = []
+    for k, name in enumerate(names):
+        mesh = mesh_of(base | {"vertices": vertices[k]}, "")
+        assert np.ptp(vertices[k][:, 2]) == pytest.approx(height[k], abs=0.006), name
+        np.testing.assert_allclose(vertices[k][partner] * FLIP, vertices[k], atol=2e-4)
+        assert mesh.volume == pytest.approx(subjects["volume"][k], rel=1e-4)
+        body_mass_index.append(1000 * mesh.volume / height[k] ** 2)
+    assert min(body_mass_index) < 19
+    assert max(body_mass_index) > 27
+    assert height[names.index("heavy")] ** -2 * subjects["volume"][names.index("heavy")] > 0.024
+
+
+def test_subjects_joints_come_from_their_own_bodies(subjects):
+    joints = subjects["joints"]
+    np.testing.assert_array_equal(joints[:, 0], 0)
+    vertices = subjects["vertices_q"] * float(subjects["vertex_scale"])
+    for k in (0, 2, 7, 15, 23):
+        mesh = mesh_of(
+            {"vertices": vertices[k], **{n: subjects[n] for n in ("faces", "skin_index", "skin_weight")}}, ""
+        )
+        assert inside(mesh, joints[k]).all()
+    # not one body scaled: segment lengths relative to the stature differ between people
+    thigh = np.linalg.norm(joints[:, JOINT_NAMES.index("left_knee")] - joints[:, JOINT_NAMES.index("left_hip")], axis=1)
+    arm = np.linalg.norm(
+        joints[:, JOINT_NAMES.index("left_elbow")] - joints[:, JOINT_NAMES.index("left_shoulder")], axis=1
+    )
+    for ratio in (thigh / subjects["height"], arm / subjects["height"]):
+        assert np.std(ratio) / np.mean(ratio) > 0.01
+        assert ratio.max() / ratio.min() < 1.35
+
+
+def test_cloth_lies_on_the_clothed_parts_only(subjects):
+    cloth, index, weight = (subjects[k] for k in ("cloth_weight", "skin_index", "skin_weight"))
+    assert cloth.min() >= 0
+    assert cloth.max() <= 1
+    main = np.take_along_axis(index, weight.argmax(1)[:, None], 1)[:, 0]
+    sure = weight.max(1) > 0.9
+    for name in ("head", "left_wrist", "right_wrist", "left_ankle", "right_ankle"):
+        assert cloth[sure & (main == JOINT_NAMES.index(name))].max() == 0
+    for name in ("pelvis", "spine", "chest", "left_shoulder", "left_elbow", "left_hip", "left_knee"):
+        assert cloth[sure & (main == JOINT_NAMES.index(name))].min() == 1
+
+
+def test_procedural_body_is_closed_and_human(procedural):
+    for mesh in (procedural.coarse, procedural.fine):
+        assert euler_number(mesh) == 2
+        np.testing.assert_allclose(mesh.skin_weight.sum(1), 1, atol=1e-12)
+        assert inside(mesh, procedural.skeleton.rest_joints).all()
+    assert procedural.stature == pytest.approx(Proportions().stature, abs=0.01)
+    assert abs(procedural.coarse.volume / procedural.fine.volume - 1) < 0.01
+    assert 0.045 < procedural.fine.volume < 0.08
+    assert len(procedural.coarse.vertices) == pytest.approx(550, abs=10)
+    assert set(procedural.landmarks.names) == set(human().landmarks.names)
+
+
+def test_procedural_body_obeys_its_proportions_and_repeats_exactly(procedural):
+    again = procedural_body()
+    np.testing.assert_array_equal(again.coarse.vertices, procedural.coarse.vertices)
+    np.testing.assert_array_equal(again.coarse.skin_weight, procedural.coarse.skin_weight)
+    tall = procedural_body(Proportions(thigh=0.47, girth=1.1).scaled(1.9), coarse=500, fine=1500)
+    assert tall.stature == pytest.approx(1.9, abs=0.015)
+    k = 1.9 / Proportions(thigh=0.47).stature
+    assert tall.segment_lengths()["left_thigh"] == pytest.approx(0.47 * k, rel=1e-9)
+    assert tall.segment_lengths()["right_upper_arm"] == pytest.approx(0.28 * k, rel=1e-9)
+    assert tall.fine.volume > procedural.fine.volume
+
+
+def test_impossible_proportions_are_refused():
+    with pytest.raises(InputError, match="Proportion thigh is -0.1"):
+        Proportions(thigh=-0.1)
+    with pytest.raises(InputError, match="between 0.5 and 2.5 m"):
+        Proportions().scaled(17.0)
+
+
+def test_template_and_procedural_skeleton_have_the_same_degrees_of_freedom(template, procedural):
+    assert procedural.skeleton.dof_names == human_skeleton(template["joints"]).dof_names
