@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hypose.errors import InputError
 
@@ -196,10 +196,40 @@ def _cure_ghosts(
     ghost = stable & (np.abs(median - plate.mean).max(2) > _OTHER_THING)
     low = np.clip(plate.mean - _OTHER_THING, 0, 255)
     high = np.clip(plate.mean + _OTHER_THING, 0, 255)
-    differs = np.mean([((f < low) | (f > high)).any(2) for f in stack], axis=0)
-    ghost &= ~_parts_of_the_person(ghost, differs)
+    unlike = np.stack([((f < low) | (f > high)).any(2) for f in stack])
+    ghost &= ~_parts_of_the_person(ghost, unlike.mean(0))
+    still = _person_who_never_moves(ghost, unlike)
+    note = ""
+    if still.any():
+        ghost &= ~still
+        note = (
+            "Hardly anything moves, so the largest thing that is not in the photo is taken for the person; if it is "
+            "not, take a photo of the room as it was during the recording."
+        )
     pick = ghost[..., None]
-    return BackgroundModel(np.where(pick, median, plate.mean), np.where(pick, sd, plate.sd), plate.valid, plate.note)
+    mean, spread = np.where(pick, median, plate.mean), np.where(pick, sd, plate.sd)
+    return BackgroundModel(mean, spread, plate.valid, note or plate.note)
+
+
+def _person_who_never_moves(ghost: NDArray[np.bool_], unlike: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The largest static region unlike the photo, when little else differs from the photo: somebody who sits
+    through the whole recording. Empty when a person of comparable size is seen besides.
+
+    ghost (h, w): what would become room. unlike (N, h, w): differs from the photo, per frame.
+    """
+    label, area = _regions(ghost)
+    if not len(area):
+        return np.zeros_like(ghost)
+    solid = np.ones((3, 3), np.uint8)
+    rest = [cv2.morphologyEx((u & ~ghost).astype(np.uint8), cv2.MORPH_OPEN, solid) for u in unlike]
+    besides = float(np.median([max(_regions(r)[1], default=0) for r in rest]))
+    return label == int(area.argmax()) + 1 if besides < 0.3 * area.max() else np.zeros_like(ghost)
+
+
+def _regions(mask: ArrayLike) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Connected regions of mask (h, w): labels (h, w) from 1, areas."""
+    _, label, stats, _ = cv2.connectedComponentsWithStats(np.asarray(mask, dtype=np.uint8), connectivity=8)
+    return np.asarray(label, dtype=np.int32), np.asarray(stats[1:, cv2.CC_STAT_AREA], dtype=np.int64)
 
 
 def _parts_of_the_person(ghost: NDArray[np.bool_], differs: NDArray[np.floating]) -> NDArray[np.bool_]:

@@ -87,6 +87,16 @@ def test_somebody_who_sways_on_the_spot_stays_foreground(scene):
     assert min(iou(segment(f), m) for f, m in zip(film, truth, strict=True)) > 0.9
 
 
+def test_somebody_who_never_moves_is_not_taken_for_room(scene):
+    background, empty, _, _ = scene
+    rng = np.random.default_rng(3)
+    truth = ellipse(SHAPE, 0.5)
+    film = np.stack([picture(rng, background, truth, shadow=0) for _ in range(20)])
+    model = from_recording(film, None, from_plates(empty[:1]))
+    assert iou(make_segmenter(model)(film[3]), truth) > 0.9
+    assert "Hardly anything moves" in model.note
+
+
 def test_median_alone_says_what_to_mistrust(scene):
     background, _, film, _ = scene
     model = from_recording(film)
