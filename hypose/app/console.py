@@ -9,19 +9,11 @@ import sys
 import time
 from collections.abc import Callable
 from types import TracebackType
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    TaskID,
-    TextColumn,
-    TimeRemainingColumn,
-)
-from rich.progress import Task as RichTask
-from rich.text import Text
+if TYPE_CHECKING:  # rich takes a third of the time in which `hypose --help` should answer
+    from rich.console import Console
+    from rich.progress import Progress, TaskID
 
 TITLES = {
     "prepare": "Prepare",
@@ -43,11 +35,15 @@ _PLAIN_SECONDS = 10.0  # without a terminal a line at most this often
 
 def out() -> Console:
     """For results; made anew so that a redirected stdout is respected."""
+    from rich.console import Console
+
     return Console(file=sys.stdout, highlight=False, soft_wrap=True)
 
 
 def err() -> Console:
     """For progress and errors."""
+    from rich.console import Console
+
     return Console(file=sys.stderr, highlight=False, soft_wrap=True)
 
 
@@ -63,18 +59,31 @@ def note(text: str) -> None:
 
 def error(text: str) -> None:
     """The sentence that ends a failed command."""
+    from rich.text import Text
+
     err().print(Text.assemble(("error: ", "bold red"), text))
 
 
-class _Speed(ProgressColumn):
-    """Frames per second over the last steps."""
+def _bars(console: Console) -> Progress:
+    """One bar per stage; stages that count frames show frames per second."""
+    from rich import progress
+    from rich.text import Text
 
-    def render(self, task: RichTask) -> Text:
-        """The figure, or nothing for stages that are not counted in frames."""
-        speed = task.finished_speed or task.speed
-        if not speed or task.fields.get("unit") != "frames":
-            return Text("")
-        return Text(f"{speed:.1f} frames/s" if speed < 100 else f"{speed:.0f} frames/s")
+    class Speed(progress.ProgressColumn):
+        def render(self, task: progress.Task) -> Text:
+            speed = task.finished_speed or task.speed
+            if not speed or task.fields.get("unit") != "frames":
+                return Text("")
+            return Text(f"{speed:.1f} frames/s" if speed < 100 else f"{speed:.0f} frames/s")
+
+    return progress.Progress(
+        progress.TextColumn("{task.description:<26}"),
+        progress.BarColumn(bar_width=30),
+        progress.MofNCompleteColumn(),
+        Speed(),
+        progress.TimeRemainingColumn(compact=True, elapsed_when_finished=True),
+        console=console,
+    )
 
 
 class Stages:
@@ -93,14 +102,7 @@ class Stages:
         self._plain = None if quiet or console.is_terminal else console
         self._bars: Progress | None = None
         if console.is_terminal and not quiet:
-            self._bars = Progress(
-                TextColumn("{task.description:<26}"),
-                BarColumn(bar_width=30),
-                MofNCompleteColumn(),
-                _Speed(),
-                TimeRemainingColumn(compact=True, elapsed_when_finished=True),
-                console=console,
-            )
+            self._bars = _bars(console)
 
     def __enter__(self) -> Stages:
         if self._bars is not None:
