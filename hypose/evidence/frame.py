@@ -8,7 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import CameraRig
+from hypose.errors import InputError
 from hypose.geometry import Array
+
+NOT_TRACKED, INFERRED, TRACKED = 0, 1, 2
+"""States of a joint as sensors report them."""
+MISSING_MARK = -9999.0
+"""What loggers write for a missing coordinate; anything at or below it counts as missing."""
+FARTHEST_M = 100.0
+"""No depth sensor sees further: larger coordinates are another unit."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +63,65 @@ class Detections:
 
 
 @dataclass(frozen=True)
+class SensorJoints:
+    """Skeletons of one person at one instant, one per depth sensor.
+
+    positions (K, J, 3) m, each in its own sensor's frame (or in a common frame after registration), NaN where missing.
+    state (K, J) uint8: 0 = not tracked, 1 = inferred, 2 = tracked; never above 0 where the position is missing. times
+    (K,) s, each on the common clock, NaN for a sensor without a skeleton. joint_names (J,), sensor_names (K,).
+    depth (K, h, w) float32 m with its intrinsics (K, 3, 3), 0 = hole, or None. joint_depth (K, J) m, the depth map's
+    value at the joint's pixel where no whole map is kept, 0 = hole, or None.
+
+    The constructor makes one thing of the ways to say "missing" (NaN, -9999, state 0) and raises an InputError for
+    wrong shapes and for positions that are not metres.
+    """
+
+    positions: Array
+    state: NDArray[np.uint8]
+    times: Array
+    joint_names: tuple[str, ...]
+    sensor_names: tuple[str, ...]
+    depth: NDArray[np.float32] | None = None
+    intrinsics: Array | None = None
+    joint_depth: Array | None = None
+
+    def __post_init__(self) -> None:
+        positions = np.array(self.positions, dtype=np.float64)
+        state = np.array(self.state, dtype=np.uint8)
+        times = np.array(self.times, dtype=np.float64)
+        k, j = len(self.sensor_names), len(self.joint_names)
+        if positions.shape != (k, j, 3) or state.shape != (k, j) or times.shape != (k,):
+            raise InputError(
+                f"Skeletons of {k} sensors with {j} joints need positions {(k, j, 3)}, state {(k, j)} and times {(k,)}, "
+                f"got {positions.shape}, {state.shape} and {times.shape}; all sensors must name the same joints."
+            )
+        if (state > TRACKED).any():
+            raise InputError(f"A joint's state is 0, 1 or 2 (not tracked, inferred, tracked), got {int(state.max())}.")
+        positions[(positions <= MISSING_MARK).any(-1)] = np.nan
+        far = np.abs(np.where(np.isfinite(positions), positions, 0.0)).max(axis=-1, initial=0.0) > FARTHEST_M
+        if far.any():
+            which, joint = (int(i) for i in np.argwhere(far)[0])
+            raise InputError(
+                f"Sensor {self.sensor_names[which]}, joint {self.joint_names[joint]}: {positions[which, joint]} cannot "
+                f"be metres (largest {FARTHEST_M:.0f}); divide by 1000 if the sensor reports millimetres."
+            )
+        missing = ~np.isfinite(positions).all(-1) | (state == NOT_TRACKED)
+        positions[missing] = np.nan
+        state[missing] = NOT_TRACKED
+        for name, value in (("positions", positions), ("state", state), ("times", times)):
+            object.__setattr__(self, name, value)
+        if self.depth is not None and (
+            self.depth.ndim != 3
+            or len(self.depth) != k
+            or self.intrinsics is None
+            or np.shape(self.intrinsics) != (k, 3, 3)
+        ):
+            raise InputError(f"Depth maps need shape ({k}, h, w) and intrinsics ({k}, 3, 3), got {self.depth.shape}.")
+        if self.joint_depth is not None and np.shape(self.joint_depth) != (k, j):
+            raise InputError(f"joint_depth needs shape {(k, j)}, got {np.shape(self.joint_depth)}.")
+
+
+@dataclass(frozen=True)
 class Frame:
     """One instant. time: s, index: frame number; the pieces are None when this frame has no such evidence."""
 
@@ -63,3 +130,4 @@ class Frame:
     silhouettes: Silhouettes | None = None
     keypoints: Keypoints | None = None
     detections: Detections | None = None
+    sensor_joints: SensorJoints | None = None

@@ -1,0 +1,1 @@
+"""Fusion: one skeleton out of the skeletons of several depth sensors, with its uncertainty."""
