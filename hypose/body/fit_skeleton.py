@@ -1,0 +1,390 @@
+"""Where the joints are inside a scanned person: the template body is fitted to the scan, shape and pose together.
+
+Which axis is up, where the person faces and how the arms are held is found by trying: the template in every such
+position against samples of the scan. The best few are refined by a bounded Gauss-Newton search over pose and
+proportions on two-way distances to the surface, along its normals, with a robust weight whose scale shrinks.
+Sources: registration with alternating nearest points (Besl & McKay 1992) and point-to-plane rows (Chen & Medioni 1992);
+Geman & McClure 1985; the proportions are the entities of Alcoverro 2014, section 2.3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from hypose.body.body import Body, Shape, deform
+from hypose.errors import InputError
+from hypose.geometry import Array, rotation_between, so3_exp, so3_log
+
+# direction of the straight arm in each pose a scan may be taken in, for the left side (model frame)
+_ARMS = {"a": (0.75, 0.0, -0.66), "t": (1.0, 0.0, 0.0), "standing": (0.18, 0.0, -1.0), "hands-up": (0.35, 0.0, 1.0)}
+SCAN_POSES = tuple(_ARMS)
+"""Poses a person may be scanned in: A-pose, T-pose, standing with hanging arms, hands up."""
+
+_TRUNK = ("pelvis", "spine", "chest")
+_SIDES = ("left", "right")
+
+
+@dataclass(frozen=True)
+class _Factor:
+    """One proportion, exp(value) of which multiplies length, girth (along the given axes) or offset of some joints.
+    sd: usual spread of its logarithm between people of one stature."""
+
+    name: str
+    kind: str
+    joints: tuple[str, ...]
+    sd: float
+    axes: tuple[int, ...] = (0, 1, 2)
+
+
+def _pair(joint: str) -> tuple[str, ...]:
+    return tuple(f"{s}_{joint}" for s in _SIDES)
+
+
+FACTORS: tuple[_Factor, ...] = (
+    _Factor("scale", "scale", (), 1.0),
+    _Factor("torso", "length", _TRUNK, 0.05),
+    _Factor("neck", "length", ("neck",), 0.10),
+    _Factor("head", "size", ("head",), 0.07),
+    _Factor("shoulder width", "offset", _pair("shoulder"), 0.10),
+    _Factor("hip width", "offset", _pair("hip"), 0.06),
+    _Factor("upper arm", "length", _pair("shoulder"), 0.06),
+    _Factor("forearm", "length", _pair("elbow"), 0.06),
+    _Factor("hand", "size", _pair("wrist"), 0.08),
+    _Factor("thigh", "length", _pair("hip"), 0.06),
+    _Factor("shank", "length", _pair("knee"), 0.06),
+    _Factor("foot", "size", _pair("ankle"), 0.08),
+    *(_Factor(f"{j} width", "girth", (j,), 0.15, (0,)) for j in _TRUNK),
+    *(_Factor(f"{j} depth", "girth", (j,), 0.20, (1,)) for j in _TRUNK),
+    *(_Factor(f"{j} girth", "girth", _pair(j), 0.20) for j in ("shoulder", "elbow", "hip", "knee")),
+    _Factor("neck girth", "girth", ("neck",), 0.15),
+)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Samples of a scan: points (N, 3) m and outward unit normals (N, 3)."""
+
+    points: Array
+    normals: Array
+
+
+@dataclass(frozen=True)
+class Stance:
+    """How a scan stands: upright_from_file (3, 3), a rotation after which z is up and the person faces -y; arms: the
+    pose of the arms; score: mean distance to the template over the stature; up: the file's up axis, such as '+y'."""
+
+    upright_from_file: Array
+    arms: str
+    score: float
+    up: str
+
+
+@dataclass(frozen=True)
+class ScanFit:
+    """The template in the scan: body, with the scan's proportions, at rest; pose (D,) in the upright frame of the
+    scan; factors (K,) the logarithms of FACTORS; distance: median distance between the two surfaces, m, both ways, and
+    far: the share of the samples farther than 5 % of the stature."""
+
+    body: Body
+    pose: Array
+    factors: Array
+    distance: float
+    far: float
+
+
+def surface_samples(vertices: ArrayLike, faces: ArrayLike, count: int, rng: np.random.Generator) -> Surface:
+    """`count` points spread evenly over the surface of a mesh (V, 3), (F, 3) of positive area."""
+    v, f = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
+    a, b, c = (v[f[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    double = np.linalg.norm(normal, axis=1)
+    if not double.sum() > 0:
+        raise InputError("The mesh has no surface: all its triangles have area 0; export it again.")
+    edges = np.cumsum(double) / double.sum()
+    chosen = np.minimum(np.searchsorted(edges, (np.arange(count) + rng.random(count)) / count), len(f) - 1)
+    s, t = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
+    points = (1 - s) * a[chosen] + s * (1 - t) * b[chosen] + s * t * c[chosen]
+    return Surface(points, normal[chosen] / np.maximum(double[chosen], 1e-30)[:, None])
+
+
+def scan_pose(body: Body, name: str) -> Array:
+    """(D,) the pose of SCAN_POSES with straight arms, at the origin, facing -y; an InputError lists the poses."""
+    if name not in _ARMS:
+        raise InputError(f"There is no scan pose {name!r}; the poses are auto, {', '.join(SCAN_POSES)}.")
+    s, pose = body.skeleton, np.zeros(body.skeleton.dof)
+    joints = s.rest_joints
+    for side, mirror in (("left", 1.0), ("right", -1.0)):
+        shoulder, elbow, wrist = (s.joint(f"{side}_{n}") for n in ("shoulder", "elbow", "wrist"))
+        upper, fore = joints[elbow] - joints[shoulder], joints[wrist] - joints[elbow]
+        pose[s.dofs_of(f"{side}_shoulder")] = so3_log(rotation_between(upper, np.array(_ARMS[name]) * (mirror, 1, 1)))
+        bend = np.arccos(np.clip(upper @ fore / np.linalg.norm(upper) / np.linalg.norm(fore), -1, 1))
+        pose[s.dofs_of(f"{side}_elbow")] = -0.7 * bend  # people relax their elbows
+    return s.clamp(pose)
+
+
+def find_stances(surface: Surface, template: Body, pose: str = "auto", up: str = "auto") -> list[Stance]:
+    """The ways a scan may stand, best first; units do not matter.
+
+    pose: one of SCAN_POSES or 'auto'. up: '+z', '-y', ... or 'auto': any axis, z and then y preferred when the scores
+    are near each other."""
+    step = max(1, len(surface.points) // 700)
+    points, normals = surface.points[::step], surface.normals[::step]
+    arms = SCAN_POSES if pose == "auto" else (pose,)
+    models = {}
+    for name in arms:
+        v = template.skin(scan_pose(template, name))
+        n = _vertex_normals(v, template.coarse.faces)
+        models[name] = (_boxed(v)[0], n)
+    out = []
+    for label, axis, prefer in _UPS:
+        if up not in ("auto", label):
+            continue
+        upright = rotation_between(np.array(axis), np.array([0.0, 0.0, 1.0]))
+        flat = (points @ upright.T)[:, :2]
+        _, direction = np.linalg.eigh(np.cov((flat - flat.mean(0)).T))
+        widest = np.arctan2(direction[1, 1], direction[0, 1])
+        for quarter in range(4):
+            turn = so3_exp(np.array([0, 0, -widest + quarter * np.pi / 2])) @ upright
+            boxed, _ = _boxed(points @ turn.T)
+            facing = normals @ turn.T
+            for name in arms:
+                v, n = models[name]
+                # normals count like a distance of a twelfth of the stature: front and back differ by little else
+                a, b = np.hstack([boxed, facing / 12]), np.hstack([v, n / 12])
+                d = np.concatenate([cKDTree(b).query(a)[0], cKDTree(a).query(b)[0]])
+                out.append(Stance(turn, name, float(np.minimum(d, 0.2).mean()), label))
+    preference = {label: prefer for label, _, prefer in _UPS}
+    return sorted(out, key=lambda s: s.score * preference[s.up])
+
+
+_UPS = (
+    ("+z", (0.0, 0.0, 1.0), 1.0),
+    ("+y", (0.0, 1.0, 0.0), 1.1),
+    ("-y", (0.0, -1.0, 0.0), 1.25),
+    ("-z", (0.0, 0.0, -1.0), 1.25),
+    ("+x", (1.0, 0.0, 0.0), 1.25),
+    ("-x", (-1.0, 0.0, 0.0), 1.25),
+)
+
+
+def _boxed(points: Array) -> tuple[Array, float]:
+    """Points with feet at z = 0, centred over the origin, height 1."""
+    low, high = points.min(0), points.max(0)
+    height = float(high[2] - low[2])
+    return (points - [*(0.5 * (low + high))[:2], low[2]]) / max(height, 1e-12), height
+
+
+def fit_template(surface: Surface, template: Body, stances: list[Stance]) -> tuple[ScanFit, Stance]:
+    """The template fitted to a scan in metres; tries the first few stances shortly and the best one thoroughly.
+
+    Returns the fit, in the frame into which the stance turns the file, and its stance.
+    """
+    light = replace(template, fine=template.coarse)
+    light.coarse.arrays  # noqa: B018 - builds the edges once, before the copies
+    few: list[Stance] = []
+    for s in stances:
+        if s.score < 1.6 * stances[0].score and len(few) < 4:
+            few.append(s)
+    trials = []
+    for s in few:
+        search = _Search(light, _turned(surface, s.upright_from_file))
+        x, cost = search.run(search.start(s.arms), _ROUGH)
+        trials.append((cost, s, search, x))
+    _, stance, search, x = min(trials, key=lambda t: t[0])
+    x, _ = search.run(x, _FINE)
+    k = template.skeleton.dof
+    body = deform(template, shape_of(x[k:]), template.name)
+    distance, far = search.quality(x)
+    return ScanFit(body, x[:k], x[k:], distance, far), stance
+
+
+def shape_of(factors: ArrayLike) -> Shape:
+    """The Shape of the logarithms (K,) of FACTORS."""
+    length: dict[str, float] = {}
+    girth: dict[str, list[float]] = {}
+    offset: dict[str, tuple[float, float, float]] = {}
+    scale = 1.0
+    for factor, value in zip(FACTORS, np.exp(np.asarray(factors, dtype=np.float64)).tolist(), strict=True):
+        if factor.kind == "scale":
+            scale = value
+        for joint in factor.joints:
+            if factor.kind in ("length", "size"):
+                length[joint] = length.get(joint, 1.0) * value
+            if factor.kind in ("girth", "size"):
+                row = girth.setdefault(joint, [1.0, 1.0, 1.0])
+                for axis in factor.axes:
+                    row[axis] *= value
+            if factor.kind == "offset":
+                offset[joint] = (value, 1.0, 1.0)
+    return Shape(scale, length, {j: (g[0], g[1], g[2]) for j, g in girth.items()}, offset)
+
+
+def unposed(body: Body, pose: ArrayLike, points_world: ArrayLike, weights: ArrayLike) -> Array:
+    """Points (P, 3) m of a surface at a pose (D,), with dense skinning weights (P, J), brought to the body's rest pose:
+    the inverse of linear blend skinning, so that skinning them again gives points_world."""
+    rotations, centres = body.skeleton.forward(pose)
+    rest = body.skeleton.rest_joints - body.skeleton.rest_joints[0]
+    moves = np.asarray(weights, dtype=np.float64) @ np.hstack(
+        [rotations.reshape(-1, 9), centres - np.einsum("jab,jb->ja", rotations, rest)]
+    )
+    blended = moves[:, :9].reshape(-1, 3, 3)
+    return np.linalg.solve(blended, (np.asarray(points_world, dtype=np.float64) - moves[:, 9:])[..., None])[..., 0]
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """iterations; first and last scale of the robust weight as shares of the stature; shape: all proportions are free,
+    else only the scale."""
+
+    iterations: int
+    first: float
+    last: float
+    shape: bool
+
+
+_ROUGH = _Stage(8, 0.06, 0.04, False)
+_FINE = _Stage(24, 0.04, 0.012, True)
+# 1 sd of a row: neighbouring rows err together, so each counts less than the scan's noise would let it
+_ROW_SD = 0.04
+_TANGENT = 0.15  # weight of the directions along the surface: nearest points say little about them
+_FREE = {"shoulder": 0.5, "elbow": 0.4, "hip": 0.3, "knee": 0.2, "ankle": 0.25, "clavicle": 0.12}
+_STIFF = 0.12  # 1 sd of the other joints from the start pose, rad
+
+
+@lru_cache(maxsize=4)
+def _corners() -> Array:
+    return np.array([(4, 1, 1), (1, 4, 1), (1, 1, 4)]) / 6
+
+
+class _Search:
+    """Damped Gauss-Newton on the vector x = (pose, logarithms of the factors)."""
+
+    def __init__(self, body: Body, surface: Surface) -> None:
+        self.body, self.surface = body, surface
+        self.tree = cKDTree(surface.points)
+        self.faces = body.coarse.faces
+        self.dof = body.skeleton.dof
+        low, high = surface.points.min(0), surface.points.max(0)
+        self.low, self.high = low, high
+        self.stature = float(high[2] - low[2])
+
+    def start(self, arms: str) -> Array:
+        """The start vector: the template with the scan's height, over its middle."""
+        pose = scan_pose(self.body, arms)
+        v = self.body.skin(pose)
+        scale = self.stature / np.ptp(v[:, 2])
+        middle = 0.5 * (v.min(0) + v.max(0)) * scale
+        pose[:3] = 0.5 * (self.low + self.high) - middle
+        x = np.concatenate([pose, np.zeros(len(FACTORS))])
+        x[self.dof] = np.log(scale)
+        self.centre = x.copy()
+        sd = np.full(len(x), _STIFF)
+        sd[:3], sd[3:6] = 0.3 * self.stature, 0.3
+        for d in range(6, self.dof):
+            kind = self.body.skeleton.joint_names[self.body.skeleton.joint_of_dof[d]].split("_")[-1]
+            sd[d] = _FREE.get(kind, _STIFF)
+        sd[self.dof :] = [f.sd for f in FACTORS]
+        self.sd = sd
+        s = self.body.skeleton
+        self.lower = np.concatenate([s.lower, [f_center - 4 * f.sd for f, f_center in zip(FACTORS, x[self.dof :], strict=True)]])
+        self.upper = np.concatenate([s.upper, [f_center + 4 * f.sd for f, f_center in zip(FACTORS, x[self.dof :], strict=True)]])
+        return x
+
+    def skin(self, x: Array) -> Array:
+        return deform(self.body, shape_of(x[self.dof :])).skin(x[: self.dof])
+
+    def derivative(self, x: Array, free: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Vertices (V, 3) and their derivatives (P, V, 3), by differences wide enough for float32 skinning."""
+        shaped = deform(self.body, shape_of(x[self.dof :]))
+        h = 2e-3
+        turns = free[free < self.dof]
+        poses = np.tile(x[: self.dof], (1 + len(turns), 1))
+        poses[1 + np.arange(len(turns)), turns] += h
+        v = shaped.skin(poses)
+        rows = [(v[1:] - v[0]) / h]
+        for k in free[free >= self.dof]:
+            y = x.copy()
+            y[k] += 0.02
+            rows.append(((self.skin(y) - v[0]) / 0.02)[None])
+        return v[0], np.concatenate(rows)
+
+    def match(self, v: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Pairs of points of the body and the scan: face (M,), barycentric (M, 3), target (M, 3), normal (M, 3) and how
+        far apart (M,) they are."""
+        corner, faces, s = _corners(), self.faces, self.surface
+        points = np.einsum("sc,fcd->fsd", corner, v[faces]).reshape(-1, 3)
+        normals = np.cross(v[faces[:, 1]] - v[faces[:, 0]], v[faces[:, 2]] - v[faces[:, 0]])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        normals = np.repeat(normals, len(corner), 0)
+        # body to scan, then scan to body; normals must roughly agree
+        gap, near = self.tree.query(points)
+        ok = (normals * s.normals[near]).sum(1) > 0.2
+        one = np.flatnonzero(ok)
+        gap2, back = cKDTree(points).query(s.points)
+        ok2 = (normals[back] * s.normals).sum(1) > 0.2
+        two = np.flatnonzero(ok2)
+        index = np.concatenate([one, back[two]])
+        target = np.concatenate([s.points[near[one]], s.points[two]])
+        normal = np.concatenate([s.normals[near[one]], normals[back[two]]])
+        # both directions weigh the same
+        weight = np.concatenate([np.full(len(one), 1.0 / len(points)), np.full(len(two), 1.0 / len(s.points))])
+        self.unmatched = 0.5 * (1 - ok.mean()) + 0.5 * (1 - ok2.mean())
+        self.gaps = np.concatenate([gap, gap2])
+        return index // len(corner), corner[index % len(corner)], target, normal, weight * 1500
+
+    def quality(self, x: Array) -> tuple[float, float]:
+        """Median distance between the surfaces, m, and the share of samples farther than 5 % of the stature."""
+        self.match(self.skin(x))
+        return float(np.median(self.gaps)), float((self.gaps > 0.05 * self.stature).mean())
+
+    def run(self, x: Array, stage: _Stage) -> tuple[Array, float]:
+        """The improved vector and its cost: mean robust distance of the samples, in shares of the stature."""
+        free = np.arange(self.dof + (len(FACTORS) if stage.shape else 1))
+        cost = np.inf
+        for k in range(stage.iterations):
+            share = stage.first * (stage.last / stage.first) ** (k / max(stage.iterations - 1, 1))
+            scale = share * self.stature
+            v, dv = self.derivative(x, free)
+            face, bary, target, normal, weight = self.match(v)
+            corners = self.faces[face]
+            points = np.einsum("mc,mcd->md", bary, v[corners])
+            jac = np.einsum("mc,pmcd->pmd", bary, dv[:, corners])
+            apart = points - target
+            along = (apart * normal).sum(1)
+            w = weight / (1 + (apart**2).sum(1) / scale**2) ** 2 / _ROW_SD**2
+            jn = np.einsum("pmd,md->pm", jac, normal)
+            hessian = (jn * w) @ jn.T
+            gradient = (jn * w) @ along
+            flat = jac.reshape(len(jac), -1)
+            wt = np.repeat(w * _TANGENT**2, 3)
+            hessian += (flat * wt) @ flat.T
+            gradient += (flat * wt) @ apart.ravel()
+            prior = 1 / self.sd[free] ** 2
+            hessian += np.diag(prior)
+            gradient += prior * (x[free] - self.centre[free])
+            step = -np.linalg.solve(hessian + 1e-3 * np.diag(np.diag(hessian)), gradient)
+            step *= min(1.0, 0.35 / np.abs(step).max())
+            x = x.copy()
+            x[free] = np.clip(x[free] + step, self.lower[free], self.upper[free])
+            r2 = (self.gaps / self.stature) ** 2
+            cost = float(np.mean(r2 / (r2 + 0.04**2))) + float(self.unmatched)
+            if k > 3 and share <= stage.last * 1.3 and np.abs(step).max() < 1e-3:
+                break
+        return x, cost
+
+
+def _turned(surface: Surface, rotation: Array) -> Surface:
+    return Surface(surface.points @ rotation.T, surface.normals @ rotation.T)
+
+
+def _vertex_normals(v: Array, faces: NDArray[np.int32]) -> Array:
+    n = np.cross(v[faces[:, 1]] - v[faces[:, 0]], v[faces[:, 2]] - v[faces[:, 0]])
+    out = np.zeros_like(v)
+    for k in range(3):
+        np.add.at(out, faces[:, k], n)
+    return out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12)

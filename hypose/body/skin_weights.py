@@ -1,0 +1,188 @@
+"""Skinning weights of any closed mesh around any skeleton, by heat that flows from the bones over the surface.
+
+Source: Baran & Popovic 2007, "Automatic rigging and animation of 3D characters", section 4: (-Laplacian + H) w = H p,
+H = c / d^2 with the distance d to the nearest bone, p = 1 for that bone. Deviations: the nearest bone among those that
+the vertex sees through the inside (so a hand that hangs beside a thigh keeps off it), several segments per joint, a
+Laplacian that bears needles and non-manifold edges (Sharp & Crane 2020), and at most four influences.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.body.body import Body, Landmarks
+from hypose.body.skeleton import Skeleton
+from hypose.compute.visibility import nearest_visible
+from hypose.errors import InputError
+from hypose.geometry import Array
+
+SMALLEST = 0.01
+"""Weights below this are dropped before the rest is scaled to sum 1: no eye sees them and they cost time."""
+
+
+@dataclass(frozen=True)
+class Bones:
+    """Line segments that give off heat: start, end (B, 3) m in the frame of the mesh, joint (B,): which joint's weight
+    a segment feeds. A joint may have several."""
+
+    start: Array
+    end: Array
+    joint: NDArray[np.int64]
+
+
+# Segments of a human body: joint, start and end, each a mean of joints and landmarks. Beside the bones proper: ribs
+# (the chest is wide, and with the spine alone the collar bones would carry its front), jaw and ears (the head's joint
+# lies level with the nose, and with the skull alone the neck would carry the face), and no heat from the inner half of
+# the collar bones, which lies on the chest.
+_HUMAN: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
+    ("pelvis", ("pelvis",), ("spine",)),
+    ("spine", ("spine",), ("chest",)),
+    ("chest", ("chest",), ("neck",)),
+    ("neck", ("neck",), ("head",)),
+    ("head", ("head",), ("head_top",)),
+    ("head", ("head",), ("nose",)),
+    ("head", ("head",), ("nose", "nose", "neck")),
+    *(
+        row
+        for s in ("left", "right")
+        for row in (
+            ("pelvis", ("pelvis",), (f"{s}_hip",)),
+            ("chest", ("chest", "neck"), ("chest", f"{s}_shoulder")),
+            ("head", ("head",), (f"{s}_ear", "head")),
+            (f"{s}_clavicle", (f"{s}_clavicle", f"{s}_shoulder"), (f"{s}_shoulder",)),
+            (f"{s}_shoulder", (f"{s}_shoulder",), (f"{s}_elbow",)),
+            (f"{s}_elbow", (f"{s}_elbow",), (f"{s}_wrist",)),
+            (f"{s}_wrist", (f"{s}_wrist",), (f"{s}_knuckle",)),
+            (f"{s}_wrist", (f"{s}_wrist",), (f"{s}_thumb_tip",)),
+            (f"{s}_hip", (f"{s}_hip",), (f"{s}_knee",)),
+            (f"{s}_knee", (f"{s}_knee",), (f"{s}_ankle",)),
+            (f"{s}_ankle", (f"{s}_ankle",), (f"{s}_big_toe",)),
+            (f"{s}_ankle", (f"{s}_ankle",), (f"{s}_heel",)),
+        )
+    ),
+)
+
+
+def bones_of(skeleton: Skeleton, joints: Array, landmarks: Landmarks | None = None, points: Array | None = None) -> Bones:
+    """The segments of a skeleton with joint centres joints (J, 3) m: from every joint to its children; on a human body
+    with landmarks at points (L, 3) m in the same frame also ribs, jaw, knuckles, toes and heels.
+
+    A joint without child and landmark gets a segment in the direction of the one before it, half as long."""
+    place = {n: joints[k] for k, n in enumerate(skeleton.joint_names)}
+    if landmarks is not None and points is not None:
+        place |= {n: points[k] for k, n in enumerate(landmarks.names) if n not in place}
+    rows: list[tuple[Array, Array, int]] = []
+    for name, start, end in _HUMAN:
+        if name in skeleton.joint_names and all(n in place for n in (*start, *end)):
+            a, b = (np.mean([place[n] for n in side], axis=0) for side in (start, end))
+            rows.append((a, b, skeleton.joint(name)))
+    done = {j for _, _, j in rows}
+    for j in (j for j in range(len(joints)) if j not in done):
+        ends = [joints[k] for k in np.flatnonzero(skeleton.parents == j)]
+        if not ends:
+            p = int(skeleton.parents[j])
+            ends = [joints[j] + 0.5 * (joints[j] - joints[p])] if p >= 0 else [joints[j]]
+        rows += [(joints[j], np.asarray(e, dtype=np.float64), j) for e in ends]
+    return Bones(np.array([r[0] for r in rows]), np.array([r[1] for r in rows]), np.array([r[2] for r in rows]))
+
+
+def body_bones(body: Body, pose: ArrayLike | None = None) -> Bones:
+    """The segments of a ready body, at a pose (D,); at rest in the model frame when None."""
+    marks = body.landmarks
+    if pose is None:
+        joints = body.skeleton.rest_joints
+        return bones_of(body.skeleton, joints, marks, joints[marks.joint] + marks.offset)
+    return bones_of(body.skeleton, body.joints(pose), marks, body.landmark_points(pose))
+
+
+def heat_weights(
+    vertices: ArrayLike, faces: ArrayLike, bones: Bones, n_joints: int, *, heat: float = 1.0, visible: bool = True
+) -> Array:
+    """Dense weights (V, J), rows sum to 1, none negative: vertices (V, 3) m, faces (F, 3) of one surface.
+
+    heat: the constant c; less makes wider transitions. visible: only bones that a vertex sees are sources. An
+    InputError when the mesh has no face or a vertex without face.
+    """
+    import robust_laplacian
+    from scipy.sparse import csc_matrix, diags
+    from scipy.sparse.linalg import splu
+
+    v = np.ascontiguousarray(vertices, dtype=np.float64)
+    f = np.ascontiguousarray(faces, dtype=np.int64)
+    unused = len(v) - len(np.unique(f))
+    if not len(f) or unused:
+        raise InputError(f"{unused} of the mesh's {len(v)} vertices belong to no face; remove them before rigging.")
+    closest, distance = _closest_points(v, bones)
+    near = nearest_visible(v, f, closest, distance) if visible else distance <= 1.0001 * distance.min(1, keepdims=True)
+    near = _warm_every_part(near, distance, f)
+    source = np.zeros((len(v), n_joints))
+    np.add.at(source.T, bones.joint, near.T.astype(np.float64))
+    share = (source > 0).astype(np.float64)
+    count = share.sum(1)
+    nearest = np.where(near, distance, np.inf).min(1)
+    # a bone that touches the skin would be an infinite source
+    floor = 1e-3 * float(np.ptp(v, axis=0).max())
+    strength = np.where(count > 0, count * heat / np.maximum(np.where(count > 0, nearest, 1.0), floor) ** 2, 0.0)
+    stiffness, mass = robust_laplacian.mesh_laplacian(v, f)
+    pull = strength * mass.diagonal()
+    right = pull[:, None] * share / np.maximum(count, 1)[:, None]
+    weights = np.asarray(splu(csc_matrix(stiffness + diags(pull))).solve(right))
+    weights = np.clip(weights, 0.0, None)
+    return weights / weights.sum(1, keepdims=True)
+
+
+def influences(weights: ArrayLike, count: int = 4) -> tuple[NDArray[np.int32], Array]:
+    """The `count` largest of dense weights (V, J) as (V, 4) joints and weights, descending, sum 1, unused 0."""
+    w = np.asarray(weights, dtype=np.float64)
+    keep = min(4, count, w.shape[1])
+    index = np.zeros((len(w), 4), dtype=np.int32)
+    value = np.zeros((len(w), 4))
+    index[:, :keep] = np.argsort(-w, axis=1, kind="stable")[:, :keep]
+    value[:, :keep] = np.take_along_axis(w, index[:, :keep].astype(np.int64), 1)
+    value[:, 1:] = np.where(value[:, 1:] < SMALLEST, 0.0, value[:, 1:])
+    return np.where(value > 0, index, 0).astype(np.int32), value / value.sum(1, keepdims=True)
+
+
+def carried_weights(points: ArrayLike, vertices: ArrayLike, faces: ArrayLike, weights: ArrayLike) -> Array:
+    """Dense weights (P, J) at points (P, 3) near the surface of a mesh with dense weights (V, J): those of the nearest
+    point of the nearest faces. The points should lie within a face's size of the surface."""
+    from scipy.spatial import cKDTree
+
+    v, f, w = np.asarray(vertices, dtype=np.float64), np.asarray(faces), np.asarray(weights)
+    p = np.asarray(points, dtype=np.float64)
+    corner = np.array([(4, 1, 1), (1, 4, 1), (1, 1, 4), (2, 2, 2)]) / 6
+    samples = np.einsum("sc,fcd->fsd", corner, v[f]).reshape(-1, 3)
+    distance, index = cKDTree(samples).query(p, k=min(3, len(samples)))
+    index = index.reshape(len(p), -1)
+    share = 1.0 / np.maximum(distance.reshape(len(p), -1), 1e-6) ** 2
+    share /= share.sum(1, keepdims=True)
+    at = np.einsum("psc,pscj->psj", corner[index % len(corner)], w[f[index // len(corner)]])
+    return np.einsum("ps,psj->pj", share, at)
+
+
+def _closest_points(v: Array, bones: Bones) -> tuple[Array, Array]:
+    along = bones.end - bones.start
+    rel = v[:, None] - bones.start
+    t = np.clip((rel * along).sum(-1) / np.maximum((along * along).sum(-1), 1e-18), 0, 1)
+    closest = bones.start + t[..., None] * along
+    return closest, np.linalg.norm(v[:, None] - closest, axis=-1)
+
+
+def _warm_every_part(near: NDArray[np.bool_], distance: Array, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """A connected part in which no vertex sees a bone would have no heat at all: there the nearest bone counts."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
+    n = len(near)
+    _, part = connected_components(coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(n, n)))
+    warm = np.bincount(part, near.any(1)) > 0
+    cold = ~warm[part]
+    if not cold.any():
+        return near
+    out = near.copy()
+    out[cold] = distance[cold] <= 1.0001 * distance[cold].min(1, keepdims=True)
+    return out
