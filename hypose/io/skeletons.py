@@ -1,0 +1,426 @@
+"""Skeletons of depth sensors: one stream per sensor, and all of them at the same instants.
+
+`read_skeletons` takes any of the recorded forms: a recording folder (session.json, frames.csv, skeleton.csv;
+`skeleton_folder`), Kinect CSV and NTU RGB+D (`skeleton_tables`), JSON lines (`skeleton_lines`). What sensors get wrong
+is put right here and said in a note: rows out of order, clocks that jump back, persons who get a new number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.errors import InputError
+from hypose.evidence.frame import FARTHEST_M, MISSING_MARK, SensorJoints
+from hypose.geometry import Array
+
+MAX_SENSORS = 16
+MAX_PEOPLE = 16
+"""Most persons that one sensor may report at a time."""
+MAX_JOINTS = 64
+REORDER_S = 0.2
+"""A time that lies further back than this is a clock that was set back, less is a row that came late."""
+
+
+@dataclass(frozen=True)
+class SensorStream:
+    """What one sensor saw. T instants, P persons at most at a time, J joints.
+
+    times (T,) s, increasing; positions (T, P, J, 3) m in the sensor's frame, NaN where missing; state (T, P, J) uint8
+    0 not tracked, 1 inferred, 2 tracked; person_ids (T, P) the sensor's number of the person, -1 for nobody (a person
+    keeps the column as long as it is seen); joint_names (J,); joint_depth (T, P, J) m, the depth map at the joint's
+    pixel, 0 = hole, or None.
+    """
+
+    name: str
+    times: Array
+    positions: Array
+    state: NDArray[np.uint8]
+    person_ids: NDArray[np.int64]
+    joint_names: tuple[str, ...]
+    joint_depth: Array | None = None
+
+    @property
+    def rate(self) -> float:
+        """Instants per second, from the median step (30 for a single instant)."""
+        return float(1 / np.median(np.diff(self.times))) if len(self.times) > 1 else 30.0
+
+    @property
+    def people(self) -> int:
+        """Most persons at a time."""
+        return self.positions.shape[1]
+
+
+@dataclass(frozen=True)
+class SkeletonRecording:
+    """All sensors of one recording. reference: the sensor in whose frame the result is wanted; inputs: the files by a
+    short name, for the provenance; notes: what was put right; common_clock: the sensors' times are of one clock."""
+
+    name: str
+    streams: tuple[SensorStream, ...]
+    reference: str
+    inputs: Mapping[str, Path]
+    notes: tuple[str, ...] = ()
+    common_clock: bool = True
+
+    def stream(self, name: str) -> SensorStream:
+        """A sensor's stream by name; an InputError lists the names."""
+        for s in self.streams:
+            if s.name == name:
+                return s
+        names = ", ".join(s.name for s in self.streams)
+        raise InputError(f"The recording {self.name} has no sensor {name!r}; its sensors are {names}.")
+
+
+def read_skeletons(path: str | Path) -> SkeletonRecording:
+    """Read recorded skeletons in any known form; an InputError says in one sentence what cannot be used.
+
+    A folder with session.json; a folder of NTU .skeleton files, one per camera; .csv or .csv.gz of several Kinects;
+    .skeleton; .jsonl or .jsonl.gz.
+    """
+    from hypose.io.skeleton_folder import read_folder
+    from hypose.io.skeleton_lines import read_lines
+    from hypose.io.skeleton_tables import read_kinect_csv, read_ntu
+
+    p = Path(path)
+    if p.is_dir():
+        if (p / "session.json").exists():
+            return read_folder(p)
+        files = sorted(p.glob("*.skeleton"))
+        if files:
+            return read_ntu(files)
+        raise InputError(
+            f"The folder {p} has neither session.json nor .skeleton files; give a folder of recorded skeletons."
+        )
+    if not p.exists():
+        raise InputError(f"{p} does not exist; give a folder with session.json, or a .csv, .skeleton or .jsonl file.")
+    name = p.name.lower().removesuffix(".gz")
+    if name == "session.json":
+        return read_folder(p.parent)
+    if name.endswith(".csv"):
+        return read_kinect_csv(p)
+    if name.endswith(".skeleton"):
+        return read_ntu([p])
+    if name.endswith((".jsonl", ".ndjson")):
+        return read_lines(p)
+    if name.endswith(".zip"):
+        raise InputError(f"{p} is an archive; unpack it and give the folder.")
+    raise InputError(
+        f"{p} has no known form; give a folder with session.json, or a .csv, .skeleton or .jsonl file (.gz is fine)."
+    )
+
+
+# ---- from rows to streams ----------------------------------------------------------------------------------
+
+
+@dataclass
+class StreamRows:
+    """Bodies of one sensor in the order of arrival, to be made into a stream."""
+
+    name: str
+    joint_names: tuple[str, ...]
+    times: list[float] = field(default_factory=list)
+    ids: list[int] = field(default_factory=list)
+    positions: list[Array] = field(default_factory=list)
+    state: list[NDArray[np.uint8]] = field(default_factory=list)
+    joint_depth: list[Array] = field(default_factory=list)
+    empty: list[float] = field(default_factory=list)
+    """Times at which the sensor saw nobody."""
+
+    def add(self, time: float, person: int, positions: ArrayLike, state: ArrayLike) -> None:
+        """One body: positions (J, 3) m, state (J,)."""
+        self.times.append(time)
+        self.ids.append(person)
+        self.positions.append(np.asarray(positions, dtype=np.float64))
+        self.state.append(np.asarray(state, dtype=np.uint8))
+
+
+def build_stream(rows: StreamRows, where: str) -> tuple[SensorStream, tuple[str, ...]]:
+    """A stream of increasing times from bodies in order of arrival, and notes on what was put right.
+
+    A body whose time lies less than 0.2 s back is sorted in; a single time far ahead is left out; after a clock that
+    was set back, time goes on with the sensor's usual step.
+    """
+    notes: list[str] = []
+    if not rows.times:
+        raise InputError(f"{where}: the sensor {rows.name} has no skeleton at all; check the recording.")
+    arrival = np.array(rows.times)
+    if not np.isfinite(arrival).all():
+        raise InputError(f"{where}: a time of the sensor {rows.name} is not a number; times are seconds.")
+    repaired, keep, clock_notes = repair_clock(arrival)
+    notes += [f"{rows.name}: {text}" for text in clock_notes]
+    order = np.flatnonzero(keep)[np.argsort(repaired[keep], kind="stable")]
+    empty = np.array(rows.empty) if not clock_notes else np.zeros(0)
+    instants, first = np.unique(np.concatenate([repaired[order], empty]), return_inverse=True)
+    present: list[dict[int, int]] = [{} for _ in instants]
+    doubled = 0
+    for i, at in zip(order.tolist(), first[: len(order)].tolist(), strict=True):
+        doubled += rows.ids[i] in present[at]
+        present[at][rows.ids[i]] = i
+    if doubled:
+        notes.append(f"{rows.name}: {doubled} bodies came twice for the same person and time; the last one counts")
+    columns = _columns([list(p) for p in present])
+    people = max((c + 1 for row in columns for c in row.values()), default=1)
+    if people > MAX_PEOPLE:
+        raise InputError(f"{where}: the sensor {rows.name} reports {people} persons at once; at most {MAX_PEOPLE}.")
+    t, j = len(instants), len(rows.joint_names)
+    positions = np.full((t, people, j, 3), np.nan)
+    state = np.zeros((t, people, j), dtype=np.uint8)
+    ids = np.full((t, people), -1, dtype=np.int64)
+    depth = np.zeros((t, people, j)) if rows.joint_depth else None
+    for n, (bodies, column) in enumerate(zip(present, columns, strict=True)):
+        for person, i in bodies.items():
+            c = column[person]
+            positions[n, c], state[n, c], ids[n, c] = rows.positions[i], rows.state[i], person
+            if depth is not None:
+                depth[n, c] = rows.joint_depth[i]
+    positions, state = clean_joints(positions, state, f"{where}, sensor {rows.name}", rows.joint_names)
+    return SensorStream(rows.name, instants, positions, state, ids, rows.joint_names, depth), tuple(notes)
+
+
+def _columns(present: Sequence[Sequence[int]]) -> list[dict[int, int]]:
+    """For every instant person -> column: kept while seen, else the lowest free one."""
+    out: list[dict[int, int]] = []
+    last: dict[int, int] = {}
+    for people in present:
+        now = {p: last[p] for p in people if p in last}
+        taken = set(now.values())
+        for p in people:
+            if p not in now:
+                now[p] = next(c for c in range(len(taken) + 1) if c not in taken)
+                taken.add(now[p])
+        out.append(now)
+        last = now
+    return out
+
+
+def clean_joints(
+    positions: Array, state: NDArray[np.uint8], where: str, joint_names: Sequence[str]
+) -> tuple[Array, NDArray[np.uint8]]:
+    """Positions (..., J, 3) with NaN and state 0 for everything that means "missing"; an InputError for coordinates
+    that cannot be metres."""
+    positions, state = positions.copy(), state.copy()
+    positions[(positions <= MISSING_MARK).any(-1)] = np.nan
+    missing = ~np.isfinite(positions).all(-1) | (state == 0)
+    positions[missing], state[missing] = np.nan, 0
+    far = np.argwhere(np.abs(np.nan_to_num(positions)).max(-1) > FARTHEST_M)
+    if len(far):
+        at = tuple(far[0])
+        raise InputError(
+            f"{where}: the joint {joint_names[at[-1]]} lies at {positions[at].round(1).tolist()}, which cannot be "
+            f"metres (at most {FARTHEST_M:.0f}); divide millimetres by 1000."
+        )
+    return positions, state
+
+
+def repair_clock(times: ArrayLike) -> tuple[Array, NDArray[np.bool_], tuple[str, ...]]:
+    """Times (T,) in order of arrival -> (times on one clock (T,), which rows to keep (T,), notes)."""
+    t = np.array(times, dtype=np.float64)
+    keep = np.ones(len(t), dtype=bool)
+    notes: list[str] = []
+    if len(t) < 2:
+        return t, keep, ()
+    forward = np.diff(t)
+    usual = float(np.median(forward[forward > 0])) if (forward > 0).any() else 1 / 30
+    # one stamp far ahead of its neighbours, which go on regularly: a wrong stamp, not a clock
+    ahead = np.zeros(len(t), dtype=bool)
+    ahead[1:-1] = (t[1:-1] > t[2:] + REORDER_S) & (t[2:] >= t[:-2]) & (t[2:] - t[:-2] < 10 * usual + REORDER_S)
+    keep &= ~ahead
+    if ahead.any():
+        notes.append(f"{int(ahead.sum())} rows with a time far ahead of their neighbours were left out")
+    rows = np.flatnonzero(keep)
+    shift, latest, jumps, late = 0.0, t[rows[0]], 0, 0
+    for i in rows[1:].tolist():
+        value = t[i] + shift
+        if value < latest - REORDER_S:
+            shift += latest + usual - value
+            value = latest + usual
+            jumps += 1
+        late += value < latest
+        t[i], latest = value, max(latest, value)
+    if jumps:
+        notes.append(
+            f"the clock was set back {jumps} time(s); time goes on with the usual step of {usual * 1000:.0f} ms"
+        )
+    if late:
+        notes.append(f"{late} rows came late and were sorted in")
+    return t, keep, tuple(notes)
+
+
+# ---- the same instants for all -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class SyncedStream:
+    """A stream at given instants: positions (N, P, J, 3) NaN where missing, state (N, P, J), person_ids (N, P), joint_depth
+    (N, P, J) or None."""
+
+    name: str
+    positions: Array
+    state: NDArray[np.uint8]
+    person_ids: NDArray[np.int64]
+    joint_names: tuple[str, ...]
+    joint_depth: Array | None
+
+
+def common_times(streams: Sequence[SensorStream], rate: float | None = None) -> Array:
+    """(N,) s: evenly spaced instants from the first sensor's start to the last one's end. rate: Hz; default the first
+    stream's, rounded to a whole number when it is near one."""
+    if not streams:
+        raise InputError("There is no sensor to synchronise; give a recording with at least one.")
+    if rate is None:
+        rate = streams[0].rate
+        rate = float(round(rate)) if abs(rate - round(rate)) < 0.05 * rate and round(rate) > 0 else rate
+    if not 0.1 <= rate <= 1000:
+        raise InputError(f"A rate of {rate:g} Hz is not possible; give 0.1 to 1000 with --rate.")
+    start, stop = min(s.times[0] for s in streams), max(s.times[-1] for s in streams)
+    count = int(np.floor((stop - start) * rate + 1e-6)) + 1
+    if count > 10_000_000:
+        raise InputError(
+            f"The sensors' times span {(stop - start) / 3600:.1f} hours, too much for one recording; they seem to be on "
+            'different clocks: say so with "clock": "own" in session.json.'
+        )
+    return start + np.arange(count) / rate
+
+
+def resample(stream: SensorStream, times: ArrayLike, max_gap: float | None = None) -> SyncedStream:
+    """A stream at other instants (N,), linear between the two samples around each.
+
+    Nothing is filled in over a gap longer than `max_gap` (s; default three steps of the stream), or where the two
+    samples are of different persons; a joint that only one of them has is taken over for half a step. The state is
+    the lower of the two.
+    """
+    at = np.asarray(times, dtype=np.float64)
+    step = 1 / stream.rate
+    gap = 3.2 * step if max_gap is None else max_gap
+    after = np.searchsorted(stream.times, at, side="right")
+    i, k = np.clip(after - 1, 0, None), np.clip(after, None, len(stream.times) - 1)
+    before_first = after == 0
+    span = stream.times[k] - stream.times[i]
+    w = np.where(span > 0, (at - stream.times[i]) / np.where(span > 0, span, 1.0), 0.0)
+    a, b = stream.positions[i], stream.positions[k]
+    near_a = np.abs(at - stream.times[i]) <= step * 0.5 + 1e-9
+    near_b = np.abs(at - stream.times[k]) <= step * 0.5 + 1e-9
+    exact = np.abs(at - stream.times[i]) <= 1e-9
+    same = (stream.person_ids[i] == stream.person_ids[k]) & (span <= gap)[:, None] & ~before_first[:, None]
+    wide = w[:, None, None, None]
+    between = a + wide * (b - a)
+    both = same[..., None] & np.isfinite(between).all(-1)
+    # alone: the nearer sample, for half a step
+    use_a = (near_a & (w < 0.5) & ~before_first | exact)[:, None]
+    use_b = (near_b & ((w >= 0.5) | before_first))[:, None]
+    alone_a = use_a[..., None] & ~both
+    alone_b = use_b[..., None] & ~both & ~alone_a
+    positions = np.where(both[..., None], between, np.nan)
+    positions = np.where(alone_a[..., None], a, np.where(alone_b[..., None], b, positions))
+    state = np.where(both, np.minimum(stream.state[i], stream.state[k]), 0)
+    state = np.where(alone_a, stream.state[i], np.where(alone_b, stream.state[k], state)).astype(np.uint8)
+    ids = np.where(same | use_a, stream.person_ids[i], np.where(use_b, stream.person_ids[k], -1))
+    depth = None
+    if stream.joint_depth is not None:
+        # depth maps are not interpolated: an edge between two depths would make a surface that is not there
+        nearest = np.where(w < 0.5, i, k)
+        depth = np.where(np.isfinite(positions).all(-1), stream.joint_depth[nearest], 0.0)
+    missing = ~np.isfinite(positions).all(-1)
+    state[missing] = 0
+    return SyncedStream(stream.name, positions, state, ids, stream.joint_names, depth)
+
+
+def synchronise(
+    streams: Sequence[SensorStream],
+    rate: float | None = None,
+    *,
+    person: int | None = None,
+    max_gap: float | None = None,
+) -> list[SensorJoints]:
+    """All sensors at the same evenly spaced instants, one person.
+
+    rate: Hz (default: the first stream's). person: the sensors' number of the person, where they agree on it; without
+    it, every sensor may report one person only. max_gap: see `resample`. A sensor without a skeleton at an instant has
+    time NaN there. The sensors must name the same joints. Times are the instants'.
+    """
+    times = common_times(streams, rate)
+    names = streams[0].joint_names
+    for s in streams:
+        if s.joint_names != names:
+            raise InputError(
+                f"The sensors {streams[0].name} and {s.name} report different joints ({len(names)} and "
+                f"{len(s.joint_names)}); map them to the common ones first."
+            )
+        if person is None and s.people > 1:
+            raise InputError(
+                f"The sensor {s.name} saw {s.people} persons at once; say which one, or let the persons be matched."
+            )
+    synced = [resample(s, times, max_gap) for s in streams]
+    return one_person(synced, times, [_column_of(s, person) for s in synced])
+
+
+def _column_of(stream: SyncedStream, person: int | None) -> NDArray[np.int64]:
+    """(N,) column of a person at every instant, -1 where it is not seen."""
+    if person is None:
+        return np.where(stream.person_ids[:, 0] >= 0, 0, -1)
+    hit = stream.person_ids == person
+    return np.where(hit.any(1), hit.argmax(1), -1)
+
+
+def one_person(
+    synced: Sequence[SyncedStream], times: ArrayLike, columns: Sequence[NDArray[np.int64]]
+) -> list[SensorJoints]:
+    """SensorJoints at every instant from a column per sensor and instant (-1: not seen)."""
+    at = np.asarray(times, dtype=np.float64)
+    rows = np.arange(len(at))
+    positions, state, seen, depth = [], [], [], []
+    with_depth = all(s.joint_depth is not None for s in synced)
+    for s, column in zip(synced, columns, strict=True):
+        c = np.maximum(column, 0)
+        visible = (column >= 0) & (s.state[rows, c] > 0).any(1)
+        positions.append(np.where(visible[:, None, None], s.positions[rows, c], np.nan))
+        state.append(np.where(visible[:, None], s.state[rows, c], 0).astype(np.uint8))
+        seen.append(np.where(visible, at, np.nan))
+        if with_depth and s.joint_depth is not None:
+            depth.append(np.where(visible[:, None], s.joint_depth[rows, c], 0.0))
+    p, q, t = np.stack(positions, 1), np.stack(state, 1), np.stack(seen, 1)
+    d = np.stack(depth, 1) if with_depth else None
+    names, joints = tuple(s.name for s in synced), synced[0].joint_names
+    return [
+        SensorJoints(p[n], q[n], t[n], joints, names, joint_depth=None if d is None else d[n]) for n in range(len(at))
+    ]
+
+
+def shifted(stream: SensorStream, seconds: float) -> SensorStream:
+    """The stream with its clock put forward."""
+    return replace(stream, times=stream.times + seconds)
+
+
+def checked_recording(
+    name: str,
+    rows: Sequence[StreamRows],
+    where: str,
+    inputs: Mapping[str, Path],
+    *,
+    reference: str | None = None,
+    notes: Sequence[str] = (),
+    common_clock: bool = True,
+) -> SkeletonRecording:
+    """A recording from the rows of its sensors."""
+    if not rows:
+        raise InputError(f"{where} holds no skeleton; give a recording in which somebody was seen.")
+    if len(rows) > MAX_SENSORS:
+        raise InputError(f"{where} has {len(rows)} sensors, at most {MAX_SENSORS} are fused; split the recording.")
+    streams, found = [], list(notes)
+    for r in rows:
+        stream, more = build_stream(r, where)
+        streams.append(stream)
+        found += more
+    if reference is not None and reference not in [s.name for s in streams]:
+        raise InputError(
+            f"{where} names the reference sensor {reference!r}, which has no skeleton; choose one of "
+            f"{', '.join(s.name for s in streams)}."
+        )
+    return SkeletonRecording(
+        name, tuple(streams), reference or streams[0].name, dict(inputs), tuple(found), common_clock
+    )
