@@ -92,7 +92,7 @@ class SensorJoints:
         k, j = len(self.sensor_names), len(self.joint_names)
         if positions.shape != (k, j, 3) or state.shape != (k, j) or times.shape != (k,):
             raise InputError(
-                f"Skeletons of {k} sensors with {j} joints need positions {(k, j, 3)}, state {(k, j)} and times {(k,)}, "
+                f"Skeletons of {k} sensors, {j} joints, need positions {(k, j, 3)}, state {(k, j)} and times {(k,)}, "
                 f"got {positions.shape}, {state.shape} and {times.shape}; all sensors must name the same joints."
             )
         if (state > TRACKED).any():

@@ -1,0 +1,200 @@
+"""Confidence inputs of a joint at a sensor: inverse fluidity F, depth error D, unnatural posture A.
+
+Source: Asteriadis et al. 2013, section 2.3, eq. 5-6; each is divided by its current maximum over the sensors (2.4).
+Departures, each switchable: D subtracts the body's thickness in front of the joint, holds the last valid depth over
+holes and is clipped and floored; the SDK's own state and the deviation of bone lengths are merged into D.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.evidence.frame import TRACKED
+from hypose.fusion import joints as jt
+from hypose.geometry import Array
+
+THICKNESS_M = np.array([90, 60, 65, 48, 42, 65, 48, 42, 125, 95, 68, 52, 95, 68, 52]) / 1000
+"""(15,) m of body between a joint and the surface that a depth sensor sees."""
+# joint, its two neighbours: the angle of A. Only these have one; all other joints get A = 0.
+_ANGLES = ((3, 2, 4), (6, 5, 7), (10, 9, 11), (13, 12, 14))
+_NO_DEPTH_M = 4.0
+_INFERRED_M = 0.15
+
+
+@dataclass(frozen=True)
+class ConfidenceSettings:
+    """window: frames of F; use_f, use_d, use_a: switches of the inputs; thickness: subtract THICKNESS_M; hold: keep the
+    last depth error over holes instead of taking a hole's depth as 0; clip_m: largest D; floor_m: D is divided by at
+    least this; merge_bones: D is at least twice the bone's deviation from its usual length; merge_state: D of an
+    inferred joint is at least 0.15 m. The defaults are the paper's."""
+
+    window: int = 15
+    use_f: bool = True
+    use_d: bool = True
+    use_a: bool = True
+    thickness: bool = False
+    hold: bool = False
+    clip_m: float = _NO_DEPTH_M
+    floor_m: float = 0.0
+    merge_bones: bool = False
+    merge_state: bool = False
+
+
+PUBLISHED_CONFIDENCE = ConfidenceSettings()
+CURED_CONFIDENCE = ConfidenceSettings(
+    thickness=True, hold=True, clip_m=0.3, floor_m=0.15, merge_bones=True, merge_state=True
+)
+
+
+@dataclass(frozen=True)
+class ConfidenceState:
+    """Memory of a stream: last positions (K, 15, 3), the last `window` speeds and activations (window, K, 15), frames
+    seen, the held depth error (K, 15), usual bone lengths (15,) m of the limbs with their number of samples."""
+
+    last: Array
+    speeds: Array
+    activations: Array
+    frames: int
+    held: Array
+    lengths: Array
+    samples: Array
+
+
+def start_confidence(sensors: int, settings: ConfidenceSettings) -> ConfidenceState:
+    """Before the first frame."""
+    shape = (settings.window, sensors, 15)
+    return ConfidenceState(
+        np.full((sensors, 15, 3), np.nan),
+        np.zeros(shape),
+        np.zeros(shape),
+        0,
+        np.zeros((sensors, 15)),
+        np.zeros(15),
+        np.zeros(15),
+    )
+
+
+def confidence_step(
+    memory: ConfidenceState,
+    positions: Array,
+    state: NDArray[np.uint8],
+    depth: Array | None,
+    settings: ConfidenceSettings,
+) -> tuple[ConfidenceState, Array]:
+    """One frame: positions (K, 15, 3) m in the sensors' frames, state (K, 15), depth (K, 15) m at the joints' pixels (0 =
+    hole) or None -> the new memory and the raw inputs (3, K, 15) = F (m), D (m), A, before normalisation."""
+    t, n = memory.frames, settings.window
+    speed = np.linalg.norm(positions - memory.last, axis=-1)
+    speeds, activations = memory.speeds.copy(), memory.activations.copy()
+    speeds[t % n] = np.where(np.isfinite(speed), speed, 0.0)
+    activations[t % n] = speeds.sum(0)  # the ring is zero before it is full, so this is the sum of what there is
+    inputs = np.zeros((3, *state.shape))
+    if settings.use_f:
+        inputs[0] = activations[: t + 1].std(axis=0) if t + 1 < n else activations.std(axis=0)
+    lengths, samples = memory.lengths, memory.samples
+    held = memory.held
+    if settings.use_d:
+        if depth is not None:
+            error, held = depth_error(positions[..., 2], depth, held, settings)
+            inputs[1] = error
+        if settings.merge_bones:
+            lengths, samples, deviation = _bone_deviation(positions, state, lengths, samples)
+            inputs[1] = np.maximum(inputs[1], np.minimum(2 * deviation, settings.clip_m))
+        if settings.merge_state:
+            inputs[1] = np.maximum(inputs[1], np.where(state < TRACKED, _INFERRED_M, 0.0))
+    if settings.use_a:
+        inputs[2] = unnatural(positions)
+    new = ConfidenceState(positions, speeds, activations, t + 1, held, lengths, samples)
+    return new, inputs
+
+
+def inverse_fluidity(speeds: ArrayLike, window: int) -> Array:
+    """F (T, ...) by its definition, eq. 5: the standard deviation over the last `window` frames of the overall
+    activation, itself the sum of the last `window` speeds (T, ...)."""
+    v = np.asarray(speeds, dtype=np.float64)
+    activation = np.stack([v[max(0, t + 1 - window) : t + 1].sum(0) for t in range(len(v))])
+    return np.stack([activation[max(0, t + 1 - window) : t + 1].std(0) for t in range(len(v))])
+
+
+def depth_error(z: Array, depth: Array, held: Array, settings: ConfidenceSettings) -> tuple[Array, Array]:
+    """D (K, 15) m = |z of the joint - depth map at its pixel|, and the errors to hold for the next frame."""
+    with np.errstate(invalid="ignore"):
+        error = np.abs(z - depth - (THICKNESS_M if settings.thickness else 0.0))
+    if settings.hold:
+        error = np.where((depth > 0) & np.isfinite(z), error, held)
+    error = np.minimum(np.where(np.isfinite(error), error, settings.clip_m), settings.clip_m)
+    return error, error
+
+
+def unnatural(positions: ArrayLike) -> Array:
+    """A (..., 15) = 1 - P(angle), eq. 6: the inner angle of elbows and knees against a normal distribution of mean pi/2
+    and sd pi/6, scaled to 1 at its mean; 0 for all other joints, 1 where a neighbour is missing.
+
+    The inner product that the paper takes cannot see angles beyond pi; see `signed_knees`."""
+    s = np.asarray(positions, dtype=np.float64)
+    out = np.zeros(s.shape[:-1])
+    for j, a, b in _ANGLES:
+        out[..., j] = _improbable(_inner_angle(s[..., a, :] - s[..., j, :], s[..., b, :] - s[..., j, :]))
+    return out
+
+
+def signed_knees(positions: ArrayLike) -> Array:
+    """(..., 2) rad angles of the knees in [0, 2 pi): above pi where the shank bends forwards. Elbows have no such sign:
+    their hinge turns with the upper arm, which three points do not show."""
+    s = np.asarray(positions, dtype=np.float64)
+    left = s[..., jt.LEFT_HIP, :] - s[..., jt.RIGHT_HIP, :]
+    out = []
+    for knee, hip, foot in ((jt.LEFT_KNEE, jt.LEFT_HIP, jt.LEFT_FOOT), (jt.RIGHT_KNEE, jt.RIGHT_HIP, jt.RIGHT_FOOT)):
+        thigh, shank = s[..., hip, :] - s[..., knee, :], s[..., foot, :] - s[..., knee, :]
+        angle = _inner_angle(thigh, shank)
+        # thigh (up) x shank (down and back) points to the person's left for a knee that bends as knees do
+        natural = (np.cross(thigh, shank) * left).sum(-1) >= 0
+        out.append(np.where(natural, angle, 2 * np.pi - angle))
+    return np.stack(out, -1)
+
+
+def normalised(inputs: Array, settings: ConfidenceSettings) -> Array:
+    """Raw inputs (3, K, 15) divided by their maxima over the sensors (D's at least floor_m)."""
+    top = inputs.max(axis=1, keepdims=True)
+    top[1] = np.maximum(top[1], settings.floor_m)
+    return inputs / np.maximum(top, 1e-9)
+
+
+def _inner_angle(a: Array, b: Array) -> Array:
+    norm = np.sqrt((a * a).sum(-1) * (b * b).sum(-1))
+    return np.arccos(np.clip((a * b).sum(-1) / np.maximum(norm, 1e-12), -1, 1))
+
+
+def _improbable(angle: Array) -> Array:
+    p = 1 - np.exp(-0.5 * ((angle - np.pi / 2) / (np.pi / 6)) ** 2)
+    return np.where(np.isfinite(p), p, 1.0)
+
+
+_LIMB = np.array([3, 4, 6, 7, 10, 11, 13, 14])
+_END = np.array([4, 7, 11, 14])
+
+
+def _bone_deviation(
+    positions: Array, state: NDArray[np.uint8], lengths: Array, samples: Array
+) -> tuple[Array, Array, Array]:
+    """Running usual lengths of the limbs' bones (a step of limited size towards each tracked sample: a slow median), and
+    (K, 15) m how far each sensor's bones are from them."""
+    length = np.linalg.norm(positions[:, _LIMB] - positions[:, jt.PARENT[_LIMB]], axis=-1)
+    good = np.isfinite(length) & (state[:, _LIMB] == TRACKED) & (state[:, jt.PARENT[_LIMB]] == TRACKED)
+    usual, count = lengths.copy(), samples.copy()
+    seen = good.sum(0)
+    with np.errstate(invalid="ignore"):
+        now = np.nanmedian(np.where(good | (seen == 0), length, np.nan), axis=0) if good.any() else usual[_LIMB]
+    fresh = (count[_LIMB] == 0) & np.isfinite(now)
+    usual[_LIMB[fresh]] = now[fresh]
+    step = np.where(good, np.clip(length - usual[_LIMB], -0.03, 0.03), 0.0).sum(0)
+    count[_LIMB] += seen
+    usual[_LIMB] += step / np.clip(count[_LIMB], 1.0, 300.0)
+    deviation = np.zeros(state.shape)
+    off = np.abs(length - usual[_LIMB])
+    deviation[:, _LIMB] = np.where(np.isfinite(off), off, 0.3)
+    deviation[:, _END] = np.maximum(deviation[:, _END], 0.5 * deviation[:, jt.PARENT[_END]])
+    return usual, count, deviation
