@@ -199,7 +199,9 @@ def deform(body: Body, shape: Shape, name: str | None = None) -> Body:
     offsets = s.rest_offsets * shape.scale
     for j, p in enumerate(parents):
         if p >= 0:
-            offsets[j] = offsets[j] * shape.length.get(names[p], 1.0) * np.asarray(shape.offset.get(names[j], (1, 1, 1)))
+            offsets[j] = (
+                offsets[j] * shape.length.get(names[p], 1.0) * np.asarray(shape.offset.get(names[j], (1, 1, 1)))
+            )
     skeleton = _with_offsets(s, offsets)
     new = skeleton.rest_joints
 
@@ -229,7 +231,11 @@ def deform(body: Body, shape: Shape, name: str | None = None) -> Body:
     rest = old[marks.joint] + marks.offset
     moved_marks = np.stack([move(rest[i], int(j)) - new[j] for i, j in enumerate(marks.joint)]) if len(rest) else rest
     return Body(
-        name or body.name, skeleton, deform_mesh(body.coarse), deform_mesh(body.fine), replace(marks, offset=moved_marks)
+        name or body.name,
+        skeleton,
+        deform_mesh(body.coarse),
+        deform_mesh(body.fine),
+        replace(marks, offset=moved_marks),
     )
 
 

@@ -101,7 +101,7 @@ def contour_solve(options: BenchOptions) -> BenchReport:
         for frame in scene.mask_frames(scale):
             assert frame.silhouettes is not None
             term = contour_term(frame.silhouettes)
-            priors = (anatomical_prior(body.skeleton), prediction_prior(pose))
+            priors = (anatomical_prior(body.skeleton), prediction_prior(pose, 0.1))
             fit = fit_pose(body, pose, contours=term, priors=priors, options=SolveOptions())
             seconds.append(
                 _best(

@@ -174,6 +174,19 @@ class Compose:
 
 
 @dataclass(frozen=True)
+class KeepFirst:
+    """A kernel that leaves the first hypothesis of each population where it is, so that a search never loses its start."""
+
+    kernel: Kernel
+
+    def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
+        moved = self.kernel(h, frame, rng)
+        values = moved.values.copy()
+        values[..., 0, :] = h.values[..., 0, :]
+        return replace(moved, values=values)
+
+
+@dataclass(frozen=True)
 class RejectionSampling:
     """Steps that a prior may refuse: a candidate x' from ``propose`` is accepted if P(x') > tau P(x).
 

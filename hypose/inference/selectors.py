@@ -113,5 +113,27 @@ class Prune:
         return _equal(h.take(order[..., : self.k]))
 
 
+@dataclass(frozen=True)
+class Elite:
+    """The chosen coordinates of all hypotheses are copied from the k best ones in turn; the others keep their own values.
+
+    A greedy step of a coordinate search: with a budget of tens of hypotheses, resampling would leave most of them on
+    values that are known to be worse. coordinates (D,) bool.
+    """
+
+    k: int
+    coordinates: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        if self.k < 1:
+            raise ValueError(f"at least one hypothesis must be kept, got k = {self.k}")
+
+    def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
+        order = np.argsort(-h.relative_log_weights, axis=-1, kind="stable")
+        index = order[..., np.arange(h.count) % min(self.k, h.count)]
+        drawn = h.take(index)
+        return Hypotheses.uniform(np.where(self.coordinates, drawn.values, h.values), drawn.label, drawn.covariance)
+
+
 def _equal(h: Hypotheses) -> Hypotheses:
     return Hypotheses.uniform(h.values, h.label, h.covariance)

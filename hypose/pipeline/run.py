@@ -53,9 +53,7 @@ class TrackOptions:
 
     def __post_init__(self) -> None:
         if self.evidence not in ("silhouettes", "keypoints", "both"):
-            raise InputError(
-                f"There is no evidence {self.evidence!r}; choose silhouettes, keypoints or both."
-            )
+            raise InputError(f"There is no evidence {self.evidence!r}; choose silhouettes, keypoints or both.")
 
     def settings(self) -> dict[str, Any]:
         """The choices that decide the result."""

@@ -63,7 +63,9 @@ def find_subject(frame_at: FrameAt, n_frames: int, options: SubjectOptions) -> S
     by_points = options.start == "keypoints" or (options.start == "auto" and first.keypoints is not None)
     if by_points:
         if first.keypoints is None:
-            raise InputError("The start 'keypoints' needs key points, and this recording has none; use the start 'hull'.")
+            raise InputError(
+                "The start 'keypoints' needs key points, and this recording has none; use the start 'hull'."
+            )
         return _from_keypoints(template, frame_at, sampled, n_frames, options)
     return _from_hull(template, frame_at, sampled, first, options)
 

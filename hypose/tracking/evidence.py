@@ -19,13 +19,15 @@ from hypose.geometry import Array
 @dataclass(frozen=True)
 class PreparedFrame:
     """One frame ready to be searched. masks and contours are None when no view has a usable silhouette, keypoints is
-    None when there are no key points. prediction (D,): the pose expected before looking at the evidence."""
+    None when there are no key points. prediction (D,): the pose expected before looking at the evidence, and
+    prediction_weight: how strongly solves are pulled to it (1 / rad^2 in units of the robust rows' cost)."""
 
     frame: Frame
     prediction: Array
     masks: compute.PreparedMasks | None
     contours: ContourTerm | None
     keypoints: KeypointTerm | None
+    prediction_weight: float = 0.1
 
     @property
     def usable(self) -> bool:
@@ -39,13 +41,8 @@ def prepare_masks(silhouettes: Silhouettes) -> compute.PreparedMasks:
     A view without foreground is left out, never divided by zero (Alcoverro 2014, after eq. 2.8, says nothing of it).
     """
     areas = silhouettes.areas
-    return compute.PreparedMasks(
-        np.ascontiguousarray(silhouettes.masks),
-        areas,
-        np.asarray(silhouettes.usable & (areas > 0)),
-        silhouettes.rig.sizes,
-        silhouettes.rig.projections,
-    )
+    rig = silhouettes.rig
+    return compute.prepare_masks(silhouettes.masks, silhouettes.usable & (areas > 0), rig.sizes, rig.projections)
 
 
 def keypoint_term(
@@ -105,6 +102,7 @@ def prepare(
     keypoint_scale_px: float = 8.0,
     keypoint_weight: float = 1.0,
     keypoints_on_body: KeypointModel | None = None,
+    prediction_weight: float = 0.1,
 ) -> PreparedFrame:
     """Prepares a frame for `body`; see PreparedFrame. An EvidenceError when the frame has none of the wanted pieces."""
     silhouettes = frame.silhouettes if use_silhouettes else None
@@ -123,7 +121,7 @@ def prepare(
     term = None
     if use_keypoints:
         term = keypoint_term(frame, body, keypoint_scale_px, keypoint_weight, keypoints_on_body)
-    return PreparedFrame(frame, prediction, masks, contours, term)
+    return PreparedFrame(frame, prediction, masks, contours, term, prediction_weight)
 
 
 def view_count(prepared: PreparedFrame) -> int:

@@ -81,7 +81,20 @@ def _root_guesses(
     """Root poses (6,) from the trunk's points when they are there (rigid fit), else four headings at the centroid."""
     s = body.skeleton
     rest = s.rest_joints[joint] + offset
-    trunk_joints = [s.joint(n) for n in ("pelvis", "chest", "neck", "left_clavicle", "right_clavicle", "left_shoulder", "right_shoulder", "left_hip", "right_hip")]
+    trunk_joints = [
+        s.joint(n)
+        for n in (
+            "pelvis",
+            "chest",
+            "neck",
+            "left_clavicle",
+            "right_clavicle",
+            "left_shoulder",
+            "right_shoulder",
+            "left_hip",
+            "right_hip",
+        )
+    ]
     trunk = known & np.isin(joint, trunk_joints)
     centre = points[known].mean(0) - rest[known].mean(0)
     if trunk.sum() >= 3:
@@ -162,4 +175,3 @@ def _best_refined(body: Body, candidates: Array, frame: PreparedFrame, options: 
     fits = refine(body, candidates[order], frame, options)
     energy = xor_energy(body, np.stack([f.pose for f in fits]), frame)
     return fits[int(np.argmin(energy))]
-

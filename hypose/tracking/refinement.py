@@ -39,8 +39,11 @@ def anatomical_prior(skeleton: Skeleton) -> Quadratic:
     return Quadratic(np.zeros(skeleton.dof), weight**2)
 
 
-def prediction_prior(prediction: Array, weight: float = 3.0) -> Quadratic:
-    """Pull to the predicted pose (D,), so that what no view sees keeps moving as it did."""
+def prediction_prior(prediction: Array, weight: float) -> Quadratic:
+    """Pull to the predicted pose (D,), so that what no view sees keeps moving as it did.
+
+    It must stay weak: at 3 per rad^2 and 25 fps it held arms back that particles had found half a radian away, whose
+    contour rows together are worth about one unit of cost."""
     return Quadratic(prediction, np.full(len(prediction), weight))
 
 
@@ -101,11 +104,9 @@ class ContourRefinement:
 
 def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveOptions) -> list[PoseFit]:
     """Independent robust solves from starts (N, D) on the evidence of a frame, with anatomical and prediction priors."""
-    priors = (anatomical_prior(body.skeleton), prediction_prior(frame.prediction))
+    priors = (anatomical_prior(body.skeleton), prediction_prior(frame.prediction, frame.prediction_weight))
     return list(
-        fit_poses(
-            body, starts, contours=frame.contours, keypoints=frame.keypoints, priors=priors, options=options
-        )
+        fit_poses(body, starts, contours=frame.contours, keypoints=frame.keypoints, priors=priors, options=options)
     )
 
 

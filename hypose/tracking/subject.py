@@ -114,7 +114,9 @@ def shape_from_keypoints(body: Body, points_world: Array, names: tuple[str, ...]
     for segment, (a, b) in PAIRED.items():
         sides = np.array([factor(f"{side}_{a}", f"{side}_{b}") for side in ("left", "right")])
         if not np.isfinite(sides).any():
-            raise EvidenceError(f"The key points never show the {segment} in two views; check their folder and calibration.")
+            raise EvidenceError(
+                f"The key points never show the {segment} in two views; check their folder and calibration."
+            )
         limbs[segment] = float(np.nanmean(sides))
     trunk = np.nanmean([factor(f"{side}_shoulder", f"{side}_hip") for side in ("left", "right")])
     scale = float(np.nanmean([limbs["thigh"], limbs["shank"], trunk]))
@@ -137,9 +139,7 @@ def _offset_limits(names: tuple[str, ...]) -> Array:
     face = ("nose", "eye", "ear", "head")
     foot = ("toe", "heel")
     lower = [n.lower() for n in names]
-    return np.array(
-        [0.12 if any(f in n for f in face) else 0.08 if any(f in n for f in foot) else 0.05 for n in lower]
-    )
+    return np.array([0.12 if any(f in n for f in face) else 0.08 if any(f in n for f in foot) else 0.05 for n in lower])
 
 
 def _solve_frames(body: Body, points: Array, model: KeypointModel, frames: np.ndarray, poses: Array) -> None:
@@ -154,7 +154,9 @@ def _solve_frames(body: Body, points: Array, model: KeypointModel, frames: np.nd
             start = poses[t] if np.isfinite(poses[t]).all() else last
             term = PointTerm(seen, np.ones(len(seen)), joint, offset, 0.03)
             options = SolveOptions(iterations=20, coarse_iterations=8)
-            poses[t] = fit_pose(body, start, points=term, priors=(anatomical_prior(body.skeleton),), options=options).pose
+            poses[t] = fit_pose(
+                body, start, points=term, priors=(anatomical_prior(body.skeleton),), options=options
+            ).pose
         last = poses[t]
 
 

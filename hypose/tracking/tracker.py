@@ -36,7 +36,8 @@ BETWEEN_FRAMES, RECOVERY, START = -1, -2, -3
 @dataclass(frozen=True)
 class TrackerSettings:
     """evidence: 'silhouettes', 'keypoints' or 'both'. seed: of every random draw. frame_rate: Hz. velocity_gain: share of
-    the last step expected again (0 = constant position). lost_share: lost when the mean IoU falls below this share of
+    the last step expected again (0 = constant position). prediction_weight: pull of a solve to the prediction at 25 fps
+    (it grows with the square of the frame rate, as the prediction's error shrinks). lost_share: lost when the mean IoU falls below this share of
     its usual value; lost_floor: or below this value. keypoint_scale_px: robust scale of key points in their pixels.
     extrapolate: seconds without evidence after which the person counts as lost."""
 
@@ -44,6 +45,7 @@ class TrackerSettings:
     seed: int = 0
     frame_rate: float = 25.0
     velocity_gain: float = 0.8
+    prediction_weight: float = 0.1
     lost_share: float = 0.6
     lost_floor: float = 0.25
     recover: bool = True
@@ -175,7 +177,10 @@ class Tracker:
         pose = s.canonical(state.pose)
         values = s.on_branch(state.hypotheses.values, pose)
         return replace(
-            state, pose=pose, previous=s.on_branch(state.previous, pose), hypotheses=replace(state.hypotheses, values=values)
+            state,
+            pose=pose,
+            previous=s.on_branch(state.previous, pose),
+            hypotheses=replace(state.hypotheses, values=values),
         )
 
     def _prepare(self, frame: Frame, prediction: Array) -> PreparedFrame:
@@ -189,6 +194,7 @@ class Tracker:
             contour_weight=self.settings.contour_weight,
             keypoint_scale_px=self.settings.keypoint_scale_px,
             keypoints_on_body=self.keypoints_on_body,
+            prediction_weight=self.settings.prediction_weight * (self.settings.frame_rate / 25) ** 2,
         )
 
     def _settle_options(self) -> SolveOptions:
@@ -204,10 +210,16 @@ class Tracker:
     def _is_lost(self, iou: float, usual: float) -> bool:
         if not np.isfinite(iou):
             return False  # key points alone: nothing to judge the silhouette by
-        floor = self.settings.lost_floor if np.isnan(usual) else max(self.settings.lost_floor, self.settings.lost_share * usual)
+        floor = (
+            self.settings.lost_floor
+            if np.isnan(usual)
+            else max(self.settings.lost_floor, self.settings.lost_share * usual)
+        )
         return bool(iou < floor)
 
-    def _extrapolate(self, state: TrackerState, prediction: Array, velocity: Array) -> tuple[TrackerState, FrameEstimate]:
+    def _extrapolate(
+        self, state: TrackerState, prediction: Array, velocity: Array
+    ) -> tuple[TrackerState, FrameEstimate]:
         s = self.body.skeleton
         blind = state.blind + 1
         # what moved on unseen may have moved by its usual step: the variance of a random walk

@@ -44,6 +44,7 @@ KERNELS = {
         kernels.Compose((kernels.ConstantVelocity(np.ones(D), 1.0, LOWER, UPPER), gaussian())),
         kernels.Compose(()),
     ],
+    "KeepFirst": [kernels.KeepFirst(gaussian()), kernels.KeepFirst(kernels.stay)],
     "RejectionSampling": [
         kernels.RejectionSampling(gaussian(), lambda x: -np.square(x).sum(-1), tau=0.7, trials=5),
         kernels.RejectionSampling(gaussian(), lambda x: np.full(x.shape[:-1], -np.inf), trials=2),
@@ -60,6 +61,7 @@ SELECTORS = {
     "keep": [selectors.keep],
     "LayeredSystematic": [selectors.LayeredSystematic(SOME), selectors.LayeredSystematic(np.zeros(D, bool))],
     "Prune": [selectors.Prune(3), selectors.Prune(1000)],
+    "Elite": [selectors.Elite(1, SOME), selectors.Elite(1000, SOME)],
 }
 SELECTIVITIES = {
     "FixedSelectivity": [selectivity.FixedSelectivity(0.5), selectivity.FixedSelectivity(0.0)],

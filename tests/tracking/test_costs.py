@@ -25,9 +25,7 @@ def test_energy_is_the_printed_sum_over_views(body, standing, frame_of):
     moved[1] += 0.07
     own = frame_of(body, moved).silhouettes
     assert frame.silhouettes is not None and own is not None
-    expected = sum(
-        float((a != b).sum()) / a.sum() for a, b in zip(frame.silhouettes.masks, own.masks, strict=True)
-    )
+    expected = sum(float((a != b).sum()) / a.sum() for a, b in zip(frame.silhouettes.masks, own.masks, strict=True))
     energy = xor_energy(body, moved[None], prepare(frame, body, standing))[0]
     assert energy == pytest.approx(expected, abs=0.02)
 

@@ -11,7 +11,9 @@ from hypose.tracking.initialise import known_pose, recover, start_from_hull, sta
 from tests.tracking.measures import joint_error
 
 
-@pytest.mark.parametrize(("name", "direction"), [("t", (1, 0, 0)), ("hands-up", (0.29, 0, 0.96)), ("standing", (0.15, 0, -0.99))])
+@pytest.mark.parametrize(
+    ("name", "direction"), [("t", (1, 0, 0)), ("hands-up", (0.29, 0, 0.96)), ("standing", (0.15, 0, -0.99))]
+)
 def test_known_poses_point_the_arms(body, name, direction):
     joints = body.joints(known_pose(body, name))
     s = body.skeleton

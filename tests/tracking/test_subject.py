@@ -25,7 +25,17 @@ def test_absurd_height_is_refused(body, height):
 
 
 def test_lengths_from_keypoints_of_another_body(body, standing, rng):
-    shape = Shape(1.06, {"left_shoulder": 1.08, "right_shoulder": 1.08, "left_knee": 0.93, "right_knee": 0.93, "left_elbow": 1.1, "right_elbow": 1.1})
+    shape = Shape(
+        1.06,
+        {
+            "left_shoulder": 1.08,
+            "right_shoulder": 1.08,
+            "left_knee": 0.93,
+            "right_knee": 0.93,
+            "left_elbow": 1.1,
+            "right_elbow": 1.1,
+        },
+    )
     true = deform(body, shape)
     names = keypoint_names("BODY_25")
     model = keypoint_model(true, names)
