@@ -5,6 +5,7 @@ A depth map is (h, w) float32 in metres, 0 = hole, pixel centres at whole number
 
 from __future__ import annotations
 
+import importlib
 import json
 import struct
 from collections.abc import Iterator
@@ -49,8 +50,8 @@ def read_depth_png(path: str | Path) -> DepthMap:
     width, height, bits, colour = struct.unpack(">IIBB", data[16:26])
     if bits != 16 or colour != 0 or not 1 <= width <= MAX_SIDE or not 1 <= height <= MAX_SIDE:
         raise InputError(
-            f"{path} is a PNG of {width} x {height} with {bits} bits, colour type {colour}; depth maps are grey, 16 bit "
-            f"and at most {MAX_SIDE} x {MAX_SIDE}."
+            f"{path} is a PNG of {width} x {height} with {bits} bits, colour type {colour}; depth maps are grey, 16 "
+            f"bit and at most {MAX_SIDE} x {MAX_SIDE}."
         )
     image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None or image.dtype != np.uint16 or image.shape != (height, width):
@@ -92,13 +93,12 @@ def read_azure_mkv(path: str | Path) -> tuple[dict[str, Any], Iterator[DepthFram
     Needs PyAV (pip install hypose[azure]). The depth track is 16-bit big-endian grey in millimetres, named DEPTH.
     """
     try:
-        import av
+        library: Any = importlib.import_module("av")  # an extra: not there for everyone, type checkers included
     except ImportError:
         raise InputError(
             "Azure Kinect recordings need PyAV, which is not installed; run: pip install hypose[azure]."
         ) from None
     readable_size(path, "an Azure Kinect recording (.mkv)", 64 * 2**30)
-    library: Any = av
     try:
         container = library.open(str(path), metadata_errors="replace")
     except (library.error.FFmpegError, OSError):

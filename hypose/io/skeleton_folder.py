@@ -1,9 +1,9 @@
 """A recording folder of skeletons: session.json, frames.csv, skeleton.csv, and depth maps if wanted.
 
-session.json: {"format": "hypose-skeletons", "version": 1, "name": ..., "reference": SENSOR, "clock": "common" or "own",
-  "sensors": [{"name": ..., "joints": [names], "unit": "m" or "mm" (default m), "depth": {"intrinsics": [fx, fy, cx, cy],
-  "y_up": false}}]}. depth is there when the sensor has depth maps; y_up: the skeleton's y axis points up (Kinect v2)
-  instead of down (Azure, OpenCV).
+session.json: {"format": "hypose-skeletons", "version": 1, "name": ..., "reference": SENSOR, "clock": "common" or
+  "own", "sensors": [{"name": ..., "joints": [names], "unit": "m" or "mm" (default m), "depth": {"intrinsics":
+  [fx, fy, cx, cy], "y_up": false}}]}. depth is there when the sensor has depth maps; y_up: the skeleton's y axis
+  points up (Kinect v2) instead of down (Azure, OpenCV).
 frames.csv: sensor,frame,time[,depth], one row per sensor frame: frame is a whole number of the sensor's own, time in
   seconds, depth the path of a 16-bit PNG in millimetres (0 = hole), relative to the folder.
 skeleton.csv: sensor,frame,person,joint,x,y,z,state, one row per joint; rows or coordinates that are absent are missing

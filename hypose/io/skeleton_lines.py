@@ -2,10 +2,11 @@
 
     {"sensor": "left", "time": 12.345, "person": 0, "joints": {"head": [0.1, 0.6, 2.4], "neck": null, ...}}
 
-sensor: 1-32 of A-Z a-z 0-9 _ . -; time: s on the sensor's own clock; person: the sensor's number of the person (0 when
-left out); joints: every joint of the sensor's set by name, [x, y, z] or [x, y, z, state] in metres in the sensor's frame
-(state 0 not tracked, 1 inferred, 2 tracked), null = missing. "joints": null says that the sensor sees nobody. "unit": "mm"
-divides by 1000. "token" and "received" (s on the host's clock) are for the live server and for what it records.
+sensor: 1-32 of A-Z a-z 0-9 _ . -; time: s on the sensor's own clock; person: the sensor's number of the person (0
+when left out); joints: every joint of the sensor's set by name, [x, y, z] or [x, y, z, state] in metres in the sensor's
+frame (state 0 not tracked, 1 inferred, 2 tracked), null = missing. "joints": null says that the sensor sees nobody.
+"unit": "mm" divides by 1000. "token" and "received" (s on the host's clock) are for the live server and for what it
+records.
 """
 
 from __future__ import annotations

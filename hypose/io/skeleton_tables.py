@@ -1,8 +1,8 @@
 """Skeleton tables of others: CSV of several Kinects (KinectMultiTrack), and NTU RGB+D .skeleton files.
 
-Sources: the logger of KinectMultiTrack (C.-J. Wu, 2015): one row per skeleton, columns named <Joint>_X, _Y, _Z in metres,
--9999 = missing. NTU RGB+D (Shahroudy et al. 2016): plain numbers, per frame a number of bodies, per body a line of ten
-values, the number of joints and a line of twelve values per joint; 25 Kinect v2 joints at 30 frames/s.
+Sources: the logger of KinectMultiTrack (C.-J. Wu, 2015): one row per skeleton, columns named <Joint>_X, _Y, _Z in
+metres, -9999 = missing. NTU RGB+D (Shahroudy et al. 2016): plain numbers, per frame a number of bodies, per body a
+line of ten values, the number of joints and a line of twelve values per joint; 25 Kinect v2 joints at 30 frames/s.
 """
 
 from __future__ import annotations
@@ -99,8 +99,8 @@ def read_ntu(files: Sequence[str | Path]) -> SkeletonRecording:
     actions = {(m[1] + m[3]).upper() if (m := _NTU_NAME.search(p.name)) else p.stem for p in paths}
     if len(paths) > 1 and len(actions) > 1:
         raise InputError(
-            f"The folder {paths[0].parent} holds {len(actions)} different actions ({', '.join(sorted(actions)[:3])}, ...);"
-            " give the files of one action, which differ in the camera (C001, C002, C003) only."
+            f"The folder {paths[0].parent} holds {len(actions)} different actions ({', '.join(sorted(actions)[:3])}, "
+            "...); give the files of one action, which differ in the camera (C001, C002, C003) only."
         )
     sensors = []
     for p in paths:

@@ -256,8 +256,8 @@ def repair_clock(times: ArrayLike) -> tuple[Array, NDArray[np.bool_], tuple[str,
 
 @dataclass(frozen=True)
 class SyncedStream:
-    """A stream at given instants: positions (N, P, J, 3) NaN where missing, state (N, P, J), person_ids (N, P), joint_depth
-    (N, P, J) or None."""
+    """A stream at given instants: positions (N, P, J, 3) NaN where missing, state (N, P, J), person_ids (N, P),
+    joint_depth (N, P, J) or None."""
 
     name: str
     positions: Array
@@ -281,8 +281,8 @@ def common_times(streams: Sequence[SensorStream], rate: float | None = None) -> 
     count = int(np.floor((stop - start) * rate + 1e-6)) + 1
     if count > 10_000_000:
         raise InputError(
-            f"The sensors' times span {(stop - start) / 3600:.1f} hours, too much for one recording; they seem to be on "
-            'different clocks: say so with "clock": "own" in session.json.'
+            f"The sensors' times span {(stop - start) / 3600:.1f} hours, too much for one recording; they seem to be "
+            'on different clocks: say so with "clock": "own" in session.json.'
         )
     return start + np.arange(count) / rate
 

@@ -1,0 +1,366 @@
+"""Skeletons that arrive one by one, from sensors with their own clocks and rates -> all sensors at the same instants.
+
+Pure: time is an argument of everything, so that tests and simulations run the same code as the live server.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.errors import InputError
+from hypose.evidence.frame import FARTHEST_M, INFERRED, MISSING_MARK
+from hypose.fusion.clocks import ClockSettings, SensorClock
+from hypose.fusion.joints import COMMON, joint_set
+from hypose.geometry import Array
+
+
+@dataclass(frozen=True)
+class AlignSettings:
+    """How output instants are made.
+
+    rate: Hz. wait: s after its instant that a frame waits for sensors that have not reported yet; the bound of the
+    latency. timeout: s of silence after which a sensor is dead: nothing waits for it. hold: s that a skeleton is carried
+    on after its last report. horizon: s that movement is continued over, at most. max_behind: s that the output may lag
+    after a pause of the whole program before frames are skipped. latency: s per sensor, a known constant delay between
+    exposure and sending. most_sensors, most_people (per sensor): what is beyond is refused.
+    """
+
+    rate: float = 30.0
+    wait: float = 0.010
+    timeout: float = 0.5
+    hold: float = 0.15
+    horizon: float = 0.06
+    max_behind: float = 1.0
+    latency: Mapping[str, float] = field(default_factory=dict)
+    most_sensors: int = 16
+    most_people: int = 16
+    clock: ClockSettings = field(default_factory=ClockSettings)
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.rate <= 1000:
+            raise InputError(f"An output rate of {self.rate:g} Hz is not possible; give 1 to 1000.")
+        if not 0 <= self.wait <= 10 or not 0 < self.timeout <= 60 or not 0 < self.hold <= 10:
+            raise InputError("wait must be 0 to 10 s, timeout up to 60 s and hold up to 10 s.")
+
+
+@dataclass(frozen=True)
+class SensorBody:
+    """One person as one sensor sees it: person the sensor's number; positions (15, 3) m in the sensor's frame, NaN where
+    missing; state (15,); age s: how far behind the instant its last report lies (0 when it lies between two)."""
+
+    person: int
+    positions: Array
+    state: NDArray[np.uint8]
+    age: float
+
+
+@dataclass(frozen=True)
+class SensorView:
+    """One sensor at an instant. alive: it reported within the time-out; life: counts its returns."""
+
+    name: str
+    alive: bool
+    life: int
+    bodies: tuple[SensorBody, ...]
+
+
+@dataclass(frozen=True)
+class Instant:
+    """All sensors at one output instant: index from 0, time s on the host's clock."""
+
+    index: int
+    time: float
+    sensors: tuple[SensorView, ...]
+
+
+@dataclass(frozen=True)
+class SensorStatus:
+    """For display: alive; rate Hz of its reports; offset s of its clock to the host's; jumps of its clock; returns after
+    silence; reports used and refused (late beyond use, time not believed)."""
+
+    name: str
+    alive: bool
+    rate: float
+    offset: float
+    jumps: int
+    returns: int
+    used: int
+    refused: int
+
+
+_KEPT = 8
+_FIT = 4
+
+
+class _Track:
+    """The last reports on one person of one sensor, in order of time."""
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+        self.positions: list[Array] = []
+        self.state: list[NDArray[np.uint8]] = []
+
+    def add(self, time: float, positions: Array, state: NDArray[np.uint8]) -> bool:
+        at = bisect_left(self.times, time)
+        if at < len(self.times) and self.times[at] - time < 1e-6:
+            return False
+        if at == 0 and len(self.times) >= _KEPT:
+            return False
+        self.times.insert(at, time)
+        self.positions.insert(at, positions)
+        self.state.insert(at, state)
+        if len(self.times) > _KEPT:
+            del self.times[0], self.positions[0], self.state[0]
+        return True
+
+    def at(self, time: float, period: float, s: AlignSettings) -> tuple[Array, NDArray[np.uint8], float] | None:
+        """Positions, state and age at a time, or None when there is nothing near."""
+        times = self.times
+        k = bisect_left(times, time)
+        if k == 0:
+            near = times[0] - time <= 0.5 * period
+            return (self.positions[0], self.state[0], 0.0) if near else None
+        if k < len(times) and times[k] - times[k - 1] <= s.hold + period:
+            w = (time - times[k - 1]) / (times[k] - times[k - 1])
+            return *self._between(k, w), 0.0
+        age = time - times[k - 1]
+        if k < len(times) and times[k] - time < age:
+            return (self.positions[k], self.state[k], 0.0) if times[k] - time <= 0.5 * period else None
+        if age > s.hold:
+            return None
+        return *self._ahead(k, time, period, s), age
+
+    def _between(self, k: int, w: float) -> tuple[Array, NDArray[np.uint8]]:
+        a, b = self.positions[k - 1], self.positions[k]
+        both = a + w * (b - a)
+        state = np.minimum(self.state[k - 1], self.state[k])
+        if state.all():
+            return both, state
+        nearer = k - 1 if w < 0.5 else k
+        alone = state == 0
+        return np.where(alone[:, None], self.positions[nearer], both), np.where(alone, self.state[nearer], state)
+
+    def _ahead(self, k: int, time: float, period: float, s: AlignSettings) -> tuple[Array, NDArray[np.uint8]]:
+        """A straight line through the last reports, read at most `horizon` ahead: two reports alone would double the
+        noise, holding the last one lags behind by its age."""
+        last, state = self.positions[k - 1], self.state[k - 1]
+        age = time - self.times[k - 1]
+        if age > 1.6 * period:
+            state = np.minimum(state, INFERRED).astype(np.uint8)
+        first = max(0, k - _FIT)
+        while k - first > 1 and self.times[k - 1] - self.times[first] > 4.5 * period:
+            first += 1
+        n = k - first
+        if n < 3:
+            return last, state
+        t = np.array(self.times[first:k])
+        t -= t.mean()
+        spread = float(t @ t)
+        if spread <= 0:
+            return last, state
+        ahead = t[-1] + min(age, s.horizon)
+        weights = 1 / n + ahead * t / spread
+        line = np.tensordot(weights, np.stack(self.positions[first:k]), 1)
+        return np.where(np.isfinite(line), line, last), state
+
+
+class _Sensor:
+    """What the aligner knows of one sensor."""
+
+    def __init__(self, name: str, s: AlignSettings) -> None:
+        self.name = name
+        self.clock = SensorClock(s.clock)
+        self.tracks: dict[int, _Track] = {}
+        self.arrival = -math.inf
+        self.newest = -math.inf
+        self.steps: deque[float] = deque(maxlen=31)
+        self.alive = False
+        self.life = -1
+        self.used = self.refused = self.jumps = 0
+
+    @property
+    def period(self) -> float:
+        return float(np.median(self.steps)) if self.steps else 1 / 30
+
+
+class Aligner:
+    """Brings the reports of all sensors to the output instants n / rate after the first report.
+
+    A frame is made as soon as every living sensor has reported from its instant or later, and at the latest `wait`
+    after its instant: sensors that are late are continued by their movement, dead ones are left out. So no sensor can
+    cost a frame of output. Calls: `push` for every report, `poll` at `due()` or more often.
+    """
+
+    def __init__(self, settings: AlignSettings | None = None) -> None:
+        self.settings = settings or AlignSettings()
+        self._sensors: dict[str, _Sensor] = {}
+        self._common: dict[tuple[str, ...], NDArray[np.int64]] = {}
+        self._start = math.nan
+        self._next = 0
+        self.skipped = 0
+
+    # ---- in ----
+
+    def push(
+        self,
+        sensor: str,
+        time: float,
+        person: int | None,
+        joint_names: Sequence[str],
+        positions: ArrayLike,
+        state: ArrayLike,
+        now: float,
+    ) -> bool:
+        """One report: positions (J, 3) m in the sensor's frame and state (J,) of one person, or person None when the
+        sensor sees nobody. time: s on the sensor's clock; now: s on the host's (monotonic).
+
+        False when the report is of no use (too late, or its time is not believed yet). An InputError for a joint set
+        that is not known, coordinates that are no metres, and for too many sensors or persons.
+        """
+        s = self.settings
+        if not math.isfinite(time):
+            raise InputError(f"The sensor {sensor} sent the time {time}; times are seconds.")
+        body = None if person is None else self._checked(sensor, joint_names, positions, state)
+        it = self._sensors.get(sensor) or self._new(sensor, now)
+        if now - it.arrival > s.timeout:  # new, or back after silence: nothing of before holds
+            it.clock, it.newest = SensorClock(s.clock), -math.inf
+            it.tracks.clear()
+            it.steps.clear()
+            it.life += 1
+            it.jumps = 0
+        it.alive, it.arrival = True, now
+        host = it.clock.update(time, now)
+        if it.clock.jumps != it.jumps:
+            it.jumps = it.clock.jumps
+            it.tracks.clear()
+            it.newest = -math.inf
+        if host is None:
+            it.refused += 1
+            return False
+        host -= s.latency.get(sensor, 0.0)
+        if host > it.newest:
+            if it.newest > -math.inf and host - it.newest > 1e-4:
+                it.steps.append(host - it.newest)
+            it.newest = host
+        if math.isnan(self._start):
+            self._start = host
+        if person is None or body is None:
+            return True
+        track = it.tracks.get(person)
+        if track is None:
+            self._forget(it)
+            if len(it.tracks) >= s.most_people:
+                raise InputError(
+                    f"The sensor {sensor} reports more than {s.most_people} persons; the rest is left out."
+                )
+            track = it.tracks[person] = _Track()
+        fresh = track.add(host, *body)
+        it.used += fresh
+        it.refused += not fresh
+        return fresh
+
+    def _checked(
+        self, sensor: str, names: Sequence[str], positions: ArrayLike, state: ArrayLike
+    ) -> tuple[Array, NDArray[np.uint8]]:
+        """The fifteen common joints of a report, with one way to say "missing"."""
+        key = tuple(names)
+        common = self._common.get(key)
+        if common is None:
+            common = joint_set(key).common
+            if len(self._common) < 64:
+                self._common[key] = common
+        p = np.asarray(positions, dtype=np.float64)
+        q = np.asarray(state, dtype=np.uint8)
+        if p.shape != (len(key), 3) or q.shape != (len(key),):
+            raise InputError(f"The sensor {sensor} names {len(key)} joints but gives {p.shape[0]} positions.")
+        p, q = p[common], np.minimum(q[common], 2)
+        missing = ~np.isfinite(p).all(-1) | (p <= MISSING_MARK).any(-1) | (q == 0)
+        if missing.any():
+            q = np.where(missing, 0, q).astype(np.uint8)
+            p = np.where(missing[:, None], np.nan, p)
+        if np.abs(np.nan_to_num(p)).max() > FARTHEST_M:
+            raise InputError(
+                f"The sensor {sensor} reports a joint beyond {FARTHEST_M:.0f} m; divide millimetres by 1000."
+            )
+        return p, q
+
+    def _new(self, name: str, now: float) -> _Sensor:
+        s = self.settings
+        if len(self._sensors) >= s.most_sensors:
+            dead = [x for x in self._sensors.values() if now - x.arrival > 10 * s.timeout]
+            if not dead:
+                raise InputError(f"There are {s.most_sensors} sensors already; {name} is left out.")
+            del self._sensors[min(dead, key=lambda x: x.arrival).name]
+        self._sensors[name] = _Sensor(name, s)
+        return self._sensors[name]
+
+    def _forget(self, it: _Sensor) -> None:
+        gone = it.newest - max(1.0, 2 * self.settings.hold)
+        for person in [p for p, track in it.tracks.items() if track.times and track.times[-1] < gone]:
+            del it.tracks[person]
+
+    # ---- out ----
+
+    def due(self) -> float:
+        """Host time at which `poll` has something to say at the latest; infinite before the first report."""
+        if math.isnan(self._start):
+            return math.inf
+        return self._instant(self._next) + self.settings.wait
+
+    def poll(self, now: float) -> list[Instant]:
+        """The frames that are ready, in order."""
+        if math.isnan(self._start):
+            return []
+        s = self.settings
+        for it in self._sensors.values():
+            it.alive = now - it.arrival <= s.timeout
+        behind = math.floor((now - s.max_behind - self._instant(self._next)) * s.rate)
+        if behind > 0:
+            self._next += behind
+            self.skipped += behind
+        out = []
+        while True:
+            t = self._instant(self._next)
+            alive = [it for it in self._sensors.values() if it.alive]
+            complete = bool(alive) and all(it.newest >= t for it in alive)
+            if now < t or not (complete or now >= t + s.wait):
+                return out
+            out.append(Instant(self._next, t, tuple(self._view(it, t) for it in self._sensors.values())))
+            self._next += 1
+
+    def _instant(self, n: int) -> float:
+        return self._start + n / self.settings.rate
+
+    def _view(self, it: _Sensor, t: float) -> SensorView:
+        s, bodies, period = self.settings, [], it.period
+        if it.alive:
+            for person, track in it.tracks.items():
+                # the sensor has gone on without this person: it has lost it
+                lost = track.times[-1] < it.newest - 1.6 * period and track.times[-1] < t
+                found = None if lost else track.at(t, period, s)
+                if found is not None and found[1].any():
+                    bodies.append(SensorBody(person, *found))
+        return SensorView(it.name, it.alive, max(it.life, 0), tuple(bodies))
+
+    def status(self, now: float) -> tuple[SensorStatus, ...]:
+        """What each sensor does."""
+        return tuple(
+            SensorStatus(
+                it.name,
+                now - it.arrival <= self.settings.timeout,
+                1 / it.period if it.steps else 0.0,
+                it.clock.offset,
+                it.clock.jumps,
+                max(it.life, 0),
+                it.used,
+                it.refused,
+            )
+            for it in self._sensors.values()
+        )

@@ -1,0 +1,130 @@
+"""Clocks of sensors: a sensor's own time -> the host's, from when its messages arrive; and the offset between two
+recordings from the movement itself."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hypose.geometry import Array
+
+
+@dataclass(frozen=True)
+class ClockSettings:
+    """window s: the offset is the smallest of this long (drift of 100 ppm makes 1 ms in 10 s); jump s: a message that is
+    off by more is suspicious; confirm: so many that agree to `agree` s make it a jump of the clock; give_in: so many
+    suspicious ones in a row are believed even if they do not agree."""
+
+    window: float = 10.0
+    jump: float = 0.25
+    agree: float = 0.025
+    confirm: int = 3
+    give_in: int = 30
+
+
+class SensorClock:
+    """Offset of one sensor's clock to the host's.
+
+    A message that was sent at sensor time s arrives at host time a = s + offset + delay, delay >= 0, so the offset is
+    estimated by the smallest a - s of the last seconds, as in one-way clock filters (the least delay counts as part of
+    the offset; sensors with different constant delays need `latency` in AlignSettings). A clock that is set back or
+    forth shows as several messages in a row that are off by the same amount; a late message or a wrong stamp does not.
+    """
+
+    def __init__(self, settings: ClockSettings | None = None) -> None:
+        self._settings = settings or ClockSettings()
+        self._smallest: deque[tuple[float, float]] = deque()
+        self._suspects: list[float] = []
+        self.jumps = 0
+
+    @property
+    def offset(self) -> float:
+        """Seconds to add to the sensor's time; NaN before the first message."""
+        return self._smallest[0][1] if self._smallest else math.nan
+
+    def update(self, sensor_time: float, arrival: float) -> float | None:
+        """Host time of a message, never after its arrival; None while its time is not believed."""
+        s, difference = self._settings, arrival - sensor_time
+        if self._smallest and abs(difference - self.offset) > s.jump:
+            self._suspects.append(difference)
+            agreeing = len(self._suspects) >= s.confirm and self._alike()
+            if not agreeing and len(self._suspects) < s.give_in:
+                return None
+            self.jumps += 1
+            self._smallest.clear()
+        self._suspects.clear()
+        while self._smallest and self._smallest[-1][1] >= difference:
+            self._smallest.pop()
+        self._smallest.append((arrival, difference))
+        while self._smallest[0][0] < arrival - s.window:
+            self._smallest.popleft()
+        return sensor_time + self.offset
+
+    def _alike(self) -> bool:
+        last = self._suspects[-self._settings.confirm :]
+        return all(abs(b - a) <= self._settings.agree for a, b in zip(last, last[1:], strict=False))
+
+
+def movement(times: ArrayLike, positions: ArrayLike, at: ArrayLike) -> Array:
+    """How much a body moves at given times (N,), m/s: the mean speed of its joints, positions (T, J, 3) m with NaN.
+
+    It is the same from every sensor, whatever its position. Gaps give 0.
+    """
+    t, p = np.asarray(times, dtype=np.float64), np.asarray(positions, dtype=np.float64)
+    step = np.linalg.norm(np.diff(p, axis=0), axis=-1)
+    known = np.isfinite(step)
+    speed = np.where(known, step, 0).sum(1) / np.maximum(known.sum(1), 1)
+    speed = np.minimum(speed / np.maximum(np.diff(t), 1e-6), 10.0)
+    return np.interp(np.asarray(at, dtype=np.float64), (t[1:] + t[:-1]) / 2, speed, left=0.0, right=0.0)
+
+
+def offset_by_movement(
+    times_a: ArrayLike,
+    positions_a: ArrayLike,
+    times_b: ArrayLike,
+    positions_b: ArrayLike,
+    *,
+    rate: float = 100.0,
+    limit: float = 60.0,
+) -> tuple[float, float]:
+    """(seconds to add to b's times so that both see the same movement, correlation 0..1).
+
+    Times (T,) s from each sensor's own start, positions (T, J, 3) m in each sensor's frame. The peak of the normalised
+    cross-correlation of both movements, refined by a parabola; limit: largest offset (s). Below a correlation of 0.5 the
+    answer means nothing: the person stood still, or these are recordings of different persons.
+    """
+    ta, tb = np.asarray(times_a, dtype=np.float64), np.asarray(times_b, dtype=np.float64)
+    start, stop = min(ta[0], tb[0]), max(ta[-1], tb[-1])
+    at = np.arange(start, stop, 1 / rate)
+    a, b = movement(ta, positions_a, at), movement(tb, positions_b, at)
+    width = max(1, round(0.1 * rate))  # sensors smooth differently: compare what lasts a tenth of a second
+    box = np.ones(width) / width
+    a, b = np.convolve(a, box, "same"), np.convolve(b, box, "same")
+    n = len(at)
+    size = 1 << (2 * n - 1).bit_length()
+
+    def correlate(x: Array, y: Array) -> Array:
+        return np.fft.irfft(np.fft.rfft(x, size) * np.conj(np.fft.rfft(y, size)), size)
+
+    # normalised over the part where both have data, else the longest overlap always wins
+    seen_a, seen_b = ((at >= t[0]) & (at <= t[-1]) for t in (ta, tb))
+    wa, wb = seen_a.astype(float), seen_b.astype(float)
+    count = np.maximum(correlate(wa, wb), 1e-9)
+    sa, sb = correlate(a * wa, wb), correlate(wa, b * wb)
+    covariance = correlate(a * wa, b * wb) - sa * sb / count
+    va = np.maximum(correlate(a * a * wa, wb) - sa**2 / count, 1e-12)
+    vb = np.maximum(correlate(wa, b * b * wb) - sb**2 / count, 1e-12)
+    score = covariance / np.sqrt(va * vb)
+    lags = np.arange(size)
+    lags = np.where(lags > size // 2, lags - size, lags)
+    enough = count > min(5 * rate, 0.5 * min(wa.sum(), wb.sum()))
+    score = np.where(enough & (np.abs(lags) <= limit * rate), score, -1.0)
+    best = int(score.argmax())
+    left, right, peak = score[best - 1], score[(best + 1) % size], score[best]
+    bend = left - 2 * peak + right
+    shift = 0.5 * (left - right) / bend if bend < -1e-12 and min(left, right) > -1 else 0.0
+    return float((lags[best] + shift) / rate), float(peak)
