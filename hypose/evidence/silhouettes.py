@@ -299,7 +299,9 @@ def flag_collapsed(
     """Why each view's mask cannot be trusted: C sentences, "" for a good view.
 
     areas (C,) foreground pixels of this frame; history (C, H) of frames around or before it (H may be 0).
-    A view is left out when its mask is empty, below `lowest` or above `highest` times its median area.
+    A view is left out when its mask is empty, above `highest` times its median area, below `lowest` times the second
+    smallest area of the history, or below half of `lowest` times the median. The smallest areas count, because somebody
+    who turns sideways and walks away from a camera loses half the area within two seconds and has not collapsed.
     """
     now = np.asarray(areas, dtype=np.float64)
     past = np.asarray(history, dtype=np.float64).reshape(len(now), -1)
@@ -307,9 +309,11 @@ def flag_collapsed(
     for c, (area, name) in enumerate(zip(now, names, strict=True)):
         seen = past[c][past[c] > 0]
         usual = float(np.median(seen)) if len(seen) else 0.0
+        smallest = float(np.partition(seen, min(1, len(seen) - 1))[min(1, len(seen) - 1)]) if len(seen) else 0.0
+        least = max(lowest * smallest, 0.5 * lowest * usual)
         if area <= 0:
             reasons.append(f"{name}, frame {frame}: the mask is empty")
-        elif usual > 0 and not lowest * usual <= area <= highest * usual:
+        elif usual > 0 and not least <= area <= highest * usual:
             what = "collapsed" if area < usual else "far too large"
             reasons.append(f"{name}, frame {frame}: the mask is {what} ({area:.0f} px, usually {usual:.0f} px)")
         else:
