@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.compute import reference, selection
 from hypose.compute.arrays import BALL, FIXED, MeshArrays, TreeArrays
 from hypose.compute.contours import signed_distance
+from hypose.compute.lane_mesh import lane_mesh
 from hypose.compute.selection import default_threads, over_chunks, use
 from hypose.compute.terms import (
     ContourArrays,
@@ -94,9 +95,16 @@ def skin(rotations: ArrayLike, centres: ArrayLike, tree: TreeArrays, mesh: MeshA
 
 def prepare_masks(masks: ArrayLike, usable: ArrayLike, sizes: ArrayLike, projections: ArrayLike) -> PreparedMasks:
     """Masks (C, h, w) non-zero = person, usable (C,), sizes (C, 2) width and height, pinhole projections (C, 3, 4)."""
-    m = np.ascontiguousarray(np.asarray(masks) != 0).astype(np.uint8)
-    areas = m.reshape(len(m), -1).sum(1, dtype=np.int64)
-    return PreparedMasks(m, areas, _plain(usable, np.bool_), _plain(sizes, np.int64), _plain(projections, np.float64))
+    m = np.ascontiguousarray(masks)
+    if m.dtype != np.uint8:
+        m = (m != 0).view(np.uint8)
+    packed = np.packbits(m, axis=2, bitorder="little")
+    bits = np.zeros((*packed.shape[:2], packed.shape[2] + 16), dtype=np.uint8)
+    bits[:, :, : packed.shape[2]] = packed
+    areas = np.array([np.count_nonzero(view) for view in m], dtype=np.int64)
+    return PreparedMasks(
+        m, areas, _plain(usable, np.bool_), _plain(sizes, np.int64), _plain(projections, np.float64), bits
+    )
 
 
 def silhouette_xor(
@@ -106,13 +114,15 @@ def silhouette_xor(
     prepared: PreparedMasks,
     boxes: ArrayLike | None = None,
     threads: int | None = None,
+    faces: ArrayLike | None = None,
 ) -> NDArray[np.int64]:
     """Silhouettes of the mesh at poses (N, D) against the frame's masks: (N, C, 3) = (xor, model, intersection) pixels.
 
-    boxes (C, 4) = x0, x1, y0, y1 (half open, px) restricts the counting; default: each view's whole image. Views that
-    are not usable give zeros. The same counts for any number of threads. Exact up to 1-2 pixels of a silhouette whose
-    edge passes through a pixel's centre. Parts nearer than 0.05 m to a camera's plane, or behind it, are cut off.
-    A SolverError for poses that are not finite.
+    boxes (C, 4) = x0, x1, y0, y1 (half open, px) restricts the counting; default: each view's whole image. faces (F,)
+    bool: only these triangles of the mesh, as seen from outside (body parts, where a hierarchical search has not placed
+    the rest yet). Views that are not usable give zeros. The same counts for any number of threads, and for a pose
+    alone or among others. Exact up to 1-2 pixels of a silhouette whose edge passes through a pixel's centre. Parts
+    nearer than 0.05 m to a camera's plane, or behind it, are cut off. A SolverError for poses that are not finite.
     """
     q = _plain(poses, np.float64)
     if q.size and not np.abs(q).max() < 1e6:
@@ -127,16 +137,20 @@ def silhouette_xor(
         raise InputError(f"boxes needs one row x0, x1, y0, y1 per view: shape {(c, 4)}, got {b.shape}.")
     b = np.ascontiguousarray(np.clip(b, 0, whole[:, [1, 1, 3, 3]]))
     b[:, 1::2] = np.maximum(b[:, 1::2], b[:, ::2])
+    wanted = None if faces is None else _plain(faces, np.bool_)
+    if wanted is not None and wanted.shape != (len(mesh.faces),):
+        raise InputError(f"faces needs a truth value per face: shape {(len(mesh.faces),)}, got {wanted.shape}.")
     if selection.backend() == "numpy":
-        return reference.silhouette_xor(q, tree, mesh, prepared, b)
-    kernels = _numba("silhouettes")
-    t, m, prepared = _tidy(tree), _tidy(mesh), _tidy(prepared)
+        return reference.silhouette_xor(q, tree, mesh, prepared, b, wanted)
+    kernels = _numba("lanes")
+    t, m, prepared = _tidy(tree), lane_mesh(mesh, wanted), _tidy(prepared)
     areas = prepared.areas
     if boxes is not None:
         areas = np.empty(c, dtype=np.int64)
-        kernels.areas_in_boxes(prepared.masks, b, areas)
+        _numba("silhouettes").areas_in_boxes(prepared.masks, b, areas)
     out = np.zeros((n, c, 3), dtype=np.int64)
-    over_chunks(lambda i, k: kernels.silhouette_xor(q, i, k, t, m, prepared, b, areas, out), n, threads, smallest=8)
+    blocks = -(-n // kernels.LANES)
+    over_chunks(lambda i, k: kernels.silhouette_xor(q, i, k, t, m, prepared, b, areas, out), blocks, threads)
     return out
 
 

@@ -1,4 +1,5 @@
-"""numba: silhouettes of a skinned mesh by contour winding differences, and their XOR against masks.
+"""numba: silhouettes of a skinned mesh by contour winding differences, one pose at a time: the steps that the contour
+solver needs, and the safe way of the block-wise scorer (cpu_lanes.py).
 
 A pixel is model when at least one front face covers its centre. The number of front faces along an image column changes
 only where a contour edge (front on exactly one side) crosses it, so +-1 at every crossing and one running sum down the
@@ -13,7 +14,7 @@ import math
 import numpy as np
 from numba import njit
 
-from hypose.compute.cpu_kinematics import OPTIONS, camera_about_root, joint_frames, skin_about_root
+from hypose.compute.cpu_kinematics import OPTIONS
 
 f4 = np.float32
 NEAR = 0.05
@@ -83,9 +84,9 @@ def emit_contours(n, start, end, u, v, x0, y0, width, height, difference):
 
 
 @njit(**OPTIONS)
-def emit_clipped_faces(vertices, faces, p, x0, y0, width, height, difference):
+def emit_clipped_faces(vertices, faces, p, x0, y0, width, height, difference, one_sided):
     """The slow safe way when the body reaches the near plane: every face is cut at NEAR and drawn by itself, front or
-    back (where the plane opens the body its inside is seen)."""
+    back (where the plane opens the body its inside is seen; not if one_sided)."""
     polygon = np.empty((4, 2), np.float32)
     depth = np.empty(3, np.float32)
     for f in range(faces.shape[0]):
@@ -117,6 +118,8 @@ def emit_clipped_faces(vertices, faces, p, x0, y0, width, height, difference):
             m = (k + 1) % n
             area += (polygon[k, 0] - polygon[0, 0]) * (polygon[m, 1] - polygon[0, 1])
             area -= (polygon[m, 0] - polygon[0, 0]) * (polygon[k, 1] - polygon[0, 1])
+        if one_sided and area >= 0:
+            continue
         sign = 1 if area < 0 else -1
         fx, fy = f4(x0), f4(y0)
         for k in range(n):
@@ -158,62 +161,6 @@ def count_window(mask, x0, y0, width, height, difference, running, model, hit, c
         n_hit += hi[x]
     counts[0] = n_model
     counts[1] = n_hit
-
-
-@njit(**OPTIONS)
-def silhouette_xor(poses, first, last, tree, mesh, prepared, boxes, box_areas, out):
-    """Rows first..last of out (N, C, 3) = (xor, model, intersection) pixels inside boxes (C, 4) = x0, x1, y0, y1."""
-    n_joints, n_dof = tree.parents.shape[0], poses.shape[1]
-    n_vertices, n_faces, n_edges = mesh.vertices.shape[0], mesh.faces.shape[0], mesh.edges.shape[0]
-    rotations = np.empty((n_joints, 3, 3))
-    centres = np.empty((n_joints, 3))
-    twists = np.empty((n_dof, 6))
-    vertices = np.empty((n_vertices, 3), np.float32)
-    u = np.empty(n_vertices, np.float32)
-    v = np.empty(n_vertices, np.float32)
-    front = np.empty(n_faces, np.uint8)
-    start = np.empty(n_edges, np.int32)
-    end = np.empty(n_edges, np.int32)
-    p = np.empty((3, 4), np.float32)
-    bounds = np.empty(5, np.float32)
-    rows, columns = prepared.masks.shape[1] + 1, prepared.masks.shape[2]
-    difference = np.zeros((rows, columns), np.int16)
-    running = np.empty(columns, np.int16)
-    model = np.empty(columns, np.uint16)
-    hit = np.empty(columns, np.uint16)
-    counts = np.empty(2, np.int64)
-    for n in range(first, last):
-        joint_frames(poses[n], tree, rotations, centres, twists)
-        skin_about_root(rotations, centres, tree, mesh, vertices)
-        for c in range(prepared.masks.shape[0]):
-            out[n, c, 0] = 0
-            out[n, c, 1] = 0
-            out[n, c, 2] = 0
-            if not prepared.usable[c]:
-                continue
-            camera_about_root(prepared.projections[c], poses[n], p)
-            project(vertices, p, u, v, bounds)
-            x0, x1, y0, y1 = boxes[c, 0], boxes[c, 1], boxes[c, 2], boxes[c, 3]
-            near = bounds[4] < NEAR
-            if not near:  # half-open sampling: first pixel ceil(minimum), one past the last ceil(maximum)
-                x0 = int(max(f4(x0), math.ceil(bounds[0])))
-                x1 = int(min(f4(x1), math.ceil(bounds[1])))
-                y0 = int(max(f4(y0), math.ceil(bounds[2])))
-                y1 = int(min(f4(y1), math.ceil(bounds[3])))
-            width, height = x1 - x0, y1 - y0
-            counts[0] = 0
-            counts[1] = 0
-            if width > 0 and height > 0:
-                if near:
-                    emit_clipped_faces(vertices, mesh.faces, p, x0, y0, width, height, difference)
-                else:
-                    front_faces(mesh.faces, u, v, front)
-                    k = contour_edges(mesh.edges, front, start, end)
-                    emit_contours(k, start, end, u, v, x0, y0, width, height, difference)
-                count_window(prepared.masks[c], x0, y0, width, height, difference, running, model, hit, counts)
-            out[n, c, 0] = counts[0] + box_areas[c] - 2 * counts[1]
-            out[n, c, 1] = counts[0]
-            out[n, c, 2] = counts[1]
 
 
 @njit(**OPTIONS)

@@ -42,12 +42,19 @@ def skin(rotations: Array, centres: Array, tree: TreeArrays, mesh: MeshArrays) -
     return np.einsum("vk,nvki->nvi", weight, moved)
 
 
-def rasterize(vertices: Array, faces: NDArray[np.int32], projection: Array, size: tuple[int, int]) -> NDArray[np.bool_]:
+def rasterize(
+    vertices: Array,
+    faces: NDArray[np.int32],
+    projection: Array,
+    size: tuple[int, int],
+    *,
+    one_sided: bool = False,
+) -> NDArray[np.bool_]:
     """Silhouette (h, w) of a triangle mesh: vertices (V, 3), projection (3, 4), size (width, height).
 
     A pixel is set when its centre lies in the image of any triangle, cut at the near plane. Half open: a triangle
     covers column x when ceil(xmin) <= x < ceil(xmax), and there the rows ceil(top) <= y < ceil(bottom), so meshes
-    that share vertices leave no gap and count no pixel twice."""
+    that share vertices leave no gap and count no pixel twice. one_sided: only triangles whose outside is seen."""
     w, h = size
     image = np.zeros((h, w), dtype=bool)
     homogeneous = vertices @ projection[:, :3].T + projection[:, 3]
@@ -56,6 +63,8 @@ def rasterize(vertices: Array, faces: NDArray[np.int32], projection: Array, size
         if len(corners) < 3:
             continue
         uv = corners[:, :2] / corners[:, 2:]
+        if one_sided and _area(uv) >= 0:
+            continue
         for k in range(1, len(uv) - 1):
             _fill(image, uv[[0, k, k + 1]])
     return image
@@ -71,6 +80,13 @@ def _cut_at_near(corners: Array) -> Array:
             lo, hi = (a, b) if a[2] < b[2] else (b, a)
             out.append(lo + (NEAR - lo[2]) / (hi[2] - lo[2]) * (hi - lo))
     return np.array(out)
+
+
+def _area(uv: Array) -> float:
+    """Twice the signed area of a polygon (K, 2), negative when it is clockwise on a screen with y down: seen from
+    outside."""
+    d = uv - uv[0]
+    return float(sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(d[1:], d[2:], strict=False)))
 
 
 def _fill(image: NDArray[np.bool_], triangle: Array) -> None:
@@ -90,9 +106,17 @@ def _fill(image: NDArray[np.bool_], triangle: Array) -> None:
 
 
 def silhouette_xor(
-    poses: Array, tree: TreeArrays, mesh: MeshArrays, prepared: PreparedMasks, boxes: NDArray[np.int64]
+    poses: Array,
+    tree: TreeArrays,
+    mesh: MeshArrays,
+    prepared: PreparedMasks,
+    boxes: NDArray[np.int64],
+    faces: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.int64]:
-    """(N, C, 3) = (xor, model, intersection) pixels inside boxes (C, 4) = x0, x1, y0, y1; zeros for unusable views."""
+    """(N, C, 3) = (xor, model, intersection) pixels inside boxes (C, 4) = x0, x1, y0, y1; zeros for unusable views.
+
+    faces (F,): only these triangles, seen from outside. (A closed mesh is covered by its front faces; a part of it is
+    open, and counting only front faces makes the layers of its parts add up to those of the whole.)"""
     out = np.zeros((len(poses), len(prepared.masks), 3), dtype=np.int64)
     vertices = skin(*forward_kinematics(poses, tree), tree, mesh)
     for c in np.flatnonzero(prepared.usable):
@@ -100,6 +124,8 @@ def silhouette_xor(
         mask = prepared.masks[c, y0:y1, x0:x1] != 0
         for n in range(len(poses)):
             w, h = prepared.sizes[c].tolist()
-            model = rasterize(vertices[n], mesh.faces, prepared.projections[c], (w, h))[y0:y1, x0:x1]
+            drawn = mesh.faces if faces is None else mesh.faces[faces]
+            model = rasterize(vertices[n], drawn, prepared.projections[c], (w, h), one_sided=faces is not None)
+            model = model[y0:y1, x0:x1]
             out[n, c] = (model ^ mask).sum(), model.sum(), (model & mask).sum()
     return out

@@ -22,6 +22,8 @@ class PreparedMasks(NamedTuple):
     """(C, 2) each view's own width and height inside the padded array."""
     projections: NDArray[np.float64]
     """(C, 3, 4) pinhole projections of these masks' pixels."""
+    bits: NDArray[np.uint8]
+    """(C, h, ceil(w / 8) + 16) the masks packed, lowest bit first, zeros after the last column."""
 
 
 class ContourArrays(NamedTuple):

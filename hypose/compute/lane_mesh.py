@@ -1,0 +1,91 @@
+"""The mesh as the block-wise silhouette scorer reads it: only the faces asked for, weights without the zeros."""
+
+from __future__ import annotations
+
+import threading
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.compute.arrays import MeshArrays
+
+
+class LaneMesh(NamedTuple):
+    """A mesh, or some faces of one, for cpu_lanes.py."""
+
+    vertices: NDArray[np.float32]
+    """(V, 3) m, only those of the faces."""
+    faces: NDArray[np.int32]
+    """(F, 3)"""
+    edges: NDArray[np.int32]
+    """(E, 4): vertices a, b, the faces left and right; F where the face is not among those asked for."""
+    start: NDArray[np.int64]
+    """(V + 1,) first influence of each vertex in joint and weight."""
+    joint: NDArray[np.int32]
+    """(K,)"""
+    weight: NDArray[np.float32]
+    """(K,)"""
+    one_sided: bool
+    """Only front faces are drawn, also where the near plane opens the mesh."""
+
+
+class _Plan(NamedTuple):
+    edges_of: NDArray[np.int32]  # the array itself: its identity is the key
+    weights_of: NDArray[np.float32]
+    wanted: bytes | None
+    used: NDArray[np.int64]
+    mesh: LaneMesh
+
+
+_plans: list[_Plan] = []
+_lock = threading.Lock()
+_KEPT = 24  # two bodies with ten layers of parts each
+
+
+def lane_mesh(mesh: MeshArrays, faces: NDArray[np.bool_] | None) -> LaneMesh:
+    """The mesh, or its faces where faces (F,) is True. What depends on topology and weights is kept for the next call;
+    vertices are read anew."""
+    wanted = None if faces is None else faces.tobytes()
+    with _lock:
+        for k, plan in enumerate(_plans):
+            if plan.edges_of is mesh.edges and plan.weights_of is mesh.skin_weight and plan.wanted == wanted:
+                _plans.insert(0, _plans.pop(k))
+                return _with_vertices(plan, mesh)
+    plan = _plan(mesh, faces, wanted)
+    with _lock:
+        _plans.insert(0, plan)
+        del _plans[_KEPT:]
+    return _with_vertices(plan, mesh)
+
+
+def _with_vertices(plan: _Plan, mesh: MeshArrays) -> LaneMesh:
+    return plan.mesh._replace(vertices=np.ascontiguousarray(mesh.vertices[plan.used], dtype=np.float32))
+
+
+def _plan(mesh: MeshArrays, faces: NDArray[np.bool_] | None, wanted: bytes | None) -> _Plan:
+    chosen = np.ones(len(mesh.faces), dtype=bool) if faces is None else faces
+    kept = mesh.faces[chosen]
+    new_face = np.full(len(mesh.faces), len(kept), dtype=np.int32)
+    new_face[chosen] = np.arange(len(kept), dtype=np.int32)
+    edges = mesh.edges[(chosen[mesh.edges[:, 2]] | chosen[mesh.edges[:, 3]])]
+    used = np.unique(kept)
+    new_vertex = np.zeros(len(mesh.vertices), dtype=np.int32)
+    new_vertex[used] = np.arange(len(used), dtype=np.int32)
+    count = mesh.skin_count[used]
+    own = np.arange(mesh.skin_index.shape[1]) < count[:, None]
+    return _Plan(
+        mesh.edges,
+        mesh.skin_weight,
+        wanted,
+        used,
+        LaneMesh(
+            mesh.vertices[:0],
+            np.ascontiguousarray(new_vertex[kept]),
+            np.ascontiguousarray(np.concatenate([new_vertex[edges[:, :2]], new_face[edges[:, 2:]]], 1)),
+            np.concatenate([[0], np.cumsum(count)]).astype(np.int64),
+            np.ascontiguousarray(mesh.skin_index[used][own]),
+            np.ascontiguousarray(mesh.skin_weight[used][own]),
+            faces is not None,
+        ),
+    )
