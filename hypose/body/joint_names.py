@@ -1,0 +1,241 @@
+"""What other programs call the joints: names to export under, and rigs of other programs read as ours."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.body.body import Body
+from hypose.body.models import JOINT_NAMES, human
+from hypose.body.motion import Motion
+from hypose.body.skeleton import Skeleton
+from hypose.errors import InputError
+from hypose.geometry import Array
+
+
+def _sided(rows: Mapping[str, str], left: str, right: str) -> dict[str, str]:
+    return {f"{s}_{k}": v.format(word) for s, word in (("left", left), ("right", right)) for k, v in rows.items()}
+
+
+MIXAMO: Mapping[str, str] = {
+    "pelvis": "Hips",
+    "spine": "Spine",
+    "chest": "Spine1",
+    "neck": "Neck",
+    "head": "Head",
+    **_sided(
+        {
+            "clavicle": "{}Shoulder",
+            "shoulder": "{}Arm",
+            "elbow": "{}ForeArm",
+            "wrist": "{}Hand",
+            "hip": "{}UpLeg",
+            "knee": "{}Leg",
+            "ankle": "{}Foot",
+        },
+        "Left",
+        "Right",
+    ),
+}
+"""Our joint -> the bone of a Mixamo rig that starts there (without the prefix "mixamorig:")."""
+
+OPENSIM_JOINTS: Mapping[str, str] = {
+    "pelvis": "ground_pelvis",
+    "chest": "back",
+    **{
+        f"{s}_{k}": f"{v}_{s[0]}"
+        for s in ("left", "right")
+        for k, v in {
+            "shoulder": "acromial",
+            "elbow": "elbow",
+            "wrist": "radius_hand",
+            "hip": "hip",
+            "knee": "walker_knee",
+            "ankle": "ankle",
+        }.items()
+    },
+}
+"""Our joint -> the joint of OpenSim's full-body model (Rajagopal 2016) at the same place; its torso is one piece, so
+spine, neck, head and clavicles have none."""
+
+OPENSIM_BODIES: Mapping[str, str] = {
+    "pelvis": "pelvis",
+    "chest": "torso",
+    **{
+        f"{s}_{k}": f"{v}_{s[0]}"
+        for s in ("left", "right")
+        for k, v in {
+            "shoulder": "humerus",
+            "elbow": "ulna",
+            "wrist": "hand",
+            "hip": "femur",
+            "knee": "tibia",
+            "ankle": "talus",
+        }.items()
+    },
+}
+"""Our joint -> the body of that model that the joint moves."""
+
+SMPL_JOINTS: tuple[str, ...] = tuple(
+    "pelvis left_hip right_hip spine1 left_knee right_knee spine2 left_ankle right_ankle spine3 left_foot right_foot "
+    "neck left_collar right_collar head left_shoulder right_shoulder left_elbow right_elbow left_wrist "
+    "right_wrist".split()
+)
+"""The first 22 joints of SMPL, SMPL-H and SMPL-X; those after them are hands and face."""
+
+_LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+# what a joint is called, without its side; "shoulder" is the collar bone's where the arm has a name of its own
+_CALLED = {
+    "pelvis": ("pelvis", "hips", "hip"),
+    "neck": ("neck", "neck1", "neck01"),
+    "head": ("head",),
+    "clavicle": ("clavicle", "collar", "collarbone"),
+    "shoulder": ("upperarm", "uparm", "arm"),
+    "elbow": ("forearm", "lowerarm", "elbow"),
+    "wrist": ("hand", "wrist"),
+    "hip": ("upleg", "thigh", "upperleg", "hip"),
+    "knee": ("leg", "calf", "shin", "lowerleg", "knee"),
+    "ankle": ("foot", "ankle"),
+}
+
+
+def renamed_skeleton(skeleton: Skeleton, names: Mapping[str, str]) -> Skeleton:
+    """The skeleton with joints called names[ours]; a joint that is not in `names` keeps its own."""
+    new = tuple(names.get(n, n) for n in skeleton.joint_names)
+    if len(set(new)) < len(new):
+        twice = next(n for n in new if new.count(n) > 1)
+        raise InputError(f"Two joints would be called {twice!r}; give each its own name.")
+    return replace(skeleton, joint_names=new)
+
+
+def renamed_motion(motion: Motion, names: Mapping[str, str]) -> Motion:
+    """A motion whose BVH and GLB have joints of other names, for example MIXAMO."""
+    return replace(motion, skeleton=renamed_skeleton(motion.skeleton, names))
+
+
+def renamed_body(body: Body, names: Mapping[str, str]) -> Body:
+    """The body that belongs to a renamed motion."""
+    return replace(body, skeleton=renamed_skeleton(body.skeleton, names))
+
+
+@dataclass(frozen=True)
+class MatchedRig:
+    """Another program's rig as our 19 joints: joints (19, 3) in its units, weights (V, 19), and the joints of ours that
+    it does not have (they were placed between the others and carry nothing)."""
+
+    joints: Array
+    weights: Array
+    absent: tuple[str, ...]
+
+
+def match_rig(names: Sequence[str], parents: ArrayLike, joints: ArrayLike, weights: ArrayLike, where: str) -> MatchedRig:
+    """The joints and weights of a rig of Mixamo, Rigify, SMPL, OpenSim or our own names as ours.
+
+    names (n), parents (n,) (-1 = none, any order), joints (n, 3), weights (V, n). Fingers, toes, twist bones and the
+    rest go to the nearest ancestor that we have. The trunk's joints are chosen by their place between pelvis and neck.
+    An InputError names the joints that were not found; limbs, pelvis and head are needed.
+    """
+    p, at = np.asarray(parents, dtype=np.int64), np.asarray(joints, dtype=np.float64)
+    found = _by_name(names)
+    needed = ["pelvis", "head", *(f"{s}_{k}" for s in ("left", "right") for k in _LIMBS)]
+    missing = [n for n in needed if n not in found]
+    if missing:
+        some = ", ".join(list(names)[:12])
+        raise InputError(
+            f"{where}: the rig's joints {', '.join(missing)} were not recognised among {some}, ...; rename the bones as "
+            "in docs/own-body.md, or rig the mesh anew without its skin."
+        )
+    found |= _trunk(found, p, at)
+    owner = _owners(found, p)
+    dense = np.asarray(weights, dtype=np.float64)
+    out = np.zeros((len(dense), len(JOINT_NAMES)))
+    for k in range(len(names)):
+        out[:, owner[k]] += dense[:, k]
+    total = out.sum(1, keepdims=True)
+    if not (total > 1e-6).all():
+        raise InputError(f"{where}: {int((total <= 1e-6).sum())} vertices have no skinning weight; weight them first.")
+    absent = tuple(n for n in JOINT_NAMES if n not in found)
+    return MatchedRig(_placed(found, at), out / total, absent)
+
+
+def _plain(name: str) -> tuple[str, str]:
+    """(side, rest) of a joint's name: ("left", "upperarm") of "mixamorig:LeftUpperArm", "upper_arm.L", "upperarm_l"."""
+    words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", name.split(":")[-1])
+    tokens = [t for t in re.split(r"[^A-Za-z0-9]+", words.lower()) if t and t not in ("def", "bip01", "bip", "j", "jnt")]
+    side = ""
+    for word, sides in (("left", ("left", "l")), ("right", ("right", "r"))):
+        if any(t in sides for t in tokens):
+            side, tokens = word, [t for t in tokens if t not in sides]
+            break
+    return side, "".join(tokens)
+
+
+def _by_name(names: Sequence[str]) -> dict[str, int]:
+    plain = [_plain(n) for n in names]
+    out: dict[str, int] = {}
+    for ours, called in _CALLED.items():
+        for side in ("left", "right") if ours not in ("pelvis", "neck", "head") else ("",):
+            for word in called:
+                if (side, word) in plain:
+                    out[f"{side}_{ours}" if side else ours] = plain.index((side, word))
+                    break
+    for side in ("left", "right"):
+        if (side, "shoulder") in plain:
+            k = plain.index((side, "shoulder"))
+            out.setdefault(f"{side}_shoulder" if f"{side}_shoulder" not in out else f"{side}_clavicle", k)
+    return out
+
+
+def _chain(k: int, parents: NDArray[np.int64]) -> list[int]:
+    """k and its ancestors; stops after as many as there are joints."""
+    out: list[int] = []
+    while k >= 0 and len(out) <= len(parents):
+        out.append(k)
+        k = int(parents[k])
+    return out
+
+
+def _trunk(found: Mapping[str, int], parents: NDArray[np.int64], at: Array) -> dict[str, int]:
+    """Spine and chest among the joints between pelvis and head (or neck)."""
+    top = found.get("neck", found["head"])
+    between = [k for k in _chain(top, parents)[1:] if k not in found.values()]
+    chain = _chain(top, parents)
+    if found["pelvis"] in chain:
+        between = [k for k in between if chain.index(k) < chain.index(found["pelvis"])]
+    rest = human().skeleton.rest_joints
+    names = JOINT_NAMES
+    whole = at[top] - at[found["pelvis"]]
+    length = float(whole @ whole)
+    out: dict[str, int] = {}
+    for name in ("chest", "spine"):
+        own = rest[names.index(name)] @ rest[names.index("neck")] / (rest[names.index("neck")] @ rest[names.index("neck")])
+        free = [k for k in between if k not in out.values()]
+        shares = [abs(float((at[k] - at[found["pelvis"]]) @ whole) / max(length, 1e-12) - own) for k in free]
+        if free and min(shares) < 0.2:
+            out[name] = free[int(np.argmin(shares))]
+    return out
+
+
+def _owners(found: Mapping[str, int], parents: NDArray[np.int64]) -> NDArray[np.int64]:
+    """For every joint of the rig the joint of ours that takes its weight: itself, or the nearest ancestor found."""
+    ours = {k: JOINT_NAMES.index(n) for n, k in found.items()}
+    return np.array([next((ours[a] for a in _chain(k, parents) if a in ours), 0) for k in range(len(parents))])
+
+
+def _placed(found: Mapping[str, int], at: Array) -> Array:
+    """(19, 3) places of our joints; those that the rig lacks by the template's proportions."""
+    rest, names = human().skeleton.rest_joints, JOINT_NAMES
+    have = np.array([names.index(n) for n in found])
+    there = at[list(found.values())]
+    # the similarity that brings the template's joints nearest to the rig's
+    a, b = rest[have] - rest[have].mean(0), there - there.mean(0)
+    u, s, vt = np.linalg.svd(b.T @ a)
+    sign = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(u @ vt)))])
+    turn, scale = u @ sign @ vt, float((s * np.diag(sign)).sum() / (a**2).sum())
+    out = (rest - rest[have].mean(0)) @ turn.T * scale + there.mean(0)
+    out[have] = there
+    return out

@@ -1,0 +1,307 @@
+"""A person's own scan, avatar or body model as a trackable body: upright, in metres, with joints, weights and a coarse
+mesh.
+
+The scan's pose is undone: the body rests in the template's rest pose, so that limits, priors and named poses hold for it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from hypose.body.body import Body, Landmarks, Mesh
+from hypose.body.coarse_mesh import coarse_mesh, decimated
+from hypose.body.fit_skeleton import (
+    SCAN_POSES,
+    ScanFit,
+    Stance,
+    find_stances,
+    fit_template,
+    surface_samples,
+    unposed,
+)
+from hypose.body.joint_names import match_rig
+from hypose.body.models import human
+from hypose.body.skin_weights import body_bones, carried_weights, heat_weights, influences
+from hypose.errors import EvidenceError, InputError
+from hypose.fitting.articulated import PointTerm, SolveOptions, fit_pose
+from hypose.geometry import Array
+from hypose.io.bodies import save_body
+from hypose.io.meshes import PersonMesh, closed_surface, read_person
+from hypose.tracking.refinement import anatomical_prior
+
+UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+STATURES = (0.6, 2.4)
+"""Heights (m) that are taken for a person's, arms raised included."""
+FINE_VERTICES = 8000
+_SAMPLES = 2500
+# a fit worse than this is no person in a known pose: share of samples farther than 5 % of the stature from the template
+_MOST_FAR = 0.08
+
+
+@dataclass(frozen=True)
+class MeshSubject:
+    """body: trackable; pose (D,): how it stood in the scan, in the upright frame; skin(pose) of the fine mesh is the
+    scan's surface. distance: median distance, m, of template and scan (None with a rig of its own); notes: what was
+    done, in sentences."""
+
+    body: Body
+    pose: Array
+    distance: float | None
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class MeshOptions:
+    """pose: 'auto' or one of SCAN_POSES. unit: of the file's coordinates, one of UNITS. up: 'auto', '+z', '+y', '-y',
+    ... height: m, scales the person to a known stature (arms down) whatever the unit. keep_rig: use the joints and
+    weights of a skinned file. coarse: vertices of the mesh for scoring. seed: of the surface samples."""
+
+    pose: str = "auto"
+    unit: str = "m"
+    up: str = "auto"
+    height: float | None = None
+    keep_rig: bool = True
+    coarse: int = 550
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.pose not in ("auto", *SCAN_POSES):
+            raise InputError(f"There is no scan pose {self.pose!r}; the poses are auto, {', '.join(SCAN_POSES)}.")
+        if self.unit not in UNITS:
+            raise InputError(f"There is no unit {self.unit!r}; the units are {', '.join(UNITS)}.")
+        if self.up not in ("auto", "+z", "-z", "+y", "-y", "+x", "-x"):
+            raise InputError(f"There is no up axis {self.up!r}; it is auto, +z, -z, +y, -y, +x or -x.")
+        if self.height is not None and not STATURES[0] <= self.height <= STATURES[1]:
+            raise InputError(
+                f"A height of {self.height} m was given; it must lie between {STATURES[0]} and {STATURES[1]} m."
+            )
+        if not 200 <= self.coarse <= 2000:
+            raise InputError(f"A coarse mesh of {self.coarse} vertices was asked for; 200 to 2000 are possible.")
+
+
+def body_from_mesh(mesh: str | Path | PersonMesh | Mesh, pose: str = "auto", *, unit: str = "m") -> Body:
+    """A trackable body from a file (OBJ, PLY, STL, GLB, SMPL npz) or a mesh in memory. More settings: `rig_mesh`."""
+    return rig_mesh(mesh, MeshOptions(pose=pose, unit=unit)).body
+
+
+def subject_from_mesh(mesh: str | Path, out: str | Path, options: MeshOptions | None = None) -> MeshSubject:
+    """What `hypose subject --mesh` does: rigs the file and writes out/body.npz, which trackers load."""
+    subject = rig_mesh(mesh, options)
+    save_body(subject.body, Path(out) / "body.npz")
+    return subject
+
+
+def rig_mesh(mesh: str | Path | PersonMesh | Mesh, options: MeshOptions | None = None) -> MeshSubject:
+    """Rig a person's mesh; InputErrors say what is wrong with it (open, in parts, unit, pose) and what to do."""
+    settings = options or MeshOptions()
+    person = _person(mesh)
+    if person.rig is not None and settings.keep_rig:
+        return _with_own_rig(person, settings)
+    return _with_new_rig(closed_surface(person), settings)
+
+
+def _person(mesh: str | Path | PersonMesh | Mesh) -> PersonMesh:
+    if isinstance(mesh, PersonMesh):
+        return mesh
+    if isinstance(mesh, Mesh):
+        return PersonMesh(np.asarray(mesh.vertices, dtype=np.float64), mesh.faces)
+    return read_person(mesh)
+
+
+# ---- a mesh without a skin ---------------------------------------------------------------------------------
+
+
+def _with_new_rig(person: PersonMesh, settings: MeshOptions) -> MeshSubject:
+    template = human()
+    rng = np.random.default_rng(settings.seed)
+    surface = surface_samples(person.vertices, person.faces, _SAMPLES, rng)
+    stances = find_stances(surface, template, settings.pose, settings.up)
+    upright = person.vertices @ stances[0].upright_from_file.T
+    extent = float(np.ptp(upright[:, 2]))
+    scale = _metres(extent, person.source, settings)
+    fit, stance = fit_template(replace(surface, points=surface.points * scale), template, stances)
+    if settings.height is not None:
+        # arms above the head reach higher than the stature: the fitted body knows
+        again = settings.height / fit.body.stature
+        if abs(np.log(again)) > 0.01:
+            scale *= again
+            fit, stance = fit_template(replace(surface, points=surface.points * scale), template, stances)
+    _check_fit(fit, stance, person.source, settings)
+    notes = [*person.notes, *_stance_notes(person, stance, settings)]
+    vertices = person.vertices @ stance.upright_from_file.T * scale
+    faces = person.faces
+    if len(vertices) > FINE_VERTICES:
+        notes.append(f"the display mesh has {FINE_VERTICES // 2} of the scan's {len(vertices)} vertices")
+        vertices, faces = decimated(vertices, faces, FINE_VERTICES // 2)
+    weights = heat_weights(vertices, faces, body_bones(fit.body, fit.pose), len(template.skeleton.joint_names))
+    names = template.skeleton.joint_names
+    body = _assembled(person, fit.body, fit.pose, vertices, faces, weights, settings)
+    arms = _arms_of(fit)
+    notes.append(
+        f"{body.stature:.2f} m tall, scanned in the pose {arms!r}; the template lies {1e3 * fit.distance:.0f} mm from "
+        f"the surface (median), {len(names)} joints placed"
+    )
+    return MeshSubject(body, fit.pose, fit.distance, tuple(notes))
+
+
+def _assembled(
+    person: PersonMesh, frame: Body, pose: Array, vertices: Array, faces: np.ndarray, weights: Array, settings: MeshOptions
+) -> Body:
+    """The body on the skeleton of `frame`, from a surface at a pose with dense weights (V, J)."""
+    rough, rough_faces = coarse_mesh(vertices, faces, settings.coarse)
+    rough_weights = carried_weights(rough, vertices, faces, weights)
+    meshes = []
+    for v, f, w in ((rough, rough_faces, rough_weights), (vertices, faces, weights)):
+        index, value = influences(w)
+        dense = np.zeros((len(v), w.shape[1]))
+        for k in range(4):
+            np.add.at(dense, (np.arange(len(v)), index[:, k]), value[:, k])
+        meshes.append(Mesh(unposed(frame, pose, v, dense), np.asarray(f, dtype=np.int32), index, value))
+    name = Path(person.source).stem if person.source != "The mesh" else "own body"
+    return Body(name, frame.skeleton, meshes[0], meshes[1], frame.landmarks)
+
+
+def _metres(extent: float, source: str, settings: MeshOptions) -> float:
+    """Metres per unit of the file, or an InputError that suggests the unit; extent: height in the file's units."""
+    if not extent > 0:
+        raise InputError(f"{source} is flat: its height is 0; export the scan again.")
+    if settings.height is not None:
+        return settings.height / extent
+    scale = UNITS[settings.unit]
+    low, high = STATURES
+    if low <= extent * scale <= high:
+        return scale
+    fitting = [u for u, s in UNITS.items() if low <= extent * s <= high]
+    metric = [u for u in fitting if u in ("m", "dm", "cm", "mm")] or fitting
+    height = extent * scale
+    shown = f"{height:.3g} m" if height >= 0.01 else f"{1e3 * height:.3g} mm"
+    advice = (
+        f"its coordinates seem to be in {metric[0]}: give the unit {metric[0]!r}"
+        if metric
+        else "no usual unit makes that a person: give the person's height instead of a unit"
+    )
+    raise InputError(f"{source}: in {settings.unit} the person would be {shown} tall; {advice}.")
+
+
+def _check_fit(fit: ScanFit, stance: Stance, source: str, settings: MeshOptions) -> None:
+    if fit.far <= _MOST_FAR and fit.distance < 0.02 * fit.body.stature:
+        return
+    asked = f"the pose {settings.pose!r}" if settings.pose != "auto" else "any known pose"
+    advice = "try the pose 'auto', or scan" if settings.pose != "auto" else "scan"
+    raise InputError(
+        f"{source} does not look like one person in {asked}: {fit.far:.0%} of the surfaces lie more than "
+        f"{5 * fit.body.stature:.0f} cm apart (stance tried: {stance.up} up, arms {stance.arms!r}); {advice} the person "
+        f"alone, upright, arms away from the body ({', '.join(SCAN_POSES)})."
+    )
+
+
+def _stance_notes(person: PersonMesh, stance: Stance, settings: MeshOptions) -> list[str]:
+    notes = []
+    if settings.unit != "m" and settings.height is None:
+        notes.append(f"coordinates in {settings.unit} became metres")
+    if settings.height is not None:
+        notes.append(f"scaled to the height given, {settings.height:.2f} m")
+    if stance.up != "+z":
+        notes.append(f"the file has {stance.up} up; it was turned so that z is up")
+    forward = stance.upright_from_file.T @ np.array([0.0, -1.0, 0.0])
+    axis = int(np.abs(forward).argmax())
+    notes.append(f"the person looks towards {'-' if forward[axis] < 0 else '+'}{'xyz'[axis]} of the file")
+    return notes
+
+
+def _arms_of(fit: ScanFit) -> str:
+    """The pose of SCAN_POSES that is nearest to the fitted upper arms."""
+    s = fit.body.skeleton
+    joints = fit.body.joints(fit.pose)
+    drop = []
+    for side in ("left", "right"):
+        arm = joints[s.joint(f"{side}_elbow")] - joints[s.joint(f"{side}_shoulder")]
+        drop.append(np.degrees(np.arccos(np.clip(-arm[2] / np.linalg.norm(arm), -1, 1))))
+    angle = float(np.mean(drop))
+    return "standing" if angle < 28 else "a" if angle < 68 else "t" if angle < 120 else "hands-up"
+
+
+# ---- a mesh with joints and weights of its own -------------------------------------------------------------
+
+
+def _with_own_rig(person: PersonMesh, settings: MeshOptions) -> MeshSubject:
+    rig = person.rig
+    assert rig is not None
+    before = len(person.vertices)
+    person = closed_surface(person)
+    assert person.rig is not None
+    matched = match_rig(rig.names, rig.parents, rig.joints, person.rig.weights, person.source)
+    turn, up = _upright(matched.joints)
+    extent = float(np.ptp(person.vertices @ turn[2]))
+    scale = _metres(extent, person.source, settings)
+    vertices = person.vertices @ turn.T * scale
+    joints = matched.joints @ turn.T * scale
+    frame, pose = _pose_from_joints(joints, vertices)
+    notes = [*person.notes, *_stance_notes(person, Stance(turn, "", 0.0, up), settings)]
+    weights, faces = matched.weights, person.faces
+    if len(vertices) > 2 * FINE_VERTICES:
+        notes.append(f"the display mesh has {FINE_VERTICES // 2} of the file's {before} vertices")
+        small, small_faces = decimated(vertices, faces, FINE_VERTICES // 2)
+        weights = carried_weights(small, vertices, faces, weights)
+        vertices, faces = small, small_faces
+    body = _assembled(person, frame, pose, vertices, faces, weights, settings)
+    notes.append(f"{body.stature:.2f} m tall; joints and weights are the file's ({len(rig.names)} joints)")
+    if matched.absent:
+        notes.append(f"the rig lacks {', '.join(matched.absent)}: placed by proportion, they carry no skin")
+    return MeshSubject(body, pose, None, tuple(notes))
+
+
+def _upright(joints: Array) -> tuple[Array, str]:
+    """The rotation after which z is up and the person faces -y, from joints (19, 3), and the file's up axis."""
+    names = human().skeleton.joint_names
+
+    def at(*which: str) -> Array:
+        return np.mean([joints[names.index(n)] for n in which], axis=0)
+
+    up = at("head") - at("left_ankle", "right_ankle")
+    up = up / np.linalg.norm(up)
+    axis = int(np.abs(up).argmax())
+    label = f"{'-' if up[axis] < 0 else '+'}{'xyz'[axis]}"
+    if abs(up[axis]) > np.cos(np.radians(12)):  # a person leans a little; the file's axis is the vertical
+        up = np.sign(up[axis]) * np.eye(3)[axis]
+    left = at("left_hip", "left_shoulder") - at("right_hip", "right_shoulder")
+    left = left - (left @ up) * up
+    left = left / np.linalg.norm(left)
+    return np.stack([left, np.cross(up, left), up]), label
+
+
+def _pose_from_joints(joints: Array, vertices: Array) -> tuple[Body, Array]:
+    """The template with bones as long as the joints (19, 3) m demand, and the pose (D,) in which it has just these
+    joints: the rest offsets are the file's, turned back by the pose."""
+    template = human()
+    s = template.skeleton
+    parents = s.parents
+    has = parents >= 0
+    offsets = s.rest_offsets.copy()
+    own = np.linalg.norm(s.rest_offsets[has], axis=1)
+    there = np.linalg.norm(joints[has] - joints[parents[has]], axis=1)
+    offsets[has] *= (there / own)[:, None]
+    sized = replace(template, skeleton=replace(s, rest_offsets=offsets))
+    start = s.rest_pose()
+    start[:3] = joints[0]
+    term = PointTerm(joints, np.ones(len(joints)), np.arange(len(joints)), np.zeros_like(joints), 0.02)
+    fit = fit_pose(
+        sized, start, points=term, priors=(anatomical_prior(s),), options=SolveOptions(iterations=60, coarse_iterations=10)
+    )
+    rotations, _ = s.forward(fit.pose)
+    rest = np.zeros_like(offsets)
+    for j in np.flatnonzero(has):
+        rest[j] = rotations[parents[j]].T @ (joints[j] - joints[parents[j]])
+    apart = np.linalg.norm(joints - sized.joints(fit.pose), axis=1).max()
+    if apart > 0.25 * float(np.ptp(vertices[:, 2])):
+        raise EvidenceError(
+            f"The rig's joints lie up to {apart:.2f} m from those of a person in any pose; rig the mesh anew without its skin."
+        )
+    pose = fit.pose.copy()
+    pose[:3] = joints[0]
+    k = float(np.ptp(vertices[:, 2])) / template.stature
+    marks = Landmarks(template.landmarks.names, template.landmarks.joint, template.landmarks.offset * k)
+    return replace(template, skeleton=replace(s, rest_offsets=rest), landmarks=marks), pose
