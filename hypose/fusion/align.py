@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.errors import InputError
 from hypose.evidence.frame import FARTHEST_M, INFERRED, MISSING_MARK
 from hypose.fusion.clocks import ClockSettings, SensorClock
-from hypose.fusion.joints import COMMON, joint_set
+from hypose.fusion.joints import joint_set
 from hypose.geometry import Array
 
 

@@ -1,0 +1,178 @@
+"""Live fusion: reports of sensors in, one skeleton per person out at a steady rate, with a bound on the latency.
+
+The pieces: `align` (clocks, rates, late and dead sensors), `people` (who is who, where the sensors stand), `fit` (one
+skeleton). Nothing here waits or knows a socket: the caller says what time it is, so the live server, the tests and
+`replay` run the same code.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.fusion.align import Aligner, AlignSettings, Instant, SensorStatus
+from hypose.fusion.fit import FitSettings, FitState, fit_step, start_fit
+from hypose.fusion.people import PeopleSettings, PeopleTracker, SeenPerson
+from hypose.geometry import Array, transform
+
+
+@dataclass(frozen=True)
+class LiveSettings:
+    """Settings of the three pieces."""
+
+    align: AlignSettings = field(default_factory=AlignSettings)
+    people: PeopleSettings = field(default_factory=PeopleSettings)
+    fit: FitSettings = field(default_factory=FitSettings)
+
+
+@dataclass(frozen=True)
+class LivePerson:
+    """One fused person: id; joints (15, 3) m (joints.COMMON) in the frame of the first sensor; sd (15,) m per axis;
+    sensors that see the person now; shares (15, K): what each of `LiveFrame.sensors` carried of each joint; seen:
+    some sensor sees it (else prediction)."""
+
+    id: int
+    joints: Array
+    sd: Array
+    sensors: tuple[str, ...]
+    shares: Array
+    seen: bool
+
+
+@dataclass(frozen=True)
+class LiveFrame:
+    """One output frame: index from 0; time s on the host's clock that it describes; people; sensors known so far."""
+
+    index: int
+    time: float
+    people: tuple[LivePerson, ...]
+    sensors: tuple[str, ...]
+
+
+class LiveFuser:
+    """`push` every report as it arrives, `poll` at `due()` or more often; times are of one monotonic host clock, s."""
+
+    def __init__(self, settings: LiveSettings | None = None) -> None:
+        self.settings = settings or LiveSettings()
+        self.aligner = Aligner(self.settings.align)
+        self.people = PeopleTracker(self.settings.people)
+        self._states: dict[int, FitState] = {}
+        warm_up(self.settings.fit)
+
+    def push(
+        self,
+        sensor: str,
+        time: float,
+        person: int | None,
+        joint_names: Sequence[str],
+        positions: ArrayLike,
+        state: ArrayLike,
+        now: float,
+    ) -> bool:
+        """See `Aligner.push`."""
+        return self.aligner.push(sensor, time, person, joint_names, positions, state, now)
+
+    def due(self) -> float:
+        """Host time at which `poll` has something to say at the latest."""
+        return self.aligner.due()
+
+    def poll(self, now: float) -> list[LiveFrame]:
+        """The frames that are ready, in order."""
+        return [self._fuse(instant) for instant in self.aligner.poll(now)]
+
+    def status(self, now: float) -> tuple[SensorStatus, ...]:
+        """What each sensor does."""
+        return self.aligner.status(now)
+
+    def _fuse(self, instant: Instant) -> LiveFrame:
+        people = self.people.update(instant)
+        transforms = self.people.transforms
+        alive = {p.id for p in people}
+        self._states = {i: s for i, s in self._states.items() if i in alive}
+        out = tuple(self._person(p, transforms, instant.time) for p in people)
+        return LiveFrame(instant.index, instant.time, out, tuple(v.name for v in instant.sensors))
+
+    def _person(self, p: SeenPerson, transforms: dict[str, Array], now: float) -> LivePerson:
+        positions, state = in_common_frame(p, transforms)
+        before = self._states.get(p.id) or start_fit()
+        self._states[p.id], estimate = fit_step(before, positions, state, now, self.settings.fit)
+        names = tuple(n for n, t in zip(p.joints.sensor_names, p.joints.times, strict=True) if t == t)
+        return LivePerson(p.id, estimate.joints, estimate.sd, names, estimate.shares, p.seen)
+
+
+def in_common_frame(person: SeenPerson, transforms: dict[str, Array]) -> tuple[Array, NDArray[np.uint8]]:
+    """Positions (K, 15, 3) m in the common frame and state (K, 15) of one person's skeletons."""
+    j = person.joints
+    positions, state = np.full_like(j.positions, np.nan), j.state.copy()
+    for k, name in enumerate(j.sensor_names):
+        motion = transforms.get(name)
+        if motion is None:
+            state[k] = 0
+        elif state[k].any():
+            positions[k] = transform(motion, j.positions[k])
+    return positions, state
+
+
+def warm_up(settings: FitSettings) -> None:
+    """Compile what a frame needs, so that the first one is not late."""
+    standing = np.linspace(0, 1, 45).reshape(1, 15, 3)
+    state = start_fit()
+    for n in range(2):
+        state, _ = fit_step(state, standing, np.full((1, 15), 2, dtype=np.uint8), n / 30, settings)
+
+
+# ---- the same without sockets --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Report:
+    """One message on its way: arrival s on the host's clock, the rest as in `Aligner.push`."""
+
+    arrival: float
+    sensor: str
+    time: float
+    person: int | None
+    joint_names: tuple[str, ...]
+    positions: Array
+    state: NDArray[np.uint8]
+
+
+def replay(
+    fuser: LiveFuser, reports: Iterable[Report], stopwatch: Callable[[], float] | None = None
+) -> list[tuple[LiveFrame, float]]:
+    """Run reports, in order of arrival, through a fuser as the live server would; nothing sleeps.
+
+    Returns the frames, each with its latency in s: from the instant that it describes to when it is ready. With a
+    stopwatch (`time.perf_counter`) the computation's own time counts as well, and delays what comes after.
+    """
+    out: list[tuple[LiveFrame, float]] = []
+    busy_until = -np.inf
+
+    def work(at: float, call: Callable[[float], list[LiveFrame]]) -> None:
+        nonlocal busy_until
+        begin = max(at, busy_until)
+        before = stopwatch() if stopwatch else 0.0
+        frames = call(begin)
+        busy_until = begin + (stopwatch() - before if stopwatch else 0.0)
+        out.extend((f, busy_until - f.time) for f in frames)
+
+    for r in reports:
+        while (due := fuser.due()) < r.arrival:
+            work(due + 1e-9, fuser.poll)
+
+        def take(now: float, r: Report = r) -> list[LiveFrame]:
+            fuser.push(r.sensor, r.time, r.person, r.joint_names, r.positions, r.state, now)
+            return fuser.poll(now)
+
+        work(r.arrival, take)
+    return out
+
+
+def simulated_latency(reports: Iterable[Report], settings: LiveSettings | None = None) -> Array:
+    """(N,) ms from the instant that a frame describes to when it is ready, computation included, sockets not."""
+    frames = replay(LiveFuser(settings), reports, time.perf_counter)
+    return np.array([1000 * latency for _, latency in frames])
