@@ -23,8 +23,8 @@ from hypose.geometry import Array
 class Mesh:
     """Skinned triangle mesh in the model frame at rest.
 
-    vertices (V, 3) m; faces (F, 3), counter-clockwise from outside; skin_index, skin_weight (V, 4): the joints that carry
-    a vertex and their weights (sum 1, unused 0)."""
+    vertices (V, 3) m; faces (F, 3), counter-clockwise from outside; skin_index, skin_weight (V, 4): the joints that
+    carry a vertex and their weights (sum 1, unused 0)."""
 
     vertices: Array
     faces: NDArray[np.int32]

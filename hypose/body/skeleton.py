@@ -1,11 +1,11 @@
 """Skeleton: the joint tree, its degrees of freedom, forward kinematics and the Jacobian.
 
-Poses: q (..., D). q[0:3] is the root's position in the world (m), q[3:6] its rotation vector; every other joint is fixed,
-a ball (rotation vector in its parent's frame: the exponential map, which does not lock inside +-2 pi) or one or two
-hinges. At q = 0 the body is in its rest pose and all joint frames are parallel to the model frame.
-Source: Alcoverro 2014, eq. 2.11 (product of exponentials). Deviations: the root's translation and rotation are kept apart
-(position, rotation vector) instead of one twist, and ball joints use one exponential of a rotation vector instead of
-three successive axes, which has no gimbal lock.
+Poses: q (..., D). q[0:3] is the root's position in the world (m), q[3:6] its rotation vector; every other joint is
+fixed, a ball (rotation vector in its parent's frame: the exponential map, which does not lock inside +-2 pi) or one or
+two hinges. At q = 0 the body is in its rest pose and all joint frames are parallel to the model frame.
+Source: Alcoverro 2014, eq. 2.11 (product of exponentials). Deviations: the root's translation and rotation are kept
+apart (position, rotation vector) instead of one twist, and ball joints use one exponential of a rotation vector instead
+of three successive axes, which has no gimbal lock.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ class Skeleton:
 
     @cached_property
     def twists(self) -> Array:
-        """(D, 6) twists (w, v) of the dof in the model frame at rest: v = -w x p for a rotation about a line through p."""
+        """(D, 6) twists (w, v) of the dof in the model frame at rest; v = -w x p for a turn about a line through p."""
         out = np.zeros((self.dof, 6))
         out[:3, 3:] = self.axes[:3]
         out[3:, :3] = self.axes[3:]
@@ -220,7 +220,7 @@ class Skeleton:
         return q
 
     def mean(self, poses: ArrayLike, weights: ArrayLike) -> Array:
-        """Weighted mean pose (D,) of poses (N, D): rotations of ball joints and root averaged on SO(3), the rest plainly.
+        """Weighted mean pose (D,) of poses (N, D): rotations of balls and root averaged on SO(3), the rest plainly.
 
         Source: spec of the estimate (weighted mean in the tangent space, never raw angles across +-pi).
         """
@@ -241,7 +241,7 @@ class Skeleton:
         return d
 
     def step(self, pose: ArrayLike, tangent: ArrayLike) -> Array:
-        """Pose (..., D) moved along a tangent vector (..., D): the inverse of `difference`, kept on the pose's branch."""
+        """Pose (..., D) moved along a tangent vector (..., D): the inverse of `difference`, on the pose's branch."""
         q, d = np.asarray(pose, dtype=np.float64), np.asarray(tangent, dtype=np.float64)
         out = q + d
         for s in self.ball_starts:

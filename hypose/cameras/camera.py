@@ -87,7 +87,7 @@ class Camera:
         else:
             criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-9)
             out = cv2.undistortPoints(flat, self.K, self.distortion, None, np.eye(3), self.K, criteria)
-        return out.reshape(p.shape)
+        return np.asarray(out, dtype=np.float64).reshape(p.shape)
 
     def rays(self, pixels: ArrayLike) -> tuple[Array, Array]:
         """Viewing rays of distorted pixels (..., 2): (origin (3,), unit directions (..., 3)) in the world."""
@@ -108,7 +108,9 @@ class Camera:
         """The same camera without lens distortion."""
         return replace(self, distortion=np.zeros(5), fisheye=False)
 
-    def undistort_maps(self, size: tuple[int, int], image_size: tuple[int, int] | None = None) -> tuple[Array, Array]:
+    def undistort_maps(
+        self, size: tuple[int, int], image_size: tuple[int, int] | None = None
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Maps for cv2.remap from a stored image of `image_size` (default: self.size) to the undistorted image of
         the pinhole camera `self.scaled(size).pinhole()`: (map_x, map_y) float32 (h, w).
 
@@ -125,7 +127,7 @@ class Camera:
         if (w, h) != self.size:
             mx = (mx + 0.5) * (w / self.size[0]) - 0.5
             my = (my + 0.5) * (h / self.size[1]) - 0.5
-        return mx.astype(np.float32), my.astype(np.float32)
+        return np.asarray(mx, dtype=np.float32), np.asarray(my, dtype=np.float32)
 
 
 @dataclass(frozen=True)

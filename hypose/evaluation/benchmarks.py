@@ -1,7 +1,7 @@
 """Benchmarks by name, and the document that each of them writes.
 
-A benchmark is a function from options to rows. Names, metrics and cases are fixed, so that figures of different versions
-can be compared; ratios are taken against a baseline of the same run, because machines are noisy.
+A benchmark is a function from options to rows. Names, metrics and cases are fixed, so that figures of different
+versions can be compared; ratios are taken against a baseline of the same run, because machines are noisy.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class BenchOptions:
 
 @dataclass(frozen=True)
 class Row:
-    """One figure: metric, case, value, unit, sd over the repetitions, n repetitions, and the baseline if there is one."""
+    """One figure: metric, case, value, unit, sd over the repetitions, n repetitions, and a baseline if there is one."""
 
     metric: str
     case: str

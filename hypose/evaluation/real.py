@@ -1,4 +1,4 @@
-"""Benchmarks on real recordings that are given by folder (`--data`): agreement with key points, masks, hulls, jitter."""
+"""Benchmarks on real recordings that are given by folder (`--data`): agreement with key points, masks, hulls."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def uu4cam_recording(folder: Path) -> Recording:
 
 
 def real_uu4cam(options: BenchOptions) -> BenchReport:
-    """Masks against those of a student's work, hull against the masks, and the jitter of a tracked, nearly still person."""
+    """Masks against those of a student's work, and the visual hull against the masks."""
     folder = options.folder("uu4cam")
     recording = uu4cam_recording(folder)
     stream = FrameStream(recording)

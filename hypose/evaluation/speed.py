@@ -91,7 +91,7 @@ def _opencv_xor(body: Body, poses: Array, masks: compute.PreparedMasks) -> Array
 
 
 def contour_solve(options: BenchOptions) -> BenchReport:
-    """Milliseconds per frame of the robust contour solve (8 iterations, 4 views), its iterations, and key points alone."""
+    """Milliseconds per frame of the robust contour solve (8 iterations, 4 views) and its iterations."""
     scene = action_scene("walk", 0, 0.4 if options.quick else 1.0, options)
     subject = known_subject(scene)
     body, start = subject.body, subject.start

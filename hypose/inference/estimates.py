@@ -83,6 +83,4 @@ def _log(quaternion: FloatArray) -> FloatArray:
     q = np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
     length = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     small = length < 1e-12
-    return (
-        np.where(small, 2.0, 2 * np.arctan2(length, q[..., :1]) / np.where(small, 1.0, length)) * q[..., 1:]
-    )
+    return np.where(small, 2.0, 2 * np.arctan2(length, q[..., :1]) / np.where(small, 1.0, length)) * q[..., 1:]

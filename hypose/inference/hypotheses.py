@@ -49,15 +49,11 @@ class Hypotheses:
         if self.covariance is not None:
             covariance = np.asarray(self.covariance, dtype=np.float64)
             if covariance.shape != (*values.shape, values.shape[-1]):
-                raise ValueError(
-                    f"covariance must be {(*values.shape, values.shape[-1])}, got {covariance.shape}"
-                )
+                raise ValueError(f"covariance must be {(*values.shape, values.shape[-1])}, got {covariance.shape}")
             object.__setattr__(self, "covariance", covariance)
 
     @staticmethod
-    def uniform(
-        values: ArrayLike, label: ArrayLike | None = None, covariance: ArrayLike | None = None
-    ) -> Hypotheses:
+    def uniform(values: ArrayLike, label: ArrayLike | None = None, covariance: ArrayLike | None = None) -> Hypotheses:
         """Equal weights 1/N for values (*B, N, D); label (*B, N) defaults to 0."""
         states = np.asarray(values, dtype=np.float64)
         shape = states.shape[:-1]
@@ -115,9 +111,7 @@ class Hypotheses:
         """
         extra = np.asarray(log_likelihood, dtype=np.float64)
         if extra.shape != self.log_weights.shape:
-            raise ValueError(
-                f"log-likelihoods must have the shape {self.log_weights.shape}, got {extra.shape}"
-            )
+            raise ValueError(f"log-likelihoods must have the shape {self.log_weights.shape}, got {extra.shape}")
         usable = np.where(_usable(extra), extra, -np.inf)
         return Hypotheses(self.values, self.relative_log_weights + usable, self.label, self.covariance)
 
@@ -150,9 +144,7 @@ class Hypotheses:
             np.take_along_axis(self.values, chosen[..., None], axis),
             np.take_along_axis(self.log_weights, chosen, axis),
             np.take_along_axis(self.label, chosen, axis),
-            None
-            if self.covariance is None
-            else np.take_along_axis(self.covariance, chosen[..., None, None], axis),
+            None if self.covariance is None else np.take_along_axis(self.covariance, chosen[..., None, None], axis),
         )
 
 

@@ -38,9 +38,7 @@ def reflect(values: FloatArray, lower: ArrayLike | None, upper: ArrayLike | None
     low = -np.inf if lower is None else np.asarray(lower, np.float64)
     high = np.inf if upper is None else np.asarray(upper, np.float64)
     with np.errstate(invalid="ignore"):
-        mirrored = np.where(
-            values > high, 2 * high - values, np.where(values < low, 2 * low - values, values)
-        )
+        mirrored = np.where(values > high, 2 * high - values, np.where(values < low, 2 * low - values, values))
     return np.clip(mirrored, low, high)
 
 
@@ -64,9 +62,7 @@ class HeavyTail:
 
     def __post_init__(self) -> None:
         if not 0 <= self.share <= 1 or not self.factor >= 0:
-            raise ValueError(
-                f"a heavy tail needs a share in [0, 1] and a factor >= 0, got {self.share}, {self.factor}"
-            )
+            raise ValueError(f"a heavy tail needs a share in [0, 1] and a factor >= 0, got {self.share}, {self.factor}")
 
     def gain(self, count: int, dimension: int) -> FloatArray:
         """(N, D) factors on the steps."""
@@ -123,9 +119,7 @@ class AdaptiveDiffusion:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.scale) and self.scale >= 0):
-            raise ValueError(
-                f"the scale of an adaptive diffusion must be finite and not negative, got {self.scale}"
-            )
+            raise ValueError(f"the scale of an adaptive diffusion must be finite and not negative, got {self.scale}")
 
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
         """One step in the shape of the current set."""
@@ -175,11 +169,12 @@ class Compose:
 
 @dataclass(frozen=True)
 class KeepFirst:
-    """A kernel that leaves the first hypothesis of each population where it is, so that a search never loses its start."""
+    """A kernel that leaves the first hypothesis of a population where it is: a search never loses its start."""
 
     kernel: Kernel
 
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
+        """The moved set with its first row as it was."""
         moved = self.kernel(h, frame, rng)
         values = moved.values.copy()
         values[..., 0, :] = h.values[..., 0, :]
@@ -203,9 +198,7 @@ class RejectionSampling:
 
     def __post_init__(self) -> None:
         if not self.tau > 0 or self.trials < 1:
-            raise ValueError(
-                f"rejection sampling needs tau > 0 and at least one trial, got {self.tau}, {self.trials}"
-            )
+            raise ValueError(f"rejection sampling needs tau > 0 and at least one trial, got {self.tau}, {self.trials}")
 
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
         """The accepted steps."""
@@ -292,9 +285,7 @@ def annealed_sigma(sigma: ArrayLike, variance_decays: Sequence[float], layer: in
     The alphas are rates of *variance*, so sigma shrinks by their square roots. Source: Alcoverro 2014, eq.
     (2.10).
     """
-    return np.asarray(sigma, dtype=np.float64) * np.sqrt(
-        np.prod(np.asarray(variance_decays[:layer], np.float64))
-    )
+    return np.asarray(sigma, dtype=np.float64) * np.sqrt(np.prod(np.asarray(variance_decays[:layer], np.float64)))
 
 
 def semidefinite_cholesky(covariance: ArrayLike) -> FloatArray:

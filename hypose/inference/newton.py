@@ -134,23 +134,17 @@ def _bounds(lower: ArrayLike | None, upper: ArrayLike | None, x: FloatArray) -> 
         low = np.broadcast_to(np.asarray(-np.inf if lower is None else lower, np.float64), x.shape)
         high = np.broadcast_to(np.asarray(np.inf if upper is None else upper, np.float64), x.shape)
     except ValueError as problem:
-        raise SolverError(
-            f"the bounds must have the shape of the start, {x.shape}; check their length"
-        ) from problem
+        raise SolverError(f"the bounds must have the shape of the start, {x.shape}; check their length") from problem
     wrong = np.flatnonzero(~(low <= high))
     if wrong.size:
         i = int(wrong[0])
-        raise SolverError(
-            f"the bounds of unknown {i} leave no room: {low[i]} to {high[i]}; give lower <= upper"
-        )
+        raise SolverError(f"the bounds of unknown {i} leave no room: {low[i]} to {high[i]}; give lower <= upper")
     return low, high
 
 
 def _checked_start(cost: Cost, x: FloatArray) -> tuple[float, FloatArray, FloatArray]:
     if not np.all(np.isfinite(x)):
-        raise SolverError(
-            f"the search cannot start: unknown {int(np.flatnonzero(~np.isfinite(x))[0])} is not finite"
-        )
+        raise SolverError(f"the search cannot start: unknown {int(np.flatnonzero(~np.isfinite(x))[0])} is not finite")
     value, gradient, hessian = cost(x)
     if not np.isfinite(value):
         raise SolverError(f"the search cannot start: the cost there is {value}; choose another start")
@@ -161,9 +155,7 @@ def _checked_start(cost: Cost, x: FloatArray) -> tuple[float, FloatArray, FloatA
             f"the cost returned {gradient.shape} and {hessian.shape}"
         )
     if not (np.all(np.isfinite(gradient)) and np.all(np.isfinite(hessian))):
-        raise SolverError(
-            "the search cannot start: the gradient or Hessian there is not finite; choose another start"
-        )
+        raise SolverError("the search cannot start: the gradient or Hessian there is not finite; choose another start")
     return float(value), gradient, hessian
 
 

@@ -21,7 +21,5 @@ def stream(seed: int, frame: int, layer: int, particle: int | None = None) -> np
     (layer -1 is free for what happens between two frames).
     """
     key = np.random.SeedSequence(seed % 2**128).generate_state(2, np.uint64)
-    counter = np.array(
-        [0, 0 if particle is None else particle + 1, layer % _WORD, frame % _WORD], dtype=np.uint64
-    )
+    counter = np.array([0, 0 if particle is None else particle + 1, layer % _WORD, frame % _WORD], dtype=np.uint64)
     return np.random.Generator(np.random.Philox(counter=counter, key=key))

@@ -33,9 +33,7 @@ def systematic_indices(weights: FloatArray, u: ArrayLike) -> IndexArray:
     start = np.broadcast_to(np.asarray(u, dtype=np.float64), weights.shape[:-1]).reshape(-1, 1)
     # points below each cumulated weight: (u + j) / N < c  <=>  j < N c - u
     below = np.clip(np.ceil(count * cumulated - start), 0, count).astype(np.intp)
-    below[cumulated >= 1.0] = (
-        count  # whatever the rounding of N - u: the trailing zero weights are never drawn
-    )
+    below[cumulated >= 1.0] = count  # whatever the rounding of N - u: the trailing zero weights are never drawn
     rows = np.arange(len(below))[:, None]
     # one exact integer search for all populations at once, each in its own range of keys
     keys, points = below + rows * (count + 1), np.arange(count) + rows * (count + 1)
@@ -92,9 +90,7 @@ class LayeredSystematic:
     def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
         """The set with its filtered coordinates resampled."""
         drawn = h.take(systematic_indices(h.weights, rng.random(h.values.shape[:-2])))
-        return Hypotheses.uniform(
-            np.where(self.filtered, drawn.values, h.values), drawn.label, drawn.covariance
-        )
+        return Hypotheses.uniform(np.where(self.filtered, drawn.values, h.values), drawn.label, drawn.covariance)
 
 
 @dataclass(frozen=True)
@@ -115,7 +111,7 @@ class Prune:
 
 @dataclass(frozen=True)
 class Elite:
-    """The chosen coordinates of all hypotheses are copied from the k best ones in turn; the others keep their own values.
+    """The chosen coordinates of all hypotheses are copied from the k best ones in turn; the others stay.
 
     A greedy step of a coordinate search: with a budget of tens of hypotheses, resampling would leave most of them on
     values that are known to be worse. coordinates (D,) bool.
@@ -129,6 +125,7 @@ class Elite:
             raise ValueError(f"at least one hypothesis must be kept, got k = {self.k}")
 
     def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
+        """Equal weights again; labels come from the best ones."""
         order = np.argsort(-h.relative_log_weights, axis=-1, kind="stable")
         index = order[..., np.arange(h.count) % min(self.k, h.count)]
         drawn = h.take(index)

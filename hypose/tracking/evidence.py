@@ -1,4 +1,4 @@
-"""What a recipe sees of one frame: the frame's masks and key points prepared for the hot functions, and the prediction."""
+"""What a recipe sees of one frame: masks and key points prepared for the hot functions, and the prediction."""
 
 from __future__ import annotations
 
@@ -130,6 +130,6 @@ def view_count(prepared: PreparedFrame) -> int:
     if prepared.masks is not None:
         seen = prepared.masks.usable
     if prepared.keypoints is not None:
-        by_points = (prepared.keypoints.points[..., 2] > 0).any(1)
-        seen = by_points if seen is None else seen | by_points
+        by_points = np.asarray((prepared.keypoints.points[..., 2] > 0).any(1))
+        seen = by_points if seen is None else np.logical_or(seen, by_points)
     return 0 if seen is None else int(seen.sum())

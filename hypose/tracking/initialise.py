@@ -50,11 +50,11 @@ def start_from_keypoints(
     points_world (K, 3) m (NaN = missing) lie at `offset` (K, 3) m in the frame of `joint` (K,). Several arm poses
     and headings are tried and the cheapest solution is taken. An EvidenceError when fewer than 6 points are known.
     """
-    known = np.isfinite(points_world).all(1)
+    known = np.asarray(np.isfinite(points_world).all(1))
     if known.sum() < 6:
         raise EvidenceError(
-            f"Only {int(known.sum())} of {len(points_world)} key points could be triangulated; at least 6 are needed to "
-            "start: choose another start frame or check the calibration with `hypose check`."
+            f"Only {int(known.sum())} of {len(points_world)} key points could be triangulated; at least 6 are "
+            "needed to start: choose another start frame or check the calibration with `hypose check`."
         )
     term = PointTerm(points_world, np.ones(len(points_world)) if weight is None else weight, joint, offset, 0.03)
     best: PoseFit | None = None

@@ -140,8 +140,8 @@ def hpf(
 
 
 def default(body: Body, particles: int = 128, frame_rate: float = 25.0, iterations: int = 8) -> tuple[Recipe, int]:
-    """The product's default: contour refinement from the prediction, a greedy search of one limb at a time around it with
-    long-tailed steps, and a refinement of what the search put together.
+    """The product's default: contour refinement from the prediction, a greedy search of one limb at a time around it
+    with long-tailed steps, and a refinement of what the search put together.
 
     The first solve puts the body within centimetres; the particles find limbs that went elsewhere (a local solve cannot
     pull in what lies beyond about 10 cm); the last solve starts from both the prediction and the best limbs, and the

@@ -103,7 +103,7 @@ class ContourRefinement:
 
 
 def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveOptions) -> list[PoseFit]:
-    """Independent robust solves from starts (N, D) on the evidence of a frame, with anatomical and prediction priors."""
+    """Independent robust solves from starts (N, D) on a frame's evidence, with anatomical and prediction priors."""
     priors = (anatomical_prior(body.skeleton), prediction_prior(frame.prediction, frame.prediction_weight))
     return list(
         fit_poses(body, starts, contours=frame.contours, keypoints=frame.keypoints, priors=priors, options=options)

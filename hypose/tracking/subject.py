@@ -60,7 +60,8 @@ def scaled_to_height(body: Body, height: float) -> Body:
     """The body scaled uniformly to a standing height in m."""
     if not 0.5 < height < 2.5:
         raise EvidenceError(
-            f"A subject height of {height:.2f} m is not a person's; give --height in metres or check the calibration's unit."
+            f"A subject height of {height:.2f} m is not a person's; give --height in metres or check the "
+            "calibration's unit."
         )
     return deform(body, Shape(scale=height / body.stature))
 

@@ -1,4 +1,4 @@
-"""Tracker: one frame at a time from evidence to a pose with its uncertainty; knows when the person is lost and recovers.
+"""Tracker: one frame at a time from evidence to a pose with its uncertainty; knows a loss and recovers.
 
 The tracker is a value and its state is a value: `step` returns the next state, so a run can be stopped after any frame,
 saved, and resumed with the same numbers.
@@ -35,11 +35,13 @@ BETWEEN_FRAMES, RECOVERY, START = -1, -2, -3
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """evidence: 'silhouettes', 'keypoints' or 'both'. seed: of every random draw. frame_rate: Hz. velocity_gain: share of
+    """What the tracker is told.
+
+    evidence: 'silhouettes', 'keypoints' or 'both'. seed: of every random draw. frame_rate: Hz. velocity_gain: share of
     the last step expected again (0 = constant position). prediction_weight: pull of a solve to the prediction at 25 fps
-    (it grows with the square of the frame rate, as the prediction's error shrinks). lost_share: lost when the mean IoU falls below this share of
-    its usual value; lost_floor: or below this value. keypoint_scale_px: robust scale of key points in their pixels.
-    extrapolate: seconds without evidence after which the person counts as lost."""
+    (it grows with the square of the frame rate, as the prediction's error shrinks). lost_share: lost when the mean IoU
+    falls below this share of its usual value; lost_floor: or below this value. keypoint_scale_px: robust scale of key
+    points in their pixels. extrapolate: seconds without evidence after which the person counts as lost."""
 
     evidence: str = "silhouettes"
     seed: int = 0
@@ -68,8 +70,8 @@ class FrameEstimate:
 
 @dataclass(frozen=True)
 class TrackerState:
-    """What the next frame needs. frames: frames done; pose, previous (D,); joint_sd (J,); usual_iou: running mean of the
-    IoU while not lost (NaN before the first); blind: frames since the last evidence; lost: the last frame was lost."""
+    """What the next frame needs. frames: frames done; pose, previous (D,); joint_sd (J,); usual_iou: running mean of
+    the IoU while not lost (NaN before the first); blind: frames since the last evidence; lost: in the last frame."""
 
     frames: int
     hypotheses: Hypotheses

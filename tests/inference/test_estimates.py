@@ -28,9 +28,7 @@ def test_without_rotations_it_is_the_plain_mean():
 @pytest.mark.parametrize("angle", [0.0, 0.5, 3.1, np.pi])
 def test_rotations_are_averaged_across_the_branch(angle):
     centre = angle * np.array([0.0, 0.6, 0.8])
-    values = np.concatenate(
-        [np.random.default_rng(3).normal(size=(4000, 2)), scattered(centre, 0.2, 4000)], axis=1
-    )
+    values = np.concatenate([np.random.default_rng(3).normal(size=(4000, 2)), scattered(centre, 0.2, 4000)], axis=1)
     estimate = TangentMean((2,))
     h = weighted(values)
     mean = estimate(h)
@@ -51,9 +49,7 @@ def test_result_stays_on_the_branch_of_the_best():
 
 
 def test_batches():
-    values = np.stack(
-        [scattered(np.array([0, 0, 3.1]), 0.1, 50), scattered(np.array([1.0, 0, 0]), 0.1, 50, 1)]
-    )
+    values = np.stack([scattered(np.array([0, 0, 3.1]), 0.1, 50), scattered(np.array([1.0, 0, 0]), 0.1, 50, 1)])
     h = weighted(values)
     together = TangentMean((0,))(h)
     for b in range(2):

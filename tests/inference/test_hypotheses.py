@@ -115,14 +115,10 @@ def test_streams_depend_on_their_address_only():
         (1, 2, 3, 1),
     ]
     assert len({draw(*a).tobytes() for a in addresses}) == len(addresses)
-    np.testing.assert_array_equal(
-        stream(1, 2, 3).standard_normal((50, 3))[:6], draw(1, 2, 3)
-    )  # N does not matter
+    np.testing.assert_array_equal(stream(1, 2, 3).standard_normal((50, 3))[:6], draw(1, 2, 3))  # N does not matter
 
 
 def test_streams_are_not_correlated():
-    blocks = np.array(
-        [stream(5, frame, layer).standard_normal(2000) for frame in range(8) for layer in range(5)]
-    )
+    blocks = np.array([stream(5, frame, layer).standard_normal(2000) for frame in range(8) for layer in range(5)])
     correlation = np.corrcoef(blocks) - np.eye(len(blocks))
     assert np.abs(correlation).max() < 5 / np.sqrt(2000)

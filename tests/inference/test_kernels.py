@@ -36,9 +36,7 @@ def test_diffusion_has_the_asked_spread_and_freezes():
 
 def test_a_frozen_coordinate_keeps_even_a_value_outside_the_bounds():
     h = Hypotheses.uniform(np.full((10, 2), 5.0))
-    moved = GaussianDiffusion(np.array([0.0, 0.1]), np.zeros(2), np.ones(2))(
-        h, None, np.random.default_rng(0)
-    )
+    moved = GaussianDiffusion(np.array([0.0, 0.1]), np.zeros(2), np.ones(2))(h, None, np.random.default_rng(0))
     np.testing.assert_array_equal(moved.values[:, 0], 5.0)
     assert (moved.values[:, 1] <= 1).all()
 
@@ -53,9 +51,7 @@ def test_reflect_mirrors_once_and_then_clamps():
 
 def test_a_set_does_not_pile_up_on_a_limit():
     h = Hypotheses.uniform(np.zeros((20000, 1)))
-    moved = GaussianDiffusion(np.array([1.0]), np.zeros(1), np.array([INF]))(
-        h, None, np.random.default_rng(0)
-    ).values
+    moved = GaussianDiffusion(np.array([1.0]), np.zeros(1), np.array([INF]))(h, None, np.random.default_rng(0)).values
     assert (moved == 0).sum() == 0
     np.testing.assert_allclose(moved.mean(), np.sqrt(2 / np.pi), rtol=0.02)  # a folded normal
 

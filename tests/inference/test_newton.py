@@ -130,9 +130,7 @@ def test_non_finite_trials_are_refused():
 
 
 def test_a_coordinate_without_influence_stays():
-    found = minimise(
-        lambda x: (float((x[0] - 1) ** 2), np.array([2 * x[0] - 2, 0]), np.diag([2.0, 0.0])), [0.0, 5.0]
-    )
+    found = minimise(lambda x: (float((x[0] - 1) ** 2), np.array([2 * x[0] - 2, 0]), np.diag([2.0, 0.0])), [0.0, 5.0])
     np.testing.assert_allclose(found.x, [1.0, 5.0], atol=1e-6)
     assert found.converged
 

@@ -77,9 +77,7 @@ def reference(layers, seed=3):
             weights = normalised([cost(np.array(x), TRUTH[t]) for x in states], beta)
             estimate = [sum(weights[i] * states[i][d] for i in range(N)) for d in range(D)]
             a = draw_ancestors(weights, rng.random())
-            states = [
-                [states[a[i]][d] if d in resampled else states[i][d] for d in range(D)] for i in range(N)
-            ]
+            states = [[states[a[i]][d] if d in resampled else states[i][d] for d in range(D)] for i in range(N)]
         estimates.append(estimate)
     return np.array(estimates), np.array(states)
 
@@ -96,9 +94,7 @@ EVERYTHING = range(D)
 
 
 def test_plain_particle_filter():
-    recipe = Recipe(
-        "sir", (Layer(GaussianDiffusion(SIGMA), Annealed(energy, FixedSelectivity(0.4)), systematic),)
-    )
+    recipe = Recipe("sir", (Layer(GaussianDiffusion(SIGMA), Annealed(energy, FixedSelectivity(0.4)), systematic),))
     same(recipe, [(SIGMA, energy_one, 0.4, EVERYTHING)])
 
 
@@ -164,9 +160,7 @@ def test_weigh_sees_the_population_and_the_estimate_comes_before_selection():
     result = search(Hypotheses.uniform(START), recipe, None, partial(stream, 0, 0))
     assert result.selected.count == 1 and result.weighted.count == N
     np.testing.assert_allclose(result.estimate, result.weighted.mean())
-    best = search(
-        Hypotheses.uniform(START), Recipe("b", recipe.layers, Hypotheses.best), None, partial(stream, 0, 0)
-    )
+    best = search(Hypotheses.uniform(START), Recipe("b", recipe.layers, Hypotheses.best), None, partial(stream, 0, 0))
     np.testing.assert_array_equal(best.estimate, result.selected.values[0])
 
 
@@ -198,9 +192,7 @@ def test_lost_evidence_is_reported_and_survived():
     result = search(Hypotheses.uniform(START), recipe, None, partial(stream, 0, 0))
     assert result.evidence_lost and result.reports[0].evidence_lost
     np.testing.assert_allclose(result.estimate, result.weighted.values.mean(0))
-    np.testing.assert_array_equal(
-        result.selected.values, result.weighted.values
-    )  # nobody dies of a blind frame
+    np.testing.assert_array_equal(result.selected.values, result.weighted.values)  # nobody dies of a blind frame
 
 
 def test_same_seed_is_bit_identical_and_a_resumed_run_too():

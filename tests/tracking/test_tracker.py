@@ -1,4 +1,4 @@
-"""The tracker: follows, reports what it does not know, recovers, and goes on from a saved state with the same numbers."""
+"""The tracker: follows, reports what it does not know, recovers, and goes on from a saved state alike."""
 
 import numpy as np
 import pytest
