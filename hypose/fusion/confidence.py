@@ -84,8 +84,8 @@ def confidence_step(
     depth: Array | None,
     settings: ConfidenceSettings,
 ) -> tuple[ConfidenceState, Array]:
-    """One frame: positions (K, 15, 3) m in the sensors' frames, state (K, 15), depth (K, 15) m at the joints' pixels (0 =
-    hole) or None -> the new memory and the raw inputs (3, K, 15) = F (m), D (m), A, before normalisation."""
+    """One frame: positions (K, 15, 3) m in the sensors' frames, state (K, 15), depth (K, 15) m at the joints' pixels (0
+    = hole) or None -> the new memory and the raw inputs (3, K, 15) = F (m), D (m), A, before normalisation."""
     t, n = memory.frames, settings.window
     speed = np.linalg.norm(positions - memory.last, axis=-1)
     speeds, activations = memory.speeds.copy(), memory.activations.copy()
@@ -180,21 +180,19 @@ _END = np.array([4, 7, 11, 14])
 def _bone_deviation(
     positions: Array, state: NDArray[np.uint8], lengths: Array, samples: Array
 ) -> tuple[Array, Array, Array]:
-    """Running usual lengths of the limbs' bones (a step of limited size towards each tracked sample: a slow median), and
+    """Running usual lengths of the limbs' bones (a limited step towards each tracked sample: a slow median), and
     (K, 15) m how far each sensor's bones are from them."""
     length = np.linalg.norm(positions[:, _LIMB] - positions[:, jt.PARENT[_LIMB]], axis=-1)
     good = np.isfinite(length) & (state[:, _LIMB] == TRACKED) & (state[:, jt.PARENT[_LIMB]] == TRACKED)
     usual, count = lengths.copy(), samples.copy()
     seen = good.sum(0)
-    with np.errstate(invalid="ignore"):
-        now = np.nanmedian(np.where(good | (seen == 0), length, np.nan), axis=0) if good.any() else usual[_LIMB]
-    fresh = (count[_LIMB] == 0) & np.isfinite(now)
-    usual[_LIMB[fresh]] = now[fresh]
+    for i in np.flatnonzero((count[_LIMB] == 0) & (seen > 0)):
+        usual[_LIMB[i]] = np.median(length[good[:, i], i])
     step = np.where(good, np.clip(length - usual[_LIMB], -0.03, 0.03), 0.0).sum(0)
     count[_LIMB] += seen
     usual[_LIMB] += step / np.clip(count[_LIMB], 1.0, 300.0)
     deviation = np.zeros(state.shape)
-    off = np.abs(length - usual[_LIMB])
+    off = np.where(usual[_LIMB] > 0, np.abs(length - usual[_LIMB]), 0.0)
     deviation[:, _LIMB] = np.where(np.isfinite(off), off, 0.3)
     deviation[:, _END] = np.maximum(deviation[:, _END], 0.5 * deviation[:, jt.PARENT[_END]])
     return usual, count, deviation

@@ -1,7 +1,7 @@
 """Registration: where the sensors stand relative to each other, from the skeletons they report of the same person.
 
-Source: Asteriadis et al. 2013, section 2.1, eq. 2-4 (per frame, on the triangle of shoulders and torso). Printed there is
-R = V U^T for H = sum reference . moving^T, which is the rotation the other way round; moving to reference is U V^T.
+Source: Asteriadis et al. 2013, section 2.1, eq. 2-4 (per frame, on the triangle of shoulders and torso). Printed there
+is R = V U^T for H = sum reference . moving^T, which is the rotation the other way round; moving to reference is U V^T.
 Three points make H of rank 2, so that the sign of one singular vector is arbitrary and half of all unguarded solutions
 are reflections: the determinant is guarded (geometry.procrustes). Deviation, the default: one transform per sensor
 from a window of frames, robustly, on more joints; per-frame registration multiplies the jitter.
@@ -146,7 +146,7 @@ def register(
     sensors = s.shape[1]
     if not 0 <= reference < sensors:
         raise InputError(f"There are {sensors} sensors, the reference cannot be number {reference}.")
-    weight = np.isfinite(s).all(-1).astype(np.float64)
+    weight = np.asarray(np.isfinite(s).all(-1), dtype=np.float64)
     if state is not None:
         weight *= np.asarray(state)[:, :, list(joints)] / TRACKED
     transforms = np.tile(np.eye(4), (sensors, 1, 1)) if start is None else start.common_from_sensor.copy()
@@ -190,8 +190,8 @@ def _robust(moving: Array, target: Array, weight: Array, scale: float, iteration
 def check_same_person(
     positions: ArrayLike, registration: Registration, names: Sequence[str], residual_m: float = LARGEST_RESIDUAL_M
 ) -> None:
-    """An InputError when two sensors cannot have seen the same person at the same time: positions (T, K, 15, 3) m in the
-    sensors' frames are too far apart after registration, or the limbs' lengths differ too much."""
+    """An InputError when two sensors cannot have seen the same person at the same time: positions (T, K, 15, 3) m in
+    the sensors' frames are too far apart after registration, or the limbs' lengths differ too much."""
     s = np.asarray(positions, dtype=np.float64)
     a, b = jt.BONES[:, 0], jt.BONES[:, 1]
     with np.errstate(invalid="ignore"):
@@ -238,10 +238,11 @@ def heading(positions: ArrayLike, up: ArrayLike) -> Array:
 
 def horizontal_axes(up: ArrayLike) -> tuple[Array, Array]:
     """Two unit vectors (3,) that span the plane across `up`."""
-    u = np.asarray(up, dtype=np.float64) / np.linalg.norm(up)
-    x = np.cross(u, np.eye(3)[int(np.abs(u).argmin())])
+    u = np.asarray(up, dtype=np.float64)
+    u = u / np.linalg.norm(u)
+    x = np.asarray(np.cross(u, np.eye(3)[int(np.abs(u).argmin())]), dtype=np.float64)
     x /= np.linalg.norm(x)
-    return x, np.cross(u, x)
+    return x, np.asarray(np.cross(u, x), dtype=np.float64)
 
 
 def upward(positions: ArrayLike) -> Array:

@@ -1,0 +1,223 @@
+"""The default fusion: an articulated fit over the joints of all sensors, causal, one small solve per frame.
+
+Constant distances between joints, a robust loss that is graduated in every frame (so that a joint can come back from a
+wrong sensor), a constant-velocity prediction, the SDK's confidence as weight, and sides exchanged back when a sensor
+that sees the back takes left for right. 45 unknowns with distances as stiff rows rather than joint angles: a sensor
+skeleton has no shape behind it, and distances between shoulders, hips and torso hold a trunk that is not rigid.
+Uncertainty: the solve's own covariance, plus how far the sensors that carry the joint disagree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.compute import cpu_fusion
+from hypose.evidence.frame import TRACKED
+from hypose.fusion import joints as jt
+from hypose.fusion.register import confidence_of
+from hypose.geometry import Array
+
+
+def _bone_sd() -> Array:
+    """(18,) m: limbs hold their length, the trunk's stays give more."""
+    limb = {(2, 3), (3, 4), (5, 6), (6, 7), (9, 10), (10, 11), (12, 13), (13, 14)}
+    stay = {(8, 9), (8, 12), (2, 8), (5, 8)}
+    return np.array([0.008 if tuple(b) in limb else 0.020 if tuple(b) in stay else 0.015 for b in jt.BONES.tolist()])
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """data_sd_m, scale_m: sd and Cauchy scale of a sensor's joint; coarse: the scale starts at this multiple and is
+    halved per iteration; iterations; bone_sd_m (18,); prediction_sd_m: per frame of 1/30 s; blend: how fast the
+    velocity follows; inferred: weight of inferred joints; unswap: exchange sides back; lost_after_s: without any joint
+    for this long the person is lost; inflation: factor on the reported sd (measured, see docs/fusion.md)."""
+
+    data_sd_m: float = 0.02
+    scale_m: float = 0.05
+    coarse: float = 8.0
+    iterations: int = 6
+    bone_sd_m: Array = field(default_factory=_bone_sd)
+    prediction_sd_m: float = 0.03
+    blend: float = 0.5
+    inferred: float = 0.5
+    unswap: bool = True
+    lost_after_s: float = 0.5
+    inflation: float = 1.0
+
+
+@dataclass(frozen=True)
+class FitState:
+    """joints (15, 3) m and velocity (15, 3) m/s of the last frame, or None before the first; time s of that frame; seen
+    (15,) s when each joint last had evidence; side (3,): remembered direction to the person's left, a sum of unit
+    vectors; lengths (18,) m and samples (18,) of the bones; fixed: lengths are given and do not adapt."""
+
+    joints: Array | None
+    velocity: Array
+    time: float
+    seen: Array
+    side: Array
+    lengths: Array
+    samples: Array
+    fixed: bool
+
+
+@dataclass(frozen=True)
+class FitEstimate:
+    """joints (15, 3) m, sd (15,) m per axis, shares (15, K): what each sensor carried of each joint (0 everywhere where
+    nobody saw it), swapped (K,) sensors whose sides were exchanged, lost: no evidence for too long."""
+
+    joints: Array
+    sd: Array
+    shares: Array
+    swapped: NDArray[np.bool_]
+    lost: bool
+
+
+def start_fit(lengths: ArrayLike | None = None) -> FitState:
+    """Before the first frame; lengths (18,) m of joints.BONES when they are known (0 = unknown), else they are
+    estimated as frames come in."""
+    return FitState(
+        None,
+        np.zeros((15, 3)),
+        np.nan,
+        np.full(15, -np.inf),
+        np.zeros(3),
+        np.zeros(len(jt.BONES)) if lengths is None else np.array(lengths, dtype=np.float64),
+        np.zeros(len(jt.BONES)),
+        lengths is not None,
+    )
+
+
+def fit_step(
+    state: FitState, positions: Array, states: NDArray[np.uint8], time: float, settings: FitSettings
+) -> tuple[FitState, FitEstimate]:
+    """One frame: registered positions (K, 15, 3) m with NaN for missing, their states (K, 15), time s."""
+    side, swapped = state.side, np.zeros(len(positions), dtype=np.bool_)
+    if settings.unswap:
+        positions, states, side, swapped = unswap(positions, states, state.side)
+    lengths, samples = state.lengths, state.samples
+    if not state.fixed:
+        lengths, samples = adapt_lengths(positions, states, lengths, samples)
+    seen_now = np.isfinite(positions[..., 0])
+    weights = np.where(seen_now, confidence_of(states, settings.inferred), 0.0)
+    points = np.where(seen_now[..., None], positions, 0.0)
+    evidence = weights.sum(0) > 0
+    dt = 1 / 30 if not np.isfinite(state.time) else max(time - state.time, 1e-3)
+    start, unseen = state.joints, ~evidence
+    if start is None or not np.isfinite(start).all():
+        start = _first_guess(points, weights, start)
+        predicted, prior = start, np.full(15, 1.0)
+    else:
+        # a joint that is long unseen slows down and may be anywhere: its bones hold it
+        away = np.clip(time - state.seen, 0, 1)
+        predicted = start + state.velocity * (dt * np.where(unseen, np.exp(-away / 0.1), 1.0))[:, None]
+        prior = 1 / (settings.prediction_sd_m * np.maximum(1.0, 30 * np.clip(time - state.seen, dt, 1.0))) ** 2
+    x = predicted.copy()
+    share = np.zeros(weights.shape)
+    variance = np.zeros(15)
+    cpu_fusion.fit_frame(
+        points,
+        weights,
+        predicted,
+        prior,
+        jt.BONES,
+        lengths,
+        1 / settings.bone_sd_m**2,
+        1 / settings.data_sd_m**2,
+        settings.scale_m,
+        settings.coarse,
+        settings.iterations,
+        x,
+        share,
+        variance,
+    )
+    seen = np.where(evidence, time, state.seen)
+    if state.joints is None:
+        velocity = np.zeros((15, 3))
+    else:
+        velocity = (1 - settings.blend) * state.velocity + settings.blend * (x - state.joints) / dt
+    lost = bool(time - seen.max() > settings.lost_after_s)
+    new = FitState(x, velocity, time, seen, side, lengths, samples, state.fixed)
+    if lost or state.joints is None and not evidence.any():
+        new = replace(new, joints=None, velocity=np.zeros((15, 3)), side=np.zeros(3))
+    spread = _spread(points, share, x)
+    sd = settings.inflation * np.sqrt(variance + spread)
+    return new, FitEstimate(x, sd, share.T.copy(), swapped, lost)
+
+
+def unswap(
+    positions: Array, states: NDArray[np.uint8], side: Array
+) -> tuple[Array, NDArray[np.uint8], Array, NDArray[np.bool_]]:
+    """Exchanges left and right of sensors whose sides contradict the others and the memory.
+
+    positions (K, 15, 3) registered; side (3,): remembered direction to the left. Returns positions, states, the new
+    memory and which sensors were exchanged (K,)."""
+    v = positions[:, jt.LEFT_SHOULDER] - positions[:, jt.RIGHT_SHOULDER]
+    v = np.where(np.isfinite(v), v, 0.0)
+    hips = positions[:, jt.LEFT_HIP] - positions[:, jt.RIGHT_HIP]
+    v = v + np.where(np.isfinite(hips), hips, 0.0)
+    norm = np.sqrt((v * v).sum(1))
+    u = v / np.maximum(norm, 1e-3)[:, None]
+    consensus = u.sum(0) + 2 * side
+    against = (u @ consensus < -0.3 * np.sqrt(consensus @ consensus)) & (norm > 0)
+    if against.any():
+        positions, states = positions.copy(), states.copy()
+        positions[against] = positions[against][:, jt.MIRROR]
+        states[against] = states[against][:, jt.MIRROR]
+        u = np.where(against[:, None], -u, u)
+    total = u.sum(0)
+    memory = total if not side.any() else 0.8 * side + 0.2 * total
+    return positions, states, memory, against
+
+
+def adapt_lengths(positions: Array, states: NDArray[np.uint8], lengths: Array, samples: Array) -> tuple[Array, Array]:
+    """Causal bone lengths: a limited step towards every tracked sample, smaller as samples accumulate (a slow median
+    that one bad episode does not move)."""
+    d = positions[:, jt.BONES[:, 0]] - positions[:, jt.BONES[:, 1]]
+    measured = np.sqrt((d * d).sum(-1))
+    tracked = states == TRACKED
+    good = tracked[:, jt.BONES[:, 0]] & tracked[:, jt.BONES[:, 1]]
+    n = good.sum(0)
+    fresh = (samples == 0) & (n > 0)
+    if fresh.any():
+        lengths = lengths.copy()
+        for b in np.flatnonzero(fresh):
+            lengths[b] = np.median(measured[good[:, b], b])
+    count = samples + n
+    step = np.where(good, np.clip(np.where(good, measured, 0.0) - lengths, -0.03, 0.03), 0.0).sum(0)
+    return lengths + step / np.clip(count, 1, 600), count
+
+
+def clip_lengths(positions: ArrayLike, states: ArrayLike) -> Array:
+    """(18,) m lengths of joints.BONES from a whole clip, positions (T, K, 15, 3): median over the tracked samples, over
+    all samples where there are fewer than 20 of those, 0 where there is none."""
+    s = np.asarray(positions, dtype=np.float64)
+    a, b = jt.BONES[:, 0], jt.BONES[:, 1]
+    length = np.linalg.norm(s[:, :, a] - s[:, :, b], axis=-1)
+    tracked = np.asarray(states) == TRACKED
+    good = tracked[:, :, a] & tracked[:, :, b] & np.isfinite(length)
+    out = np.zeros(len(jt.BONES))
+    for i in range(len(out)):
+        use = good[..., i] if good[..., i].sum() > 20 else np.isfinite(length[..., i])
+        if use.any():
+            out[i] = np.median(length[..., i][use])
+    return out
+
+
+def _first_guess(points: Array, weights: Array, start: Array | None) -> Array:
+    """Weighted means; joints that nobody sees start at the mean of the others."""
+    total = weights.sum(0)
+    mean = (weights[..., None] * points).sum(0) / np.maximum(total, 1e-9)[:, None]
+    if not (total > 0).any():
+        return np.zeros((15, 3)) if start is None else start
+    return np.where((total > 0)[:, None], mean, mean[total > 0].mean(0))
+
+
+def _spread(points: Array, share: Array, x: Array) -> Array:
+    """(15,) m^2 per axis: disagreement of the sensors that carry a joint, over their effective number."""
+    square = ((points - x) ** 2).sum(-1)
+    effective = 1 / np.maximum((share * share).sum(0), 1e-9)
+    return np.where(share.sum(0) > 0, (share * square).sum(0) / 3 / effective, 0.0)

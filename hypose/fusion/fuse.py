@@ -1,0 +1,494 @@
+"""Entry points: a recorded clip (`fuse_clip`) or a stream, frame by frame (`start`, `step`).
+
+Both run the same steps: registration, heading, and one of the methods. A clip is registered and measured as a whole
+before it is fused; a stream refits its registration every second to the last seconds, and learns bone lengths as it
+goes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.motion import Motion
+from hypose.body.skeleton import Skeleton
+from hypose.errors import InputError
+from hypose.evidence.frame import SensorJoints
+from hypose.fusion import baselines
+from hypose.fusion import joints as jt
+from hypose.fusion.confidence import ConfidenceState, confidence_step, normalised, start_confidence
+from hypose.fusion.fit import FitSettings, FitState, clip_lengths, fit_step, start_fit
+from hypose.fusion.register import (
+    Registration,
+    check_same_person,
+    common_joints,
+    confidence_of,
+    depth_at_joints,
+    horizontal_axes,
+    identity,
+    register,
+    register_per_frame,
+    upward,
+)
+from hypose.fusion.swarm import IMPROVED, PUBLISHED, SwarmSettings, SwarmState, start_swarm, swarm_step
+from hypose.geometry import Array
+
+FIT, SWARM, PUBLISHED_SWARM = "fit", "swarm", "published"
+BASELINES = ("best_single", "weighted_mean", "median", "kalman", "dbscan_kalman")
+METHODS = (FIT, SWARM, PUBLISHED_SWARM, *BASELINES)
+
+
+@dataclass(frozen=True)
+class FusionSettings:
+    """method: one of METHODS ("swarm" is the improved one, "published" the paper's); reference: the sensor whose frame
+    is the common one; registered: positions come in a common frame already; per_frame: register every frame by the
+    paper's triangle; window_s, refit_s: a stream's registration uses the last window_s and is refitted every refit_s;
+    diagnose: run the swarm beside the fit and report its choice of sensors; up (3,): direction of up in the common
+    frame, default from the person; seed: of the swarm; check: refuse sensors that see different people."""
+
+    method: str = FIT
+    reference: int = 0
+    registered: bool = False
+    per_frame: bool = False
+    window_s: float = 5.0
+    refit_s: float = 1.0
+    diagnose: bool = False
+    up: tuple[float, float, float] | None = None
+    seed: int = 0
+    check: bool = True
+    fit: FitSettings = field(default_factory=FitSettings)
+    swarm: SwarmSettings | None = None
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise InputError(f"There is no fusion method {self.method!r}; choose one of {', '.join(METHODS)}.")
+
+    @property
+    def swarm_settings(self) -> SwarmSettings:
+        """The swarm's settings: given ones, else those of the method."""
+        return self.swarm or (PUBLISHED if self.method == PUBLISHED_SWARM else IMPROVED)
+
+
+@dataclass(frozen=True)
+class FusedFrame:
+    """One instant. time s; joint_names (J,): the 15 common ones, then the sensor's others; joints (J, 3) m in the
+    common frame, NaN where never seen; sd (J,) m per axis, NaN where unknown; shares (15, K): what each sensor carried
+    of each common joint (fit: weights; swarm: population); choice (15, K) the swarm's population when it runs as
+    diagnosis; lost; n_sensors with evidence; swapped (K,) sensors whose sides were exchanged; restarted: the swarm
+    began anew."""
+
+    time: float
+    joint_names: tuple[str, ...]
+    joints: Array
+    sd: Array
+    shares: Array
+    choice: Array | None
+    lost: bool
+    n_sensors: int
+    swapped: NDArray[np.bool_]
+    restarted: bool
+
+
+@dataclass(frozen=True)
+class FusionState:
+    """Everything a stream remembers. window: recent (positions, state, time) for the registration; heading: smoothed
+    heading rad; swarm and confidence None unless the swarm runs; fixed_registration: do not refit; rest: joints beyond
+    the common ones."""
+
+    settings: FusionSettings
+    sensor_names: tuple[str, ...]
+    joint_set: jt.JointSet
+    registration: Registration
+    next_refit: float
+    window: tuple[tuple[Array, NDArray[np.uint8], float], ...]
+    fit: FitState
+    swarm: SwarmState | None
+    confidence: ConfidenceState | None
+    up: Array | None
+    heading: float | None
+    fixed_registration: bool
+    frames: int = 0
+
+    @property
+    def rest(self) -> NDArray[np.int64]:
+        """Indices of the sensor's joints that are not among the common ones."""
+        return np.setdiff1d(np.arange(len(self.joint_set.joint_names)), self.joint_set.common)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the fused joints."""
+        return (*jt.COMMON, *(self.joint_set.joint_names[i] for i in self.rest))
+
+
+@dataclass(frozen=True)
+class Fused:
+    """A fused clip: the motion (15 common joints first, then the set's others; poses None), and what is behind it:
+    shares (T, 15, K) of the sensors in each joint, choice (T, 15, K) of the swarm or None, registration, lengths (18,)
+    m of joints.BONES, swapped (T, K), restarts (T,)."""
+
+    motion: Motion
+    shares: Array
+    choice: Array | None
+    registration: Registration
+    lengths: Array
+    swapped: NDArray[np.bool_]
+    restarts: NDArray[np.bool_]
+    sensor_names: tuple[str, ...]
+
+
+def start(
+    first: SensorJoints,
+    settings: FusionSettings | None = None,
+    registration: Registration | None = None,
+    lengths: Array | None = None,
+) -> FusionState:
+    """A stream's state before its first frame; the sensors and joint set are those of `first` from here on.
+
+    registration, lengths (18,) m: known ones, which are then kept."""
+    s = settings or FusionSettings()
+    if s.method in BASELINES:
+        raise
+        InputError(f"The method {s.method!r} needs a whole clip; use fuse_clip, or 'fit' or 'swarm' for a stream.")
+    sensors = len(first.sensor_names)
+    if not 0 <= s.reference < sensors:
+        raise InputError(f"There are {sensors} sensors, the reference cannot be number {s.reference}.")
+    swarms = s.method != FIT or s.diagnose
+    alone = Registration(
+        np.tile(np.eye(4), (sensors, 1, 1)), np.full(sensors, np.nan), np.arange(sensors) == s.reference, s.reference
+    )
+    known = registration or (identity(sensors, s.reference) if s.registered else alone)
+    return FusionState(
+        s,
+        first.sensor_names,
+        jt.joint_set(first.joint_names),
+        known,
+        -np.inf,
+        (),
+        start_fit(lengths),
+        start_swarm(sensors) if swarms else None,
+        start_confidence(sensors, s.swarm_settings.confidence) if swarms else None,
+        None if s.up is None else np.array(s.up),
+        None,
+        registration is not None or s.registered,
+    )
+
+
+def step(state: FusionState, frame: SensorJoints) -> tuple[FusionState, FusedFrame]:
+    """The next frame of a stream, causally. An InputError when its sensors or joints are not those of the start."""
+    _check_alike(frame, state.sensor_names, state.joint_set.joint_names)
+    s = state.settings
+    raw = common_joints(frame)
+    times = frame.times[np.isfinite(frame.times)]
+    time = float(times.max()) if len(times) else (state.fit.time if np.isfinite(state.fit.time) else 0.0)
+    state = _refit(state, raw, time)
+    world = state.registration.apply(raw.positions)
+    if s.per_frame:
+        world = register_per_frame(raw.positions[None], s.reference)[0]
+    state, noise, heading = _noise(state, raw, world)
+    choice, restarted, estimate = None, False, None
+    swarm = state.swarm
+    if swarm is not None and noise is not None:
+        swarm, estimate = swarm_step(swarm, world, noise, heading, s.swarm_settings, s.seed)
+        choice, restarted = estimate.shares, estimate.restarted
+    n_sensors = int(np.isfinite(world[..., 0]).any(1).sum())
+    if s.method == FIT or estimate is None:
+        fit, found = fit_step(state.fit, world, raw.state, time, s.fit)
+        joints, sd, shares, lost, swapped = found.joints, found.sd, found.shares, found.lost, found.swapped
+    else:
+        known = np.isfinite(world[..., 0]).any()
+        seen = np.where(np.isfinite(world[..., 0]).any(0), time, state.fit.seen)
+        fit = replace(state.fit, time=time, seen=seen)
+        joints, sd, shares = estimate.joints, estimate.spread / np.sqrt(3), estimate.shares
+        lost = not known and time - seen.max() > s.fit.lost_after_s
+        swapped = np.zeros(len(world), dtype=np.bool_)
+    joints, sd = _with_rest(state, frame, joints, sd, shares)
+    fused = FusedFrame(time, state.joint_names, joints, sd, shares, choice, bool(lost), n_sensors, swapped, restarted)
+    return replace(state, fit=fit, swarm=swarm, frames=state.frames + 1), fused
+
+
+def fuse_clip(
+    joints: Sequence[SensorJoints],
+    method: str = FIT,
+    settings: FusionSettings | None = None,
+    registration: Registration | None = None,
+) -> Fused:
+    """Fuses the skeletons of one person from a recorded clip.
+
+    joints: one per frame, all of the same sensors and joint set (`register.combine` brings different sets together).
+    The registration is robust over the whole clip and all joints unless it is given; bone lengths are medians over the
+    clip. InputErrors name frames whose sensors or joints differ, and sensors that see different people."""
+    if not len(joints):
+        raise InputError("There are no frames to fuse; give at least one.")
+    s = replace(settings or FusionSettings(), method=method)
+    for t, frame in enumerate(joints):
+        _check_alike(frame, joints[0].sensor_names, joints[0].joint_names, t)
+    raw = [common_joints(f) for f in joints]
+    positions, states = np.stack([f.positions for f in raw]), np.stack([f.state for f in raw])
+    if not np.isfinite(positions).any():
+        raise InputError("No sensor reports any joint in the whole clip; check that a person was tracked.")
+    if registration is None:
+        sensors = positions.shape[1]
+        registration = (
+            identity(sensors, s.reference) if s.registered else register(positions, states, reference=s.reference)
+        )
+        if s.check:
+            check_same_person(positions, registration, joints[0].sensor_names)
+    lengths = clip_lengths(positions, states)
+    if s.per_frame:
+        world = register_per_frame(positions, s.reference)
+    else:
+        world = registration.apply(positions)
+    times = _clip_times(joints)
+    if method in BASELINES:
+        return _baseline(method, world, states, times, registration, lengths, joints[0].sensor_names)
+    up = upward(world) if s.up is None else np.array(s.up)
+    state = start(joints[0], replace(s, up=tuple(up)), registration, lengths)
+    frames: list[FusedFrame] = []
+    for frame in joints:
+        state, fused = step(state, frame)
+        frames.append(fused)
+    motion = _motion(state.joint_names, frames, times, lengths, s)
+    choice = None if frames[0].choice is None else np.stack([f.choice for f in frames if f.choice is not None])
+    return Fused(
+        motion,
+        np.stack([f.shares for f in frames]),
+        choice,
+        registration,
+        lengths,
+        np.stack([f.swapped for f in frames]),
+        np.array([f.restarted for f in frames]),
+        joints[0].sensor_names,
+    )
+
+
+def point_skeleton(
+    joint_names: Sequence[str], parents: Sequence[int], lengths: Mapping[str, float] | None = None
+) -> Skeleton:
+    """A skeleton that only names joints: rigid, six degrees of freedom, for motions without poses. Joints stand above
+    each other at rest by their bones' lengths (m, by joint name)."""
+    n = len(joint_names)
+    offsets = np.zeros((n, 3))
+    offsets[1:, 2] = [(lengths or {}).get(name, 0.2) for name in joint_names[1:]]
+    dofs = tuple(f"{joint_names[0]}_{a}" for a in ("tx", "ty", "tz", "rx", "ry", "rz"))
+    return Skeleton(
+        tuple(joint_names),
+        np.array(parents, dtype=np.int64),
+        offsets,
+        np.arange(n) == 0,
+        np.tile(np.eye(3), (2, 1)),
+        np.zeros(6, dtype=np.int64),
+        dofs,
+        np.full(6, -1e3),
+        np.full(6, 1e3),
+        np.full(6, 0.1),
+    )
+
+
+def _check_alike(
+    frame: SensorJoints, sensor_names: tuple[str, ...], joint_names: tuple[str, ...], number: int | None = None
+) -> None:
+    where = "A frame" if number is None else f"Frame {number}"
+    if frame.sensor_names != sensor_names:
+        raise InputError(
+            f"{where} has the sensors {', '.join(frame.sensor_names)} instead of {', '.join(sensor_names)}; give every "
+            "frame all sensors, with NaN for those that report nothing."
+        )
+    if frame.joint_names != joint_names:
+        raise InputError(
+            f"{where} has {len(frame.joint_names)} joints ({frame.joint_names[0]}, ...) instead of {len(joint_names)}; "
+            "map sensors of different joint sets to the common ones first (fusion.register.combine)."
+        )
+
+
+def _refit(state: FusionState, raw: SensorJoints, time: float) -> FusionState:
+    """The window with this frame, and a registration refitted to it when that is due."""
+    s = state.settings
+    if state.fixed_registration or s.per_frame:
+        return state
+    window = (*state.window, (raw.positions, raw.state, time))
+    while len(window) > 1 and time - window[0][2] > s.window_s:
+        window = window[1:]
+    # twice a second until all sensors are in, then every refit_s
+    if time < state.next_refit:
+        return replace(state, window=window)
+    # a third of the frames says as much: neighbours are nearly equal
+    stride = max(1, len(window) // 50)
+    positions = np.stack([w[0] for w in window[::-stride]])
+    states = np.stack([w[1] for w in window[::-stride]])
+    new = register(positions, states, reference=s.reference, joints=jt.TRUNK, start=state.registration, iterations=8)
+    pause = s.refit_s if new.registered.all() and len(window) > 30 else min(0.2, s.refit_s)
+    return replace(state, window=window, registration=new, next_refit=time + pause)
+
+
+def _noise(state: FusionState, raw: SensorJoints, world: Array) -> tuple[FusionState, Array | None, float]:
+    """Lambda (K, 15) of this frame and the smoothed heading, when the swarm runs."""
+    if state.confidence is None:
+        return state, None, 0.0
+    s = state.settings.swarm_settings
+    memory, inputs = confidence_step(state.confidence, raw.positions, raw.state, depth_at_joints(raw), s.confidence)
+    noise = s.rules.noise(*normalised(inputs, s.confidence))
+    up = state.up if state.up is not None else upward(world)
+    x, y = horizontal_axes(up)
+    side = world[:, jt.LEFT_SHOULDER] - world[:, jt.RIGHT_SHOULDER]
+    side = side[np.isfinite(side).all(1)]
+    heading = state.heading
+    if len(side):
+        angles = np.arctan2(side @ y, side @ x)
+        angle = float(np.angle(np.exp(1j * angles).sum()))
+        # raw headings of single frames cross the threshold by chance
+        heading = angle if heading is None else heading + 0.2 * float(np.angle(np.exp(1j * (angle - heading))))
+    return replace(state, confidence=memory, up=up, heading=heading), noise, heading or 0.0
+
+
+def _with_rest(state: FusionState, frame: SensorJoints, joints: Array, sd: Array, shares: Array) -> tuple[Array, Array]:
+    """The fused joints followed by the set's others. Those move rigidly with their sensor's nearest common joints, and
+    are averaged with the sensors' shares in the joint that they hang from."""
+    rest = state.rest
+    if not len(rest):
+        return joints, sd
+    raw, common = frame.positions, state.joint_set.common
+    out = np.full((len(rest), 3), np.nan)
+    spread = np.full(len(rest), np.nan)
+    world = state.registration.apply(raw)
+    anchors = _anchors(state.joint_set)
+    for i, j in enumerate(rest):
+        anchor = anchors[int(j)]
+        weights = np.where(np.isfinite(world[:, j, 0]) & np.isfinite(world[:, common[anchor], 0]), shares[anchor], 0.0)
+        weights = weights * confidence_of(frame.state[:, j])
+        if weights.sum() > 0:
+            offsets = np.where(weights[:, None] > 0, world[:, j] - world[:, common[anchor]], 0.0)
+            out[i] = joints[anchor] + weights @ offsets / weights.sum()
+            spread[i] = sd[anchor]
+    return np.concatenate([joints, out]), np.concatenate([sd, spread])
+
+
+def _anchors(known: jt.JointSet) -> dict[int, int]:
+    """For every joint of the set the common joint (0-14) it hangs from: the nearest towards the root, else a
+    neighbour."""
+    place = {int(j): i for i, j in enumerate(known.common)}
+    out: dict[int, int] = {}
+    for j in range(len(known.joint_names)):
+        a = j
+        while a >= 0 and a not in place:
+            a = int(known.parent[a])
+        out[j] = place.get(a, jt.TORSO)
+    return out
+
+
+def _clip_times(joints: Sequence[SensorJoints]) -> Array:
+    times = np.array([np.nanmax(f.times) if np.isfinite(f.times).any() else np.nan for f in joints])
+    missing = ~np.isfinite(times)
+    if missing.all():
+        return np.arange(len(times)) / 30
+    index = np.arange(len(times))
+    times[missing] = np.interp(index[missing], index[~missing], times[~missing])
+    return times
+
+
+def _motion(
+    names: tuple[str, ...], frames: Sequence[FusedFrame], times: Array, lengths: Array, s: FusionSettings
+) -> Motion:
+    provenance: dict[str, Any] = {"recipe": f"fusion-{s.method}", "seed": s.seed}
+    return _points_motion(
+        names,
+        np.stack([f.joints for f in frames]),
+        np.stack([f.sd for f in frames]),
+        times,
+        np.array([f.lost for f in frames]),
+        np.array([f.n_sensors for f in frames]),
+        lengths,
+        provenance,
+    )
+
+
+def _points_motion(
+    names: tuple[str, ...],
+    joints: Array,
+    sd: Array,
+    times: Array,
+    lost: NDArray[np.bool_],
+    n_sensors: NDArray[np.int64],
+    lengths: Array,
+    provenance: Mapping[str, Any],
+) -> Motion:
+    """A Motion with parents before children: the torso first, as the root."""
+    order, parents = _topological(names)
+    bone = {tuple(sorted(b)): float(v) for b, v in zip(jt.BONES.tolist(), lengths, strict=True)}
+    by_name = {
+        n: bone.get(tuple(sorted((i, int(jt.PARENT[i])))), 0.2) for i, n in enumerate(jt.COMMON) if jt.PARENT[i] >= 0
+    }
+    skeleton = point_skeleton([names[i] for i in order], parents, by_name)
+    return Motion(
+        skeleton,
+        times,
+        joints[:, order],
+        None,
+        sd[:, order],
+        lost,
+        n_sensors == 0,
+        n_sensors,
+        np.full(len(times), np.nan),
+        provenance,
+    )
+
+
+def _topological(names: tuple[str, ...]) -> tuple[list[int], list[int]]:
+    """Order of the joints with parents first, and each one's parent in that order."""
+    parent = [int(p) for p in jt.PARENT]
+    if len(names) > 15:
+        sets = [k for k in jt.joint_sets() if len(k.joint_names) == len(names)]
+        known = sets[0] if sets else None
+        anchors = _anchors(known) if known is not None else {}
+        at = {jt.plain_name(n): i for i, n in enumerate(known.joint_names)} if known is not None else {}
+        parent += [anchors.get(at.get(jt.plain_name(n), -1), jt.TORSO) for n in names[15:]]
+    order = [jt.TORSO]
+    for j in order:
+        order += [i for i, p in enumerate(parent) if p == j]
+    place = {j: i for i, j in enumerate(order)}
+    return order, [place[parent[j]] if parent[j] >= 0 else -1 for j in order]
+
+
+def _baseline(
+    method: str,
+    world: Array,
+    states: NDArray[np.uint8],
+    times: Array,
+    registration: Registration,
+    lengths: Array,
+    sensor_names: tuple[str, ...],
+) -> Fused:
+    rate = float(1 / np.median(np.diff(times))) if len(times) > 1 else 30.0
+    weights = np.where(np.isfinite(world[..., 0]), confidence_of(states), 0.0)
+    if method == "best_single":
+        # without the truth the sensor with most tracked joints is the best guess
+        best = int(weights.sum((0, 2)).argmax())
+        joints = baselines.single_sensor(world, best)
+        weights = weights * (np.arange(weights.shape[1]) == best)[None, :, None]
+    elif method == "weighted_mean":
+        joints = baselines.confidence_mean(world, states)
+    elif method == "median":
+        joints = baselines.median(world)
+    elif method == "kalman":
+        joints = baselines.kalman(baselines.confidence_mean(world, states), rate)
+    else:
+        joints = baselines.kalman(baselines.dbscan(world), rate)
+    seen = np.isfinite(world[..., 0])
+    n = seen.any(2).sum(1)
+    motion = _points_motion(
+        jt.COMMON, joints, np.full(joints.shape[:2], np.nan), times, n == 0, n, lengths, {"recipe": f"fusion-{method}"}
+    )
+    shares = np.swapaxes(weights / np.maximum(weights.sum(1, keepdims=True), 1e-9), 1, 2)
+    swapped = np.zeros(seen.shape[:2], dtype=np.bool_)
+    return Fused(
+        motion, shares, None, registration, lengths, swapped, np.zeros(len(times), dtype=np.bool_), sensor_names
+    )
+
+
+def common_positions(motion: Motion) -> Array:
+    """(T, 15, 3) m: the fused common joints in the order of joints.COMMON (a motion's own order starts at the
+    torso)."""
+    return motion.joints[:, [motion.skeleton.joint(n) for n in jt.COMMON]]
