@@ -14,10 +14,9 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.compute import reference, selection
+from hypose.compute import lane_mesh, reference, selection
 from hypose.compute.arrays import BALL, FIXED, MeshArrays, TreeArrays
 from hypose.compute.contours import signed_distance
-from hypose.compute.lane_mesh import lane_mesh
 from hypose.compute.selection import default_threads, over_chunks, use
 from hypose.compute.terms import (
     ContourArrays,
@@ -143,7 +142,7 @@ def silhouette_xor(
     if selection.backend() == "numpy":
         return reference.silhouette_xor(q, tree, mesh, prepared, b, wanted)
     kernels = _numba("lanes")
-    t, m, prepared = _tidy(tree), lane_mesh(mesh, wanted), _tidy(prepared)
+    t, m, prepared = _tidy(tree), lane_mesh.prepare(mesh, wanted), _tidy(prepared)
     areas = prepared.areas
     if boxes is not None:
         areas = np.empty(c, dtype=np.int64)
