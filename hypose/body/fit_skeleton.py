@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from hypose.body.body import Body, Shape, deform
+from hypose.body.body import Body, Landmarks, Mesh, Shape, deform
 from hypose.errors import InputError
 from hypose.geometry import Array, rotation_between, so3_exp, so3_log
 
@@ -184,23 +184,31 @@ def fit_template(surface: Surface, template: Body, stances: list[Stance]) -> tup
 
     Returns the fit, in the frame into which the stance turns the file, and its stance.
     """
-    light = replace(template, fine=template.coarse)
-    light.coarse.arrays  # noqa: B018 - builds the edges once, before the copies
+    light = _light(template)
     few: list[Stance] = []
     for s in stances:
         if s.score < 1.6 * stances[0].score and len(few) < 4:
             few.append(s)
     trials = []
     for s in few:
-        search = _Search(light, _turned(surface, s.upright_from_file))
+        search = _Search(light, _turned(surface, s.upright_from_file, step=3))
         x, cost = search.run(search.start(s.arms), _ROUGH)
-        trials.append((cost, s, search, x))
-    _, stance, search, x = min(trials, key=lambda t: t[0])
+        trials.append((cost, s, x))
+    _, stance, x = min(trials, key=lambda t: t[0])
+    search = _Search(light, _turned(surface, stance.upright_from_file))
+    search.start(stance.arms)
     x, _ = search.run(x, _FINE)
     k = template.skeleton.dof
     body = deform(template, shape_of(x[k:]), template.name)
     distance, far = search.quality(x)
     return ScanFit(body, x[:k], x[k:], distance, far), stance
+
+
+def _light(body: Body) -> Body:
+    """The body without display mesh and landmarks, which would only cost time when it is deformed often."""
+    body.coarse.arrays  # noqa: B018 - builds the edges once, before the copies
+    nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 4), np.int32), np.zeros((0, 4)))
+    return replace(body, fine=nothing, landmarks=Landmarks((), np.zeros(0, np.int64), np.zeros((0, 3))))
 
 
 def shape_of(factors: ArrayLike) -> Shape:
@@ -298,20 +306,23 @@ class _Search:
     def skin(self, x: Array) -> Array:
         return deform(self.body, shape_of(x[self.dof :])).skin(x[: self.dof])
 
-    def derivative(self, x: Array, free: NDArray[np.int64]) -> tuple[Array, Array]:
-        """Vertices (V, 3) and their derivatives (P, V, 3), by differences wide enough for float32 skinning."""
+    def derivative(self, x: Array, free: NDArray[np.int64], fresh: bool) -> tuple[Array, Array]:
+        """Vertices (V, 3) and their derivatives (P, V, 3), by differences wide enough for float32 skinning. Those by
+        the factors change little and are kept from the last call unless fresh."""
         shaped = deform(self.body, shape_of(x[self.dof :]))
         h = 2e-3
         turns = free[free < self.dof]
         poses = np.tile(x[: self.dof], (1 + len(turns), 1))
         poses[1 + np.arange(len(turns)), turns] += h
         v = shaped.skin(poses)
-        rows = [(v[1:] - v[0]) / h]
-        for k in free[free >= self.dof]:
-            y = x.copy()
-            y[k] += 0.02
-            rows.append(((self.skin(y) - v[0]) / 0.02)[None])
-        return v[0], np.concatenate(rows)
+        if fresh:
+            rows = []
+            for k in free[free >= self.dof]:
+                y = x.copy()
+                y[k] += 0.02
+                rows.append((self.skin(y) - v[0]) / 0.02)
+            self.by_factor = np.stack(rows)
+        return v[0], np.concatenate([(v[1:] - v[0]) / h, self.by_factor])
 
     def match(self, v: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Pairs of points of the body and the scan: face (M,), barycentric (M, 3), target (M, 3), normal (M, 3) and how
@@ -349,21 +360,21 @@ class _Search:
         for k in range(stage.iterations):
             share = stage.first * (stage.last / stage.first) ** (k / max(stage.iterations - 1, 1))
             scale = share * self.stature
-            v, dv = self.derivative(x, free)
+            v, dv = self.derivative(x, free, fresh=k % 4 == 0)
             face, bary, target, normal, weight = self.match(v)
             corners = self.faces[face]
             points = np.einsum("mc,mcd->md", bary, v[corners])
-            jac = np.einsum("mc,pmcd->pmd", bary, dv[:, corners])
+            jac = sum(dv[:, corners[:, c]] * bary[:, c, None] for c in range(3))
             apart = points - target
             along = (apart * normal).sum(1)
             w = weight / (1 + (apart**2).sum(1) / scale**2) ** 2 / _ROW_SD**2
             jn = np.einsum("pmd,md->pm", jac, normal)
             hessian = (jn * w) @ jn.T
             gradient = (jn * w) @ along
-            flat = jac.reshape(len(jac), -1)
-            wt = np.repeat(w * _TANGENT**2, 3)
-            hessian += (flat * wt) @ flat.T
-            gradient += (flat * wt) @ apart.ravel()
+            for d in range(3):
+                weighted = jac[..., d] * (w * _TANGENT**2)
+                hessian += weighted @ jac[..., d].T
+                gradient += weighted @ apart[:, d]
             prior = 1 / self.sd[free] ** 2
             hessian += np.diag(prior)
             gradient += prior * (x[free] - self.centre[free])
@@ -378,8 +389,8 @@ class _Search:
         return x, cost
 
 
-def _turned(surface: Surface, rotation: Array) -> Surface:
-    return Surface(surface.points @ rotation.T, surface.normals @ rotation.T)
+def _turned(surface: Surface, rotation: Array, step: int = 1) -> Surface:
+    return Surface(surface.points[::step] @ rotation.T, surface.normals[::step] @ rotation.T)
 
 
 def _vertex_normals(v: Array, faces: NDArray[np.int32]) -> Array:

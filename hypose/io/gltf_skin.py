@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,9 @@ def read_skin(data: bytes, where: str) -> Skinned | None:
     from pygltflib import GLTF2
 
     try:
-        gltf = GLTF2.load_from_bytes(data)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what it warns of becomes an error below, in words
+            gltf = GLTF2.load_from_bytes(data)
         if gltf is None or not gltf.skins:
             return None
         blob = gltf.binary_blob()
