@@ -1,6 +1,6 @@
 """The pictures of README.md, from the synthetic recording of `hypose demo`.
 
-    hypose demo --out demo && python docs/images/make.py demo
+hypose demo --out demo && python docs/images/make.py demo
 """
 
 import sys
@@ -26,7 +26,11 @@ HERE = Path(__file__).parent
 def main(folder: Path) -> None:
     """result.png: four views of one frame with the body on them, and joint angles below."""
     results = folder / "results" / "default"
-    recording, motion, body = load_recording(folder), load_motion(results / "motion.npz"), load_body(results / "body.npz")
+    recording, motion, body = (
+        load_recording(folder),
+        load_motion(results / "motion.npz"),
+        load_body(results / "body.npz"),
+    )
     row = int(np.nanargmin(motion.cost))
     with FrameStream(recording) as source:
         stills = write_overlay(results / "none.mp4", recording, source, motion, body, stills=[row], video=False)
