@@ -26,9 +26,9 @@ class AlignSettings:
     """How output instants are made.
 
     rate: Hz. wait: s after its instant that a frame waits for sensors that have not reported yet; the bound of the
-    latency. timeout: s of silence after which a sensor is dead: nothing waits for it. hold: s that a skeleton is carried
-    on after its last report. horizon: s that movement is continued over, at most. max_behind: s that the output may lag
-    after a pause of the whole program before frames are skipped. latency: s per sensor, a known constant delay between
+    latency. timeout: s of silence after which a sensor is dead: nothing waits for it. hold: s that a skeleton is
+    carried on after its last report. horizon: s that movement is continued over, at most. max_behind: s that the output may
+    lag after a pause of the whole program before frames are skipped. latency: s per sensor, a known constant delay between
     exposure and sending. most_sensors, most_people (per sensor): what is beyond is refused.
     """
 
@@ -52,8 +52,8 @@ class AlignSettings:
 
 @dataclass(frozen=True)
 class SensorBody:
-    """One person as one sensor sees it: person the sensor's number; positions (15, 3) m in the sensor's frame, NaN where
-    missing; state (15,); age s: how far behind the instant its last report lies (0 when it lies between two)."""
+    """One person as one sensor sees it: person the sensor's number; positions (15, 3) m in the sensor's frame, NaN
+    where missing; state (15,); age s: how far behind the instant its last report lies (0 when it lies between two)."""
 
     person: int
     positions: Array
@@ -82,8 +82,8 @@ class Instant:
 
 @dataclass(frozen=True)
 class SensorStatus:
-    """For display: alive; rate Hz of its reports; offset s of its clock to the host's; jumps of its clock; returns after
-    silence; reports used and refused (late beyond use, time not believed)."""
+    """For display: alive; rate Hz of its reports; offset s of its clock to the host's; jumps of its clock; returns
+    after silence; reports used and refused (late beyond use, time not believed)."""
 
     name: str
     alive: bool
@@ -104,20 +104,23 @@ class _Track:
 
     def __init__(self) -> None:
         self.times: list[float] = []
-        self.positions: list[Array] = []
-        self.state: list[NDArray[np.uint8]] = []
+        self.positions = np.full((_KEPT + 1, 15, 3), np.nan)
+        self.state = np.zeros((_KEPT + 1, 15), dtype=np.uint8)
 
     def add(self, time: float, positions: Array, state: NDArray[np.uint8]) -> bool:
+        n = len(self.times)
         at = bisect_left(self.times, time)
-        if at < len(self.times) and self.times[at] - time < 1e-6:
+        if at < n and self.times[at] - time < 1e-6 or at > 0 and time - self.times[at - 1] < 1e-6:
             return False
-        if at == 0 and len(self.times) >= _KEPT:
+        if at == 0 and n >= _KEPT:
             return False
         self.times.insert(at, time)
-        self.positions.insert(at, positions)
-        self.state.insert(at, state)
-        if len(self.times) > _KEPT:
-            del self.times[0], self.positions[0], self.state[0]
+        self.positions[at + 1 : n + 1] = self.positions[at:n].copy()
+        self.state[at + 1 : n + 1] = self.state[at:n].copy()
+        self.positions[at], self.state[at] = positions, state
+        if n == _KEPT:
+            del self.times[0]
+            self.positions[:-1], self.state[:-1] = self.positions[1:].copy(), self.state[1:].copy()
         return True
 
     def at(self, time: float, period: float, s: AlignSettings) -> tuple[Array, NDArray[np.uint8], float] | None:
@@ -126,13 +129,14 @@ class _Track:
         k = bisect_left(times, time)
         if k == 0:
             near = times[0] - time <= 0.5 * period
-            return (self.positions[0], self.state[0], 0.0) if near else None
+            return (self.positions[0].copy(), self.state[0].copy(), 0.0) if near else None
         if k < len(times) and times[k] - times[k - 1] <= s.hold + period:
             w = (time - times[k - 1]) / (times[k] - times[k - 1])
             return *self._between(k, w), 0.0
         age = time - times[k - 1]
         if k < len(times) and times[k] - time < age:
-            return (self.positions[k], self.state[k], 0.0) if times[k] - time <= 0.5 * period else None
+            near = times[k] - time <= 0.5 * period
+            return (self.positions[k].copy(), self.state[k].copy(), 0.0) if near else None
         if age > s.hold:
             return None
         return *self._ahead(k, time, period, s), age
@@ -150,10 +154,10 @@ class _Track:
     def _ahead(self, k: int, time: float, period: float, s: AlignSettings) -> tuple[Array, NDArray[np.uint8]]:
         """A straight line through the last reports, read at most `horizon` ahead: two reports alone would double the
         noise, holding the last one lags behind by its age."""
-        last, state = self.positions[k - 1], self.state[k - 1]
+        last, state = self.positions[k - 1].copy(), self.state[k - 1].copy()
         age = time - self.times[k - 1]
         if age > 1.6 * period:
-            state = np.minimum(state, INFERRED).astype(np.uint8)
+            state = np.minimum(state, np.uint8(INFERRED))
         first = max(0, k - _FIT)
         while k - first > 1 and self.times[k - 1] - self.times[first] > 4.5 * period:
             first += 1
@@ -167,7 +171,9 @@ class _Track:
             return last, state
         ahead = t[-1] + min(age, s.horizon)
         weights = 1 / n + ahead * t / spread
-        line = np.tensordot(weights, np.stack(self.positions[first:k]), 1)
+        line = (weights @ self.positions[first:k].reshape(n, 45)).reshape(15, 3)
+        if self.state[first:k].all():
+            return line, state
         return np.where(np.isfinite(line), line, last), state
 
 
@@ -280,10 +286,12 @@ class Aligner:
         q = np.asarray(state, dtype=np.uint8)
         if p.shape != (len(key), 3) or q.shape != (len(key),):
             raise InputError(f"The sensor {sensor} names {len(key)} joints but gives {p.shape[0]} positions.")
-        p, q = p[common], np.minimum(q[common], 2)
+        p, q = p[common], q[common]
+        if p.min() > -FARTHEST_M and p.max() < FARTHEST_M and q.min() > 0:  # the usual case; False for NaN
+            return p, q
         missing = ~np.isfinite(p).all(-1) | (p <= MISSING_MARK).any(-1) | (q == 0)
         if missing.any():
-            q = np.where(missing, 0, q).astype(np.uint8)
+            q = np.where(missing, np.uint8(0), q)
             p = np.where(missing[:, None], np.nan, p)
         if np.abs(np.nan_to_num(p)).max() > FARTHEST_M:
             raise InputError(

@@ -15,8 +15,8 @@ from hypose.geometry import Array
 
 @dataclass(frozen=True)
 class ClockSettings:
-    """window s: the offset is the smallest of this long (drift of 100 ppm makes 1 ms in 10 s); jump s: a message that is
-    off by more is suspicious; confirm: so many that agree to `agree` s make it a jump of the clock; give_in: so many
+    """window s: the offset is the smallest of this long (drift of 100 ppm makes 1 ms in 10 s); jump s: a message that
+    is off by more is suspicious; confirm: so many that agree to `agree` s make it a jump of the clock; give_in: so many
     suspicious ones in a row are believed even if they do not agree."""
 
     window: float = 10.0
@@ -94,8 +94,8 @@ def offset_by_movement(
     """(seconds to add to b's times so that both see the same movement, correlation 0..1).
 
     Times (T,) s from each sensor's own start, positions (T, J, 3) m in each sensor's frame. The peak of the normalised
-    cross-correlation of both movements, refined by a parabola; limit: largest offset (s). Below a correlation of 0.5 the
-    answer means nothing: the person stood still, or these are recordings of different persons.
+    cross-correlation of both movements, refined by a parabola; limit: largest offset (s). Below a correlation of 0.5
+    the answer means nothing: the person stood still, or these are recordings of different persons.
     """
     ta, tb = np.asarray(times_a, dtype=np.float64), np.asarray(times_b, dtype=np.float64)
     start, stop = min(ta[0], tb[0]), max(ta[-1], tb[-1])

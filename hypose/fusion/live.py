@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.fusion.align import Aligner, AlignSettings, Instant, SensorStatus
 from hypose.fusion.fit import FitSettings, FitState, fit_step, start_fit
 from hypose.fusion.people import PeopleSettings, PeopleTracker, SeenPerson
-from hypose.geometry import Array, transform
+from hypose.geometry import Array
 
 
 @dataclass(frozen=True)
@@ -90,31 +90,22 @@ class LiveFuser:
 
     def _fuse(self, instant: Instant) -> LiveFrame:
         people = self.people.update(instant)
-        transforms = self.people.transforms
         alive = {p.id for p in people}
         self._states = {i: s for i, s in self._states.items() if i in alive}
-        out = tuple(self._person(p, transforms, instant.time) for p in people)
-        return LiveFrame(instant.index, instant.time, out, tuple(v.name for v in instant.sensors))
+        names = tuple(v.name for v in instant.sensors)
+        return LiveFrame(
+            instant.index, instant.time, tuple(self._person(p, names, instant.time) for p in people), names
+        )
 
-    def _person(self, p: SeenPerson, transforms: dict[str, Array], now: float) -> LivePerson:
-        positions, state = in_common_frame(p, transforms)
+    def _person(self, p: SeenPerson, names: tuple[str, ...], now: float) -> LivePerson:
+        positions = np.full((len(names), 15, 3), np.nan)
+        state = np.zeros((len(names), 15), dtype=np.uint8)
+        for k, name in enumerate(names):
+            if name in p.placed:
+                positions[k], state[k] = p.placed[name], p.bodies[name].state
         before = self._states.get(p.id) or start_fit()
         self._states[p.id], estimate = fit_step(before, positions, state, now, self.settings.fit)
-        names = tuple(n for n, t in zip(p.joints.sensor_names, p.joints.times, strict=True) if t == t)
-        return LivePerson(p.id, estimate.joints, estimate.sd, names, estimate.shares, p.seen)
-
-
-def in_common_frame(person: SeenPerson, transforms: dict[str, Array]) -> tuple[Array, NDArray[np.uint8]]:
-    """Positions (K, 15, 3) m in the common frame and state (K, 15) of one person's skeletons."""
-    j = person.joints
-    positions, state = np.full_like(j.positions, np.nan), j.state.copy()
-    for k, name in enumerate(j.sensor_names):
-        motion = transforms.get(name)
-        if motion is None:
-            state[k] = 0
-        elif state[k].any():
-            positions[k] = transform(motion, j.positions[k])
-    return positions, state
+        return LivePerson(p.id, estimate.joints, estimate.sd, tuple(p.bodies), estimate.shares, p.seen)
 
 
 def warm_up(settings: FitSettings) -> None:

@@ -1,5 +1,5 @@
-"""Which skeleton of which sensor is which person: sensors are registered to each other by the persons they share, persons
-are matched by the distance of their trunks in the common frame.
+"""Which skeleton of which sensor is which person: sensors are registered to each other by the persons they share,
+persons are matched by the distance of their trunks in the common frame.
 
 The common frame is that of the first sensor that saw somebody, and stays it when that sensor dies. A sensor that comes
 back keeps its place if its skeletons still fall on the persons of the others, and is registered anew if not.
@@ -8,8 +8,8 @@ back keeps its place if its skeletons still fall on the persons of the others, a
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,19 +19,22 @@ from hypose.evidence.frame import SensorJoints
 from hypose.fusion.align import Instant, SensorBody
 from hypose.fusion.joints import COMMON, MIRROR, TRUNK
 from hypose.fusion.register import register
-from hypose.geometry import Array, procrustes, transform
+from hypose.geometry import Array, procrustes
 
 _TRUNK = np.array(TRUNK)
 
 
 @dataclass(frozen=True)
 class PeopleSettings:
-    """gate m: a skeleton further from a person's trunk is not that person; faithful m: how much nearer another person
-    must be than the one a sensor's person was before; birth: instants before a new person is believed; linger, forget s:
-    how long a person nobody sees is still reported, and remembered; window s of skeletons that a registration rests on,
-    renewed every refit s; attempt s between tries to register; shots: fewest shared instants; residual m: largest median
-    distance of a registration; distinct: ratio to the next best pairing; strays: instants without a match after which a
-    sensor has been moved; most: persons."""
+    """Distances in m, durations in s.
+
+    gate: a skeleton further from a person's trunk is not that person; faithful: how much nearer another person must be
+    than the one a sensor's person was before; birth: instants before a new person is believed; linger, forget: how long
+    a person nobody sees is still reported, and remembered; window: of skeletons that a registration rests on, one every
+    `note`, renewed every `refit`; attempt: between tries to register; shots: fewest shared instants; residual: largest
+    median distance of a registration; distinct: ratio to the next best pairing; strays: instants without a match after
+    which a sensor has been moved; most: persons.
+    """
 
     gate: float = 0.6
     faithful: float = 0.2
@@ -39,6 +42,7 @@ class PeopleSettings:
     linger: float = 0.3
     forget: float = 1.0
     window: float = 5.0
+    note: float = 0.1
     refit: float = 1.0
     attempt: float = 0.2
     shots: int = 5
@@ -50,12 +54,29 @@ class PeopleSettings:
 
 @dataclass(frozen=True)
 class SeenPerson:
-    """A person at one instant: id, never used twice; joints: its skeletons as SensorJoints, each in its sensor's frame;
-    seen: some sensor sees it now."""
+    """A person at one instant: id, never used twice; bodies: its skeleton by sensor, in the sensor's frame; placed: the
+    same positions (15, 3) in the common frame."""
 
     id: int
-    joints: SensorJoints
-    seen: bool
+    bodies: Mapping[str, SensorBody]
+    placed: Mapping[str, Array]
+
+    @property
+    def seen(self) -> bool:
+        """Some sensor sees it now."""
+        return bool(self.bodies)
+
+    def joints(self, sensors: Sequence[str], time: float, common: bool = False) -> SensorJoints:
+        """The skeletons of the named sensors (K), each in its sensor's frame or all in the common one."""
+        positions = np.full((len(sensors), 15, 3), np.nan)
+        state: NDArray[np.uint8] = np.zeros((len(sensors), 15), dtype=np.uint8)
+        times = np.full(len(sensors), np.nan)
+        for k, name in enumerate(sensors):
+            body = self.bodies.get(name)
+            if body is not None:
+                positions[k], state[k] = self.placed[name] if common else body.positions, body.state
+                times[k] = time
+        return SensorJoints(positions, state, times, COMMON, tuple(sensors))
 
 
 @dataclass
@@ -66,9 +87,10 @@ class _Person:
     time: float
     joints: Array  # (15, 3) in the common frame, NaN where never seen
     members: dict[str, SensorBody]
+    placed: dict[str, Array]
     last: dict[str, int]  # sensor -> its number of this person
     frames: int = 0
-    apart: dict[int, int] | None = None
+    apart: dict[int, int] = field(default_factory=dict)
 
 
 class _Link:
@@ -82,7 +104,7 @@ class _Link:
         self.residual = np.nan
         self.strays = 0
         self.shots: deque[tuple[float, dict[int, Array], dict[int, Array]]] = deque(maxlen=40)
-        self.pairs: deque[tuple[float, Array, Array]] = deque(maxlen=160)
+        self.pairs: deque[tuple[float, Array, Array]] = deque(maxlen=100)
         self.tried = self.fitted = self.noted = -np.inf
 
     def lose(self) -> None:
@@ -100,6 +122,7 @@ class PeopleTracker:
         self._links: dict[str, _Link] = {}
         self._people: list[_Person] = []
         self._last_id = 0
+        self._tried = -np.inf
 
     @property
     def transforms(self) -> dict[str, Array]:
@@ -129,7 +152,7 @@ class PeopleTracker:
                 link = self._links[first]
                 link.motion, link.trusted, link.anchor = np.eye(4), True, True
         for p in self._people:
-            p.members = {}
+            p.members, p.placed = {}, {}
         order = sorted(views, key=lambda n: not (self._links[n].anchor and self._links[n].trusted))
         for name in order:
             if views[name].bodies and self._links[name].motion is not None:
@@ -144,9 +167,8 @@ class PeopleTracker:
         for v in instant.sensors:
             if v.bodies:
                 self._place(v.name, v.bodies, now)
-        names = tuple(views)
         return [
-            SeenPerson(p.id, _sensor_joints(p, names, now), bool(p.members))
+            SeenPerson(p.id, p.members, p.placed)
             for p in self._people
             if p.frames >= s.birth and now - p.time <= s.linger
         ]
@@ -156,19 +178,20 @@ class PeopleTracker:
     def _match(self, name: str, bodies: Sequence[SensorBody], now: float) -> None:
         s, link = self.settings, self._links[name]
         assert link.motion is not None
-        placed = [transform(link.motion, b.positions) for b in bodies]
+        placed = [_moved(link.motion, b.positions) for b in bodies]
         centres = [_centre(j) for j in placed]
         free = [i for i, c in enumerate(centres) if c is not None]
         matched = 0
         if self._people and free:
             at = np.stack([p.centre + p.velocity * min(now - p.time, 0.2) for p in self._people])
-            distance = np.linalg.norm(at[:, None] - np.stack([centres[i] for i in free])[None], axis=-1)  # type: ignore[arg-type]
+            distance = np.linalg.norm(at[:, None] - np.array([centres[i] for i in free])[None], axis=-1)
             own = np.array([[p.last.get(name) == bodies[i].person for i in free] for p in self._people])
             cost = np.where(distance <= s.gate, distance - s.faithful * own, 1e3)
             rows, columns = linear_sum_assignment(cost)
             for r, c in zip(rows.tolist(), columns.tolist(), strict=True):
                 if cost[r, c] < 1e2:
                     self._people[r].members[name] = bodies[free[c]]
+                    self._people[r].placed[name] = placed[free[c]]
                     matched += 1
                     free[c] = -1
         left = [i for i in free if i >= 0]
@@ -188,9 +211,8 @@ class PeopleTracker:
             centre = centres[i]
             if centre is not None and len(self._people) < s.most:
                 self._last_id += 1
-                self._people.append(
-                    _Person(self._last_id, centre, np.zeros(3), now, placed[i], {name: bodies[i]}, {}, apart={})
-                )
+                here, there = {name: bodies[i]}, {name: placed[i]}
+                self._people.append(_Person(self._last_id, centre, np.zeros(3), now, placed[i], here, there, {}))
 
     def _take_back_alone(self, instant: Instant) -> None:
         """When no trusted sensor sees anybody, one that came back is believed where it stood."""
@@ -204,21 +226,26 @@ class PeopleTracker:
                 return
 
     def _renew(self, p: _Person, now: float) -> None:
-        joints, weight = [], []
-        for name, body in p.members.items():
-            motion = self._links[name].motion
-            assert motion is not None
-            placed = unswapped(transform(motion, body.positions), p.joints)
-            joints.append(placed)
-            weight.append(body.state)
-            p.last[name] = body.person
-        stacked, w = np.stack(joints), np.stack(weight).astype(np.float64)
+        names = list(p.members)
+        swapped = [is_swapped(p.placed[n], p.joints) for n in names]
+        stacked = np.array([p.placed[n][MIRROR] if s else p.placed[n] for n, s in zip(names, swapped, strict=True)])
+        w = np.array([p.members[n].state for n in names], dtype=np.float64)
+        if any(swapped):
+            w[swapped] = w[swapped][:, MIRROR]
+        if w.min() == 0:
+            stacked[w == 0] = 0.0
         total = w.sum(0)
-        mean = (np.where(w[..., None] > 0, stacked, 0.0) * w[..., None]).sum(0) / np.maximum(total, 1)[:, None]
-        for n, name in enumerate(p.members):
-            self._note(name, p.members[name], stacked[n], w[n], mean, total, now, p)
-        p.joints = np.where(total[:, None] > 0, mean, p.joints)
-        centre = _centre(np.where(total[:, None] > 0, mean, np.nan))
+        summed = (stacked * w[..., None]).sum(0)
+        mean = summed / np.maximum(total, 1)[:, None]
+        if total.min() == 0:
+            mean[total == 0] = np.nan
+        for n, name in enumerate(names):
+            p.last[name] = p.members[name].person
+            link = self._links[name]
+            if len(names) > 1 and not link.anchor and now - link.noted >= self.settings.note:
+                self._note(link, p.members[name], swapped[n], summed - stacked[n] * w[n][:, None], total - w[n], now)
+        p.joints = mean if total.min() > 0 else np.where(total[:, None] > 0, mean, p.joints)
+        centre = _centre(mean)
         if centre is not None:
             step = now - p.time
             if 0 < step < 0.5 and p.frames:
@@ -229,28 +256,20 @@ class PeopleTracker:
         p.time = now
         p.frames += 1
 
-    def _note(
-        self, name: str, body: SensorBody, own: Array, w: Array, mean: Array, total: Array, now: float, p: _Person
-    ) -> None:
-        """Keep a pair (this sensor's joints, those of all others) for the next registration of the sensor."""
-        link = self._links[name]
-        rest = total - w
-        if link.anchor or not (rest[_TRUNK] > 0).sum() >= 4 or now - link.noted < 0.03:
+    def _note(self, link: _Link, body: SensorBody, swapped: bool, rest: Array, weight: Array, now: float) -> None:
+        """Keep a pair (this sensor's joints, those of all others) for the next registration of the sensor. rest
+        (15, 3): weighted sum of the others', weight (15,)."""
+        if (weight[_TRUNK] > 0).sum() < 4:
             return
         link.noted = now
-        others = (mean * total[:, None] - np.where(w[:, None] > 0, own, 0.0) * w[:, None]) / np.maximum(rest, 1)[
-            :, None
-        ]
-        others = np.where(rest[:, None] > 0, others, np.nan)
-        # the labels as the others see them
-        link.pairs.append((now, _relabelled(body.positions, own, self._links[name].motion), others))
+        others = np.where(weight[:, None] > 0, rest / np.maximum(weight, 1)[:, None], np.nan)
+        link.pairs.append((now, body.positions[MIRROR] if swapped else body.positions, others))
 
     def _merge(self) -> None:
         """Two persons in one place, of different sensors, for half a second: one person."""
         for i, a in enumerate(self._people):
             for b in self._people[i + 1 :]:
                 near = float(np.abs(a.centre - b.centre).max()) < 0.25 and not (a.members.keys() & b.members.keys())
-                assert a.apart is not None
                 if not near or not b.members or not a.members:
                     a.apart.pop(b.id, None)
                     continue
@@ -273,8 +292,9 @@ class PeopleTracker:
         if not seen:
             return
         link.shots.append((now, {b.person: b.positions for b in bodies}, seen))
-        if len(link.shots) >= s.shots and now - link.tried >= s.attempt:
-            link.tried = now
+        # one sensor at a time, so that no frame is late
+        if len(link.shots) >= s.shots and now - link.tried >= s.attempt and now > self._tried:
+            link.tried = self._tried = now
             self._try(link, now)
 
     def _refit(self, link: _Link, now: float) -> None:
@@ -292,22 +312,30 @@ class PeopleTracker:
             link.motion, link.residual = found.common_from_sensor[1], float(found.residual[1])
 
     def _try(self, link: _Link, now: float) -> None:
-        """Every pairing of one of its persons with one of ours gives a place; the best one puts all on their persons."""
+        """Every pairing of one of its persons with one of ours gives a place; the best one puts all on persons."""
         s = self.settings
         while link.shots and link.shots[0][0] < now - s.window:
             link.shots.popleft()
         shots = list(link.shots)[:: max(1, len(link.shots) // 12)]
-        found: list[tuple[float, int, int, Array]] = []
+        rough: list[tuple[float, Array, Array, int, int]] = []
         pairs = {(b, p) for _, bodies, people in shots for b in bodies for p in people}
         for b, p in sorted(pairs):
             body = [bodies[b] for _, bodies, people in shots if b in bodies and p in people]
             ours = [people[p] for _, bodies, people in shots if b in bodies and p in people]
             if len(body) < min(s.shots, len(shots)):
                 continue
-            best = _fit(np.stack(body), np.stack(ours))
-            if best is not None:
-                motion, residual = best
-                found.append((residual + _misplaced(motion, shots), b, p, motion))
+            theirs, target = np.stack(body), np.stack(ours)
+            some = slice(None, None, max(1, len(body) // 4))  # many pairings: a quick look first
+            for labels in (theirs, theirs[:, MIRROR]):
+                if (motion := _fit(labels[some], target[some], 1)) is not None:
+                    # an honest sensor is the rule: swapped sides must fit clearly better
+                    penalty = 1.0 if labels is theirs else 1.4
+                    rough.append((penalty * motion[1] + _misplaced(motion[0], shots), labels, target, b, p))
+        rough.sort(key=lambda r: r[0])
+        found: list[tuple[float, int, int, Array]] = []
+        for _, labels, target, b, p in rough[:6]:
+            if (best := _fit(labels, target, 4)) is not None:
+                found.append((best[1] + _misplaced(best[0], shots), b, p, best[0]))
         if not found:
             return
         found.sort(key=lambda f: f[0])
@@ -320,25 +348,27 @@ class PeopleTracker:
         link.shots.clear()
 
 
-def unswapped(joints: Array, like: Array) -> Array:
-    """Joints (15, 3), with left and right exchanged if that makes them more like another skeleton in the same frame:
-    a sensor that sees the back takes it for the front."""
-    mirrored = joints[MIRROR]
-    a, b = np.linalg.norm(joints - like, axis=-1), np.linalg.norm(mirrored - like, axis=-1)
-    both = np.isfinite(a) & np.isfinite(b)
-    return mirrored if b[both].sum() < a[both].sum() - 1e-9 else joints
+def is_swapped(joints: Array, like: Array) -> bool:
+    """Whether joints (15, 3) with left and right exchanged are more like another skeleton in the same frame: a sensor
+    that sees the back takes it for the front."""
+    a, b = joints - like, joints[MIRROR] - like
+    plain, mirrored = float(np.vdot(a, a)), float(np.vdot(b, b))
+    if plain != plain or mirrored != mirrored:  # NaN: only the joints that all three have
+        both = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])
+        plain, mirrored = float(np.vdot(a[both], a[both])), float(np.vdot(b[both], b[both]))
+    return mirrored < plain
 
 
-def _relabelled(positions: Array, placed: Array, motion: Array | None) -> Array:
-    """The sensor's positions with the labels that `placed` has."""
-    assert motion is not None
-    same = transform(motion, positions)
-    fine = np.isfinite(same) & np.isfinite(placed)
-    return positions if np.allclose(same[fine], placed[fine]) else positions[MIRROR]
+def _moved(motion: Array, points: Array) -> Array:
+    """`geometry.transform` for one motion, without its generality."""
+    return points @ motion[:3, :3].T + motion[:3, 3]
 
 
 def _centre(joints: Array) -> Array | None:
     trunk = joints[_TRUNK]
+    mean = trunk.sum(0) / len(_TRUNK)
+    if mean[0] == mean[0]:
+        return mean
     known = np.isfinite(trunk[:, 0])
     if int(known.sum()) < 3:
         return None
@@ -346,47 +376,29 @@ def _centre(joints: Array) -> Array | None:
     return trunk[known].mean(0)
 
 
-def _fit(body: Array, ours: Array) -> tuple[Array, float] | None:
-    """common_from_sensor and the median distance from skeletons (T, 15, 3), tried with both sides' labels."""
-    best: tuple[Array, float] | None = None
-    for mirrored in (False, True):
-        source = (body[:, MIRROR] if mirrored else body).reshape(-1, 3)
-        target = ours.reshape(-1, 3)
-        use = np.isfinite(source[:, 0]) & np.isfinite(target[:, 0])
-        if int(use.sum()) < 20:
-            continue
-        a, b = source[use], target[use]
-        weight = None
-        for _ in range(3):
-            motion = procrustes(a, b, weight)[0]
-            distance = np.linalg.norm(transform(motion, a) - b, axis=-1)
-            weight = 1 / (1 + (distance / 0.06) ** 2)
-        residual = float(np.median(distance))
-        # an honest sensor is the rule: swapped sides must fit clearly better
-        if best is None or residual < 0.7 * best[1]:
-            best = motion, residual
-    return best
+def _fit(body: Array, ours: Array, iterations: int) -> tuple[Array, float] | None:
+    """common_from_sensor and the median distance (m) from skeletons (T, 15, 3) of both."""
+    source, target = body.reshape(-1, 3), ours.reshape(-1, 3)
+    use = np.isfinite(source[:, 0]) & np.isfinite(target[:, 0])
+    if int(use.sum()) < 20:
+        return None
+    a, b = source[use], target[use]
+    motion, distance, weight = np.eye(4), np.zeros(len(a)), None
+    for _ in range(iterations):
+        motion = procrustes(a, b, weight)[0]
+        distance = np.linalg.norm(_moved(motion, a) - b, axis=-1)
+        weight = 1 / (1 + (distance / 0.06) ** 2)
+    return motion, float(np.median(distance))
 
 
 def _misplaced(motion: Array, shots: Sequence[tuple[float, dict[int, Array], dict[int, Array]]]) -> float:
-    """Mean distance (m, each at most 0.5) of the sensor's persons to the nearest of ours, beyond what noise explains."""
+    """Mean distance (m, each at most 0.5) of the sensor's persons to the nearest of ours, less what is noise."""
     far = []
     for _, bodies, people in shots:
         ours = [c for j in people.values() if (c := _centre(j)) is not None]
-        theirs = [c for j in bodies.values() if (c := _centre(transform(motion, j))) is not None]
+        theirs = [c for j in bodies.values() if (c := _centre(_moved(motion, j))) is not None]
         # whom only one side sees says nothing: as many as both can share
         if ours and theirs:
             d = np.linalg.norm(np.stack(theirs)[:, None] - np.stack(ours)[None], axis=-1).min(1)
             far.append(np.minimum(np.sort(d)[: min(len(ours), len(theirs))], 0.5).mean())
     return max(0.0, float(np.mean(far)) - 0.1) if far else 0.0
-
-
-def _sensor_joints(p: _Person, names: tuple[str, ...], now: float) -> SensorJoints:
-    positions = np.full((len(names), 15, 3), np.nan)
-    state: NDArray[np.uint8] = np.zeros((len(names), 15), dtype=np.uint8)
-    times = np.full(len(names), np.nan)
-    for k, name in enumerate(names):
-        body = p.members.get(name)
-        if body is not None:
-            positions[k], state[k], times[k] = body.positions, body.state, now
-    return SensorJoints(positions, state, times, COMMON, names)
