@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Protocol
@@ -10,7 +11,7 @@ import numpy as np
 
 from hypose.body.body import Body
 from hypose.body.motion import Motion
-from hypose.errors import InputError
+from hypose.errors import HyposeError, InputError
 from hypose.evidence.frame import Frame
 from hypose.io.provenance import identity
 from hypose.io.results import Checkpoint, ResultsFolder, save_motion
@@ -121,13 +122,28 @@ def track_source(
             raise
         if results is not None:
             _save_checkpoint(results, state, estimates, key)
-    times = np.arange(len(estimates)) / frame_rate
-    motion = motion_of(subject.body, times, estimates, record or {})
+    except HyposeError as error:
+        if not estimates or results is None:
+            raise
+        with contextlib.suppress(HyposeError):  # the first error is the one to tell
+            _save_checkpoint(results, state, estimates, key)
+            save_motion(_motion(subject, estimates, frame_rate, record), results.motion)
+        raise type(error)(
+            f"{error} The {len(estimates)} frames before are kept in {results.path}; see --resume."
+        ) from error
+    motion = _motion(subject, estimates, frame_rate, record)
     if results is not None:
         save_motion(motion, results.motion)
         if not interrupted:
             results.checkpoint.unlink(missing_ok=True)
     return TrackResult(motion, subject.body, not interrupted, subject.notes)
+
+
+def _motion(
+    subject: Subject, estimates: list[FrameEstimate], frame_rate: float, record: Mapping[str, Any] | None
+) -> Motion:
+    """The motion of the finished frames; time 0 is the first tracked frame."""
+    return motion_of(subject.body, np.arange(len(estimates)) / frame_rate, estimates, record or {})
 
 
 def _tracker(subject: Subject, options: TrackOptions, frame_rate: float) -> Tracker:

@@ -1,0 +1,133 @@
+"""One recording from start to end: subject, start, tracking, interruption, resume, the same bytes."""
+
+import numpy as np
+import pytest
+
+from hypose.errors import EvidenceError, InputError
+from hypose.evaluation.rigs import rig
+from hypose.evaluation.scenes import make_scene
+from hypose.evidence.frame import Frame
+from hypose.io.results import ResultsFolder, load_motion
+from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.subject import SubjectOptions, find_subject
+
+
+class Frames:
+    """The frames of a list, counting how often each is read."""
+
+    def __init__(self, frames: list[Frame], broken_at: int = -1) -> None:
+        self.frames, self.broken_at = frames, broken_at
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def frame(self, index: int, /) -> Frame:
+        if index == self.broken_at:
+            raise InputError("cam2.mp4 ends at frame 7; cut the recording with --frames.")
+        return self.frames[index]
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return make_scene("walk", "broad", rig("ring-4").scaled(0.4), seconds=0.48, seed=3)
+
+
+@pytest.fixture(scope="module")
+def frames(scene):
+    return list(scene.mask_frames(1.0, keypoints=True))
+
+
+@pytest.fixture(scope="module")
+def subject(frames):
+    return find_subject(lambda i: frames[i], len(frames), SubjectOptions("keypoints", girths=False))
+
+
+def test_start_from_keypoints_is_near_the_truth(scene, subject):
+    error = np.linalg.norm(subject.body.joints(subject.start) - scene.joints[0], axis=-1)
+    assert error.mean() < 0.05
+
+
+def test_subject_from_hulls_has_the_height_and_stands_in_place(scene, frames):
+    silent = [Frame(f.time, f.index, f.silhouettes) for f in frames]
+    found = find_subject(lambda i: silent[i], len(silent), SubjectOptions("auto"))
+    assert found.body.stature == pytest.approx(scene.subject.stature, abs=0.12)
+    assert found.keypoints is None
+    error = np.linalg.norm(found.body.joints(found.start) - scene.joints[0], axis=-1)
+    assert error.mean() < 0.10
+
+
+def test_a_given_height_is_used(scene, frames):
+    silent = [Frame(f.time, f.index, f.silhouettes) for f in frames]
+    options = SubjectOptions("hull", height=scene.subject.stature, girths=False)
+    found = find_subject(lambda i: silent[i], len(silent), options)
+    assert found.body.stature == pytest.approx(scene.subject.stature, abs=1e-6)
+
+
+def test_tracking_follows_the_truth(scene, frames, subject):
+    result = track_source(Frames(frames), 25.0, TrackOptions(), subject=subject)
+    error = np.linalg.norm(result.motion.joints - scene.joints[: len(frames)], axis=-1)
+    assert result.complete and error.mean() < 0.06
+    assert not result.motion.lost.any()
+
+
+def test_keypoints_alone_need_no_masks(scene, frames, subject):
+    bare = [Frame(f.time, f.index, None, f.keypoints) for f in frames]
+    result = track_source(Frames(bare), 25.0, TrackOptions(evidence="keypoints"), subject=subject)
+    assert np.linalg.norm(result.motion.joints - scene.joints[: len(frames)], axis=-1).mean() < 0.05
+    assert np.isnan(result.motion.cost).all()
+
+
+def test_wanted_evidence_that_is_missing_is_named(frames, subject):
+    bare = [Frame(f.time, f.index, None, f.keypoints) for f in frames]
+    with pytest.raises(EvidenceError, match="no silhouettes"):
+        track_source(Frames(bare), 25.0, TrackOptions(), subject=subject)
+
+
+def test_interrupted_and_resumed_gives_the_same_bytes(frames, subject, tmp_path):
+    options = TrackOptions(checkpoint_every=3)
+    whole, broken = ResultsFolder(tmp_path / "whole"), ResultsFolder(tmp_path / "broken")
+    track_source(Frames(frames), 25.0, options, subject=subject, results=whole, record={"seed": 0})
+
+    def stop(stage: str, done: int, total: int) -> None:
+        if stage == "track" and done == 7:
+            raise KeyboardInterrupt
+
+    part = track_source(
+        Frames(frames), 25.0, options, subject=subject, results=broken, record={"seed": 0}, progress=stop
+    )
+    assert not part.complete and len(load_motion(broken.motion)) == 7 and broken.checkpoint.exists()
+    track_source(Frames(frames), 25.0, options, subject=subject, results=broken, record={"seed": 0}, resume=True)
+    assert broken.motion.read_bytes() == whole.motion.read_bytes()
+    assert not broken.checkpoint.exists()
+
+
+def test_resume_of_another_run_is_refused(frames, subject, tmp_path):
+    results = ResultsFolder(tmp_path / "r")
+
+    def stop(stage: str, done: int, total: int) -> None:
+        if stage == "track" and done == 4:
+            raise KeyboardInterrupt
+
+    track_source(
+        Frames(frames), 25.0, TrackOptions(), subject=subject, results=results, record={"seed": 0}, progress=stop
+    )
+    with pytest.raises(InputError, match="another run"):
+        track_source(
+            Frames(frames), 25.0, TrackOptions(), subject=subject, results=results, record={"seed": 1}, resume=True
+        )
+
+
+def test_an_error_in_the_middle_keeps_what_was_tracked(frames, subject, tmp_path):
+    results = ResultsFolder(tmp_path / "r")
+    with pytest.raises(InputError, match=r"cam2\.mp4 ends.*7 frames before are kept"):
+        track_source(Frames(frames, broken_at=7), 25.0, TrackOptions(), subject=subject, results=results, record={})
+    assert len(load_motion(results.motion)) == 7
+
+
+def test_no_frames_and_unknown_choices_are_refused(subject):
+    with pytest.raises(InputError, match="no frame"):
+        track_source(Frames([]), 25.0, TrackOptions(), subject=subject)
+    with pytest.raises(InputError, match="silhouettes, keypoints or both"):
+        TrackOptions(evidence="sonar")
+    with pytest.raises(InputError, match="hands-up"):
+        SubjectOptions(start="somehow")
