@@ -27,9 +27,9 @@ class AlignSettings:
 
     rate: Hz. wait: s after its instant that a frame waits for sensors that have not reported yet; the bound of the
     latency. timeout: s of silence after which a sensor is dead: nothing waits for it. hold: s that a skeleton is
-    carried on after its last report. horizon: s that movement is continued over, at most. max_behind: s that the output may
-    lag after a pause of the whole program before frames are skipped. latency: s per sensor, a known constant delay between
-    exposure and sending. most_sensors, most_people (per sensor): what is beyond is refused.
+    carried on after its last report. horizon: s that movement is continued over, at most. max_behind: s that the output
+    may lag after a pause of the whole program before frames are skipped. latency: s per sensor, a known constant delay
+    between exposure and sending. most_sensors, most_people (per sensor): what is beyond is refused.
     """
 
     rate: float = 30.0

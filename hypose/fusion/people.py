@@ -317,6 +317,7 @@ class PeopleTracker:
         while link.shots and link.shots[0][0] < now - s.window:
             link.shots.popleft()
         shots = list(link.shots)[:: max(1, len(link.shots) // 12)]
+        places = _centres(shots)
         rough: list[tuple[float, Array, Array, int, int]] = []
         pairs = {(b, p) for _, bodies, people in shots for b in bodies for p in people}
         for b, p in sorted(pairs):
@@ -326,16 +327,17 @@ class PeopleTracker:
                 continue
             theirs, target = np.stack(body), np.stack(ours)
             some = slice(None, None, max(1, len(body) // 4))  # many pairings: a quick look first
-            for labels in (theirs, theirs[:, MIRROR]):
-                if (motion := _fit(labels[some], target[some], 1)) is not None:
-                    # an honest sensor is the rule: swapped sides must fit clearly better
-                    penalty = 1.0 if labels is theirs else 1.4
-                    rough.append((penalty * motion[1] + _misplaced(motion[0], shots), labels, target, b, p))
+            if (motion := _fit(theirs[some], target[some], 1)) is not None:
+                rough.append((motion[1] + _misplaced(motion[0], *places), theirs, target, b, p))
+            # an honest sensor is the rule: swapped sides must fit clearly better
+            if (motion := _fit(theirs[some][:, MIRROR], target[some], 1)) is not None:
+                score = 1.4 * motion[1] + _misplaced(motion[0], *places)
+                rough.append((score, theirs[:, MIRROR], target, b, p))
         rough.sort(key=lambda r: r[0])
         found: list[tuple[float, int, int, Array]] = []
         for _, labels, target, b, p in rough[:6]:
             if (best := _fit(labels, target, 4)) is not None:
-                found.append((best[1] + _misplaced(best[0], shots), b, p, best[0]))
+                found.append((best[1] + _misplaced(best[0], *places), b, p, best[0]))
         if not found:
             return
         found.sort(key=lambda f: f[0])
@@ -391,14 +393,27 @@ def _fit(body: Array, ours: Array, iterations: int) -> tuple[Array, float] | Non
     return motion, float(np.median(distance))
 
 
-def _misplaced(motion: Array, shots: Sequence[tuple[float, dict[int, Array], dict[int, Array]]]) -> float:
+def _centres(shots: Sequence[tuple[float, dict[int, Array], dict[int, Array]]]) -> tuple[Array, Array]:
+    """Trunks of the sensor's persons (S, B, 3) in its frame and of ours (S, P, 3), of at most five instants."""
+    some = shots[:: max(1, len(shots) // 5)]
+    out = []
+    for which in (1, 2):
+        found = [[c for j in shot[which].values() if (c := _centre(j)) is not None] for shot in some]
+        padded = np.full((len(some), max(1, *(len(f) for f in found)), 3), np.nan)
+        for n, centres in enumerate(found):
+            padded[n, : len(centres)] = np.array(centres).reshape(-1, 3)
+        out.append(padded)
+    return out[0], out[1]
+
+
+def _misplaced(motion: Array, theirs: Array, ours: Array) -> float:
     """Mean distance (m, each at most 0.5) of the sensor's persons to the nearest of ours, less what is noise."""
-    far = []
-    for _, bodies, people in shots:
-        ours = [c for j in people.values() if (c := _centre(j)) is not None]
-        theirs = [c for j in bodies.values() if (c := _centre(_moved(motion, j))) is not None]
-        # whom only one side sees says nothing: as many as both can share
-        if ours and theirs:
-            d = np.linalg.norm(np.stack(theirs)[:, None] - np.stack(ours)[None], axis=-1).min(1)
-            far.append(np.minimum(np.sort(d)[: min(len(ours), len(theirs))], 0.5).mean())
-    return max(0.0, float(np.mean(far)) - 0.1) if far else 0.0
+    there = theirs @ motion[:3, :3].T + motion[:3, 3]
+    d = np.sqrt(((there[:, :, None] - ours[:, None]) ** 2).sum(-1))
+    nearest = np.sort(np.where(np.isfinite(d), d, np.inf).min(2), axis=1)
+    # whom only one side sees says nothing: as many as both can share
+    both = np.minimum(np.isfinite(theirs[..., 0]).sum(1), np.isfinite(ours[..., 0]).sum(1))
+    counted = np.arange(nearest.shape[1]) < both[:, None]
+    if not counted.any():
+        return 0.0
+    return max(0.0, float(np.minimum(nearest[counted], 0.5).mean()) - 0.1)
