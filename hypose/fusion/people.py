@@ -397,8 +397,8 @@ def _centres(shots: Sequence[tuple[float, dict[int, Array], dict[int, Array]]]) 
     """Trunks of the sensor's persons (S, B, 3) in its frame and of ours (S, P, 3), of at most five instants."""
     some = shots[:: max(1, len(shots) // 5)]
     out = []
-    for which in (1, 2):
-        found = [[c for j in shot[which].values() if (c := _centre(j)) is not None] for shot in some]
+    for skeletons in ([shot[1] for shot in some], [shot[2] for shot in some]):
+        found = [[c for j in one.values() if (c := _centre(j)) is not None] for one in skeletons]
         padded = np.full((len(some), max(1, *(len(f) for f in found)), 3), np.nan)
         for n, centres in enumerate(found):
             padded[n, : len(centres)] = np.array(centres).reshape(-1, 3)
