@@ -55,19 +55,20 @@ def rasterize(
     A pixel is set when its centre lies in the image of any triangle, cut at the near plane. Half open: a triangle
     covers column x when ceil(xmin) <= x < ceil(xmax), and there the rows ceil(top) <= y < ceil(bottom), so meshes
     that share vertices leave no gap and count no pixel twice. one_sided: only triangles whose outside is seen."""
-    w, h = size
-    image = np.zeros((h, w), dtype=bool)
     homogeneous = vertices @ projection[:, :3].T + projection[:, 3]
-    for face in faces:
+    near = (homogeneous[faces, 2] < NEAR).any(1)
+    safe = homogeneous[faces[~near]]
+    triangles = [safe[..., :2] / safe[..., 2:]]
+    for face in faces[near]:
         corners = _cut_at_near(homogeneous[face])
-        if len(corners) < 3:
-            continue
-        uv = corners[:, :2] / corners[:, 2:]
-        if one_sided and _area(uv) >= 0:
-            continue
-        for k in range(1, len(uv) - 1):
-            _fill(image, uv[[0, k, k + 1]])
-    return image
+        uv = corners[:, :2] / corners[:, 2:] if len(corners) else corners
+        triangles += [uv[None, [0, k, k + 1]] for k in range(1, len(uv) - 1)]
+    drawn = np.concatenate(triangles)
+    if one_sided:
+        a, b, c = (drawn[:, k] for k in range(3))
+        area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
+        drawn = drawn[area < 0]  # clockwise on a screen with y down: seen from outside
+    return _cover(drawn, size)
 
 
 def _cut_at_near(corners: Array) -> Array:
@@ -82,27 +83,28 @@ def _cut_at_near(corners: Array) -> Array:
     return np.array(out)
 
 
-def _area(uv: Array) -> float:
-    """Twice the signed area of a polygon (K, 2), negative when it is clockwise on a screen with y down: seen from
-    outside."""
-    d = uv - uv[0]
-    return float(sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(d[1:], d[2:], strict=False)))
-
-
-def _fill(image: NDArray[np.bool_], triangle: Array) -> None:
-    h, w = image.shape
-    first, last = np.ceil(np.clip([triangle[:, 0].min(), triangle[:, 0].max()], 0, w)).astype(int)
-    for x in range(first, last):
-        crossings = []
-        for k in range(3):
-            (xa, ya), (xb, yb) = triangle[k], triangle[(k + 1) % 3]
-            if xa > xb:
-                xa, ya, xb, yb = xb, yb, xa, ya
-            if np.ceil(xa) <= x < np.ceil(xb):
-                crossings.append(ya + (x - xa) / (xb - xa) * (yb - ya))
-        if len(crossings) == 2:
-            top, bottom = np.ceil(np.clip(sorted(crossings), 0, h)).astype(int)
-            image[top:bottom, x] = True
+def _cover(triangles: Array, size: tuple[int, int]) -> NDArray[np.bool_]:
+    """Pixels (h, w) that any of the triangles (T, 3, 2) covers: +1 at the first row of every triangle in every column,
+    -1 below its last, and the running sum down the rows counts its layers."""
+    w, h = size
+    first, last = (np.ceil(np.clip(f(triangles[..., 0], 1), 0, w)).astype(int) for f in (np.min, np.max))
+    count = last - first
+    which = np.repeat(np.arange(len(triangles)), count)
+    x = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count) + first[which]
+    rows = np.full((len(which), 3), np.nan)
+    for k in range(3):
+        a, b = triangles[which, k], triangles[which, (k + 1) % 3]
+        swap = a[:, :1] > b[:, :1]
+        a, b = np.where(swap, b, a), np.where(swap, a, b)
+        crossed = (np.ceil(a[:, 0]) <= x) & (x < np.ceil(b[:, 0]))
+        run = np.where(crossed, b[:, 0] - a[:, 0], 1)
+        rows[crossed, k] = (a[:, 1] + (x - a[:, 0]) / run * (b[:, 1] - a[:, 1]))[crossed]
+    spans = np.isfinite(rows).sum(1) == 2  # one or three only where float64 cannot tell the corners' columns apart
+    top, bottom = (np.ceil(np.clip(f(rows[spans], 1), 0, h)).astype(int) for f in (np.nanmin, np.nanmax))
+    layers = np.zeros((h + 1, w), dtype=np.int64)
+    np.add.at(layers, (top, x[spans]), 1)
+    np.add.at(layers, (bottom, x[spans]), -1)
+    return np.cumsum(layers, 0)[:h] > 0
 
 
 def silhouette_xor(
