@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from hypose.body.body import Body, Landmarks, Mesh, Shape, deform
+from hypose.body.skin_weights import vertex_normals
 from hypose.errors import InputError
 from hypose.geometry import Array, rotation_between, so3_exp, so3_log
 
@@ -138,10 +139,10 @@ def find_stances(surface: Surface, template: Body, pose: str = "auto", up: str =
     models = {}
     for name in arms:
         v = template.skin(scan_pose(template, name))
-        n = _vertex_normals(v, template.coarse.faces)
+        n = vertex_normals(v, template.coarse.faces)
         models[name] = (_boxed(v)[0], n)
     out = []
-    for label, axis, prefer in _UPS:
+    for label, axis, _ in _UPS:
         if up not in ("auto", label):
             continue
         upright = rotation_between(np.array(axis), np.array([0.0, 0.0, 1.0]))
@@ -299,8 +300,12 @@ class _Search:
         sd[self.dof :] = [f.sd for f in FACTORS]
         self.sd = sd
         s = self.body.skeleton
-        self.lower = np.concatenate([s.lower, [f_center - 4 * f.sd for f, f_center in zip(FACTORS, x[self.dof :], strict=True)]])
-        self.upper = np.concatenate([s.upper, [f_center + 4 * f.sd for f, f_center in zip(FACTORS, x[self.dof :], strict=True)]])
+        self.lower = np.concatenate(
+            [s.lower, [f_center - 4 * f.sd for f, f_center in zip(FACTORS, x[self.dof :], strict=True)]]
+        )
+        self.upper = np.concatenate(
+            [s.upper, [f_center + 4 * f.sd for f, f_center in zip(FACTORS, x[self.dof :], strict=True)]]
+        )
         return x
 
     def skin(self, x: Array) -> Array:
@@ -391,11 +396,3 @@ class _Search:
 
 def _turned(surface: Surface, rotation: Array, step: int = 1) -> Surface:
     return Surface(surface.points[::step] @ rotation.T, surface.normals[::step] @ rotation.T)
-
-
-def _vertex_normals(v: Array, faces: NDArray[np.int32]) -> Array:
-    n = np.cross(v[faces[:, 1]] - v[faces[:, 0]], v[faces[:, 2]] - v[faces[:, 0]])
-    out = np.zeros_like(v)
-    for k in range(3):
-        np.add.at(out, faces[:, k], n)
-    return out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12)

@@ -132,7 +132,9 @@ class MatchedRig:
     absent: tuple[str, ...]
 
 
-def match_rig(names: Sequence[str], parents: ArrayLike, joints: ArrayLike, weights: ArrayLike, where: str) -> MatchedRig:
+def match_rig(
+    names: Sequence[str], parents: ArrayLike, joints: ArrayLike, weights: ArrayLike, where: str
+) -> MatchedRig:
     """The joints and weights of a rig of Mixamo, Rigify, SMPL, OpenSim or our own names as ours.
 
     names (n), parents (n,) (-1 = none, any order), joints (n, 3), weights (V, n). Fingers, toes, twist bones and the
@@ -146,8 +148,8 @@ def match_rig(names: Sequence[str], parents: ArrayLike, joints: ArrayLike, weigh
     if missing:
         some = ", ".join(list(names)[:12])
         raise InputError(
-            f"{where}: the rig's joints {', '.join(missing)} were not recognised among {some}, ...; rename the bones as "
-            "in docs/own-body.md, or rig the mesh anew without its skin."
+            f"{where}: the rig's joints {', '.join(missing)} were not recognised among {some}, ...; rename the bones "
+            "as in docs/own-body.md, or rig the mesh anew without its skin."
         )
     found |= _trunk(found, p, at)
     owner = _owners(found, p)
@@ -165,7 +167,9 @@ def match_rig(names: Sequence[str], parents: ArrayLike, joints: ArrayLike, weigh
 def _plain(name: str) -> tuple[str, str]:
     """(side, rest) of a joint's name: ("left", "upperarm") of "mixamorig:LeftUpperArm", "upper_arm.L", "upperarm_l"."""
     words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", name.split(":")[-1])
-    tokens = [t for t in re.split(r"[^A-Za-z0-9]+", words.lower()) if t and t not in ("def", "bip01", "bip", "j", "jnt")]
+    tokens = [
+        t for t in re.split(r"[^A-Za-z0-9]+", words.lower()) if t and t not in ("def", "bip01", "bip", "j", "jnt")
+    ]
     side = ""
     for word, sides in (("left", ("left", "l")), ("right", ("right", "r"))):
         if any(t in sides for t in tokens):
@@ -212,7 +216,11 @@ def _trunk(found: Mapping[str, int], parents: NDArray[np.int64], at: Array) -> d
     length = float(whole @ whole)
     out: dict[str, int] = {}
     for name in ("chest", "spine"):
-        own = rest[names.index(name)] @ rest[names.index("neck")] / (rest[names.index("neck")] @ rest[names.index("neck")])
+        own = (
+            rest[names.index(name)]
+            @ rest[names.index("neck")]
+            / (rest[names.index("neck")] @ rest[names.index("neck")])
+        )
         free = [k for k in between if k not in out.values()]
         shares = [abs(float((at[k] - at[found["pelvis"]]) @ whole) / max(length, 1e-12) - own) for k in free]
         if free and min(shares) < 0.2:

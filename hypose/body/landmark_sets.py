@@ -3,7 +3,7 @@ pose, carried by one joint.
 
 | set | points | source of the definition |
 | --- | --- | --- |
-| OPENNI_15 | the joints of OpenNI/NiTE's skeleton | its head is the middle of the skull, its hand the middle of the palm |
+| OPENNI_15 | the joints of OpenNI/NiTE's skeleton | head = middle of the skull, hand = middle of the palm |
 | BODY_25 | OpenPose's body model | neck = middle of the shoulders, mid_hip = middle of the hips |
 | HUMANEVA_15 | the virtual markers over which HumanEva averages | ends of limbs, pelvis, thorax, head |
 | IXMAS_5 | hands, head and feet, as annotated by hand | Alcoverro 2014, section 2.5.3 |
@@ -64,16 +64,23 @@ _ALL_25 = {
     ),
 }
 
+# the order of fusion.joints, which the reports of sensors are brought to
+_OPENNI_ORDER = (
+    "head neck left_shoulder left_elbow left_hand right_shoulder right_elbow right_hand torso left_hip left_knee "
+    "left_foot right_hip right_knee right_foot"
+).split()
+_OPENNI: dict[str, Rule] = {
+    "head": _SKULL,
+    "neck": _NECK,
+    # the point between neck and hips that NiTE calls torso moves with the belly
+    "torso": ("spine", ("left_shoulder", "right_shoulder", "left_hip", "right_hip")),
+    **_limbs(shoulder=_SHOULDER, elbow=_ELBOW, hand=_PALM),
+    **_HIPS,
+    **_limbs(knee=_KNEE, foot=("ankle", ("ankle", "ankle", "big_toe"))),
+}
+
 LANDMARK_SETS: Mapping[str, Mapping[str, Rule]] = {
-    "OPENNI_15": {
-        "head": _SKULL,
-        "neck": _NECK,
-        # the point between neck and hips that NiTE calls torso moves with the belly
-        "torso": ("spine", ("left_shoulder", "right_shoulder", "left_hip", "right_hip")),
-        **_limbs(shoulder=_SHOULDER, elbow=_ELBOW, hand=_PALM),
-        **_HIPS,
-        **_limbs(knee=_KNEE, foot=("ankle", ("ankle", "ankle", "big_toe"))),
-    },
+    "OPENNI_15": {n: _OPENNI[n] for n in _OPENNI_ORDER},
     "BODY_25": {n: _ALL_25[n] for n in _BODY_25_ORDER},
     "HUMANEVA_15": {
         "pelvis": _MID_HIP,

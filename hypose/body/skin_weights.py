@@ -66,7 +66,9 @@ _HUMAN: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
 )
 
 
-def bones_of(skeleton: Skeleton, joints: Array, landmarks: Landmarks | None = None, points: Array | None = None) -> Bones:
+def bones_of(
+    skeleton: Skeleton, joints: Array, landmarks: Landmarks | None = None, points: Array | None = None
+) -> Bones:
     """The segments of a skeleton with joint centres joints (J, 3) m: from every joint to its children; on a human body
     with landmarks at points (L, 3) m in the same frame also ribs, jaw, knuckles, toes and heels.
 
@@ -116,7 +118,10 @@ def heat_weights(
     if not len(f) or unused:
         raise InputError(f"{unused} of the mesh's {len(v)} vertices belong to no face; remove them before rigging.")
     closest, distance = _closest_points(v, bones)
-    near = nearest_visible(v, f, closest, distance) if visible else distance <= 1.0001 * distance.min(1, keepdims=True)
+    if visible:
+        near = nearest_visible(v, f, vertex_normals(v, f), closest, distance)
+    else:
+        near = distance <= 1.0001 * distance.min(1, keepdims=True)
     near = _warm_every_part(near, distance, f)
     source = np.zeros((len(v), n_joints))
     np.add.at(source.T, bones.joint, near.T.astype(np.float64))
@@ -146,21 +151,43 @@ def influences(weights: ArrayLike, count: int = 4) -> tuple[NDArray[np.int32], A
     return np.where(value > 0, index, 0).astype(np.int32), value / value.sum(1, keepdims=True)
 
 
-def carried_weights(points: ArrayLike, vertices: ArrayLike, faces: ArrayLike, weights: ArrayLike) -> Array:
-    """Dense weights (P, J) at points (P, 3) near the surface of a mesh with dense weights (V, J): those of the nearest
-    point of the nearest faces. The points should lie within a face's size of the surface."""
+def carried_weights(
+    points: ArrayLike, normals: ArrayLike, vertices: ArrayLike, faces: ArrayLike, weights: ArrayLike
+) -> Array:
+    """Dense weights (P, J) at points (P, 3) with outward normals (P, 3) near the surface of a mesh with dense weights
+    (V, J): the mean over the nearest places of the mesh that face the same way, so that a hand beside a thigh does not
+    get the thigh's."""
     from scipy.spatial import cKDTree
 
-    v, f, w = np.asarray(vertices, dtype=np.float64), np.asarray(faces), np.asarray(weights)
-    p = np.asarray(points, dtype=np.float64)
+    v, w = np.asarray(vertices, dtype=np.float64), np.asarray(weights, dtype=np.float64)
+    f = np.asarray(faces, dtype=np.int64)
+    p, n = np.asarray(points, dtype=np.float64), np.asarray(normals, dtype=np.float64)
     corner = np.array([(4, 1, 1), (1, 4, 1), (1, 1, 4), (2, 2, 2)]) / 6
     samples = np.einsum("sc,fcd->fsd", corner, v[f]).reshape(-1, 3)
-    distance, index = cKDTree(samples).query(p, k=min(3, len(samples)))
-    index = index.reshape(len(p), -1)
-    share = 1.0 / np.maximum(distance.reshape(len(p), -1), 1e-6) ** 2
+    facing = vertex_normals(v, f)[f].mean(1)
+    distance, index = cKDTree(samples).query(p, k=min(24, len(samples)))
+    face, bary = index // len(corner), corner[index % len(corner)]
+    alike = np.einsum("psd,pd->ps", facing[face], n) > 0.3
+    alike[~alike.any(1)] = True
+    # the nearest three of those
+    alike &= np.cumsum(alike, axis=1) <= 3
+    share = np.where(alike, 1.0 / np.maximum(distance, 1e-6) ** 2, 0.0)
     share /= share.sum(1, keepdims=True)
-    at = np.einsum("psc,pscj->psj", corner[index % len(corner)], w[f[index // len(corner)]])
-    return np.einsum("ps,psj->pj", share, at)
+    row, column = np.nonzero(alike)
+    value = np.einsum("kc,kcj->kj", bary[row, column], w[f[face[row, column]]]) * share[row, column][:, None]
+    out = np.zeros((len(p), w.shape[1]))
+    np.add.at(out, row, value)
+    return out
+
+
+def vertex_normals(vertices: ArrayLike, faces: ArrayLike) -> Array:
+    """Outward unit normals (V, 3) of a mesh, weighted by the areas of the faces."""
+    v, f = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
+    across = np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]])
+    out = np.zeros_like(v)
+    for k in range(3):
+        np.add.at(out, f[:, k], across)
+    return out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-15)
 
 
 def _closest_points(v: Array, bones: Bones) -> tuple[Array, Array]:

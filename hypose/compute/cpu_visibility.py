@@ -11,6 +11,7 @@ from hypose.compute.cpu_kinematics import OPTIONS
 
 TIE = 1.0001  # segments that share an end are equally far up to rounding
 LEAVE, ARRIVE = 1e-3, 1e-6  # shares of the way that are not tested: the vertex's own surface, the bone itself
+OUTWARD = 0.0  # largest cosine between the way to a bone and the outward normal
 
 
 @njit(**OPTIONS)
@@ -71,7 +72,7 @@ def blocked(origin, way, own, vertices, faces, centre, radius):
 
 
 @njit(**OPTIONS)
-def nearest_visible(vertices, faces, closest, distance, near):
+def nearest_visible(vertices, faces, normals, closest, distance, near):
     """Marks in near (V, B) the nearest visible segments of each vertex, ties included; see visibility.py."""
     centre, radius = np.empty((len(faces), 3)), np.empty(len(faces))
     face_spheres(vertices, faces, centre, radius)
@@ -82,10 +83,14 @@ def nearest_visible(vertices, faces, closest, distance, near):
         for b in order:
             if found >= 0 and distance[i, b] > found * TIE:
                 break
+            out = 0.0
             for k in range(3):
                 way[k] = closest[i, b, k] - vertices[i, k]
+                out += way[k] * normals[i, k]
                 origin[k] = vertices[i, k] + LEAVE * way[k]
                 way[k] *= 1 - LEAVE
+            if out > OUTWARD * distance[i, b]:
+                continue
             if not blocked(origin, way, i, vertices, faces, centre, radius):
                 near[i, b] = True
                 if found < 0:

@@ -9,29 +9,31 @@ from hypose import compute
 from hypose.compute import selection
 
 # the same constants as in cpu_visibility.py, which must not be imported without numba
-_TIE, _LEAVE, _ARRIVE = 1.0001, 1e-3, 1e-6
+_TIE, _LEAVE, _ARRIVE, _OUTWARD = 1.0001, 1e-3, 1e-6, 0.0
 
 
 def nearest_visible(
-    vertices: ArrayLike, faces: ArrayLike, closest: ArrayLike, distance: ArrayLike
+    vertices: ArrayLike, faces: ArrayLike, normals: ArrayLike, closest: ArrayLike, distance: ArrayLike
 ) -> NDArray[np.bool_]:
     """(V, B): segment b is the nearest one that vertex v sees, or as near as that.
 
-    vertices (V, 3), faces (F, 3); closest (V, B, 3): the point of segment b nearest to vertex v, distance (V, B) to it.
-    Seen: no face that does not contain the vertex lies between the two. Rows of a vertex that sees none are False.
+    vertices (V, 3), faces (F, 3), outward unit normals (V, 3); closest (V, B, 3): the point of segment b nearest to
+    vertex v, distance (V, B) to it. Seen: no face that does not contain the vertex lies between the two, and the way
+    does not start outwards: where a hand is pressed into a thigh, the thigh's skin has the hand's bone before it
+    without a face between. Rows of a vertex that sees none are False.
     Source: the visibility test of Baran & Popovic 2007, section 4; deviation: a ray test instead of a distance field,
     and the nearest of the visible bones instead of the nearest bone if it is visible.
     """
-    v, c, d = (np.ascontiguousarray(a, dtype=np.float64) for a in (vertices, closest, distance))
+    v, n, c, d = (np.ascontiguousarray(a, dtype=np.float64) for a in (vertices, normals, closest, distance))
     f = np.ascontiguousarray(faces, dtype=np.int64)
     if selection.backend() == "numpy":
-        return _reference(v, f, c, d)
+        return _reference(v, f, n, c, d)
     near = np.zeros(d.shape, dtype=np.bool_)
-    compute._numba("visibility").nearest_visible(v, f, c, d, near)
+    compute._numba("visibility").nearest_visible(v, f, n, c, d, near)
     return near
 
 
-def _reference(v: NDArray, f: NDArray, closest: NDArray, distance: NDArray) -> NDArray[np.bool_]:
+def _reference(v: NDArray, f: NDArray, normals: NDArray, closest: NDArray, distance: NDArray) -> NDArray[np.bool_]:
     near = np.zeros(distance.shape, dtype=np.bool_)
     a, e1, e2 = v[f[:, 0]], v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]]
     for i in range(len(v)):
@@ -40,6 +42,8 @@ def _reference(v: NDArray, f: NDArray, closest: NDArray, distance: NDArray) -> N
             if found >= 0 and distance[i, b] > found * _TIE:
                 break
             way = closest[i, b] - v[i]
+            if way @ normals[i] > _OUTWARD * distance[i, b]:
+                continue
             origin, way = v[i] + _LEAVE * way, way * (1 - _LEAVE)
             if way @ way >= 1e-18:
                 p = np.cross(way, e2)

@@ -18,8 +18,8 @@ Skinned = tuple[Array, NDArray[np.int32], tuple[str, ...], NDArray[np.int64], Ar
 
 
 def read_skin(data: bytes, where: str) -> Skinned | None:
-    """Vertices (V, 3), faces (F, 3), joint names (n), parents (n,), joint centres (n, 3) and weights (V, n) of the first
-    skin of a GLB, in the mesh's space at bind time; None when nothing in it is skinned.
+    """Vertices (V, 3), faces (F, 3), joint names (n), parents (n,), joint centres (n, 3) and weights (V, n) of the
+    first skin of a GLB, in the mesh's space at bind time; None when nothing in it is skinned.
 
     An InputError when the file is damaged or compressed."""
     from pygltflib import GLTF2
@@ -38,7 +38,9 @@ def read_skin(data: bytes, where: str) -> Skinned | None:
         raise
     except Exception as error:  # noqa: BLE001 - a damaged file may fail in any step of the reader
         reason = str(error).split("\n")[0][:120] or type(error).__name__
-        raise InputError(f"{where} cannot be read as a skinned GLB ({reason}); export it again, uncompressed.") from None
+        raise InputError(
+            f"{where} cannot be read as a skinned GLB ({reason}); export it again, uncompressed."
+        ) from None
 
 
 def _skin(gltf: Any, blob: bytes) -> Skinned | None:

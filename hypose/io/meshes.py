@@ -202,7 +202,9 @@ def _main_part(v: Array, f: NDArray[np.int64], source: str) -> tuple[NDArray[np.
     from scipy.sparse.csgraph import connected_components
 
     edges = np.concatenate([f[:, [0, 1]], f[:, [1, 2]]])
-    _, part = connected_components(coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(v), len(v))))
+    _, part = connected_components(
+        coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(v), len(v)))
+    )
     area = np.linalg.norm(np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]]), axis=1)
     share = np.bincount(part[f[:, 0]], area)
     share = share / max(share.sum(), 1e-30)
@@ -226,8 +228,8 @@ def _same_turn(f: NDArray[np.int64], source: str) -> NDArray[np.int64]:
     _, count = np.unique(key, return_counts=True)
     if (count > 2).any():
         raise InputError(
-            f"{source} is not a manifold: {int((count > 2).sum())} edges belong to three or more faces; remesh the scan "
-            "(Blender: Remesh modifier, or Mesh > Clean Up > Merge by Distance)."
+            f"{source} is not a manifold: {int((count > 2).sum())} edges belong to three or more faces; remesh the "
+            "scan (Blender: Remesh modifier, or Mesh > Clean Up > Merge by Distance)."
         )
     if len(np.unique(edges @ [n, 1])) < len(edges):
         import trimesh
@@ -237,7 +239,9 @@ def _same_turn(f: NDArray[np.int64], source: str) -> NDArray[np.int64]:
         f = np.asarray(mesh.faces, dtype=np.int64)
         edges = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]])
         if len(np.unique(edges @ [n, 1])) < len(edges):
-            raise InputError(f"{source} has no inside and outside (its faces cannot all turn one way); remesh the scan.")
+            raise InputError(
+                f"{source} has no inside and outside (its faces cannot all turn one way); remesh the scan."
+            )
     return f
 
 
@@ -255,7 +259,9 @@ def _holes_closed(
     size = float(np.ptp(v[np.unique(f)], axis=0).max())
     lengths = [float(np.linalg.norm(v[x] - v[np.roll(x, 1)], axis=1).sum()) for x in loops or []]
     if loops is None or max(lengths) > 0.25 * size:
-        holes = "" if loops is None else f" around {len(loops)} holes, the largest {max(lengths) / size:.0%} of its height"
+        holes = (
+            "" if loops is None else f" around {len(loops)} holes, the largest {max(lengths) / size:.0%} of its height"
+        )
         raise InputError(
             f"{source} is not closed: {len(open_edges)} edges have one face only{holes}; close the scan (MeshLab: "
             "Screened Poisson; Blender: Remesh modifier with voxel size 1 cm) and try again."

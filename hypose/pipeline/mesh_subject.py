@@ -1,7 +1,7 @@
 """A person's own scan, avatar or body model as a trackable body: upright, in metres, with joints, weights and a coarse
 mesh.
 
-The scan's pose is undone: the body rests in the template's rest pose, so that limits, priors and named poses hold for it.
+The scan's pose is undone: the body rests in the template's rest pose, so that limits, priors and named poses hold.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from hypose.body.fit_skeleton import (
 )
 from hypose.body.joint_names import match_rig
 from hypose.body.models import human
-from hypose.body.skin_weights import body_bones, carried_weights, heat_weights, influences
+from hypose.body.skin_weights import body_bones, carried_weights, heat_weights, influences, vertex_normals
 from hypose.errors import EvidenceError, InputError
 from hypose.fitting.articulated import PointTerm, SolveOptions, fit_pose
 from hypose.geometry import Array
@@ -148,11 +148,17 @@ def _with_new_rig(person: PersonMesh, settings: MeshOptions) -> MeshSubject:
 
 
 def _assembled(
-    person: PersonMesh, frame: Body, pose: Array, vertices: Array, faces: np.ndarray, weights: Array, settings: MeshOptions
+    person: PersonMesh,
+    frame: Body,
+    pose: Array,
+    vertices: Array,
+    faces: np.ndarray,
+    weights: Array,
+    settings: MeshOptions,
 ) -> Body:
     """The body on the skeleton of `frame`, from a surface at a pose with dense weights (V, J)."""
     rough, rough_faces = coarse_mesh(vertices, faces, settings.coarse)
-    rough_weights = carried_weights(rough, vertices, faces, weights)
+    rough_weights = carried_weights(rough, vertex_normals(rough, rough_faces), vertices, faces, weights)
     meshes = []
     for v, f, w in ((rough, rough_faces, rough_weights), (vertices, faces, weights)):
         index, value = influences(w)
@@ -193,8 +199,8 @@ def _check_fit(fit: ScanFit, stance: Stance, source: str, settings: MeshOptions)
     advice = "try the pose 'auto', or scan" if settings.pose != "auto" else "scan"
     raise InputError(
         f"{source} does not look like one person in {asked}: {fit.far:.0%} of the surfaces lie more than "
-        f"{5 * fit.body.stature:.0f} cm apart (stance tried: {stance.up} up, arms {stance.arms!r}); {advice} the person "
-        f"alone, upright, arms away from the body ({', '.join(SCAN_POSES)})."
+        f"{5 * fit.body.stature:.0f} cm apart (stance tried: {stance.up} up, arms {stance.arms!r}); {advice} the "
+        f"person alone, upright, arms away from the body ({', '.join(SCAN_POSES)})."
     )
 
 
@@ -245,7 +251,7 @@ def _with_own_rig(person: PersonMesh, settings: MeshOptions) -> MeshSubject:
     if len(vertices) > 2 * FINE_VERTICES:
         notes.append(f"the display mesh has {FINE_VERTICES // 2} of the file's {before} vertices")
         small, small_faces = decimated(vertices, faces, FINE_VERTICES // 2)
-        weights = carried_weights(small, vertices, faces, weights)
+        weights = carried_weights(small, vertex_normals(small, small_faces), vertices, faces, weights)
         vertices, faces = small, small_faces
     body = _assembled(person, frame, pose, vertices, faces, weights, settings)
     notes.append(f"{body.stature:.2f} m tall; joints and weights are the file's ({len(rig.names)} joints)")
@@ -289,7 +295,11 @@ def _pose_from_joints(joints: Array, vertices: Array) -> tuple[Body, Array]:
     start[:3] = joints[0]
     term = PointTerm(joints, np.ones(len(joints)), np.arange(len(joints)), np.zeros_like(joints), 0.02)
     fit = fit_pose(
-        sized, start, points=term, priors=(anatomical_prior(s),), options=SolveOptions(iterations=60, coarse_iterations=10)
+        sized,
+        start,
+        points=term,
+        priors=(anatomical_prior(s),),
+        options=SolveOptions(iterations=60, coarse_iterations=10),
     )
     rotations, _ = s.forward(fit.pose)
     rest = np.zeros_like(offsets)
@@ -298,7 +308,8 @@ def _pose_from_joints(joints: Array, vertices: Array) -> tuple[Body, Array]:
     apart = np.linalg.norm(joints - sized.joints(fit.pose), axis=1).max()
     if apart > 0.25 * float(np.ptp(vertices[:, 2])):
         raise EvidenceError(
-            f"The rig's joints lie up to {apart:.2f} m from those of a person in any pose; rig the mesh anew without its skin."
+            f"The rig's joints lie up to {apart:.2f} m from those of a person in any pose; rig the mesh "
+            "anew without its skin."
         )
     pose = fit.pose.copy()
     pose[:3] = joints[0]

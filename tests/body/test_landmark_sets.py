@@ -13,6 +13,7 @@ from hypose.body.landmark_sets import LANDMARK_SETS, landmark_set
 from hypose.body.models import JOINT_NAMES, PARENTS, human
 from hypose.errors import InputError
 from hypose.evidence.keypoints import BODY_25, landmark_of
+from hypose.fusion.joints import COMMON
 
 
 def with_set(body: Body, name: str) -> Body:
@@ -46,6 +47,10 @@ def test_body_25_are_the_points_that_the_key_point_reader_uses():
     np.testing.assert_allclose(marks.offset, offset, atol=1e-5)
 
 
+def test_openni_joints_have_the_order_of_fusion():
+    assert landmark_set(human(), "OPENNI_15").names == COMMON
+
+
 def test_points_lie_where_sensors_and_annotators_put_them():
     body = human()
     points = {
@@ -58,7 +63,10 @@ def test_points_lie_where_sensors_and_annotators_put_them():
     assert 0.05 < top - head[2] < 0.16  # the middle of the skull
     assert points["OPENNI_15"]["neck"][2] > points["OPENNI_15"]["torso"][2] > points["OPENNI_15"]["left_hip"][2]
     assert points["IXMAS_5"]["left_foot"][2] - feet < 0.06
-    wrist, knuckle = (body.skeleton.rest_joints[8], body.landmark_points(np.zeros(36))[body.landmarks.index("left_knuckle")])
+    wrist, knuckle = (
+        body.skeleton.rest_joints[8],
+        body.landmark_points(np.zeros(36))[body.landmarks.index("left_knuckle")],
+    )
     palm = points["IXMAS_5"]["left_hand"]
     np.testing.assert_allclose(palm, wrist + (knuckle - wrist) * 2 / 3, atol=1e-9)
 
@@ -153,6 +161,8 @@ def test_fingers_go_to_the_hand_and_missing_joints_are_placed():
 def test_rigs_without_limbs_or_weights_are_refused():
     joints = human().skeleton.rest_joints
     with pytest.raises(InputError, match=r"avatar.glb: the rig's joints left_wrist were not recognised"):
-        match_rig([n if n != "left_wrist" else "tentacle" for n in JOINT_NAMES], PARENTS, joints, np.eye(19), "avatar.glb")
+        match_rig(
+            [n if n != "left_wrist" else "tentacle" for n in JOINT_NAMES], PARENTS, joints, np.eye(19), "avatar.glb"
+        )
     with pytest.raises(InputError, match="1 vertices have no skinning weight"):
         match_rig(JOINT_NAMES, PARENTS, joints, np.zeros((1, 19)), "avatar.glb")
