@@ -94,8 +94,8 @@ def test_export_writes_the_chosen_formats_again(hypose, tracked, tmp_path):
     assert str(tmp_path / "motion.bvh") in out
 
 
-@pytest.mark.parametrize("frame", [1, 5])
-def test_resume_after_ctrl_c_gives_the_same_bytes(hypose, tiny, tracked, tmp_path, monkeypatch, frame):
+def test_resume_after_ctrl_c_gives_the_same_bytes(hypose, tiny, tracked, tmp_path, monkeypatch):
+    frame = 5
     arguments = ("track", tiny, "--out", tmp_path / "out", *LIGHT)
     with monkeypatch.context() as patch:
         interrupt_at(patch, "track", frame)
@@ -133,18 +133,17 @@ def test_ctrl_c_after_tracking_keeps_the_motion_and_resume_writes_the_rest(
 
 
 def test_resume_with_other_settings_is_refused(hypose, tiny, tmp_path, monkeypatch):
-    arguments = ("track", tiny, "--out", tmp_path / "out", *LIGHT)
+    arguments = ("track", tiny, "--out", tmp_path / "out", "--frames", ":2", *LIGHT)
     with monkeypatch.context() as patch:
-        interrupt_at(patch, "track", 3)
+        interrupt_at(patch, "track", 1)
         assert hypose(*arguments)[0] == 130
     code, _, err = hypose(*arguments, "--resume", "--seed", "7")
     assert code == 2
     assert "belongs to another run: seed" in err and "run again without --resume" in err
 
 
-def test_the_number_of_threads_does_not_change_the_bytes(hypose, tiny, tracked, tmp_path, monkeypatch):
+def test_the_number_of_threads_does_not_change_the_bytes(hypose, tiny, tmp_path, monkeypatch):
     for count in ("1", "2"):
         monkeypatch.setenv("NUMBA_NUM_THREADS", count)
-        assert hypose("track", tiny, "--out", tmp_path / count, *LIGHT)[0] == 0
-    one, two = ((tmp_path / count / "motion.npz").read_bytes() for count in ("1", "2"))
-    assert one == two == (tracked / "motion.npz").read_bytes()
+        assert hypose("track", tiny, "--out", tmp_path / count, "--frames", ":3", *LIGHT)[0] == 0
+    assert (tmp_path / "1" / "motion.npz").read_bytes() == (tmp_path / "2" / "motion.npz").read_bytes()
