@@ -230,13 +230,9 @@ def deform(body: Body, shape: Shape, name: str | None = None) -> Body:
     marks = body.landmarks
     rest = old[marks.joint] + marks.offset
     moved_marks = np.stack([move(rest[i], int(j)) - new[j] for i, j in enumerate(marks.joint)]) if len(rest) else rest
-    return Body(
-        name or body.name,
-        skeleton,
-        deform_mesh(body.coarse),
-        deform_mesh(body.fine),
-        replace(marks, offset=moved_marks),
-    )
+    coarse = deform_mesh(body.coarse)
+    fine = coarse if body.fine is body.coarse else deform_mesh(body.fine)  # searches leave the display mesh out
+    return Body(name or body.name, skeleton, coarse, fine, replace(marks, offset=moved_marks))
 
 
 def _with_offsets(skeleton: Skeleton, offsets: Array) -> Skeleton:
