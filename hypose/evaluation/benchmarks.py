@@ -77,7 +77,7 @@ def row(metric: str, case: str, values: Any, unit: str, **more: Any) -> Row:
 
 def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
     """All benchmarks by name (imported when asked for, because they pull in the whole product)."""
-    from hypose.evaluation import published, real, speed
+    from hypose.evaluation import published, real, rigging, speed
 
     return {
         "table-2.3": published.table_2_3,
@@ -86,6 +86,7 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
         "silhouette-scorer": speed.silhouette_scorer,
         "contour-solve": speed.contour_solve,
         "multiview-speed": speed.multiview_speed,
+        "rigging": rigging.rigging,
     }
 
 
