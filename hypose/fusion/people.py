@@ -115,11 +115,17 @@ class _Link:
 
 
 class PeopleTracker:
-    """Follows persons over sensors; call `update` for every instant in order."""
+    """Follows persons over sensors; call `update` for every instant in order.
 
-    def __init__(self, settings: PeopleSettings | None = None) -> None:
+    transforms: common_from_sensor (4, 4) of sensors whose place is known; these are not estimated again.
+    """
+
+    def __init__(self, settings: PeopleSettings | None = None, transforms: Mapping[str, Array] | None = None) -> None:
         self.settings = settings or PeopleSettings()
         self._links: dict[str, _Link] = {}
+        for name, motion in (transforms or {}).items():
+            link = self._links[name] = _Link()
+            link.motion, link.trusted, link.anchor = np.array(motion), True, True
         self._people: list[_Person] = []
         self._last_id = 0
         self._tried = -np.inf
