@@ -141,12 +141,16 @@ def silhouette_xor(
         raise InputError(f"faces needs a truth value per face: shape {(len(mesh.faces),)}, got {wanted.shape}.")
     if selection.backend() == "numpy":
         return reference.silhouette_xor(q, tree, mesh, prepared, b, wanted)
-    kernels = _numba("lanes")
     t, m, prepared = _tidy(tree), lane_mesh.prepare(mesh, wanted), _tidy(prepared)
     areas = prepared.areas
     if boxes is not None:
         areas = np.empty(c, dtype=np.int64)
         _numba("silhouettes").areas_in_boxes(prepared.masks, b, areas)
+    if selection.backend() == "cuda":
+        from hypose.compute import cuda
+
+        return cuda.silhouette_xor(q, t, m, prepared, b, areas)
+    kernels = _numba("lanes")
     out = np.zeros((n, c, 3), dtype=np.int64)
     blocks = -(-n // kernels.LANES)
     over_chunks(lambda i, k: kernels.silhouette_xor(q, i, k, t, m, prepared, b, areas, out), blocks, threads)

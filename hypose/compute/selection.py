@@ -12,19 +12,22 @@ from pathlib import Path
 
 from hypose.errors import InputError
 
-BACKENDS = ("auto", "numba", "numpy")
+BACKENDS = ("auto", "cpu", "cuda", "reference", "numba", "numpy")
+"""numba and numpy are the libraries' names for cpu and reference."""
+_MEANING = {"auto": "numba", "cpu": "numba", "reference": "numpy"}
 _backend: ContextVar[str] = ContextVar("hypose_backend", default="auto")
 
 
 def backend() -> str:
-    """The back end in force: "numba" (also what "auto" means) or "numpy" (the reference, slow)."""
+    """The back end in force: "numba" (also what "auto" and "cpu" mean), "numpy" (the reference, slow) or "cuda" (the
+    silhouette scorer on the device, all else as numba). "auto" does not choose the device: its speed is not known."""
     name = _backend.get()
-    return "numba" if name == "auto" else name
+    return _MEANING.get(name, name)
 
 
 @contextlib.contextmanager
 def use(name: str) -> Iterator[None]:
-    """Run the enclosed block on another back end: "numpy", "numba" or "auto"."""
+    """Run the enclosed block on another back end: "auto", "cpu", "cuda" or "reference"."""
     if name not in BACKENDS:
         raise InputError(f"There is no compute back end {name!r}; choose one of {', '.join(BACKENDS)}.")
     token = _backend.set(name)
