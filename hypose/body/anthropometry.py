@@ -1,0 +1,350 @@
+"""Anthropometry: the entities in which a subject's shape is described, their statistics, and sizes measured on a mesh.
+
+A shape is a vector of log factors, one per entity, relative to a body; entities are symmetric. The prior is a normal
+distribution of the log factors about the body scaled to its height: Table 2.1 for lengths, and one common factor
+(slim to heavy) plus an own part for girths. Sizes are measured on any mesh with joint centres: lengths between joints,
+heights above the floor, girths as the tape measures them (convex outline of a cross-section), so that a fitted body and
+a scanned or synthetic person are measured by the same function.
+Source: Alcoverro 2014, section 2.3.3, Table 2.1 (after DinBelg 2005) and eq. 2.13; girth statistics are an addition.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from hypose.body.body import Body, Mesh, Shape, deform
+from hypose.body.models import JOINT_NAMES
+from hypose.errors import InputError
+from hypose.geometry import Array
+
+SIDES = ("left", "right")
+
+
+@dataclass(frozen=True)
+class Entity:
+    """One symmetric shape factor. name; kind: 'scale', 'length', 'girth' or 'clothing'; sd: of its log in the
+    population, at equal stature; fat: the part of that sd which follows the common factor from slim to heavy; mean."""
+
+    name: str
+    kind: str
+    sd: float
+    fat: float = 0.0
+    mean: float = 0.0
+
+
+# Lengths: sigma / mean of Table 2.1 (head 25 +- 2.2 cm, clavicles 35 +- 2.6, upper arms 25.5 +- 2, lower arms 30.5 +- 3.2,
+# torso 52 +- 2.8; legs 90.5 +- 4.1 for thigh and shank together, which vary against each other about as much). What the
+# table lacks is set by hand: girths from common anthropometric surveys, rounded.
+ENTITIES: tuple[Entity, ...] = (
+    Entity("scale", "scale", 0.12),
+    Entity("torso length", "length", 0.054),
+    Entity("neck length", "length", 0.10),
+    Entity("head", "length", 0.05),
+    Entity("upper arm length", "length", 0.078),
+    Entity("forearm length", "length", 0.09),
+    Entity("thigh length", "length", 0.065),
+    Entity("shank length", "length", 0.065),
+    Entity("shoulder width", "length", 0.075),
+    Entity("hip width", "length", 0.06),
+    Entity("hands", "length", 0.06),
+    Entity("feet", "length", 0.05),
+    Entity("chest width", "girth", 0.09, 0.07),
+    Entity("chest depth", "girth", 0.13, 0.11),
+    Entity("waist width", "girth", 0.13, 0.12),
+    Entity("waist depth", "girth", 0.18, 0.17),
+    Entity("pelvis width", "girth", 0.09, 0.07),
+    Entity("pelvis depth", "girth", 0.13, 0.11),
+    Entity("neck girth", "girth", 0.09, 0.06),
+    Entity("upper arm girth", "girth", 0.16, 0.12),
+    Entity("forearm girth", "girth", 0.12, 0.08),
+    Entity("thigh girth", "girth", 0.14, 0.10),
+    Entity("shank girth", "girth", 0.12, 0.08),
+    Entity("clothing", "clothing", 0.06, 0.0, 0.09),
+)
+ENTITY_NAMES = tuple(e.name for e in ENTITIES)
+
+CLOTHING_UNIT = 0.1
+"""m: the factor "clothing" is not a logarithm but a thickness in this unit, 9 +- 6 mm in the prior."""
+_COVERED = {"head": 0.0, "neck": 0.2, "wrist": 0.0, "ankle": 0.3}
+"""Share of the thickness by the kind of joint that carries the skin; 1 elsewhere."""
+
+TABLE_2_1: dict[str, tuple[float, float]] = {
+    "shoulder height": (140.0, 17.0),
+    "head": (25.0, 5.0),
+    "clavicles": (35.0, 7.0),
+    "arms": (55.5, 10.0),
+    "upper arms": (25.5, 4.0),
+    "lower arms": (30.5, 10.0),
+    "legs": (90.5, 17.0),
+    "torso": (52.0, 8.0),
+}
+"""Mean (cm) and variance (cm^2) of each entity's size. Source: Alcoverro 2014, Table 2.1."""
+
+_TRUNK = (("chest", "chest"), ("waist", "spine"), ("pelvis", "pelvis"))
+
+
+def shape_of(log_factors: ArrayLike) -> Shape:
+    """The Shape of log factors (K,) in the order of ENTITIES, for `hypose.body.body.deform`."""
+    x = np.asarray(log_factors, dtype=np.float64)
+    if x.shape != (len(ENTITIES),):
+        raise InputError(f"A shape has {len(ENTITIES)} log factors, got shape {x.shape}.")
+    f = dict(zip(ENTITY_NAMES, np.exp(x).tolist(), strict=True))
+    torso, shoulders, head, neck = f["torso length"], f["shoulder width"], f["head"], f["neck girth"]
+    length: dict[str, float] = dict.fromkeys(("pelvis", "spine", "chest"), torso)
+    length |= {"neck": f["neck length"], "head": head}
+    girth: dict[str, float | tuple[float, float, float]] = {
+        joint: (f[f"{part} width"], f[f"{part} depth"], 1.0) for part, joint in _TRUNK
+    }
+    girth |= {"neck": (neck, neck, 1.0), "head": (head, head, 1.0)}
+    offset: dict[str, tuple[float, float, float]] = {}
+    for joint in ("spine", "chest", "neck"):
+        offset[joint] = (1.0, 1 / torso, 1.0)  # the torso grows upwards only
+    for side in SIDES:
+        for joint, part in (("shoulder", "upper arm"), ("elbow", "forearm"), ("hip", "thigh"), ("knee", "shank")):
+            length[f"{side}_{joint}"] = f[f"{part} length"]
+            girth[f"{side}_{joint}"] = f[f"{part} girth"]
+        # along the arm and across it alike: a hand, a foot keep their proportions
+        length[f"{side}_wrist"] = girth[f"{side}_wrist"] = f["hands"]  # type: ignore[assignment]
+        length[f"{side}_ankle"] = girth[f"{side}_ankle"] = f["feet"]  # type: ignore[assignment]
+        # hips hang on the pelvis and clavicles on the chest: undo the trunk's stretch across the body
+        offset[f"{side}_hip"] = (f["hip width"] / torso, 1 / torso, 1.0)
+        offset[f"{side}_clavicle"] = (shoulders / torso, 1 / torso, 1.0)
+        offset[f"{side}_shoulder"] = (shoulders, 1.0, 1.0)
+        girth[f"{side}_clavicle"] = (shoulders, f["chest depth"], 1.0)
+    return Shape(f["scale"], length, girth, offset)
+
+
+def body_of(template: Body, factors: ArrayLike, *, clothed: bool = True) -> Body:
+    """The template with the shape of factors (K,), in its clothes or without them."""
+    x = np.asarray(factors, dtype=np.float64)
+    shaped = deform(template, shape_of(x))
+    thickness = CLOTHING_UNIT * float(x[entity("clothing")])
+    if not clothed or thickness == 0:
+        return shaped
+    fine = shaped.fine if template.fine is template.coarse else dressed(shaped.fine, thickness)
+    coarse = dressed(shaped.coarse, thickness)
+    return replace(shaped, coarse=coarse, fine=coarse if template.fine is template.coarse else fine)
+
+
+def dressed(mesh: Mesh, thickness: float) -> Mesh:
+    """The mesh of the 19-joint body moved outwards by `thickness` m where clothes usually are."""
+    v, f = mesh.vertices, mesh.faces
+    flat = np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]])
+    normals = np.zeros_like(v)
+    for k in range(3):
+        for c in range(3):
+            normals[:, c] += np.bincount(f[:, k], flat[:, c], len(v))
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    share = np.array([_COVERED.get(n.split("_")[-1], 1.0) for n in JOINT_NAMES])
+    covered = (share[mesh.skin_index] * mesh.skin_weight).sum(1)
+    out = replace(mesh, vertices=v + thickness * covered[:, None] * normals)
+    if "edges" in mesh.__dict__:
+        out.__dict__["edges"] = mesh.edges
+    return out
+
+
+def prior_mean() -> Array:
+    """(K,) of the factors."""
+    return np.array([e.mean for e in ENTITIES])
+
+
+def prior_covariance() -> Array:
+    """(K, K) covariance of the log factors at equal stature: own variances plus the common slim-to-heavy factor."""
+    sd, fat = np.array([e.sd for e in ENTITIES]), np.array([e.fat for e in ENTITIES])
+    return np.diag(sd**2 - fat**2) + np.outer(fat, fat)
+
+
+def length_rows(body: Body) -> tuple[Array, Array, Array]:
+    """What Table 2.1 says of sums of entities: matrix (M, K) of d log(size) / d log(factor), mean (M,) = 0 at the
+    height-scaled body, and sd (M,): arms = upper arm + forearm, legs = thigh + shank, shoulder height."""
+    lengths = body.segment_lengths()
+    ua, fa = lengths["left_upper_arm"], lengths["left_forearm"]
+    th, sh, torso = lengths["left_thigh"], lengths["left_shank"], lengths["torso"]
+    rows = np.zeros((3, len(ENTITIES)))
+    rows[0, [entity("upper arm length"), entity("forearm length")]] = np.array([ua, fa]) / (ua + fa)
+    rows[1, [entity("thigh length"), entity("shank length")]] = np.array([th, sh]) / (th + sh)
+    parts = [entity("torso length"), entity("thigh length"), entity("shank length")]
+    rows[2, parts] = np.array([torso, th, sh]) / (torso + th + sh)
+    sd = [np.sqrt(TABLE_2_1[n][1]) / TABLE_2_1[n][0] for n in ("arms", "legs", "shoulder height")]
+    return rows, np.zeros(3), np.array(sd)
+
+
+def entity(name: str) -> int:
+    """Index of an entity; an InputError lists the names."""
+    if name not in ENTITY_NAMES:
+        raise InputError(f"There is no entity {name!r}; the entities are {', '.join(ENTITY_NAMES)}.")
+    return ENTITY_NAMES.index(name)
+
+
+# --- sizes measured on a mesh ---------------------------------------------------------------------------------------
+
+# girth: (joint, towards joint, share of the way, plane normal: along the bone, or z); '+' continues past the end
+_GIRTH_SITES: dict[str, tuple[str, str, float, bool]] = {
+    "chest": ("chest", "neck", 0.10, False),
+    "waist": ("spine", "chest", 0.25, False),
+    "hips": ("left_hip", "right_hip", 0.5, False),
+    "neck": ("neck", "head", 0.5, True),
+    "upper arm": ("shoulder", "elbow", 0.5, True),
+    "forearm": ("elbow", "wrist", 0.3, True),
+    "thigh": ("hip", "knee", 0.45, True),
+    "shank": ("knee", "ankle", 0.3, True),
+}
+GIRTHS = tuple(_GIRTH_SITES)
+SEGMENTS: dict[str, tuple[str, str]] = {
+    "torso": ("pelvis", "neck"),
+    "upper arm": ("shoulder", "elbow"),
+    "forearm": ("elbow", "wrist"),
+    "thigh": ("hip", "knee"),
+    "shank": ("knee", "ankle"),
+    "shoulder width": ("left_shoulder", "right_shoulder"),
+    "hip width": ("left_hip", "right_hip"),
+}
+"""Lengths that are measured: distance of two joint centres, the mean of both sides where there are two."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Sizes of a person in m: stature, shoulder_height, lengths by segment (SEGMENTS), girths by site (GIRTHS)."""
+
+    stature: float
+    shoulder_height: float
+    lengths: dict[str, float]
+    girths: dict[str, float]
+
+    @property
+    def in_cm(self) -> dict[str, float]:
+        """All sizes in cm, girths under '<site> girth'."""
+        out = {"stature": self.stature, "shoulder height": self.shoulder_height, **self.lengths}
+        out |= {f"{k} girth": v for k, v in self.girths.items()}
+        return {k: 100 * v for k, v in out.items()}
+
+
+def sizes_of(body: Body) -> Sizes:
+    """Sizes of a body's fine mesh at rest."""
+    return measure(body.fine.vertices, body.fine.faces, body.skeleton.rest_joints)
+
+
+def measure(vertices: Array, faces: NDArray[np.integer], joints: Array) -> Sizes:
+    """Sizes of a person at rest (standing, arms off the body): vertices (V, 3) m with z up, faces (F, 3), joint centres
+    (19, 3) m in the order of hypose.body.models.JOINT_NAMES.
+
+    A girth is the length of the convex outline of the cross-section's loop around the bone. An InputError when a plane
+    misses the mesh.
+    """
+    j = np.asarray(joints, dtype=np.float64)
+    at = JOINT_NAMES.index
+
+    def distance(a: str, b: str) -> float:
+        pairs = [(a, b)] if a in JOINT_NAMES and b in JOINT_NAMES else [(f"{s}_{a}", f"{s}_{b}") for s in SIDES]
+        return float(np.mean([np.linalg.norm(j[at(p)] - j[at(q)]) for p, q in pairs]))
+
+    floor = float(np.min(vertices[:, 2]))
+    shoulders = float(np.mean([j[at(f"{s}_shoulder"), 2] for s in SIDES])) - floor
+    girths = {}
+    for site, (a, b, share, along) in _GIRTH_SITES.items():
+        pairs = [(a, b)] if a in JOINT_NAMES else [(f"{s}_{a}", f"{s}_{b}") for s in SIDES]
+        found = []
+        for p, q in pairs:
+            start, bone = j[at(p)], j[at(q)] - j[at(p)]
+            normal = bone / np.linalg.norm(bone) if along else np.array([0.0, 0.0, 1.0])
+            found.append(girth_at(vertices, faces, start + share * bone, normal, site))
+        girths[site] = float(np.mean(found))
+    lengths = {k: distance(a, b) for k, (a, b) in SEGMENTS.items()}
+    return Sizes(float(np.ptp(vertices[:, 2])), shoulders, lengths, girths)
+
+
+def girth_at(vertices: Array, faces: NDArray[np.integer], point: Array, normal: Array, what: str = "section") -> float:
+    """Length (m) of the convex outline of the cross-section of a closed mesh through `point` (3,) with unit `normal`
+    (3,): of the loop around the point, or the nearest one."""
+    loops = cross_section(vertices, faces, point, normal)
+    if not loops:
+        raise InputError(f"The plane of the {what} misses the mesh; the joints do not fit the mesh.")
+    x = np.cross(normal, np.eye(3)[int(np.abs(normal).argmin())])
+    x /= np.linalg.norm(x)
+    basis = np.stack([x, np.cross(normal, x)], 1)
+    flat = [(loop - point) @ basis for loop in loops]
+    around = [abs(_winding(f)) > np.pi for f in flat]
+    inner = [k for k, a in enumerate(around) if a] or list(range(len(flat)))
+    best = min(inner, key=lambda k: float(np.linalg.norm(flat[k], axis=1).min()) if not around[k] else -len(flat[k]))
+    return _tape(flat[best])
+
+
+def cross_section(vertices: Array, faces: NDArray[np.integer], point: Array, normal: Array) -> list[Array]:
+    """Closed loops (n, 3) in which a plane cuts a closed mesh."""
+    height = (np.asarray(vertices, dtype=np.float64) - point) @ normal
+    height = np.where(height == 0, 1e-12, height)  # no vertex lies in the plane: every cut face has two cut edges
+    above = height > 0
+    cut = np.flatnonzero(np.ptp(above[faces].astype(np.int8), axis=1))
+    points: dict[tuple[int, int], Array] = {}
+    neighbours: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    for face in np.asarray(faces)[cut].tolist():
+        ends = []
+        for a, b in ((face[0], face[1]), (face[1], face[2]), (face[2], face[0])):
+            if above[a] != above[b]:
+                key = (min(a, b), max(a, b))
+                t = height[key[0]] / (height[key[0]] - height[key[1]])
+                points[key] = vertices[key[0]] + t * (vertices[key[1]] - vertices[key[0]])
+                ends.append(key)
+        neighbours.setdefault(ends[0], []).append(ends[1])
+        neighbours.setdefault(ends[1], []).append(ends[0])
+    loops, seen = [], set()
+    for first in points:
+        if first in seen:
+            continue
+        loop, here = [], first
+        while here not in seen:
+            seen.add(here)
+            loop.append(points[here])
+            here = next((n for n in neighbours[here] if n not in seen), here)
+        if len(loop) > 2:
+            loops.append(np.array(loop))
+    return loops
+
+
+def _winding(flat: Array) -> float:
+    angle = np.unwrap(np.arctan2(flat[:, 1], flat[:, 0]))
+    last = np.arctan2(flat[0, 1], flat[0, 0])
+    return float(angle[-1] - angle[0] + np.angle(np.exp(1j * (last - angle[-1]))))
+
+
+def _tape(flat: Array) -> float:
+    try:
+        return float(ConvexHull(flat).area)  # in two dimensions the "area" is the perimeter
+    except QhullError:
+        return 0.0
+
+
+def log_prior_2_1(sizes_cm: Sequence[tuple[str, float]]) -> float:
+    """Logarithm of eq. 2.13: -sum (S_k - M_k)^2 / (2 sigma_k^2) over (name, size in cm) of Table 2.1."""
+    return -sum((s - TABLE_2_1[n][0]) ** 2 / (2 * TABLE_2_1[n][1]) for n, s in sizes_cm)
+
+
+def sizes_2_1(body: Body) -> dict[str, float]:
+    """The entities of Table 2.1 on a body at rest, cm.
+
+    The thesis does not say where it measures; taken here: shoulder height above the sole; head from the neck's joint to
+    the crown; clavicles between the shoulder joints; arms and lower arms to the middle of the hand (the table's 30.5 cm
+    are more than elbow to wrist); legs from the hip joint to the sole; torso from
+    the hip joints' middle to the neck's joint.
+    """
+    j, at, z = body.skeleton.rest_joints, JOINT_NAMES.index, body.fine.vertices[:, 2]
+    lengths = body.segment_lengths()
+    hips = 0.5 * (j[at("left_hip")] + j[at("right_hip")])
+    hand = body.fine.vertices[body.fine.main_joint == at("left_wrist")].mean(0)
+    upper, lower = lengths["left_upper_arm"], float(np.linalg.norm(hand - j[at("left_elbow")]))
+    out = {
+        "shoulder height": j[at("left_shoulder"), 2] - z.min(),
+        "head": z.max() - j[at("neck"), 2],
+        "clavicles": lengths["shoulder_width"],
+        "arms": upper + lower,
+        "upper arms": upper,
+        "lower arms": lower,
+        "legs": hips[2] - z.min(),
+        "torso": np.linalg.norm(j[at("neck")] - hips),
+    }
+    return {k: 100 * float(v) for k, v in out.items()}

@@ -1,0 +1,239 @@
+"""The subject's body from the silhouettes of a moving person: track briefly, choose different poses, fit shape and poses.
+
+Source: Alcoverro 2014, section 2.3.3 (placing at the hull, then pose, then shape and pose together). Deviation: several
+frames of ordinary motion instead of one known pose, and a joint gradient solution (hypose.tracking.shape_refinement);
+the thesis' layered filter for one held pose is hypose.tracking.anthropometry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hypose.body.anthropometry import ENTITY_NAMES, SEGMENTS, Sizes, body_of, entity, prior_mean, sizes_of
+from hypose.body.body import Body
+from hypose.errors import EvidenceError, InputError
+from hypose.evidence.frame import Frame
+from hypose.geometry import Array
+from hypose.tracking.evidence import PreparedFrame, prepare
+from hypose.tracking.initialise import KNOWN_POSES, start_from_hull
+from hypose.tracking.recipes import default
+from hypose.tracking.refinement import ContourRefinement
+from hypose.tracking.shape_refinement import Known, ShapeFit, ShapeOptions, refine_shape
+from hypose.tracking.subject import scaled_to_height
+from hypose.tracking.tracker import Tracker, TrackerSettings
+
+FrameAt = Callable[[int], Frame]
+
+
+@dataclass(frozen=True)
+class AnthropometryOptions:
+    """frames: how many different poses are fitted; tracked: how many instants are looked at to find them; rate: their
+    rate in Hz; passes: the second one tracks again with the fitted body; height m, mass kg: when known; poses: what the
+    person may be doing at the start; seed; shape: of the solver."""
+
+    frames: int = 10
+    tracked: int = 36
+    rate: float = 12.5
+    particles: int = 48
+    passes: int = 1
+    height: float | None = None
+    mass: float | None = None
+    poses: tuple[str, ...] = KNOWN_POSES
+    seed: int = 0
+    shape: ShapeOptions = ShapeOptions()
+
+    def __post_init__(self) -> None:
+        for name, value, low, high in (("height", self.height, 0.5, 2.5), ("mass", self.mass, 8.0, 350.0)):
+            if value is not None and not low < value < high:
+                raise InputError(f"A {name} of {value:g} is no person's; give metres and kilograms.")
+
+
+@dataclass(frozen=True)
+class SubjectEstimate:
+    """body: in its clothes, as cameras see it; naked: without them; factors (K,) with covariance (K, K) of
+    hypose.body.anthropometry.ENTITIES about the template; start (D,): pose in the first frame looked at; frames: the
+    fitted instants, poses (F, D) there; iou (F, C) of the body before and after; notes in words."""
+
+    body: Body
+    naked: Body
+    factors: Array
+    covariance: Array
+    start: Array
+    frames: tuple[int, ...]
+    poses: Array
+    template: Body
+    template_poses: Array
+    iou_before: Array
+    iou: Array
+    notes: tuple[str, ...]
+
+    @property
+    def sizes(self) -> Sizes:
+        """Sizes of the body without its clothes (girths are the skin's, as far as the clothes' thickness is known)."""
+        return sizes_of(self.naked)
+
+    @property
+    def clothed_sizes(self) -> Sizes:
+        """Sizes over the clothes."""
+        return sizes_of(self.body)
+
+
+def estimate_subject(
+    frame_at: FrameAt,
+    n_frames: int,
+    frame_rate: float,
+    template: Body,
+    options: AnthropometryOptions | None = None,
+    start: Array | None = None,
+) -> SubjectEstimate:
+    """The subject of a recording from silhouettes alone.
+
+    start (D,): pose of `template` in frame 0; default: known poses at the visual hull. The person may do anything;
+    different poses (bent elbows and knees) place the joints. An EvidenceError when fewer than two views are usable.
+    """
+    options = options or AnthropometryOptions()
+    step = max(1, round(frame_rate / options.rate))
+    indices = list(range(0, n_frames, step))[: options.tracked]
+    rate = frame_rate / step
+    frames = [frame_at(i) for i in indices]
+    seen = [f for f in frames if f.silhouettes is not None and int(f.silhouettes.usable.sum()) >= 2]
+    if not seen or frames[0] is not seen[0]:
+        raise EvidenceError(
+            "The subject's shape needs silhouettes in at least two views from the first frame on; check masks with "
+            "`hypose silhouettes`, or choose other frames."
+        )
+    height = options.height
+    if start is None:
+        body, start_pose = hull_start(template, frames[0], height, options.poses)
+    else:
+        body = template if height is None else scaled_to_height(template, height)
+        start_pose = start
+    notes = []
+    known = Known(height, options.mass)
+    fit: ShapeFit | None = None
+    before_poses = chosen = None
+    x = prior_mean()
+    for _ in range(max(1, options.passes)):
+        poses, iou = _follow(body, start_pose, seen, rate, options)
+        if chosen is None:
+            chosen = different_poses(body, poses, iou, options.frames)
+            before, before_poses = body, poses[chosen]
+            x[0] = np.log(body.stature / template.stature)
+        prepared = [_prepared(seen[k], body, poses[k]) for k in chosen]
+        contours = [p.contours for p in prepared if p.contours is not None]
+        fit = refine_shape(template, poses[chosen], contours, known=known, options=options.shape, start=x)
+        body, x = fit.body, fit.log_factors
+        start_pose = _settled(body, poses[0], seen[0])
+    assert fit is not None and chosen is not None and before_poses is not None
+    iou_before = _ious(before, before_poses, prepared)
+    iou_after = _ious(body, fit.poses, prepared)
+    notes.append(
+        f"shape from the silhouettes of {len(chosen)} poses: mean IoU {np.nanmean(iou_before):.3f} -> "
+        f"{np.nanmean(iou_after):.3f}, clothes about {100 * x[entity('clothing')]:.0f} mm"
+    )
+    return SubjectEstimate(
+        body,
+        body_of(template, x, clothed=False),
+        x,
+        fit.covariance,
+        start_pose,
+        tuple(seen[k].index for k in chosen),
+        fit.poses,
+        before,
+        before_poses,
+        iou_before,
+        iou_after,
+        tuple(notes),
+    )
+
+
+def hull_start(
+    template: Body, frame: Frame, height: float | None = None, poses: Sequence[str] = KNOWN_POSES
+) -> tuple[Body, Array]:
+    """The template scaled to the person and its pose in one frame: known poses at the visual hull, at the given height
+    or at several scales about the hull's, of which the best explained is taken."""
+    from hypose.tracking.costs import silhouette_iou
+    from hypose.tracking.initialise import hull_of
+
+    prepared = prepare(frame, template, np.zeros(template.skeleton.dof))
+    if height is not None:
+        heights = [height]
+    else:
+        extent = hull_of(prepared).height
+        # standing people are as high as their hull, raised arms add up to a third, strides and bends take some away
+        heights = [h for h in (extent, extent / 1.05, extent / 1.28, 1.05 * extent) if 0.8 < h < 2.3] or [1.7]
+    best: tuple[float, Body, Array] | None = None
+    for h in heights:
+        body = scaled_to_height(template, float(np.clip(h, 0.8, 2.3)))
+        pose = start_from_hull(body, prepared, tuple(poses)).pose
+        value = float(np.nanmean(silhouette_iou(body, pose, prepared)))
+        if best is None or value > best[0] + 0.002:
+            best = (value, body, pose)
+    assert best is not None
+    return best[1], best[2]
+
+
+def _follow(
+    body: Body, start: Array, frames: Sequence[Frame], rate: float, options: AnthropometryOptions
+) -> tuple[Array, Array]:
+    """(T, D) poses and (T,) IoU of the frames, tracked with few particles."""
+    recipe, particles = default(body, particles=options.particles, frame_rate=rate)
+    tracker = Tracker(body, recipe, particles, TrackerSettings(seed=options.seed, frame_rate=rate))
+    state = tracker.start(start)
+    poses, iou = [], []
+    for frame in frames:
+        state, estimate = tracker.step(state, frame)
+        poses.append(estimate.pose)
+        iou.append(1 - estimate.cost)
+    return np.stack(poses), np.array(iou)
+
+
+def different_poses(body: Body, poses: Array, iou: Array, count: int) -> list[int]:
+    """Indices of up to `count` poses (T, D) that differ most (farthest-point choice on joint positions about the
+    pelvis, in its frame, so that the view changes count too), among those explained about as well as usual."""
+    usual = float(np.nanmedian(iou))
+    allowed = [k for k in range(len(poses)) if iou[k] > 0.92 * usual] or list(range(len(poses)))
+    rotations, joints = body.skeleton.forward(poses)
+    local = np.einsum("tba,tjb->tja", rotations[:, 0], joints - joints[:, :1])
+    heading = rotations[:, 0, :, 1] * 0.5
+    feature = np.concatenate([local.reshape(len(poses), -1), heading], 1)
+    chosen = [max(allowed, key=lambda k: iou[k])]
+    gap = np.linalg.norm(feature - feature[chosen[0]], axis=1)
+    while len(chosen) < min(count, len(allowed)):
+        new = max(allowed, key=lambda k: gap[k])
+        if gap[new] <= 0:
+            break
+        chosen.append(new)
+        gap = np.minimum(gap, np.linalg.norm(feature - feature[new], axis=1))
+    return sorted(chosen)
+
+
+def _prepared(frame: Frame, body: Body, pose: Array) -> PreparedFrame:
+    return prepare(frame, body, pose)
+
+
+def _settled(body: Body, pose: Array, frame: Frame) -> Array:
+    return ContourRefinement(body).refine(pose[None], _prepared(frame, body, pose)).pose
+
+
+def _ious(body: Body, poses: Array, frames: Sequence[PreparedFrame]) -> Array:
+    from hypose.tracking.costs import silhouette_iou
+
+    return np.stack([silhouette_iou(body, q, f) for q, f in zip(poses, frames, strict=True)])
+
+
+def size_uncertainty(estimate: SubjectEstimate, template: Body, draws: int = 24) -> dict[str, float]:
+    """One standard deviation (m) of every size, by drawing shapes from the fit's covariance (seed fixed)."""
+    rng = np.random.default_rng(0)
+    root = np.linalg.cholesky(estimate.covariance)
+    light = replace(template, coarse=template.fine)
+    rows = []
+    for z in rng.standard_normal((draws, len(ENTITY_NAMES))):
+        rows.append(sizes_of(body_of(light, estimate.factors + root @ z, clothed=False)).in_cm)
+    return {k: float(np.std([r[k] for r in rows])) / 100 for k in rows[0]}
+
+
+SEGMENT_NAMES = tuple(SEGMENTS)

@@ -1,0 +1,354 @@
+"""Shape and poses of one person from the contours of several frames at once: joint Gauss-Newton.
+
+Unknowns are the log shape factors of the entities (hypose.body.anthropometry), shared by all frames, and one pose per
+frame. Rows are the two-way contour distances of the pose solver (outline of the body against the mask's distance
+transform, outline of the mask against the nearest outline of the body), with a Geman-McClure weight; rows of
+anthropometry hold what the views do not show. Poses are eliminated per frame (Schur complement), so the cost of a step
+grows linearly with the frames, and a segment's length and the bends at its ends move together, which an alternation of
+shape and pose steps does only slowly. Several different poses are needed: a straight limb does not show its joint.
+Source: entities and statistics of Alcoverro 2014, section 2.3; the joint gradient solution in place of the layered
+filter is an addition (compare Gall et al. 2009 for contours, Carranza et al. 2003 for fitting limb by limb).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.anthropometry import ENTITIES, body_of, length_rows, prior_covariance, prior_mean
+from hypose.body.body import Body, Landmarks, Mesh
+from hypose.compute.render import silhouette
+from hypose.errors import EvidenceError
+from hypose.fitting.articulated import ContourTerm
+from hypose.geometry import Array
+from hypose.tracking.refinement import anatomical_prior
+
+BORDER = 3
+"""px along the image border where the image cuts the person off"""
+DENSITY = 1000.0
+"""kg/m^3 of a person with air in the lungs, with the mesh's volume"""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of the subject: height m (sd 1 cm), mass kg (sd 6 %: the mesh is not the body); None = unknown."""
+
+    height: float | None = None
+    mass: float | None = None
+
+
+@dataclass(frozen=True)
+class ShapeOptions:
+    """iterations: Gauss-Newton steps; coarse: factors of the contour scale, one stage each; weight: of a contour row at
+    the reference density, as for the pose solver (rows of one frame err together, so it is far below 1); pose_sd: how
+    far poses may move from where they start, rad; normals: rows whose outlines point more than 60 degrees apart are
+    left out; prior: factor on the anthropometric prior's weight."""
+
+    iterations: tuple[int, ...] = (4, 5, 8)
+    coarse: tuple[float, ...] = (4.0, 2.0, 1.0)
+    weight: float = 1.0
+    pose_sd: float = 0.5
+    normals: float = 0.5
+    prior: float = 1.0
+    row_spacing_px: float = 4.0
+
+
+@dataclass(frozen=True)
+class ShapeFit:
+    """body; log_factors (K,) of ENTITIES relative to the body given, covariance (K, K) of them (poses marginalised; the
+    rows' correlation is only in their weight, so take it as a scale); poses (F, D); cost before and after."""
+
+    body: Body
+    log_factors: Array
+    covariance: Array
+    poses: Array
+    cost_before: float
+    cost: float
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Linearised contour rows of one frame: residual (R,) px, weight (R,), jacobian over shape (R, K) and pose (R, D),
+    and the robust cost."""
+
+    residual: Array
+    weight: Array
+    by_shape: Array
+    by_pose: Array
+    cost: float
+
+
+def refine_shape(
+    body: Body,
+    poses: Array,
+    contours: Sequence[ContourTerm],
+    *,
+    known: Known | None = None,
+    options: ShapeOptions | None = None,
+    start: Array | None = None,
+) -> ShapeFit:
+    """Shape of `body` and poses that explain the contours of F frames best.
+
+    body: the template, whose log factors are 0; start (K,): log factors to begin with (default 0, and the prior is
+    about 0 except for the scale). poses (F, D), contours F terms. An EvidenceError when there is no frame.
+    """
+    if len(poses) == 0 or len(poses) != len(contours):
+        raise EvidenceError("The subject's shape needs at least one frame with silhouettes and its pose.")
+    options, known = options or ShapeOptions(), known or Known()
+    marks = Landmarks((), np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+    light = replace(body, fine=body.coarse, landmarks=marks)  # nothing but the scoring mesh is needed
+    light.coarse.edges  # noqa: B018 - built once, shared by all deformed copies
+    ratio = body.stature / float(np.ptp(body.coarse.vertices[:, 2]))  # decimation cuts the crown
+    problem = _ShapeProblem(light, list(contours), known, options, np.asarray(poses, dtype=np.float64), ratio)
+    x = prior_mean() if start is None else np.array(start, dtype=np.float64)
+    q = np.array(poses, dtype=np.float64)
+    before = None
+    for n, factor in zip(options.iterations, options.coarse, strict=True):
+        x, q, first, last = problem.solve(x, q, n, factor)
+        before = first if before is None else before
+    system = problem.linearise(x, q, options.coarse[-1])
+    covariance = np.linalg.inv(problem.reduced(system, 0.0)[0])
+    return ShapeFit(body_of(body, x), x, covariance, q, float(before or 0.0), last)
+
+
+@dataclass(frozen=True)
+class _System:
+    rows: list[_Rows]
+    prior_hessian: Array
+    prior_gradient: Array
+    cost: float
+
+
+class _ShapeProblem:
+    """Evidence and priors of one fit."""
+
+    def __init__(
+        self,
+        body: Body,
+        contours: list[ContourTerm],
+        known: Known,
+        options: ShapeOptions,
+        anchor: Array,
+        height_ratio: float,
+    ) -> None:
+        self.body, self.contours, self.known, self.options, self.anchor = body, contours, known, options, anchor
+        self.dense = body.coarse.dense_weights(len(body.skeleton.joint_names))
+        self.precision = np.linalg.inv(prior_covariance()) * options.prior
+        self.mean = prior_mean()
+        self.height_ratio = height_ratio
+        rows, _, sd = length_rows(body)
+        self.precision = self.precision + options.prior * (rows / sd[:, None]).T @ (rows / sd[:, None])
+        pose_weight = anatomical_prior(body.skeleton).weight
+        self.pose_weight = pose_weight
+        self.anchor_weight = np.full(body.skeleton.dof, options.pose_sd**-2)
+        self.anchor_weight[:6] = 0
+
+    def deformed(self, x: Array) -> Body:
+        return body_of(self.body, x)
+
+    def linearise(self, x: Array, q: Array, factor: float) -> _System:
+        """Rows of all frames and the priors at shape x (K,) and poses q (F, D)."""
+        k, step = len(x), 0.01
+        shaped = self.deformed(x)
+        varied = [self.deformed(x + step * e) for e in np.eye(k)]
+        skins = np.stack([b.skin(q) for b in varied], 1)  # (F, K, V, 3)
+        here = shaped.skin(q)
+        slopes = (skins - here[:, None]) / step
+        rows = [self._frame_rows(shaped, q[f], here[f], slopes[f], self.contours[f], factor) for f in range(len(q))]
+        h, g = self.precision.copy(), self.precision @ (x - self.mean)
+        cost = 0.5 * (x - self.mean) @ self.precision @ (x - self.mean)
+        for value, target, sd, gradient in self._known_rows(shaped, varied, step):
+            r = (value - target) / sd
+            h += np.outer(gradient, gradient) / sd**2
+            g += gradient * r / sd
+            cost += 0.5 * r * r
+        cost += 0.5 * float((self.pose_weight * q**2).sum())
+        cost += 0.5 * float((self.anchor_weight * (q - self.anchor) ** 2).sum())
+        return _System(rows, h, g, cost + sum(r.cost for r in rows))
+
+    def _known_rows(self, shaped: Body, varied: list[Body], step: float) -> list[tuple[float, float, float, Array]]:
+        out = []
+        for wanted, sd, of in (
+            (
+                self.known.height,
+                0.01 / (self.known.height or 1),
+                lambda b: self.height_ratio * np.ptp(b.coarse.vertices[:, 2]),
+            ),
+            (self.known.mass, 0.06, lambda b: DENSITY * b.coarse.volume),
+        ):
+            if wanted is not None:
+                value = float(np.log(of(shaped)))
+                gradient = np.array([(float(np.log(of(b))) - value) / step for b in varied])
+                out.append((value, float(np.log(wanted)), sd, gradient))
+        return out
+
+    def reduced(self, system: _System, damping: float) -> tuple[Array, Array, list[tuple[Array, Array, Array]]]:
+        """Schur complement: hessian (K, K) and gradient (K,) of the shape, and per frame what gives its pose back."""
+        h, g = system.prior_hessian.copy(), system.prior_gradient.copy()
+        frames = []
+        for f, r in enumerate(system.rows):
+            ws, wp = r.by_shape * r.weight[:, None], r.by_pose * r.weight[:, None]
+            hpp = wp.T @ r.by_pose
+            hpp[np.diag_indices_from(hpp)] += self.pose_weight + self.anchor_weight + damping * hpp.diagonal() + 1e-6
+            gp = wp.T @ r.residual + self.pose_weight * self._q[f] + self.anchor_weight * (self._q[f] - self.anchor[f])
+            hsp = ws.T @ r.by_pose
+            solved = np.linalg.solve(hpp, np.concatenate([hsp.T, gp[:, None]], 1))
+            h += ws.T @ r.by_shape - hsp @ solved[:, :-1]
+            g += ws.T @ r.residual - hsp @ solved[:, -1]
+            frames.append((solved[:, :-1], solved[:, -1], gp))
+        return h, g, frames
+
+    def solve(self, x: Array, q: Array, iterations: int, factor: float) -> tuple[Array, Array, float, float]:
+        """One stage of damped Gauss-Newton; returns shape, poses, cost before and after."""
+        s, damping = self.body.skeleton, 1e-2
+        self._q = q
+        system = self.linearise(x, q, factor)
+        first = system.cost
+        for _ in range(iterations):
+            h, g, frames = self.reduced(system, damping)
+            h[np.diag_indices_from(h)] *= 1 + damping
+            dx = -np.linalg.solve(h, g)
+            dx *= min(1.0, 0.08 / max(float(np.abs(dx).max()), 1e-9))
+            new_q = q.copy()
+            for f, (by_shape, own, _) in enumerate(frames):
+                dq = -(own + by_shape @ dx)
+                dq *= min(1.0, 0.3 / max(float(np.abs(dq[3:]).max()), 1e-9))
+                new_q[f] = s.clamp(q[f] + dq)
+            new_x = x + dx
+            new = self.linearise(new_x, new_q, factor)
+            if np.isfinite(new.cost) and new.cost < system.cost * 1.002:
+                small = np.abs(dx).max() < 5e-4
+                x, q, system, damping = new_x, new_q, new, max(damping / 3, 1e-4)
+                self._q = q
+                if small:
+                    break
+            else:
+                damping = min(damping * 10, 1e3)
+        return x, q, first, system.cost
+
+    def _frame_rows(
+        self, shaped: Body, pose: Array, vertices: Array, slopes: Array, term: ContourTerm, factor: float
+    ) -> _Rows:
+        """vertices (V, 3), slopes (K, V, 3) of one frame."""
+        twists = shaped.skeleton.world_twists(pose)
+        moves = self.dense @ shaped.skeleton.moves.T.astype(np.float64)  # (V, D) share of a dof's motion at a vertex
+        parts = []
+        for c in np.flatnonzero(term.usable):
+            made = outline_rows(
+                shaped.coarse, vertices, term, int(c), self.options.row_spacing_px, self.options.normals
+            )
+            if made is not None:
+                parts.append(made)
+        if not parts:
+            zero = np.zeros(0)
+            return _Rows(zero, zero, np.zeros((0, len(slopes))), np.zeros((0, len(pose))), 0.0)
+        a, b = (np.concatenate([p[k] for p in parts]) for k in (0, 1))
+        t, r, g, weight = (np.concatenate([p[k] for p in parts]) for k in (2, 3, 4, 5))
+        scale = term.scale_px * factor
+        e2 = (r / scale) ** 2
+        kernel = 1 / (1 + e2)
+        w0 = self.options.weight * weight
+        cost = 0.5 * float((w0 * e2 * kernel).sum())
+        s = (1 - t)[:, None]
+        point = s * vertices[a] + t[:, None] * vertices[b]
+        by_shape = np.einsum("rc,krc->rk", s * g, slopes[:, a]) + np.einsum("rc,krc->rk", t[:, None] * g, slopes[:, b])
+        carried = s * moves[a] + t[:, None] * moves[b]
+        wrench = np.concatenate([np.cross(point, g), g], 1)
+        by_pose = (wrench @ twists.T) * carried
+        return _Rows(r, w0 * kernel**2 / scale**2, by_shape, by_pose, cost)
+
+
+def outline_rows(
+    mesh: Mesh, vertices: Array, term: ContourTerm, view: int, spacing_px: float, least_cosine: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array, Array, Array] | None:
+    """Two-way contour rows of one view with the body's vertices (V, 3) m.
+
+    Returns (a (R,), b (R,), t (R,)): the row's point is (1 - t) a + t b of two mesh vertices; residual (R,) px;
+    gradient (R, 3) of the residual with respect to the point, px/m; weight (R,): rows per reference row. None when the
+    body is not in the view. Rows whose outlines have normals with a cosine below least_cosine are left out.
+    """
+    p = term.projections[view]
+    h = vertices @ p[:, :3].T + p[:, 3]
+    if not (h[:, 2] > 0.05).all():
+        return None
+    uv = h[:, :2] / h[:, 2:]
+    width, height = (int(n) for n in term.sizes[view])
+    f = mesh.faces
+    e1, e2 = uv[f[:, 1]] - uv[f[:, 0]], uv[f[:, 2]] - uv[f[:, 0]]
+    front = e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0] < 0  # image y grows downwards
+    edges = mesh.edges
+    fa, fb = front[edges[:, 2]], front[edges[:, 3]]
+    contour = np.flatnonzero(fa != fb)
+    ea = np.where(fa[contour], edges[contour, 0], edges[contour, 1])
+    eb = np.where(fa[contour], edges[contour, 1], edges[contour, 0])
+    d = uv[eb] - uv[ea]
+    length = np.linalg.norm(d, axis=1)
+    keep = length > 1e-3
+    ea, eb, d, length = ea[keep], eb[keep], d[keep], length[keep]
+    if len(length) < 8:
+        return None
+    # samples evenly along each edge, each standing for its share of the arc length
+    count = np.maximum(np.ceil(length / spacing_px).astype(int), 1)
+    edge = np.repeat(np.arange(len(length)), count)
+    t = (np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[edge]
+    share = (length / count)[edge]
+    normal = np.stack([-d[:, 1], d[:, 0]], 1) / length[:, None]  # outward: the front face lies on the other side
+    xy = uv[ea[edge]] + t[:, None] * d[edge]
+    n = normal[edge]
+    inside = (
+        (xy[:, 0] >= BORDER) & (xy[:, 1] >= BORDER) & (xy[:, 0] < width - 1 - BORDER) & (xy[:, 1] < height - 1 - BORDER)
+    )
+    edge, t, share, xy, n = edge[inside], t[inside], share[inside], xy[inside], n[inside]
+    own = silhouette(uv, h[:, 2], f, (width, height))
+    out = np.rint(xy + 1.2 * n).astype(int)
+    visible = own[np.clip(out[:, 1], 0, height - 1), np.clip(out[:, 0], 0, width - 1)] == 0
+    edge, t, share, xy, n = edge[visible], t[visible], share[visible], xy[visible], n[visible]
+    if len(edge) < 8:
+        return None
+    a, b = ea[edge], eb[edge]
+    sdf = term.sdf[view]
+    # forward: body outline in the mask's distance transform
+    r, slope = _bilinear(sdf, xy)
+    agree = (slope * n).sum(1) > least_cosine * np.linalg.norm(slope, axis=1)
+    agree |= np.linalg.norm(slope, axis=1) < 0.3
+    reference = max(6 / 260 * term.height_px, 1.0)
+    forward = np.flatnonzero(agree)
+    rows = [(a[forward], b[forward], t[forward], r[forward], slope[forward], share[forward] / reference)]
+    # reverse: mask outline to the body's nearest outline that looks the same way
+    mark = term.outline[view].astype(np.float64)
+    mark = mark[(mark > -1e5).all(1)]
+    if len(mark):
+        _, look = _bilinear(sdf, mark)
+        look = look / np.maximum(np.linalg.norm(look, axis=1, keepdims=True), 1e-6)
+        gap = ((mark[:, None] - xy[None]) ** 2).sum(-1)
+        gap = np.where(look @ n.T > least_cosine, gap, 1e9)
+        near = gap.argmin(1)
+        good = gap[np.arange(len(mark)), near] < (0.25 * term.height_px) ** 2
+        near, mark = near[good], mark[good]
+        # distance along the body's normal: sliding along the outline costs nothing
+        across = ((xy[near] - mark) * n[near]).sum(1)
+        weight = np.full(len(near), 130 / term.outline_count)
+        rows.append((a[near], b[near], t[near], across, n[near], weight))
+    ra, rb, rt, rr, rg, rw = (np.concatenate([x[k] for x in rows]) for k in range(6))
+    point = (1 - rt)[:, None] * vertices[ra] + rt[:, None] * vertices[rb]
+    hp = point @ p[:, :3].T + p[:, 3]
+    u = hp[:, :2] / hp[:, 2:]
+    g = (rg[:, :1] * (p[0, :3] - u[:, :1] * p[2, :3]) + rg[:, 1:] * (p[1, :3] - u[:, 1:] * p[2, :3])) / hp[:, 2:]
+    return ra, rb, rt, rr, g, rw
+
+
+def _bilinear(sdf: NDArray[np.float32], xy: Array) -> tuple[Array, Array]:
+    """Values (N,) and gradients (N, 2) of an image at points (N, 2) px inside it."""
+    i = np.floor(xy).astype(int)
+    i[:, 0] = np.clip(i[:, 0], 0, sdf.shape[1] - 2)
+    i[:, 1] = np.clip(i[:, 1], 0, sdf.shape[0] - 2)
+    fx, fy = (xy - i).T
+    x, y = i.T
+    s00, s01, s10, s11 = (sdf[y + dy, x + dx].astype(np.float64) for dy in (0, 1) for dx in (0, 1))
+    value = (s00 * (1 - fx) + s01 * fx) * (1 - fy) + (s10 * (1 - fx) + s11 * fx) * fy
+    gx = (s01 - s00) * (1 - fy) + (s11 - s10) * fy
+    gy = (s10 - s00) * (1 - fx) + (s11 - s01) * fx
+    return value, np.stack([gx, gy], 1)
