@@ -21,12 +21,68 @@ NEGLIGIBLE = 7.0
 
 
 @njit(**OPTIONS)
-def swarm_energy(values, label, positions, weights, h, out):
-    """E_jn = sum_k w_kj exp(-|s_kj - p_jn| / h): values (J, M, 3), label (J, M), positions (K, J, 3), weights (K, J)
-    (0 = missing) -> out (J, M). Asteriadis 2013, eq. 7, with the length scale h."""
+def _decay(x):
+    """exp(-x) for 0 <= x < NEGLIGIBLE, to 1e-8 of its value: a table of powers of two and a polynomial."""
+    y = x * 1.4426950408889634
+    k = int(y)
+    f = (k - y) * 0.6931471805599453
+    p = 1 + f * (1 + f * (0.5 + f * (1 / 6 + f * (1 / 24 + f * (1 / 120 + f * (1 / 720 + f / 5040))))))
+    return p / (1 << k)
+
+
+@njit(**OPTIONS)
+def place_candidates(uniforms, base, usable, renew, radius, values, log_weights, label):
+    """Candidates uniform in balls of `radius` m around base (K, J, 3), spread evenly over the usable (K, J) sensors,
+    for the joints with renew (J,): values (J, N, 3), log_weights (J, N), label (J, N) are written. uniforms (J, R, 3)
+    in [0, 1): points of a cube of which those outside the ball are passed over; R = 2.2 N is more than enough."""
+    count = values.shape[1]
+    for j in range(values.shape[0]):
+        if not renew[j]:
+            continue
+        sensors = 0
+        for k in range(usable.shape[0]):
+            sensors += usable[k, j]
+        at, k = 0, -1
+        for n in range(count):
+            x, y, z = 0.0, 0.0, 0.0
+            while at < uniforms.shape[1]:
+                x = 2.0 * uniforms[j, at, 0] - 1.0
+                y = 2.0 * uniforms[j, at, 1] - 1.0
+                z = 2.0 * uniforms[j, at, 2] - 1.0
+                at += 1
+                if x * x + y * y + z * z <= 1.0:
+                    break
+            log_weights[j, n] = -math.log(count) if sensors > 0 else -np.inf
+            label[j, n] = -1
+            if sensors > 0:
+                k = (k + 1) % usable.shape[0]
+                while not usable[k, j]:
+                    k = (k + 1) % usable.shape[0]
+                values[j, n, 0] = base[k, j, 0] + radius * x
+                values[j, n, 1] = base[k, j, 1] + radius * y
+                values[j, n, 2] = base[k, j, 2] + radius * z
+                label[j, n] = k
+
+
+@njit(**OPTIONS)
+def ride(values, label, moved, out):
+    """Candidates (J, M, 3) moved by their sensor's movement (K, J, 3) of the joint, into the first M columns of out."""
+    for j in range(values.shape[0]):
+        for n in range(values.shape[1]):
+            k = max(label[j, n], 0)
+            for a in range(3):
+                out[j, n, a] = values[j, n, a] + moved[k, j, a]
+
+
+@njit(**OPTIONS)
+def swarm_energy(values, label, log_weights, positions, weights, h, out):
+    """log of E_jn = sum_k w_kj exp(-|s_kj - p_jn| / h): values (J, M, 3), label (J, M) (-1 = padding), positions
+    (K, J, 3), weights (K, J) (0 = missing) -> out (J, M), -inf where E = 0. Joints of which no candidate with a weight
+    (log_weights (J, M) > -inf) has any energy get 0 everywhere. Asteriadis 2013, eq. 7, with the length scale h."""
     sensors = positions.shape[0]
     reach = (NEGLIGIBLE * h) ** 2
     for j in range(values.shape[0]):
+        explained = False
         for n in range(values.shape[1]):
             e = 0.0
             if label[j, n] >= 0:
@@ -37,8 +93,41 @@ def swarm_energy(values, label, positions, weights, h, out):
                         dz = values[j, n, 2] - positions[k, j, 2]
                         d2 = dx * dx + dy * dy + dz * dz
                         if d2 < reach:
-                            e += weights[k, j] * math.exp(-math.sqrt(d2) / h)
+                            e += weights[k, j] * _decay(math.sqrt(d2) / h)
             out[j, n] = e
+            if e > 0 and log_weights[j, n] > -np.inf:
+                explained = True
+        for n in range(values.shape[1]):
+            if not explained:
+                out[j, n] = 0.0
+            elif out[j, n] > 0:
+                out[j, n] = math.log(out[j, n])
+            else:
+                out[j, n] = -np.inf
+
+
+@njit(**OPTIONS)
+def shares_and_mean(log_weights, values, shares, mean):
+    """Normalised weights (J, M) of log_weights (J, M) (all 0 where every one is -inf) and the weighted mean (J, 3)."""
+    for j in range(log_weights.shape[0]):
+        peak, total = -np.inf, 0.0
+        for n in range(log_weights.shape[1]):
+            peak = max(peak, log_weights[j, n])
+        for a in range(3):
+            mean[j, a] = 0.0
+        for n in range(log_weights.shape[1]):
+            shares[j, n] = 0.0
+            if log_weights[j, n] > -np.inf:
+                w = math.exp(log_weights[j, n] - peak)
+                shares[j, n] = w
+                total += w
+                for a in range(3):
+                    mean[j, a] += w * values[j, n, a]
+        if total > 0:
+            for n in range(log_weights.shape[1]):
+                shares[j, n] /= total
+            for a in range(3):
+                mean[j, a] /= total
 
 
 @njit(**OPTIONS)
@@ -58,17 +147,19 @@ def wheel_counts(shares, spacings, counts):
         last = spacings.shape[1] - 1
         for s in range(last + 1):
             around += spacings[j, s]
-        at, spin, edge = spacings[j, 0] / around * total, 0, 0.0
-        final = 0
+        turn = total / around
+        at, spin, edge, final = spacings[j, 0] * turn, 0, 0.0, 0
         for n in range(shares.shape[1]):
             if shares[j, n] <= 0:
                 continue
             final = n
             edge += shares[j, n]
+            drawn = 0
             while spin < last and at <= edge:
-                counts[j, n] += 1
+                drawn += 1
                 spin += 1
-                at += spacings[j, spin] / around * total
+                at += spacings[j, spin] * turn
+            counts[j, n] = drawn
         counts[j, final] += last - spin  # rounding of the sums
 
 
@@ -95,6 +186,98 @@ def universal_counts(shares, start, total_count, counts):
 
 
 @njit(**OPTIONS)
+def keep_drawn(counts, values, label, count, new_values, new_log, new_label):
+    """The candidates with counts (J, M) > 0, moved together: values (J, M, 3), label (J, M) -> new_values (J, W, 3),
+    new_log (J, W) = log(copies / count), new_label (J, W); what is left over has weight 0 (log -inf) and label -1."""
+    for j in range(counts.shape[0]):
+        w = 0
+        for n in range(counts.shape[1]):
+            if counts[j, n] > 0:
+                for a in range(3):
+                    new_values[j, w, a] = values[j, n, a]
+                new_log[j, w] = math.log(counts[j, n] / count)
+                new_label[j, w] = label[j, n]
+                w += 1
+        for n in range(w, new_log.shape[1]):
+            for a in range(3):
+                new_values[j, n, a] = 0.0
+            new_log[j, n] = -np.inf
+            new_label[j, n] = -1
+
+
+@njit(**OPTIONS)
+def swarm_summary(values, log_weights, label, spread, shares, distinct):
+    """Of a merged population (J, W) with log_weights that sum to 1 as weights: root mean square distance from its mean
+    (J,), the shares by label (J, K) and the number of distinct candidates (J,)."""
+    for j in range(values.shape[0]):
+        total, square, x, y, z = 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(shares.shape[1]):
+            shares[j, k] = 0.0
+        distinct[j] = 0
+        # distances from one candidate, so that nothing is lost to cancellation far from the origin
+        for n in range(values.shape[1]):
+            if label[j, n] >= 0 and log_weights[j, n] > -np.inf:
+                w = math.exp(log_weights[j, n])
+                dx = values[j, n, 0] - values[j, 0, 0]
+                dy = values[j, n, 1] - values[j, 0, 1]
+                dz = values[j, n, 2] - values[j, 0, 2]
+                total += w
+                x += w * dx
+                y += w * dy
+                z += w * dz
+                square += w * (dx * dx + dy * dy + dz * dz)
+                shares[j, label[j, n]] += w
+                distinct[j] += 1
+        spread[j] = 0.0
+        if total > 0:
+            v = square / total - (x * x + y * y + z * z) / (total * total)
+            spread[j] = math.sqrt(max(v, 0.0))
+            for k in range(shares.shape[1]):
+                shares[j, k] /= total
+
+
+@njit(**OPTIONS)
+def mamdani(f, d, a, low_centre, high_centre, slope, medium_centre, medium_sd, sets, out):
+    """The five rules of Asteriadis 2013 (defined by fusion.fuzzy.NoiseRules): inputs (N,), consequents sets (4, P) =
+    output values, low, high, medium -> out (N,)."""
+    for i in range(f.shape[0]):
+        fl = 1 / (1 + math.exp(slope * (f[i] - low_centre)))
+        dl = 1 / (1 + math.exp(slope * (d[i] - low_centre)))
+        al = 1 / (1 + math.exp(slope * (a[i] - low_centre)))
+        fh = 1 / (1 + math.exp(-slope * (f[i] - high_centre)))
+        dh = 1 / (1 + math.exp(-slope * (d[i] - high_centre)))
+        ah = 1 / (1 + math.exp(-slope * (a[i] - high_centre)))
+        fm = math.exp(-0.5 * ((f[i] - medium_centre) / medium_sd) ** 2)
+        dm = math.exp(-0.5 * ((d[i] - medium_centre) / medium_sd) ** 2)
+        am = math.exp(-0.5 * ((a[i] - medium_centre) / medium_sd) ** 2)
+        both = min(fl, al)
+        w1, w2, w3 = min(dl, both), max(dh, min(fh, ah)), min(dm, both)
+        w4, w5 = min(dl, fm, al), min(dl, fl, am)
+        total, moment = 0.0, 0.0
+        for p in range(sets.shape[1]):
+            z = sets[3, p]
+            g = 1 - (1 - w1 * sets[1, p]) * (1 - w2 * sets[2, p]) * (1 - w3 * z) * (1 - w4 * z) * (1 - w5 * z)
+            total += g
+            moment += g * sets[0, p]
+        out[i] = moment / total if total > 1e-12 else 0.5
+
+
+@njit(**OPTIONS)
+def fluidity(activations, frames, out):
+    """F (K, J): standard deviation of the activations (T, K, J), a ring in which `frames` entries are filled."""
+    filled = min(frames, activations.shape[0])
+    for k in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            mean, square = 0.0, 0.0
+            for t in range(filled):
+                mean += activations[t, k, j]
+            mean /= filled
+            for t in range(filled):
+                square += (activations[t, k, j] - mean) ** 2
+            out[k, j] = math.sqrt(square / filled)
+
+
+@njit(**OPTIONS)
 def _cholesky(a, n):
     """Lower factor of a (n, n) in place (its upper part is not touched); False when not positive definite."""
     for i in range(n):
@@ -112,31 +295,62 @@ def _cholesky(a, n):
 
 
 @njit(**OPTIONS)
+def _solve3(a, b, columns):
+    """b (3, columns) <- a^-1 b for symmetric positive definite a (3, 3), by its Cholesky factor."""
+    l00 = math.sqrt(a[0, 0])
+    l10, l20 = a[1, 0] / l00, a[2, 0] / l00
+    l11 = math.sqrt(a[1, 1] - l10 * l10)
+    l21 = (a[2, 1] - l20 * l10) / l11
+    l22 = math.sqrt(a[2, 2] - l20 * l20 - l21 * l21)
+    for c in range(columns):
+        y0 = b[0, c] / l00
+        y1 = (b[1, c] - l10 * y0) / l11
+        y2 = (b[2, c] - l20 * y0 - l21 * y1) / l22
+        y2 = y2 / l22
+        y1 = (y1 - l21 * y2) / l11
+        b[2, c] = y2
+        b[1, c] = y1
+        b[0, c] = (y0 - l10 * y1 - l20 * y2) / l00
+
+
+@njit(**OPTIONS)
 def fit_frame(
-    points, weights, predicted, prior_weight, bones, lengths, bone_weight, data_weight, scale, coarse, iterations, x,
-    share, variance,
+    points, weights, predicted, prior_weight, bones, lengths, bone_weight, leaves, core, data_weight, scale, coarse,
+    iterations, x, share, variance, spread,
 ):  # fmt: skip
     """The 3D joints of one frame: robust data, constant distances, and a prediction; graduated Gauss-Newton.
 
     Minimises 1/2 sum_kj w_kj d c^2 log(1 + |s_kj - x_j|^2 / c^2) + 1/2 sum_b b_b (|x_i - x_j| - l_b)^2 +
     1/2 sum_j p_j |x_j - predicted_j|^2. points (K, J, 3) m, weights (K, J) 0 = missing; predicted (J, 3); prior_weight
-    (J,) 1/m^2; bones (B, 2), lengths (B,) m, bone_weight (B,) 1/m^2; data_weight d 1/m^2; scale c m, multiplied by
-    coarse, coarse / 2, ... down to 1. x (J, 3): start and result. share (K, J): the sensors' part in each joint;
-    variance (J,) m^2 per axis, of the quadratic at the result. Returns False when the matrix is not positive definite
-    (x is then the last good iterate)."""
+    (J,) 1/m^2; bones (B, 2), lengths (B,) m (0 = unknown), bone_weight (B,) 1/m^2; data_weight d 1/m^2; scale c m,
+    multiplied by coarse, coarse / 2, ... down to 1. leaves (L, 3): joint, its only neighbour left, their bone, in an
+    order that prunes the limbs; core (J,): number of a joint among the rest, -1 for leaves. Limbs are eliminated one by
+    one, so that only the trunk needs a dense solve. x (J, 3): start and result. share (K, J): the sensors' part in each
+    joint; variance (J,) m^2 per axis, of the quadratic at the result; spread (J,) m^2 per axis: the sensors'
+    disagreement over their effective number."""
     sensors, joints = weights.shape
-    n = 3 * joints
-    h = np.empty((n, n))
-    g = np.empty(n)
-    ok = True
+    m = 0
+    for j in range(joints):
+        m = max(m, core[j] + 1)
+    n = 3 * m
+    h = np.zeros((n, n))
+    right = np.empty(n)
+    diagonal = np.empty((joints, 3, 3))
+    off = np.zeros((leaves.shape[0], 3, 3))
+    solved = np.empty((leaves.shape[0], 3, 4))
+    g = np.empty((joints, 3))
+    u = np.empty(3)
+    leaf_of_bone = np.full(bones.shape[0], -1)
+    for e in range(leaves.shape[0]):
+        leaf_of_bone[leaves[e, 2]] = e
     for it in range(iterations + 1):
-        h[:] = 0.0
-        g[:] = 0.0
         c = scale * max(1.0, coarse / 2.0**it)
+        h[:] = 0.0
+        diagonal[:] = 0.0
         for j in range(joints):
+            total = prior_weight[j]
             for a in range(3):
-                h[3 * j + a, 3 * j + a] = prior_weight[j]
-                g[3 * j + a] = prior_weight[j] * (predicted[j, a] - x[j, a])
+                g[j, a] = prior_weight[j] * (predicted[j, a] - x[j, a])
             for k in range(sensors):
                 share[k, j] = 0.0
                 if weights[k, j] > 0:
@@ -145,76 +359,200 @@ def fit_frame(
                     dz = points[k, j, 2] - x[j, 2]
                     w = weights[k, j] * data_weight / (1 + (dx * dx + dy * dy + dz * dz) / (c * c))
                     share[k, j] = w
-                    g[3 * j] += w * dx
-                    g[3 * j + 1] += w * dy
-                    g[3 * j + 2] += w * dz
-                    for a in range(3):
-                        h[3 * j + a, 3 * j + a] += w
-        u = np.empty(3)
+                    g[j, 0] += w * dx
+                    g[j, 1] += w * dy
+                    g[j, 2] += w * dz
+                    total += w
+            for a in range(3):
+                diagonal[j, a, a] = total
         for b in range(bones.shape[0]):
-            if lengths[b] <= 0:
-                continue
-            i, j = bones[b, 0], bones[b, 1]
+            i, j, e = bones[b, 0], bones[b, 1], leaf_of_bone[b]
             d = 1e-12
             for a in range(3):
                 u[a] = x[i, a] - x[j, a]
                 d += u[a] * u[a]
             d = math.sqrt(d)
-            pull = bone_weight[b] * (lengths[b] - d)
+            stiff = bone_weight[b] if lengths[b] > 0 else 0.0
+            pull = stiff * (lengths[b] - d)
             for a in range(3):
                 u[a] /= d
-                g[3 * i + a] += pull * u[a]
-                g[3 * j + a] -= pull * u[a]
+                g[i, a] += pull * u[a]
+                g[j, a] -= pull * u[a]
             for a in range(3):
-                for e in range(3):
-                    q = bone_weight[b] * u[a] * u[e]
-                    h[3 * i + a, 3 * i + e] += q
-                    h[3 * j + a, 3 * j + e] += q
-                    h[3 * i + a, 3 * j + e] -= q
-                    h[3 * j + a, 3 * i + e] -= q
+                for r in range(3):
+                    q = stiff * u[a] * u[r]
+                    diagonal[i, a, r] += q
+                    diagonal[j, a, r] += q
+                    if e >= 0:
+                        off[e, a, r] = -q
+                    else:
+                        h[3 * core[i] + a, 3 * core[j] + r] -= q
+                        h[3 * core[j] + a, 3 * core[i] + r] -= q
+        for e in range(leaves.shape[0]):  # Schur complement of each leaf in turn
+            j, p = leaves[e, 0], leaves[e, 1]
+            for a in range(3):
+                for r in range(3):
+                    solved[e, a, r] = off[e, a, r]
+                solved[e, a, 3] = g[j, a]
+            _solve3(diagonal[j], solved[e], 4)
+            for a in range(3):
+                for r in range(3):
+                    s = 0.0
+                    for q in range(3):
+                        s += off[e, q, a] * solved[e, q, r]
+                    diagonal[p, a, r] -= s
+                s = 0.0
+                for q in range(3):
+                    s += off[e, q, a] * solved[e, q, 3]
+                g[p, a] -= s
+        for j in range(joints):
+            if core[j] >= 0:
+                for a in range(3):
+                    right[3 * core[j] + a] = g[j, a]
+                    for r in range(3):
+                        h[3 * core[j] + a, 3 * core[j] + r] += diagonal[j, a, r]
         if not _cholesky(h, n):
-            ok = False
-            break
+            for j in range(joints):
+                variance[j] = np.inf
+            return False
         if it == iterations:
             break  # this matrix is the one of the result, for its variance
         for i in range(n):
-            s = g[i]
+            s = right[i]
             for k in range(i):
-                s -= h[i, k] * g[k]
-            g[i] = s / h[i, i]
+                s -= h[i, k] * right[k]
+            right[i] = s / h[i, i]
         for i in range(n - 1, -1, -1):
-            s = g[i]
+            s = right[i]
             for k in range(i + 1, n):
-                s -= h[k, i] * g[k]
-            g[i] = s / h[i, i]
+                s -= h[k, i] * right[k]
+            right[i] = s / h[i, i]
+        for j in range(joints):
+            if core[j] >= 0:
+                for a in range(3):
+                    g[j, a] = right[3 * core[j] + a]
+        for e in range(leaves.shape[0] - 1, -1, -1):
+            j, p = leaves[e, 0], leaves[e, 1]
+            for a in range(3):
+                s = solved[e, a, 3]
+                for r in range(3):
+                    s -= solved[e, a, r] * g[p, r]
+                g[j, a] = s
         for j in range(joints):
             for a in range(3):
-                x[j, a] += g[3 * j + a]
-    for j in range(joints):
-        s = 0.0
-        for k in range(sensors):
-            s += share[k, j]
-        if s > 0:
-            for k in range(sensors):
-                share[k, j] /= s
-    if not ok:
-        for j in range(joints):
-            variance[j] = np.inf
-        return False
-    # rows of L^-1: the variance of unknown i is the squared length of column i of L^-1
-    for j in range(joints):
-        variance[j] = 0.0
+                x[j, a] += g[j, a]
+    covariance = np.zeros((joints, 3, 3))
     column = np.empty(n)
+    block = np.empty((n, n))  # L^-1
     for i in range(n):
-        total = 0.0
         for r in range(i, n):
             s = 1.0 if r == i else 0.0
             for k in range(i, r):
                 s -= h[r, k] * column[k]
             column[r] = s / h[r, r]
-            total += column[r] * column[r]
-        variance[i // 3] += total / 3
+            block[r, i] = column[r]
+    for j in range(joints):
+        if core[j] >= 0:
+            for a in range(3):
+                for r in range(3):
+                    s = 0.0
+                    i, k = 3 * core[j] + a, 3 * core[j] + r
+                    for q in range(max(i, k), n):
+                        s += block[q, i] * block[q, k]
+                    covariance[j, a, r] = s
+    half = np.empty((3, 3))
+    for e in range(leaves.shape[0] - 1, -1, -1):
+        # cov_jj = A^-1 + (A^-1 B) cov_pp (A^-1 B)^T
+        j, p = leaves[e, 0], leaves[e, 1]
+        for a in range(3):
+            for r in range(3):
+                covariance[j, a, r] = 1.0 if a == r else 0.0
+                s = 0.0
+                for q in range(3):
+                    s += solved[e, a, q] * covariance[p, q, r]
+                half[a, r] = s
+        _solve3(diagonal[j], covariance[j], 3)
+        for a in range(3):
+            for r in range(3):
+                for q in range(3):
+                    covariance[j, a, r] += half[a, q] * solved[e, r, q]
+    for j in range(joints):
+        variance[j] = (covariance[j, 0, 0] + covariance[j, 1, 1] + covariance[j, 2, 2]) / 3
+        total, squares, far = 0.0, 0.0, 0.0
+        for k in range(sensors):
+            total += share[k, j]
+        spread[j] = 0.0
+        if total > 0:
+            for k in range(sensors):
+                share[k, j] /= total
+                squares += share[k, j] ** 2
+                if share[k, j] > 0:
+                    for a in range(3):
+                        far += share[k, j] * (points[k, j, a] - x[j, a]) ** 2
+            spread[j] = far / 3 * squares
     return True
+
+
+@njit(**OPTIONS)
+def exchange_sides(positions, states, side, mirror, pairs, swapped):
+    """Exchanges left and right, in place, of sensors whose sides contradict the others and the memory.
+
+    positions (K, J, 3) registered, NaN missing; states (K, J); side (3,): remembered direction to the person's left,
+    updated; mirror (J,); pairs (P, 2): left and right joint; swapped (K,) bool, written. A sensor is exchanged when its
+    direction lies more than 107 degrees from the consensus of all and the memory."""
+    sensors, joints = states.shape
+    u = np.zeros((sensors, 3))
+    consensus = 2 * side
+    for k in range(sensors):
+        swapped[k] = False
+        for p in range(pairs.shape[0]):
+            i, j = pairs[p, 0], pairs[p, 1]
+            if states[k, i] > 0 and states[k, j] > 0:
+                for a in range(3):
+                    u[k, a] += positions[k, i, a] - positions[k, j, a]
+        norm = math.sqrt(u[k, 0] ** 2 + u[k, 1] ** 2 + u[k, 2] ** 2)
+        for a in range(3):
+            u[k, a] /= max(norm, 1e-3)
+            consensus[a] += u[k, a]
+    limit = -0.3 * math.sqrt(consensus[0] ** 2 + consensus[1] ** 2 + consensus[2] ** 2)
+    total = np.zeros(3)
+    for k in range(sensors):
+        along = u[k, 0] * consensus[0] + u[k, 1] * consensus[1] + u[k, 2] * consensus[2]
+        sign = 1.0
+        if along < limit and limit < 0:
+            swapped[k] = True
+            sign = -1.0
+            for j in range(joints):
+                m = mirror[j]
+                if m > j:
+                    states[k, j], states[k, m] = states[k, m], states[k, j]
+                    for a in range(3):
+                        positions[k, j, a], positions[k, m, a] = positions[k, m, a], positions[k, j, a]
+        for a in range(3):
+            total[a] += sign * u[k, a]
+    fresh = side[0] == 0 and side[1] == 0 and side[2] == 0
+    for a in range(3):
+        side[a] = total[a] if fresh else 0.8 * side[a] + 0.2 * total[a]
+
+
+@njit(**OPTIONS)
+def weigh_joints(positions, states, inferred, weights, points, evidence):
+    """Weights (K, J) of joints by state (2 tracked: 1, 1 inferred: `inferred`, else 0), their positions with 0 for
+    missing, and evidence (J,): somebody sees the joint. Returns whether there is any."""
+    found = False
+    for j in range(states.shape[1]):
+        evidence[j] = False
+    for k in range(states.shape[0]):
+        for j in range(states.shape[1]):
+            ok = states[k, j] > 0 and math.isfinite(positions[k, j, 0])
+            weights[k, j] = 0.0
+            for a in range(3):
+                points[k, j, a] = positions[k, j, a] if ok else 0.0
+            if ok:
+                weights[k, j] = 1.0 if states[k, j] == 2 else inferred
+                evidence[j] = evidence[j] or weights[k, j] > 0
+                found = found or weights[k, j] > 0
+    return found
 
 
 @njit(**OPTIONS)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hypose.compute import cpu_fusion
 from hypose.evidence.frame import TRACKED
 from hypose.fusion import joints as jt
 from hypose.geometry import Array
@@ -19,7 +20,7 @@ from hypose.geometry import Array
 THICKNESS_M = np.array([90, 60, 65, 48, 42, 65, 48, 42, 125, 95, 68, 52, 95, 68, 52]) / 1000
 """(15,) m of body between a joint and the surface that a depth sensor sees."""
 # joint, its two neighbours: the angle of A. Only these have one; all other joints get A = 0.
-_ANGLES = ((3, 2, 4), (6, 5, 7), (10, 9, 11), (13, 12, 14))
+_ANGLES = np.array([(3, 2, 4), (6, 5, 7), (10, 9, 11), (13, 12, 14)]).T
 _NO_DEPTH_M = 4.0
 _INFERRED_M = 0.15
 
@@ -93,7 +94,7 @@ def confidence_step(
     activations[t % n] = speeds.sum(0)  # the ring is zero before it is full, so this is the sum of what there is
     inputs = np.zeros((3, *state.shape))
     if settings.use_f:
-        inputs[0] = activations[: t + 1].std(axis=0) if t + 1 < n else activations.std(axis=0)
+        cpu_fusion.fluidity(activations, t + 1, inputs[0])
     lengths, samples = memory.lengths, memory.samples
     held = memory.held
     if settings.use_d:
@@ -136,8 +137,8 @@ def unnatural(positions: ArrayLike) -> Array:
     The inner product that the paper takes cannot see angles beyond pi; see `signed_knees`."""
     s = np.asarray(positions, dtype=np.float64)
     out = np.zeros(s.shape[:-1])
-    for j, a, b in _ANGLES:
-        out[..., j] = _improbable(_inner_angle(s[..., a, :] - s[..., j, :], s[..., b, :] - s[..., j, :]))
+    j, a, b = _ANGLES
+    out[..., j] = _improbable(_inner_angle(s[..., a, :] - s[..., j, :], s[..., b, :] - s[..., j, :]))
     return out
 
 
@@ -164,8 +165,8 @@ def normalised(inputs: Array, settings: ConfidenceSettings) -> Array:
 
 
 def _inner_angle(a: Array, b: Array) -> Array:
-    norm = np.sqrt((a * a).sum(-1) * (b * b).sum(-1))
-    return np.arccos(np.clip((a * b).sum(-1) / np.maximum(norm, 1e-12), -1, 1))
+    norm = np.sqrt(np.einsum("...i,...i", a, a) * np.einsum("...i,...i", b, b))
+    return np.arccos(np.clip(np.einsum("...i,...i", a, b) / np.maximum(norm, 1e-12), -1, 1))
 
 
 def _improbable(angle: Array) -> Array:
@@ -174,6 +175,7 @@ def _improbable(angle: Array) -> Array:
 
 
 _LIMB = np.array([3, 4, 6, 7, 10, 11, 13, 14])
+_LIMB_PARENT = jt.PARENT[_LIMB]
 _END = np.array([4, 7, 11, 14])
 
 
@@ -182,12 +184,15 @@ def _bone_deviation(
 ) -> tuple[Array, Array, Array]:
     """Running usual lengths of the limbs' bones (a limited step towards each tracked sample: a slow median), and
     (K, 15) m how far each sensor's bones are from them."""
-    length = np.linalg.norm(positions[:, _LIMB] - positions[:, jt.PARENT[_LIMB]], axis=-1)
-    good = np.isfinite(length) & (state[:, _LIMB] == TRACKED) & (state[:, jt.PARENT[_LIMB]] == TRACKED)
+    bone = positions[:, _LIMB] - positions[:, _LIMB_PARENT]
+    length = np.sqrt(np.einsum("...i,...i", bone, bone))
+    tracked = state == TRACKED
+    good = tracked[:, _LIMB] & tracked[:, _LIMB_PARENT]
     usual, count = lengths.copy(), samples.copy()
     seen = good.sum(0)
-    for i in np.flatnonzero((count[_LIMB] == 0) & (seen > 0)):
-        usual[_LIMB[i]] = np.median(length[good[:, i], i])
+    if not count[_LIMB].all():
+        for i in np.flatnonzero((count[_LIMB] == 0) & (seen > 0)):
+            usual[_LIMB[i]] = np.median(length[good[:, i], i])
     step = np.where(good, np.clip(length - usual[_LIMB], -0.03, 0.03), 0.0).sum(0)
     count[_LIMB] += seen
     usual[_LIMB] += step / np.clip(count[_LIMB], 1.0, 300.0)

@@ -10,6 +10,7 @@ Uncertainty: the solve's own covariance, plus how far the sensors that carry the
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,8 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.compute import cpu_fusion
 from hypose.evidence.frame import TRACKED
 from hypose.fusion import joints as jt
-from hypose.fusion.register import confidence_of
 from hypose.geometry import Array
+
+
+_SIDES = np.array([(jt.LEFT_SHOULDER, jt.RIGHT_SHOULDER), (jt.LEFT_HIP, jt.RIGHT_HIP)])
 
 
 def _bone_sd() -> Array:
@@ -46,6 +49,11 @@ class FitSettings:
     unswap: bool = True
     lost_after_s: float = 0.5
     inflation: float = 1.0
+
+    @cached_property
+    def bone_weight(self) -> Array:
+        """(18,) 1/m^2."""
+        return 1 / self.bone_sd_m**2
 
 
 @dataclass(frozen=True)
@@ -101,23 +109,22 @@ def fit_step(
     lengths, samples = state.lengths, state.samples
     if not state.fixed:
         lengths, samples = adapt_lengths(positions, states, lengths, samples)
-    seen_now = np.isfinite(positions[..., 0])
-    weights = np.where(seen_now, confidence_of(states, settings.inferred), 0.0)
-    points = np.where(seen_now[..., None], positions, 0.0)
-    evidence = weights.sum(0) > 0
+    weights, points = np.empty(states.shape), np.empty(positions.shape)
+    evidence = np.empty(15, dtype=np.bool_)
+    any_evidence = cpu_fusion.weigh_joints(positions, states, settings.inferred, weights, points, evidence)
     dt = 1 / 30 if not np.isfinite(state.time) else max(time - state.time, 1e-3)
     start, unseen = state.joints, ~evidence
-    if start is None or not np.isfinite(start).all():
-        start = _first_guess(points, weights, start)
-        predicted, prior = start, np.full(15, 1.0)
+    if start is None:
+        start = _first_guess(points, weights)
+        predicted, prior = start, np.ones(15)
     else:
         # a joint that is long unseen slows down and may be anywhere: its bones hold it
-        away = np.clip(time - state.seen, 0, 1)
-        predicted = start + state.velocity * (dt * np.where(unseen, np.exp(-away / 0.1), 1.0))[:, None]
-        prior = 1 / (settings.prediction_sd_m * np.maximum(1.0, 30 * np.clip(time - state.seen, dt, 1.0))) ** 2
+        away = np.minimum(time - state.seen, 1.0)
+        predicted = start + state.velocity * (dt * np.where(evidence, 1.0, np.exp(-10 * away)))[:, None]
+        prior = 1 / (settings.prediction_sd_m * np.maximum(1.0, 30 * away)) ** 2
     x = predicted.copy()
     share = np.zeros(weights.shape)
-    variance = np.zeros(15)
+    variance, spread = np.zeros(15), np.zeros(15)
     cpu_fusion.fit_frame(
         points,
         weights,
@@ -125,7 +132,9 @@ def fit_step(
         prior,
         jt.BONES,
         lengths,
-        1 / settings.bone_sd_m**2,
+        settings.bone_weight,
+        jt.LEAVES,
+        jt.CORE,
         1 / settings.data_sd_m**2,
         settings.scale_m,
         settings.coarse,
@@ -133,6 +142,7 @@ def fit_step(
         x,
         share,
         variance,
+        spread,
     )
     seen = np.where(evidence, time, state.seen)
     if state.joints is None:
@@ -141,9 +151,8 @@ def fit_step(
         velocity = (1 - settings.blend) * state.velocity + settings.blend * (x - state.joints) / dt
     lost = bool(time - seen.max() > settings.lost_after_s)
     new = FitState(x, velocity, time, seen, side, lengths, samples, state.fixed)
-    if lost or state.joints is None and not evidence.any():
+    if lost or (state.joints is None and not any_evidence):
         new = replace(new, joints=None, velocity=np.zeros((15, 3)), side=np.zeros(3))
-    spread = _spread(points, share, x)
     sd = settings.inflation * np.sqrt(variance + spread)
     return new, FitEstimate(x, sd, share.T.copy(), swapped, lost)
 
@@ -155,22 +164,10 @@ def unswap(
 
     positions (K, 15, 3) registered; side (3,): remembered direction to the left. Returns positions, states, the new
     memory and which sensors were exchanged (K,)."""
-    v = positions[:, jt.LEFT_SHOULDER] - positions[:, jt.RIGHT_SHOULDER]
-    v = np.where(np.isfinite(v), v, 0.0)
-    hips = positions[:, jt.LEFT_HIP] - positions[:, jt.RIGHT_HIP]
-    v = v + np.where(np.isfinite(hips), hips, 0.0)
-    norm = np.sqrt((v * v).sum(1))
-    u = v / np.maximum(norm, 1e-3)[:, None]
-    consensus = u.sum(0) + 2 * side
-    against = (u @ consensus < -0.3 * np.sqrt(consensus @ consensus)) & (norm > 0)
-    if against.any():
-        positions, states = positions.copy(), states.copy()
-        positions[against] = positions[against][:, jt.MIRROR]
-        states[against] = states[against][:, jt.MIRROR]
-        u = np.where(against[:, None], -u, u)
-    total = u.sum(0)
-    memory = total if not side.any() else 0.8 * side + 0.2 * total
-    return positions, states, memory, against
+    positions, states, memory = positions.copy(), states.copy(), side.copy()
+    swapped = np.empty(len(states), dtype=np.bool_)
+    cpu_fusion.exchange_sides(positions, states, memory, jt.MIRROR, _SIDES, swapped)
+    return positions, states, memory, swapped
 
 
 def adapt_lengths(positions: Array, states: NDArray[np.uint8], lengths: Array, samples: Array) -> tuple[Array, Array]:
@@ -207,17 +204,10 @@ def clip_lengths(positions: ArrayLike, states: ArrayLike) -> Array:
     return out
 
 
-def _first_guess(points: Array, weights: Array, start: Array | None) -> Array:
+def _first_guess(points: Array, weights: Array) -> Array:
     """Weighted means; joints that nobody sees start at the mean of the others."""
     total = weights.sum(0)
-    mean = (weights[..., None] * points).sum(0) / np.maximum(total, 1e-9)[:, None]
     if not (total > 0).any():
-        return np.zeros((15, 3)) if start is None else start
+        return np.zeros((15, 3))
+    mean = (weights[..., None] * points).sum(0) / np.maximum(total, 1e-9)[:, None]
     return np.where((total > 0)[:, None], mean, mean[total > 0].mean(0))
-
-
-def _spread(points: Array, share: Array, x: Array) -> Array:
-    """(15,) m^2 per axis: disagreement of the sensors that carry a joint, over their effective number."""
-    square = ((points - x) ** 2).sum(-1)
-    effective = 1 / np.maximum((share * share).sum(0), 1e-9)
-    return np.where(share.sum(0) > 0, (share * square).sum(0) / 3 / effective, 0.0)

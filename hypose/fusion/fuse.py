@@ -96,8 +96,8 @@ class FusedFrame:
 @dataclass(frozen=True)
 class FusionState:
     """Everything a stream remembers. window: recent (positions, state, time) for the registration; heading: smoothed
-    heading rad; swarm and confidence None unless the swarm runs; fixed_registration: do not refit; rest: joints beyond
-    the common ones."""
+    heading rad; swarm and confidence None unless the swarm runs; fixed_registration: do not refit; rest: indices of the
+    set's joints beyond the common ones; joint_names: of the fused joints."""
 
     settings: FusionSettings
     sensor_names: tuple[str, ...]
@@ -111,17 +111,9 @@ class FusionState:
     up: Array | None
     heading: float | None
     fixed_registration: bool
+    rest: NDArray[np.int64]
+    joint_names: tuple[str, ...]
     frames: int = 0
-
-    @property
-    def rest(self) -> NDArray[np.int64]:
-        """Indices of the sensor's joints that are not among the common ones."""
-        return np.setdiff1d(np.arange(len(self.joint_set.joint_names)), self.joint_set.common)
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Names of the fused joints."""
-        return (*jt.COMMON, *(self.joint_set.joint_names[i] for i in self.rest))
 
 
 @dataclass(frozen=True)
@@ -157,6 +149,8 @@ def start(
     if not 0 <= s.reference < sensors:
         raise InputError(f"There are {sensors} sensors, the reference cannot be number {s.reference}.")
     swarms = s.method != FIT or s.diagnose
+    known_set = jt.joint_set(first.joint_names)
+    rest = np.setdiff1d(np.arange(len(first.joint_names)), known_set.common)
     alone = Registration(
         np.tile(np.eye(4), (sensors, 1, 1)), np.full(sensors, np.nan), np.arange(sensors) == s.reference, s.reference
     )
@@ -164,7 +158,7 @@ def start(
     return FusionState(
         s,
         first.sensor_names,
-        jt.joint_set(first.joint_names),
+        known_set,
         known,
         -np.inf,
         (),
@@ -174,6 +168,8 @@ def start(
         None if s.up is None else np.array(s.up),
         None,
         registration is not None or s.registered,
+        rest,
+        (*jt.COMMON, *(first.joint_names[i] for i in rest)),
     )
 
 
@@ -182,8 +178,8 @@ def step(state: FusionState, frame: SensorJoints) -> tuple[FusionState, FusedFra
     _check_alike(frame, state.sensor_names, state.joint_set.joint_names)
     s = state.settings
     raw = common_joints(frame)
-    times = frame.times[np.isfinite(frame.times)]
-    time = float(times.max()) if len(times) else (state.fit.time if np.isfinite(state.fit.time) else 0.0)
+    latest = max((float(t) for t in frame.times if t == t), default=state.fit.time)
+    time = latest if latest == latest else 0.0
     state = _refit(state, raw, time)
     world = state.registration.apply(raw.positions)
     if s.per_frame:
@@ -330,7 +326,7 @@ def _noise(state: FusionState, raw: SensorJoints, world: Array) -> tuple[FusionS
         return state, None, 0.0
     s = state.settings.swarm_settings
     memory, inputs = confidence_step(state.confidence, raw.positions, raw.state, depth_at_joints(raw), s.confidence)
-    noise = s.rules.noise(*normalised(inputs, s.confidence))
+    noise = s.rules.noise_fast(normalised(inputs, s.confidence))
     up = state.up if state.up is not None else upward(world)
     x, y = horizontal_axes(up)
     side = world[:, jt.LEFT_SHOULDER] - world[:, jt.RIGHT_SHOULDER]

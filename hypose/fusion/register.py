@@ -41,7 +41,8 @@ class Registration:
     def apply(self, positions: ArrayLike) -> Array:
         """Positions (..., K, J, 3) in the sensors' frames -> common frame; NaN for sensors that are not registered."""
         out = transform(self.common_from_sensor, positions)
-        out[..., ~self.registered, :, :] = np.nan
+        if not self.registered.all():
+            out[..., ~self.registered, :, :] = np.nan
         return out
 
 

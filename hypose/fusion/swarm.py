@@ -67,22 +67,26 @@ class SwarmFrame:
 
 def ride(h: Hypotheses, frame: SwarmFrame, rng: np.random.Generator, /) -> Hypotheses:
     """Candidates move with the joint of their sensor; immigrants join around every sensor that sees the joint."""
-    joints = np.arange(h.values.shape[0])[:, None]
-    values = h.values + frame.moved[np.maximum(h.label, 0), joints]
-    log_weights, label = h.log_weights, h.label
     s = frame.settings
+    old_values, log_weights, label = h.values, h.log_weights, h.label
     if s.jitter_m > 0:
-        values, log_weights, label = _singly(values, log_weights, label, s.count)
-        values = values + rng.normal(0, s.jitter_m, values.shape)
-    if s.immigrants > 0:
-        sensors, j = frame.weights.shape
-        born = np.repeat(np.arange(sensors), s.immigrants)
-        seen = frame.weights[born].T > 0
-        fresh = np.where(seen[..., None], frame.positions[born].swapaxes(0, 1), 0.0)
-        fresh = fresh + _in_ball(rng, (j, len(born)), s.radius_m)
-        values = np.concatenate([values, fresh], 1)
-        log_weights = np.concatenate([log_weights, np.where(seen, -np.log(s.count), -np.inf)], 1)
-        label = np.concatenate([label, np.where(seen, born, -1).astype(np.int32)], 1)
+        old_values, log_weights, label = _singly(h.values, h.log_weights, h.label, s.count)
+        old_values = old_values + rng.normal(0, s.jitter_m, old_values.shape)
+    joints, old = label.shape
+    extra = s.immigrants * len(frame.positions)
+    values = np.empty((joints, old + extra, 3))
+    cpu_fusion.ride(old_values, label, frame.moved, values)
+    if extra:
+        new_log = np.empty((joints, old + extra))
+        new_label = np.empty((joints, old + extra), dtype=np.int32)
+        new_log[:, :old], new_label[:, :old] = log_weights, label
+        fresh, fresh_log, fresh_label = _placed(
+            frame.positions, frame.weights > 0, np.ones(joints, dtype=np.bool_), extra, s.radius_m, rng
+        )
+        values[:, old:], new_label[:, old:] = fresh, fresh_label
+        # each counts as one candidate of the population
+        new_log[:, old:] = fresh_log + np.log(extra / s.count)
+        log_weights, label = new_log, new_label
     return Hypotheses(values, log_weights, label)
 
 
@@ -90,11 +94,15 @@ def energy(h: Hypotheses, frame: SwarmFrame, /) -> Array:
     """log E (J, N), eq. 7: E = sum_k lambda_k^-power exp(-|s_k - p| / h). A joint that no candidate can explain this
     frame keeps its population (0 everywhere)."""
     out = np.empty(h.log_weights.shape)
-    cpu_fusion.swarm_energy(h.values, h.label, frame.positions, frame.weights, frame.settings.h_m, out)
-    alive = np.isfinite(h.log_weights)
-    with np.errstate(divide="ignore"):
-        log_energy = np.log(out)
-    return np.where((out * alive).sum(1, keepdims=True) > 0, log_energy, 0.0)
+    cpu_fusion.swarm_energy(h.values, h.label, h.log_weights, frame.positions, frame.weights, frame.settings.h_m, out)
+    return out
+
+
+def mean_position(h: Hypotheses, /) -> Array:
+    """(J, 3) m weighted mean of the candidates."""
+    shares, mean = np.empty(h.log_weights.shape), np.empty((len(h.values), 3))
+    cpu_fusion.shares_and_mean(h.log_weights, h.values, shares, mean)
+    return mean
 
 
 @dataclass(frozen=True)
@@ -107,27 +115,27 @@ class MergedWheel:
 
     def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
         """The distinct candidates drawn, with log-weights log(copies / count)."""
-        shares = h.weights
+        shares, mean = np.empty(h.log_weights.shape), np.empty((len(h.values), 3))
+        cpu_fusion.shares_and_mean(h.log_weights, h.values, shares, mean)
         counts = np.empty(shares.shape, dtype=np.int64)
         if self.universal:
             cpu_fusion.universal_counts(shares, rng.random(len(shares)), self.count, counts)
         else:
-            cpu_fusion.wheel_counts(shares, rng.standard_exponential((len(shares), self.count + 1)), counts)
-        width = int((counts > 0).sum(1).max())
+            spacings = rng.standard_exponential((len(shares), self.count + 1), dtype=np.float32)
+            cpu_fusion.wheel_counts(shares, spacings, counts)
+        width = int(np.count_nonzero(counts, axis=1).max())
         if width == 0:
             return h
-        if width < h.count:
-            index = np.argsort(counts == 0, axis=1, kind="stable")[:, :width]
-            h, counts = h.take(index), np.take_along_axis(counts, index, 1)
-        with np.errstate(divide="ignore"):
-            return Hypotheses(h.values, np.log(counts / self.count), h.label)
+        values, log_weights = np.empty((len(counts), width, 3)), np.empty((len(counts), width))
+        label = np.empty((len(counts), width), dtype=np.int32)
+        cpu_fusion.keep_drawn(counts, h.values, h.label, self.count, values, log_weights, label)
+        return Hypotheses(values, log_weights, label)
 
 
 def recipe(settings: SwarmSettings) -> Recipe:
     """The swarm as data for the common loop."""
-    survivors = settings.count
-    layer = Layer(ride, energy, MergedWheel(survivors, settings.universal), "swarm")
-    return Recipe("swarm", (layer,), citation="Asteriadis et al. 2013")
+    layer = Layer(ride, energy, MergedWheel(settings.count, settings.universal), "swarm")
+    return Recipe("swarm", (layer,), mean_position, citation="Asteriadis et al. 2013")
 
 
 @dataclass(frozen=True)
@@ -172,28 +180,22 @@ def swarm_step(
     due = state.candidates is None or (settings.restart_every > 0 and state.age >= settings.restart_every)
     turned = abs(heading - state.heading_at_restart)
     due = due or (settings.restart_turn > 0 and turned > settings.restart_turn)
-    candidates = _candidates(state.candidates, due, frame, last, stream(seed, state.frame, -1))
+    candidates = _candidates(state.candidates, due, frame, last, seed, state.frame)
     result = search(candidates, recipe(settings), frame, partial(stream, seed, state.frame))
-    weighted, chosen = result.weighted, result.selected
-    w = weighted.weights
-    mean = result.estimate
-    known = (chosen.label >= 0).any(1)
-    variance = (w * ((weighted.values - mean[:, None]) ** 2).sum(-1)).sum(1)
-    copies = chosen.weights
-    shares = np.stack([(copies * (chosen.label == k)).sum(1) for k in range(len(positions))], 1)
+    chosen = result.selected
+    mean, joints = result.estimate, positions.shape[1]
+    spread, shares, distinct = np.empty(joints), np.empty((joints, len(positions))), np.empty(joints, dtype=np.int64)
+    cpu_fusion.swarm_summary(chosen.values, chosen.log_weights, chosen.label, spread, shares, distinct)
+    known = distinct > 0
     estimate = SwarmEstimate(
-        np.where(known[:, None], mean, np.nan),
-        np.where(known, np.sqrt(np.maximum(variance, 0)), np.nan),
-        shares,
-        due,
-        (copies > 0).sum(1),
+        np.where(known[:, None], mean, np.nan), np.where(known, spread, np.nan), shares, due, distinct
     )
     at = heading if due else state.heading_at_restart
     return SwarmState(chosen, last, 1 if due else state.age + 1, at, state.frame + 1), estimate
 
 
 def _candidates(
-    old: Hypotheses | None, due: bool, frame: SwarmFrame, last: Array, rng: np.random.Generator
+    old: Hypotheses | None, due: bool, frame: SwarmFrame, last: Array, seed: int, number: int
 ) -> Hypotheses:
     """The old population, renewed where a restart is due or a joint is seen for the first time."""
     s = frame.settings
@@ -201,33 +203,41 @@ def _candidates(
     seen = np.asarray(frame.weights > 0)
     if old is None:
         old = Hypotheses(np.zeros((joints, 1, 3)), np.zeros((joints, 1)), np.full((joints, 1), -1))
-    renew = (due & (np.isfinite(last[..., 0]).any(0))) | ((old.label < 0).all(1) & seen.any(0))
+    renew = np.asarray((due & np.isfinite(last[..., 0]).any(0)) | ((old.label < 0).all(1) & seen.any(0)))
     if not renew.any():
         return old
-    values = np.zeros((joints, max(s.count, old.count), 3))
-    log_weights = np.full(values.shape[:2], -np.inf)
-    label = np.full(values.shape[:2], -1, dtype=np.int32)
-    keep = ~renew
+    # a joint that nobody sees at a restart starts around where it was seen last; ride() has yet to add this frame's
+    # movement
+    usable = np.where(seen.any(0), seen, np.isfinite(last[..., 0]))
+    placed = _placed(last - frame.moved, usable, renew, s.count, s.radius_m, stream(seed, number, -1))
+    if np.all(renew):
+        return Hypotheses(*placed)
+    width, keep = max(s.count, old.count), ~renew
+    values, log_weights = np.zeros((joints, width, 3)), np.full((joints, width), -np.inf)
+    label = np.full((joints, width), -1, dtype=np.int32)
     values[keep, : old.count] = old.values[keep]
     log_weights[keep, : old.count] = old.log_weights[keep]
     label[keep, : old.count] = old.label[keep]
-    ball = _in_ball(rng, (joints, s.count), s.radius_m)
-    for j in np.flatnonzero(renew):
-        # a joint that nobody sees at a restart starts around where it was seen last
-        sensors = np.flatnonzero(seen[:, j]) if seen[:, j].any() else np.flatnonzero(np.isfinite(last[:, j, 0]))
-        born = sensors[np.arange(s.count) % len(sensors)]
-        # ride() has yet to add this frame's movement
-        values[j, : s.count] = last[born, j] - frame.moved[born, j] + ball[j]
-        log_weights[j, : s.count] = -np.log(s.count)
-        label[j, : s.count] = born
+    values[renew, : s.count], log_weights[renew, : s.count], label[renew, : s.count] = (a[renew] for a in placed)
     return Hypotheses(values, log_weights, label)
 
 
-def _in_ball(rng: np.random.Generator, shape: tuple[int, int], radius: float) -> Array:
-    """(*shape, 3) m uniform in a ball: a normal direction and the cube root of a uniform number."""
-    direction = rng.standard_normal((*shape, 3), dtype=np.float32).astype(np.float64)
-    length = np.sqrt(np.einsum("...i,...i->...", direction, direction))
-    return direction * (radius * np.cbrt(rng.random(shape)) / np.maximum(length, 1e-12))[..., None]
+def _placed(
+    base: Array,
+    usable: NDArray[np.bool_],
+    renew: NDArray[np.bool_],
+    count: int,
+    radius: float,
+    rng: np.random.Generator,
+) -> tuple[Array, Array, NDArray[np.int32]]:
+    """Fresh candidates of the joints with renew (J,), in balls around base (K, J, 3): values (J, count, 3), log-weights
+    (each 1 / count), labels."""
+    joints = base.shape[1]
+    uniforms = rng.random((joints, int(2.2 * count) + 60, 3), dtype=np.float32)
+    values, log_weights = np.empty((joints, count, 3)), np.empty((joints, count))
+    label = np.empty((joints, count), dtype=np.int32)
+    cpu_fusion.place_candidates(uniforms, base, usable, renew, radius, values, log_weights, label)
+    return values, log_weights, label
 
 
 def _singly(values: Array, log_weights: Array, label: NDArray[np.int32], count: int) -> tuple[Array, Array, NDArray]:
