@@ -169,15 +169,16 @@ class Compose:
 
 @dataclass(frozen=True)
 class KeepFirst:
-    """A kernel that leaves the first hypothesis of a population where it is: a search never loses its start."""
+    """A kernel that leaves the first `count` hypotheses of a population where they are: a search never loses its start."""
 
     kernel: Kernel
+    count: int = 1
 
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
-        """The moved set with its first row as it was."""
+        """The moved set with its first rows as they were."""
         moved = self.kernel(h, frame, rng)
         values = moved.values.copy()
-        values[..., 0, :] = h.values[..., 0, :]
+        values[..., : self.count, :] = h.values[..., : self.count, :]
         return replace(moved, values=values)
 
 

@@ -111,25 +111,27 @@ class Prune:
 
 @dataclass(frozen=True)
 class Elite:
-    """The chosen coordinates of all hypotheses are copied from the k best ones in turn; the others stay.
+    """The chosen coordinates are copied from the k best hypotheses in turn; other coordinates and labels stay.
 
     A greedy step of a coordinate search: with a budget of tens of hypotheses, resampling would leave most of them on
-    values that are known to be worse. coordinates (D,) bool.
+    values that are known to be worse. coordinates (D,) bool; the first `keep` hypotheses stay as they are.
     """
 
     k: int
     coordinates: NDArray[np.bool_]
+    keep: int = 0
 
     def __post_init__(self) -> None:
         if self.k < 1:
             raise ValueError(f"at least one hypothesis must be kept, got k = {self.k}")
 
     def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
-        """Equal weights again; labels come from the best ones."""
+        """Equal weights again."""
         order = np.argsort(-h.relative_log_weights, axis=-1, kind="stable")
         index = order[..., np.arange(h.count) % min(self.k, h.count)]
+        index[..., : self.keep] = np.arange(h.count)[: self.keep]
         drawn = h.take(index)
-        return Hypotheses.uniform(np.where(self.coordinates, drawn.values, h.values), drawn.label, drawn.covariance)
+        return Hypotheses.uniform(np.where(self.coordinates, drawn.values, h.values), h.label, h.covariance)
 
 
 def _equal(h: Hypotheses) -> Hypotheses:

@@ -20,7 +20,8 @@ from hypose.geometry import Array
 class PreparedFrame:
     """One frame ready to be searched. masks and contours are None when no view has a usable silhouette, keypoints is
     None when there are no key points. prediction (D,): the pose expected before looking at the evidence, and
-    prediction_weight: how strongly solves are pulled to it (1 / rad^2 in units of the robust rows' cost)."""
+    prediction_weight: how strongly solves are pulled to it (1 / rad^2 in units of the robust rows' cost). usual_iou: how
+    well the body has overlapped the masks so far (NaN: not known)."""
 
     frame: Frame
     prediction: Array
@@ -28,6 +29,7 @@ class PreparedFrame:
     contours: ContourTerm | None
     keypoints: KeypointTerm | None
     prediction_weight: float = 0.1
+    usual_iou: float = float("nan")
 
     @property
     def usable(self) -> bool:
@@ -103,6 +105,7 @@ def prepare(
     keypoint_weight: float = 1.0,
     keypoints_on_body: KeypointModel | None = None,
     prediction_weight: float = 0.1,
+    usual_iou: float = float("nan"),
 ) -> PreparedFrame:
     """Prepares a frame for `body`; see PreparedFrame. An EvidenceError when the frame has none of the wanted pieces."""
     silhouettes = frame.silhouettes if use_silhouettes else None
@@ -121,7 +124,7 @@ def prepare(
     term = None
     if use_keypoints:
         term = keypoint_term(frame, body, keypoint_scale_px, keypoint_weight, keypoints_on_body)
-    return PreparedFrame(frame, prediction, masks, contours, term, prediction_weight)
+    return PreparedFrame(frame, prediction, masks, contours, term, prediction_weight, usual_iou)
 
 
 def view_count(prepared: PreparedFrame) -> int:

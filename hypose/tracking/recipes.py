@@ -23,7 +23,15 @@ from hypose.inference.layer import Layer, Recipe
 from hypose.inference.selectivity import Annealed, FixedSelectivity, Selectivity, SurvivalRate
 from hypose.inference.selectors import Elite, LayeredSystematic, keep, systematic
 from hypose.tracking.costs import SilhouetteXor, no_evidence
-from hypose.tracking.refinement import ContourRefinement, RefinedEstimate, pose_mean
+from hypose.tracking.refinement import (
+    ContourRefinement,
+    RefineComposite,
+    RefinedEstimate,
+    SolvePrediction,
+    UnlessSettled,
+    WeighUnlessSettled,
+    pose_mean,
+)
 
 THESIS = "Alcoverro, M. (2014). Stochastic optimization and interactive machine learning for human motion analysis."
 DEUTSCHER = "Deutscher, J., Reid, I. (2005). Articulated body motion capture by stochastic search. IJCV 61(2)."
@@ -140,29 +148,29 @@ def hpf(
 
 
 def default(body: Body, particles: int = 128, frame_rate: float = 25.0, iterations: int = 8) -> tuple[Recipe, int]:
-    """The product's default: contour refinement from the prediction, a greedy search of one limb at a time around it
-    with long-tailed steps, and a refinement of what the search put together.
+    """The product's default: a contour solve from the prediction, a greedy search of one limb at a time around it with
+    long-tailed steps, and a solve of what the search put together.
 
     The first solve puts the body within centimetres; the particles find limbs that went elsewhere (a local solve cannot
-    pull in what lies beyond about 10 cm); the last solve starts from both the prediction and the best limbs, and the
-    silhouettes choose. Each limb's best is kept (`Elite`, which never loses the solved limb) instead of resampled: with
-    about a hundred particles the mean of survivors mixes a found arm with a lost one. About 4 x 128 silhouette
-    evaluations and three solves per frame.
+    pull in what lies beyond about 10 cm); the silhouettes choose between the first solve and the second. Each limb's
+    best is kept (`Elite`) instead of resampled: with about a hundred particles the mean of survivors mixes a found arm
+    with a lost one. The search is left out when the first solve overlaps the masks as well as usual (SolvePrediction).
     """
     s = body.skeleton
     sigma = 2.0 * step_sigma(s, frame_rate)
     options = SolveOptions(iterations=iterations, coarse_iterations=iterations // 2)
-    first = ContourRefinement(body, options, from_prediction=True, collapse=True)
-    rows = [Layer(first, no_evidence, keep, "contours")]
+    rows = [Layer(SolvePrediction(body, options), no_evidence, keep, "contours")]
     for name, joints in LIMB_LAYERS:
         own = s.dofs_of(*joints)
         step = np.zeros(s.dof)
         step[own] = sigma[own]
         mask = np.zeros(s.dof, dtype=bool)
         mask[own] = True
-        kernel = KeepFirst(_diffusion(s, step, HeavyTail(0.3, 4.0, mask)))
-        rows.append(Layer(kernel, _weigh(body, SurvivalRate()), Elite(1, mask), name))
-    rows.append(Layer(ContourRefinement(body, options, from_prediction=True), no_evidence, keep, "refinement"))
+        # the first hypothesis stays the solved pose, the second what the search has put together so far
+        kernel = UnlessSettled(KeepFirst(_diffusion(s, step, HeavyTail(0.3, 4.0, mask)), 2))
+        weigh = WeighUnlessSettled(_weigh(body, SurvivalRate()))
+        rows.append(Layer(kernel, weigh, Elite(1, mask, keep=1), name))
+    rows.append(Layer(RefineComposite(body, options), no_evidence, keep, "refinement"))
     return Recipe("default", tuple(rows), RefinedEstimate(s), CONTOURS), particles
 
 

@@ -16,11 +16,12 @@ from hypose.fitting.articulated import PoseFit, Quadratic, SolveOptions, fit_pos
 from hypose.geometry import Array
 from hypose.inference.estimates import TangentMean
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.costs import xor_energy
+from hypose.inference.layer import Kernel, Weigh
+from hypose.tracking.costs import silhouette_iou, xor_energy
 from hypose.tracking.evidence import PreparedFrame
 
-REFINED = 1
-"""Label of the hypothesis that the refinement put in; all others carry 0."""
+REFINED, SETTLED = 1, 2
+"""Labels: REFINED is the hypothesis that a refinement put in; in a settled frame the others are SETTLED, else 0."""
 
 
 def anatomical_prior(skeleton: Skeleton) -> Quadratic:
@@ -51,11 +52,10 @@ def prediction_prior(prediction: Array, weight: float) -> Quadratic:
 class ContourRefinement:
     """Kernel: refines a few members of the set and shifts the whole set by the step of the best.
 
-    Members refined: the set's mean, its `best` highest weighted hypotheses, and the prediction when `from_prediction`.
-    The winner is the refined pose of least E (eq. 2.8) / views + 0.002 x mean squared step from the prediction in
-    usual motions (0.002 keeps equal silhouettes from flipping a limb). With `collapse` all hypotheses become the
-    winner, which is where a layered search of single limbs wants to start; otherwise they keep their spread. The
-    winner itself becomes the first hypothesis and carries the label REFINED. Without evidence the set is left alone.
+    Members refined: the set's mean (`from_mean`), its `best` highest weighted hypotheses, and the prediction
+    (`from_prediction`). The winner has the least `mismatch`. All hypotheses move by its step from the mean and keep
+    their spread; the winner itself becomes the first hypothesis and carries the label REFINED. Without evidence the set
+    is left alone.
     """
 
     body: Body
@@ -63,8 +63,6 @@ class ContourRefinement:
     best: int = 0
     from_prediction: bool = False
     from_mean: bool = True
-    collapse: bool = False
-    step_penalty: float = 0.002
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """Moves h; see the class."""
@@ -72,11 +70,9 @@ class ContourRefinement:
         if not frame.usable:
             return replace(h, label=labels)
         mean = pose_mean(self.body.skeleton)(h)
-        winner = self.refine(self._candidates(h, mean, frame), frame).pose
-        if self.collapse:
-            values = np.repeat(winner[None], h.count, 0)
-        else:
-            values = self.body.skeleton.clamp(h.values + (winner - mean))
+        fits = refine(self.body, self._candidates(h, mean, frame), frame, self.options)
+        winner = best_fit(self.body, fits, frame).pose
+        values = self.body.skeleton.clamp(h.values + (winner - mean))
         values[0] = winner
         labels[0] = REFINED
         return replace(h, values=values, label=labels)
@@ -90,16 +86,110 @@ class ContourRefinement:
             rows += list(h.values[np.argsort(energy, kind="stable")[: self.best]])
         return self.body.skeleton.on_branch(np.stack(rows), frame.prediction)
 
-    def refine(self, starts: Array, frame: PreparedFrame) -> PoseFit:
-        """The best refined pose from starts (N, D)."""
-        fits = refine(self.body, starts, frame, self.options)
-        if len(fits) == 1:
-            return fits[0]
-        poses = np.stack([f.pose for f in fits])
-        views = 1 if frame.masks is None else max(int(frame.masks.usable.sum()), 1)
-        step = (self.body.skeleton.on_branch(poses, frame.prediction) - frame.prediction) / _spread(self.body.skeleton)
-        measure = xor_energy(self.body, poses, frame) / views if frame.masks is not None else _costs(fits)
-        return fits[int(np.argmin(measure + self.step_penalty * (step[:, 3:] ** 2).mean(1)))]
+
+@dataclass(frozen=True)
+class SolvePrediction:
+    """Kernel: solves from the prediction and puts all hypotheses there: where a search of single limbs wants to start.
+
+    The first carries REFINED. When the solved body overlaps the masks as well as it usually does in this recording
+    (1 - IoU at most `settled` times its usual value) the frame is settled and the others carry SETTLED; every
+    `search_every`-th frame is searched all the same, because a limb that is lost hardly changes the overlap.
+    """
+
+    body: Body
+    options: SolveOptions = SolveOptions()
+    settled: float = 0.9
+    search_every: int = 3
+
+    def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
+        """All hypotheses at the solution."""
+        labels = np.zeros_like(h.label)
+        if not frame.usable:
+            return replace(h, label=labels)
+        winner = refine(self.body, frame.prediction[None], frame, self.options)[0].pose
+        if self._is_settled(winner, frame):
+            labels[:] = SETTLED
+        labels[0] = REFINED
+        return replace(h, values=np.repeat(winner[None], h.count, 0), label=labels)
+
+    def _is_settled(self, pose: Array, frame: PreparedFrame) -> bool:
+        if frame.masks is None:
+            return True  # particles are weighed by silhouettes only
+        if frame.frame.index % self.search_every == 0 or not np.isfinite(frame.usual_iou):
+            return False
+        iou = float(np.nanmean(silhouette_iou(self.body, pose, frame)))
+        return 1 - iou <= self.settled * (1 - frame.usual_iou)
+
+
+def is_settled(h: Hypotheses) -> bool:
+    """True when SolvePrediction found nothing to search for."""
+    return bool(h.label[-1] == SETTLED)
+
+
+@dataclass(frozen=True)
+class UnlessSettled:
+    """A kernel that does nothing in a settled frame."""
+
+    kernel: Kernel
+
+    def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
+        """The moved set, or h."""
+        return h if is_settled(h) else self.kernel(h, frame, rng)
+
+
+@dataclass(frozen=True)
+class WeighUnlessSettled:
+    """A weight that is the same for all in a settled frame."""
+
+    weigh: Weigh
+
+    def __call__(self, h: Hypotheses, frame: PreparedFrame, /) -> Array:
+        """(N,) log-weights."""
+        return np.zeros(h.log_weights.shape) if is_settled(h) else self.weigh(h, frame)
+
+
+@dataclass(frozen=True)
+class RefineComposite:
+    """Kernel: refines the second hypothesis, which a limb search put together, and keeps it if it beats the first.
+
+    All hypotheses become the winner; the first carries REFINED. Nothing is solved when the search changed nothing.
+    """
+
+    body: Body
+    options: SolveOptions = SolveOptions()
+
+    def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
+        """The set at the winner."""
+        if not frame.usable:
+            return h
+        winner, composite = h.values[0], h.values[1]
+        if not np.array_equal(winner, composite):
+            solved = refine(self.body, composite[None], frame, self.options)[0].pose
+            both = np.stack([winner, solved])
+            winner = both[int(np.argmin(mismatch(self.body, both, frame)))]
+        labels = np.zeros_like(h.label)
+        labels[0] = REFINED
+        return replace(h, values=np.repeat(winner[None], h.count, 0), label=labels)
+
+
+def mismatch(body: Body, poses: Array, frame: PreparedFrame, step_penalty: float = 0.002) -> Array:
+    """(N,) mean XOR share over the views (eq. 2.8 / views) + step_penalty x mean squared step from the prediction in
+    large steps (three usual motions): what chooses between solved poses. The penalty keeps equal silhouettes from
+    flipping a limb."""
+    assert frame.masks is not None
+    views = max(int(frame.masks.usable.sum()), 1)
+    skeleton = body.skeleton
+    step = (skeleton.on_branch(poses, frame.prediction) - frame.prediction) / (3 * skeleton.sigma)
+    return xor_energy(body, poses, frame) / views + step_penalty * (step[:, 3:] ** 2).mean(1)
+
+
+def best_fit(body: Body, fits: list[PoseFit], frame: PreparedFrame) -> PoseFit:
+    """The fit of least mismatch; of least cost when there are no silhouettes."""
+    if len(fits) == 1:
+        return fits[0]
+    if frame.masks is None:
+        return fits[int(np.argmin([f.cost for f in fits]))]
+    return fits[int(np.argmin(mismatch(body, np.stack([f.pose for f in fits]), frame)))]
 
 
 def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveOptions) -> list[PoseFit]:
@@ -108,14 +198,6 @@ def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveOption
     return list(
         fit_poses(body, starts, contours=frame.contours, keypoints=frame.keypoints, priors=priors, options=options)
     )
-
-
-def _costs(fits: list[PoseFit]) -> Array:
-    return np.array([f.cost for f in fits])
-
-
-def _spread(skeleton: Skeleton) -> Array:
-    return 3 * skeleton.sigma  # a fast movement, not the usual one, is what the penalty should begin to notice
 
 
 def pose_mean(skeleton: Skeleton) -> TangentMean:

@@ -138,7 +138,7 @@ class Tracker:
         state = self._on_canonical_branch(state)
         velocity = self._gain(state) * (state.pose - s.on_branch(state.previous, state.pose))
         prediction = s.clamp(state.pose + velocity)
-        prepared = self._prepare(frame, prediction)
+        prepared = self._prepare(frame, prediction, state.usual_iou)
         if not prepared.usable:
             return self._extrapolate(state, prediction, velocity)
         if state.frames == 0:
@@ -185,7 +185,7 @@ class Tracker:
             hypotheses=replace(state.hypotheses, values=values),
         )
 
-    def _prepare(self, frame: Frame, prediction: Array) -> PreparedFrame:
+    def _prepare(self, frame: Frame, prediction: Array, usual_iou: float) -> PreparedFrame:
         wanted = self.settings.evidence
         return prepare(
             frame,
@@ -197,6 +197,7 @@ class Tracker:
             keypoint_scale_px=self.settings.keypoint_scale_px,
             keypoints_on_body=self.keypoints_on_body,
             prediction_weight=self.settings.prediction_weight * (self.settings.frame_rate / 25) ** 2,
+            usual_iou=usual_iou,
         )
 
     def _settle_options(self) -> SolveOptions:

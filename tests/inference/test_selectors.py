@@ -105,7 +105,9 @@ def test_elite_copies_the_best_coordinates_in_turn():
     out = Elite(2, np.array([True, False]))(h, np.random.default_rng(0))
     assert out.values[:, 0].tolist() == [2.0, 6.0, 2.0, 6.0, 2.0, 6.0]
     assert out.values[:, 1].tolist() == values[:, 1].tolist()
-    assert np.ptp(out.log_weights) == 0
+    assert np.ptp(out.log_weights) == 0 and out.label.tolist() == list(range(6))
+    kept = Elite(1, np.array([True, False]), keep=2)(h, np.random.default_rng(0))
+    assert kept.values[:, 0].tolist() == [0.0, 2.0, 2.0, 2.0, 2.0, 2.0]
 
 
 def test_keep_first_never_moves_the_first():

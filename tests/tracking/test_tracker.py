@@ -68,7 +68,7 @@ def test_refinement_after_a_published_recipe_improves_it(body, standing, frame_o
 def test_without_evidence_it_extrapolates_with_growing_uncertainty(body, standing, frame_of):
     poses = moving(body, standing, 9)
     blind = range(4, 7)
-    _, estimates = run(small(body, "default", 16), poses, frame_of, lambda t: (0, 1, 2, 3) if t in blind else ())
+    _, estimates = run(small(body, "default", 128), poses, frame_of, lambda t: (0, 1, 2, 3) if t in blind else ())
     assert [e.extrapolated for e in estimates] == [t in blind for t in range(9)]
     assert estimates[4].n_views == 0
     sd = [e.joint_sd.mean() for e in estimates]
