@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_matrix, csc_matrix, identity
 from scipy.sparse.linalg import spsolve
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from hypose.errors import InputError
 from hypose.geometry import Array
@@ -117,7 +117,7 @@ def _fitted(v: Array, f: Faces, samples: Array, rounds: int = 3) -> Array:
     out = v
     for _ in range(rounds):
         points = np.einsum("sc,fcd->fsd", corner, out[f]).reshape(-1, 3)
-        gap, nearest = cKDTree(points).query(samples)
+        gap, nearest = KDTree(points).query(samples)
         face, bary = nearest // len(corner), corner[nearest % len(corner)]
         normal, _ = _normals(out, f)
         across = np.cross(out[f[:, 1]] - out[f[:, 0]], out[f[:, 2]] - out[f[:, 0]])

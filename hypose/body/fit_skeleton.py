@@ -14,7 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from hypose.body.body import Body, Landmarks, Mesh, Shape, deform
 from hypose.body.skin_weights import vertex_normals
@@ -157,7 +157,7 @@ def find_stances(surface: Surface, template: Body, pose: str = "auto", up: str =
                 v, n = models[name]
                 # normals count like a distance of a twelfth of the stature: front and back differ by little else
                 a, b = np.hstack([boxed, facing / 12]), np.hstack([v, n / 12])
-                d = np.concatenate([cKDTree(b).query(a)[0], cKDTree(a).query(b)[0]])
+                d = np.concatenate([KDTree(b).query(a)[0], KDTree(a).query(b)[0]])
                 out.append(Stance(turn, name, float(np.minimum(d, 0.2).mean()), label))
     preference = {label: prefer for label, _, prefer in _UPS}
     return sorted(out, key=lambda s: s.score * preference[s.up])
@@ -275,7 +275,7 @@ class _Search:
 
     def __init__(self, body: Body, surface: Surface) -> None:
         self.body, self.surface = body, surface
-        self.tree = cKDTree(surface.points)
+        self.tree = KDTree(surface.points)
         self.faces = body.coarse.faces
         self.dof = body.skeleton.dof
         low, high = surface.points.min(0), surface.points.max(0)
@@ -329,7 +329,7 @@ class _Search:
             self.by_factor = np.stack(rows)
         return v[0], np.concatenate([(v[1:] - v[0]) / h, self.by_factor])
 
-    def match(self, v: Array) -> tuple[Array, Array, Array, Array, Array]:
+    def match(self, v: Array) -> tuple[NDArray[np.int64], Array, Array, Array, Array]:
         """Pairs of points of the body and the scan: face (M,), barycentric (M, 3), target (M, 3), normal (M, 3) and how
         far apart (M,) they are."""
         corner, faces, s = _corners(), self.faces, self.surface
@@ -341,7 +341,7 @@ class _Search:
         gap, near = self.tree.query(points)
         ok = (normals * s.normals[near]).sum(1) > 0.2
         one = np.flatnonzero(ok)
-        gap2, back = cKDTree(points).query(s.points)
+        gap2, back = KDTree(points).query(s.points)
         ok2 = (normals[back] * s.normals).sum(1) > 0.2
         two = np.flatnonzero(ok2)
         index = np.concatenate([one, back[two]])
@@ -351,7 +351,8 @@ class _Search:
         weight = np.concatenate([np.full(len(one), 1.0 / len(points)), np.full(len(two), 1.0 / len(s.points))])
         self.unmatched = 0.5 * (1 - ok.mean()) + 0.5 * (1 - ok2.mean())
         self.gaps = np.concatenate([gap, gap2])
-        return index // len(corner), corner[index % len(corner)], target, normal, weight * 1500
+        face = index // len(corner)
+        return face, corner[index % len(corner)], target, normal, weight * 1500
 
     def quality(self, x: Array) -> tuple[float, float]:
         """Median distance between the surfaces, m, and the share of samples farther than 5 % of the stature."""
@@ -369,7 +370,9 @@ class _Search:
             face, bary, target, normal, weight = self.match(v)
             corners = self.faces[face]
             points = np.einsum("mc,mcd->md", bary, v[corners])
-            jac = sum(dv[:, corners[:, c]] * bary[:, c, None] for c in range(3))
+            jac = np.zeros((len(dv), len(face), 3))
+            for c in range(3):
+                jac += dv[:, corners[:, c]] * bary[:, c, None]
             apart = points - target
             along = (apart * normal).sum(1)
             w = weight / (1 + (apart**2).sum(1) / scale**2) ** 2 / _ROW_SD**2

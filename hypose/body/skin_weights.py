@@ -23,6 +23,11 @@ SMALLEST = 0.01
 """Weights below this are dropped before the rest is scaled to sum 1: no eye sees them and they cost time."""
 
 
+HEAT = 2.0
+"""The constant c (1 in the paper): with 2 the weights are nearer to the template's, which artists made (mean absolute
+difference 0.0136 against 0.0164), and no less smooth than those."""
+
+
 @dataclass(frozen=True)
 class Bones:
     """Line segments that give off heat: start, end (B, 3) m in the frame of the mesh, joint (B,): which joint's weight
@@ -101,11 +106,12 @@ def body_bones(body: Body, pose: ArrayLike | None = None) -> Bones:
 
 
 def heat_weights(
-    vertices: ArrayLike, faces: ArrayLike, bones: Bones, n_joints: int, *, heat: float = 1.0, visible: bool = True
+    vertices: ArrayLike, faces: ArrayLike, bones: Bones, n_joints: int, *, heat: float = HEAT, visible: bool = True
 ) -> Array:
     """Dense weights (V, J), rows sum to 1, none negative: vertices (V, 3) m, faces (F, 3) of one surface.
 
-    heat: the constant c; less makes wider transitions. visible: only bones that a vertex sees are sources. An
+    heat: the constant c; less makes
+    wider transitions. visible: only bones that a vertex sees are sources. An
     InputError when the mesh has no face or a vertex without face.
     """
     import robust_laplacian
@@ -157,7 +163,7 @@ def carried_weights(
     """Dense weights (P, J) at points (P, 3) with outward normals (P, 3) near the surface of a mesh with dense weights
     (V, J): the mean over the nearest places of the mesh that face the same way, so that a hand beside a thigh does not
     get the thigh's."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     v, w = np.asarray(vertices, dtype=np.float64), np.asarray(weights, dtype=np.float64)
     f = np.asarray(faces, dtype=np.int64)
@@ -165,7 +171,7 @@ def carried_weights(
     corner = np.array([(4, 1, 1), (1, 4, 1), (1, 1, 4), (2, 2, 2)]) / 6
     samples = np.einsum("sc,fcd->fsd", corner, v[f]).reshape(-1, 3)
     facing = vertex_normals(v, f)[f].mean(1)
-    distance, index = cKDTree(samples).query(p, k=min(24, len(samples)))
+    distance, index = KDTree(samples).query(p, k=min(24, len(samples)))
     face, bary = index // len(corner), corner[index % len(corner)]
     alike = np.einsum("psd,pd->ps", facing[face], n) > 0.3
     alike[~alike.any(1)] = True

@@ -53,7 +53,7 @@ def _skin(gltf: Any, blob: bytes) -> Skinned | None:
     inverse = _array(gltf, blob, skin.inverseBindMatrices).reshape(-1, 4, 4).swapaxes(1, 2)
     if len(inverse) != len(nodes):
         raise ValueError("the skin has another number of matrices than of joints")
-    joints = np.linalg.inv(inverse)[:, :3, 3]
+    joints = np.linalg.inv(inverse)[:, :3, 3].astype(np.float64)
     parent_node = {c: k for k, n in enumerate(gltf.nodes) for c in n.children or []}
     place = {node: k for k, node in enumerate(nodes)}
     parents = []

@@ -1,0 +1,104 @@
+"""The template inside a scan: joints of people whose truth is known, stances, and the pose undone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hypose.body.body import Shape, deform
+from hypose.body.fit_skeleton import (
+    FACTORS,
+    SCAN_POSES,
+    find_stances,
+    fit_template,
+    scan_pose,
+    shape_of,
+    surface_samples,
+    unposed,
+)
+from hypose.body.models import human
+from hypose.errors import InputError
+from hypose.evaluation.rigging import scan_of
+from hypose.evaluation.subjects import load_subjects
+from hypose.geometry import so3_exp
+
+Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+
+
+@pytest.mark.parametrize(
+    ("name", "arms"),
+    [
+        ("heavy", "t"),
+        pytest.param("slim", "a", marks=pytest.mark.slow),
+        pytest.param("broad", "standing", marks=pytest.mark.slow),
+    ],
+)
+def test_joints_of_a_scanned_person(name, arms, rng):
+    subject = load_subjects()[name]
+    vertices, joints = scan_of(subject, arms, 0.002, rng)
+    surface = surface_samples(vertices, subject.faces, 1500, rng)
+    fit, stance = fit_template(surface, human(), find_stances(surface, human()))
+    assert stance.up == "+z"
+    found = fit.body.joints(fit.pose) @ stance.upright_from_file
+    error = np.linalg.norm(found - joints, axis=1)
+    assert error.mean() < 0.015
+    assert error.max() < 0.035
+    assert fit.far < 0.01
+    assert fit.body.stature == pytest.approx(subject.stature, abs=0.03)
+
+
+@pytest.mark.parametrize("arms", SCAN_POSES)
+def test_stances_are_found_in_any_axes(arms, rng):
+    subject = load_subjects()["neutral"]
+    vertices, _ = scan_of(subject, arms, 0.0, rng)
+    heading = so3_exp(np.array([0, 0, rng.uniform(-3, 3)]))
+    for rotation, up in ((np.eye(3), "+z"), (Y_UP, "+y")):
+        turned = vertices @ (rotation @ heading).T
+        best = find_stances(surface_samples(turned, subject.faces, 1500, rng), human())[0]
+        assert best.up == up
+        assert best.arms == arms
+        # the rotation undoes the turn: the person faces -y again, up to a few degrees
+        back = best.upright_from_file @ rotation @ heading
+        assert np.trace(back) > 3 - 0.35
+
+
+def test_samples_cover_the_surface_and_repeat(rng):
+    fine = human().fine
+    a = surface_samples(fine.vertices, fine.faces, 500, np.random.default_rng(1))
+    b = surface_samples(fine.vertices, fine.faces, 500, np.random.default_rng(1))
+    np.testing.assert_array_equal(a.points, b.points)
+    np.testing.assert_allclose(np.linalg.norm(a.normals, axis=1), 1)
+    from scipy.spatial import KDTree
+
+    assert KDTree(a.points).query(fine.vertices)[0].max() < 0.15
+    with pytest.raises(InputError, match="all its triangles have area 0"):
+        surface_samples(np.zeros((3, 3)), np.array([[0, 1, 2]]), 10, rng)
+
+
+def test_undoing_a_pose_is_the_inverse_of_skinning(rng):
+    body = human()
+    pose = scan_pose(body, "t")
+    pose[:6] = [0.3, -0.2, 1.0, 0.1, 0.2, 2.0]
+    posed = body.skin(pose, body.fine)
+    rest = unposed(body, pose, posed, body.fine.dense_weights(19))
+    np.testing.assert_allclose(rest, body.fine.vertices, atol=2e-5)  # skinning works in float32
+
+
+def test_factors_are_shapes():
+    body = human()
+    assert shape_of(np.zeros(len(FACTORS))).scale == 1.0
+    same = deform(body, shape_of(np.zeros(len(FACTORS))))
+    np.testing.assert_allclose(same.fine.vertices, body.fine.vertices, atol=1e-12)
+    index = {f.name: k for k, f in enumerate(FACTORS)}
+    x = np.zeros(len(FACTORS))
+    x[index["scale"]], x[index["thigh"]], x[index["chest width"]] = np.log([1.1, 1.2, 1.3])
+    shape = shape_of(x)
+    assert isinstance(shape, Shape)
+    longer = deform(body, shape).segment_lengths()["left_thigh"]
+    assert longer == pytest.approx(body.segment_lengths()["left_thigh"] * 1.1 * 1.2)
+    assert shape.girth["chest"] == pytest.approx((1.3, 1.0, 1.0))
+
+
+def test_unknown_poses_are_named():
+    with pytest.raises(InputError, match="auto, a, t, standing, hands-up"):
+        scan_pose(human(), "sitting")

@@ -1,0 +1,196 @@
+"""Heat weights: a partition of unity, smooth, without bleeding; visibility against its definition; coarse meshes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hypose import compute
+from hypose.body.body import Body, Mesh
+from hypose.body.coarse_mesh import coarse_mesh, decimated, enclosed_volume, is_closed
+from hypose.body.fit_skeleton import scan_pose
+from hypose.body.models import JOINT_NAMES, human
+from hypose.body.procedural import procedural_body
+from hypose.body.skin_weights import (
+    Bones,
+    body_bones,
+    bones_of,
+    carried_weights,
+    heat_weights,
+    influences,
+    vertex_normals,
+)
+from hypose.compute.visibility import nearest_visible
+from hypose.errors import InputError
+
+LEFT_LEG, RIGHT_LEG = [13, 14, 15], [16, 17, 18]
+LEFT_ARM, RIGHT_ARM = [6, 7, 8], [10, 11, 12]
+
+
+def weights_of(body: Body, mesh: Mesh) -> np.ndarray:
+    return heat_weights(mesh.vertices, mesh.faces, body_bones(body), 19)
+
+
+@pytest.fixture(scope="module", params=["template", "procedural"])
+def rigged(request) -> tuple[Body, np.ndarray]:
+    body = human() if request.param == "template" else procedural_body()
+    return body, weights_of(body, body.fine)
+
+
+def test_weights_are_a_partition_of_unity(rigged):
+    _, w = rigged
+    np.testing.assert_allclose(w.sum(1), 1, atol=1e-12)
+    assert w.min() >= 0
+    index, value = influences(w)
+    assert index.shape == value.shape == (len(w), 4)
+    np.testing.assert_allclose(value.sum(1), 1, atol=1e-12)
+    assert (np.diff(value, axis=1) <= 0).all()
+    assert (index[value == 0] == 0).all()
+    assert ((value == 0) | (value >= 0.01)).all()
+    lost = 1 - np.sort(w, axis=1)[:, -4:].sum(1)
+    assert lost.mean() < 0.02
+
+
+def change_along_edges(mesh: Mesh, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The share of the weight that changes along each edge, and that per metre."""
+    f = mesh.faces
+    edges = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]])
+    jump = 0.5 * np.abs(w[edges[:, 0]] - w[edges[:, 1]]).sum(1)
+    length = np.linalg.norm(mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]], axis=1)
+    return jump, jump / np.maximum(length, 0.01)
+
+
+def test_weights_are_as_smooth_as_the_bodies_own(rigged):
+    body, w = rigged
+    jump, rate = change_along_edges(body.fine, w)
+    own_jump, own_rate = change_along_edges(body.fine, body.fine.dense_weights(19))
+    assert jump.mean() < own_jump.mean()
+    assert np.percentile(rate, 99) < np.percentile(own_rate, 99)
+    assert jump.max() < 0.85
+
+
+def test_no_bleeding_between_thighs_or_arm_and_torso(rigged):
+    body, w = rigged
+    v, joints = body.fine.vertices, body.skeleton.rest_joints
+    crotch = v[np.abs(v[:, 0]) < 0.02, 2].min()
+    for depth, most in ((0.05, 0.05), (0.10, 0.02), (0.25, 1e-3)):
+        below = v[:, 2] < crotch - depth
+        for side, other in ((1, RIGHT_LEG), (-1, LEFT_LEG)):
+            assert w[np.ix_(below & (side * v[:, 0] > 0), other)].sum(1).max() < most
+    own = body.fine.dense_weights(19)
+    for arm, shoulder in ((LEFT_ARM, 6), (RIGHT_ARM, 10)):
+        torso = own[:, [0, 1, 2]].sum(1) > 0.95
+        distance = np.linalg.norm(v - joints[shoulder], axis=1)
+        # nearer lie the folds of the armpit, which do move with the arm
+        for metres, most in ((0.20, 0.07), (0.25, 0.035)):
+            assert w[np.ix_(torso & (distance > metres), arm)].sum(1).max() < most
+        hand = own[:, arm].sum(1) > 0.99
+        beyond = np.linalg.norm(v - joints[shoulder], axis=1) > 0.2
+        assert w[np.ix_(hand & beyond, [0, 1, 2, 13, 14, 16, 17])].sum(1).max() < 0.01
+
+
+def test_a_hand_beside_a_thigh_keeps_off_it():
+    body = human()
+    pose = scan_pose(body, "standing")
+    pose[body.skeleton.dofs_of("left_shoulder")[1]] += 0.1
+    v = body.skin(pose, body.fine)
+    own = body.fine.dense_weights(19)
+    hand, thigh = own[:, 8] > 0.95, own[:, 13] > 0.95
+    assert np.linalg.norm(v[hand][:, None] - v[thigh], axis=2).min() < 0.01
+    w = heat_weights(v, body.fine.faces, body_bones(body, pose), 19)
+    blind = heat_weights(v, body.fine.faces, body_bones(body, pose), 19, visible=False)
+    assert w[np.ix_(hand, [0, 13, 16])].sum(1).max() < 0.05
+    assert w[np.ix_(thigh, LEFT_ARM)].sum(1).max() < 0.05
+    # what the visibility test is for
+    assert blind[np.ix_(thigh, LEFT_ARM)].sum(1).max() > 0.8
+
+
+def test_weights_agree_with_the_artists_where_anatomy_is_clear():
+    body = human()
+    w, own = weights_of(body, body.fine), body.fine.dense_weights(19)
+    assert np.abs(w - own).mean() < 0.02
+    same = w.argmax(1) == own.argmax(1)
+    assert same.mean() > 0.85
+    limbs = np.isin(own.argmax(1), [7, 8, 11, 12, 14, 15, 17, 18]) & (own.max(1) > 0.9)
+    assert same[limbs].mean() > 0.99
+
+
+def test_weights_do_not_depend_on_unit_or_place(rng):
+    body = human()
+    mesh, bones = body.coarse, body_bones(body)
+    w = heat_weights(mesh.vertices, mesh.faces, bones, 19)
+    shift = np.array([5.0, -2.0, 1.0])
+    moved = Bones(100 * bones.start + shift, 100 * bones.end + shift, bones.joint)
+    np.testing.assert_allclose(heat_weights(100 * mesh.vertices + shift, mesh.faces, moved, 19), w, atol=1e-6)
+
+
+def test_kernel_sees_what_the_definition_sees(rng):
+    body = human()
+    mesh, bones = body.coarse, body_bones(body)
+    v, f = mesh.vertices + 0.002 * rng.standard_normal(mesh.vertices.shape), mesh.faces
+    along = bones.end - bones.start
+    t = np.clip(((v[:, None] - bones.start) * along).sum(-1) / (along**2).sum(-1), 0, 1)
+    closest = bones.start + t[..., None] * along
+    distance = np.linalg.norm(v[:, None] - closest, axis=-1)
+    fast = nearest_visible(v, f, vertex_normals(v, f), closest, distance)
+    with compute.use("numpy"):
+        slow = nearest_visible(v, f, vertex_normals(v, f), closest, distance)
+    assert (fast == slow).all(1).mean() > 0.995  # rays through an edge may go either way
+    assert fast.any(1).mean() > 0.98
+    assert not fast.all()
+
+
+def test_a_segment_behind_a_wall_is_not_seen():
+    import trimesh
+
+    a, b = trimesh.creation.icosphere(2, 0.1), trimesh.creation.icosphere(2, 0.1)
+    b.apply_translation([0.25, 0, 0])
+    v = np.concatenate([a.vertices, b.vertices])
+    f = np.concatenate([a.faces, b.faces + len(a.vertices)])
+    bones = Bones(np.array([[0.0, 0, 0], [0.25, 0, 0]]), np.array([[0.0, 0, 0.01], [0.25, 0, 0.01]]), np.array([0, 1]))
+    w = heat_weights(v, f, bones, 2)
+    np.testing.assert_allclose(w[: len(a.vertices), 0], 1, atol=1e-9)
+    np.testing.assert_allclose(w[len(a.vertices) :, 1], 1, atol=1e-9)
+    # a part that sees no bone at all takes the nearest
+    only = Bones(bones.start[:1], bones.end[:1], bones.joint[:1])
+    np.testing.assert_allclose(heat_weights(v, f, only, 1), 1)
+
+
+def test_vertices_without_face_are_refused():
+    mesh = human().coarse
+    v = np.concatenate([mesh.vertices, [[0, 0, 5.0]]])
+    with pytest.raises(InputError, match=f"1 of the mesh's {len(v)} vertices belong to no face"):
+        heat_weights(v, mesh.faces, body_bones(human()), 19)
+
+
+def test_bones_of_any_skeleton_end_somewhere():
+    body = human()
+    bare = bones_of(body.skeleton, body.skeleton.rest_joints)
+    assert set(bare.joint) == set(range(19))
+    assert (np.linalg.norm(bare.end - bare.start, axis=1) > 0.01).all()
+    assert len(body_bones(body).joint) > len(bare.joint)
+
+
+def test_coarse_mesh_keeps_closed_volume_and_height(rng):
+    fine = human().fine
+    noisy = fine.vertices + 0.002 * rng.standard_normal(fine.vertices.shape)
+    for vertices in (fine.vertices, noisy):
+        v, f = coarse_mesh(vertices, fine.faces)
+        assert 450 <= len(v) <= 600
+        assert is_closed(f)
+        assert enclosed_volume(v, f) == pytest.approx(enclosed_volume(vertices, fine.faces), rel=1e-4)
+        assert np.ptp(v[:, 2]) == pytest.approx(1.70, abs=0.015)
+        assert len(v) - len(f) * 3 // 2 + len(f) == 2
+    same, faces = decimated(fine.vertices, fine.faces, 10_000)
+    np.testing.assert_array_equal(same, fine.vertices)
+    np.testing.assert_array_equal(faces, fine.faces)
+
+
+def test_carried_weights_are_those_of_the_surface():
+    body = human()
+    mesh, own = body.fine, body.fine.dense_weights(19)
+    normals = vertex_normals(mesh.vertices, mesh.faces)
+    carried = carried_weights(mesh.vertices, normals, mesh.vertices, mesh.faces, own)
+    np.testing.assert_allclose(carried.sum(1), 1, atol=1e-6)
+    assert np.abs(carried - own).sum(1).mean() < 0.06
+    assert carried[mesh.vertices[:, 0] > 0.1][:, JOINT_NAMES.index("right_hip")].max() < 0.01

@@ -1,0 +1,242 @@
+"""Meshes of people from files, and what they become: units, axes, holes, parts, skins, body models, hostile files."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from hypose.body.body import Body
+from hypose.body.coarse_mesh import enclosed_volume, is_closed
+from hypose.body.fit_skeleton import scan_pose
+from hypose.body.joint_names import MIXAMO, SMPL_JOINTS, renamed_body
+from hypose.body.models import JOINT_NAMES, human
+from hypose.body.motion import Motion
+from hypose.errors import InputError
+from hypose.io.bodies import load_body
+from hypose.io.gltf import write_glb
+from hypose.io.meshes import PersonMesh, closed_surface, read_person
+from hypose.pipeline.mesh_subject import MeshOptions, body_from_mesh, rig_mesh, subject_from_mesh
+
+Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+
+
+def t_pose() -> tuple[np.ndarray, np.ndarray]:
+    body = human()
+    return body.skin(scan_pose(body, "t"), body.fine), body.fine.faces
+
+
+def export(path: Path, vertices: np.ndarray, faces: np.ndarray) -> Path:
+    trimesh.Trimesh(vertices, faces, process=False).export(path)
+    return path
+
+
+@pytest.mark.parametrize("ending", ["obj", "ply", "stl", "glb"])
+def test_formats_give_the_same_closed_surface(tmp_path, ending):
+    v, f = t_pose()
+    mesh = closed_surface(read_person(export(tmp_path / f"scan.{ending}", v, f)))
+    assert len(mesh.vertices) == len(v)
+    assert is_closed(mesh.faces)
+    assert enclosed_volume(mesh.vertices, mesh.faces) == pytest.approx(enclosed_volume(v, f), rel=1e-5)
+    assert mesh.notes == ()
+    assert mesh.up == ("+y" if ending == "glb" else "")
+
+
+def test_a_scan_becomes_a_body_that_stands_as_it_did(tmp_path):
+    v, f = t_pose()
+    path = export(tmp_path / "anna.stl", 100 * v @ Y_UP.T, f)
+    with pytest.raises(InputError, match=r"anna.stl: in m the person would be 170 m tall.* give the unit 'cm'"):
+        rig_mesh(path)
+    subject = subject_from_mesh(path, tmp_path / "subject", MeshOptions(unit="cm"))
+    assert any("+y up; it was turned" in n for n in subject.notes)
+    assert any("in the pose 't'" in n for n in subject.notes)
+    body = load_body(tmp_path / "subject" / "body.npz")
+    assert body.name == "anna"
+    np.testing.assert_array_equal(body.coarse.vertices, subject.body.coarse.vertices)
+    assert 450 <= len(body.coarse.vertices) <= 600
+    assert body.skeleton.dof_names == human().skeleton.dof_names
+    # the scan's own pose gives the scan back, wherever it stood
+    again = body.skin(subject.pose, body.fine)
+    assert np.ptp(again, axis=0) == pytest.approx(np.ptp(v, axis=0), abs=0.005)
+    joints = body.joints(subject.pose)
+    truth = human().joints(scan_pose(human(), "t"))
+    error = np.linalg.norm((joints - joints.mean(0)) - (truth - truth.mean(0)), axis=1)
+    assert error.mean() < 0.01
+    # and rests in the template's rest pose
+    rest = body.skeleton.rest_joints - human().skeleton.rest_joints
+    assert np.linalg.norm(rest, axis=1).max() < 0.04
+    assert body.coarse.volume == pytest.approx(human().coarse.volume, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda v, f: (v / 1000, f), "in m the person would be 1.7 mm tall; no usual unit makes that a person"),
+        (lambda v, f: (1000 * v, f), "would be 1.7e[+]03 m tall; its coordinates seem to be in mm"),
+        (lambda v, f: (v, f[150:]), r"is not closed: \d+ edges have one face only"),
+        (lambda v, f: (np.concatenate([v, v + [2, 0, 0]]), np.concatenate([f, f + len(v)])), r"2 parts \(50 %, 50 %"),
+        (lambda v, f: (v, np.concatenate([f, [[f[0, 0], f[0, 1], 9]]])), "is not a manifold: 1 edges belong to three"),
+        (lambda v, f: (np.where(np.arange(len(v))[:, None] == 5, np.nan, v), f), "1 vertices that are not finite"),
+        (lambda v, f: (v * [1, 1, 0], f), "area 0|flat|does not look like"),
+        (lambda v, f: (v * [0.3, 0.3, 1.0], f), "does not look like one person in any known pose"),
+    ],
+    ids=["millimetres", "kilometres", "open", "two people", "three faces", "nan", "flat", "pole"],
+)
+def test_meshes_that_cannot_be_rigged_say_why(tmp_path, change, message):
+    v, f = change(*t_pose())
+    with pytest.raises(InputError, match=message):
+        rig_mesh(export(tmp_path / "scan.ply", v, f))
+
+
+def test_a_thing_is_not_a_person(tmp_path):
+    ball = trimesh.creation.icosphere(3, 0.85)
+    with pytest.raises(InputError, match=r"does not look like one person in any known pose.*arms away from the body"):
+        rig_mesh(export(tmp_path / "ball.ply", ball.vertices, ball.faces))
+
+
+def test_specks_small_holes_and_inward_faces_are_mended():
+    v, f = t_pose()
+    speck = trimesh.creation.icosphere(1, 0.004)
+    speck.apply_translation([0.5, 0.5, 0.5])
+    vertices = np.concatenate([v, speck.vertices])
+    faces = np.concatenate([np.delete(f, [10, 900], axis=0)[:, ::-1], speck.faces + len(v)]).astype(np.int32)
+    mesh = closed_surface(PersonMesh(vertices, faces))
+    assert is_closed(mesh.faces)
+    assert enclosed_volume(mesh.vertices, mesh.faces) == pytest.approx(enclosed_volume(v, f), rel=1e-3)
+    assert set(mesh.notes) == {
+        "1 small loose parts were left out",
+        "2 small holes were closed",
+        "its faces looked inward and were turned",
+    }
+    mixed = f.copy()
+    mixed[::3] = mixed[::3, ::-1]
+    turned = closed_surface(PersonMesh(v, mixed))
+    assert enclosed_volume(turned.vertices, turned.faces) == pytest.approx(enclosed_volume(v, f), rel=1e-9)
+
+
+def glb_of(path: Path, body: Body) -> Path:
+    poses = np.zeros((2, 36))
+    n, j = 2, len(body.skeleton.joint_names)
+    no, count = np.zeros(n, dtype=bool), np.zeros(n, dtype=np.int64)
+    times = np.array([0.0, 0.04])
+    motion = Motion(body.skeleton, times, body.joints(poses), poses, np.zeros((n, j)), no, no, count, np.zeros(n))
+    write_glb(path, motion, body)
+    return path
+
+
+@pytest.mark.parametrize("names", ["own", "mixamo"])
+def test_a_skinned_glb_keeps_its_joints_and_weights(tmp_path, names):
+    body = human() if names == "own" else renamed_body(human(), MIXAMO)
+    subject = rig_mesh(glb_of(tmp_path / "avatar.glb", body))
+    own = human()
+    np.testing.assert_allclose(subject.body.skeleton.rest_joints, own.skeleton.rest_joints, atol=0.01)
+    np.testing.assert_allclose(subject.body.joints(subject.pose), own.skeleton.rest_joints, atol=1e-4)
+    # vertices may be in another order
+    order = np.lexsort(subject.body.fine.dense_weights(19).T)
+    there = np.lexsort(own.fine.dense_weights(19).T)
+    np.testing.assert_allclose(
+        np.sort(subject.body.fine.dense_weights(19)[order], axis=0),
+        np.sort(own.fine.dense_weights(19)[there], axis=0),
+        atol=0.02,
+    )
+    assert any("19 joints" in n for n in subject.notes)
+    fresh = read_person(tmp_path / "avatar.glb")
+    assert fresh.rig is not None
+    assert len(fresh.rig.names) == 19
+
+
+def smpl_like(path: Path, **changes: np.ndarray) -> Path:
+    """A model in SMPL's format made of the template: 24 joints, Y up, T pose."""
+    body = human()
+    pose = scan_pose(body, "t")
+    v, joints = body.skin(pose, body.fine) @ Y_UP.T, body.joints(pose) @ Y_UP.T
+    ours = {"spine1": "spine", "spine2": "chest", "left_collar": "left_clavicle", "right_collar": "right_clavicle"}
+    names = [*SMPL_JOINTS, "left_hand", "right_hand"]
+    parent = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21]
+    place, weight = np.zeros((24, 3)), np.zeros((len(v), 24))
+    dense = body.fine.dense_weights(19)
+    for k, name in enumerate(names):
+        mine = ours.get(name, name)
+        if mine in JOINT_NAMES:
+            place[k], weight[:, k] = joints[JOINT_NAMES.index(mine)], dense[:, JOINT_NAMES.index(mine)]
+        else:
+            place[k] = place[parent[k]] + 0.03 * (place[parent[k]] - place[parent[parent[k]]])
+    regressor = place @ np.linalg.pinv(v)  # (24, V): exact for these vertices
+    arrays = {
+        "v_template": v,
+        "f": body.fine.faces.astype(np.uint32),
+        "weights": weight,
+        "J_regressor": regressor,
+        "kintree_table": np.array([[2**32 - 1, *parent[1:]], range(24)], dtype=np.uint32),
+    } | changes
+    np.savez(path, **arrays)
+    return path
+
+
+def test_a_model_in_smpl_format_is_read_with_joints_and_weights(tmp_path):
+    subject = rig_mesh(smpl_like(tmp_path / "model.npz"))
+    own = human()
+    rest, truth = subject.body.skeleton.rest_joints, own.skeleton.rest_joints
+    assert np.linalg.norm(rest - truth, axis=1).mean() < 0.02
+    assert any("+y up" in n for n in subject.notes)
+    assert subject.body.stature == pytest.approx(1.70, abs=0.02)
+    posed = subject.body.skin(subject.pose, subject.body.fine)
+    assert np.ptp(posed, axis=0) == pytest.approx(np.ptp(own.skin(scan_pose(own, "t"), own.fine), axis=0), abs=1e-3)
+
+
+def test_models_that_would_run_code_or_do_not_fit_are_refused(tmp_path):
+    path = smpl_like(tmp_path / "model.npz", J_regressor=np.array([{"sparse": 1}], dtype=object))
+    with pytest.raises(InputError, match="an array holds Python objects"):
+        read_person(path)
+    with pytest.raises(InputError, match="do not belong to one model"):
+        read_person(smpl_like(tmp_path / "short.npz", weights=np.zeros((10, 24))))
+    (tmp_path / "model.pkl").write_bytes(b"cos\nsystem\n")
+    with pytest.raises(InputError, match="is a pickle, which may run any program"):
+        read_person(tmp_path / "model.pkl")
+    np.savez(tmp_path / "other.npz", a=np.zeros(3))
+    with pytest.raises(InputError, match=r"needs v_template, f, weights, J_regressor and kintree_table"):
+        read_person(tmp_path / "other.npz")
+    with zipfile.ZipFile(tmp_path / "broken.npz", "w") as archive:
+        archive.writestr("v_template.npy", io.BytesIO(b"nothing").getvalue())
+    with pytest.raises(InputError, match="damaged"):
+        read_person(tmp_path / "broken.npz")
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "message"),
+    [
+        ("a.ply", b"", "is empty"),
+        ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 99999999999\n", "cannot be read as PLY|0 vertices"),
+        ("a.stl", b"solid x\nfacet", "cannot be read as STL|0 vertices"),
+        ("a.obj", b"mtllib ../../etc/passwd\nv 0 0 0\n", "cannot be read as OBJ|vertices and 0 faces"),
+        ("a.glb", b"glTF\x02\x00\x00\x00\xff\xff\xff\x7f", "cannot be read"),
+        ("a.gltf", b"{}", "names other files"),
+        ("a.fbx", b"x", "export the scan in one of these formats"),
+        ("a.npz", b"x", "is not an .npz archive"),
+    ],
+)
+def test_damaged_and_foreign_files_are_named(tmp_path, name, data, message):
+    path = tmp_path / name
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=message) as caught:
+        read_person(path)
+    assert name in str(caught.value)
+
+
+def test_options_list_what_is_allowed(tmp_path):
+    with pytest.raises(InputError, match="does not exist"):
+        body_from_mesh(tmp_path / "none.ply")
+    for options, message in (
+        ({"pose": "sitting"}, "auto, a, t, standing, hands-up"),
+        ({"unit": "miles"}, "m, dm, cm, mm, in, ft"),
+        ({"up": "w"}, "auto, [+]z"),
+        ({"height": 17.0}, "between 0.6 and 2.4 m"),
+        ({"coarse": 5}, "200 to 2000"),
+    ):
+        with pytest.raises(InputError, match=message):
+            replace(MeshOptions(), **options)
