@@ -1,0 +1,240 @@
+"""numba: decoded picture -> working size -> difference from the room -> cleaned mask, as integers where the result
+depends on it, so that the plain definitions in images.py give the same bytes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from hypose.compute.cpu_kinematics import OPTIONS
+
+f4 = np.float32
+u8 = np.uint64  # an index of this type needs no test for "counted from the end"
+
+
+@njit(**OPTIONS)
+def shrink(image, columns, column_weights, rows, row_weights, y0, y1, x0, x1, out):
+    """out (h + 3, w + 3, 3) u1 [1 + y, 1 + x] = box average of image (H, W, 3) u1 for y0 <= y < y1, x0 <= x < x1.
+
+    Pixel x is the sum of column_weights[x, k] (in 256ths) of the columns columns[x] + k; rows alike."""
+    source = image.reshape(image.shape[0], image.shape[1] * 3)
+    target = out.reshape(out.shape[0], out.shape[1] * 3)
+    first = 3 * columns[x0]
+    width = 3 * (columns[x1 - 1] + column_weights.shape[1]) - first
+    sums = np.empty(width, np.uint16)
+    taps = column_weights.shape[1]
+    for y in range(y0, y1):
+        line = source[rows[y], first : first + width]
+        w = np.uint16(row_weights[y, 0])
+        for i in range(width):
+            sums[i] = np.uint16(w * np.uint16(line[i]))
+        for k in range(1, row_weights.shape[1]):
+            w = np.uint16(row_weights[y, k])
+            if w == 0:
+                continue
+            line = source[rows[y] + k, first : first + width]
+            for i in range(width):
+                sums[i] = np.uint16(sums[i] + np.uint16(w * np.uint16(line[i])))
+        made = target[y + 1]
+        for x in range(x0, x1):
+            at = 3 * columns[x] - first
+            b, g, r = np.uint32(32768), np.uint32(32768), np.uint32(32768)
+            for k in range(taps):
+                w4 = np.uint32(column_weights[x, k])
+                i = u8(at + 3 * k)
+                b = np.uint32(b + np.uint32(w4 * np.uint32(sums[i])))
+                g = np.uint32(g + np.uint32(w4 * np.uint32(sums[i + u8(1)])))
+                r = np.uint32(r + np.uint32(w4 * np.uint32(sums[i + u8(2)])))
+            i = u8(3 * x + 3)
+            made[i] = b >> 16
+            made[i + u8(1)] = g >> 16
+            made[i + u8(2)] = r >> 16
+
+
+@njit(**OPTIONS)
+def remap(small, index, parts, y0, y1, x0, x1, out):
+    """out (h, w, 3) in the box = small (h + 3, w + 3, 3) at index (h, w) plus the parts (h, w, 2), in 32nds."""
+    flat = small.reshape(-1)
+    step = u8(3 * small.shape[1])
+    three = u8(3)
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            p = u8(index[y, x])
+            fx, fy = np.int32(parts[y, x, 0]), np.int32(parts[y, x, 1])
+            w11 = fx * fy
+            w01 = 32 * fx - w11
+            w10 = 32 * fy - w11
+            w00 = 1024 - w01 - w10 - w11
+            for c in range(3):
+                q = p + u8(c)
+                value = w00 * flat[q] + w01 * flat[q + three] + w10 * flat[q + step] + w11 * flat[q + step + three]
+                out[y, x, c] = (value + 512) >> 10
+
+
+@njit(**OPTIONS)
+def differ(image, low, high, mean, square, shadow, darkest, lightest, chroma, y0, y1, x0, x1, out):
+    """out (h, w) u1 in the box: 0 = the room, 1 = something else, 2 = the room, darker. image (h, w, 3) u1 between
+    low and high (same type) is the room. For the shadow test (if shadow): mean (h, w, 3) f4, square (h, w) f4."""
+    bad = np.empty(3 * (x1 - x0), np.uint8)
+    for y in range(y0, y1):
+        picture, least, most = image[y].reshape(-1), low[y].reshape(-1), high[y].reshape(-1)
+        made = out[y]
+        part, under, above = picture[3 * x0 : 3 * x1], least[3 * x0 : 3 * x1], most[3 * x0 : 3 * x1]
+        for i in range(3 * (x1 - x0)):
+            bad[i] = np.uint8((part[i] < under[i]) | (part[i] > above[i]))
+        for x in range(x1 - x0):
+            i = u8(3 * x)
+            made[x0 + x] = bad[i] | bad[i + u8(1)] | bad[i + u8(2)]
+        if not shadow:
+            continue
+        room = mean[y].reshape(-1)
+        for x in range(x0, x1):
+            if made[x] == 0:
+                continue
+            i = u8(3 * x)
+            j, k = i + u8(1), i + u8(2)
+            a, b, c = f4(picture[i]), f4(picture[j]), f4(picture[k])
+            p, q, r = room[i], room[j], room[k]
+            s = (a * p + b * q + c * r) / square[y, x]
+            if s > darkest and s < lightest:
+                a -= s * p
+                b -= s * q
+                c -= s * r
+                if a * a + b * b + c * c < chroma:
+                    made[x] = 2
+
+
+@njit(**OPTIONS)
+def _root(parent, i):
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
+
+
+@njit(**OPTIONS)
+def _label(mask, value, reach, starts, ends, rows, parent):
+    """Runs of `value` in mask (h, w), joined to regions (reach 1: also over corners); returns their number.
+
+    starts, ends, rows (n,) of the runs; parent (n,): the first run of the region."""
+    h, w = mask.shape
+    n = 0
+    before = 0  # first run of the row above
+    for y in range(h):
+        line = mask[y]
+        begin = n
+        total = 0
+        for x in range(w):  # vectorises; most rows hold nothing
+            total += line[x]
+        if total == 0 and value == 1:
+            before = n
+            continue
+        x = 0
+        other = before
+        while x < w:
+            while x < w and line[u8(x)] != value:
+                x += 1
+            if x == w:
+                break
+            first = x
+            while x < w and line[u8(x)] == value:
+                x += 1
+            starts[n], ends[n], rows[n], parent[n] = first, x, y, n
+            while other < begin and ends[other] + reach <= first:
+                other += 1
+            k = other
+            while k < begin and starts[k] < x + reach:
+                a, b = _root(parent, k), _root(parent, n)
+                if a < b:
+                    parent[b] = a
+                else:
+                    parent[a] = b
+                k += 1
+            n += 1
+        before = begin
+    return n
+
+
+@njit(**OPTIONS)
+def clean_regions(mask, hole_px, keep_share, keep_gap, out):
+    """Fill the holes of at most hole_px in mask (h, w) u1 (which is changed), keep the biggest region and what lies
+    near it; out (h, w) u1, zero before. See images.clean_regions."""
+    h, w = mask.shape
+    most = h * (w // 2 + 1)
+    starts, ends = np.empty(most, np.int32), np.empty(most, np.int32)
+    rows, parent = np.empty(most, np.int32), np.empty(most, np.int32)
+    area = np.empty(most, np.int64)
+    if hole_px > 0:
+        n = _label(mask, 0, 0, starts, ends, rows, parent)
+        for i in range(n):
+            area[i] = 0
+        for i in range(n):
+            area[_root(parent, i)] += ends[i] - starts[i]
+        for i in range(n):
+            if area[_root(parent, i)] <= hole_px:
+                line = mask[rows[i]]
+                for x in range(starts[i], ends[i]):
+                    line[x] = 1
+    n = _label(mask, 1, 1, starts, ends, rows, parent)
+    if n == 0:
+        return
+    box = np.empty((n, 4), np.int32)  # left, top, right, bottom of each region
+    for i in range(n):
+        area[i] = 0
+        box[i, 0], box[i, 1], box[i, 2], box[i, 3] = w, h, 0, 0
+    main = 0
+    for i in range(n):
+        k = _root(parent, i)
+        area[k] += ends[i] - starts[i]
+        box[k, 0] = min(box[k, 0], starts[i])
+        box[k, 1] = min(box[k, 1], rows[i])
+        box[k, 2] = max(box[k, 2], ends[i])
+        box[k, 3] = max(box[k, 3], rows[i] + 1)
+    for i in range(n):
+        if area[i] > area[main]:
+            main = i
+    side = max(box[main, 2] - box[main, 0], box[main, 3] - box[main, 1])
+    for i in range(n):
+        k = _root(parent, i)
+        if k != main:
+            gap = max(box[k, 0] - box[main, 2], box[main, 0] - box[k, 2])
+            gap = max(gap, max(box[k, 1] - box[main, 3], box[main, 1] - box[k, 3]))
+            if keep_share >= 1 or area[k] < keep_share * area[main] or gap > keep_gap * side:
+                continue
+        line = out[rows[i]]
+        for x in range(starts[i], ends[i]):
+            line[x] = 1
+
+
+@njit(**OPTIONS)
+def spread_distance(outside, inside, x0, y0, own_x, own_y, filled, out):
+    """out (h, w) f4 = signed distance from the chamfer distances to the mask, outside (bh, bw) f4 of the box at
+    (x0, y0), and to the background, inside (ih, iw) f4 of the box at (own_x, own_y) in that box; filled > 0: the
+    latter box is all mask, and that is the distance. Beyond the box rows and columns to it are added."""
+    h, w = out.shape
+    bh, bw = outside.shape
+    ih, iw = inside.shape
+    for y in range(bh):
+        line, made = outside[y], out[y0 + y, x0 : x0 + bw]
+        for x in range(bw):
+            made[x] = line[x] - f4(0.5)
+        if own_y <= y < own_y + ih:
+            depth, part = inside[y - own_y], made[own_x : own_x + iw]
+            for x in range(iw):
+                d = f4(filled) if filled > 0 else depth[x]
+                part[x] = part[x] + (f4(1) - d if d > 0 else f4(0))
+        made = out[y0 + y]
+        edge = made[x0]
+        for x in range(x0):
+            made[x] = edge + f4(x0 - x)
+        edge = made[x0 + bw - 1]
+        for x in range(x0 + bw, w):
+            made[x] = edge + f4(x - x0 - bw + 1)
+    for y in range(y0):
+        made, line = out[y], out[y0]
+        for x in range(w):
+            made[x] = line[x] + f4(y0 - y)
+    for y in range(y0 + bh, h):
+        made, line = out[y], out[y0 + bh - 1]
+        for x in range(w):
+            made[x] = line[x] + f4(y - y0 - bh + 1)

@@ -1,0 +1,217 @@
+"""From a decoded picture to a mask: shrink and undistort, difference from the room with the shadow cone, clean-up.
+
+The numpy (and OpenCV) versions here are the definitions; cpu_images.py does the same in one pass each, inside a box.
+Images are BGR uint8, a box is (y0, y1, x0, x1), half open, px. The functions release the GIL and keep no state, so each
+camera can have its own thread.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.compute import selection
+from hypose.errors import InputError
+
+Image = NDArray[np.uint8]
+Mask = NDArray[np.uint8]
+Box = tuple[int, int, int, int]
+
+
+class Lens(NamedTuple):
+    """How stored pictures (H, W) of one camera become undistorted ones (h, w) of the working size.
+
+    columns (w,), column_weights (w, K): working column x is the sum over k of column_weights[x, k] / 256 times stored
+    column columns[x] + k; rows (h,), row_weights (h, L) alike: box averages. index (h, w): where the undistorted pixel
+    lies in the shrunk picture, 3 times the number of the pixel up and left of it in rows of w + 3 pixels (one pixel of
+    black left and above, two right and below); parts (h, w, 2) u1: further right and down, in 32nds of a pixel.
+    straight: the picture needs no undistortion.
+    """
+
+    columns: NDArray[np.int64]
+    column_weights: NDArray[np.uint16]
+    rows: NDArray[np.int64]
+    row_weights: NDArray[np.uint16]
+    index: NDArray[np.int32]
+    parts: NDArray[np.uint8]
+    straight: bool
+
+    @property
+    def source_size(self) -> tuple[int, int]:
+        """(width, height) of the stored pictures."""
+        return _end(self.columns, self.column_weights), _end(self.rows, self.row_weights)
+
+
+class Room(NamedTuple):
+    """What the empty room looks like: low, high (h, w, 3) u1, the grey levels that are still the room; mean (h, w, 3)
+    f4 and square (h, w) f4, its squared length (at least 1), for the shadow test; shadow: whether that is made; darkest, lightest:
+    brightness of a shadow relative to the lit room; chroma: squared colour distance a shadow may have, grey levels."""
+
+    low: Image
+    high: Image
+    mean: NDArray[np.float32]
+    square: NDArray[np.float32]
+    shadow: bool
+    darkest: float
+    lightest: float
+    chroma: float
+
+
+def _end(first: NDArray[np.int64], weights: NDArray[np.uint16]) -> int:
+    return int(first[-1]) + weights.shape[1]
+
+
+def make_lens(source_size: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> Lens:
+    """Lens for stored pictures of source_size (width, height) from maps (h, w) in pixels of the working size: where in
+    a picture shrunk to that size each undistorted pixel lies (as for cv2.remap). Pictures are never enlarged: an
+    InputError."""
+    mx, my = np.asarray(map_x, dtype=np.float64), np.asarray(map_y, dtype=np.float64)
+    h, w = mx.shape
+    if source_size[0] < w or source_size[1] < h:
+        raise InputError(f"A picture of {source_size} px cannot be enlarged to {(w, h)} px; choose a smaller size.")
+    columns, column_weights = _averages(source_size[0], w)
+    rows, row_weights = _averages(source_size[1], h)
+    u = np.clip(np.nan_to_num(np.rint(32 * mx), nan=-1e6), -32, 32 * w).astype(np.int64)
+    v = np.clip(np.nan_to_num(np.rint(32 * my), nan=-1e6), -32, 32 * h).astype(np.int64)
+    index = (3 * ((v // 32 + 1) * (w + 3) + u // 32 + 1)).astype(np.int32)
+    parts = np.stack([u % 32, v % 32], -1).astype(np.uint8)
+    straight = bool((u == 32 * np.arange(w)).all() and (v == 32 * np.arange(h)[:, None]).all())
+    return Lens(columns, column_weights, rows, row_weights, index, parts, straight)
+
+
+def _averages(source: int, target: int) -> tuple[NDArray[np.int64], NDArray[np.uint16]]:
+    """First source pixel and weights (sum 256) of each of `target` boxes."""
+    step = source / target
+    taps = min(int(np.ceil(step)) + (source % target != 0), source)
+    first = np.minimum(np.floor(np.arange(target) * step + 1e-9).astype(np.int64), source - taps)
+    edges = np.clip(first[:, None] + np.arange(taps + 1), np.arange(target)[:, None] * step, None)
+    edges = np.minimum(edges, (np.arange(target)[:, None] + 1) * step)
+    cumulative = np.rint(256 * (edges - edges[:, :1]) / step).astype(np.int64)
+    return first, np.diff(cumulative, axis=1).astype(np.uint16)
+
+
+def shrink_undistort(image: Image, lens: Lens, box: Box | None = None) -> Image:
+    """Stored picture (H, W, 3) -> undistorted (h, w, 3) of the working size, black where the camera does not see, and
+    outside `box` (default: everywhere) undefined."""
+    h, w = lens.index.shape
+    if image.shape != (lens.source_size[1], lens.source_size[0], 3) or image.dtype != np.uint8:
+        raise InputError(f"A picture of {image.shape[1::-1]} px was given where {lens.source_size} px are stored.")
+    y0, y1, x0, x1 = box or (0, h, 0, w)
+    if y1 <= y0 or x1 <= x0:
+        return np.zeros((h, w, 3), np.uint8)
+    small = np.zeros((h + 3, w + 3, 3), np.uint8)
+    a0, a1, b0, b1 = (y0, y1, x0, x1) if lens.straight else _needed(lens, (y0, y1, x0, x1))
+    if selection.backend() == "numpy":
+        small[1 : h + 1, 1 : w + 1] = _shrink(image, lens)
+        return small[1 : h + 1, 1 : w + 1].copy() if lens.straight else _remap(small, lens)
+    kernels = _kernels()
+    if a1 > a0 and b1 > b0:
+        kernels.shrink(
+            np.require(image, np.uint8, ["C", "W"]), *lens[:4], a0, a1, b0, b1, small
+        )  # columns, column_weights, rows, row_weights
+    if lens.straight:
+        return np.ascontiguousarray(small[1 : h + 1, 1 : w + 1])
+    out = np.empty((h, w, 3), np.uint8)
+    kernels.remap(small, lens.index, lens.parts, y0, y1, x0, x1, out)
+    return out
+
+
+def _kernels():  # noqa: ANN202 - a module
+    selection.drop_stale_kernels()
+    return import_module("hypose.compute.cpu_images")
+
+
+def _needed(lens: Lens, box: Box) -> Box:
+    """The part of the shrunk picture that undistorted pixels in the box are made of."""
+    h, w = lens.index.shape
+    y0, y1, x0, x1 = box
+    if box == (0, h, 0, w):
+        return box
+    at = lens.index[y0:y1, x0:x1] // 3
+    rows, columns = at // (w + 3), at % (w + 3)
+    return (
+        max(int(rows.min()) - 1, 0),
+        min(int(rows.max()) + 1, h),
+        max(int(columns.min()) - 1, 0),
+        min(int(columns.max()) + 1, w),
+    )
+
+
+def _shrink(image: Image, lens: Lens) -> Image:
+    lines = sum(
+        lens.row_weights[:, k, None, None].astype(np.uint32) * image[lens.rows + k]
+        for k in range(lens.row_weights.shape[1])
+    )
+    total = sum(
+        lens.column_weights[:, k, None].astype(np.uint32) * np.asarray(lines)[:, lens.columns + k]
+        for k in range(lens.column_weights.shape[1])
+    )
+    return ((np.asarray(total, dtype=np.uint32) + 32768) >> 16).astype(np.uint8)
+
+
+def _remap(small: Image, lens: Lens) -> Image:
+    flat, step = small.reshape(-1, 3).astype(np.int32), small.shape[1]
+    at = lens.index // 3
+    fx, fy = lens.parts[..., :1].astype(np.int32), lens.parts[..., 1:].astype(np.int32)
+    upper = (32 - fx) * flat[at] + fx * flat[at + 1]
+    lower = (32 - fx) * flat[at + step] + fx * flat[at + step + 1]
+    return (((32 - fy) * upper + fy * lower + 512) >> 10).astype(np.uint8)
+
+
+def differences(image: Image, room: Room, box: Box | None = None) -> Mask:
+    """(h, w) u1 of an undistorted picture (h, w, 3): 0 = the room (and outside the box), 1 = something else, 2 = the
+    room's colour but darker."""
+    h, w = room.square.shape
+    y0, y1, x0, x1 = box or (0, h, 0, w)
+    out = np.zeros((h, w), np.uint8)
+    limits = (np.float32(room.darkest), np.float32(room.lightest), np.float32(room.chroma))
+    if selection.backend() != "numpy":
+        image = np.require(image, np.uint8, ["C", "W"])
+        _kernels().differ(image, *room[:4], bool(room.shadow), *limits, y0, y1, x0, x1, out)
+        return out
+    s = np.s_[y0:y1, x0:x1]
+    part = image[s]
+    other = ((part < room.low[s]) | (part > room.high[s])).any(2)
+    out[s] = other
+    if room.shadow:
+        colour, mean = part.astype(np.float32), room.mean[s]
+        brightness = (colour * mean).sum(2) / room.square[s]
+        rest = colour - brightness[..., None] * mean
+        dark = (brightness > limits[0]) & (brightness < limits[1]) & ((rest * rest).sum(2) < limits[2])
+        out[s] = np.where(other & dark, 2, other)
+    return out
+
+
+def clean_regions(mask: Mask, hole_px: int, keep_share: float, keep_gap: float) -> Mask:
+    """mask (h, w) of 0 and 1 with its holes of at most hole_px filled (background connected over edges only), then only
+    the biggest region (connected over corners too) and those of at least keep_share times its area whose boxes are not
+    farther from its box than keep_gap times the longer side of that. keep_share >= 1: the biggest region alone."""
+    if selection.backend() != "numpy":
+        out = np.zeros_like(mask)
+        gap = float(min(keep_gap, 1e9))
+        _kernels().clean_regions(np.array(mask, dtype=np.uint8), int(hole_px), float(keep_share), gap, out)
+        return out
+    part = mask.copy()
+    if hole_px:
+        _, label, stats, _ = cv2.connectedComponentsWithStats(1 - part, connectivity=4)
+        small = stats[:, cv2.CC_STAT_AREA] <= hole_px
+        small[0] = False  # label 0 is the foreground here
+        part |= small[np.asarray(label, dtype=np.int64)].astype(np.uint8)
+    count, label, stats, _ = cv2.connectedComponentsWithStats(part, connectivity=8)
+    if count < 2:
+        return part
+    area = stats[:, cv2.CC_STAT_AREA].astype(np.int64)
+    area[0] = 0
+    main = int(area.argmax())
+    keep = (area >= max(keep_share * area[main], 1)) & (area > 0)
+    if keep_share >= 1:
+        keep = np.arange(count) == main
+    start = stats[:, [cv2.CC_STAT_LEFT, cv2.CC_STAT_TOP]].astype(np.int64)
+    size = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].astype(np.int64)
+    gap = np.maximum(np.maximum(start - (start + size)[main], start[main] - (start + size)), 0).max(1)
+    keep &= gap <= keep_gap * size[main].max()
+    return keep[np.asarray(label, dtype=np.int64)].astype(np.uint8)
