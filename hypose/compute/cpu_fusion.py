@@ -22,7 +22,7 @@ NEGLIGIBLE = 7.0
 
 @njit(**OPTIONS)
 def _decay(x):
-    """exp(-x) for 0 <= x < NEGLIGIBLE, to 1e-8 of its value: a table of powers of two and a polynomial."""
+    """exp(-x) for 0 <= x < 40, to 1e-8 of its value: a table of powers of two and a polynomial."""
     y = x * 1.4426950408889634
     k = int(y)
     f = (k - y) * 0.6931471805599453
@@ -36,6 +36,7 @@ def place_candidates(uniforms, base, usable, renew, radius, values, log_weights,
     for the joints with renew (J,): values (J, N, 3), log_weights (J, N), label (J, N) are written. uniforms (J, R, 3)
     in [0, 1): points of a cube of which those outside the ball are passed over; R = 2.2 N is more than enough."""
     count = values.shape[1]
+    each = -math.log(count)
     for j in range(values.shape[0]):
         if not renew[j]:
             continue
@@ -52,12 +53,12 @@ def place_candidates(uniforms, base, usable, renew, radius, values, log_weights,
                 at += 1
                 if x * x + y * y + z * z <= 1.0:
                     break
-            log_weights[j, n] = -math.log(count) if sensors > 0 else -np.inf
+            log_weights[j, n] = each if sensors > 0 else -np.inf
             label[j, n] = -1
             if sensors > 0:
-                k = (k + 1) % usable.shape[0]
+                k = k + 1 if k + 1 < usable.shape[0] else 0
                 while not usable[k, j]:
-                    k = (k + 1) % usable.shape[0]
+                    k = k + 1 if k + 1 < usable.shape[0] else 0
                 values[j, n, 0] = base[k, j, 0] + radius * x
                 values[j, n, 1] = base[k, j, 1] + radius * y
                 values[j, n, 2] = base[k, j, 2] + radius * z
@@ -117,8 +118,9 @@ def shares_and_mean(log_weights, values, shares, mean):
             mean[j, a] = 0.0
         for n in range(log_weights.shape[1]):
             shares[j, n] = 0.0
-            if log_weights[j, n] > -np.inf:
-                w = math.exp(log_weights[j, n] - peak)
+            d = peak - log_weights[j, n]
+            if d < 30.0:
+                w = _decay(d)
                 shares[j, n] = w
                 total += w
                 for a in range(3):

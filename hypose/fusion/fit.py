@@ -20,7 +20,6 @@ from hypose.evidence.frame import TRACKED
 from hypose.fusion import joints as jt
 from hypose.geometry import Array
 
-
 _SIDES = np.array([(jt.LEFT_SHOULDER, jt.RIGHT_SHOULDER), (jt.LEFT_HIP, jt.RIGHT_HIP)])
 
 
@@ -113,7 +112,7 @@ def fit_step(
     evidence = np.empty(15, dtype=np.bool_)
     any_evidence = cpu_fusion.weigh_joints(positions, states, settings.inferred, weights, points, evidence)
     dt = 1 / 30 if not np.isfinite(state.time) else max(time - state.time, 1e-3)
-    start, unseen = state.joints, ~evidence
+    start = state.joints
     if start is None:
         start = _first_guess(points, weights)
         predicted, prior = start, np.ones(15)

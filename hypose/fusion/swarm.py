@@ -29,6 +29,9 @@ from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Layer, Recipe, search
 from hypose.inference.random_streams import stream
 
+FEW = 64
+"""Distinct candidates per joint up to which binomial numbers are cheaper than spins."""
+
 
 @dataclass(frozen=True)
 class SwarmSettings:
@@ -120,6 +123,12 @@ class MergedWheel:
         counts = np.empty(shares.shape, dtype=np.int64)
         if self.universal:
             cpu_fusion.universal_counts(shares, rng.random(len(shares)), self.count, counts)
+        elif h.count <= FEW:
+            # a binomial number for each candidate instead of count spins: the same distribution. Reversed, because
+            # rounding leaves a remainder to the last, which must not be padding
+            total = shares.sum(1, keepdims=True)
+            counts = rng.multinomial(self.count, (shares / np.where(total > 0, total, 1.0))[:, ::-1])[:, ::-1]
+            counts = np.where(total > 0, counts, 0)
         else:
             spacings = rng.standard_exponential((len(shares), self.count + 1), dtype=np.float32)
             cpu_fusion.wheel_counts(shares, spacings, counts)
