@@ -38,6 +38,7 @@ from __future__ import annotations
 import difflib
 import os
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -310,7 +311,8 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
     calibration, rig = _calibration(folder, where, settings, notes)
     rig = _match_cameras(rig, calibration, views, [t.get("camera") for t in tables], notes)
 
-    clips = [_look(view) for view in views]
+    with ThreadPoolExecutor(len(views)) as pool:  # finding out how many frames can be decoded takes its time
+        clips = list(pool.map(_look, views))
     for view, camera, found in zip(views, rig, clips, strict=True):
         for clip in found:
             _check_size(view, camera, clip.path, clip.size, notes)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
 
@@ -88,6 +89,7 @@ class VideoReader:
         self._images: list[Path] | None = None
         self._capture: cv2.VideoCapture | None = None
         self._next = 0
+        self._first: Image | None = None  # frame 0, decoded when the file was opened, until the reading goes on
         if path.is_dir():
             self._images = list_images(path)
             if not self._images:
@@ -110,7 +112,7 @@ class VideoReader:
                 raise _undecodable(path)
             first = frame
             self.n_frames = count_frames(path)
-            self._restart()
+            self._first = np.asarray(first, dtype=np.uint8)
         self.size: tuple[int, int] = (int(first.shape[1]), int(first.shape[0]))
 
     @property
@@ -141,6 +143,8 @@ class VideoReader:
         if self._capture is not None:
             if index < self._next:
                 self._restart()
+            if index > 0 and self._first is not None:
+                self._first, self._next = None, 1
             while self._next < index:
                 if not self._capture.grab():
                     raise self._broken()
@@ -180,10 +184,13 @@ class VideoReader:
                 )
         else:
             assert self._capture is not None
-            ok, frame = self._capture.read()
-            if not ok:
-                raise self._broken()
-            image = np.asarray(frame, dtype=np.uint8)
+            if self._first is not None:
+                image, self._first = self._first, None
+            else:
+                ok, frame = self._capture.read()
+                if not ok:
+                    raise self._broken()
+                image = np.asarray(frame, dtype=np.uint8)
         self._next += 1
         return image
 
@@ -191,7 +198,7 @@ class VideoReader:
         assert self._capture is not None
         self._capture.release()
         self._capture = _open_capture(self.path)
-        self._next = 0
+        self._next, self._first = 0, None
 
     def _broken(self) -> InputError:
         return InputError(
@@ -227,12 +234,25 @@ def frame_size(path: str | Path) -> tuple[int, int]:
 
 def count_frames(path: str | Path) -> int:
     """Number of frames that can be decoded: the stated one if the last frame decodes, else counted one by
-    one."""
+    one. Known files are counted again only when their size or time has changed."""
     path = Path(path)
     if path.is_dir():
         return len(list_images(path))
     if path.suffix.lower() in IMAGE_ENDINGS:
         return 1
+    try:
+        about = path.stat()
+    except OSError:
+        return _count(path)  # says what is wrong
+    return _counted(path.absolute(), about.st_size, about.st_mtime_ns, about.st_ino)
+
+
+@lru_cache(maxsize=256)
+def _counted(path: Path, size: int, changed: int, number: int) -> int:
+    return _count(path)
+
+
+def _count(path: Path) -> int:
     capture = _open_capture(path)
     try:
         stated = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
