@@ -77,13 +77,13 @@ def row(metric: str, case: str, values: Any, unit: str, **more: Any) -> Row:
 
 def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
     """All benchmarks by name (imported when asked for, because they pull in the whole product)."""
-    from hypose.evaluation import published, real, rigging, speed
+    from hypose.evaluation import published, real, rigging, scorer_speed, speed
 
     return {
         "table-2.3": published.table_2_3,
         "real-balancing": real.real_balancing,
         "real-uu4cam": real.real_uu4cam,
-        "silhouette-scorer": speed.silhouette_scorer,
+        "silhouette-scorer": scorer_speed.silhouette_scorer,
         "contour-solve": speed.contour_solve,
         "multiview-speed": speed.multiview_speed,
         "rigging": rigging.rigging,

@@ -4,90 +4,22 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from hypose import compute
-from hypose.body.body import Body
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row, row
 from hypose.evaluation.published import action_scene, known_subject
+from hypose.evaluation.timing import best
 from hypose.evaluation.write_recording import write_scene
 from hypose.evidence.frame import Frame
 from hypose.fitting.articulated import SolveOptions, contour_term, fit_pose
-from hypose.geometry import Array
 from hypose.io.frames import FrameStream
 from hypose.io.recording import load_recording
 from hypose.io.video import open_video
-from hypose.tracking.evidence import prepare_masks
 from hypose.tracking.recipes import recipe
 from hypose.tracking.refinement import anatomical_prior, prediction_prior
 from hypose.tracking.tracker import Tracker, TrackerSettings
-
-
-def _best(call: Callable[[], object], repeats: int) -> float:
-    """Seconds of the fastest of some calls: the figure that other load on the machine disturbs least."""
-    seconds = []
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        call()
-        seconds.append(time.perf_counter() - begin)
-    return min(seconds)
-
-
-def _poses(body: Body, start: Array, n: int) -> Array:
-    rng = np.random.default_rng(0)
-    return body.skeleton.clamp(start + rng.standard_normal((n, len(start))) * 2 * body.skeleton.sigma)
-
-
-def silhouette_scorer(options: BenchOptions) -> BenchReport:
-    """Microseconds per silhouette (one pose, one view, 640 x 480) with 1 and 2 threads against OpenCV filling every
-    front-facing triangle, and the largest difference of the counts from the plain rasterizer."""
-    scene = action_scene("walk", 0, 0.2, options)
-    frame = next(iter(scene.mask_frames(1.0)))
-    subject = known_subject(scene)
-    body = subject.body
-    assert frame.silhouettes is not None
-    masks = prepare_masks(frame.silhouettes)
-    tree, mesh = body.skeleton.tree, body.coarse.arrays
-    poses = _poses(body, subject.start, 100 if options.quick else 500)
-    views, repeats = len(masks.masks), 5 if options.quick else 15
-    compute.silhouette_xor(poses[:8], tree, mesh, masks)
-    few = poses[:4]
-    opencv = _best(lambda: _opencv_xor(body, few, masks), 3) / (len(few) * views) * 1e6
-    rows = []
-    for threads in (1, 2):
-        seconds = _best(lambda t=threads: compute.silhouette_xor(poses, tree, mesh, masks, threads=t), repeats)
-        value = seconds / (len(poses) * views) * 1e6
-        against = {"baseline": "OpenCV fillConvexPoly per triangle, 1 thread", "baseline_value": opencv}
-        rows.append(Row("us_per_silhouette", f"{threads}t", value, "us", n=len(poses), **against))
-        rows.append(Row("ratio_to_opencv", f"{threads}t", value / opencv, "1"))
-    checked = poses[:20]
-    with compute.use("numpy"):
-        plain = compute.silhouette_xor(checked, tree, mesh, masks)
-    difference = np.abs(compute.silhouette_xor(checked, tree, mesh, masks)[..., 0] - plain[..., 0]).max()
-    rows.append(Row("max_count_difference_px", "all", float(difference), "px", n=plain[..., 0].size))
-    return BenchReport(tuple(rows), {"views": views, "size": [640, 480], "vertices": len(body.coarse.vertices)})
-
-
-def _opencv_xor(body: Body, poses: Array, masks: compute.PreparedMasks) -> Array:
-    """The obvious way: skin, project, fill every front-facing triangle with OpenCV, XOR."""
-    vertices = body.skin(poses)
-    faces = body.coarse.faces
-    out = np.zeros((len(poses), len(masks.masks)))
-    for n, v in enumerate(vertices):
-        for c, (mask, projection) in enumerate(zip(masks.masks, masks.projections, strict=True)):
-            h = v @ projection[:, :3].T + projection[:, 3]
-            uv = h[:, :2] / h[:, 2:]
-            a, b, d = uv[faces[:, 0]], uv[faces[:, 1]], uv[faces[:, 2]]
-            front = (b[:, 0] - a[:, 0]) * (d[:, 1] - a[:, 1]) - (d[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1]) < 0
-            image = np.zeros_like(mask)
-            for triangle in np.round(uv[faces[front]]).astype(np.int32):
-                cv2.fillConvexPoly(image, triangle, 1)
-            out[n, c] = np.count_nonzero(image != mask)
-    return out
 
 
 def contour_solve(options: BenchOptions) -> BenchReport:
@@ -104,7 +36,7 @@ def contour_solve(options: BenchOptions) -> BenchReport:
             priors = (anatomical_prior(body.skeleton), prediction_prior(pose, 0.1))
             fit = fit_pose(body, pose, contours=term, priors=priors, options=SolveOptions())
             seconds.append(
-                _best(
+                best(
                     lambda q=pose, t=term, p=priors: fit_pose(body, q, contours=t, priors=p, options=SolveOptions()), 3
                 )
             )
@@ -128,7 +60,7 @@ def multiview_speed(options: BenchOptions) -> BenchReport:
         )
     with tempfile.TemporaryDirectory() as folder:
         recording = load_recording(write_scene(scene, Path(folder)).parent)
-        decode = _best(lambda: [list(open_video(v.video)) for v in recording.views if v.video], 2) / len(frames)
+        decode = best(lambda: [list(open_video(v.video)) for v in recording.views if v.video], 2) / len(frames)
         stream = FrameStream(recording)
         begin = time.perf_counter()
         from_video = [stream.frame(i) for i in range(len(stream))]
