@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import CameraRig
+from hypose.compute import images
 from hypose.errors import InputError
 from hypose.evidence.background import BackgroundModel, Image
 from hypose.evidence.frame import Silhouettes
@@ -120,30 +121,25 @@ def _gaussian(
     of clean video a soft shadow never passes.
     """
     reach = options.threshold * np.maximum(background.sd, np.float32(options.min_sd))
-    low = np.clip(np.ceil(background.mean - reach), 0, 255).astype(np.uint8)
-    high = np.clip(np.floor(background.mean + reach), 0, 255).astype(np.uint8)
-    mean = background.mean.astype(np.float32)
-    square = np.maximum((mean * mean).sum(2), np.float32(1))
-    darkest, lightest = options.shadow_range
+    mean = np.ascontiguousarray(background.mean, dtype=np.float32)
+    room = images.Room(
+        np.clip(np.ceil(mean - reach), 0, 255).astype(np.uint8),
+        np.clip(np.floor(mean + reach), 0, 255).astype(np.uint8),
+        mean,
+        np.maximum((mean * mean).sum(2), np.float32(1)),
+        options.shadow,
+        *options.shadow_range,
+        options.shadow_chroma**2,
+    )
 
     def differ(image: Image, box: tuple[int, int, int, int]) -> Mask:
         y0, y1, x0, x1 = box
-        part = np.ascontiguousarray(image[y0:y1, x0:x1])
-        same = cv2.inRange(part, low[y0:y1, x0:x1], high[y0:y1, x0:x1])
-        mask = (same == 0).astype(np.uint8)
-        if options.shadow:
-            ys, xs = np.nonzero(mask)
-            a, b = part[ys, xs].astype(np.float32), mean[ys + y0, xs + x0]
-            s = np.einsum("ij,ij->i", a, b) / square[ys + y0, xs + x0]
-            rest = a - s[:, None] * b
-            colour = np.einsum("ij,ij->i", rest, rest)
-            dark = (s > darkest) & (s < lightest) & (colour < options.shadow_chroma**2)
-            shadow = np.zeros_like(mask)
-            shadow[ys[dark], xs[dark]] = 1
-            # where dark clothing meets a bright wall, mixed pixels along the edge look like shadow; a shadow
-            # is an area
-            mask &= 1 - cv2.morphologyEx(shadow, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-        return mask
+        found = images.differences(image, room, box)[y0:y1, x0:x1]
+        if not options.shadow:
+            return found
+        # where dark clothing meets a bright wall, mixed pixels along the edge look like shadow; a shadow is an area
+        shadow = cv2.morphologyEx((found == 2).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+        return np.asarray(np.minimum(found, 1) & (1 - shadow), dtype=np.uint8)
 
     return differ
 
@@ -178,16 +174,11 @@ def bounding_box(mask: ArrayLike, margin: int = 0) -> tuple[int, int, int, int] 
     """(y0, y1, x0, x1), half open, around the non-zero pixels of mask (h, w) plus a margin; None when
     there are none."""
     m = np.asarray(mask)
-    rows, columns = np.flatnonzero(m.any(1)), np.flatnonzero(m.any(0))
-    if len(rows) == 0:
-        return None
     h, w = m.shape
-    return (
-        max(int(rows[0]) - margin, 0),
-        min(int(rows[-1]) + 1 + margin, h),
-        max(int(columns[0]) - margin, 0),
-        min(int(columns[-1]) + 1 + margin, w),
-    )
+    x, y, width, height = cv2.boundingRect(m if m.dtype == np.uint8 else (m != 0).astype(np.uint8))
+    if width == 0:
+        return None
+    return max(y - margin, 0), min(y + height + margin, h), max(x - margin, 0), min(x + width + margin, w)
 
 
 def _disc(size: int) -> Mask:
@@ -206,34 +197,16 @@ def clean(mask: Mask, options: SilhouetteOptions | None = None) -> Mask:
         part = cv2.morphologyEx(part, cv2.MORPH_OPEN, np.ones((o.open_px, o.open_px), np.uint8))
     if o.close_px > 1:
         part = cv2.morphologyEx(part, cv2.MORPH_CLOSE, _disc(o.close_px))
-    if o.hole_px:
-        count, label, stats, _ = cv2.connectedComponentsWithStats(1 - part, connectivity=4)
-        small = stats[:, cv2.CC_STAT_AREA] <= o.hole_px
-        small[0] = False  # label 0 is the foreground here
-        if small.any():
-            part = np.asarray(part, dtype=np.uint8) | small[np.asarray(label, dtype=np.int64)].astype(np.uint8)
     out = np.zeros_like(mask)
-    out[y0:y1, x0:x1] = biggest_parts(np.asarray(part, dtype=np.uint8), o.keep_share, o.keep_gap)
+    part = np.asarray(part, dtype=np.uint8)
+    out[y0:y1, x0:x1] = images.clean_regions(part, o.hole_px, o.keep_share, o.keep_gap)
     return out
 
 
 def biggest_parts(mask: Mask, keep_share: float, keep_gap: float = np.inf) -> Mask:
     """The biggest connected part of mask (h, w), and those of at least keep_share times its area whose
     boxes are not farther from its box than keep_gap times the longer side of that."""
-    count, label, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
-    if count < 2:
-        return mask
-    area = stats[:, cv2.CC_STAT_AREA].astype(np.int64)
-    area[0] = 0
-    main = int(area.argmax())
-    keep = (area >= max(keep_share * area[main], 1)) & (area > 0)
-    if keep_share >= 1:
-        keep = np.arange(count) == main
-    start = stats[:, [cv2.CC_STAT_LEFT, cv2.CC_STAT_TOP]].astype(np.int64)
-    size = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].astype(np.int64)
-    gap = np.maximum(np.maximum(start - (start + size)[main], start[main] - (start + size)), 0).max(1)
-    keep &= gap <= keep_gap * size[main].max()
-    return keep[np.asarray(label, dtype=np.int64)].astype(np.uint8)
+    return images.clean_regions(mask, 0, keep_share, keep_gap)
 
 
 def refine_rim(image: Image, mask: Mask, rim_px: int = 3, band: Mask | None = None, core: Mask | None = None) -> Mask:
@@ -339,7 +312,7 @@ def make_silhouettes(masks: Sequence[Mask | None], rig: CameraRig, reasons: Sequ
                 f"Camera {rig.names[c]}: the mask is {mask.shape[1]} x {mask.shape[0]} px, the camera "
                 f"{sizes[c, 0]} x {sizes[c, 1]} px."
             )
-        out[c, : mask.shape[0], : mask.shape[1]] = mask > 0
+        np.not_equal(mask, 0, out=out[c, : mask.shape[0], : mask.shape[1]].view(np.bool_))
         if not why[c] and not mask.any():
             why[c] = f"{rig.names[c]}: the mask is empty"
     return Silhouettes(out, rig, np.array([not r for r in why]), tuple(why))

@@ -30,6 +30,8 @@ from hypose.compute.terms import (
     Workspace,
 )
 from hypose.errors import EvidenceError, InputError, SolverError
+from hypose.evidence.contours import OUTLINE_POINTS as REFERENCE_OUTLINE
+from hypose.evidence.contours import SMALLEST, outlines
 from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array, nearest_branch
 
@@ -37,7 +39,6 @@ from hypose.geometry import Array, nearest_branch
 # spacing or the number of points does not change the balance with key points and priors.
 SPACING_OF_HEIGHT = 6 / 260
 SCALE_OF_HEIGHT = 2.5 / 260
-REFERENCE_OUTLINE = 130
 
 
 @dataclass(frozen=True)
@@ -180,27 +181,19 @@ def contour_term(
     that are not usable, or whose mask has no outline away from the image border, are left out; an EvidenceError when
     none is left."""
     sizes = silhouettes.rig.sizes
-    heights = np.array(
-        [_apparent_height(m[:h, :w]) for m, (w, h) in zip(silhouettes.masks, sizes.tolist(), strict=True)]
-    )
-    usable = np.array(silhouettes.usable, dtype=np.bool_) & (heights > 8)
-    sdf = np.zeros(silhouettes.masks.shape, dtype=np.float32)
-    outline = np.zeros((len(sdf), outline_count, 2), dtype=np.float32)
-    for c in np.flatnonzero(usable):
-        sdf[c] = compute.signed_distance(silhouettes.masks[c : c + 1], sizes[c : c + 1])[0]
-        outline[c], n = compute.outline_points(sdf[c], silhouettes.rig[int(c)].size, outline_count)
-        usable[c] = n >= 20
+    made = outlines(silhouettes, outline_count)
+    usable = np.array(silhouettes.usable, dtype=np.bool_) & (made.extent > SMALLEST) & (made.found >= 20)
     if not usable.any():
         reasons = "; ".join(
             f"{n}: {r or 'no outline'}" for n, r in zip(silhouettes.rig.names, silhouettes.reasons, strict=True)
         )
         raise EvidenceError(f"No view has a usable silhouette ({reasons}); leave the contours out of this frame.")
-    height = float(np.median(heights[usable]))
+    height = float(np.median(made.extent[usable]))
     scale = scale_px if scale_px is not None else max(SCALE_OF_HEIGHT * height, 0.5)
     spacing = row_spacing_px if row_spacing_px is not None else max(SPACING_OF_HEIGHT * height, 1.0)
     return ContourTerm(
-        sdf,
-        outline,
+        made.distance,
+        made.points,
         usable,
         sizes,
         silhouettes.rig.projections,
@@ -211,12 +204,6 @@ def contour_term(
         outline_count,
         height,
     )
-
-
-def _apparent_height(mask: NDArray[np.uint8]) -> int:
-    # the longer side of the box, so that a lying or crouching person does not shrink the scale
-    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    return int(max(np.ptp(rows), np.ptp(columns)) + 1) if len(rows) else 0
 
 
 def workspace_for(body: Body, contours: ContourTerm | None = None) -> Workspace:
