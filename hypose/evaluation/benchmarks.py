@@ -77,7 +77,7 @@ def row(metric: str, case: str, values: Any, unit: str, **more: Any) -> Row:
 
 def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
     """All benchmarks by name (imported when asked for, because they pull in the whole product)."""
-    from hypose.evaluation import published, real, rigging, scorer_speed, speed
+    from hypose.evaluation import fusion_benchmarks, published, real, rigging, scorer_speed, speed
 
     return {
         "table-2.3": published.table_2_3,
@@ -87,6 +87,11 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
         "contour-solve": speed.contour_solve,
         "multiview-speed": speed.multiview_speed,
         "rigging": rigging.rigging,
+        "fusion-table-1": fusion_benchmarks.table_1,
+        "fusion-departures": fusion_benchmarks.departures,
+        "fusion-human4d": fusion_benchmarks.human4d,
+        "fusion-real": fusion_benchmarks.real,
+        "fusion-speed": fusion_benchmarks.speed,
     }
 
 
