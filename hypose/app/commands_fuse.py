@@ -73,7 +73,7 @@ def fuse(
     ] = None,
     wait: Annotated[
         float, typer.Option(help="Milliseconds that a frame waits for late sensors.", rich_help_panel=_LIVE)
-    ] = 10.0,
+    ] = 5.0,
     record: Annotated[
         Path | None, typer.Option(help="New folder to record the skeletons to.", rich_help_panel=_LIVE)
     ] = None,

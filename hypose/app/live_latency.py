@@ -24,7 +24,7 @@ def measure_live_latency(seconds: float = 10.0, sensors: int = 3, rate: float = 
     """(N,) ms from the instant that a frame describes to when a WebSocket listener has it, sensors sending by UDP.
 
     Sensors are not in step and have their own clocks; the first second is left out, while they are registered. It
-    includes the wait for late sensors (`AlignSettings.wait`, 10 ms).
+    includes the wait for late sensors (`AlignSettings.wait`, 5 ms).
     """
     return asyncio.run(_measure(seconds, sensors, rate, people))
 

@@ -33,7 +33,7 @@ class AlignSettings:
     """
 
     rate: float = 30.0
-    wait: float = 0.010
+    wait: float = 0.005
     timeout: float = 0.5
     hold: float = 0.15
     horizon: float = 0.06

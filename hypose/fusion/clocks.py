@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hypose.geometry import Array
+from hypose.geometry import Array, procrustes, transform
 
 
 @dataclass(frozen=True)
@@ -72,14 +72,18 @@ class SensorClock:
 def movement(times: ArrayLike, positions: ArrayLike, at: ArrayLike) -> Array:
     """How much a body moves at given times (N,), m/s: the mean speed of its joints, positions (T, J, 3) m with NaN.
 
-    It is the same from every sensor, whatever its position. Gaps give 0.
+    It is the same from every sensor, whatever its position: steps over a tenth of a second, in which noise counts
+    little. Gaps give 0.
     """
     t, p = np.asarray(times, dtype=np.float64), np.asarray(positions, dtype=np.float64)
-    step = np.linalg.norm(np.diff(p, axis=0), axis=-1)
+    k = max(1, round(0.1 / max(float(np.median(np.diff(t))), 1e-3))) if len(t) > 1 else 1
+    if len(t) <= k:
+        return np.zeros(len(np.asarray(at)))
+    step = np.linalg.norm(p[k:] - p[:-k], axis=-1)
     known = np.isfinite(step)
     speed = np.where(known, step, 0).sum(1) / np.maximum(known.sum(1), 1)
-    speed = np.minimum(speed / np.maximum(np.diff(t), 1e-6), 10.0)
-    return np.interp(np.asarray(at, dtype=np.float64), (t[1:] + t[:-1]) / 2, speed, left=0.0, right=0.0)
+    speed = np.minimum(speed / np.maximum(t[k:] - t[:-k], 1e-6), 10.0)
+    return np.interp(np.asarray(at, dtype=np.float64), (t[k:] + t[:-k]) / 2, speed, left=0.0, right=0.0)
 
 
 def offset_by_movement(
@@ -93,9 +97,10 @@ def offset_by_movement(
 ) -> tuple[float, float]:
     """(seconds to add to b's times so that both see the same movement, correlation 0..1).
 
-    Times (T,) s from each sensor's own start, positions (T, J, 3) m in each sensor's frame. The peak of the normalised
-    cross-correlation of both movements, refined by a parabola; limit: largest offset (s). Below a correlation of 0.5
-    the answer means nothing: the person stood still, or these are recordings of different persons.
+    Times (T,) s from each sensor's own start, positions (T, J, 3) m in each sensor's frame. Walking repeats itself, so
+    of the peaks of the normalised cross-correlation of both movements the one is taken at which a rigid motion brings
+    the two skeletons together best; limit: largest offset (s). Below a correlation of 0.5 the answer means nothing: the
+    person stood still, or these are recordings of different persons.
     """
     ta, tb = np.asarray(times_a, dtype=np.float64), np.asarray(times_b, dtype=np.float64)
     start, stop = min(ta[0], tb[0]), max(ta[-1], tb[-1])
@@ -123,8 +128,31 @@ def offset_by_movement(
     lags = np.where(lags > size // 2, lags - size, lags)
     enough = count > min(5 * rate, 0.5 * min(wa.sum(), wb.sum()))
     score = np.where(enough & (np.abs(lags) <= limit * rate), score, -1.0)
-    best = int(score.argmax())
-    left, right, peak = score[best - 1], score[(best + 1) % size], score[best]
-    bend = left - 2 * peak + right
-    shift = 0.5 * (left - right) / bend if bend < -1e-12 and min(left, right) > -1 else 0.0
-    return float((lags[best] + shift) / rate), float(peak)
+    peaks = np.flatnonzero((score >= np.roll(score, 1)) & (score > np.roll(score, -1)) & (score > score.max() - 0.25))
+    if not len(peaks):
+        return 0.0, 0.0
+    peaks = peaks[np.argsort(-score[peaks])][:12]
+    pa, pb = np.asarray(positions_a, dtype=np.float64), np.asarray(positions_b, dtype=np.float64)
+    best = int(min(peaks, key=lambda k: _apart(ta, pa, tb + lags[k] / rate, pb)))
+    fine = lags[best] / rate + np.arange(-12, 13) * 0.01
+    values = np.array([_apart(ta, pa, tb + o, pb) for o in fine])
+    k = int(np.clip(values.argmin(), 1, len(fine) - 2))
+    bend = values[k - 1] - 2 * values[k] + values[k + 1]
+    shift = 0.5 * (values[k - 1] - values[k + 1]) / bend if np.isfinite(bend) and bend > 1e-9 else 0.0
+    return float(fine[k] + 0.01 * np.clip(shift, -1, 1)), float(score[best])
+
+
+def _apart(ta: Array, pa: Array, tb: Array, pb: Array) -> float:
+    """Root mean square distance (m) of the joints after the best rigid motion, at no more than 150 common instants."""
+    inside = np.flatnonzero((ta > tb[0]) & (ta < tb[-1]))
+    inside = inside[:: max(1, len(inside) // 150)]
+    if len(inside) < 10:
+        return np.inf
+    after = np.clip(np.searchsorted(tb, ta[inside]), 1, len(tb) - 1)
+    w = ((ta[inside] - tb[after - 1]) / (tb[after] - tb[after - 1]))[:, None, None]
+    a, b = pa[inside].reshape(-1, 3), (pb[after - 1] + w * (pb[after] - pb[after - 1])).reshape(-1, 3)
+    use = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])
+    if use.sum() < 100:
+        return np.inf
+    motion = procrustes(b[use], a[use])[0]
+    return float(np.sqrt(((transform(motion, b[use]) - a[use]) ** 2).sum(1).mean()))

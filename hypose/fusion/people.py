@@ -2,7 +2,7 @@
 persons are matched by the distance of their trunks in the common frame.
 
 The common frame is that of the first sensor that saw somebody, and stays it when that sensor dies. A sensor that comes
-back keeps its place if its skeletons still fall on the persons of the others, and is registered anew if not.
+back is registered anew, since it may have been moved; it keeps its place only if no other sensor sees anybody.
 """
 
 from __future__ import annotations
@@ -98,8 +98,10 @@ class _Link:
 
     def __init__(self) -> None:
         self.motion: Array | None = None
+        self.before: Array | None = None  # where it stood before it died
         self.trusted = False  # may found persons
-        self.anchor = False
+        self.anchor = False  # stays where it is
+        self.known = False  # the caller said where it stands
         self.life = 0
         self.residual = np.nan
         self.strays = 0
@@ -108,7 +110,8 @@ class _Link:
         self.tried = self.fitted = self.noted = -np.inf
 
     def lose(self) -> None:
-        """The sensor stands elsewhere: begin anew."""
+        """The sensor may stand elsewhere: begin anew."""
+        self.before = self.motion if self.motion is not None else self.before
         self.motion, self.trusted, self.anchor, self.strays = None, False, False, 0
         self.shots.clear()
         self.pairs.clear()
@@ -125,7 +128,7 @@ class PeopleTracker:
         self._links: dict[str, _Link] = {}
         for name, motion in (transforms or {}).items():
             link = self._links[name] = _Link()
-            link.motion, link.trusted, link.anchor = np.array(motion), True, True
+            link.motion, link.trusted, link.anchor, link.known = np.array(motion), True, True, True
         self._people: list[_Person] = []
         self._last_id = 0
         self._tried = -np.inf
@@ -144,19 +147,22 @@ class PeopleTracker:
         """The persons at this instant, oldest first."""
         s, now = self.settings, instant.time
         views = {v.name: v for v in instant.sensors}
-        for name in [n for n in self._links if n not in views]:
+        for name in [n for n, link in self._links.items() if n not in views and not link.known]:
             del self._links[name]
         for v in instant.sensors:
             link = self._links.setdefault(v.name, _Link())
             if v.life != link.life:
-                link.life, link.trusted, link.strays = v.life, False, 0
-                link.pairs.clear()
-                link.shots.clear()
-        if all(link.motion is None for link in self._links.values()):
+                link.life = v.life
+                if not link.known:
+                    link.lose()
+        if all(link.motion is None and link.before is None for link in self._links.values()):
             first = next((v.name for v in instant.sensors if v.bodies), None)
             if first is not None:
                 link = self._links[first]
                 link.motion, link.trusted, link.anchor = np.eye(4), True, True
+        placed = [v.name for v in instant.sensors if v.alive and self._links[v.name].motion is not None]
+        if placed and not any(self._links[n].anchor for n in placed):
+            self._links[placed[0]].anchor = True  # one stays fixed, else all drift together
         for p in self._people:
             p.members, p.placed = {}, {}
         order = sorted(views, key=lambda n: not (self._links[n].anchor and self._links[n].trusted))
@@ -221,13 +227,13 @@ class PeopleTracker:
                 self._people.append(_Person(self._last_id, centre, np.zeros(3), now, placed[i], here, there, {}))
 
     def _take_back_alone(self, instant: Instant) -> None:
-        """When no trusted sensor sees anybody, one that came back is believed where it stood."""
+        """When no sensor in place lives, one that came back is believed where it stood."""
+        if any(w.alive and self._links[w.name].motion is not None for w in instant.sensors):
+            return
         for v in instant.sensors:
             link = self._links[v.name]
-            if v.bodies and link.motion is not None and not link.trusted:
-                if any(w.alive and self._links[w.name].trusted for w in instant.sensors):
-                    return
-                link.trusted = True
+            if v.bodies and link.motion is None and link.before is not None:
+                link.motion, link.trusted, link.anchor = link.before, True, True
                 self._match(v.name, v.bodies, instant.time)
                 return
 

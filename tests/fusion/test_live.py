@@ -1,0 +1,305 @@
+"""Live fusion without sockets: clocks, late, dead and returning sensors, several persons."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.errors import InputError
+from hypose.fusion.align import Aligner, AlignSettings
+from hypose.fusion.clocks import SensorClock, offset_by_movement
+from hypose.fusion.joints import COMMON, MIRROR, joint_sets
+from hypose.fusion.live import LiveFuser, replay
+from hypose.fusion.people import PeopleTracker
+from hypose.geometry import se3_inverse, so3_exp, transform
+from tests.depth_sensors import camera, places, reports, walker
+
+
+def run(rng, seconds, **kwargs):
+    fuser = LiveFuser()
+    frames = replay(fuser, reports(rng, seconds, **kwargs))
+    return fuser, [f for f, _ in frames], np.array([latency for _, latency in frames])
+
+
+def errors(fuser, frames, angles=(0, 60, -60), people=1):
+    """Mean joint distance (m) of every fused person to the nearest true one, in the frame of the first sensor."""
+    anchor = next(n for n, m in fuser.people.transforms.items() if np.allclose(m, np.eye(4)))
+    world_from_common = se3_inverse(camera(angles[int(anchor[1:])]))
+    out = []
+    for f in frames:
+        true = np.stack([walker(f.time, places(people)[p], 1.3 * p) for p in range(people)])
+        for p in f.people:
+            joints = transform(world_from_common, p.joints)
+            out.append(np.linalg.norm(true - joints, axis=-1).mean(1).min())
+    return np.array(out)
+
+
+# ---- clocks ----
+
+
+def test_the_offset_is_that_of_the_quickest_message(rng):
+    clock = SensorClock()
+    for n in range(300):
+        host = clock.update(n / 30, 500 + n / 30 + 0.001 + rng.exponential(0.004))
+        assert host is not None and host <= 500 + n / 30 + 0.06
+    assert clock.offset == pytest.approx(500.001, abs=5e-4)
+    assert clock.jumps == 0
+
+
+def test_drift_is_followed():
+    clock = SensorClock()
+    for n in range(3000):
+        clock.update(n / 30 * (1 + 1e-4), n / 30)
+    assert clock.offset == pytest.approx(-100 * 1e-4, abs=1.1e-3)
+
+
+@pytest.mark.parametrize("jump", [-3600.0, -1.0, 5.0])
+def test_a_clock_that_jumps_is_believed_after_three_messages(jump):
+    clock = SensorClock()
+    refused = []
+    for n in range(60):
+        t = n / 30
+        refused.append(clock.update(t + (jump if n >= 30 else 0), t) is None)
+    assert clock.jumps == 1
+    assert np.flatnonzero(refused).tolist() == [30, 31]
+    assert clock.offset == pytest.approx(-jump)
+
+
+def test_one_wrong_stamp_is_no_jump():
+    clock = SensorClock()
+    used = [clock.update(99.0 if n == 20 else n / 30, n / 30) for n in range(40)]
+    assert clock.jumps == 0
+    assert [n for n, u in enumerate(used) if u is None] == [20]
+
+
+def test_clocks_of_recordings_are_brought_together_by_the_movement(rng):
+    t = np.arange(600) / 30
+    here = np.stack([walker(x) for x in t]) + 0.005 * rng.normal(size=(600, 15, 3))
+    other = np.arange(400) / 25 + 0.013
+    there = transform(camera(60), np.stack([walker(x + 2.34) for x in other]))
+    there += 0.005 * rng.normal(size=there.shape)
+    offset, likeness = offset_by_movement(t, here, other, there)
+    assert offset == pytest.approx(2.34, abs=0.01)
+    assert likeness > 0.8
+
+
+def test_different_movements_are_told_apart(rng):
+    t = np.arange(600) / 30
+    walks = np.stack([walker(x) for x in t]) + 0.005 * rng.normal(size=(600, 15, 3))
+    stands = np.stack([walker(0.0)] * 600) + 0.005 * rng.normal(size=(600, 15, 3))
+    assert offset_by_movement(t, walks, t, stands)[1] < 0.5
+
+
+# ---- output at a steady rate ----
+
+
+def test_three_sensors_give_every_frame_in_time(rng):
+    fuser, frames, latency = run(rng, 6)
+    assert [f.index for f in frames] == list(range(len(frames)))
+    assert len(frames) >= 178
+    assert np.diff([f.time for f in frames]) == pytest.approx(1 / 30)
+    assert latency.max() <= fuser.settings.align.wait + 1e-6
+    assert all(len(f.people) == 1 for f in frames[15:])
+    assert errors(fuser, frames[30:]).mean() < 0.03
+    assert {s for p in frames[-1].people for s in p.sensors} == {"s0", "s1", "s2"}
+
+
+def test_a_sensor_killed_and_restarted_costs_no_frame(rng):
+    # its clock starts anew at zero, as that of a restarted program does
+    epochs = {1: [(0.0, 777.0), (4.0, -4.0)]}
+    fuser, frames, latency = run(rng, 8, silent=[(1, 2.0, 4.0)], epochs=epochs)
+    assert [f.index for f in frames] == list(range(len(frames)))
+    assert len(frames) >= 238
+    assert all(len(f.people) == 1 and f.people[0].id == 1 for f in frames[15:])
+    carried = {f.index for f in frames for p in f.people if "s1" in p.sensors}
+    assert not carried & set(range(80, 118))
+    assert set(range(135, 235)) <= carried
+    assert errors(fuser, frames[30:]).max() < 0.08
+
+
+def test_the_reference_sensor_may_die_as_well(rng):
+    fuser, frames, _ = run(rng, 8, silent=[(0, 2.0, 4.0)], epochs={0: [(0.0, 0.0), (4.0, 50.0)]})
+    assert [f.index for f in frames] == list(range(len(frames)))
+    assert all(len(f.people) == 1 and f.people[0].id == 1 for f in frames[15:])
+    assert errors(fuser, frames[30:]).max() < 0.08
+    assert "s0" in frames[-1].people[0].sensors
+
+
+def test_all_sensors_dead_and_back(rng):
+    silent = [(k, 2.0, 4.0) for k in range(3)]
+    fuser, frames, _ = run(rng, 7, silent=silent)
+    assert [f.index for f in frames] == list(range(len(frames)))
+    assert not any(f.people for f in frames if 2.6 < f.time < 3.9)
+    assert len(frames[-1].people) == 1 and len(frames[-1].people[0].sensors) == 3
+    assert errors(fuser, frames[-30:]).mean() < 0.04
+
+
+def test_a_sensor_that_comes_back_elsewhere_is_registered_anew(rng):
+    before = [r for r in reports(rng, 10) if r.sensor != "s1" or r.arrival < 3]
+    moved = [r for r in reports(rng, 10, angles=(0, -100, -60)) if r.sensor == "s1" and r.arrival > 5]
+    fuser = LiveFuser()
+    frames = [f for f, _ in replay(fuser, sorted(before + moved, key=lambda r: r.arrival))]
+    assert all(len(f.people) == 1 for f in frames[15:])
+    assert "s1" in frames[-1].people[0].sensors
+    anchor = {"s0": 0, "s1": 60, "s2": -60}[frames[-1].sensors[0]]
+    expected = transform(camera(anchor), se3_inverse(camera(-100))[None, :3, 3])[0]
+    assert np.linalg.norm(fuser.people.transforms["s1"][:3, 3] - expected) < 0.1
+    assert errors(fuser, frames[30:]).max() < 0.1
+
+
+def test_a_clock_set_back_costs_three_reports_of_that_sensor_only(rng):
+    fuser, frames, _ = run(rng, 6, epochs={2: [(0.0, 100.0), (3.0, 20.0)]})
+    assert [f.index for f in frames] == list(range(len(frames)))
+    status = {s.name: s for s in fuser.status(6.0)}
+    assert status["s2"].jumps == 1 and status["s2"].refused <= 3
+    assert errors(fuser, frames[30:]).max() < 0.08
+
+
+def test_rates_and_one_sensor_alone(rng):
+    slow = reports(rng, 5, angles=(0,), rate=15.0)
+    fast = [replace(r, sensor="fast") for r in reports(rng, 5, angles=(40,), rate=90.0)]
+    fuser = LiveFuser()
+    frames = [f for f, _ in replay(fuser, sorted(slow + fast, key=lambda r: r.arrival))]
+    assert len(frames) >= 148
+    both = [set(p.sensors) == {"s0", "fast"} for f in frames[30:] for p in f.people]
+    assert np.mean(both) > 0.95
+    rates = {s.name: s.rate for s in fuser.status(5.0)}
+    assert rates["s0"] == pytest.approx(15, rel=0.05) and rates["fast"] == pytest.approx(90, rel=0.1)
+
+
+def test_a_long_pause_of_the_program_skips_frames_and_counts_them(rng):
+    aligner = Aligner()
+    made = []
+    for r in reports(rng, 8, angles=(0,)):
+        now = r.arrival if r.arrival < 2 else r.arrival + 3  # three seconds in which nothing ran
+        aligner.push(r.sensor, r.time, r.person, r.joint_names, r.positions, r.state, now)
+        made += aligner.poll(now)
+    assert aligner.skipped > 50
+    assert np.all(np.diff([m.index for m in made]) >= 1)
+
+
+# ---- persons ----
+
+
+def test_six_persons_keep_their_numbers(rng):
+    angles = (0, 50, -50, 100)
+    fuser, frames, latency = run(rng, 6, angles=angles, people=6)
+    assert [f.index for f in frames] == list(range(len(frames)))
+    late = frames[40:]
+    assert all(len(f.people) == 6 for f in late)
+    assert {p.id for f in late for p in f.people} == {p.id for p in late[0].people}
+    assert np.mean([len(p.sensors) for f in late for p in f.people]) > 3.9
+    assert errors(fuser, late, angles, 6).mean() < 0.03
+    # one number, one person: its place never jumps
+    for i in {p.id for p in late[0].people}:
+        trunk = np.stack([p.joints[8] for f in late for p in f.people if p.id == i])
+        assert np.linalg.norm(np.diff(trunk, axis=0), axis=1).max() < 0.15
+
+
+def test_a_sensor_that_takes_the_back_for_the_front_is_placed_right(rng):
+    out = []
+    for r in reports(rng, 6, angles=(0, 150)):
+        out.append(replace(r, positions=r.positions[MIRROR]) if r.sensor == "s1" else r)
+    fuser = LiveFuser()
+    frames = [f for f, _ in replay(fuser, out)]
+    between = fuser.people.transforms
+    found = (se3_inverse(between["s0"]) @ between["s1"])[:3, 3]
+    expected = transform(camera(0), se3_inverse(camera(150))[None, :3, 3])[0]
+    assert np.linalg.norm(found - expected) < 0.15
+    assert errors(fuser, frames[30:], (0, 150)).mean() < 0.04
+
+
+def test_known_places_are_kept(rng):
+    known = {f"s{k}": transform_between(camera(0), camera(a)) for k, a in enumerate((0, 60, -60))}
+    tracker, aligner = PeopleTracker(transforms=known), Aligner()
+    seen = []
+    for r in reports(rng, 2):
+        aligner.push(r.sensor, r.time, r.person, r.joint_names, r.positions, r.state, r.arrival)
+        for instant in aligner.poll(r.arrival):
+            seen.append(tracker.update(instant))
+    assert all(len(people[0].bodies) == 3 for people in seen[5:])
+    for name, motion in known.items():
+        np.testing.assert_array_equal(tracker.transforms[name], motion)
+    frame = seen[-1][0].joints(["s0", "s1", "absent"], 1.5)
+    assert frame.joint_names == COMMON and np.isnan(frame.times[2]) and frame.times[0] == 1.5
+
+
+def transform_between(a, b):
+    return a @ se3_inverse(b)
+
+
+# ---- bad reports ----
+
+
+def push(aligner, time=0.0, names=COMMON, positions=None, state=None, sensor="a", person=0, now=None):
+    joints = transform(camera(0), walker(time)) if positions is None else positions
+    level = np.full(len(joints), 2, dtype=np.uint8) if state is None else state
+    return aligner.push(sensor, time, person, names, joints, level, time if now is None else now)
+
+
+@pytest.mark.parametrize("mark", [np.nan, -9999.0, np.inf])
+def test_missing_joints_are_missing_however_they_are_written(mark):
+    aligner = Aligner()
+    for n in range(10):
+        joints = transform(camera(0), walker(n / 30))
+        joints[4] = mark
+        push(aligner, n / 30, positions=joints)
+    body = aligner.poll(0.2)[-1].sensors[0].bodies[0]
+    assert np.isnan(body.positions[4]).all() and body.state[4] == 0
+    assert np.isfinite(np.delete(body.positions, 4, 0)).all()
+
+
+def test_nobody_seen_ends_a_person_at_once():
+    aligner = Aligner()
+    for n in range(10):
+        push(aligner, n / 30)
+    for n in range(10, 16):
+        aligner.push("a", n / 30, None, (), np.zeros((0, 3)), np.zeros(0), n / 30)
+    last = aligner.poll(0.51)[-1]
+    assert last.sensors[0].alive and not last.sensors[0].bodies
+
+
+def test_larger_joint_sets_give_the_common_joints():
+    for known in joint_sets():
+        aligner = Aligner()
+        joints = np.arange(3.0 * len(known.joint_names)).reshape(-1, 3) / 10
+        push(aligner, 0.0, known.joint_names, joints)
+        body = aligner.poll(0.0)[0].sensors[0].bodies[0]
+        np.testing.assert_allclose(body.positions, joints[known.common])
+
+
+def test_reports_that_cannot_be_used_are_refused_in_a_sentence():
+    aligner = Aligner(AlignSettings(most_sensors=2, most_people=2))
+    with pytest.raises(InputError, match="none of the known sets"):
+        push(aligner, names=("head", "tail"), positions=np.zeros((2, 3)))
+    with pytest.raises(InputError, match="divide millimetres"):
+        push(aligner, positions=1000 * walker(0.0))
+    with pytest.raises(InputError, match="times are seconds"):
+        push(aligner, time=np.nan, positions=walker(0.0))
+    with pytest.raises(InputError, match="15 joints but gives 14"):
+        push(aligner, positions=walker(0.0)[:14])
+    push(aligner, sensor="a"), push(aligner, sensor="a", person=1), push(aligner, sensor="b")
+    with pytest.raises(InputError, match="2 sensors already"):
+        push(aligner, sensor="c")
+    with pytest.raises(InputError, match="more than 2 persons"):
+        push(aligner, sensor="a", person=2)
+    push(aligner, time=100.0, sensor="c")  # the dead make room
+    with pytest.raises(InputError, match="1 to 1000"):
+        AlignSettings(rate=0)
+
+
+def test_late_reports_are_sorted_in_and_doubled_ones_are_ignored():
+    aligner = Aligner()
+    assert push(aligner, 0.0, now=0.0) and push(aligner, 2 / 30, now=2 / 30)
+    assert push(aligner, 1 / 30, now=2.1 / 30)
+    assert not push(aligner, 1 / 30, now=2.2 / 30)
+    at = aligner.poll(2.2 / 30)
+    np.testing.assert_allclose(at[1].sensors[0].bodies[0].positions, transform(camera(0), walker(1 / 30)), atol=1e-3)
+
+
+def test_a_turned_sensor_frame_changes_nothing_but_the_frame(rng):
+    plain = reports(rng, 3)
+    turn = so3_exp([0.3, -0.5, 0.2])
+    turned = [replace(r, positions=r.positions @ turn.T) if r.sensor == "s1" else r for r in plain]
+    a, b = ([f for f, _ in replay(LiveFuser(), x)] for x in (plain, turned))
+    np.testing.assert_allclose(a[-1].people[0].joints, b[-1].people[0].joints, atol=2e-3)
