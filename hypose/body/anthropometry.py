@@ -37,9 +37,9 @@ class Entity:
     mean: float = 0.0
 
 
-# Lengths: sigma / mean of Table 2.1 (head 25 +- 2.2 cm, clavicles 35 +- 2.6, upper arms 25.5 +- 2, lower arms 30.5 +- 3.2,
-# torso 52 +- 2.8; legs 90.5 +- 4.1 for thigh and shank together, which vary against each other about as much). What the
-# table lacks is set by hand: girths from common anthropometric surveys, rounded.
+# Lengths: sigma / mean of Table 2.1 (head 25 +- 2.2 cm, clavicles 35 +- 2.6, upper arms 25.5 +- 2, lower arms 30.5
+# +- 3.2, torso 52 +- 2.8; legs 90.5 +- 4.1 for thigh and shank together, which vary against each other about as much).
+# What the table lacks is set by hand: girths as anthropometric surveys have them, rounded.
 ENTITIES: tuple[Entity, ...] = (
     Entity("scale", "scale", 0.12),
     Entity("torso length", "length", 0.054),
@@ -50,7 +50,7 @@ ENTITIES: tuple[Entity, ...] = (
     Entity("thigh length", "length", 0.065),
     Entity("shank length", "length", 0.065),
     Entity("shoulder width", "length", 0.075),
-    Entity("hip width", "length", 0.06),
+    Entity("hip width", "length", 0.05),
     Entity("hands", "length", 0.06),
     Entity("feet", "length", 0.05),
     Entity("chest width", "girth", 0.09, 0.07),

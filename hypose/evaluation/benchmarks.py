@@ -87,6 +87,7 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
         "contour-solve": speed.contour_solve,
         "multiview-speed": speed.multiview_speed,
         "rigging": rigging.rigging,
+        "anthropometry": anthropometry.anthropometry,
         "fusion-table-1": fusion_benchmarks.table_1,
         "fusion-departures": fusion_benchmarks.departures,
         "fusion-human4d": fusion_benchmarks.human4d,

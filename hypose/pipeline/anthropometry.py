@@ -1,4 +1,4 @@
-"""The subject's body from the silhouettes of a moving person: track briefly, choose different poses, fit shape and poses.
+"""The subject's body from silhouettes of a moving person: track briefly, choose different poses, fit shape and poses.
 
 Source: Alcoverro 2014, section 2.3.3 (placing at the hull, then pose, then shape and pose together). Deviation: several
 frames of ordinary motion instead of one known pose, and a joint gradient solution (hypose.tracking.shape_refinement);
@@ -16,11 +16,12 @@ from hypose.body.anthropometry import ENTITY_NAMES, SEGMENTS, Sizes, body_of, en
 from hypose.body.body import Body
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame
+from hypose.fitting.articulated import SolveOptions
 from hypose.geometry import Array
 from hypose.tracking.evidence import PreparedFrame, prepare
 from hypose.tracking.initialise import KNOWN_POSES, start_from_hull
 from hypose.tracking.recipes import default
-from hypose.tracking.refinement import ContourRefinement
+from hypose.tracking.refinement import refine
 from hypose.tracking.shape_refinement import Known, ShapeFit, ShapeOptions, refine_shape
 from hypose.tracking.subject import scaled_to_height
 from hypose.tracking.tracker import Tracker, TrackerSettings
@@ -216,7 +217,7 @@ def _prepared(frame: Frame, body: Body, pose: Array) -> PreparedFrame:
 
 
 def _settled(body: Body, pose: Array, frame: Frame) -> Array:
-    return ContourRefinement(body).refine(pose[None], _prepared(frame, body, pose)).pose
+    return refine(body, pose[None], _prepared(frame, body, pose), SolveOptions())[0].pose
 
 
 def _ious(body: Body, poses: Array, frames: Sequence[PreparedFrame]) -> Array:

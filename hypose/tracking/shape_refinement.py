@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.anthropometry import ENTITIES, body_of, length_rows, prior_covariance, prior_mean
+from hypose.body.anthropometry import body_of, length_rows, prior_covariance, prior_mean
 from hypose.body.body import Body, Landmarks, Mesh
 from hypose.compute.render import silhouette
 from hypose.errors import EvidenceError
