@@ -44,11 +44,13 @@ _MOST_FAR = 0.08
 @dataclass(frozen=True)
 class MeshSubject:
     """body: trackable; pose (D,): how it stood in the scan, in the upright frame; skin(pose) of the fine mesh is the
-    scan's surface. distance: median distance, m, of template and scan (None with a rig of its own); notes: what was
+    scan's surface. upright_from_file (3, 3): turns the file's coordinates upright and scales them to metres. distance:
+    median distance, m, of template and scan (None with a rig of its own); notes: what was
     done, in sentences."""
 
     body: Body
     pose: Array
+    upright_from_file: Array
     distance: float | None
     notes: tuple[str, ...]
 
@@ -144,7 +146,7 @@ def _with_new_rig(person: PersonMesh, settings: MeshOptions) -> MeshSubject:
         f"{body.stature:.2f} m tall, scanned in the pose {arms!r}; the template lies {1e3 * fit.distance:.0f} mm from "
         f"the surface (median), {len(names)} joints placed"
     )
-    return MeshSubject(body, fit.pose, fit.distance, tuple(notes))
+    return MeshSubject(body, fit.pose, stance.upright_from_file * scale, fit.distance, tuple(notes))
 
 
 def _assembled(
@@ -257,7 +259,7 @@ def _with_own_rig(person: PersonMesh, settings: MeshOptions) -> MeshSubject:
     notes.append(f"{body.stature:.2f} m tall; joints and weights are the file's ({len(rig.names)} joints)")
     if matched.absent:
         notes.append(f"the rig lacks {', '.join(matched.absent)}: placed by proportion, they carry no skin")
-    return MeshSubject(body, pose, None, tuple(notes))
+    return MeshSubject(body, pose, turn * scale, None, tuple(notes))
 
 
 def _upright(joints: Array) -> tuple[Array, str]:
