@@ -40,10 +40,10 @@ PARENTS = np.array([p for _, p in JOINTS], dtype=np.int64)
 _BALLS = {"spine": (45, 1.5), "neck": (50, 2.0), "shoulder": (150, 5.0), "hip": (115, 4.0)}
 # joint: ((axis name, lower, upper, sigma), ...) in degrees; the elbow's axis comes from the template's bent arm
 _HINGES = {
-    "clavicle": (("y", -23, 23, 1.5), ("z", -23, 23, 1.5)),
+    "clavicle": (("y", -23, 23, 0.6), ("z", -23, 23, 0.6)),
     "elbow": (("flexion", -55, 105, 6.0),),
     "knee": (("flexion", -12, 140, 5.0),),
-    "ankle": (("flexion", -45, 45, 3.0), ("inversion", -30, 30, 2.0)),
+    "ankle": (("flexion", -45, 45, 3.0), ("inversion", -30, 30, 0.8)),
 }
 _ROOT_SIGMA = (0.010, 0.010, 0.0075)
 _ROOT_TURN_SIGMA = (1.5, 1.5, 2.5)

@@ -169,7 +169,7 @@ class Compose:
 
 @dataclass(frozen=True)
 class KeepFirst:
-    """A kernel that leaves the first `count` hypotheses of a population where they are: a search never loses its start."""
+    """A kernel that leaves the first `count` hypotheses where they are: a search never loses its start."""
 
     kernel: Kernel
     count: int = 1

@@ -20,8 +20,8 @@ from hypose.geometry import Array
 class PreparedFrame:
     """One frame ready to be searched. masks and contours are None when no view has a usable silhouette, keypoints is
     None when there are no key points. prediction (D,): the pose expected before looking at the evidence, and
-    prediction_weight: how strongly solves are pulled to it (1 / rad^2 in units of the robust rows' cost). usual_iou: how
-    well the body has overlapped the masks so far (NaN: not known)."""
+    prediction_weight: how strongly solves are pulled to it (1 / rad^2 in units of the robust rows' cost). usual_iou:
+    how well the body has overlapped the masks so far (NaN: not known)."""
 
     frame: Frame
     prediction: Array

@@ -118,7 +118,7 @@ def partitioned(
 def hpf(
     body: Body,
     particles: int = 572,
-    survival: float | None = 0.15,
+    survival: float = 0.10,
     decay: float = 0.8,
     frame_rate: float = 25.0,
     betas: Sequence[float] | None = None,
@@ -135,7 +135,7 @@ def hpf(
     psi = partitions_of(s, HPF_LAYERS)
     rows = []
     for n, (name, _) in enumerate(HPF_LAYERS):
-        selectivity: Selectivity = FixedSelectivity(betas[n]) if betas is not None else SurvivalRate(survival or 0.15)
+        selectivity: Selectivity = FixedSelectivity(betas[n]) if betas is not None else SurvivalRate(survival)
         rows.append(
             Layer(
                 _diffusion(s, layered_sigma(sigma, psi, decay, n)),

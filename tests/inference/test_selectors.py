@@ -101,7 +101,7 @@ def test_prune_keeps_the_best_first():
 
 def test_elite_copies_the_best_coordinates_in_turn():
     values = np.arange(12.0).reshape(6, 2)
-    h = Hypotheses(values, np.array([0.0, 3.0, -1.0, 2.0, 1.0, -np.inf]), np.arange(6))
+    h = Hypotheses(values, np.array([0.0, 3.0, -1.0, 2.0, 1.0, -np.inf]), np.arange(6, dtype=np.int32))
     out = Elite(2, np.array([True, False]))(h, np.random.default_rng(0))
     assert out.values[:, 0].tolist() == [2.0, 6.0, 2.0, 6.0, 2.0, 6.0]
     assert out.values[:, 1].tolist() == values[:, 1].tolist()
