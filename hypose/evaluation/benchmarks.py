@@ -77,7 +77,7 @@ def row(metric: str, case: str, values: Any, unit: str, **more: Any) -> Row:
 
 def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
     """All benchmarks by name (imported when asked for, because they pull in the whole product)."""
-    from hypose.evaluation import fusion_benchmarks, published, real, rigging, scorer_speed, speed
+    from hypose.evaluation import anthropometry, fusion_benchmarks, published, real, rigging, scorer_speed, speed
 
     return {
         "table-2.3": published.table_2_3,
