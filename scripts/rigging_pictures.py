@@ -10,7 +10,9 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
 
 from hypose.body.body import Body
 from hypose.body.models import JOINT_NAMES
@@ -122,7 +124,7 @@ def origin(v: np.ndarray) -> np.ndarray:
 
 
 def draw(
-    ax: plt.Axes, v: np.ndarray, f: np.ndarray, colour: np.ndarray, x: float, edge: str = "face", yaw: float = 0.35
+    ax: Axes, v: np.ndarray, f: np.ndarray, colour: np.ndarray, x: float, edge: str = "face", yaw: float = 0.35
 ) -> None:
     """A shaded mesh, seen from the front, standing at x; colour (3,) or (F, 3)."""
     t = turned(v - origin(v), yaw)[f]
@@ -132,10 +134,12 @@ def draw(
     seen = seen[np.argsort(-t[seen].mean(1)[:, 1])]
     light = 0.45 + 0.55 * np.clip(n[seen] @ np.array([0.3, -0.85, 0.45]), 0, 1)
     shade = np.clip(np.broadcast_to(colour, (len(f), 3))[seen] * light[:, None], 0, 1)
-    ax.add_collection(PolyCollection(t[seen][:, :, [0, 2]] + [x, 0], facecolors=shade, edgecolors=edge, linewidths=0.2))
+    ax.add_collection(
+        PolyCollection(list(t[seen][:, :, [0, 2]] + [x, 0]), facecolors=shade, edgecolors=edge, linewidths=0.2)
+    )
 
 
-def finish(fig: plt.Figure, ax: plt.Axes, name: str) -> None:
+def finish(fig: Figure, ax: Axes, name: str) -> None:
     """Save and say how large the file became."""
     ax.set_aspect("equal")
     ax.autoscale()

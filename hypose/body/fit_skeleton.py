@@ -242,7 +242,8 @@ def unposed(body: Body, pose: ArrayLike, points_world: ArrayLike, weights: Array
         [rotations.reshape(-1, 9), centres - np.einsum("jab,jb->ja", rotations, rest)]
     )
     blended = moves[:, :9].reshape(-1, 3, 3)
-    return np.linalg.solve(blended, (np.asarray(points_world, dtype=np.float64) - moves[:, 9:])[..., None])[..., 0]
+    shifted = np.asarray(points_world, dtype=np.float64) - moves[:, 9:]
+    return np.linalg.solve(blended, shifted[..., None])[..., 0].astype(np.float64)
 
 
 @dataclass(frozen=True)
@@ -338,10 +339,10 @@ class _Search:
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
         normals = np.repeat(normals, len(corner), 0)
         # body to scan, then scan to body; normals must roughly agree
-        gap, near = self.tree.query(points)
+        gap, near = (np.asarray(a) for a in self.tree.query(points))
         ok = (normals * s.normals[near]).sum(1) > 0.2
         one = np.flatnonzero(ok)
-        gap2, back = KDTree(points).query(s.points)
+        gap2, back = (np.asarray(a) for a in KDTree(points).query(s.points))
         ok2 = (normals[back] * s.normals).sum(1) > 0.2
         two = np.flatnonzero(ok2)
         index = np.concatenate([one, back[two]])

@@ -171,7 +171,7 @@ def carried_weights(
     corner = np.array([(4, 1, 1), (1, 4, 1), (1, 1, 4), (2, 2, 2)]) / 6
     samples = np.einsum("sc,fcd->fsd", corner, v[f]).reshape(-1, 3)
     facing = vertex_normals(v, f)[f].mean(1)
-    distance, index = KDTree(samples).query(p, k=min(24, len(samples)))
+    distance, index = (np.asarray(a) for a in KDTree(samples).query(p, k=min(24, len(samples))))
     face, bary = index // len(corner), corner[index % len(corner)]
     alike = np.einsum("psd,pd->ps", facing[face], n) > 0.3
     alike[~alike.any(1)] = True

@@ -6,6 +6,7 @@ import io
 import zipfile
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -149,7 +150,7 @@ def test_a_skinned_glb_keeps_its_joints_and_weights(tmp_path, names):
     assert len(fresh.rig.names) == 19
 
 
-def smpl_like(path: Path, **changes: np.ndarray) -> Path:
+def smpl_like(path: Path, **changes: Any) -> Path:
     """A model in SMPL's format made of the template: 24 joints, Y up, T pose."""
     body = human()
     pose = scan_pose(body, "t")
@@ -166,7 +167,7 @@ def smpl_like(path: Path, **changes: np.ndarray) -> Path:
         else:
             place[k] = place[parent[k]] + 0.03 * (place[parent[k]] - place[parent[parent[k]]])
     regressor = place @ np.linalg.pinv(v)  # (24, V): exact for these vertices
-    arrays = {
+    arrays: dict[str, Any] = {
         "v_template": v,
         "f": body.fine.faces.astype(np.uint32),
         "weights": weight,
