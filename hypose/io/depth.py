@@ -118,11 +118,10 @@ def _title(stream: Any) -> str:
 
 def _calibration(container: Any) -> dict[str, Any]:
     for stream in container.streams:
-        if stream.type == "attachment" and "json" in str(stream.metadata.get("mimetype", stream.metadata)).lower():
+        if stream.type == "attachment" and str(stream.metadata.get("filename", "")).endswith(".json"):
             try:
-                data = bytes(stream.data if hasattr(stream, "data") else stream.codec_context.extradata or b"")
-                value = json.loads(data[: 1 << 20].rstrip(b"\0"))
-            except (ValueError, AttributeError, RecursionError):
+                value = json.loads(bytes(stream.data)[: 1 << 20].rstrip(b"\0"))
+            except (ValueError, AttributeError, TypeError, RecursionError):
                 continue
             if isinstance(value, dict):
                 return value

@@ -306,7 +306,7 @@ def resample(stream: SensorStream, times: ArrayLike, max_gap: float | None = Non
     near_a = np.abs(at - stream.times[i]) <= step * 0.5 + 1e-9
     near_b = np.abs(at - stream.times[k]) <= step * 0.5 + 1e-9
     exact = np.abs(at - stream.times[i]) <= 1e-9
-    same = (stream.person_ids[i] == stream.person_ids[k]) & (span <= gap)[:, None] & ~before_first[:, None]
+    same = (stream.person_ids[i] == stream.person_ids[k]) & ((span > 0) & (span <= gap))[:, None]
     wide = w[:, None, None, None]
     between = a + wide * (b - a)
     both = same[..., None] & np.isfinite(between).all(-1)

@@ -1,0 +1,519 @@
+"""Recorded skeletons: every form read, put on one clock, and refused in one sentence when it cannot be used."""
+
+import gzip
+import json
+import struct
+import zlib
+
+import numpy as np
+import pytest
+
+from hypose.errors import InputError
+from hypose.io.depth import depth_at_joints, read_azure_mkv, read_depth_png, write_depth_png
+from hypose.io.skeleton_folder import FolderWriter, write_folder
+from hypose.io.skeleton_lines import MAX_SKELETON_LINE, SkeletonLine, format_line, parse_line, read_lines
+from hypose.io.skeleton_tables import KINECT_V2, read_kinect_csv, read_ntu
+from hypose.io.skeletons import (
+    SkeletonRecording,
+    StreamRows,
+    build_stream,
+    common_times,
+    read_skeletons,
+    repair_clock,
+    resample,
+    synchronise,
+)
+from hypose.io.text_in import bounded_lines
+
+JOINTS = ("head", "neck", "torso")
+
+
+def stream(times, positions=None, ids=None, joints=JOINTS, name="a", state=None):
+    rows = StreamRows(name, tuple(joints))
+    for n, t in enumerate(times):
+        p = np.full((len(joints), 3), float(n)) if positions is None else positions[n]
+        rows.add(t, 0 if ids is None else ids[n], p, np.full(len(joints), 2) if state is None else state[n])
+    return build_stream(rows, "rec")
+
+
+def recording(rng, people=1):
+    streams = []
+    for k in range(2):
+        rows = StreamRows(f"s{k}", JOINTS)
+        for n in range(12):
+            for p in range(people):
+                if (k, n, p) != (1, 4, 0):
+                    rows.add(n / 30 + 0.004 * k, 7 * p, rng.normal(size=(3, 3)), rng.integers(1, 3, 3))
+        streams.append(build_stream(rows, "rec")[0])
+    return SkeletonRecording("rec", tuple(streams), "s0", {})
+
+
+# ---- streams ----
+
+
+def test_a_stream_keeps_persons_in_their_columns():
+    rows = StreamRows("a", JOINTS)
+    for t, ids in enumerate([(5, 9), (9,), (9, 12), (12,)]):
+        for i in ids:
+            rows.add(t / 30, i, np.full((3, 3), float(i)), [2, 2, 2])
+    made, notes = build_stream(rows, "rec")
+    assert made.person_ids.tolist() == [[5, 9], [-1, 9], [12, 9], [12, -1]]
+    assert made.positions[2, 0, 0, 0] == 12 and np.isnan(made.positions[1, 0]).all()
+    assert not notes
+
+
+def test_a_clock_that_is_set_back_goes_on_with_its_step():
+    times = [*np.arange(10) / 30, *(np.arange(10) / 30 - 5)]
+    made, notes = stream(times)
+    assert np.diff(made.times) == pytest.approx(1 / 30)
+    assert made.positions[:, 0, 0, 0].tolist() == list(range(20))
+    assert "set back 1 time" in notes[0]
+
+
+def test_late_rows_are_sorted_in_and_a_wrong_stamp_is_left_out():
+    made, notes = stream([0, 0.1, 0.3, 0.2, 0.4])
+    assert made.times.tolist() == [0, 0.1, 0.2, 0.3, 0.4]
+    assert made.positions[:, 0, 0, 0].tolist() == [0, 1, 3, 2, 4]
+    made, notes = stream([0, 0.1, 99.0, 0.2, 0.3])
+    assert made.times.tolist() == [0, 0.1, 0.2, 0.3] and "left out" in notes[0]
+
+
+def test_a_pause_of_the_sensor_is_no_fault_of_its_clock():
+    times, keep, notes = repair_clock([0, 0.1, 50.0, 50.1])
+    assert times.tolist() == [0, 0.1, 50, 50.1] and keep.all() and not notes
+
+
+def test_one_body_per_person_and_time():
+    made, notes = stream([0, 0.1, 0.1])
+    assert len(made.times) == 2 and made.positions[1, 0, 0, 0] == 2
+    assert "1 bodies came twice" in notes[0]
+
+
+@pytest.mark.parametrize("mark", [np.nan, -9999.0, np.inf])
+def test_missing_is_missing(mark):
+    positions = np.ones((2, 3, 3))
+    positions[1, 2] = mark
+    made, _ = stream([0, 0.1], positions)
+    assert np.isnan(made.positions[1, 0, 2]).all() and made.state[1, 0].tolist() == [2, 2, 0]
+
+
+def test_millimetres_are_told_from_metres():
+    with pytest.raises(InputError, match="joint head .* divide millimetres by 1000"):
+        stream([0, 0.1], np.full((2, 3, 3), 1500.0))
+
+
+# ---- the same instants ----
+
+
+def test_resampling_is_linear_between_samples():
+    made, _ = stream(np.arange(10) / 10)
+    synced = resample(made, [0.25, 0.3, 0.9])
+    assert synced.positions[:, 0, 0, 0] == pytest.approx([2.5, 3, 9])
+    assert (synced.state == 2).all()
+
+
+def test_gaps_stay_gaps_and_ends_are_not_continued():
+    made, _ = stream([0, 0.1, 0.2, 0.3, 1.0, 1.1])
+    synced = resample(made, [0.25, 0.33, 0.5, 0.97, 1.05, 1.3, -0.2])
+    seen = np.isfinite(synced.positions[:, 0, 0, 0])
+    assert seen.tolist() == [True, True, False, True, True, False, False]
+    assert synced.person_ids[:, 0].tolist() == [0, 0, -1, 0, 0, -1, -1]
+
+
+def test_nothing_is_blended_over_a_change_of_person():
+    made, _ = stream(np.arange(6) / 10, ids=[1, 1, 1, 4, 4, 4])
+    synced = resample(made, [0.22, 0.28])
+    assert synced.person_ids[:, 0].tolist() == [1, 4]
+    assert synced.positions[:, 0, 0, 0].tolist() == [2, 3]
+
+
+def test_a_joint_of_one_neighbour_only_is_taken_for_half_a_step():
+    state = np.full((3, 3), 2)
+    state[1, 0] = 0
+    made, _ = stream([0, 0.1, 0.2], state=state)
+    synced = resample(made, [0.02, 0.08])
+    assert np.isfinite(synced.positions[:, 0, 0, 0]).tolist() == [True, False]
+    assert np.isfinite(synced.positions[:, 0, 1, 0]).all()
+
+
+def test_sensors_of_different_rates_meet_at_the_same_instants():
+    a, _ = stream(np.arange(31) / 30, np.arange(31)[:, None, None] / 30 * np.ones((3, 3)))
+    b, _ = stream(np.arange(16) / 15 + 0.01, (np.arange(16)[:, None, None] / 15 + 0.01) * np.ones((3, 3)), name="b")
+    frames = synchronise([a, b])
+    assert len(frames) == 31 and frames[0].sensor_names == ("a", "b")
+    for n, f in enumerate(frames[1:30], start=1):
+        assert f.positions[:, 0, 0] == pytest.approx([n / 30, n / 30])
+    assert len(synchronise([a, b], rate=60)) == 61
+
+
+def test_impossible_rates_and_spans_are_refused():
+    a, _ = stream([0, 0.1])
+    with pytest.raises(InputError, match="0.1 to 1000"):
+        common_times([a], 0)
+    far, _ = stream([1e9, 1e9 + 0.1])
+    with pytest.raises(InputError, match="different clocks"):
+        common_times([a, far])
+    other, _ = stream([0, 0.1], joints=("head", "tail", "wing"), name="b")
+    with pytest.raises(InputError, match="report different joints"):
+        synchronise([a, other])
+
+
+# ---- folders ----
+
+
+@pytest.mark.parametrize("people", [1, 2])
+def test_a_folder_keeps_everything(tmp_path, rng, people):
+    made = recording(rng, people)
+    write_folder(made, tmp_path / "rec")
+    back = read_skeletons(tmp_path / "rec")
+    assert back.common_clock and not back.notes
+    for a, b in zip(made.streams, back.streams, strict=True):
+        np.testing.assert_allclose(b.times, a.times, atol=1e-6)
+        np.testing.assert_allclose(b.positions, a.positions, atol=1e-5)
+        np.testing.assert_array_equal(b.state, a.state)
+        np.testing.assert_array_equal(b.person_ids, a.person_ids)
+        assert (a.name, a.joint_names) == (b.name, b.joint_names)
+
+
+def test_a_recording_can_be_read_while_it_is_written(tmp_path):
+    writer = FolderWriter(tmp_path / "rec")
+    writer.add("silent", 0.0, None, (), np.zeros((0, 3)), np.zeros(0))
+    for n in range(5):
+        writer.add("a", n / 30, 3, JOINTS, np.ones((3, 3)), np.array([2, 1, 0]))
+    writer.flush()
+    writer.close()
+    back = read_skeletons(tmp_path / "rec")
+    assert not back.common_clock and [s.name for s in back.streams] == ["a"]
+    assert back.streams[0].state[0, 0].tolist() == [2, 1, 0]
+    with pytest.raises(InputError, match="not empty"):
+        FolderWriter(tmp_path / "rec")
+
+
+def spoil(folder, file, old, new):
+    path = folder / file
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "sentence"),
+    [
+        ("session.json", "{", "{{", "is no JSON"),
+        ("session.json", "hypose-skeletons", "other", 'must say "format"'),
+        ("session.json", '"s1"', '"s0"', "names a sensor twice"),
+        ("session.json", '"clock": "common"', '"clock": "sun"', "common or own"),
+        ("session.json", '"head"', '"neck"', "different names"),
+        ("frames.csv", "sensor,frame", "frame,sensor", "first line must be"),
+        ("frames.csv", "s0,0,", "s0,x,", "line 2: something is not a number"),
+        ("frames.csv", "s0,0,0.000000", "s0,0,nan", "the time is not a number"),
+        ("frames.csv", "s0,1,", "s0,0,", "is there twice"),
+        ("frames.csv", "s0,0,", "s9,0,", "'s9' is not in session.json"),
+        ("skeleton.csv", "s0,0,0,head", "s0,99,0,head", "'frame 99 of s0' is not in"),
+        ("skeleton.csv", "s0,0,0,head", "s0,0,0,tail", "'tail' is not in"),
+        ("skeleton.csv", "s0,0,0,head,", "s0,0,0,head,9,", "line 2 has 9 cells"),
+        ("skeleton.csv", "s0,0,0,neck,", "s0,0,0,head,500,0,0,2\ns0,0,0,neck,", "cannot be metres"),
+        ("skeleton.csv", "s0,0,0,head,", "s0,0,0,head,inf#", "line 2"),
+    ],
+)
+def test_a_damaged_folder_is_refused_in_a_sentence(tmp_path, rng, file, old, new, sentence):
+    write_folder(recording(rng), tmp_path / "rec")
+    spoil(tmp_path / "rec", file, old, new)
+    with pytest.raises(InputError, match=sentence) as refused:
+        read_skeletons(tmp_path / "rec")
+    assert "\n" not in str(refused.value) and len(str(refused.value)) < 400
+
+
+def test_depth_maps_give_the_depth_at_every_joint(tmp_path):
+    folder = tmp_path / "rec"
+    writer = FolderWriter(folder)
+    for n in range(3):
+        writer.add("a", n / 30, 0, JOINTS, np.array([[0, 0, 2.0], [0.5, 0.25, 2.0], [9, 0, 2.0]]), np.full(3, 2))
+    writer.close()
+    depth = np.zeros((40, 60), np.float32)
+    depth[20, 30], depth[15, 40] = 1.9, 2.1  # y up: 0.25 m above the axis is 5 rows higher
+    write_depth_png(folder / "d.png", depth)
+    assert read_depth_png(folder / "d.png") == pytest.approx(depth)
+    (folder / "frames.csv").write_text("sensor,frame,time,depth\na,0,0,d.png\na,1,0.033,\na,2,0.066,d.png\n")
+    session = json.loads((folder / "session.json").read_text())
+    session["sensors"][0]["depth"] = {"intrinsics": [40, 40, 30, 20], "y_up": True}
+    (folder / "session.json").write_text(json.dumps(session))
+    made = read_skeletons(folder).streams[0]
+    assert made.joint_depth[0, 0] == pytest.approx([1.9, 2.1, 0])
+    assert made.joint_depth[1, 0].tolist() == [0, 0, 0]
+    assert synchronise([made])[0].joint_depth[0] == pytest.approx([1.9, 2.1, 0])
+    spoil(folder, "frames.csv", "d.png", "../../d.png")
+    with pytest.raises(InputError, match="outside the folder"):
+        read_skeletons(folder)
+
+
+def test_a_picture_bomb_is_not_unpacked(tmp_path):
+    head = b"IHDR" + struct.pack(">IIBBBBB", 60000, 60000, 16, 0, 0, 0, 0)
+    data = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + head + struct.pack(">I", zlib.crc32(head)) + bytes(20)
+    (tmp_path / "d.png").write_bytes(data)
+    with pytest.raises(InputError, match="60000 x 60000"):
+        read_depth_png(tmp_path / "d.png")
+    (tmp_path / "d.png").write_bytes(b"GIF89a" + bytes(50))
+    with pytest.raises(InputError, match="not a PNG"):
+        read_depth_png(tmp_path / "d.png")
+
+
+def test_joints_outside_the_depth_map_have_no_depth():
+    depth = np.ones((4, 4), np.float32)
+    joints = [[0, 0, 1], [5, 0, 1], [0, 0, -1], [np.nan, 0, 1]]
+    assert depth_at_joints(depth, joints, (1, 1, 1, 1)).tolist() == [1, 0, 0, 0]
+
+
+# ---- CSV of Kinects ----
+
+
+def kinect_csv(rows=20, joints=("Head", "Neck"), change=lambda lines: lines):
+    names = ",".join(f" {j}_{x}" for j in joints for x in "XYZ")
+    lines = [f"\ufeffStudy_Id, Tracker_Time, Person_Id, Skeleton_Time, Kinect_Id,{names}"]
+    for n in range(rows):
+        for k in "ab":
+            values = ", ".join(f"{v:.4f}" for v in np.full(3 * len(joints), n / 100 + (k == "b")))
+            lines.append(f"2, {63562191989440 + 33 * n}, 0, {330000 * n + 5}, {k}, {values}")
+    return "\r\n".join(change(lines)) + "\r\n"
+
+
+@pytest.mark.parametrize("name", ["k.csv", "k.csv.gz"])
+def test_kinect_csv(tmp_path, name):
+    text = kinect_csv(change=lambda ln: [x.replace("0.0300", "-9999") for x in ln]).encode()
+    (tmp_path / name).write_bytes(gzip.compress(text) if name.endswith("gz") else text)
+    made = read_skeletons(tmp_path / name)
+    assert [s.name for s in made.streams] == ["a", "b"] and made.name == "k"
+    a, b = made.streams
+    assert a.times[:3] == pytest.approx([0, 0.033, 0.066], abs=1e-5)
+    assert a.joint_names == ("Head", "Neck")
+    assert a.positions[5, 0, 1] == pytest.approx([0.05] * 3) and b.positions[5, 0, 1] == pytest.approx([1.05] * 3)
+    assert np.isnan(a.positions[3, 0]).all()
+    own = read_kinect_csv(tmp_path / name, clock="sensor")
+    assert not own.common_clock and own.streams[1].times[1] == pytest.approx(0.033)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda ln: [ln[0].replace("Head_Y", "Hat_Y"), *ln[1:]], "does not name"),
+        (lambda ln: [ln[0].replace("Tracker_Time", "Time"), *ln[1:]], "column Tracker_Time is missing"),
+        (lambda ln: [*ln[:5], ln[5][:40]], "cells, the first line"),
+        (lambda ln: [*ln[:5], ln[5].replace("0.0200", "two")], "line 6 holds something that is not a number"),
+        (lambda ln: [*ln[:5], ln[5].replace("63562191989506", "nan")], "line 6 has no time"),
+        (lambda ln: ln[:1], "holds no skeleton"),
+        (lambda ln: ["\0\0\0"], "binary file"),
+        (lambda ln: ["x" * 2_000_000], "line of more than"),
+    ],
+)
+def test_a_damaged_csv_is_refused_in_a_sentence(tmp_path, change, sentence):
+    (tmp_path / "k.csv").write_text(kinect_csv(change=change))
+    with pytest.raises(InputError, match=sentence):
+        read_skeletons(tmp_path / "k.csv")
+
+
+def test_real_recordings_of_two_kinects(shared_data):
+    made = read_skeletons(shared_data("kinect_multitrack") / "Study_2_Kinect_2_Time_12_32_04_PM.csv.gz")
+    assert len(made.streams) == 2 and made.common_clock
+    for s in made.streams:
+        assert set(s.joint_names) == set(KINECT_V2)
+        assert 25 < s.rate < 32
+        assert np.isfinite(s.positions).all(-1).mean() > 0.4
+    frames = synchronise(made.streams, person=0)
+    assert frames[0].positions.shape == (2, 25, 3)
+
+
+# ---- NTU ----
+
+
+def ntu(frames=5, bodies=1, joints=25, rng=None):
+    rng = rng or np.random.default_rng(0)
+    lines = [str(frames)]
+    for _ in range(frames):
+        lines.append(str(bodies))
+        for b in range(bodies):
+            lines += [f"7205759403793{b} 0 1 0 1 0 0 0.1 -0.2 2", str(joints)]
+            lines += [" ".join(f"{v:.5f}" for v in rng.normal(size=11)) + " 2" for _ in range(joints)]
+    return lines
+
+
+def test_ntu_of_several_cameras(tmp_path):
+    for c in (1, 2):
+        (tmp_path / f"S001C00{c}P001R001A001.skeleton").write_text("\n".join(ntu(bodies=c)) + "\n")
+    made = read_skeletons(tmp_path)
+    assert made.name == "S001P001R001A001" and [s.name for s in made.streams] == ["C001", "C002"]
+    assert made.streams[0].joint_names == KINECT_V2 and made.streams[1].people == 2
+    assert made.streams[0].rate == pytest.approx(30)
+
+
+def test_zero_joints_of_ntu_are_missing(tmp_path):
+    lines = ntu()
+    lines[4] = "0 0 0 1 1 1 1 0 0 0 0 2"
+    (tmp_path / "a.skeleton").write_text("\n".join(lines))
+    made = read_skeletons(tmp_path / "a.skeleton").streams[0]
+    assert made.state[0, 0, 0] == 0 and np.isnan(made.positions[0, 0, 0]).all() and made.state[0, 0, 1] == 2
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda ln: ["many", *ln[1:]], "number of frames"),
+        (lambda ln: ["99999999", *ln[1:]], "number of frames"),
+        (lambda ln: ln[:20], "cut off"),
+        (lambda ln: ln[:3] + ["24"] + ln[4:], "24 joints"),
+        (lambda ln: ln[:4] + ["1 2 3"] + ln[5:], "line 5 is no joint"),
+        (lambda ln: ln[:2] + ["1 2"] + ln[3:], "body's line has 10"),
+        (lambda ln: ["3", "0", "0", "0"], "holds no skeleton"),
+    ],
+)
+def test_a_damaged_ntu_file_is_refused_in_a_sentence(tmp_path, change, sentence):
+    (tmp_path / "a.skeleton").write_text("\n".join(change(ntu())))
+    with pytest.raises(InputError, match=sentence):
+        read_ntu([tmp_path / "a.skeleton"])
+
+
+def test_different_actions_are_not_mixed(tmp_path):
+    for a in (1, 2):
+        (tmp_path / f"S001C001P001R001A00{a}.skeleton").write_text("\n".join(ntu()))
+    with pytest.raises(InputError, match="2 different actions"):
+        read_skeletons(tmp_path)
+
+
+# ---- lines ----
+
+
+def test_a_line_comes_back_as_it_was(rng):
+    positions = rng.normal(size=(3, 3))
+    positions[1] = np.nan
+    line = SkeletonLine("left-1", 12.5, 3, JOINTS, positions, np.array([2, 0, 1], np.uint8), "secret", 99.25)
+    back = parse_line(format_line(line).encode())
+    np.testing.assert_allclose(back.positions, positions, atol=1e-5)
+    assert back.state.tolist() == [2, 0, 1] and back.joint_names == JOINTS
+    assert (back.sensor, back.time, back.person, back.token, back.received) == ("left-1", 12.5, 3, "secret", 99.25)
+    nobody = parse_line(format_line(SkeletonLine("a", 1.0, None, (), np.zeros((0, 3)), np.zeros(0, np.uint8))))
+    assert nobody.person is None and nobody.joint_names == ()
+
+
+def test_units_and_ways_to_say_missing():
+    text = '{"sensor":"a","time":1,"unit":"mm","joints":{"a":[1,2,3000],"b":[-9999,0,0],"c":[NaN,0,0],"d":[1,1,1,0]}}'
+    line = parse_line(text)
+    assert line.positions[0] == pytest.approx([0.001, 0.002, 3])
+    assert line.state.tolist() == [2, 0, 0, 0] and np.isnan(line.positions[1:]).all()
+
+
+GOOD = '{"sensor":"a","time":1.5,"joints":{"head":[0,1,2]}}'
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "garbage",
+        b"\xff\xfe\x00",
+        "[]",
+        "3",
+        "[" * 10_000,
+        GOOD.replace("1.5", "NaN"),
+        GOOD.replace("1.5", "1e999"),
+        GOOD.replace("1.5", '"now"'),
+        GOOD.replace("1.5", "true"),
+        GOOD.replace("1.5", "9" * 5000),
+        GOOD.replace('"a"', '"' + "a" * 40 + '"'),
+        GOOD.replace('"a"', '"a\\n"'),
+        GOOD.replace('"sensor"', '"Sensor"'),
+        GOOD.replace("[0,1,2]", "[0,1]"),
+        GOOD.replace("[0,1,2]", "[0,1,2,3]"),
+        GOOD.replace("[0,1,2]", "[0,1,true]"),
+        GOOD.replace("[0,1,2]", '[0,1,"2"]'),
+        GOOD.replace("[0,1,2]", "[0,1,2000]"),
+        GOOD.replace("[0,1,2]", "[0,1,1e999]"),
+        GOOD.replace("[0,1,2]", "{}"),
+        GOOD.replace('{"head":[0,1,2]}', "{}"),
+        GOOD.replace('{"head":[0,1,2]}', "7"),
+        GOOD.replace('"head"', '"\\u0000"'),
+        GOOD.replace("}}", '},"person":-1}'),
+        GOOD.replace("}}", '},"person":1.5}'),
+        GOOD.replace("}}", '},"unit":"inch"}'),
+        GOOD.replace("}}", '},"token":7}'),
+        GOOD + " " * MAX_SKELETON_LINE,
+        json.dumps({"sensor": "a", "time": 1, "joints": {f"j{i}": None for i in range(65)}}),
+    ],
+)
+def test_bad_lines_are_refused_in_a_short_sentence(text):
+    assert parse_line(GOOD).state.tolist() == [2]
+    with pytest.raises(InputError) as refused:
+        parse_line(text)
+    assert len(str(refused.value)) < 250 and "\n" not in str(refused.value)
+
+
+def test_a_file_of_lines(tmp_path, rng):
+    lines = []
+    for n in range(10):
+        for k in "ab":
+            names = JOINTS if k == "a" or n % 2 == 0 else JOINTS[::-1]
+            p = np.stack([np.full(3, float(len(x))) for x in names])
+            lines.append(format_line(SkeletonLine(k, n / 30, 0, names, p, np.full(3, 2, np.uint8))))
+    (tmp_path / "s.jsonl.gz").write_bytes(gzip.compress("\n".join(lines).encode()))
+    made = read_skeletons(tmp_path / "s.jsonl.gz")
+    assert [s.name for s in made.streams] == ["a", "b"]
+    np.testing.assert_array_equal(made.streams[0].positions, made.streams[1].positions)
+    (tmp_path / "t.jsonl").write_text("\n".join([*lines[:3], "oops"]))
+    with pytest.raises(InputError, match="line 4: the line is no JSON"):
+        read_lines(tmp_path / "t.jsonl")
+    (tmp_path / "t.jsonl").write_text("\n".join([*lines[:3], lines[0].replace("head", "tail")]))
+    with pytest.raises(InputError, match="line 4: the sensor a reports"):
+        read_lines(tmp_path / "t.jsonl")
+
+
+# ---- bounds ----
+
+
+def test_a_gzip_bomb_stops_at_the_limit(tmp_path):
+    bomb = tmp_path / "bomb.csv.gz"
+    with gzip.open(bomb, "wb", compresslevel=9) as out:
+        for _ in range(64):
+            out.write(b"0,\n" * 350_000)
+    assert bomb.stat().st_size < 200_000
+    with pytest.raises(InputError, match="unpacks to more than 8 MiB"):
+        for _ in bounded_lines(bomb, "a test", limit=8 * 2**20):
+            pass
+
+
+def test_a_cut_off_gzip_is_refused(tmp_path):
+    (tmp_path / "k.csv.gz").write_bytes(gzip.compress(kinect_csv(2000).encode())[:-3000])
+    with pytest.raises(InputError, match="damaged or cut-off"):
+        read_skeletons(tmp_path / "k.csv.gz")
+    (tmp_path / "k.csv.gz").write_bytes(b"not gzip at all")
+    with pytest.raises(InputError, match="damaged or cut-off"):
+        read_skeletons(tmp_path / "k.csv.gz")
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"), [("a.zip", "unpack it"), ("a.txt", "no known form"), ("absent.csv", "does not exist")]
+)
+def test_other_files_are_named(tmp_path, name, sentence):
+    if name != "absent.csv":
+        (tmp_path / name).write_text("x")
+    with pytest.raises(InputError, match=sentence):
+        read_skeletons(tmp_path / name)
+    with pytest.raises(InputError, match="neither session.json nor"):
+        read_skeletons(tmp_path)
+
+
+# ---- Azure Kinect ----
+
+
+def test_azure_recording(shared_data):
+    pytest.importorskip("av", reason="PyAV (extra azure) is not installed")
+    calibration, frames = read_azure_mkv(shared_data("azure_kinect_mkv") / "recording.mkv")
+    maps = list(frames)
+    assert len(maps) == 1 and maps[0].depth.shape == (576, 640)
+    seen = maps[0].depth[maps[0].depth > 0]
+    assert seen.size > 1000 and 0.2 < np.median(seen) < 5
+    assert "CalibrationInformation" in calibration
+
+
+def test_azure_recording_that_is_none(tmp_path):
+    pytest.importorskip("av", reason="PyAV (extra azure) is not installed")
+    (tmp_path / "a.mkv").write_bytes(b"nothing" * 100)
+    with pytest.raises(InputError, match="not a video"):
+        read_azure_mkv(tmp_path / "a.mkv")
