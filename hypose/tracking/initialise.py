@@ -108,26 +108,54 @@ def start_from_hull(
     body: Body,
     frame: PreparedFrame,
     poses: tuple[str, ...] = KNOWN_POSES,
-    headings: int = 12,
+    headings: int = 16,
     options: SolveOptions | None = None,
 ) -> PoseFit:
-    """The known pose and heading that explain the silhouettes best, placed at the visual hull and refined.
+    """The pose and heading that explain the silhouettes best, placed at the visual hull and refined.
 
-    An EvidenceError when the views have no common hull. Source: Alcoverro 2014, section 2.3.3 step 1 (hull placement);
-    the choice among several poses and headings is an addition.
+    With all known poses allowed, strides and raised forearms are tried besides, because a recording seldom begins with
+    a pose held still. An EvidenceError when the views have no common hull. Source: Alcoverro 2014, section 2.3.3 step 1
+    (hull placement); the choice among several poses and headings is an addition.
     """
     hull = hull_of(frame)
-    candidates = []
-    for name in poses:
-        base = known_pose(body, name)
-        height = body.skin(base)[:, 2]
-        for heading in np.arange(headings) * 2 * np.pi / headings:
-            q = base.copy()
-            q[3:6] = [0, 0, heading]
-            q[:2] = hull.centroid[:2]
-            q[2] = hull.points[:, 2].min() - height.min()
-            candidates.append(_centred(body, q, hull))
+    bases = [known_pose(body, name) for name in poses]
+    if poses == KNOWN_POSES:
+        bases += _everyday_poses(body)
+    candidates = [
+        _centred(body, _turned(base, heading), hull)
+        for base in bases
+        for heading in np.arange(headings) * 2 * np.pi / headings
+    ]
     return _best_refined(body, np.stack(candidates), frame, options or SolveOptions(24, 12))
+
+
+def _everyday_poses(body: Body) -> list[Array]:
+    """Standing and striding, with the arms swinging or both forearms up; (D,) each."""
+    s, out = body.skeleton, []
+    for forward, back in (("left", "right"), ("right", "left")):
+        pose = known_pose(body, "standing")
+        pose[s.dofs_of(f"{forward}_hip")[0]] -= 0.45
+        pose[s.dofs_of(f"{back}_hip")[0]] += 0.25
+        pose[s.dofs_of(f"{back}_knee")] += 0.5
+        for side, swing in ((back, -0.4), (forward, 0.4)):
+            shoulder = s.dofs_of(f"{side}_shoulder")
+            pose[shoulder] = so3_log(so3_exp([swing, 0, 0]) @ so3_exp(pose[shoulder]))
+            pose[s.dofs_of(f"{side}_elbow")] += 0.4
+        out.append(s.clamp(pose))
+    for pose in [known_pose(body, "standing"), *out]:
+        guard = pose.copy()
+        for side in ("left", "right"):
+            guard[s.dofs_of(f"{side}_shoulder")] = known_pose(body, "standing")[s.dofs_of(f"{side}_shoulder")]
+            guard[s.dofs_of(f"{side}_elbow")] += 1.6
+        out.append(s.clamp(guard))
+    return out
+
+
+def _turned(pose: Array, heading: float) -> Array:
+    """The pose turned about the vertical through its root."""
+    out = pose.copy()
+    out[3:6] = so3_log(so3_exp([0, 0, heading]) @ so3_exp(pose[3:6]))
+    return out
 
 
 def recover(body: Body, frame: PreparedFrame, pose: Array, options: SolveOptions) -> Array:
@@ -139,9 +167,7 @@ def recover(body: Body, frame: PreparedFrame, pose: Array, options: SolveOptions
     candidates = [pose]
     for base in (pose, known_pose(body, "standing"), known_pose(body, "a")):
         for heading in np.arange(8) * np.pi / 4:
-            q = base.copy()
-            q[3:6] = so3_log(so3_exp([0, 0, heading]) @ so3_exp(base[3:6]))
-            candidates.append(_centred(body, q, hull))
+            candidates.append(_centred(body, _turned(base, heading), hull))
     return _best_refined(body, np.stack(candidates), frame, options).pose
 
 
@@ -169,9 +195,14 @@ def _centred(body: Body, pose: Array, hull: Hull) -> Array:
     return out
 
 
-def _best_refined(body: Body, candidates: Array, frame: PreparedFrame, options: SolveOptions, keep: int = 4) -> PoseFit:
-    """Ranks candidates (N, D) by XOR, refines the `keep` best distinct ones, returns the best by XOR."""
-    order = np.argsort(xor_energy(body, candidates, frame), kind="stable")[:keep]
-    fits = refine(body, candidates[order], frame, options)
-    energy = xor_energy(body, np.stack([f.pose for f in fits]), frame)
-    return fits[int(np.argmin(energy))]
+def _best_refined(
+    body: Body, candidates: Array, frame: PreparedFrame, options: SolveOptions, tried: int = 16, keep: int = 4
+) -> PoseFit:
+    """Ranks candidates (N, D) by XOR, solves the `tried` best briefly and the `keep` best of those at length, and returns
+    the best by XOR: a wrong heading may overlap better than the right one until the limbs have moved."""
+    order = np.argsort(xor_energy(body, candidates, frame), kind="stable")[:tried]
+    brief = SolveOptions(iterations=8, coarse_iterations=8)
+    moved = np.stack([f.pose for f in refine(body, candidates[order], frame, brief)])
+    order = np.argsort(xor_energy(body, moved, frame), kind="stable")[:keep]
+    fits = refine(body, moved[order], frame, options)
+    return fits[int(np.argmin(xor_energy(body, np.stack([f.pose for f in fits]), frame)))]

@@ -78,7 +78,7 @@ def test_batches_are_independent():
 
 def test_layered_copies_only_filtered_coordinates():
     rng = np.random.default_rng(4)
-    h = Hypotheses(rng.normal(size=(30, 3)), 3 * rng.normal(size=30), np.arange(30))
+    h = Hypotheses(rng.normal(size=(30, 3)), 3 * rng.normal(size=30), np.arange(30, dtype=np.int32))
     all_of_it = systematic(h, np.random.default_rng(9))
     some = LayeredSystematic(np.array([True, False, True]))(h, np.random.default_rng(9))
     np.testing.assert_array_equal(some.values[:, [0, 2]], all_of_it.values[:, [0, 2]])
@@ -91,7 +91,7 @@ def test_layered_copies_only_filtered_coordinates():
 
 
 def test_prune_keeps_the_best_first():
-    h = Hypotheses(np.arange(5.0)[:, None], np.array([-1.0, np.nan, 3.0, -np.inf, 3.0]), np.arange(5))
+    h = Hypotheses(np.arange(5.0)[:, None], np.array([-1.0, np.nan, 3.0, -np.inf, 3.0]), np.arange(5, dtype=np.int32))
     best = Prune(3)(h, np.random.default_rng(0))
     np.testing.assert_array_equal(best.label, [2, 4, 0])
     np.testing.assert_allclose(best.weights, 1 / 3)
