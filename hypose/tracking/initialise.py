@@ -198,7 +198,7 @@ def _centred(body: Body, pose: Array, hull: Hull) -> Array:
 def _best_refined(
     body: Body, candidates: Array, frame: PreparedFrame, options: SolveOptions, tried: int = 16, keep: int = 4
 ) -> PoseFit:
-    """Ranks candidates (N, D) by XOR, solves the `tried` best briefly and the `keep` best of those at length, and returns
+    """Ranks candidates (N, D) by XOR, solves the `tried` best briefly and the `keep` best of those at length; gives
     the best by XOR: a wrong heading may overlap better than the right one until the limbs have moved."""
     order = np.argsort(xor_energy(body, candidates, frame), kind="stable")[:tried]
     brief = SolveOptions(iterations=8, coarse_iterations=8)
