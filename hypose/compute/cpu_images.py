@@ -238,3 +238,43 @@ def spread_distance(outside, inside, x0, y0, own_x, own_y, filled, out):
         made, line = out[y], out[y0 + bh - 1]
         for x in range(w):
             made[x] = line[x] + f4(y - y0 - bh + 1)
+
+
+@njit(**OPTIONS)
+def order_statistic(stack, hidden, rank, out):
+    """out (P, 3) u1 of stack (N, P, 3) u1: see images.order_statistic; hidden (N or 0, P) bool, rank (P,) u2.
+
+    The value is found bit by bit: how many are smaller than it would be with this bit? All in vector lanes."""
+    n, pixels = stack.shape[0], stack.shape[1]
+    block = 128
+    guess, found, below = np.empty(3 * block, np.uint8), np.empty(3 * block, np.uint8), np.empty(3 * block, np.uint16)
+    wanted = np.empty(3 * block, np.uint16)
+    flat = stack.reshape(n, 3 * pixels)
+    free = np.empty((n, 3 * block), np.uint8)
+    result = out.reshape(-1)
+    for first in range(0, pixels, block):
+        size = 3 * min(block, pixels - first)
+        for i in range(size):
+            wanted[i] = rank[first + i // 3]
+            found[i] = 0
+        for k in range(hidden.shape[0]):
+            for i in range(size):
+                free[k, i] = 1 - hidden[k, first + i // 3]
+        for bit in range(7, -1, -1):
+            for i in range(size):
+                guess[i] = found[i] | np.uint8(1 << bit)
+                below[i] = 0
+            for k in range(n):
+                line = flat[k, 3 * first : 3 * first + size]
+                if hidden.shape[0] > 0:
+                    seen = free[k]
+                    for i in range(size):
+                        below[i] = np.uint16(below[i] + np.uint16((line[i] < guess[i]) & seen[i]))
+                else:
+                    for i in range(size):
+                        below[i] = np.uint16(below[i] + np.uint16(line[i] < guess[i]))
+            for i in range(size):
+                if below[i] <= wanted[i]:
+                    found[i] = guess[i]
+        for i in range(size):
+            result[3 * first + i] = found[i]

@@ -26,7 +26,7 @@ class Lens(NamedTuple):
     """How stored pictures (H, W) of one camera become undistorted ones (h, w) of the working size.
 
     columns (w,), column_weights (w, K): working column x is the sum over k of column_weights[x, k] / 256 times stored
-    column columns[x] + k; rows (h,), row_weights (h, L) alike: box averages. index (h, w): where the undistorted pixel
+    column columns[x] + k; rows (h,), row_weights (h, L) alike: box averages. corner (h, w): where the undistorted pixel
     lies in the shrunk picture, 3 times the number of the pixel up and left of it in rows of w + 3 pixels (one pixel of
     black left and above, two right and below); parts (h, w, 2) u1: further right and down, in 32nds of a pixel.
     straight: the picture needs no undistortion.
@@ -36,7 +36,7 @@ class Lens(NamedTuple):
     column_weights: NDArray[np.uint16]
     rows: NDArray[np.int64]
     row_weights: NDArray[np.uint16]
-    index: NDArray[np.int32]
+    corner: NDArray[np.int32]
     parts: NDArray[np.uint8]
     straight: bool
 
@@ -48,8 +48,9 @@ class Lens(NamedTuple):
 
 class Room(NamedTuple):
     """What the empty room looks like: low, high (h, w, 3) u1, the grey levels that are still the room; mean (h, w, 3)
-    f4 and square (h, w) f4, its squared length (at least 1), for the shadow test; shadow: whether that is made; darkest, lightest:
-    brightness of a shadow relative to the lit room; chroma: squared colour distance a shadow may have, grey levels."""
+    f4 and square (h, w) f4, its squared length (at least 1), for the shadow test; shadow: whether that is made;
+    darkest, lightest: brightness of a shadow relative to the lit room; chroma: squared colour distance a shadow may
+    have, grey levels."""
 
     low: Image
     high: Image
@@ -77,10 +78,10 @@ def make_lens(source_size: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) 
     rows, row_weights = _averages(source_size[1], h)
     u = np.clip(np.nan_to_num(np.rint(32 * mx), nan=-1e6), -32, 32 * w).astype(np.int64)
     v = np.clip(np.nan_to_num(np.rint(32 * my), nan=-1e6), -32, 32 * h).astype(np.int64)
-    index = (3 * ((v // 32 + 1) * (w + 3) + u // 32 + 1)).astype(np.int32)
+    corner = (3 * ((v // 32 + 1) * (w + 3) + u // 32 + 1)).astype(np.int32)
     parts = np.stack([u % 32, v % 32], -1).astype(np.uint8)
     straight = bool((u == 32 * np.arange(w)).all() and (v == 32 * np.arange(h)[:, None]).all())
-    return Lens(columns, column_weights, rows, row_weights, index, parts, straight)
+    return Lens(columns, column_weights, rows, row_weights, corner, parts, straight)
 
 
 def _averages(source: int, target: int) -> tuple[NDArray[np.int64], NDArray[np.uint16]]:
@@ -97,7 +98,7 @@ def _averages(source: int, target: int) -> tuple[NDArray[np.int64], NDArray[np.u
 def shrink_undistort(image: Image, lens: Lens, box: Box | None = None) -> Image:
     """Stored picture (H, W, 3) -> undistorted (h, w, 3) of the working size, black where the camera does not see, and
     outside `box` (default: everywhere) undefined."""
-    h, w = lens.index.shape
+    h, w = lens.corner.shape
     if image.shape != (lens.source_size[1], lens.source_size[0], 3) or image.dtype != np.uint8:
         raise InputError(f"A picture of {image.shape[1::-1]} px was given where {lens.source_size} px are stored.")
     y0, y1, x0, x1 = box or (0, h, 0, w)
@@ -116,7 +117,7 @@ def shrink_undistort(image: Image, lens: Lens, box: Box | None = None) -> Image:
     if lens.straight:
         return np.ascontiguousarray(small[1 : h + 1, 1 : w + 1])
     out = np.empty((h, w, 3), np.uint8)
-    kernels.remap(small, lens.index, lens.parts, y0, y1, x0, x1, out)
+    kernels.remap(small, lens.corner, lens.parts, y0, y1, x0, x1, out)
     return out
 
 
@@ -127,11 +128,11 @@ def _kernels():  # noqa: ANN202 - a module
 
 def _needed(lens: Lens, box: Box) -> Box:
     """The part of the shrunk picture that undistorted pixels in the box are made of."""
-    h, w = lens.index.shape
+    h, w = lens.corner.shape
     y0, y1, x0, x1 = box
     if box == (0, h, 0, w):
         return box
-    at = lens.index[y0:y1, x0:x1] // 3
+    at = lens.corner[y0:y1, x0:x1] // 3
     rows, columns = at // (w + 3), at % (w + 3)
     return (
         max(int(rows.min()) - 1, 0),
@@ -155,7 +156,7 @@ def _shrink(image: Image, lens: Lens) -> Image:
 
 def _remap(small: Image, lens: Lens) -> Image:
     flat, step = small.reshape(-1, 3).astype(np.int32), small.shape[1]
-    at = lens.index // 3
+    at = lens.corner // 3
     fx, fy = lens.parts[..., :1].astype(np.int32), lens.parts[..., 1:].astype(np.int32)
     upper = (32 - fx) * flat[at] + fx * flat[at + 1]
     lower = (32 - fx) * flat[at + step] + fx * flat[at + step + 1]
@@ -215,3 +216,21 @@ def clean_regions(mask: Mask, hole_px: int, keep_share: float, keep_gap: float) 
     gap = np.maximum(np.maximum(start - (start + size)[main], start[main] - (start + size)), 0).max(1)
     keep &= gap <= keep_gap * size[main].max()
     return keep[np.asarray(label, dtype=np.int64)].astype(np.uint8)
+
+
+def order_statistic(stack: NDArray[np.uint8], hidden: NDArray[np.bool_] | None, rank: NDArray[np.int64]) -> Image:
+    """Of stack (N, P, 3) u1, per pixel and channel the value with `rank` (P,) values below it in order (0: the
+    smallest), over the frames that are not hidden (N, P): (P, 3) u1; 255 where the rank is not below their number."""
+    n, p, _ = stack.shape
+    if selection.backend() != "numpy":
+        out = np.empty((p, 3), np.uint8)
+        none = np.zeros((0, p), np.bool_)
+        seen = none if hidden is None else np.require(hidden, np.bool_, ["C", "W"])
+        _kernels().order_statistic(np.require(stack, np.uint8, ["C", "W"]), seen, rank.astype(np.uint16), out)
+        return out
+    values = stack.astype(np.int16)
+    if hidden is not None:
+        values = np.where(hidden[..., None], np.int16(255), values)
+    picked = np.take_along_axis(np.sort(values, 0), np.minimum(rank, n - 1)[None, :, None], 0)[0]
+    count = np.full(p, n) if hidden is None else (~hidden).sum(0)
+    return np.where((rank >= count)[:, None], 255, picked).astype(np.uint8)

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hypose.compute.images import order_statistic
 from hypose.errors import InputError
 
 Image = NDArray[np.uint8]
@@ -128,26 +129,21 @@ def _masked_median(
     number."""
     n, h, w, _ = stack.shape
     count = np.full((h, w), n) if free is None else free.sum(0)
-    median, sd = np.empty((h, w, 3), np.float32), np.empty((h, w, 3), np.float32)
-    beyond = np.int16(1000)  # masked values sort behind all others
-    middle = np.maximum(count - 1, 0)
-    for y in range(0, h, 32):  # in strips: memory stays small
-        rows = slice(y, y + 32)
-        x = np.moveaxis(stack[:, rows], 0, -1).astype(np.int16)
-        hidden = None if free is None else ~np.moveaxis(free[:, rows], 0, -1)[:, :, None, :]
-        if hidden is not None:
-            x = np.where(hidden, beyond, x)
-        low = np.broadcast_to((middle[rows] // 2)[..., None, None], (*x.shape[:3], 1))
-        high = np.broadcast_to(((middle[rows] + 1) // 2)[..., None, None], (*x.shape[:3], 1))
+    middle = np.maximum(count - 1, 0).ravel()
+    low, high = middle // 2, (middle + 1) // 2
+    flat = stack.reshape(n, h * w, 3)
+    hidden = None if free is None else ~free.reshape(n, h * w)
 
-        def centre(v: NDArray[np.int16], low: NDArray[np.int64] = low, high: NDArray[np.int64] = high):  # noqa: ANN202
-            v = np.sort(v, axis=-1)
-            return 0.5 * (np.take_along_axis(v, low, -1) + np.take_along_axis(v, high, -1))[..., 0].astype(np.float32)
+    def centre(values: Image) -> NDArray[np.float32]:
+        lower = order_statistic(values, hidden, low)
+        upper = lower if (low == high).all() else order_statistic(values, hidden, high)
+        return np.float32(0.5) * (lower.astype(np.float32) + upper)
 
-        median[rows] = centre(x)
-        deviation = np.abs(x - np.rint(median[rows])[..., None].astype(np.int16))
-        sd[rows] = 1.4826 * centre(deviation if hidden is None else np.where(hidden, beyond, deviation))
-    return median, np.maximum(sd, np.float32(_SD_FLOOR)), count
+    median = centre(flat)
+    reference = np.rint(median).astype(np.uint8)
+    deviation = np.stack([np.asarray(cv2.absdiff(f, reference), dtype=np.uint8) for f in flat])
+    sd = np.maximum(np.float32(1.4826) * centre(deviation), np.float32(_SD_FLOOR))
+    return median.reshape(h, w, 3), sd.reshape(h, w, 3), count
 
 
 def _from_free_frames(stack: Image, covered: NDArray[np.bool_], plate: BackgroundModel | None) -> BackgroundModel:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -22,6 +22,7 @@ from scipy.ndimage import percentile_filter
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import InputError
 from hypose.evidence.background import BackgroundModel, Image, from_frames, from_plates, from_recording
+from hypose.evidence.contours import ViewOutline, make_ahead, view_outline
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import (
     follow_person,
@@ -33,25 +34,24 @@ from hypose.evidence.keypoints import (
 )
 from hypose.evidence.silhouettes import (
     Mask,
-    Segmenter,
     SilhouetteOptions,
-    as_mask,
     flag_collapsed,
     make_segmenter,
     make_silhouettes,
 )
 from hypose.geometry import Array
 from hypose.io.files import atomic_path, write_text
-from hypose.io.recording import Recording, View
-from hypose.io.video import VideoReader, list_images, open_video, read_image
+from hypose.io.recording import Recording
+from hypose.io.video import open_video
+from hypose.io.view_source import SIDECAR, ViewSource, preparer
 
 Covers = Callable[[int, int], Mask | None]
 """(view, video frame) -> where the person is, (h, w) at working size: the silhouette of a model tracked
 before."""
 
-_SIDECAR = "hypose-masks.json"
 _CLIP = 10  # a background of fewer images is a set of photos
 _COVER, _BAND = 0.052, 0.03  # half thickness of the limbs drawn, and margin around them, in heights of the person
+_AHEAD = 3  # frames made before they are asked for, in a run
 _SAMPLE_STEP, _SAMPLES = 5, 11  # frames whose mask areas are the usual area
 _LONGEST_GAP = 15  # frames over which a missing key point is bridged when the skeleton is drawn
 
@@ -80,96 +80,6 @@ def working_rig(rig: CameraRig, options: FrameOptions | None = None) -> CameraRi
     """The pinhole cameras of the working size."""
     o = options or FrameOptions()
     return rig.scaled(o.factor or min(1.0, o.longer_side / float(rig.sizes.max()))).pinhole()
-
-
-def _preparer(camera: Camera, small: Camera, shift: tuple[float, float]) -> Callable[[Image], Image]:
-    """Stored image (any size) -> undistorted image of the working-size camera. shift: px of the calibrated
-    size added to image positions."""
-    size = small.size
-    mx, my = camera.undistort_maps(size, size)
-    mx = mx - np.float32(shift[0] * size[0] / camera.size[0])
-    my = my - np.float32(shift[1] * size[1] / camera.size[1])
-    maps = cv2.convertMaps(mx, my, cv2.CV_16SC2)
-
-    def prepare(image: Image) -> Image:
-        # shrinking first averages over pixels; the map alone would pick single ones, and takes longer at
-        # full size
-        if image.shape[1::-1] != size:
-            image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        return np.asarray(cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR), dtype=np.uint8)
-
-    return prepare
-
-
-class _MaskSource:
-    """Masks made elsewhere: a video, a folder of images in order, or a folder written by write_masks."""
-
-    def __init__(self, path: Path, prepare: Callable[[Image], Image], size: tuple[int, int]) -> None:
-        self.path, self._prepare, self._size = path, prepare, size
-        self._numbered: dict[int, Path] | None = None
-        self._reader: VideoReader | None = None
-        if (path / _SIDECAR).is_file():
-            self._numbered = {int(p.stem): p for p in list_images(path) if p.stem.isdigit()}
-        else:
-            self._reader = open_video(path)
-
-    def read(self, frame: int) -> Mask:
-        if self._numbered is not None:
-            if frame not in self._numbered:
-                raise InputError(f"{self.path} holds no mask of frame {frame}.")
-            mask = as_mask(read_image(self._numbered[frame])) * np.uint8(255)
-            if mask.shape[1::-1] != self._size:  # already undistorted, at another working size
-                mask = np.asarray(cv2.resize(mask, self._size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        else:
-            assert self._reader is not None
-            mask = self._prepare(as_mask(self._reader.read(frame), str(self.path)) * np.uint8(255))
-        return (mask > 127).astype(np.uint8)
-
-    def close(self) -> None:
-        if self._reader is not None:
-            self._reader.close()
-
-
-class _ViewSource:
-    """Masks of one view by frame number; used by one thread at a time."""
-
-    def __init__(self, view: View, camera: Camera, small: Camera) -> None:
-        self.view = view
-        prepare = _preparer(camera, small, view.image_shift)
-        self._prepare = prepare
-        self._masks = None if view.masks is None else _MaskSource(view.masks, prepare, small.size)
-        self._reader: VideoReader | None = None
-        self.segment: Segmenter | None = None
-        self._broken: tuple[int, str] | None = None
-
-    def image(self, frame: int) -> Image:
-        """The undistorted working-size image."""
-        if self._reader is None:
-            if self.view.source is None:
-                raise InputError(f"View {self.view.name} has neither video nor images, only masks.")
-            self._reader = open_video(self.view.source)
-        return self._prepare(self._reader.read(frame))
-
-    def mask(self, frame: int, band: Mask | None) -> tuple[Mask | None, str]:
-        """The mask, or None and why there is none."""
-        if self._broken is not None and frame >= self._broken[0]:
-            return None, f"{self.view.name}, frame {frame}: {self._broken[1]}"
-        try:
-            if self._masks is not None:
-                mask = self._masks.read(frame)
-                return (mask if band is None else mask & band), ""
-            assert self.segment is not None
-            return self.segment(self.image(frame), band), ""
-        except InputError as problem:
-            if self._masks is None:  # a damaged video stays damaged: do not decode it from its start again and again
-                self._broken = (frame, str(problem))
-            return None, f"{self.view.name}, frame {frame}: {problem}"
-
-    def close(self) -> None:
-        for source in (self._reader, self._masks):
-            if source is not None:
-                source.close()
-        self._reader = None
 
 
 def load_keypoints(recording: Recording, options: FrameOptions | None = None) -> list[Keypoints] | None:
@@ -298,16 +208,16 @@ def build_backgrounds(
         view = recording.views[c]
         if view.masks is not None:
             return None
-        prepare = _preparer(recording.rig[c], small[c], view.image_shift)
+        prepare = preparer(recording.rig[c], small[c], view.image_shift)
         plate = None
         if view.background is not None:
             with open_video(view.background) as reader:
                 chosen = _spread(range(reader.n_frames), o.background_frames)
-                images = [prepare(reader.read(i)) for i in chosen]
+                images = [prepare(reader.read(i), None) for i in chosen]
                 if reader.n_frames >= _CLIP:
                     return from_frames(images)
                 plate = from_plates(images)
-        source = _ViewSource(view, recording.rig[c], small[c])
+        source = ViewSource(view, recording.rig[c], small[c])
         try:
             frames, hidden = [], []
             for frame in _spread(recording.frames, o.background_frames):
@@ -333,6 +243,54 @@ def _spread(frames: range, count: int) -> list[int]:
     """At most `count` of the frames, evenly spread."""
     picked = np.unique(np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int))
     return [frames[int(i)] for i in picked]
+
+
+@dataclass(frozen=True)
+class _PackedMask:
+    """A mask (h, w) = shape in an eighth of its memory, its area, or why there is none."""
+
+    bits: NDArray[np.uint8] | None
+    shape: tuple[int, ...]
+    area: int
+    reason: str
+
+    def mask(self) -> Mask | None:
+        return None if self.bits is None else np.unpackbits(self.bits, axis=1, count=self.shape[1])
+
+
+class _Pending:
+    """The masks and outlines of one frame, in the making: a task per view in that view's lane."""
+
+    def __init__(self, masks: list[Future[_PackedMask]]) -> None:
+        self._masks = masks
+        self._outlines: list[Future[ViewOutline | None]] | None = None
+
+    def masks(self) -> tuple[list[Mask | None], list[str]]:
+        done = [f.result() for f in self._masks]
+        return [d.mask() for d in done], [d.reason for d in done]
+
+    def areas(self) -> NDArray[np.int64]:
+        return np.array([f.result().area for f in self._masks])
+
+    def begin_outlines(self, lanes: Sequence[ThreadPoolExecutor]) -> None:
+        """In the lane of each view, behind its mask, which is therefore done by then."""
+        if self._outlines is None:
+            self._outlines = [lane.submit(_outline, f) for lane, f in zip(lanes, self._masks, strict=True)]
+
+    def outlines(self) -> list[ViewOutline | None] | None:
+        try:
+            return None if self._outlines is None else [f.result() for f in self._outlines]
+        except CancelledError:  # the stream was closed
+            return None
+
+    def cancel(self) -> None:
+        for future in [*self._masks, *(self._outlines or [])]:
+            future.cancel()
+
+
+def _outline(mask: Future[_PackedMask]) -> ViewOutline | None:
+    found = mask.result().mask()
+    return None if found is None else view_outline(found)
 
 
 class FrameStream:
@@ -362,9 +320,10 @@ class FrameStream:
         banded = self.keypoints is not None and self.options.band
         self._skeletons = _skeletons(self.keypoints, self.frames[0]) if banded and self.keypoints else None
         self.backgrounds: tuple[BackgroundModel | None, ...] = ()
-        self._sources: list[_ViewSource] = []
+        self._sources: list[ViewSource] = []
         self._lanes: list[ThreadPoolExecutor] = []
-        self._ahead: tuple[int, list[Future[tuple[Mask | None, str]]]] | None = None
+        self._ahead: dict[int, _Pending] = {}
+        self._last = -1
         self._areas: dict[int, NDArray[np.int64]] = {}
         if self.options.silhouettes is not None:
             self._open(backgrounds)
@@ -377,9 +336,11 @@ class FrameStream:
             else tuple(backgrounds)
         )
         for view, camera, small, background in zip(r.views, r.rig, self.rig, self.backgrounds, strict=True):
-            source = _ViewSource(view, camera, small)
+            source = ViewSource(view, camera, small)
             if background is not None:
                 source.segment = make_segmenter(background, self.options.silhouettes)
+                o = self.options.silhouettes or SilhouetteOptions()
+                source.in_band = o.method == "gaussian" and not o.grabcut
             self._sources.append(source)
         # one lane per camera: a view's frames are read in the order asked for
         self._lanes = [ThreadPoolExecutor(1, thread_name_prefix=v.name) for v in r.views]
@@ -408,7 +369,7 @@ class FrameStream:
             lane.shutdown(wait=True, cancel_futures=True)
         for source in self._sources:
             source.close()
-        self._lanes, self._ahead = [], None
+        self._lanes, self._ahead = [], {}
 
     def frame(self, index: int, /) -> Frame:
         """Frame number `index`, 0 <= index < len(stream); going forward is fast, other orders give the
@@ -418,16 +379,13 @@ class FrameStream:
         number = self.frames[index]
         silhouettes = None
         if self._lanes:
-            history = self._history(index)
-            masks, reasons = self._masks(index)
-            if index + 1 < len(self.frames):
-                self._ahead = (index + 1, self._submit(index + 1))
-            areas = np.array([0 if m is None else int(m.sum()) for m in masks])
-            if index % _SAMPLE_STEP == 0:
-                self._areas[index] = areas
+            history, pending = self._look(index)
+            masks, reasons = pending.masks()
+            areas = np.array([0 if m is None else cv2.countNonZero(m) for m in masks])
             collapsed = flag_collapsed(areas, history, self.rig.names, number)
             why = [given or found for given, found in zip(reasons, collapsed, strict=True)]
             silhouettes = make_silhouettes(masks, self.rig, why)
+            make_ahead(silhouettes, pending.outlines)
         keypoints = None if self.keypoints is None else self.keypoints[index]
         return Frame(number / self.recording.frame_rate, number, silhouettes, keypoints)
 
@@ -437,9 +395,6 @@ class FrameStream:
             raise InputError("This stream was opened without silhouettes and decodes no images.")
         return self._lanes[view].submit(self._sources[view].image, self.frames[index]).result()
 
-    def _submit(self, index: int) -> list[Future[tuple[Mask | None, str]]]:
-        return [lane.submit(self._mask, c, self.frames[index]) for c, lane in enumerate(self._lanes)]
-
     def _mask(self, view: int, frame: int) -> tuple[Mask | None, str]:
         band = None
         if self.options.band:
@@ -448,27 +403,37 @@ class FrameStream:
                 band = _grow(cover, _BAND * _extent(cover))
         return self._sources[view].mask(frame, band)
 
-    def _masks(self, index: int) -> tuple[list[Mask | None], list[str]]:
-        if self._ahead is not None and self._ahead[0] == index:
-            futures = self._ahead[1]
-        else:
-            futures = self._submit(index)
-        self._ahead = None
-        results = [f.result() for f in futures]
-        return [m for m, _ in results], [r for _, r in results]
+    def _look(self, index: int) -> tuple[NDArray[np.int64], _Pending]:
+        """The areas (C, H) that say what is usual at this frame, and the frame's masks; and what comes next is begun.
 
-    def _history(self, index: int) -> NDArray[np.int64]:
-        """(C, H) areas of the frames that say what is usual at this one: a fixed choice, so that it does
-        not matter where a run was resumed."""
-        last = max(_SAMPLES, -(-index // _SAMPLE_STEP))  # samples before this frame, at the start the first ones
-        wanted = [s * _SAMPLE_STEP for s in range(last - _SAMPLES, last) if s * _SAMPLE_STEP < len(self.frames)]
-        for s in wanted:
-            if s not in self._areas:
-                masks, _ = self._masks(s)
-                self._areas[s] = np.array([0 if m is None else int(m.sum()) for m in masks])
-        for old in [s for s in self._areas if s < wanted[0] - 500]:
+        The frames of the areas are a fixed choice, so that it does not matter where a run was resumed. At the start
+        they lie ahead; the masks up to there are kept, packed, so that no video is read twice."""
+        latest = max(_SAMPLES, -(-index // _SAMPLE_STEP))  # samples before this frame, at the start the first ones
+        samples = [s * _SAMPLE_STEP for s in range(latest - _SAMPLES, latest) if s * _SAMPLE_STEP < len(self.frames)]
+        missing = [s for s in samples if s not in self._areas]
+        ahead = min(index + (_AHEAD if index in (0, self._last + 1) else 1), len(self.frames) - 1)
+        self._last = index
+        wanted = sorted({*missing, *range(index, max([ahead, *missing]) + 1)})
+        for other in [i for i in self._ahead if not index <= i <= index + _SAMPLES * _SAMPLE_STEP]:
+            self._ahead.pop(other).cancel()
+        for i in wanted:
+            if i not in self._ahead:
+                self._ahead[i] = _Pending([lane.submit(self._packed, c, i) for c, lane in enumerate(self._lanes)])
+        for i in missing:
+            self._areas[i] = self._ahead[i].areas()
+            if i < index:
+                del self._ahead[i]
+        for i in range(index, ahead + 1):
+            self._ahead[i].begin_outlines(self._lanes)
+        for old in [s for s in self._areas if s < samples[0] - 500 or s > samples[-1] + 500]:
             del self._areas[old]
-        return np.stack([self._areas[s] for s in wanted], 1)
+        return np.stack([self._areas[s] for s in samples], 1), self._ahead.pop(index)
+
+    def _packed(self, view: int, index: int) -> _PackedMask:
+        mask, reason = self._mask(view, self.frames[index])
+        if mask is None:
+            return _PackedMask(None, (0, 0), 0, reason)
+        return _PackedMask(np.packbits(mask, axis=1), mask.shape, cv2.countNonZero(mask), reason)
 
 
 def write_masks(stream: FrameStream, folder: str | Path, progress: Callable[[int, int], None] | None = None) -> Path:
@@ -482,7 +447,7 @@ def write_masks(stream: FrameStream, folder: str | Path, progress: Callable[[int
     views = [folder / v.name for v in stream.recording.views]
     for path, camera in zip(views, stream.rig, strict=True):
         path.mkdir(parents=True, exist_ok=True)
-        write_text(path / _SIDECAR, json.dumps({"undistorted": True, "size": list(camera.size)}) + "\n")
+        write_text(path / SIDECAR, json.dumps({"undistorted": True, "size": list(camera.size)}) + "\n")
     for done, frame in enumerate(stream, 1):
         if frame.silhouettes is None:
             raise InputError("There are no silhouettes to write; open the stream with silhouettes.")

@@ -1,0 +1,119 @@
+"""The pictures and masks of one view of a recording, by frame number, undistorted and at working size."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from hypose.cameras.camera import Camera
+from hypose.compute.images import Box, Lens, make_lens, shrink_undistort
+from hypose.errors import InputError
+from hypose.evidence.background import Image
+from hypose.evidence.silhouettes import Mask, Segmenter, as_mask, bounding_box
+from hypose.io.recording import View
+from hypose.io.video import VideoReader, list_images, open_video, read_image
+
+SIDECAR = "hypose-masks.json"
+"""lies beside masks that are undistorted already"""
+
+Prepare = Callable[[Image, Box | None], Image]
+"""(stored image, box (y0, y1, x0, x1) that is needed) -> undistorted image of the working size"""
+
+
+def preparer(camera: Camera, small: Camera, shift: tuple[float, float]) -> Prepare:
+    """Stored image (any size) -> undistorted image of the working-size camera. shift: px of the calibrated
+    size added to image positions."""
+    size = small.size
+    mx, my = camera.undistort_maps(size, size)
+    mx = mx - np.float32(shift[0] * size[0] / camera.size[0])
+    my = my - np.float32(shift[1] * size[1] / camera.size[1])
+    lenses: dict[tuple[int, int], Lens] = {}
+
+    def prepare(image: Image, box: Box | None = None) -> Image:
+        if image.shape[1] < size[0] or image.shape[0] < size[1]:
+            image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        stored = (image.shape[1], image.shape[0])
+        if stored not in lenses:
+            lenses[stored] = make_lens(stored, mx, my)
+        return shrink_undistort(image, lenses[stored], box)
+
+    return prepare
+
+
+class _MaskSource:
+    """Masks made elsewhere: a video, a folder of images in order, or a folder written by write_masks."""
+
+    def __init__(self, path: Path, prepare: Prepare, size: tuple[int, int]) -> None:
+        self.path, self._prepare, self._size = path, prepare, size
+        self._numbered: dict[int, Path] | None = None
+        self._reader: VideoReader | None = None
+        if (path / SIDECAR).is_file():
+            self._numbered = {int(p.stem): p for p in list_images(path) if p.stem.isdigit()}
+        else:
+            self._reader = open_video(path)
+
+    def read(self, frame: int) -> Mask:
+        if self._numbered is not None:
+            if frame not in self._numbered:
+                raise InputError(f"{self.path} holds no mask of frame {frame}.")
+            mask = as_mask(read_image(self._numbered[frame])) * np.uint8(255)
+            if mask.shape[1::-1] != self._size:  # already undistorted, at another working size
+                mask = np.asarray(cv2.resize(mask, self._size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        else:
+            assert self._reader is not None
+            whole = as_mask(self._reader.read(frame), str(self.path)) * np.uint8(255)
+            mask = self._prepare(np.repeat(whole[..., None], 3, 2), None)[..., 0]
+        return (mask > 127).astype(np.uint8)
+
+    def close(self) -> None:
+        if self._reader is not None:
+            self._reader.close()
+
+
+class ViewSource:
+    """Masks of one view by frame number; used by one thread at a time."""
+
+    def __init__(self, view: View, camera: Camera, small: Camera) -> None:
+        self.view = view
+        prepare = preparer(camera, small, view.image_shift)
+        self._prepare = prepare
+        self._masks = None if view.masks is None else _MaskSource(view.masks, prepare, small.size)
+        self._reader: VideoReader | None = None
+        self.segment: Segmenter | None = None
+        self.in_band = False
+        """the segmenter looks at nothing outside the band"""
+        self._broken: tuple[int, str] | None = None
+
+    def image(self, frame: int, box: Box | None = None) -> Image:
+        """The undistorted working-size image; outside the box (y0, y1, x0, x1) undefined."""
+        if self._reader is None:
+            if self.view.source is None:
+                raise InputError(f"View {self.view.name} has neither video nor images, only masks.")
+            self._reader = open_video(self.view.source)
+        return self._prepare(self._reader.read(frame), box)
+
+    def mask(self, frame: int, band: Mask | None) -> tuple[Mask | None, str]:
+        """The mask, or None and why there is none."""
+        if self._broken is not None and frame >= self._broken[0]:
+            return None, f"{self.view.name}, frame {frame}: {self._broken[1]}"
+        try:
+            if self._masks is not None:
+                mask = self._masks.read(frame)
+                return (mask if band is None else mask & band), ""
+            assert self.segment is not None
+            box = bounding_box(band) or (0, 0, 0, 0) if band is not None and self.in_band else None
+            return self.segment(self.image(frame, box), band), ""
+        except InputError as problem:
+            if self._masks is None:  # a damaged video stays damaged: do not decode it from its start again and again
+                self._broken = (frame, str(problem))
+            return None, f"{self.view.name}, frame {frame}: {problem}"
+
+    def close(self) -> None:
+        """Release the files."""
+        for source in (self._reader, self._masks):
+            if source is not None:
+                source.close()
+        self._reader = None
