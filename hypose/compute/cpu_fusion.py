@@ -31,38 +31,49 @@ def _decay(x):
 
 
 @njit(**OPTIONS)
-def place_candidates(uniforms, base, usable, renew, radius, values, log_weights, label):
+def place_candidates(bits, base, usable, renew, radius, values, log_weights, label):
     """Candidates uniform in balls of `radius` m around base (K, J, 3), spread evenly over the usable (K, J) sensors,
-    for the joints with renew (J,): values (J, N, 3), log_weights (J, N), label (J, N) are written. uniforms (J, R, 3)
-    in [0, 1): points of a cube of which those outside the ball are passed over; R = 2.2 N is more than enough."""
+    for the joints with renew (J,): values (J, N, 3), log_weights (J, N), label (J, N) are written. bits (J, R) uint64:
+    each holds the three coordinates (21 bits each) of a point of a cube; those outside the ball are passed over, so
+    that R = 2.2 N is more than enough."""
     count = values.shape[1]
     each = -math.log(count)
+    cell = 1.0 / (1 << 20)
+    sensor_of = np.empty(count, dtype=np.int32)
     for j in range(values.shape[0]):
         if not renew[j]:
             continue
         sensors = 0
         for k in range(usable.shape[0]):
             sensors += usable[k, j]
-        at, k = 0, -1
+        k = -1
         for n in range(count):
-            x, y, z = 0.0, 0.0, 0.0
-            while at < uniforms.shape[1]:
-                x = 2.0 * uniforms[j, at, 0] - 1.0
-                y = 2.0 * uniforms[j, at, 1] - 1.0
-                z = 2.0 * uniforms[j, at, 2] - 1.0
-                at += 1
-                if x * x + y * y + z * z <= 1.0:
-                    break
             log_weights[j, n] = each if sensors > 0 else -np.inf
             label[j, n] = -1
             if sensors > 0:
                 k = k + 1 if k + 1 < usable.shape[0] else 0
                 while not usable[k, j]:
                     k = k + 1 if k + 1 < usable.shape[0] else 0
-                values[j, n, 0] = base[k, j, 0] + radius * x
-                values[j, n, 1] = base[k, j, 1] + radius * y
-                values[j, n, 2] = base[k, j, 2] + radius * z
                 label[j, n] = k
+            sensor_of[n] = max(label[j, n], 0)
+            for a in range(3):
+                values[j, n, a] = 0.0
+        if sensors == 0:
+            continue
+        n = 0
+        for at in range(bits.shape[1]):
+            # written first and kept if inside: no branch to guess
+            b = bits[j, at]
+            x = np.int64(b & np.uint64(0x1FFFFF)) * cell - 1.0
+            y = np.int64((b >> np.uint64(21)) & np.uint64(0x1FFFFF)) * cell - 1.0
+            z = np.int64((b >> np.uint64(42)) & np.uint64(0x1FFFFF)) * cell - 1.0
+            k = sensor_of[n]
+            values[j, n, 0] = base[k, j, 0] + radius * x
+            values[j, n, 1] = base[k, j, 1] + radius * y
+            values[j, n, 2] = base[k, j, 2] + radius * z
+            n += x * x + y * y + z * z <= 1.0
+            if n == count:
+                break
 
 
 @njit(**OPTIONS)

@@ -5,6 +5,7 @@ Seeds: settings were chosen on recordings of seeds below 1000; what is reported 
 
 from __future__ import annotations
 
+import gzip
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -286,6 +287,7 @@ def _best_single(recording: SensorRecording) -> float:
 # ---------------------------------------------------------------- two real sensors
 
 CONFIGURATIONS = {"0": "parallel", "1": "45", "2": "90"}
+SCENARIOS = {"occlusion": {"6"}, "two_persons": {"4", "5", "8"}}
 
 
 def real(options: BenchOptions) -> BenchReport:
@@ -313,6 +315,11 @@ def real(options: BenchOptions) -> BenchReport:
             _measure_pair(frames[:400], name, "", found)
         if not options.quick:
             _measure_pair(frames, name, "/all", found)
+            scenario = _scenarios(file)
+            for label, wanted in SCENARIOS.items():
+                part = [f for f in frames if scenario.get(round(1e3 * float(f.times[0]))) in wanted]
+                if len(part) >= 100:
+                    _measure_pair(part, name, f"/{label}", found)
     rows = [row(metric, case, values, unit) for (metric, case, unit), values in found.items()]
     return BenchReport(tuple(rows), {"recordings": {CONFIGURATIONS[c]: n for c, n in used.items()}})
 
@@ -342,6 +349,16 @@ def _main_person(file: Path) -> list[SensorJoints]:
         )
         out.append(common_joints(frame))
     return out
+
+
+def _scenarios(file: Path) -> dict[int, str]:
+    """Scenario_Id by ms since the first row."""
+    with gzip.open(file, "rt", encoding="utf-8-sig") as f:
+        table = [[c.strip() for c in line.split(",", 5)] for line in f]
+    time_column, scenario_column = table[0].index("Tracker_Time"), table[0].index("Scenario_Id")
+    rows = [(float(r[time_column]), r[scenario_column]) for r in table[1:] if len(r) > time_column]
+    first = min(t for t, _ in rows)
+    return {round(t - first): scenario for t, scenario in rows}
 
 
 def _measure_pair(

@@ -242,10 +242,10 @@ def _placed(
     """Fresh candidates of the joints with renew (J,), in balls around base (K, J, 3): values (J, count, 3), log-weights
     (each 1 / count), labels."""
     joints = base.shape[1]
-    uniforms = rng.random((joints, int(2.2 * count) + 60, 3), dtype=np.float32)
+    bits = rng.integers(0, 2**64, (joints, int(2.2 * count) + 60), dtype=np.uint64)
     values, log_weights = np.empty((joints, count, 3)), np.empty((joints, count))
     label = np.empty((joints, count), dtype=np.int32)
-    cpu_fusion.place_candidates(uniforms, base, usable, renew, radius, values, log_weights, label)
+    cpu_fusion.place_candidates(bits, base, usable, renew, radius, values, log_weights, label)
     return values, log_weights, label
 
 
