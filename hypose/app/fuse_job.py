@@ -117,9 +117,12 @@ def run_fuse(job: FuseJob, progress: ProgressCall = ignore) -> FuseOutcome:
     done: list[PersonResult] = []
     world: Array | None = None
     try:
-        for n, clip in enumerate(people):
+        for n, whole in enumerate(people):
+            clip, when = _while_seen(whole, times)
             shown = _Watched(clip, lambda k, n=n: progress("fuse", n * len(times) + k, len(people) * len(times)))
-            fused.append(_fuse(job, shown, registration))
+            made = _fuse(job, shown, registration)
+            # instants at which no sensor saw the person have no time of their own
+            fused.append(replace(made, motion=replace(made.motion, times=when)))
             if world is None:
                 world = world_from_sensor(fused[0].motion, job.up)
             folder = job.results if len(people) == 1 else ResultsFolder(job.results.path / f"person-{n + 1}")
@@ -207,6 +210,15 @@ def _people(synced: Sequence[SyncedStream], times: Array, notes: list[str]) -> l
     if dropped := len(columns) - len(kept):
         notes.append(f"{dropped} persons were seen for less than {least} frames and are left out")
     return [one_person(synced, times, c) for c in kept]
+
+
+def _while_seen(clip: Sequence[SensorJoints], times: Array) -> tuple[Sequence[SensorJoints], Array]:
+    """From the first to the last frame in which some sensor sees the person."""
+    seen = np.flatnonzero([np.isfinite(f.times).any() for f in clip])
+    if not len(seen):
+        return clip, times
+    span = slice(int(seen[0]), int(seen[-1]) + 1)
+    return clip[span], times[span]
 
 
 def _instant(synced: Sequence[SyncedStream], picks: Sequence[NDArray[np.int64]], n: int, time: float) -> Instant:

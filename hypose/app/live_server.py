@@ -48,7 +48,8 @@ _REPORT_S = 10.0
 class LiveOptions:
     """host: address to listen on; udp, ws: ports (0 = any free one, None = none); osc: HOST:PORT or None; token: what
     senders and listeners must show (made when the host is not this computer alone); record: a new folder; lines_per_s,
-    burst: what is taken from outside; clients: WebSocket connections."""
+    burst: what is taken from outside; clients: WebSocket connections; waiting: messages kept for a slow
+    listener."""
 
     host: str = "127.0.0.1"
     udp: int | None = 9870
@@ -60,6 +61,7 @@ class LiveOptions:
     lines_per_s: float = 5000.0
     burst: float = 2000.0
     clients: int = 32
+    waiting: int = 32
 
     def __post_init__(self) -> None:
         for name, port in (("--udp", self.udp), ("--ws", self.ws)):
@@ -236,8 +238,8 @@ class LiveServer:
 
     def _post(self, text: str) -> None:
         for queue in self._outs:
-            if queue.full():
-                queue.get_nowait()  # a slow listener gets the newest
+            if queue.full():  # a slow listener gets the newest
+                queue.get_nowait()
                 self.dropped += 1
             queue.put_nowait(text)
 
@@ -296,7 +298,7 @@ class LiveServer:
                 await connection.send(json.dumps({"type": "error", "reason": reasons[0], "lines": len(reasons)}))
 
     async def _serve(self, connection: ServerConnection) -> None:
-        queue: asyncio.Queue[str] = asyncio.Queue(maxsize=4)
+        queue: asyncio.Queue[str] = asyncio.Queue(maxsize=self.options.waiting)
         hello = {"type": "hello", "version": 1, "joints": COMMON, "rate": self.options.settings.align.rate}
         await connection.send(json.dumps(hello))
         self._outs.add(queue)
