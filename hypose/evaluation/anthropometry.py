@@ -55,10 +55,9 @@ def anthropometry(options: BenchOptions) -> BenchReport:
     motion: 3 s of the built-in combination of movements; one_pose: a held hands-up, A- or T-pose (by turns). Rig
     ring-5, level-1 masks at half size, clothes of 20 mm (about 13 mm in the mean), no height, no start pose given.
     Truth of the lengths: the subject's joints, with the template's lengths corrected by the ratio between the neutral
-    subject and the template once for all (joint definitions). Truth of the girths: cross-sections of the subject's mesh in its
-    clothes;
-    under "naked" the skin's, against the fit without its estimated clothes. IoU: every view of every fitted frame
-    against the clean mask. Baseline of lengths and girths: the template at the true height.
+    subject and the template once for all (joint definitions). Truth of the girths: cross-sections of the subject's
+    mesh in its clothes; under "naked" the skin's, against the fit without its estimated clothes. IoU: every view of
+    every fitted frame against the clean mask. Baseline of lengths and girths: the template at the true height.
     tracking_gain: walk and box scenes of table-2.3 with the default recipe, the same start (true joints of frame 0); a
     body fitted without knowing the height, to another take of the same person (combo), against the template at the true
     height: 1 - error / error.

@@ -13,11 +13,10 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.geometry import Array
+from hypose.pipeline.anthropometry import AnthropometryOptions, estimate_subject
 from hypose.tracking.evidence import KeypointModel, PreparedFrame, keypoint_model, prepare
 from hypose.tracking.initialise import KNOWN_POSES, hull_of, start_from_hull, start_from_keypoints
-from hypose.tracking.recipes import default
 from hypose.tracking.subject import fit_girths, scaled_to_height, subject_from_keypoints
-from hypose.tracking.tracker import Tracker, TrackerSettings
 
 FrameAt = Callable[[int], Frame]
 
@@ -54,8 +53,8 @@ class SubjectOptions:
 def find_subject(frame_at: FrameAt, n_frames: int, options: SubjectOptions) -> Subject:
     """Subject and start pose from the frames of a recording.
 
-    With key points: lengths and start from their robust triangulation. Without: height from the visual hulls, start
-    from the known poses at the hull. Then girths from the silhouettes.
+    With key points: lengths and start from their robust triangulation, girths from the silhouettes. Without: start from
+    the known poses at the hull, then lengths, girths and clothes from the silhouettes of the first three seconds.
     """
     template = options.body or human()
     sampled = np.unique(np.linspace(0, n_frames - 1, min(n_frames, 40)).astype(int))
@@ -67,7 +66,7 @@ def find_subject(frame_at: FrameAt, n_frames: int, options: SubjectOptions) -> S
                 "The start 'keypoints' needs key points, and this recording has none; use the start 'hull'."
             )
         return _from_keypoints(template, frame_at, sampled, n_frames, options)
-    return _from_hull(template, frame_at, sampled, first, options)
+    return _from_hull(template, frame_at, sampled, first, n_frames, options)
 
 
 def _from_keypoints(
@@ -112,37 +111,22 @@ def _first_start(body: Body, model: KeypointModel, frame_at: FrameAt, last: int)
 
 
 def _from_hull(
-    template: Body, frame_at: FrameAt, sampled: np.ndarray, first: Frame, options: SubjectOptions
+    template: Body, frame_at: FrameAt, sampled: np.ndarray, first: Frame, n_frames: int, options: SubjectOptions
 ) -> Subject:
-    notes = []
+    poses = KNOWN_POSES if options.start in ("auto", "hull") else (options.start,)
+    if options.girths:
+        how = AnthropometryOptions(height=options.height, poses=poses, seed=options.seed, frames=8, tracked=24)
+        estimate = estimate_subject(frame_at, n_frames, options.frame_rate, template, how)
+        notes = [f"height {estimate.body.stature:.3f} m from the silhouettes"] if options.height is None else []
+        return Subject(estimate.body, None, estimate.start, (*notes, *estimate.notes))
     if options.height is not None:
-        height = options.height
-        notes.append(f"height {height:.3f} m as given")
+        height, note = options.height, f"height {options.height:.3f} m as given"
     else:
         height, n = _hull_height(frame_at, sampled)
-        notes.append(f"height {height:.3f} m from the visual hulls of {n} frames")
+        note = f"height {height:.3f} m from the visual hulls of {n} frames"
     body = scaled_to_height(template, height)
     prepared = prepare(first, body, np.zeros(body.skeleton.dof))
-    poses = KNOWN_POSES if options.start in ("auto", "hull") else (options.start,)
-    start = start_from_hull(body, prepared, poses).pose
-    if options.girths:
-        short = [frame_at(i) for i in range(0, min(len(sampled), 12))]
-        tracked = _track_briefly(body, start, short, options)
-        body, note = _with_girths(body, tracked[::2], short[::2])
-        notes.append(note)
-    return Subject(body, None, start, tuple(notes))
-
-
-def _track_briefly(body: Body, start: Array, frames: Sequence[Frame], options: SubjectOptions) -> Array:
-    """(F, D) poses of the first frames with the default recipe: girths need poses, poses need girths, so both are
-    approximate the first time."""
-    recipe, particles = default(body, frame_rate=options.frame_rate)
-    tracker = Tracker(body, recipe, particles, TrackerSettings(seed=options.seed, frame_rate=options.frame_rate))
-    state, poses = tracker.start(start), []
-    for frame in frames:
-        state, estimate = tracker.step(state, frame)
-        poses.append(estimate.pose)
-    return np.stack(poses)
+    return Subject(body, None, start_from_hull(body, prepared, poses).pose, (note,))
 
 
 def _with_girths(body: Body, poses: Array, frames: Sequence[Frame]) -> tuple[Body, str]:
