@@ -61,9 +61,9 @@ def uses_current_environment(machine: Machine) -> bool:
     without having been asked for, and it carries conda itself."""
     if machine.prefix != machine.base_prefix:
         return True
-    in_conda = machine.conda_prefix is not None and os.path.normpath(
-        machine.conda_prefix
-    ) == os.path.normpath(machine.prefix)
+    in_conda = machine.conda_prefix is not None and os.path.normpath(machine.conda_prefix) == os.path.normpath(
+        machine.prefix
+    )
     return in_conda and machine.conda_name != "base"
 
 
@@ -150,9 +150,7 @@ def contained(environment: Dict[str, str]) -> Dict[str, str]:
     result = dict(environment)
     result.update({name: os.path.normpath(os.path.join(CACHE, folder)) for name, folder in inside.items()})
     result.pop("PYTHONHOME", None)
-    result.setdefault(
-        "PIP_RETRIES", "2"
-    )  # a variable, since pip starts another pip: give up soon without a network
+    result.setdefault("PIP_RETRIES", "2")  # a variable, since pip starts another pip: give up soon without a network
     return result
 
 
@@ -171,20 +169,12 @@ def why_it_failed(log: str) -> str:
         "ProxyError",
     )
     if any(text in log for text in network):
-        return (
-            "The package index cannot be reached: connect to the network (or set PIP_INDEX_URL to a mirror)"
-        )
+        return "The package index cannot be reached: connect to the network (or set PIP_INDEX_URL to a mirror)"
     if "No space left on device" in log:
         return "The disk is full: about 1.5 GB are needed in this folder"
-    if (
-        "No matching distribution found" in log
-        or "no wheels with a matching" in log
-        or "no version of" in log
-    ):
+    if "No matching distribution found" in log or "no wheels with a matching" in log or "no version of" in log:
         version = ".".join(map(str, sys.version_info[:2]))
-        return (
-            f"Not every package has a wheel for this platform and Python {version}: try Python 3.11 or 3.12"
-        )
+        return f"Not every package has a wheel for this platform and Python {version}: try Python 3.11 or 3.12"
     return "Installing the packages failed; the reason is above and in .cache/setup.log: mend it"
 
 
@@ -213,11 +203,7 @@ def look() -> Machine:
 
 def program(folder: str, name: str) -> str:
     """Path of a program of the environment in `folder`."""
-    return (
-        os.path.join(folder, "Scripts", name + ".exe")
-        if os.name == "nt"
-        else os.path.join(folder, "bin", name)
-    )
+    return os.path.join(folder, "Scripts", name + ".exe") if os.name == "nt" else os.path.join(folder, "bin", name)
 
 
 def call(command: List[str], log: List[str], show: bool = True) -> bool:
@@ -248,9 +234,7 @@ def call(command: List[str], log: List[str], show: bool = True) -> bool:
 def answers(python: str, code: str) -> bool:
     """True when this Python exists and runs the code without an error."""
     try:
-        return (
-            subprocess.call([python, "-c", code], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) == 0
-        )
+        return subprocess.call([python, "-c", code], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) == 0
     except OSError:
         return False
 
@@ -270,9 +254,7 @@ def make_environment(machine: Machine, log: List[str]) -> None:
         shutil.rmtree(OWN_ENVIRONMENT, ignore_errors=True)
         if way == "uv" or way == "borrowed-uv":
             uv = machine.uv if way == "uv" else borrow_uv(machine, log)
-            made = uv is not None and call(
-                [uv, "venv", "--python", machine.python, OWN_ENVIRONMENT], log, False
-            )
+            made = uv is not None and call([uv, "venv", "--python", machine.python, OWN_ENVIRONMENT], log, False)
         else:
             options = ["--without-pip"] if way == "venv-without-pip" else []
             made = call([machine.python, "-m", "venv"] + options + [OWN_ENVIRONMENT], log, False)
@@ -348,14 +330,8 @@ def prepare(machine: Machine, profile: str, again: bool = False) -> str:
                 if moved or not usable:
                     print(f"hypose: making the environment {folder}", flush=True)
                     make_environment(machine, log)
-            if (
-                stamp.get("fingerprint") == wanted
-                and stamp.get("folder") == ROOT
-                and os.path.exists(stamp_path)
-            ):
-                profile = max(
-                    profile, str(stamp.get("profile")), key=PROFILES.index
-                )  # never forget what is there
+            if stamp.get("fingerprint") == wanted and stamp.get("folder") == ROOT and os.path.exists(stamp_path):
+                profile = max(profile, str(stamp.get("profile")), key=PROFILES.index)  # never forget what is there
             print(f"hypose: installing packages into {folder} (once; a few minutes)", flush=True)
             missing = install(machine, python, profile, log)
         finally:
