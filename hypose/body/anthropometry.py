@@ -267,7 +267,7 @@ def girth_at(vertices: Array, faces: NDArray[np.integer], point: Array, normal: 
     x = np.cross(normal, np.eye(3)[int(np.abs(normal).argmin())])
     x /= np.linalg.norm(x)
     basis = np.stack([x, np.cross(normal, x)], 1)
-    flat = [(loop - point) @ basis for loop in loops]
+    flat: list[Array] = [np.asarray((loop - point) @ basis, dtype=np.float64) for loop in loops]
     around = [abs(_winding(f)) > np.pi for f in flat]
     inner = [k for k, a in enumerate(around) if a] or list(range(len(flat)))
     best = min(inner, key=lambda k: float(np.linalg.norm(flat[k], axis=1).min()) if not around[k] else -len(flat[k]))

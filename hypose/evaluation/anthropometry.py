@@ -72,12 +72,12 @@ def anthropometry(options: BenchOptions) -> BenchReport:
     found: dict[str, list[FitErrors]] = {"motion": [], "one_pose": []}
     template: list[FitErrors] = []
     for n, subject in enumerate(subjects):
-        for k, case in enumerate(found):
+        moving, held = motion_scene(subject, n), pose_scene(subject, n)
+        for k, (case, scene) in enumerate((("motion", moving), ("one_pose", held))):
             options.progress(f"{case} {subject.name}", 2 * n + k, total)
-            scene = motion_scene(subject, n) if case == "motion" else pose_scene(subject, n)
             estimate, seconds = fit_scene(scene, tuple(_POSES)[n % 3] if case == "one_pose" else None)
             found[case].append(fit_errors(scene, subject, estimate, seconds))
-        template.append(_template_errors(scene.subject, subject))
+        template.append(_template_errors(moving.subject, subject))
     rows = _rows(found, template)
     gains = []
     for seed in range(gain_seeds):

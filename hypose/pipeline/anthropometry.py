@@ -12,17 +12,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hypose.body.anthropometry import ENTITY_NAMES, SEGMENTS, Sizes, body_of, entity, prior_mean, sizes_of
+from hypose.body.anthropometry import ENTITY_NAMES, Sizes, body_of, entity, prior_mean, sizes_of
 from hypose.body.body import Body
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame
 from hypose.fitting.articulated import SolveOptions
 from hypose.geometry import Array
+from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.evidence import PreparedFrame, prepare
-from hypose.tracking.initialise import KNOWN_POSES, start_from_hull
+from hypose.tracking.initialise import KNOWN_POSES, hull_of, start_from_hull
 from hypose.tracking.recipes import default
 from hypose.tracking.refinement import refine
-from hypose.tracking.shape_refinement import Known, ShapeFit, ShapeOptions, refine_shape
+from hypose.tracking.shape_refinement import Known, ShapeOptions, refine_shape
 from hypose.tracking.subject import scaled_to_height
 from hypose.tracking.tracker import Tracker, TrackerSettings
 
@@ -112,26 +113,22 @@ def estimate_subject(
     else:
         body = template if height is None else scaled_to_height(template, height)
         start_pose = start
-    notes = []
     known = Known(height, options.mass)
-    fit: ShapeFit | None = None
-    before_poses = chosen = None
-    x = prior_mean()
-    for _ in range(max(1, options.passes)):
-        poses, iou = _follow(body, start_pose, seen, rate, options)
-        if chosen is None:
-            chosen = different_poses(body, poses, iou, options.frames)
-            before, before_poses = body, poses[chosen]
-            x[0] = np.log(body.stature / template.stature)
-        prepared = [_prepared(seen[k], body, poses[k]) for k in chosen]
-        contours = [p.contours for p in prepared if p.contours is not None]
-        fit = refine_shape(template, poses[chosen], contours, known=known, options=options.shape, start=x)
-        body, x = fit.body, fit.log_factors
-        start_pose = _settled(body, poses[0], seen[0])
-    assert fit is not None and chosen is not None and before_poses is not None
-    iou_before = _ious(before, before_poses, prepared)
-    iou_after = _ious(body, fit.poses, prepared)
-    notes.append(
+    first, x = body, prior_mean()
+    x[0] = np.log(body.stature / template.stature)
+    before, iou = _follow(body, start_pose, seen, rate, options)
+    chosen = different_poses(body, before, iou, options.frames)
+    views = [_prepared(seen[k], body, before[k]) for k in chosen]
+    contours = [v.contours for v in views if v.contours is not None]
+    assert len(contours) == len(chosen)  # frames with fewer than two usable views were left out
+    fit = refine_shape(template, before[chosen], contours, known=known, options=options.shape, start=x)
+    for _ in range(options.passes - 1):
+        again, _ = _follow(fit.body, _settled(fit.body, before[0], seen[0]), seen, rate, options)
+        fit = refine_shape(template, again[chosen], contours, known=known, options=options.shape, start=fit.log_factors)
+    body, x = fit.body, fit.log_factors
+    iou_before = _ious(first, before[chosen], views)
+    iou_after = _ious(body, fit.poses, views)
+    note = (
         f"shape from the silhouettes of {len(chosen)} poses: mean IoU {np.nanmean(iou_before):.3f} -> "
         f"{np.nanmean(iou_after):.3f}, clothes about {100 * x[entity('clothing')]:.0f} mm"
     )
@@ -140,14 +137,14 @@ def estimate_subject(
         body_of(template, x, clothed=False),
         x,
         fit.covariance,
-        start_pose,
+        _settled(body, before[0], seen[0]),
         tuple(seen[k].index for k in chosen),
         fit.poses,
-        before,
-        before_poses,
+        first,
+        before[chosen],
         iou_before,
         iou_after,
-        tuple(notes),
+        (note,),
     )
 
 
@@ -156,9 +153,6 @@ def hull_start(
 ) -> tuple[Body, Array]:
     """The template scaled to the person and its pose in one frame: known poses at the visual hull, at the given height
     or at several scales about the hull's, of which the best explained is taken."""
-    from hypose.tracking.costs import silhouette_iou
-    from hypose.tracking.initialise import hull_of
-
     prepared = prepare(frame, template, np.zeros(template.skeleton.dof))
     if height is not None:
         heights = [height]
@@ -221,8 +215,6 @@ def _settled(body: Body, pose: Array, frame: Frame) -> Array:
 
 
 def _ious(body: Body, poses: Array, frames: Sequence[PreparedFrame]) -> Array:
-    from hypose.tracking.costs import silhouette_iou
-
     return np.stack([silhouette_iou(body, q, f) for q, f in zip(poses, frames, strict=True)])
 
 
@@ -235,6 +227,3 @@ def size_uncertainty(estimate: SubjectEstimate, template: Body, draws: int = 24)
     for z in rng.standard_normal((draws, len(ENTITY_NAMES))):
         rows.append(sizes_of(body_of(light, estimate.factors + root @ z, clothed=False)).in_cm)
     return {k: float(np.std([r[k] for r in rows])) / 100 for k in rows[0]}
-
-
-SEGMENT_NAMES = tuple(SEGMENTS)

@@ -105,13 +105,13 @@ def refine_shape(
     problem = _ShapeProblem(light, list(contours), known, options, np.asarray(poses, dtype=np.float64), ratio)
     x = prior_mean() if start is None else np.array(start, dtype=np.float64)
     q = np.array(poses, dtype=np.float64)
-    before = None
+    before = problem.linearise(x, q, options.coarse[-1]).cost
     for n, factor in zip(options.iterations, options.coarse, strict=True):
-        x, q, first, last = problem.solve(x, q, n, factor)
-        before = first if before is None else before
+        x, q = problem.solve(x, q, n, factor)
     system = problem.linearise(x, q, options.coarse[-1])
-    covariance = np.linalg.inv(problem.reduced(system, 0.0)[0])
-    return ShapeFit(body_of(body, x), x, covariance, q, float(before or 0.0), last)
+    hessian, _, _ = problem.reduced(system, q, 0.0)
+    covariance = np.asarray(np.linalg.inv(hessian), dtype=np.float64)
+    return ShapeFit(body_of(body, x), x, covariance, q, before, system.cost)
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,8 @@ class _ShapeProblem:
             cost += 0.5 * r * r
         cost += 0.5 * float((self.pose_weight * q**2).sum())
         cost += 0.5 * float((self.anchor_weight * (q - self.anchor) ** 2).sum())
-        return _System(rows, h, g, cost + sum(r.cost for r in rows))
+        total = float(cost) + sum(r.cost for r in rows)
+        return _System(rows, np.asarray(h, dtype=np.float64), g, total)
 
     def _known_rows(self, shaped: Body, varied: list[Body], step: float) -> list[tuple[float, float, float, Array]]:
         out = []
@@ -185,7 +186,9 @@ class _ShapeProblem:
                 out.append((value, float(np.log(wanted)), sd, gradient))
         return out
 
-    def reduced(self, system: _System, damping: float) -> tuple[Array, Array, list[tuple[Array, Array, Array]]]:
+    def reduced(
+        self, system: _System, q: Array, damping: float
+    ) -> tuple[Array, Array, list[tuple[Array, Array, Array]]]:
         """Schur complement: hessian (K, K) and gradient (K,) of the shape, and per frame what gives its pose back."""
         h, g = system.prior_hessian.copy(), system.prior_gradient.copy()
         frames = []
@@ -193,7 +196,7 @@ class _ShapeProblem:
             ws, wp = r.by_shape * r.weight[:, None], r.by_pose * r.weight[:, None]
             hpp = wp.T @ r.by_pose
             hpp[np.diag_indices_from(hpp)] += self.pose_weight + self.anchor_weight + damping * hpp.diagonal() + 1e-6
-            gp = wp.T @ r.residual + self.pose_weight * self._q[f] + self.anchor_weight * (self._q[f] - self.anchor[f])
+            gp = wp.T @ r.residual + self.pose_weight * q[f] + self.anchor_weight * (q[f] - self.anchor[f])
             hsp = ws.T @ r.by_pose
             solved = np.linalg.solve(hpp, np.concatenate([hsp.T, gp[:, None]], 1))
             h += ws.T @ r.by_shape - hsp @ solved[:, :-1]
@@ -201,14 +204,12 @@ class _ShapeProblem:
             frames.append((solved[:, :-1], solved[:, -1], gp))
         return h, g, frames
 
-    def solve(self, x: Array, q: Array, iterations: int, factor: float) -> tuple[Array, Array, float, float]:
-        """One stage of damped Gauss-Newton; returns shape, poses, cost before and after."""
+    def solve(self, x: Array, q: Array, iterations: int, factor: float) -> tuple[Array, Array]:
+        """One stage of damped Gauss-Newton; returns shape and poses."""
         s, damping = self.body.skeleton, 1e-2
-        self._q = q
         system = self.linearise(x, q, factor)
-        first = system.cost
         for _ in range(iterations):
-            h, g, frames = self.reduced(system, damping)
+            h, g, frames = self.reduced(system, q, damping)
             h[np.diag_indices_from(h)] *= 1 + damping
             dx = -np.linalg.solve(h, g)
             dx *= min(1.0, 0.08 / max(float(np.abs(dx).max()), 1e-9))
@@ -222,12 +223,11 @@ class _ShapeProblem:
             if np.isfinite(new.cost) and new.cost < system.cost * 1.002:
                 small = np.abs(dx).max() < 5e-4
                 x, q, system, damping = new_x, new_q, new, max(damping / 3, 1e-4)
-                self._q = q
                 if small:
                     break
             else:
                 damping = min(damping * 10, 1e3)
-        return x, q, first, system.cost
+        return x, q
 
     def _frame_rows(
         self, shaped: Body, pose: Array, vertices: Array, slopes: Array, term: ContourTerm, factor: float
@@ -332,7 +332,8 @@ def outline_rows(
         across = ((xy[near] - mark) * n[near]).sum(1)
         weight = np.full(len(near), 130 / term.outline_count)
         rows.append((a[near], b[near], t[near], across, n[near], weight))
-    ra, rb, rt, rr, rg, rw = (np.concatenate([x[k] for x in rows]) for k in range(6))
+    ra, rb = (np.concatenate([x[k] for x in rows]).astype(np.int64) for k in (0, 1))
+    rt, rr, rg, rw = (np.concatenate([x[k] for x in rows]) for k in (2, 3, 4, 5))
     point = (1 - rt)[:, None] * vertices[ra] + rt[:, None] * vertices[rb]
     hp = point @ p[:, :3].T + p[:, 3]
     u = hp[:, :2] / hp[:, 2:]
