@@ -163,6 +163,9 @@ def table_1(options: BenchOptions) -> BenchReport:
             case = metric if name == "published" else f"{metric}/{name}"
             rows.append(row("iterations", case, np.nanmedian(values), "frames"))
             rows.append(row("never_share", case, never, "share"))
+            limit = 10 if metric == "majority" else 30
+            within = (values <= limit).astype(np.float64)  # never counts as no
+            rows.append(row("within_share", f"{case}_{limit}", within, "share"))
     return BenchReport(tuple(rows), _settings(options, seeds))
 
 

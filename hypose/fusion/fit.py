@@ -102,6 +102,8 @@ def fit_step(
     state: FitState, positions: Array, states: NDArray[np.uint8], time: float, settings: FitSettings
 ) -> tuple[FitState, FitEstimate]:
     """One frame: registered positions (K, 15, 3) m with NaN for missing, their states (K, 15), time s."""
+    # a joint of a sensor that is not registered has a state but no place
+    states = np.where(np.isfinite(positions[..., 0]), states, 0).astype(np.uint8)
     side, swapped = state.side, np.zeros(len(positions), dtype=np.bool_)
     if settings.unswap:
         positions, states, side, swapped = unswap(positions, states, state.side)

@@ -143,8 +143,9 @@ def start(
     registration, lengths (18,) m: known ones, which are then kept."""
     s = settings or FusionSettings()
     if s.method in BASELINES:
-        raise
-        InputError(f"The method {s.method!r} needs a whole clip; use fuse_clip, or 'fit' or 'swarm' for a stream.")
+        raise InputError(
+            f"The method {s.method!r} needs a whole clip; use fuse_clip, or 'fit' or 'swarm' for a stream."
+        )
     sensors = len(first.sensor_names)
     if not 0 <= s.reference < sensors:
         raise InputError(f"There are {sensors} sensors, the reference cannot be number {s.reference}.")

@@ -1,0 +1,129 @@
+import numpy as np
+import pytest
+
+from hypose.errors import InputError
+from hypose.evidence.frame import SensorJoints
+from hypose.fusion import joints as jt
+from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip, start, step
+from tests.fusion.people import in_reference, moving_person, seen, sensor_poses
+
+
+def test_a_stream_learns_where_its_sensors_stand(rng):
+    truth, poses = moving_person(150), sensor_poses(rng, 3)
+    frames = seen(truth, poses, rng, noise=0.01)
+    state, target = start(frames[0]), in_reference(truth, poses)
+    errors = []
+    for t, frame in enumerate(frames):
+        state, fused = step(state, frame)
+        errors.append(np.linalg.norm(fused.joints - target[t], axis=-1).mean())
+    assert np.mean(errors[60:]) < 0.012
+    assert state.registration.registered.all()
+    assert fused.joint_names == jt.COMMON and fused.n_sensors == 3 and not fused.lost
+
+
+def test_a_step_does_not_touch_the_state_it_starts_from(rng):
+    frames = seen(moving_person(6), sensor_poses(rng, 2), rng, noise=0.01)
+    state = start(frames[0], FusionSettings(diagnose=True))
+    for frame in frames[:5]:
+        state, _ = step(state, frame)
+    _, a = step(state, frames[5])
+    _, b = step(state, frames[5])
+    np.testing.assert_array_equal(a.joints, b.joints)
+    np.testing.assert_array_equal(a.choice, b.choice)
+
+
+def test_the_fit_reports_the_swarms_choice_beside_its_own_shares(rng):
+    truth, poses = moving_person(60), sensor_poses(rng, 3)
+    frames = seen(truth, poses, rng, noise=0.01)
+    fused = fuse_clip(frames, "fit", FusionSettings(diagnose=True))
+    assert fused.choice.shape == fused.shares.shape == (60, 15, 3)
+    assert fused.choice.sum(-1) == pytest.approx(np.ones((60, 15)))
+    assert fused.restarts[0] and fused.restarts[50] and fused.restarts.sum() == 2
+    assert fuse_clip(frames, "fit").choice is None
+
+
+def test_a_sensor_that_is_wrong_about_a_hand_carries_nothing_of_it(rng):
+    truth, poses = moving_person(60), sensor_poses(rng, 3)
+    frames = seen(truth, poses, rng, noise=0.005)
+    bad = []
+    for f in frames:
+        p = f.positions.copy()
+        p[2, jt.LEFT_HAND] += 0.4
+        bad.append(SensorJoints(p, f.state, f.times, f.joint_names, f.sensor_names))
+    for method in ("fit", "swarm"):
+        fused = fuse_clip(bad, method)
+        assert fused.shares[30:49, jt.LEFT_HAND, 2].mean() < 0.15, method
+        error = np.linalg.norm(common_positions(fused.motion) - in_reference(truth, poses), axis=-1)
+        assert error[30:49, jt.LEFT_HAND].mean() < 0.03, method
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_the_other_joints_of_larger_sets_are_passed_through(n, rng):
+    known = jt.joint_sets()[n]
+    truth, poses = moving_person(20), sensor_poses(rng, 2)
+    anchor = rng.integers(0, 15, len(known.joint_names))
+    full = truth[:, anchor] + 0.02
+    full[:, known.common] = truth
+    local = np.einsum("kij,tnj->tkni", poses[0], full) + poses[1][:, None]
+    frames = [
+        SensorJoints(p, np.full(p.shape[:2], 2), np.full(2, t / 30), known.joint_names, ("a", "b"))
+        for t, p in enumerate(local)
+    ]
+    fused = fuse_clip(frames)
+    names = fused.motion.skeleton.joint_names
+    assert sorted(names) == sorted(
+        {*jt.COMMON, *(known.joint_names[i] for i in range(len(names)) if i not in known.common)}
+    )
+    target = full @ poses[0][0].T + poses[1][0]
+    for i, name in enumerate(known.joint_names):
+        if i not in known.common:
+            assert np.abs(fused.motion.joints[5:, names.index(name)] - target[5:, i]).max() < 0.02
+
+
+def test_bad_input_is_refused_in_a_sentence(rng):
+    poses = sensor_poses(rng, 2)
+    frames = seen(moving_person(30), poses, rng, 0.005)
+    with pytest.raises(InputError, match="no frames to fuse"):
+        fuse_clip([])
+    with pytest.raises(InputError, match="no fusion method 'magic'; choose one of fit, swarm"):
+        fuse_clip(frames, "magic")
+    other = SensorJoints(frames[3].positions, frames[3].state, frames[3].times, jt.COMMON, ("s0", "spare"))
+    with pytest.raises(InputError, match="Frame 3 has the sensors s0, spare instead of s0, s1"):
+        fuse_clip([*frames[:3], other])
+    kinect = jt.joint_sets()[1].joint_names
+    wide = SensorJoints(np.zeros((2, 25, 3)), np.full((2, 25), 2), np.zeros(2), kinect, ("s0", "s1"))
+    with pytest.raises(
+        InputError, match=r"Frame 3 has 25 joints .* instead of 15; map sensors of different joint sets"
+    ):
+        fuse_clip([*frames[:3], wide])
+    with pytest.raises(InputError, match="A frame has 25 joints"):
+        step(start(frames[0]), wide)
+    nothing = [SensorJoints(np.full((2, 15, 3), np.nan), f.state, f.times, jt.COMMON, ("s0", "s1")) for f in frames]
+    with pytest.raises(InputError, match="No sensor reports any joint in the whole clip"):
+        fuse_clip(nothing)
+    with pytest.raises(InputError, match="'median' needs a whole clip"):
+        start(frames[0], FusionSettings(method="median"))
+    child = seen(moving_person(30, scale=0.6), poses, rng, 0.005)
+    mixed = [
+        SensorJoints(np.stack([a.positions[0], b.positions[1]]), a.state, a.times, jt.COMMON, a.sensor_names)
+        for a, b in zip(frames, child, strict=True)
+    ]
+    with pytest.raises(InputError, match="do not seem to see the same person"):
+        fuse_clip(mixed)
+
+
+@pytest.mark.parametrize("mark", [np.nan, -9999.0])
+@pytest.mark.parametrize("method", ["fit", "swarm", "published", "dbscan_kalman"])
+def test_missing_joints_and_frames_never_reach_the_result(method, mark, rng):
+    truth, poses = moving_person(40), sensor_poses(rng, 3)
+    frames = []
+    for t, f in enumerate(seen(truth, poses, rng, 0.005)):
+        p = f.positions.copy()
+        p[rng.random((3, 15)) < 0.25] = mark
+        p[1] = mark if 10 <= t < 20 else p[1]
+        p[:] = mark if 25 <= t < 28 else p
+        frames.append(SensorJoints(p, f.state, f.times, f.joint_names, f.sensor_names))
+    fused = fuse_clip(frames, method)
+    assert np.isfinite(fused.motion.joints).all()
+    assert np.abs(common_positions(fused.motion) - in_reference(truth, poses)).max() < 0.5
+    assert fused.motion.extrapolated.tolist() == [25 <= t < 28 for t in range(40)]

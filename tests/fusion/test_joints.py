@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+
+from hypose.errors import InputError
+from hypose.evidence.frame import SensorJoints
+from hypose.fusion import joints as jt
+from hypose.fusion.register import combine, common_joints
+
+
+@pytest.mark.parametrize("n", [0, 1, 2])
+def test_sets_name_every_common_joint_once_and_mirror_back(n):
+    s = jt.joint_sets()[n]
+    assert len(s.joint_names) == (15, 25, 32)[n]
+    assert len(set(s.common.tolist())) == 15
+    assert np.array_equal(s.mirror[s.mirror], np.arange(len(s.joint_names)))
+    assert (s.parent == -1).sum() == 1
+    for i, name in enumerate(s.joint_names):
+        side = [x for x in ("left", "right") if x in name.lower()]
+        assert (s.mirror[i] != i) == bool(side)
+    # mirroring the set mirrors the common joints
+    assert np.array_equal(s.mirror[s.common], s.common[jt.MIRROR])
+
+
+def test_names_may_come_in_any_order_and_spelling(rng):
+    azure = jt.joint_sets()[2]
+    order = rng.permutation(32)
+    names = [azure.joint_names[i].replace("_", " ").title() for i in order]
+    found = jt.joint_set(names)
+    assert found.name == "Azure Kinect"
+    assert [jt.plain_name(names[i]) for i in found.common] == [
+        jt.plain_name(azure.joint_names[i]) for i in azure.common
+    ]
+    for i, p in enumerate(found.parent):
+        original = azure.parent[order[i]]
+        assert (p == -1 and original == -1) or order[p] == original
+
+
+def test_an_unknown_set_is_named_with_what_it_lacks():
+    with pytest.raises(InputError, match=r"16 joints.*none of the known sets.*OpenNI"):
+        jt.joint_set([*jt.COMMON, "tail"])
+
+
+def test_leaves_and_core_prune_the_limbs_completely():
+    left = set(range(15))
+    bones = {tuple(sorted(b)) for b in jt.BONES.tolist()}
+    for j, parent, b in jt.LEAVES.tolist():
+        assert sorted(jt.BONES[b].tolist()) == sorted((j, parent))
+        neighbours = {a + c - j for a, c in bones if j in (a, c) and (a + c - j) in left}
+        assert neighbours == {parent}
+        left.remove(j)
+    assert sorted(left) == np.flatnonzero(jt.CORE >= 0).tolist()
+    assert sorted(jt.CORE[sorted(left)].tolist()) == list(range(len(left)))
+
+
+def frame_of(names, positions, sensor="a"):
+    return SensorJoints(positions[None], np.full((1, len(names)), 2), np.zeros(1), tuple(names), (sensor,))
+
+
+def test_sensors_of_different_sets_meet_on_the_common_joints(rng):
+    kinect, azure = jt.joint_sets()[1], jt.joint_sets()[2]
+    a, b = rng.normal(0, 1, (25, 3)), rng.normal(0, 1, (32, 3))
+    both = combine([frame_of(kinect.joint_names, a, "k"), frame_of(azure.joint_names, b, "z")])
+    assert both.joint_names == jt.COMMON and both.sensor_names == ("k", "z")
+    np.testing.assert_array_equal(both.positions, np.stack([a[kinect.common], b[azure.common]]))
+    assert common_joints(both) is both
+    with pytest.raises(InputError, match="Two sensors are called 'k'"):
+        combine([frame_of(kinect.joint_names, a, "k"), frame_of(azure.joint_names, b, "k")])
+
+
+def test_all_ways_to_say_missing_become_one():
+    p = np.ones((1, 15, 3))
+    p[0, 0], p[0, 1], p[0, 2, 1] = np.nan, -9999, -9999
+    state = np.full((1, 15), 2)
+    state[0, 3] = 0
+    f = SensorJoints(p, state, np.zeros(1), jt.COMMON, ("a",))
+    assert np.isnan(f.positions[0, :4]).all() and np.isfinite(f.positions[0, 4:]).all()
+    assert f.state[0, :5].tolist() == [0, 0, 0, 0, 2]
+    assert np.isfinite(p[0, 3]).all()  # the caller's array is left alone
+
+
+def test_millimetres_and_wrong_shapes_are_refused_in_a_sentence():
+    with pytest.raises(InputError, match=r"Sensor front, joint head: .* cannot be metres .* divide by 1000"):
+        SensorJoints(np.full((1, 15, 3), 1800.0), np.full((1, 15), 2), np.zeros(1), jt.COMMON, ("front",))
+    with pytest.raises(InputError, match="all sensors must name the same joints"):
+        SensorJoints(np.zeros((1, 25, 3)), np.full((1, 25), 2), np.zeros(1), jt.COMMON, ("front",))
+    with pytest.raises(InputError, match="state is 0, 1 or 2"):
+        SensorJoints(np.zeros((1, 15, 3)), np.full((1, 15), 7), np.zeros(1), jt.COMMON, ("front",))

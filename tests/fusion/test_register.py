@@ -1,0 +1,110 @@
+import numpy as np
+import pytest
+
+from hypose.errors import InputError
+from hypose.evidence.frame import SensorJoints
+from hypose.fusion import joints as jt
+from hypose.fusion.register import (
+    check_same_person,
+    depth_at_joints,
+    heading,
+    register,
+    register_per_frame,
+    upward,
+)
+from tests.fusion.people import in_reference, moving_person, seen, sensor_poses
+
+
+def stacked(frames):
+    return np.stack([f.positions for f in frames]), np.stack([f.state for f in frames])
+
+
+def test_a_window_registers_exactly_without_noise(rng):
+    truth, poses = moving_person(40), sensor_poses(rng, 4)
+    found = register(*stacked(seen(truth, poses, rng)))
+    world = found.apply(stacked(seen(truth, poses, rng))[0])
+    assert np.abs(world - in_reference(truth, poses)[:, None]).max() < 1e-9
+    assert found.registered.all() and found.residual.max() < 1e-9
+    assert np.linalg.det(found.common_from_sensor[:, :3, :3]) == pytest.approx(np.ones(4))
+
+
+def test_the_published_mode_registers_every_frame_and_jitters_more(rng):
+    truth, poses = moving_person(120), sensor_poses(rng, 2)
+    positions, state = stacked(seen(truth, poses, rng, noise=0.01))
+    per_frame, window = register_per_frame(positions), register(positions, state).apply(positions)
+
+    def jitter(x):
+        return np.linalg.norm(x[2:] - 2 * x[1:-1] + x[:-2], axis=-1).mean()
+
+    target = in_reference(truth, poses)
+    assert np.linalg.norm(window[:, 1] - target, axis=-1).mean() < 0.02
+    assert np.linalg.norm(per_frame[:, 1] - target, axis=-1).mean() < 0.08
+    assert jitter(per_frame[:, 1]) > 1.5 * jitter(window[:, 1])
+
+
+def test_a_third_of_wrong_joints_does_not_move_the_robust_registration(rng):
+    truth, poses = moving_person(60), sensor_poses(rng, 2)
+    positions, state = stacked(seen(truth, poses, rng, noise=0.005))
+    wrong = rng.random(positions.shape[:3]) < 0.3
+    wrong[:, 0] = False
+    positions = np.where(wrong[..., None], positions + rng.normal(0.3, 0.2, positions.shape), positions)
+    world = register(positions, state).apply(positions)
+    error = np.linalg.norm(world[:, 1] - in_reference(truth, poses), axis=-1)[~wrong[:, 1]]
+    assert np.median(error) < 0.015
+
+
+def test_a_sensor_that_shares_nothing_with_the_reference_is_tied_to_another_one(rng):
+    truth, poses = moving_person(90), sensor_poses(rng, 3)
+    positions, state = stacked(seen(truth, poses, rng))
+    positions[:45, 2], positions[45:, 0] = np.nan, np.nan
+    found = register(positions, state)
+    assert found.registered.all()
+    assert np.abs(found.apply(positions)[50:, 2] - in_reference(truth, poses)[50:]).max() < 1e-8
+
+
+def test_a_sensor_without_a_person_stays_out_and_its_joints_missing(rng):
+    positions, state = stacked(seen(moving_person(30), sensor_poses(rng, 3), rng))
+    positions[:, 1] = np.nan
+    found = register(positions, state)
+    assert found.registered.tolist() == [True, False, True]
+    assert np.isnan(found.apply(positions)[:, 1]).all()
+    with pytest.raises(InputError, match="There are 3 sensors, the reference cannot be number 5"):
+        register(positions, reference=5)
+
+
+def test_recordings_of_different_people_are_refused(rng):
+    poses = sensor_poses(rng, 2)
+    tall, child = moving_person(60), moving_person(60, scale=0.65)
+    both = stacked(seen(tall, poses, rng, 0.005))[0]
+    both[:, 1] = stacked(seen(child, poses, rng, 0.005))[0][:, 1]
+    with pytest.raises(InputError, match="'a' and 'b' do not seem to see the same person.*limbs differ by"):
+        check_same_person(both, register(both), ("a", "b"))
+    # the same body at another time
+    later = stacked(seen(tall, poses, rng, 0.005))[0]
+    later[:, 1] = later[::-1, 1]
+    later[:, 1, :, :] += np.linspace(0, 3, 60)[:, None, None]
+    with pytest.raises(InputError, match="joints stay .* cm apart after registration.*both clocks agree"):
+        check_same_person(later, register(later), ("a", "b"))
+    check_same_person(
+        stacked(seen(tall, poses, rng, 0.02))[0], register(stacked(seen(tall, poses, rng))[0]), ("a", "b")
+    )
+
+
+def test_depth_is_read_at_the_joints_pixels_and_nothing_outside_the_image():
+    k = np.array([[100.0, 0, 32], [0, 100, 24], [0, 0, 1]])
+    depth = np.zeros((1, 48, 64), dtype=np.float32)
+    depth[0, 24, 32], depth[0, 34, 42] = 2.0, 1.9
+    p = np.full((1, 15, 3), np.nan)
+    p[0, 0], p[0, 1], p[0, 2] = (0, 0, 2.0), (0.2, 0.2, 2.0), (5, 0, 2.0)
+    f = SensorJoints(p, np.full((1, 15), 2), np.zeros(1), jt.COMMON, ("a",), depth, k[None])
+    assert depth_at_joints(f)[0, :4] == pytest.approx([2.0, 1.9, 0, 0])
+
+
+def test_heading_follows_a_turn_and_up_is_up():
+    truth = moving_person(300)
+    expected = 0.6 * np.sin(0.7 * np.arange(300) / 30)
+    up = upward(truth)
+    assert up @ [0, 0, 1] > 0.99
+    found = heading(truth[:, None], up)
+    offset = np.median(found[5:] - expected[:-5])
+    assert np.abs(found[20:] - offset - expected[16:-4]).max() < 0.05

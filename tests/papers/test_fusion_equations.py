@@ -1,0 +1,280 @@
+"""Asteriadis et al. 2013, equation by equation, with the misprints and gaps found on the way."""
+
+import numpy as np
+import pytest
+
+from hypose.compute import cpu_fusion
+from hypose.fusion import joints as jt
+from hypose.fusion.confidence import (
+    PUBLISHED_CONFIDENCE,
+    ConfidenceSettings,
+    confidence_step,
+    depth_error,
+    inverse_fluidity,
+    normalised,
+    start_confidence,
+    unnatural,
+)
+from hypose.fusion.fuzzy import HIGH, LOW, MEDIUM, PUBLISHED_RULES, NoiseRules
+from hypose.fusion.register import triangle_transform
+from hypose.fusion.swarm import PUBLISHED, MergedWheel, SwarmFrame, SwarmSettings, energy, ride, start_swarm, swarm_step
+from hypose.geometry import so3_exp, transform
+from hypose.inference.hypotheses import Hypotheses
+from hypose.inference.selectors import roulette
+
+
+def random_rotation(rng):
+    return so3_exp(rng.normal(0, 2, 3))
+
+
+def test_equations_2_to_4_register_1000_random_triangles_exactly_and_never_reflect(rng):
+    worst, smallest = 0.0, 1.0
+    for _ in range(1000):
+        moving = rng.normal(0, 0.3, (3, 3))
+        r, t = random_rotation(rng), rng.normal(0, 2, 3)
+        reference = moving @ r.T + t
+        found = triangle_transform(reference, moving)
+        worst = max(worst, np.abs(transform(found, moving) - reference).max(), np.abs(found[:3, :3] - r).max())
+        smallest = min(smallest, np.linalg.det(found[:3, :3]))
+    assert worst < 1e-9
+    assert smallest > 0.999999
+
+
+def test_equation_3_as_printed_is_the_inverse_and_without_guard_a_reflection_half_of_the_time(rng):
+    reflected, inverse = 0, 0
+    for _ in range(400):
+        moving = rng.normal(0, 0.3, (3, 3))
+        r = random_rotation(rng)
+        reference = moving @ r.T
+        h = (reference - reference.mean(0)).T @ (moving - moving.mean(0))
+        u, _, vt = np.linalg.svd(h)
+        printed = vt.T @ u.T
+        reflected += np.linalg.det(printed) < 0
+        # with the guard the printed formula is the rotation from the reference to the moving skeleton
+        guarded = vt.T @ np.diag([1, 1, np.linalg.det(printed)]) @ u.T
+        inverse += np.abs(guarded - r.T).max() < 1e-9
+    assert 0.4 < reflected / 400 < 0.6
+    assert inverse == 400
+
+
+def test_equation_5_inverse_fluidity_of_a_stream_equals_its_definition(rng):
+    settings = ConfidenceSettings(window=5, use_d=False, use_a=False)
+    positions = np.cumsum(rng.normal(0, 0.02, (23, 2, 15, 3)), axis=0)
+    speeds = np.zeros((23, 2, 15))
+    speeds[1:] = np.linalg.norm(np.diff(positions, axis=0), axis=-1)
+    expected = inverse_fluidity(speeds, 5)
+    memory = start_confidence(2, settings)
+    for t in range(23):
+        memory, raw = confidence_step(memory, positions[t], np.full((2, 15), 2, np.uint8), None, settings)
+        np.testing.assert_allclose(raw[0], expected[t], atol=1e-12)
+
+
+def test_equation_5_a_steady_movement_is_fluid_and_a_jerky_one_is_not():
+    steady = np.full(60, 0.02)
+    jerky = np.where(np.arange(60) % 20 < 4, 0.1, 0.0)
+    assert steady.sum() == pytest.approx(jerky.sum())
+    assert inverse_fluidity(steady, 15)[-1] == pytest.approx(0, abs=1e-12)
+    assert inverse_fluidity(jerky, 15)[-1] > 0.03
+
+
+def test_depth_error_is_the_difference_along_z_and_a_hole_reads_as_the_whole_distance():
+    z, depth = np.full((2, 15), 2.5), np.full((2, 15), 2.4)
+    depth[1, 4] = 0.0
+    published, _ = depth_error(z, depth, np.zeros((2, 15)), PUBLISHED_CONFIDENCE)
+    assert published[0, 0] == pytest.approx(0.1)
+    assert published[1, 4] == pytest.approx(2.5)
+    held = np.full((2, 15), 0.07)
+    cured, _ = depth_error(z, depth, held, ConfidenceSettings(thickness=True, hold=True))
+    assert cured[1, 4] == pytest.approx(0.07)
+    assert cured[0, 4] == pytest.approx(abs(0.1 - 0.042))
+
+
+def test_equation_6_a_right_angle_is_natural_a_straight_limb_is_not_and_other_joints_have_no_angle():
+    p = np.zeros((15, 3))
+    p[jt.LEFT_SHOULDER], p[jt.LEFT_ELBOW], p[jt.LEFT_HAND] = (0, 0, 0.3), (0, 0, 0), (0.3, 0, 0)
+    p[jt.RIGHT_SHOULDER], p[jt.RIGHT_ELBOW], p[jt.RIGHT_HAND] = (1, 0, 0.3), (1, 0, 0), (1, 0, -0.3)
+    a = unnatural(p)
+    assert a[jt.LEFT_ELBOW] == pytest.approx(0, abs=1e-12)
+    assert a[jt.RIGHT_ELBOW] == pytest.approx(1 - np.exp(-0.5 * 9))
+    assert np.all(np.delete(a, [3, 6, 10, 13]) == 0)
+
+
+def test_section_2_4_inputs_are_divided_by_their_maximum_over_the_sensors():
+    raw = np.zeros((3, 2, 15))
+    raw[0, :, 4] = 0.02, 0.08
+    n = normalised(raw, PUBLISHED_CONFIDENCE)
+    assert n[0, :, 4].tolist() == [0.25, 1.0]
+    assert np.all(n[1:] == 0)
+    raw[1, :, 4] = 0.01, 0.02
+    assert normalised(raw, PUBLISHED_CONFIDENCE)[1, :, 4].tolist() == [0.5, 1.0]
+    floored = normalised(raw, ConfidenceSettings(floor_m=0.15))
+    assert floored[1, 1, 4] == pytest.approx(0.02 / 0.15)
+
+
+def test_rule_2_and_binds_tighter_than_or():
+    rules = NoiseRules(slope=200.0)
+    high, low = np.array(1.0), np.array(0.0)
+    assert rules.firing(high, low, high)[1] > 0.99  # F and A
+    assert rules.firing(low, high, low)[1] > 0.99  # D alone
+    assert rules.firing(high, low, low)[1] < 0.01  # (D or F) and A would be the same; F alone is nothing
+    assert rules.firing(low, high, low)[1] > rules.firing(low, high, low)[0]
+    # and not "(D or F) and A": D high with A low still fires
+    assert rules.firing(low, high, low)[1] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_the_five_rules_span_a_ratio_below_two_and_f_alone_says_nothing():
+    low, high = PUBLISHED_RULES.noise(0, 0, 0), PUBLISHED_RULES.noise(1, 1, 1)
+    assert 0.40 < low < 0.45
+    assert 0.70 < high < 0.76
+    assert high / low < 1.8
+    assert PUBLISHED_RULES.noise(1, 0, 0) == pytest.approx(0.5, abs=0.02)
+    assert PUBLISHED_RULES.membership(0.5, MEDIUM) == 1
+    assert PUBLISHED_RULES.membership(0.5 + 0.3, MEDIUM) == pytest.approx(np.exp(-0.5))
+    assert PUBLISHED_RULES.membership(0.25, LOW) == pytest.approx(0.5)
+    assert PUBLISHED_RULES.membership(0.75, HIGH) == pytest.approx(0.5)
+
+
+def swarm_frame(rng, settings, joints=3, sensors=2):
+    positions = rng.normal(0, 0.05, (sensors, joints, 3))
+    weights = rng.uniform(1, 3, (sensors, joints))
+    return SwarmFrame(positions, np.zeros_like(positions), weights, settings)
+
+
+def test_equation_7_energy_equals_its_definition_with_the_length_scale(rng):
+    settings = SwarmSettings(h_m=0.05)
+    frame = swarm_frame(rng, settings)
+    values = rng.normal(0, 0.05, (3, 40, 3))
+    h = Hypotheses.uniform(values, rng.integers(0, 2, (3, 40)))
+    expected = np.zeros((3, 40))
+    for j in range(3):
+        for n in range(40):
+            for k in range(2):
+                d = np.linalg.norm(frame.positions[k, j] - values[j, n])
+                expected[j, n] += frame.weights[k, j] * np.exp(-d / 0.05)
+    np.testing.assert_allclose(np.exp(energy(h, frame)), expected, rtol=1e-3)  # exp(-d / h) < 0.001 counts as 0
+
+
+def test_equation_7_without_a_length_scale_leaves_a_handful_of_candidates(rng):
+    # the printed e^{-|s - p|} in millimetres, in a ball of 100 mm
+    distance = 100 * np.cbrt(rng.random(20000))
+    weights = np.exp(-distance)
+    ess = weights.sum() ** 2 / (weights**2).sum()
+    assert ess < 30
+    wide = np.exp(-distance / 50)
+    assert wide.sum() ** 2 / (wide**2).sum() > 10000
+
+
+def test_equation_8_probabilities_are_energies_over_their_sum(rng):
+    settings = SwarmSettings(h_m=0.05)
+    frame = swarm_frame(rng, settings)
+    h = Hypotheses.uniform(rng.normal(0, 0.05, (3, 40, 3)), rng.integers(0, 2, (3, 40)))
+    e = np.exp(energy(h, frame))
+    p = h.reweighted(energy(h, frame)).weights
+    np.testing.assert_allclose(p, e / e.sum(1, keepdims=True), rtol=1e-9)
+
+
+@pytest.mark.parametrize("candidates", [40, 200])
+def test_the_merged_wheel_draws_like_n_independent_spins(rng, candidates):
+    shares = rng.random((1, candidates)) ** 3
+    shares[0, :5] = 0
+    with np.errstate(divide="ignore"):
+        log_shares = np.log(shares)
+    h = Hypotheses(np.arange(candidates * 3.0).reshape(1, candidates, 3), log_shares, np.zeros((1, candidates)))
+    wheel, total = MergedWheel(300), np.zeros(candidates)
+    squares = np.zeros(candidates)
+    for _ in range(400):
+        drawn = wheel(h, rng)
+        copies = np.zeros(candidates)
+        used = drawn.label[0] >= 0
+        copies[(drawn.values[0, used, 0] / 3).round().astype(int)] = np.exp(drawn.log_weights[0, used]) * 300
+        assert copies.sum() == pytest.approx(300)
+        total += copies
+        squares += copies**2
+    p = shares[0] / shares.sum()
+    mean, variance = total / 400, squares / 400 - (total / 400) ** 2
+    error = np.sqrt(300 * p * (1 - p) / 400)
+    assert np.abs(mean - 300 * p)[p > 0].max() < 4.5 * error.max()
+    assert np.all(mean[p == 0] == 0)
+    # multinomial, not systematic: the counts scatter as independent spins do
+    assert variance.sum() == pytest.approx((300 * p * (1 - p)).sum(), rel=0.15)
+    # and the spine's own wheel has the same mean
+    plain = roulette(h, rng)
+    assert plain.values.shape == h.values.shape
+
+
+def test_universal_sampling_gives_each_candidate_its_share_up_to_one(rng):
+    shares = rng.random((4, 50))
+    counts = np.empty((4, 50), dtype=np.int64)
+    cpu_fusion.universal_counts(shares, rng.random(4), 1000, counts)
+    expected = 1000 * shares / shares.sum(1, keepdims=True)
+    assert np.all(counts.sum(1) == 1000)
+    assert np.abs(counts - expected).max() < 1.0
+
+
+def test_section_2_2_candidates_start_in_balls_of_100_mm_and_ride_with_their_sensor(rng):
+    positions = rng.normal(0, 1, (3, 15, 3))
+    state, noise = start_swarm(3), np.full((3, 15), 0.5)
+    state, first = swarm_step(state, positions, noise, 0.0, PUBLISHED, 5)
+    assert first.restarted
+    h = state.candidates
+    joint = np.arange(15)[:, None]
+    used = h.label >= 0
+    away = np.linalg.norm(h.values - positions[np.maximum(h.label, 0), joint], axis=-1)[used]
+    assert away.max() <= 0.1 + 1e-6
+    assert away.max() > 0.09
+    shift = rng.normal(0, 0.1, (3, 15, 3))
+    frame = SwarmFrame(positions + shift, shift, np.ones((3, 15)), PUBLISHED)
+    moved = ride(h, frame, rng)
+    np.testing.assert_allclose((moved.values - h.values)[used], shift[np.maximum(h.label, 0), joint][used], atol=1e-12)
+
+
+def test_section_2_2_the_ball_is_filled_uniformly(rng):
+    positions = np.zeros((1, 15, 3))
+    state, _ = swarm_step(start_swarm(1), positions, np.full((1, 15), 0.5), 0.0, SwarmSettings(h_m=1e6), 3)
+    h = state.candidates
+    r = np.linalg.norm(h.values[h.label >= 0], axis=-1) / 0.1
+    # with an endless h all energies are equal: what is left is uniform, so r^3 is uniform in [0, 1]
+    assert np.mean(r**3) == pytest.approx(0.5, abs=0.01)
+    assert np.mean(h.values[h.label >= 0], axis=0) == pytest.approx(np.zeros(3), abs=0.002)
+
+
+def test_section_2_6_restarts_every_t_frames_or_after_a_turn():
+    positions, noise = np.zeros((2, 15, 3)), np.full((2, 15), 0.5)
+    settings = SwarmSettings(count=100, restart_every=10, restart_turn=np.pi / 3)
+    state, restarts = start_swarm(2), []
+    for t in range(40):
+        heading = 0.0 if t < 25 else 1.2
+        state, found = swarm_step(state, positions, noise, heading, settings, 1)
+        restarts.append(found.restarted)
+    assert np.flatnonzero(restarts).tolist() == [0, 10, 20, 25, 35]
+
+
+def test_roulette_alone_leaves_a_handful_of_distinct_candidates(rng):
+    positions, noise = rng.normal(0, 0.02, (3, 15, 3)), np.full((3, 15), 0.5)
+    state = start_swarm(3)
+    for _ in range(100):
+        state, found = swarm_step(state, positions, noise, 0.0, SwarmSettings(restart_every=0), 1)
+    assert np.median(found.distinct) <= 10
+    state = start_swarm(3)
+    for _ in range(40):
+        state, kept = swarm_step(state, positions, noise, 0.0, SwarmSettings(restart_every=0, immigrants=7), 1)
+    assert kept.distinct.min() > 10
+
+
+def test_a_sensor_that_blinks_loses_its_candidates_and_immigrants_bring_it_back(rng):
+    # two sensors that disagree by a metre: the one that is better must be chosen again after one missing frame
+    positions = np.zeros((2, 15, 3))
+    positions[1, :, 0] = 1.0
+    noise = np.stack([np.full(15, 0.8), np.full(15, 0.4)])
+    outcome = {}
+    for immigrants in (0, 7):
+        settings = SwarmSettings(restart_every=0, immigrants=immigrants, power=2.0)
+        state = start_swarm(2)
+        for t in range(60):
+            now = positions.copy()
+            if t == 2:
+                now[1] = np.nan
+            state, found = swarm_step(state, now, noise, 0.0, settings, 2)
+        outcome[immigrants] = found.shares[:, 1].mean()
+    assert outcome[0] < 0.05
+    assert outcome[7] > 0.9
