@@ -43,32 +43,40 @@ f4 = np.float32
 
 
 @njit(**OPTIONS)
-def turn_lanes(frame, x, y, z, scratch, out):
-    """out = frame @ exp of the rotation vectors (x, y, z), in every lane: (9, LANES), (LANES,)."""
-    e = scratch
+def turn_lanes(frame, axis, e, out):
+    """out = frame @ exp of the rotation vectors axis (3, LANES), in every lane; frame, out, scratch e: (9, LANES)."""
     for k in range(LANES):
-        t2 = x[k] * x[k] + y[k] * y[k] + z[k] * z[k]
+        x, y, z = axis[0, k], axis[1, k], axis[2, k]
+        t2 = x * x + y * y + z * z
         t = math.sqrt(t2)
         if t < 1e-3:  # as in cpu_kinematics.so3_exp_and_jacobian
             a, b = 1 - t2 / 6 + t2 * t2 / 120, 0.5 - t2 / 24 + t2 * t2 / 720
         else:
             h = math.sin(0.5 * t)
             a, b = 2 * h * math.cos(0.5 * t) / t, 2 * h * h / t2
-        e[0, k] = 1 + b * (x[k] * x[k] - t2)
-        e[1, k] = b * x[k] * y[k] - a * z[k]
-        e[2, k] = b * x[k] * z[k] + a * y[k]
-        e[3, k] = b * x[k] * y[k] + a * z[k]
-        e[4, k] = 1 + b * (y[k] * y[k] - t2)
-        e[5, k] = b * y[k] * z[k] - a * x[k]
-        e[6, k] = b * x[k] * z[k] - a * y[k]
-        e[7, k] = b * y[k] * z[k] + a * x[k]
-        e[8, k] = 1 + b * (z[k] * z[k] - t2)
+        e[0, k] = 1 + b * (x * x - t2)
+        e[1, k] = b * x * y - a * z
+        e[2, k] = b * x * z + a * y
+        e[3, k] = b * x * y + a * z
+        e[4, k] = 1 + b * (y * y - t2)
+        e[5, k] = b * y * z - a * x
+        e[6, k] = b * x * z - a * y
+        e[7, k] = b * y * z + a * x
+        e[8, k] = 1 + b * (z * z - t2)
     for i in range(3):
         for j in range(3):
             for k in range(LANES):
                 out[3 * i + j, k] = (
                     frame[3 * i, k] * e[j, k] + frame[3 * i + 1, k] * e[3 + j, k] + frame[3 * i + 2, k] * e[6 + j, k]
                 )
+
+
+@njit(**OPTIONS)
+def copy_lanes(a, out):
+    """out = a, (9, LANES): a loop compiles much faster than a slice."""
+    for i in range(9):
+        for k in range(LANES):
+            out[i, k] = a[i, k]
 
 
 @njit(**OPTIONS)
@@ -94,7 +102,7 @@ def bone_maps(poses, first, tree, frames, centres, axis, scratch, maps):
             for i in range(3):
                 for k in range(LANES):
                     centres[j, i, k] = centres[a, i, k] + r[3 * i, k] * dx + r[3 * i + 1, k] * dy + r[3 * i + 2, k] * dz
-            own[:] = r
+            copy_lanes(r, own)
         turns = 0
         if tree.kind[j] == BALL:
             turns = 1
@@ -102,21 +110,25 @@ def bone_maps(poses, first, tree, frames, centres, axis, scratch, maps):
             turns = tree.dof_count[j]
         for n in range(turns):
             d = tree.dof_start[j] + n
-            for k in range(LANES):
-                p = min(first + k, last)
-                if tree.kind[j] == BALL:
-                    axis[0, k], axis[1, k], axis[2, k] = poses[p, d], poses[p, d + 1], poses[p, d + 2]
+            ball = tree.kind[j] == BALL
+            for i in range(3):
+                if ball:
+                    column, factor = d + i, 1.0
                 else:
-                    q = poses[p, d]
-                    axis[0, k], axis[1, k], axis[2, k] = q * tree.axes[d, 0], q * tree.axes[d, 1], q * tree.axes[d, 2]
-            turn_lanes(own, axis[0], axis[1], axis[2], scratch, spare)
-            own[:] = spare
+                    column, factor = d, tree.axes[d, i]
+                for k in range(LANES):
+                    axis[i, k] = factor * poses[min(first + k, last), column]
+            turn_lanes(own, axis, scratch, spare)
+            copy_lanes(spare, own)
         x, y, z = tree.joints[j, 0], tree.joints[j, 1], tree.joints[j, 2]
         for i in range(3):
             for k in range(LANES):
-                r0, r1, r2 = own[3 * i, k], own[3 * i + 1, k], own[3 * i + 2, k]
-                maps[j, 4 * i, k], maps[j, 4 * i + 1, k], maps[j, 4 * i + 2, k] = r0, r1, r2
-                maps[j, 4 * i + 3, k] = centres[j, i, k] - r0 * x - r1 * y - r2 * z
+                maps[j, 4 * i, k] = own[3 * i, k]
+                maps[j, 4 * i + 1, k] = own[3 * i + 1, k]
+                maps[j, 4 * i + 2, k] = own[3 * i + 2, k]
+                maps[j, 4 * i + 3, k] = (
+                    centres[j, i, k] - own[3 * i, k] * x - own[3 * i + 1, k] * y - own[3 * i + 2, k] * z
+                )
 
 
 @njit(**OPTIONS)
