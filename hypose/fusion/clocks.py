@@ -39,6 +39,7 @@ class SensorClock:
         self._settings = settings or ClockSettings()
         self._smallest: deque[tuple[float, float]] = deque()
         self._suspects: list[float] = []
+        self._suspect_time = math.nan
         self.jumps = 0
 
     @property
@@ -50,6 +51,10 @@ class SensorClock:
         """Host time of a message, never after its arrival; None while its time is not believed."""
         s, difference = self._settings, arrival - sensor_time
         if self._smallest and abs(difference - self.offset) > s.jump:
+            # the persons of one frame are one witness: a backlog of late frames must not pass for a jump
+            if sensor_time == self._suspect_time and self._suspects:
+                return None
+            self._suspect_time = sensor_time
             self._suspects.append(difference)
             agreeing = len(self._suspects) >= s.confirm and self._alike()
             if not agreeing and len(self._suspects) < s.give_in:

@@ -202,17 +202,20 @@ def lines_at(t, sensors=range(3), people=1, clock=0.0, token=""):
             yield format_line(line).encode()
 
 
-async def feed(port, seconds, alive=lambda k, t: True, clock=lambda k, t: 0.0, start=0.0, **kwargs):
+async def feed(port, seconds, alive=lambda k, t: True, clock=lambda k, t: 0.0, start=0.0, people=1, token=""):
+    """Three sensors at 30 Hz. The movement is made beforehand, the stamps are honest however busy the machine is."""
     loop = asyncio.get_running_loop()
+    bodies = [[json.loads(x) for x in lines_at(start + n / 30, people=people)] for n in range(int(seconds * 30))]
+    texts = [[(int(b["sensor"][1]), b["person"], json.dumps(b["joints"])) for b in frame] for frame in bodies]
     begin = loop.time()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
-        for n in range(int(seconds * 30)):
+        for n, frame in enumerate(texts):
             await asyncio.sleep(max(0, begin + n / 30 - loop.time()))
-            t = start + loop.time() - begin  # honest stamps, however busy the machine is
-            for k in range(3):
+            t = start + loop.time() - begin
+            for k, person, joints in frame:
                 if alive(k, t):
-                    for line in lines_at(t, (k,), clock=clock(k, t), **kwargs):
-                        s.sendto(line, ("127.0.0.1", port))
+                    head = f'{{"sensor":"s{k}","time":{t + clock(k, t) + 100 * k},"person":{person},"token":"{token}"'
+                    s.sendto(f'{head},"joints":{joints}}}'.encode(), ("127.0.0.1", port))
 
 
 # a machine that is busy with other things makes frames late, but not lost

@@ -72,6 +72,16 @@ def test_one_wrong_stamp_is_no_jump():
     assert [n for n, u in enumerate(used) if u is None] == [20]
 
 
+def test_a_backlog_of_late_frames_is_no_jump():
+    clock = SensorClock()
+    for n in range(60):
+        t = n / 30
+        for _ in range(6):  # six persons in every frame; half a second in which nothing was read
+            clock.update(t, 1.5 if 1.0 <= t < 1.5 else t)
+    assert clock.jumps == 0
+    assert clock.offset == pytest.approx(0)
+
+
 def test_clocks_of_recordings_are_brought_together_by_the_movement(rng):
     t = np.arange(600) / 30
     here = np.stack([walker(x) for x in t]) + 0.005 * rng.normal(size=(600, 15, 3))
