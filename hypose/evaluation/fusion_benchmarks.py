@@ -384,9 +384,8 @@ def _measure_pair(
     world = registration.apply(positions)
     add("agreement_mm", name, agreement(world))
     add("agreement_mm", f"{name}/causal", agreement(_causal_world(frames)))
-    add("agreement_mm", f"{name}/per_frame", agreement(register_per_frame(positions)))
-    add("agreement_mm", f"{name}/raw", agreement(positions))
-    fused = {m: fuse_clip(frames, m, FusionSettings(check=False)) for m in ("fit", "swarm", "weighted_mean")}
+    methods = ("fit", "weighted_mean") if suffix else ("fit", "swarm", "weighted_mean")
+    fused = {m: fuse_clip(frames, m, FusionSettings(check=False), registration) for m in methods}
     for method, result in fused.items():
         label = "mean" if method == "weighted_mean" else method
         joints = common_positions(result.motion)
@@ -394,6 +393,10 @@ def _measure_pair(
             add(metric, f"{label}/{name}", value)
             if not suffix:
                 add(metric, label, value)
+    if suffix:
+        return
+    add("agreement_mm", f"{name}/per_frame", agreement(register_per_frame(positions)))
+    add("agreement_mm", f"{name}/raw", agreement(positions))
     # leave one out: what the other sensor alone says, seen from here
     for left, kept in ((0, 1), (1, 0)):
         alone = np.where(np.arange(2)[:, None, None] == kept, world, np.nan)
