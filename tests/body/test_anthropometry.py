@@ -1,0 +1,177 @@
+"""Entities, their prior and sizes measured on meshes, against shapes whose sizes are known on paper."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from hypose.body.anthropometry import (
+    ENTITIES,
+    ENTITY_NAMES,
+    TABLE_2_1,
+    body_of,
+    cross_section,
+    dressed,
+    entity,
+    girth_at,
+    length_rows,
+    log_prior_2_1,
+    prior_covariance,
+    prior_mean,
+    shape_of,
+    sizes_2_1,
+    sizes_of,
+)
+from hypose.body.models import human
+from hypose.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def body():
+    return human()
+
+
+def one(name, value):
+    x = np.zeros(len(ENTITIES))
+    x[entity(name)] = value
+    return x
+
+
+def test_girth_of_a_cylinder():
+    mesh = trimesh.creation.cylinder(radius=0.1, height=1.0, sections=128)
+    found = girth_at(mesh.vertices, mesh.faces, np.zeros(3), np.array([0.0, 0, 1]))
+    assert found == pytest.approx(2 * np.pi * 0.1, rel=1e-3)
+    tilted = girth_at(mesh.vertices, mesh.faces, np.zeros(3), np.array([0.0, np.sin(0.5), np.cos(0.5)]))
+    a, b = 0.1 / np.cos(0.5), 0.1  # an ellipse; Ramanujan's formula
+    h = ((a - b) / (a + b)) ** 2
+    assert tilted == pytest.approx(np.pi * (a + b) * (1 + 3 * h / (10 + np.sqrt(4 - 3 * h))), rel=2e-3)
+
+
+def test_section_takes_the_loop_around_the_bone():
+    near = trimesh.creation.cylinder(radius=0.05, height=1.0, sections=64)
+    far = trimesh.creation.cylinder(radius=0.2, height=1.0, sections=64)
+    far.apply_translation([0.6, 0, 0])
+    both = trimesh.util.concatenate([near, far])
+    loops = cross_section(both.vertices, both.faces, np.zeros(3), np.array([0.0, 0, 1]))
+    assert len(loops) == 2
+    z = np.array([0.0, 0, 1])
+    assert girth_at(both.vertices, both.faces, np.zeros(3), z) == pytest.approx(0.1 * np.pi, rel=5e-3)
+    assert girth_at(both.vertices, both.faces, np.array([0.6, 0, 0]), z) == pytest.approx(0.4 * np.pi, rel=5e-3)
+
+
+def test_girth_of_a_tape_spans_hollows():
+    # a four-pointed star: the tape runs from point to point, a square of diagonal 0.2
+    angle = np.arange(8) * np.pi / 4
+    ring = np.where(np.arange(8) % 2, 0.03, 0.1)[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
+    vertices = np.concatenate([np.column_stack([ring, np.full(8, z)]) for z in (0.0, 1.0)] + [np.diag([0, 0, 1])[1:]])
+    k, n = np.arange(8), (np.arange(8) + 1) % 8
+    corners = [(k, n, n + 8), (k, n + 8, k + 8), (n, k, 0 * k + 16), (k + 8, n + 8, 0 * k + 17)]
+    faces = np.concatenate([np.column_stack(c) for c in corners])
+    found = girth_at(vertices, faces, np.array([0, 0, 0.5]), np.array([0.0, 0, 1]))
+    assert found == pytest.approx(4 * 0.1 * np.sqrt(2), rel=1e-6)
+
+
+def test_missed_plane_is_named(body):
+    with pytest.raises(InputError, match="thigh"):
+        girth_at(body.fine.vertices, body.fine.faces, np.array([0, 0, 9.0]), np.array([0.0, 0, 1]), "thigh")
+
+
+def test_every_entity_moves_its_own_size_by_its_factor(body):
+    base = sizes_of(body)
+    lengths = {
+        "torso length": "torso",
+        "upper arm length": "upper arm",
+        "forearm length": "forearm",
+        "thigh length": "thigh",
+        "shank length": "shank",
+        "shoulder width": "shoulder width",
+        "hip width": "hip width",
+    }
+    for name, segment in lengths.items():
+        changed = sizes_of(body_of(body, one(name, 0.1))).lengths
+        for other, value in changed.items():
+            wanted = base.lengths[other] * (np.exp(0.1) if other == segment else 1.0)
+            # the torso's bones are not quite upright; its depth stays
+            assert value == pytest.approx(wanted, rel=4e-3), (name, other)
+    for name, site in {"thigh girth": "thigh", "shank girth": "shank", "upper arm girth": "upper arm"}.items():
+        changed = sizes_of(body_of(body, one(name, 0.1))).girths
+        assert changed[site] == pytest.approx(base.girths[site] * np.exp(0.1), rel=0.01)
+        assert changed["waist"] == pytest.approx(base.girths["waist"], rel=5e-3)
+    wide = sizes_of(body_of(body, one("waist width", 0.1))).girths["waist"]
+    deep = sizes_of(body_of(body, one("waist depth", 0.1))).girths["waist"]
+    assert base.girths["waist"] * 1.02 < deep < wide < base.girths["waist"] * 1.1
+
+
+def test_scale_scales_every_size(body):
+    base, big = sizes_of(body).in_cm, sizes_of(body_of(body, one("scale", 0.05))).in_cm
+    for name, value in base.items():
+        assert big[name] == pytest.approx(value * np.exp(0.05), rel=1e-6), name
+
+
+def test_shape_of_nothing_is_the_body(body):
+    same = body_of(body, np.zeros(len(ENTITIES)))
+    np.testing.assert_allclose(same.fine.vertices, body.fine.vertices, atol=1e-12)
+    with pytest.raises(InputError, match=str(len(ENTITIES))):
+        shape_of(np.zeros(3))
+    with pytest.raises(InputError, match="waist width"):
+        entity("belly")
+
+
+def test_deformed_mesh_stays_closed_and_outside_in(body, rng):
+    root = np.linalg.cholesky(prior_covariance())
+    for _ in range(3):
+        changed = body_of(body, prior_mean() + root @ rng.standard_normal(len(ENTITIES)))
+        assert changed.coarse.edges.shape == body.coarse.edges.shape
+        assert 0.4 < changed.coarse.volume / body.coarse.volume < 2.5
+
+
+def test_clothes_lie_where_clothes_are(body):
+    thick = dressed(body.fine, 0.01)
+    moved = np.linalg.norm(thick.vertices - body.fine.vertices, axis=1)
+    names = np.array(body.skeleton.joint_names)[body.fine.main_joint]
+    assert moved[(names == "chest") | (names == "left_knee")].min() > 0.005
+    assert moved[names == "left_wrist"].mean() < 0.002
+    assert np.ptp(thick.vertices[:, 2]) == pytest.approx(body.stature, abs=0.005)
+    base, over = sizes_of(body).girths, sizes_of(body_of(body, one("clothing", 0.1))).girths
+    assert over["waist"] - base["waist"] == pytest.approx(2 * np.pi * 0.01, rel=0.15)
+    bare = sizes_of(body_of(body, one("clothing", 0.1), clothed=False)).girths
+    assert bare == pytest.approx(base, rel=1e-6)
+
+
+def test_prior_is_a_distribution_with_the_sds_it_names():
+    covariance = prior_covariance()
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), [e.sd for e in ENTITIES])
+    assert np.linalg.eigvalsh(covariance).min() > 0
+    # girths go together, lengths do not
+    assert covariance[entity("waist width"), entity("thigh girth")] > 0
+    assert covariance[entity("thigh length"), entity("waist width")] == 0
+    assert len(set(ENTITY_NAMES)) == len(ENTITY_NAMES)
+
+
+def test_length_rows_are_log_derivatives(body):
+    rows, _, sd = length_rows(body)
+    base = sizes_of(body).lengths
+
+    def logs(lengths):
+        return np.log(
+            [
+                lengths["upper arm"] + lengths["forearm"],
+                lengths["thigh"] + lengths["shank"],
+                lengths["torso"] + lengths["thigh"] + lengths["shank"],
+            ]
+        )
+
+    for name in ("upper arm length", "forearm length", "thigh length", "shank length", "torso length"):
+        change = (logs(sizes_of(body_of(body, one(name, 1e-3))).lengths) - logs(base)) / 1e-3
+        np.testing.assert_allclose(rows[:, entity(name)], change, atol=0.02)
+    assert (sd > 0).all()
+
+
+def test_equation_2_13(body):
+    at_mean = [(n, m) for n, (m, _) in TABLE_2_1.items()]
+    assert log_prior_2_1(at_mean) == 0
+    one_sd_off = [(n, m + (np.sqrt(v) if n == "legs" else 0)) for n, (m, v) in TABLE_2_1.items()]
+    assert log_prior_2_1(one_sd_off) == pytest.approx(-0.5)
+    # the template is an ordinary person of the table
+    found = sizes_2_1(body)
+    for name, (mean, variance) in TABLE_2_1.items():
+        assert abs(found[name] - mean) < 2.5 * np.sqrt(variance), name

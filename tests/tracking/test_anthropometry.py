@@ -1,0 +1,223 @@
+"""Shape from silhouettes: known shapes are found again, rows have the derivatives they claim, filters keep to the
+prior of Table 2.1."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.body.anthropometry import ENTITIES, body_of, entity, prior_mean, sizes_2_1
+from hypose.errors import EvidenceError, InputError
+from hypose.inference.hypotheses import Hypotheses
+from hypose.pipeline.anthropometry import AnthropometryOptions, different_poses, estimate_subject
+from hypose.tracking.anthropometry import (
+    BETAS,
+    TABLE_2_2,
+    K,
+    ShapeXor,
+    SizePrior,
+    anthropometry_recipe,
+    powell_start,
+    shape_energy,
+)
+from hypose.tracking.evidence import prepare
+from hypose.tracking.shape_refinement import Known, ShapeOptions, outline_rows, refine_shape
+
+
+def shape(**factors):
+    x = np.zeros(len(ENTITIES))
+    for name, value in factors.items():
+        x[entity(name.replace("_", " "))] = value
+    return x
+
+
+@pytest.fixture(scope="module")
+def moving(body, standing):
+    """Four different poses of a person who bends elbows and knees."""
+    poses = np.repeat(standing[None], 4, 0)
+    d = body.skeleton.dofs_of
+    for k, (bend, lift) in enumerate(((0.0, 0.0), (0.8, 0.9), (0.4, 1.3), (1.0, 0.5))):
+        poses[k, d("left_elbow")] += bend
+        poses[k, d("right_elbow")] += 0.9 * (1 - bend)
+        poses[k, d("left_shoulder")[1]] -= lift
+        poses[k, d("right_shoulder")[1]] += 1.2 - lift
+        poses[k, d("left_knee")] += 0.7 * bend
+        poses[k, d("left_hip")[0]] -= 0.6 * bend
+        poses[k, d("right_knee")] += 0.6 * (1 - bend)
+        poses[k, 5] += 0.8 * k
+    return body.skeleton.clamp(poses)
+
+
+def test_shape_of_another_body_is_found_from_motion(body, moving, frame_of, rng):
+    true = shape(
+        scale=0.04, thigh_length=-0.06, shank_length=0.05, forearm_length=0.06, waist_width=0.15, thigh_girth=0.12
+    )
+    person = body_of(body, true)
+    frames = [frame_of(person, q, k) for k, q in enumerate(moving)]
+    starts = moving.copy()
+    starts[:, 6:] += rng.normal(0, 0.04, starts[:, 6:].shape)
+    starts[:, :3] += rng.normal(0, 0.01, (len(starts), 3))
+    starts = body.skeleton.clamp(starts)
+    contours = [prepare(f, body, q).contours for f, q in zip(frames, starts, strict=True)]
+    fit = refine_shape(body, starts, contours, known=Known(height=person.stature))
+    want, got = person.segment_lengths(), fit.body.segment_lengths()
+    for name in ("upper_arm", "forearm", "thigh", "shank"):
+        assert got[f"left_{name}"] == pytest.approx(want[f"left_{name}"], abs=0.015), name
+    assert fit.cost < 0.5 * fit.cost_before
+    assert fit.log_factors[entity("waist width")] == pytest.approx(0.15, abs=0.07)
+    error = np.linalg.norm(fit.body.joints(fit.poses) - person.joints(moving), axis=-1).mean()
+    before = np.linalg.norm(body.joints(starts) - person.joints(moving), axis=-1).mean()
+    assert error < 0.4 * before
+    assert np.linalg.eigvalsh(fit.covariance).min() > 0
+    # evidence can only take uncertainty away
+    assert fit.covariance[entity("thigh length"), entity("thigh length")] < ENTITIES[entity("thigh length")].sd ** 2
+
+
+def test_fit_is_the_same_twice(body, moving, frame_of):
+    contours = [prepare(frame_of(body, q, k), body, q).contours for k, q in enumerate(moving[:2])]
+    quick = ShapeOptions(iterations=(1, 1, 1))
+    a = refine_shape(body, moving[:2], contours, options=quick)
+    b = refine_shape(body, moving[:2], contours, options=quick)
+    np.testing.assert_array_equal(a.log_factors, b.log_factors)
+    np.testing.assert_array_equal(a.poses, b.poses)
+
+
+def test_height_and_mass_are_kept(body, moving, frame_of):
+    quick = ShapeOptions(iterations=(2, 3), coarse=(2.0, 1.0))
+    contours = [prepare(frame_of(body, moving[0]), body, moving[0]).contours]
+    taller = refine_shape(body, moving[:1], contours, known=Known(height=body.stature + 0.02), options=quick)
+    free = refine_shape(body, moving[:1], contours, options=quick)
+    assert taller.body.stature > free.body.stature + 0.002
+    heavy = refine_shape(body, moving[:1], contours, known=Known(mass=100.0), options=quick)
+    assert heavy.body.coarse.volume > free.body.coarse.volume
+
+
+def test_no_frame_is_refused(body):
+    with pytest.raises(EvidenceError, match="at least one frame"):
+        refine_shape(body, np.zeros((0, body.skeleton.dof)), [])
+
+
+def test_rows_vanish_on_the_truth_and_point_outwards(body, standing, frame_of):
+    contours = prepare(frame_of(body, standing), body, standing).contours
+    vertices = body.skin(standing)
+    a, b, t, r, g, w = outline_rows(body.coarse, vertices, contours, 0, 4.0, 0.5)
+    assert len(r) > 100 and np.abs(r).mean() < 0.5 and (w > 0).all() and ((t >= 0) & (t <= 1)).all()
+    # a fatter body has its outline outside the mask: positive residuals, both ways
+    fat = body_of(body, shape(clothing=0.3))
+    r = outline_rows(fat.coarse, fat.skin(standing), contours, 0, 4.0, 0.5)[3]
+    assert np.mean(r) > 0.3
+    # the gradient is that of the residual: moving the body along it changes the forward rows as told
+    shift = np.array([0.002, -0.001, 0.0015])
+    moved = outline_rows(body.coarse, vertices + shift, contours, 0, 4.0, 0.5)
+    first = outline_rows(body.coarse, vertices, contours, 0, 4.0, 0.5)
+    forward = min(len(first[0]), len(moved[0])) // 3
+    same = (first[0][:forward] == moved[0][:forward]) & (first[2][:forward] == moved[2][:forward])
+    told = (first[4][:forward] @ shift)[same]
+    assert np.corrcoef(told, (moved[3][:forward] - first[3][:forward])[same])[0, 1] > 0.9
+
+
+def test_different_poses_are_chosen(body, standing):
+    poses = np.repeat(standing[None], 9, 0)
+    poses[4, body.skeleton.dofs_of("left_elbow")] += 1.2
+    poses[7, body.skeleton.dofs_of("right_hip")[0]] -= 0.8
+    chosen = different_poses(body, poses, np.full(9, 0.9), 3)
+    assert {4, 7} <= set(chosen) and len(chosen) == 3
+    bad = np.full(9, 0.9)
+    bad[4] = 0.3  # badly explained: not used
+    assert 4 not in different_poses(body, poses, bad, 3)
+
+
+def test_subject_from_the_hull_alone(body, standing, frame_of):
+    person = body_of(body, shape(scale=0.05, thigh_girth=0.1, clothing=0.1))
+    frames = [frame_of(person, standing, k) for k in range(3)]
+    options = AnthropometryOptions(frames=2, rate=25.0, poses=("standing",), shape=ShapeOptions(iterations=(2, 2, 3)))
+    found = estimate_subject(lambda i: frames[i], 3, 25.0, body, options)
+    assert found.body.stature == pytest.approx(person.stature, abs=0.03)
+    assert np.nanmin(found.iou) > 0.88 and np.nanmean(found.iou) > np.nanmean(found.iou_before)
+    assert np.abs(found.body.joints(found.start) - person.joints(standing)).max() < 0.12
+    assert found.sizes.girths["waist"] < found.clothed_sizes.girths["waist"]
+
+
+def test_a_single_view_is_refused(body, standing, frame_of):
+    frame = frame_of(body, standing, 0, dead=(1, 2, 3))
+    with pytest.raises(EvidenceError, match="two views"):
+        estimate_subject(lambda i: frame, 3, 25.0, body)
+
+
+@pytest.mark.parametrize(("name", "value"), [("height", 170.0), ("mass", 7000.0)])
+def test_wrong_units_are_refused(name, value):
+    with pytest.raises(InputError, match=name):
+        AnthropometryOptions(**{name: value})
+
+
+# --- the thesis' filter -------------------------------------------------------------------------------------------
+
+
+def test_size_prior_agrees_with_the_mesh(body, rng):
+    light = replace(body, fine=body.coarse)
+    x = np.zeros(K + body.skeleton.dof)
+    prior = SizePrior(light)
+    for name, size in prior.sizes(x).items():
+        assert size == pytest.approx(sizes_2_1(light)[name], abs=1e-9)
+    x[[entity("thigh length"), entity("upper arm length"), entity("torso length")]] = 0.05, -0.04, 0.03
+    wanted = sizes_2_1(body_of(light, x[:K]))
+    for name, size in prior.sizes(x).items():
+        assert size == pytest.approx(wanted[name], abs=0.8), name
+    assert prior(np.zeros((2, 3, len(x)))).shape == (2, 3)
+
+
+def test_recipe_has_the_layers_of_table_2_2(body):
+    recipe, _ = anthropometry_recipe(body, betas=BETAS)
+    assert len(recipe.layers) == 10 == len(TABLE_2_2) and BETAS[:4] == (0.1, 0.3, 0.8, 1.0)
+    assert [layer.name for layer in recipe.layers] == [n for n, _, _ in TABLE_2_2]
+
+
+def test_layers_move_their_own_coordinates_within_the_prior(body, standing, frame_of, rng):
+    recipe, _ = anthropometry_recipe(body)
+    frame = prepare(frame_of(body, standing), body, standing)
+    state = np.concatenate([np.zeros(K), standing])
+    h = Hypotheses.uniform(np.repeat(state[None], 12, 0))
+    lower_arms = recipe.layers[6].propose(h, frame, rng)
+    moved = np.flatnonzero((lower_arms.values != h.values).any(0))
+    own = {entity(n) for n in ("forearm length", "forearm girth", "hands")}
+    own |= {int(K + d) for d in body.skeleton.dofs_of("left_elbow", "right_elbow")}
+    assert set(moved.tolist()) == own
+    prior = SizePrior(replace(body, fine=body.coarse))
+    assert (prior(lower_arms.values) > np.log(0.7) + prior(h.values) - 1e-9).all()
+
+
+def test_energy_sees_the_shape(body, standing, frame_of):
+    frame = prepare(frame_of(body, standing), body, standing)
+    right = np.concatenate([np.zeros(K), standing])
+    wrong = right.copy()
+    wrong[entity("scale")] = 0.08
+    h = Hypotheses.uniform(np.stack([right, wrong]))
+    energies = ShapeXor(body)(h, frame)
+    assert energies[0] < 0.1 < energies[1]
+
+
+def test_powell_lowers_the_energy(body, standing, frame_of):
+    person = body_of(body, shape(scale=0.05))
+    frame = prepare(frame_of(person, standing), body, standing)
+    start = standing.copy()
+    start[body.skeleton.dofs_of("left_shoulder")[1]] -= 0.15
+    found = powell_start(body, start, frame, evaluations=60)
+    before = shape_energy(body, np.concatenate([np.zeros(K), start]), frame)
+    assert shape_energy(body, found, frame) < 0.75 * before
+
+
+@pytest.mark.slow
+def test_filter_finds_a_held_pose(body, standing, frame_of):
+    from hypose.tracking.anthropometry import estimate_by_filter
+
+    person = body_of(body, shape(scale=0.04, thigh_girth=0.1))
+    frame = prepare(frame_of(person, standing), body, standing)
+    fitted, factors, pose = estimate_by_filter(body, standing, frame, particles=60)
+    assert np.isfinite(factors).all() and fitted.skeleton.dof == len(pose)
+    state, first = np.concatenate([factors, pose]), np.concatenate([np.zeros(K), standing])
+    assert shape_energy(body, state, frame) < 0.6 * shape_energy(body, first, frame)
+
+
+def test_prior_mean_is_dressed():
+    assert prior_mean()[entity("clothing")] > 0
+    assert np.count_nonzero(prior_mean()) == 1
