@@ -13,7 +13,7 @@ from typing import Annotated
 
 import typer
 
-from hypose.app import commands_data, commands_fuse, commands_results, commands_track
+from hypose.app import commands_data, commands_fuse, commands_results, commands_subject, commands_track
 from hypose.errors import HyposeError
 
 app = typer.Typer(
@@ -29,6 +29,7 @@ app.command("demo")(commands_track.demo)
 app.command("check")(commands_data.check)
 app.command("silhouettes")(commands_data.silhouettes)
 app.command("track")(commands_track.track)
+app.command("subject")(commands_subject.subject)
 app.command("fuse")(commands_fuse.fuse)
 app.command("export")(commands_results.export)
 app.command("synth")(commands_data.synth)

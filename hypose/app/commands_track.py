@@ -35,6 +35,9 @@ def track(
     height: Annotated[
         float | None, typer.Option(help="The subject's height in metres. [default: recording.toml's, else estimated]")
     ] = None,
+    subject: Annotated[
+        Path | None, typer.Option(help="The person's body: the folder or body.npz that hypose subject wrote.")
+    ] = None,
     seed: Seed = 0,
     frames: Annotated[
         str | None, typer.Option(help="first:stop, counted from 0. [default: recording.toml's, else all]")
@@ -65,6 +68,7 @@ def track(
         seed=seed,
         start=start,
         height=height if height is not None else loaded.subject_height,
+        subject=str(subject) if subject is not None else None,
     )
     results = ResultsFolder(out) if out is not None else ResultsFolder.of(loaded.folder, recipe)
     job = Job(

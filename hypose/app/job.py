@@ -23,6 +23,7 @@ from hypose.io.frames import FrameOptions, FrameStream
 from hypose.io.provenance import identity, provenance
 from hypose.io.recording import Recording
 from hypose.io.results import ResultsFolder, load_motion, to_json
+from hypose.pipeline.anthropometry import load_subject
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.subject import SubjectOptions
 from hypose.tracking.recipes import RECIPES, recipe
@@ -115,6 +116,7 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
                 source,
                 recording.frame_rate,
                 options,
+                body=load_subject(options.subject) if options.subject is not None else None,
                 results=results,
                 record=record,
                 resume=job.resume,

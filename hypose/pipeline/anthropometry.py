@@ -7,17 +7,21 @@ the thesis' layered filter for one held pose is hypose.tracking.anthropometry.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from hypose.body.anthropometry import ENTITY_NAMES, Sizes, body_of, entity, prior_mean, sizes_of
+from hypose.body.anthropometry import CLOTHING_UNIT, ENTITY_NAMES, Sizes, body_of, entity, prior_mean, sizes_of
 from hypose.body.body import Body
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame
 from hypose.fitting.articulated import SolveOptions
 from hypose.geometry import Array
+from hypose.io.bodies import load_body, save_body
+from hypose.io.files import write_text
 from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.evidence import PreparedFrame, prepare
 from hypose.tracking.initialise import KNOWN_POSES, hull_of, start_from_hull
@@ -101,8 +105,10 @@ def estimate_subject(
     indices = list(range(0, n_frames, step))[: options.tracked]
     rate = frame_rate / step
     frames = [frame_at(i) for i in indices]
-    seen = [f for f in frames if f.silhouettes is not None and int(f.silhouettes.usable.sum()) >= 2]
-    if not seen or frames[0] is not seen[0]:
+    usable = [f.silhouettes is not None and int(f.silhouettes.usable.sum()) >= 2 for f in frames]
+    seen = [f for f, ok in zip(frames, usable, strict=True) if ok]
+    numbers = [i for i, ok in zip(indices, usable, strict=True) if ok]
+    if not usable or not usable[0]:
         raise EvidenceError(
             "The subject's shape needs silhouettes in at least two views from the first frame on; check masks with "
             "`hypose silhouettes`, or choose other frames."
@@ -138,7 +144,7 @@ def estimate_subject(
         x,
         fit.covariance,
         _settled(body, before[0], seen[0]),
-        tuple(seen[k].index for k in chosen),
+        tuple(numbers[k] for k in chosen),
         fit.poses,
         first,
         before[chosen],
@@ -216,6 +222,46 @@ def _settled(body: Body, pose: Array, frame: Frame) -> Array:
 
 def _ious(body: Body, poses: Array, frames: Sequence[PreparedFrame]) -> Array:
     return np.stack([silhouette_iou(body, q, f) for q, f in zip(poses, frames, strict=True)])
+
+
+def save_subject(folder: str | Path, estimate: SubjectEstimate, template: Body, source: str = "") -> tuple[Path, Path]:
+    """Writes body.npz (the body in its clothes, for `hypose track --subject`) and subject.toml (sizes in cm with their
+    standard deviations, and the shape factors) into a folder; returns their paths."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    body, toml = folder / "body.npz", folder / "subject.toml"
+    save_body(estimate.body, body)
+    sd = {k: 100 * v for k, v in size_uncertainty(estimate, template).items()}
+    lines = [
+        "# A person's body, estimated from silhouettes. Lengths in cm; sd: one standard deviation.",
+        'body = "body.npz"',
+    ]
+    if source:
+        lines.append(f"recording = {json.dumps(source)}")
+    thickness = 1000 * CLOTHING_UNIT * estimate.factors[entity("clothing")]
+    lines += [f"frames = {[int(i) for i in estimate.frames]}", f"mean_iou = {float(np.nanmean(estimate.iou)):.4f}"]
+    lines += [f"clothing_mm = {thickness:.1f}", ""]
+    skin, over = estimate.sizes.in_cm, estimate.clothed_sizes.in_cm
+    for name, value in skin.items():
+        lines += [f'[sizes."{name}"]', f"cm = {value:.2f}", f"sd = {sd[name]:.2f}"]
+        if name.endswith("girth"):
+            lines.append(f"over_clothes_cm = {over[name]:.2f}")
+    lines += ["", "[factors]  # natural logarithms relative to the template; clothing in units of 10 cm"]
+    spread = np.sqrt(np.diag(estimate.covariance))
+    for name, value, width in zip(ENTITY_NAMES, estimate.factors, spread, strict=True):
+        lines.append(f'"{name}" = {{ value = {value:.5f}, sd = {width:.5f} }}')
+    write_text(toml, "\n".join(lines) + "\n")
+    return body, toml
+
+
+def load_subject(path: str | Path) -> Body:
+    """The body of a subject: its folder, subject.toml or body.npz. An InputError names what is missing."""
+    p = Path(path)
+    if p.is_dir():
+        p = p / "body.npz"
+    elif p.name == "subject.toml":
+        p = p.with_name("body.npz")
+    return load_body(p)
 
 
 def size_uncertainty(estimate: SubjectEstimate, template: Body, draws: int = 24) -> dict[str, float]:

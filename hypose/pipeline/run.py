@@ -41,7 +41,8 @@ class FrameSource(Protocol):
 @dataclass(frozen=True)
 class TrackOptions:
     """What a user chooses. recipe: a preset's name; refine: contour refinement after a published recipe; evidence:
-    'silhouettes', 'keypoints' or 'both'; start, height, girths: see SubjectOptions; checkpoint_every: frames."""
+    'silhouettes', 'keypoints' or 'both'; start, height, girths: see SubjectOptions;
+    subject: where the given body comes from (then `track_source` takes its body as it is); checkpoint_every: frames."""
 
     recipe: str = "default"
     refine: bool = False
@@ -50,6 +51,7 @@ class TrackOptions:
     start: str = "auto"
     height: float | None = None
     girths: bool = True
+    subject: str | None = None
     checkpoint_every: int = 25
 
     def __post_init__(self) -> None:
@@ -99,7 +101,8 @@ def track_source(
         raise InputError("The recording has no frame to track; check the frame range and the videos.")
     if subject is None:
         report("subject", 0, 1)
-        wanted = SubjectOptions(options.start, options.height, options.girths, body, frame_rate, options.seed)
+        known = options.subject is not None
+        wanted = SubjectOptions(options.start, options.height, options.girths, body, frame_rate, options.seed, known)
         subject = find_subject(source.frame, total, wanted)
         report("subject", 1, 1)
     tracker = _tracker(subject, options, frame_rate)

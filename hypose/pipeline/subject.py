@@ -19,6 +19,7 @@ from hypose.tracking.initialise import KNOWN_POSES, hull_of, start_from_hull, st
 from hypose.tracking.subject import fit_girths, scaled_to_height, subject_from_keypoints
 
 FrameAt = Callable[[int], Frame]
+GIVEN = "the subject's body is given"
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,8 @@ class Subject:
 @dataclass(frozen=True)
 class SubjectOptions:
     """start: 'auto', 'keypoints', 'hull' or a known pose's name. height: m, None = from key points or the hull.
-    girths: fit girths to the silhouettes. body: the template. frame_rate: Hz. seed."""
+    girths: fit girths to the silhouettes. body: the template, or with `known` the subject's own body, of which only the
+    start pose is looked for. frame_rate: Hz. seed."""
 
     start: str = "auto"
     height: float | None = None
@@ -43,6 +45,7 @@ class SubjectOptions:
     body: Body | None = None
     frame_rate: float = 25.0
     seed: int = 0
+    known: bool = False
 
     def __post_init__(self) -> None:
         allowed = ("auto", "keypoints", "hull", *KNOWN_POSES)
@@ -65,7 +68,13 @@ def find_subject(frame_at: FrameAt, n_frames: int, options: SubjectOptions) -> S
             raise InputError(
                 "The start 'keypoints' needs key points, and this recording has none; use the start 'hull'."
             )
+        if options.known:
+            return _known_by_points(template, frame_at, sampled, n_frames, options)
         return _from_keypoints(template, frame_at, sampled, n_frames, options)
+    if options.known:
+        poses = KNOWN_POSES if options.start in ("auto", "hull") else (options.start,)
+        prepared = prepare(first, template, np.zeros(template.skeleton.dof))
+        return Subject(template, None, start_from_hull(template, prepared, poses).pose, (GIVEN,))
     return _from_hull(template, frame_at, sampled, first, n_frames, options)
 
 
@@ -91,6 +100,18 @@ def _from_keypoints(
     if at:
         notes.append(f"the start is the pose of frame {at}, the first with enough key points")
     return Subject(body, model, start, tuple(notes))
+
+
+def _known_by_points(
+    body: Body, frame_at: FrameAt, sampled: np.ndarray, n_frames: int, options: SubjectOptions
+) -> Subject:
+    seen = next((k for k in (frame_at(int(i)).keypoints for i in sampled) if k is not None), None)
+    if seen is None:
+        raise EvidenceError("No frame has key points to start from; use the start 'hull'.")
+    model = keypoint_model(body, seen.names)
+    start, at = _first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
+    notes = (GIVEN,) if at == 0 else (GIVEN, f"the start is the pose of frame {at}, the first with enough key points")
+    return Subject(body, model, start, notes)
 
 
 def _first_start(body: Body, model: KeypointModel, frame_at: FrameAt, last: int) -> tuple[Array, int]:
