@@ -21,7 +21,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import cpu_fusion
+from hypose.compute import cpu_swarm
 from hypose.fusion.confidence import CURED_CONFIDENCE, PUBLISHED_CONFIDENCE, ConfidenceSettings
 from hypose.fusion.fuzzy import PUBLISHED_RULES, SHARP_RULES, NoiseRules
 from hypose.geometry import Array
@@ -81,7 +81,7 @@ def ride(h: Hypotheses, frame: SwarmFrame, rng: np.random.Generator, /) -> Hypot
     joints, old = label.shape
     extra = s.immigrants * len(frame.positions)
     values = np.empty((joints, old + extra, 3))
-    cpu_fusion.ride(old_values, label, frame.moved, values)
+    cpu_swarm.ride(old_values, label, frame.moved, values)
     if extra:
         new_log = np.empty((joints, old + extra))
         new_label = np.empty((joints, old + extra), dtype=np.int32)
@@ -100,14 +100,14 @@ def energy(h: Hypotheses, frame: SwarmFrame, /) -> Array:
     """log E (J, N), eq. 7: E = sum_k lambda_k^-power exp(-|s_k - p| / h). A joint that no candidate can explain this
     frame keeps its population (0 everywhere)."""
     out = np.empty(h.log_weights.shape)
-    cpu_fusion.swarm_energy(h.values, h.label, h.log_weights, frame.positions, frame.weights, frame.settings.h_m, out)
+    cpu_swarm.swarm_energy(h.values, h.label, h.log_weights, frame.positions, frame.weights, frame.settings.h_m, out)
     return out
 
 
 def mean_position(h: Hypotheses, /) -> Array:
     """(J, 3) m weighted mean of the candidates."""
     shares, mean = np.empty(h.log_weights.shape), np.empty((len(h.values), 3))
-    cpu_fusion.shares_and_mean(h.log_weights, h.values, shares, mean)
+    cpu_swarm.shares_and_mean(h.log_weights, h.values, shares, mean)
     return mean
 
 
@@ -122,10 +122,10 @@ class MergedWheel:
     def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
         """The distinct candidates drawn, with log-weights log(copies / count)."""
         shares, mean = np.empty(h.log_weights.shape), np.empty((len(h.values), 3))
-        cpu_fusion.shares_and_mean(h.log_weights, h.values, shares, mean)
+        cpu_swarm.shares_and_mean(h.log_weights, h.values, shares, mean)
         counts = np.empty(shares.shape, dtype=np.int64)
         if self.universal:
-            cpu_fusion.universal_counts(shares, rng.random(len(shares)), self.count, counts)
+            cpu_swarm.universal_counts(shares, rng.random(len(shares)), self.count, counts)
         elif h.count <= FEW:
             # a binomial number for each candidate instead of count spins: the same distribution. Reversed, because
             # rounding leaves a remainder to the last, which must not be padding
@@ -134,13 +134,13 @@ class MergedWheel:
             counts = np.where(total > 0, counts, 0)
         else:
             spacings = rng.standard_exponential((len(shares), self.count + 1), dtype=np.float32)
-            cpu_fusion.wheel_counts(shares, spacings, counts)
+            cpu_swarm.wheel_counts(shares, spacings, counts)
         width = int(np.count_nonzero(counts, axis=1).max())
         if width == 0:
             return h
         values, log_weights = np.empty((len(counts), width, 3)), np.empty((len(counts), width))
         label = np.empty((len(counts), width), dtype=np.int32)
-        cpu_fusion.keep_drawn(counts, h.values, h.label, self.count, values, log_weights, label)
+        cpu_swarm.keep_drawn(counts, h.values, h.label, self.count, values, log_weights, label)
         return Hypotheses(values, log_weights, label)
 
 
@@ -197,7 +197,7 @@ def swarm_step(
     chosen = result.selected
     mean, joints = result.estimate, positions.shape[1]
     spread, shares, distinct = np.empty(joints), np.empty((joints, len(positions))), np.empty(joints, dtype=np.int64)
-    cpu_fusion.swarm_summary(chosen.values, chosen.log_weights, chosen.label, spread, shares, distinct)
+    cpu_swarm.swarm_summary(chosen.values, chosen.log_weights, chosen.label, spread, shares, distinct)
     known = distinct > 0
     estimate = SwarmEstimate(
         np.where(known[:, None], mean, np.nan), np.where(known, spread, np.nan), shares, due, distinct
@@ -248,7 +248,7 @@ def _placed(
     bits = rng.integers(0, 2**64, (joints, int(2.2 * count) + 60), dtype=np.uint64)
     values, log_weights = np.empty((joints, count, 3)), np.empty((joints, count))
     label = np.empty((joints, count), dtype=np.int32)
-    cpu_fusion.place_candidates(bits, base, usable, renew, radius, values, log_weights, label)
+    cpu_swarm.place_candidates(bits, base, usable, renew, radius, values, log_weights, label)
     return values, log_weights, label
 
 

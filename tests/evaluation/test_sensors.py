@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hypose.compute import cpu_fusion
+from hypose.compute import cpu_rays
 from hypose.evaluation import sensors as sim
 from hypose.evaluation.human4d import read_human4d
 from hypose.fusion import joints as jt
@@ -18,7 +18,7 @@ def test_rays_meet_capsules_where_they_should(rng):
     out = np.empty(4)
     to = np.array([[0, 0, 0.5], [2, 0, 0], [0, 0, 1.5], [0, 0, 1.05]]) - [0, -3, 0.5]
     directions = to / np.linalg.norm(to, axis=1, keepdims=True)
-    cpu_fusion.cast_rays(np.array([0.0, -3, 0.5]), directions, capsule, out)
+    cpu_rays.cast_rays(np.array([0.0, -3, 0.5]), directions, capsule, out)
     assert out[0] == pytest.approx(2.9)
     hit = np.array([0, -3, 0.5]) + out[1] * directions[1]
     assert np.linalg.norm(hit - [2, 0, 0]) == pytest.approx(0.3)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.compute import cpu_fusion
+from hypose.compute import cpu_swarm
 from hypose.fusion import joints as jt
 from hypose.fusion.confidence import (
     PUBLISHED_CONFIDENCE,
@@ -205,7 +205,7 @@ def test_the_merged_wheel_draws_like_n_independent_spins(rng, candidates):
 def test_universal_sampling_gives_each_candidate_its_share_up_to_one(rng):
     shares = rng.random((4, 50))
     counts = np.empty((4, 50), dtype=np.int64)
-    cpu_fusion.universal_counts(shares, rng.random(4), 1000, counts)
+    cpu_swarm.universal_counts(shares, rng.random(4), 1000, counts)
     expected = 1000 * shares / shares.sum(1, keepdims=True)
     assert np.all(counts.sum(1) == 1000)
     assert np.abs(counts - expected).max() < 1.0
