@@ -13,8 +13,52 @@ u8 = np.uint64  # an index of this type needs no test for "counted from the end"
 
 
 @njit(**OPTIONS)
-def shrink(image, columns, column_weights, rows, row_weights, y0, y1, x0, x1, out):
-    """out (h + 3, w + 3, 3) u1 [1 + y, 1 + x] = box average of image (H, W, 3) u1 for y0 <= y < y1, x0 <= x < x1.
+def shrink_blocks(image, across, down, y0, y1, x0, x1, out):
+    """out (h + 3, w + 3, 3) u1 [1 + y, 1 + x] = average of the across x down pixels of image (H, W, 3) u1 that begin at
+    (across x, down y), for y0 <= y < y1, x0 <= x < x1."""
+    source = image.reshape(image.shape[0], image.shape[1] * 3)
+    target = out.reshape(out.shape[0], out.shape[1] * 3)
+    first, width = 3 * across * x0, 3 * across * (x1 - x0)
+    sums = np.empty(width, np.uint16)
+    inverse = np.uint64((16777216 + across * down // 2) // (across * down))
+    for y in range(y0, y1):
+        made = target[y + 1, 3 + 3 * x0 : 3 + 3 * x1]
+        line = source[down * y, first : first + width]
+        if across == 1 and down == 1:
+            for i in range(width):
+                made[i] = line[i]
+            continue
+        if down == 4:  # one pass for the usual case
+            second = source[down * y + 1, first : first + width]
+            third = source[down * y + 2, first : first + width]
+            fourth = source[down * y + 3, first : first + width]
+            for i in range(width):
+                upper, lower = np.uint16(line[i]) + np.uint16(second[i]), np.uint16(third[i]) + np.uint16(fourth[i])
+                sums[i] = np.uint16(upper + lower)
+        else:
+            for i in range(width):
+                sums[i] = line[i]
+            for k in range(1, down):
+                line = source[down * y + k, first : first + width]
+                for i in range(width):
+                    sums[i] = np.uint16(sums[i] + np.uint16(line[i]))
+        for x in range(x1 - x0):
+            i = u8(3 * across * x)
+            b, g, r = np.uint64(sums[i]), np.uint64(sums[i + u8(1)]), np.uint64(sums[i + u8(2)])
+            for _ in range(1, across):
+                i += u8(3)
+                b += sums[i]
+                g += sums[i + u8(1)]
+                r += sums[i + u8(2)]
+            i = u8(3 * x)
+            made[i] = (b * inverse + u8(8388608)) >> u8(24)
+            made[i + u8(1)] = (g * inverse + u8(8388608)) >> u8(24)
+            made[i + u8(2)] = (r * inverse + u8(8388608)) >> u8(24)
+
+
+@njit(**OPTIONS)
+def shrink_weighted(image, columns, column_weights, rows, row_weights, y0, y1, x0, x1, out):
+    """out (h + 3, w + 3, 3) u1 [1 + y, 1 + x] = area average of image (H, W, 3) u1 for y0 <= y < y1, x0 <= x < x1.
 
     Pixel x is the sum of column_weights[x, k] (in 256ths) of the columns columns[x] + k; rows alike."""
     source = image.reshape(image.shape[0], image.shape[1] * 3)
@@ -22,53 +66,59 @@ def shrink(image, columns, column_weights, rows, row_weights, y0, y1, x0, x1, ou
     first = 3 * columns[x0]
     width = 3 * (columns[x1 - 1] + column_weights.shape[1]) - first
     sums = np.empty(width, np.uint16)
-    taps = column_weights.shape[1]
+    taps, lines = column_weights.shape[1], row_weights.shape[1]
     for y in range(y0, y1):
-        line = source[rows[y], first : first + width]
-        w = np.uint16(row_weights[y, 0])
-        for i in range(width):
-            sums[i] = np.uint16(w * np.uint16(line[i]))
-        for k in range(1, row_weights.shape[1]):
-            w = np.uint16(row_weights[y, k])
-            if w == 0:
-                continue
-            line = source[rows[y] + k, first : first + width]
+        for k in range(0, lines, 4):  # 255 x 256 still fits 16 bits
+            a = source[rows[y] + k, first : first + width]
+            b = source[rows[y] + min(k + 1, lines - 1), first : first + width]
+            c = source[rows[y] + min(k + 2, lines - 1), first : first + width]
+            d = source[rows[y] + min(k + 3, lines - 1), first : first + width]
+            wa, wb = np.uint16(row_weights[y, k]), np.uint16(0)
+            wc, wd = np.uint16(0), np.uint16(0)
+            if k + 1 < lines:
+                wb = np.uint16(row_weights[y, k + 1])
+            if k + 2 < lines:
+                wc = np.uint16(row_weights[y, k + 2])
+            if k + 3 < lines:
+                wd = np.uint16(row_weights[y, k + 3])
             for i in range(width):
-                sums[i] = np.uint16(sums[i] + np.uint16(w * np.uint16(line[i])))
+                upper = np.uint16(np.uint16(wa * np.uint16(a[i])) + np.uint16(wb * np.uint16(b[i])))
+                lower = np.uint16(np.uint16(wc * np.uint16(c[i])) + np.uint16(wd * np.uint16(d[i])))
+                sums[i] = np.uint16(upper + lower) if k == 0 else np.uint16(sums[i] + np.uint16(upper + lower))
         made = target[y + 1]
         for x in range(x0, x1):
-            at = 3 * columns[x] - first
-            b, g, r = np.uint32(32768), np.uint32(32768), np.uint32(32768)
+            i = u8(3 * columns[x] - first)
+            blue, green, red = u8(32768), u8(32768), u8(32768)
             for k in range(taps):
-                w4 = np.uint32(column_weights[x, k])
-                i = u8(at + 3 * k)
-                b = np.uint32(b + np.uint32(w4 * np.uint32(sums[i])))
-                g = np.uint32(g + np.uint32(w4 * np.uint32(sums[i + u8(1)])))
-                r = np.uint32(r + np.uint32(w4 * np.uint32(sums[i + u8(2)])))
+                w = u8(column_weights[x, k])
+                blue += w * sums[i]
+                green += w * sums[i + u8(1)]
+                red += w * sums[i + u8(2)]
+                i += u8(3)
             i = u8(3 * x + 3)
-            made[i] = b >> 16
-            made[i + u8(1)] = g >> 16
-            made[i + u8(2)] = r >> 16
+            made[i] = blue >> u8(16)
+            made[i + u8(1)] = green >> u8(16)
+            made[i + u8(2)] = red >> u8(16)
 
 
 @njit(**OPTIONS)
-def remap(small, index, parts, y0, y1, x0, x1, out):
-    """out (h, w, 3) in the box = small (h + 3, w + 3, 3) at index (h, w) plus the parts (h, w, 2), in 32nds."""
+def remap(small, corner, parts, y0, y1, x0, x1, out):
+    """out (h, w, 3) in the box = small (h + 3, w + 3, 3) at corner (h, w) plus the parts (h, w, 2), in 32nds."""
     flat = small.reshape(-1)
     step = u8(3 * small.shape[1])
     three = u8(3)
     for y in range(y0, y1):
+        made, at, part = out[y].reshape(-1), corner[y], parts[y].reshape(-1)
         for x in range(x0, x1):
-            p = u8(index[y, x])
-            fx, fy = np.int32(parts[y, x, 0]), np.int32(parts[y, x, 1])
-            w11 = fx * fy
-            w01 = 32 * fx - w11
-            w10 = 32 * fy - w11
-            w00 = 1024 - w01 - w10 - w11
+            p = u8(at[x])
+            fx, fy = np.int32(part[u8(2 * x)]), np.int32(part[u8(2 * x + 1)])
+            q = p + step
             for c in range(3):
-                q = p + u8(c)
-                value = w00 * flat[q] + w01 * flat[q + three] + w10 * flat[q + step] + w11 * flat[q + step + three]
-                out[y, x, c] = (value + 512) >> 10
+                a, b = np.int32(flat[p + u8(c)]), np.int32(flat[p + three + u8(c)])
+                d, e = np.int32(flat[q + u8(c)]), np.int32(flat[q + three + u8(c)])
+                upper = np.int32(32 * a + fx * (b - a))
+                lower = np.int32(32 * d + fx * (e - d))
+                made[u8(3 * x + c)] = np.int32(32 * upper + fy * (lower - upper) + 512) >> 10
 
 
 @njit(**OPTIONS)
@@ -102,6 +152,36 @@ def differ(image, low, high, mean, square, shadow, darkest, lightest, chroma, y0
                 c -= s * r
                 if a * a + b * b + c * c < chroma:
                     made[x] = 2
+
+
+@njit(**OPTIONS)
+def without_shadows(codes, out):
+    """out (h, w) u1 = codes (h, w) > 0, less every 3 x 3 block of twos (as much of it as lies inside the picture)."""
+    h, w = codes.shape
+    for y in range(h):
+        line, made = codes[y], out[y]
+        for x in range(w):
+            made[x] = np.uint8(line[x] > 0)
+    for y in range(h):
+        a, b = max(y - 1, 0), min(y + 2, h)
+        line = codes[y]
+        twos = 0
+        for x in range(w):  # vectorises; most rows hold none
+            twos += line[x] == 2
+        if twos < 2:
+            continue
+        for x in range(w):
+            if line[x] != 2:
+                continue
+            c, d = max(x - 1, 0), min(x + 2, w)
+            whole = True
+            for i in range(a, b):
+                for j in range(c, d):
+                    whole &= codes[i, j] == 2
+            if whole:
+                for i in range(a, b):
+                    for j in range(c, d):
+                        out[i, j] = 0
 
 
 @njit(**OPTIONS)

@@ -23,15 +23,19 @@ Box = tuple[int, int, int, int]
 
 
 class Lens(NamedTuple):
-    """How stored pictures (H, W) of one camera become undistorted ones (h, w) of the working size.
+    """How stored pictures of one camera become undistorted ones (h, w) of the working size.
 
-    columns (w,), column_weights (w, K): working column x is the sum over k of column_weights[x, k] / 256 times stored
-    column columns[x] + k; rows (h,), row_weights (h, L) alike: box averages. corner (h, w): where the undistorted pixel
-    lies in the shrunk picture, 3 times the number of the pixel up and left of it in rows of w + 3 pixels (one pixel of
-    black left and above, two right and below); parts (h, w, 2) u1: further right and down, in 32nds of a pixel.
-    straight: the picture needs no undistortion.
+    stored: (width, height) of the stored pictures. First they are shrunk by area: across, down > 0: blocks of that many
+    pixels are averaged; 0: working column x is the sum over k of column_weights[x, k] / 256 times stored column
+    columns[x] + k, rows alike; columns (w,), column_weights (w, K), rows (h,), row_weights (h, L). corner (h, w): where
+    the undistorted pixel lies in the shrunk picture, 3 times the number of the pixel up and left of it, in rows with
+    one pixel of black on the left and two on the right (one above, two below); parts (h, w, 2) u1: further right and
+    down, in 32nds of a pixel. straight: the shrunk picture is the undistorted one.
     """
 
+    stored: tuple[int, int]
+    across: int
+    down: int
     columns: NDArray[np.int64]
     column_weights: NDArray[np.uint16]
     rows: NDArray[np.int64]
@@ -39,11 +43,6 @@ class Lens(NamedTuple):
     corner: NDArray[np.int32]
     parts: NDArray[np.uint8]
     straight: bool
-
-    @property
-    def source_size(self) -> tuple[int, int]:
-        """(width, height) of the stored pictures."""
-        return _end(self.columns, self.column_weights), _end(self.rows, self.row_weights)
 
 
 class Room(NamedTuple):
@@ -62,26 +61,23 @@ class Room(NamedTuple):
     chroma: float
 
 
-def _end(first: NDArray[np.int64], weights: NDArray[np.uint16]) -> int:
-    return int(first[-1]) + weights.shape[1]
-
-
-def make_lens(source_size: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> Lens:
-    """Lens for stored pictures of source_size (width, height) from maps (h, w) in pixels of the working size: where in
-    a picture shrunk to that size each undistorted pixel lies (as for cv2.remap). Pictures are never enlarged: an
-    InputError."""
+def make_lens(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> Lens:
+    """Lens for stored pictures (width, height) from maps (h, w) in pixels of the working size: where in a picture
+    shrunk to that size each undistorted pixel lies (as for cv2.remap). Pictures are never enlarged: an InputError."""
     mx, my = np.asarray(map_x, dtype=np.float64), np.asarray(map_y, dtype=np.float64)
     h, w = mx.shape
-    if source_size[0] < w or source_size[1] < h:
-        raise InputError(f"A picture of {source_size} px cannot be enlarged to {(w, h)} px; choose a smaller size.")
-    columns, column_weights = _averages(source_size[0], w)
-    rows, row_weights = _averages(source_size[1], h)
-    u = np.clip(np.nan_to_num(np.rint(32 * mx), nan=-1e6), -32, 32 * w).astype(np.int64)
-    v = np.clip(np.nan_to_num(np.rint(32 * my), nan=-1e6), -32, 32 * h).astype(np.int64)
-    corner = (3 * ((v // 32 + 1) * (w + 3) + u // 32 + 1)).astype(np.int32)
-    parts = np.stack([u % 32, v % 32], -1).astype(np.uint8)
-    straight = bool((u == 32 * np.arange(w)).all() and (v == 32 * np.arange(h)[:, None]).all())
-    return Lens(columns, column_weights, rows, row_weights, corner, parts, straight)
+    if stored[0] < w or stored[1] < h:
+        raise InputError(f"A picture of {stored} px cannot be enlarged to {(w, h)} px; choose a smaller working size.")
+    whole = stored[0] % w == 0 and stored[1] % h == 0 and stored[1] // h <= 256
+    across, down = (stored[0] // w, stored[1] // h) if whole else (0, 0)
+    columns, column_weights = _averages(stored[0], w)
+    rows, row_weights = _averages(stored[1], h)
+    i = np.clip(np.nan_to_num(np.rint(32 * mx), nan=-1e6), -32, 32 * w).astype(np.int64)
+    j = np.clip(np.nan_to_num(np.rint(32 * my), nan=-1e6), -32, 32 * h).astype(np.int64)
+    corner = (3 * ((j // 32 + 1) * (w + 3) + i // 32 + 1)).astype(np.int32)
+    parts = np.stack([i % 32, j % 32], -1).astype(np.uint8)
+    straight = bool((i == 32 * np.arange(w)).all() and (j == 32 * np.arange(h)[:, None]).all())
+    return Lens(stored, across, down, columns, column_weights, rows, row_weights, corner, parts, straight)
 
 
 def _averages(source: int, target: int) -> tuple[NDArray[np.int64], NDArray[np.uint16]]:
@@ -99,21 +95,23 @@ def shrink_undistort(image: Image, lens: Lens, box: Box | None = None) -> Image:
     """Stored picture (H, W, 3) -> undistorted (h, w, 3) of the working size, black where the camera does not see, and
     outside `box` (default: everywhere) undefined."""
     h, w = lens.corner.shape
-    if image.shape != (lens.source_size[1], lens.source_size[0], 3) or image.dtype != np.uint8:
-        raise InputError(f"A picture of {image.shape[1::-1]} px was given where {lens.source_size} px are stored.")
+    if image.shape != (lens.stored[1], lens.stored[0], 3) or image.dtype != np.uint8:
+        raise InputError(f"A picture of {image.shape[1::-1]} px was given where {lens.stored} px are stored.")
     y0, y1, x0, x1 = box or (0, h, 0, w)
     if y1 <= y0 or x1 <= x0:
         return np.zeros((h, w, 3), np.uint8)
     small = np.zeros((h + 3, w + 3, 3), np.uint8)
-    a0, a1, b0, b1 = (y0, y1, x0, x1) if lens.straight else _needed(lens, (y0, y1, x0, x1))
     if selection.backend() == "numpy":
         small[1 : h + 1, 1 : w + 1] = _shrink(image, lens)
         return small[1 : h + 1, 1 : w + 1].copy() if lens.straight else _remap(small, lens)
-    kernels = _kernels()
+    kernels, image = _kernels(), np.require(image, np.uint8, ["C", "W"])
+    a0, a1, b0, b1 = (y0, y1, x0, x1) if lens.straight else _needed(lens, box)
     if a1 > a0 and b1 > b0:
-        kernels.shrink(
-            np.require(image, np.uint8, ["C", "W"]), *lens[:4], a0, a1, b0, b1, small
-        )  # columns, column_weights, rows, row_weights
+        if lens.across:
+            kernels.shrink_blocks(image, lens.across, lens.down, a0, a1, b0, b1, small)
+        else:
+            weights = lens.columns, lens.column_weights, lens.rows, lens.row_weights
+            kernels.shrink_weighted(image, *weights, a0, a1, b0, b1, small)
     if lens.straight:
         return np.ascontiguousarray(small[1 : h + 1, 1 : w + 1])
     out = np.empty((h, w, 3), np.uint8)
@@ -126,13 +124,12 @@ def _kernels():  # noqa: ANN202 - a module
     return import_module("hypose.compute.cpu_images")
 
 
-def _needed(lens: Lens, box: Box) -> Box:
+def _needed(lens: Lens, box: Box | None) -> Box:
     """The part of the shrunk picture that undistorted pixels in the box are made of."""
     h, w = lens.corner.shape
-    y0, y1, x0, x1 = box
-    if box == (0, h, 0, w):
-        return box
-    at = lens.corner[y0:y1, x0:x1] // 3
+    if box is None:
+        return 0, h, 0, w
+    at = lens.corner[box[0] : box[1], box[2] : box[3]] // 3
     rows, columns = at // (w + 3), at % (w + 3)
     return (
         max(int(rows.min()) - 1, 0),
@@ -143,15 +140,19 @@ def _needed(lens: Lens, box: Box) -> Box:
 
 
 def _shrink(image: Image, lens: Lens) -> Image:
-    lines = sum(
-        lens.row_weights[:, k, None, None].astype(np.uint32) * image[lens.rows + k]
-        for k in range(lens.row_weights.shape[1])
-    )
-    total = sum(
-        lens.column_weights[:, k, None].astype(np.uint32) * np.asarray(lines)[:, lens.columns + k]
-        for k in range(lens.column_weights.shape[1])
-    )
-    return ((np.asarray(total, dtype=np.uint32) + 32768) >> 16).astype(np.uint8)
+    h, w = lens.corner.shape
+    if lens.across:
+        n = lens.across * lens.down
+        blocks = image.reshape(h, lens.down, w, lens.across, 3).sum((1, 3), dtype=np.uint64)
+        inverse = np.uint64((16777216 + n // 2) // n)
+        return ((blocks * inverse + np.uint64(8388608)) >> np.uint64(24)).astype(np.uint8)
+    lines = np.zeros((h, image.shape[1], 3), np.uint32)
+    for k in range(lens.row_weights.shape[1]):
+        lines += lens.row_weights[:, k, None, None] * image[lens.rows + k].astype(np.uint32)
+    total = np.zeros((h, w, 3), np.uint32)
+    for k in range(lens.column_weights.shape[1]):
+        total += lens.column_weights[:, k, None] * lines[:, lens.columns + k]
+    return ((total + np.uint32(32768)) >> np.uint32(16)).astype(np.uint8)
 
 
 def _remap(small: Image, lens: Lens) -> Image:
@@ -185,6 +186,17 @@ def differences(image: Image, room: Room, box: Box | None = None) -> Mask:
         dark = (brightness > limits[0]) & (brightness < limits[1]) & ((rest * rest).sum(2) < limits[2])
         out[s] = np.where(other & dark, 2, other)
     return out
+
+
+def without_shadows(codes: Mask) -> Mask:
+    """Foreground (h, w) of what `differences` found: all that is not the room, less the shadows. A shadow is an area:
+    single twos along the edge of dark clothing before a bright wall are mixed pixels, so twos are opened 3 x 3."""
+    if selection.backend() != "numpy":
+        out = np.empty(codes.shape, np.uint8)
+        _kernels().without_shadows(np.require(codes, np.uint8, ["C", "W"]), out)
+        return out
+    shadow = cv2.morphologyEx((codes == 2).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    return np.asarray(np.minimum(codes, 1) & (1 - shadow), dtype=np.uint8)
 
 
 def clean_regions(mask: Mask, hole_px: int, keep_share: float, keep_gap: float) -> Mask:

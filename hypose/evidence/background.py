@@ -190,9 +190,9 @@ def _cure_ghosts(
     """The plate, with the recording's median where a static thing contradicts it (see from_recording)."""
     stable = (_deviation(stack, median) < _STATIC).mean(0) > _STATIC_SHARE
     ghost = stable & (np.abs(median - plate.mean).max(2) > _OTHER_THING)
-    low = np.clip(plate.mean - _OTHER_THING, 0, 255)
-    high = np.clip(plate.mean + _OTHER_THING, 0, 255)
-    unlike = np.stack([((f < low) | (f > high)).any(2) for f in stack])
+    low = np.ceil(np.clip(plate.mean - _OTHER_THING, 0, 255)).astype(np.uint8)
+    high = np.floor(np.clip(plate.mean + _OTHER_THING, 0, 255)).astype(np.uint8)
+    unlike = np.stack([np.equal(cv2.inRange(f, low, high), 0) for f in stack])
     ghost &= ~_parts_of_the_person(ghost, unlike.mean(0))
     still = _person_who_never_moves(ghost, unlike)
     note = ""
@@ -249,4 +249,8 @@ def _parts_of_the_person(ghost: NDArray[np.bool_], differs: NDArray[np.floating]
 def _deviation(stack: Image, median: NDArray[np.float32]) -> NDArray[np.uint8]:
     """(N, h, w) largest channel difference from the median picture."""
     reference = np.rint(median).astype(np.uint8)
-    return np.stack([cv2.absdiff(f, reference).max(2) for f in stack])
+    out = np.empty(stack.shape[:3], np.uint8)
+    for made, picture in zip(out, stack, strict=True):
+        blue, green, red = cv2.split(cv2.absdiff(picture, reference))
+        cv2.max(cv2.max(blue, green), red, dst=made)
+    return out

@@ -135,11 +135,7 @@ def _gaussian(
     def differ(image: Image, box: tuple[int, int, int, int]) -> Mask:
         y0, y1, x0, x1 = box
         found = images.differences(image, room, box)[y0:y1, x0:x1]
-        if not options.shadow:
-            return found
-        # where dark clothing meets a bright wall, mixed pixels along the edge look like shadow; a shadow is an area
-        shadow = cv2.morphologyEx((found == 2).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-        return np.asarray(np.minimum(found, 1) & (1 - shadow), dtype=np.uint8)
+        return images.without_shadows(found) if options.shadow else found
 
     return differ
 

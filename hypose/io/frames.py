@@ -427,7 +427,10 @@ class FrameStream:
             self._ahead[i].begin_outlines(self._lanes)
         for old in [s for s in self._areas if s < samples[0] - 500 or s > samples[-1] + 500]:
             del self._areas[old]
-        return np.stack([self._areas[s] for s in samples], 1), self._ahead.pop(index)
+        pending = self._ahead.pop(index)
+        if index % _SAMPLE_STEP == 0:
+            self._areas[index] = pending.areas()
+        return np.stack([self._areas[s] for s in samples], 1), pending
 
     def _packed(self, view: int, index: int) -> _PackedMask:
         mask, reason = self._mask(view, self.frames[index])
