@@ -168,6 +168,32 @@ class Compose:
 
 
 @dataclass(frozen=True)
+class UniformShare:
+    """A share of the hypotheses draws the chosen coordinates (D,) bool anew, uniformly between lower and upper (D,).
+
+    For what diffusion around the last state does not reach: a fast limb is found again wherever it is. The rows are
+    spread evenly over the set.
+    """
+
+    share: float
+    lower: FloatArray
+    upper: FloatArray
+    coordinates: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.share <= 1:
+            raise ValueError(f"the share must lie in [0, 1], got {self.share}")
+
+    def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
+        """The set with some rows drawn anew."""
+        chosen = _mask(self.coordinates, h.dimension)
+        low, high = np.where(chosen, self.lower, 0.0), np.where(chosen, self.upper, 0.0)
+        drawn = low + (high - low) * rng.random(h.values.shape)
+        anew = np.diff(np.floor(np.arange(h.count + 1) * self.share)) > 0
+        return replace(h, values=np.where(anew[:, None] & chosen, drawn, h.values))
+
+
+@dataclass(frozen=True)
 class KeepFirst:
     """A kernel that leaves the first `count` hypotheses where they are: a search never loses its start."""
 

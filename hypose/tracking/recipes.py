@@ -18,8 +18,16 @@ from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
 from hypose.fitting.articulated import SolveOptions
 from hypose.geometry import Array
-from hypose.inference.kernels import GaussianDiffusion, HeavyTail, KeepFirst, filtered_mask, layered_sigma
-from hypose.inference.layer import Layer, Recipe
+from hypose.inference.kernels import (
+    Compose,
+    GaussianDiffusion,
+    HeavyTail,
+    KeepFirst,
+    UniformShare,
+    filtered_mask,
+    layered_sigma,
+)
+from hypose.inference.layer import Kernel, Layer, Recipe
 from hypose.inference.selectivity import Annealed, FixedSelectivity, Selectivity, SurvivalRate
 from hypose.inference.selectors import Elite, LayeredSystematic, keep, systematic
 from hypose.tracking.costs import SilhouetteXor, no_evidence
@@ -147,14 +155,15 @@ def hpf(
     return Recipe("hpf", tuple(rows), pose_mean(s), THESIS), particles
 
 
-def default(body: Body, particles: int = 128, frame_rate: float = 25.0, iterations: int = 8) -> tuple[Recipe, int]:
+def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iterations: int = 8) -> tuple[Recipe, int]:
     """The product's default: a contour solve from the prediction, a greedy search of one limb at a time around it with
     long-tailed steps, and a solve of what the search put together.
 
     The first solve puts the body within centimetres; the particles find limbs that went elsewhere (a local solve cannot
     pull in what lies beyond about 10 cm); the silhouettes choose between the first solve and the second. Each limb's
-    best is kept (`Elite`) instead of resampled: with about a hundred particles the mean of survivors mixes a found arm
-    with a lost one. The search is left out when the first solve overlaps the masks as well as usual (SolvePrediction).
+    best is kept (`Elite`) instead of resampled: with two hundred particles the mean of survivors mixes a found arm
+    with a lost one. A quarter of an arm's particles are drawn anew over its whole reach, for a punch is faster than any
+    diffusion. The search is left out when the first solve overlaps the masks as well as usual (SolvePrediction).
     """
     s = body.skeleton
     sigma = 2.0 * step_sigma(s, frame_rate)
@@ -167,7 +176,10 @@ def default(body: Body, particles: int = 128, frame_rate: float = 25.0, iteratio
         mask = np.zeros(s.dof, dtype=bool)
         mask[own] = True
         # the first hypothesis stays the solved pose, the second what the search has put together so far
-        kernel = UnlessSettled(KeepFirst(_diffusion(s, step, HeavyTail(0.3, 4.0, mask)), 2))
+        moves: list[Kernel] = [_diffusion(s, step, HeavyTail(0.3, 4.0, mask))]
+        if name.endswith("arm"):
+            moves.append(UniformShare(0.25, *_reach(s), mask))
+        kernel = UnlessSettled(KeepFirst(Compose(tuple(moves)), 2))
         weigh = WeighUnlessSettled(_weigh(body, SurvivalRate()))
         rows.append(Layer(kernel, weigh, Elite(1, mask, keep=1), name))
     rows.append(Layer(RefineComposite(body, options), no_evidence, keep, "refinement"))
@@ -210,6 +222,16 @@ def with_refinement(base: Recipe, body: Body, options: SolveOptions | None = Non
 def step_sigma(skeleton: Skeleton, frame_rate: float) -> Array:
     """(D,) usual motion per frame at this frame rate: proportional to the time between frames within limits."""
     return skeleton.sigma * float(np.clip(25.0 / frame_rate, 0.4, 2.0))
+
+
+def _reach(skeleton: Skeleton) -> tuple[Array, Array]:
+    """(D,), (D,): the range that joints use in practice: 60 % of the limits for balls, whose corners are unnatural."""
+    lower, upper = skeleton.lower.copy(), skeleton.upper.copy()
+    lower[:6] = upper[:6] = 0
+    for start in skeleton.ball_starts[1:]:
+        lower[start : start + 3] *= 0.6
+        upper[start : start + 3] *= 0.6
+    return lower, upper
 
 
 def _diffusion(skeleton: Skeleton, sigma: Array, tail: HeavyTail | None = None) -> GaussianDiffusion:

@@ -44,6 +44,7 @@ KERNELS = {
         kernels.Compose((kernels.ConstantVelocity(np.ones(D), 1.0, LOWER, UPPER), gaussian())),
         kernels.Compose(()),
     ],
+    "UniformShare": [kernels.UniformShare(s, -np.ones(D), np.ones(D), SOME) for s in (0.3, 0.0)],
     "KeepFirst": [kernels.KeepFirst(gaussian()), kernels.KeepFirst(kernels.stay)],
     "RejectionSampling": [
         kernels.RejectionSampling(gaussian(), lambda x: -np.square(x).sum(-1), tau=0.7, trials=5),
