@@ -40,7 +40,7 @@ COMMON = (
 HEAD, NECK, LEFT_SHOULDER, LEFT_ELBOW, LEFT_HAND, RIGHT_SHOULDER, RIGHT_ELBOW, RIGHT_HAND = range(8)
 TORSO, LEFT_HIP, LEFT_KNEE, LEFT_FOOT, RIGHT_HIP, RIGHT_KNEE, RIGHT_FOOT = range(8, 15)
 TRUNK = (HEAD, NECK, LEFT_SHOULDER, RIGHT_SHOULDER, TORSO, LEFT_HIP, RIGHT_HIP)
-"""Joints that every sensor finds reliably; used to register live streams."""
+"""Joints that every sensor finds reliably."""
 TRIANGLE = (LEFT_SHOULDER, RIGHT_SHOULDER, TORSO)
 """Asteriadis 2013, section 2.1."""
 MIRROR = np.array([0, 1, 5, 6, 7, 2, 3, 4, 8, 12, 13, 14, 9, 10, 11])

@@ -140,8 +140,7 @@ def register(
 
     Iterated Procrustes with Cauchy weights of scale `scale_m`, times the states' confidences (T, K, J): tracked 1,
     inferred 1/2. A sensor that shares too little with the reference is tied to a sensor already registered; one that
-    shares too little with all keeps `start`'s transform, or stays unregistered. A full body for recordings, the trunk
-    for live streams: limbs are worth more frames, the trunk more trust.
+    shares too little with all keeps `start`'s transform, or stays unregistered.
     """
     s = np.asarray(positions, dtype=np.float64)[:, :, list(joints)]
     sensors = s.shape[1]
