@@ -77,7 +77,16 @@ def row(metric: str, case: str, values: Any, unit: str, **more: Any) -> Row:
 
 def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
     """All benchmarks by name (imported when asked for, because they pull in the whole product)."""
-    from hypose.evaluation import anthropometry, fusion_benchmarks, published, real, rigging, scorer_speed, speed
+    from hypose.evaluation import (
+        anthropometry,
+        fusion_benchmarks,
+        path_speed,
+        published,
+        real,
+        rigging,
+        scorer_speed,
+        speed,
+    )
 
     return {
         "table-2.3": published.table_2_3,
@@ -85,7 +94,7 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
         "real-uu4cam": real.real_uu4cam,
         "silhouette-scorer": scorer_speed.silhouette_scorer,
         "contour-solve": speed.contour_solve,
-        "multiview-speed": speed.multiview_speed,
+        "multiview-speed": path_speed.multiview_speed,
         "rigging": rigging.rigging,
         "anthropometry": anthropometry.anthropometry,
         "fusion-table-1": fusion_benchmarks.table_1,
