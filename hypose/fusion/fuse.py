@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -337,7 +338,7 @@ def _noise(state: FusionState, raw: SensorJoints, world: Array) -> tuple[FusionS
     memory, inputs = confidence_step(state.confidence, raw.positions, raw.state, depth_at_joints(raw), s.confidence)
     noise = s.rules.noise_fast(normalised(inputs, s.confidence))
     up = state.up if state.up is not None else upward(world)
-    x, y = horizontal_axes(up)
+    x, y = _axes(*up.tolist())
     side = world[:, jt.LEFT_SHOULDER] - world[:, jt.RIGHT_SHOULDER]
     side = side[np.isfinite(side).all(1)]
     heading = state.heading
@@ -347,6 +348,11 @@ def _noise(state: FusionState, raw: SensorJoints, world: Array) -> tuple[FusionS
         # raw headings of single frames cross the threshold by chance
         heading = angle if heading is None else heading + 0.2 * float(np.angle(np.exp(1j * (angle - heading))))
     return replace(state, confidence=memory, up=up, heading=heading), noise, heading or 0.0
+
+
+@lru_cache(maxsize=16)
+def _axes(x: float, y: float, z: float) -> tuple[Array, Array]:
+    return horizontal_axes((x, y, z))
 
 
 def _with_rest(state: FusionState, frame: SensorJoints, joints: Array, sd: Array, shares: Array) -> tuple[Array, Array]:
