@@ -114,7 +114,7 @@ def population(shape: tuple[int, ...], lost: bool = False, covariance: bool = Fa
     values = np.clip(rng.normal(size=(*shape, D)), LOWER, UPPER)
     log_weights = np.full(shape, -np.inf) if lost else rng.normal(size=shape) * 3 - 1000
     spread = np.broadcast_to(np.eye(D), (*shape, D, D)) * rng.random((*shape, 1, 1)) if covariance else None
-    return Hypotheses(values, log_weights, rng.integers(0, 3, shape), spread)
+    return Hypotheses(values, log_weights, rng.integers(0, 3, shape, dtype=np.int32), spread)
 
 
 POPULATIONS = {
