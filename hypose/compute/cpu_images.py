@@ -13,112 +13,120 @@ u8 = np.uint64  # an index of this type needs no test for "counted from the end"
 
 
 @njit(**OPTIONS)
-def shrink_blocks(image, across, down, y0, y1, x0, x1, out):
-    """out (h + 3, w + 3, 3) u1 [1 + y, 1 + x] = average of the across x down pixels of image (H, W, 3) u1 that begin at
-    (across x, down y), for y0 <= y < y1, x0 <= x < x1."""
-    source = image.reshape(image.shape[0], image.shape[1] * 3)
-    target = out.reshape(out.shape[0], out.shape[1] * 3)
-    first, width = 3 * across * x0, 3 * across * (x1 - x0)
-    sums = np.empty(width, np.uint16)
-    inverse = np.uint64((16777216 + across * down // 2) // (across * down))
-    for y in range(y0, y1):
-        made = target[y + 1, 3 + 3 * x0 : 3 + 3 * x1]
-        line = source[down * y, first : first + width]
-        if across == 1 and down == 1:
+def _sum_rows(source, row, weights, first, width, sums):
+    """sums (width,) u2 = weighted rows of source (H, 3 W) u1 from `row` on, columns from `first`; the weights (L,) u2
+    add up to at most 257. Four rows at a time: what limits is how often `sums` is read and written."""
+    lines = weights.shape[0]
+    w = np.zeros(4, np.uint16)
+    for k in range(0, lines, 4):
+        for j in range(4):
+            w[j] = weights[k + j] if k + j < lines else 0
+        wa, wb, wc, wd = w[0], w[1], w[2], w[3]
+        a = source[row + k, first : first + width]
+        b = source[row + min(k + 1, lines - 1), first : first + width]
+        c = source[row + min(k + 2, lines - 1), first : first + width]
+        d = source[row + min(k + 3, lines - 1), first : first + width]
+        if k == 0:
             for i in range(width):
-                made[i] = line[i]
-            continue
-        if down == 4:  # one pass for the usual case
-            second = source[down * y + 1, first : first + width]
-            third = source[down * y + 2, first : first + width]
-            fourth = source[down * y + 3, first : first + width]
-            for i in range(width):
-                upper, lower = np.uint16(line[i]) + np.uint16(second[i]), np.uint16(third[i]) + np.uint16(fourth[i])
-                sums[i] = np.uint16(upper + lower)
+                sums[i] = wa * a[i] + wb * b[i] + wc * c[i] + wd * d[i]
         else:
             for i in range(width):
-                sums[i] = line[i]
-            for k in range(1, down):
-                line = source[down * y + k, first : first + width]
-                for i in range(width):
-                    sums[i] = np.uint16(sums[i] + np.uint16(line[i]))
-        for x in range(x1 - x0):
-            i = u8(3 * across * x)
-            b, g, r = np.uint64(sums[i]), np.uint64(sums[i + u8(1)]), np.uint64(sums[i + u8(2)])
-            for _ in range(1, across):
-                i += u8(3)
-                b += sums[i]
-                g += sums[i + u8(1)]
-                r += sums[i + u8(2)]
-            i = u8(3 * x)
-            made[i] = (b * inverse + u8(8388608)) >> u8(24)
-            made[i + u8(1)] = (g * inverse + u8(8388608)) >> u8(24)
-            made[i + u8(2)] = (r * inverse + u8(8388608)) >> u8(24)
+                sums[i] += wa * a[i] + wb * b[i] + wc * c[i] + wd * d[i]
+
+
+@njit(**OPTIONS)
+def shrink_blocks(image, across, down, y0, y1, x0, x1, out):
+    """out (h + 3, w + 3) u8 [1 + y, 1 + x] = average of the across x down pixels of image (H, W, 3) u1 that begin at
+    (across x, down y), for y0 <= y < y1, x0 <= x < x1, packed: blue + green 2^21 + red 2^42."""
+    source = image.reshape(image.shape[0], image.shape[1] * 3)
+    first, width = 3 * across * x0, 3 * across * (x1 - x0)
+    sums, blocks = np.empty(width, np.uint16), np.empty(width, np.uint16)
+    weights = np.ones(down, np.uint16)
+    inverse = u8((16777216 + across * down // 2) // (across * down))
+    for y in range(y0, y1):
+        made = out[y + 1]
+        if across == 1 and down == 1:
+            line = source[y]
+            for x in range(x0, x1):
+                i = u8(3 * x)
+                made[x + 1] = u8(line[i]) | (u8(line[i + u8(1)]) << u8(21)) | (u8(line[i + u8(2)]) << u8(42))
+            continue
+        _sum_rows(source, down * y, weights, first, width, sums)
+        for i in range(3 * across * (x1 - x0 - 1) + 3):  # all sums, though one in `across` is used: it vectorises
+            blocks[i] = sums[i]
+        for k in range(1, across):
+            shifted = sums[3 * k : width]
+            for i in range(3 * across * (x1 - x0 - 1) + 3):
+                blocks[i] += shifted[i]
+        for x in range(x0, x1):
+            i = u8(3 * across * (x - x0))
+            blue = (blocks[i] * inverse + u8(8388608)) >> u8(24)
+            green = (blocks[i + u8(1)] * inverse + u8(8388608)) >> u8(24)
+            red = (blocks[i + u8(2)] * inverse + u8(8388608)) >> u8(24)
+            made[x + 1] = blue | (green << u8(21)) | (red << u8(42))
 
 
 @njit(**OPTIONS)
 def shrink_weighted(image, columns, column_weights, rows, row_weights, y0, y1, x0, x1, out):
-    """out (h + 3, w + 3, 3) u1 [1 + y, 1 + x] = area average of image (H, W, 3) u1 for y0 <= y < y1, x0 <= x < x1.
+    """out (h + 3, w + 3) u8 [1 + y, 1 + x] = area average of image (H, W, 3) u1 for y0 <= y < y1, x0 <= x < x1, packed
+    as in shrink_blocks.
 
-    Pixel x is the sum of column_weights[x, k] (in 256ths) of the columns columns[x] + k; rows alike."""
+    Pixel x is the sum of column_weights[x, k] (in 256ths) of the columns columns[x] + k; rows alike, and rounded to
+    16ths in between. Three colours are summed in one word."""
     source = image.reshape(image.shape[0], image.shape[1] * 3)
-    target = out.reshape(out.shape[0], out.shape[1] * 3)
-    first = 3 * columns[x0]
-    width = 3 * (columns[x1 - 1] + column_weights.shape[1]) - first
+    first, last = columns[x0], columns[x1 - 1] + column_weights.shape[1]
+    width = 3 * (last - first)
     sums = np.empty(width, np.uint16)
-    taps, lines = column_weights.shape[1], row_weights.shape[1]
+    packed = np.empty(last - first, np.uint64)
+    taps = column_weights.shape[1]
+    half, mask = u8(2048 | (2048 << 21) | (2048 << 42)), u8(255 | (255 << 21) | (255 << 42))
     for y in range(y0, y1):
-        for k in range(0, lines, 4):  # 255 x 256 still fits 16 bits
-            a = source[rows[y] + k, first : first + width]
-            b = source[rows[y] + min(k + 1, lines - 1), first : first + width]
-            c = source[rows[y] + min(k + 2, lines - 1), first : first + width]
-            d = source[rows[y] + min(k + 3, lines - 1), first : first + width]
-            wa, wb = np.uint16(row_weights[y, k]), np.uint16(0)
-            wc, wd = np.uint16(0), np.uint16(0)
-            if k + 1 < lines:
-                wb = np.uint16(row_weights[y, k + 1])
-            if k + 2 < lines:
-                wc = np.uint16(row_weights[y, k + 2])
-            if k + 3 < lines:
-                wd = np.uint16(row_weights[y, k + 3])
-            for i in range(width):
-                upper = np.uint16(np.uint16(wa * np.uint16(a[i])) + np.uint16(wb * np.uint16(b[i])))
-                lower = np.uint16(np.uint16(wc * np.uint16(c[i])) + np.uint16(wd * np.uint16(d[i])))
-                sums[i] = np.uint16(upper + lower) if k == 0 else np.uint16(sums[i] + np.uint16(upper + lower))
-        made = target[y + 1]
+        _sum_rows(source, rows[y], row_weights[y], 3 * first, width, sums)
+        for i in range(width):
+            sums[i] = (sums[i] + np.uint16(8)) >> np.uint16(4)
+        for x in range(last - first):
+            i = u8(3 * x)
+            packed[x] = u8(sums[i]) | (u8(sums[i + u8(1)]) << u8(21)) | (u8(sums[i + u8(2)]) << u8(42))
+        made = out[y + 1]
         for x in range(x0, x1):
-            i = u8(3 * columns[x] - first)
-            blue, green, red = u8(32768), u8(32768), u8(32768)
+            i, total = u8(columns[x] - first), half
             for k in range(taps):
-                w = u8(column_weights[x, k])
-                blue += w * sums[i]
-                green += w * sums[i + u8(1)]
-                red += w * sums[i + u8(2)]
-                i += u8(3)
-            i = u8(3 * x + 3)
-            made[i] = blue >> u8(16)
-            made[i + u8(1)] = green >> u8(16)
-            made[i + u8(2)] = red >> u8(16)
+                total += u8(column_weights[x, k]) * packed[i + u8(k)]
+            made[x + 1] = (total >> u8(12)) & mask
+
+
+@njit(**OPTIONS)
+def unpack(small, y0, y1, x0, x1, out):
+    """out (h, w, 3) u1 in the box = the packed pixels small (h + 3, w + 3) u8."""
+    for y in range(y0, y1):
+        line, made = small[y + 1], out[y].reshape(-1)
+        for x in range(x0, x1):
+            p, i = line[x + 1], u8(3 * x)
+            made[i] = p & u8(255)
+            made[i + u8(1)] = (p >> u8(21)) & u8(255)
+            made[i + u8(2)] = (p >> u8(42)) & u8(255)
 
 
 @njit(**OPTIONS)
 def remap(small, corner, parts, y0, y1, x0, x1, out):
-    """out (h, w, 3) in the box = small (h + 3, w + 3, 3) at corner (h, w) plus the parts (h, w, 2), in 32nds."""
+    """out (h, w, 3) u1 in the box = the packed pixels small (h + 3, w + 3) u8 at corner (h, w) plus the parts
+    (h, w, 2), in 32nds. Three colours are blended in one word."""
     flat = small.reshape(-1)
-    step = u8(3 * small.shape[1])
-    three = u8(3)
+    step = u8(small.shape[1])
+    one, half = u8(1), u8(512 | (512 << 21) | (512 << 42))
     for y in range(y0, y1):
         made, at, part = out[y].reshape(-1), corner[y], parts[y].reshape(-1)
         for x in range(x0, x1):
             p = u8(at[x])
-            fx, fy = np.int32(part[u8(2 * x)]), np.int32(part[u8(2 * x + 1)])
-            q = p + step
-            for c in range(3):
-                a, b = np.int32(flat[p + u8(c)]), np.int32(flat[p + three + u8(c)])
-                d, e = np.int32(flat[q + u8(c)]), np.int32(flat[q + three + u8(c)])
-                upper = np.int32(32 * a + fx * (b - a))
-                lower = np.int32(32 * d + fx * (e - d))
-                made[u8(3 * x + c)] = np.int32(32 * upper + fy * (lower - upper) + 512) >> 10
+            fx, fy = u8(part[u8(2 * x)]), u8(part[u8(2 * x + 1)])
+            upper = (u8(32) - fx) * flat[p] + fx * flat[p + one]
+            p += step
+            lower = (u8(32) - fx) * flat[p] + fx * flat[p + one]
+            value = (u8(32) - fy) * upper + fy * lower + half
+            i = u8(3 * x)
+            made[i] = (value >> u8(10)) & u8(255)
+            made[i + u8(1)] = (value >> u8(31)) & u8(255)
+            made[i + u8(2)] = (value >> u8(52)) & u8(255)
 
 
 @njit(**OPTIONS)

@@ -27,8 +27,8 @@ class Lens(NamedTuple):
 
     stored: (width, height) of the stored pictures. First they are shrunk by area: across, down > 0: blocks of that many
     pixels are averaged; 0: working column x is the sum over k of column_weights[x, k] / 256 times stored column
-    columns[x] + k, rows alike; columns (w,), column_weights (w, K), rows (h,), row_weights (h, L). corner (h, w): where
-    the undistorted pixel lies in the shrunk picture, 3 times the number of the pixel up and left of it, in rows with
+    columns[x] + k, rows alike before, rounded to 16ths; columns (w,), column_weights (w, K), rows (h,), row_weights
+    (h, L). corner (h, w): number of the pixel up and left of the undistorted one in the shrunk picture, in rows with
     one pixel of black on the left and two on the right (one above, two below); parts (h, w, 2) u1: further right and
     down, in 32nds of a pixel. straight: the shrunk picture is the undistorted one.
     """
@@ -68,13 +68,13 @@ def make_lens(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> Le
     h, w = mx.shape
     if stored[0] < w or stored[1] < h:
         raise InputError(f"A picture of {stored} px cannot be enlarged to {(w, h)} px; choose a smaller working size.")
-    whole = stored[0] % w == 0 and stored[1] % h == 0 and stored[1] // h <= 256
+    whole = stored[0] % w == 0 and stored[1] % h == 0 and (stored[0] // w) * (stored[1] // h) <= 257
     across, down = (stored[0] // w, stored[1] // h) if whole else (0, 0)
     columns, column_weights = _averages(stored[0], w)
     rows, row_weights = _averages(stored[1], h)
     i = np.clip(np.nan_to_num(np.rint(32 * mx), nan=-1e6), -32, 32 * w).astype(np.int64)
     j = np.clip(np.nan_to_num(np.rint(32 * my), nan=-1e6), -32, 32 * h).astype(np.int64)
-    corner = (3 * ((j // 32 + 1) * (w + 3) + i // 32 + 1)).astype(np.int32)
+    corner = ((j // 32 + 1) * (w + 3) + i // 32 + 1).astype(np.int32)
     parts = np.stack([i % 32, j % 32], -1).astype(np.uint8)
     straight = bool((i == 32 * np.arange(w)).all() and (j == 32 * np.arange(h)[:, None]).all())
     return Lens(stored, across, down, columns, column_weights, rows, row_weights, corner, parts, straight)
@@ -100,22 +100,24 @@ def shrink_undistort(image: Image, lens: Lens, box: Box | None = None) -> Image:
     y0, y1, x0, x1 = box or (0, h, 0, w)
     if y1 <= y0 or x1 <= x0:
         return np.zeros((h, w, 3), np.uint8)
-    small = np.zeros((h + 3, w + 3, 3), np.uint8)
     if selection.backend() == "numpy":
+        small = np.zeros((h + 3, w + 3, 3), np.uint8)
         small[1 : h + 1, 1 : w + 1] = _shrink(image, lens)
         return small[1 : h + 1, 1 : w + 1].copy() if lens.straight else _remap(small, lens)
     kernels, image = _kernels(), np.require(image, np.uint8, ["C", "W"])
+    packed = np.zeros((h + 3, w + 3), np.uint64)
     a0, a1, b0, b1 = (y0, y1, x0, x1) if lens.straight else _needed(lens, box)
     if a1 > a0 and b1 > b0:
         if lens.across:
-            kernels.shrink_blocks(image, lens.across, lens.down, a0, a1, b0, b1, small)
+            kernels.shrink_blocks(image, lens.across, lens.down, a0, a1, b0, b1, packed)
         else:
             weights = lens.columns, lens.column_weights, lens.rows, lens.row_weights
-            kernels.shrink_weighted(image, *weights, a0, a1, b0, b1, small)
-    if lens.straight:
-        return np.ascontiguousarray(small[1 : h + 1, 1 : w + 1])
+            kernels.shrink_weighted(image, *weights, a0, a1, b0, b1, packed)
     out = np.empty((h, w, 3), np.uint8)
-    kernels.remap(small, lens.corner, lens.parts, y0, y1, x0, x1, out)
+    if lens.straight:
+        kernels.unpack(packed, y0, y1, x0, x1, out)
+    else:
+        kernels.remap(packed, lens.corner, lens.parts, y0, y1, x0, x1, out)
     return out
 
 
@@ -129,7 +131,7 @@ def _needed(lens: Lens, box: Box | None) -> Box:
     h, w = lens.corner.shape
     if box is None:
         return 0, h, 0, w
-    at = lens.corner[box[0] : box[1], box[2] : box[3]] // 3
+    at = lens.corner[box[0] : box[1], box[2] : box[3]]
     rows, columns = at // (w + 3), at % (w + 3)
     return (
         max(int(rows.min()) - 1, 0),
@@ -149,15 +151,16 @@ def _shrink(image: Image, lens: Lens) -> Image:
     lines = np.zeros((h, image.shape[1], 3), np.uint32)
     for k in range(lens.row_weights.shape[1]):
         lines += lens.row_weights[:, k, None, None] * image[lens.rows + k].astype(np.uint32)
+    lines = (lines + np.uint32(8)) >> np.uint32(4)
     total = np.zeros((h, w, 3), np.uint32)
     for k in range(lens.column_weights.shape[1]):
         total += lens.column_weights[:, k, None] * lines[:, lens.columns + k]
-    return ((total + np.uint32(32768)) >> np.uint32(16)).astype(np.uint8)
+    return ((total + np.uint32(2048)) >> np.uint32(12)).astype(np.uint8)
 
 
 def _remap(small: Image, lens: Lens) -> Image:
     flat, step = small.reshape(-1, 3).astype(np.int32), small.shape[1]
-    at = lens.corner // 3
+    at = lens.corner
     fx, fy = lens.parts[..., :1].astype(np.int32), lens.parts[..., 1:].astype(np.int32)
     upper = (32 - fx) * flat[at] + fx * flat[at + 1]
     lower = (32 - fx) * flat[at + step] + fx * flat[at + step + 1]
@@ -246,3 +249,15 @@ def order_statistic(stack: NDArray[np.uint8], hidden: NDArray[np.bool_] | None, 
     picked = np.take_along_axis(np.sort(values, 0), np.minimum(rank, n - 1)[None, :, None], 0)[0]
     count = np.full(p, n) if hidden is None else (~hidden).sum(0)
     return np.where((rank >= count)[:, None], 255, picked).astype(np.uint8)
+
+
+def warm_up() -> None:
+    """Compile (or load from disk) every kernel of this module on a toy picture."""
+    picture, (x, y) = np.zeros((24, 30, 3), np.uint8), np.meshgrid(np.arange(15.0), np.arange(12.0))
+    for lens in (make_lens((30, 24), x, y), make_lens((30, 24), x + 0.3, y), make_lens((30, 24), x[:, :13], y[:, :13])):
+        small = shrink_undistort(picture, lens)
+        mean = small.astype(np.float32)
+        codes = differences(small, Room(small, small, mean, mean[..., 0] + 1, True, 0.5, 0.9, 100.0))
+        clean_regions(without_shadows(codes), 1, 0.5, 1.0)
+    order_statistic(picture, None, np.zeros(30, np.int64))
+    order_statistic(picture, np.zeros((24, 30), np.bool_), np.zeros(30, np.int64))
