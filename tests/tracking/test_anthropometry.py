@@ -1,6 +1,7 @@
 """Shape from silhouettes: known shapes are found again, rows have the derivatives they claim, filters keep to the
 prior of Table 2.1."""
 
+import tomllib
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,14 @@ import pytest
 from hypose.body.anthropometry import ENTITIES, body_of, entity, prior_mean, sizes_2_1
 from hypose.errors import EvidenceError, InputError
 from hypose.inference.hypotheses import Hypotheses
-from hypose.pipeline.anthropometry import AnthropometryOptions, different_poses, estimate_subject
+from hypose.pipeline.anthropometry import (
+    AnthropometryOptions,
+    different_poses,
+    estimate_subject,
+    load_subject,
+    save_subject,
+)
+from hypose.pipeline.subject import SubjectOptions, find_subject
 from hypose.tracking.anthropometry import (
     BETAS,
     TABLE_2_2,
@@ -22,6 +30,18 @@ from hypose.tracking.anthropometry import (
 )
 from hypose.tracking.evidence import prepare
 from hypose.tracking.shape_refinement import Known, ShapeOptions, outline_rows, refine_shape
+
+
+def contours_of(frame, body, pose):
+    term = prepare(frame, body, pose).contours
+    assert term is not None
+    return term
+
+
+def rows_of(*arguments):
+    rows = outline_rows(*arguments)
+    assert rows is not None
+    return rows
 
 
 def shape(**factors):
@@ -58,7 +78,7 @@ def test_shape_of_another_body_is_found_from_motion(body, moving, frame_of, rng)
     starts[:, 6:] += rng.normal(0, 0.04, starts[:, 6:].shape)
     starts[:, :3] += rng.normal(0, 0.01, (len(starts), 3))
     starts = body.skeleton.clamp(starts)
-    contours = [prepare(f, body, q).contours for f, q in zip(frames, starts, strict=True)]
+    contours = [contours_of(f, body, q) for f, q in zip(frames, starts, strict=True)]
     fit = refine_shape(body, starts, contours, known=Known(height=person.stature))
     want, got = person.segment_lengths(), fit.body.segment_lengths()
     for name in ("upper_arm", "forearm", "thigh", "shank"):
@@ -74,7 +94,7 @@ def test_shape_of_another_body_is_found_from_motion(body, moving, frame_of, rng)
 
 
 def test_fit_is_the_same_twice(body, moving, frame_of):
-    contours = [prepare(frame_of(body, q, k), body, q).contours for k, q in enumerate(moving[:2])]
+    contours = [contours_of(frame_of(body, q, k), body, q) for k, q in enumerate(moving[:2])]
     quick = ShapeOptions(iterations=(1, 1, 1))
     a = refine_shape(body, moving[:2], contours, options=quick)
     b = refine_shape(body, moving[:2], contours, options=quick)
@@ -84,7 +104,7 @@ def test_fit_is_the_same_twice(body, moving, frame_of):
 
 def test_height_and_mass_are_kept(body, moving, frame_of):
     quick = ShapeOptions(iterations=(2, 3), coarse=(2.0, 1.0))
-    contours = [prepare(frame_of(body, moving[0]), body, moving[0]).contours]
+    contours = [contours_of(frame_of(body, moving[0]), body, moving[0])]
     taller = refine_shape(body, moving[:1], contours, known=Known(height=body.stature + 0.02), options=quick)
     free = refine_shape(body, moving[:1], contours, options=quick)
     assert taller.body.stature > free.body.stature + 0.002
@@ -98,18 +118,18 @@ def test_no_frame_is_refused(body):
 
 
 def test_rows_vanish_on_the_truth_and_point_outwards(body, standing, frame_of):
-    contours = prepare(frame_of(body, standing), body, standing).contours
+    contours = contours_of(frame_of(body, standing), body, standing)
     vertices = body.skin(standing)
-    a, b, t, r, g, w = outline_rows(body.coarse, vertices, contours, 0, 4.0, 0.5)
+    a, b, t, r, g, w = rows_of(body.coarse, vertices, contours, 0, 4.0, 0.5)
     assert len(r) > 100 and np.abs(r).mean() < 0.5 and (w > 0).all() and ((t >= 0) & (t <= 1)).all()
     # a fatter body has its outline outside the mask: positive residuals, both ways
     fat = body_of(body, shape(clothing=0.3))
-    r = outline_rows(fat.coarse, fat.skin(standing), contours, 0, 4.0, 0.5)[3]
+    r = rows_of(fat.coarse, fat.skin(standing), contours, 0, 4.0, 0.5)[3]
     assert np.mean(r) > 0.3
     # the gradient is that of the residual: moving the body along it changes the forward rows as told
     shift = np.array([0.002, -0.001, 0.0015])
-    moved = outline_rows(body.coarse, vertices + shift, contours, 0, 4.0, 0.5)
-    first = outline_rows(body.coarse, vertices, contours, 0, 4.0, 0.5)
+    moved = rows_of(body.coarse, vertices + shift, contours, 0, 4.0, 0.5)
+    first = rows_of(body.coarse, vertices, contours, 0, 4.0, 0.5)
     forward = min(len(first[0]), len(moved[0])) // 3
     same = (first[0][:forward] == moved[0][:forward]) & (first[2][:forward] == moved[2][:forward])
     told = (first[4][:forward] @ shift)[same]
@@ -127,7 +147,7 @@ def test_different_poses_are_chosen(body, standing):
     assert 4 not in different_poses(body, poses, bad, 3)
 
 
-def test_subject_from_the_hull_alone(body, standing, frame_of):
+def test_subject_from_the_hull_alone(body, standing, frame_of, tmp_path):
     person = body_of(body, shape(scale=0.05, thigh_girth=0.1, clothing=0.1))
     frames = [frame_of(person, standing, k) for k in range(3)]
     options = AnthropometryOptions(frames=2, rate=25.0, poses=("standing",), shape=ShapeOptions(iterations=(2, 2, 3)))
@@ -136,6 +156,18 @@ def test_subject_from_the_hull_alone(body, standing, frame_of):
     assert np.nanmin(found.iou) > 0.88 and np.nanmean(found.iou) > np.nanmean(found.iou_before)
     assert np.abs(found.body.joints(found.start) - person.joints(standing)).max() < 0.12
     assert found.sizes.girths["waist"] < found.clothed_sizes.girths["waist"]
+    # written, read back, and used for the next recording of the person
+    saved, toml = save_subject(tmp_path / "anna", found, body, 'the "first"')
+    document = tomllib.loads(toml.read_text())
+    assert document["sizes"]["stature"]["cm"] == pytest.approx(100 * found.naked.stature, abs=0.01)
+    assert 0 < document["sizes"]["thigh"]["sd"] < 5 and set(document["factors"]) == {e.name for e in ENTITIES}
+    for path in (saved, toml, saved.parent):
+        np.testing.assert_array_equal(load_subject(path).fine.vertices, found.body.fine.vertices)
+    again = find_subject(lambda i: frames[i], 3, SubjectOptions(body=load_subject(saved), start="standing", known=True))
+    np.testing.assert_array_equal(again.body.coarse.vertices, found.body.coarse.vertices)
+    assert np.abs(again.body.joints(again.start) - person.joints(standing)).max() < 0.12
+    with pytest.raises(InputError, match="nobody"):
+        load_subject(tmp_path / "nobody.npz")
 
 
 def test_a_single_view_is_refused(body, standing, frame_of):
