@@ -76,9 +76,7 @@ def test_ways_to_make_an_environment(change, expected):
 
 
 def test_no_way_to_make_an_environment_names_the_package_to_install():
-    with pytest.raises(
-        bootstrap.SetupError, match=r"/usr/bin/python3 has neither pip.*apt install python3-venv"
-    ):
+    with pytest.raises(bootstrap.SetupError, match=r"/usr/bin/python3 has neither pip.*apt install python3-venv"):
         bootstrap.ways_to_make_environment(DEBIAN._replace(pip=None, ensurepip=False))
 
 
@@ -114,9 +112,7 @@ def test_ways_to_install(change, has_pip, borrowed, expected):
 
 def test_installing_never_targets_the_systems_python():
     for way in ("uv", "pip", "outer-pip"):
-        command = bootstrap.install_command(
-            way, DEBIAN._replace(uv="/usr/bin/uv"), "/x/.venv/bin/python", None
-        )
+        command = bootstrap.install_command(way, DEBIAN._replace(uv="/usr/bin/uv"), "/x/.venv/bin/python", None)
         assert "/x/.venv/bin/python" in command
         assert not {"--break-system-packages", "--user", "--system"} & set(command)
 
@@ -193,9 +189,7 @@ def test_unknown_commands_go_to_hypose_and_test_to_pytest():
     assert bootstrap.commands_of("test", ["-k", "x"], "/e", "/e/bin/python") == [
         ["/e/bin/python", "-m", "pytest", "-k", "x"]
     ]
-    assert [command[1:] for command in bootstrap.commands_of("track", ["rec"], "/e", "p")] == [
-        ["track", "rec"]
-    ]
+    assert [command[1:] for command in bootstrap.commands_of("track", ["rec"], "/e", "p")] == [["track", "rec"]]
     assert len(bootstrap.commands_of("lint", [], "/e", "p")) == 4
 
 
@@ -301,9 +295,7 @@ def test_wheel_holds_code_assets_and_the_command(tmp_path):
 
 def test_no_large_file_is_tracked():
     try:
-        listed = subprocess.run(
-            ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True
-        )
+        listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):
         pytest.skip("not a git checkout: there is no list of tracked files")
     files = [ROOT / name for name in listed.stdout.split("\0") if name]

@@ -35,9 +35,7 @@ def test_algorithm_1_generic_run():
     weights = np.array([0.1, 0.4, 0.0, 0.5])
     with np.errstate(divide="ignore"):
         layer = Layer(stay, lambda h, z: np.log(np.broadcast_to(7 * weights, (4000, 4))), systematic)
-        after = search(
-            Hypotheses.uniform(states), Recipe("gpf", (layer,)), None, partial(stream, 0, 0)
-        ).selected
+        after = search(Hypotheses.uniform(states), Recipe("gpf", (layer,)), None, partial(stream, 0, 0)).selected
     np.testing.assert_allclose(np.bincount(after.values.astype(int).ravel()) / 16000, weights, atol=0.01)
     np.testing.assert_allclose(after.weights, 0.25)
 
@@ -116,9 +114,7 @@ def test_algorithm_3_as_printed_freezes_what_was_filtered_first():
         return out
 
     assert printed(3, 0.8)[0] == 0 < layered_sigma(SIGMA, PARTITIONS, 0.8, 3)[0]
-    np.testing.assert_allclose(
-        printed(1, 0.8), layered_sigma(SIGMA, PARTITIONS, 0.8, 1)
-    )  # the same while l <= 1
+    np.testing.assert_allclose(printed(1, 0.8), layered_sigma(SIGMA, PARTITIONS, 0.8, 1))  # the same while l <= 1
 
 
 def test_algorithm_3_with_all_coordinates_is_equation_2_10():
