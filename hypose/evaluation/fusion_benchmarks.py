@@ -316,19 +316,20 @@ def real(options: BenchOptions) -> BenchReport:
             frames = _main_person(file)
         except InputError:
             continue
-        if len(frames) < 300:
-            continue
         name = CONFIGURATIONS[configuration]
-        used[configuration] = used.get(configuration, 0) + 1
-        if used[configuration] <= 3:
-            _measure_pair(frames[:400], name, "", found)
         if not options.quick:
-            _measure_pair(frames, name, "/all", found)
             scenario = _scenarios(file)
             for label, wanted in SCENARIOS.items():
                 part = [f for f in frames if scenario.get(round(1e3 * float(f.times[0]))) in wanted]
                 if len(part) >= 100:
                     _measure_pair(part, name, f"/{label}", found)
+        if len(frames) < 300:
+            continue
+        used[configuration] = used.get(configuration, 0) + 1
+        if used[configuration] <= 3:
+            _measure_pair(frames[:400], name, "", found)
+        if not options.quick:
+            _measure_pair(frames, name, "/all", found)
     rows = [row(metric, case, values, unit) for (metric, case, unit), values in found.items()]
     return BenchReport(tuple(rows), {"recordings": {CONFIGURATIONS[c]: n for c, n in used.items()}})
 

@@ -39,7 +39,7 @@ from hypose.fusion.swarm import IMPROVED, PUBLISHED, SwarmSettings, SwarmState, 
 from hypose.geometry import Array
 
 FIT, SWARM, PUBLISHED_SWARM = "fit", "swarm", "published"
-WINDOW_FRAMES = 75
+WINDOW_FRAMES = 40
 """Frames that a stream's registration is fitted to; up to twice as many are kept."""
 BASELINES = ("best_single", "weighted_mean", "median", "kalman", "dbscan_kalman")
 METHODS = (FIT, SWARM, PUBLISHED_SWARM, *BASELINES)

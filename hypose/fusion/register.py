@@ -166,7 +166,8 @@ def register(
         both = weight[:, anchor] * weight[:, k]
         use = both > 0
         a = transform(transforms[anchor], s[:, anchor][use])
-        transforms[k], residual[k] = _robust(s[:, k][use], a, both[use], scale_m, iterations)
+        before = transforms[k] if start is not None and start.registered[k] else None
+        transforms[k], residual[k] = _robust(s[:, k][use], a, both[use], scale_m, iterations, before)
         done[k] = True
         waiting.remove(k)
     if start is not None:
@@ -174,15 +175,22 @@ def register(
     return Registration(transforms, residual, done, reference)
 
 
-def _robust(moving: Array, target: Array, weight: Array, scale: float, iterations: int) -> tuple[Array, float]:
+def _robust(
+    moving: Array, target: Array, weight: Array, scale: float, iterations: int, start: Array | None = None
+) -> tuple[Array, float]:
+    """From plain least squares, or from the weights that a known motion `start` gives (then a few iterations do)."""
     w, distance = weight, np.zeros(len(weight))
     motion = np.eye(4)
+    if start is not None:
+        off = np.linalg.norm(transform(start, moving) - target, axis=1)
+        if np.median(off) < 3 * scale:  # else the sensor was moved
+            w, motion = weight / (1 + (off / scale) ** 2), start
     for _ in range(iterations):
         before = motion
         motion = procrustes(moving, target, w)[0]
         distance = np.linalg.norm(transform(motion, moving) - target, axis=1)
         w = weight / (1 + (distance / scale) ** 2)
-        if np.abs(motion - before).max() < 1e-6:
+        if np.abs(motion - before).max() < 1e-5:
             break
     return motion, float(np.median(distance))
 
