@@ -7,6 +7,7 @@ camera can have its own thread.
 
 from __future__ import annotations
 
+import threading
 from importlib import import_module
 from typing import NamedTuple
 
@@ -105,7 +106,7 @@ def shrink_undistort(image: Image, lens: Lens, box: Box | None = None) -> Image:
         small[1 : h + 1, 1 : w + 1] = _shrink(image, lens)
         return small[1 : h + 1, 1 : w + 1].copy() if lens.straight else _remap(small, lens)
     kernels, image = _kernels(), np.require(image, np.uint8, ["C", "W"])
-    packed = np.zeros((h + 3, w + 3), np.uint64)
+    packed = _scratch(h + 3, w + 3)
     a0, a1, b0, b1 = (y0, y1, x0, x1) if lens.straight else _needed(lens, box)
     if a1 > a0 and b1 > b0:
         if lens.across:
@@ -119,6 +120,17 @@ def shrink_undistort(image: Image, lens: Lens, box: Box | None = None) -> Image:
     else:
         kernels.remap(packed, lens.corner, lens.parts, y0, y1, x0, x1, out)
     return out
+
+
+_OWN = threading.local()
+
+
+def _scratch(h: int, w: int) -> NDArray[np.uint64]:
+    """This thread's memory for packed pixels, its rim zero: new memory of this size costs as much as the shrinking."""
+    known = getattr(_OWN, "packed", None)
+    if known is None or known.shape != (h, w):
+        known = _OWN.packed = np.zeros((h, w), np.uint64)
+    return known
 
 
 def _kernels():  # noqa: ANN202 - a module
