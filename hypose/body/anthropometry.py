@@ -70,7 +70,7 @@ ENTITY_NAMES = tuple(e.name for e in ENTITIES)
 
 CLOTHING_UNIT = 0.1
 """m: the factor "clothing" is not a logarithm but a thickness in this unit, 9 +- 6 mm in the prior."""
-_COVERED = {"head": 0.0, "neck": 0.2, "wrist": 0.0, "ankle": 0.3}
+_COVERED = {"head": 0.0, "neck": 0.2, "wrist": 0.0, "ankle": 0.0}
 """Share of the thickness by the kind of joint that carries the skin; 1 elsewhere."""
 
 TABLE_2_1: dict[str, tuple[float, float]] = {

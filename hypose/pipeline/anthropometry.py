@@ -7,6 +7,7 @@ the thesis' layered filter for one held pose is hypose.tracking.anthropometry.
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +19,7 @@ from hypose.body.anthropometry import CLOTHING_UNIT, ENTITY_NAMES, Sizes, body_o
 from hypose.body.body import Body
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame
-from hypose.fitting.articulated import SolveOptions
+from hypose.fitting.articulated import ContourTerm, SolveOptions, contour_term
 from hypose.geometry import Array
 from hypose.io.bodies import load_body, save_body
 from hypose.io.files import write_text
@@ -44,7 +45,7 @@ class AnthropometryOptions:
     tracked: int = 36
     rate: float = 12.5
     particles: int = 48
-    passes: int = 1
+    passes: int = 2
     height: float | None = None
     mass: float | None = None
     poses: tuple[str, ...] = KNOWN_POSES
@@ -113,26 +114,29 @@ def estimate_subject(
             "The subject's shape needs silhouettes in at least two views from the first frame on; check masks with "
             "`hypose silhouettes`, or choose other frames."
         )
-    height = options.height
+    height, known = options.height, Known(options.height, options.mass)
     if start is None:
-        body, start_pose = hull_start(template, frames[0], height, options.poses)
+        body, start_pose, at = _best_start(template, seen, options)
     else:
         body = template if height is None else scaled_to_height(template, height)
-        start_pose = start
-    known = Known(height, options.mass)
+        start_pose, at = start, 0
     first, x = body, prior_mean()
     x[0] = np.log(body.stature / template.stature)
-    before, iou = _follow(body, start_pose, seen, rate, options)
-    chosen = different_poses(body, before, iou, options.frames)
-    views = [_prepared(seen[k], body, before[k]) for k in chosen]
-    contours = [v.contours for v in views if v.contours is not None]
-    assert len(contours) == len(chosen)  # frames with fewer than two usable views were left out
-    fit = refine_shape(template, before[chosen], contours, known=known, options=options.shape, start=x)
+    by_template, iou = _both_ways(body, start_pose, at, seen, rate, options)
+    chosen, tracked = different_poses(body, by_template, iou, options.frames), by_template
+    fit = refine_shape(template, tracked[chosen], _contours(seen, chosen), known=known, options=options.shape, start=x)
     for _ in range(options.passes - 1):
-        again, _ = _follow(fit.body, _settled(fit.body, before[0], seen[0]), seen, rate, options)
-        fit = refine_shape(template, again[chosen], contours, known=known, options=options.shape, start=fit.log_factors)
+        # the fitted body loses fewer limbs, so other frames and better poses are there to be fitted
+        tracked, iou = _both_ways(fit.body, tracked[at], at, seen, rate, options)
+        chosen = different_poses(fit.body, tracked, iou, options.frames)
+        again = replace(options.shape, iterations=(0, *options.shape.iterations[1:]))
+        fit = refine_shape(
+            template, tracked[chosen], _contours(seen, chosen), known=known, options=again, start=fit.log_factors
+        )
+    before = by_template[chosen]
+    views = [_prepared(seen[k], first, by_template[k]) for k in chosen]
     body, x = fit.body, fit.log_factors
-    iou_before = _ious(first, before[chosen], views)
+    iou_before = _ious(first, before, views)
     iou_after = _ious(body, fit.poses, views)
     note = (
         f"shape from the silhouettes of {len(chosen)} poses: mean IoU {np.nanmean(iou_before):.3f} -> "
@@ -143,27 +147,69 @@ def estimate_subject(
         body_of(template, x, clothed=False),
         x,
         fit.covariance,
-        _settled(body, before[0], seen[0]),
+        _settled(body, tracked[0], seen[0]),
         tuple(numbers[k] for k in chosen),
         fit.poses,
         first,
-        before[chosen],
+        before,
         iou_before,
         iou_after,
         (note,),
     )
 
 
+def _best_start(template: Body, frames: Sequence[Frame], options: AnthropometryOptions) -> tuple[Body, Array, int]:
+    """The scaled template, its pose and the number of the frame where they explain the silhouettes best. A hole in one
+    mask cuts the hull, so several frames are tried; the median of their hulls' heights is the person's extent."""
+    tried = sorted({0, len(frames) // 3, (2 * len(frames)) // 3})
+    extents = []
+    for k in sorted({*tried, len(frames) // 6, len(frames) // 2, len(frames) - 1}):
+        with contextlib.suppress(EvidenceError):
+            extents.append(hull_of(_prepared(frames[k], template, np.zeros(template.skeleton.dof))).height)
+    extent = float(np.median(extents)) if extents else None
+    best: tuple[float, Body, Array, int] | None = None
+    failed: EvidenceError | None = None
+    for k in tried:
+        # only the first frame is promised to show the named pose
+        poses = options.poses if k == 0 else tuple(dict.fromkeys((*options.poses, "standing", "a")))
+        try:
+            body, pose, value = hull_start(template, frames[k], options.height, poses, extent)
+        except EvidenceError as error:
+            failed = failed or error
+            continue
+        if best is None or value > best[0] + 0.02:
+            best = (value, body, pose, k)
+    if best is None:
+        raise failed or EvidenceError("No frame has a visual hull to start from; check the calibration and the masks.")
+    return best[1], best[2], best[3]
+
+
+def _both_ways(
+    body: Body, start: Array, at: int, frames: Sequence[Frame], rate: float, options: AnthropometryOptions
+) -> tuple[Array, Array]:
+    """`_follow` forwards and backwards from frame `at`, in the order of the frames."""
+    poses, iou = _follow(body, start, frames[at:], rate, options)
+    if at == 0:
+        return poses, iou
+    earlier, earlier_iou = _follow(body, poses[0], frames[at - 1 :: -1], rate, options)
+    return np.concatenate([earlier[::-1], poses]), np.concatenate([earlier_iou[::-1], iou])
+
+
 def hull_start(
-    template: Body, frame: Frame, height: float | None = None, poses: Sequence[str] = KNOWN_POSES
-) -> tuple[Body, Array]:
-    """The template scaled to the person and its pose in one frame: known poses at the visual hull, at the given height
-    or at several scales about the hull's, of which the best explained is taken."""
+    template: Body,
+    frame: Frame,
+    height: float | None = None,
+    poses: Sequence[str] = KNOWN_POSES,
+    extent: float | None = None,
+) -> tuple[Body, Array, float]:
+    """The template scaled to the person, its pose in one frame and the mean IoU there: known poses at the visual hull,
+    at the given height, or at several scales about the hull's (`extent` m, default this frame's), of which the best
+    explained is taken."""
     prepared = prepare(frame, template, np.zeros(template.skeleton.dof))
     if height is not None:
         heights = [height]
     else:
-        extent = hull_of(prepared).height
+        extent = extent or hull_of(prepared).height
         # standing people are as high as their hull, raised arms add up to a third, strides and bends take some away
         heights = [h for h in (extent, extent / 1.05, extent / 1.28, 1.05 * extent) if 0.8 < h < 2.3] or [1.7]
     best: tuple[float, Body, Array] | None = None
@@ -174,7 +220,7 @@ def hull_start(
         if best is None or value > best[0] + 0.002:
             best = (value, body, pose)
     assert best is not None
-    return best[1], best[2]
+    return best[1], best[2], best[0]
 
 
 def _follow(
@@ -196,7 +242,7 @@ def different_poses(body: Body, poses: Array, iou: Array, count: int) -> list[in
     """Indices of up to `count` poses (T, D) that differ most (farthest-point choice on joint positions about the
     pelvis, in its frame, so that the view changes count too), among those explained about as well as usual."""
     usual = float(np.nanmedian(iou))
-    allowed = [k for k in range(len(poses)) if iou[k] > 0.92 * usual] or list(range(len(poses)))
+    allowed = [k for k in range(len(poses)) if iou[k] > 0.95 * usual] or list(range(len(poses)))
     rotations, joints = body.skeleton.forward(poses)
     local = np.einsum("tba,tjb->tja", rotations[:, 0], joints - joints[:, :1])
     heading = rotations[:, 0, :, 1] * 0.5
@@ -210,6 +256,11 @@ def different_poses(body: Body, poses: Array, iou: Array, count: int) -> list[in
         chosen.append(new)
         gap = np.minimum(gap, np.linalg.norm(feature - feature[new], axis=1))
     return sorted(chosen)
+
+
+def _contours(frames: Sequence[Frame], chosen: Sequence[int]) -> list[ContourTerm]:
+    found = [frames[k].silhouettes for k in chosen]
+    return [contour_term(f) for f in found if f is not None]
 
 
 def _prepared(frame: Frame, body: Body, pose: Array) -> PreparedFrame:

@@ -136,7 +136,9 @@ def _from_hull(
 ) -> Subject:
     poses = KNOWN_POSES if options.start in ("auto", "hull") else (options.start,)
     if options.girths:
-        how = AnthropometryOptions(height=options.height, poses=poses, seed=options.seed, frames=8, tracked=24)
+        how = AnthropometryOptions(
+            height=options.height, poses=poses, seed=options.seed, frames=8, tracked=24, passes=1
+        )
         estimate = estimate_subject(frame_at, n_frames, options.frame_rate, template, how)
         notes = [f"height {estimate.body.stature:.3f} m from the silhouettes"] if options.height is None else []
         return Subject(estimate.body, None, estimate.start, (*notes, *estimate.notes))

@@ -139,14 +139,17 @@ class _ShapeProblem:
         height_ratio: float,
     ) -> None:
         self.body, self.contours, self.known, self.options, self.anchor = body, contours, known, options, anchor
-        self.dense = body.coarse.dense_weights(len(body.skeleton.joint_names))
+        # (V, D) share of a dof's motion at a vertex
+        self.moves = body.coarse.dense_weights(len(body.skeleton.joint_names)) @ body.skeleton.moves.T.astype(
+            np.float64
+        )
         self.precision = np.linalg.inv(prior_covariance()) * options.prior
         self.mean = prior_mean()
         self.height_ratio = height_ratio
         rows, _, sd = length_rows(body)
         self.precision = self.precision + options.prior * (rows / sd[:, None]).T @ (rows / sd[:, None])
-        pose_weight = anatomical_prior(body.skeleton).weight
-        self.pose_weight = pose_weight
+        # in the same balance with the contours as in the pose solver, whose rows weigh 0.05
+        self.pose_weight = anatomical_prior(body.skeleton).weight * options.weight / 0.05
         self.anchor_weight = np.full(body.skeleton.dof, options.pose_sd**-2)
         self.anchor_weight[:6] = 0
 
@@ -198,13 +201,17 @@ class _ShapeProblem:
         frames = []
         for f, r in enumerate(system.rows):
             ws, wp = r.by_shape * r.weight[:, None], r.by_pose * r.weight[:, None]
-            hpp = wp.T @ r.by_pose
+            hpp = _product(wp, r.by_pose)
             hpp[np.diag_indices_from(hpp)] += self.pose_weight + self.anchor_weight + damping * hpp.diagonal() + 1e-6
-            gp = wp.T @ r.residual + self.pose_weight * q[f] + self.anchor_weight * (q[f] - self.anchor[f])
-            hsp = ws.T @ r.by_pose
-            solved = np.linalg.solve(hpp, np.concatenate([hsp.T, gp[:, None]], 1))
-            h += ws.T @ r.by_shape - hsp @ solved[:, :-1]
-            g += ws.T @ r.residual - hsp @ solved[:, -1]
+            gp = (
+                _product(wp, r.residual[:, None])[:, 0]
+                + self.pose_weight * q[f]
+                + self.anchor_weight * (q[f] - self.anchor[f])
+            )
+            hsp = _product(ws, r.by_pose)
+            solved: Array = np.asarray(np.linalg.solve(hpp, np.concatenate([hsp.T, gp[:, None]], 1)), dtype=np.float64)
+            h += _product(ws, r.by_shape) - _product(hsp.T, solved[:, :-1])
+            g += _product(ws, r.residual[:, None])[:, 0] - hsp @ solved[:, -1]
             frames.append((solved[:, :-1], solved[:, -1], gp))
         return h, g, frames
 
@@ -238,7 +245,6 @@ class _ShapeProblem:
     ) -> _Rows:
         """vertices (V, 3), slopes (K, V, 3) of one frame."""
         twists = shaped.skeleton.world_twists(pose)
-        moves = self.dense @ shaped.skeleton.moves.T.astype(np.float64)  # (V, D) share of a dof's motion at a vertex
         parts = []
         for c in np.flatnonzero(term.usable):
             made = outline_rows(
@@ -259,10 +265,16 @@ class _ShapeProblem:
         s = (1 - t)[:, None]
         point = s * vertices[a] + t[:, None] * vertices[b]
         by_shape = np.einsum("rc,krc->rk", s * g, slopes[:, a]) + np.einsum("rc,krc->rk", t[:, None] * g, slopes[:, b])
-        carried = s * moves[a] + t[:, None] * moves[b]
+        carried = s * self.moves[a] + t[:, None] * self.moves[b]
         wrench = np.concatenate([np.cross(point, g), g], 1)
-        by_pose = (wrench @ twists.T) * carried
+        by_pose = _product(wrench.T, twists.T) * carried
         return _Rows(r, w0 * kernel**2 / scale**2, by_shape, by_pose, cost)
+
+
+def _product(a: Array, b: Array) -> Array:
+    """a^T b (I, J) of a (R, I), b (R, J) in fixed order: no threaded BLAS, whose result (and, on a busy machine, time)
+    depends on the threads."""
+    return np.einsum("ri,rj->ij", a, b)
 
 
 def outline_rows(
@@ -328,7 +340,7 @@ def outline_rows(
         _, look = _bilinear(sdf, mark)
         look = look / np.maximum(np.linalg.norm(look, axis=1, keepdims=True), 1e-6)
         gap = ((mark[:, None] - xy[None]) ** 2).sum(-1)
-        gap = np.where(look @ n.T > least_cosine, gap, 1e9)
+        gap = np.where(_product(look.T, n.T) > least_cosine, gap, 1e9)
         near = gap.argmin(1)
         good = gap[np.arange(len(mark)), near] < (0.25 * term.height_px) ** 2
         near, mark = near[good], mark[good]
