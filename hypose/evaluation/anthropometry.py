@@ -59,7 +59,8 @@ def anthropometry(options: BenchOptions) -> BenchReport:
     subject and the template once for all (joint definitions). Truth of the girths: cross-sections of the subject's
     mesh in its clothes; under "naked" the skin's, against the fit without its estimated clothes. IoU
     against the clean masks of the fitted frames: min_view_iou is the least, over subjects and views, of a view's mean
-    over the frames; worst_image_iou the worst single image. Baseline of lengths and girths: the template at the true height.
+    over the frames; worst_image_iou the worst single image. Baseline of lengths and girths: the template at the true
+    height.
     tracking_gain: walk and box scenes of table-2.3 with the default recipe, the same start (true joints of frame 0); a
     body fitted without knowing the height, to another take of the same person (combo), against the template at the true
     height: 1 - error / error.
