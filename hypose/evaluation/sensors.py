@@ -3,8 +3,8 @@
 What goes wrong depends on what a sensor sees: jitter grows for oblique views and along the ray, a joint that the body
 or a treadmill's bars hide is inferred (frozen to its parent, taken for the other arm, or pulled towards the trunk and
 jumping), a sensor that sees the back exchanges the sides for a while, joints and whole persons are lost, depth maps
-have holes. The figures are those of research on Kinect-like sensors as far as published, else assumptions; results on
-these recordings compare methods, they are not what a particular sensor will give.
+have holes. Apart from the noise of depth the figures are assumptions; results on these recordings compare methods, they
+are not what a particular sensor will give.
 """
 
 from __future__ import annotations
