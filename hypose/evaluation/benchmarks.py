@@ -79,6 +79,7 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
     """All benchmarks by name (imported when asked for, because they pull in the whole product)."""
     from hypose.evaluation import (
         anthropometry,
+        anthropometry_real,
         fusion_benchmarks,
         path_speed,
         published,
@@ -97,6 +98,7 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
         "multiview-speed": path_speed.multiview_speed,
         "rigging": rigging.rigging,
         "anthropometry": anthropometry.anthropometry,
+        "subject-balancing": anthropometry_real.subject_balancing,
         "fusion-table-1": fusion_benchmarks.table_1,
         "fusion-departures": fusion_benchmarks.departures,
         "fusion-human4d": fusion_benchmarks.human4d,

@@ -74,12 +74,12 @@ def real_balancing(options: BenchOptions) -> BenchReport:
     )
     for k, (case, stream, evidence) in enumerate(cases):
         options.progress(case, k + 1, len(cases) + 1)
-        source = _First(stream, n)
+        source = FirstFrames(stream, n)
         result = track_source(source, rate, TrackOptions(evidence=evidence), subject=subject)
         assert result.motion.poses is not None and subject.keypoints is not None
         assert subject.keypoints.names == BODY_25B  # the order of the reference
         # key-point file t belongs to video frame t + 1: frame 0 of the video has none
-        rows += _against(case, subject.body, subject.keypoints, result.motion.poses[1:], reference[: n - 1])
+        rows += against_keypoints(case, subject.body, subject.keypoints, result.motion.poses[1:], reference[: n - 1])
         if evidence != "keypoints":
             rows.append(Row("iou", case, 1 - float(np.nanmean(result.motion.cost)), "1", n=n))
     return BenchReport(
@@ -87,7 +87,7 @@ def real_balancing(options: BenchOptions) -> BenchReport:
     )
 
 
-class _First:
+class FirstFrames:
     """The first n frames of a stream."""
 
     def __init__(self, stream: FrameStream, n: int) -> None:
@@ -97,10 +97,12 @@ class _First:
         return self.n
 
     def frame(self, index: int, /) -> Frame:
+        """Frame number index."""
         return self.stream.frame(index)
 
 
-def _against(case: str, body: Body, model: KeypointModel, poses: Array, reference: Array) -> list[Row]:
+def against_keypoints(case: str, body: Body, model: KeypointModel, poses: Array, reference: Array) -> list[Row]:
+    """Rows of 12 limb joints of poses (T, D) against triangulated key points (T, 25, 3) m, NaN = not seen."""
     rotations, centres = body.skeleton.forward(poses)
     limbs = np.array(LIMBS)
     joint, offset = model.joint[limbs], model.offset[limbs]
