@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -180,10 +181,19 @@ def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iteratio
         if name.endswith("arm"):
             moves.append(UniformShare(0.25, *_reach(s), mask))
         kernel = UnlessSettled(KeepFirst(Compose(tuple(moves)), 2))
-        weigh = WeighUnlessSettled(_weigh(body, SurvivalRate()))
+        weigh = WeighUnlessSettled(_weigh(body, FixedSelectivity(1.0)))  # the best is the best under any exponent
         rows.append(Layer(kernel, weigh, Elite(1, mask, keep=1), name))
     rows.append(Layer(RefineComposite(body, options), no_evidence, keep, "refinement"))
     return Recipe("default", tuple(rows), RefinedEstimate(s), CONTOURS), particles
+
+
+def _published(name: str) -> Callable[..., tuple[Recipe, int]]:
+    def make(body: Body, **settings: Any) -> tuple[Recipe, int]:
+        from hypose.tracking import published_recipes  # which is built on this module
+
+        return published_recipes.PRESETS[name](body, **settings)
+
+    return make
 
 
 RECIPES: dict[str, Callable[..., tuple[Recipe, int]]] = {
@@ -192,6 +202,7 @@ RECIPES: dict[str, Callable[..., tuple[Recipe, int]]] = {
     "apf": apf,
     "partitioned": partitioned,
     "hpf": hpf,
+    **{name: _published(name) for name in ("hpf-apo", "hpf-apo+")},
 }
 
 

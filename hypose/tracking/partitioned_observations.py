@@ -1,0 +1,138 @@
+"""Approximate partitioning of observations: each layer is weighed only where its body parts are likely to be seen.
+
+A layer's box in space stands around the joints it places (by the mean of the set so far), its picture in every view is
+a box too, and the silhouette cost is counted inside; parts of later layers are not drawn.
+Source: Alcoverro 2014, section 2.4.1, eq. 2.15.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose import compute
+from hypose.body.body import Body
+from hypose.cameras.camera import CameraRig
+from hypose.geometry import Array
+from hypose.inference.hypotheses import Hypotheses
+from hypose.tracking.evidence import PreparedFrame
+from hypose.tracking.refinement import pose_mean
+
+_NEAREST = 0.05
+"""m; a box that reaches nearer to a camera's plane fills its image."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """Where a layer looks, from the joints of the mean pose.
+
+    joints (Y,): the joints of the layer, with the points that end its parts (`ends`: landmark indices). half: (3,) m,
+    half the box's extent along the world's axes about the mean of those points (the published form, fixed), or None: the
+    box that bounds the points. margin: m, added on every side.
+    """
+
+    joints: NDArray[np.int64]
+    ends: NDArray[np.int64]
+    half: Array | None
+    margin: float
+
+    def box(self, body: Body, pose: Array) -> Array:
+        """(2, 3) m: lowest and highest corner in the world for a pose (D,)."""
+        points = body.joints(pose)[self.joints]
+        if len(self.ends):
+            points = np.concatenate([points, body.landmark_points(pose)[self.ends]])
+        if self.half is not None:
+            centre = points.mean(0)
+            return np.stack([centre - self.half, centre + self.half]) + [[-self.margin], [self.margin]]
+        return np.stack([points.min(0) - self.margin, points.max(0) + self.margin])
+
+
+def chain_region(body: Body, joints: tuple[str, ...], ends: tuple[str, ...] = (), *, girth: float = 0.12) -> Region:
+    """The published box of a limb: centred at the mean of its points, with sizes fixed by the subject's anthropometry.
+
+    A cube that holds the limb however it is bent: half its length from the first point to the last, and girth (m at a
+    stature of 1.75 m) on every side. joints, ends: names of joints and landmarks. The thesis gives no factors.
+    """
+    s = body.skeleton
+    index = np.array([s.joint(n) for n in joints])
+    marks = np.array([body.landmarks.index(n) for n in ends], dtype=np.int64)
+    points = s.rest_joints[index]
+    if len(marks):
+        tips = s.rest_joints[body.landmarks.joint[marks]] + body.landmarks.offset[marks]
+        points = np.concatenate([points, tips])
+    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    return Region(index, marks, np.full(3, 0.5 * length), girth * body.stature / 1.75)
+
+
+def bounding_region(body: Body, joints: tuple[str, ...], ends: tuple[str, ...] = (), *, margin: float) -> Region:
+    """The box that bounds a limb's points, as it is posed, with a margin (m at a stature of 1.75 m) on every side."""
+    index = np.array([body.skeleton.joint(n) for n in joints])
+    marks = np.array([body.landmarks.index(n) for n in ends], dtype=np.int64)
+    return Region(index, marks, None, margin * body.stature / 1.75)
+
+
+def boxes_in_views(box: Array, rig: CameraRig) -> NDArray[np.int64]:
+    """(C, 4) = x0, x1, y0, y1 px (half open), inside each image: what encloses the projected corners of box (2, 3) m.
+
+    A box that touches a camera's plane fills the image (the projection of its corners does not enclose it); one behind
+    the camera is empty. Source: Alcoverro 2014, section 2.4.1 step 2.
+    """
+    corners = np.array([[box[i, 0], box[j, 1], box[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    homogeneous = np.einsum("cab,nb->cna", rig.projections[:, :, :3], corners) + rig.projections[:, None, :, 3]
+    depth = homogeneous[..., 2]
+    uv = homogeneous[..., :2] / np.where(depth > _NEAREST, depth, 1.0)[..., None]
+    w, h = rig.sizes[:, 0].astype(np.float64), rig.sizes[:, 1].astype(np.float64)
+    low, high = np.floor(uv.min(1)), np.ceil(uv.max(1)) + 1
+    touches = (depth <= _NEAREST).any(1)
+    behind = (depth <= _NEAREST).all(1)
+    out = np.stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]], 1)
+    out[touches] = np.stack([0 * w, w, 0 * h, h], 1)[touches]
+    out[behind] = 0
+    out = np.clip(out, 0, np.stack([w, w, h, h], 1))
+    out[:, 1::2] = np.maximum(out[:, 1::2], out[:, ::2])
+    return out.astype(np.int64)
+
+
+def faces_of_parts(body: Body, joints: tuple[str, ...]) -> NDArray[np.bool_]:
+    """(F,) triangles of the coarse mesh that belong to the parts of the named joints (by most of their corners)."""
+    wanted = np.isin(body.coarse.main_joint, [body.skeleton.joint(n) for n in joints])
+    return np.asarray(wanted[body.coarse.faces].sum(1) >= 2)
+
+
+@dataclass(frozen=True)
+class PartitionedXor:
+    """Energy E = sum over usable views of XOR(M_v, S_v inside Omega_v) / C(Omega_v), so that the weight is exp(-E).
+
+    Omega_v: the picture of the region's box about the mean of the set, C: its pixels inside the image; a view whose
+    image the box misses is left out. faces (F,) bool: the triangles drawn, None for all. With no view the energy is 0.
+    The mean is that of the set to be weighed, whose last steps have mean 0 (the thesis: that of the layer before).
+    Source: Alcoverro 2014, eq. 2.15.
+    """
+
+    body: Body
+    region: Region
+    faces: NDArray[np.bool_] | None = None
+
+    def __call__(self, h: Hypotheses, frame: PreparedFrame, /) -> Array:
+        """(N,) energies of h.values (N, D)."""
+        silhouettes = frame.frame.silhouettes
+        if frame.masks is None or silhouettes is None:
+            return np.zeros(h.count)
+        boxes = boxes_in_views(self.region.box(self.body, pose_mean(self.body.skeleton)(h)), silhouettes.rig)
+        return partitioned_energy(self.body, h.values, frame, boxes, self.faces)
+
+
+def partitioned_energy(
+    body: Body, poses: Array, frame: PreparedFrame, boxes: NDArray[np.int64], faces: NDArray[np.bool_] | None = None
+) -> Array:
+    """(N,) energies of eq. 2.15 for poses (N, D) in boxes (C, 4) px; zeros when no usable view has a box."""
+    assert frame.masks is not None
+    pixels = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
+    use = frame.masks.usable & (pixels > 0)
+    if not use.any():
+        return np.zeros(len(poses))
+    flat = np.ascontiguousarray(poses, dtype=np.float64)
+    counts = compute.silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, frame.masks, boxes, faces=faces)
+    return (counts[:, use, 0] / pixels[use]).sum(1)
