@@ -23,6 +23,7 @@ from hypose.fitting.articulated import ContourTerm, SolveOptions, contour_term
 from hypose.geometry import Array
 from hypose.io.bodies import load_body, save_body
 from hypose.io.files import write_text
+from hypose.pipeline.subject_checks import check_borders, check_named_pose, check_size, check_start
 from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.evidence import PreparedFrame, prepare
 from hypose.tracking.initialise import KNOWN_POSES, hull_of, start_from_hull
@@ -99,7 +100,8 @@ def estimate_subject(
     """The subject of a recording from silhouettes alone.
 
     start (D,): pose of `template` in frame 0; default: known poses at the visual hull. The person may do anything;
-    different poses (bent elbows and knees) place the joints. An EvidenceError when fewer than two views are usable.
+    different poses (bent elbows and knees) place the joints. An EvidenceError when fewer than two views are usable,
+    the person's size is no person's (units), no view shows the whole person, or no start explains the silhouettes.
     """
     options = options or AnthropometryOptions()
     step = max(1, round(frame_rate / options.rate))
@@ -114,6 +116,8 @@ def estimate_subject(
             "The subject's shape needs silhouettes in at least two views from the first frame on; check masks with "
             "`hypose silhouettes`, or choose other frames."
         )
+    check_size(seen[0])
+    border_notes = check_borders(seen, options.height)
     height, known = options.height, Known(options.height, options.mass)
     if start is None:
         body, start_pose, at = _best_start(template, seen, options)
@@ -154,7 +158,7 @@ def estimate_subject(
         before,
         iou_before,
         iou_after,
-        (note,),
+        (note, *border_notes),
     )
 
 
@@ -177,10 +181,15 @@ def _best_start(template: Body, frames: Sequence[Frame], options: AnthropometryO
         except EvidenceError as error:
             failed = failed or error
             continue
+        if k == 0 and len(options.poses) == 1:
+            others = [p for p in KNOWN_POSES if p not in options.poses]
+            overlap = {p: hull_start(template, frames[0], body.stature, (p,))[2] for p in others}
+            check_named_pose(options.poses[0], value, overlap, frames[0].index)
         if best is None or value > best[0] + 0.02:
             best = (value, body, pose, k)
     if best is None:
         raise failed or EvidenceError("No frame has a visual hull to start from; check the calibration and the masks.")
+    check_start(best[0], frames[best[3]].index)
     return best[1], best[2], best[3]
 
 
