@@ -1,0 +1,266 @@
+"""Cameras and poses from the person's silhouettes and key points: the tracked body is the calibration object.
+
+Unknowns are one pose per frame and six numbers per camera (seven with the focal length). Rows are those of the shape
+and pose solvers: two-way contour distances with a Geman-McClure weight, key points with a Cauchy weight. A row depends
+on the pose of its frame and on its own camera, so poses are eliminated frame by frame (Schur complement) and a step
+solves one small system for all cameras. The body is fixed, and with it the scale.
+Sources: Geman & McClure 1985; contour rows as in Gall et al. 2009; no published method refines extrinsics from
+silhouettes of an articulated body in this way, the nearest is Sinha & Pollefeys 2010 (frontier points).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body, Landmarks
+from hypose.calibration.refine_camera import by_camera, change_from, changed
+from hypose.cameras.camera import Camera, CameraRig
+from hypose.errors import EvidenceError
+from hypose.fitting.articulated import ContourTerm, KeypointTerm
+from hypose.geometry import Array, transform
+from hypose.tracking.refinement import anatomical_prior
+from hypose.tracking.shape_refinement import outline_rows
+
+
+@dataclass(frozen=True)
+class BodyOptions:
+    """coarse: factors of the contour scale, one stage each; iterations: of each stage; contour_weight: of a contour row
+    at the reference density; keypoint_weight; focal: focal lengths too; hold_m, hold_rad: sd of the weak pull of
+    each camera to where it is, which fixes the gauge; spacing: of the rows along the body's outline, as a share of the
+    reference spacing; normals: rows whose outlines point further apart than this cosine are left out."""
+
+    coarse: tuple[float, ...] = (4.0, 2.0, 1.0)
+    iterations: tuple[int, ...] = (5, 6, 6)
+    contour_weight: float = 0.1
+    keypoint_weight: float = 1.0
+    focal: bool = False
+    hold_m: float = 0.5
+    hold_rad: float = 0.3
+    hold_focal: float = 0.05
+    normals: float = 0.3
+
+
+@dataclass(frozen=True)
+class BodyAdjustment:
+    """rig at the size of the one given, poses (F, D), cost before and after (of the last stage's scale)."""
+
+    rig: CameraRig
+    poses: Array
+    cost_before: float
+    cost: float
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Rows of one frame: residual r (R,), weight w (R,), camera (R,), by_pose (R, D), by_camera (R, P), cost."""
+
+    r: Array
+    w: Array
+    camera: NDArray[np.int64]
+    by_pose: Array
+    by_camera: Array
+    cost: float
+
+
+def adjust_with_body(
+    body: Body,
+    rig: CameraRig,
+    poses: Array,
+    contours: Sequence[ContourTerm | None] | None,
+    keypoints: Sequence[KeypointTerm | None] | None = None,
+    options: BodyOptions | None = None,
+    free: NDArray[np.bool_] | None = None,
+) -> BodyAdjustment:
+    """Refines a rig of pinhole cameras and the poses (F, D) of a body in F frames.
+
+    rig: at the working size, whose pixels those of the evidence are (the projections inside the terms are not used);
+    contours, keypoints: one term (or None) per frame. free (C,): cameras that may move. An EvidenceError when no frame
+    has evidence."""
+    o = options or BodyOptions()
+    n = len(poses)
+    none: list[None] = [None] * n
+    problem = _BodyProblem(body, rig, list(contours or none), list(keypoints or none), o, free)
+    if n == 0 or all(c is None and k is None for c, k in zip(problem.contours, problem.keypoints, strict=True)):
+        raise EvidenceError("No frame has silhouettes or key points to refine the calibration with; choose others.")
+    q, cameras = np.array(poses, dtype=np.float64), list(rig)
+    before = problem.linearise(cameras, q, o.coarse[-1])[1]
+    stages = zip(o.coarse, o.iterations, strict=True) if contours is not None else [(1.0, sum(o.iterations))]
+    for factor, iterations in stages:
+        cameras, q = problem.solve(cameras, q, iterations, factor)
+    cost = problem.linearise(cameras, q, o.coarse[-1])[1]
+    return BodyAdjustment(CameraRig(tuple(cameras)), q, before, cost)
+
+
+class _BodyProblem:
+    """Evidence and priors of one refinement."""
+
+    def __init__(
+        self,
+        body: Body,
+        rig: CameraRig,
+        contours: list[ContourTerm | None],
+        keypoints: list[KeypointTerm | None],
+        options: BodyOptions,
+        free: NDArray[np.bool_] | None,
+    ) -> None:
+        marks = Landmarks((), np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+        self.body = replace(body, fine=body.coarse, landmarks=marks)
+        self.start, self.contours, self.keypoints, self.o = rig, contours, keypoints, options
+        self.unknowns = 7 if options.focal else 6
+        joints = len(body.skeleton.joint_names)
+        self.moves = body.coarse.dense_weights(joints) @ body.skeleton.moves.T.astype(np.float64)
+        prior = anatomical_prior(body.skeleton)
+        self.centre, self.pull = prior.centre, prior.weight
+        hold = [options.hold_rad**-2] * 3 + [options.hold_m**-2] * 3 + [options.hold_focal**-2] * options.focal
+        self.hold = np.array(hold)
+        self.free = np.ones(len(rig), dtype=bool) if free is None else np.asarray(free, dtype=bool)
+
+    def linearise(self, cameras: list[Camera], q: Array, factor: float) -> tuple[list[_Rows], float]:
+        """Rows of all frames and the whole cost."""
+        projections = np.stack([c.projection for c in cameras])
+        skins = self.body.skin(q)
+        rows = []
+        for f in range(len(q)):
+            parts = [*self._contour_rows(f, q[f], skins[f], cameras, projections, factor)]
+            parts += self._keypoint_rows(f, q[f], cameras)
+            rows.append(_joined(parts, len(self.pull), self.unknowns))
+        held = self._held(cameras)
+        cost = sum(r.cost for r in rows) + 0.5 * float((self.pull * (q - self.centre) ** 2).sum())
+        return rows, cost + 0.5 * float((self.hold * held**2).sum())
+
+    def _held(self, cameras: list[Camera]) -> Array:
+        return np.stack([change_from(a, b) for a, b in zip(self.start, cameras, strict=True)])[:, : self.unknowns]
+
+    def _contour_rows(
+        self, f: int, pose: Array, vertices: Array, cameras: list[Camera], projections: Array, factor: float
+    ) -> list[_Rows]:
+        term = self.contours[f]
+        if term is None:
+            return []
+        term = replace(term, projections=projections)
+        twists = self.body.skeleton.world_twists(pose)
+        scale, out = term.scale_px * factor, []
+        for c in np.flatnonzero(term.usable):
+            made = outline_rows(self.body.coarse, vertices, term, int(c), term.row_spacing_px, self.o.normals)
+            if made is None:
+                continue
+            a, b, t, r, g, weight = made
+            s = (1 - t)[:, None]
+            point = s * vertices[a] + t[:, None] * vertices[b]
+            carried = s * self.moves[a] + t[:, None] * self.moves[b]
+            wrench = np.concatenate([np.cross(point, g), g], 1)
+            by_pose = np.einsum("rk,dk->rd", wrench, twists) * carried
+            camera = cameras[c]
+            turn = camera.camera_from_world[:3, :3]
+            by_cam = by_camera(transform(camera.camera_from_world, point), g @ turn.T, self.unknowns)
+            e2 = (r / scale) ** 2
+            kernel = 1 / (1 + e2)
+            w0 = self.o.contour_weight * weight
+            cost = 0.5 * float((w0 * e2 * kernel).sum())
+            out.append(_Rows(r, w0 * kernel**2 / scale**2, np.full(len(r), c), by_pose, by_cam, cost))
+        return out
+
+    def _keypoint_rows(self, f: int, pose: Array, cameras: list[Camera]) -> list[_Rows]:
+        term = self.keypoints[f]
+        if term is None:
+            return []
+        rotations, centres = self.body.skeleton.forward(pose)
+        point = centres[term.joint] + np.einsum("kab,kb->ka", rotations[term.joint], term.offset)
+        twists = self.body.skeleton.world_twists(pose)
+        motion = np.cross(twists[None, :, :3], point[:, None]) + twists[None, :, 3:]  # (K, D, 3)
+        motion = motion * self.body.skeleton.moves.T[term.joint][..., None]
+        scale, out = 2 * term.scale_px, []
+        for c, camera in enumerate(cameras):
+            seen = np.flatnonzero(term.points[c, :, 2] > term.min_confidence)
+            p = transform(camera.camera_from_world, point[seen])
+            seen, p = seen[p[:, 2] > 0.05], p[p[:, 2] > 0.05]
+            if len(seen) == 0:
+                continue
+            k, z = camera.K, p[:, 2]
+            d = np.zeros((len(seen), 2, 3))
+            d[:, 0, 0], d[:, 0, 1], d[:, 1, 1] = k[0, 0] / z, k[0, 1] / z, k[1, 1] / z
+            uv = (p / z[:, None]) @ k[:2].T
+            d[:, :, 2] = -(uv - k[:2, 2]) / z[:, None]
+            r = uv - term.points[c, seen, :2]
+            e2 = (r**2).sum(1) / scale**2
+            weight = self.o.keypoint_weight * term.weight * term.points[c, seen, 2]
+            world = d @ camera.camera_from_world[:3, :3]
+            by_pose = np.einsum("kxa,kda->kxd", world, motion[seen]).reshape(-1, len(pose))
+            by_cam = by_camera(np.repeat(p, 2, 0), d.reshape(-1, 3), self.unknowns)
+            w = np.repeat(4 * weight / (1 + e2) / scale**2, 2)
+            cost = 2 * float((weight * np.log1p(e2)).sum())
+            out.append(_Rows(r.ravel(), w, np.full(2 * len(seen), c), by_pose, by_cam, cost))
+        return out
+
+    def step(self, rows: list[_Rows], cameras: list[Camera], q: Array, damping: float) -> tuple[Array, Array]:
+        """Damped Gauss-Newton step: (C, P) for the cameras, (F, D) for the poses."""
+        n, p = len(cameras), self.unknowns
+        h, g = np.zeros((n, p, n, p)), self.hold * self._held(cameras)
+        for c in range(n):
+            h[c, :, c] = np.diag(self.hold)
+        back = []
+        for f, row in enumerate(rows):
+            wp = row.by_pose * row.w[:, None]
+            hpp = np.einsum("ri,rj->ij", wp, row.by_pose)
+            hpp[np.diag_indices_from(hpp)] += self.pull + damping * np.maximum(hpp.diagonal(), 1.0) + 1e-6
+            gp = wp.T @ row.r + self.pull * (q[f] - self.centre)
+            cross = np.zeros((n, p, len(gp)))
+            for c in range(n):
+                mine = row.camera == c
+                wc = row.by_camera[mine] * row.w[mine, None]
+                block = np.einsum("ri,rj->ij", wc, row.by_camera[mine])
+                h[c, :, c] += block + np.diag(damping * np.maximum(block.diagonal(), 1e-3))
+                g[c] += wc.T @ row.r[mine]
+                cross[c] = np.einsum("ri,rj->ij", wc, row.by_pose[mine])
+            flat = cross.reshape(n * p, -1)
+            solved = np.linalg.solve(hpp, np.concatenate([flat.T, gp[:, None]], 1))
+            h -= np.einsum("id,dj->ij", flat, solved[:, :-1]).reshape(n, p, n, p)
+            g -= (flat @ solved[:, -1]).reshape(n, p)
+            back.append(solved)
+        columns = np.repeat(self.free, p)
+        x = np.zeros(n * p)
+        full = h.reshape(n * p, n * p)
+        x[columns] = -np.linalg.solve(full[np.ix_(columns, columns)], g.ravel()[columns])
+        x *= min(1.0, 0.1 / max(float(np.abs(x.reshape(n, p)[:, :3]).max()), 1e-9))
+        dq = np.stack([-(s[:, -1] + s[:, :-1] @ x) for s in back])
+        largest = np.abs(dq[:, 3:]).max(1, keepdims=True)
+        return x.reshape(n, p), dq * np.minimum(1, 0.3 / np.maximum(largest, 1e-9))
+
+    def solve(
+        self, cameras: list[Camera], q: Array, iterations: int, factor: float
+    ) -> tuple[list[Camera], Array]:
+        damping = 1e-2
+        rows, cost = self.linearise(cameras, q, factor)
+        for _ in range(iterations):
+            x, dq = self.step(rows, cameras, q, damping)
+            trial = [changed(c, d) for c, d in zip(cameras, x, strict=True)]
+            new_q = self.body.skeleton.clamp(q + dq)
+            new_rows, new_cost = self.linearise(trial, new_q, factor)
+            # contour costs jump when the outline changes
+            if np.isfinite(new_cost) and new_cost < cost * 1.002:
+                small = np.abs(x).max() < 1e-4 and np.abs(dq).max() < 2e-3
+                cameras, q, rows, cost = trial, new_q, new_rows, new_cost
+                damping = max(damping / 4, 1e-4)
+                if small:
+                    break
+            else:
+                damping = min(damping * 8, 1e4)
+        return cameras, q
+
+
+def _joined(parts: list[_Rows], dof: int, unknowns: int) -> _Rows:
+    if not parts:
+        zero = np.zeros(0)
+        return _Rows(zero, zero, np.zeros(0, np.int64), np.zeros((0, dof)), np.zeros((0, unknowns)), 0.0)
+    return _Rows(
+        np.concatenate([p.r for p in parts]),
+        np.concatenate([p.w for p in parts]),
+        np.concatenate([p.camera for p in parts]),
+        np.concatenate([p.by_pose for p in parts]),
+        np.concatenate([p.by_camera for p in parts]),
+        sum(p.cost for p in parts),
+    )

@@ -1,0 +1,255 @@
+"""Cameras and 3D points from the person's key points in all views: bundle adjustment with the points eliminated.
+
+The key points need not be joints: any point that all views see as the same place will do, so the person is a
+calibration object without a model. Robust rows (Cauchy), points eliminated by the Schur complement, so a step costs one
+small system for the cameras.
+Source: Triggs et al. 2000, "Bundle adjustment - a modern synthesis", section 6; Hartley & Zisserman 2004, appendix 6.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.calibration.refine_camera import change_from, changed
+from hypose.cameras.camera import Camera, CameraRig, triangulate
+from hypose.errors import EvidenceError
+from hypose.geometry import Array, transform
+
+FEWEST_POINTS = 60
+"""3D points (over all frames) below which a rig is not adjusted"""
+
+
+@dataclass(frozen=True)
+class PointOptions:
+    """iterations; scale_px: sd of a detection (the Cauchy scale is twice that), None = 0.8 % of the person's size;
+    focal: focal lengths are unknowns too; radial: so is one radial distortion term per camera; hold_m, hold_rad: sd of
+    the weak pull of every camera to where it is, which fixes the gauge; min_confidence of a key point."""
+
+    iterations: int = 30
+    scale_px: float | None = None
+    focal: bool = False
+    radial: bool = False
+    hold_m: float = 0.5
+    hold_rad: float = 0.3
+    hold_focal: float = 0.05
+    min_confidence: float = 0.3
+
+
+@dataclass(frozen=True)
+class PointAdjustment:
+    """rig (in the gauge of the weak pull); points (N, 3) m, NaN where fewer than two views see it; radial (C,) and its
+    sd (C,), zero unless asked for; before, after: median residual px over all confident detections."""
+
+    rig: CameraRig
+    points: Array
+    radial: Array
+    radial_sd: Array
+    before: float
+    after: float
+
+
+def adjust(
+    rig: CameraRig,
+    pixels: Array,
+    confidence: Array,
+    options: PointOptions | None = None,
+    free: NDArray[np.bool_] | None = None,
+) -> PointAdjustment:
+    """Refines a rig on key points.
+
+    pixels (C, N, 2) undistorted px of the rig; confidence (C, N), 0 = not seen; free (C,): cameras that may move.
+    An EvidenceError when too few points are seen by two views."""
+    o = options or PointOptions()
+    w = np.where((confidence > o.min_confidence) & np.isfinite(pixels).all(-1), confidence, 0.0)
+    uv = np.nan_to_num(pixels)
+    keep = (w > 0).sum(0) >= 2
+    if keep.sum() < FEWEST_POINTS:
+        raise EvidenceError(
+            f"Only {int(keep.sum())} key points are seen by two cameras; at least {FEWEST_POINTS} (over all frames) "
+            "are needed to refine a calibration: use more frames, or silhouettes."
+        )
+    scale = o.scale_px or default_scale(uv, w)
+    problem = _Bundle(rig, uv[:, keep], w[:, keep], scale, o, free)
+    found, x, radial, sd, before, after = problem.solve()
+    points = np.full((uv.shape[1], 3), np.nan)
+    points[keep] = x
+    return PointAdjustment(found, points, radial, sd, before, after)
+
+
+def default_scale(pixels: Array, confidence: Array) -> float:
+    """sd of a detection in px: 0.8 % of the spread of a view's points (a person fills about four of their sd)."""
+    spread = [np.std(p[c > 0], axis=0).max() * 4 for p, c in zip(pixels, confidence, strict=True) if (c > 0).sum() > 9]
+    return max(0.008 * float(np.median(spread)) if spread else 2.0, 0.5)
+
+
+class _Bundle:
+    """pixels (C, N, 2), confidence (C, N) of points that two views see."""
+
+    def __init__(
+        self,
+        rig: CameraRig,
+        pixels: Array,
+        confidence: Array,
+        scale: float,
+        options: PointOptions,
+        free: NDArray[np.bool_] | None,
+    ) -> None:
+        self.start, self.uv, self.confidence, self.scale, self.o = rig, pixels, confidence, 2 * scale, options
+        self.size = 6 + int(options.focal) + int(options.radial)
+        self.free = np.ones(len(rig), dtype=bool) if free is None else np.asarray(free, dtype=bool)
+        hold = [options.hold_rad**-2] * 3 + [options.hold_m**-2] * 3
+        hold += [options.hold_focal**-2] * options.focal + [1.0] * options.radial
+        self.hold = np.array(hold)
+
+    def residuals(self, cameras: list[Camera], radial: Array, points: Array) -> tuple[Array, Array, float]:
+        """(C, N, 2) px, (C, N) weights of squared px, and the robust cost."""
+        r = np.zeros_like(self.uv)
+        for c, camera in enumerate(cameras):
+            r[c] = _with_radial(camera, camera.project_pinhole(points), radial[c]) - self.uv[c]
+        seen = self.confidence > 0
+        behind = seen & ~np.isfinite(r).all(-1)
+        r = np.where(np.isfinite(r), r, 0.0)
+        e2 = (r**2).sum(-1) / self.scale**2
+        cost = 2 * float((self.confidence * np.log1p(e2)).sum()) + 20.0 * int(behind.sum())
+        weight = np.where(behind, 0.0, 4 * self.confidence / (1 + e2) / self.scale**2)
+        return r, weight, cost
+
+    def held(self, cameras: list[Camera], radial: Array) -> tuple[Array, float]:
+        """(C, P) distance from the start and its cost."""
+        x = np.stack([change_from(a, b) for a, b in zip(self.start, cameras, strict=True)])
+        x = x if self.o.focal else x[:, :6]
+        if self.o.radial:
+            x = np.concatenate([x, radial[:, None]], 1)
+        return x, 0.5 * float((self.hold * x**2).sum())
+
+    def system(self, cameras: list[Camera], radial: Array, points: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Camera blocks A (C, P, P), a (C, P), point blocks B (N, 3, 3), b (N, 3), and E (C, N, P, 3)."""
+        r, weight, _ = self.residuals(cameras, radial, points)
+        size, (n_cameras, n) = self.size, weight.shape
+        jc, jp = np.zeros((n_cameras, n, 2, size)), np.zeros((n_cameras, n, 2, 3))
+        for c, camera in enumerate(cameras):
+            p = transform(camera.camera_from_world, points)
+            k, z = camera.K, np.maximum(p[:, 2], 1e-3)
+            x, y = p[:, 0] / z, p[:, 1] / z
+            # derivative of the image point with respect to the point in the camera's frame
+            d = np.zeros((n, 2, 3))
+            d[:, 0, 0], d[:, 0, 1], d[:, 1, 1] = k[0, 0] / z, k[0, 1] / z, k[1, 1] / z
+            d[:, 0, 2], d[:, 1, 2] = -(k[0, 0] * x + k[0, 1] * y) / z, -k[1, 1] * y / z
+            r2 = x**2 + y**2
+            if radial[c] != 0:
+                d *= (1 + radial[c] * r2)[:, None, None]  # its own slope is small against this
+            jc[c, :, :, :3] = np.cross(p[:, None], d)
+            jc[c, :, :, 3:6] = d
+            column = 6
+            image = np.stack([k[0, 0] * x + k[0, 1] * y, k[1, 1] * y], 1)
+            if self.o.focal:
+                jc[c, :, :, column] = image
+                column += 1
+            if self.o.radial:
+                jc[c, :, :, column] = image * r2[:, None]
+            jp[c] = d @ camera.camera_from_world[:3, :3]
+        wjc = weight[..., None, None] * jc
+        a = np.einsum("cnxp,cnxq->cpq", wjc, jc)
+        ga = np.einsum("cnxp,cnx->cp", wjc, r)
+        b = np.einsum("cn,cnxi,cnxj->nij", weight, jp, jp)
+        gb = np.einsum("cn,cnxi,cnx->ni", weight, jp, r)
+        e = np.einsum("cnxp,cnxi->cnpi", wjc, jp)
+        return a, ga, b, gb, e
+
+    def reduced(
+        self, cameras: list[Camera], radial: Array, points: Array, damping: float
+    ) -> tuple[Array, Array, Array, Array]:
+        """Schur complement (CP, CP), its gradient, and what gives the points back: B^-1 E^T (C, N, 3, P), B^-1 b."""
+        a, ga, b, gb, e = self.system(cameras, radial, points)
+        b = b + damping * np.maximum(b, 0) * np.eye(3) + 1e-9 * np.eye(3)
+        inverse = np.linalg.inv(b)
+        own = np.einsum("nij,nj->ni", inverse, gb)
+        back = np.einsum("nij,cnpj->cnip", inverse, e)
+        n, size = len(a), self.size
+        s = -np.einsum("cnpi,dniq->cpdq", e, back)
+        x, _ = self.held(cameras, radial)
+        for c in range(n):
+            s[c, :, c] += a[c] + np.diag(self.hold)
+            s[c, :, c] += np.diag(damping * np.diag(a[c]))
+        g = ga - np.einsum("cnpi,ni->cp", e, own) + self.hold * x
+        return s.reshape(n * size, n * size), g.ravel(), back, own
+
+    def solve(self) -> tuple[CameraRig, Array, Array, Array, float, float]:
+        cameras, radial = list(self.start), np.zeros(len(self.start))
+        points = triangulate(self.start, self.uv, self.confidence)[0]
+        lost = ~np.isfinite(points).all(1)
+        points[lost] = np.nanmedian(points[~lost], axis=0)
+        before = self._median(cameras, radial, points)
+        cost = self.residuals(cameras, radial, points)[2] + self.held(cameras, radial)[1]
+        damping = 1e-3
+        columns = np.repeat(self.free, self.size)
+        for _ in range(self.o.iterations):
+            s, g, back, own = self.reduced(cameras, radial, points, damping)
+            step = np.zeros(len(g))
+            step[columns] = -np.linalg.solve(s[np.ix_(columns, columns)], g[columns])
+            x = step.reshape(len(cameras), self.size)
+            x *= min(1.0, 0.2 / max(float(np.abs(x[:, :3]).max()), 1e-12))
+            new_points = points - own - np.einsum("cnip,cp->ni", back, x)
+            new_cameras = [changed(c, d if self.o.focal else d[:6]) for c, d in zip(cameras, x, strict=True)]
+            new_radial = radial + (x[:, -1] if self.o.radial else 0.0)
+            new_cost = self.residuals(new_cameras, new_radial, new_points)[2] + self.held(new_cameras, new_radial)[1]
+            if np.isfinite(new_cost) and new_cost < cost:
+                done = cost - new_cost < 1e-6 * cost
+                cameras, radial, points, cost = new_cameras, new_radial, new_points, new_cost
+                damping = max(damping / 4, 1e-7)
+                if done:
+                    break
+            else:
+                damping *= 8
+                if damping > 1e4:
+                    break
+        sd = np.zeros(len(cameras))
+        if self.o.radial:
+            s, *_ = self.reduced(cameras, radial, points, 0.0)
+            sd = np.sqrt(np.maximum(np.diag(np.linalg.pinv(s)).reshape(len(cameras), -1)[:, -1], 0))
+        after = self._median(cameras, radial, points)
+        return CameraRig(tuple(cameras)), points, radial, sd, before, after
+
+    def _median(self, cameras: list[Camera], radial: Array, points: Array) -> float:
+        r, _, _ = self.residuals(cameras, radial, points)
+        return float(np.median(np.linalg.norm(r, axis=-1)[self.confidence > 0]))
+
+
+def _with_radial(camera: Camera, pixels: Array, radial: float) -> Array:
+    if radial == 0:
+        return pixels
+    centre = camera.K[:2, 2]
+    offset = pixels - centre
+    r2 = ((offset / camera.K[[0, 1], [0, 1]]) ** 2).sum(-1, keepdims=True)
+    return centre + offset * (1 + radial * r2)
+
+
+def point_residual(rig: CameraRig, pixels: Array, confidence: Array, *, min_confidence: float = 0.5) -> Array:
+    """(C, N) px between detections (C, N, 2) and the triangulation of all views; NaN where there is none.
+
+    Points are triangulated from detections with a confidence above 0.3; those above min_confidence are judged."""
+    points, _ = triangulate(rig, pixels, np.where(confidence > 0.3, confidence, 0.0))
+    distance = np.stack([np.linalg.norm(c.project_pinhole(points) - p, axis=-1) for c, p in zip(rig, pixels)])
+    return np.where(confidence > min_confidence, distance, np.nan)
+
+
+def left_out_residual(rig: CameraRig, pixels: Array, confidence: Array, *, min_confidence: float = 0.5) -> Array:
+    """(C, N) px between each camera's detections and the triangulation of all the others; NaN where there is none."""
+    out = np.full(confidence.shape, np.nan)
+    used = np.where(confidence > 0.3, confidence, 0.0)
+    for c in range(len(rig)):
+        others = [k for k in range(len(rig)) if k != c]
+        if len(others) < 2:
+            continue
+        less = CameraRig(tuple(rig[k] for k in others))
+        points, _ = triangulate(less, pixels[others], used[others])
+        out[c] = np.linalg.norm(rig[c].project_pinhole(points) - pixels[c], axis=-1)
+    return np.where(confidence > min_confidence, out, np.nan)
+
+
+def without_distortion(rig: CameraRig) -> CameraRig:
+    """The rig without lens distortion at the calibrated size: the cameras of undistorted key points."""
+    return CameraRig(tuple(replace(c, distortion=np.zeros(5), fisheye=False) for c in rig))
