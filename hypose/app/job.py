@@ -146,6 +146,8 @@ def _check_choices(job: Job) -> None:
     if options.recipe not in RECIPES:
         raise InputError(f"There is no recipe {options.recipe!r}; the recipes are {', '.join(RECIPES)}.")
     SubjectOptions(options.start)
+    if options.subject is not None:
+        load_subject(options.subject)
     if options.height is not None and not 0.4 <= options.height <= 2.8:
         raise InputError(f"A height of {options.height:g} m is implausible; give it in metres (0.4 to 2.8).")
     if options.evidence == "keypoints" and job.recording.keypoint_set is None:
