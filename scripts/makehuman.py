@@ -262,15 +262,22 @@ class MakeHuman:
         half = np.array([q[:3] for q in left] + [[q[0], q[2], q[3]] for q in left if len(q) == 4])
         return np.concatenate([half, self._mirror[half][:, ::-1]])
 
-    def _fold_weights(self) -> np.ndarray:
+    def bone_weights(self) -> dict[str, np.ndarray]:
+        """Weight (V,) of every bone of the "game engine" rig on the skin, fingers included, exactly symmetric."""
         bones = json.loads(self._text("rigs/standard/weights.game_engine.json"))["weights"]
-        out = np.zeros((len(self._base), len(JOINT_NAMES)))
+        raw = {bone: np.zeros(len(self._base)) for bone in bones}
         for bone, pairs in bones.items():
+            for vertex, weight in pairs:
+                raw[bone][int(vertex)] += weight
+        other = {b: b[:-2] + {"_l": "_r", "_r": "_l"}[b[-2:]] if b[-2:] in ("_l", "_r") else b for b in bones}
+        return {b: 0.5 * (w + raw[other[b]][self._mirror])[self._skin] for b, w in raw.items()}
+
+    def _fold_weights(self) -> np.ndarray:
+        out = np.zeros((len(self._skin), len(JOINT_NAMES)))
+        for bone, weight in self.bone_weights().items():
             side = {"_l": "left_", "_r": "right_"}.get(bone[-2:], "")
             joint = side + _BONE_JOINT.get(bone[:-2] if side else bone, "wrist")
-            for vertex, weight in pairs:
-                out[int(vertex), JOINT_NAMES.index(joint)] += weight
-        out = 0.5 * (out + out[self._mirror][:, MIRROR_JOINT])[self._skin]
+            out[:, JOINT_NAMES.index(joint)] += weight
         return out / out.sum(1, keepdims=True)
 
     # --- cavities ---------------------------------------------------------------------------------------------

@@ -1,0 +1,519 @@
+"""numba: forests of depth tests in flat arrays: growing, scanning, density. The definition is the plain numpy runtime
+in hypose/gestures/runtime.py; parity is tested.
+
+A depth picture is a padded flat int16 array in millimetres whose holes and border are FAR. A test is (uy, ux, vy, vx,
+threshold) in millimetres: the clipped depth at the pixel + u minus that at the pixel + v (the pixel itself when v = 0)
+goes left when it is below the threshold. An offset of m millimetres at depth d is floor(m f / d + 0.5) pixels.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from hypose.compute.cpu_kinematics import OPTIONS
+
+FAR = 10000
+f4 = np.float32
+u8 = np.uint64
+i4 = np.int32
+_SHIFT = 4096  # makes the truncation of a negative number a floor
+_HALF = f4(4096.5)
+PROBABILITY = 10000
+"""Probabilities are whole ten-thousandths in scanning."""
+
+
+@njit(**OPTIONS)
+def pad(depth, border, out):
+    """out (h + 2 border, w + 2 border) i2 = depth (h, w) u2 mm inside, holes and what is beyond FAR as FAR."""
+    for y in range(depth.shape[0]):
+        line, made = depth[y], out[y + border]
+        for x in range(depth.shape[1]):
+            v = line[x]
+            made[x + border] = FAR if v == 0 or v > FAR else v
+
+
+@njit(inline="always", **OPTIONS)
+def _response(flat, width, c, d, s, lo, hi, uy, ux, vy, vx):
+    y = i4(f4(uy) * s + _HALF) - _SHIFT
+    x = i4(f4(ux) * s + _HALF) - _SHIFT
+    a = i4(flat[u8(np.int64(c) + y * width + x)])
+    a = min(max(a, lo), hi)
+    b = d
+    if vy != 0 or vx != 0:
+        y = i4(f4(vy) * s + _HALF) - _SHIFT
+        x = i4(f4(vx) * s + _HALF) - _SHIFT
+        b = i4(flat[u8(np.int64(c) + y * width + x)])
+        b = min(max(b, lo), hi)
+    return a - b
+
+
+@njit(inline="always", **OPTIONS)
+def _bits(state, t):
+    """splitmix64 (Steele, Lea, Flood 2014): 64 random bits of tree t; its state is one word, saved with the forest."""
+    state[t] = state[t] + u8(0x9E3779B97F4A7C15)
+    z = state[t]
+    z = (z ^ (z >> u8(30))) * u8(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> u8(27))) * u8(0x94D049BB133111EB)
+    return z ^ (z >> u8(31))
+
+
+@njit(inline="always", **OPTIONS)
+def _uniform(state, t):
+    return np.float64(_bits(state, t) >> u8(11)) * (1.0 / 9007199254740992.0)
+
+
+@njit(**OPTIONS)
+def _poisson(state, t, rate):
+    k, p = 0, math.exp(-rate)
+    total, u = p, _uniform(state, t)
+    while u > total and k < 100:
+        k += 1
+        p *= rate / k
+        total += p
+    return k
+
+
+@njit(inline="always", **OPTIONS)
+def _offset(state, t, half):
+    return int(_uniform(state, t) * (2 * half + 1)) - half
+
+
+@njit(**OPTIONS)
+def draw_test(state, t, half, spread, test):
+    """A random test (5,): offsets uniform in the square, half of them against the pixel itself; the threshold is a
+    product of two uniform numbers, so that small differences are the most frequent."""
+    test[0], test[1] = _offset(state, t, half), _offset(state, t, half)
+    if _uniform(state, t) < 0.5:
+        test[2], test[3] = _offset(state, t, half), _offset(state, t, half)
+    else:
+        test[2], test[3] = 0, 0
+    test[4] = int((2 * _uniform(state, t) - 1) * spread * _uniform(state, t))
+
+
+@njit(**OPTIONS)
+def _entropy(counts, n):
+    h = 0.0
+    if n > 0:
+        for c in range(counts.shape[0]):
+            p = counts[c] / n
+            if p > 0:
+                h -= p * math.log2(p)
+    return h
+
+
+@njit(**OPTIONS)
+def _best_test(left, total, side_least, side):
+    """(index, gain) of the candidate of largest information gain (eq. 3.2); left (T, C), total (C,), side (2, C)."""
+    n = 0
+    for c in range(total.shape[0]):
+        n += total[c]
+    whole = _entropy(total, n)
+    best, gain = -1, 0.0
+    for q in range(left.shape[0]):
+        nl = 0
+        for c in range(total.shape[0]):
+            side[0, c], side[1, c] = left[q, c], total[c] - left[q, c]
+            nl += left[q, c]
+        if nl < side_least or n - nl < side_least:
+            continue
+        g = whole - (nl * _entropy(side[0], nl) + (n - nl) * _entropy(side[1], n - nl)) / n
+        if g > gain:
+            best, gain = q, g
+    return best, gain
+
+
+@njit(**OPTIONS)
+def _open(g, t, n, half, spread):
+    """A free slot with fresh candidates for leaf n of tree t; -1 when the pool is empty."""
+    if g.n_free[t] == 0:
+        g.tally[1] += 1
+        return -1
+    g.n_free[t] -= 1
+    slot = g.free[t, g.n_free[t]]
+    g.slot[t, n] = slot
+    for q in range(g.candidate.shape[2]):
+        draw_test(g.random, t, half, spread, g.candidate[t, slot, q])
+    g.left_count[t, slot] = 0
+    g.total[t, slot] = 0
+    return slot
+
+
+@njit(**OPTIONS)
+def _close(g, t, n, slot):
+    g.slot[t, n] = -1
+    g.free[t, g.n_free[t]] = slot
+    g.n_free[t] += 1
+
+
+@njit(**OPTIONS)
+def _split(g, t, n, slot, q):
+    """Make the winning candidate the node's test; the children start with the class counts of their side."""
+    a = g.size[t]
+    g.size[t] += 2
+    g.left[t, n] = a
+    g.test[t, n] = g.candidate[t, slot, q]
+    for c in range(g.count.shape[2]):
+        lower = g.left_count[t, slot, q, c]
+        g.count[t, a, c] = lower
+        g.count[t, a + 1, c] = g.total[t, slot, c] - lower
+    for k in range(2):
+        g.level[t, a + k] = g.level[t, n] + 1
+        g.slot[t, a + k] = -1
+        g.left[t, a + k] = -1
+    _close(g, t, n, slot)
+    g.tally[0] += 1
+
+
+@njit(**OPTIONS)
+def grow(flat, width, cells, labels, focal, near, clip, half, spread, rate, alpha, beta, deepest, g):
+    """Algorithm 6 for samples: cells (S,) i8 of the flat padded picture, labels (S,) i4 class. g: GrowingArrays.
+
+    A leaf gets candidates only once it has seen two samples of two classes. The Poisson number of repeats is added at
+    once. A slot that has seen 3 alpha samples without a gainful test is given back and drawn anew.
+    """
+    trees, classes = g.left.shape[0], g.count.shape[2]
+    side = np.empty((2, classes), np.int64)
+    for i in range(cells.shape[0]):
+        c = u8(cells[i])
+        d = i4(flat[c])
+        if d < near or d >= FAR:
+            continue
+        s, lo, hi, y = f4(focal / d), d - clip, d + clip, labels[i]
+        for t in range(trees):
+            k = _poisson(g.random, t, rate)
+            if k == 0:
+                continue
+            n = 0
+            while g.left[t, n] >= 0:
+                e = g.test[t, n]
+                f = _response(flat, width, c, d, s, lo, hi, e[0], e[1], e[2], e[3])
+                n = g.left[t, n] + (0 if f < e[4] else 1)
+            g.count[t, n, y] += k
+            if g.level[t, n] >= deepest:
+                continue
+            slot = g.slot[t, n]
+            if slot < 0:
+                seen = 0
+                for j in range(classes):
+                    seen += 1 if g.count[t, n, j] >= 2 else 0
+                if seen < 2:
+                    continue
+                slot = _open(g, t, n, half, spread)
+                if slot < 0:
+                    continue
+            g.total[t, slot, y] += k
+            for q in range(g.candidate.shape[2]):
+                e = g.candidate[t, slot, q]
+                if _response(flat, width, c, d, s, lo, hi, e[0], e[1], e[2], e[3]) < e[4]:
+                    g.left_count[t, slot, q, y] += k
+            seen = 0
+            for j in range(classes):
+                seen += g.total[t, slot, j]
+            if seen <= alpha or g.size[t] + 2 > g.left.shape[1]:
+                if seen > 3 * alpha:
+                    _close(g, t, n, slot)
+                continue
+            best, gain = _best_test(g.left_count[t, slot], g.total[t, slot], 5, side)
+            if best >= 0 and gain > beta:
+                _split(g, t, n, slot, best)
+            elif seen > 3 * alpha:
+                _close(g, t, n, slot)
+
+
+@njit(**OPTIONS)
+def pack(test, left, count, size, records, shares):
+    """Scanning layout: records (trees, N, 8) i2 = test, left child, share of class 1, 0; shares (trees, N, C) u2: all
+    classes. Ten-thousandths; a node that has seen nothing is background."""
+    classes = count.shape[2]
+    for t in range(left.shape[0]):
+        for n in range(size[t]):
+            total = np.float64(0.0)
+            for c in range(classes):
+                total += count[t, n, c]
+            for j in range(5):
+                records[t, n, j] = test[t, n, j]
+            records[t, n, 5] = left[t, n]
+            for c in range(classes):
+                p = count[t, n, c] / total if total > 0 else (1.0 if c == 0 else 0.0)
+                shares[t, n, c] = int(p * PROBABILITY + 0.5)
+            records[t, n, 6] = shares[t, n, 1]
+
+
+@njit(inline="always", **OPTIONS)
+def _leaf(flat, width, c, d, s, lo, hi, records, base):
+    n = base
+    while True:
+        child = records[n, u8(5)]
+        if child < 0:
+            return n
+        f = _response(
+            flat, width, c, d, s, lo, hi, records[n, u8(0)], records[n, u8(1)], records[n, u8(2)], records[n, u8(3)]
+        )
+        n = base + u8(child) + u8(0 if f < records[n, u8(4)] else 1)
+
+
+@njit(**OPTIONS)
+def leaves(flat, width, cells, focal, clip, records, trees, out):
+    """out (S, trees) i4: the leaf that each cell of the padded picture reaches."""
+    nodes = u8(records.shape[0] // trees)
+    for i in range(cells.shape[0]):
+        c = u8(cells[i])
+        d = i4(flat[c])
+        s = f4(focal / d)
+        for t in range(trees):
+            base = u8(t) * nodes
+            out[i, t] = _leaf(flat, width, c, d, s, d - clip, d + clip, records, base) - base
+
+
+@njit(**OPTIONS)
+def coarse_pass(flat, width, border, h, w, near, far, focal, clip, records, trees, first, least, stride, active):
+    """active (ceil(h / stride), ...) u1: where the mean of the first trees' shares at the cell's centre or at a
+    neighbour's reaches `least`. Returns the number of tree descents."""
+    rows, columns = active.shape
+    nodes = u8(records.shape[0] // trees)
+    active[:] = 0
+    limit, descents = least * PROBABILITY * first, 0
+    for i in range(rows):
+        y = i * stride + stride // 2
+        for j in range(columns):
+            x = j * stride + stride // 2
+            if y >= h or x >= w:
+                continue
+            c = u8((y + border) * width + x + border)
+            d = i4(flat[c])
+            if d < near or d > far:
+                continue
+            s, a = f4(focal / d), 0
+            for t in range(first):
+                a += records[_leaf(flat, width, c, d, s, d - clip, d + clip, records, u8(t) * nodes), u8(6)]
+            descents += first
+            if a >= limit:
+                for u in range(max(0, i - 1), min(rows, i + 2)):
+                    for v in range(max(0, j - 1), min(columns, j + 2)):
+                        active[u, v] = 1
+    return descents
+
+
+@njit(**OPTIONS)
+def scan(flat, width, border, h, w, near, far, focal, clip, records, trees, first, least, stride, active, ratio, out):
+    """out (ceil(h / stride), ...) f4: mean share of class 1 at every stride-th pixel; 0 where there is no depth within
+    near..far, where active (coarse grid, `ratio` cells to one; used when ratio > 0) is 0, and where the mean over the
+    first trees stays below `least`, over twice as many below 1.5 `least` (first = 0: no such rejection). Returns the
+    number of tree descents."""
+    rows, columns = out.shape
+    nodes = u8(records.shape[0] // trees)
+    limit1, limit2 = least * PROBABILITY * first, 1.5 * least * PROBABILITY * 2 * first
+    descents, scale = 0, f4(1.0 / (PROBABILITY * trees))
+    for i in range(rows):
+        y = i * stride + stride // 2
+        for j in range(columns):
+            out[i, j] = 0
+            if ratio > 0 and active[i // ratio, j // ratio] == 0:
+                continue
+            x = j * stride + stride // 2
+            if y >= h or x >= w:
+                continue
+            c = u8((y + border) * width + x + border)
+            d = i4(flat[c])
+            if d < near or d > far:
+                continue
+            s, a, base = f4(focal / d), i4(0), u8(0)
+            lo, hi = d - clip, d + clip
+            for t in range(trees):
+                a += records[_leaf(flat, width, c, d, s, lo, hi, records, base), u8(6)]
+                base += nodes
+                descents += 1
+                if (t + 1 == first and a < limit1) or (t + 1 == 2 * first and a < limit2):
+                    a = 0
+                    break
+            out[i, j] = a * scale
+    return descents
+
+
+@njit(**OPTIONS)
+def scan_classes(flat, width, border, h, w, near, far, focal, clip, records, shares, trees, first, least, stride, out):
+    """out (C - 1, rows, columns) f4: mean share of the winning class where a gesture wins over the background and the
+    other gestures, else 0. Early rejection on the summed share of all gestures."""
+    rows, columns = out.shape[1:]
+    classes = shares.shape[1]
+    nodes = u8(records.shape[0] // trees)
+    limit1, limit2 = least * PROBABILITY * first, 1.5 * least * PROBABILITY * 2 * first
+    sums, scale = np.empty(classes, np.int32), f4(1.0 / (PROBABILITY * trees))
+    descents = 0
+    for i in range(rows):
+        y = i * stride + stride // 2
+        for j in range(columns):
+            for k in range(classes - 1):
+                out[k, i, j] = 0
+            x = j * stride + stride // 2
+            if y >= h or x >= w:
+                continue
+            c = u8((y + border) * width + x + border)
+            d = i4(flat[c])
+            if d < near or d > far:
+                continue
+            s, base, kept = f4(focal / d), u8(0), True
+            sums[:] = 0
+            for t in range(trees):
+                n = _leaf(flat, width, c, d, s, d - clip, d + clip, records, base)
+                for k in range(classes):
+                    sums[k] += shares[n, k]
+                base += nodes
+                descents += 1
+                a = PROBABILITY * (t + 1) - sums[0]
+                if (t + 1 == first and a < limit1) or (t + 1 == 2 * first and a < limit2):
+                    kept = False
+                    break
+            if kept:
+                best = 0
+                for k in range(1, classes):
+                    if sums[k] > sums[best]:
+                        best = k
+                if best > 0:
+                    out[best - 1, i, j] = sums[best] * scale
+    return descents
+
+
+@njit(**OPTIONS)
+def parzen(flat, width, border, stride, focal, scores, majority, sigma, sums, out):
+    """Density of the votes on the grid: out (rows, columns) f4, m^2 of surface per grid cell around it.
+
+    A cell votes where scores > majority; its weight is score x (z stride / focal)^2, the surface it stands for, so that
+    the sum over a gesture does not depend on its distance. Gaussian kernel of unit sum, sigma in cells, cut at 3 sigma;
+    sums (rows, columns) is scratch. Returns the index of the largest value."""
+    rows, columns = scores.shape
+    r = int(3 * sigma + 0.5)
+    kernel = np.exp(-0.5 * (np.arange(-r, r + 1) / sigma) ** 2)
+    kernel = (kernel / kernel.sum()).astype(np.float32)
+    sums[:] = 0
+    out[:] = 0
+    unit = f4((0.001 * stride / focal) ** 2)
+    for i in range(rows):
+        for j in range(columns):
+            p = scores[i, j]
+            if p > majority:
+                d = f4(flat[u8((i * stride + stride // 2 + border) * width + j * stride + stride // 2 + border)])
+                v = p * d * d * unit
+                for q in range(max(-r, -j), min(r, columns - 1 - j) + 1):
+                    sums[i, j + q] += v * kernel[q + r]
+    for i in range(rows):
+        for j in range(columns):
+            v = sums[i, j]
+            if v != 0:
+                for q in range(max(-r, -i), min(r, rows - 1 - i) + 1):
+                    out[i + q, j] += v * kernel[q + r]
+    best, at = f4(-1.0), 0
+    for i in range(rows):
+        for j in range(columns):
+            if out[i, j] > best:
+                best, at = out[i, j], i * columns + j
+    return at
+
+
+@njit(**OPTIONS)
+def cut_patches(flat, width, cells, focal, step, out):
+    """out (S, P, P) i2: depth minus the centre's at multiples of `step` mm around each cell: what tests at those
+    offsets would read."""
+    side = out.shape[1]
+    for i in range(cells.shape[0]):
+        c = cells[i]
+        d = i4(flat[c])
+        s = f4(focal / d)
+        for a in range(side):
+            y = i4(f4((a - side // 2) * step) * s + _HALF) - _SHIFT
+            for b in range(side):
+                x = i4(f4((b - side // 2) * step) * s + _HALF) - _SHIFT
+                out[i, a, b] = flat[c + y * width + x] - d
+
+
+@njit(**OPTIONS)
+def _patch_response(patch, clip, e):
+    a = min(max(i4(patch[e[0], e[1]]), -clip), clip)
+    return a - min(max(i4(patch[e[2], e[3]]), -clip), clip)
+
+
+@njit(**OPTIONS)
+def grow_tree(
+    patches, labels, order, deepest, tests, thresholds, clip, spread, sample, fewest, state, test, left, count, level
+):
+    """One tree from all samples at once: at every node `tests` random pairs of patch pixels with `thresholds` random
+    thresholds each, judged on at most `sample` samples. order (n,) i8 is permuted. test (N, 5) i2: patch indices and
+    threshold; left (N,) i2; count (N, C) u4. Returns the number of nodes."""
+    classes, side = count.shape[1], patches.shape[1]
+    stack = np.empty((2 * deepest + 8, 3), np.int64)
+    stack[0, 0], stack[0, 1], stack[0, 2] = 0, order.shape[0], 0
+    waiting, nodes = 1, 1
+    level[0] = 0
+    pairs, cuts = np.empty((tests, 4), np.int64), np.empty((tests, thresholds), np.int64)
+    lefts, total = np.empty((tests * thresholds, classes), np.int64), np.empty(classes, np.int64)
+    sides = np.empty((2, classes), np.int64)
+    while waiting > 0:
+        waiting -= 1
+        a, b, node = stack[waiting, 0], stack[waiting, 1], stack[waiting, 2]
+        n = b - a
+        count[node] = 0
+        for i in range(a, b):
+            count[node, labels[order[i]]] += 1
+        left[node] = -1
+        present = 0
+        for c in range(classes):
+            present += 1 if count[node, c] > 0 else 0
+        if level[node] >= deepest or n < fewest or present < 2 or nodes + 2 > left.shape[0]:
+            continue
+        for q in range(tests):
+            for k in range(4):
+                pairs[q, k] = int(_uniform(state, 0) * side)
+            if _uniform(state, 0) < 0.5:
+                pairs[q, 2], pairs[q, 3] = side // 2, side // 2
+            for k in range(thresholds):
+                cuts[q, k] = int((2 * _uniform(state, 0) - 1) * spread * _uniform(state, 0))
+        lefts[:] = 0
+        total[:] = 0
+        m = min(n, sample)
+        for i in range(m):
+            j = order[a + i] if m == n else order[a + int(_uniform(state, 0) * n)]
+            c, patch = labels[j], patches[j]
+            total[c] += 1
+            for q in range(tests):
+                f = _patch_response(patch, clip, pairs[q])
+                for k in range(thresholds):
+                    if f < cuts[q, k]:
+                        lefts[q * thresholds + k, c] += 1
+        best, gain = _best_test(lefts, total, 1, sides)
+        if best < 0 or gain < 1e-6:
+            continue
+        q, cut = best // thresholds, cuts[best // thresholds, best % thresholds]
+        i, j = a, b
+        while i < j:
+            if _patch_response(patches[order[i]], clip, pairs[q]) < cut:
+                i += 1
+            else:
+                j -= 1
+                swap = order[i]
+                order[i] = order[j]
+                order[j] = swap
+        if i == a or i == b:
+            continue
+        for k in range(4):
+            test[node, k] = pairs[q, k]
+        test[node, 4] = cut
+        left[node] = nodes
+        level[nodes], level[nodes + 1] = level[node] + 1, level[node] + 1
+        stack[waiting, 0], stack[waiting, 1], stack[waiting, 2] = a, i, nodes
+        stack[waiting + 1, 0], stack[waiting + 1, 1], stack[waiting + 1, 2] = i, b, nodes + 1
+        waiting += 2
+        nodes += 2
+    return nodes
+
+
+@njit(**OPTIONS)
+def patch_leaves(patches, clip, test, left, out):
+    """out (S,) i4: the leaf of a tree of `grow_tree` that each patch reaches."""
+    for i in range(patches.shape[0]):
+        n = 0
+        while left[n] >= 0:
+            n = left[n] + (0 if _patch_response(patches[i], clip, test[n]) < test[n, 4] else 1)
+        out[i] = n

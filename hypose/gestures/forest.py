@@ -1,0 +1,228 @@
+"""Forests of depth tests: one that is finished, and one that grows with every sample.
+
+A forest tells the background (class 0) from one or several gestures at a pixel. Alcoverro 2014, 3.2-3.3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.compute import forests
+from hypose.compute.forests import GrowingArrays, Packed, PaddedDepth
+from hypose.errors import InputError
+
+MAX_CLASSES = 17
+"""The background and 16 gestures."""
+
+
+@dataclass(frozen=True)
+class ForestSettings:
+    """How a forest grows.
+
+    trees; deepest: levels below the root; clip_mm: the distance kappa at which both depths of a test are clipped around
+    the pixel's own (eq. 3.6), None = not at all (eq. 3.3); reach_mm: half side of the square that offsets are drawn
+    from (150 mm = 85 px at 2 m with the first Kinect); candidates: random tests per leaf; alpha: samples before a
+    split, beta: least information gain (bits), rate: mean of the Poisson number of repeats (Algorithm 6); most_slots:
+    leaves per tree that can hold candidates at a time, most_nodes: of one tree. The last two bound the memory.
+    """
+
+    trees: int = 15
+    deepest: int = 20
+    clip_mm: int | None = 150
+    reach_mm: int = 150
+    candidates: int = 60
+    alpha: int = 300
+    beta: float = 0.0
+    rate: float = 1.0
+    most_slots: int = 500
+    most_nodes: int = 8192
+
+    def __post_init__(self) -> None:
+        bounds = {
+            "trees": (1, 200),
+            "deepest": (1, 60),
+            "reach_mm": (10, 1000),
+            "candidates": (1, 2000),
+            "alpha": (1, 20000),
+            "most_slots": (1, 8000),
+            "most_nodes": (3, forests.MAX_NODES),
+        }
+        for name, (low, high) in bounds.items():
+            if not low <= getattr(self, name) <= high:
+                raise InputError(f"A forest's {name} is {getattr(self, name)}; it must be {low} to {high}.")
+        if self.clip_mm is not None and not 1 <= self.clip_mm <= forests.UNCLIPPED_MM:
+            raise InputError(f"A forest's clip_mm is {self.clip_mm}; it must be 1 to {forests.UNCLIPPED_MM}, or None.")
+        if not 0 < self.rate <= 20 or not 0 <= self.beta <= 1:
+            raise InputError(f"A forest's rate is {self.rate}, beta {self.beta}; they must be in 0..20 and 0..1.")
+
+    @property
+    def clip(self) -> int:
+        """clip_mm as a number."""
+        return forests.UNCLIPPED_MM if self.clip_mm is None else self.clip_mm
+
+    @property
+    def spread_mm(self) -> int:
+        """Range of the thresholds: differences beyond the clipping distance do not occur."""
+        return 1000 if self.clip_mm is None else min(self.clip_mm, 300)
+
+
+@dataclass(frozen=True)
+class Forest:
+    """A forest to look with: test (nt, N, 5) i2, left (nt, N) i2, count (nt, N, C) u4, size (nt,) i4."""
+
+    settings: ForestSettings
+    test: NDArray[np.int16]
+    left: NDArray[np.int16]
+    count: NDArray[np.uint32]
+    size: NDArray[np.int32]
+
+    @property
+    def classes(self) -> int:
+        """Classes, the background included."""
+        return self.count.shape[2]
+
+    @cached_property
+    def packed(self) -> Packed:
+        """The layout that scanning reads."""
+        return forests.pack(self.test, self.left, self.count, self.size)
+
+    def balance(self) -> NDArray[np.int64]:
+        """Height of the left minus the right branch, of every node with children (Fig. 3.9)."""
+        out: list[NDArray[np.int64]] = []
+        for left, n in zip(self.left, self.size, strict=True):
+            height = np.zeros(n, np.int64)
+            inner = np.flatnonzero(left[:n] >= 0)
+            for i in inner[::-1]:  # children are numbered after their parent
+                height[i] = 1 + max(height[left[i]], height[left[i] + 1])
+            out.append(height[left[inner]] - height[left[inner] + 1])
+        return np.concatenate(out) if out else np.zeros(0, np.int64)
+
+    def probabilities(self, picture: PaddedDepth, rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
+        """(S, C) mean class shares (eq. 3.1) at pixels; meaningless where there is no depth."""
+        reached = forests.leaves(picture, picture.cells(rows, columns), self.packed, self.settings.clip)
+        shares = self.packed.shares[np.arange(len(self.left))[None], reached]
+        return shares.mean(1) / 10000.0
+
+
+def new_arrays(settings: ForestSettings, classes: int, rng: np.random.Generator) -> GrowingArrays:
+    """A forest of bare roots; each tree gets its own random numbers from rng."""
+    if not 2 <= classes <= MAX_CLASSES:
+        raise InputError(f"A forest tells {classes} classes; it must be 2 to {MAX_CLASSES}, the background included.")
+    nt, n, s, t = settings.trees, min(64, settings.most_nodes), min(8, settings.most_slots), settings.candidates
+    return GrowingArrays(
+        np.zeros((nt, n, 5), np.int16),
+        np.full((nt, n), -1, np.int16),
+        np.zeros((nt, n, classes), np.uint32),
+        np.zeros((nt, n), np.uint8),
+        np.full((nt, n), -1, np.int16),
+        np.ones(nt, np.int32),
+        np.tile(np.arange(s, dtype=np.int16), (nt, 1)),
+        np.full(nt, s, np.int32),
+        np.zeros((nt, s, t, 5), np.int16),
+        np.zeros((nt, s, t, classes), np.uint16),
+        np.zeros((nt, s, classes), np.int32),
+        rng.integers(0, 2**64, nt, dtype=np.uint64),
+        np.zeros(2, np.int64),
+    )
+
+
+class GrowingForest:
+    """A forest that learns one sample after the other (Algorithm 6, Saffari 2009).
+
+    It owns its arrays and changes them in place: copying them per frame would cost more than learning. Memory grows
+    with the trees up to the bounds in the settings. The same samples in the same calls give the same forest, also
+    across saving and loading, since each tree's random numbers are part of the arrays.
+    """
+
+    def __init__(self, settings: ForestSettings, arrays: GrowingArrays) -> None:
+        self.settings, self.arrays = settings, arrays
+
+    @staticmethod
+    def new(settings: ForestSettings, classes: int, rng: np.random.Generator) -> GrowingForest:
+        """A forest that has seen nothing."""
+        return GrowingForest(settings, new_arrays(settings, classes, rng))
+
+    def learn(self, picture: PaddedDepth, rows: NDArray, columns: NDArray, labels: NDArray) -> None:
+        """Update with the pixels (S,) of a picture and their classes (S,), in this order."""
+        if not len(rows):
+            return
+        if picture.reach_mm != self.settings.reach_mm:
+            raise InputError(
+                f"The picture is padded for tests of {picture.reach_mm} mm, the forest has {self.settings.reach_mm} mm;"
+                " pad it again."
+            )
+        cells = np.require(picture.cells(rows, columns), np.int64, ["C", "W"])
+        classes = np.require(labels, np.int32, ["C", "W"])
+        for k in range(0, len(cells), 64):  # room for two new nodes per sample is made between blocks
+            self._make_room(2 * min(64, len(cells) - k))
+            forests.grow(
+                picture,
+                cells[k : k + 64],
+                classes[k : k + 64],
+                self.arrays,
+                clip_mm=self.settings.clip,
+                spread_mm=self.settings.spread_mm,
+                rate=self.settings.rate,
+                alpha=self.settings.alpha,
+                beta=self.settings.beta,
+                deepest=self.settings.deepest,
+            )
+
+    def freeze(self) -> Forest:
+        """The forest as it is now; later growth does not change it."""
+        a, n = self.arrays, int(self.arrays.size.max())
+        return Forest(self.settings, a.test[:, :n].copy(), a.left[:, :n].copy(), a.count[:, :n].copy(), a.size.copy())
+
+    def packed(self) -> Packed:
+        """The layout for scanning, now."""
+        a = self.arrays
+        return forests.pack(a.test, a.left, a.count, a.size)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays."""
+        return sum(a.nbytes for a in self.arrays)
+
+    @property
+    def refusals(self) -> int:
+        """How often a leaf asked for candidates when all slots were taken."""
+        return int(self.arrays.tally[1])
+
+    def _make_room(self, nodes: int) -> None:
+        a, s = self.arrays, self.settings
+        have, need = a.left.shape[1], min(int(a.size.max()) + nodes, s.most_nodes)
+        if need > have:
+            n = min(max(need, have * 3 // 2), s.most_nodes)
+            a = a._replace(
+                test=_longer(a.test, n, 0),
+                left=_longer(a.left, n, -1),
+                count=_longer(a.count, n, 0),
+                level=_longer(a.level, n, 0),
+                slot=_longer(a.slot, n, -1),
+            )
+        have = a.free.shape[1]
+        if have < s.most_slots and int(a.n_free.min()) < min(nodes, 32):
+            n = min(max(have + 32, have * 5 // 4), s.most_slots)
+            free = _longer(a.free, n, 0)
+            n_free = a.n_free + np.int32(n - have)
+            for t in range(len(free)):  # new slots below the old ones: which slot a leaf gets does not matter
+                old = a.free[t, : a.n_free[t]]
+                free[t, : n_free[t]] = np.concatenate([np.arange(have, n, dtype=np.int16), old])
+            a = a._replace(
+                free=free,
+                n_free=n_free,
+                candidate=_longer(a.candidate, n, 0),
+                left_count=_longer(a.left_count, n, 0),
+                total=_longer(a.total, n, 0),
+            )
+        self.arrays = a
+
+
+def _longer(a: NDArray, n: int, fill: int) -> NDArray:
+    out = np.full((a.shape[0], n, *a.shape[2:]), fill, a.dtype)
+    out[:, : a.shape[1]] = a
+    return out

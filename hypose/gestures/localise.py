@@ -1,0 +1,157 @@
+"""Where a gesture is: votes, their density, its memory of the last frames, and the volume around the maximum.
+
+Alcoverro 2014, 3.2.4. Deviations, both so that the same gesture scores the same at every distance: a vote weighs the
+surface it stands for (z^2), and the density has unit sum, so that the volume V of eq. 3.5 is an area: the cm^2 of
+surface that vote for the gesture within the disc.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.compute import forests
+from hypose.compute.forests import Depth, Packed, PaddedDepth, ScanPlan
+from hypose.errors import InputError
+from hypose.gestures.forest import Forest
+from hypose.gestures.pictures import KINECT, Lens, surface_depth
+
+
+@dataclass(frozen=True)
+class LocaliseSettings:
+    """plan: where to look; majority: share that a pixel needs to vote; sigma_px: Parzen kernel; memory: share of the
+    new frame in the density, alpha of eq. 3.4 (1 = no memory); disc_mm: radius of the volume test's disc.
+
+    The plan's stride and sigma_px are meant for a focal length of 575.8 px (the first Kinect at 640 x 480) and are
+    scaled with the lens, so that a picture of half the size gives the same answer."""
+
+    plan: ScanPlan = ScanPlan()
+    majority: float = 0.5
+    sigma_px: float = 8.0
+    memory: float = 1.0
+    disc_mm: float = 60.0
+
+    def at(self, lens: Lens) -> LocaliseSettings:
+        """The settings in the pixels of a lens."""
+        factor = lens.fx / KINECT.fx
+        plan = replace(self.plan, stride=max(1, round(self.plan.stride * factor)))
+        return replace(self, plan=plan, sigma_px=self.sigma_px * factor)
+
+
+@dataclass(frozen=True)
+class Found:
+    """The best place for one gesture in one picture: gesture (number from 1 on); pixel x, y; position (3,) m in the
+    camera's frame, or None where no depth was measured; score = V (eq. 3.5) in cm^2, 0 when nothing voted."""
+
+    gesture: int
+    x: float
+    y: float
+    score: float
+    position: NDArray[np.float64] | None
+
+
+@dataclass
+class Scratch:
+    """What a detector keeps between frames: the padded picture's memory and one density per gesture."""
+
+    picture: PaddedDepth | None = None
+    densities: dict[int, NDArray[np.float32]] | None = None
+    descents: int = 0
+
+
+def pad(depth: Depth, lens: Lens, reach_mm: int, near_mm: int, reuse: PaddedDepth | None = None) -> PaddedDepth:
+    """The picture as forests read it. A lens of another focal length may have a picture of any size."""
+    return forests.pad_depth(depth, lens.fx, near_mm, reach_mm, reuse)
+
+
+def localise(
+    depth: Depth,
+    lens: Lens,
+    forest_list: Sequence[Forest],
+    settings: LocaliseSettings | None = None,
+    scratch: Scratch | None = None,
+) -> list[Found]:
+    """The best place of every gesture in a depth picture (h, w) uint16 mm, in the order of the gestures.
+
+    forest_list: one two-class forest per gesture (one against all; they share the padded picture), or a single forest
+    of several gestures. scratch: keep it between the frames of one stream; it holds the density's memory (eq. 3.4).
+    """
+    s, kept = (settings or LocaliseSettings()).at(lens), scratch or Scratch()
+    if not forest_list:
+        raise InputError("There is no forest to look with; train a gesture first.")
+    reach = forest_list[0].settings.reach_mm
+    if any(f.settings.reach_mm != reach for f in forest_list):
+        raise InputError("The forests have different reaches; train them with the same reach_mm.")
+    if len(forest_list) > 1 and any(f.classes != 2 for f in forest_list):
+        raise InputError("A forest of several gestures is used alone; give one forest per gesture, or that one.")
+    picture = kept.picture = pad(depth, lens, reach, s.plan.near_mm, kept.picture)
+    kept.descents = 0
+    maps: list[NDArray[np.float32]] = []
+    for f in forest_list:
+        scores, spent = (
+            scan_one(picture, f.packed, f, s)
+            if f.classes == 2
+            else forests.scan_classes(picture, f.packed, f.settings.clip, s.plan)
+        )
+        kept.descents += spent
+        maps += list(scores) if scores.ndim == 3 else [scores]
+    several = len(forest_list) == 1 and forest_list[0].classes > 2
+    majority = 0.0 if several else s.majority
+    return [_find(k + 1, m, picture, depth, lens, s, kept, majority) for k, m in enumerate(maps)]
+
+
+def scan_one(
+    picture: PaddedDepth, packed: Packed, forest: Forest, settings: LocaliseSettings
+) -> tuple[NDArray[np.float32], int]:
+    """Mean share of the gesture on the scanning grid, and the tree descents it took."""
+    return forests.scan(picture, packed, forest.settings.clip, settings.plan)
+
+
+def _find(
+    gesture: int,
+    scores: NDArray[np.float32],
+    picture: PaddedDepth,
+    depth: Depth,
+    lens: Lens,
+    s: LocaliseSettings,
+    kept: Scratch,
+    majority: float,
+) -> Found:
+    density, at = forests.parzen(picture, scores, s.plan.stride, majority, s.sigma_px)
+    if s.memory < 1:
+        kept.densities = kept.densities or {}
+        last = kept.densities.get(gesture)
+        if last is not None and last.shape == density.shape:
+            density = np.float32(s.memory) * density + np.float32(1 - s.memory) * last
+            at = int(density.argmax())
+        kept.densities[gesture] = density
+    return peak(gesture, density, at, depth, lens, s)
+
+
+def peak(gesture: int, density: NDArray[np.float32], at: int, depth: Depth, lens: Lens, s: LocaliseSettings) -> Found:
+    """The maximum of a density with its volume (eq. 3.5) and position; sub-cell by a parabola per axis."""
+    i, j = divmod(at, density.shape[1])
+    stride = s.plan.stride
+    if density[i, j] <= 0:
+        return Found(gesture, float(j * stride + stride // 2), float(i * stride + stride // 2), 0.0, None)
+    y, x = (i + _vertex(density[:, j], i)) * stride + stride // 2, (j + _vertex(density[i], j)) * stride + stride // 2
+    z = surface_depth(depth, x, y)
+    # with memory the maximum may lie where the hand was; the disc then takes the middle of the room
+    radius = s.disc_mm * lens.fx / (z if z is not None else 2000.0) / stride
+    r = int(np.ceil(radius))
+    a, b = slice(max(0, i - r), i + r + 1), slice(max(0, j - r), j + r + 1)
+    rows, columns = np.ogrid[a.start : min(a.stop, density.shape[0]), b.start : min(b.stop, density.shape[1])]
+    inside = (rows - i) ** 2 + (columns - j) ** 2 <= radius**2
+    score = 1e4 * float(density[a, b][inside].sum())
+    return Found(gesture, float(x), float(y), score, None if z is None else lens.point(x, y, z / 1000))
+
+
+def _vertex(line: NDArray[np.float32], k: int) -> float:
+    if not 0 < k < len(line) - 1:
+        return 0.0
+    a, b, c = float(line[k - 1]), float(line[k]), float(line[k + 1])
+    bend = a - 2 * b + c
+    return 0.0 if bend >= 0 else float(np.clip(0.5 * (a - c) / bend, -0.5, 0.5))

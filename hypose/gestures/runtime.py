@@ -1,0 +1,104 @@
+"""An exported gesture forest in plain numpy: this file alone runs it, without the rest of hypose.
+
+    model = load("forest.npz", "forest.json")
+    x, y, score = find(model, depth_mm, focal_px=575.8)[0]      # one (x, y, score) per gesture
+
+forest.npz: test (T, N, 5) int16, left (T, N) int16, share (T, N, C) uint16; T trees of N nodes, C classes, class 0 is
+the background. forest.json: {"format": "hypose-forest", "version": 1, "gestures": [names], "clip_mm", "reach_mm",
+"sigma_px", "majority", "disc_mm", "near_mm", "far_mm", "thresholds": [cm^2 per gesture]}.
+
+A pixel with depth d walks down every tree from node 0. At a node with test (uy, ux, vy, vx, t) it goes to node `left`
+when c(u) - c(v) < t and to `left` + 1 otherwise; left = -1 is a leaf, whose share / 10000 are the class probabilities.
+c(u) is the depth, in mm, floor(u f / d + 0.5) pixels away (f = focal length, in pixels; y down, x right), clamped to
+d - clip_mm .. d + clip_mm; a hole, the outside of the picture and everything beyond 10 m count as 10 m. Probabilities
+are averaged over the trees. (Alcoverro 2014, eq. 3.1, 3.3, 3.6.) It is also the definition that the compiled version is
+tested against.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FAR = 10000
+
+
+def load(arrays: str, description: str) -> dict[str, Any]:
+    """Read forest.npz and forest.json."""
+    with open(description, encoding="utf-8") as file:
+        model = json.load(file)
+    with np.load(arrays, allow_pickle=False) as data:
+        return {**model, **{name: data[name] for name in ("test", "left", "share")}}
+
+
+def shares(
+    model: dict[str, Any], depth: NDArray[np.uint16], rows: NDArray, columns: NDArray, focal_px: float
+) -> NDArray[np.float64]:
+    """(S, C) mean class probabilities at the pixels (rows, columns) of a depth picture (h, w) in mm."""
+    d = depth[rows, columns].astype(np.int32)
+    # the same order of single-precision operations as the compiled version, so that the same pixels are read
+    scale = (float(focal_px) / np.maximum(d, 1)).astype(np.float32)
+    clip = model["clip_mm"]
+
+    def clipped(dy: NDArray, dx: NDArray) -> NDArray:
+        r = rows + (dy.astype(np.float32) * scale + np.float32(4096.5)).astype(np.int32) - 4096
+        c = columns + (dx.astype(np.float32) * scale + np.float32(4096.5)).astype(np.int32) - 4096
+        inside = (r >= 0) & (c >= 0) & (r < depth.shape[0]) & (c < depth.shape[1])
+        value = np.full(len(d), FAR, np.int32)
+        value[inside] = depth[r[inside], c[inside]]
+        value[(value == 0) | (value > FAR)] = FAR
+        return np.clip(value, d - clip, d + clip)
+
+    total = np.zeros((len(d), model["share"].shape[2]))
+    for test, left, share in zip(model["test"], model["left"], model["share"], strict=True):
+        node = np.zeros(len(d), np.int64)
+        while (left[node] >= 0).any():
+            e = test[node].astype(np.int32)
+            right = clipped(e[:, 0], e[:, 1]) - clipped(e[:, 2], e[:, 3]) >= e[:, 4]
+            node = np.where(left[node] >= 0, left[node] + right, node)
+        total += share[node]
+    return total / (10000.0 * len(model["left"]))
+
+
+def find(
+    model: dict[str, Any], depth: NDArray[np.uint16], focal_px: float, stride: int = 0
+) -> list[tuple[float, float, float]]:
+    """(x, y, score) of the best place of each gesture; score in cm^2 of surface that votes within the disc (eq. 3.5).
+
+    stride: every how many pixels to look; 0: 4 at a focal length of 575.8 px, in proportion at others.
+    """
+    h, w = depth.shape
+    stride = stride or max(1, round(4 * focal_px / 575.8))
+    rows, columns = (g.ravel() for g in np.mgrid[stride // 2 : h : stride, stride // 2 : w : stride])
+    d = depth[rows, columns]
+    seen = (d >= model["near_mm"]) & (d <= model["far_mm"])
+    p = np.zeros((len(rows), model["share"].shape[2]))
+    p[seen] = shares(model, depth, rows[seen], columns[seen], focal_px)
+    out = []
+    for k in range(1, p.shape[1]):
+        wins = p[:, 1] > model["majority"] if p.shape[1] == 2 else p.argmax(1) == k
+        vote = np.where(wins & seen, p[:, k], 0) * (d * 0.001 * stride / focal_px) ** 2
+        density = _blurred(
+            vote.reshape(-(-(h - stride // 2) // stride), -1), model["sigma_px"] * focal_px / 575.8 / stride
+        )
+        i, j = np.unravel_index(int(density.argmax()), density.shape)
+        x, y = j * stride + stride // 2, i * stride + stride // 2
+        window = depth[max(0, y - 6) : y + 7, max(0, x - 6) : x + 7]
+        near = window[window >= 400]
+        z = float(np.percentile(near, 30)) if len(near) >= 5 else 2000.0
+        a, b = np.mgrid[: density.shape[0], : density.shape[1]]
+        inside = (a - i) ** 2 + (b - j) ** 2 <= (model["disc_mm"] * focal_px / z / stride) ** 2
+        out.append((float(x), float(y), 1e4 * float(density[inside].sum())))
+    return out
+
+
+def _blurred(image: NDArray, sigma: float) -> NDArray:
+    r = int(3 * sigma + 0.5)
+    kernel = np.exp(-0.5 * (np.arange(-r, r + 1) / sigma) ** 2)
+    kernel /= kernel.sum()
+    for axis in (0, 1):
+        image = np.apply_along_axis(lambda line: np.convolve(line, kernel)[r : r + len(line)], axis, image)
+    return image

@@ -1,0 +1,163 @@
+"""Localization: votes, density, memory, volume, early rejection."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.compute import forests
+from hypose.compute.forests import ScanPlan
+from hypose.errors import InputError
+from hypose.gestures import runtime
+from hypose.gestures.localise import LocaliseSettings, Scratch, localise, pad
+from hypose.gestures.pictures import Lens, millimetres
+
+from .test_forest import exported
+from .toys import LENS, SHAPE, grown, toy
+
+THOROUGH = ScanPlan(first=0, coarse=0)
+
+
+@pytest.fixture(scope="module")
+def forest():
+    return grown(200).freeze()
+
+
+def test_the_disc_is_found_where_it_is(forest):
+    rng = np.random.default_rng(11)
+    for _ in range(10):
+        depth, (x, y), _ = toy(rng, int(rng.integers(900, 1600)))
+        found = localise(depth, LENS, [forest])[0]
+        assert np.hypot(found.x - x, found.y - y) < 5
+        assert found.position is not None
+        np.testing.assert_allclose(found.position, LENS.point(found.x, found.y, found.position[2]), atol=1e-9)
+        assert abs(found.position[2] * 1000 - depth[int(y) - 2 : int(y) + 3, int(x) - 2 : int(x) + 3].max()) < 20
+
+
+def test_the_score_does_not_depend_on_distance(forest):
+    rng = np.random.default_rng(3)
+    scores = {z: [] for z in (900, 1600)}
+    for z, values in scores.items():
+        for _ in range(8):
+            values.append(localise(toy(rng, z)[0], LENS, [forest])[0].score)
+    near, far = (np.mean(v) for v in scores.values())
+    assert 0.6 < near / far < 1.6  # without z^2 it would be 3.2
+
+
+def test_early_rejection_changes_no_detection(forest):
+    rng = np.random.default_rng(4)
+    thorough, quick = LocaliseSettings(THOROUGH), LocaliseSettings()
+    a, b = Scratch(), Scratch()
+    for _ in range(20):
+        depth, _, _ = toy(rng, int(rng.integers(900, 1600)))
+        f, g = localise(depth, LENS, [forest], thorough, a)[0], localise(depth, LENS, [forest], quick, b)[0]
+        assert np.hypot(f.x - g.x, f.y - g.y) < 1.5 and abs(f.score - g.score) < 0.1 * f.score
+        assert b.descents < 0.6 * a.descents
+
+
+def test_the_numpy_runtime_finds_the_same(forest):
+    settings = LocaliseSettings(THOROUGH)
+    model = exported(forest) | {
+        "majority": settings.majority,
+        "sigma_px": settings.sigma_px,
+        "disc_mm": settings.disc_mm,
+        "near_mm": settings.plan.near_mm,
+        "far_mm": settings.plan.far_mm,
+    }
+    depth, _, _ = toy(np.random.default_rng(6))
+    x, y, score = runtime.find(model, depth, LENS.fx)[0]
+    found = localise(depth, LENS, [forest], settings)[0]
+    assert abs(x - found.x) <= 2 and abs(y - found.y) <= 2  # its grid, without the parabola
+    assert score == pytest.approx(found.score, rel=0.05)
+
+
+def test_parzen_is_a_gaussian_of_unit_sum():
+    depth = np.full((100, 120), 1000, np.uint16)
+    picture = forests.pad_depth(depth, 200.0, 500, 50)
+    scores = np.zeros((25, 30), np.float32)
+    scores[12, 15] = 0.8
+    scores[3, 3] = 0.4  # no majority, no vote
+    density, at = forests.parzen(picture, scores, 4, 0.5, 8.0)
+    assert at == 12 * 30 + 15
+    surface = (0.004 * 1000 / 200) ** 2
+    assert density.sum() == pytest.approx(0.8 * surface, rel=1e-5)
+    assert density[12, 17] / density[12, 15] == pytest.approx(np.exp(-0.5), rel=1e-5)
+    assert density[3, 3] == 0
+
+
+def test_temporal_recursion(forest):
+    # eq. 3.4 on a disc that disappears: a share 1 - alpha of its score stays for one frame
+    depth, (x, y), _ = toy(np.random.default_rng(8), holes=False)
+    empty = np.full(SHAPE, 2600, np.uint16)
+    settings, scratch = LocaliseSettings(memory=0.8), Scratch()
+    localise(depth, LENS, [forest], settings, scratch)
+    first = localise(depth, LENS, [forest], settings, scratch)[0]
+    after = localise(empty, LENS, [forest], settings, scratch)[0]
+    assert np.hypot(after.x - x, after.y - y) < 6
+    assert 0 < after.score < 0.35 * first.score
+    assert localise(empty, LENS, [forest], replace(settings, memory=1.0), scratch)[0].score == 0
+
+
+def test_every_gesture_of_one_against_all_is_found_alone(forest):
+    depth, _, _ = toy(np.random.default_rng(12))
+    alone = localise(depth, LENS, [forest])[0]
+    both = localise(depth, LENS, [forest, forest])
+    assert [f.gesture for f in both] == [1, 2]
+    assert both[1].score == alone.score and both[1].x == alone.x
+
+
+def test_nothing_but_holes_finds_nothing(forest):
+    found = localise(np.zeros(SHAPE, np.uint16), LENS, [forest])[0]
+    assert found.score == 0 and found.position is None
+
+
+def test_other_resolutions_work_with_their_own_lens(forest):
+    depth, (x, y), _ = toy(np.random.default_rng(13), holes=False)
+    twice = np.repeat(np.repeat(depth, 2, 0), 2, 1)
+    lens = LENS.scaled(2.0)
+    found = localise(twice, lens, [forest])[0]
+    assert np.hypot(found.x - 2 * x, found.y - 2 * y) < 10
+    assert lens.fx == 400 and lens.cx == 199.5
+
+
+def test_metres_are_recognised():
+    whole = np.full((48, 64), 2, np.uint16)
+    with pytest.raises(InputError, match="that is metres"):
+        millimetres(whole)
+    np.testing.assert_array_equal(millimetres(np.full((48, 64), 2.5)), 2500)
+    np.testing.assert_array_equal(millimetres(np.full((48, 64), np.nan)), 0)
+    with pytest.raises(InputError, match="cannot be metres"):
+        millimetres(np.full((48, 64), 2500.0))
+
+
+@pytest.mark.parametrize(
+    "picture", [np.zeros((3, 48, 64), np.uint16), np.zeros((8, 64), np.uint16), np.zeros((64, 64), "?")]
+)
+def test_what_is_no_picture_is_refused(picture):
+    with pytest.raises(InputError):
+        millimetres(picture)
+
+
+def test_a_person_at_eight_metres_is_not_looked_at(forest):
+    depth = (toy(np.random.default_rng(1))[0].astype(int) + 7000).astype(np.uint16)
+    assert localise(depth, LENS, [forest])[0].score == 0
+
+
+def test_lenses_that_cannot_be_are_refused():
+    with pytest.raises(InputError, match="lens"):
+        Lens(0.0, 0.0, 1.0, 1.0)
+
+
+def test_no_forest_is_refused():
+    with pytest.raises(InputError, match="no forest"):
+        localise(np.zeros(SHAPE, np.uint16), LENS, [])
+
+
+def test_pad_reuses_its_memory():
+    depth = np.full(SHAPE, 1000, np.uint16)
+    a = pad(depth, LENS, 150, 500)
+    b = pad(depth, LENS, 150, 500, a)
+    assert a.values is b.values
+    assert int(a.values.max()) == 10000 and (a.values == 1000).sum() == depth.size
