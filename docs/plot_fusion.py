@@ -12,7 +12,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from hypose.evaluation.fusion_benchmarks import FRESH_SEED, choose, noise_of
+from hypose.evaluation.fusion_scenes import FRESH_SEED
+from hypose.evaluation.sensor_choice import choose, noise_of
 from hypose.evaluation.sensors import HIDDEN_BELOW, treadmill_recording
 from hypose.fusion import joints as jt
 from hypose.fusion.register import heading, register, register_per_frame, upward

@@ -44,6 +44,7 @@ def bench(
     name: Annotated[str, typer.Argument(help="Name of the benchmark; a wrong one lists them.")] = "",
     quick: Annotated[bool, typer.Option("--quick", help="At most a minute on two cores; small, and says so.")] = False,
     seeds: Annotated[int, typer.Option(help="Repetitions; 0 = the benchmark's own number.")] = 0,
+    first_seed: Annotated[int | None, typer.Option(help="First seed of the fusion benchmarks. [default: 2000]")] = None,
     data: Annotated[Path | None, typer.Option(help="Folder with the real recordings, for real-* benchmarks.")] = None,
     json: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
     threads: Threads = None,
@@ -55,8 +56,10 @@ def bench(
 
     if seeds < 0:
         raise InputError(f"--seeds {seeds} is not possible; give 0 (the benchmark's own number) or more.")
+    if first_seed is not None and first_seed < 0:
+        raise InputError(f"--first-seed {first_seed} is not possible; give 0 or more.")
     with Stages() as progress:
-        report = run_benchmark(name, quick=quick, seeds=seeds, data=data, progress=progress)
+        report = run_benchmark(name, quick=quick, seeds=seeds, data=data, progress=progress, first_seed=first_seed)
     _show(report)
     if json is not None:
         with atomic_path(json) as temporary:

@@ -24,12 +24,14 @@ Progress = Callable[[str, int, int], None]
 @dataclass(frozen=True)
 class BenchOptions:
     """quick: end within a minute and be small; seeds: repetitions, 0 = the benchmark's own number; data: folder of real
-    recordings (None: only what needs none); progress(stage, done, total)."""
+    recordings (None: only what needs none); progress(stage, done, total); first_seed: where the repetitions' seeds
+    begin, for benchmarks that have an own default."""
 
     quick: bool = False
     seeds: int = 0
     data: Path | None = None
     progress: Progress = field(default=lambda stage, done, total: None)
+    first_seed: int | None = None
 
     def folder(self, name: str) -> Path:
         """A real recording's folder; an InputError says what is missing."""
@@ -81,11 +83,13 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
         anthropometry,
         anthropometry_real,
         fusion_benchmarks,
+        fusion_speed,
         path_speed,
         published,
         real,
         rigging,
         scorer_speed,
+        sensor_choice,
         speed,
     )
 
@@ -99,22 +103,28 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
         "rigging": rigging.rigging,
         "anthropometry": anthropometry.anthropometry,
         "subject-balancing": anthropometry_real.subject_balancing,
-        "fusion-table-1": fusion_benchmarks.table_1,
-        "fusion-departures": fusion_benchmarks.departures,
+        "fusion-table-1": sensor_choice.table_1,
+        "fusion-departures": sensor_choice.departures,
         "fusion-human4d": fusion_benchmarks.human4d,
         "fusion-real": fusion_benchmarks.real,
-        "fusion-speed": fusion_benchmarks.speed,
+        "fusion-speed": fusion_speed.speed,
     }
 
 
 def run_benchmark(
-    name: str, *, quick: bool = False, seeds: int = 0, data: Path | None = None, progress: Progress | None = None
+    name: str,
+    *,
+    quick: bool = False,
+    seeds: int = 0,
+    data: Path | None = None,
+    progress: Progress | None = None,
+    first_seed: int | None = None,
 ) -> dict[str, Any]:
     """Runs one benchmark and returns its JSON document; an InputError lists the names when it is unknown."""
     known = benchmarks()
     if name not in known:
         raise InputError(f"There is no benchmark {name!r}; the benchmarks are {', '.join(known)}.")
-    options = BenchOptions(quick, seeds, data, progress or (lambda stage, done, total: None))
+    options = BenchOptions(quick, seeds, data, progress or (lambda stage, done, total: None), first_seed)
     begin = time.perf_counter()
     report = known[name](options)
     return {

@@ -7,7 +7,7 @@ goes.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.motion import Motion
-from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import baselines
 from hypose.fusion import joints as jt
 from hypose.fusion.confidence import ConfidenceState, confidence_step, normalised, start_confidence
 from hypose.fusion.fit import FitSettings, FitState, clip_lengths, fit_step, start_fit
+from hypose.fusion.points import anchors_of, points_motion
 from hypose.fusion.register import (
     Registration,
     check_same_person,
@@ -265,29 +265,6 @@ def fuse_clip(
     )
 
 
-def point_skeleton(
-    joint_names: Sequence[str], parents: Sequence[int], lengths: Mapping[str, float] | None = None
-) -> Skeleton:
-    """A skeleton that only names joints: rigid, six degrees of freedom, for motions without poses. Joints stand above
-    each other at rest by their bones' lengths (m, by joint name)."""
-    n = len(joint_names)
-    offsets = np.zeros((n, 3))
-    offsets[1:, 2] = [(lengths or {}).get(name, 0.2) for name in joint_names[1:]]
-    dofs = tuple(f"{joint_names[0]}_{a}" for a in ("tx", "ty", "tz", "rx", "ry", "rz"))
-    return Skeleton(
-        tuple(joint_names),
-        np.array(parents, dtype=np.int64),
-        offsets,
-        np.arange(n) == 0,
-        np.tile(np.eye(3), (2, 1)),
-        np.zeros(6, dtype=np.int64),
-        dofs,
-        np.full(6, -1e3),
-        np.full(6, 1e3),
-        np.full(6, 0.1),
-    )
-
-
 def _check_alike(
     frame: SensorJoints, sensor_names: tuple[str, ...], joint_names: tuple[str, ...], number: int | None = None
 ) -> None:
@@ -366,7 +343,7 @@ def _with_rest(state: FusionState, frame: SensorJoints, joints: Array, sd: Array
     out = np.full((len(rest), 3), np.nan)
     spread = np.full(len(rest), np.nan)
     world = state.registration.apply(raw)
-    anchors = _anchors(state.joint_set)
+    anchors = anchors_of(state.joint_set)
     for i, j in enumerate(rest):
         anchor = anchors[int(j)]
         weights = np.where(np.isfinite(world[:, j, 0]) & np.isfinite(world[:, common[anchor], 0]), shares[anchor], 0.0)
@@ -376,19 +353,6 @@ def _with_rest(state: FusionState, frame: SensorJoints, joints: Array, sd: Array
             out[i] = joints[anchor] + weights @ offsets / weights.sum()
             spread[i] = sd[anchor]
     return np.concatenate([joints, out]), np.concatenate([sd, spread])
-
-
-def _anchors(known: jt.JointSet) -> dict[int, int]:
-    """For every joint of the set the common joint (0-14) it hangs from: the nearest towards the root, else a
-    neighbour."""
-    place = {int(j): i for i, j in enumerate(known.common)}
-    out: dict[int, int] = {}
-    for j in range(len(known.joint_names)):
-        a = j
-        while a >= 0 and a not in place:
-            a = int(known.parent[a])
-        out[j] = place.get(a, jt.TORSO)
-    return out
 
 
 def _clip_times(joints: Sequence[SensorJoints]) -> Array:
@@ -405,7 +369,7 @@ def _motion(
     names: tuple[str, ...], frames: Sequence[FusedFrame], times: Array, lengths: Array, s: FusionSettings
 ) -> Motion:
     provenance: dict[str, Any] = {"recipe": f"fusion-{s.method}", "seed": s.seed}
-    return _points_motion(
+    return points_motion(
         names,
         np.stack([f.joints for f in frames]),
         np.stack([f.sd for f in frames]),
@@ -415,53 +379,6 @@ def _motion(
         lengths,
         provenance,
     )
-
-
-def _points_motion(
-    names: tuple[str, ...],
-    joints: Array,
-    sd: Array,
-    times: Array,
-    lost: NDArray[np.bool_],
-    n_sensors: NDArray[np.int64],
-    lengths: Array,
-    provenance: Mapping[str, Any],
-) -> Motion:
-    """A Motion with parents before children: the torso first, as the root."""
-    order, parents = _topological(names)
-    bone = {tuple(sorted(b)): float(v) for b, v in zip(jt.BONES.tolist(), lengths, strict=True)}
-    by_name = {
-        n: bone.get(tuple(sorted((i, int(jt.PARENT[i])))), 0.2) for i, n in enumerate(jt.COMMON) if jt.PARENT[i] >= 0
-    }
-    skeleton = point_skeleton([names[i] for i in order], parents, by_name)
-    return Motion(
-        skeleton,
-        times,
-        joints[:, order],
-        None,
-        sd[:, order],
-        lost,
-        n_sensors == 0,
-        n_sensors,
-        np.full(len(times), np.nan),
-        provenance,
-    )
-
-
-def _topological(names: tuple[str, ...]) -> tuple[list[int], list[int]]:
-    """Order of the joints with parents first, and each one's parent in that order."""
-    parent = [int(p) for p in jt.PARENT]
-    if len(names) > 15:
-        sets = [k for k in jt.joint_sets() if len(k.joint_names) == len(names)]
-        known = sets[0] if sets else None
-        anchors = _anchors(known) if known is not None else {}
-        at = {jt.plain_name(n): i for i, n in enumerate(known.joint_names)} if known is not None else {}
-        parent += [anchors.get(at.get(jt.plain_name(n), -1), jt.TORSO) for n in names[15:]]
-    order = [jt.TORSO]
-    for j in order:
-        order += [i for i, p in enumerate(parent) if p == j]
-    place = {j: i for i, j in enumerate(order)}
-    return order, [place[parent[j]] if parent[j] >= 0 else -1 for j in order]
 
 
 def _baseline(
@@ -490,7 +407,7 @@ def _baseline(
         joints = baselines.kalman(baselines.dbscan(world), rate)
     seen = np.isfinite(world[..., 0])
     n = seen.any(2).sum(1)
-    motion = _points_motion(
+    motion = points_motion(
         jt.COMMON, joints, np.full(joints.shape[:2], np.nan), times, n == 0, n, lengths, {"recipe": f"fusion-{method}"}
     )
     shares = np.swapaxes(weights / np.maximum(weights.sum(1, keepdims=True), 1e-9), 1, 2)
@@ -498,9 +415,3 @@ def _baseline(
     return Fused(
         motion, shares, None, registration, lengths, swapped, np.zeros(len(times), dtype=np.bool_), sensor_names
     )
-
-
-def common_positions(motion: Motion) -> Array:
-    """(T, 15, 3) m: the fused common joints in the order of joints.COMMON (a motion's own order starts at the
-    torso)."""
-    return motion.joints[:, [motion.skeleton.joint(n) for n in jt.COMMON]]

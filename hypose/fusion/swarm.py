@@ -36,14 +36,16 @@ FEW = 64
 @dataclass(frozen=True)
 class SwarmSettings:
     """count: candidates per joint; radius_m: of the ball they start in; h_m: length scale of the energy; power: the
-    energy's weights are lambda^-power; immigrants: fresh candidates per sensor and frame (within count); jitter_m: sd
-    of a random step per frame; universal: Baker's sampling instead of independent spins; restart_every: frames (0 =
-    never); restart_turn: rad of turning since the last restart (0 = never)."""
+    energy's weights are lambda^-power; pressure: the wheel's shares are E^pressure (fitness scaling); immigrants: fresh
+    candidates per sensor and frame (within count); jitter_m: sd of a random step per frame; universal: Baker's sampling
+    instead of independent spins; restart_every: frames (0 = never); restart_turn: rad of turning since the last restart
+    (0 = never)."""
 
     count: int = 2100
     radius_m: float = 0.1
     h_m: float = 0.05
     power: float = 1.0
+    pressure: float = 1.0
     immigrants: int = 0
     jitter_m: float = 0.0
     universal: bool = False
@@ -97,10 +99,12 @@ def ride(h: Hypotheses, frame: SwarmFrame, rng: np.random.Generator, /) -> Hypot
 
 
 def energy(h: Hypotheses, frame: SwarmFrame, /) -> Array:
-    """log E (J, N), eq. 7: E = sum_k lambda_k^-power exp(-|s_k - p| / h). A joint that no candidate can explain this
-    frame keeps its population (0 everywhere)."""
+    """pressure * log E (J, N), eq. 7: E = sum_k lambda_k^-power exp(-|s_k - p| / h). A joint that no candidate can
+    explain this frame keeps its population (0 everywhere)."""
     out = np.empty(h.log_weights.shape)
     cpu_swarm.swarm_energy(h.values, h.label, h.log_weights, frame.positions, frame.weights, frame.settings.h_m, out)
+    if frame.settings.pressure != 1:
+        out *= frame.settings.pressure
     return out
 
 

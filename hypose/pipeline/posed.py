@@ -15,7 +15,7 @@ from hypose.body.models import human
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.fitting import PointTerm, fit_clip
-from hypose.fusion.fuse import common_positions
+from hypose.fusion.points import common_positions
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.subject import subject_from_keypoints
 

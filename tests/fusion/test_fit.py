@@ -6,7 +6,8 @@ from hypose.compute import cpu_fusion
 from hypose.fusion import baselines
 from hypose.fusion import joints as jt
 from hypose.fusion.fit import FitSettings, adapt_lengths, clip_lengths, fit_step, start_fit, unswap
-from hypose.fusion.fuse import BASELINES, METHODS, FusionSettings, common_positions, fuse_clip
+from hypose.fusion.fuse import BASELINES, METHODS, FusionSettings, fuse_clip
+from hypose.fusion.points import common_positions
 from tests.fusion.people import moving_person, seen, sensor_poses
 
 TRUE_LENGTHS = np.linalg.norm(np.diff(moving_person(2)[0][jt.BONES], axis=1)[:, 0], axis=-1)

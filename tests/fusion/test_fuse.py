@@ -4,7 +4,8 @@ import pytest
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
-from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip, start, step
+from hypose.fusion.fuse import FusionSettings, fuse_clip, start, step
+from hypose.fusion.points import common_positions
 from tests.fusion.people import in_reference, moving_person, seen, sensor_poses
 
 
