@@ -1,0 +1,338 @@
+"""Calibration boards: what is printed on them, and where their corners are in a picture.
+
+Chessboards and ChArUco boards are found by OpenCV. Two things are added for chessboards: a picture without a board is
+searched again in rectified views of its bright sheets, since OpenCV's detectors miss boards that lie on the floor far
+away (all of four real cameras at 4 m, 20 x 10 px per square); and corners are numbered the same way whatever the
+detector began with, as far as the pattern allows. `Board.turns` says how far: a chessboard looks the same when turned
+by 180 degrees if both of its corner counts are even or both odd.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.errors import InputError
+from hypose.geometry import Array
+
+Gray = NDArray[np.uint8]
+IntArray = NDArray[np.int64]
+
+_SEARCH_SIZE = 1400  # px: larger pictures are searched in a smaller copy first; corners are refined in the original
+_FLAGS = cv2.CALIB_CB_NORMALIZE_IMAGE
+_MIN_CORNERS = 6  # of a ChArUco board; fewer leave the pose of a plane loose
+_SHEETS = 4  # bright quadrilaterals that are looked at closer
+
+
+@dataclass(frozen=True)
+class Board:
+    """A flat calibration board.
+
+    columns, rows: inner corners of a chessboard, squares of a ChArUco board (as OpenCV counts each). square: side of a
+    square, m. marker: side of a ChArUco board's markers, m. dictionary: OpenCV's name of its markers. legacy: ChArUco
+    boards of OpenCV before 4.6 with an even number of rows. inverted: printed white on black.
+    """
+
+    kind: Literal["chessboard", "charuco"]
+    columns: int
+    rows: int
+    square: float
+    marker: float = 0.0
+    dictionary: str = "DICT_4X4_1000"
+    legacy: bool = False
+    inverted: bool = False
+
+    def __post_init__(self) -> None:
+        low = 3 if self.kind == "chessboard" else 2
+        if not (low <= self.columns <= 100 and low <= self.rows <= 100):
+            what = "inner corners" if self.kind == "chessboard" else "squares"
+            raise InputError(f"A {self.kind} has {low} to 100 {what} each way, got {self.columns} x {self.rows}.")
+        if not 1e-3 <= self.square <= 5:
+            raise InputError(
+                f"The board's squares are said to be {self.square:g} m wide; give 1 mm to 5 m, with the unit (115mm)."
+            )
+        if self.kind == "charuco":
+            if not 0 < self.marker < self.square:
+                raise InputError(
+                    f"The board's markers are said to be {self.marker:g} m wide; they must be smaller than the squares "
+                    f"({self.square:g} m)."
+                )
+            if self.dictionary not in dictionaries():
+                raise InputError(
+                    f"The marker dictionary {self.dictionary!r} is not known; the dictionaries are "
+                    f"{', '.join(dictionaries())}."
+                )
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Corners along x and along y."""
+        return (self.columns, self.rows) if self.kind == "chessboard" else (self.columns - 1, self.rows - 1)
+
+    @cached_property
+    def points(self) -> Array:
+        """(N, 3) m: the corners in the board's frame, row by row, z = 0. Seen from the front x points right, y down
+        and z into the board."""
+        nx, ny = self.size
+        xy = np.stack(np.meshgrid(np.arange(nx), np.arange(ny)), -1).reshape(-1, 2)
+        first = 0 if self.kind == "chessboard" else 1
+        return np.concatenate([(xy + first) * self.square, np.zeros((nx * ny, 1))], 1)
+
+    @cached_property
+    def turns(self) -> tuple[IntArray, ...]:
+        """Renumberings (N,) of the corners under which the picture stays the same, the identity first: corner i gets
+        the number turn[i]. One for ChArUco boards, whose markers have numbers."""
+        nx, ny = self.size
+        grid = np.arange(nx * ny, dtype=np.int64).reshape(ny, nx)
+        turns = [grid.ravel()]
+        if self.kind == "chessboard" and (nx + ny) % 2 == 0:
+            turns.append(grid[::-1, ::-1].ravel())
+            if nx == ny and nx % 2 == 0:
+                turns += [np.rot90(grid).ravel(), np.rot90(grid, 3).ravel()]
+        return tuple(turns)
+
+    def __str__(self) -> str:
+        what = "inner corners" if self.kind == "chessboard" else f"squares, {self.dictionary}"
+        return f"{self.kind} of {self.columns} x {self.rows} {what}, squares of {1e3 * self.square:g} mm"
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """A board in a picture. ids (n,): numbers of the corners, rows of Board.points; pixels (n, 2); edge_px: width of
+    the edges between black and white, which is about 2 px in a sharp picture and grows with blur."""
+
+    ids: IntArray
+    pixels: Array
+    edge_px: float
+
+    def turned(self, turn: IntArray) -> Sighting:
+        """The same sighting with other numbers."""
+        return Sighting(turn[self.ids], self.pixels, self.edge_px)
+
+
+Detector = Callable[[Gray], Sighting | None]
+
+
+def dictionaries() -> tuple[str, ...]:
+    """Names of OpenCV's marker dictionaries."""
+    return tuple(sorted(n for n in dir(cv2.aruco) if n.startswith("DICT_") and n == n.upper()))
+
+
+def make_detector(board: Board) -> Detector:
+    """Gray picture (h, w) -> Sighting, or None without a board."""
+    if board.kind == "charuco":
+        return _charuco_detector(board)
+
+    def detect(gray: Gray) -> Sighting | None:
+        picture = 255 - gray if board.inverted else gray
+        found = _find_chessboard(picture, board.size)
+        if found is None:
+            return None
+        pixels = _refined(gray, _numbered(picture, found, board.size), board.size)
+        if not _regular(pixels, board.size):
+            return None
+        return Sighting(np.arange(len(pixels)), pixels, edge_width(gray, pixels, _spacing(pixels, board.size)))
+
+    return detect
+
+
+def _charuco_detector(board: Board) -> Detector:
+    pattern = opencv_charuco(board)
+    detector = cv2.aruco.CharucoDetector(pattern)
+    nx = board.size[0]
+
+    def detect(gray: Gray) -> Sighting | None:
+        corners, ids = detector.detectBoard(255 - gray if board.inverted else gray)[:2]
+        if ids is None or len(ids) < _MIN_CORNERS:
+            return None
+        numbers = np.asarray(ids).ravel().astype(np.int64)
+        # on one line the pose is undetermined
+        if len(np.unique(numbers % nx)) < 2 or len(np.unique(numbers // nx)) < 2:
+            return None
+        pixels = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
+        order = np.argsort(numbers)
+        return Sighting(numbers[order], pixels[order], edge_width(gray, pixels, _nearest(pixels)))
+
+    return detect
+
+
+def opencv_charuco(board: Board) -> cv2.aruco.CharucoBoard:
+    """OpenCV's object of a ChArUco board."""
+    markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+    if board.columns * board.rows // 2 > len(markers.bytesList):
+        raise InputError(
+            f"The dictionary {board.dictionary} has {len(markers.bytesList)} markers, a board of {board.columns} x "
+            f"{board.rows} squares needs {board.columns * board.rows // 2}; give the board's own dictionary."
+        )
+    pattern = cv2.aruco.CharucoBoard((board.columns, board.rows), board.square, board.marker, markers)
+    pattern.setLegacyPattern(board.legacy)
+    return pattern
+
+
+# ---- chessboards ---------------------------------------------------------------------------------------------------
+
+
+def _find_chessboard(gray: Gray, size: tuple[int, int]) -> Array | None:
+    """Corners (N, 2) px of a chessboard in any of its numberings, roughly."""
+    scale = min(1.0, _SEARCH_SIZE / max(gray.shape))
+    small = gray if scale == 1 else _gray(cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
+    found, corners = cv2.findChessboardCornersSB(small, size, flags=_FLAGS)
+    if found:
+        return (corners.reshape(-1, 2).astype(np.float64) + 0.5) / scale - 0.5
+    for quad in _sheets(small):
+        width, height = 32 * (size[0] + 3), 32 * (size[1] + 3)
+        margin = 48
+        target = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32) + np.float32(margin)
+        sheet_from_image = cv2.getPerspectiveTransform(quad.astype(np.float32), target)
+        shape = (width + 2 * margin, height + 2 * margin)
+        sheet = cv2.warpPerspective(
+            small, sheet_from_image, shape, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+        )
+        found, corners = cv2.findChessboardCornersSB(_gray(sheet), size, flags=_FLAGS)
+        if not found:  # the older detector closes gaps in overexposed boards
+            found, corners = cv2.findChessboardCorners(_gray(sheet), size)
+        if found:
+            back = cv2.perspectiveTransform(corners.reshape(-1, 1, 2), np.linalg.inv(sheet_from_image))
+            return (back.reshape(-1, 2).astype(np.float64) + 0.5) / scale - 0.5
+    return None
+
+
+def _sheets(gray: Gray) -> list[Array]:
+    """The largest different bright quadrilaterals (4, 2) px, as a board on a white sheet is seen from aside."""
+    kept: list[tuple[float, Array]] = []
+    for level in np.unique(np.percentile(gray, [50, 60, 70, 80, 86, 91, 95, 98]).astype(int)):
+        contours, _ = cv2.findContours((gray > level).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
+        for contour in contours:
+            hull = cv2.convexHull(contour)
+            area = cv2.contourArea(hull)
+            if not 0.002 * gray.size < area < 0.6 * gray.size:
+                continue
+            quad = cv2.approxPolyDP(hull, 0.02 * cv2.arcLength(hull, True), True).reshape(-1, 2)
+            if len(quad) != 4 or cv2.contourArea(quad) < 0.9 * area:
+                continue
+            if cv2.contourArea(contour) < 0.3 * area:  # a board is at least half white
+                continue
+            centre = quad.mean(0)
+            near = 0.1 * np.sqrt(area)
+            if all(np.linalg.norm(centre - q.mean(0)) > near or abs(a / area - 1) > 0.2 for a, q in kept):
+                kept.append((area, quad.astype(np.float64)))
+    # those full of edges first: boards are, walls and lamps are not
+    busy = cv2.convertScaleAbs(cv2.Laplacian(gray, cv2.CV_16S))
+
+    def edges(quad: Array) -> float:
+        mask = np.zeros(gray.shape, np.uint8)
+        cv2.fillConvexPoly(mask, quad.astype(np.int32), 1)
+        return float(cv2.mean(busy, mask)[0])
+
+    return sorted((q for _, q in kept), key=edges, reverse=True)[:_SHEETS]
+
+
+def _numbered(gray: Gray, corners: Array, size: tuple[int, int]) -> Array:
+    """The corners in the one order (or, see Board.turns, one of the orders) that the pattern tells: right-handed as
+    seen from the front, and with a dark first inner square where the opposite one is light."""
+    nx, ny = size
+    grid = corners.reshape(ny, nx, 2)
+    right, down = grid[:, -1].mean(0) - grid[:, 0].mean(0), grid[-1].mean(0) - grid[0].mean(0)
+    if right[0] * down[1] - right[1] * down[0] < 0:
+        grid = grid[:, ::-1]
+    first = _square_level(gray, grid[:2, :2])
+    if (nx + ny) % 2:
+        if first > _square_level(gray, grid[-2:, -2:]):
+            grid = grid[::-1, ::-1]
+    elif nx == ny and nx % 2 and first > _square_level(gray, grid[:2, -2:]):
+        grid = np.rot90(grid)  # a quarter turn exchanges black and white
+    return np.ascontiguousarray(grid.reshape(-1, 2))
+
+
+def _square_level(gray: Gray, corners: Array) -> float:
+    """Mean brightness of the middle of a square (2, 2, 2) px."""
+    middle = corners.reshape(4, 2).mean(0)
+    ring = middle + 0.5 * (corners.reshape(4, 2) - middle)
+    h, w = gray.shape
+    x, y = np.clip(np.rint(np.vstack([ring, middle])).astype(int), 0, [w - 1, h - 1]).T
+    return float(gray[y, x].mean())
+
+
+def _refined(gray: Gray, corners: Array, size: tuple[int, int]) -> Array:
+    """Corners to a fraction of a pixel: cv2.cornerSubPix, for small or oblique squares in a rectified enlargement,
+    because its square window must not reach the next corner."""
+    spacing = _spacing(corners, size)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-4)
+    least = float(spacing.min())
+    if least >= 20:
+        half = int(np.clip(0.35 * least, 4, 11))
+        out = cv2.cornerSubPix(
+            gray, corners.astype(np.float32).reshape(-1, 1, 2).copy(), (half, half), (-1, -1), criteria
+        )
+        return out.reshape(-1, 2).astype(np.float64)
+    nx, ny = size
+    cell = int(np.clip(2 * np.ceil(spacing.max()), 16, 64))
+    flat = np.stack(np.meshgrid(np.arange(nx), np.arange(ny)), -1).reshape(-1, 2) * float(cell) + 1.5 * cell
+    sheet_from_image = cv2.findHomography(corners, flat)[0]
+    if sheet_from_image is None:
+        return corners
+    shape = ((nx + 2) * cell, (ny + 2) * cell)
+    sheet = _gray(cv2.warpPerspective(gray, sheet_from_image, shape, flags=cv2.INTER_CUBIC))
+    start = cv2.perspectiveTransform(corners.reshape(-1, 1, 2), sheet_from_image).astype(np.float32)
+    half = max(4, int(0.35 * cell))
+    out = cv2.cornerSubPix(sheet, start.copy(), (half, half), (-1, -1), criteria)
+    back = cv2.perspectiveTransform(out.astype(np.float64), np.linalg.inv(sheet_from_image))
+    return back.reshape(-1, 2)
+
+
+def _spacing(corners: Array, size: tuple[int, int]) -> Array:
+    """(N,) px: distance of each corner from its nearest neighbour in the grid."""
+    grid = corners.reshape(size[1], size[0], 2)
+    out = np.full(grid.shape[:2], np.inf)
+    for axis in (0, 1):
+        step = np.linalg.norm(np.diff(grid, axis=axis), axis=-1)
+        pad = [(0, 0), (0, 0)]
+        pad[axis] = (0, 1)
+        out = np.minimum(out, np.pad(step, pad, constant_values=np.inf))
+        pad[axis] = (1, 0)
+        out = np.minimum(out, np.pad(step, pad, constant_values=np.inf))
+    return out.ravel()
+
+
+def _nearest(corners: Array) -> Array:
+    """(N,) px: distance of each corner from the nearest other one."""
+    distance = np.linalg.norm(corners[:, None] - corners[None], axis=-1)
+    np.fill_diagonal(distance, np.inf)
+    return distance.min(1)
+
+
+def _regular(corners: Array, size: tuple[int, int]) -> bool:
+    """Whether the corners form a grid: neighbouring steps hardly change, which perspective and lens keep."""
+    grid = corners.reshape(size[1], size[0], 2)
+    for axis in (0, 1):
+        step = np.diff(grid, axis=axis)
+        bend = np.linalg.norm(np.diff(step, axis=axis), axis=-1)
+        if bend.size and bend.max() > 0.5 * np.linalg.norm(step, axis=-1).max() + 1:
+            return False
+    return bool(np.isfinite(corners).all())
+
+
+def edge_width(gray: Gray, corners: Array, spacing: Array) -> float:
+    """Median width in px of the edges at the corners: contrast over the steepest gradient in a window."""
+    h, w = gray.shape
+    widths = []
+    for (x, y), gap in zip(corners[:: max(1, len(corners) // 24)], spacing[:: max(1, len(corners) // 24)], strict=True):
+        half = int(np.clip(0.45 * gap, 3, 16))
+        cx, cy = round(float(x)), round(float(y))
+        if not (half < cx < w - half - 1 and half < cy < h - half - 1):
+            continue
+        cell = gray[cy - half : cy + half + 1, cx - half : cx + half + 1].astype(np.float32)
+        contrast = float(np.percentile(cell, 95) - np.percentile(cell, 5))
+        steep = np.hypot(cv2.Scharr(cell, cv2.CV_32F, 1, 0), cv2.Scharr(cell, cv2.CV_32F, 0, 1)).max() / 32
+        if contrast > 8 and steep > 0:
+            widths.append(contrast / float(steep))
+    return float(np.median(widths)) if widths else float("nan")
+
+
+def _gray(image: object) -> Gray:
+    return np.asarray(image, dtype=np.uint8)

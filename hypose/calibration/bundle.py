@@ -1,0 +1,336 @@
+"""Joint refinement of cameras and board poses: the sum of robust reprojection errors of all corners in all pictures.
+
+Levenberg-Marquardt with analytic derivatives on the normal equations; the boards' poses, which meet only cameras, are
+eliminated (Schur complement; Triggs et al. 2000, "Bundle adjustment - a modern synthesis", section 6.1). The equations
+are accumulated per camera and board, so that a step costs milliseconds where a general sparse solver iterates.
+Weak prior knowledge about lenses (principal point near the middle, square pixels, small coefficients) enters as
+measurements: it decides where the boards say nothing, and is drowned where they do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.cameras.camera import Camera
+from hypose.errors import SolverError
+from hypose.geometry import Array, se3, skew, so3_exp
+
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Observations:
+    """M corners seen. camera, frame, corner (M,): indices of the camera, of the board's pose and of the board's corner;
+    pixels (M, 2)."""
+
+    camera: IntArray
+    frame: IntArray
+    corner: IntArray
+    pixels: Array
+
+    def __len__(self) -> int:
+        return len(self.camera)
+
+    def keep(self, mask: NDArray[np.bool_]) -> Observations:
+        """Those of a mask (M,)."""
+        return Observations(self.camera[mask], self.frame[mask], self.corner[mask], self.pixels[mask])
+
+
+@dataclass(frozen=True)
+class LensPrior:
+    """Standard deviations of what is known of lenses beforehand. centre: of the principal point from the picture's
+    middle, as a share of its width; aspect: of fx / fy from 1; radial, tangential: of the coefficients k1 k2 (and the
+    fisheye's four) and p1 p2 from 0; k3: of the third radial coefficient."""
+
+    centre: float = 0.05
+    aspect: float = 0.01
+    radial: float = 1.0
+    tangential: float = 0.01
+    k3: float = 0.3
+
+
+@dataclass(frozen=True)
+class Refined:
+    """cameras; frames (F, 4, 4) world_from_board; residuals (M, 2) px, measured minus projected; rms_px per coordinate;
+    focal_sd (C,) px and position_sd (C,) m: standard deviations, of the positions relative to the first camera, NaN
+    where they were not free; iterations."""
+
+    cameras: tuple[Camera, ...]
+    frames: Array
+    residuals: Array
+    rms_px: float
+    focal_sd: Array
+    position_sd: Array
+    iterations: int
+
+
+def project_with_derivatives(camera: Camera, points_camera: Array) -> tuple[Array, Array, Array]:
+    """Pixels (M, 2) of points (M, 3) in the camera's frame, with their derivatives by the point (M, 2, 3) and by the
+    intrinsics (M, 2, 4 + k): fx, fy, cx, cy, distortion."""
+    zero = np.zeros(3)
+    points = np.ascontiguousarray(points_camera, dtype=np.float64)[:, None]
+    k = len(camera.distortion)
+    m = len(points)
+    if camera.fisheye:
+        uv, j = cv2.fisheye.projectPoints(points, zero, zero, camera.K, camera.distortion[:4])
+        j = np.asarray(j).reshape(m, 2, -1)
+        return uv.reshape(m, 2), j[..., 11:14], j[..., :8]
+    uv, j = cv2.projectPoints(points, zero, zero, camera.K, camera.distortion)
+    j = np.asarray(j).reshape(m, 2, -1)
+    return uv.reshape(m, 2), j[..., 3:6], j[..., 6 : 10 + k]
+
+
+def refine(
+    cameras: Sequence[Camera],
+    frames: Array,
+    board_points: Array,
+    observations: Observations,
+    *,
+    free_intrinsics: bool | NDArray[np.bool_] = True,
+    fixed_frames: NDArray[np.bool_] | None = None,
+    prior: LensPrior | None = None,
+    noise_px: float = 0.3,
+    robust_px: float = 1.0,
+    iterations: int = 50,
+) -> Refined:
+    """Cameras and boards that explain the corners best. The first camera stays where it is, unless boards are fixed.
+
+    frames (F, 4, 4) world_from_board at the start; board_points (N, 3) m; free_intrinsics: whether to change K and
+    distortion, per camera (C,) or for all; fixed_frames (F,): boards whose poses are known (measured points);
+    noise_px: standard deviation of a corner's coordinate, the weight against the prior; robust_px: errors beyond are
+    weighed down (Huber).
+    """
+    problem = _Problem(cameras, board_points, observations, prior, noise_px, robust_px, free_intrinsics, fixed_frames)
+    cams, poses = list(cameras), np.array(frames, dtype=np.float64)
+    cost = problem.cost(cams, poses)
+    if not np.isfinite(cost):
+        raise SolverError(
+            "The calibration cannot be refined from this start: a corner lies behind its camera. Remove the pictures "
+            "with the worst boards and calibrate again."
+        )
+    damping, done = 1e-3, 0
+    for done in range(1, iterations + 1):
+        system = problem.normal_equations(cams, poses)
+        improved = False
+        for _ in range(8):
+            step = problem.solve(system, damping)
+            trial = problem.apply(cams, poses, step)
+            new = problem.cost(*trial)
+            if new < cost:
+                improved, gain = True, (cost - new) / max(cost, 1e-12)
+                (cams, poses), cost = trial, new
+                damping = max(damping / 10, 1e-9)
+                break
+            damping *= 10
+        if not improved or gain < 1e-9:
+            break
+    residuals = problem.residuals(cams, poses)
+    rms = float(np.sqrt(np.mean(residuals**2))) if len(residuals) else float("nan")
+    focal, position = problem.deviations(cams, problem.normal_equations(cams, poses))
+    return Refined(tuple(cams), poses, residuals, rms, focal, position, done)
+
+
+class _Problem:
+    """Cost and normal equations. A camera's unknowns: rotation (3, on the left), translation (3), intrinsics; a
+    board's: rotation (3, on the left of its own rotation), translation (3)."""
+
+    def __init__(
+        self,
+        cameras: Sequence[Camera],
+        points: Array,
+        observations: Observations,
+        prior: LensPrior | None,
+        noise: float,
+        robust: float,
+        free: bool | NDArray[np.bool_],
+        fixed: NDArray[np.bool_] | None,
+    ) -> None:
+        order = np.lexsort((observations.frame, observations.camera))
+        self.order = order
+        o = Observations(
+            *(v[order] for v in (observations.camera, observations.frame, observations.corner)),
+            observations.pixels[order],
+        )
+        self.o, self.points, self.prior = o, points, prior or LensPrior()
+        self.noise, self.robust = noise, robust / noise
+        c = len(cameras)
+        self.p = 6 + 4 + max(len(camera.distortion) for camera in cameras)
+        self.slices = [slice(*np.searchsorted(o.camera, [i, i + 1])) for i in range(c)]
+        self.free_lens = np.broadcast_to(np.asarray(free, dtype=bool), (c,))
+        self.fixed_frames = fixed
+        self.free = np.zeros((c, self.p), bool)
+        for i, camera in enumerate(cameras):
+            self.free[i, :6] = i > 0 or (fixed is not None and bool(fixed.any()))
+            if self.free_lens[i]:
+                self.free[i, 6 : 10 + _lens_size(camera)] = True
+
+    def _at(self, camera: Camera, frames: Array, s: slice) -> tuple[Array, Array]:
+        """Corners turned and moved: (in the board turned only (M, 3), in the camera's frame (M, 3))."""
+        pose = frames[self.o.frame[s]]
+        turned = np.einsum("mij,mj->mi", pose[:, :3, :3], self.points[self.o.corner[s]])
+        world = turned + pose[:, :3, 3]
+        return turned, world @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
+
+    def _errors(self, camera: Camera, frames: Array, s: slice) -> Array:
+        _, x = self._at(camera, frames, s)
+        if len(x) == 0:
+            return np.zeros((0, 2))
+        if (x[:, 2] <= 1e-6).any():
+            return np.full((len(x), 2), np.inf)
+        return self.o.pixels[s] - project_with_derivatives(camera, x)[0]
+
+    def residuals(self, cameras: Sequence[Camera], frames: Array) -> Array:
+        """(M, 2) px in the order of the observations given."""
+        out = np.empty((len(self.o), 2))
+        for camera, s in zip(cameras, self.slices, strict=True):
+            out[self.order[s]] = self._errors(camera, frames, s)
+        return out
+
+    def cost(self, cameras: Sequence[Camera], frames: Array) -> float:
+        total = 0.0
+        for camera, s, free in zip(cameras, self.slices, self.free_lens, strict=True):
+            e = np.linalg.norm(self._errors(camera, frames, s), axis=1) / self.noise
+            with np.errstate(over="ignore", invalid="ignore"):
+                total += float(np.where(e <= self.robust, e**2, self.robust * (2 * e - self.robust)).sum())
+            if free:
+                r, _ = self._prior(camera)
+                total += float(r @ r)
+        return total if np.isfinite(total) else float("inf")
+
+    def _prior(self, camera: Camera) -> tuple[Array, Array]:
+        """Residuals (n,) and their derivatives (n, 4 + k) by the intrinsics."""
+        k, p = camera.K, self.prior
+        w, h = camera.size
+        n = _lens_size(camera)
+        d = camera.distortion
+        sd = np.full(n, p.radial)
+        if not camera.fisheye:
+            sd[2:4] = p.tangential
+            sd[4:] = p.k3
+        centre = p.centre * w
+        j = np.zeros((3 + n, 4 + n))
+        j[0, 2] = j[1, 3] = 1 / centre
+        j[2, 0], j[2, 1] = 1 / k[1, 1] / p.aspect, -k[0, 0] / k[1, 1] ** 2 / p.aspect
+        j[3:, 4:] = np.diag(1 / sd)
+        middle = np.array([(w - 1) / 2, (h - 1) / 2])
+        r = np.concatenate([(k[:2, 2] - middle) / centre, [(k[0, 0] / k[1, 1] - 1) / p.aspect], d[:n] / sd])
+        return r, j
+
+    def normal_equations(self, cameras: Sequence[Camera], frames: Array) -> tuple[Array, ...]:
+        """Blocks of J'J and J'r: cameras (C, p, p), (C, p), boards (F, 6, 6), (F, 6), between them (C, F, p, 6)."""
+        c, f, p = len(cameras), len(frames), self.p
+        a, ga = np.zeros((c, p, p)), np.zeros((c, p))
+        b, gb = np.zeros((f, 6, 6)), np.zeros((f, 6))
+        w = np.zeros((c, f, p, 6))
+        for i, (camera, s) in enumerate(zip(cameras, self.slices, strict=True)):
+            if s.start < s.stop:
+                jc, jb, e = self._derivatives(camera, frames, s)
+                a[i], ga[i] = np.einsum("mkp,mkq->pq", jc, jc), np.einsum("mkp,mk->p", jc, e)
+                numbers, first = np.unique(self.o.frame[s], return_index=True)
+                w[i, numbers] = np.add.reduceat(np.einsum("mkp,mkq->mpq", jc, jb), first)
+                b[numbers] += np.add.reduceat(np.einsum("mkp,mkq->mpq", jb, jb), first)
+                gb[numbers] += np.add.reduceat(np.einsum("mkp,mk->mp", jb, e), first)
+            if self.free_lens[i]:
+                r, j = self._prior(camera)
+                n = j.shape[1]
+                a[i, 6 : 6 + n, 6 : 6 + n] += j.T @ j
+                ga[i, 6 : 6 + n] -= j.T @ r
+        return a, ga, b, gb, w
+
+    def _derivatives(self, camera: Camera, frames: Array, s: slice) -> tuple[Array, Array, Array]:
+        """Weighted: by the camera's unknowns (M, 2, p), by the board's (M, 2, 6), and the errors (M, 2)."""
+        turned, x = self._at(camera, frames, s)
+        uv, by_point, by_lens = project_with_derivatives(camera, x)
+        e = (self.o.pixels[s] - uv) / self.noise
+        length = np.linalg.norm(e, axis=1)
+        weight = np.sqrt(np.minimum(1.0, self.robust / np.maximum(length, 1e-12)))[:, None]
+        scale = (weight / self.noise)[..., None]
+        by_point, by_lens = by_point * scale, by_lens * scale
+        r, t = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
+        jc = np.zeros((len(x), 2, self.p))
+        jc[..., :3] = -by_point @ skew(x - t)
+        jc[..., 3:6] = by_point
+        jc[..., 6 : 6 + by_lens.shape[2]] = by_lens
+        by_world = by_point @ r
+        jb = np.concatenate([-by_world @ skew(turned), by_world], -1)
+        if self.fixed_frames is not None:
+            jb = np.where(self.fixed_frames[self.o.frame[s]][:, None, None], 0.0, jb)
+        return jc, jb, e * weight
+
+    def _reduced(self, system: tuple[Array, ...], damping: float) -> tuple[Array, Array, Array]:
+        """The Schur complement on the free camera unknowns, its right-hand side, and the inverted board blocks."""
+        a, ga, b, gb, w = system
+        c, p = ga.shape
+        boards = b + damping * np.einsum("fii->fi", b)[:, None] * np.eye(6) + 1e-12 * np.eye(6)
+        inverse = np.linalg.inv(boards)
+        left = np.einsum("cfpq,fqr->cfpr", w, inverse)
+        full = -np.einsum("cfpr,dfqr->cpdq", left, w)
+        for i in range(c):
+            full[i, :, i] += a[i] + damping * np.diag(np.diag(a[i]))
+        rhs = ga - np.einsum("cfpr,fr->cp", left, gb)
+        free = self.free.ravel()
+        return full.reshape(c * p, c * p)[np.ix_(free, free)], rhs.ravel()[free], inverse
+
+    def solve(self, system: tuple[Array, ...], damping: float) -> tuple[Array, Array]:
+        """Steps of the cameras (C, p) and boards (F, 6)."""
+        _, ga, _, gb, w = system
+        s, rhs, inverse = self._reduced(system, damping)
+        step = np.zeros(ga.size)
+        if len(rhs):
+            scale = 1 / np.sqrt(np.maximum(np.diag(s), 1e-12))
+            scaled = s * scale[:, None] * scale + 1e-12 * np.eye(len(s))
+            step[self.free.ravel()] = scale * np.linalg.lstsq(scaled, scale * rhs, rcond=None)[0]
+        cams = step.reshape(ga.shape)
+        boards = np.einsum("fqr,fr->fq", inverse, gb - np.einsum("cfpq,cp->fq", w, cams))
+        if self.fixed_frames is not None:
+            boards = np.where(self.fixed_frames[:, None], 0.0, boards)
+        return cams, boards
+
+    def apply(self, cameras: Sequence[Camera], frames: Array, step: tuple[Array, Array]) -> tuple[list[Camera], Array]:
+        cams, boards = step
+        out = []
+        for camera, d, free in zip(cameras, cams, self.free_lens, strict=True):
+            pose = camera.camera_from_world
+            pose = se3(so3_exp(d[:3]) @ pose[:3, :3], pose[:3, 3] + d[3:6])
+            k, distortion = camera.K, camera.distortion
+            if free:
+                # a wild step must not make a camera that cannot exist
+                f = np.exp(np.clip(d[6:8] / np.diag(k)[:2], -0.5, 0.5)) * np.diag(k)[:2]
+                k = np.array([[f[0], 0, k[0, 2] + d[8]], [0, f[1], k[1, 2] + d[9]], [0, 0, 1.0]])
+                n = _lens_size(camera)
+                distortion = np.concatenate([distortion[:n] + d[10 : 10 + n], distortion[n:]])
+            out.append(replace(camera, K=k, distortion=distortion, camera_from_world=pose))
+        poses = se3(so3_exp(boards[:, :3]) @ frames[:, :3, :3], frames[:, :3, 3] + boards[:, 3:])
+        return out, poses
+
+    def deviations(self, cameras: Sequence[Camera], system: tuple[Array, ...]) -> tuple[Array, Array]:
+        """Standard deviations of focal lengths (C,) px and of camera positions (C,) m."""
+        c, p = self.free.shape
+        focal, position = np.full(c, np.nan), np.full(c, np.nan)
+        s, _, _ = self._reduced(system, 0.0)
+        if len(s) == 0:
+            return focal, position
+        covariance = np.linalg.pinv(s, hermitian=True)
+        where = np.full(c * p, -1)
+        where[self.free.ravel()] = np.arange(len(s))
+        where = where.reshape(c, p)
+        for i, camera in enumerate(cameras):
+            if where[i, 6] >= 0:
+                focal[i] = np.sqrt(max(covariance[where[i, 6], where[i, 6]], 0.0))
+            if where[i, 0] >= 0:
+                block = covariance[np.ix_(where[i, :6], where[i, :6])]
+                r, t = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
+                # position = -R't; R <- exp(w) R: d position = -R' (dt - w x t) = -R' (dt + skew(t) w)
+                j = -r.T @ np.concatenate([skew(t), np.eye(3)], 1)
+                position[i] = np.sqrt(max(np.trace(j @ block @ j.T), 0.0))
+        return focal, position
+
+
+def _lens_size(camera: Camera) -> int:
+    """Number of distortion coefficients that are refined: those of the lens itself, not of a tilted sensor."""
+    return min(len(camera.distortion), 4 if camera.fisheye else 5)

@@ -1,0 +1,422 @@
+"""Where the cameras stand: relative poses from boards that two cameras saw at the same time, joined along the best
+connected tree, then refined jointly with lenses and board poses.
+
+A chessboard that looks the same turned by 180 degrees may be numbered oppositely in two cameras. The relative pose
+that explains all shared frames tells which numbering is right as soon as the board moves; for a board that lies still
+the floor around it does (`surroundings`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+
+import numpy as np
+
+from hypose.calibration.boards import Board, Sighting
+from hypose.calibration.bundle import LensPrior, Observations, Refined, refine
+from hypose.calibration.intrinsics import Lens, board_poses, observe, spread_out
+from hypose.cameras.camera import Camera, CameraRig
+from hypose.errors import CalibrationError
+from hypose.geometry import Array, se3_inverse, so3_log, transform
+
+Chooser = Callable[[int, int, Array, Array], float]
+"""(camera c, camera d, d_from_c, another d_from_c) -> how much more likely the first is: > 1.1 or < 1 / 1.1 decide"""
+
+_MAX_FRAMES = 120
+_APART = np.deg2rad(8.0)  # relative poses that differ by more are different answers
+_CAP = 0.02  # of the picture's width: errors of a frame count up to this when relative poses are compared
+_DECIDED = 1.3
+
+
+@dataclass(frozen=True)
+class Link:
+    """Two cameras' relative pose. d_from_c (4, 4); frames shared and how many of them agree; other: a second answer
+    that explains the boards as well, when there is one; error: median over the frames, px."""
+
+    c: int
+    d: int
+    d_from_c: Array
+    shared: int
+    agreeing: int
+    error: float
+    other: Array | None = None
+
+
+@dataclass(frozen=True)
+class RigOptions:
+    """free_intrinsics: refine lenses jointly; choose: decides between two relative poses of a symmetric board that did
+    not move; max_frames: boards in the joint refinement."""
+
+    free_intrinsics: bool = True
+    prior: LensPrior = field(default_factory=LensPrior)
+    choose: Chooser | None = None
+    max_frames: int = _MAX_FRAMES
+
+
+@dataclass(frozen=True)
+class RigCalibration:
+    """rig: in the frame of the first camera (see `place`); boards: world_from_board (4, 4) by frame; sightings: those
+    used, numbered alike in all cameras, by camera index and frame; errors: rms px per coordinate by (camera, frame);
+    rms_px: over all; camera_rms (C,); focal_sd (C,) px; position_sd (C,) m; dropped: (camera, frame) that do not fit;
+    links: the relative poses it was built from; notes: sentences for the user."""
+
+    rig: CameraRig
+    boards: Mapping[int, Array]
+    sightings: Mapping[int, Mapping[int, Sighting]]
+    errors: Mapping[tuple[int, int], float]
+    rms_px: float
+    camera_rms: Array
+    focal_sd: Array
+    position_sd: Array
+    dropped: tuple[tuple[int, int], ...]
+    links: tuple[Link, ...]
+    notes: tuple[str, ...] = ()
+
+
+def calibrate_rig(
+    lenses: Sequence[Lens],
+    sightings: Sequence[Mapping[int, Sighting]],
+    board: Board,
+    options: RigOptions | None = None,
+    lens_sightings: Sequence[Mapping[int, Sighting]] | None = None,
+) -> RigCalibration:
+    """Poses of all cameras from boards seen at the same time.
+
+    sightings: per camera, by frame of the common time. lens_sightings: more boards, each for its own camera's lens
+    only. A CalibrationError names cameras that share no board with the others.
+    """
+    o = options or RigOptions()
+    cameras = [n.camera for n in lenses]
+    poses = [
+        {f: board_poses(c, s, board.points) for f, s in seen.items()}
+        for c, seen in zip(cameras, sightings, strict=True)
+    ]
+    links, notes = [], []
+    for c, d in combinations(range(len(cameras)), 2):
+        link = _link(c, d, cameras, sightings, poses, board)
+        if link is not None:
+            links.append(link)
+    tree = _tree(links, cameras, sightings, o.choose, notes)
+    placed = _placed(tree, cameras)
+    named = _numbered(placed, sightings, poses, board)
+    frames = _choose_frames(named, cameras, o.max_frames)
+    extra: dict[int, dict[int, Sighting]] = {}
+    number = -1
+    for c, seen in enumerate(lens_sightings or ()):
+        if lenses[c].given or not o.free_intrinsics:
+            continue
+        for f in spread_out(seen, cameras[c].size, 30):
+            extra.setdefault(c, {})[number] = seen[f]
+            number -= 1
+    return _refined(placed, named, frames, extra, lenses, board, o, tuple(links), tuple(notes))
+
+
+# ---- relative poses ------------------------------------------------------------------------------------------------
+
+
+def _link(
+    c: int,
+    d: int,
+    cameras: Sequence[Camera],
+    sightings: Sequence[Mapping[int, Sighting]],
+    poses: Sequence[Mapping[int, list[tuple[Array, float]]]],
+    board: Board,
+) -> Link | None:
+    """The relative pose under which the most shared frames agree, and the next best different one."""
+    shared = [f for f in sightings[c] if f in sightings[d]]
+    shared = [f for f in shared if poses[c][f][0][1] < 5 and poses[d][f][0][1] < 5]
+    if not shared:
+        return None
+    shared = spread_out({f: sightings[c][f] for f in shared}, cameras[c].size, 30)
+    turns = [_turn_motion(board, t) for t in board.turns]
+    candidates = []
+    for f in shared:
+        for pc, ec in poses[c][f]:
+            for pd, ed in poses[d][f]:
+                # the second pose of a plane counts only where it fits nearly as well
+                if ec < 3 * poses[c][f][0][1] + 0.2 and ed < 3 * poses[d][f][0][1] + 0.2:
+                    candidates += [pd @ turn @ se3_inverse(pc) for turn in turns]
+    cap = _CAP * cameras[d].size[0]
+    errors = np.stack([_disagreement(h, c, d, cameras, shared, sightings, poses, board) for h in candidates])
+    score = np.minimum(errors, cap).mean(1)
+    order = np.argsort(score)
+    best = candidates[order[0]]
+    agreeing = int((errors[order[0]] < cap).sum())
+    other = None
+    for k in order[1:]:
+        if np.linalg.norm(so3_log(candidates[k][:3, :3] @ best[:3, :3].T)) > _APART:
+            if score[k] < 2 * score[order[0]] + 0.25:
+                other = candidates[k]
+            break
+    return Link(c, d, best, len(shared), agreeing, float(np.median(errors[order[0]])), other)
+
+
+def _turn_motion(board: Board, turn: np.ndarray) -> Array:
+    """Rigid motion of the board's frame that renumbers its corners: point turn[i] = motion(point i)."""
+    a, b = board.points, board.points[turn]
+    out = np.eye(4)
+    step = a[1] - a[0]
+    moved = b[1] - b[0]
+    angle = np.arctan2(moved[1], moved[0]) - np.arctan2(step[1], step[0])
+    out[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    out[:3, 3] = b[0] - out[:3, :3] @ a[0]
+    return out
+
+
+def _disagreement(
+    d_from_c: Array,
+    c: int,
+    d: int,
+    cameras: Sequence[Camera],
+    shared: Sequence[int],
+    sightings: Sequence[Mapping[int, Sighting]],
+    poses: Sequence[Mapping[int, list[tuple[Array, float]]]],
+    board: Board,
+) -> Array:
+    """(F,) px: rms error in camera d of the boards seen by camera c, under the better of their poses and numberings."""
+    out = np.empty(len(shared))
+    for k, f in enumerate(shared):
+        s = sightings[d][f]
+        best = np.inf
+        for pose, error in poses[c][f]:
+            if error > 3 * poses[c][f][0][1] + 0.2:
+                continue
+            uv = replace(cameras[d], camera_from_world=d_from_c @ pose).project(board.points)
+            for turn in board.turns:
+                e = uv[turn[s.ids]] - s.pixels
+                best = min(best, float(np.sqrt(np.mean(e**2))) if np.isfinite(e).all() else np.inf)
+        out[k] = best
+    return out
+
+
+def _tree(
+    links: Sequence[Link],
+    cameras: Sequence[Camera],
+    sightings: Sequence[Mapping[int, Sighting]],
+    choose: Chooser | None,
+    notes: list[str],
+) -> list[Link]:
+    """Links that join all cameras: unambiguous ones first, those on which most frames agree first."""
+    names = [c.name for c in cameras]
+    group = list(range(len(cameras)))
+    out: list[Link] = []
+
+    def join(link: Link) -> None:
+        old, new = group[link.d], group[link.c]
+        group[:] = [new if g == old else g for g in group]
+        out.append(link)
+
+    sure = [k for k in links if k.other is None and k.agreeing >= max(1, 0.3 * k.shared)]
+    for link in sorted(sure, key=lambda k: (-min(k.agreeing, 10), k.error)):
+        if group[link.c] != group[link.d]:
+            join(link)
+    # the others: decided by what lies around the board, the clearest first
+    unsure = [k for k in links if k.other is not None]
+    weighed = []
+    for link in unsure:
+        if group[link.c] == group[link.d]:
+            continue
+        assert link.other is not None
+        ratio = 1.0 if choose is None else choose(link.c, link.d, link.d_from_c, link.other)
+        if ratio < 1:
+            link = replace(link, d_from_c=link.other, other=link.d_from_c)
+            ratio = 1 / max(ratio, 1e-9)
+        weighed.append((ratio, link))
+    for ratio, link in sorted(weighed, key=lambda w: -w[0]):
+        if group[link.c] == group[link.d]:
+            continue
+        if ratio < _DECIDED:
+            raise CalibrationError(
+                f"The board looks the same turned by 180 degrees and did not move, so it is open which way round camera "
+                f"{names[link.d]} sees it compared with {names[link.c]}, and the floor around it does not tell; move the "
+                "board to a second place, use a board with one even and one odd number of corners, or a ChArUco board."
+            )
+        notes.append(
+            f"Which way round {names[link.d]} sees the board, which looks the same turned by 180 degrees, was decided "
+            f"by the floor around it ({ratio:.1f} times better than the other way); look at the contact sheet."
+        )
+        join(link)
+    if len(set(group)) > 1:
+        parts = [[i for i in range(len(names)) if group[i] == g] for g in dict.fromkeys(group)]
+        said = " | ".join(", ".join(f"{names[i]} ({_span(sightings[i])})" for i in part) for part in parts)
+        disagreeing = [k for k in links if group[k.c] != group[k.d]]
+        why = "they saw no board at the same time"
+        if disagreeing:
+            k = max(disagreeing, key=lambda k: k.shared)
+            why = (
+                f"{names[k.c]} and {names[k.d]} saw the board together in {k.shared} pictures but these contradict each "
+                "other: the videos are probably not synchronous (give --lag CAMERA=FRAMES, or hypose sync)"
+            )
+        raise CalibrationError(
+            f"The cameras cannot be joined: {said}; {why}. Film the board where cameras of both parts see it."
+        )
+    return out
+
+
+def _span(seen: Mapping[int, Sighting]) -> str:
+    return f"{len(seen)} boards, frames {min(seen)} to {max(seen)}" if seen else "no board"
+
+
+def _placed(tree: Sequence[Link], cameras: Sequence[Camera]) -> list[Camera]:
+    """Cameras with poses in the first camera's frame."""
+    poses: dict[int, Array] = {0: np.eye(4)}
+    while len(poses) < len(cameras):
+        before = len(poses)
+        for k in tree:
+            if k.c in poses and k.d not in poses:
+                poses[k.d] = k.d_from_c @ poses[k.c]
+            elif k.d in poses and k.c not in poses:
+                poses[k.c] = se3_inverse(k.d_from_c) @ poses[k.d]
+        assert len(poses) > before
+    return [replace(c, camera_from_world=poses[i]) for i, c in enumerate(cameras)]
+
+
+@dataclass(frozen=True)
+class _Numbered:
+    """Sightings by camera and frame, numbered alike, and the boards' poses in the world."""
+
+    sightings: dict[int, dict[int, Sighting]]
+    boards: dict[int, Array]
+
+
+def _numbered(
+    cameras: Sequence[Camera],
+    sightings: Sequence[Mapping[int, Sighting]],
+    poses: Sequence[Mapping[int, list[tuple[Array, float]]]],
+    board: Board,
+) -> _Numbered:
+    """Per frame the board pose of one camera that the others agree with best, and the numbering each needs for it."""
+    boards: dict[int, Array] = {}
+    out: dict[int, dict[int, Sighting]] = {c: {} for c in range(len(cameras))}
+    for f in sorted({f for seen in sightings for f in seen}):
+        who = [c for c in range(len(cameras)) if f in sightings[c]]
+        best: tuple[float, Array, list[int]] | None = None
+        for c in who:
+            for pose, error in poses[c][f]:
+                if not np.isfinite(error):
+                    continue
+                world = se3_inverse(cameras[c].camera_from_world) @ pose
+                points = transform(world, board.points)
+                total, chosen = 0.0, []
+                for d in who:
+                    s = sightings[d][f]
+                    uv = cameras[d].project(points)
+                    e = [float(np.nan_to_num(np.mean((uv[t[s.ids]] - s.pixels) ** 2), nan=1e6)) for t in board.turns]
+                    chosen.append(int(np.argmin(e)))
+                    total += min(min(e), (_CAP * cameras[d].size[0]) ** 2)
+                if best is None or total < best[0]:
+                    best = (total, world, chosen)
+        if best is None:
+            continue
+        boards[f] = best[1]
+        for d, t in zip(who, best[2], strict=True):
+            out[d][f] = sightings[d][f].turned(board.turns[t])
+    return _Numbered(out, boards)
+
+
+def _choose_frames(named: _Numbered, cameras: Sequence[Camera], count: int) -> list[int]:
+    """At most `count` frames: for each pair of cameras those that differ most, then the rest for the lenses."""
+    seen = named.sightings
+    if len(named.boards) <= count:
+        return sorted(named.boards)
+    pairs = [(c, d) for c, d in combinations(range(len(cameras)), 2) if set(seen[c]) & set(seen[d])]
+    picked: set[int] = set()
+    for c, d in pairs:
+        both = {f: s for f, s in seen[c].items() if f in seen[d]}
+        picked |= set(spread_out(both, cameras[c].size, max(4, count // (2 * len(pairs)))))
+    for c, camera in enumerate(cameras):
+        left = {f: s for f, s in seen[c].items() if f not in picked}
+        picked |= set(spread_out(left, camera.size, max(2, (count - len(picked)) // (len(cameras) - c))))
+    return sorted(picked)
+
+
+# ---- joint refinement ----------------------------------------------------------------------------------------------
+
+
+def _refined(
+    cameras: Sequence[Camera],
+    named: _Numbered,
+    frames: Sequence[int],
+    extra: Mapping[int, Mapping[int, Sighting]],
+    lenses: Sequence[Lens],
+    board: Board,
+    o: RigOptions,
+    links: tuple[Link, ...],
+    notes: tuple[str, ...],
+) -> RigCalibration:
+    all_frames = [*frames, *(f for seen in extra.values() for f in seen)]
+    boards = dict(named.boards)
+    for c, seen in extra.items():
+        for f, s in seen.items():
+            boards[f] = se3_inverse(cameras[c].camera_from_world) @ board_poses(cameras[c], s, board.points)[0][0]
+    seen = {c: {**named.sightings[c], **extra.get(c, {})} for c in range(len(cameras))}
+    obs = observe(seen, all_frames)
+    obs = obs.keep(_in_front(cameras, boards, all_frames, board, obs))
+    free = np.array([o.free_intrinsics and not n.given for n in lenses])
+    dropped: list[tuple[int, int]] = []
+    start = np.stack([boards[f] for f in all_frames])
+    result: Refined | None = None
+    for attempt in range(4):
+        result = refine(
+            cameras, start, board.points, obs, free_intrinsics=free, prior=o.prior, robust_px=2.0 if attempt else 5.0
+        )
+        cameras, start = result.cameras, result.frames
+        error, count = _by_view(obs, result.residuals, len(cameras), len(all_frames))
+        limit = max(4 * float(np.nanmedian(error)), 0.8)
+        bad = np.nan_to_num(error) > limit
+        if attempt and not bad.any():
+            break
+        if attempt < 3 and bad.any():
+            # the worst first: what they bend must not count against the others
+            bad &= np.nan_to_num(error) >= np.nanmax(error) / 3
+            keep = ~bad[obs.camera, obs.frame]
+            if len(np.unique(obs.camera[keep])) < len(cameras):
+                break
+            dropped += [(int(c), all_frames[f]) for c, f in np.argwhere(bad)]
+            obs = obs.keep(keep)
+    assert result is not None
+    error, count = _by_view(obs, result.residuals, len(cameras), len(all_frames))
+    per_camera = np.sqrt(np.nansum(error**2 * count, 1) / np.maximum(count.sum(1), 1))
+    errors = {
+        (c, f): float(error[c, k])
+        for k, f in enumerate(all_frames)
+        if f >= 0
+        for c in range(len(cameras))
+        if count[c, k]
+    }
+    used = {c: {f: s for f, s in named.sightings[c].items() if (c, f) in errors} for c in range(len(cameras))}
+    return RigCalibration(
+        CameraRig(tuple(result.cameras)),
+        {f: result.frames[k] for k, f in enumerate(all_frames) if f >= 0 and count[:, k].any()},
+        used,
+        errors,
+        result.rms_px,
+        per_camera,
+        result.focal_sd,
+        result.position_sd,
+        tuple(d for d in dropped if d[1] >= 0),
+        links,
+        notes,
+    )
+
+
+def _in_front(
+    cameras: Sequence[Camera], boards: Mapping[int, Array], frames: Sequence[int], board: Board, obs: Observations
+) -> np.ndarray:
+    """(M,) bool: corners of boards that lie in front of the cameras that saw them."""
+    ok = np.zeros((len(cameras), len(frames)), bool)
+    for c, camera in enumerate(cameras):
+        for k, f in enumerate(frames):
+            ok[c, k] = bool((transform(camera.camera_from_world @ boards[f], board.points)[:, 2] > 0.01).all())
+    return ok[obs.camera, obs.frame]
+
+
+def _by_view(obs: Observations, residuals: Array, c: int, f: int) -> tuple[Array, Array]:
+    """(C, F) rms px per coordinate, NaN where a camera saw no board, and number of corners."""
+    at = obs.camera * f + obs.frame
+    count = np.bincount(at, minlength=c * f).reshape(c, f)
+    total = np.bincount(at, (residuals**2).sum(1), c * f).reshape(c, f)
+    with np.errstate(invalid="ignore"):
+        return np.where(count > 0, np.sqrt(total / (2 * np.maximum(count, 1))), np.nan), count

@@ -1,0 +1,343 @@
+"""Look for the board in the videos or photos of every camera, and say what was seen where it was not found."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from hypose.calibration.boards import Board, Detector, Gray, Sighting, make_detector
+from hypose.errors import InputError
+from hypose.geometry import Array
+from hypose.io.calibration import natural_key
+from hypose.io.video import IMAGE_ENDINGS, VIDEO_ENDINGS, list_images, open_video
+
+Progress = Callable[[str, int, int], None]
+
+BLURRED_PX = 5.0
+"""Edges wider than this make corners too uncertain to be used."""
+_COARSE = 4  # every 4th frame is looked at first, the others only beside a frame that shows the board
+_STILL = 3.0  # mean difference in grey levels between two pictures of a scene in which nothing moves
+_STILL_FRAMES = 60
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a camera's board pictures are: a video, a folder of photos or one photo. lag: frames by which the video
+    is late, so that its frame i + lag belongs to frame i of the others."""
+
+    name: str
+    path: Path
+    lag: int = 0
+
+
+@dataclass(frozen=True)
+class Look:
+    """What one picture showed: the board, or why not."""
+
+    sighting: Sighting | None
+    reason: str
+    focus: float
+    """Mean of the squared Laplacian, compared with other pictures of the same camera only."""
+    brightness: float
+
+
+@dataclass(frozen=True)
+class CameraViews:
+    """What one camera saw. looks: by frame number (of the common time; photos: by order); size (width, height) px;
+    still: the pictures do not change, and frame 0 stands for their mean."""
+
+    name: str
+    path: Path
+    size: tuple[int, int]
+    n_frames: int
+    looks: Mapping[int, Look]
+    lag: int = 0
+    still: bool = False
+
+    @property
+    def sightings(self) -> dict[int, Sighting]:
+        """The sharp boards by frame number."""
+        return {f: k.sighting for f, k in self.looks.items() if k.sighting is not None and k.reason == ""}
+
+    @property
+    def coverage(self) -> float:
+        """Share of the picture's 6 x 6 fields in which a corner was seen."""
+        seen = np.zeros((6, 6), bool)
+        for s in self.sightings.values():
+            x, y = np.clip(6 * s.pixels / self.size, 0, 5.99).astype(int).T
+            seen[y, x] = True
+        return float(seen.mean())
+
+    def summary(self) -> str:
+        """One sentence on what was found."""
+        n = len(self.sightings)
+        why: dict[str, int] = {}
+        for look in self.looks.values():
+            if look.reason:
+                why[look.reason] = why.get(look.reason, 0) + 1
+        rest = ", ".join(f"{k} x {r}" for r, k in sorted(why.items(), key=lambda p: -p[1]))
+        text = f"{self.name}: the board was found in {n} of {len(self.looks)} pictures"
+        if n:
+            text += f", in {100 * self.coverage:.0f} % of the picture's area"
+        return text + (f" ({rest})" if rest else "")
+
+
+@dataclass(frozen=True)
+class LookOptions:
+    """max_frames: pictures looked at per camera, evenly spread. together: the cameras filmed at the same time, so the
+    same frames are looked at in all."""
+
+    max_frames: int = 120
+    together: bool = True
+    progress: Progress = field(default=lambda stage, done, total: None)
+
+
+def find_sources(paths: Sequence[Path], what: str = "board videos") -> list[Source]:
+    """One source per camera: from a folder with one video or photo folder per camera, or from the paths themselves.
+
+    Cameras are named by their files; where all files are called the same, by their folders."""
+    found: list[Path] = []
+    for path in paths:
+        if not path.exists():
+            raise InputError(f"{path} does not exist; give the {what}: a folder, or one video or photo folder each.")
+        found += _inside(path, what) if path.is_dir() else [path]
+    for path in found:
+        if path.is_file() and path.suffix.lower() not in VIDEO_ENDINGS + IMAGE_ENDINGS:
+            raise InputError(f"{path} is neither a video nor a picture; give the {what}.")
+    stems = [p.stem if p.is_file() else p.name for p in found]
+    if len(set(stems)) < len(stems):
+        stems = [p.absolute().parent.name for p in found]
+    names = [re.sub(r"^(int|ext)_|_(img|ext|int|images|board|calib)$", "", s) for s in stems]
+    if len(set(names)) < len(names):
+        names = stems
+    if len(set(names)) < len(names):
+        raise InputError(
+            f"The {what} cannot be told apart by their names ({', '.join(stems)}); name the files by their cameras."
+        )
+    return [Source(n, p) for n, p in zip(names, found, strict=True)]
+
+
+def _inside(folder: Path, what: str) -> list[Path]:
+    entries = sorted(folder.iterdir(), key=lambda p: natural_key(p.name))
+    videos = [p for p in entries if p.is_file() and p.suffix.lower() in VIDEO_ENDINGS]
+    if videos:
+        return videos
+    folders = [p for p in entries if p.is_dir()]
+    with_photos = [p for p in folders if list_images(p)]
+    if with_photos:
+        return with_photos
+    with_videos = [v for p in folders for v in sorted(p.iterdir()) if v.suffix.lower() in VIDEO_ENDINGS]
+    if with_videos and len(with_videos) == len({v.parent for v in with_videos}):
+        return with_videos
+    if list_images(folder):
+        return [folder]
+    raise InputError(
+        f"{folder} holds no {what}: one video per camera, or one folder of photos per camera, is expected in it."
+    )
+
+
+def look_for_board(
+    sources: Sequence[Source], board: Board, options: LookOptions | None = None
+) -> tuple[CameraViews, ...]:
+    """The board in all pictures of all cameras; an InputError names a file that cannot be read."""
+    o = options or LookOptions()
+    count = [0, 1]
+
+    def step(total: int) -> None:
+        count[0], count[1] = count[0] + 1, max(count[1], total)
+        o.progress("board", min(count[0], count[1]), count[1])
+
+    lengths = [len(open_video(s.path)) for s in sources]
+    numbers = None
+    if o.together and len(sources) > 1:
+        common = min(n - max(s.lag, 0) for s, n in zip(sources, lengths, strict=True))
+        first = max(0, *(-s.lag for s in sources))
+        if common <= first:
+            raise InputError("The videos have no common frames at the given lags; check --lag.")
+        numbers = _spread(first, common, o.max_frames)
+    total = sum(len(numbers or _spread(0, n, o.max_frames)) for n in lengths)
+
+    def one(source: Source, n: int) -> CameraViews:
+        return _look(source, numbers or _spread(0, n, o.max_frames), board, lambda: step(total))
+
+    with ThreadPoolExecutor(2) as pool:
+        out = tuple(pool.map(one, sources, lengths))
+    o.progress("board", count[1], count[1])
+    return out
+
+
+def _spread(first: int, stop: int, count: int) -> list[int]:
+    return np.unique(np.linspace(first, stop - 1, min(count, stop - first)).round().astype(int)).tolist()
+
+
+def _look(source: Source, numbers: Sequence[int], board: Board, step: Callable[[], None]) -> CameraViews:
+    detect = make_detector(board)
+    looks: dict[int, Look] = {}
+    with open_video(source.path) as reader:
+        photos = reader.frame_rate is None
+        mean = None if photos else _still_mean(source, numbers)
+        if mean is not None:
+            looks[numbers[0]] = _examine(mean, detect)
+            for _ in numbers:
+                step()
+        else:
+            near: dict[int, bool] = {}
+            coarse = set(numbers) if photos or len(numbers) < 2 * _COARSE else {*numbers[::_COARSE], numbers[-1]}
+            # first the coarse pass, then the gaps beside what was found: a video is decoded twice, but seldom searched
+            for chosen in (coarse, set(numbers) - coarse):
+                for i, number in enumerate(numbers):
+                    if number not in chosen:
+                        continue
+                    step()
+                    if chosen is not coarse and not (near.get(i // _COARSE) or near.get(i // _COARSE + 1)):
+                        continue
+                    image = reader.read(number + source.lag)
+                    look = _examine(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), detect)
+                    looks[number] = look
+                    if chosen is coarse:
+                        near[-(-i // _COARSE)] = look.sighting is not None
+        size, n_frames = reader.size, reader.n_frames
+    return CameraViews(source.name, source.path, size, n_frames, _with_reasons(looks), source.lag, mean is not None)
+
+
+def _still_mean(source: Source, numbers: Sequence[int]) -> Gray | None:
+    """Mean picture of a clip in which nothing moves (noise is less in it), else None."""
+    if len(numbers) < 3:
+        return None
+    with open_video(source.path) as reader:
+        images = [
+            cv2.cvtColor(reader.read(numbers[i] + source.lag), cv2.COLOR_BGR2GRAY)
+            for i in _spread(0, len(numbers), _STILL_FRAMES)
+        ]
+    first = images[0].astype(np.float32)
+    for image in images[1:]:
+        # a board is small: its block must not move, not only the mean of the picture
+        blocks = cv2.resize(np.abs(image - first), (24, 16), interpolation=cv2.INTER_AREA)
+        if float(blocks.max()) > 4 * _STILL:
+            return None
+    return np.asarray(np.mean(images, axis=0).round(), dtype=np.uint8)
+
+
+def _examine(picture: object, detect: Detector) -> Look:
+    gray = np.asarray(picture, dtype=np.uint8)
+    small = cv2.resize(gray, (640, max(1, round(640 * gray.shape[0] / gray.shape[1]))), interpolation=cv2.INTER_AREA)
+    focus = float((cv2.Laplacian(small, cv2.CV_32F) ** 2).mean())
+    sighting = detect(gray)
+    reason = "blurred" if sighting is not None and sighting.edge_px > BLURRED_PX else ""
+    return Look(sighting, reason, focus, float(small.mean()))
+
+
+def _with_reasons(looks: Mapping[int, Look]) -> dict[int, Look]:
+    """Why the board was not found, as far as a picture tells: dark, overexposed, more blurred than those in which it
+    was found, or no board in it."""
+    sharp = [k.focus for k in looks.values() if k.sighting is not None and not k.reason]
+    usual = float(np.median(sharp)) if sharp else float("nan")
+    out = {}
+    for number, k in sorted(looks.items()):
+        reason = k.reason
+        if k.sighting is None:
+            reason = "no board found"
+            if k.brightness < 25:
+                reason = "too dark"
+            elif k.brightness > 230:
+                reason = "overexposed"
+            elif k.focus < 0.5 * usual:
+                reason = "blurred"
+        out[number] = Look(k.sighting, reason, k.focus, k.brightness)
+    return out
+
+
+def diagnose(views: CameraViews, board: Board, pictures: int = 6) -> str:
+    """What may be wrong when a camera saw no board at all: another number of corners, other markers, the colours
+    exchanged, the picture mirrored; '' when nothing else is found either."""
+    with open_video(views.path) as reader:
+        chosen = _spread(0, reader.n_frames, pictures)
+        grays = [np.asarray(cv2.cvtColor(reader.read(i), cv2.COLOR_BGR2GRAY), dtype=np.uint8) for i in chosen]
+    return _diagnose_markers(grays, board) if board.kind == "charuco" else _diagnose_chessboard(grays, board)
+
+
+def _diagnose_chessboard(grays: Sequence[Gray], board: Board) -> str:
+    sizes: dict[tuple[int, int], int] = {}
+    flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
+    for gray in grays:
+        scale = min(1.0, 1000 / max(gray.shape))
+        small = cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        found, _, meta = cv2.findChessboardCornersSBWithMeta(small, (3, 3), flags)
+        if found and meta is not None and min(meta.shape[:2]) >= 3:
+            size = (int(meta.shape[1]), int(meta.shape[0]))
+            sizes[size] = sizes.get(size, 0) + 1
+    if sizes:
+        (nx, ny), _ = max(sizes.items(), key=lambda p: (p[1], p[0]))
+        if {nx, ny} != set(board.size):
+            return (
+                f"a chessboard of {max(nx, ny)} x {min(nx, ny)} inner corners was seen instead, so the pattern size is "
+                f"probably wrong (count the corners where four squares meet, not the squares), or a part of the board "
+                "was hidden"
+            )
+        return "a board of this size was seen, but not well enough to measure it"
+    for name in ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000"):
+        if _markers(grays, name, False) >= 4:
+            return f"markers of the dictionary {name} were seen: is it a ChArUco board?"
+    return ""
+
+
+def _markers(grays: Sequence[Gray], dictionary: str, inverted: bool) -> float:
+    """Most markers seen in one of the pictures."""
+    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)))
+    best = 0
+    for gray in grays:
+        ids = detector.detectMarkers(255 - gray if inverted else gray)[1]
+        best = max(best, 0 if ids is None else len(ids))
+    return best
+
+
+def _diagnose_markers(grays: Sequence[Gray], board: Board) -> str:
+    if _markers(grays, board.dictionary, board.inverted) >= 4:
+        swapped = Board(
+            "charuco",
+            board.rows,
+            board.columns,
+            board.square,
+            board.marker,
+            board.dictionary,
+            board.legacy,
+            board.inverted,
+        )
+        legacy = Board(
+            "charuco",
+            board.columns,
+            board.rows,
+            board.square,
+            board.marker,
+            board.dictionary,
+            not board.legacy,
+            board.inverted,
+        )
+        for other, what in ((swapped, "columns and rows exchanged"), (legacy, "the legacy pattern switched")):
+            detect = make_detector(other)
+            if any(detect(g) is not None for g in grays):
+                return f"the board is found with {what}"
+        return "its markers were seen, but not its corners: check the numbers of columns and rows"
+    if _markers(grays, board.dictionary, not board.inverted) >= 4:
+        return f"the board is printed {'black on white' if board.inverted else 'white on black (inverted)'}"
+    if _markers([np.ascontiguousarray(g[:, ::-1]) for g in grays], board.dictionary, board.inverted) >= 4:
+        return "its markers are seen in the mirrored picture: the camera stores mirrored images; switch that off"
+    for name in ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_APRILTAG_36H11"):
+        if _markers(grays, name, board.inverted) >= 4:
+            return f"markers of another dictionary, {name}, were seen"
+    return ""
+
+
+def positions(sightings: Mapping[int, Sighting], size: tuple[int, int]) -> Array:
+    """(F, 4): where each board lies in the picture: centre, size and slant, in units of the picture's width."""
+    out = []
+    for s in sightings.values():
+        spread = s.pixels.std(0) / size[0]
+        out.append([*(s.pixels.mean(0) / size[0]), float(np.hypot(*spread)), float(np.arctan2(*spread))])
+    return np.array(out).reshape(-1, 4)
