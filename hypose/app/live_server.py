@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
+import numpy as np
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
@@ -34,6 +35,7 @@ from hypose.app.osc import double, osc_bundles, osc_message
 from hypose.errors import InputError
 from hypose.fusion.joints import COMMON
 from hypose.fusion.live import LiveFrame, LiveFuser, LiveSettings
+from hypose.geometry import Array
 from hypose.io.skeleton_folder import FolderWriter
 from hypose.io.skeleton_lines import MAX_SKELETON_LINE, parse_line
 
@@ -343,8 +345,8 @@ def frame_json(frame: LiveFrame, latency: float) -> str:
             "id": p.id,
             "seen": p.seen,
             "sensors": p.sensors,
-            "joints": [[_number(x) for x in j] for j in p.joints.tolist()],
-            "sd": [_number(x) for x in p.sd.tolist()],
+            "joints": _rounded(p.joints),
+            "sd": _rounded(p.sd),
         }
         for p in frame.people
     ]
@@ -362,6 +364,13 @@ def frame_osc(frame: LiveFrame, latency: float) -> list[bytes]:
         for name, xyz, sd in zip(COMMON, p.joints.tolist(), p.sd.tolist(), strict=True):
             out.append(osc_message(f"/hypose/person/{p.id}/{name}", *xyz, sd))
     return out
+
+
+def _rounded(values: Array) -> Any:
+    """Nested lists of values to 0.01 mm, null where they are not known."""
+    if np.isfinite(values).all():
+        return values.round(5).tolist()
+    return [[_number(x) for x in v] if isinstance(v, list) else _number(v) for v in values.tolist()]
 
 
 def _number(x: float) -> float | None:

@@ -15,6 +15,8 @@ import json
 import math
 import re
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import chain
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -33,6 +35,7 @@ _KNOWN = frozenset({"sensor", "time", "person", "joints", "unit", "token", "rece
 _SENSOR = re.compile(r"[A-Za-z0-9_.-]{1,32}")
 _JOINT = re.compile(r"[A-Za-z0-9_ .-]{1,48}")
 _SCALE = {"m": 1.0, "mm": 0.001}
+_NUMBERS = frozenset({float, int})
 
 
 @dataclass(frozen=True)
@@ -83,14 +86,44 @@ def parse_line(data: bytes | str) -> SkeletonLine:
         return SkeletonLine(sensor, time, None, (), nobody, np.zeros(0, dtype=np.uint8), token, received)
     if not isinstance(joints, dict) or not 1 <= len(joints) <= MAX_JOINTS:
         _bad(f"joints must be an object with 1 to {MAX_JOINTS} joints, or null when nobody is seen")
+    names, scale = tuple(joints), _SCALE[unit]
+    _check_names(names)
+    table = _whole(joints, scale)
+    if table is not None:
+        return SkeletonLine(sensor, time, person, names, *table, token, received)
     positions, state = np.full((len(joints), 3), np.nan), np.zeros(len(joints), dtype=np.uint8)
-    scale = _SCALE[unit]
     for j, (name, cell) in enumerate(joints.items()):
-        if not _JOINT.fullmatch(name):
-            _bad("a joint's name must be 1 to 48 letters, digits, blanks, _ . -")
         if cell is not None:
             _joint(cell, name, scale, positions, state, j)
-    return SkeletonLine(sensor, time, person, tuple(joints), positions, state, token, received)
+    return SkeletonLine(sensor, time, person, names, positions, state, token, received)
+
+
+@lru_cache(maxsize=64)
+def _check_names(names: tuple[str, ...]) -> None:
+    """A sensor sends the same names in every line."""
+    for name in names:
+        if not _JOINT.fullmatch(name):
+            _bad("a joint's name must be 1 to 48 letters, digits, blanks, _ . -")
+
+
+def _whole(joints: dict[str, Any], scale: float) -> tuple[Array, NDArray[np.uint8]] | None:
+    """The usual line at once: every joint tracked or inferred, four plain numbers each. None: anything else, which is
+    looked at cell by cell. It takes a third of the time, and live a line of 15 joints is parsed 540 times a second."""
+    cells = list(joints.values())
+    if not all(type(c) is list and len(c) == 4 for c in cells):
+        return None
+    flat = list(chain.from_iterable(cells))
+    if not _NUMBERS.issuperset(map(type, flat)):
+        return None
+    try:
+        table = np.array(flat, dtype=np.float64).reshape(-1, 4)
+    except OverflowError:  # an integer too large for a float
+        return None
+    level, positions = table[:, 3], table[:, :3] * scale
+    # False for NaN as well
+    if not (np.abs(positions).max() <= FARTHEST_M and ((level == 1) | (level == 2)).all()):
+        return None
+    return positions, level.astype(np.uint8)
 
 
 def _joint(cell: Any, name: str, scale: float, positions: Array, state: NDArray[np.uint8], j: int) -> None:
@@ -105,7 +138,7 @@ def _joint(cell: Any, name: str, scale: float, positions: Array, state: NDArray[
         _bad(f"the state of the joint {name} must be 0, 1 or 2")
     if level == 0 or min(cell[:3]) <= MISSING_MARK or x != x or y != y or z != z:
         return
-    if max(abs(x), abs(y), abs(z)) * scale > FARTHEST_M:
+    if max(abs(x), abs(y), abs(z)) > FARTHEST_M / scale:  # not the product: an integer may be too large for a float
         _bad(f'the joint {name} lies beyond {FARTHEST_M:.0f} m; say "unit": "mm" if the sensor reports millimetres')
     positions[j] = x * scale, y * scale, z * scale
     state[j] = level
