@@ -61,7 +61,7 @@ def subject(
         frames=poses,
         tracked=max(36, 3 * poses),
         height=height if height is not None else loaded.subject_height,
-        mass=mass,
+        mass=mass if mass is not None else loaded.subject_mass,
         poses=KNOWN_POSES if start == "hull" else (start,),
         seed=seed,
     )
