@@ -1,0 +1,374 @@
+"""Time offsets between cameras from the motion of the person: key points, or silhouettes alone.
+
+Two cameras that see the same person at the same instant agree in what their epipolar geometry shares. For key points
+that is the epipolar constraint of every point; for silhouettes it is the planes through the baseline: the pencil of
+these planes is common to both views, so the two planes that just touch the person are the same (frontier points), and
+where along the pencil the silhouette changes is the same. Each pair of views gives a curve of disagreement over the
+offset; the offsets of all views are those that fit all curves together. Constant disagreement (a biased calibration, a
+detector that sets a joint too high) is removed first, so that timing can be judged before the calibration is.
+
+Sources: epipolar residuals over time lags as in Elhayek et al. 2012 and Wolf & Zomet 2002; frontier points for timing
+from Sinha & Pollefeys 2010, "Camera network calibration and synchronization from silhouettes", section 5. The activity
+along the pencil is an addition: arms that move in front of the trunk touch no frontier plane.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
+from scipy.optimize import minimize
+
+from hypose.cameras.camera import CameraRig
+from hypose.errors import EvidenceError
+from hypose.evidence.frame import Silhouettes
+from hypose.evidence.silhouettes import biggest_parts
+from hypose.geometry import Array, skew
+
+BINS = 8
+"""pieces of the pencil of planes in which activity is counted"""
+_SPAN = 2  # frames to either side between which a change is looked for
+_STEP = 0.25  # of the offsets at which the curves are sampled, frames
+_SMOOTH_POINTS, _SMOOTH_MASKS = 2.0, 1.0  # frames: so that interpolation smooths no more than the frames are already
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Disagreement of pairs of views over the offset. pairs (P, 2); lags (L,) frames: view b is later than view a by
+    that much; cost (P, L), half a log likelihood ratio, NaN where a pair has nothing in common."""
+
+    pairs: tuple[tuple[int, int], ...]
+    lags: Array
+    cost: Array
+
+    def __add__(self, other: Curves) -> Curves:
+        """Both together; a pair that one does not know is taken from the other."""
+        both = np.stack([self.cost, other.cost])
+        none = np.isnan(both).all(0)
+        return Curves(self.pairs, self.lags, np.where(none, np.nan, np.nansum(both, axis=0)))
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """frames (C,): how many frames each view is late, against the median view; sd (C,) frames, inf for a view without
+    motion in common with the others; gain: by how much the disagreement falls against no offset, in units of half a
+    log likelihood."""
+
+    frames: Array
+    sd: Array
+    gain: float
+
+
+def fundamental(rig: CameraRig, a: int, b: int) -> Array:
+    """(3, 3) F with x_b^T F x_a = 0 for pinhole cameras a and b."""
+    ca, cb = rig[a], rig[b]
+    motion = cb.camera_from_world @ np.linalg.inv(ca.camera_from_world)
+    e = skew(motion[:3, 3]) @ motion[:3, :3]
+    return np.linalg.inv(cb.K).T @ e @ np.linalg.inv(ca.K)
+
+
+def keypoint_curves(
+    rig: CameraRig, pixels: Array, confidence: Array, largest: float, scale_px: float, min_confidence: float = 0.3
+) -> Curves:
+    """Curves from key points. pixels (C, T, K, 2) undistorted px of the rig, confidence (C, T, K); largest: offset in
+    frames; scale_px: sd of a detection."""
+    n, frames = pixels.shape[:2]
+    lags = _lags(largest, frames)
+    margin = int(np.ceil(lags[-1])) + 1
+    seen = confidence > min_confidence
+    smooth = np.stack([_smoothed(p, s, _SMOOTH_POINTS) for p, s in zip(pixels, seen, strict=True)])
+    splines = [_spline(s) for s in smooth]
+    pairs = tuple(itertools.combinations(range(n), 2))
+    times = np.arange(margin, frames - margin)
+    cost = np.full((len(pairs), len(lags)), np.nan)
+    later = {}
+    for b in range(n):
+        later[b] = [
+            (splines[b](times + lag), seen[b][np.rint(times + lag).astype(int)]) for lag in lags
+        ]
+    for p, (a, b) in enumerate(pairs):
+        f = fundamental(rig, a, b)
+        xa = _homogeneous(smooth[a][times])
+        lines_b = xa @ f.T
+        for k, (xb, there) in enumerate(later[b]):
+            both = seen[a][times] & there
+            xb = _homogeneous(xb)
+            lines_a = xb @ f
+            size = np.sqrt((lines_b[..., :2] ** 2).sum(-1) + (lines_a[..., :2] ** 2).sum(-1))
+            e = np.where(both, (xb * lines_b).sum(-1) / np.maximum(size, 1e-12), np.nan)
+            enough = both.sum(0) >= max(8, 0.2 * len(times))
+            if not enough.any():
+                continue
+            e = e[:, enough]
+            e = e - np.nanmedian(e, axis=0)
+            # errors of one point last for several frames and all points share the calibration's: count a tenth
+            mean = np.nanmean(np.log1p((e / (2 * scale_px)) ** 2))
+            cost[p, k] = 0.2 * mean * enough.sum() * len(times)
+    return Curves(pairs, lags, cost)
+
+
+@dataclass(frozen=True)
+class MaskTrack:
+    """What timing needs of one view's masks: outline (T) of convex hulls (n, 2) px or None; changed (T) of (m, 2) px
+    where frame t + 2 differs from t - 2, or None; area (T,); cut (T,): the mask touches the image border."""
+
+    outline: tuple[Array | None, ...]
+    changed: tuple[Array | None, ...]
+    area: Array
+    cut: NDArray[np.bool_]
+
+
+def mask_tracks(silhouettes: Sequence[Silhouettes | None]) -> list[MaskTrack]:
+    """The tracks of all views from the masks of consecutive frames."""
+    known = next((s for s in silhouettes if s is not None), None)
+    if known is None:
+        raise EvidenceError("There are no silhouettes to take the timing from.")
+    out = []
+    for c, (w, h) in enumerate(known.rig.sizes.tolist()):
+        outline: list[Array | None] = []
+        change: list[Array | None] = []
+        area, cut = np.zeros(len(silhouettes)), np.zeros(len(silhouettes), dtype=bool)
+        masks: list[NDArray[np.uint8] | None] = []
+        for t, s in enumerate(silhouettes):
+            mask = None
+            if s is not None and s.usable[c]:
+                mask = biggest_parts(s.masks[c, :h, :w], 0.2)
+                mask = mask if mask.any() else None
+            masks.append(mask)
+            if mask is None:
+                outline.append(None)
+            else:
+                points, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+                hull = cv2.convexHull(np.concatenate(points))[:, 0].astype(np.float64)
+                outline.append(hull)
+                area[t] = mask.sum()
+                cut[t] = bool(mask[:2].any() or mask[-2:].any() or mask[:, :2].any() or mask[:, -2:].any())
+        steady = [_majority(masks, t) for t in range(len(masks))]
+        for t in range(len(masks)):
+            x, y = (steady[k] if 0 <= k < len(masks) else None for k in (t - _SPAN, t + _SPAN))
+            if x is None or y is None:
+                change.append(None)
+                continue
+            moved = cv2.morphologyEx(x ^ y, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+            change.append(np.argwhere(moved)[:, ::-1].astype(np.float64))
+        out.append(MaskTrack(tuple(outline), tuple(change), area, cut))
+    return out
+
+
+def _majority(masks: Sequence[NDArray[np.uint8] | None], t: int) -> NDArray[np.uint8] | None:
+    """What most of three neighbouring frames say: edges flicker from frame to frame."""
+    near = [masks[k] for k in (t - 1, t, t + 1) if 0 <= k < len(masks)]
+    if masks[t] is None or len(near) < 3 or any(m is None for m in near):
+        return masks[t]
+    return (sum(m.astype(np.uint8) for m in near if m is not None) >= 2).astype(np.uint8)
+
+
+def tangent_planes(rig: CameraRig, tracks: Sequence[MaskTrack], a: int, b: int) -> tuple[Array, Array]:
+    """Angles about the baseline of the two planes that touch the person, in view a and view b: (2, T, 2) rad, and what
+    one radian is in pixels (2, T, 2); NaN where a view has no mask, is cut by the image border, or holds the epipole.
+    """
+    out, size = np.full((2, len(tracks[a].area), 2), np.nan), np.full((2, len(tracks[a].area), 2), np.nan)
+    frame = _pencil(rig, a, b)
+    for side, c in enumerate((a, b)):
+        for t, hull in enumerate(tracks[c].outline):
+            if hull is None or tracks[c].cut[t]:
+                continue
+            angle, px = _angles(rig, c, hull, frame)
+            if np.ptp(angle) < 0.9 * np.pi:
+                k = [int(angle.argmin()), int(angle.argmax())]
+                out[side, t], size[side, t] = angle[k], px[k]
+    return out, size
+
+
+def silhouette_curves(
+    rig: CameraRig, tracks: Sequence[MaskTrack], largest: float, scale_px: float
+) -> Curves:
+    """Curves from the silhouettes' frontier planes and from where along the pencil they change."""
+    frames = len(tracks[0].area)
+    lags = _lags(largest, frames)
+    margin = int(np.ceil(lags[-1])) + 1
+    pairs = tuple(itertools.combinations(range(len(tracks)), 2))
+    times = np.arange(margin, frames - margin)
+    cost = np.full((len(pairs), len(lags)), np.nan)
+    for p, (a, b) in enumerate(pairs):
+        planes, px = tangent_planes(rig, tracks, a, b)
+        usable = np.isfinite(planes).all(-1)
+        active = _activity(rig, tracks, a, b, planes)
+        sa, sb = (_smoothed(x, u[:, None], _SMOOTH_MASKS) for x, u in zip(planes, usable, strict=True))
+        later = _spline(sb)
+        px_a = np.nanmedian(px[0]) if usable[0].any() else np.nan
+        ea = None if active is None else gaussian_filter1d(active[0], _SMOOTH_MASKS, axis=0)
+        eb = None if active is None else _spline(gaussian_filter1d(active[1], _SMOOTH_MASKS, axis=0))
+        for k, lag in enumerate(lags):
+            value = 0.0
+            both = usable[0][times] & usable[1][np.rint(times + lag).astype(int)]
+            if both.sum() >= max(8, 0.3 * len(times)):
+                r = (later(times + lag) - sa[times])[both] * px_a
+                r = r - np.median(r, axis=0)
+                value += 0.3 * float(np.log1p((r / (2 * scale_px)) ** 2).mean() * 2 * len(times))
+            if ea is not None and eb is not None:
+                x, y = ea[times], eb(times + lag)
+                x, y = x - x.mean(0), y - y.mean(0)
+                rho = (x * y).sum() / max(np.sqrt((x * x).sum() * (y * y).sum()), 1e-12)
+                value += 0.5 * len(times) * float(np.log(max(1 - max(rho, 0.0) ** 2, 1e-3)))
+            cost[p, k] = value
+        if not usable[0].any() and ea is None:
+            cost[p] = np.nan
+    return Curves(pairs, lags, cost)
+
+
+def solve_offsets(curves: Curves, n_views: int) -> Offsets:
+    """The offsets of all views that fit the curves of all pairs best.
+
+    Coordinate descent on whole frames from several starts, then a continuous search. An EvidenceError when no pair of
+    views has motion in common."""
+    lags = curves.lags
+    known = [p for p in range(len(curves.pairs)) if np.isfinite(curves.cost[p]).all()]
+    if not known:
+        raise EvidenceError(
+            "No two views see the person move at the same time; give a longer range of frames, or offsets by hand."
+        )
+    splines = {curves.pairs[p]: CubicSpline(lags, curves.cost[p] - curves.cost[p].min()) for p in known}
+    low, high = lags[0], lags[-1]
+
+    def total(x: Array) -> float:
+        value = 0.0
+        for (a, b), s in splines.items():
+            d = float(x[b] - x[a])
+            inside = min(max(d, low), high)
+            value += float(s(inside)) + 10.0 * abs(d - inside)
+        return value + 1e-6 * float((x**2).sum())
+
+    whole = np.arange(np.ceil(low), np.floor(high) + 1)
+    best = np.zeros(n_views)
+    for start in _starts(splines, lags, n_views):
+        x, value = start.copy(), total(start)
+        for _ in range(10):
+            old = value
+            for c in range(n_views):
+                trials = [total(np.r_[x[:c], x[c] + d, x[c + 1 :]]) for d in whole]
+                k = int(np.argmin(trials))
+                if trials[k] < value:
+                    x[c] += whole[k]
+                    value = trials[k]
+            if value >= old:
+                break
+        if value < total(best):
+            best = x
+    found = minimize(total, best, method="Powell", options={"xtol": 1e-3, "ftol": 1e-9, "maxiter": 40}).x
+    joined = {c for pair in splines for c in pair}
+    shift = float(np.median([found[c] for c in joined]))
+    sd = np.full(n_views, np.inf)
+    for c in joined:
+        step = 0.5
+        bend = (
+            total(np.r_[found[:c], found[c] + step, found[c + 1 :]])
+            - 2 * total(found)
+            + total(np.r_[found[:c], found[c] - step, found[c + 1 :]])
+        ) / step**2
+        sd[c] = 1 / np.sqrt(bend) if bend > 1e-6 else np.inf
+    frames = np.where([c in joined for c in range(n_views)], found - shift, 0.0)
+    return Offsets(frames, sd, total(np.zeros(n_views)) - total(found))
+
+
+def _starts(splines: dict[tuple[int, int], CubicSpline], lags: Array, n: int) -> list[Array]:
+    """All zero, and every view as a reference to which the others are put by their pair's best offset."""
+    out = [np.zeros(n)]
+    for reference in range(n):
+        x = np.zeros(n)
+        for (a, b), s in splines.items():
+            if reference in (a, b):
+                d = float(lags[int(np.argmin(s(lags)))])
+                x[b if reference == a else a] = d if reference == a else -d
+        out.append(np.rint(x))
+    return out
+
+
+def _lags(largest: float, frames: int) -> Array:
+    largest = min(float(largest), (frames - 12) / 3)
+    if largest < 1:
+        raise EvidenceError(
+            f"{frames} frames are too few to find how late the cameras are; at least 16 consecutive frames are needed."
+        )
+    count = int(largest / _STEP)
+    return np.arange(-count, count + 1) * _STEP
+
+
+def _smoothed(values: Array, seen: NDArray[np.bool_], sd: float) -> Array:
+    """(T, K, d) or (T, d) smoothed over time, gaps bridged by interpolation; never seen: 0."""
+    t = np.arange(len(values))
+    flat = np.array(values, dtype=np.float64).reshape(len(values), -1)
+    known = np.broadcast_to(np.asarray(seen).reshape(len(values), -1, 1), (*_two(values), values.shape[-1]))
+    known = known.reshape(len(values), -1) & np.isfinite(flat)
+    for k in range(flat.shape[1]):
+        if known[:, k].any():
+            flat[:, k] = np.interp(t, t[known[:, k]], flat[known[:, k], k])
+        else:
+            flat[:, k] = 0.0
+    return np.asarray(gaussian_filter1d(flat, sd, axis=0), dtype=np.float64).reshape(values.shape)
+
+
+def _two(values: Array) -> tuple[int, int]:
+    return (len(values), values.shape[1] if values.ndim == 3 else 1)
+
+
+def _spline(values: Array) -> CubicSpline:
+    return CubicSpline(np.arange(len(values)), values, axis=0)
+
+
+def _homogeneous(x: Array) -> Array:
+    return np.concatenate([x, np.ones((*x.shape[:-1], 1))], -1)
+
+
+def _pencil(rig: CameraRig, a: int, b: int) -> Array:
+    """(3, 3) rows: the baseline's direction and two perpendicular ones, world; planes are told by their angle about
+    the first, counted from the middle of where both cameras look."""
+    base = rig[b].position - rig[a].position
+    e0 = base / max(float(np.linalg.norm(base)), 1e-12)
+    look = rig[a].camera_from_world[2, :3] + rig[b].camera_from_world[2, :3]
+    e1 = look - (look @ e0) * e0
+    if np.linalg.norm(e1) < 1e-6:  # two cameras that look at each other
+        e1 = np.eye(3)[int(np.abs(e0).argmin())]
+        e1 = e1 - (e1 @ e0) * e0
+    e1 /= np.linalg.norm(e1)
+    return np.stack([e0, e1, np.cross(e0, e1)])
+
+
+def _angles(rig: CameraRig, c: int, pixels: Array, pencil: Array) -> tuple[Array, Array]:
+    """Angle (n,) of the plane through the baseline and each pixel (n, 2), and px per radian there (n,)."""
+    camera = rig[c]
+    d = _homogeneous(pixels) @ np.linalg.inv(camera.K).T @ camera.camera_from_world[:3, :3]
+    length = np.linalg.norm(d, axis=1)
+    along, x, y = (d @ pencil.T).T
+    sine = np.sqrt(np.maximum(length**2 - along**2, 1e-12))
+    return np.arctan2(y, x), camera.K[0, 0] * sine
+
+
+def _activity(
+    rig: CameraRig, tracks: Sequence[MaskTrack], a: int, b: int, planes: Array
+) -> tuple[Array, Array] | None:
+    """(T, BINS) per view: share of the mask that changed, by where along the pencil. None without masks."""
+    known = planes[np.isfinite(planes).all(-1)]
+    if len(known) < 8:
+        return None
+    edges = np.linspace(np.percentile(known[:, 0], 2), np.percentile(known[:, 1], 98), BINS + 1)
+    frame = _pencil(rig, a, b)
+    out = []
+    for c in (a, b):
+        activity = np.full((len(tracks[c].area), BINS), np.nan)
+        for t, points in enumerate(tracks[c].changed):
+            if points is not None and tracks[c].area[t] > 0:
+                angle, _ = _angles(rig, c, points, frame) if len(points) else (np.zeros(0), None)
+                activity[t] = np.histogram(np.clip(angle, edges[0], edges[-1]), edges)[0] / tracks[c].area[t]
+        seen = np.isfinite(activity).all(1)
+        if seen.sum() < 8:
+            return None
+        t = np.arange(len(activity))
+        out.append(np.stack([np.interp(t, t[seen], np.sqrt(activity[seen, k])) for k in range(BINS)], 1))
+    return out[0], out[1]
