@@ -142,11 +142,13 @@ class Outfit:
     pattern: Array
 
 
-def make_outfit(subject: Subject, rng: np.random.Generator) -> Outfit:
-    """Shirt, trousers, shoes, skin and hair by body part, colours from the rng."""
+def make_outfit(subject: Subject, rng: np.random.Generator, hands_only: bool = False) -> Outfit:
+    """Shirt, trousers, shoes, skin and hair by body part, colours from the rng.
+
+    hands_only: only face and hands are bare, and no cloth has the colour of skin."""
     # no grey one: on the grey walls a background model takes it for a shadow, and rightly so
     palette = np.array([[140, 60, 40], [40, 40, 150], [60, 120, 50], [120, 45, 115], [45, 45, 50], [35, 120, 170]])
-    i, k = rng.permutation(len(palette))[:2]
+    i, k = rng.permutation(len(palette) - hands_only)[:2]  # the last one is the colour of skin
     shirt, trousers = palette[i] * rng.uniform(0.8, 1.15), palette[k] * rng.uniform(0.55, 0.9)
     skin = np.array([125.0, 155.0, 200.0]) * rng.uniform(0.5, 1.08)
     hair = np.array([30.0, 45.0, 65.0]) * rng.uniform(0.4, 1.9)
@@ -154,7 +156,7 @@ def make_outfit(subject: Subject, rng: np.random.Generator) -> Outfit:
     part, v, j = subject.main_joint, subject.vertices, subject.joints
     color = np.tile(skin, (len(v), 1))
     weave = np.zeros(len(v))
-    short = bool(rng.random() < 0.5)
+    short = bool(rng.random() < 0.5) and not hands_only
     sleeve = np.isin(part, (6, 10))
     if short:  # half of the upper arm is covered
         for a in (6, 10):

@@ -58,7 +58,8 @@ _CLOTHES, _MOTION, _ROOM, _RIG, _DROPS, _MASKS, _NOISE, _PHASE, _OTHER = range(9
 class Scene:
     """subject: the truth body (dressed). performance: what it does. rig: the cameras as they are, given_rig:
     the calibration that the user has. corruption: what goes wrong. seed: of everything random. others:
-    further people in view (subject, performance) that are not to be tracked."""
+    further people in view (subject, performance) that are not to be tracked. hands_only: the clothes leave only face
+    and hands bare, and none has the colour of skin."""
 
     name: str
     subject: Subject
@@ -69,6 +70,7 @@ class Scene:
     seed: int
     others: tuple[tuple[Subject, Performance], ...] = ()
     sensor: Sensor = field(default_factory=Sensor)
+    hands_only: bool = False
 
     def __len__(self) -> int:
         return len(self.performance)
@@ -218,7 +220,10 @@ class Scene:
     @cached_property
     def _outfits(self) -> list[Outfit]:
         people = [self.subject, *(s for s, _ in self.others)]
-        return [make_outfit(s, np.random.default_rng([self.seed, _CLOTHES, 1, k])) for k, s in enumerate(people)]
+        return [
+            make_outfit(s, np.random.default_rng([self.seed, _CLOTHES, 1, k]), self.hands_only)
+            for k, s in enumerate(people)
+        ]
 
     @cached_property
     def _noise(self) -> NDArray[np.int16]:

@@ -18,7 +18,6 @@ from hypose.cameras.camera import CameraRig
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.evidence import PreparedFrame
-from hypose.tracking.refinement import pose_mean
 
 _NEAREST = 0.05
 """m; a box that reaches nearer to a camera's plane fills its image."""
@@ -120,7 +119,8 @@ class PartitionedXor:
         silhouettes = frame.frame.silhouettes
         if frame.masks is None or silhouettes is None:
             return np.zeros(h.count)
-        boxes = boxes_in_views(self.region.box(self.body, pose_mean(self.body.skeleton)(h)), silhouettes.rig)
+        # a box needs no mean on SO(3): a set around one pose has its rotation vectors on one branch
+        boxes = boxes_in_views(self.region.box(self.body, h.mean()), silhouettes.rig)
         return partitioned_energy(self.body, h.values, frame, boxes, self.faces)
 
 

@@ -1,0 +1,229 @@
+"""Body parts from several views: what detectors see in images, gathered on the surface of the visual hull.
+
+Oriented surface points, their visibility in every view, the probability that each shows a part, clusters of likely
+points, and which end of the body each cluster is.
+Source: Alcoverro 2014, section 2.5.1, eqs. 2.16 to 2.19.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+from scipy.optimize import linear_sum_assignment
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from hypose.body.body import Body
+from hypose.cameras.camera import CameraRig
+from hypose.compute.render import rasterize
+from hypose.errors import EvidenceError, InputError
+from hypose.evidence.frame import Detections, Silhouettes
+from hypose.evidence.hull import Hull, visual_hull
+from hypose.evidence.skin import ColorTable, learned_table
+from hypose.geometry import Array
+
+UNNAMED = -1
+"""Part of a detection that may be any of the ends (a skin detector does not tell hands and head)."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """points (S, 3) m world, outward unit normals (S, 3), spacing: m between neighbours."""
+
+    points: Array
+    normals: Array
+    spacing: float
+
+
+def oriented_surface(hull: Hull) -> Surface:
+    """Surface points of a visual hull with normals: away from the occupied voxels around.
+
+    Each normal is the direction from the centre of the occupied voxels in a 5 x 5 x 5 neighbourhood. (The thesis takes
+    the method of Salvador et al. 2010; any oriented points serve.)"""
+    solid = np.pad(hull.occupancy, 2)
+    rim = solid & ~np.asarray(ndimage.binary_erosion(solid), dtype=np.bool_)
+    index = np.argwhere(rim)
+    step = np.arange(-2, 3)
+    offsets = np.stack(np.meshgrid(step, step, step, indexing="ij"), -1).reshape(-1, 3)
+    strides = np.array([solid.shape[1] * solid.shape[2], solid.shape[2], 1])
+    around = solid.ravel()[(index @ strides)[:, None] + offsets @ strides]  # (S, 125)
+    inward = around.astype(np.float32) @ offsets.astype(np.float32)
+    norm = np.linalg.norm(inward, axis=1, keepdims=True)
+    normals = np.where(norm > 1e-6, -inward / np.maximum(norm, 1e-6), [0.0, 0.0, 1.0])
+    return Surface(hull.origin + (index - 2) * hull.voxel, normals.astype(np.float64), hull.voxel)
+
+
+def visibility(surface: Surface, rig: CameraRig, usable: NDArray[np.bool_] | None = None) -> Array:
+    """(C, S) visibility factor: -z_c . n_q where point q is seen by camera c, else 0; columns sum to 1, or are all 0
+    where no camera sees the point.
+
+    Seen: nothing on the surface lies before it (z-buffer whose cells are two spacings wide, so that the points leave no
+    holes) and it faces the camera; z_c is the camera's optical axis. Source: Alcoverro 2014, eq. 2.16, normalised as
+    after eq. 2.17.
+    """
+    out = np.zeros((len(rig), len(surface.points)))
+    for c, camera in enumerate(rig):
+        if usable is not None and not usable[c]:
+            continue
+        axis = camera.camera_from_world[2, :3]
+        depth = surface.points @ axis + camera.camera_from_world[2, 3]
+        uv = camera.project_pinhole(surface.points)
+        front = (depth > 0.05) & np.isfinite(uv).all(1)
+        if not front.any():
+            continue
+        cell = max(1.0, 2.0 * surface.spacing * camera.K[0, 0] / float(np.median(depth[front])))
+        at = np.zeros((len(uv), 2), dtype=np.int64)
+        at[front] = np.clip(np.rint(uv[front] / cell), -1e6, 1e6).astype(np.int64)
+        low = at[front].min(0)
+        size = at[front].max(0) - low + 1
+        if size.prod() > 4_000_000:
+            continue  # points beside the camera, spread over a nearly endless image
+        key = (at[:, 1] - low[1]) * size[0] + at[:, 0] - low[0]
+        nearest = np.full(int(size.prod()), np.inf)
+        np.minimum.at(nearest, key[front], depth[front])
+        facing = -(surface.normals @ axis)
+        seen = front & (facing > 0)
+        seen[seen] = depth[seen] <= nearest[key[seen]] + 3.0 * surface.spacing
+        out[c, seen] = facing[seen]
+    total = out.sum(0)
+    return out / np.where(total > 0, total, 1.0)
+
+
+def surface_probability(surface: Surface, seen: Array, maps: NDArray[np.float32], rig: CameraRig) -> Array:
+    """(S,) probability that each surface point shows a part: sum over views of visibility times detector.
+
+    seen (C, S) from `visibility`; maps (C, h, w): the detector's probability at the pixels of the pinhole rig; 0 outside
+    the images. Source: Alcoverro 2014, eq. 2.17.
+    """
+    out = np.zeros(len(surface.points))
+    for c, camera in enumerate(rig):
+        some = np.flatnonzero(seen[c] > 0)
+        uv = np.rint(camera.project_pinhole(surface.points[some])).astype(np.int64)
+        inside = ((uv >= 0) & (uv < np.array(camera.size))).all(1)
+        some, uv = some[inside], uv[inside]
+        out[some] += seen[c, some] * maps[c, uv[:, 1], uv[:, 0]]
+    return out
+
+
+@dataclass(frozen=True)
+class ClusterSettings:
+    """threshold: least probability of a surface point (Gamma). tolerance: m, farthest neighbours of one cluster. low,
+    high: m^2, smallest and largest surface of a cluster (a hand has 0.02 to 0.05 m^2 on a hull, a head with the neck up
+    to 0.15). Sizes at a stature of 1.75 m."""
+
+    threshold: float = 0.5
+    tolerance: float = 0.045
+    low: float = 0.004
+    high: float = 0.16
+
+
+def likely_clusters(
+    surface: Surface, probability: Array, settings: ClusterSettings = ClusterSettings(), stature: float = 1.75
+) -> tuple[Array, Array]:
+    """Centres (E, 3) m and mean probabilities (E,) of the clusters of likely surface points, largest first.
+
+    Points within the tolerance of each other belong together (single linkage on a kd-tree).
+    Source: Alcoverro 2014, eq. 2.18 and the clustering after it.
+    """
+    scale = stature / 1.75
+    likely = np.flatnonzero(probability >= settings.threshold)
+    if len(likely) == 0:
+        return np.zeros((0, 3)), np.zeros(0)
+    points = surface.points[likely]
+    pairs = KDTree(points).query_pairs(max(settings.tolerance * scale, 1.8 * surface.spacing), output_type="ndarray")
+    graph = coo_matrix((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
+    _, label = connected_components(graph, directed=False)
+    counts = np.bincount(label)
+    # a rim voxel stands for about its face, a slanting one for more
+    area = counts * surface.spacing**2 / scale**2
+    kept = np.flatnonzero((area >= settings.low) & (area <= settings.high))
+    kept = kept[np.argsort(-counts[kept], kind="stable")]
+    centres = np.stack([np.bincount(label, points[:, a])[kept] / counts[kept] for a in range(3)], 1)
+    return centres, np.bincount(label, probability[likely])[kept] / counts[kept]
+
+
+def assign_ends(points: ArrayLike, ends: ArrayLike, limits: ArrayLike) -> NDArray[np.int64]:
+    """(E,) which end each detected point is, UNNAMED for none: as many as possible within the limits, then the least
+    total distance.
+
+    points (E, 3) m, ends (I, 3) m: end-effectors of the previous pose, limits (I,) m (Upsilon). Each end gets at most
+    one point. Source: Alcoverro 2014, eq. 2.19; solved exactly instead of greedily.
+    """
+    p, q = np.asarray(points, dtype=np.float64).reshape(-1, 3), np.asarray(ends, dtype=np.float64).reshape(-1, 3)
+    limit = np.asarray(limits, dtype=np.float64)
+    out = np.full(len(p), UNNAMED, dtype=np.int64)
+    if len(p) == 0 or len(q) == 0:
+        return out
+    distance = np.linalg.norm(p[:, None] - q[None], axis=-1)
+    valid = distance <= limit
+    # one more assignment is worth more than any sum of distances
+    cost = np.where(valid, distance - (1.0 + limit.sum()), 0.0)
+    rows, columns = linear_sum_assignment(cost)
+    for r, c in zip(rows, columns, strict=True):
+        if valid[r, c]:
+            out[r] = c
+    return out
+
+
+def detect_ends(
+    silhouettes: Silhouettes,
+    maps: NDArray[np.float32],
+    centre: Array,
+    stature: float = 1.75,
+    *,
+    voxel: float = 0.03,
+    settings: ClusterSettings = ClusterSettings(),
+) -> Detections:
+    """Unnamed ends of the body in one frame: maps (C, h, w) of a detector on the surface of the silhouettes' hull.
+
+    centre (3,) m: where the person is about (the last pose's pelvis); the hull is carved within 0.75 statures of it.
+    Without a hull there is no detection. An InputError when maps and masks differ in shape.
+    """
+    if maps.shape != silhouettes.masks.shape:
+        raise InputError(f"The detector's maps {maps.shape} and the masks {silhouettes.masks.shape} differ in shape.")
+    reach = 0.75 * stature
+    bounds = np.stack([centre - reach, centre + reach])
+    try:
+        hull = visual_hull(silhouettes, bounds, voxel)
+    except EvidenceError:
+        return Detections(np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int32))
+    surface = oriented_surface(hull)
+    seen = visibility(surface, silhouettes.rig, silhouettes.usable)
+    probability = surface_probability(surface, seen, maps, silhouettes.rig)
+    points, score = likely_clusters(surface, probability, settings, stature)
+    return Detections(points, score, np.full(len(points), UNNAMED, np.int32))
+
+
+END_JOINTS = ("left_wrist", "right_wrist", "head")
+"""The joints whose parts are the ends that a skin detector shows: hands and head."""
+
+
+def end_colors(
+    body: Body, pose: Array, silhouettes: Silhouettes, images: NDArray[np.uint8], prior: float = 0.3
+) -> ColorTable:
+    """A table of the colours of a person's head and hands against the rest, from one frame whose pose (D,) is known.
+
+    images (C, h, w, 3) uint8 BGR at the masks' pixels. Pixels count where the posed body shows a part at least a pixel
+    inside the mask."""
+    if images.shape[:3] != silhouettes.masks.shape:
+        raise InputError(f"The pictures {images.shape} and the masks {silhouettes.masks.shape} differ in shape.")
+    mesh = body.fine
+    vertices = body.skin(pose, mesh)
+    end = np.isin(mesh.main_joint, [body.skeleton.joint(n) for n in END_JOINTS])[mesh.faces].sum(1) >= 2
+    ends, rest = [np.zeros((0, 3), np.uint8)], [np.zeros((0, 3), np.uint8)]
+    for c in np.flatnonzero(silhouettes.usable):
+        camera = silhouettes.rig[int(c)]
+        depth = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
+        _, face, _ = rasterize(camera.project_pinhole(vertices), depth, mesh.faces, camera.size)
+        h, w = face.shape
+        inner = cv2.erode(silhouettes.masks[c, :h, :w], np.ones((3, 3), np.uint8)) > 0
+        picture, shown = images[c, :h, :w], inner & (face >= 0)
+        is_end = shown & end[np.maximum(face, 0)]
+        ends.append(picture[is_end])
+        rest.append(picture[shown & ~is_end])
+    return learned_table(np.concatenate(ends), np.concatenate(rest), prior)
