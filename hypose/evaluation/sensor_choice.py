@@ -187,6 +187,7 @@ def departure_settings() -> dict[str, SwarmSettings]:
         "improved, h=0.05": replace(IMPROVED, h_m=0.05),
         "improved, power=1": replace(IMPROVED, power=1.0),
         "improved, independent spins": replace(IMPROVED, universal=False),
+        "improved, pressure=1, 7 immigrants": replace(IMPROVED, pressure=1.0, immigrants=7),
         "improved, no immigrants": replace(IMPROVED, immigrants=0),
         "improved, no merged evidence": inputs(IMPROVED, merge_bones=False, merge_state=False),
     }

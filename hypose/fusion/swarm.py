@@ -57,9 +57,17 @@ class SwarmSettings:
 
 PUBLISHED = SwarmSettings()
 IMPROVED = SwarmSettings(
-    h_m=0.1, power=2.0, immigrants=7, universal=True, confidence=CURED_CONFIDENCE, rules=SHARP_RULES
+    h_m=0.1,
+    power=2.0,
+    pressure=4.0,
+    immigrants=3,
+    universal=True,
+    confidence=CURED_CONFIDENCE,
+    rules=SHARP_RULES,
 )
-"""Chosen on simulated recordings of seeds below 1000. Baker's sampling chooses the same sensors and is cheaper."""
+"""Chosen on simulated recordings of seeds below 1000. Baker's sampling chooses the same sensors and is cheaper. Without
+pressure two sensors that agree share the candidates for good; with it the mean of the population is 2 mm worse, because
+the candidates settle on one of them."""
 
 
 @dataclass(frozen=True)

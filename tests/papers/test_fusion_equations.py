@@ -278,3 +278,18 @@ def test_a_sensor_that_blinks_loses_its_candidates_and_immigrants_bring_it_back(
         outcome[immigrants] = found.shares[:, 1].mean()
     assert outcome[0] < 0.05
     assert outcome[7] > 0.9
+
+
+def test_pressure_lets_one_of_two_sensors_that_agree_take_the_population():
+    # 4 cm apart and hardly different in noise: the plain wheel keeps both for long, fitness scaling does not
+    positions = np.zeros((2, 15, 3))
+    positions[1, :, 0] = 0.04
+    noise = np.stack([np.full(15, 0.42), np.full(15, 0.46)])
+    share = {}
+    for pressure in (1.0, 4.0):
+        settings = SwarmSettings(restart_every=0, h_m=0.1, power=2.0, pressure=pressure, universal=True)
+        state = start_swarm(2)
+        for _ in range(50):
+            state, found = swarm_step(state, positions, noise, 0.0, settings, 1)
+        share[pressure] = np.median(found.shares.max(1))
+    assert share[1.0] < 0.8 and share[4.0] > 0.9
