@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -79,6 +81,14 @@ def _rows(found: dict[tuple[str, str], list[Outcome]], actions: tuple[str, ...])
             rows.append(row("lost_share", case, [o.errors.lost_share for o in chosen], "1"))
             rows.append(row("seconds_per_frame", case, [o.seconds_per_frame for o in chosen], "s"))
     return rows
+
+
+def median_row(metric: str, case: str, values: Sequence[float], unit: str, **more: Any) -> Row:
+    """The median of values (n,) over the seeds with their sd; NaN counts as missing."""
+    v = np.asarray(values, dtype=np.float64)
+    v = v[np.isfinite(v)]
+    sd = float(v.std(ddof=1)) if len(v) > 1 else None
+    return Row(metric, case, float(np.median(v)) if len(v) else float("nan"), unit, sd, len(v), **more)
 
 
 def _mocap(options: BenchOptions) -> bool:

@@ -178,25 +178,27 @@ def detect_ends(
     *,
     voxel: float = 0.03,
     settings: ClusterSettings = ClusterSettings(),
-) -> Detections:
-    """Unnamed ends of the body in one frame: maps (C, h, w) of a detector on the surface of the silhouettes' hull.
+) -> tuple[Detections, Array]:
+    """Unnamed ends of the body in one frame: maps (C, h, w) of a detector on the surface of the silhouettes' hull; and
+    the hull's centroid (3,) m, the centre for the next frame.
 
-    centre (3,) m: where the person is about (the last pose's pelvis); the hull is carved within 0.75 statures of it.
-    Without a hull there is no detection. An InputError when maps and masks differ in shape.
+    centre (3,) m: where the person is about (the start pose's pelvis); the hull is carved within 0.75 statures of it.
+    With four views or more one of them may miss a part of the person. Without a hull there is no detection and the centre
+    stays. An InputError when maps and masks differ in shape.
     """
     if maps.shape != silhouettes.masks.shape:
         raise InputError(f"The detector's maps {maps.shape} and the masks {silhouettes.masks.shape} differ in shape.")
     reach = 0.75 * stature
     bounds = np.stack([centre - reach, centre + reach])
     try:
-        hull = visual_hull(silhouettes, bounds, voxel)
+        hull = visual_hull(silhouettes, bounds, voxel, miss=int(silhouettes.usable.sum() >= 4))
     except EvidenceError:
-        return Detections(np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int32))
+        return Detections(np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int32)), centre
     surface = oriented_surface(hull)
     seen = visibility(surface, silhouettes.rig, silhouettes.usable)
     probability = surface_probability(surface, seen, maps, silhouettes.rig)
     points, score = likely_clusters(surface, probability, settings, stature)
-    return Detections(points, score, np.full(len(points), UNNAMED, np.int32))
+    return Detections(points, score, np.full(len(points), UNNAMED, np.int32)), hull.centroid
 
 
 END_JOINTS = ("left_wrist", "right_wrist", "head")

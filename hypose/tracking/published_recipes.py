@@ -13,6 +13,8 @@ from hypose.inference.kernels import HeavyTail, filtered_mask, layered_sigma, st
 from hypose.inference.layer import Kernel, Layer, Recipe
 from hypose.inference.selectivity import Annealed, FixedSelectivity, Selectivity, SurvivalRate
 from hypose.inference.selectors import LayeredSystematic
+from hypose.tracking.costs import SilhouetteXor
+from hypose.tracking.detections import DetectionCost, DetectorDriven, ends_of
 from hypose.tracking.limb_kernels import BallStep, LimbDiffusion, ball_step
 from hypose.tracking.partitioned_observations import (
     PartitionedXor,
@@ -169,4 +171,75 @@ def hpf_apo_plus(body: Body, particles: int = 500, frame_rate: float = 25.0) -> 
     )
 
 
-PRESETS = {"hpf-apo": hpf_apo, "hpf-apo+": hpf_apo_plus}
+# one layer per limb instead of two per arm: the (5+1) form
+FIVE_LAYERS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    *HPF_LAYERS[:3],
+    ("left_arm", ("left_clavicle", "left_shoulder", "left_elbow")),
+    ("right_arm", ("right_clavicle", "right_shoulder", "right_elbow")),
+)
+# the end that drives each layer, in the order they are tried (END_NAMES), and its pair of bits
+_DRIVEN = {"torso": ((2,), 0), "left": ((0, 3), 1), "right": ((1, 4), 2), "left_leg": ((5,), 3), "right_leg": ((6,), 4)}
+
+
+def dd_hpf(
+    body: Body,
+    particles: int = 500,
+    survival: float = 0.10,
+    decay: float = 0.8,
+    frame_rate: float = 25.0,
+    betas: Sequence[float] | None = None,
+    *,
+    layers: tuple[tuple[str, tuple[str, ...]], ...] = HPF_LAYERS,
+    refinement: bool = False,
+    kappa: float = 4.0,
+    name: str = "dd-hpf",
+) -> tuple[Recipe, int]:
+    """The detector-driven hierarchical filter: 7 layers x 500 particles, `hpf` with part of each layer's particles posed
+    on the detected hand, head (or ankle); refinement: one more layer, without propagation, whose cost knows the
+    detections (`dd-hpf+`).
+
+    Detections come with the frames (`Frame.detections`) or from key points; without any this is `hpf`. An arm's forearm
+    is posed with its upper arm, in both of its layers, and both are resampled from the first on. kappa (1 / m) balances
+    metres against the silhouettes' cost. Source: Alcoverro 2014, section 2.5.2.
+    """
+    s = body.skeleton
+    ends, sigma, psi = ends_of(body), step_sigma(s, frame_rate), partitions_of(s, layers)
+    rows = []
+    for n, (layer, _) in enumerate(layers):
+        selectivity: Selectivity = FixedSelectivity(betas[n]) if betas is not None else SurvivalRate(survival)
+        step = layered_sigma(sigma, psi, decay, n)
+        driven, bit = _DRIVEN[layer if layer in _DRIVEN else layer.split("_")[0]]
+        own = np.zeros(s.dof)
+        own[psi[n]] = sigma[psi[n]]
+        kernel = DetectorDriven(body, ends, LimbDiffusion(s, step), driven, own, bit)
+        filtered = filtered_mask(psi, s.dof, n)
+        if layer.endswith("shoulder"):
+            filtered = filtered.copy()
+            filtered[s.dofs_of(layer.replace("shoulder", "elbow"))] = True
+        weigh = Annealed(SilhouetteXor(body), selectivity)
+        rows.append(Layer(kernel, weigh, LayeredSystematic(filtered), layer))
+    if refinement:
+        last: Selectivity = FixedSelectivity(betas[len(layers)]) if betas is not None else SurvivalRate(survival)
+        weigh = Annealed(DetectionCost(body, ends, SilhouetteXor(body), kappa), last)
+        everything = filtered_mask(psi, s.dof, len(layers))
+        rows.append(Layer(stay, weigh, LayeredSystematic(everything), "refinement"))
+    return Recipe(name, tuple(rows), pose_mean(s), THESIS), particles
+
+
+def dd_hpf_plus(body: Body, particles: int = 500, frame_rate: float = 25.0) -> tuple[Recipe, int]:
+    """`dd_hpf` with the refinement layer: 7 + 1 layers x 500 particles. Source: Alcoverro 2014, section 2.5.2."""
+    return dd_hpf(body, particles, frame_rate=frame_rate, refinement=True, name="dd-hpf+")
+
+
+def dd_hpf_plus_5(body: Body, particles: int = 500, frame_rate: float = 25.0) -> tuple[Recipe, int]:
+    """`dd_hpf` with whole arms in one layer and the refinement layer: 5 + 1 layers x 500 particles."""
+    return dd_hpf(body, particles, frame_rate=frame_rate, layers=FIVE_LAYERS, refinement=True, name="dd-hpf+5")
+
+
+PRESETS = {
+    "hpf-apo": hpf_apo,
+    "hpf-apo+": hpf_apo_plus,
+    "dd-hpf": dd_hpf,
+    "dd-hpf+": dd_hpf_plus,
+    "dd-hpf+5": dd_hpf_plus_5,
+}

@@ -202,7 +202,7 @@ RECIPES: dict[str, Callable[..., tuple[Recipe, int]]] = {
     "apf": apf,
     "partitioned": partitioned,
     "hpf": hpf,
-    **{name: _published(name) for name in ("hpf-apo", "hpf-apo+")},
+    **{name: _published(name) for name in ("hpf-apo", "hpf-apo+", "dd-hpf", "dd-hpf+", "dd-hpf+5")},
 }
 
 
