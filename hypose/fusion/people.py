@@ -18,10 +18,9 @@ from scipy.optimize import linear_sum_assignment
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion.align import Instant, SensorBody
 from hypose.fusion.joints import COMMON, MIRROR, TRUNK
+from hypose.fusion.places import find_place, moved, trunk_centre
 from hypose.fusion.register import register
-from hypose.geometry import Array, procrustes
-
-_TRUNK = np.array(TRUNK)
+from hypose.geometry import Array
 
 
 @dataclass(frozen=True)
@@ -190,8 +189,8 @@ class PeopleTracker:
     def _match(self, name: str, bodies: Sequence[SensorBody], now: float) -> None:
         s, link = self.settings, self._links[name]
         assert link.motion is not None
-        placed = [_moved(link.motion, b.positions) for b in bodies]
-        centres = [_centre(j) for j in placed]
+        placed = [moved(link.motion, b.positions) for b in bodies]
+        centres = [trunk_centre(j) for j in placed]
         free = [i for i, c in enumerate(centres) if c is not None]
         matched = 0
         if self._people and free:
@@ -257,7 +256,7 @@ class PeopleTracker:
             if len(names) > 1 and not link.anchor and now - link.noted >= self.settings.note:
                 self._note(link, p.members[name], swapped[n], summed - stacked[n] * w[n][:, None], total - w[n], now)
         p.joints = mean if total.min() > 0 else np.where(total[:, None] > 0, mean, p.joints)
-        centre = _centre(mean)
+        centre = trunk_centre(mean)
         if centre is not None:
             step = now - p.time
             if 0 < step < 0.5 and p.frames:
@@ -271,7 +270,7 @@ class PeopleTracker:
     def _note(self, link: _Link, body: SensorBody, swapped: bool, rest: Array, weight: Array, now: float) -> None:
         """Keep a pair (this sensor's joints, those of all others) for the next registration of the sensor. rest
         (15, 3): weighted sum of the others', weight (15,)."""
-        if (weight[_TRUNK] > 0).sum() < 4:
+        if (weight[np.array(TRUNK)] > 0).sum() < 4:
             return
         link.noted = now
         others = np.where(weight[:, None] > 0, rest / np.maximum(weight, 1)[:, None], np.nan)
@@ -324,42 +323,15 @@ class PeopleTracker:
             link.motion, link.residual = found.common_from_sensor[1], float(found.residual[1])
 
     def _try(self, link: _Link, now: float) -> None:
-        """Every pairing of one of its persons with one of ours gives a place; the best one puts all on persons."""
         s = self.settings
         while link.shots and link.shots[0][0] < now - s.window:
             link.shots.popleft()
-        shots = list(link.shots)[:: max(1, len(link.shots) // 12)]
-        places = _centres(shots)
-        rough: list[tuple[float, Array, Array, int, int]] = []
-        pairs = {(b, p) for _, bodies, people in shots for b in bodies for p in people}
-        for b, p in sorted(pairs):
-            body = [bodies[b] for _, bodies, people in shots if b in bodies and p in people]
-            ours = [people[p] for _, bodies, people in shots if b in bodies and p in people]
-            if len(body) < min(s.shots, len(shots)):
-                continue
-            theirs, target = np.stack(body), np.stack(ours)
-            some = slice(None, None, max(1, len(body) // 4))  # many pairings: a quick look first
-            if (motion := _fit(theirs[some], target[some], 1)) is not None:
-                rough.append((motion[1] + _misplaced(motion[0], *places), theirs, target, b, p))
-            # an honest sensor is the rule: swapped sides must fit clearly better
-            if (motion := _fit(theirs[some][:, MIRROR], target[some], 1)) is not None:
-                score = 1.4 * motion[1] + _misplaced(motion[0], *places)
-                rough.append((score, theirs[:, MIRROR], target, b, p))
-        rough.sort(key=lambda r: r[0])
-        found: list[tuple[float, int, int, Array]] = []
-        for _, labels, target, b, p in rough[:6]:
-            if (best := _fit(labels, target, 4)) is not None:
-                found.append((best[1] + _misplaced(best[0], *places), b, p, best[0]))
-        if not found:
-            return
-        found.sort(key=lambda f: f[0])
-        score, b, p, motion = found[0]
-        # another pairing that says the same is no rival
-        rivals = [f for f in found[1:] if (f[1] == b) != (f[2] == p)]
-        if score > s.residual or (rivals and score > s.distinct * rivals[0][0]):
-            return
-        link.motion, link.residual, link.trusted, link.fitted, link.strays = motion, score, True, now, 0
-        link.shots.clear()
+        shots = [(bodies, people) for _, bodies, people in link.shots]
+        found = find_place(shots, s.shots, s.residual, s.distinct)
+        if found is not None:
+            link.motion, link.residual = found
+            link.trusted, link.fitted, link.strays = True, now, 0
+            link.shots.clear()
 
 
 def is_swapped(joints: Array, like: Array) -> bool:
@@ -371,61 +343,3 @@ def is_swapped(joints: Array, like: Array) -> bool:
         both = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])
         plain, mirrored = float(np.vdot(a[both], a[both])), float(np.vdot(b[both], b[both]))
     return mirrored < plain
-
-
-def _moved(motion: Array, points: Array) -> Array:
-    """`geometry.transform` for one motion, without its generality."""
-    return points @ motion[:3, :3].T + motion[:3, 3]
-
-
-def _centre(joints: Array) -> Array | None:
-    trunk = joints[_TRUNK]
-    mean = trunk.sum(0) / len(_TRUNK)
-    if mean[0] == mean[0]:
-        return mean
-    known = np.isfinite(trunk[:, 0])
-    if int(known.sum()) < 3:
-        return None
-    # each joint missing would move a plain mean by some centimetres, which the gate takes
-    return trunk[known].mean(0)
-
-
-def _fit(body: Array, ours: Array, iterations: int) -> tuple[Array, float] | None:
-    """common_from_sensor and the median distance (m) from skeletons (T, 15, 3) of both."""
-    source, target = body.reshape(-1, 3), ours.reshape(-1, 3)
-    use = np.isfinite(source[:, 0]) & np.isfinite(target[:, 0])
-    if int(use.sum()) < 20:
-        return None
-    a, b = source[use], target[use]
-    motion, distance, weight = np.eye(4), np.zeros(len(a)), None
-    for _ in range(iterations):
-        motion = procrustes(a, b, weight)[0]
-        distance = np.linalg.norm(_moved(motion, a) - b, axis=-1)
-        weight = 1 / (1 + (distance / 0.06) ** 2)
-    return motion, float(np.median(distance))
-
-
-def _centres(shots: Sequence[tuple[float, dict[int, Array], dict[int, Array]]]) -> tuple[Array, Array]:
-    """Trunks of the sensor's persons (S, B, 3) in its frame and of ours (S, P, 3), of at most five instants."""
-    some = shots[:: max(1, len(shots) // 5)]
-    out = []
-    for skeletons in ([shot[1] for shot in some], [shot[2] for shot in some]):
-        found = [[c for j in one.values() if (c := _centre(j)) is not None] for one in skeletons]
-        padded = np.full((len(some), max(1, *(len(f) for f in found)), 3), np.nan)
-        for n, centres in enumerate(found):
-            padded[n, : len(centres)] = np.array(centres).reshape(-1, 3)
-        out.append(padded)
-    return out[0], out[1]
-
-
-def _misplaced(motion: Array, theirs: Array, ours: Array) -> float:
-    """Mean distance (m, each at most 0.5) of the sensor's persons to the nearest of ours, less what is noise."""
-    there = theirs @ motion[:3, :3].T + motion[:3, 3]
-    d = np.sqrt(((there[:, :, None] - ours[:, None]) ** 2).sum(-1))
-    nearest = np.sort(np.where(np.isfinite(d), d, np.inf).min(2), axis=1)
-    # whom only one side sees says nothing: as many as both can share
-    both = np.minimum(np.isfinite(theirs[..., 0]).sum(1), np.isfinite(ours[..., 0]).sum(1))
-    counted = np.arange(nearest.shape[1]) < both[:, None]
-    if not counted.any():
-        return 0.0
-    return max(0.0, float(np.minimum(nearest[counted], 0.5).mean()) - 0.1)

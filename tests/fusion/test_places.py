@@ -1,0 +1,60 @@
+"""Where a sensor stands, when nobody knows who is who."""
+
+import numpy as np
+import pytest
+
+from hypose.evaluation.sensors import builtin_joints
+from hypose.fusion.joints import MIRROR
+from hypose.fusion.places import _plain_fits, find_place
+from hypose.geometry import procrustes, se3, se3_inverse, so3_exp, transform
+
+
+def people(rng, count):
+    """(T, count, 15, 3) walkers 1.5 m apart."""
+    walk = builtin_joints("walk", 8.0, rng)
+    return np.stack([walk[30 * p : 30 * p + 60 : 5] + [1.5 * p, 0.4 * p, 0] for p in range(count)], 1)
+
+
+@pytest.mark.parametrize("exchanged", [False, True])
+def test_the_place_is_found_among_six_persons_whose_numbers_say_nothing(rng, exchanged):
+    common = people(rng, 6)
+    place = se3(so3_exp(np.array([0.3, -2.0, 0.5])), np.array([1.0, -0.5, 2.0]))
+    order = rng.permutation(6)
+    shots = []
+    for frame in common:
+        seen = transform(se3_inverse(place), frame + rng.normal(0, 0.005, frame.shape))
+        seen = seen[:, MIRROR] if exchanged else seen
+        shots.append((dict(enumerate(seen[order])), dict(enumerate(frame))))
+    found = find_place(shots, 5, 0.15, 0.7)
+    assert found is not None
+    np.testing.assert_allclose(found[0], place, atol=0.02)
+    assert found[1] < 0.03
+
+
+def test_strangers_have_no_place(rng):
+    common, others = people(rng, 2), people(rng, 2)[::-1] * [1.0, 1.4, 0.8]
+    shots = [(dict(enumerate(b)), {0: a[0]}) for a, b in zip(common, others, strict=True)]
+    assert find_place(shots, 5, 0.02, 0.7) is None
+    assert find_place([], 5, 0.15, 0.7) is None
+    assert find_place([({}, {0: common[0, 0]})] * 5, 5, 0.15, 0.7) is None
+
+
+def test_fits_in_a_batch_are_those_of_procrustes(rng):
+    a = rng.normal(size=(20, 40, 3))
+    r = so3_exp(rng.normal(size=(20, 3)))
+    b = np.einsum("pij,pnj->pni", r, a) + rng.normal(size=(20, 1, 3)) + rng.normal(0, 0.1, a.shape)
+    a[3, :15] = np.nan
+    b[4, 30:] = np.nan
+    a[5, 10:] = np.nan  # too few are left
+    a[6, :, 2] = 0.0  # flat: half of the unguarded solutions are reflections
+    motions, distance = _plain_fits(a, b)
+    assert np.linalg.det(motions[:, :3, :3]) == pytest.approx(np.ones(20))
+    for p in range(20):
+        use = np.isfinite(a[p, :, 0]) & np.isfinite(b[p, :, 0])
+        if p == 5:
+            assert np.isinf(distance[p])
+            continue
+        motion = procrustes(a[p, use], b[p, use])[0]
+        np.testing.assert_allclose(motions[p], motion, atol=1e-9)
+        off = np.linalg.norm(transform(motion, a[p, use]) - b[p, use], axis=-1)
+        assert distance[p] == pytest.approx(float(np.median(off)))
