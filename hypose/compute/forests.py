@@ -173,7 +173,7 @@ class ScanPlan:
     near_mm: int = 500
     far_mm: int = 4000
     first: int = 3
-    least: float = 0.15
+    least: float = 0.25
     coarse: int = 2
 
 

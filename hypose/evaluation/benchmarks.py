@@ -84,6 +84,8 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
         anthropometry_real,
         fusion_benchmarks,
         fusion_speed,
+        gesture_asl,
+        gesture_benchmarks,
         path_speed,
         published,
         real,
@@ -108,6 +110,9 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
         "fusion-human4d": fusion_benchmarks.human4d,
         "fusion-real": fusion_benchmarks.real,
         "fusion-speed": fusion_speed.speed,
+        "gesture-table-3.1": gesture_benchmarks.table_3_1,
+        "gesture-table-3.2": gesture_benchmarks.table_3_2,
+        "gesture-semi-synthetic": gesture_asl.semi_synthetic,
     }
 
 

@@ -146,6 +146,11 @@ class GrowingForest:
         """A forest that has seen nothing."""
         return GrowingForest(settings, new_arrays(settings, classes, rng))
 
+    @property
+    def classes(self) -> int:
+        """Classes, the background included."""
+        return self.arrays.count.shape[2]
+
     def learn(self, picture: PaddedDepth, rows: NDArray, columns: NDArray, labels: NDArray) -> None:
         """Update with the pixels (S,) of a picture and their classes (S,), in this order."""
         if not len(rows):
@@ -177,6 +182,7 @@ class GrowingForest:
         a, n = self.arrays, int(self.arrays.size.max())
         return Forest(self.settings, a.test[:, :n].copy(), a.left[:, :n].copy(), a.count[:, :n].copy(), a.size.copy())
 
+    @property
     def packed(self) -> Packed:
         """The layout for scanning, now."""
         a = self.arrays

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.compute import forests
-from hypose.compute.forests import Depth, Packed, PaddedDepth, ScanPlan
+from hypose.compute.forests import Depth, PaddedDepth, ScanPlan
 from hypose.errors import InputError
-from hypose.gestures.forest import Forest
+from hypose.gestures.forest import Forest, GrowingForest
 from hypose.gestures.pictures import KINECT, Lens, surface_depth
 
 
@@ -70,7 +70,7 @@ def pad(depth: Depth, lens: Lens, reach_mm: int, near_mm: int, reuse: PaddedDept
 def localise(
     depth: Depth,
     lens: Lens,
-    forest_list: Sequence[Forest],
+    forest_list: Sequence[Forest | GrowingForest],
     settings: LocaliseSettings | None = None,
     scratch: Scratch | None = None,
 ) -> list[Found]:
@@ -91,23 +91,13 @@ def localise(
     kept.descents = 0
     maps: list[NDArray[np.float32]] = []
     for f in forest_list:
-        scores, spent = (
-            scan_one(picture, f.packed, f, s)
-            if f.classes == 2
-            else forests.scan_classes(picture, f.packed, f.settings.clip, s.plan)
-        )
+        look = forests.scan if f.classes == 2 else forests.scan_classes
+        scores, spent = look(picture, f.packed, f.settings.clip, s.plan)
         kept.descents += spent
         maps += list(scores) if scores.ndim == 3 else [scores]
     several = len(forest_list) == 1 and forest_list[0].classes > 2
     majority = 0.0 if several else s.majority
     return [_find(k + 1, m, picture, depth, lens, s, kept, majority) for k, m in enumerate(maps)]
-
-
-def scan_one(
-    picture: PaddedDepth, packed: Packed, forest: Forest, settings: LocaliseSettings
-) -> tuple[NDArray[np.float32], int]:
-    """Mean share of the gesture on the scanning grid, and the tree descents it took."""
-    return forests.scan(picture, packed, forest.settings.clip, settings.plan)
 
 
 def _find(
