@@ -5,18 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from hypose.body.models import human
-from hypose.errors import EvidenceError
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row
 from hypose.evaluation.real import FirstFrames, against_keypoints, balancing_recording
-from hypose.evidence.frame import Frame
-from hypose.evidence.keypoints import BODY_25B, triangulate_keypoints
-from hypose.geometry import Array
+from hypose.evidence.keypoints import BODY_25B
 from hypose.io.frames import FrameStream
 from hypose.pipeline.anthropometry import SubjectEstimate, estimate_subject, size_uncertainty
 from hypose.pipeline.run import TrackOptions, track_source
-from hypose.pipeline.subject import Subject, SubjectOptions, find_subject
+from hypose.pipeline.subject import Subject, SubjectOptions, find_subject, first_start
 from hypose.tracking.evidence import keypoint_model
-from hypose.tracking.initialise import start_from_keypoints
 
 
 def subject_balancing(options: BenchOptions) -> BenchReport:
@@ -36,10 +32,14 @@ def subject_balancing(options: BenchOptions) -> BenchReport:
         options.progress("key points", 0, 3)
         by_points = find_subject(with_points.frame, n, SubjectOptions("keypoints", frame_rate=rate, girths=False))
         rows: list[Row] = []
-        starts = {"start from key points": first_pose(with_points), "start from the hull": None}
+        template = human()
+        starts = {
+            "start from key points": first_start(template, keypoint_model(template, BODY_25B), with_points.frame, n)[0],
+            "start from the hull": None,
+        }
         for k, (case, start) in enumerate(starts.items()):
             options.progress(case, k + 1, 3)
-            found = estimate_subject(without.frame, n, rate, human(), None, start)
+            found = estimate_subject(without.frame, n, rate, template, None, start)
             model = keypoint_model(found.body, BODY_25B)
             subject = Subject(found.body, model, found.start, found.notes)
             result = track_source(FirstFrames(without, n), rate, TrackOptions(), subject=subject)
@@ -49,19 +49,6 @@ def subject_balancing(options: BenchOptions) -> BenchReport:
             rows.append(Row("iou", case, 1 - float(np.nanmean(result.motion.cost)), "1", n=n))
             rows += _lengths(case, found, by_points.body.segment_lengths())
     return BenchReport(tuple(rows), {"frames": n, "extrinsics": "refined", "joints": 12})
-
-
-def first_pose(source: FrameStream) -> Array:
-    """(D,) of the template at the first frame with key points."""
-    template = human()
-    for i in range(len(source)):
-        frame: Frame = source.frame(i)
-        if frame.keypoints is not None:
-            model = keypoint_model(template, frame.keypoints.names)
-            points = triangulate_keypoints([frame.keypoints])[0][0]
-            known = model.known
-            return start_from_keypoints(template, points[known], model.joint[known], model.offset[known]).pose
-    raise EvidenceError("No frame of the recording has key points.")
 
 
 _NAMES = {"upper_arm": "upper arm", "forearm": "forearm", "thigh": "thigh", "shank": "shank", "torso": "torso"}

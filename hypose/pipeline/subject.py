@@ -96,7 +96,7 @@ def _from_keypoints(
         notes.append(note)
         # the landmarks on the skin moved with the girths; the fitted offsets did not
         model = replace(keypoint_model(body, model.names), offset=model.offset)
-    start, at = _first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
+    start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
     if at:
         notes.append(f"the start is the pose of frame {at}, the first with enough key points")
     return Subject(body, model, start, tuple(notes))
@@ -109,12 +109,12 @@ def _known_by_points(
     if seen is None:
         raise EvidenceError("No frame has key points to start from; use the start 'hull'.")
     model = keypoint_model(body, seen.names)
-    start, at = _first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
+    start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
     notes = (GIVEN,) if at == 0 else (GIVEN, f"the start is the pose of frame {at}, the first with enough key points")
     return Subject(body, model, start, notes)
 
 
-def _first_start(body: Body, model: KeypointModel, frame_at: FrameAt, last: int) -> tuple[Array, int]:
+def first_start(body: Body, model: KeypointModel, frame_at: FrameAt, last: int) -> tuple[Array, int]:
     """The pose at the first of the frames before `last` whose key points can be triangulated, and its number. It stands
     for the frames before it, which lie within a second."""
     known = model.known
