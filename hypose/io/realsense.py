@@ -32,8 +32,8 @@ class RealSenseDepth:
 
 
 def read_realsense(path: str | Path) -> RealSenseDepth:
-    """The depth of a recording that RealSense's own tools wrote (.bag, in newer versions .db3), as fast as it can be read.
-    An InputError for anything else, and when pyrealsense2 is missing."""
+    """The depth of a recording that RealSense's own tools wrote (.bag, in newer versions .db3), as fast as it can be
+    read. An InputError for anything else, and when pyrealsense2 is missing."""
     library = _library()
     path = Path(path)
     readable_size(path, "a RealSense recording (.bag or .db3)", _MAX_BYTES)
