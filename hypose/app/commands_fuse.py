@@ -49,6 +49,9 @@ def fuse(
         typer.Option("--diagnose", help="Add the swarm's choice of sensors to sensors.csv.", rich_help_panel=_RECORDED),
     ] = False,
     seed: Seed = 0,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on where an interrupted run stopped.", rich_help_panel=_RECORDED)
+    ] = False,
     rate: Annotated[
         float | None, typer.Option(help="Frames per second of the result. [default: the sensor's; live: 30]")
     ] = None,
@@ -106,6 +109,7 @@ def fuse(
         up=up,
         diagnose=diagnose,
         seed=seed,
+        resume=resume,
         run={"threads": threads},
     )
     previous = signal.signal(signal.SIGTERM, _interrupt)
@@ -133,7 +137,10 @@ def _closing(outcome: FuseOutcome, name: str, sensors: int, folder: Path) -> Non
         note(f"note: {text}")
     if not outcome.complete:
         kept = [str(f) for p in outcome.people for f in p.files]
-        say(f"Stopped. Kept: {', '.join(kept) if kept else 'nothing'}. Start again with the same command.")
+        if outcome.resumable:
+            kept.append("what was fused of the rest")
+        again = "Go on with the same command and --resume" if outcome.resumable else "Start again with the same command"
+        say(f"Stopped. Kept: {', '.join(kept) if kept else 'nothing'}. {again}.")
         return
     for n, p in enumerate(outcome.people):
         m = p.motion

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, cast, overload
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +22,12 @@ from hypose.fusion.fuse import METHODS, Fused, FusionSettings, fuse_clip
 from hypose.fusion.joints import COMMON, joint_set
 from hypose.fusion.people import PeopleTracker
 from hypose.fusion.register import Registration, check_same_person, common_joints, register, upward
+from hypose.fusion.saved import ClipSoFar
 from hypose.geometry import Array, se3, transform
 from hypose.io.export import FORMATS, export_motion
 from hypose.io.files import write_text
-from hypose.io.provenance import provenance
-from hypose.io.results import ResultsFolder, save_motion
+from hypose.io.provenance import identity, provenance
+from hypose.io.results import Checkpoint, ResultsFolder, save_motion
 from hypose.io.skeletons import (
     SensorStream,
     SkeletonRecording,
@@ -46,7 +48,8 @@ class FuseJob:
     """recording; results; method: of fusion.fuse.METHODS; rate Hz of the result (None: the reference sensor's);
     reference: name of a sensor (None: the recording's); formats: of POINT_FORMATS; up: "person" (the mean direction
     from hips to neck) or "sensor" (the reference sensor's y axis); diagnose: the swarm's choice of sensors beside the
-    result; seed; run: for the record only."""
+    result; seed; resume: go on with the checkpoint of an interrupted run; checkpoint_s: seconds between checkpoints;
+    run: for the record only."""
 
     recording: SkeletonRecording
     results: ResultsFolder
@@ -57,6 +60,8 @@ class FuseJob:
     up: str = "person"
     diagnose: bool = False
     seed: int = 0
+    resume: bool = False
+    checkpoint_s: float = 10.0
     run: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -86,15 +91,18 @@ class PersonResult:
 
 @dataclass(frozen=True)
 class FuseOutcome:
-    """people in the order of appearance; notes for the user; complete False after Ctrl-C."""
+    """people in the order of appearance; notes for the user; complete False after Ctrl-C; resumable: a
+    checkpoint is on disk."""
 
     people: tuple[PersonResult, ...]
     notes: tuple[str, ...]
     complete: bool
+    resumable: bool = False
 
 
 def run_fuse(job: FuseJob, progress: ProgressCall = ignore) -> FuseOutcome:
-    """Synchronise, match persons, register, fuse, write. Each person's motion is on disk before the next is begun."""
+    """Synchronise, match persons, register, fuse, write. Each person's motion is on disk before the next is begun;
+    Ctrl-C leaves a checkpoint of the one under way."""
     job.results.check_writable()
     notes = list(job.recording.notes)
     progress("prepare", 0, 1)
@@ -113,20 +121,30 @@ def run_fuse(job: FuseJob, progress: ProgressCall = ignore) -> FuseOutcome:
             notes.append(f"{name}: it shares too little with the other sensors to be registered, so it is not used")
         elif residual > 0:
             notes.append(f"{name}: joints {1000 * residual:.0f} mm (median) from the reference sensor's")
+    alone = len(people) == 1
+    folders = [
+        job.results if alone else ResultsFolder(job.results.path / f"person-{n + 1}") for n in range(len(people))
+    ]
     fused: list[Fused] = []
     done: list[PersonResult] = []
     world: Array | None = None
     try:
         for n, whole in enumerate(people):
             clip, when = _while_seen(whole, times)
-            shown = _Watched(clip, lambda k, n=n: progress("fuse", n * len(times) + k, len(people) * len(times)))
-            made = _fuse(job, shown, registration)
+            made = _fuse(
+                job,
+                clip,
+                registration,
+                folders[n].checkpoint,
+                _key(job, n),
+                len(people) > 1,
+                lambda k, n=n: progress("fuse", n * len(times) + k, len(people) * len(times)),
+            )
             # instants at which no sensor saw the person have no time of their own
             fused.append(replace(made, motion=replace(made.motion, times=when)))
             if world is None:
                 world = world_from_sensor(fused[0].motion, job.up)
-            folder = job.results if len(people) == 1 else ResultsFolder(job.results.path / f"person-{n + 1}")
-            done.append(_write(job, fused[-1], world, folder, notes))
+            done.append(_write(job, fused[-1], world, folders[n], notes))
         progress("fuse", len(people) * len(times), len(people) * len(times))
         for n, person in enumerate(done):
             files = list(person.files)
@@ -135,9 +153,12 @@ def run_fuse(job: FuseJob, progress: ProgressCall = ignore) -> FuseOutcome:
                 # the body is for formats with poses, which the job has refused
                 files += export_motion(person.motion, cast(Body, None), files[0].parent, (name,))
             done[n] = replace(person, files=tuple(files))
+        for folder in folders:
+            folder.checkpoint.unlink(missing_ok=True)
         progress("export", len(done) * len(job.formats), len(done) * len(job.formats))
     except KeyboardInterrupt:
-        return FuseOutcome(tuple(done), tuple(notes), False)
+        begun = sum(f.checkpoint.exists() for f in folders)
+        return FuseOutcome(tuple(done), tuple(notes), False, begun > 0)
     return FuseOutcome(tuple(done), tuple(notes), True)
 
 
@@ -246,32 +267,56 @@ def _registration(people: Sequence[Sequence[SensorJoints]], names: Sequence[str]
 # ---- fusion and files ------------------------------------------------------------------------------------------
 
 
-class _Watched(Sequence[SensorJoints]):
-    """A clip that tells how far it has been read; the fusion reads it a few times, the last time frame by frame."""
-
-    def __init__(self, clip: Sequence[SensorJoints], tell: Any) -> None:
-        self._clip, self._tell = clip, tell
-
-    def __len__(self) -> int:
-        return len(self._clip)
-
-    @overload
-    def __getitem__(self, index: int) -> SensorJoints: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[SensorJoints]: ...
-    def __getitem__(self, index: int | slice) -> SensorJoints | Sequence[SensorJoints]:
-        return self._clip[index]
-
-    def __iter__(self) -> Iterator[SensorJoints]:
-        for n, frame in enumerate(self._clip):
-            if n % 16 == 0:
-                self._tell(n)
-            yield frame
-
-
-def _fuse(job: FuseJob, clip: Sequence[SensorJoints], registration: Registration) -> Fused:
+def _fuse(
+    job: FuseJob,
+    clip: Sequence[SensorJoints],
+    registration: Registration,
+    checkpoint: Path,
+    key: Mapping[str, Any],
+    keep: bool,
+    tell: Callable[[int], None],
+) -> Fused:
+    """One person, with a checkpoint every few seconds and when interrupted; `keep` leaves one of the whole clip, for
+    the case that the job is interrupted at another person."""
     settings = FusionSettings(method=job.method, diagnose=job.diagnose, seed=job.seed)
-    return fuse_clip(clip, job.method, settings, registration)
+    done = Checkpoint.load(checkpoint, key).arrays if job.resume and checkpoint.exists() else None
+    last, saved = None, time.monotonic()
+    tell(0 if done is None else int(done["frames"]))
+
+    def watch(so_far: ClipSoFar) -> None:
+        nonlocal last, saved
+        last = so_far
+        if len(so_far.frames) % 16 == 0:
+            tell(len(so_far.frames))
+            if time.monotonic() - saved > job.checkpoint_s:
+                _save(so_far, checkpoint, key)
+                saved = time.monotonic()
+
+    try:
+        fused = fuse_clip(clip, job.method, settings, registration, done=done, watch=watch)
+    except KeyboardInterrupt:
+        if last is not None:
+            _save(last, checkpoint, key)
+        raise
+    if keep and last is not None:
+        _save(last, checkpoint, key)
+    return fused
+
+
+def _save(so_far: ClipSoFar, checkpoint: Path, key: Mapping[str, Any]) -> None:
+    Checkpoint(len(so_far.frames), so_far.arrays(), {}, key).save(checkpoint)
+
+
+def _key(job: FuseJob, person: int) -> dict[str, Any]:
+    """What must be equal to go on with a checkpoint."""
+    settings = {
+        "method": job.method,
+        "rate": job.rate,
+        "reference": job.reference,
+        "diagnose": job.diagnose,
+        "person": person,
+    }
+    return identity(provenance(f"fusion-{job.method}", job.seed, settings, job.recording.inputs))
 
 
 def world_from_sensor(motion: Motion, up: str) -> Array:

@@ -7,8 +7,8 @@ goes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -20,8 +20,8 @@ from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import baselines
 from hypose.fusion import joints as jt
-from hypose.fusion.confidence import ConfidenceState, confidence_step, normalised, start_confidence
-from hypose.fusion.fit import FitSettings, FitState, clip_lengths, fit_step, start_fit
+from hypose.fusion.confidence import confidence_step, normalised, start_confidence
+from hypose.fusion.fit import clip_lengths, fit_step, start_fit
 from hypose.fusion.points import anchors_of, points_motion
 from hypose.fusion.register import (
     Registration,
@@ -35,88 +35,26 @@ from hypose.fusion.register import (
     register_per_frame,
     upward,
 )
-from hypose.fusion.swarm import IMPROVED, PUBLISHED, SwarmSettings, SwarmState, start_swarm, swarm_step
+from hypose.fusion.saved import ClipSoFar, restored
+from hypose.fusion.state import BASELINES, FIT, METHODS, FusedFrame, FusionSettings, FusionState
+from hypose.fusion.swarm import start_swarm, swarm_step
 from hypose.geometry import Array
 
-FIT, SWARM, PUBLISHED_SWARM = "fit", "swarm", "published"
 WINDOW_FRAMES = 40
 """Frames that a stream's registration is fitted to; up to twice as many are kept."""
-BASELINES = ("best_single", "weighted_mean", "median", "kalman", "dbscan_kalman")
-METHODS = (FIT, SWARM, PUBLISHED_SWARM, *BASELINES)
 
-
-@dataclass(frozen=True)
-class FusionSettings:
-    """method: one of METHODS ("swarm" is the improved one, "published" the paper's); reference: the sensor whose frame
-    is the common one; registered: positions come in a common frame already; per_frame: register every frame by the
-    paper's triangle; window_s, refit_s: a stream's registration uses the last window_s and is refitted every refit_s;
-    diagnose: run the swarm beside the fit and report its choice of sensors; up (3,): direction of up in the common
-    frame, default from the person; seed: of the swarm; check: refuse sensors that see different people."""
-
-    method: str = FIT
-    reference: int = 0
-    registered: bool = False
-    per_frame: bool = False
-    window_s: float = 5.0
-    refit_s: float = 1.0
-    diagnose: bool = False
-    up: tuple[float, float, float] | None = None
-    seed: int = 0
-    check: bool = True
-    fit: FitSettings = field(default_factory=FitSettings)
-    swarm: SwarmSettings | None = None
-
-    def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise InputError(f"There is no fusion method {self.method!r}; choose one of {', '.join(METHODS)}.")
-
-    @property
-    def swarm_settings(self) -> SwarmSettings:
-        """The swarm's settings: given ones, else those of the method."""
-        return self.swarm or (PUBLISHED if self.method == PUBLISHED_SWARM else IMPROVED)
-
-
-@dataclass(frozen=True)
-class FusedFrame:
-    """One instant. time s; joint_names (J,): the 15 common ones, then the sensor's others; joints (J, 3) m in the
-    common frame, NaN where never seen; sd (J,) m per axis, NaN where unknown; shares (15, K): what each sensor carried
-    of each common joint (fit: weights; swarm: population); choice (15, K) the swarm's population when it runs as
-    diagnosis; lost; n_sensors with evidence; swapped (K,) sensors whose sides were exchanged; restarted: the swarm
-    began anew."""
-
-    time: float
-    joint_names: tuple[str, ...]
-    joints: Array
-    sd: Array
-    shares: Array
-    choice: Array | None
-    lost: bool
-    n_sensors: int
-    swapped: NDArray[np.bool_]
-    restarted: bool
-
-
-@dataclass(frozen=True)
-class FusionState:
-    """Everything a stream remembers. window: recent (positions, state, time) for the registration; heading: smoothed
-    heading rad; swarm and confidence None unless the swarm runs; fixed_registration: do not refit; rest: indices of the
-    set's joints beyond the common ones; joint_names: of the fused joints."""
-
-    settings: FusionSettings
-    sensor_names: tuple[str, ...]
-    joint_set: jt.JointSet
-    registration: Registration
-    next_refit: float
-    window: tuple[tuple[Array, NDArray[np.uint8], float], ...]
-    fit: FitState
-    swarm: SwarmState | None
-    confidence: ConfidenceState | None
-    up: Array | None
-    heading: float | None
-    fixed_registration: bool
-    rest: NDArray[np.int64]
-    joint_names: tuple[str, ...]
-    frames: int = 0
+__all__ = [
+    "BASELINES",
+    "FIT",
+    "METHODS",
+    "Fused",
+    "FusedFrame",
+    "FusionSettings",
+    "FusionState",
+    "fuse_clip",
+    "start",
+    "step",
+]
 
 
 @dataclass(frozen=True)
@@ -215,12 +153,17 @@ def fuse_clip(
     method: str = FIT,
     settings: FusionSettings | None = None,
     registration: Registration | None = None,
+    *,
+    done: Mapping[str, np.ndarray] | None = None,
+    watch: Callable[[ClipSoFar], None] | None = None,
 ) -> Fused:
     """Fuses the skeletons of one person from a recorded clip.
 
     joints: one per frame, all of the same sensors and joint set (`register.combine` brings different sets together).
     The registration is robust over the whole clip and all joints unless it is given; bone lengths are medians over the
-    clip. InputErrors name frames whose sensors or joints differ, and sensors that see different people."""
+    clip. watch: called after every frame with what is fused so far; what its `arrays` gave is taken as `done` to go on
+    there, which gives the same numbers (the baselines, which take no time, do neither). InputErrors name frames whose
+    sensors or joints differ, and sensors that see different people."""
     if not len(joints):
         raise InputError("There are no frames to fuse; give at least one.")
     s = replace(settings or FusionSettings(), method=method)
@@ -248,9 +191,16 @@ def fuse_clip(
     up = upward(world) if s.up is None else np.array(s.up)
     state = start(joints[0], replace(s, up=tuple(up)), registration, lengths)
     frames: list[FusedFrame] = []
-    for frame in joints:
+    if done is not None:
+        before = restored(done, state)
+        if before.state.frames > len(joints):
+            raise InputError(f"{before.state.frames} frames are fused already, the clip has {len(joints)}.")
+        state, frames = before.state, list(before.frames)
+    for frame in joints[len(frames) :]:
         state, fused = step(state, frame)
         frames.append(fused)
+        if watch is not None:
+            watch(ClipSoFar(state, frames))
     motion = _motion(state.joint_names, frames, times, lengths, s)
     choice = None if frames[0].choice is None else np.stack([f.choice for f in frames if f.choice is not None])
     return Fused(
