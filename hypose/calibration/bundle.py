@@ -22,6 +22,9 @@ from hypose.geometry import Array, se3, skew, so3_exp
 
 IntArray = NDArray[np.int64]
 
+NOISE_PX = 0.3
+"""Standard deviation of a corner's coordinate that is assumed."""
+
 
 @dataclass(frozen=True)
 class Observations:
@@ -94,7 +97,7 @@ def refine(
     free_intrinsics: bool | NDArray[np.bool_] = True,
     fixed_frames: NDArray[np.bool_] | None = None,
     prior: LensPrior | None = None,
-    noise_px: float = 0.3,
+    noise_px: float | Array = NOISE_PX,
     robust_px: float = 1.0,
     iterations: int = 50,
 ) -> Refined:
@@ -102,8 +105,8 @@ def refine(
 
     frames (F, 4, 4) world_from_board at the start; board_points (N, 3) m; free_intrinsics: whether to change K and
     distortion, per camera (C,) or for all; fixed_frames (F,): boards whose poses are known (measured points);
-    noise_px: standard deviation of a corner's coordinate, the weight against the prior; robust_px: errors beyond are
-    weighed down (Huber).
+    noise_px: standard deviation of a corner's coordinate, for all or each (M,); robust_px: errors beyond are weighed
+    down (Huber), more where the noise is more.
     """
     problem = _Problem(cameras, board_points, observations, prior, noise_px, robust_px, free_intrinsics, fixed_frames)
     cams, poses = list(cameras), np.array(frames, dtype=np.float64)
@@ -114,9 +117,10 @@ def refine(
             "with the worst boards and calibrate again."
         )
     damping, done = 1e-3, 0
-    for done in range(1, iterations + 1):
+    while done < iterations:
+        done += 1
         system = problem.normal_equations(cams, poses)
-        improved = False
+        improved, gain = False, 0.0
         for _ in range(8):
             step = problem.solve(system, damping)
             trial = problem.apply(cams, poses, step)
@@ -145,7 +149,7 @@ class _Problem:
         points: Array,
         observations: Observations,
         prior: LensPrior | None,
-        noise: float,
+        noise: float | Array,
         robust: float,
         free: bool | NDArray[np.bool_],
         fixed: NDArray[np.bool_] | None,
@@ -157,7 +161,8 @@ class _Problem:
             observations.pixels[order],
         )
         self.o, self.points, self.prior = o, points, prior or LensPrior()
-        self.noise, self.robust = noise, robust / noise
+        self.robust = robust / NOISE_PX
+        self.noise = np.broadcast_to(np.asarray(noise, dtype=np.float64), (len(order),))[order]
         c = len(cameras)
         self.p = 6 + 4 + max(len(camera.distortion) for camera in cameras)
         self.slices = [slice(*np.searchsorted(o.camera, [i, i + 1])) for i in range(c)]
@@ -194,7 +199,7 @@ class _Problem:
     def cost(self, cameras: Sequence[Camera], frames: Array) -> float:
         total = 0.0
         for camera, s, free in zip(cameras, self.slices, self.free_lens, strict=True):
-            e = np.linalg.norm(self._errors(camera, frames, s), axis=1) / self.noise
+            e = np.linalg.norm(self._errors(camera, frames, s), axis=1) / self.noise[s]
             with np.errstate(over="ignore", invalid="ignore"):
                 total += float(np.where(e <= self.robust, e**2, self.robust * (2 * e - self.robust)).sum())
             if free:
@@ -246,10 +251,11 @@ class _Problem:
         """Weighted: by the camera's unknowns (M, 2, p), by the board's (M, 2, 6), and the errors (M, 2)."""
         turned, x = self._at(camera, frames, s)
         uv, by_point, by_lens = project_with_derivatives(camera, x)
-        e = (self.o.pixels[s] - uv) / self.noise
+        noise = self.noise[s][:, None]
+        e = (self.o.pixels[s] - uv) / noise
         length = np.linalg.norm(e, axis=1)
         weight = np.sqrt(np.minimum(1.0, self.robust / np.maximum(length, 1e-12)))[:, None]
-        scale = (weight / self.noise)[..., None]
+        scale = (weight / noise)[..., None]
         by_point, by_lens = by_point * scale, by_lens * scale
         r, t = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
         jc = np.zeros((len(x), 2, self.p))

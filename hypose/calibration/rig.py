@@ -15,8 +15,9 @@ from itertools import combinations
 import numpy as np
 
 from hypose.calibration.boards import Board, Sighting
-from hypose.calibration.bundle import LensPrior, Observations, Refined, refine
+from hypose.calibration.bundle import NOISE_PX, LensPrior, Observations, Refined, refine
 from hypose.calibration.intrinsics import Lens, board_poses, observe, spread_out
+from hypose.calibration.timing import motion_noise
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError
 from hypose.geometry import Array, se3_inverse, so3_log, transform
@@ -25,6 +26,7 @@ Chooser = Callable[[int, int, Array, Array], float]
 """(camera c, camera d, d_from_c, another d_from_c) -> how much more likely the first is: > 1.1 or < 1 / 1.1 decide"""
 
 _MAX_FRAMES = 120
+_ROUNDS = 8
 _APART = np.deg2rad(8.0)  # relative poses that differ by more are different answers
 _CAP = 0.02  # of the picture's width: errors of a frame count up to this when relative poses are compared
 _DECIDED = 1.3
@@ -229,9 +231,10 @@ def _tree(
             continue
         if ratio < _DECIDED:
             raise CalibrationError(
-                f"The board looks the same turned by 180 degrees and did not move, so it is open which way round camera "
-                f"{names[link.d]} sees it compared with {names[link.c]}, and the floor around it does not tell; move the "
-                "board to a second place, use a board with one even and one odd number of corners, or a ChArUco board."
+                "The board looks the same turned by 180 degrees and did not move, so it is open which way round camera "
+                f"{names[link.d]} sees it compared with {names[link.c]}, and the floor around it does not tell; move "
+                "the board to a second place, use a board with one even and one odd number of corners, or a ChArUco "
+                "board."
             )
         notes.append(
             f"Which way round {names[link.d]} sees the board, which looks the same turned by 180 degrees, was decided "
@@ -246,8 +249,8 @@ def _tree(
         if disagreeing:
             k = max(disagreeing, key=lambda k: k.shared)
             why = (
-                f"{names[k.c]} and {names[k.d]} saw the board together in {k.shared} pictures but these contradict each "
-                "other: the videos are probably not synchronous (give --lag CAMERA=FRAMES, or hypose sync)"
+                f"{names[k.c]} and {names[k.d]} saw the board together in {k.shared} pictures but these contradict "
+                "each other: the videos are probably not synchronous (give --lag CAMERA=FRAMES, or hypose sync)"
             )
         raise CalibrationError(
             f"The cameras cannot be joined: {said}; {why}. Film the board where cameras of both parts see it."
@@ -352,32 +355,54 @@ def _refined(
         for f, s in seen.items():
             boards[f] = se3_inverse(cameras[c].camera_from_world) @ board_poses(cameras[c], s, board.points)[0][0]
     seen = {c: {**named.sightings[c], **extra.get(c, {})} for c in range(len(cameras))}
-    obs = observe(seen, all_frames)
-    obs = obs.keep(_in_front(cameras, boards, all_frames, board, obs))
+    seen = {
+        c: {f: s for f, s in v.items() if f in boards and _in_front(cameras[c], boards[f], board)}
+        for c, v in seen.items()
+    }
+    alone = [board_poses(cameras[c], s, board.points)[0][1] for c in seen for f, s in seen[c].items() if f in frames]
     free = np.array([o.free_intrinsics and not n.given for n in lenses])
     dropped: list[tuple[int, int]] = []
-    start = np.stack([boards[f] for f in all_frames])
+    moving: dict[tuple[int, int], float] = {}
     result: Refined | None = None
-    for attempt in range(4):
-        result = refine(
-            cameras, start, board.points, obs, free_intrinsics=free, prior=o.prior, robust_px=2.0 if attempt else 5.0
+    obs = observe(seen, all_frames)
+    start_shape = (len(cameras), len(all_frames))
+    for attempt in range(_ROUNDS):
+        start = np.stack([boards[f] for f in all_frames])
+        motion = np.array(
+            [moving.get((int(c), all_frames[f]), 0.0) for c, f in zip(obs.camera, obs.frame, strict=True)]
         )
-        cameras, start = result.cameras, result.frames
-        error, count = _by_view(obs, result.residuals, len(cameras), len(all_frames))
+        result = refine(
+            cameras,
+            start,
+            board.points,
+            obs,
+            free_intrinsics=free,
+            prior=o.prior,
+            noise_px=np.hypot(NOISE_PX, motion),
+            robust_px=2.0 if attempt else 5.0,
+        )
+        cameras = result.cameras
+        boards = dict(zip(all_frames, result.frames, strict=True))
+        if attempt == _ROUNDS - 1:
+            break
+        error, _ = _by_view(obs, result.residuals / (np.hypot(NOISE_PX, motion) / NOISE_PX)[:, None], *start_shape)
         limit = max(4 * float(np.nanmedian(error)), 0.8)
         bad = np.nan_to_num(error) > limit
-        if attempt and not bad.any():
+        # the worst first: what they bend must not count against the others
+        bad &= np.nan_to_num(error) >= np.nanmax(error) / 3
+        gone = [(int(c), all_frames[f]) for c, f in np.argwhere(bad)]
+        rest = {c: {f: s for f, s in v.items() if (c, f) not in gone} for c, v in seen.items()}
+        if gone and all(rest.values()):
+            seen, dropped = rest, dropped + gone
+            obs = observe(seen, all_frames)
+        elif attempt and (moving or not gone):
             break
-        if attempt < 3 and bad.any():
-            # the worst first: what they bend must not count against the others
-            bad &= np.nan_to_num(error) >= np.nanmax(error) / 3
-            keep = ~bad[obs.camera, obs.frame]
-            if len(np.unique(obs.camera[keep])) < len(cameras):
-                break
-            dropped += [(int(c), all_frames[f]) for c, f in np.argwhere(bad)]
-            obs = obs.keep(keep)
+        # each camera by itself fits its boards, together they do not: the instants differ
+        if moving or result.rms_px > max(1.5 * float(np.median(alone)), NOISE_PX):
+            together = {f: p for f, p in boards.items() if f >= 0}
+            moving = motion_noise(cameras, together, {c: _filmed(v) for c, v in seen.items()}, board)
     assert result is not None
-    error, count = _by_view(obs, result.residuals, len(cameras), len(all_frames))
+    error, count = _by_view(obs, result.residuals, *start_shape)
     per_camera = np.sqrt(np.nansum(error**2 * count, 1) / np.maximum(count.sum(1), 1))
     errors = {
         (c, f): float(error[c, k])
@@ -387,6 +412,13 @@ def _refined(
         if count[c, k]
     }
     used = {c: {f: s for f, s in named.sightings[c].items() if (c, f) in errors} for c in range(len(cameras))}
+    if moving:
+        notes = (
+            *notes,
+            f"Each camera by itself fits its boards to {np.median(alone):.2f} px, all together to "
+            f"{result.rms_px:.2f} px: the pictures were not taken at quite the same instant, so boards that move count "
+            "less; hold the board still for a moment in many places, and see hypose sync.",
+        )
     return RigCalibration(
         CameraRig(tuple(result.cameras)),
         {f: result.frames[k] for k, f in enumerate(all_frames) if f >= 0 and count[:, k].any()},
@@ -402,15 +434,14 @@ def _refined(
     )
 
 
-def _in_front(
-    cameras: Sequence[Camera], boards: Mapping[int, Array], frames: Sequence[int], board: Board, obs: Observations
-) -> np.ndarray:
-    """(M,) bool: corners of boards that lie in front of the cameras that saw them."""
-    ok = np.zeros((len(cameras), len(frames)), bool)
-    for c, camera in enumerate(cameras):
-        for k, f in enumerate(frames):
-            ok[c, k] = bool((transform(camera.camera_from_world @ boards[f], board.points)[:, 2] > 0.01).all())
-    return ok[obs.camera, obs.frame]
+def _in_front(camera: Camera, world_from_board: Array, board: Board) -> bool:
+    """Whether the whole board lies in front of the camera."""
+    return bool((transform(camera.camera_from_world @ world_from_board, board.points)[:, 2] > 0.01).all())
+
+
+def _filmed(seen: Mapping[int, Sighting]) -> dict[int, Sighting]:
+    """Without the pictures taken for the lens, which have no common time."""
+    return {f: s for f, s in seen.items() if f >= 0}
 
 
 def _by_view(obs: Observations, residuals: Array, c: int, f: int) -> tuple[Array, Array]:
