@@ -227,12 +227,8 @@ _GESTURES = {
 def _annotated(puppet: Puppet, name: str, do: _Doer) -> Array:
     """The point on the surface that a gesture is annotated at."""
     lead, other = do.lead, do.other
-    if name == "tee":
-        return puppet.finger_end(other, 2) + 0.5 * (puppet.at(f"{lead}_middle_1") - puppet.finger_end(other, 2)) * [
-            1,
-            1,
-            0,
-        ]
+    if name == "tee":  # where the fingers of the upright hand meet the flat one
+        return puppet.finger_end(other, 2) + do.chest @ np.array([0, -0.01, 0.01])
     if name == "cross":  # where the front forearm passes before the other
         a, b = puppet.at(f"{lead}_elbow"), puppet.at(f"{lead}_wrist")
         c, d = puppet.at(f"{other}_elbow"), puppet.at(f"{other}_wrist")

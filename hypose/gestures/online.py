@@ -30,13 +30,13 @@ class LearnSettings:
     asked while it learns."""
 
     positives: int = 20
-    beside: int = 5
+    beside: int = 8
     hard: int = 30
     few: int = 2
     many: int = 10
-    box_mm: float = 25.0
+    box_mm: float = 15.0
     surface_mm: float = 80.0
-    clear_mm: float = 84.0
+    clear_mm: float = 45.0
     look: LocaliseSettings = LocaliseSettings(ScanPlan(stride=8, coarse=0), sigma_px=10.0)
 
 

@@ -1,0 +1,209 @@
+"""A trained gesture as arrays and plain values: what a model file holds, checked when it comes back."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.compute.forests import GrowingArrays
+from hypose.errors import InputError
+from hypose.gestures.forest import MAX_CLASSES, Forest, ForestSettings, GrowingForest
+from hypose.gestures.localise import LocaliseSettings
+from hypose.gestures.online import Learner, LearnSettings
+
+FORMAT, VERSION = "hypose-gesture", 1
+_KINDS = {
+    "test": ("<i2", 3), "left": ("<i2", 2), "count": ("<u4", 3), "level": ("|u1", 2), "slot": ("<i2", 2),
+    "size": ("<i4", 1), "free": ("<i2", 2), "n_free": ("<i4", 1), "candidate": ("<i2", 4), "left_count": ("<u2", 4),
+    "total": ("<i4", 3), "random": ("<u8", 1), "tally": ("<i8", 1),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class GestureModel:
+    """names: of gesture 1, 2, ...; forest: finished or still growing; thresholds: per gesture (cm^2), None = not known
+    yet; settings: how it looks; learner: what teaching needs to go on (None for a finished forest); history: what it
+    was trained on, plain values."""
+
+    names: tuple[str, ...]
+    forest: Forest | GrowingForest
+    thresholds: tuple[float | None, ...]
+    settings: LocaliseSettings
+    learner: Learner | None = None
+    history: tuple[Mapping[str, Any], ...] = ()
+
+    def __post_init__(self) -> None:
+        if len(self.names) != self.forest.classes - 1 or len(self.thresholds) != len(self.names):
+            raise InputError(
+                f"A model of {self.forest.classes - 1} gestures has {len(self.names)} names and {len(self.thresholds)} "
+                "thresholds; it needs one of each per gesture."
+            )
+        for name in self.names:
+            if not 1 <= len(name) <= 64 or not all(c.isalnum() or c in "_-" for c in name):
+                raise InputError(f"{name!r} is no name for a gesture; use up to 64 letters, digits, - and _.")
+
+    def with_thresholds(self, *thresholds: float | None) -> GestureModel:
+        """The model with other thresholds."""
+        return replace(self, thresholds=thresholds)
+
+
+def to_arrays(model: GestureModel) -> dict[str, NDArray]:
+    """Arrays for an .npz: the forest's, and "description", one JSON text."""
+    f = model.forest
+    growing = isinstance(f, GrowingForest)
+    if growing:
+        arrays = {name: np.asarray(a) for name, a in f.arrays._asdict().items()}
+    else:
+        arrays = {"test": f.test, "left": f.left, "count": f.count, "size": f.size}
+    look = model.settings
+    value: dict[str, Any] = {
+        "format": FORMAT,
+        "version": VERSION,
+        "growing": growing,
+        "names": list(model.names),
+        "thresholds": list(model.thresholds),
+        "forest": asdict(f.settings),
+        "look": {
+            **{k.name: getattr(look, k.name) for k in fields(look) if k.name != "plan"},
+            "plan": asdict(look.plan),
+        },
+        "history": [dict(h) for h in model.history],
+    }
+    if model.learner is not None:
+        state = model.learner.rng.bit_generator.state
+        value["learner"] = {
+            "random": state,
+            "strength": {str(k): v for k, v in model.learner.strength.items()},
+            "settings": {k: v for k, v in asdict(model.learner.settings).items() if k != "look"},
+        }
+    return {**arrays, "description": np.array(json.dumps(value, sort_keys=True))}
+
+
+def from_arrays(arrays: Mapping[str, NDArray]) -> GestureModel:
+    """The model of `to_arrays`; ValueError with a short reason when it is none or cannot be walked safely."""
+    value = _description(arrays)
+    settings = _made(ForestSettings, value.get("forest"))
+    growing = value.get("growing") is True
+    names = GrowingArrays._fields if growing else ("test", "left", "count", "size")
+    taken = {name: _array(arrays, name) for name in names}
+    _check_trees(taken, settings)
+    if growing:
+        _check_growing(taken, settings)
+        forest: Forest | GrowingForest = GrowingForest(settings, GrowingArrays(**taken))
+    else:
+        forest = Forest(settings, taken["test"], taken["left"], taken["count"], taken["size"])
+    look = dict(value.get("look") or {})
+    plan = _made(type(LocaliseSettings().plan), look.pop("plan", {}))
+    looking = replace(_made(LocaliseSettings, look), plan=plan)
+    learner = None
+    if growing and isinstance(forest, GrowingForest):
+        learner = _learner(value.get("learner"), forest)
+    thresholds = tuple(None if t is None else float(t) for t in value.get("thresholds") or ())
+    history = tuple(h for h in value.get("history") or () if isinstance(h, dict))
+    given = value.get("names")
+    if not isinstance(given, list) or not all(isinstance(n, str) for n in given):
+        raise ValueError("it has no names of gestures")
+    return GestureModel(tuple(given), forest, thresholds, looking, learner, history)
+
+
+def _description(arrays: Mapping[str, NDArray]) -> dict[str, Any]:
+    text = arrays.get("description")
+    if text is None or text.dtype.kind != "U" or text.ndim:
+        raise ValueError("it has no description")
+    try:
+        value = json.loads(str(text))
+    except (ValueError, RecursionError):
+        raise ValueError("its description is no JSON") from None
+    if not isinstance(value, dict) or value.get("format") != FORMAT:
+        raise ValueError("it is no gesture model")
+    if value.get("version") != VERSION:
+        raise ValueError(f"it is of version {value.get('version')}, this hypose reads version {VERSION}")
+    return value
+
+
+def _made(kind: type, value: Any) -> Any:
+    known = {f.name for f in fields(kind)}
+    if not isinstance(value, dict) or not set(value) <= known:
+        raise ValueError(f"its {kind.__name__} is not understood")
+    for v in value.values():
+        if v is not None and not isinstance(v, bool | int | float):
+            raise ValueError(f"its {kind.__name__} holds {v!r}")
+    try:
+        return kind(**value)
+    except (InputError, TypeError) as error:
+        raise ValueError(str(error).rstrip(".")) from None
+
+
+def _array(arrays: Mapping[str, NDArray], name: str) -> NDArray:
+    dtype, dimensions = _KINDS[name]
+    a = arrays.get(name)
+    if a is None or a.dtype != np.dtype(dtype) or a.ndim != dimensions:
+        raise ValueError(f"its {name} is missing or of another kind")
+    return np.require(a, np.dtype(dtype).newbyteorder("="), ["C", "W", "A"])
+
+
+def _check_trees(a: Mapping[str, NDArray], s: ForestSettings) -> None:
+    """Nothing that the compiled code follows may lead outside an array or run in a circle."""
+    test, left, count, size = a["test"], a["left"], a["count"], a["size"]
+    nt, n = left.shape
+    if nt != s.trees or n < 1 or test.shape != (nt, n, 5) or count.shape[:2] != (nt, n) or size.shape != (nt,):
+        raise ValueError("its arrays do not fit each other")
+    if not 2 <= count.shape[2] <= MAX_CLASSES:
+        raise ValueError(f"it has {count.shape[2]} classes")
+    if size.min() < 1 or size.max() > n:
+        raise ValueError("it has more nodes than it holds")
+    inner = left >= 0
+    number = np.arange(n)[None]
+    if (inner & (number >= size[:, None])).any() or (left < -1).any():
+        raise ValueError("a node lies outside its tree")
+    if (inner & ((left <= number) | (left + 1 >= size[:, None]))).any():
+        raise ValueError("a node's children do not lie behind it in its tree")
+    if np.abs(test[..., :4].astype(np.int32)).max(initial=0) > s.reach_mm:
+        raise ValueError("a test reaches farther than reach_mm")
+
+
+def _check_growing(a: Mapping[str, NDArray], s: ForestSettings) -> None:
+    nt, n = a["left"].shape
+    c, slots = a["count"].shape[2], a["free"].shape[1]
+    shapes = {
+        "level": (nt, n),
+        "slot": (nt, n),
+        "free": (nt, slots),
+        "n_free": (nt,),
+        "candidate": (nt, slots, s.candidates, 5),
+        "left_count": (nt, slots, s.candidates, c),
+        "total": (nt, slots, c),
+        "random": (nt,),
+        "tally": (2,),
+    }
+    if any(a[k].shape != shape for k, shape in shapes.items()) or n > s.most_nodes or slots > s.most_slots:
+        raise ValueError("its arrays do not fit each other")
+    if np.abs(a["candidate"][..., :4].astype(np.int32)).max(initial=0) > s.reach_mm:
+        raise ValueError("a test reaches farther than reach_mm")
+    for t in range(nt):
+        free = a["free"][t, : max(0, int(a["n_free"][t]))]
+        used = a["slot"][t, : a["size"][t]]
+        both = np.concatenate([free, used[used >= 0]])
+        if not 0 <= a["n_free"][t] <= slots or sorted(both.tolist()) != list(range(slots)):
+            raise ValueError("its slots are not all accounted for")
+
+
+def _learner(value: Any, forest: GrowingForest) -> Learner:
+    if not isinstance(value, dict):
+        raise ValueError("it has no state of learning")
+    settings, strength = _made(LearnSettings, value.get("settings")), value.get("strength")
+    if not isinstance(strength, dict) or not all(
+        k.isdigit() and isinstance(v, int | float) and np.isfinite(v) for k, v in strength.items()
+    ):
+        raise ValueError("its strengths are not understood")
+    rng = np.random.default_rng()
+    try:
+        rng.bit_generator.state = value.get("random")
+    except (TypeError, ValueError, KeyError, OverflowError):
+        raise ValueError("its random numbers are not understood") from None
+    return Learner(forest, rng, settings, {int(k): float(v) for k, v in strength.items()})

@@ -1,0 +1,159 @@
+"""The training session as a pure state machine: what the person is asked to do, what is learned, the threshold.
+
+Alcoverro 2014, 3.4, Fig. 3.10: do gesture, update positive, release, do negatives, repeated, then test. A step takes
+the time and the commands given since the last one and returns the next state and an instruction; drawing, learning and
+recording belong to whoever drives it, so that a session can be replayed exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from hypose.errors import InputError
+
+Phase = Literal["do_gesture", "positive", "release", "negative", "test"]
+Command = Literal["next", "undo", "pause", "continue", "again", "test"]
+COMMANDS: tuple[Command, ...] = ("next", "undo", "pause", "continue", "again", "test")
+_AFTER: dict[Phase, Phase] = {
+    "do_gesture": "positive",
+    "positive": "release",
+    "release": "negative",
+    "negative": "do_gesture",
+    "test": "test",
+}
+_PROMPTS: dict[Phase, str] = {
+    "do_gesture": "Do the gesture in the box",
+    "positive": "Hold it, with small variations",
+    "release": "Release",
+    "negative": "Do anything else",
+    "test": "Test",
+}
+
+
+@dataclass(frozen=True)
+class SessionSettings:
+    """Seconds of every phase; rounds until the test; sigma: share of the newest frame in the moving averages of the
+    threshold; rho: weight of the positive one (0.8: few false alarms)."""
+
+    do_gesture_s: float = 3.0
+    positive_s: float = 5.0
+    release_s: float = 2.0
+    negative_s: float = 8.0
+    rounds: int = 10
+    sigma: float = 0.9
+    rho: float = 0.8
+
+    def __post_init__(self) -> None:
+        times = (self.do_gesture_s, self.positive_s, self.release_s, self.negative_s)
+        if min(times) < 0 or max(times) > 600 or not 1 <= self.rounds <= 1000:
+            raise InputError("A session's phases last 0 to 600 s each, and it has 1 to 1000 rounds.")
+        if not (0 < self.sigma <= 1 and 0 <= self.rho <= 1):
+            raise InputError(f"sigma is {self.sigma} and rho {self.rho}; both must be between 0 and 1.")
+
+    def seconds(self, phase: Phase) -> float:
+        """How long a phase lasts; the test does not end."""
+        return float("inf") if phase == "test" else float(getattr(self, f"{phase}_s"))
+
+    @property
+    def total_s(self) -> float:
+        """Length of the whole session."""
+        return self.rounds * (self.do_gesture_s + self.positive_s + self.release_s + self.negative_s)
+
+
+@dataclass(frozen=True)
+class Session:
+    """phase, entered at a time (s), in a round (from 0); segment: number of the learning segment, counted up whenever
+    one begins; paused since; undone: segments that were taken back; high, low: the moving averages th+ and th- with
+    which the threshold is made, and what they were when the segment began (for undo)."""
+
+    phase: Phase = "do_gesture"
+    entered: float = 0.0
+    round: int = 0
+    segment: int = 0
+    paused: float | None = None
+    undone: tuple[int, ...] = ()
+    high: float | None = None
+    low: float | None = None
+    before: tuple[float | None, float | None] = (None, None)
+
+    def threshold(self, settings: SessionSettings) -> float | None:
+        """rho th+ + (1 - rho) th-; None before both have been seen."""
+        if self.high is None or self.low is None:
+            return None
+        return settings.rho * self.high + (1 - settings.rho) * self.low
+
+
+@dataclass(frozen=True)
+class Instruction:
+    """What to do in this frame: show the prompt and the time left (s; inf in the test), learn the gesture in the box,
+    learn negatives, or nothing; segment: which one the frame belongs to (0 = none); restart: the forest must go back to
+    where the last segment began."""
+
+    phase: Phase
+    prompt: str
+    left_s: float
+    learn: Literal["gesture", "negative"] | None
+    segment: int
+    restart: bool = False
+
+
+def step(
+    session: Session, settings: SessionSettings, time: float, commands: Sequence[Command] = ()
+) -> tuple[Session, Instruction]:
+    """The session at a time (s), after commands: next phase now; undo the last learned segment; pause and continue;
+    again (another round); test."""
+    s, restart = session, False
+    for c in commands:
+        if c not in COMMANDS:
+            raise InputError(f"There is no command {c!r}; the commands are {', '.join(COMMANDS)}.")
+        if c == "pause" and s.paused is None:
+            s = replace(s, paused=time)
+        elif c == "continue" and s.paused is not None:
+            s = replace(s, entered=s.entered + time - s.paused, paused=None)
+        elif c == "next" and s.phase != "test":
+            s = _enter(s, _AFTER[s.phase], time)
+        elif c == "again":
+            s = _enter(s, "do_gesture", time)
+        elif c == "test":
+            s = _enter(s, "test", time)
+        elif c == "undo" and s.segment > 0 and s.segment not in s.undone:
+            high, low = s.before
+            back: Phase = "release" if s.phase == "negative" else "do_gesture" if s.phase == "positive" else s.phase
+            s = replace(s, undone=(*s.undone, s.segment), high=high, low=low, phase=back, entered=time)
+            restart = True
+    if s.paused is None:
+        # a slow frame may skip a phase of no length, but never a learning phase without a frame in it
+        for _ in range(4):
+            if time - s.entered < settings.seconds(s.phase):
+                break
+            s = _enter(s, _AFTER[s.phase], s.entered + settings.seconds(s.phase))
+            if s.phase == "do_gesture" and s.round + 1 >= settings.rounds:
+                s = _enter(s, "test", time)
+            elif s.phase == "do_gesture":
+                s = replace(s, round=s.round + 1)
+            if s.phase in ("positive", "negative"):
+                s = replace(s, entered=time)
+                break
+    learns: dict[str, Literal["gesture", "negative"]] = {"positive": "gesture", "negative": "negative"}
+    learn = learns.get(s.phase) if s.paused is None else None
+    prompt = "Paused" if s.paused is not None else _PROMPTS[s.phase]
+    left = settings.seconds(s.phase) - ((time if s.paused is None else s.paused) - s.entered)
+    return s, Instruction(s.phase, prompt, max(0.0, left), learn, s.segment if learn else 0, restart)
+
+
+def observe(session: Session, settings: SessionSettings, maximum: float) -> Session:
+    """Take the forest's maximum in a frame into the moving average of its phase (th+ or th-)."""
+    if session.paused is not None or session.phase not in ("positive", "negative"):
+        return session
+    name = "high" if session.phase == "positive" else "low"
+    old = getattr(session, name)
+    new = maximum if old is None else settings.sigma * maximum + (1 - settings.sigma) * old
+    return replace(session, high=new) if name == "high" else replace(session, low=new)
+
+
+def _enter(s: Session, phase: Phase, time: float) -> Session:
+    if phase in ("positive", "negative"):
+        return replace(s, phase=phase, entered=time, segment=s.segment + 1, before=(s.high, s.low))
+    return replace(s, phase=phase, entered=time)

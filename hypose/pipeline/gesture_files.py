@@ -1,0 +1,300 @@
+"""Gestures on disk: model files (one .npz without pickle) and recordings of sessions.
+
+A recording is a folder: session.json {"format": "hypose-gesture-session", "version": 1, "gestures": [names], "lens":
+[fx, fy, cx, cy], "size": [width, height], "settings": {...}}; frames.csv frame,time,file,phase,segment,gesture,x,y (one
+row per depth picture: the phase it was taken in; the number of its learning segment, 0 = none; the gesture, from 1 on,
+and the box's centre where it was learned as one); actions.csv time,action,detail (everything the user did; "undo N"
+takes segment N back); depth/ with 16-bit PNG in millimetres. It can be learned from again, offline or online.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from hypose.compute.forests import Depth
+from hypose.errors import InputError
+from hypose.gestures import model as model_arrays
+from hypose.gestures.model import GestureModel
+from hypose.gestures.online import Example
+from hypose.gestures.pictures import Lens
+from hypose.io.depth import read_depth_png, write_depth_png
+from hypose.io.files import text_lines
+from hypose.io.results import _load_arrays, _write_archive, to_json
+
+FORMAT = "hypose-gesture-session"
+PHASES = ("do_gesture", "positive", "release", "negative", "test", "free")
+_FRAMES = ["frame", "time", "file", "phase", "segment", "gesture", "x", "y"]
+MAX_FRAMES = 1_000_000
+MAX_GESTURES = 16
+
+
+def save_model(model: GestureModel, path: str | Path) -> None:
+    """Write a model file; equal models give equal bytes."""
+    _write_archive(path, model_arrays.to_arrays(model))
+
+
+def load_model(path: str | Path) -> GestureModel:
+    """Read a model file; an InputError says what is wrong with it. A growing forest goes on growing bit for bit."""
+    path = Path(path)
+    step = "give a model that `hypose gesture train` wrote"
+    arrays = _load_arrays(path, "gesture model", step)
+    try:
+        return model_arrays.from_arrays(arrays)
+    except (ValueError, InputError) as error:
+        reason = str(error).rstrip(".")
+        raise InputError(f"{path} is not a gesture model of hypose, or is damaged: {reason}; {step}.") from None
+
+
+@dataclass(frozen=True)
+class RecordedFrame:
+    """One depth picture of a recording: its file, and what it was for (see the module)."""
+
+    index: int
+    time: float
+    file: Path
+    phase: str
+    segment: int
+    gesture: int
+    x: float
+    y: float
+
+    def depth(self) -> Depth:
+        """The picture (h, w) uint16 mm; InputError names the file when it cannot be read."""
+        return np.rint(read_depth_png(self.file) * 1000).astype(np.uint16)
+
+
+@dataclass(frozen=True)
+class GestureRecording:
+    """A recorded session: frames in the order of time; undone: segments that were taken back."""
+
+    folder: Path
+    gestures: tuple[str, ...]
+    lens: Lens
+    size: tuple[int, int]
+    frames: tuple[RecordedFrame, ...]
+    undone: frozenset[int]
+    settings: Mapping[str, Any]
+
+    def number(self, name: str) -> int:
+        """Number of a gesture by its name; an InputError lists the names."""
+        if name not in self.gestures:
+            raise InputError(f"{self.folder} has no gesture {name!r}; it has {', '.join(self.gestures)}.")
+        return self.gestures.index(name) + 1
+
+    def learned(self) -> list[RecordedFrame]:
+        """Frames of learning segments that were not taken back."""
+        return [f for f in self.frames if f.phase in ("positive", "negative") and f.segment not in self.undone]
+
+    def examples(self, name: str) -> Iterator[Example]:
+        """What a forest for one gesture learns from, in the order of time: others are background."""
+        number = self.number(name)
+        for f in self.learned():
+            depth = self._checked(f)
+            if f.phase == "positive" and f.gesture == number:
+                yield Example(depth, self.lens, 1, f.x, f.y)
+            else:
+                yield Example(depth, self.lens)
+
+    def pictures(self) -> Iterator[tuple[RecordedFrame, Depth]]:
+        """Every frame with its picture."""
+        for f in self.frames:
+            yield f, self._checked(f)
+
+    def _checked(self, frame: RecordedFrame) -> Depth:
+        depth = frame.depth()
+        if depth.shape != (self.size[1], self.size[0]):
+            raise InputError(
+                f"{frame.file} has {depth.shape[1]} x {depth.shape[0]} pixels, session.json says {self.size[0]} x "
+                f"{self.size[1]}; all pictures of a recording must have one size."
+            )
+        return depth
+
+
+def read_recording(folder: str | Path) -> GestureRecording:
+    """Read a recording; an InputError names the file and line that cannot be used."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(f"{folder} is not a folder; give the folder of a recorded gesture session.")
+    path = folder / "session.json"
+    try:
+        value = json.loads("\n".join(text_lines(path, "a session.json", 1 << 20)))
+    except (ValueError, RecursionError):
+        raise InputError(f"{path} is no JSON; it must hold what hypose wrote.") from None
+    if not isinstance(value, dict) or value.get("format") != FORMAT or value.get("version") != 1:
+        raise InputError(f'{path} is no gesture session; it must say "format": "{FORMAT}", "version": 1.')
+    gestures, lens, size = value.get("gestures"), value.get("lens"), value.get("size")
+    if (
+        not isinstance(gestures, list)
+        or not len(gestures) <= MAX_GESTURES
+        or not all(isinstance(g, str) for g in gestures)
+    ):
+        raise InputError(f"{path}: gestures must be a list of at most {MAX_GESTURES} names.")
+    if not isinstance(lens, list) or len(lens) != 4 or not all(isinstance(v, int | float) for v in lens):
+        raise InputError(f"{path}: lens must be fx, fy, cx, cy in pixels.")
+    if not isinstance(size, list) or len(size) != 2 or not all(isinstance(v, int) and v > 0 for v in size):
+        raise InputError(f"{path}: size must be width and height in pixels.")
+    frames = _read_frames(folder, len(gestures))
+    settings = value.get("settings")
+    return GestureRecording(
+        folder,
+        tuple(gestures),
+        Lens(*(float(v) for v in lens)),
+        (size[0], size[1]),
+        tuple(frames),
+        _undone(folder / "actions.csv"),
+        settings if isinstance(settings, dict) else {},
+    )
+
+
+def _read_frames(folder: Path, gestures: int) -> list[RecordedFrame]:
+    path = folder / "frames.csv"
+    lines = text_lines(path, "a frames.csv")
+    if not lines or lines[0].split(",") != _FRAMES:
+        raise InputError(f"{path}: the first line must be {','.join(_FRAMES)}.")
+    out: list[RecordedFrame] = []
+    if len(lines) > MAX_FRAMES:
+        raise InputError(f"{path} has {len(lines)} frames, at most {MAX_FRAMES} are read; cut it into pieces.")
+    for number, line in enumerate(lines[1:], 2):
+        if not line.strip():
+            continue
+        cells = line.split(",")
+        try:
+            frame, time, file, phase, segment, gesture, x, y = cells
+            row = RecordedFrame(
+                int(frame), float(time), folder / file, phase, int(segment), int(gesture), float(x), float(y)
+            )
+        except ValueError:
+            if number == len(lines):  # the line that was being written when the power went
+                break
+            raise InputError(f"{path}, line {number}: {line!r} is no frame; it must be {','.join(_FRAMES)}.") from None
+        outside = Path(file).is_absolute() or ".." in Path(file).parts
+        if outside or phase not in PHASES or not 0 <= row.gesture <= gestures or not math.isfinite(row.time):
+            raise InputError(
+                f"{path}, line {number}: {line!r} is no frame; files lie in the folder, phases are {', '.join(PHASES)},"
+                f" gestures 0 to {gestures}."
+            )
+        out.append(row)
+    if not out:
+        raise InputError(f"{path} has no frames; record some.")
+    return out
+
+
+def _undone(path: Path) -> frozenset[int]:
+    if not path.exists():
+        return frozenset()
+    out = set()
+    for line in text_lines(path, "an actions.csv")[1:]:
+        cells = line.split(",")
+        if len(cells) == 3 and cells[1] == "undo" and cells[2].isdigit():
+            out.add(int(cells[2]))
+    return frozenset(out)
+
+
+class SessionWriter:
+    """Records a session while it goes on; what was written so far can be read at any time."""
+
+    def __init__(
+        self,
+        folder: str | Path,
+        gestures: Sequence[str],
+        lens: Lens,
+        size: tuple[int, int],
+        settings: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.folder = Path(folder)
+        if self.folder.is_file() or (self.folder.is_dir() and any(self.folder.iterdir())):
+            raise InputError(f"{self.folder} is not empty; give a new folder to record to.")
+        value = {
+            "format": FORMAT,
+            "version": 1,
+            "gestures": list(gestures),
+            "lens": [lens.fx, lens.fy, lens.cx, lens.cy],
+            "size": list(size),
+            "settings": dict(settings or {}),
+        }
+        try:
+            (self.folder / "depth").mkdir(parents=True, exist_ok=True)
+            (self.folder / "session.json").write_text(to_json(value), encoding="utf-8", newline="\n")
+            self._frames = self._open("frames.csv", _FRAMES)
+            self._actions = self._open("actions.csv", ["time", "action", "detail"])
+        except OSError as error:
+            raise self._failed(error) from None
+        self._count = 0
+
+    def _open(self, name: str, header: Sequence[str]) -> IO[str]:
+        stream = (self.folder / name).open("w", encoding="utf-8", newline="\n")
+        stream.write(",".join(header) + "\n")
+        return stream
+
+    def _failed(self, error: OSError) -> InputError:
+        reason = (error.strerror or str(error)).lower()
+        return InputError(f"{self.folder} cannot be written ({reason}); choose another folder to record to.")
+
+    def add(
+        self,
+        time: float,
+        depth: Depth,
+        phase: str = "free",
+        segment: int = 0,
+        gesture: int = 0,
+        at: tuple[float, float] = (-1.0, -1.0),
+    ) -> None:
+        """One picture (h, w) uint16 mm of a time (s), with what it was for."""
+        file = f"depth/{self._count:06d}.png"
+        write_depth_png(self.folder / file, depth.astype(np.float64) / 1000)
+        try:
+            self._frames.write(f"{self._count},{time:.6f},{file},{phase},{segment},{gesture},{at[0]:.2f},{at[1]:.2f}\n")
+            self._frames.flush()
+        except OSError as error:
+            raise self._failed(error) from None
+        self._count += 1
+
+    def act(self, time: float, action: str, detail: str = "") -> None:
+        """Something the user did; "undo" with the number of the segment."""
+        try:
+            self._actions.write(f"{time:.6f},{action},{detail}\n")
+            self._actions.flush()
+        except OSError as error:
+            raise self._failed(error) from None
+
+    def close(self) -> None:
+        """Close the files."""
+        self._frames.close()
+        self._actions.close()
+
+
+def export_model(model: GestureModel, folder: str | Path) -> list[Path]:
+    """forest.npz, forest.json and gesture_runtime.py: a finished forest and the plain numpy program that runs it."""
+    from importlib import resources
+
+    from hypose.gestures.forest import GrowingForest
+    from hypose.io.files import write_text
+
+    forest = model.forest.freeze() if isinstance(model.forest, GrowingForest) else model.forest
+    packed, look = forest.packed, model.settings
+    description = {
+        "format": "hypose-forest",
+        "version": 1,
+        "gestures": list(model.names),
+        "clip_mm": forest.settings.clip,
+        "reach_mm": forest.settings.reach_mm,
+        "sigma_px": look.sigma_px,
+        "majority": look.majority,
+        "disc_mm": look.disc_mm,
+        "near_mm": look.plan.near_mm,
+        "far_mm": look.plan.far_mm,
+        "thresholds": list(model.thresholds),
+    }
+    out = [Path(folder) / name for name in ("forest.npz", "forest.json", "gesture_runtime.py")]
+    arrays = {"test": packed.records[..., :5], "left": packed.records[..., 5], "share": packed.shares}
+    _write_archive(out[0], {k: np.ascontiguousarray(v) for k, v in arrays.items()})
+    write_text(out[1], to_json(description))
+    write_text(out[2], resources.files("hypose.gestures").joinpath("runtime.py").read_text("utf-8"))
+    return out

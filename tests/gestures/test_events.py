@@ -1,0 +1,57 @@
+"""Events: hold, hysteresis, once, rest."""
+
+from __future__ import annotations
+
+import pytest
+
+from hypose.errors import InputError
+from hypose.gestures.events import EventSettings, EventState, step
+from hypose.gestures.localise import Found
+
+SETTINGS = [EventSettings(10.0, release=0.6, hold_s=0.15, let_go_s=0.15, refractory_s=0.5)]
+
+
+def run(scores, rate=20.0, settings=SETTINGS):
+    state, out = EventState(), []
+    for k, s in enumerate(scores):
+        state, events = step(state, [Found(1, 5.0, 6.0, s, None)], k / rate, settings)
+        out += [(e.kind, round(e.time, 3)) for e in events]
+    return out, state
+
+
+def test_a_held_gesture_starts_once_and_ends_once():
+    events, state = run([0] * 5 + [15] * 40 + [0] * 10)
+    assert events == [("start", 0.4), ("end", 2.4)]
+    assert state.active() == []
+
+
+def test_a_flash_is_no_gesture():
+    assert run([0, 20, 20, 0, 0, 20, 0])[0] == []
+
+
+def test_between_the_two_thresholds_nothing_changes():
+    assert run([7] * 40)[0] == []
+    events, state = run([12] * 10 + [7] * 40)
+    assert events == [("start", 0.15)] and state.active() == [1]
+
+
+def test_rest_after_the_end():
+    scores = [15] * 10 + [0] * 6 + [15] * 40
+    events, _ = run(scores)
+    (_, ended), (kind, again) = events[1], events[2]
+    assert kind == "start" and again - ended >= 0.5 + 0.15 - 1e-6
+
+
+def test_gestures_do_not_disturb_each_other():
+    state, seen = EventState(), []
+    for k in range(20):
+        found = [Found(1, 0.0, 0.0, 15.0 if k < 10 else 0.0, None), Found(2, 0.0, 0.0, 15.0, None)]
+        state, events = step(state, found, k / 20, SETTINGS * 2)
+        seen += [(e.kind, e.gesture) for e in events]
+    assert seen == [("start", 1), ("start", 2), ("end", 1)]
+
+
+@pytest.mark.parametrize("change", [{"threshold": 0.0}, {"release": 0.0}, {"hold_s": -1.0}])
+def test_settings_that_cannot_be(change):
+    with pytest.raises(InputError, match="threshold"):
+        EventSettings(**({"threshold": 1.0} | change))

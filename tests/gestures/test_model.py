@@ -1,0 +1,224 @@
+"""Model files: nothing lost, growth goes on bit for bit, damage and malice refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hypose.errors import InputError
+from hypose.gestures.forest import ForestSettings
+from hypose.gestures.localise import LocaliseSettings
+from hypose.gestures.model import GestureModel, from_arrays, to_arrays
+from hypose.gestures.offline import OfflineSettings, collect, train
+from hypose.gestures.online import Example, Learner, teach
+from hypose.pipeline.gesture_files import SessionWriter, export_model, load_model, read_recording, save_model
+
+from .toys import LENS, SHAPE, toy
+
+
+def toy_examples(n, seed):
+    rng = np.random.default_rng(seed)
+    out = []
+    for k in range(n):
+        depth, (x, y), (a, b, side) = toy(rng, int(rng.integers(900, 1600)))
+        if k % 2:
+            yy, xx = np.mgrid[: SHAPE[0], : SHAPE[1]]
+            depth[(yy - y) ** 2 + (xx - x) ** 2 < 30**2] = 2600
+            out.append(Example(depth, LENS))
+        else:
+            out.append(Example(depth, LENS, 1, x, y))
+    return out
+
+
+def learner(seed=0):
+    return Learner.new(np.random.default_rng(seed), ForestSettings(alpha=60, candidates=30))
+
+
+def model_of(taught):
+    return GestureModel(("disc",), taught.forest, (12.5,), LocaliseSettings(), taught, ({"seconds": 3.0},))
+
+
+@pytest.fixture(scope="module")
+def taught():
+    one = learner()
+    teach(one, toy_examples(60, 1))
+    return one
+
+
+def test_growth_goes_on_bit_for_bit_after_loading(tmp_path):
+    straight, halves = learner(), learner()
+    first, second = toy_examples(40, 1), toy_examples(40, 2)
+    teach(straight, first + second)
+    teach(halves, first)
+    save_model(model_of(halves), tmp_path / "disc.npz")
+    resumed = load_model(tmp_path / "disc.npz").learner
+    assert resumed is not None
+    teach(resumed, second)
+    for name, a, b in zip(straight.forest.arrays._fields, straight.forest.arrays, resumed.forest.arrays, strict=True):
+        np.testing.assert_array_equal(a, b, err_msg=name)
+    assert resumed.strength == straight.strength
+
+
+def test_equal_models_give_equal_bytes(taught, tmp_path):
+    for name in ("a.npz", "b.npz"):
+        save_model(model_of(taught), tmp_path / name)
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    back = load_model(tmp_path / "a.npz")
+    assert back.names == ("disc",) and back.thresholds == (12.5,) and back.settings == LocaliseSettings()
+    assert dict(back.history[0]) == {"seconds": 3.0}
+
+
+def test_np_load_reads_it_without_pickle(taught, tmp_path):
+    save_model(model_of(taught), tmp_path / "m.npz")
+    with np.load(tmp_path / "m.npz", allow_pickle=False) as data:
+        assert "description" in data.files and data["test"].dtype == np.int16
+
+
+def test_a_damaged_file_is_named(taught, tmp_path):
+    path = tmp_path / "m.npz"
+    save_model(model_of(taught), path)
+    whole = path.read_bytes()
+    for cut in (10, len(whole) // 2, len(whole) - 5):
+        path.write_bytes(whole[:cut])
+        with pytest.raises(InputError, match="m.npz"):
+            load_model(path)
+    with pytest.raises(InputError, match="does not exist"):
+        load_model(tmp_path / "none.npz")
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("left", lambda a: np.where(a >= 0, 0, a)),  # a circle
+        ("left", lambda a: np.where(a >= 0, 30000, a)),
+        ("size", lambda a: a + 10000),
+        ("size", lambda a: a * 0),
+        ("test", lambda a: a * 0 + 2000),  # would read outside the picture
+        ("candidate", lambda a: a * 0 + 2000),
+        ("slot", lambda a: a * 0 + 7),
+        ("n_free", lambda a: a * 0 - 3),
+        ("count", lambda a: a.astype(np.float32)),
+        ("random", lambda a: a[:1]),
+    ],
+)
+def test_forests_that_would_lead_astray_are_refused(taught, name, change):
+    arrays = to_arrays(model_of(taught))
+    arrays[name] = change(arrays[name]).astype(arrays[name].dtype) if name != "count" else change(arrays[name])
+    with pytest.raises(ValueError, match="its|it|a "):
+        from_arrays(arrays)
+
+
+def test_names_that_could_be_paths_are_refused(taught):
+    with pytest.raises(InputError, match="no name"):
+        GestureModel(("../x",), taught.forest, (None,), LocaliseSettings())
+
+
+def test_export_runs_alone(taught, tmp_path):
+    files = export_model(model_of(taught), tmp_path / "out")
+    namespace: dict = {"__name__": "gesture_runtime"}
+    exec(compile(files[2].read_text(), "gesture_runtime.py", "exec"), namespace)  # noqa: S102
+    model = namespace["load"](str(files[0]), str(files[1]))
+    depth, (x, y), _ = toy(np.random.default_rng(30), 1200, holes=False)
+    at = namespace["find"](model, depth, LENS.fx)[0]
+    assert np.hypot(at[0] - x, at[1] - y) < 8
+    assert model["gestures"] == ["disc"] and model["thresholds"] == [12.5]
+
+
+def test_offline_forests_learn_and_are_kept(tmp_path):
+    rng = np.random.default_rng(5)
+    examples = toy_examples(60, 1)
+    pool = collect(examples, rng)
+    assert set(pool.labels.tolist()) == {0, 1}
+    for learning in ("trees", "subforests", "plain"):
+        forest = train(pool, rng, OfflineSettings(ForestSettings(trees=6), per_class=600, learning=learning, group=3))
+        found = []
+        from hypose.gestures.localise import localise
+
+        for e in toy_examples(12, 9)[::2]:
+            f = localise(e.depth, LENS, [forest])[0]
+            found.append(np.hypot(f.x - e.x, f.y - e.y) < 8)
+        assert np.mean(found) >= 0.8, learning
+    model = GestureModel(("disc",), forest, (None,), LocaliseSettings())
+    save_model(model, tmp_path / "off.npz")
+    back = load_model(tmp_path / "off.npz").forest
+    np.testing.assert_array_equal(back.test, forest.test)
+
+
+def test_offline_patches_read_what_scanning_reads():
+    rng = np.random.default_rng(5)
+    examples = toy_examples(40, 1)
+    pool = collect(examples, rng)
+    forest = train(pool, rng, OfflineSettings(ForestSettings(trees=3), per_class=400))
+    # the training samples' own shares, walked on the picture, are those of the leaves they made
+    from hypose.compute import forests as kernels
+    from hypose.gestures.localise import pad
+
+    e = examples[0]
+    picture = pad(e.depth, LENS, 150, 500)
+    rows, columns = np.array([int(e.y)] * 3 + [20, 30]), np.array([int(e.x) - 2, int(e.x), int(e.x) + 3, 20, 30])
+    kept = e.depth[rows, columns] > 0
+    rows, columns = rows[kept], columns[kept]
+    cells = picture.cells(rows, columns)
+    patches = kernels.cut_patches(picture, cells, 6)
+    walked = kernels.leaves(picture, cells, forest.packed, forest.settings.clip)
+    for t in range(3):
+        n = forest.size[t]
+        test = forest.test[t, :n].copy()
+        test[:, :4] = test[:, :4] // 6 + patches.shape[1] // 2
+        tree = kernels.TreeArraysOffline(
+            test, forest.left[t, :n].copy(), forest.count[t, :n].copy(), np.zeros(n, np.uint8)
+        )
+        np.testing.assert_array_equal(kernels.patch_leaves(patches, tree, 150), walked[:, t])
+
+
+def test_a_pool_without_a_gesture_is_refused():
+    pool = collect([e for e in toy_examples(6, 1) if not e.gesture], np.random.default_rng(0))
+    with pytest.raises(InputError, match="every gesture"):
+        train(pool, np.random.default_rng(0))
+
+
+def test_sessions_are_recorded_and_read_again(tmp_path):
+    writer = SessionWriter(tmp_path / "s", ["disc"], LENS, (SHAPE[1], SHAPE[0]))
+    for k, e in enumerate(toy_examples(6, 1)):
+        phase = "positive" if e.gesture else "negative"
+        writer.add(k / 30, e.depth, phase, 1 + k // 2, e.gesture, (e.x, e.y))
+    writer.act(0.1, "undo", "3")
+    writer.close()
+    back = read_recording(tmp_path / "s")
+    shown = list(back.examples("disc"))
+    assert len(back.frames) == 6 and len(shown) == 4 and back.undone == {3}
+    np.testing.assert_array_equal(shown[0].depth, toy_examples(1, 1)[0].depth)
+    assert shown[0].gesture == 1 and shown[1].gesture == 0
+    with pytest.raises(InputError, match="not empty"):
+        SessionWriter(tmp_path / "s", ["disc"], LENS, (SHAPE[1], SHAPE[0]))
+    with pytest.raises(InputError, match="no gesture"):
+        list(back.examples("square"))
+
+
+def test_retraining_offline_gives_the_forest_of_the_session(tmp_path):
+    writer = SessionWriter(tmp_path / "s", ["disc"], LENS, (SHAPE[1], SHAPE[0]))
+    live = learner(3)
+    for k, e in enumerate(toy_examples(20, 1)):
+        writer.add(k / 30, e.depth, "positive" if e.gesture else "negative", 1, e.gesture, (e.x, e.y))
+        teach(live, [e])
+    writer.close()
+    again = learner(3)
+    teach(again, list(read_recording(tmp_path / "s").examples("disc")))
+    for a, b in zip(live.forest.arrays, again.forest.arrays, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_a_truncated_recording_keeps_what_is_whole(tmp_path):
+    writer = SessionWriter(tmp_path / "s", ["disc"], LENS, (SHAPE[1], SHAPE[0]))
+    for e in toy_examples(4, 1):
+        writer.add(0.0, e.depth)
+    writer.close()
+    path = tmp_path / "s" / "frames.csv"
+    path.write_text(path.read_text()[:-20])
+    assert len(read_recording(tmp_path / "s").frames) == 3
+    path.write_text(path.read_text().replace("depth/000001.png", "../secret.png"))
+    with pytest.raises(InputError, match="line 3"):
+        read_recording(tmp_path / "s")
+    (tmp_path / "s" / "session.json").write_text("[]")
+    with pytest.raises(InputError, match="gesture session"):
+        read_recording(tmp_path / "s")
