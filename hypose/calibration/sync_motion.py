@@ -156,7 +156,8 @@ def mask_tracks(silhouettes: Sequence[Silhouettes | None]) -> list[MaskTrack]:
                 change.append(None)
                 continue
             moved = cv2.morphologyEx(x ^ y, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-            change.append(np.argwhere(moved)[:, ::-1].astype(np.float64))
+            found = cv2.findNonZero(moved)
+            change.append(np.zeros((0, 2)) if found is None else found.reshape(-1, 2).astype(np.float64))
         out.append(MaskTrack(tuple(outline), tuple(change), area, cut))
     return out
 

@@ -1,0 +1,270 @@
+"""The doctor: is this calibration right for this recording, and if not, what is wrong with which camera?
+
+Each fault is looked for by undoing it: if the views agree much better afterwards, it is there. Gross faults come first
+(mirrored or turned images, exchanged cameras, another image size, lens coefficients of another convention), then timing,
+then a constant shift of the key points, then the cameras' poses, because each hides the next. The measures are shares of
+the person's size in the image, so that limits hold for any resolution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hypose.calibration.doctor_extrinsics import Extrinsics, judge_extrinsics
+from hypose.calibration.doctor_masks import Alignment, align, tangency, tangency_by_view, view_masks
+from hypose.calibration.doctor_points import best_trial, disagreement, sizes, undistorted
+from hypose.calibration.doctor_report import Finding, Limits, Report, ViewReport, clip_findings, person_findings
+from hypose.calibration.doctor_silhouettes import examine_silhouettes
+from hypose.calibration.refine_points import left_out_residual, point_residual
+from hypose.calibration.sync import point_sd, points_at
+from hypose.calibration.sync_motion import Offsets, keypoint_curves, mask_tracks, solve_offsets
+from hypose.cameras.camera import CameraRig
+from hypose.errors import EvidenceError
+from hypose.evidence.frame import Silhouettes
+from hypose.geometry import Array
+
+
+@dataclass(frozen=True)
+class Clip:
+    """What one view's file says: size (w, h) px of the stored images, frames/s, number of frames; None = unknown."""
+
+    size: tuple[int, int] | None = None
+    frame_rate: float | None = None
+    frames: int | None = None
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What the doctor looks at: consecutive frames of one recording.
+
+    rig: as calibrated, with lens distortion; keypoints (C, T, K, 3) in px of the calibrated, distorted images
+    (confidence 0: missing) and their names; silhouettes: T, undistorted, at any working size, made without the key
+    points (else they agree with them whatever is wrong); clips: one per view; height: of the person, m, when known."""
+
+    rig: CameraRig
+    keypoints: Array | None = None
+    names: tuple[str, ...] = ()
+    silhouettes: Sequence[Silhouettes | None] | None = None
+    clips: tuple[Clip, ...] = ()
+    frame_rate: float = 25.0
+    height: float | None = None
+
+
+@dataclass(frozen=True)
+class Cured:
+    """The observations after the cures: rig, key points in step and in place; late (C,) frames; shift (C, 2) px of the
+    calibrated size to add to the images; keypoint_lag in frames."""
+
+    rig: CameraRig
+    keypoints: Array | None
+    late: Array
+    shift: Array
+    keypoint_lag: int
+
+
+@dataclass
+class _State:
+    rig: CameraRig
+    pixels: Array
+    findings: list[Finding] = field(default_factory=list)
+
+
+def examine(observed: Observed, limits: Limits | None = None) -> Report:
+    """All checks that the evidence allows. An EvidenceError when there is neither key point nor silhouette."""
+    return examine_and_cure(observed, limits)[0]
+
+
+def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[Report, Cured]:
+    """The report, and the observations as they are after the faults were undone (for a refinement)."""
+    o = limits or Limits()
+    n = len(observed.rig)
+    findings = list(clip_findings(observed.rig, observed.clips, observed.frame_rate))
+    none = Cured(observed.rig, observed.keypoints, np.zeros(n), np.zeros((n, 2)), 0)
+    if observed.keypoints is None or (observed.keypoints[..., 2] > 0.3).any((1, 2)).sum() < 2:
+        if observed.silhouettes is None:
+            raise EvidenceError(
+                "There are neither key points of two views nor silhouettes; give the recording one of them to check "
+                "its calibration."
+            )
+        found, views, late = examine_silhouettes(observed.rig, observed.silhouettes, o)
+        findings += found
+        return Report(tuple(findings), views, None, None), Cured(
+            observed.rig, observed.keypoints, late, np.zeros((n, 2)), 0
+        )
+    state = _State(observed.rig, observed.keypoints)
+    _gross(state, observed, o)
+    gross = {f.kind for f in state.findings}
+    findings += state.findings
+    alignments, lag, shift = _against_masks(observed, state, findings, o)
+    late = _timing(state, findings, o) if not gross & {"inverted"} else np.zeros(n)
+    pixels = np.stack([points_at(p, x) for p, x in zip(state.pixels, late, strict=True)])
+    moved = pixels.copy()
+    extrinsics = None
+    if n > 1 and not gross & {"inverted"}:
+        extrinsics = judge_extrinsics(state.rig, moved, o)
+        if extrinsics is not None:
+            state.rig = extrinsics.lens_cured
+            findings += extrinsics.findings
+    findings += person_findings(state.rig, moved, observed.names, observed.height, o)
+    report = Report(tuple(findings), _views(observed, pixels, alignments, extrinsics), extrinsics, alignments)
+    return report, Cured(state.rig, pixels, late, shift, lag) if gross | {"x"} else none
+
+
+def _gross(state: _State, observed: Observed, o: Limits) -> None:
+    """Undoes up to three gross faults, the one that helps most first."""
+    stored = [c.size for c in observed.clips] if observed.clips else [None] * len(state.rig)
+    for _ in range(3):
+        every = max(1, state.pixels.shape[1] // 15)
+        trial, before, after = best_trial(state.rig, state.pixels, observed.names, stored, every)
+        limit = o.gross_lens if trial is not None and trial.kind == "distortion" else o.gross
+        if trial is None or before < limit or after > o.gross_cured * before:
+            return
+        names = tuple(state.rig.names[k] for k in trial.views)
+        text = (
+            f"{' and '.join(names) if names else 'All cameras'}: {trial.words}; with that undone the views agree to "
+            f"{100 * after:.1f} % of the person's size instead of {100 * before:.1f} %"
+        )
+        state.findings.append(Finding(trial.kind, names, text, trial.cure, before - after))
+        state.rig, state.pixels = trial.rig, trial.pixels
+
+
+def _against_masks(
+    observed: Observed, state: _State, findings: list[Finding], o: Limits
+) -> tuple[tuple[Alignment | None, ...] | None, int, Array]:
+    """Lag and shift of the key points against the masks of the same view. Returns the alignments, the common lag and
+    the shifts (C, 2) to add to the images, px of the calibrated size (zero where none was found)."""
+    shift = np.zeros((len(observed.rig), 2))
+    if observed.silhouettes is None or observed.keypoints is None:
+        return None, 0, shift
+    small = next((s.rig for s in observed.silhouettes if s is not None), None)
+    if small is None:
+        return None, 0, shift
+    scaled = {name for f in state.findings if f.kind in ("scaled", "cropped") for name in f.views}
+    uv, confidence = undistorted(observed.rig, observed.keypoints)
+    cured, cured_confidence = undistorted(observed.rig, state.pixels)
+    made: list[Alignment | None] = []
+    for c, camera in enumerate(observed.rig):
+        ratio = np.array(small[c].size) / np.array(camera.size)
+        source = (cured[c], cured_confidence[c]) if camera.name in scaled else (uv[c], confidence[c])
+        points = np.concatenate([(source[0] + 0.5) * ratio - 0.5, source[1][..., None]], -1)
+        made.append(align(points, observed.names, view_masks(observed.silhouettes, c)))
+    lag, lagging = _common_lag(made, o)
+    if lag:
+        findings.append(
+            Finding(
+                "keypoint_lag",
+                (),
+                f"The key points are {abs(lag)} frame{'s' if abs(lag) > 1 else ''} "
+                f"{'early' if lag > 0 else 'late'} against the videos in {lagging} of {len(made)} views: file t belongs "
+                f"to video frame t{lag:+d}",
+                f"set keypoint_lag = {lag} in recording.toml (now counted from the present value)",
+                float(abs(lag)),
+            )
+        )
+    size = sizes(observed.keypoints)
+    for c, a in enumerate(made):
+        if a is None or observed.rig[c].name in scaled:
+            continue
+        own = int(np.rint(a.lag))
+        if lag == 0 and abs(own) >= 1 and _decided(a, o):
+            name = observed.rig[c].name
+            text = f"{name}: its key points are {abs(own)} frame(s) {'early' if own > 0 else 'late'} against its video"
+            findings.append(Finding("keypoint_lag", (name,), text, "detect the key points of this view again", abs(own)))
+        ratio = np.array(observed.rig[c].size) / np.array(small[c].size)
+        move, sd = a.shift * ratio, a.shift_sd * ratio
+        significant = (np.abs(move) > o.shift_sd * sd) & (np.abs(move) > o.shift * size[c])
+        if significant.any():
+            shift[c] = np.where(significant, move, 0.0)
+            x, y = np.round(shift[c], 1)
+            where = [f"{abs(x):g} px to the {'right' if x > 0 else 'left'}"] if x else []
+            where += [f"{abs(y):g} px {'below' if y > 0 else 'above'}"] if y else []
+            name = observed.rig[c].name
+            findings.append(
+                Finding(
+                    "keypoint_shift",
+                    (name,),
+                    f"{name}: its key points lie {' and '.join(where)} of the person in its images, constantly",
+                    f"set image_shift = [{x:g}, {y:g}] for this view in recording.toml",
+                    float(np.linalg.norm(move)),
+                )
+            )
+    return tuple(made), lag, shift
+
+
+def _common_lag(made: Sequence[Alignment | None], o: Limits) -> tuple[int, int]:
+    """The lag (whole frames) that most views ask for, and how many of them; 0 when they do not agree."""
+    known = [a for a in made if a is not None and np.isfinite(a.agreement).all()]
+    if not known:
+        return 0, 0
+    total = np.sum([a.agreement / a.agreement.min() for a in known], axis=0)
+    lag = int(known[0].lags[int(total.argmin())])
+    zero = int(np.flatnonzero(known[0].lags == 0)[0])
+    votes = sum(abs(a.lag - lag) < 0.75 for a in known)
+    if lag == 0 or votes * 2 <= len(known) or total.min() > o.lag_ratio * total[zero]:
+        return 0, 0
+    return lag, votes
+
+
+def _decided(a: Alignment, o: Limits) -> bool:
+    zero = int(np.flatnonzero(a.lags == 0)[0])
+    return bool(np.nanmin(a.agreement) < o.lag_ratio**2 * a.agreement[zero]) and a.samples > 300
+
+
+def _timing(state: _State, findings: list[Finding], o: Limits) -> Array:
+    """(C,) frames by which each view is late, 0 where that is not certain."""
+    n, frames = state.pixels.shape[:2]
+    late = np.zeros(n)
+    if n < 2 or frames < 24:
+        return late
+    uv, confidence = undistorted(state.rig, state.pixels)
+    try:
+        curves = keypoint_curves(state.rig, uv, confidence, o.largest_lag, point_sd(uv, confidence))
+        offsets: Offsets = solve_offsets(curves, n)
+    except EvidenceError:
+        return late
+    frames_late = offsets.frames - (offsets.frames[0] if n == 2 else 0.0)
+    if offsets.gain < o.late_gain:
+        return late
+    for c, (x, sd) in enumerate(zip(frames_late, offsets.sd, strict=True)):
+        if abs(x) < o.late or abs(x) < o.late_sd * sd:
+            continue
+        late[c] = x
+        name = state.rig.names[c]
+        text = f"{name}: {abs(x):.1f} frames {'late' if x > 0 else 'early'} against the other views (sd {sd:.2f})"
+        findings.append(Finding("late", (name,), text, "run hypose sync, and track what it writes", abs(x)))
+    return late
+
+
+def _views(
+    observed: Observed,
+    pixels: Array,
+    alignments: tuple[Alignment | None, ...] | None,
+    extrinsics: Extrinsics | None,
+) -> tuple[ViewReport, ...]:
+    """Per view: residuals of key points (all views, and left out) and of silhouettes."""
+    c = len(observed.rig)
+    uv, confidence = undistorted(observed.rig, pixels)
+    flat, seen = uv.reshape(c, -1, 2), confidence.reshape(c, -1)
+    inside = point_residual(observed.rig, flat, seen) if c > 1 else np.full(seen.shape, np.nan)
+    outside = left_out_residual(observed.rig, flat, seen)
+    masks = np.full(c, np.nan)
+    if observed.silhouettes is not None:
+        small = next((s.rig for s in observed.silhouettes if s is not None), None)
+        if small is not None and c > 1:
+            tracks = mask_tracks(observed.silhouettes[:: max(1, len(observed.silhouettes) // 20)])
+            masks = tangency_by_view(tangency(small, tracks), c)
+            masks = masks * observed.rig.sizes[:, 0] / small.sizes[:, 0]
+    size = sizes(pixels)
+    out = []
+    for k, name in enumerate(observed.rig.names):
+        change = None if extrinsics is None else extrinsics.changes[k]
+        fit = None if alignments is None else alignments[k]
+        a, b = (float(np.nanmedian(x[k])) if np.isfinite(x[k]).any() else float("nan") for x in (inside, outside))
+        out.append(ViewReport(name, a, b, float(masks[k]), float(size[k]), change, fit))
+    return tuple(out)
+
+
+__all__ = ["Clip", "Cured", "Finding", "Limits", "Observed", "Report", "disagreement", "examine", "examine_and_cure"]

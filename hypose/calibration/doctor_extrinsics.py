@@ -1,0 +1,133 @@
+"""Are the cameras where the calibration says? Refined quickly on some frames' key points, judged on others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hypose.calibration.doctor_points import sizes, undistorted
+from hypose.calibration.doctor_report import Finding, Limits
+from hypose.calibration.refine_camera import CameraChange, changes, gauge, in_world
+from hypose.calibration.refine_points import PointAdjustment, PointOptions, adjust, point_residual
+from hypose.cameras.camera import CameraRig
+from hypose.errors import EvidenceError
+from hypose.geometry import Array, transform
+
+_MOST_FRAMES = 30
+
+
+@dataclass(frozen=True)
+class Extrinsics:
+    """findings; changes per camera; before_px, after_px: median residual on frames not used; radial (C,) terms that the
+    lenses ask for and their sd; lens_cured: the rig given, refined: the rig that fits (in the old gauge)."""
+
+    findings: tuple[Finding, ...]
+    changes: tuple[CameraChange, ...]
+    before_px: float
+    after_px: float
+    radial: Array
+    radial_sd: Array
+    lens_cured: CameraRig
+    refined: CameraRig
+
+
+def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | None:
+    """pixels (C, T, K, 3), distorted px, in step. None when too few points are seen by two views."""
+    c, frames = pixels.shape[:2]
+    uv, confidence = undistorted(rig, pixels)
+    ideal = CameraRig(tuple(replace(k, distortion=np.zeros(5), fisheye=False) for k in rig))
+    used = np.unique(np.linspace(0, frames - 1, min(_MOST_FRAMES, (frames + 1) // 2)).astype(int))
+    rest = np.setdiff1d(np.arange(frames), used)
+    rest = rest if len(rest) else used
+
+    def of(which: Array) -> tuple[Array, Array]:
+        return uv[:, which].reshape(c, -1, 2), confidence[:, which].reshape(c, -1)
+
+    try:
+        found = adjust(ideal, *of(used))
+        lens = adjust(ideal, *of(used), PointOptions(radial=True)) if c > 2 else None
+    except (EvidenceError, np.linalg.LinAlgError):
+        return None
+    refined = _in_old_gauge(found, ideal)
+    size = sizes(pixels)
+    person = float(np.median(size[size > 0])) if (size > 0).any() else 1.0
+    before, after = (_residual(r, *of(rest)) for r in (ideal, refined))
+    points = transform(gauge(found.rig, ideal, found.points), found.points)
+    moved = changes(ideal, refined, points)
+    findings: list[Finding] = []
+    radial, radial_sd = np.zeros(c), np.full(c, np.inf)
+    if lens is not None:
+        radial, radial_sd = lens.radial, lens.radial_sd
+        findings += _lenses(rig, ideal, lens, uv, confidence, rest, found, person, o)
+    if not findings and after < o.extrinsics * before and before - after > o.gain * person:
+        own = np.array([m.image_px for m in moved]) / np.where(size > 0, size, person)
+        for k, m in enumerate(moved):
+            if own[k] > o.moved:
+                text = (
+                    f"{m.name}: {m.turn_deg:.1f} degrees and {1000 * m.move_m:.0f} mm off, which moves the person "
+                    f"{m.image_px:.0f} px in its image; the key points miss each other by {before:.1f} px, after a "
+                    f"refinement by {after:.1f} px (frames not used)"
+                )
+                cure = "run hypose check --refine and use the calibration that it writes"
+                findings.append(Finding("extrinsics", (m.name,), text, cure, float(m.image_px)))
+    return Extrinsics(tuple(findings), moved, before, after, radial, radial_sd, rig, _with_lenses(refined, rig))
+
+
+def _in_old_gauge(found: PointAdjustment, old: CameraRig) -> CameraRig:
+    return in_world(found.rig, gauge(found.rig, old, found.points))
+
+
+def _with_lenses(rig: CameraRig, like: CameraRig) -> CameraRig:
+    """The rig's poses and focal lengths with the lens distortion of another."""
+    return CameraRig(
+        tuple(replace(a, distortion=b.distortion, fisheye=b.fisheye) for a, b in zip(rig, like, strict=True))
+    )
+
+
+def _residual(rig: CameraRig, uv: Array, confidence: Array) -> float:
+    return float(np.nanmedian(point_residual(rig, uv, confidence, min_confidence=0.3)))
+
+
+def _lenses(
+    rig: CameraRig,
+    ideal: CameraRig,
+    lens: PointAdjustment,
+    uv: Array,
+    confidence: Array,
+    rest: Array,
+    plain: PointAdjustment,
+    person: float,
+    o: Limits,
+) -> list[Finding]:
+    """Cameras whose images bend straight lines otherwise than their coefficients say."""
+    c = len(rig)
+    seen = confidence[:, rest].reshape(c, -1)
+    straight = np.stack([_bent_back(k, uv[n, rest], lens.radial[n]) for n, k in enumerate(ideal)])
+    without = _residual(plain.rig, uv[:, rest].reshape(c, -1, 2), seen)
+    freed = _residual(lens.rig, straight.reshape(c, -1, 2), seen)
+    if freed > o.lens_gain * without:
+        return []
+    out = []
+    for n, camera in enumerate(ideal):
+        radius = np.linalg.norm((uv[n][confidence[n] > 0.3] - camera.K[:2, 2]) / camera.K[0, 0], axis=1)
+        far = float(np.percentile(radius, 90)) if len(radius) else 0.0
+        effect = abs(lens.radial[n]) * far**3 * camera.K[0, 0]
+        if abs(lens.radial[n]) > o.lens_z * lens.radial_sd[n] and effect > o.lens_px * person:
+            text = (
+                f"{camera.name}: its lens coefficients do not fit: a radial term of {lens.radial[n]:+.2f} is missing, "
+                f"{effect:.1f} px where the person is; the residual falls from {without:.1f} to {freed:.1f} px"
+            )
+            cure = "calibrate the lens again (hypose calibrate), or correct the sign and order of its coefficients"
+            out.append(Finding("distortion", (rig[n].name,), text, cure, effect))
+    return out
+
+
+def _bent_back(camera, pixels: Array, radial: float) -> Array:  # noqa: ANN001 - Camera
+    """Pixels as the camera would give them without the radial term."""
+    centre, focal = camera.K[:2, 2], camera.K[0, 0]
+    x = (pixels - centre) / focal
+    y = x.copy()
+    for _ in range(5):
+        y = x / (1 + radial * (y**2).sum(-1, keepdims=True))
+    return centre + y * focal
