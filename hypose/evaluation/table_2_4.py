@@ -65,7 +65,7 @@ def table_2_4(options: BenchOptions) -> BenchReport:
     (dd-hpf+5). Medians over the seeds. Baseline of every row: apf.
     """
     seeds = options.seeds or (1 if options.quick else 5)
-    seconds = 0.5 if options.quick else 2.4
+    seconds = 0.5 if options.quick else 1.8
     actions = ACTIONS[:1] if options.quick else ACTIONS
     jobs = [(a, s) for a in actions for s in range(seeds)]
     found: dict[tuple[str, str], dict[str, ExtremityOutcome]] = {}

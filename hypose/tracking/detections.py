@@ -169,7 +169,7 @@ class DetectorDriven:
 
     base: the Gaussian kernel of the layer, by which all members move first. end: index in END_NAMES of the detection
     that drives the layer; others, tried in turn where it is missing. noise: m, sd of a detection per axis. swivel: rad, sd
-    of the turn about the line to the end. sigma (D,): usual steps of the coordinates that the layer may move, for the
+    of the turn about the line to the end, far_swivel: that of a third of the members. sigma (D,): usual steps of the coordinates that the layer may move, for the
     head. step: share mutated per layer; least: smallest share of either kind. bit: number of this end's pair of bits.
 
     For limbs the ball and the hinge are posed by analytic inverse kinematics. The head is the end of no limb: its members
@@ -186,6 +186,7 @@ class DetectorDriven:
     bit: int
     noise: float = 0.03
     swivel: float = 0.15
+    far_swivel: float = 0.8
     step: float = 0.05
     least: float = 0.25
 
@@ -200,7 +201,9 @@ class DetectorDriven:
         rows = np.flatnonzero(driven)
         values = moved.values.copy()
         targets = found[end] + self.noise * rng.standard_normal((h.count, 3))
-        swivel = self.swivel * rng.standard_normal(h.count)
+        # a lost arm's elbow may lie anywhere on its circle
+        far = np.arange(h.count) % 3 == 0
+        swivel = np.where(far, self.far_swivel, self.swivel) * rng.standard_normal(h.count)
         limb = limb_to(self.body, self.ends, end)
         if limb is None:
             values[rows] = self._reach(moved.values[rows], targets[rows], end)

@@ -184,7 +184,7 @@ _DRIVEN = {"torso": ((2,), 0), "left": ((0, 3), 1), "right": ((1, 4), 2), "left_
 def dd_hpf(
     body: Body,
     particles: int = 500,
-    survival: float = 0.10,
+    survival: float = 0.15,
     decay: float = 0.8,
     frame_rate: float = 25.0,
     betas: Sequence[float] | None = None,
@@ -192,6 +192,7 @@ def dd_hpf(
     layers: tuple[tuple[str, tuple[str, ...]], ...] = HPF_LAYERS,
     refinement: bool = False,
     kappa: float = 4.0,
+    last_survival: float = 0.4,
     name: str = "dd-hpf",
 ) -> tuple[Recipe, int]:
     """The detector-driven hierarchical filter: 7 layers x 500 particles, `hpf` with part of each layer's particles posed
@@ -219,7 +220,7 @@ def dd_hpf(
         weigh = Annealed(SilhouetteXor(body), selectivity)
         rows.append(Layer(kernel, weigh, LayeredSystematic(filtered), layer))
     if refinement:
-        last: Selectivity = FixedSelectivity(betas[len(layers)]) if betas is not None else SurvivalRate(survival)
+        last: Selectivity = FixedSelectivity(betas[len(layers)]) if betas is not None else SurvivalRate(last_survival)
         weigh = Annealed(DetectionCost(body, ends, SilhouetteXor(body), kappa), last)
         everything = filtered_mask(psi, s.dof, len(layers))
         rows.append(Layer(stay, weigh, LayeredSystematic(everything), "refinement"))
