@@ -196,7 +196,10 @@ def fuse_clip(
         if before.state.frames > len(joints):
             raise InputError(f"{before.state.frames} frames are fused already, the clip has {len(joints)}.")
         state, frames = before.state, list(before.frames)
-    for frame in joints[len(frames) :]:
+    for t in range(len(frames), len(joints)):
+        frame = joints[t]
+        if not np.isfinite(frame.times).any():  # nobody saw the person: time goes on all the same, so that it is lost
+            frame = replace(frame, times=np.full(len(frame.times), times[t]))
         state, fused = step(state, frame)
         frames.append(fused)
         if watch is not None:

@@ -1,7 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hypose.errors import InputError
+from hypose.evaluation.sensors import treadmill_recording
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
 from hypose.fusion.fuse import FusionSettings, fuse_clip, start, step
@@ -128,3 +131,18 @@ def test_missing_joints_and_frames_never_reach_the_result(method, mark, rng):
     assert np.isfinite(fused.motion.joints).all()
     assert np.abs(common_positions(fused.motion) - in_reference(truth, poses)).max() < 0.5
     assert fused.motion.extrapolated.tolist() == [25 <= t < 28 for t in range(40)]
+
+
+@pytest.mark.parametrize("method", ["fit", "swarm"])
+def test_a_person_that_nobody_sees_is_lost_after_half_a_second(method):
+    frames = treadmill_recording("A", np.random.default_rng(5)).frames()[:90]
+    nobody = replace(
+        frames[0],
+        positions=np.full_like(frames[0].positions, np.nan),
+        state=np.zeros_like(frames[0].state),
+        times=np.full(3, np.nan),
+    )
+    frames[30:60] = [nobody] * 30
+    motion = fuse_clip(frames, method).motion
+    assert motion.extrapolated[30:60].all()
+    assert not motion.lost[:43].any() and motion.lost[46:60].all() and not motion.lost[60:].any()
