@@ -153,26 +153,21 @@ def _against_masks(
         made.append(align(points, observed.names, view_masks(observed.silhouettes, c)))
     lag, lagging = _common_lag(made, o)
     if lag:
-        findings.append(
-            Finding(
-                "keypoint_lag",
-                (),
-                f"The key points are {abs(lag)} frame{'s' if abs(lag) > 1 else ''} "
-                f"{'early' if lag > 0 else 'late'} against the videos in {lagging} of {len(made)} views: file t belongs "
-                f"to video frame t{lag:+d}",
-                f"set keypoint_lag = {lag} in recording.toml (now counted from the present value)",
-                float(abs(lag)),
-            )
+        text = (
+            f"The key points are {abs(lag)} frame{'s' if abs(lag) > 1 else ''} {'early' if lag > 0 else 'late'} against "
+            f"the videos in {lagging} of {len(made)} views: file t belongs to video frame t{lag:+d}"
         )
+        cure = f"set keypoint_lag = {lag} in recording.toml (counted from its present value)"
+        findings.append(Finding("keypoint_lag", (), text, cure, float(abs(lag))))
     size = sizes(observed.keypoints)
     for c, a in enumerate(made):
         if a is None or observed.rig[c].name in scaled:
             continue
-        own = int(np.rint(a.lag))
-        if lag == 0 and abs(own) >= 1 and _decided(a, o):
+        own = a.lag - lag
+        if abs(own) > 1.0 and abs(own) > o.own_lag_sd * a.lag_sd:
             name = observed.rig[c].name
-            text = f"{name}: its key points are {abs(own)} frame(s) {'early' if own > 0 else 'late'} against its video"
-            findings.append(Finding("keypoint_lag", (name,), text, "detect the key points of this view again", abs(own)))
+            text = f"{name}: its key points are {abs(own):.1f} frames {'early' if own > 0 else 'late'} against its video"
+            findings.append(Finding("keypoint_lag", (name,), text, "detect its key points again", abs(own)))
         ratio = np.array(observed.rig[c].size) / np.array(small[c].size)
         move, sd = a.shift * ratio, a.shift_sd * ratio
         significant = (np.abs(move) > o.shift_sd * sd) & (np.abs(move) > o.shift * size[c])
@@ -196,21 +191,18 @@ def _against_masks(
 
 def _common_lag(made: Sequence[Alignment | None], o: Limits) -> tuple[int, int]:
     """The lag (whole frames) that most views ask for, and how many of them; 0 when they do not agree."""
-    known = [a for a in made if a is not None and np.isfinite(a.agreement).all()]
+    known = [a for a in made if a is not None]
     if not known:
         return 0, 0
-    total = np.sum([a.agreement / a.agreement.min() for a in known], axis=0)
-    lag = int(known[0].lags[int(total.argmin())])
-    zero = int(np.flatnonzero(known[0].lags == 0)[0])
-    votes = sum(abs(a.lag - lag) < 0.75 for a in known)
-    if lag == 0 or votes * 2 <= len(known) or total.min() > o.lag_ratio * total[zero]:
+    lags, sd = np.array([a.lag for a in known]), np.array([max(a.lag_sd, 0.1) for a in known])
+    middle = float((lags / sd**2).sum() / (1 / sd**2).sum())
+    # views that disagree make the mean less certain
+    off = np.sqrt(1 / (1 / sd**2).sum() * max(1.0, float((((lags - middle) / sd) ** 2).mean())))
+    lag = int(np.rint(middle))
+    votes = int((np.abs(lags - lag) < np.maximum(0.75, 2 * sd)).sum())
+    if lag == 0 or abs(middle) < o.keypoint_lag_sd * off or votes * 2 <= len(known):
         return 0, 0
     return lag, votes
-
-
-def _decided(a: Alignment, o: Limits) -> bool:
-    zero = int(np.flatnonzero(a.lags == 0)[0])
-    return bool(np.nanmin(a.agreement) < o.lag_ratio**2 * a.agreement[zero]) and a.samples > 300
 
 
 def _timing(state: _State, findings: list[Finding], o: Limits) -> Array:
@@ -221,7 +213,7 @@ def _timing(state: _State, findings: list[Finding], o: Limits) -> Array:
         return late
     uv, confidence = undistorted(state.rig, state.pixels)
     try:
-        curves = keypoint_curves(state.rig, uv, confidence, o.largest_lag, point_sd(uv, confidence))
+        curves = keypoint_curves(state.rig, uv, confidence, o.largest_lag, point_sd(uv, confidence), step=0.5)
         offsets: Offsets = solve_offsets(curves, n)
     except EvidenceError:
         return late

@@ -31,66 +31,67 @@ _ALONG = (0.35, 0.5, 0.65)
 
 @dataclass(frozen=True)
 class LimbOffsets:
-    """Across how many limbs the mask's middle was found: normal (N, 2) of the bone, offset (N,) px of the middle from
-    the bone along the normal, frame (N,), all in px of the working size."""
+    """Where the mask's middle across a limb was found: normal (N, 2) of the bone, offset (N,) px of the middle from the
+    bone along the normal, velocity (N, 2) of the bone's point, px per frame, limb (N,) and frame (N,). Working size."""
 
     normal: Array
     offset: Array
+    velocity: Array
+    limb: NDArray[np.int64]
     frame: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """Key points of one view against its masks. lag: frames by which the key points are early (key points t belong to
-    video frame t + lag); agreement (L,) at lags (L,): median distance (px of the working size) of bone and middle of
-    the limb, after the best shift; shift (2,): px to add to the images so that they agree, shift_sd (2,)."""
+    """Key points of one view against its masks. lag: key points t belong to video frame t + lag, and its sd; shift (2,)
+    px to add to the images so that they agree, and its sd (2,); left: median distance of bone and middle of the limb
+    after both, px of the working size; samples: how many limbs were compared."""
 
     lag: float
-    lags: NDArray[np.int64]
-    agreement: Array
+    lag_sd: float
     shift: Array
     shift_sd: Array
+    left: float
     samples: int
 
 
 def limb_offsets(
-    points: Array, names: Sequence[str], masks: Sequence[NDArray[np.uint8] | None], lag: int
+    points: Array, velocities: Array, names: Sequence[str], masks: Sequence[NDArray[np.uint8] | None], lag: int
 ) -> LimbOffsets:
-    """Offsets of one view. points (T, K, 3) px of the masks; masks (T) of (h, w) or None; mask t + lag is compared."""
+    """Offsets of one view. points (T, K, 3) px of the masks, velocities (T, K, 2) px per frame; masks (T) of (h, w) or
+    None; mask t + lag is compared."""
     column = {n: k for k, n in enumerate(names)}
-    limbs = [(column[a], column[b]) for a, b in LIMBS if a in column and b in column]
-    normals, offsets, frames = [], [], []
+    limbs = np.array([(column[a], column[b]) for a, b in LIMBS if a in column and b in column]).reshape(-1, 2)
+    parts: list[tuple[Array, ...]] = []
     for t, p in enumerate(points):
         mask = masks[t + lag] if 0 <= t + lag < len(masks) else None
-        if mask is None:
-            continue
         size = _size(p)
-        if size <= 0:
+        if mask is None or size <= 0 or len(limbs) == 0:
             continue
         reach = 0.14 * size
-        steps = np.arange(0, reach, 0.5)
-        a = np.array([i for i, j in limbs if min(p[i, 2], p[j, 2]) > 0.4], dtype=int)
-        b = np.array([j for i, j in limbs if min(p[i, 2], p[j, 2]) > 0.4], dtype=int)
-        if len(a) == 0:
-            continue
-        bone = p[b, :2] - p[a, :2]
+        bone = p[limbs[:, 1], :2] - p[limbs[:, 0], :2]
         length = np.linalg.norm(bone, axis=1)
-        long = length > 0.06 * size
-        if not long.any():
+        limb = np.flatnonzero((p[limbs, 2].min(1) > 0.4) & (length > 0.06 * size))
+        if len(limb) == 0:
             continue
-        a, b, bone, length = a[long], b[long], bone[long], length[long]
+        bone, length = bone[limb], length[limb]
         normal = np.repeat(np.stack([-bone[:, 1], bone[:, 0]], 1) / length[:, None], len(_ALONG), 0)
-        share = np.tile(_ALONG, len(a))[:, None]
-        start = np.repeat(p[a, :2], len(_ALONG), 0) * (1 - share) + np.repeat(p[b, :2], len(_ALONG), 0) * share
+        share = np.tile(_ALONG, len(limb))[:, None]
+        a, b = (np.repeat(limbs[limb, k], len(_ALONG)) for k in (0, 1))
+        start = p[a, :2] * (1 - share) + p[b, :2] * share
+        velocity = velocities[t, a] * (1 - share) + velocities[t, b] * share
         # how far the mask reaches to either side of the bone
-        width = np.stack([_reach(mask, start, sign * normal, steps) for sign in (1, -1)], 1)
-        fine = (width.max(1) < 0.6 * reach) & (width.sum(1) > 0.012 * size)
-        normals.append(normal[fine])
-        offsets.append(0.5 * (width[fine, 0] - width[fine, 1]))
-        frames.append(np.full(int(fine.sum()), t))
-    if not normals:
-        return LimbOffsets(np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.int64))
-    return LimbOffsets(np.concatenate(normals), np.concatenate(offsets), np.concatenate(frames))
+        steps = np.arange(0, reach, 0.5)
+        width = _reach(mask, np.repeat(start, 2, 0), np.stack([normal, -normal], 1).reshape(-1, 2), steps).reshape(-1, 2)
+        fine = (width.max(1) < 0.6 * reach) & (width.sum(1) > 0.012 * size) & np.isfinite(velocity).all(1)
+        which = np.repeat(limb, len(_ALONG))
+        offset = 0.5 * (width[:, 0] - width[:, 1])
+        parts.append((normal[fine], offset[fine], velocity[fine], which[fine], np.full(int(fine.sum()), t)))
+    if not parts:
+        none = np.zeros(0, np.int64)
+        return LimbOffsets(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 2)), none, none)
+    normal, offset, velocity, limb, frame = (np.concatenate([x[k] for x in parts]) for k in range(5))
+    return LimbOffsets(normal, offset, velocity, limb.astype(np.int64), frame.astype(np.int64))
 
 
 def _size(points: Array) -> float:
@@ -109,52 +110,64 @@ def _reach(mask: NDArray[np.uint8], start: Array, direction: Array, steps: Array
     return steps[first_off]
 
 
-def robust_shift(found: LimbOffsets, scale_px: float) -> tuple[Array, Array, float]:
-    """Shift (2,) of the key points that centres them in the limbs, its sd (2,), and the median distance left, px."""
-    n, y = found.normal, found.offset
-    shift, weight = np.zeros(2), np.ones(len(y))
-    for _ in range(10):
-        h = (n * weight[:, None]).T @ n + 1e-6 * np.eye(2)
-        shift = np.linalg.solve(h, (n * weight[:, None]).T @ y)
-        weight = 1 / (1 + ((y - n @ shift) / scale_px) ** 2)
-    left = np.abs(y - n @ shift)
-    frames = max(len(np.unique(found.frame)), 1)
-    # limbs of neighbouring frames err together: a third of the frames count, with one limb each
-    spread = 1.4826 * float(np.median(left))
-    sd = spread / np.sqrt(np.maximum((n**2).mean(0), 1e-3) * max(frames / 3, 1))
-    return shift, sd, float(np.median(left))
-
-
 def align(
-    points: Array, names: Sequence[str], masks: Sequence[NDArray[np.uint8] | None], largest: int = 4
+    points: Array, names: Sequence[str], masks: Sequence[NDArray[np.uint8] | None], largest: int = 6
 ) -> Alignment | None:
-    """Lag and shift of one view's key points (T, K, 3), px of the masks; None when too few limbs are seen."""
-    lags = np.arange(-largest, largest + 1)
-    agreement = np.full(len(lags), np.nan)
+    """Lag and shift of one view's key points (T, K, 3), px of the masks; None when too few limbs are seen.
+
+    The middle of a limb in the mask lies at bone + shift + (time that is missing) x velocity: three unknowns, found by
+    robust regression; the lag is rounded and applied to whole frames until less than half a frame is left. Limbs err
+    alike all the time (clothes, where a detector puts a joint), so the shift's sd counts limbs, not frames."""
     sizes = [s for s in (_size(p) for p in points) if s > 0]
     if not sizes:
         return None
     scale = 0.006 * float(np.median(sizes))
-    first, last = max(0, largest), len(points) - max(0, largest)
-    use = points.copy()
-    use[:first, :, 2] = 0
-    use[last:, :, 2] = 0  # the same frames at every lag
-    found = {}
-    for k, lag in enumerate(lags):
-        found[int(lag)] = limb_offsets(use, names, masks, int(lag))
-        if len(found[int(lag)].offset) >= 60:
-            agreement[k] = robust_shift(found[int(lag)], scale)[2]
-    if np.isnan(agreement).all():
-        return None
-    k = int(np.nanargmin(agreement))
-    lag = float(lags[k])
-    if 0 < k < len(lags) - 1 and np.isfinite(agreement[[k - 1, k + 1]]).all():
-        p, q, s = agreement[k - 1], agreement[k], agreement[k + 1]
-        # left of and right of a minimum the disagreement grows linearly
-        lag += 0.5 * (p - s) / max(max(p, s) - q, 1e-9)
-    shift, sd, _ = robust_shift(found[int(lags[k])], scale)
-    # the middle of the limb lies at the bone + shift: the images have to move by - shift
-    return Alignment(lag, lags, agreement, -shift, sd, len(found[int(lags[k])].offset))
+    velocities = _velocities(points)
+    lag, best = 0, None
+    for _ in range(5):
+        found = limb_offsets(points, velocities, names, masks, lag)
+        if len(found.offset) < 60:
+            return best
+        x, sd, left = _regressed(found, scale)
+        best = Alignment(lag - float(x[2]), float(sd[2]), -x[:2], sd[:2], left, len(found.offset))
+        new = int(np.clip(np.rint(best.lag), -largest, largest))
+        if new == lag:
+            break
+        lag = new
+    return best
+
+
+def _velocities(points: Array) -> Array:
+    """(T, K, 2) px per frame by central differences over four frames; NaN where a neighbour is missing."""
+    n = len(points)
+    xy = np.where(points[..., 2:] > 0.4, points[..., :2], np.nan)
+    a, b = np.clip(np.arange(n) - 2, 0, n - 1), np.clip(np.arange(n) + 2, 0, n - 1)
+    return (xy[b] - xy[a]) / np.maximum(b - a, 1)[:, None, None]
+
+
+def _regressed(found: LimbOffsets, scale_px: float) -> tuple[Array, Array, float]:
+    """(shift x, shift y, time) with their sd (3,), and the median distance left, px."""
+    rows = np.concatenate([found.normal, (found.normal * found.velocity).sum(1)[:, None]], 1)
+    y, weight, x = found.offset, np.ones(len(found.offset)), np.zeros(3)
+    h = np.eye(3)
+    for _ in range(12):
+        h = np.einsum("ri,r,rj->ij", rows, weight, rows) + 1e-6 * np.eye(3)
+        x = np.linalg.solve(h, np.einsum("ri,r,r->i", rows, weight, y))
+        weight = 1 / (1 + ((y - rows @ x) / scale_px) ** 2)
+    r = y - rows @ x
+    inverse = np.linalg.inv(h)
+    spread = np.zeros((3, 3))
+    limbs = np.unique(found.limb)
+    for limb in limbs:
+        mine = found.limb == limb
+        s = np.einsum("ri,r,r->i", rows[mine], weight[mine], r[mine])
+        spread += np.outer(s, s)
+    by_limb = np.diag(inverse @ spread @ inverse) * len(limbs) / max(len(limbs) - 2, 1)
+    # and as if every second frame gave one independent limb
+    frames = max(len(np.unique(found.frame)) / 2, 1.0)
+    noise = float((weight * r**2).sum() / max(weight.sum(), 1e-9))
+    by_frame = np.diag(inverse) * noise * len(y) / frames
+    return x, np.sqrt(np.maximum(by_limb, by_frame)), float(np.median(np.abs(r)))
 
 
 def view_masks(silhouettes: Sequence[Silhouettes | None], view: int) -> list[NDArray[np.uint8] | None]:

@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hypose.calibration.refine_points import point_residual
-from hypose.cameras.camera import Camera, CameraRig
+from hypose.cameras.camera import Camera, CameraRig, triangulate
 from hypose.geometry import Array, se3_inverse
 
 CONVENTIONS: tuple[tuple[str, Callable[[Camera], Array]], ...] = (
@@ -48,21 +47,31 @@ def mirrored_names(names: Sequence[str]) -> list[int]:
     return out
 
 
-def disagreement(rig: CameraRig, pixels: Array) -> Array:
-    """(C,) median distance of each view's key points (C, T, K, 3; distorted px) from the triangulation of all views, in
-    shares of the person's size; NaN for a view without."""
-    uv, confidence = undistorted(rig, pixels)
+def disagreement(rig: CameraRig, pixels: Array, views: Sequence[int] = ()) -> float:
+    """Mean over `views` (default all) of the median distance of their key points (C, T, K, 3; distorted px) from the
+    triangulation, in shares of the person's size, at most 10.
+
+    Triangulated from the other views when two are left, so that a bad view does not spoil the points it is judged by;
+    else from all. Points behind a camera count as far away."""
     c = len(rig)
-    residual = point_residual(rig, uv.reshape(c, -1, 2), confidence.reshape(c, -1), min_confidence=0.3)
-    size = sizes(pixels)
-    out = np.full(c, np.nan)
-    for k in range(c):
-        known = residual[k][np.isfinite(residual[k])]
-        lost = (confidence[k].ravel() > 0.3).sum() - len(known)
-        if len(known) + lost > 20 and size[k] > 0:
-            # points behind a camera count as far away
-            out[k] = float(np.median(np.r_[known, np.full(max(lost, 0) // 2, 1e3 * size[k])])) / size[k]
-    return np.minimum(out, 10.0)
+    judged = list(views) or list(range(c))
+    others = [k for k in range(c) if k not in judged]
+    by = others if len(others) > 1 else list(range(c))
+    needed = sorted({*judged, *by})
+    uv, confidence = undistorted(CameraRig(tuple(rig[k] for k in needed)), pixels[needed])
+    at = {k: i for i, k in enumerate(needed)}
+    rows = [at[k] for k in by]
+    flat, seen = uv.reshape(len(needed), -1, 2), np.where(confidence > 0.3, confidence, 0.0).reshape(len(needed), -1)
+    points, _ = triangulate(CameraRig(tuple(rig[k] for k in by)), flat[rows], seen[rows])
+    known = np.isfinite(points).all(1)
+    out = []
+    for k in judged:
+        size = float(sizes(pixels[k : k + 1])[0])
+        use = known & (seen[at[k]] > 0)
+        if use.sum() > 20 and size > 0:
+            distance = np.linalg.norm(rig[k].project_pinhole(points[use]) - flat[at[k]][use], axis=1)
+            out.append(min(float(np.median(np.nan_to_num(distance, nan=1e6))) / size, 10.0))
+    return float(np.mean(out)) if out else float("nan")
 
 
 def undistorted(rig: CameraRig, pixels: Array) -> tuple[Array, Array]:
@@ -186,21 +195,23 @@ def _sizes(rig: CameraRig, pixels: Array, c: int, stored: tuple[int, int] | None
 def best_trial(
     rig: CameraRig, pixels: Array, names: Sequence[str], stored: Sequence[tuple[int, int] | None], every: int = 4
 ) -> tuple[Trial | None, float, float]:
-    """The trial after which the views agree best, and the mean disagreement before and after it (shares of the
-    person's size), judged on every n-th frame."""
+    """The trial after which the views concerned agree best, and their disagreement before and after it (shares of the
+    person's size), judged on every n-th frame. Trials that leave all views together worse are not believed."""
     few = pixels[:, ::every]
-    before = float(np.nanmean(disagreement(rig, few)))
-    best, least = None, before
-    for trial in trials(rig, few, names, stored):
-        value = float(np.nanmean(disagreement(trial.rig, trial.pixels)))
-        if value < least:
-            best, least = trial, value
-    if best is None:
-        return None, before, before
-    whole = next(
-        t
-        for t in trials(rig, pixels, names, stored)
-        if (t.kind, t.views, t.words, t.cure) == (best.kind, best.views, best.words, best.cure)
-        and np.array_equal(t.pixels[:, ::every], best.pixels)
-    )
-    return whole, before, least
+    all_before = disagreement(rig, few)
+    before: dict[tuple[int, ...], float] = {}
+    scored: list[tuple[float, float, int]] = []
+    for k, trial in enumerate(trials(rig, few, names, stored)):
+        if trial.views not in before:
+            before[trial.views] = disagreement(rig, few, trial.views)
+        scored.append((disagreement(trial.rig, trial.pixels, trial.views), before[trial.views], k))
+    # the camera that is worst off is looked at first: its fault disturbs the others
+    worst = max((b for _, b, _ in scored), default=0.0)
+    order = sorted(scored, key=lambda x: x[0] / max(x[1], 1e-6))
+    for after, was, k in order[:6]:
+        if was < 0.5 * worst and after > 0.2 * was:
+            continue
+        trial = next(itertools.islice(trials(rig, pixels, names, stored), k, None))
+        if disagreement(trial.rig, trial.pixels[:, ::every]) < all_before:
+            return trial, was, after
+    return None, all_before, all_before

@@ -36,8 +36,8 @@ class Limits:
 
     gross: mean disagreement of the views above which gross faults are tried, gross_lens: the same for lens
     conventions, gross_cured: what must be left of it at most; largest_lag: frames; late: frames, late_sd: in sd,
-    late_gain: half log likelihood; lag_ratio: what the disagreement of key points and masks must fall to; shift: share,
-    shift_sd: in sd; extrinsics: share of the residual that may be left after refinement, moved: share by which a
+    late_gain: half log likelihood; keypoint_lag_sd, own_lag_sd: of all and of one view's key points
+    against the masks, in sd; shift: share, shift_sd: in sd; extrinsics: share of the residual that may be left after refinement, moved: share by which a
     camera's image of the person moves, gain: least fall of the residual (share of the size); lens_z: sd of a radial
     term; lens_gain: share of the residual that may be left after freeing it; lens_px: its effect on the person; heights:
     of a person, m; height_share: against the known height."""
@@ -49,7 +49,8 @@ class Limits:
     late: float = 0.4
     late_sd: float = 4.0
     late_gain: float = 12.0
-    lag_ratio: float = 0.94
+    keypoint_lag_sd: float = 4.0
+    own_lag_sd: float = 8.0
     shift: float = 0.0045
     shift_sd: float = 4.0
     extrinsics: float = 0.85

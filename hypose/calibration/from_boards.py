@@ -44,7 +44,7 @@ class BoardCalibration:
     rig: CameraRig
     views: tuple[CameraViews, ...]
     lens_views: tuple[CameraViews, ...]
-    fit: RigCalibration | None
+    fit: RigCalibration
     lenses: tuple[Lens, ...]
     notes: tuple[str, ...]
     warnings: tuple[str, ...]

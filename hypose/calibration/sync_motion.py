@@ -74,12 +74,19 @@ def fundamental(rig: CameraRig, a: int, b: int) -> Array:
 
 
 def keypoint_curves(
-    rig: CameraRig, pixels: Array, confidence: Array, largest: float, scale_px: float, min_confidence: float = 0.3
+    rig: CameraRig,
+    pixels: Array,
+    confidence: Array,
+    largest: float,
+    scale_px: float,
+    *,
+    min_confidence: float = 0.3,
+    step: float = _STEP,
 ) -> Curves:
     """Curves from key points. pixels (C, T, K, 2) undistorted px of the rig, confidence (C, T, K); largest: offset in
-    frames; scale_px: sd of a detection."""
+    frames; scale_px: sd of a detection; step: of the offsets, frames."""
     n, frames = pixels.shape[:2]
-    lags = _lags(largest, frames)
+    lags = _lags(largest, frames, step)
     margin = int(np.ceil(lags[-1])) + 1
     seen = confidence > min_confidence
     smooth = np.stack([_smoothed(p, s, _SMOOTH_POINTS) for p, s in zip(pixels, seen, strict=True)])
@@ -101,14 +108,13 @@ def keypoint_curves(
             xb = _homogeneous(xb)
             lines_a = xb @ f
             size = np.sqrt((lines_b[..., :2] ** 2).sum(-1) + (lines_a[..., :2] ** 2).sum(-1))
-            e = np.where(both, (xb * lines_b).sum(-1) / np.maximum(size, 1e-12), np.nan)
             enough = both.sum(0) >= max(8, 0.2 * len(times))
             if not enough.any():
                 continue
-            e = e[:, enough]
-            e = e - np.nanmedian(e, axis=0)
+            e, both = ((xb * lines_b).sum(-1) / np.maximum(size, 1e-12))[:, enough], both[:, enough]
+            e = e - _middle(e, both, scale_px)
             # errors of one point last for several frames and all points share the calibration's: count a tenth
-            mean = np.nanmean(np.log1p((e / (2 * scale_px)) ** 2))
+            mean = np.log1p((e / (2 * scale_px)) ** 2)[both].mean()
             cost[p, k] = 0.2 * mean * enough.sum() * len(times)
     return Curves(pairs, lags, cost)
 
@@ -291,14 +297,24 @@ def _starts(splines: dict[tuple[int, int], CubicSpline], lags: Array, n: int) ->
     return out
 
 
-def _lags(largest: float, frames: int) -> Array:
+def _middle(e: Array, known: NDArray[np.bool_], scale: float) -> Array:
+    """(K,) robust mean over the frames of e (T, K) where known."""
+    w = known.astype(np.float64)
+    middle = np.zeros(e.shape[1])
+    for _ in range(3):
+        middle = (w * e).sum(0) / np.maximum(w.sum(0), 1e-9)
+        w = known / (1 + ((e - middle) / (2 * scale)) ** 2)
+    return middle
+
+
+def _lags(largest: float, frames: int, step: float = _STEP) -> Array:
     largest = min(float(largest), (frames - 12) / 3)
     if largest < 1:
         raise EvidenceError(
             f"{frames} frames are too few to find how late the cameras are; at least 16 consecutive frames are needed."
         )
-    count = int(largest / _STEP)
-    return np.arange(-count, count + 1) * _STEP
+    count = int(largest / step)
+    return np.arange(-count, count + 1) * step
 
 
 def _smoothed(values: Array, seen: NDArray[np.bool_], sd: float) -> Array:
