@@ -25,13 +25,14 @@ def draw_sheet(views: Sequence[CameraViews], board: Board, result: BoardCalibrat
     """One row per camera: a board that was found (its first row in red, so that opposite numberings show), all corners
     seen (green to red by their error, up to 2 px), a picture without; below them the frames from first to last."""
     rows = []
-    for c, view in enumerate(views):
+    for view in views:
+        c = 0
         errors: dict[int, float] = {}
-        if result is not None and result.fit is not None and view in result.views:
-            c = result.views.index(view)
+        if result is not None and any(view is v for v in result.views):
+            c = next(i for i, v in enumerate(result.views) if v is view)
             errors = {f: e for (k, f), e in result.fit.errors.items() if k == c}
         numbered = view.sightings
-        if errors and result is not None and result.fit is not None:
+        if errors and result is not None:
             numbered = {**numbered, **result.fit.sightings[c]}
         rows.append(_row(view, board, numbered, errors))
     return np.concatenate(rows) if rows else np.zeros((10, 3 * _WIDTH, 3), np.uint8)

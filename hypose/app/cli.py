@@ -13,7 +13,15 @@ from typing import Annotated
 
 import typer
 
-from hypose.app import commands_data, commands_fuse, commands_results, commands_subject, commands_track
+from hypose.app import (
+    commands_calibrate,
+    commands_data,
+    commands_fuse,
+    commands_gesture,
+    commands_results,
+    commands_subject,
+    commands_track,
+)
 from hypose.errors import HyposeError
 
 app = typer.Typer(
@@ -26,11 +34,13 @@ app = typer.Typer(
 )
 
 app.command("demo")(commands_track.demo)
+app.command("calibrate")(commands_calibrate.calibrate)
 app.command("check")(commands_data.check)
 app.command("silhouettes")(commands_data.silhouettes)
 app.command("track")(commands_track.track)
 app.command("subject")(commands_subject.subject)
 app.command("fuse")(commands_fuse.fuse)
+app.add_typer(commands_gesture.app, name="gesture")
 app.command("export")(commands_results.export)
 app.command("synth")(commands_data.synth)
 app.command("bench")(commands_results.bench)

@@ -27,6 +27,8 @@ TITLES = {
     "report": "Report",
     "render": "Render",
     "check": "Check",
+    "board": "Look for the board",
+    "solve": "Solve",
 }
 """What a stage is called in front of the user."""
 COUNTED_IN_FRAMES = frozenset({"track", "overlay", "masks", "render"})

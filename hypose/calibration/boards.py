@@ -9,7 +9,7 @@ by 180 degrees if both of its corner counts are even or both odd.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -184,22 +184,29 @@ def _find_chessboard(gray: Gray, size: tuple[int, int]) -> Array | None:
     found, corners = cv2.findChessboardCornersSB(small, size, flags=_FLAGS)
     if found:
         return (corners.reshape(-1, 2).astype(np.float64) + 0.5) / scale - 0.5
-    for quad in _sheets(small):
+    for sheet, sheet_from_image in sheet_views(small, size):
+        found, corners = cv2.findChessboardCornersSB(sheet, size, flags=_FLAGS)
+        if not found:  # the older detector closes gaps in overexposed boards
+            found, corners = cv2.findChessboardCorners(sheet, size)
+        if found:
+            back = cv2.perspectiveTransform(corners.reshape(-1, 1, 2), np.linalg.inv(sheet_from_image))
+            return (back.reshape(-1, 2).astype(np.float64) + 0.5) / scale - 0.5
+    return None
+
+
+def sheet_views(gray: Gray, size: tuple[int, int]) -> Iterator[tuple[Gray, Array]]:
+    """The bright sheets of a picture as seen from the front, for a board of about `size` corners: pictures and
+    sheet_from_image (3, 3)."""
+    for quad in _sheets(gray):
         width, height = 32 * (size[0] + 3), 32 * (size[1] + 3)
         margin = 48
         target = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32) + np.float32(margin)
         sheet_from_image = cv2.getPerspectiveTransform(quad.astype(np.float32), target)
         shape = (width + 2 * margin, height + 2 * margin)
         sheet = cv2.warpPerspective(
-            small, sheet_from_image, shape, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+            gray, sheet_from_image, shape, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
         )
-        found, corners = cv2.findChessboardCornersSB(_gray(sheet), size, flags=_FLAGS)
-        if not found:  # the older detector closes gaps in overexposed boards
-            found, corners = cv2.findChessboardCorners(_gray(sheet), size)
-        if found:
-            back = cv2.perspectiveTransform(corners.reshape(-1, 1, 2), np.linalg.inv(sheet_from_image))
-            return (back.reshape(-1, 2).astype(np.float64) + 0.5) / scale - 0.5
-    return None
+        yield _gray(sheet), np.asarray(sheet_from_image, dtype=np.float64)
 
 
 def _sheets(gray: Gray) -> list[Array]:

@@ -113,12 +113,15 @@ def _all_found(views: Sequence[CameraViews], board: Board, all_views: tuple[Came
     missing = [v for v in views if not v.sightings]
     if not missing:
         return
-    said = []
+    said, other = [], False
     for v in missing:
         why = diagnose(v, board)
+        other |= "instead" in why
         said.append(v.summary() + (f"; {why}" if why else ""))
     rest = [f"{v.name}: found in {len(v.sightings)} pictures" for v in views if v.sightings]
     advice = "check the pattern, light and focus, and that the whole board is in the picture"
+    if other:
+        advice = "check the pattern size: count the corners where four squares meet, not the squares; or " + advice[6:]
     raise BoardsNotFound(f"No {board} was found. {'. '.join([*said, *rest])}. Next: {advice}.", all_views)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from hypose.calibration.boards import Board, Detector, Gray, Sighting, make_detector
+from hypose.calibration.boards import Board, Detector, Gray, Sighting, make_detector, sheet_views
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.calibration import natural_key
@@ -267,20 +267,20 @@ def _diagnose_chessboard(grays: Sequence[Gray], board: Board) -> str:
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
     for gray in grays:
         scale = min(1.0, 1000 / max(gray.shape))
-        small = cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        found, _, meta = cv2.findChessboardCornersSBWithMeta(small, (3, 3), flags)
-        if found and meta is not None and min(meta.shape[:2]) >= 3:
-            size = (int(meta.shape[1]), int(meta.shape[0]))
-            sizes[size] = sizes.get(size, 0) + 1
+        small = np.asarray(cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        best = (0, 0)
+        for picture in (small, *(sheet for sheet, _ in sheet_views(small, board.size))):
+            found, _, meta = cv2.findChessboardCornersSBWithMeta(picture, (3, 3), flags)
+            if found and meta is not None and meta.ndim >= 2:
+                seen = (max(meta.shape[:2]), min(meta.shape[:2]))
+                best = max(best, seen, key=lambda s: s[0] * s[1])
+        if best[0] * best[1] > 9:  # a grid of 3 x 3 is found in many things
+            sizes[best] = sizes.get(best, 0) + 1
     if sizes:
-        (nx, ny), _ = max(sizes.items(), key=lambda p: (p[1], p[0]))
-        if {nx, ny} != set(board.size):
-            return (
-                f"a chessboard of {max(nx, ny)} x {min(nx, ny)} inner corners was seen instead, so the pattern size is "
-                f"probably wrong (count the corners where four squares meet, not the squares), or a part of the board "
-                "was hidden"
-            )
-        return "a board of this size was seen, but not well enough to measure it"
+        (nx, ny), _ = max(sizes.items(), key=lambda p: (p[1], p[0][0] * p[0][1]))
+        if {nx, ny} == set(board.size):
+            return "a board of this size was seen, but not well enough to measure it"
+        return f"a chessboard of {nx} x {ny} inner corners was seen instead"
     for name in ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000"):
         if _markers(grays, name, False) >= 4:
             return f"markers of the dictionary {name} were seen: is it a ChArUco board?"

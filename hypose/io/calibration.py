@@ -1,4 +1,4 @@
-"""Camera calibration files: the Pose2Sim / anipose / FreeMoCap / Caliscope TOML family and Qualisys .qca.txt.
+"""Camera calibration files: the Pose2Sim / anipose / FreeMoCap / Caliscope TOML family; others: `calibration_formats`.
 
 The TOML family has one table per camera:
 
@@ -23,10 +23,8 @@ in millimetres, since rigs wider than 50 m and rigs narrower than 50 mm are both
 from __future__ import annotations
 
 import json
-import math
 import re
 import tomllib
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -54,7 +52,7 @@ _KEYS = {
 
 
 def read_calibration(path: str | Path, unit: str = "auto") -> CameraRig:
-    """Rig of a calibration file (.toml or .qca.txt), in the file's camera order, world in metres.
+    """Rig of a calibration file (see `calibration_formats`), in the file's camera order, world in metres.
 
     unit: 'auto' (see the module), 'm', 'cm' or 'mm', the unit of the file's translations. A CalibrationError
     names the file, the camera and what is wrong.
@@ -67,15 +65,12 @@ def read_calibration_with_notes(path: str | Path, unit: str = "auto") -> tuple[C
     path = Path(path)
     if unit != "auto" and unit not in UNITS:
         raise CalibrationError(f"The calibration unit {unit!r} is not known; use auto, m, cm or mm.")
-    text = _read_text(path)
-    if path.name.lower().endswith((".qca.txt", ".qca", ".xml")):
-        return _read_qca(path, text)
     if path.suffix.lower() == ".toml":
-        return _read_toml(path, text, unit)
-    raise CalibrationError(
-        f"{path}: calibrations are read from .toml (Pose2Sim, anipose, FreeMoCap, Caliscope) and Qualisys "
-        ".qca.txt; convert this file with Pose2Sim's calibration step, or name it by one of these endings."
-    )
+        return _read_toml(path, read_text(path), unit)
+    # here, because the other formats are built on this one
+    from hypose.io.calibration_formats import read_other
+
+    return read_other(path, unit)
 
 
 def find_calibration(folder: Path) -> Path | None:
@@ -95,8 +90,8 @@ def find_calibration(folder: Path) -> Path | None:
     return max(found, key=lambda p: natural_key(p.name), default=None)
 
 
-def write_calibration(rig: CameraRig, path: str | Path) -> None:
-    """Write the rig (metres) as a TOML file that hypose, Pose2Sim and anipose read."""
+def write_calibration(rig: CameraRig, path: str | Path, unit: str = "m") -> None:
+    """Write the rig as a TOML file that hypose, Pose2Sim and anipose read; unit: that of the rig's translations."""
     lines = []
     for camera in rig:
         lines += [
@@ -110,7 +105,7 @@ def write_calibration(rig: CameraRig, path: str | Path) -> None:
             f"fisheye = {toml_value(camera.fisheye)}",
             "",
         ]
-    lines += ["[metadata]", "adjusted = false", "error = 0.0", 'unit = "m"', ""]
+    lines += ["[metadata]", "adjusted = false", "error = 0.0", f'unit = "{unit}"', ""]
     with atomic_path(path) as temporary:
         temporary.write_text("\n".join(lines), encoding="utf-8", newline="\n")
 
@@ -152,7 +147,8 @@ def parse_toml(path: Path, text: str) -> dict[str, Any]:
         raise ValueError(str(error)) from None
 
 
-def _read_text(path: Path) -> str:
+def read_text(path: Path) -> str:
+    """Text of a calibration file of at most MAX_FILE_BYTES; a CalibrationError otherwise."""
     if path.is_dir():
         raise CalibrationError(f"{path} is a folder; name the calibration file in it.")
     if not path.is_file():
@@ -201,11 +197,11 @@ def _read_toml(path: Path, text: str, unit: str) -> tuple[CameraRig, tuple[str, 
     if unit == "auto" and stated in UNITS:
         unit = stated
     elif unit == "auto":
-        unit, note = _guess_unit(path, cameras)
+        unit, note = guess_unit(path, cameras)
         notes += note
     if UNITS[unit] != 1:
-        cameras = [_rescaled(c, UNITS[unit]) for c in cameras]
-    return _rig(path, cameras), tuple(notes)
+        cameras = [rescaled(c, UNITS[unit]) for c in cameras]
+    return rig_of(path, cameras), tuple(notes)
 
 
 def _get(table: Mapping[str, Any], key: str) -> Any:
@@ -245,7 +241,7 @@ def _camera_from_table(path: Path, key: str, table: Mapping[str, Any]) -> Camera
     if not isinstance(fisheye, bool):
         raise CalibrationError(f"{where}: fisheye must be true or false, got {fisheye!r}; correct this entry.")
     matrix = so3_exp(rotation.ravel()) if rotation.size == 3 else rotation
-    return _checked_camera(where, name, k, distortions, matrix, translation, size, fisheye)
+    return checked_camera(where, name, k, distortions, matrix, translation, size, fisheye)
 
 
 def as_numbers(value: Any) -> Array | None:
@@ -263,7 +259,7 @@ def as_numbers(value: Any) -> Array | None:
         return None
 
 
-def _checked_camera(
+def checked_camera(
     where: str,
     name: str,
     k: Array,
@@ -273,6 +269,7 @@ def _checked_camera(
     size: Array,
     fisheye: bool = False,
 ) -> Camera:
+    """A camera of the numbers of a file; a CalibrationError, beginning with `where`, says which are implausible."""
     w, h = size
     if not (1 <= w <= 100_000 and 1 <= h <= 100_000 and float(w).is_integer() and float(h).is_integer()):
         raise CalibrationError(
@@ -311,7 +308,8 @@ def _checked_camera(
     return Camera(name, k, distortions, se3(u @ vt, translation), (int(w), int(h)), fisheye)
 
 
-def _guess_unit(path: Path, cameras: list[Camera]) -> tuple[str, list[str]]:
+def guess_unit(path: Path, cameras: list[Camera]) -> tuple[str, list[str]]:
+    """Unit of translations by their size (see the module), and a sentence when they are not taken as metres."""
     centres = np.array([c.position for c in cameras])
     if len(cameras) > 1:
         i, j = np.triu_indices(len(cameras), 1)
@@ -328,93 +326,16 @@ def _guess_unit(path: Path, cameras: list[Camera]) -> tuple[str, list[str]]:
     ]
 
 
-def _rescaled(camera: Camera, factor: float) -> Camera:
+def rescaled(camera: Camera, factor: float) -> Camera:
+    """The camera with its translation multiplied."""
     pose = camera.camera_from_world.copy()
     pose[:3, 3] *= factor
     return Camera(camera.name, camera.K, camera.distortion, pose, camera.size, camera.fisheye)
 
 
-def _rig(path: Path, cameras: list[Camera]) -> CameraRig:
+def rig_of(path: Path, cameras: list[Camera]) -> CameraRig:
+    """The rig of a file's cameras; errors name the file."""
     try:
         return CameraRig(tuple(cameras))
     except CalibrationError as error:
         raise CalibrationError(f"{path}: {error}") from None
-
-
-# ---- Qualisys ----------------------------------------------------------------------------------------------
-
-
-def _read_qca(path: Path, text: str) -> tuple[CameraRig, tuple[str, ...]]:
-    """Qualisys Track Manager's XML. Intrinsics are in 1/64 px, the translation is the camera's position in
-    mm, the rotation world_from_camera stored by columns, of a camera that looks along -z with y up (turned by
-    pi about x into OpenCV's).
-
-    Deviation: Pose2Sim divides the distortion coefficients by 64, too. They belong to normalised coordinates,
-    and undivided they agree with a chessboard calibration of the same cameras, so they are taken as they are.
-    """
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:  # QTM writes none; entities can make a small file huge
-        raise CalibrationError(f"{path} is not a Qualisys calibration (it has a DOCTYPE); export it again from QTM.")
-    try:
-        root = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError, RecursionError) as error:
-        raise CalibrationError(f"{path} is not valid XML: {error}; export the calibration again from QTM.") from None
-    elements = root.findall("cameras/camera")
-    if not elements:
-        raise CalibrationError(f"{path} holds no cameras; export the calibration of the video cameras from QTM.")
-    video = [e for e in elements if any(m in e.get("model", "").lower() for m in ("video", "hybrid", "none"))]
-    notes = []
-    if video and len(video) < len(elements):
-        notes.append(f"{path.name}: {len(video)} video cameras; the {len(elements) - len(video)} others are left out.")
-    cameras = []
-    for element in sorted(video or elements, key=lambda e: natural_key(e.get("serial", ""))):
-        name = element.get("serial") or f"cam_{len(cameras) + 1}"
-        where = f"{path}, camera {name}"
-        if element.get("viewrotation", "0") not in ("0", ""):
-            notes.append(
-                f"{path.name}: camera {name} is marked as turned by {element.get('viewrotation')} degrees; "
-                "its images must not be turned in the video files."
-            )
-        view = _attributes(where, element, "fov_video", ("left", "top", "right", "bottom"))
-        optics = _attributes(
-            where, element, "intrinsic", ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV")
-        )
-        lens = _attributes(
-            where,
-            element,
-            "intrinsic",
-            ("radialDistortion1", "radialDistortion2", "tangentalDistortion1", "tangentalDistortion2"),
-        )
-        third = _attributes(where, element, "intrinsic", ("radialDistortion3",), 0.0)
-        axes = [f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)]
-        pose = _attributes(where, element, "transform", (*axes, "x", "y", "z"))
-        fu, fv, cu, cv = optics / 64
-        k = np.array([[fu, 0, cu - view[0]], [0, fv, cv - view[1]], [0, 0, 1.0]])
-        turn = np.diag([1.0, -1.0, -1.0]) @ pose[:9].reshape(3, 3)
-        size = np.array([view[2] - view[0] + 1, view[3] - view[1] + 1])
-        cameras.append(
-            _checked_camera(where, name, k, np.concatenate([lens, third]), turn, -turn @ pose[9:] / 1000, size)
-        )
-    return _rig(path, cameras), tuple(notes)
-
-
-def _attributes(
-    where: str, camera: ElementTree.Element, tag: str, names: tuple[str, ...], default: float | None = None
-) -> Array:
-    element = camera.find(tag)
-    values = []
-    for name in names:
-        raw = None if element is None else element.get(name)
-        if raw is None and default is not None:
-            values.append(default)
-            continue
-        try:
-            value = float(raw) if raw is not None else math.nan
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            raise CalibrationError(
-                f"{where}: <{tag} {name}> is {'missing' if raw is None else repr(raw)}, a number is needed; "
-                "export the calibration again from QTM."
-            )
-        values.append(value)
-    return np.array(values)

@@ -257,8 +257,8 @@ def test_bad_files(tmp_path):
     with (tmp_path / "huge.toml").open("wb") as stream:
         stream.truncate(50_000_000)
     refuses("huge.toml", r"has 50\.0 MB; a calibration file has at most 5 MB")
-    (tmp_path / "c.pickle").write_text("x")
-    refuses("c.pickle", r"calibrations are read from \.toml .* and Qualisys \.qca\.txt; convert")
+    (tmp_path / "c.calib").write_text("x")
+    refuses("c.calib", r"calibrations are read from \.toml, .*\.qca\.txt, .*; name the file by one of these endings")
     (tmp_path / "empty.toml").write_text("")
     refuses("empty.toml", r"holds no cameras")
 
@@ -296,7 +296,7 @@ def test_qualisys_units_and_axes(tmp_path):
         ({"fv": "-5"}, r"camera 7: focal lengths must be positive"),
         ({"r32": "0"}, r"camera 7: rotation is not a rotation matrix"),
         ({"z": ""}, r"camera 7: <transform z> is ''"),
-        ({"serial": "7<"}, r"is not valid XML: .*; export the calibration again from QTM"),
+        ({"serial": "7<"}, r"is not valid XML: .*; export the calibration again"),
     ],
 )
 def test_bad_qualisys(tmp_path, changes, message):
@@ -310,7 +310,7 @@ def test_qualisys_without_cameras_or_with_entities(tmp_path):
     with pytest.raises(CalibrationError, match="holds no cameras; export"):
         read_calibration(path)
     path.write_text('<!DOCTYPE a [<!ENTITY b "' + "c" * 1000 + '">]><a>' + "&b;" * 1000 + "</a>")
-    with pytest.raises(CalibrationError, match="is not a Qualisys calibration"):
+    with pytest.raises(CalibrationError, match="is not a Qualisys or Vicon calibration"):
         read_calibration(path)
 
 
