@@ -44,7 +44,10 @@ class Ends:
 
 
 def ends_of(body: Body) -> Ends:
-    """Hands: middle of the hand's skin; head: middle of the head's; wrists and ankles: the joints."""
+    """Hands: middle of the hand's skin, a little nearer to the wrist; head: middle of the head's skin; wrists and ankles:
+    the joints.
+
+    A hull keeps little of the fingers: detected hands lay 10 to 35 mm nearer to the wrist than the skin's middle."""
     s, mesh = body.skeleton, body.fine
     rest, joint, offset = s.rest_joints, [], []
     for name in END_NAMES:
@@ -52,7 +55,8 @@ def ends_of(body: Body) -> Ends:
         part = mesh.vertices[mesh.main_joint == j]
         skin = name.endswith("hand") or name == "head"
         joint.append(j)
-        offset.append(part.mean(0) - rest[j] if skin and len(part) else np.zeros(3))
+        middle = part.mean(0) - rest[j] if skin and len(part) else np.zeros(3)
+        offset.append(0.75 * middle if name.endswith("hand") else middle)
     return Ends(np.array(joint), np.array(offset))
 
 

@@ -158,10 +158,18 @@ def _turned(pose: Array, heading: float) -> Array:
     return out
 
 
+RECOVERY_REACH = 2.0
+"""m: how far from the last pose a lost person is looked for; whoever is farther away is somebody else."""
+
+
 def recover(body: Body, frame: PreparedFrame, pose: Array, options: SolveOptions) -> Array:
-    """The best pose (D,) after a loss: the last pose carried to the hull and turned, and known poses; refined."""
+    """The best pose (D,) after a loss: the last pose carried to the hull and turned, and known poses; refined.
+
+    Only the space within RECOVERY_REACH of the last pose is looked at: with nobody there the pose stays, so that another
+    person in view is not taken for the one who left.
+    """
     try:
-        hull = hull_of(frame)
+        hull = hull_of(frame, np.stack([pose[:3] - RECOVERY_REACH, pose[:3] + RECOVERY_REACH]))
     except EvidenceError:
         return pose
     candidates = [pose]
@@ -171,12 +179,13 @@ def recover(body: Body, frame: PreparedFrame, pose: Array, options: SolveOptions
     return _best_refined(body, np.stack(candidates), frame, options).pose
 
 
-def hull_of(frame: PreparedFrame) -> Hull:
-    """The visual hull of a frame; an EvidenceError naming the frame when nothing is left of it."""
+def hull_of(frame: PreparedFrame, bounds: Array | None = None) -> Hull:
+    """The visual hull of a frame, inside bounds (2, 3) m (default: the cameras' common view); an EvidenceError naming
+    the frame when nothing is left of it."""
     silhouettes = frame.frame.silhouettes
     if silhouettes is None or frame.masks is None:
         raise EvidenceError(f"Frame {frame.frame.index} has no usable silhouette to start from; choose another frame.")
-    hull = visual_hull(silhouettes)
+    hull = visual_hull(silhouettes, bounds)
     if len(hull.points) == 0:
         raise EvidenceError(
             f"Frame {frame.frame.index}: the silhouettes of the views have no common volume; check the calibration and "

@@ -166,7 +166,6 @@ def hpf_apo_plus(body: Body, particles: int = 500, frame_rate: float = 25.0) -> 
         own=True,
         twist=True,
         tails=True,
-        moving_end=True,
         name="hpf-apo+",
     )
 

@@ -1,0 +1,169 @@
+"""Detections in the search: inverse kinematics on an end, the share that adapts, the cost that knows the ends."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.evidence.frame import Detections
+from hypose.inference.hypotheses import Hypotheses
+from hypose.inference.kernels import stay
+from hypose.tracking.costs import SilhouetteXor
+from hypose.tracking.detections import (
+    END_NAMES,
+    DetectionCost,
+    DetectorDriven,
+    as_named,
+    ends_of,
+    found_ends,
+    limb_to,
+    pose_limb,
+)
+from hypose.tracking.evidence import prepare
+from hypose.tracking.published_recipes import PRESETS
+from hypose.tracking.recipes import step_sigma
+from hypose.tracking.tracker import Tracker, TrackerSettings
+
+HAND, HEAD, ANKLE = END_NAMES.index("left_hand"), END_NAMES.index("head"), END_NAMES.index("right_ankle")
+
+
+def with_detections(frame_of, body, pose, points, names=None, index=0):
+    found = (
+        Detections(np.asarray(points), np.ones(len(points)), np.full(len(points), -1, np.int32))
+        if names is None
+        else as_named(np.asarray(points), names)
+    )
+    return replace(frame_of(body, pose, index), detections=found)
+
+
+@pytest.mark.parametrize("end", [HAND, ANKLE])
+def test_a_limb_reaches_what_another_pose_of_it_reached(body, standing, end):
+    """Targets made by random poses of the same limb are reached exactly; only that limb moves."""
+    s, ends = body.skeleton, ends_of(body)
+    limb = limb_to(body, ends, end)
+    assert limb is not None
+    rng = np.random.default_rng(3)
+    wanted = np.repeat(standing[None], 100, 0)
+    wanted[:, limb.ball : limb.ball + 3] += rng.normal(0, 0.3, (100, 3))
+    wanted[:, limb.hinge] += rng.uniform(0.1, 0.5, 100)
+    targets = ends.positions(body, wanted)[:, end]
+    start = np.repeat(standing[None], 100, 0)
+    posed = pose_limb(body, limb, start, targets, rng.normal(0, 0.2, 100))
+    assert np.linalg.norm(ends.positions(body, posed)[:, end] - targets, axis=1).max() < 1e-6
+    moved = set(np.flatnonzero(np.abs(posed - start).max(0) > 1e-12))
+    assert moved <= {limb.ball, limb.ball + 1, limb.ball + 2, limb.hinge}
+    assert (posed >= s.lower - 1e-12).all() and (posed <= s.upper + 1e-12).all()
+
+
+def test_out_of_reach_the_limb_stretches_towards_the_target(body, standing):
+    ends = ends_of(body)
+    limb = limb_to(body, ends, HAND)
+    assert limb is not None
+    shoulder = body.joints(standing)[body.skeleton.joint("left_shoulder")]
+    target = shoulder + np.array([0.0, -1.5, -0.3])
+    posed = pose_limb(body, limb, standing[None], target[None], np.zeros(1))
+    hand = ends.positions(body, posed)[0, HAND] - shoulder
+    cosine = hand @ (target - shoulder) / np.linalg.norm(hand) / np.linalg.norm(target - shoulder)
+    assert cosine > 0.999
+    assert np.isfinite(posed).all()
+
+
+def test_unnamed_detections_go_to_the_nearest_ends_within_limits(body, standing, frame_of):
+    ends = ends_of(body)
+    now = ends.positions(body, standing[None])[0]
+    points = [now[1] + [0.05, 0, 0.02], now[0] + [0, 0.1, 0], now[2] + [0, 0, 1.0]]
+    frame = prepare(with_detections(frame_of, body, standing, points), body, standing)
+    found = found_ends(body, ends, frame)
+    assert set(found) == {0, 1}  # what is a metre above the head is nobody's
+    assert np.allclose(found[0], points[1]) and np.allclose(found[1], points[0])
+
+
+def test_named_detections_are_taken_as_they_are(body, standing, frame_of):
+    ends = ends_of(body)
+    named = with_detections(frame_of, body, standing, [[5.0, 5, 5]], ("right_ankle",))
+    assert set(found_ends(body, ends, prepare(named, body, standing))) == {ANKLE}
+
+
+def driven(body, end, **settings):
+    own = np.zeros(body.skeleton.dof)
+    own[:12] = step_sigma(body.skeleton, 25.0)[:12]
+    return DetectorDriven(body, ends_of(body), stay, (end,), own, 1, **settings)
+
+
+def test_half_of_the_particles_are_posed_on_the_detection(body, standing, frame_of):
+    ends = ends_of(body)
+    target = ends.positions(body, standing[None])[0, HAND] + [0.05, -0.15, 0.2]
+    frame = prepare(with_detections(frame_of, body, standing, [target]), body, standing)
+    h = Hypotheses.uniform(np.repeat(standing[None], 400, 0))
+    moved = driven(body, HAND, noise=0.01)(h, frame, np.random.default_rng(0))
+    near = np.linalg.norm(ends.positions(body, moved.values)[:, HAND] - target, axis=1) < 0.05
+    assert near.sum() == pytest.approx(200, abs=4)
+    untouched = (moved.values == h.values).all(1)
+    assert (untouched | near).all()
+    again = driven(body, HAND, noise=0.01)(h, frame, np.random.default_rng(0))
+    assert np.array_equal(again.values, moved.values) and np.array_equal(again.label, moved.label)
+
+
+@pytest.mark.parametrize("survivors, expected", [(1.0, 0.75), (0.6, 0.65), (0.4, 0.35), (0.0, 0.25)])
+def test_the_share_follows_survival_and_keeps_a_quarter_of_each_kind(body, standing, frame_of, survivors, expected):
+    ends = ends_of(body)
+    target = ends.positions(body, standing[None])[0, HAND] + [0.05, -0.1, 0.1]
+    frame = prepare(with_detections(frame_of, body, standing, [target]), body, standing)
+    kernel = driven(body, HAND)
+    known, kind = kernel._bits()
+    n = 400
+    label = np.where(np.arange(n) < survivors * n, known | kind, known)
+    h = Hypotheses.uniform(np.repeat(standing[None], n, 0), label)
+    moved = kernel(h, frame, np.random.default_rng(1))
+    assert ((moved.label & kind) > 0).mean() == pytest.approx(expected, abs=1e-9)
+
+
+def test_without_a_detection_only_the_base_kernel_moves(body, standing, frame_of):
+    frame = prepare(frame_of(body, standing), body, standing)
+    h = Hypotheses.uniform(np.repeat(standing[None], 10, 0), np.arange(10))
+    moved = driven(body, HAND)(h, frame, np.random.default_rng(1))
+    assert np.array_equal(moved.values, h.values) and np.array_equal(moved.label, h.label)
+
+
+def test_the_head_is_reached_by_a_step_of_the_trunk(body, standing, frame_of):
+    ends = ends_of(body)
+    target = ends.positions(body, standing[None])[0, HEAD] + [0.03, -0.02, 0.01]
+    frame = prepare(with_detections(frame_of, body, standing, [target]), body, standing)
+    h = Hypotheses.uniform(np.repeat(standing[None], 100, 0))
+    moved = driven(body, HEAD, noise=0.003)(h, frame, np.random.default_rng(0))
+    rows = (moved.values != h.values).any(1)
+    left = np.linalg.norm(ends.positions(body, moved.values[rows])[:, HEAD] - target, axis=1)
+    assert rows.sum() == 50 and left.mean() < 0.012
+
+
+def test_the_refinement_cost_adds_the_mean_distance_to_the_nearest_end(body, standing, frame_of):
+    """Alcoverro 2014, eqs. 2.20 and 2.21."""
+    ends = ends_of(body)
+    now = ends.positions(body, standing[None])[0]
+    points = [now[0] + [0.03, 0, 0], now[2] + [0, 0.05, 0]]
+    frame = prepare(with_detections(frame_of, body, standing, points), body, standing)
+    plain = SilhouetteXor(body)
+    h = Hypotheses.uniform(standing[None])
+    cost = DetectionCost(body, ends, plain, 4.0)(h, frame)
+    assert cost[0] == pytest.approx(plain(h, frame)[0] + 4.0 * (0.03 + 0.05) / 2, abs=1e-9)
+    nothing = prepare(frame_of(body, standing), body, standing)
+    assert (DetectionCost(body, ends, plain, 4.0)(h, nothing) == 0).all()
+
+
+@pytest.mark.parametrize("name, layers", [("dd-hpf", 7), ("dd-hpf+", 8), ("dd-hpf+5", 6)])
+def test_a_jumping_arm_is_found_again_by_its_detection(body, standing, frame_of, name, layers):
+    """A forearm that turns by 70 degrees in one frame is out of reach of the diffusion."""
+    recipe, particles = PRESETS[name](body)
+    assert (len(recipe.layers), particles) == (layers, 500)
+    raised = standing.copy()
+    raised[body.skeleton.dofs_of("left_elbow")] += 1.2
+    ends = ends_of(body)
+    recipe, _ = PRESETS[name](body, 150)
+    tracker = Tracker(body, recipe, 150, TrackerSettings(seed=2))
+    state = tracker.start(standing)
+    for n, pose in enumerate([standing, raised, raised]):
+        hands = ends.positions(body, pose[None])[0, :3]
+        frame = with_detections(frame_of, body, pose, hands, ("left_hand", "right_hand", "head"), n)
+        state, estimate = tracker.step(state, frame)
+    hand = ends.positions(body, estimate.pose[None])[0, HAND]
+    assert np.linalg.norm(hand - ends.positions(body, raised[None])[0, HAND]) < 0.06

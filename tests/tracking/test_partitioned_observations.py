@@ -1,0 +1,160 @@
+"""Partitions of the observations: boxes around limbs, the cost inside them, and the presets built on it."""
+
+import numpy as np
+import pytest
+
+from hypose.cameras.camera import CameraRig
+from hypose.evaluation.rigs import look_at
+from hypose.inference.hypotheses import Hypotheses
+from hypose.tracking.costs import xor_energy
+from hypose.tracking.evidence import prepare
+from hypose.tracking.limb_kernels import LimbDiffusion, ball_step
+from hypose.tracking.partitioned_observations import (
+    PartitionedXor,
+    bounding_region,
+    boxes_in_views,
+    chain_region,
+    faces_of_parts,
+    partitioned_energy,
+)
+from hypose.tracking.published_recipes import hpf_apo, hpf_apo_plus, layer_regions
+from hypose.tracking.recipes import HPF_LAYERS
+from hypose.tracking.tracker import Tracker, TrackerSettings
+from tests.tracking.measures import joint_error
+
+LEG = ("left_hip", "left_knee", "left_ankle")
+
+
+def test_the_box_encloses_the_projected_corners(small_rig):
+    box = np.array([[-0.3, -0.2, 0.4], [0.2, 0.3, 1.1]])
+    boxes = boxes_in_views(box, small_rig)
+    corners = np.array([[x, y, z] for x in box[:, 0] for y in box[:, 1] for z in box[:, 2]])
+    for camera, (x0, x1, y0, y1) in zip(small_rig, boxes, strict=True):
+        uv = camera.project_pinhole(corners)
+        inside = np.clip(uv, 0, np.array(camera.size) - 1)
+        assert (inside >= [x0, y0]).all() and (inside < [x1, y1]).all()
+        # and not much more than that
+        assert x1 - x0 <= np.ptp(uv[:, 0]) + 3 and y1 - y0 <= np.ptp(uv[:, 1]) + 3
+
+
+def test_a_box_around_the_camera_fills_the_image_and_one_behind_is_empty():
+    camera = look_at("front", [0, -3.0, 1.0], [0, 0, 1.0], 300, (200, 160))
+    rig = CameraRig((camera,))
+    around = boxes_in_views(np.array([[-1, -4.0, 0], [1, -2.0, 2]]), rig)
+    behind = boxes_in_views(np.array([[-1, -9.0, 0], [1, -7.0, 2]]), rig)
+    assert around[0].tolist() == [0, 200, 0, 160]
+    assert (behind[0, 1] - behind[0, 0]) * (behind[0, 3] - behind[0, 2]) == 0
+
+
+def test_the_fixed_box_holds_the_limb_however_it_is_bent(body, standing):
+    region = chain_region(body, LEG, ("left_big_toe",))
+    sizes = []
+    for knee in (0.0, 0.8, 2.0):
+        pose = standing.copy()
+        pose[body.skeleton.dofs_of("left_knee")] = knee
+        low, high = region.box(body, pose)
+        points = body.joints(pose)[[body.skeleton.joint(n) for n in LEG]]
+        assert (points > low).all() and (points < high).all()
+        sizes.append(high - low)
+    assert np.allclose(sizes, sizes[0])
+
+
+def test_boxes_grow_with_the_subject(body):
+    from hypose.tracking.subject import scaled_to_height
+
+    tall = scaled_to_height(body, 1.2 * body.stature)
+    a, b = chain_region(body, LEG), chain_region(tall, LEG)
+    assert a.half is not None and b.half is not None
+    assert b.half == pytest.approx(1.2 * a.half, rel=1e-6)
+    assert b.margin == pytest.approx(1.2 * a.margin, rel=1e-6)
+
+
+def test_the_cost_in_a_leg_s_box_sees_the_leg_and_not_the_arm(body, standing, frame_of):
+    frame = prepare(frame_of(body, standing), body, standing)
+    region = bounding_region(body, LEG, (), margin=0.1)
+    assert frame.frame.silhouettes is not None
+    boxes = boxes_in_views(region.box(body, standing), frame.frame.silhouettes.rig)
+    kicked, waved = standing.copy(), standing.copy()
+    kicked[body.skeleton.dofs_of("left_knee")] += 0.5
+    waved[body.skeleton.dofs_of("right_elbow")] += 0.7
+    rest, leg, arm = partitioned_energy(body, np.stack([standing, kicked, waved]), frame, boxes)
+    assert leg > rest + 0.02
+    assert abs(arm - rest) < 0.2 * (leg - rest)
+
+
+def test_parts_of_later_layers_are_not_drawn(body, standing, frame_of):
+    regions = layer_regions(body, bounding=False)
+    assert len(regions) == len(HPF_LAYERS) + 1
+    counts = [int(faces.sum()) for _, faces in regions]
+    assert all(a < b for a, b in zip(counts[:-2], counts[1:-1], strict=True))
+    assert counts[-1] == len(body.coarse.faces)
+    frame = prepare(frame_of(body, standing), body, standing)
+    h = Hypotheses.uniform(np.repeat(standing[None], 3, 0))
+    bent = h.values.copy()
+    bent[1, body.skeleton.dofs_of("right_elbow")] += 0.6  # not drawn while the upper arm is searched
+    region, faces = regions[4]
+    drawn = PartitionedXor(body, region)(Hypotheses.uniform(bent), frame)
+    upper_arm = PartitionedXor(body, region, faces)(Hypotheses.uniform(bent), frame)
+    # what is left is the skin about the elbow, which follows both bones
+    assert abs(upper_arm[1] - upper_arm[0]) < 0.35 * abs(drawn[1] - drawn[0])
+
+
+def test_without_a_view_all_cost_the_same(body, standing, frame_of):
+    blind = prepare(frame_of(body, standing, dead=(0, 1, 2, 3)), body, standing)
+    h = Hypotheses.uniform(np.stack([standing, standing + 0.1]))
+    assert (PartitionedXor(body, chain_region(body, LEG))(h, blind) == 0).all()
+
+
+def test_the_whole_box_gives_the_plain_cost_on_another_scale(body, standing, frame_of):
+    """Eq. 2.15 with Omega = everything is eq. 2.14 with the image's pixels in place of the silhouette's."""
+    frame = prepare(frame_of(body, standing), body, standing)
+    assert frame.masks is not None and frame.frame.silhouettes is not None
+    sizes = frame.frame.silhouettes.rig.sizes
+    boxes = np.stack([0 * sizes[:, 0], sizes[:, 0], 0 * sizes[:, 1], sizes[:, 1]], 1)
+    moved = standing[None].copy()
+    moved[0, 0] += 0.05
+    per_view = partitioned_energy(body, moved, frame, boxes)[0] * sizes.prod(1).mean()
+    plain = xor_energy(body, moved, frame)[0] * frame.masks.areas.mean()
+    assert per_view == pytest.approx(plain, rel=0.1)
+
+
+def test_swing_leaves_the_twist_and_twist_the_bone(body, standing):
+    s = body.skeleton
+    h = Hypotheses.uniform(np.repeat(standing[None], 200, 0))
+    still = np.zeros(s.dof)
+    elbow, wrist = s.joint("left_elbow"), s.joint("left_wrist")
+    before = s.forward(standing)[1]
+    twisted = LimbDiffusion(s, still, (ball_step(s, "left_shoulder", "left_elbow", 0.0, 0.3),))
+    joints = body.joints(twisted(h, None, np.random.default_rng(0)).values)  # type: ignore[arg-type]
+    assert np.abs(joints[:, elbow] - before[elbow]).max() < 1e-9
+    assert np.linalg.norm(joints[:, wrist] - before[wrist], axis=1).std() > 0.005
+    swung = LimbDiffusion(s, still, (ball_step(s, "left_shoulder", "left_elbow", 0.1, 0.0),))
+    values = swung(h, None, np.random.default_rng(0)).values  # type: ignore[arg-type]
+    moved = np.flatnonzero(np.abs(values - standing).max(0) > 0)
+    assert set(moved) == set(s.dofs_of("left_shoulder"))
+    angle = np.linalg.norm(body.joints(values)[:, elbow] - before[elbow], axis=1) / 0.28
+    assert 0.08 < np.sqrt((angle**2).mean()) < 0.2  # two axes of 0.1 rad
+    again = swung(h, None, np.random.default_rng(0)).values  # type: ignore[arg-type]
+    assert np.array_equal(values, again)
+
+
+def test_the_presets_have_the_published_numbers(body):
+    for make in (hpf_apo, hpf_apo_plus):
+        recipe, particles = make(body)
+        assert (len(recipe.layers), particles) == (8, 500)
+    fixed, _ = hpf_apo(body, betas=[0.5] * 8)
+    assert all(layer.weigh.selectivity.beta == 0.5 for layer in fixed.layers)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("make", [hpf_apo, hpf_apo_plus])
+def test_a_moving_arm_is_followed(body, standing, frame_of, make):
+    poses = np.repeat(standing[None], 4, 0)
+    poses[:, body.skeleton.dofs_of("left_elbow")] += np.arange(4)[:, None] * 0.12
+    poses[:, 0] += 0.015 * np.arange(4)
+    recipe, _ = make(body, 150)
+    tracker = Tracker(body, recipe, 150, TrackerSettings(seed=1))
+    state = tracker.start(standing)
+    for n, pose in enumerate(poses):
+        state, estimate = tracker.step(state, frame_of(body, pose, n))
+    assert joint_error(body, estimate.pose, poses[-1]) < 0.03
+    assert not estimate.lost
