@@ -70,10 +70,15 @@ def subject(
         progress("background", 0, 1)
         with FrameStream(loaded) as source:
             progress("background", 1, 1)
-            progress("subject", 0, 1)
-            found = estimate_subject(source.frame, len(source), loaded.frame_rate, human(), options)
+            found = estimate_subject(
+                source.frame,
+                len(source),
+                loaded.frame_rate,
+                human(),
+                options,
+                progress=lambda done, total: progress("subject", done, total),
+            )
             body, toml = save_subject(folder, found, human(), loaded.name)
-            progress("subject", 1, 1)
             picture = _picture(folder / "subject.png", loaded, source, found)
     for text in (*loaded.notes, *source.notes, *found.notes):
         note(f"note: {text}")

@@ -34,6 +34,7 @@ from hypose.tracking.subject import scaled_to_height
 from hypose.tracking.tracker import Tracker, TrackerSettings
 
 FrameAt = Callable[[int], Frame]
+Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -96,8 +97,9 @@ def estimate_subject(
     template: Body,
     options: AnthropometryOptions | None = None,
     start: Array | None = None,
+    progress: Progress | None = None,
 ) -> SubjectEstimate:
-    """The subject of a recording from silhouettes alone.
+    """The subject of a recording from silhouettes alone. progress(done, total) is called for every frame looked at.
 
     start (D,): pose of `template` in frame 0; default: known poses at the visual hull. The person may do anything;
     different poses (bent elbows and knees) place the joints. An EvidenceError when fewer than two views are usable,
@@ -107,7 +109,18 @@ def estimate_subject(
     step = max(1, round(frame_rate / options.rate))
     indices = list(range(0, n_frames, step))[: options.tracked]
     rate = frame_rate / step
-    frames = [frame_at(i) for i in indices]
+    done, total = 0, (1 + options.passes) * len(indices)
+
+    def tick() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(min(done, total), total)
+
+    frames = []
+    for i in indices:
+        frames.append(frame_at(i))
+        tick()
     usable = [f.silhouettes is not None and int(f.silhouettes.usable.sum()) >= 2 for f in frames]
     seen = [f for f, ok in zip(frames, usable, strict=True) if ok]
     numbers = [i for i, ok in zip(indices, usable, strict=True) if ok]
@@ -126,17 +139,19 @@ def estimate_subject(
         start_pose, at = start, 0
     first, x = body, prior_mean()
     x[0] = np.log(body.stature / template.stature)
-    by_template, iou = _both_ways(body, start_pose, at, seen, rate, options)
+    by_template, iou = _both_ways(body, start_pose, at, seen, rate, options, tick)
     chosen, tracked = different_poses(body, by_template, iou, options.frames), by_template
     fit = refine_shape(template, tracked[chosen], _contours(seen, chosen), known=known, options=options.shape, start=x)
     for _ in range(options.passes - 1):
         # the fitted body loses fewer limbs, so other frames and better poses are there to be fitted
-        tracked, iou = _both_ways(fit.body, tracked[at], at, seen, rate, options)
+        tracked, iou = _both_ways(fit.body, tracked[at], at, seen, rate, options, tick)
         chosen = different_poses(fit.body, tracked, iou, options.frames)
         again = replace(options.shape, iterations=(0, *options.shape.iterations[1:]))
         fit = refine_shape(
             template, tracked[chosen], _contours(seen, chosen), known=known, options=again, start=fit.log_factors
         )
+    if progress is not None:
+        progress(total, total)
     before = by_template[chosen]
     views = [_prepared(seen[k], first, by_template[k]) for k in chosen]
     body, x = fit.body, fit.log_factors
@@ -194,13 +209,19 @@ def _best_start(template: Body, frames: Sequence[Frame], options: AnthropometryO
 
 
 def _both_ways(
-    body: Body, start: Array, at: int, frames: Sequence[Frame], rate: float, options: AnthropometryOptions
+    body: Body,
+    start: Array,
+    at: int,
+    frames: Sequence[Frame],
+    rate: float,
+    options: AnthropometryOptions,
+    tick: Callable[[], None],
 ) -> tuple[Array, Array]:
     """`_follow` forwards and backwards from frame `at`, in the order of the frames."""
-    poses, iou = _follow(body, start, frames[at:], rate, options)
+    poses, iou = _follow(body, start, frames[at:], rate, options, tick)
     if at == 0:
         return poses, iou
-    earlier, earlier_iou = _follow(body, poses[0], frames[at - 1 :: -1], rate, options)
+    earlier, earlier_iou = _follow(body, poses[0], frames[at - 1 :: -1], rate, options, tick)
     return np.concatenate([earlier[::-1], poses]), np.concatenate([earlier_iou[::-1], iou])
 
 
@@ -233,7 +254,12 @@ def hull_start(
 
 
 def _follow(
-    body: Body, start: Array, frames: Sequence[Frame], rate: float, options: AnthropometryOptions
+    body: Body,
+    start: Array,
+    frames: Sequence[Frame],
+    rate: float,
+    options: AnthropometryOptions,
+    tick: Callable[[], None],
 ) -> tuple[Array, Array]:
     """(T, D) poses and (T,) IoU of the frames, tracked with few particles."""
     recipe, particles = default(body, particles=options.particles, frame_rate=rate)
@@ -244,6 +270,7 @@ def _follow(
         state, estimate = tracker.step(state, frame)
         poses.append(estimate.pose)
         iou.append(1 - estimate.cost)
+        tick()
     return np.stack(poses), np.array(iou)
 
 

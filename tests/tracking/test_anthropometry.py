@@ -151,7 +151,11 @@ def test_subject_from_the_hull_alone(body, standing, frame_of, tmp_path):
     person = body_of(body, shape(scale=0.05, thigh_girth=0.1, clothing=0.1))
     frames = [frame_of(person, standing, k) for k in range(3)]
     options = AnthropometryOptions(frames=2, rate=25.0, poses=("standing",), shape=ShapeOptions(iterations=(2, 2, 3)))
-    found = estimate_subject(lambda i: frames[i], 3, 25.0, body, options)
+    told = []
+    found = estimate_subject(
+        lambda i: frames[i], 3, 25.0, body, options, progress=lambda done, total: told.append((done, total))
+    )
+    assert told == sorted(told) and told[-1] == (9, 9)
     assert found.body.stature == pytest.approx(person.stature, abs=0.03)
     assert np.nanmin(found.iou) > 0.88 and np.nanmean(found.iou) > np.nanmean(found.iou_before)
     assert np.abs(found.body.joints(found.start) - person.joints(standing)).max() < 0.12
