@@ -121,7 +121,7 @@ def _all_found(views: Sequence[CameraViews], board: Board, all_views: tuple[Came
     rest = [f"{v.name}: found in {len(v.sightings)} pictures" for v in views if v.sightings]
     advice = "check the pattern, light and focus, and that the whole board is in the picture"
     if other:
-        advice = "check the pattern size: count the corners where four squares meet, not the squares; or " + advice[6:]
+        advice = "check the pattern size: count the corners where four squares meet, not the squares"
     raise BoardsNotFound(f"No {board} was found. {'. '.join([*said, *rest])}. Next: {advice}.", all_views)
 
 
