@@ -1,0 +1,190 @@
+"""Parts of the body on the hull's surface: normals, visibility, probability, clusters, assignment; and skin colour."""
+
+import numpy as np
+import pytest
+
+from hypose.cameras.camera import CameraRig
+from hypose.errors import InputError
+from hypose.evaluation.rigs import look_at
+from hypose.evidence.body_parts import (
+    ClusterSettings,
+    Surface,
+    assign_ends,
+    detect_ends,
+    likely_clusters,
+    oriented_surface,
+    surface_probability,
+    visibility,
+)
+from hypose.evidence.frame import Silhouettes
+from hypose.evidence.hull import Hull
+from hypose.evidence.silhouettes import make_silhouettes
+from hypose.evidence.skin import learned_table, skin_map, skin_posterior, skin_table
+
+SIZE = (200, 160)
+
+
+@pytest.fixture(scope="module")
+def ring() -> CameraRig:
+    """Four cameras 3 m around a point 1 m above the origin."""
+    at = [(3, 0, 1.4), (0, 3, 1.2), (-3, 0, 1.0), (0, -3, 1.3)]
+    return CameraRig(tuple(look_at(f"cam{k}", p, [0, 0, 1], 300, SIZE) for k, p in enumerate(at)))
+
+
+def ball(centre=(0.0, 0.0, 1.0), radius: float = 0.2, voxel: float = 0.02) -> Hull:
+    n = int(radius / voxel) + 3
+    grid = np.stack(np.meshgrid(*[np.arange(-n, n + 1)] * 3, indexing="ij"), -1) * voxel
+    return Hull(np.linalg.norm(grid, axis=-1) <= radius, np.array(centre) - n * voxel, voxel)
+
+
+def sphere_masks(rig: CameraRig, spheres) -> Silhouettes:
+    """Exact masks of spheres (centre, radius)."""
+    masks = []
+    for camera in rig:
+        w, h = camera.size
+        uv = np.stack(np.meshgrid(np.arange(w), np.arange(h)), -1).astype(np.float64)
+        origin, rays = camera.rays(uv)
+        rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        mask = np.zeros((h, w), np.uint8)
+        for centre, radius in spheres:
+            to = np.asarray(centre) - origin
+            along = rays @ to
+            mask |= (to @ to - along**2 <= radius**2) & (along > 0)
+        masks.append(mask)
+    return make_silhouettes(masks, rig)
+
+
+def test_normals_of_a_ball_point_away_from_its_centre():
+    surface = oriented_surface(ball())
+    radial = surface.points - [0, 0, 1.0]
+    cosine = (surface.normals * radial).sum(1) / np.linalg.norm(radial, axis=1)
+    assert np.linalg.norm(surface.normals, axis=1) == pytest.approx(np.ones(len(radial)))
+    assert cosine.mean() > 0.98 and cosine.min() > 0.85
+
+
+def test_visibility_is_the_cosine_to_the_axis_shared_among_the_cameras_that_see(ring):
+    """Alcoverro 2014, eq. 2.16, normalised."""
+    surface = oriented_surface(ball())
+    seen = visibility(surface, ring)
+    total = seen.sum(0)
+    assert np.allclose(total[total > 0], 1.0)
+    assert (total > 0).mean() > 0.9  # from the ring all but the very bottom and top
+    # the point that faces the first camera is seen by it most, and not at all by the one behind
+    nearest = int(np.argmax(surface.points[:, 0]))
+    assert seen[0, nearest] > 0.8 and seen[2, nearest] == 0
+    axes = np.stack([c.camera_from_world[2, :3] for c in ring])
+    raw = np.maximum(-(surface.normals @ axes.T).T, 0)
+    both = (seen[0] > 0) & (seen[1] > 0) & (seen[2] == 0) & (seen[3] == 0)
+    assert np.allclose(seen[0, both] / seen[1, both], raw[0, both] / raw[1, both])
+
+
+def test_what_lies_behind_is_not_visible(ring):
+    """A small ball behind a large one, as the first camera sees them."""
+    front, hidden = ball((0.3, 0, 1.05), 0.2), ball((-0.4, 0, 1.0), 0.08)
+    a, b = oriented_surface(front), oriented_surface(hidden)
+    both = Surface(np.concatenate([a.points, b.points]), np.concatenate([a.normals, b.normals]), a.spacing)
+    behind = visibility(both, ring)[:, len(a.points) :]
+    alone = visibility(b, ring)
+    assert (behind[0] > 0).sum() < 0.05 * (alone[0] > 0).sum()
+    assert (behind[2] > 0).sum() > 0.9 * (alone[2] > 0).sum()
+
+
+def test_an_unusable_view_sees_nothing(ring):
+    seen = visibility(oriented_surface(ball()), ring, np.array([False, True, True, True]))
+    assert (seen[0] == 0).all() and (seen[1] > 0).any()
+
+
+def test_probability_is_the_visibility_weighted_detector(ring):
+    """Alcoverro 2014, eq. 2.17."""
+    surface = oriented_surface(ball())
+    seen = visibility(surface, ring)
+    maps = np.zeros((4, SIZE[1], SIZE[0]), np.float32)
+    maps[0], maps[1] = 0.75, 0.25
+    probability = surface_probability(surface, seen, maps, ring)
+    assert np.allclose(probability, 0.75 * seen[0] + 0.25 * seen[1], atol=1e-6)
+
+
+def test_clusters_are_told_apart_and_sized():
+    """Alcoverro 2014, eq. 2.18 and the clustering by tolerance and size after it."""
+    rng = np.random.default_rng(0)
+    spots = np.array([[0, 0, 1.5], [0.5, 0, 1.0], [-0.5, 0, 1.0]])
+    counts = (200, 60, 5)  # the last is too small
+    points = np.concatenate([s + rng.uniform(-0.05, 0.05, (n, 3)) for s, n in zip(spots, counts, strict=True)])
+    background = rng.uniform(-1, 1, (300, 3))
+    surface = Surface(np.concatenate([points, background]), np.zeros((565, 3)), 0.02)
+    probability = np.concatenate([np.full(265, 0.8), np.full(300, 0.2)])
+    centres, score = likely_clusters(surface, probability, ClusterSettings(0.5, 0.06, 0.004, 0.2))
+    assert len(centres) == 2
+    assert np.abs(centres - spots[:2]).max() < 0.02
+    assert score == pytest.approx([0.8, 0.8])
+    assert len(likely_clusters(surface, 0.1 * probability)[0]) == 0
+
+
+def test_assignment_takes_as_many_as_possible_then_the_nearest():
+    """Alcoverro 2014, eq. 2.19: by hand."""
+    ends = np.array([[0.0, 0, 0], [0.3, 0, 0], [0, 0, 1.0]])
+    limits = np.array([0.35, 0.35, 0.25])
+    # greedy would give the first point to end 1 (0.05 m) and leave the second without one
+    points = np.array([[0.25, 0, 0], [0.6, 0, 0]])
+    assert assign_ends(points, ends, limits).tolist() == [0, 1]
+    assert assign_ends([[0, 0, 1.3]], ends, limits).tolist() == [-1]
+    assert assign_ends([[0, 0, 1.2], [0.02, 0, 0], [0.31, 0, 0]], ends, limits).tolist() == [2, 0, 1]
+    assert assign_ends(np.zeros((0, 3)), ends, limits).tolist() == []
+
+
+def test_ends_are_found_from_maps_and_masks(ring):
+    """Three spheres as a body, the upper one and one at the side marked by the detector, where it sees them."""
+    spheres = [((0, 0, 1.0), 0.2), ((0, 0, 1.28), 0.08), ((0.25, 0, 1.0), 0.07)]
+    silhouettes = sphere_masks(ring, spheres)
+    maps = sphere_masks(ring, [spheres[1]]).masks.astype(np.float32)
+    side = sphere_masks(ring, [spheres[2]]).masks
+    maps[[0, 1, 3]] = np.maximum(maps, side)[[0, 1, 3]]  # the trunk hides it from the third camera
+    found, centre = detect_ends(silhouettes, maps, np.array([0.0, 0, 1.0]), voxel=0.02)
+    assert len(found.points) >= 2 and (found.part == -1).all()
+    for sphere in spheres[1:]:
+        assert np.linalg.norm(found.points - sphere[0], axis=1).min() < 0.05
+    assert np.linalg.norm(centre - [0, 0, 1.05]) < 0.1
+
+
+def test_an_empty_hull_detects_nothing(ring):
+    silhouettes = sphere_masks(ring, [((0, 0, 1.0), 0.2)])
+    maps = np.ones(silhouettes.masks.shape, np.float32)
+    away = np.array([9.0, 0, 1])
+    found, centre = detect_ends(silhouettes, maps, away)
+    assert len(found.points) == 0 and np.array_equal(centre, away)
+    with pytest.raises(InputError, match="differ in shape"):
+        detect_ends(silhouettes, maps[:, :50], away)
+
+
+def test_skin_colours_of_the_published_mixtures():
+    light, dark, blue, green = skin_posterior(np.array([[225, 170, 140], [120, 78, 60], [40, 60, 150], [60, 140, 60.0]]))
+    assert light > 0.8 and dark > 0.5 and blue < 0.05 and green < 0.05
+    table = skin_table()
+    assert table[140 >> 2, 170 >> 2, 225 >> 2] == pytest.approx(light, abs=0.05)
+
+
+def test_a_person_s_own_colours_are_learnt():
+    rng = np.random.default_rng(1)
+    hands = np.clip(rng.normal([50, 62, 80], 4, (1500, 3)), 0, 255).astype(np.uint8)  # dark, in shade
+    shirt = np.clip(rng.normal([30, 40, 120], 4, (6000, 3)), 0, 255).astype(np.uint8)
+    table = learned_table(hands, shirt)
+    picture = np.zeros((20, 40, 3), np.uint8)
+    picture[:, :20], picture[:, 20:] = [50, 62, 80], [30, 40, 120]
+    probability = skin_map(picture, None, table)
+    assert probability[10, 8] > 0.8 and probability[10, 32] < 0.05
+    assert skin_map(picture)[10, 8] < 0.5  # which the general model misses
+    # colours never seen keep the general answer
+    seldom = np.full((8, 8, 3), (140, 170, 225), np.uint8)
+    assert skin_map(seldom, None, table)[4, 4] == pytest.approx(skin_map(seldom)[4, 4], abs=0.1)
+
+
+def test_skin_outside_the_mask_and_bad_pictures():
+    picture = np.full((12, 12, 3), (140, 170, 225), np.uint8)
+    mask = np.zeros((12, 12), np.uint8)
+    mask[3:9, 3:9] = 1
+    probability = skin_map(picture, mask)
+    assert (probability[mask == 0] == 0).all() and probability[5, 5] > 0.8
+    with pytest.raises(InputError, match="grey recordings have no skin colour"):
+        skin_map(picture[..., 0])
+    with pytest.raises(InputError, match="differ in size"):
+        skin_map(picture, mask[:5])
