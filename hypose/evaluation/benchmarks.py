@@ -82,6 +82,7 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
     from hypose.evaluation import (
         anthropometry,
         anthropometry_real,
+        calibration,
         fusion_benchmarks,
         fusion_speed,
         gesture_asl,
@@ -99,6 +100,7 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
         "table-2.3": published.table_2_3,
         "real-balancing": real.real_balancing,
         "real-uu4cam": real.real_uu4cam,
+        "calibration": calibration.boards,
         "silhouette-scorer": scorer_speed.silhouette_scorer,
         "contour-solve": speed.contour_solve,
         "multiview-speed": path_speed.multiview_speed,
