@@ -81,12 +81,15 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
     """All benchmarks by name (imported when asked for, because they pull in the whole product)."""
     from hypose.evaluation import (
         anthropometry,
+        court,
         anthropometry_real,
         calibration,
         fusion_benchmarks,
         fusion_speed,
         gesture_asl,
         gesture_benchmarks,
+        gesture_sessions,
+        gesture_speed,
         path_speed,
         published,
         real,
@@ -94,10 +97,13 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
         scorer_speed,
         sensor_choice,
         speed,
+        table_2_4,
     )
 
     return {
         "table-2.3": published.table_2_3,
+        "table-2.4": table_2_4.table_2_4,
+        "court-4": court.court_4,
         "real-balancing": real.real_balancing,
         "real-uu4cam": real.real_uu4cam,
         "calibration": calibration.boards,
@@ -114,7 +120,10 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
         "fusion-speed": fusion_speed.speed,
         "gesture-table-3.1": gesture_benchmarks.table_3_1,
         "gesture-table-3.2": gesture_benchmarks.table_3_2,
+        "gesture-table-3.3": gesture_sessions.table_3_3,
         "gesture-semi-synthetic": gesture_asl.semi_synthetic,
+        "gesture-speed": gesture_speed.speed,
+        "gesture-false-alarms": gesture_sessions.false_alarms,
     }
 
 

@@ -103,14 +103,24 @@ def make_view(rng: np.random.Generator, distance: float) -> View:
     return View(np.stack([right, np.cross(forward, right), forward]), position)
 
 
-def render(
-    people: Sequence[tuple[Person, Array]], room: Room, view: View, rng: np.random.Generator, lens: Lens = KINECT
-) -> tuple[Depth, NDArray[np.float32]]:
-    """Depth (480, 640) uint16 mm of posed people (person, vertices in the world) in a room, and the exact inverse
-    depth (1/m)."""
+def backdrop(room: Room, view: View, lens: Lens = KINECT) -> NDArray[np.float32]:
+    """Inverse depth (480, 640) 1/m of a room without people: drawn once where the camera stands still."""
     inverse = np.zeros((SIZE[1], SIZE[0]), np.float32)
+    depth_sensor.draw(view.points(room.vertices), room.faces, (lens.fx, lens.fy, lens.cx, lens.cy), inverse)
+    return inverse
+
+
+def render(
+    people: Sequence[tuple[Person, Array]],
+    behind: NDArray[np.float32],
+    view: View,
+    rng: np.random.Generator,
+    lens: Lens = KINECT,
+) -> tuple[Depth, NDArray[np.float32]]:
+    """Depth (480, 640) uint16 mm of posed people (person, vertices in the world) before a backdrop, and the exact
+    inverse depth (1/m)."""
+    inverse = behind.copy()
     pinhole = (lens.fx, lens.fy, lens.cx, lens.cy)
-    depth_sensor.draw(view.points(room.vertices), room.faces, pinhole, inverse)
     for person, vertices in people:
         depth_sensor.draw(view.points(vertices), person.faces, pinhole, inverse)
     return depth_sensor.sense(inverse, lens.fx, rng), inverse
@@ -127,20 +137,34 @@ def handedness(person: int) -> str:
 
 
 @dataclass(frozen=True)
+class Setting:
+    """A room seen by a camera, and what it looks like empty."""
+
+    room: Room
+    view: View
+    behind: NDArray[np.float32]
+
+    @staticmethod
+    def new(room: Room, view: View) -> Setting:
+        """The setting with its backdrop drawn."""
+        return Setting(room, view, backdrop(room, view))
+
+
+@dataclass(frozen=True)
 class Stage:
     """Where pictures are taken: level of the room, share of pictures with a second person; distance range (m) of the
-    camera; settings: fixed (room, view) pairs to choose from instead of a new room for each picture."""
+    camera; settings: fixed rooms with their cameras to choose from instead of a new one for each picture."""
 
     levels: tuple[str, ...] = ("empty", "furnished")
     second: float = 0.12
     distance: tuple[float, float] = (1.2, 3.0)
-    settings: tuple[tuple[Room, View], ...] = ()
+    settings: tuple[Setting, ...] = ()
 
-    def choose(self, rng: np.random.Generator) -> tuple[Room, View]:
+    def choose(self, rng: np.random.Generator) -> Setting:
         """A room and a camera."""
         if self.settings:
             return self.settings[rng.integers(len(self.settings))]
-        return make_room(rng, str(rng.choice(self.levels))), make_view(rng, rng.uniform(*self.distance))
+        return Setting.new(make_room(rng, str(rng.choice(self.levels))), make_view(rng, rng.uniform(*self.distance)))
 
 
 TRAINING, CLUTTERED = Stage(), Stage(("cluttered",), 0.7)
@@ -153,7 +177,8 @@ def picture(person: int, kind: str, stage: Stage, rng: np.random.Generator, othe
     everyone = load_people()
     puppet = Puppet(everyone[person])
     while True:
-        room, view = stage.choose(rng)
+        setting = stage.choose(rng)
+        view = setting.view
         point = None
         if kind in GESTURES:
             _, point = gesture(puppet, kind, rng, handedness(person))
@@ -164,7 +189,7 @@ def picture(person: int, kind: str, stage: Stage, rng: np.random.Generator, othe
             apply(puppet, movement(puppet, rng))
         shown = [(puppet.person, in_world(puppet))]
         if others and rng.random() < stage.second:
-            shown.append(bystander(everyone[others[rng.integers(len(others))]], room, rng))
+            shown.append(bystander(everyone[others[rng.integers(len(others))]], setting.room, rng))
         x = y = np.nan
         position = np.full(3, np.nan)
         if point is not None:
@@ -173,7 +198,7 @@ def picture(person: int, kind: str, stage: Stage, rng: np.random.Generator, othe
             y = float(position[1] / position[2] * KINECT.fy + KINECT.cy)
             if not (25 < x < SIZE[0] - 25 and 25 < y < SIZE[1] - 25):
                 continue
-        depth, inverse = render(shown, room, view, rng)
+        depth, inverse = render(shown, setting.behind, view, rng)
         if point is not None:
             window = inverse[int(y) - 3 : int(y) + 4, int(x) - 3 : int(x) + 4]
             if np.abs(1 / np.maximum(window, 1e-3) - position[2]).min() > 0.06:
@@ -190,7 +215,7 @@ def bystander(person: Person, room: Room, rng: np.random.Generator) -> tuple[Per
     return person, in_world(puppet, rng.uniform(-3, 3), at)
 
 
-def moment(puppet: Puppet, frame: Keyframe, room: Room, view: View, rng: np.random.Generator) -> Depth:
+def moment(puppet: Puppet, frame: Keyframe, setting: Setting, rng: np.random.Generator) -> Depth:
     """The picture of a person in a given pose (of a continuous movement)."""
     apply(puppet, frame)
-    return render([(puppet.person, in_world(puppet))], room, view, rng)[0]
+    return render([(puppet.person, in_world(puppet))], setting.behind, setting.view, rng)[0]

@@ -1,0 +1,233 @@
+"""`hypose gesture`: record, train, test, run, export and evaluate detectors of still gestures in depth."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hypose.app.commands_track import Seed
+from hypose.app.console import Stages, note, say
+from hypose.errors import InputError
+
+if TYPE_CHECKING:
+    from hypose.gestures.model import GestureModel
+
+app = typer.Typer(no_args_is_help=True, help="Learn still gestures from a depth camera in minutes, and watch for them.")
+
+SourceOption = Annotated[
+    str,
+    typer.Option(help="realsense, FILE.mkv (Azure Kinect), the folder of a recorded session, or simulated[:PERSON]."),
+]
+Gesture = Annotated[str, typer.Option(help="Name of the gesture.")]
+Rounds = Annotated[int, typer.Option(help="Rounds of gesture and other movement.")]
+Frames = Annotated[int, typer.Option(help="Stop after so many frames; 0 = never.")]
+
+
+@app.command()
+def record(
+    out: Annotated[Path, typer.Argument(help="New folder to record to.")],
+    gesture: Gesture,
+    source: SourceOption = "simulated",
+    rounds: Rounds = 3,
+    seed: Seed = 0,
+) -> None:
+    """Record a session with its prompts without learning; train from it later."""
+    from hypose.app.gesture_job import new_learner
+
+    _session(source, gesture, out, rounds, new_learner(seed), seed, None, None)
+    say(f"Recorded: {out}")
+
+
+@app.command()
+def train(
+    out: Annotated[Path, typer.Argument(help="Model file to write (.npz).")],
+    gesture: Gesture,
+    recording: Annotated[
+        list[Path] | None, typer.Option(help="Recorded session to learn from (again: several); else live.")
+    ] = None,
+    source: SourceOption = "simulated",
+    rounds: Rounds = 3,
+    passes: Annotated[int, typer.Option(help="Over the recordings.")] = 1,
+    offline: Annotated[bool, typer.Option("--offline", help="Boosted trees from all frames at once.")] = False,
+    resume: Annotated[Path | None, typer.Option(help="Model whose trees go on growing.")] = None,
+    record_to: Annotated[Path | None, typer.Option("--record", help="New folder to record a live session to.")] = None,
+    seed: Seed = 0,
+) -> None:
+    """Teach a gesture: a live session that learns while you watch, or recorded sessions again."""
+    from hypose.app.gesture_job import learn_offline, learn_recordings, new_learner
+    from hypose.pipeline.gesture_files import load_model, read_recording, save_model
+
+    if out.suffix != ".npz":
+        raise InputError(f"{out} is no name for a model; give one that ends in .npz.")
+    if passes < 1 or passes > 100:
+        raise InputError(f"--passes {passes} is not possible; give 1 to 100.")
+    old = load_model(resume) if resume is not None else None
+    if old is not None and old.learner is None:
+        raise InputError(f"{resume} is a finished forest (trained offline); only a growing one can be resumed.")
+    if old is not None and old.names != (gesture,):
+        raise InputError(f"{resume} is of {', '.join(old.names)}, not of {gesture}; give the model of that gesture.")
+    learner = old.learner if old is not None and old.learner is not None else new_learner(seed)
+    if recording:
+        loaded = [read_recording(r) for r in recording]
+        if offline:
+            model = learn_offline(loaded, gesture, seed)
+        else:
+            model = learn_recordings(loaded, gesture, learner, passes, note)
+    elif offline:
+        raise InputError("--offline learns from recordings; name them with --recording.")
+    else:
+        model = _session(source, gesture, record_to, rounds, learner, seed, old, resume)
+    save_model(model, out)
+    t = model.thresholds[0]
+    nodes = int(model.forest.size.sum()) if model.learner is None else int(model.learner.forest.arrays.size.sum())
+    say(f"{gesture}: {nodes} nodes, threshold " + ("not known yet" if t is None else f"{t:.1f} cm²"))
+    say(f"Model: {out}")
+
+
+def _session(
+    source: str,
+    gesture: str,
+    record_to: Path | None,
+    rounds: int,
+    learner: object,
+    seed: int,
+    old: GestureModel | None,
+    resume: Path | None,
+) -> GestureModel:
+    from hypose.app.gesture_job import run_session, typed_commands
+    from hypose.app.gesture_sources import open_source
+    from hypose.gestures.online import Learner
+    from hypose.gestures.session import SessionSettings
+
+    assert isinstance(learner, Learner)
+    opened = open_source(source, gesture, seed)
+    note("Commands (letter and Enter): n next, u undo, p pause, c continue, a again, t end with the test")
+    return run_session(
+        opened,
+        gesture,
+        learner,
+        SessionSettings(rounds=rounds),
+        record=record_to,
+        commands=typed_commands(),
+        say=note,
+        model=old,
+    )
+
+
+@app.command()
+def run(
+    models: Annotated[list[Path], typer.Argument(help="Model files, one per gesture.")],
+    source: SourceOption = "simulated",
+    osc: Annotated[str | None, typer.Option(help="HOST:PORT to send scores and events to by OSC.")] = None,
+    threshold: Annotated[float | None, typer.Option(help="cm² instead of the models' own.")] = None,
+    memory: Annotated[
+        float, typer.Option(help="Share of the new frame in the density (1: no temporal recursion).")
+    ] = 0.8,
+    hold: Annotated[float, typer.Option(help="Seconds a gesture must be held.")] = 0.15,
+    rest: Annotated[float, typer.Option(help="Seconds after its end in which it does not start again.")] = 0.5,
+    frames: Frames = 0,
+    seed: Seed = 0,
+) -> None:
+    """Watch for gestures without a screen: events as JSON lines on stdout, and by OSC."""
+    from hypose.app.gesture_job import OscOut, event_line, thresholds, watch
+    from hypose.app.gesture_sources import open_source
+    from hypose.gestures.events import EventSettings
+    from hypose.gestures.localise import LocaliseSettings
+    from hypose.pipeline.gesture_files import load_model
+
+    if not 0 < memory <= 1:
+        raise InputError(f"--memory {memory} is not possible; give more than 0 and at most 1.")
+    loaded = [load_model(m) for m in models]
+    limits = [EventSettings(t, hold_s=hold, refractory_s=rest) for t in thresholds(loaded, threshold)]
+    names = [n for m in loaded for n in m.names]
+    out = OscOut(osc, names, [s.threshold for s in limits]) if osc else None
+    previous = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        opened = open_source(source, names[0], seed)
+        for k, watched in enumerate(watch(opened, loaded, LocaliseSettings(memory=memory), limits), 1):
+            for event in watched.events:
+                print(event_line(event, names), flush=True)
+            if out is not None:
+                out.send(watched)
+            if frames and k >= frames:
+                break
+    except KeyboardInterrupt:
+        raise typer.Exit(130) from None
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+        if out is not None:
+            out.close()
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+@app.command()
+def test(
+    model: Annotated[Path, typer.Argument(help="Model file.")],
+    source: SourceOption = "simulated",
+    frames: Frames = 40,
+    seed: Seed = 0,
+) -> None:
+    """Try a model: what it finds in every frame, as JSON lines."""
+    import json
+
+    from hypose.app.gesture_job import watch
+    from hypose.app.gesture_sources import open_source
+    from hypose.gestures.events import EventSettings
+    from hypose.gestures.localise import LocaliseSettings
+    from hypose.pipeline.gesture_files import load_model
+
+    loaded = load_model(model)
+    limits = [EventSettings(t or float("inf")) for t in loaded.thresholds]
+    opened = open_source(source, loaded.names[0], seed)
+    for k, watched in enumerate(watch(opened, [loaded], LocaliseSettings(), limits), 1):
+        for f in watched.found:
+            value = {
+                "time": round(watched.time, 4),
+                "gesture": loaded.names[f.gesture - 1],
+                "score": round(f.score, 3),
+                "accepted": f.score >= limits[f.gesture - 1].threshold,
+                "x": round(f.x, 1),
+                "y": round(f.y, 1),
+                "position": None if f.position is None else [round(float(v), 4) for v in f.position],
+            }
+            print(json.dumps(value))
+        if frames and k >= frames:
+            break
+
+
+@app.command()
+def export(
+    model: Annotated[Path, typer.Argument(help="Model file.")],
+    out: Annotated[Path, typer.Argument(help="Folder to write to.")],
+) -> None:
+    """Write forest.npz, forest.json and a plain numpy program that runs them without hypose."""
+    from hypose.pipeline.gesture_files import export_model, load_model
+
+    for path in export_model(load_model(model), out):
+        say(str(path))
+
+
+@app.command("eval")
+def evaluate(
+    model: Annotated[Path, typer.Argument(help="Model file.")],
+    recording: Annotated[Path, typer.Argument(help="Recorded session that was not learned.")],
+) -> None:
+    """Judge a model on a recorded session: average precision, and what its threshold lets through."""
+    import json
+
+    from hypose.app import gesture_job
+    from hypose.pipeline.gesture_files import load_model, read_recording
+
+    loaded, session = load_model(model), read_recording(recording)
+    with Stages() as progress:
+        progress("check", 0, 1)
+        values = gesture_job.evaluate(loaded, session)
+        progress("check", 1, 1)
+    print(json.dumps({k: round(v, 4) for k, v in values.items()}, indent=2))

@@ -1,0 +1,132 @@
+"""Speed of finding and of learning gestures, and memory while growing; beside libraries that are made for tables."""
+
+from __future__ import annotations
+
+import importlib
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from hypose.compute.forests import ScanPlan
+from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row, row
+from hypose.evaluation.gesture_data import Size, examples, for_gesture, test_set, training_set
+from hypose.evaluation.gesture_metrics import judge
+from hypose.evaluation.gesture_poses import GESTURES
+from hypose.gestures.forest import Forest, ForestSettings
+from hypose.gestures.localise import LocaliseSettings, Scratch, localise, pad
+from hypose.gestures.offline import OfflineSettings, Pool, collect, train
+from hypose.gestures.online import Example, Learner, LearnSettings, teach
+from hypose.gestures.pictures import KINECT
+
+THOROUGH = LocaliseSettings(ScanPlan(first=0, coarse=0))
+
+
+def speed(options: BenchOptions) -> BenchReport:
+    """Milliseconds per 640 x 480 picture for one and for six gestures; learning steps per second; megabytes."""
+    size = Size(12, 48, 8) if options.quick else Size(40, 200, 12)
+    rng = np.random.default_rng([91, 0])
+    shot = training_set(size, rng, tick=lambda k, n: options.progress("render", k, n))
+    test = test_set(size, rng)
+    forests: list[Forest] = []
+    rates, sizes, lost, ms = [], [], [], []
+    for number in range(1, len(GESTURES) + 1):
+        learner, shown = Learner.new(np.random.default_rng(number)), examples(shot, number)
+        teach(learner, shown[:20])  # compiles
+        for e in [
+            e for k in range(2 if options.quick else 4) for e in shown if e.gesture or learner.rng.random() < 0.5
+        ]:
+            rates.append(_cpu(partial(teach, learner, [e]), 1))
+        forests.append(learner.forest.freeze())
+        sizes.append(learner.forest.nbytes / 1e6)
+        mine = for_gesture(test, number)
+        quick, thorough = judge(forests[-1], mine, number), judge(forests[-1], mine, number, THOROUGH)
+        lost.append(thorough.ap_metres() - quick.ap_metres())
+        ms += _milliseconds([f.depth for f in mine[:: 2 if options.quick else 1]], [forests[-1]])
+        options.progress("learn", number, len(GESTURES))
+    shown = examples(shot, 5)
+    deep = Learner.new(rng, ForestSettings(alpha=40), LearnSettings(positives=60, hard=60))
+    for _ in range(2 if options.quick else 4):
+        teach(deep, shown, shuffle=True)
+    pictures = [f.depth for f in test[:: 4 if options.quick else 2]]
+    rows = [
+        Row("detect_ms", "one", float(np.median(ms)), "ms", float(np.std(ms)), len(ms)),
+        Row("detect_ms", "one/p95", float(np.percentile(ms, 95)), "ms", n=len(ms)),
+        Row("detect_ms", "one/deep", float(np.median(_milliseconds(pictures, [deep.forest.freeze()]))), "ms"),
+        Row("detect_ms", "six", float(np.median(_milliseconds(pictures, forests))), "ms", n=len(pictures)),
+        row("ap_lost_to_rejection", "all", lost, "1"),
+        Row("train_frames_per_second", "all", 1 / float(np.mean(rates)), "1/s", n=len(rates)),
+        Row("model_mb", "all", float(np.max(sizes)), "MB", n=len(sizes)),
+        Row("model_mb", "deep", deep.forest.nbytes / 1e6, "MB"),
+        Row("nodes", "one", float(np.mean([f.size.sum() for f in forests])), "1"),
+        Row("nodes", "deep", float(deep.forest.arrays.size.sum()), "1"),
+        *_compared(shown, rng, options),
+    ]
+    return BenchReport(
+        tuple(rows), {"size": [640, 480], "trees": 15, "deepest": 20, "threads": 1, "time": "processor, best of 3"}
+    )
+
+
+def _cpu(call: Callable[[], object], repeats: int) -> float:
+    """Seconds of the fastest of some calls, in processor time of this thread: nothing here uses a second one, and what
+    else runs on the machine then disturbs least."""
+    seconds = []
+    for _ in range(repeats):
+        began = time.thread_time()
+        call()
+        seconds.append(time.thread_time() - began)
+    return min(seconds)
+
+
+def _milliseconds(pictures: list[Any], forests: list[Forest]) -> list[float]:
+    scratch = Scratch()
+    for f in forests:
+        _ = f.packed
+    return [1e3 * _cpu(partial(localise, d, KINECT, forests, None, scratch), 3) for d in pictures]
+
+
+def _compared(shown: list[Example], rng: np.random.Generator, options: BenchOptions) -> list[Row]:
+    """Our learning beside scikit-learn (fit of as many trees on 100 ready-made features, all tried at every node) and
+    river (one sample)."""
+    rows: list[Row] = []
+    pool = collect(shown, rng)
+    half = Pool(pool.patches, pool.labels)
+    settings = OfflineSettings(per_class=len(pool.labels) // 2)
+    train(half, rng, OfflineSettings(ForestSettings(trees=1), per_class=100))  # compiles
+    ours = _cpu(lambda: train(half, np.random.default_rng(0), settings), 1)
+    features = _features(pool, rng)
+    try:
+        ensemble: Any = importlib.import_module("sklearn.ensemble")
+        model = ensemble.RandomForestClassifier(15, max_depth=20, max_features=None, n_jobs=1, random_state=0)
+        theirs = _cpu(lambda: model.fit(features, pool.labels), 1)
+        rows.append(Row("offline_fit_s", "all", ours, "s", baseline="scikit-learn", baseline_value=theirs))
+    except ImportError:
+        rows.append(Row("offline_fit_s", "all", ours, "s"))
+    learner = Learner.new(np.random.default_rng(3))
+    picture = pad(shown[0].depth, KINECT, 150, 500)
+    rows_, columns = np.nonzero(shown[0].depth[::7, ::7])
+    labels = rng.integers(0, 2, len(rows_)).astype(np.int32)
+    learner.forest.learn(picture, rows_[:64] * 7, columns[:64] * 7, labels[:64])
+    one = _cpu(lambda: learner.forest.learn(picture, rows_ * 7, columns * 7, labels), 1) / len(rows_)
+    try:
+        river: Any = importlib.import_module("river.forest")
+        model = river.ARFClassifier(n_models=15, seed=0)
+        samples = [dict(enumerate(map(float, f))) for f in features[: 60 if options.quick else 200]]
+        began = time.thread_time()
+        for x, y in zip(samples, pool.labels.tolist(), strict=False):
+            model.learn_one(x, int(y))
+        theirs = (time.thread_time() - began) / len(samples)
+        rows.append(Row("learn_one_us", "all", 1e6 * one, "us", baseline="river", baseline_value=1e6 * theirs))
+    except ImportError:
+        rows.append(Row("learn_one_us", "all", 1e6 * one, "us"))
+    return rows
+
+
+def _features(pool: Pool, rng: np.random.Generator) -> np.ndarray:
+    """(n, 100) clipped differences of random patch pixels: what a library for tables would be given."""
+    side = pool.patches.shape[1]
+    p = np.clip(pool.patches.reshape(len(pool.patches), -1), -150, 150)
+    pairs = rng.integers(0, side * side, (100, 2))
+    return (p[:, pairs[:, 0]] - p[:, pairs[:, 1]]).astype(np.float32)
