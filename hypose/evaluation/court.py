@@ -52,10 +52,10 @@ class CourtOutcome:
 def court_4(options: BenchOptions) -> BenchReport:
     """Share of tracked frames of the presets on a serve, and the time to recover after the person was away.
 
-    Scenes: rig court-4 (640 x 480, the person about 80 px tall), another person walking in view and in the masks, cameras
-    up to two frames late, jittered outlines and false blobs; serve (tracked_share) and walk with an absence of 0.6 s
-    (recovery_s); subjects of another shape space, one per seed; height and start pose given. A frame is tracked when the
-    mean error over 15 joints is at most 120 mm. Medians over the seeds.
+    Scenes: rig court-4 (640 x 480, the person about 80 px tall), another person walking in view and in the masks,
+    cameras up to two frames late, jittered outlines and false blobs; serve (tracked_share) and walk with an absence
+    of 0.6 s (recovery_s); subjects of another shape space, one per seed; height and start pose given. A frame is
+    tracked when the mean error over 15 joints is at most 120 mm. Medians over the seeds.
     """
     seeds = options.seeds or (1 if options.quick else 5)
     seconds = 1.4 if options.quick else 2.4
@@ -141,6 +141,8 @@ def court_rows(found: Mapping[tuple[str, int, str], CourtOutcome]) -> list[Row]:
         recovery = [o.recovery_s for key, o in chosen.items() if key[0] == "away"]
         if recovery:
             rows.append(Row("recovery_s", preset, float(np.median(recovery)), "s", None, len(recovery)))
-            rows.append(Row("recovered_in_1s", preset, float(np.mean(np.array(recovery) <= 1.0)), "1", None, len(recovery)))
+            rows.append(
+                Row("recovered_in_1s", preset, float(np.mean(np.array(recovery) <= 1.0)), "1", None, len(recovery))
+            )
         rows.append(median_row("seconds_per_frame", preset, [o.seconds_per_frame for o in chosen.values()], "s"))
     return rows

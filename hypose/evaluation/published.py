@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hypose.body.models import human
-from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row, row
+from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row
 from hypose.evaluation.metrics import EVALUATED, JointErrors, carriers, joint_errors, population_offsets
 from hypose.evaluation.retarget import retarget
 from hypose.evaluation.scenes import Scene, make_scene

@@ -38,7 +38,8 @@ PRESETS: dict[str, Make] = {
 
 @dataclass(frozen=True)
 class ExtremityOutcome:
-    """One run. errors (T, 5) m: distance of each extremity (PARTS) from the truth; seconds_per_frame: of the tracker."""
+    """One run. errors (T, 5) m: distance of each extremity (PARTS) from the truth; seconds_per_frame: of the
+    tracker."""
 
     errors: Array
     seconds_per_frame: float
@@ -58,11 +59,11 @@ class Detected:
 def table_2_4(options: BenchOptions) -> BenchReport:
     """Mean error of hands, head and feet of the presets on crossing arms, waving and punching.
 
-    Scenes: rig ixmas-5, 390 x 291 at 23 frames/s, built-in motions, one subject of another shape space per seed; dressed
-    so that only face and hands are bare and no cloth has the colour of skin (as the thesis asks). Masks with outline
-    jitter, holes, blobs and shadow (level-1); detections by skin colour from rendered pictures, the subject's own colours
-    learnt in frame 0, where the pose is given. Evaluations per frame as published: 3500, 3500, 3500, 4000 (dd-hpf+), 3000
-    (dd-hpf+5). Medians over the seeds. Baseline of every row: apf.
+    Scenes: rig ixmas-5, 390 x 291 at 23 frames/s, built-in motions, one subject of another shape space per seed;
+    dressed so that only face and hands are bare and no cloth has the colour of skin (as the thesis asks). Masks with
+    outline jitter, holes, blobs and shadow (level-1); detections by skin colour from rendered pictures, the subject's
+    own colours learnt in frame 0, where the pose is given. Evaluations per frame as published: 3500, 3500, 3500, 4000
+    (dd-hpf+), 3000 (dd-hpf+5). Medians over the seeds. Baseline of every row: apf.
     """
     seeds = options.seeds or (1 if options.quick else 5)
     seconds = 0.5 if options.quick else 1.8

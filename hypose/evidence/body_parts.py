@@ -97,8 +97,8 @@ def visibility(surface: Surface, rig: CameraRig, usable: NDArray[np.bool_] | Non
 def surface_probability(surface: Surface, seen: Array, maps: NDArray[np.float32], rig: CameraRig) -> Array:
     """(S,) probability that each surface point shows a part: sum over views of visibility times detector.
 
-    seen (C, S) from `visibility`; maps (C, h, w): the detector's probability at the pixels of the pinhole rig; 0 outside
-    the images. Source: Alcoverro 2014, eq. 2.17.
+    seen (C, S) from `visibility`; maps (C, h, w): the detector's probability at the pixels of the pinhole rig; 0
+    outside the images. Source: Alcoverro 2014, eq. 2.17.
     """
     out = np.zeros(len(surface.points))
     for c, camera in enumerate(rig):
@@ -183,8 +183,8 @@ def detect_ends(
     the hull's centroid (3,) m, the centre for the next frame.
 
     centre (3,) m: where the person is about (the start pose's pelvis); the hull is carved within 0.75 statures of it.
-    With four views or more one of them may miss a part of the person. Without a hull there is no detection and the centre
-    stays. An InputError when maps and masks differ in shape.
+    With four views or more one of them may miss a part of the person. Without a hull there is no detection and the
+    centre stays. An InputError when maps and masks differ in shape.
     """
     if maps.shape != silhouettes.masks.shape:
         raise InputError(f"The detector's maps {maps.shape} and the masks {silhouettes.masks.shape} differ in shape.")

@@ -90,7 +90,9 @@ def skin_table(prior: float = 0.3) -> ColorTable:
     return skin_posterior(np.stack([r, g, b], -1), prior).astype(np.float32)
 
 
-def learned_table(ends: NDArray[np.uint8], rest: NDArray[np.uint8], prior: float = 0.3, trust: float = 30.0) -> ColorTable:
+def learned_table(
+    ends: NDArray[np.uint8], rest: NDArray[np.uint8], prior: float = 0.3, trust: float = 30.0
+) -> ColorTable:
     """A person's own colours: how likely a pixel of this colour is one of the ends of the body and not of the rest.
 
     ends (N, 3), rest (M, 3) uint8 BGR: pixels of head and hands, and of the clothes, from a frame whose pose is known.

@@ -25,7 +25,8 @@ from hypose.tracking.evidence import PreparedFrame
 END_NAMES = ("left_hand", "right_hand", "head", "left_wrist", "right_wrist", "left_ankle", "right_ankle")
 """The parts that a detection can name (`Detections.part`). Unnamed ones can become the first three."""
 LIMITS = np.array([0.35, 0.35, 0.25])
-"""m: farthest an unnamed detection may be from the end of the last pose (hands, head; Alcoverro 2014, section 2.5.1)."""
+"""m: farthest an unnamed detection may be from the end of the last pose (hands, head; Alcoverro 2014, section
+2.5.1)."""
 _KEYPOINT_OF = {"left_wrist": 3, "right_wrist": 4, "left_ankle": 5, "right_ankle": 6}
 
 
@@ -44,8 +45,8 @@ class Ends:
 
 
 def ends_of(body: Body) -> Ends:
-    """Hands: middle of the hand's skin, a little nearer to the wrist; head: middle of the head's skin; wrists and ankles:
-    the joints.
+    """Hands: middle of the hand's skin, a little nearer to the wrist; head: middle of the head's skin; wrists and
+    ankles: the joints.
 
     A hull keeps little of the fingers: detected hands lay 10 to 35 mm nearer to the wrist than the skin's middle."""
     s, mesh = body.skeleton, body.fine
@@ -94,8 +95,8 @@ class Limb:
     """A ball, the hinge below it and the end it carries: what analytic inverse kinematics poses.
 
     joint, parent: indices of the ball and of the joint that carries it; ball, hinge: first coordinates; upper (3,) m:
-    hinge minus ball; lower (3,) m: end minus hinge; axis (3,): the hinge's; all in the model frame at rest. The end does
-    not move against the hinge's segment (wrists have no freedom; an ankle's is left out for ankle centres).
+    hinge minus ball; lower (3,) m: end minus hinge; axis (3,): the hinge's; all in the model frame at rest. The end
+    does not move against the hinge's segment (wrists have no freedom; an ankle's is left out for ankle centres).
     """
 
     joint: int
@@ -122,12 +123,12 @@ def limb_to(body: Body, ends: Ends, end: int) -> Limb | None:
 
 
 def pose_limb(body: Body, limb: Limb, poses: Array, targets: Array, swivel: Array) -> Array:
-    """Poses (N, D) with the limb's ball and hinge set so that its end lies at targets (N, 3) m, or as near as the limb's
-    length and limits let it.
+    """Poses (N, D) with the limb's ball and hinge set so that its end lies at targets (N, 3) m, or as near as the
+    limb's length and limits let it.
 
     The hinge gives the distance from the ball's centre to the target (law of cosines; of two angles the one inside the
-    limits and nearer to the pose's own). The ball then turns by the smallest rotation that points the end at the target,
-    and by swivel (N,) rad about the line to it, the freedom that the end's place leaves.
+    limits and nearer to the pose's own). The ball then turns by the smallest rotation that points the end at the
+    target, and by swivel (N,) rad about the line to it, the freedom that the end's place leaves.
     """
     s = body.skeleton
     rotations, centres = s.forward(poses)
@@ -172,13 +173,14 @@ class DetectorDriven:
     """Kernel: part of the set is posed on the detected end, the rest diffuses; the parts follow their survival.
 
     base: the Gaussian kernel of the layer, by which all members move first. end: index in END_NAMES of the detection
-    that drives the layer; others, tried in turn where it is missing. noise: m, sd of a detection per axis. swivel: rad, sd
-    of the turn about the line to the end, far_swivel: that of a third of the members. sigma (D,): usual steps of the coordinates that the layer may move, for the
-    head. step: share mutated per layer; least: smallest share of either kind. bit: number of this end's pair of bits.
+    that drives the layer; others, tried in turn where it is missing. noise: m, sd of a detection per axis. swivel:
+    rad, sd of the turn about the line to the end, far_swivel: that of a third of the members. sigma (D,): usual steps
+    of the coordinates that the layer may move, for the head. step: share mutated per layer; least: smallest share of
+    either kind. bit: number of this end's pair of bits.
 
-    For limbs the ball and the hinge are posed by analytic inverse kinematics. The head is the end of no limb: its members
-    take the least step, in units of sigma, that brings it to the detection (the gain of a Kalman update).
-    The kinds: half at first; where more than half of the survivors are of the detection's kind, `step` of the others
+    For limbs the ball and the hinge are posed by analytic inverse kinematics. The head is the end of no limb: its
+    members take the least step, in units of sigma, that brings it to the detection (the gain of a Kalman update). The
+    kinds: half at first; where more than half of the survivors are of the detection's kind, `step` of the others
     become so too, else the reverse. Without a detection all diffuse and keep their kinds.
     """
 
@@ -232,7 +234,9 @@ class DetectorDriven:
             return driven
         driven = (label & kind) > 0
         share = driven.mean()
-        wanted = round(n * float(np.clip(share + (self.step if share > 0.5 else -self.step), self.least, 1 - self.least)))
+        wanted = round(
+            n * float(np.clip(share + (self.step if share > 0.5 else -self.step), self.least, 1 - self.least))
+        )
         excess = int(driven.sum()) - wanted
         change = order[driven[order] == (excess > 0)][: abs(excess)]
         driven[change] = excess < 0

@@ -165,8 +165,8 @@ RECOVERY_REACH = 2.0
 def recover(body: Body, frame: PreparedFrame, pose: Array, options: SolveOptions) -> Array:
     """The best pose (D,) after a loss: the last pose carried to the hull and turned, and known poses; refined.
 
-    Only the space within RECOVERY_REACH of the last pose is looked at: with nobody there the pose stays, so that another
-    person in view is not taken for the one who left.
+    Only the space within RECOVERY_REACH of the last pose is looked at: with nobody there the pose stays, so that
+    another person in view is not taken for the one who left.
     """
     try:
         hull = hull_of(frame, np.stack([pose[:3] - RECOVERY_REACH, pose[:3] + RECOVERY_REACH]))

@@ -1,8 +1,8 @@
 """Steps of a limb in its own directions: the swing of a ball joint apart from the twist about the bone.
 
-A shoulder's twist is not seen before the forearm is drawn, so a layered filter searches the swing with the upper arm and
-the twist with the forearm. Balls are rotation vectors, in which neither is a coordinate; here both are turns in the
-bone's own frame.
+A shoulder's twist is not seen before the forearm is drawn, so a layered filter searches the swing with the upper arm
+and the twist with the forearm. Balls are rotation vectors, in which neither is a coordinate; here both are turns in
+the bone's own frame.
 """
 
 from __future__ import annotations

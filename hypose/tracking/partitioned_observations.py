@@ -28,8 +28,8 @@ class Region:
     """Where a layer looks, from the joints of the mean pose.
 
     joints (Y,): the joints of the layer, with the points that end its parts (`ends`: landmark indices). half: (3,) m,
-    half the box's extent along the world's axes about the mean of those points (the published form, fixed), or None: the
-    box that bounds the points. margin: m, added on every side.
+    half the box's extent along the world's axes about the mean of those points (the published form, fixed), or None:
+    the box that bounds the points. margin: m, added on every side.
     """
 
     joints: NDArray[np.int64]

@@ -194,8 +194,8 @@ def dd_hpf(
     last_survival: float = 0.4,
     name: str = "dd-hpf",
 ) -> tuple[Recipe, int]:
-    """The detector-driven hierarchical filter: 7 layers x 500 particles, `hpf` with part of each layer's particles posed
-    on the detected hand, head (or ankle); refinement: one more layer, without propagation, whose cost knows the
+    """The detector-driven hierarchical filter: 7 layers x 500 particles, `hpf` with part of each layer's particles
+    posed on the detected hand, head (or ankle); refinement: one more layer, without propagation, whose cost knows the
     detections (`dd-hpf+`).
 
     Detections come with the frames (`Frame.detections`) or from key points; without any this is `hpf`. An arm's forearm

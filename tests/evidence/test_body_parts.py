@@ -157,7 +157,9 @@ def test_an_empty_hull_detects_nothing(ring):
 
 
 def test_skin_colours_of_the_published_mixtures():
-    light, dark, blue, green = skin_posterior(np.array([[225, 170, 140], [120, 78, 60], [40, 60, 150], [60, 140, 60.0]]))
+    light, dark, blue, green = skin_posterior(
+        np.array([[225, 170, 140], [120, 78, 60], [40, 60, 150], [60, 140, 60.0]])
+    )
     assert light > 0.8 and dark > 0.5 and blue < 0.05 and green < 0.05
     table = skin_table()
     assert table[140 >> 2, 170 >> 2, 225 >> 2] == pytest.approx(light, abs=0.05)

@@ -14,7 +14,6 @@ from hypose.tracking.partitioned_observations import (
     bounding_region,
     boxes_in_views,
     chain_region,
-    faces_of_parts,
     partitioned_energy,
 )
 from hypose.tracking.published_recipes import hpf_apo, hpf_apo_plus, layer_regions
