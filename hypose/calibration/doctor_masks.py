@@ -26,7 +26,14 @@ LIMBS = tuple(
     for side in ("left", "right")
     for a, b in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
 )
+_TRUNK = (
+    ("left_shoulder", "left_hip"),
+    ("right_shoulder", "right_hip"),
+    ("left_shoulder", "right_hip"),
+    ("right_shoulder", "left_hip"),
+)
 _ALONG = (0.35, 0.5, 0.65)
+_CLEAR = 0.085  # of the person's size: limbs nearer to another part of the body are left out
 
 
 @dataclass(frozen=True)
@@ -62,6 +69,7 @@ def limb_offsets(
     None; mask t + lag is compared."""
     column = {n: k for k, n in enumerate(names)}
     limbs = np.array([(column[a], column[b]) for a, b in LIMBS if a in column and b in column]).reshape(-1, 2)
+    bones = np.array([(column[a], column[b]) for a, b in (*LIMBS, *_TRUNK) if a in column and b in column])
     parts: list[tuple[Array, ...]] = []
     for t, p in enumerate(points):
         mask = masks[t + lag] if 0 <= t + lag < len(masks) else None
@@ -85,13 +93,43 @@ def limb_offsets(
         width = _reach(mask, np.repeat(start, 2, 0), np.stack([normal, -normal], 1).reshape(-1, 2), steps).reshape(-1, 2)
         fine = (width.max(1) < 0.6 * reach) & (width.sum(1) > 0.012 * size) & np.isfinite(velocity).all(1)
         which = np.repeat(limb, len(_ALONG))
+        fine &= _clearance(start, which, p, limbs, bones) > _CLEAR * size
         offset = 0.5 * (width[:, 0] - width[:, 1])
-        parts.append((normal[fine], offset[fine], velocity[fine], which[fine], np.full(int(fine.sum()), t)))
+        across = width.sum(1) / size
+        parts.append((normal[fine], offset[fine], velocity[fine], which[fine], np.full(int(fine.sum()), t), across[fine]))
     if not parts:
         none = np.zeros(0, np.int64)
         return LimbOffsets(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 2)), none, none)
-    normal, offset, velocity, limb, frame = (np.concatenate([x[k] for x in parts]) for k in range(5))
-    return LimbOffsets(normal, offset, velocity, limb.astype(np.int64), frame.astype(np.int64))
+    normal, offset, velocity, limb, frame, across = (np.concatenate([x[k] for x in parts]) for k in range(6))
+    alone = _alone(limb.astype(np.int64), across, len(limbs))
+    return LimbOffsets(
+        normal[alone], offset[alone], velocity[alone], limb[alone].astype(np.int64), frame[alone].astype(np.int64)
+    )
+
+
+def _clearance(
+    start: Array, limb: NDArray[np.int64], p: Array, limbs: NDArray[np.int64], bones: NDArray[np.int64]
+) -> Array:
+    """(N,) px from points (N, 2) on limbs (N,) to the nearest other bone that does not share a joint with the limb; a
+    limb before another part of the body has no outline of its own."""
+    a, b = p[bones[:, 0], :2], p[bones[:, 1], :2]
+    along = b - a
+    t = ((start[:, None] - a) * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-9)
+    gap = np.linalg.norm(start[:, None] - a - np.clip(t, 0, 1)[..., None] * along, axis=-1)
+    joined = (limbs[limb][:, None, :, None] == bones[None, :, None, :]).any((2, 3))
+    unseen = p[bones, 2].min(1) < 0.2
+    return np.where(joined | unseen, np.inf, gap).min(1)
+
+
+def _alone(limb: NDArray[np.int64], across: Array, n_limbs: int) -> NDArray[np.bool_]:
+    """(N,) True where the mask is about as wide as the limb: wider where it lies before another part of the body."""
+    out = np.zeros(len(limb), dtype=bool)
+    half = max(n_limbs // 2, 1)  # LIMBS lists the left side first, then the right in the same order
+    for k in range(half):
+        pair = np.flatnonzero(limb % half == k)
+        if len(pair):
+            out[pair] = across[pair] < 1.35 * np.percentile(across[pair], 25)
+    return out
 
 
 def _size(points: Array) -> float:

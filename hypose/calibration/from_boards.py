@@ -11,6 +11,7 @@ from hypose.calibration.boards import Board
 from hypose.calibration.bundle import LensPrior
 from hypose.calibration.floor import floor_frame, place_on_floor
 from hypose.calibration.intrinsics import FOCAL_SD, Lens, board_poses, calibrate_lens
+from hypose.calibration.lags import estimate_lags
 from hypose.calibration.rig import Chooser, RigCalibration, RigOptions, calibrate_rig
 from hypose.calibration.surroundings import Picture, floor_likelihood
 from hypose.calibration.views import CameraViews, LookOptions, Progress, Source, diagnose, look_for_board
@@ -84,6 +85,7 @@ def calibrate_from_boards(
     views = look_for_board(sources, board, LookOptions(o.max_frames, True, o.progress))
     both = (*lens_views, *views)
     _all_found(views, board, both)
+    lenses: tuple[Lens, ...] = ()
     try:
         lenses = tuple(_lens(i, views, lens_views, board, o) for i in range(len(views)))
         o.progress("solve", 0, 2)
@@ -99,14 +101,18 @@ def calibrate_from_boards(
     except BoardsNotFound:
         raise
     except CalibrationError as error:
-        raise BoardsNotFound(str(error), both) from None
+        late = _lag_hint(lenses, views, board)
+        raise BoardsNotFound(f"{error}{' ' if late else ''}{late}", both) from None
     o.progress("solve", 1, 2)
     frame, said = floor_frame(fit.rig, fit.boards, board, o.floor, all(v.still for v in views))
     rig, boards = place_on_floor(fit.rig, fit.boards, board, frame)
     fit = replace(fit, rig=rig, boards=boards)
     o.progress("solve", 2, 2)
     notes = [*fit.notes, said] if said else list(fit.notes)
-    return BoardCalibration(rig, views, lens_views, fit, lenses, tuple(notes), tuple(_warnings(fit, lenses, views)))
+    warnings = _warnings(fit, lenses, views)
+    if warnings and (late := _lag_hint(lenses, views, board)):
+        warnings.append(late)
+    return BoardCalibration(rig, views, lens_views, fit, lenses, tuple(notes), tuple(warnings))
 
 
 def _all_found(views: Sequence[CameraViews], board: Board, all_views: tuple[CameraViews, ...]) -> None:
@@ -159,6 +165,17 @@ def _lens(
             )
         lens = replace(lens, camera=lens.camera.scaled(view.size), given=True)
     return lens
+
+
+def _lag_hint(lenses: Sequence[Lens], views: Sequence[CameraViews], board: Board) -> str:
+    """A sentence about videos that are clearly late, or ''."""
+    if len(lenses) < len(views) or any(v.still for v in views):
+        return ""
+    lags = estimate_lags([n.camera for n in lenses], [v.sightings for v in views], board)
+    if not lags:
+        return ""
+    said = " ".join(f"--lag {views[c].name}={views[c].lag + lag}" for c, lag in lags.items())
+    return f"By the board's speed, videos are about this late: {said}; try that, or hypose sync."
 
 
 def _determined(fit: RigCalibration) -> None:
