@@ -199,21 +199,27 @@ def check_same_person(
     positions: ArrayLike, registration: Registration, names: Sequence[str], residual_m: float = LARGEST_RESIDUAL_M
 ) -> None:
     """An InputError when two sensors cannot have seen the same person at the same time: positions (T, K, 15, 3) m in
-    the sensors' frames are too far apart after registration, or the limbs' lengths differ too much."""
+    the sensors' frames are too far apart after registration, or the limbs' lengths differ too much; and when a sensor
+    reports no body but a point."""
     s = np.asarray(positions, dtype=np.float64)
     a, b = jt.BONES[:, 0], jt.BONES[:, 1]
     with np.errstate(invalid="ignore"):
         lengths = np.linalg.norm(s[:, :, a] - s[:, :, b], axis=-1)
     known = [np.isfinite(lengths[:, k]).sum(0) > 10 for k in range(s.shape[1])]
     typical = [np.nanmedian(np.where(known[k], lengths[:, k], 0.0), axis=0) for k in range(s.shape[1])]
+    for k in range(s.shape[1]):
+        if known[k].any() and np.median(typical[k][known[k]]) < 0.01:
+            raise InputError(
+                f"The sensor {names[k]!r} reports all joints at one point; record it again, or leave the sensor out."
+            )
     r = registration.reference
     for k in range(s.shape[1]):
         both = known[k] & known[r]
         if k == r or not both.any():
             continue
-        ratio = float(np.median(typical[k][both] / typical[r][both]))
+        ratio = float(np.median(typical[k][both] / np.maximum(typical[r][both], 1e-6)))
         far = registration.residual[k] > residual_m
-        if far or max(ratio, 1 / ratio) > LARGEST_LENGTH_RATIO:
+        if far or max(ratio, 1 / max(ratio, 1e-6)) > LARGEST_LENGTH_RATIO:
             reason = (
                 f"their joints stay {100 * registration.residual[k]:.0f} cm apart after registration"
                 if far

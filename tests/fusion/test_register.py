@@ -8,6 +8,7 @@ from hypose.fusion.register import (
     check_same_person,
     depth_at_joints,
     heading,
+    identity,
     register,
     register_per_frame,
     upward,
@@ -108,3 +109,10 @@ def test_heading_follows_a_turn_and_up_is_up():
     found = heading(truth[:, None], up)
     offset = np.median(found[5:] - expected[:-5])
     assert np.abs(found[20:] - offset - expected[16:-4]).max() < 0.05
+
+
+def test_a_sensor_that_reports_a_point_is_refused(rng):
+    positions = rng.normal(size=(20, 2, 15, 3))
+    positions[:, 1] = [0.0, 0.0, 2.0]
+    with pytest.raises(InputError, match="'b' reports all joints at one point"):
+        check_same_person(positions, identity(2), ("a", "b"))
