@@ -49,7 +49,8 @@ def table_2_3(options: BenchOptions) -> BenchReport:
     seeds = options.seeds or (1 if options.quick else 5)
     seconds = 0.6 if options.quick else 2.0
     actions = ("walk",) if options.quick else ACTIONS
-    jobs = [(a, s) for a in actions for s in range(seeds)]
+    first = options.first_seed or 0
+    jobs = [(a, s) for a in actions for s in range(first, first + seeds)]
     found: dict[tuple[str, str], list[Outcome]] = {}
     for n, (action, seed) in enumerate(jobs):
         scene = action_scene(action, seed, seconds, options)
@@ -60,6 +61,7 @@ def table_2_3(options: BenchOptions) -> BenchReport:
     options.progress("done", len(jobs) * len(PRESETS), len(jobs) * len(PRESETS))
     rows = table_rows(found, actions)
     settings = {"seeds": seeds, "seconds": seconds, "rig": "humaneva-4", "corruption": "level-1", "frame_rate": 25}
+    settings["first_seed"] = first
     settings["motion"] = "captured" if _mocap(options) else "built-in"
     return BenchReport(tuple(rows), settings)
 
