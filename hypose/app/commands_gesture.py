@@ -83,7 +83,7 @@ def train(
         model = _session(source, gesture, record_to, rounds, learner, seed, old, resume)
     save_model(model, out)
     t = model.thresholds[0]
-    nodes = int(model.forest.size.sum()) if model.learner is None else int(model.learner.forest.arrays.size.sum())
+    nodes = int(model.forest.size.sum())
     say(f"{gesture}: {nodes} nodes, threshold " + ("not known yet" if t is None else f"{t:.1f} cm²"))
     say(f"Model: {out}")
 

@@ -11,7 +11,6 @@ import time as clock
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -121,7 +120,7 @@ def run_session(
         raise InputError(f"Nothing was learned from {source.name}; keep the gesture in the box while it is asked for.")
     entry = {"session": source.name, "frames_learned": taught, "computing_s": round(seconds, 3)}
     history = (*(model.history if model is not None else ()), entry)
-    threshold = trainer.threshold
+    threshold = trainer.final_threshold()
     return GestureModel((gesture,), trainer.learner.forest, (threshold,), LocaliseSettings(), trainer.learner, history)
 
 
@@ -135,37 +134,26 @@ def learn_recordings(
     recordings: Sequence[GestureRecording], gesture: str, learner: Learner, passes: int, say: Say
 ) -> GestureModel:
     """A forest taught with recorded sessions in the order of time, as the live session would have."""
-    from hypose.gestures.session import Session, observe
-
-    settings, session, seen = SessionSettings(), Session(), 0
+    trainer, seen = Trainer(learner), 0
     for k in range(passes):
         for r in recordings:
             number = r.number(gesture)
             for f in r.learned():
-                depth = f.depth()
-                shown = f.phase == "positive" and f.gesture == number
-                taught = learner.show(depth, r.lens, 1, f.x, f.y) if shown else learner.reject(depth, r.lens)
-                if taught is None:
-                    continue
-                seen += 1
-                phase = "positive" if shown else "negative"
-                session = observe(_in_phase(session, phase), settings, taught.maxima[0].score)
+                kind = "gesture" if f.phase == "positive" and f.gesture == number else "negative"
+                seen += trainer.learn(kind, f.depth(), r.lens, (f.x, f.y)) is not None
         say(f"pass {k + 1} of {passes}: {seen} frames learned")
     if not seen:
         raise InputError("The recordings hold no frames to learn from; record a session with `hypose gesture record`.")
     history = tuple({"recording": r.folder.name, "passes": passes} for r in recordings)
-    threshold = session.threshold(settings)
+    threshold = trainer.final_threshold()
     return GestureModel((gesture,), learner.forest, (threshold,), LocaliseSettings(), learner, history)
 
 
-def _in_phase(session: Any, phase: str) -> Any:
-    from dataclasses import replace
-
-    return replace(session, phase=phase)
-
-
 def learn_offline(recordings: Sequence[GestureRecording], gesture: str, seed: int) -> GestureModel:
-    """Boosted trees from all frames at once; the threshold from the maxima on the same frames."""
+    """Boosted trees from all frames at once.
+
+    The threshold is half way between the lower quartile of the maxima where the gesture is shown and the strongest
+    elsewhere, on the frames it was trained with, hence on the high side for others."""
     rng = np.random.default_rng(seed)
     every = [e for r in recordings for e in r.examples(gesture)]
     if not any(e.gesture for e in every):
@@ -174,9 +162,9 @@ def learn_offline(recordings: Sequence[GestureRecording], gesture: str, seed: in
     scores: tuple[list[float], list[float]] = ([], [])
     for e in every:
         scores[e.gesture].append(localise(e.depth, e.lens, [forest])[0].score)
-    low, high = (float(np.mean(v)) if v else 0.0 for v in scores)
+    low, high = max(scores[0], default=0.0), float(np.quantile(scores[1], 0.25))
     history = tuple({"recording": r.folder.name, "learning": "offline boosted"} for r in recordings)
-    return GestureModel((gesture,), forest, (0.8 * high + 0.2 * low,), LocaliseSettings(), None, history)
+    return GestureModel((gesture,), forest, (0.5 * (low + high),), LocaliseSettings(), None, history)
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ SIMULATED_FPS = 10.0
 
 @dataclass(frozen=True)
 class Taken:
-    """A depth picture (h, w) uint16 mm, its time (s), and where the gesture is done, when the source knows (x, y px)."""
+    """A depth picture (h, w) uint16 mm, its time (s), and where the gesture is done (x, y px), if the source knows."""
 
     time: float
     depth: Depth

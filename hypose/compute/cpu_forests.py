@@ -155,10 +155,10 @@ def _split(g, t, n, slot, q):
     g.size[t] += 2
     g.left[t, n] = a
     g.test[t, n] = g.candidate[t, slot, q]
-    for c in range(g.count.shape[2]):
+    for c in range(g.seen.shape[2]):
         lower = g.left_count[t, slot, q, c]
-        g.count[t, a, c] = lower
-        g.count[t, a + 1, c] = g.total[t, slot, c] - lower
+        g.seen[t, a, c] = lower
+        g.seen[t, a + 1, c] = g.total[t, slot, c] - lower
     for k in range(2):
         g.level[t, a + k] = g.level[t, n] + 1
         g.slot[t, a + k] = -1
@@ -174,7 +174,7 @@ def grow(flat, width, cells, labels, focal, near, clip, half, spread, rate, alph
     A leaf gets candidates only once it has seen two samples of two classes. The Poisson number of repeats is added at
     once. A slot that has seen 3 alpha samples without a gainful test is given back and drawn anew.
     """
-    trees, classes = g.left.shape[0], g.count.shape[2]
+    trees, classes = g.left.shape[0], g.seen.shape[2]
     side = np.empty((2, classes), np.int64)
     for i in range(cells.shape[0]):
         c = u8(cells[i])
@@ -191,14 +191,14 @@ def grow(flat, width, cells, labels, focal, near, clip, half, spread, rate, alph
                 e = g.test[t, n]
                 f = _response(flat, width, c, d, s, lo, hi, e[0], e[1], e[2], e[3])
                 n = g.left[t, n] + (0 if f < e[4] else 1)
-            g.count[t, n, y] += k
+            g.seen[t, n, y] += k
             if g.level[t, n] >= deepest:
                 continue
             slot = g.slot[t, n]
             if slot < 0:
                 seen = 0
                 for j in range(classes):
-                    seen += 1 if g.count[t, n, j] >= 2 else 0
+                    seen += 1 if g.seen[t, n, j] >= 2 else 0
                 if seen < 2:
                     continue
                 slot = _open(g, t, n, half, spread)

@@ -29,7 +29,7 @@ MAX_NODES = 32766
 class GrowingArrays(NamedTuple):
     """A forest that grows: nt trees of N nodes, S slots with T candidate tests per tree, C classes.
 
-    test (nt, N, 5) i2: uy, ux, vy, vx, threshold in mm; left (nt, N) i2: left child or -1 (right = left + 1); count
+    test (nt, N, 5) i2: uy, ux, vy, vx, threshold in mm; left (nt, N) i2: left child or -1 (right = left + 1); seen
     (nt, N, C) u4: samples seen; level (nt, N) u1: depth of the node; slot (nt, N) i2 or -1; size (nt,) i4: nodes in
     use; free (nt, S) i2 and n_free (nt,) i4: stack of unused slots; candidate (nt, S, T, 5) i2; left_count (nt, S, T,
     C) u2; total (nt, S, C) i4; random (nt,) u8: state of each tree's random numbers; tally (2,) i8: splits, refusals
@@ -38,7 +38,7 @@ class GrowingArrays(NamedTuple):
 
     test: NDArray[np.int16]
     left: NDArray[np.int16]
-    count: NDArray[np.uint32]
+    seen: NDArray[np.uint32]
     level: NDArray[np.uint8]
     slot: NDArray[np.int16]
     size: NDArray[np.int32]
@@ -239,12 +239,12 @@ def cut_patches(picture: PaddedDepth, cells: NDArray[np.int64], step_mm: int) ->
 
 
 class TreeArraysOffline(NamedTuple):
-    """One tree of `grow_tree`: test (N, 5) i2 (patch row and column of u and of v, threshold mm), left (N,) i2, count
+    """One tree of `grow_tree`: test (N, 5) i2 (patch row and column of u and of v, threshold mm), left (N,) i2, seen
     (N, C) u4, level (N,) u1."""
 
     test: NDArray[np.int16]
     left: NDArray[np.int16]
-    count: NDArray[np.uint32]
+    seen: NDArray[np.uint32]
     level: NDArray[np.uint8]
 
 

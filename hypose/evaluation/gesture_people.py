@@ -207,18 +207,23 @@ class Puppet:
         self.person = person
         self._index = {n: i for i, n in enumerate(person.joint_names)}
         self._turned: dict[int, Array] = {0: np.eye(3)}
+        self._placed: tuple[Array, Array] | None = None
 
     def set(self, name: str, rotation: Array) -> None:
         """Give a joint its rotation in the world (3, 3)."""
         self._turned[self._index[name]] = rotation
+        self._placed = None
 
     def place(self) -> tuple[Array, Array]:
         """Rotations (51, 3, 3) and centres (51, 3) m of all joints."""
+        if self._placed is not None:
+            return self._placed
         p = self.person
         r, c = np.empty((len(p.parents), 3, 3)), np.empty((len(p.parents), 3))
         for j, parent in enumerate(p.parents):
             r[j] = self._turned[j] if j in self._turned else r[parent]
             c[j] = p.joints[j] if parent < 0 else c[parent] + r[parent] @ (p.joints[j] - p.joints[parent])
+        self._placed = r, c
         return r, c
 
     def at(self, name: str) -> Array:

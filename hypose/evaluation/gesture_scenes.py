@@ -30,6 +30,18 @@ _BOX_FACES = np.array(
 )  # fmt: skip
 
 
+def _floor() -> tuple[Array, NDArray[np.int32]]:
+    """The floor, 8 x 8 m, in tiles: those that reach behind the camera are left out when it is drawn."""
+    x, y = np.meshgrid(np.arange(-4, 5.0), 0.8 * np.arange(-5, 6), indexing="ij")
+    i, j = (g.ravel() for g in np.mgrid[:8, :10])
+    a = i * 11 + j
+    faces = np.concatenate([np.stack([a, a + 11, a + 12], 1), np.stack([a, a + 12, a + 1], 1)])
+    return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1), faces.astype(np.int32)
+
+
+_FLOOR = _floor()
+
+
 @dataclass(frozen=True)
 class Room:
     """vertices (V, 3) m in the world, faces (F, 3); wall: distance of the back wall behind the person, m."""
@@ -74,9 +86,7 @@ def make_room(rng: np.random.Generator, level: str) -> Room:
 
     wall = rng.uniform(1.6, 2.6) if level == "empty" else rng.uniform(0.5, 2.5)
     box([0, wall + 0.1, 1.5], [14, 0.2, 5], rng.uniform(-0.25, 0.25))
-    for i in range(-4, 4):  # in tiles: those that reach behind the camera are left out when drawn
-        for j in range(-5, 5):
-            box([i + 0.5, 0.8 * (j + 0.5), -0.05], [1, 0.8, 0.1], 0)
+    parts.append(_FLOOR)
     count = {"empty": 0, "furnished": rng.integers(3, 6), "cluttered": rng.integers(8, 15)}[level]
     for _ in range(int(count)):
         if rng.random() < 0.6:
@@ -88,7 +98,8 @@ def make_room(rng: np.random.Generator, level: str) -> Room:
         z = size[2] / 2 if rng.random() < 0.6 else rng.uniform(0.3, 2)
         box([x, y, z], size, rng.uniform(-1.5, 1.5))
     vertices = np.concatenate([v for v, _ in parts])
-    faces = np.concatenate([f + 8 * k for k, (_, f) in enumerate(parts)]).astype(np.int32)
+    first = np.cumsum([0, *(len(v) for v, _ in parts[:-1])])
+    faces = np.concatenate([f + n for n, (_, f) in zip(first, parts, strict=True)]).astype(np.int32)
     return Room(vertices, faces, float(wall))
 
 

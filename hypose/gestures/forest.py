@@ -72,23 +72,23 @@ class ForestSettings:
 
 @dataclass(frozen=True)
 class Forest:
-    """A forest to look with: test (nt, N, 5) i2, left (nt, N) i2, count (nt, N, C) u4, size (nt,) i4."""
+    """A forest to look with: test (nt, N, 5) i2, left (nt, N) i2, seen (nt, N, C) u4, size (nt,) i4."""
 
     settings: ForestSettings
     test: NDArray[np.int16]
     left: NDArray[np.int16]
-    count: NDArray[np.uint32]
+    seen: NDArray[np.uint32]
     size: NDArray[np.int32]
 
     @property
     def classes(self) -> int:
         """Classes, the background included."""
-        return self.count.shape[2]
+        return self.seen.shape[2]
 
     @cached_property
     def packed(self) -> Packed:
         """The layout that scanning reads."""
-        return forests.pack(self.test, self.left, self.count, self.size)
+        return forests.pack(self.test, self.left, self.seen, self.size)
 
     def balance(self) -> NDArray[np.int64]:
         """Height of the left minus the right branch, of every node with children (Fig. 3.9)."""
@@ -149,7 +149,12 @@ class GrowingForest:
     @property
     def classes(self) -> int:
         """Classes, the background included."""
-        return self.arrays.count.shape[2]
+        return self.arrays.seen.shape[2]
+
+    @property
+    def size(self) -> NDArray[np.int32]:
+        """Nodes of every tree."""
+        return self.arrays.size
 
     def learn(self, picture: PaddedDepth, rows: NDArray, columns: NDArray, labels: NDArray) -> None:
         """Update with the pixels (S,) of a picture and their classes (S,), in this order."""
@@ -180,13 +185,13 @@ class GrowingForest:
     def freeze(self) -> Forest:
         """The forest as it is now; later growth does not change it."""
         a, n = self.arrays, int(self.arrays.size.max())
-        return Forest(self.settings, a.test[:, :n].copy(), a.left[:, :n].copy(), a.count[:, :n].copy(), a.size.copy())
+        return Forest(self.settings, a.test[:, :n].copy(), a.left[:, :n].copy(), a.seen[:, :n].copy(), a.size.copy())
 
     @property
     def packed(self) -> Packed:
         """The layout for scanning, now."""
         a = self.arrays
-        return forests.pack(a.test, a.left, a.count, a.size)
+        return forests.pack(a.test, a.left, a.seen, a.size)
 
     @property
     def nbytes(self) -> int:
@@ -206,7 +211,7 @@ class GrowingForest:
             a = a._replace(
                 test=_longer(a.test, n, 0),
                 left=_longer(a.left, n, -1),
-                count=_longer(a.count, n, 0),
+                seen=_longer(a.seen, n, 0),
                 level=_longer(a.level, n, 0),
                 slot=_longer(a.slot, n, -1),
             )

@@ -115,7 +115,7 @@ def _find(
         kept.densities = kept.densities or {}
         last = kept.densities.get(gesture)
         if last is not None and last.shape == density.shape:
-            density = np.float32(s.memory) * density + np.float32(1 - s.memory) * last
+            density = (np.float32(s.memory) * density + np.float32(1 - s.memory) * last).astype(np.float32)
             at = int(density.argmax())
         kept.densities[gesture] = density
     return peak(gesture, density, at, depth, lens, s)

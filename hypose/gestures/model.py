@@ -18,7 +18,7 @@ from hypose.gestures.online import Learner, LearnSettings
 
 FORMAT, VERSION = "hypose-gesture", 1
 _KINDS = {
-    "test": ("<i2", 3), "left": ("<i2", 2), "count": ("<u4", 3), "level": ("|u1", 2), "slot": ("<i2", 2),
+    "test": ("<i2", 3), "left": ("<i2", 2), "seen": ("<u4", 3), "level": ("|u1", 2), "slot": ("<i2", 2),
     "size": ("<i4", 1), "free": ("<i2", 2), "n_free": ("<i4", 1), "candidate": ("<i2", 4), "left_count": ("<u2", 4),
     "total": ("<i4", 3), "random": ("<u8", 1), "tally": ("<i8", 1),
 }  # fmt: skip
@@ -59,7 +59,7 @@ def to_arrays(model: GestureModel) -> dict[str, NDArray]:
     if growing:
         arrays = {name: np.asarray(a) for name, a in f.arrays._asdict().items()}
     else:
-        arrays = {"test": f.test, "left": f.left, "count": f.count, "size": f.size}
+        arrays = {"test": f.test, "left": f.left, "seen": f.seen, "size": f.size}
     look = model.settings
     value: dict[str, Any] = {
         "format": FORMAT,
@@ -89,14 +89,14 @@ def from_arrays(arrays: Mapping[str, NDArray]) -> GestureModel:
     value = _description(arrays)
     settings = _made(ForestSettings, value.get("forest"))
     growing = value.get("growing") is True
-    names = GrowingArrays._fields if growing else ("test", "left", "count", "size")
+    names = GrowingArrays._fields if growing else ("test", "left", "seen", "size")
     taken = {name: _array(arrays, name) for name in names}
     _check_trees(taken, settings)
     if growing:
         _check_growing(taken, settings)
         forest: Forest | GrowingForest = GrowingForest(settings, GrowingArrays(**taken))
     else:
-        forest = Forest(settings, taken["test"], taken["left"], taken["count"], taken["size"])
+        forest = Forest(settings, taken["test"], taken["left"], taken["seen"], taken["size"])
     look = dict(value.get("look") or {})
     plan = _made(type(LocaliseSettings().plan), look.pop("plan", {}))
     looking = replace(_made(LocaliseSettings, look), plan=plan)
@@ -149,12 +149,12 @@ def _array(arrays: Mapping[str, NDArray], name: str) -> NDArray:
 
 def _check_trees(a: Mapping[str, NDArray], s: ForestSettings) -> None:
     """Nothing that the compiled code follows may lead outside an array or run in a circle."""
-    test, left, count, size = a["test"], a["left"], a["count"], a["size"]
+    test, left, seen, size = a["test"], a["left"], a["seen"], a["size"]
     nt, n = left.shape
-    if nt != s.trees or n < 1 or test.shape != (nt, n, 5) or count.shape[:2] != (nt, n) or size.shape != (nt,):
+    if nt != s.trees or n < 1 or test.shape != (nt, n, 5) or seen.shape[:2] != (nt, n) or size.shape != (nt,):
         raise ValueError("its arrays do not fit each other")
-    if not 2 <= count.shape[2] <= MAX_CLASSES:
-        raise ValueError(f"it has {count.shape[2]} classes")
+    if not 2 <= seen.shape[2] <= MAX_CLASSES:
+        raise ValueError(f"it has {seen.shape[2]} classes")
     if size.min() < 1 or size.max() > n:
         raise ValueError("it has more nodes than it holds")
     inner = left >= 0
@@ -169,7 +169,7 @@ def _check_trees(a: Mapping[str, NDArray], s: ForestSettings) -> None:
 
 def _check_growing(a: Mapping[str, NDArray], s: ForestSettings) -> None:
     nt, n = a["left"].shape
-    c, slots = a["count"].shape[2], a["free"].shape[1]
+    c, slots = a["seen"].shape[2], a["free"].shape[1]
     shapes = {
         "level": (nt, n),
         "slot": (nt, n),
@@ -203,7 +203,7 @@ def _learner(value: Any, forest: GrowingForest) -> Learner:
         raise ValueError("its strengths are not understood")
     rng = np.random.default_rng()
     try:
-        rng.bit_generator.state = value.get("random")
+        rng.bit_generator.state = value["random"]
     except (TypeError, ValueError, KeyError, OverflowError):
         raise ValueError("its random numbers are not understood") from None
     return Learner(forest, rng, settings, {int(k): float(v) for k, v in strength.items()})

@@ -113,17 +113,17 @@ def train(pool: Pool, rng: np.random.Generator, settings: OfflineSettings | None
 
 
 def _shares(pool: Pool, tree: TreeArraysOffline, clip: int) -> NDArray[np.float64]:
-    share = tree.count / np.maximum(tree.count.sum(1, keepdims=True), 1)
+    share = tree.seen / np.maximum(tree.seen.sum(1, keepdims=True), 1)
     return share[forests.patch_leaves(pool.patches, tree, clip)]
 
 
 def _joined(trees: list[TreeArraysOffline], settings: ForestSettings, centre: int) -> Forest:
-    n, classes = max(len(t.left) for t in trees), trees[0].count.shape[1]
+    n, classes = max(len(t.left) for t in trees), trees[0].seen.shape[1]
     test = np.zeros((len(trees), n, 5), np.int16)
     left = np.full((len(trees), n), -1, np.int16)
     count = np.zeros((len(trees), n, classes), np.uint32)
     for k, t in enumerate(trees):
         test[k, : len(t.left), :4] = (t.test[:, :4] - centre) * STEP_MM
         test[k, : len(t.left), 4] = t.test[:, 4]
-        left[k, : len(t.left)], count[k, : len(t.left)] = t.left, t.count
+        left[k, : len(t.left)], count[k, : len(t.left)] = t.left, t.seen
     return Forest(settings, test, left, count, np.array([len(t.left) for t in trees], np.int32))

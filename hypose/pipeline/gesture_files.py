@@ -23,7 +23,7 @@ from hypose.errors import InputError
 from hypose.gestures import model as model_arrays
 from hypose.gestures.model import GestureModel
 from hypose.gestures.online import Example
-from hypose.gestures.pictures import Lens
+from hypose.gestures.pictures import Lens, millimetres
 from hypose.io.depth import read_depth_png, write_depth_png
 from hypose.io.files import text_lines
 from hypose.io.results import _load_arrays, _write_archive, to_json
@@ -108,7 +108,7 @@ class GestureRecording:
             yield f, self._checked(f)
 
     def _checked(self, frame: RecordedFrame) -> Depth:
-        depth = frame.depth()
+        depth = millimetres(frame.depth(), str(frame.file))
         if depth.shape != (self.size[1], self.size[0]):
             raise InputError(
                 f"{frame.file} has {depth.shape[1]} x {depth.shape[0]} pixels, session.json says {self.size[0]} x "

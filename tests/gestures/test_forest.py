@@ -70,7 +70,7 @@ def test_children_start_with_the_counts_of_their_side():
     inner = np.argwhere(a.left >= 0)
     assert len(inner) > 15
     for t, n in inner[:40]:
-        kids = a.count[t, a.left[t, n] : a.left[t, n] + 2]
+        kids = a.seen[t, a.left[t, n] : a.left[t, n] + 2]
         assert (kids.sum(1) >= 5).all()
     assert int(a.level.max()) <= forest.settings.deepest
 
@@ -108,7 +108,7 @@ def test_a_pure_leaf_asks_for_no_candidates():
     rows, columns, labels = samples(rng, (int(where[0]), int(where[1])), square)
     only = labels == 0
     forest.learn(pad(depth, LENS, 150, 500), rows[only], columns[only], labels[only])
-    assert (forest.arrays.slot < 0).all() and forest.arrays.count[..., 0].sum() > 0
+    assert (forest.arrays.slot < 0).all() and forest.arrays.seen[..., 0].sum() > 0
 
 
 def test_holes_and_pixels_nearer_than_the_border_allows_teach_nothing():
@@ -117,7 +117,7 @@ def test_holes_and_pixels_nearer_than_the_border_allows_teach_nothing():
     depth = np.zeros((64, 64), np.uint16)
     depth[32:] = 300
     forest.learn(pad(depth, LENS, 150, 500), np.arange(64), np.full(64, 5), np.ones(64, int))
-    assert forest.arrays.count.sum() == 0
+    assert forest.arrays.seen.sum() == 0
 
 
 def test_several_classes():

@@ -97,13 +97,13 @@ def test_a_damaged_file_is_named(taught, tmp_path):
         ("candidate", lambda a: a * 0 + 2000),
         ("slot", lambda a: a * 0 + 7),
         ("n_free", lambda a: a * 0 - 3),
-        ("count", lambda a: a.astype(np.float32)),
+        ("seen", lambda a: a.astype(np.float32)),
         ("random", lambda a: a[:1]),
     ],
 )
 def test_forests_that_would_lead_astray_are_refused(taught, name, change):
     arrays = to_arrays(model_of(taught))
-    arrays[name] = change(arrays[name]).astype(arrays[name].dtype) if name != "count" else change(arrays[name])
+    arrays[name] = change(arrays[name]).astype(arrays[name].dtype) if name != "seen" else change(arrays[name])
     with pytest.raises(ValueError, match="its|it|a "):
         from_arrays(arrays)
 
@@ -166,7 +166,7 @@ def test_offline_patches_read_what_scanning_reads():
         test = forest.test[t, :n].copy()
         test[:, :4] = test[:, :4] // 6 + patches.shape[1] // 2
         tree = kernels.TreeArraysOffline(
-            test, forest.left[t, :n].copy(), forest.count[t, :n].copy(), np.zeros(n, np.uint8)
+            test, forest.left[t, :n].copy(), forest.seen[t, :n].copy(), np.zeros(n, np.uint8)
         )
         np.testing.assert_array_equal(kernels.patch_leaves(patches, tree, 150), walked[:, t])
 

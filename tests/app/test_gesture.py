@@ -1,0 +1,153 @@
+"""`hypose gesture`: a session of the simulated person, learned, watched, exported; what is wrong is named."""
+
+import json
+import socket
+
+import numpy as np
+import pytest
+
+from hypose.app.cli import main
+from hypose.app.gesture_sources import azure_lens, open_source
+from hypose.errors import InputError
+from hypose.gestures.forest import ForestSettings
+from hypose.gestures.localise import LocaliseSettings
+from hypose.gestures.model import GestureModel
+from hypose.gestures.online import Learner
+from hypose.pipeline.gesture_files import SessionWriter, read_recording, save_model
+
+
+def hypose(*arguments):
+    with pytest.raises(SystemExit) as stopped:
+        main([str(a) for a in arguments])
+    assert stopped.value.code in (None, 0)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A session of a few frames (phases shortened) recorded and learned once."""
+    from hypose.app.gesture_job import new_learner, run_session
+    from hypose.gestures.session import SessionSettings
+
+    root = tmp_path_factory.mktemp("gesture")
+    source = open_source("simulated:1", "pause", 3)
+    settings = SessionSettings(do_gesture_s=0.2, positive_s=1.0, release_s=0.2, negative_s=1.5, rounds=2)
+    model = run_session(source, "pause", new_learner(0), settings, record=root / "session", say=lambda text: None)
+    save_model(model, root / "pause.npz")
+    return root
+
+
+def test_a_session_is_recorded_with_its_phases(folder):
+    r = read_recording(folder / "session")
+    phases = [f.phase for f in r.frames]
+    assert phases[0] == "do_gesture" and {"positive", "negative", "release"} <= set(phases)
+    assert sum(bool(e.gesture) for e in r.examples("pause")) == phases.count("positive")
+    assert r.size == (640, 480) and r.lens.fx == 575.8
+
+
+def test_learning_from_the_recording_gives_the_same_forest(folder, tmp_path):
+    hypose("gesture", "train", tmp_path / "again.npz", "--gesture", "pause", "--recording", folder / "session")
+    with np.load(folder / "pause.npz") as a, np.load(tmp_path / "again.npz") as b:
+        for name in set(a.files) - {"description"}:
+            np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+        one, two = (json.loads(str(d["description"])) for d in (a, b))
+        assert one["thresholds"] == two["thresholds"]
+
+
+def test_run_writes_json_lines_and_osc(folder, capsys):
+    receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    receiver.bind(("127.0.0.1", 0))
+    receiver.settimeout(5)
+    port = receiver.getsockname()[1]
+    arguments = ["--source", folder / "session", "--threshold", "2", "--hold", "0.1", "--osc", f"127.0.0.1:{port}"]
+    hypose("gesture", "run", folder / "pause.npz", *arguments)
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert lines and lines[0]["event"] == "start" and lines[0]["gesture"] == "pause"
+    assert len(lines[0]["position"]) == 3 and 0.5 < lines[0]["position"][2] < 4
+    data = receiver.recv(2048)
+    receiver.close()
+    assert data.startswith(b"#bundle\0") and b"/gesture/pause\0" in data and b"/wek/outputs\0" in data
+
+
+def test_test_and_eval_and_export(folder, tmp_path, capsys):
+    hypose("gesture", "test", folder / "pause.npz", "--source", folder / "session", "--frames", "3")
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert len(lines) == 3 and {"score", "accepted", "position"} <= set(lines[0])
+    hypose("gesture", "eval", folder / "pause.npz", folder / "session")
+    values = json.loads(capsys.readouterr().out)
+    assert values["positives"] > 0 and values["ap_5cm"] > 0.5
+    hypose("gesture", "export", folder / "pause.npz", tmp_path / "out")
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"forest.npz", "forest.json", "gesture_runtime.py"}
+
+
+def test_growing_goes_on_and_offline_learns_the_same_frames(folder, tmp_path):
+    session = folder / "session"
+    hypose(
+        "gesture",
+        "train",
+        tmp_path / "more.npz",
+        "--gesture",
+        "pause",
+        "--recording",
+        session,
+        "--resume",
+        folder / "pause.npz",
+    )
+    hypose("gesture", "train", tmp_path / "off.npz", "--gesture", "pause", "--recording", session, "--offline")
+    with np.load(folder / "pause.npz") as a, np.load(tmp_path / "more.npz") as b:
+        assert b["seen"].sum() > a["seen"].sum()
+
+
+def refused(capsys, *arguments):
+    with pytest.raises(SystemExit) as stopped:
+        main([str(a) for a in arguments])
+    assert stopped.value.code == 2
+    text = capsys.readouterr().err
+    assert "Traceback" not in text
+    return " ".join(text.split())
+
+
+def test_bad_input_ends_in_a_sentence(folder, tmp_path, capsys):
+    model, session = folder / "pause.npz", folder / "session"
+    broken = tmp_path / "broken.npz"
+    broken.write_bytes(model.read_bytes()[:2000])
+    assert "damaged" in refused(capsys, "gesture", "run", broken)
+    assert "does not exist" in refused(capsys, "gesture", "run", tmp_path / "none.npz")
+    assert "no depth source" in refused(capsys, "gesture", "run", model, "--source", "nowhere")
+    assert "HOST:PORT" in refused(capsys, "gesture", "run", model, "--osc", "here", "--threshold", "1")
+    assert "same gesture" in refused(capsys, "gesture", "run", model, model, "--threshold", "1", "--source", session)
+    assert "--memory" in refused(capsys, "gesture", "run", model, "--memory", "0")
+    assert "no gesture 'tee'" in refused(
+        capsys, "gesture", "train", tmp_path / "x.npz", "--gesture", "tee", "--recording", session
+    )
+    assert "not of tee" in refused(
+        capsys, "gesture", "train", tmp_path / "x.npz", "--gesture", "tee", "--resume", model
+    )
+    assert "--recording" in refused(capsys, "gesture", "train", tmp_path / "x.npz", "--gesture", "tee", "--offline")
+    assert ".npz" in refused(capsys, "gesture", "train", tmp_path / "x", "--gesture", "tee")
+    assert "cannot do" in refused(capsys, "gesture", "record", tmp_path / "r", "--gesture", "fly")
+    assert "pyrealsense2" in refused(capsys, "gesture", "run", model, "--source", "realsense", "--threshold", "1")
+
+
+def test_a_session_in_metres_is_named(tmp_path, capsys):
+    from hypose.gestures.pictures import Lens
+
+    learner = Learner.new(np.random.default_rng(0), ForestSettings())
+    save_model(GestureModel(("tee",), learner.forest, (1.0,), LocaliseSettings(), learner), tmp_path / "m.npz")
+    writer = SessionWriter(tmp_path / "s", ["tee"], Lens(500, 500, 32, 32), (64, 64))
+    writer.add(0.0, np.full((64, 64), 2, np.uint16), "positive", 1, 1, (32.0, 32.0))
+    writer.close()
+    assert "that is metres" in refused(capsys, "gesture", "run", tmp_path / "m.npz", "--source", tmp_path / "s")
+
+
+def test_azure_lenses_of_the_narrow_and_wide_modes(tmp_path):
+    parameters = [0.502, 0.505, 0.4915, 0.4916, 0.1]
+    calibration = {
+        "CalibrationInformation": {
+            "Cameras": [{"Purpose": "CALIBRATION_CameraPurposeDepth", "Intrinsics": {"ModelParameters": parameters}}]
+        }
+    }
+    full, half = (azure_lens(calibration, s, tmp_path) for s in ((640, 576), (320, 288)))
+    assert full.fx == pytest.approx(503.3, abs=0.1) and full.cx == pytest.approx(321.5, abs=0.1)
+    assert half.fx == pytest.approx(full.fx / 2) and half.cx == pytest.approx((full.cx + 0.5) / 2 - 0.5)
+    with pytest.raises(InputError, match="no known mode"):
+        azure_lens(calibration, (100, 100), tmp_path)

@@ -1,0 +1,91 @@
+"""The trainer: a whole session on toys, undo, threshold."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hypose.gestures.forest import ForestSettings
+from hypose.gestures.localise import localise
+from hypose.gestures.online import Learner
+from hypose.gestures.session import SessionSettings
+from hypose.gestures.trainer import Trainer
+
+from .test_model import toy_examples
+from .toys import LENS
+
+SETTINGS = SessionSettings(do_gesture_s=0.2, positive_s=1, release_s=0.1, negative_s=1, rounds=3)
+
+
+def new_trainer():
+    return Trainer(Learner.new(np.random.default_rng(1), ForestSettings(alpha=60, candidates=30)), SETTINGS)
+
+
+def drive(trainer, frames=90, commands=None, rate=10.0):
+    both = toy_examples(2 * frames, 4)
+    shown, empty = [e for e in both if e.gesture], [e for e in both if not e.gesture]
+    feedback, phase = [], "do_gesture"
+    for k in range(frames):
+        e = (shown if phase in ("do_gesture", "positive") else empty)[k % len(shown)]
+        # the person follows the prompt of the frame before, hence one frame late
+        f = trainer.frame(k / rate, e.depth, LENS, (e.x, e.y), (commands or {}).get(k, ()))
+        phase = f.instruction.phase
+        feedback.append(f)
+    return feedback
+
+
+def test_a_session_teaches_and_finds_a_threshold():
+    trainer = new_trainer()
+    feedback = drive(trainer)
+    assert feedback[-1].instruction.phase == "test" and feedback[-1].found is not None
+    threshold = trainer.final_threshold()
+    assert threshold is not None and threshold > 0
+    forest = trainer.learner.forest.freeze()
+    new = toy_examples(20, 77)
+    scores = [localise(e.depth, LENS, [forest])[0].score for e in new]
+    shown = np.array([bool(e.gesture) for e in new])
+    accepted = np.array(scores) >= threshold
+    assert accepted[shown].mean() >= 0.7 and accepted[~shown].mean() <= 0.2
+
+
+def test_undo_brings_the_forest_back_to_where_the_segment_began():
+    trainer = new_trainer()
+    drive(trainer, 10)  # within the first positive segment
+    before = [a.copy() for a in trainer._before.arrays]  # type: ignore[union-attr]
+    assert trainer.learner.forest.arrays.seen.sum() > 0
+    e = toy_examples(1, 0)[0]
+    feedback = trainer.frame(1.0, e.depth, LENS, (e.x, e.y), ["undo"])
+    assert feedback.instruction.restart
+    for a, b in zip(before, trainer.learner.forest.arrays, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert trainer.session.undone == (1,)
+
+
+def test_nothing_is_learned_outside_the_learning_phases():
+    trainer = new_trainer()
+    for f in drive(trainer, 60):
+        assert (f.taught is None) or f.instruction.phase in ("positive", "negative")
+        if f.instruction.phase in ("do_gesture", "release"):
+            assert f.taught is None
+
+
+def test_positives_are_learned_where_the_surface_is():
+    e = toy_examples(1, 3)[0]
+    learner = Learner.new(np.random.default_rng(0))
+    taught = learner.show(e.depth, LENS, 1, e.x, e.y)
+    assert taught is not None and taught.learned[1] == learner.settings.positives
+    assert learner.show(np.zeros_like(e.depth), LENS, 1, e.x, e.y) is None
+
+
+def test_hard_negatives_are_taken_at_the_maximum_and_in_proportion_to_it():
+    learner = Learner.new(np.random.default_rng(0), ForestSettings(alpha=60, candidates=30))
+    for e in toy_examples(40, 5):
+        if e.gesture:
+            learner.show(e.depth, LENS, 1, e.x, e.y)
+    shown = toy_examples(1, 8)[0]
+    strong = learner.reject(shown.depth, LENS)  # calling the gesture itself movement is the worst of errors
+    found = strong.mined[0]
+    assert np.hypot(found.x - shown.x, found.y - shown.y) < 8
+    settings, strength = learner.settings, learner.strength[1]
+    expected = int(np.ceil(settings.hard * min(1.0, found.score / strength)))
+    assert strong.learned[0] <= expected + settings.few
+    assert strong.learned[0] >= 0.8 * expected
