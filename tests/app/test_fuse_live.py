@@ -1,0 +1,298 @@
+"""`hypose fuse --live` through sockets of this computer."""
+
+import asyncio
+import json
+import socket
+import struct
+
+import numpy as np
+import pytest
+from websockets.asyncio.client import connect
+from websockets.exceptions import InvalidStatus
+
+from hypose.app.live_latency import measure_live_latency
+from hypose.app.live_server import LiveOptions, LiveServer, is_loopback
+from hypose.app.osc import MAX_BUNDLE, double, osc_bundles, osc_message
+from hypose.errors import InputError
+from hypose.fusion.align import AlignSettings
+from hypose.fusion.joints import COMMON
+from hypose.fusion.live import LiveSettings
+from hypose.geometry import transform
+from hypose.io.skeleton_lines import SkeletonLine, format_line
+from hypose.io.skeletons import read_skeletons
+from tests.depth_sensors import camera, places, walker
+
+ANGLES = (0, 60, -60)
+
+
+def lines_at(t, sensors=range(3), people=1, clock=0.0, token=""):
+    for k in sensors:
+        for p in range(people):
+            joints = transform(camera(ANGLES[k]), walker(t, places(people)[p], 1.3 * p))
+            state = np.full(15, 2, np.uint8)
+            line = SkeletonLine(f"s{k}", t + clock + 100 * k, p, COMMON, joints, state, token)
+            yield format_line(line).encode()
+
+
+async def feed(port, seconds, alive=lambda k, t: True, clock=lambda k, t: 0.0, start=0.0, people=1, token=""):
+    """Three sensors at 30 Hz. The movement is made beforehand, the stamps are honest however busy the machine is."""
+    loop = asyncio.get_running_loop()
+    bodies = [[json.loads(x) for x in lines_at(start + n / 30, people=people)] for n in range(int(seconds * 30))]
+    texts = [[(int(b["sensor"][1]), b["person"], json.dumps(b["joints"])) for b in frame] for frame in bodies]
+    begin = loop.time()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
+        for n, frame in enumerate(texts):
+            await asyncio.sleep(max(0, begin + n / 30 - loop.time()))
+            t = start + loop.time() - begin
+            for k, person, joints in frame:
+                if alive(k, t):
+                    head = f'{{"sensor":"s{k}","time":{t + clock(k, t) + 100 * k},"person":{person},"token":"{token}"'
+                    s.sendto(f'{head},"joints":{joints}}}'.encode(), ("127.0.0.1", port))
+
+
+# a machine that is busy with other things makes frames late, but not lost
+PATIENT = {
+    "udp": 0,
+    "ws": 0,
+    "waiting": 1000,
+    "settings": LiveSettings(AlignSettings(max_behind=30.0, timeout=0.6)),
+}
+
+
+def live(play, **options):
+    """Run play(server) against a live server on free ports; returns its result, the messages out and the server."""
+    notes = []
+
+    async def run():
+        server = LiveServer(LiveOptions(**{**PATIENT, **options}), notes.append)
+        await server.start()
+        out = []
+        try:
+            suffix = f"?token={server.token}" if server.token else ""
+            async with connect(f"ws://127.0.0.1:{server.ws_port}/out{suffix}") as listener:
+
+                async def listen():
+                    async for message in listener:
+                        out.append(json.loads(message))
+
+                listening = asyncio.ensure_future(listen())
+                result = await asyncio.wait_for(play(server), 30)
+                await asyncio.sleep(0.1)
+                listening.cancel()
+        finally:
+            await server.stop()
+        return result, out, server
+
+    return *asyncio.run(run()), notes
+
+
+def test_a_sensor_killed_and_restarted_costs_no_frame_of_output():
+    async def play(server):
+        # from 1.2 to 2.2 s it is dead; then it counts from zero again
+        await feed(
+            server.udp_port,
+            3.4,
+            alive=lambda k, t: k != 1 or not 1.2 <= t < 2.2,
+            clock=lambda k, t: -5000.0 if k == 1 and t >= 2.2 else 0.0,
+        )
+
+    _, out, server, _ = live(play)
+    frames = [m for m in out if m["type"] == "frame"]
+    assert [f["n"] for f in frames] == list(range(len(frames))) and len(frames) >= 95
+    assert server.fuser.aligner.skipped == 0 and server.ignored == 0
+    with_person = [f for f in frames if f["people"]]
+    assert len(with_person) >= len(frames) - 5
+    assert {p["id"] for f in with_person for p in f["people"]} == {1}
+    carried = ["s1" in f["people"][0]["sensors"] for f in with_person]
+    assert carried[-1] and not all(carried)
+    assert [s["returns"] for m in out if m["type"] == "status" for s in m["sensors"] if s["name"] == "s1"][-1] == 1
+
+
+def test_garbage_is_counted_and_told_of_once():
+    async def play(server):
+        rng = np.random.default_rng(3)
+        task = asyncio.ensure_future(feed(server.udp_port, 1.0))
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
+            for n in range(200):
+                junk = rng.integers(0, 256, int(rng.integers(1, 400))).astype(np.uint8).tobytes().replace(b"\n", b" ")
+                s.sendto(junk, ("127.0.0.1", server.udp_port))
+                good = next(lines_at(0.0))
+                s.sendto(good[: int(rng.integers(2, len(good) - 2))], ("127.0.0.1", server.udp_port))
+                if n % 20 == 0:
+                    await asyncio.sleep(0.01)
+            s.sendto(b"{" * 60000, ("127.0.0.1", server.udp_port))
+        await task
+
+    _, out, server, notes = live(play)
+    frames = [m for m in out if m["type"] == "frame"]
+    assert server.ignored >= 300
+    assert len(notes) == 1 and notes[0].startswith("Ignored:") and notes[0].isprintable()
+    assert [f["n"] for f in frames] == list(range(len(frames))) and len(frames) >= 25
+    assert any(f["people"] for f in frames)
+
+
+def test_six_persons_live():
+    async def play(server):
+        await feed(server.udp_port, 2.5, people=6)
+
+    _, out, server, _ = live(play)
+    frames = [m for m in out if m["type"] == "frame"]
+    assert [f["n"] for f in frames] == list(range(len(frames)))
+    assert max(len(f["people"]) for f in frames) == 6
+
+
+def test_a_flood_is_cut():
+    async def play(server):
+        line = next(lines_at(0.0))
+        for _ in range(50):
+            server.take(line)
+        return server.ignored
+
+    ignored, _, _, notes = live(play, burst=10.0, lines_per_s=1.0)
+    assert ignored >= 39 and "more lines arrive than are taken" in notes[0]
+
+
+def test_lines_by_websocket_with_answers_to_bad_ones():
+    async def play(server):
+        async with connect(f"ws://127.0.0.1:{server.ws_port}/in") as sender:
+            for n in range(20):
+                await sender.send(b"\n".join(lines_at(n / 30)).decode())
+                await asyncio.sleep(1 / 30)
+            await sender.send("nonsense\nmore")
+            return json.loads(await asyncio.wait_for(sender.recv(), 5))
+
+    answer, out, server, _ = live(play)
+    assert answer["type"] == "error" and answer["lines"] == 2 and "JSON" in answer["reason"]
+    assert out[0]["type"] == "hello" and out[0]["joints"] == list(COMMON)
+    last = [m for m in out if m["type"] == "frame" and m["people"]][-1]
+    assert len(last["people"][0]["joints"]) == 15 and last["latency_ms"] < 1000
+
+
+def test_other_paths_and_foreign_pages_are_refused():
+    async def play(server):
+        refused = []
+        for path, origin in (("/", None), ("/out", "https://example.org"), ("/in", "http://localhost.example.org")):
+            with pytest.raises(InvalidStatus) as status:
+                async with connect(f"ws://127.0.0.1:{server.ws_port}{path}", origin=origin):
+                    pass
+            refused.append(status.value.response.status_code)
+        async with connect(f"ws://127.0.0.1:{server.ws_port}/out", origin="http://localhost:8000") as fine:
+            await fine.recv()
+        return refused
+
+    refused, _, _, _ = live(play)
+    assert refused == [404, 403, 403]
+
+
+def test_the_token_is_asked_for():
+    async def play(server):
+        for path in ("/out", "/out?token=wrong-one", "/in"):
+            with pytest.raises(InvalidStatus) as status:
+                async with connect(f"ws://127.0.0.1:{server.ws_port}{path}"):
+                    pass
+            assert status.value.response.status_code == 401
+        head = {"Authorization": "Bearer a-good-token"}
+        async with connect(f"ws://127.0.0.1:{server.ws_port}/out", additional_headers=head) as fine:
+            await fine.recv()
+        await feed(server.udp_port, 0.3)
+        before = server.used
+        await feed(server.udp_port, 0.5, start=1.0, token="a-good-token")
+        return before
+
+    before, _, server, _ = live(play, token="a-good-token")
+    assert before == 0 and server.used > 30 and server.ignored >= 20
+
+
+def test_other_hosts_get_a_token_made():
+    assert [is_loopback(h) for h in ("127.0.0.1", "localhost", "::1", "0.0.0.0", "example.org")] == [True] * 3 + [
+        False
+    ] * 2
+    assert len(LiveServer(LiveOptions(host="0.0.0.0")).token) >= 20
+    assert LiveServer(LiveOptions()).token == ""
+
+
+def test_a_taken_port_is_named():
+    async def play(server):
+        with pytest.raises(InputError, match="cannot be opened .*--udp"):
+            await LiveServer(LiveOptions(udp=server.udp_port, ws=None)).start()
+
+    live(play)
+
+
+def test_what_is_recorded_can_be_fused(hypose, tmp_path):
+    async def play(server):
+        await feed(server.udp_port, 2.0)
+
+    live(play, record=tmp_path / "rec")
+    made = read_skeletons(tmp_path / "rec")
+    assert [s.name for s in made.streams] == ["s0", "s1", "s2"] and not made.common_clock
+    assert all(len(s.times) >= 55 for s in made.streams)
+
+
+# ---- OSC ----
+
+
+def parse_osc(data):
+    """An independent reading of OSC 1.0 packets."""
+
+    def text(at):
+        end = data.index(b"\0", at)
+        return data[at:end].decode(), (end + 4) & ~3
+
+    if data.startswith(b"#bundle\0"):
+        out, at = [], 16
+        while at < len(data):
+            (size,) = struct.unpack_from(">i", data, at)
+            out += parse_osc(data[at + 4 : at + 4 + size])
+            at += 4 + size
+        return out
+    address, at = text(0)
+    tags, at = text(at)
+    values = []
+    for tag in tags[1:]:
+        if tag == "s":
+            value, at = text(at)
+        else:
+            kind, size = {"i": (">i", 4), "f": (">f", 4), "d": (">d", 8)}[tag]
+            (value,), at = struct.unpack_from(kind, data, at), at + size
+        values.append(value)
+    assert len(data) % 4 == 0 and at == len(data)
+    return [(address, values)]
+
+
+def test_osc_messages_read_back():
+    made = osc_message("/a/b", 3, -1.5, "text", double(1e9 + 0.125))
+    assert parse_osc(made) == [("/a/b", [3, -1.5, "text", 1e9 + 0.125])]
+    many = [osc_message(f"/joint/{n}", float(n)) for n in range(200)]
+    bundles = osc_bundles(many)
+    assert all(len(b) <= MAX_BUNDLE for b in bundles) and osc_bundles([]) == []
+    assert [v for b in bundles for _, v in parse_osc(b)] == [[float(n)] for n in range(200)]
+
+
+def test_fused_skeletons_by_osc():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sink:
+        sink.bind(("127.0.0.1", 0))
+        sink.settimeout(1)
+
+        async def play(server):
+            await feed(server.udp_port, 1.0)
+
+        live(play, osc=f"127.0.0.1:{sink.getsockname()[1]}")
+        found = []
+        sink.setblocking(False)
+        try:
+            while True:
+                found += parse_osc(sink.recv(65536))
+        except BlockingIOError:
+            pass
+    heads = [v for a, v in found if a == "/hypose/frame"]
+    assert [v[0] for v in heads] == list(range(len(heads))) and len(heads) >= 25
+    joints = [v for a, v in found if a == "/hypose/person/1/left_hand"]
+    assert len(joints) >= 20 and len(joints[0]) == 4
+
+
+@pytest.mark.slow
+def test_the_latency_is_measured_through_sockets():
+    run = measure_live_latency(4.0, people=2, dead=(1.5, 2.5))
+    assert len(run.latency) >= 60 and np.isfinite(run.latency).all() and (run.latency > 0).all()
+    assert run.missing == 0 and run.people == 2 and run.returns == 1
