@@ -120,5 +120,6 @@ def rescaled(rig: CameraRig, factor: float) -> CameraRig:
 
 def free_cameras(rig: CameraRig, fixed: tuple[str, ...]) -> NDArray[np.bool_]:
     """(C,) True for the cameras that may move; a CalibrationError lists the names there are."""
-    rig.select(fixed)
+    if fixed:
+        rig.select(fixed)
     return np.array([c.name not in fixed for c in rig])

@@ -30,6 +30,7 @@ _ROUNDS = 8
 _APART = np.deg2rad(8.0)  # relative poses that differ by more are different answers
 _CAP = 0.02  # of the picture's width: errors of a frame count up to this when relative poses are compared
 _DECIDED = 1.3
+_AGREE = 0.3  # share of the common boards that must agree with a relative pose
 
 
 @dataclass(frozen=True)
@@ -59,16 +60,18 @@ class RigOptions:
 
 @dataclass(frozen=True)
 class RigCalibration:
-    """rig: in the frame of the first camera (see `place`); boards: world_from_board (4, 4) by frame; sightings: those
+    """rig: in the frame of the first camera (see `floor`); boards: world_from_board (4, 4) by frame; sightings: those
     used, numbered alike in all cameras, by camera index and frame; errors: rms px per coordinate by (camera, frame);
-    rms_px: over all; camera_rms (C,); focal_sd (C,) px; position_sd (C,) m; dropped: (camera, frame) that do not fit;
-    links: the relative poses it was built from; notes: sentences for the user."""
+    rms_px: over all; weighted_px: with moving boards counted less, as in the fit; camera_rms (C,); focal_sd (C,) px;
+    position_sd (C,) m; dropped: (camera, frame) that do not fit; links: the relative poses it was built from; notes:
+    sentences for the user."""
 
     rig: CameraRig
     boards: Mapping[int, Array]
     sightings: Mapping[int, Mapping[int, Sighting]]
     errors: Mapping[tuple[int, int], float]
     rms_px: float
+    weighted_px: float
     camera_rms: Array
     focal_sd: Array
     position_sd: Array
@@ -147,7 +150,7 @@ def _link(
     best = candidates[order[0]]
     agreeing = int((errors[order[0]] < cap).sum())
     other = None
-    for k in order[1:]:
+    for k in order[1:] if agreeing >= _AGREE * len(shared) else ():
         if np.linalg.norm(so3_log(candidates[k][:3, :3] @ best[:3, :3].T)) > _APART:
             if score[k] < 2 * score[order[0]] + 0.25:
                 other = candidates[k]
@@ -210,7 +213,7 @@ def _tree(
         group[:] = [new if g == old else g for g in group]
         out.append(link)
 
-    sure = [k for k in links if k.other is None and k.agreeing >= max(1, 0.3 * k.shared)]
+    sure = [k for k in links if k.other is None and k.agreeing >= max(1, _AGREE * k.shared)]
     for link in sorted(sure, key=lambda k: (-min(k.agreeing, 10), k.error)):
         if group[link.c] != group[link.d]:
             join(link)
@@ -398,7 +401,7 @@ def _refined(
         elif attempt and (moving or not gone):
             break
         # each camera by itself fits its boards, together they do not: the instants differ
-        if moving or result.rms_px > max(1.5 * float(np.median(alone)), NOISE_PX):
+        if moving or float(np.nanmedian(error)) > max(1.5 * float(np.median(alone)), NOISE_PX):
             together = {f: p for f, p in boards.items() if f >= 0}
             moving = motion_noise(cameras, together, {c: _filmed(v) for c, v in seen.items()}, board)
     assert result is not None
@@ -425,6 +428,7 @@ def _refined(
         used,
         errors,
         result.rms_px,
+        float(np.sqrt(np.mean((result.residuals * (NOISE_PX / np.hypot(NOISE_PX, motion))[:, None]) ** 2))),
         per_camera,
         result.focal_sd,
         result.position_sd,
