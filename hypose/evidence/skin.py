@@ -10,7 +10,7 @@ from functools import cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from hypose.errors import InputError
@@ -69,7 +69,7 @@ def _density(table: str, rgb: Array) -> Array:
     return out
 
 
-def skin_posterior(rgb: Array, prior: float = 0.3) -> Array:
+def skin_posterior(rgb: ArrayLike, prior: float = 0.3) -> Array:
     """P(skin | colour) (...) of colours rgb (..., 3), 0..255; prior: share of skin among the pixels asked about.
 
     Within a person's silhouette more is skin than in the pictures of Jones & Rehg (prior 0.09 there)."""
@@ -109,7 +109,7 @@ def learned_table(
     return (certainty[at] * own[at] + (1 - certainty[at]) * skin_table(prior)).astype(np.float32)
 
 
-def _chroma_bins(bgr: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def _chroma_bins(bgr: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Bins of brightness (16, of a factor 1.2 to 1.5), red / green and green / blue (40 each) of colours (..., 3)."""
     c = np.log(np.asarray(bgr, dtype=np.float64) + 4.0)  # + 4: ratios of nearly black pixels are noise
     bright = np.clip((c.mean(-1) - 1.4) / 4.2 * 16, 0, 15)

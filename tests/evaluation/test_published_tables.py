@@ -1,6 +1,7 @@
 """The published comparisons: what their scenes are and how their rows are made of runs."""
 
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -82,11 +83,11 @@ def test_the_annotated_ends_of_body_and_subject_agree():
 def test_the_absent_person_is_in_no_mask_and_the_other_one_is():
     scene, present = court.court_scene("away", 1, 2.4)
     assert (~present).sum() == 15
-    away = int(np.flatnonzero(~present)[7])
+    away = int(np.flatnonzero(~present)[2])
     assert all(scene.clean_mask(c, away).sum() == 0 for c in range(4))
     assert all(scene.clean_mask(c, 0).sum() > 0 for c in range(4))
     only_other = replace(scene, corruption=replace(scene.corruption, desync=(0,), blobs=0.0))
-    frame = list(only_other.mask_frames(0.5))[away]
+    frame = next(islice(only_other.mask_frames(0.5), away, None))
     assert frame.silhouettes is not None and frame.silhouettes.areas.max() > 50
 
 

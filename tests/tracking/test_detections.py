@@ -160,10 +160,11 @@ def test_a_jumping_arm_is_found_again_by_its_detection(body, standing, frame_of,
     ends = ends_of(body)
     recipe, _ = PRESETS[name](body, 150)
     tracker = Tracker(body, recipe, 150, TrackerSettings(seed=2))
-    state = tracker.start(standing)
+    state, estimate = tracker.start(standing), None
     for n, pose in enumerate([standing, raised, raised]):
         hands = ends.positions(body, pose[None])[0, :3]
         frame = with_detections(frame_of, body, pose, hands, ("left_hand", "right_hand", "head"), n)
         state, estimate = tracker.step(state, frame)
+    assert estimate is not None
     hand = ends.positions(body, estimate.pose[None])[0, HAND]
     assert np.linalg.norm(hand - ends.positions(body, raised[None])[0, HAND]) < 0.06

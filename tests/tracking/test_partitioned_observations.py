@@ -152,8 +152,9 @@ def test_a_moving_arm_is_followed(body, standing, frame_of, make):
     poses[:, 0] += 0.015 * np.arange(4)
     recipe, _ = make(body, 150)
     tracker = Tracker(body, recipe, 150, TrackerSettings(seed=1))
-    state = tracker.start(standing)
+    state, estimate = tracker.start(standing), None
     for n, pose in enumerate(poses):
         state, estimate = tracker.step(state, frame_of(body, pose, n))
+    assert estimate is not None
     assert joint_error(body, estimate.pose, poses[-1]) < 0.03
     assert not estimate.lost
