@@ -160,6 +160,7 @@ def _real(case: str, found: BoardCalibration, given: CameraRig, board: Board) ->
     ]
     return [
         Row("rms_px", case, found.fit.rms_px, "px", n=len(found.fit.errors)),
+        Row("rms_px, moving boards weighed down", case, found.fit.weighted_px, "px", n=len(found.fit.errors)),
         Row("rms_px, left out", case, float(len(found.fit.dropped)), "boards", n=len(alone) + len(found.fit.dropped)),
         Row("rms_px, each camera by itself", case, float(np.median(alone)), "px", n=len(alone)),
         Row("rms_px, the given rig on the same corners", case, fit_of_poses(given, found.fit, board), "px"),

@@ -1,0 +1,105 @@
+"""Joint refinement: derivatives against finite differences, recovery of the truth, known boards, bad starts."""
+
+import numpy as np
+import pytest
+
+from hypose.calibration.boards import Board
+from hypose.calibration.bundle import NOISE_PX, Observations, project_with_derivatives, refine
+from hypose.calibration.intrinsics import observe
+from hypose.cameras.camera import Camera
+from hypose.errors import SolverError
+from hypose.evaluation.calibration_boards import compare_rigs, film_board, ring_of_cameras
+from hypose.geometry import se3, so3_exp
+
+BOARD = Board("chessboard", 9, 6, 0.08)
+
+
+@pytest.mark.parametrize("fisheye", [False, True])
+def test_derivatives_of_the_projection(rng, fisheye):
+    lens = np.array([-0.2, 0.05, 1e-3, -2e-3, 0.01])[: 4 if fisheye else 5]
+    k = np.array([[560.0, 0, 318], [0, 555, 243], [0, 0, 1]])
+    cam = Camera("c", k, lens, np.eye(4), (640, 480), fisheye)
+    points = np.concatenate([rng.uniform(-0.8, 0.8, (20, 2)), rng.uniform(1, 3, (20, 1))], 1)
+    uv, by_point, by_lens = project_with_derivatives(cam, points)
+    np.testing.assert_allclose(uv, cam.project(points), atol=1e-9)
+    step = 1e-6
+    for i in range(3):
+        moved = points + step * np.eye(3)[i]
+        numeric = (project_with_derivatives(cam, moved)[0] - uv) / step
+        np.testing.assert_allclose(by_point[..., i], numeric, atol=2e-3)
+    values = np.concatenate([[k[0, 0], k[1, 1], k[0, 2], k[1, 2]], lens])
+    for i in range(len(values)):
+        changed = values + step * np.eye(len(values))[i]
+        kk = np.array([[changed[0], 0, changed[2]], [0, changed[1], changed[3]], [0, 0, 1]])
+        other = Camera("c", kk, changed[4:], np.eye(4), (640, 480), fisheye)
+        numeric = (project_with_derivatives(other, points)[0] - uv) / step
+        np.testing.assert_allclose(by_lens[..., i], numeric, atol=2e-2)
+
+
+def _disturbed(scene, rng):
+    cameras = []
+    for i, c in enumerate(scene.rig):
+        turn = np.zeros(3) if i == 0 else rng.normal(0, 0.02, 3)
+        place = np.zeros(3) if i == 0 else rng.normal(0, 0.05, 3)
+        pose = se3(so3_exp(turn) @ c.camera_from_world[:3, :3], c.camera_from_world[:3, 3] + place)
+        k = c.K * [[1.02, 1, 1], [1, 1.02, 1], [1, 1, 1]]
+        cameras.append(Camera(c.name, k, np.zeros_like(c.distortion), pose, c.size, c.fisheye))
+    turns = so3_exp(rng.normal(0, 0.03, (len(scene.boards), 3)))
+    boards = se3(turns @ scene.boards[:, :3, :3], scene.boards[:, :3, 3] + rng.normal(0, 0.03, (len(turns), 3)))
+    return cameras, boards
+
+
+def test_the_truth_is_recovered_without_noise(rng):
+    scene = film_board(ring_of_cameras(rng, 3), BOARD, rng, 25, noise_px=0.0)
+    cameras, boards = _disturbed(scene, rng)
+    obs = observe(dict(enumerate(scene.sightings)), range(25))
+    found = refine(cameras, boards, BOARD.points, obs, noise_px=1e-3)
+    assert found.rms_px < 1e-3
+    for a, b in zip(found.cameras, scene.rig, strict=True):
+        assert abs(a.K[0, 0] - b.K[0, 0]) < 0.02
+        assert np.linalg.norm(a.position - b.position) < 1e-3
+    # the first camera stays where it is
+    np.testing.assert_array_equal(found.cameras[0].camera_from_world, scene.rig[0].camera_from_world)
+
+
+def test_standard_deviations_are_those_of_the_errors():
+    """Over many noisy scenes the focal errors have the predicted size."""
+    ratios = []
+    for seed in range(6):
+        rng = np.random.default_rng(100 + seed)
+        scene = film_board(ring_of_cameras(rng, 3), BOARD, rng, 25, noise_px=NOISE_PX)
+        obs = observe(dict(enumerate(scene.sightings)), range(25))
+        found = refine(list(scene.rig), scene.boards, BOARD.points, obs)
+        error = [a.K[0, 0] - b.K[0, 0] for a, b in zip(found.cameras, scene.rig, strict=True)]
+        ratios += list(np.array(error) / found.focal_sd)
+        assert found.rms_px == pytest.approx(NOISE_PX, rel=0.1)
+    assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.5
+
+
+def test_known_boards_fix_the_world(rng):
+    scene = film_board(ring_of_cameras(rng, 2), BOARD, rng, 12, noise_px=0.1)
+    cameras, _ = _disturbed(scene, rng)
+    obs = observe(dict(enumerate(scene.sightings)), range(12))
+    found = refine(cameras, scene.boards, BOARD.points, obs, free_intrinsics=True, fixed_frames=np.ones(12, dtype=bool))
+    np.testing.assert_array_equal(found.frames, scene.boards)
+    for a, b in zip(found.cameras, scene.rig, strict=True):
+        assert np.linalg.norm(a.position - b.position) < 0.03
+
+
+def test_a_wrong_corner_hardly_matters(rng):
+    scene = film_board(ring_of_cameras(rng, 3), BOARD, rng, 25, noise_px=0.1)
+    obs = observe(dict(enumerate(scene.sightings)), range(25))
+    pixels = obs.pixels.copy()
+    pixels[::60] += 40
+    wrong = Observations(obs.camera, obs.frame, obs.corner, pixels)
+    found = refine(list(scene.rig), scene.boards, BOARD.points, wrong)
+    errors = compare_rigs(type(scene.rig)(found.cameras), scene.rig)
+    assert errors.position_m.max() < 0.03
+
+
+def test_a_board_behind_its_camera_is_refused(rng):
+    scene = film_board(ring_of_cameras(rng, 2), BOARD, rng, 6)
+    obs = observe(dict(enumerate(scene.sightings)), range(6))
+    far = se3(np.eye(3), [0, 0, 50.0]) @ scene.boards  # above: the cameras look down
+    with pytest.raises(SolverError, match="lies behind its camera"):
+        refine(list(scene.rig), far, BOARD.points, obs)

@@ -1,0 +1,162 @@
+"""Rigs from corners: the truth within the noise, symmetric boards, contradictions, cameras without common boards."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.calibration.boards import Board, Sighting
+from hypose.calibration.floor import floor_frame, place_on_floor
+from hypose.calibration.intrinsics import Lens, calibrate_lens, spread_out
+from hypose.calibration.lags import estimate_lags
+from hypose.calibration.rig import RigOptions, calibrate_rig
+from hypose.cameras.camera import CameraRig
+from hypose.errors import CalibrationError
+from hypose.evaluation.calibration import solve_scene
+from hypose.evaluation.calibration_boards import compare_rigs, film_board, ring_of_cameras
+from hypose.geometry import se3, so3_exp
+
+EVEN = Board("chessboard", 8, 6, 0.08)
+
+
+def given_lenses(rig):
+    return [Lens(replace(c, camera_from_world=np.eye(4)), (), 0.2, float("nan"), True) for c in rig]
+
+
+@pytest.mark.parametrize("fisheye", [False, True])
+def test_a_rig_from_a_carried_board(rng, fisheye):
+    """The board looks the same turned by 180 degrees, and every camera numbers it as it likes."""
+    scene = film_board(ring_of_cameras(rng, 4, fisheye=fisheye), EVEN, rng, 50, turn=True)
+    found = solve_scene(scene)
+    errors = compare_rigs(found.rig, scene.rig)
+    assert found.rms_px == pytest.approx(0.25, rel=0.08)
+    assert errors.focal_px.max() < 4
+    assert errors.position_m.max() < 0.025
+    # numbered alike: boards in the world are where they were, up to the rig's frame and one common turn
+    assert all(set(s.ids) == set(range(48)) for seen in found.sightings.values() for s in seen.values())
+
+
+def test_wrong_boards_are_left_out(rng):
+    scene = film_board(ring_of_cameras(rng, 3), EVEN, rng, 30)
+    bad = [dict(s) for s in scene.sightings]
+    frame = sorted(set(bad[0]) & set(bad[1]))[3]
+    bad[1][frame] = Sighting(bad[1][frame].ids, bad[1][frame].pixels + [5.0, 40.0], 2.0)
+    found = calibrate_rig(given_lenses(scene.rig), bad, EVEN, RigOptions(free_intrinsics=False))
+    assert (1, frame) in found.dropped
+    assert compare_rigs(found.rig, scene.rig).position_m.max() < 0.01
+
+
+def test_cameras_without_a_common_board_are_named(rng):
+    scene = film_board(ring_of_cameras(rng, 3), EVEN, rng, 30)
+    apart = [scene.sightings[0], scene.sightings[1], {f + 1000: s for f, s in scene.sightings[2].items()}]
+    with pytest.raises(CalibrationError, match=r"cannot be joined: cam1 .* cam2 .* \| cam3 \(.*frames 10.*no board at"):
+        calibrate_rig(given_lenses(scene.rig), apart, EVEN)
+
+
+def test_contradicting_boards_point_to_synchronisation(rng):
+    scene = film_board(CameraRig(ring_of_cameras(rng, 6).cameras[:2]), EVEN, rng, 40)
+    shuffled = dict(zip(sorted(scene.sightings[1]), rng.permutation(list(scene.sightings[1].values())), strict=True))
+    with pytest.raises(CalibrationError, match="contradict each other: the videos are probably not synchronous"):
+        calibrate_rig(given_lenses(scene.rig), [scene.sightings[0], shuffled], EVEN)
+
+
+def _lying(rng, count=3):
+    scene = film_board(ring_of_cameras(rng, count), EVEN, rng, 1, lying=1, turn=True)
+    assert all(scene.sightings)
+    return scene
+
+
+def test_a_symmetric_board_lying_still_leaves_the_way_round_open(rng):
+    scene = _lying(rng)
+    with pytest.raises(CalibrationError, match="open which way round camera"):
+        calibrate_rig(given_lenses(scene.rig), scene.sightings, EVEN)
+
+
+def test_the_way_round_can_be_told(rng):
+    scene = _lying(rng)
+
+    def choose(c, d, d_from_c, other):
+        true = scene.rig[d].camera_from_world @ np.linalg.inv(scene.rig[c].camera_from_world)
+        near, far = (np.abs(m[:3, :3] - true[:3, :3]).max() for m in (d_from_c, other))
+        return 3.0 if near < far else 0.3
+
+    found = calibrate_rig(given_lenses(scene.rig), scene.sightings, EVEN, RigOptions(choose=choose))
+    assert compare_rigs(found.rig, scene.rig).position_m.max() < 0.05
+    assert sum("which looks the same turned" in n for n in found.notes) == 2
+
+
+def test_lens_needs_different_boards(rng):
+    scene = _lying(rng)
+    seen = {f: scene.sightings[0][0] for f in range(20)}
+    with pytest.raises(CalibrationError, match="in 20 pictures, in 1 different positions; its lens needs at least 4"):
+        calibrate_lens("cam1", seen, EVEN, (640, 480))
+
+
+def test_lens_from_boards_all_facing_the_camera(rng):
+    """Without tilt the focal length and the distance cannot be told apart."""
+    camera = ring_of_cameras(rng, 1)[0]
+    seen = {}
+    for f in range(12):
+        r = so3_exp(rng.normal(0, 0.01, 3))
+        place = np.array([*rng.uniform(-0.5, 0.3, 2), 3.0]) - EVEN.points.mean(0) * 0.5
+        uv = replace(camera, camera_from_world=se3(r, place)).project(EVEN.points)
+        if (uv > 5).all() and (uv < [634, 474]).all():
+            seen[f] = Sighting(np.arange(48), uv + rng.normal(0, 0.3, uv.shape), 2.0)
+    with pytest.raises(CalibrationError, match="uncertain by .*tilted by 30 to 45 degrees"):
+        calibrate_lens("cam1", seen, EVEN, camera.size)
+
+
+def test_different_boards_are_chosen(rng):
+    scene = film_board(ring_of_cameras(rng, 1), EVEN, rng, 60)
+    seen = scene.sightings[0]
+    chosen = spread_out(seen, (640, 480), 8)
+    assert len(chosen) == 8 and chosen == sorted(chosen)
+    assert len(spread_out(dict.fromkeys(range(9), next(iter(seen.values()))), (640, 480), 5, 0.03)) == 1
+    assert spread_out({}, (640, 480), 5) == []
+
+
+def test_floor_where_the_board_lies_still(rng):
+    scene = film_board(ring_of_cameras(rng, 4), EVEN, rng, 40, lying=6)
+    found = solve_scene(scene)
+    frame, said = floor_frame(found.rig, found.boards, EVEN, None, False)
+    assert frame is not None and frame < 6 and "lies still in frames 0 to 5" in said
+    rig, boards = place_on_floor(found.rig, found.boards, EVEN, frame)
+    np.testing.assert_allclose(boards[frame][:3, 3], 0, atol=1e-12)
+    for camera, true in zip(rig, scene.rig, strict=True):
+        assert camera.position[2] == pytest.approx(true.position[2], abs=0.06)
+    chosen, _ = floor_frame(found.rig, found.boards, EVEN, 3, False)
+    assert chosen == 3
+    with pytest.raises(CalibrationError, match="No board was found near frame 5000"):
+        floor_frame(found.rig, found.boards, EVEN, 5000, False)
+
+
+def test_without_a_floor_up_is_that_of_the_cameras(rng):
+    scene = film_board(ring_of_cameras(rng, 4), EVEN, rng, 30, lying=0)
+    boards = dict(enumerate(scene.boards))
+    turn = se3(so3_exp([0.5, 0.7, -0.3]), [1, 2, 3])
+    moved = CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ np.linalg.inv(turn)) for c in scene.rig))
+    frame, said = floor_frame(moved, {f: turn @ b for f, b in boards.items()}, EVEN, None, False)
+    assert frame is None and "the floor is not known" in said
+    rig, placed = place_on_floor(moved, {f: turn @ b for f, b in boards.items()}, EVEN, None)
+    down = np.stack([c.camera_from_world[1, 2] for c in rig])
+    assert (down < -0.7).all()  # images stand upright: their y axes point down in the world
+    assert min((b[:3, :3] @ EVEN.points.T + b[:3, 3:])[2].min() for b in placed.values()) == pytest.approx(0, abs=1e-9)
+
+
+def test_late_videos_are_named(rng):
+    rig = ring_of_cameras(rng, 2, radius=2.5)
+    t = np.arange(160) / 25
+    place = 0.25 * np.stack([np.sin(1.3 * t), np.sin(2.1 * t + 1), 0.6 * np.sin(1.7 * t)], 1)
+    seen = [{}, {}]
+    for c, camera in enumerate(rig):
+        look = camera.camera_from_world[:3, :3].T
+        for f in range(150):
+            moment = f - (7 if c else 0)
+            if moment < 0:
+                continue
+            pose = se3(look @ so3_exp([0.3, 0.2, 0]), place[moment] + [0, 0, 0.3])
+            uv = camera.project(EVEN.points @ pose[:3, :3].T + pose[:3, 3])
+            seen[c][f] = Sighting(np.arange(48), uv + rng.normal(0, 0.1, uv.shape), 2.0)
+    ((camera_number, lag),) = estimate_lags(list(rig), seen, EVEN).items()
+    assert abs(abs(lag) - 7) <= 1 and (lag > 0) == (camera_number == 1)
+    assert estimate_lags(list(rig), [seen[0], {f - 7: s for f, s in seen[1].items()}], EVEN) == {}
