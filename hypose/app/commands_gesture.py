@@ -20,7 +20,7 @@ app = typer.Typer(no_args_is_help=True, help="Learn still gestures from a depth 
 
 SourceOption = Annotated[
     str,
-    typer.Option(help="realsense, FILE.mkv (Azure Kinect), the folder of a recorded session, or simulated[:PERSON]."),
+    typer.Option(help="realsense, FILE.bag, .db3 or .mkv (Azure), the folder of a session, or simulated[:PERSON]."),
 ]
 Gesture = Annotated[str, typer.Option(help="Name of the gesture.")]
 Rounds = Annotated[int, typer.Option(help="Rounds of gesture and other movement.")]

@@ -1,9 +1,7 @@
-"""Where depth comes from: a recorded session, an Azure Kinect recording, a live RealSense, or the simulated sensor."""
+"""Where depth comes from: recorded sessions, recordings of cameras, a live camera, or the simulated sensor."""
 
 from __future__ import annotations
 
-import importlib
-import time as clock
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,19 +38,22 @@ class Source:
 
 
 def open_source(text: str, gesture: str = "tee", seed: int = 0) -> Source:
-    """A source by its name: a recorded session's folder, FILE.mkv, "realsense", "simulated" or "simulated:PERSON"."""
+    """A source by its name: a recorded session's folder, FILE.mkv (Azure Kinect), FILE.bag or FILE.db3
+    (RealSense), "realsense", "simulated" or "simulated:PERSON"."""
     if text == "simulated" or text.startswith("simulated:"):
         return _simulated(text.partition(":")[2] or "0", gesture, seed)
     if text == "realsense":
-        return _realsense()
+        return _realsense(None)
     path = Path(text)
+    if path.suffix.lower() in (".bag", ".db3"):
+        return _realsense(path)
     if path.suffix.lower() == ".mkv":
         return _azure(path)
     if path.is_dir():
         return _recorded(path)
     raise InputError(
-        f"There is no depth source {text!r}; give a recorded session's folder, an Azure Kinect recording (.mkv), "
-        "realsense, or simulated."
+        f"There is no depth source {text!r}; give a recorded session's folder, a recording of an Azure Kinect "
+        "(.mkv) or RealSense (.bag, .db3), realsense, or simulated."
     )
 
 
@@ -114,32 +115,18 @@ def azure_lens(calibration: dict[str, Any], size: tuple[int, int], path: Path) -
     )
 
 
-def _realsense() -> Source:
-    try:
-        rs: Any = importlib.import_module("pyrealsense2")
-    except ImportError:
-        raise InputError(
-            "RealSense cameras need pyrealsense2, which is not installed; run: pip install hypose[realsense]."
-        ) from None
-    pipeline, config = rs.pipeline(), rs.config()
-    config.enable_stream(rs.stream.depth, 640, 480, rs.format.z16, 30)
-    try:
-        profile = pipeline.start(config)
-    except RuntimeError as error:
-        raise InputError(f"No RealSense camera could be started ({error}); connect one and try again.") from None
-    scale = profile.get_device().first_depth_sensor().get_depth_scale()
-    k = profile.get_stream(rs.stream.depth).as_video_stream_profile().get_intrinsics()
-    began = clock.monotonic()
+def _realsense(path: Path | None) -> Source:
+    from hypose.io.realsense import open_realsense, read_realsense
+
+    opened = open_realsense() if path is None else read_realsense(path)
+    name = "realsense" if path is None else path.name
 
     def take(phase: str) -> Taken | None:
-        try:
-            frame = pipeline.wait_for_frames(5000).get_depth_frame()
-        except RuntimeError as error:
-            raise InputError(f"The RealSense camera stopped ({error}); connect it again.") from None
-        values = np.asanyarray(frame.get_data()).astype(np.float64) * scale
-        return Taken(clock.monotonic() - began, millimetres(values))
+        frame = next(opened.frames, None)
+        return None if frame is None else Taken(frame.time, millimetres(frame.depth, name))
 
-    return Source("realsense", Lens(k.fx, k.fy, k.ppx, k.ppy), (k.width, k.height), take, pipeline.stop)
+    close = getattr(opened.frames, "close", lambda: None)
+    return Source(name, Lens(*opened.intrinsics), opened.size, take, close)
 
 
 def _simulated(who: str, gesture: str, seed: int) -> Source:

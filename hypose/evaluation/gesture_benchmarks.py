@@ -145,7 +145,7 @@ _CLIPS: dict[str, int | None] = {"clipped_15": 150, "clipped_30": 300, "clipped_
 def table_3_1(options: BenchOptions) -> BenchReport:
     """Clipping distances, trained in two fixed empty rooms, tested in clutter; and boosted sub-forests."""
     seeds = options.seeds or (1 if options.quick else SEEDS)
-    size = QUICK if options.quick else Size(40, 200, 24)
+    size = QUICK if options.quick else Size(40, 160, 20)
     names = ("tee", "ok") if options.quick else GESTURES
     auc: dict[tuple[str, str], list[float]] = {}
     online: dict[tuple[str, str], list[float]] = {}
@@ -157,22 +157,26 @@ def table_3_1(options: BenchOptions) -> BenchReport:
             number = GESTURES.index(name) + 1
             shown, test = examples(data.train, number), for_gesture(data.test, number)
             pool = collect(shown, np.random.default_rng([83, seed]), negatives=20)
-            jobs = {c: OfflineSettings(ForestSettings(clip_mm=mm), per_class=6000) for c, mm in _CLIPS.items()}
+            jobs = {
+                c: OfflineSettings(ForestSettings(clip_mm=mm), per_class=5000, tests=60) for c, mm in _CLIPS.items()
+            }
             # the published baseline is unclipped
             jobs["subforest"] = replace(jobs["unclipped"], learning="subforests")
             for case, settings in jobs.items():
+                if seed and case in ("clipped_30", "clipped_50"):  # the middle distances once: they decide nothing
+                    continue
                 judged = judge(learn_offline(pool, seed, settings), test, number)
                 auc.setdefault((case, name), []).append(judged.auc())
                 if seed == 0:
                     curves[f"{case}/{name}"] = _curve(judged)
             for case in ("clipped_15", "unclipped"):
-                forest = learn_online(shown, seed, settings=ForestSettings(clip_mm=_CLIPS[case]))
+                forest = learn_online(shown, seed, settings=ForestSettings(clip_mm=_CLIPS[case]), passes=3)
                 online.setdefault((case, name), []).append(judge(forest, test, number).ap())
             options.progress("learn", seed * len(names) + k + 1, seeds * len(names))
     rows: list[Row] = []
     for metric, table in (("auc", auc), ("online_ap", online)):
         for case in dict.fromkeys(c for c, _ in table):
-            v = np.array([table[case, g] for g in names])
+            v = np.array([table[case, g] for g in names])  # (gestures, seeds)
             rows.append(row(metric, case, v.mean(0), "1"))
             rows += [row(metric, f"{case}/{g}", v[k], "1") for k, g in enumerate(names)]
     return BenchReport(tuple(rows), _settings(size, seeds) | {"curves": curves})

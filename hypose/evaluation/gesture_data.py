@@ -102,7 +102,7 @@ def _shoot(
     out = []
     for k, i in enumerate(rng.permutation(len(kinds)).tolist()):
         who = people[k % len(people)]
-        out.append(picture(who, kinds[i], stage, rng, [p for p in people if p != who]))
+        out.append(picture(who, str(kinds[i]), stage, rng, [p for p in people if p != who]))
         if tick is not None:
             tick(k + 1, len(kinds))
     return out

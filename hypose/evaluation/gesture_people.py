@@ -292,7 +292,8 @@ class Puppet:
         moves = np.concatenate([r.reshape(-1, 9), c - np.einsum("jab,jb->ja", r, self.person.joints)], 1)
         m = self.person.weights @ moves.astype(np.float32)
         v = self.person.vertices
-        return m[:, 0:9:3] * v[:, :1] + m[:, 1:9:3] * v[:, 1:2] + m[:, 2:9:3] * v[:, 2:] + m[:, 9:]
+        out = m[:, 0:9:3] * v[:, :1] + m[:, 1:9:3] * v[:, 1:2] + m[:, 2:9:3] * v[:, 2:] + m[:, 9:]
+        return out.astype(np.float32, copy=False)
 
 
 def _thumb_of(person: Person, side: str, x: Array) -> Array:

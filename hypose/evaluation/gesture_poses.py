@@ -255,13 +255,12 @@ def movement(puppet: Puppet, rng: np.random.Generator) -> Keyframe:
             goals[side] = do.hanging(side)
             continue
         shoulder = puppet.at(f"{side}_shoulder")
-        for _ in range(8):
+        while True:
             way = unit(rng.normal(0, 1, 3) + [0, -1.2, 0])
             wrist = shoulder + do.chest @ (way * rng.uniform(0.2, 0.55) + [-0.08 * x, 0, 0])
             f, n = unit(unit(wrist - shoulder) + rng.normal(0, 0.6, 3) + [0, 0, 0.5]), rng.normal(0, 1, 3)
-            near = rng.random() < 0.25
             kinds = ["flat", "spread", "relaxed", "fist", "point", "two", "claw"]
-            if near:
+            if rng.random() < 0.25:
                 f, n = unit([0, -0.1, 1] + rng.normal(0, 0.25, 3)), np.array([0, -1, 0]) + rng.normal(0, 0.4, 3)
                 kinds = ["fist", "point", "two", "claw", "relaxed"]
             kind = str(rng.choice(kinds))

@@ -79,7 +79,7 @@ class GestureFrame:
 
 def make_room(rng: np.random.Generator, level: str) -> Room:
     """A random room: empty (floor and a wall far behind), furnished, or cluttered close to the person."""
-    parts: list[tuple[Array, Array]] = []
+    parts: list[tuple[Array, NDArray[np.int32]]] = []
 
     def box(centre: Sequence[float], size: Sequence[float], yaw: float) -> None:
         parts.append((_BOX * size @ turn([0, 0, 1], yaw).T + centre, _BOX_FACES))
@@ -174,7 +174,7 @@ class Stage:
     def choose(self, rng: np.random.Generator) -> Setting:
         """A room and a camera."""
         if self.settings:
-            return self.settings[rng.integers(len(self.settings))]
+            return self.settings[int(rng.integers(len(self.settings)))]
         return Setting.new(make_room(rng, str(rng.choice(self.levels))), make_view(rng, rng.uniform(*self.distance)))
 
 
@@ -200,7 +200,7 @@ def picture(person: int, kind: str, stage: Stage, rng: np.random.Generator, othe
             apply(puppet, movement(puppet, rng))
         shown = [(puppet.person, in_world(puppet))]
         if others and rng.random() < stage.second:
-            shown.append(bystander(everyone[others[rng.integers(len(others))]], setting.room, rng))
+            shown.append(bystander(everyone[others[int(rng.integers(len(others)))]], setting.room, rng))
         x = y = np.nan
         position = np.full(3, np.nan)
         if point is not None:

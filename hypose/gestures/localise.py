@@ -67,6 +67,10 @@ def pad(depth: Depth, lens: Lens, reach_mm: int, near_mm: int, reuse: PaddedDept
     return forests.pad_depth(depth, lens.fx, near_mm, reach_mm, reuse)
 
 
+Density = tuple[NDArray[np.float32], int]
+"""A map of voting surface (rows, columns) on the scanning grid, m^2 per cell, and the index of its largest value."""
+
+
 def localise(
     depth: Depth,
     lens: Lens,
@@ -79,7 +83,19 @@ def localise(
     forest_list: one two-class forest per gesture (one against all; they share the padded picture), or a single forest
     of several gestures. scratch: keep it between the frames of one stream; it holds the density's memory (eq. 3.4).
     """
-    s, kept = (settings or LocaliseSettings()).at(lens), scratch or Scratch()
+    s, kept = settings or LocaliseSettings(), scratch or Scratch()
+    return settle(densities(depth, lens, forest_list, s, kept), depth, lens, s, kept)
+
+
+def densities(
+    depth: Depth,
+    lens: Lens,
+    forest_list: Sequence[Forest | GrowingForest],
+    settings: LocaliseSettings,
+    scratch: Scratch,
+) -> list[Density]:
+    """The density of every gesture's votes in this picture alone: the first half of `localise`."""
+    s = settings.at(lens)
     if not forest_list:
         raise InputError("There is no forest to look with; train a gesture first.")
     reach = forest_list[0].settings.reach_mm
@@ -87,38 +103,34 @@ def localise(
         raise InputError("The forests have different reaches; train them with the same reach_mm.")
     if len(forest_list) > 1 and any(f.classes != 2 for f in forest_list):
         raise InputError("A forest of several gestures is used alone; give one forest per gesture, or that one.")
-    picture = kept.picture = pad(depth, lens, reach, s.plan.near_mm, kept.picture)
-    kept.descents = 0
+    picture = scratch.picture = pad(depth, lens, reach, s.plan.near_mm, scratch.picture)
+    scratch.descents = 0
     maps: list[NDArray[np.float32]] = []
     for f in forest_list:
         look = forests.scan if f.classes == 2 else forests.scan_classes
         scores, spent = look(picture, f.packed, f.settings.clip, s.plan)
-        kept.descents += spent
+        scratch.descents += spent
         maps += list(scores) if scores.ndim == 3 else [scores]
-    several = len(forest_list) == 1 and forest_list[0].classes > 2
-    majority = 0.0 if several else s.majority
-    return [_find(k + 1, m, picture, depth, lens, s, kept, majority) for k, m in enumerate(maps)]
+    # with several classes the scan has already asked which one wins
+    majority = s.majority if forest_list[0].classes == 2 else 0.0
+    return [forests.parzen(picture, m, s.plan.stride, majority, s.sigma_px) for m in maps]
 
 
-def _find(
-    gesture: int,
-    scores: NDArray[np.float32],
-    picture: PaddedDepth,
-    depth: Depth,
-    lens: Lens,
-    s: LocaliseSettings,
-    kept: Scratch,
-    majority: float,
-) -> Found:
-    density, at = forests.parzen(picture, scores, s.plan.stride, majority, s.sigma_px)
-    if s.memory < 1:
-        kept.densities = kept.densities or {}
-        last = kept.densities.get(gesture)
-        if last is not None and last.shape == density.shape:
-            density = (np.float32(s.memory) * density + np.float32(1 - s.memory) * last).astype(np.float32)
-            at = int(density.argmax())
-        kept.densities[gesture] = density
-    return peak(gesture, density, at, depth, lens, s)
+def settle(
+    maps: Sequence[Density], depth: Depth, lens: Lens, settings: LocaliseSettings, scratch: Scratch
+) -> list[Found]:
+    """The best place of every gesture, from the densities of this picture and the memory of the last ones (eq. 3.4)."""
+    s, out = settings.at(lens), []
+    for gesture, (density, at) in enumerate(maps, 1):
+        if s.memory < 1:
+            scratch.densities = scratch.densities or {}
+            last = scratch.densities.get(gesture)
+            if last is not None and last.shape == density.shape:
+                density = (np.float32(s.memory) * density + np.float32(1 - s.memory) * last).astype(np.float32)
+                at = int(density.argmax())
+            scratch.densities[gesture] = density
+        out.append(peak(gesture, density, at, depth, lens, s))
+    return out
 
 
 def peak(gesture: int, density: NDArray[np.float32], at: int, depth: Depth, lens: Lens, s: LocaliseSettings) -> Found:

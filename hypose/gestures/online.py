@@ -84,12 +84,12 @@ class Learner:
         if surface is None:
             return None
         scale = lens.fx / surface
-        maxima = self._look(depth, lens) if mine else ()
+        maxima = self._take(depth, lens, mine)
         clear = (x, y, s.clear_mm * scale)
         rows, columns = self._near(depth, x, y, s.box_mm * scale, s.positives, (surface, s.surface_mm))
         counts = [0] * self.forest.classes
-        self._learn(depth, lens, rows, columns, gesture, counts)
-        self._learn(depth, lens, *self._anywhere(depth, s.beside if mine else s.many, clear), BACKGROUND, counts)
+        self._learn(rows, columns, gesture, counts)
+        self._learn(*self._anywhere(depth, s.beside if mine else s.many, clear), BACKGROUND, counts)
         mined = []
         for found in maxima:
             old = self.strength.get(found.gesture, found.score)
@@ -103,10 +103,10 @@ class Learner:
         """Learn a frame in which no gesture is done: hard negatives at every maximum and a few random ones, or only
         random ones (mine = False)."""
         counts = [0] * self.forest.classes
-        maxima = self._look(depth, lens) if mine else ()
+        maxima = self._take(depth, lens, mine)
         mined = tuple(f for f in maxima if self._mine(depth, lens, f, counts))
         number = self.settings.few if mine else self.settings.many
-        self._learn(depth, lens, *self._anywhere(depth, number, None), BACKGROUND, counts)
+        self._learn(*self._anywhere(depth, number, None), BACKGROUND, counts)
         return Taught(tuple(counts), mined, maxima)
 
     def choose(self, example: Example, positives: int, negatives: int) -> list[tuple[NDArray, NDArray, int]]:
@@ -124,8 +124,13 @@ class Learner:
             (*self._anywhere(e.depth, negatives, (e.x, e.y, s.clear_mm * scale)), BACKGROUND),
         ]
 
-    def _look(self, depth: Depth, lens: Lens) -> tuple[Found, ...]:
-        return tuple(localise(depth, lens, [self.forest], self.settings.look, self.scratch))
+    def _take(self, depth: Depth, lens: Lens, look: bool) -> tuple[Found, ...]:
+        """Pad the picture for learning, and look for the maxima if wanted."""
+        s = self.settings.look
+        if look:
+            return tuple(localise(depth, lens, [self.forest], s, self.scratch))
+        self.scratch.picture = pad(depth, lens, self.forest.settings.reach_mm, s.plan.near_mm, self.scratch.picture)
+        return ()
 
     def _mine(self, depth: Depth, lens: Lens, found: Found, counts: list[int]) -> bool:
         surface = surface_depth(depth, found.x, found.y)
@@ -135,14 +140,13 @@ class Learner:
         number = int(np.ceil(self.settings.hard * min(1.0, found.score / most)))
         radius = self.settings.box_mm * lens.fx / surface
         rows, columns = self._near(depth, found.x, found.y, radius, number, None)
-        self._learn(depth, lens, rows, columns, BACKGROUND, counts)
+        self._learn(rows, columns, BACKGROUND, counts)
         return bool(len(rows))
 
-    def _learn(self, depth: Depth, lens: Lens, rows: NDArray, columns: NDArray, label: int, counts: list[int]) -> None:
-        if not len(rows):
+    def _learn(self, rows: NDArray, columns: NDArray, label: int, counts: list[int]) -> None:
+        picture = self.scratch.picture
+        if not len(rows) or picture is None:
             return
-        reach, near = self.forest.settings.reach_mm, self.settings.look.plan.near_mm
-        picture = self.scratch.picture = pad(depth, lens, reach, near, self.scratch.picture)
         self.forest.learn(picture, rows, columns, np.full(len(rows), label, np.int32))
         counts[label] += len(rows)
 

@@ -125,7 +125,7 @@ def test_bad_input_ends_in_a_sentence(folder, tmp_path, capsys):
     assert "--recording" in refused(capsys, "gesture", "train", tmp_path / "x.npz", "--gesture", "tee", "--offline")
     assert ".npz" in refused(capsys, "gesture", "train", tmp_path / "x", "--gesture", "tee")
     assert "cannot do" in refused(capsys, "gesture", "record", tmp_path / "r", "--gesture", "fly")
-    assert "pyrealsense2" in refused(capsys, "gesture", "run", model, "--source", "realsense", "--threshold", "1")
+    assert "RealSense" in refused(capsys, "gesture", "run", model, "--source", "realsense", "--threshold", "1")
 
 
 def test_a_session_in_metres_is_named(tmp_path, capsys):
