@@ -21,7 +21,8 @@ from hypose.io.depth import read_depth_png
 LETTERS = "abcdefghiklmnopqrstuvwxy"
 TRAINED_SHARE = 0.7
 """Of each letter's pictures, in the order of time, are learned; the rest is tested."""
-_BACKGROUNDS = 40
+_BACKGROUNDS = 24
+PASSES = 3
 _REACH_MM = 90
 """The crops end about there."""
 
@@ -90,7 +91,7 @@ def semi_synthetic(options: BenchOptions) -> BenchReport:
         for done, letter in enumerate(chosen):
             learner = Learner.new(rng, ForestSettings(reach_mm=_REACH_MM), LearnSettings())
             number = LETTERS.index(letter) + 1
-            for _ in range(4):
+            for _ in range(PASSES):
                 shown = {c: list(v[: split[c]]) for c, v in crops.items()}
                 for c in LETTERS:
                     few = rng.permutation(len(shown[c]))[:9] if c != letter else np.tile(np.arange(len(shown[c])), 3)

@@ -170,7 +170,7 @@ def table_3_1(options: BenchOptions) -> BenchReport:
                 if seed == 0:
                     curves[f"{case}/{name}"] = _curve(judged)
             for case in ("clipped_15", "unclipped"):
-                forest = learn_online(shown, seed, settings=ForestSettings(clip_mm=_CLIPS[case]), passes=3)
+                forest = learn_online(shown, seed, settings=ForestSettings(clip_mm=_CLIPS[case]), passes=2)
                 online.setdefault((case, name), []).append(judge(forest, test, number).ap())
             options.progress("learn", seed * len(names) + k + 1, seeds * len(names))
     rows: list[Row] = []

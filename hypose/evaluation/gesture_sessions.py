@@ -17,7 +17,7 @@ from hypose.evaluation.gesture_scenes import GestureFrame, Setting, Stage, make_
 from hypose.gestures.events import EventSettings, EventState, step
 from hypose.gestures.forest import Forest
 from hypose.gestures.localise import LocaliseSettings, Scratch, densities, localise, settle
-from hypose.gestures.offline import collect, train
+from hypose.gestures.offline import OfflineSettings, collect, train
 from hypose.gestures.online import Example, Learner
 from hypose.gestures.pictures import KINECT
 from hypose.gestures.trainer import Trainer
@@ -69,7 +69,7 @@ def test_frames(person: int, name: str, shown: int, rng: np.random.Generator) ->
 
 def table_3_3(options: BenchOptions) -> BenchReport:
     """Three sessions of 3 minutes of one person; the forest is resumed; offline learning on the same frames beside."""
-    size = _Size(60, 10, 1) if options.quick else _Size(600, 50, 3)
+    size = _Size(60, 10, 1) if options.quick else _Size(500, 40, 3)
     seeds, names = options.seeds or size.seeds, PUBLISHED[:1] if options.quick else PUBLISHED
     judged: dict[str, list[tuple[float, float]]] = {}
     minutes: dict[str, list[float]] = {}
@@ -93,7 +93,7 @@ def table_3_3(options: BenchOptions) -> BenchReport:
                 _keep(judged, f"interactive/{case}", judge(forest, test, number))
                 began = time.perf_counter()
                 pool = collect(every, np.random.default_rng([87, seed]), positives=20, negatives=20)
-                offline = train(pool, np.random.default_rng([88, seed]))
+                offline = train(pool, np.random.default_rng([88, seed]), OfflineSettings(per_class=8000))
                 waited = time.perf_counter() - began
                 _keep(judged, f"offline/{case}", judge(offline, test, number))
                 minutes.setdefault(f"interactive/{case}", []).append(3.0 * (k + 1))

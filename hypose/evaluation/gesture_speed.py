@@ -26,7 +26,7 @@ THOROUGH = LocaliseSettings(ScanPlan(first=0, coarse=0))
 
 def speed(options: BenchOptions) -> BenchReport:
     """Milliseconds per 640 x 480 picture for one and for six gestures; learning steps per second; megabytes."""
-    size = Size(12, 48, 8) if options.quick else Size(40, 200, 12)
+    size = Size(12, 48, 8) if options.quick else Size(24, 96, 10)
     rng = np.random.default_rng([91, 0])
     shot = training_set(size, rng, tick=lambda k, n: options.progress("render", k, n))
     test = test_set(size, rng)
