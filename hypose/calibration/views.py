@@ -262,7 +262,8 @@ def diagnose(views: CameraViews, board: Board, pictures: int = 6) -> str:
     return _diagnose_markers(grays, board) if board.kind == "charuco" else _diagnose_chessboard(grays, board)
 
 
-def _diagnose_chessboard(grays: Sequence[Gray], board: Board) -> str:
+def _chessboard_seen(grays: Sequence[Gray], board: Board) -> tuple[int, int] | None:
+    """Corner counts of the chessboard that most pictures show, the larger first."""
     sizes: dict[tuple[int, int], int] = {}
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
     for gray in grays:
@@ -276,11 +277,15 @@ def _diagnose_chessboard(grays: Sequence[Gray], board: Board) -> str:
                 best = max(best, seen, key=lambda s: s[0] * s[1])
         if best[0] * best[1] > 9:  # a grid of 3 x 3 is found in many things
             sizes[best] = sizes.get(best, 0) + 1
-    if sizes:
-        (nx, ny), _ = max(sizes.items(), key=lambda p: (p[1], p[0][0] * p[0][1]))
-        if {nx, ny} == set(board.size):
+    return max(sizes, key=lambda n: (sizes[n], n[0] * n[1])) if sizes else None
+
+
+def _diagnose_chessboard(grays: Sequence[Gray], board: Board) -> str:
+    seen = _chessboard_seen(grays, board)
+    if seen is not None:
+        if set(seen) == set(board.size):
             return "a board of this size was seen, but not well enough to measure it"
-        return f"a chessboard of {nx} x {ny} inner corners was seen instead"
+        return f"a chessboard of {seen[0]} x {seen[1]} inner corners was seen instead"
     for name in ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000"):
         if _markers(grays, name, False) >= 4:
             return f"markers of the dictionary {name} were seen: is it a ChArUco board?"
@@ -331,7 +336,8 @@ def _diagnose_markers(grays: Sequence[Gray], board: Board) -> str:
     for name in ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_APRILTAG_36H11"):
         if _markers(grays, name, board.inverted) >= 4:
             return f"markers of another dictionary, {name}, were seen"
-    return ""
+    seen = _chessboard_seen(grays, board)
+    return f"a chessboard of {seen[0]} x {seen[1]} inner corners without markers was seen instead" if seen else ""
 
 
 def positions(sightings: Mapping[int, Sighting], size: tuple[int, int]) -> Array:

@@ -1,0 +1,110 @@
+"""`hypose calibrate`: boards to a file and a contact sheet, conversion, measured points, and errors in one sentence."""
+
+import cv2
+import numpy as np
+import pytest
+
+from hypose.app.cli import main
+from hypose.app.commands_calibrate import parse_length
+from hypose.errors import InputError
+from hypose.io.calibration import read_calibration, write_calibration
+from hypose.io.calibration_formats import read_any
+from tests.calibration.painted_boards import paint
+from tests.calibration.test_from_boards import BOARD, board_poses, make_rig
+
+
+def run(capsys, *arguments):
+    with pytest.raises(SystemExit) as end:
+        main([str(a) for a in ("calibrate", *arguments)])
+    shown = capsys.readouterr()
+    return end.value.code, " ".join(shown.out.split()), " ".join(shown.err.split())
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory):
+    base = tmp_path_factory.mktemp("pictures")
+    for camera in make_rig():
+        (base / camera.name).mkdir()
+        for f, pose in enumerate(board_poses(4)):
+            cv2.imwrite(str(base / camera.name / f"{f}.png"), paint(BOARD, camera, pose))
+    write_calibration(make_rig(), base / "lenses.toml")
+    return base
+
+
+def test_boards(pictures, tmp_path, capsys):
+    out = tmp_path / "rig.toml"
+    code, said, _ = run(
+        capsys, pictures, "--chessboard", "6x5", "--square", "6cm", "--intrinsics", pictures / "lenses.toml",
+        "--floor", 0, "--out", out,
+    )  # fmt: skip
+    assert code == 0
+    assert "Joint fit of all boards" in said and str(out) in said
+    assert read_calibration(out).names == ("cam1", "cam2", "cam3")
+    sheet = cv2.imread(str(tmp_path / "rig.png"))
+    assert sheet is not None and sheet.shape[1] == 1560 and sheet.std() > 10
+
+
+def test_a_board_that_is_not_found_leaves_a_sheet(pictures, tmp_path, capsys):
+    code, _, said = run(
+        capsys, pictures / "cam1", "--chessboard", "9x8", "--square", "60mm", "--out", tmp_path / "a.toml"
+    )
+    assert code == 2
+    assert "No chessboard of 9 x 8 inner corners" in said and "What was seen is in" in said
+    assert (tmp_path / "a.png").is_file() and not (tmp_path / "a.toml").exists()
+
+
+def test_conversion(pictures, tmp_path, capsys):
+    for name in ("x.qca.txt", "y/extri.yml", "z.xcp"):
+        assert run(capsys, "--convert", pictures / "lenses.toml", "--out", tmp_path / name)[0] == 0
+        back = read_any(tmp_path / name)[0]
+        np.testing.assert_allclose(back.positions, make_rig().positions, atol=1e-9)
+
+
+def test_points(pictures, tmp_path, capsys):
+    rig = make_rig()
+    places = {"a": [0, 0, 0], "b": [0.5, 0, 0], "c": [0, 0.5, 0], "d": [0.1, 0.1, 0.7], "e": [-0.4, 0.2, 0.4]}
+    lines = ["[points]", *(f"{n} = {p}" for n, p in places.items())]
+    for camera in rig:
+        lines += [f"[clicks.{camera.name}]", *(f"{n} = {camera.project(p).tolist()}" for n, p in places.items())]
+    (tmp_path / "p.toml").write_text("\n".join(lines))
+    code, said, _ = run(
+        capsys, "--points", tmp_path / "p.toml", "--intrinsics", pictures / "lenses.toml", "--out", tmp_path / "o.toml"
+    )
+    assert code == 0 and "Fit of the points: 0.00 px rms" in said
+    np.testing.assert_allclose(read_calibration(tmp_path / "o.toml").positions, rig.positions, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "Give board videos"),
+        (["x", "--convert", "y"], "Give board videos"),
+        (["x"], "Say which board it is"),
+        (["x", "--chessboard", "8x6"], "Say how large the board's squares are"),
+        (["x", "--chessboard", "8by6", "--square", "3cm"], "'8by6' is not understood; write COLUMNSxROWS"),
+        (["x", "--chessboard", "8x6", "--square", "115"], "write a number with its unit"),
+        (["x", "--charuco", "8x6", "--square", "3cm"], "Say how large the ChArUco board's markers are"),
+        (["x", "--chessboard", "8x6", "--square", "3cm"], "x does not exist; give the board videos"),
+        (["--convert", "none.toml"], "none.toml does not exist"),
+        (["--convert", "none.toml", "--out", "a.json"], "cannot be written: name the calibration"),
+        (["--points", "none.toml"], "none.toml does not exist"),
+    ],
+)
+def test_errors_are_sentences(arguments, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    code, _, said = run(capsys, *arguments)
+    assert code == 2 and message in said and "Traceback" not in said
+
+
+def test_unknown_lag_camera(pictures, tmp_path, capsys):
+    code, _, said = run(
+        capsys, pictures, "--chessboard", "6x5", "--square", "6cm", "--lag", "cam9=2", "--out", tmp_path / "a.toml"
+    )
+    assert code == 2 and "--lag 'cam9=2' is not understood; write CAMERA=FRAMES" in said
+
+
+@pytest.mark.parametrize(("text", "metres"), [("115mm", 0.115), ("4.5 cm", 0.045), ("1in", 0.0254), (".1m", 0.1)])
+def test_lengths(text, metres):
+    assert parse_length(text, "--square") == pytest.approx(metres)
+    with pytest.raises(InputError, match="write a number with its unit"):
+        parse_length("12", "--square")
