@@ -10,8 +10,10 @@ import cv2
 import numpy as np
 from rich.table import Table
 
+from hypose.app.check_page import residual_picture, write_page
 from hypose.app.console import ProgressCall, ignore
 from hypose.app.pictures import Drawing, Image, draw_all, layout, open_images
+from hypose.calibration.doctor import Cured, Report, examine_and_cure
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.hull import hull_iou, visual_hull
@@ -19,6 +21,7 @@ from hypose.io.frames import FrameStream
 from hypose.io.recording import Recording, View
 from hypose.io.results import atomic_path
 from hypose.io.video import open_video
+from hypose.pipeline.doctor import observe
 
 _LOW_IOU = 0.6  # hull against mask: below this a view contradicts the others
 _HEIGHTS = (0.5, 2.6)  # m: what a person's hull can measure
@@ -110,6 +113,30 @@ def check_recording(recording: Recording, sheet: Path, samples: int, progress: P
         facts += _keypoint_facts(source)
         write_sheet(recording, source, sheet, min(len(rows), 3))
     return Findings(tuple(facts), tuple(dict.fromkeys(warnings)))
+
+
+def examine_recording(
+    recording: Recording,
+    frames: int,
+    page: Path,
+    sheet: Path,
+    found: Findings,
+    progress: ProgressCall = ignore,
+) -> tuple[Report | None, Cured | None]:
+    """The doctor on `frames` consecutive frames; writes the page. None when there is nothing to examine."""
+    if len(recording.views) < 2:
+        return None, None
+    observed = observe(recording, frames, progress)
+    progress("doctor", 0, 1)
+    try:
+        report, cured = examine_and_cure(observed)
+    except EvidenceError:  # no evidence at all: what can be said has been said
+        return None, None
+    finally:
+        progress("doctor", 1, 1)
+    picture = residual_picture(recording, observed, cured)
+    write_page(page, recording.name, report, sheet, picture, (*recording.notes, *found.facts), found.warnings)
+    return report, cured
 
 
 def _mask_warnings(silhouettes: Silhouettes, number: int) -> list[str]:

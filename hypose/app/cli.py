@@ -15,11 +15,13 @@ import typer
 
 from hypose.app import (
     commands_calibrate,
+    commands_check,
     commands_data,
     commands_fuse,
     commands_gesture,
     commands_results,
     commands_subject,
+    commands_sync,
     commands_track,
 )
 from hypose.errors import HyposeError
@@ -35,7 +37,8 @@ app = typer.Typer(
 
 app.command("demo")(commands_track.demo)
 app.command("calibrate")(commands_calibrate.calibrate)
-app.command("check")(commands_data.check)
+app.command("check")(commands_check.check)
+app.command("sync")(commands_sync.sync)
 app.command("silhouettes")(commands_data.silhouettes)
 app.command("track")(commands_track.track)
 app.command("subject")(commands_subject.subject)

@@ -1,4 +1,4 @@
-"""`hypose check`, `hypose silhouettes` and `hypose synth`: look at recordings, and make them."""
+"""`hypose silhouettes` and `hypose synth`: masks of recordings, and recordings made up."""
 
 from __future__ import annotations
 
@@ -8,42 +8,8 @@ from typing import Annotated
 import typer
 
 from hypose.app.commands_track import Seed, Threads, set_threads
-from hypose.app.console import Stages, note, out, say
+from hypose.app.console import Stages, note, say
 from hypose.errors import InputError
-
-
-def check(
-    recording: Annotated[Path, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")],
-    sheet: Annotated[
-        Path | None, typer.Option("--out", help="Contact sheet to write. [default: results/check.png there]")
-    ] = None,
-    samples: Annotated[int, typer.Option(help="Frames to look at.")] = 5,
-    calibration: Annotated[
-        Path | None, typer.Option(help="Use this calibration file instead of the recording's.")
-    ] = None,
-) -> None:
-    """Load everything, show what there is, and look whether the views agree. Exit code 0: fine, 1: warnings."""
-    from hypose.app.checking import camera_table, check_recording
-    from hypose.io.recording import load_recording
-
-    loaded = load_recording(recording, calibration)
-    console = out()
-    if not console.is_terminal:
-        console.width = 160
-    console.print(camera_table(loaded))
-    for text in loaded.notes:
-        say(f"note: {text}")
-    path = sheet or loaded.folder / "results" / "check.png"
-    with Stages() as progress:
-        found = check_recording(loaded, path, max(1, samples), progress)
-    for text in found.facts:
-        say(text)
-    for text in found.warnings:
-        say(f"warning: {text}", "yellow")
-    say(f"Contact sheet: {path}")
-    if found.warnings:
-        raise typer.Exit(1)
-    say("No problem found.", "green")
 
 
 def silhouettes(

@@ -27,6 +27,9 @@ TITLES = {
     "report": "Report",
     "render": "Render",
     "check": "Check",
+    "doctor": "Examine the calibration",
+    "refine": "Refine the calibration",
+    "sync": "Synchronise",
     "board": "Look for the board",
     "solve": "Solve",
 }

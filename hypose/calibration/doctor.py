@@ -1,9 +1,9 @@
 """The doctor: is this calibration right for this recording, and if not, what is wrong with which camera?
 
-Each fault is looked for by undoing it: if the views agree much better afterwards, it is there. Gross faults come first
-(mirrored or turned images, exchanged cameras, another image size, lens coefficients of another convention), then timing,
-then a constant shift of the key points, then the cameras' poses, because each hides the next. The measures are shares of
-the person's size in the image, so that limits hold for any resolution.
+Each fault is looked for by undoing it: if the views agree much better afterwards, it is there. Gross faults come
+first (mirrored or turned images, exchanged cameras, another image size, lens coefficients of another convention), then
+a constant shift of the key points and timing, then the cameras' poses, because each hides the next. The measures are
+shares of the person's size in the image, so that limits hold for any resolution.
 """
 
 from __future__ import annotations
@@ -82,7 +82,6 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
     o = limits or Limits()
     n = len(observed.rig)
     findings = list(clip_findings(observed.rig, observed.clips, observed.frame_rate))
-    none = Cured(observed.rig, observed.keypoints, np.zeros(n), np.zeros((n, 2)), 0)
     if observed.keypoints is None or (observed.keypoints[..., 2] > 0.3).any((1, 2)).sum() < 2:
         if observed.silhouettes is None:
             raise EvidenceError(
@@ -101,16 +100,15 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
     alignments, lag, shift = _against_masks(observed, state, findings, o)
     late = _timing(state, findings, o) if not gross & {"inverted"} else np.zeros(n)
     pixels = np.stack([points_at(p, x) for p, x in zip(state.pixels, late, strict=True)])
-    moved = pixels.copy()
     extrinsics = None
     if n > 1 and not gross & {"inverted"}:
-        extrinsics = judge_extrinsics(state.rig, moved, o)
+        extrinsics = judge_extrinsics(state.rig, pixels, o)
         if extrinsics is not None:
             state.rig = extrinsics.lens_cured
             findings += extrinsics.findings
-    findings += person_findings(state.rig, moved, observed.names, observed.height, o)
+    findings += person_findings(state.rig, pixels, observed.names, observed.height, o)
     report = Report(tuple(findings), _views(observed, pixels, alignments, extrinsics), extrinsics, alignments)
-    return report, Cured(state.rig, pixels, late, shift, lag) if gross | {"x"} else none
+    return report, Cured(state.rig, pixels, late, shift, lag)
 
 
 def _gross(state: _State, observed: Observed, o: Limits) -> None:
@@ -154,8 +152,8 @@ def _against_masks(
     lag, lagging = _common_lag(made, o)
     if lag:
         text = (
-            f"The key points are {abs(lag)} frame{'s' if abs(lag) > 1 else ''} {'early' if lag > 0 else 'late'} against "
-            f"the videos in {lagging} of {len(made)} views: file t belongs to video frame t{lag:+d}"
+            f"The key points are {abs(lag)} frame{'s' if abs(lag) > 1 else ''} {'early' if lag > 0 else 'late'} "
+            f"against the videos in {lagging} of {len(made)} views: file t belongs to video frame t{lag:+d}"
         )
         cure = f"set keypoint_lag = {lag} in recording.toml (counted from its present value)"
         findings.append(Finding("keypoint_lag", (), text, cure, float(abs(lag))))
@@ -168,25 +166,29 @@ def _against_masks(
         own = a.lag - lag
         if abs(own) > 1.0 and abs(own) > o.own_lag_sd * a.lag_sd:
             name = observed.rig[c].name
-            text = f"{name}: its key points are {abs(own):.1f} frames {'early' if own > 0 else 'late'} against its video"
+            text = (
+                f"{name}: its key points are {abs(own):.1f} frames {'early' if own > 0 else 'late'} against its video"
+            )
             findings.append(Finding("keypoint_lag", (name,), text, "detect its key points again", abs(own)))
         ratio = np.array(observed.rig[c].size) / np.array(small[c].size)
         move, sd = moves[c], a.shift_sd * ratio
         others = np.delete(moves, c, 0) / np.delete(usual, c)[:, None]
         spread = np.sqrt(np.nanmean(others**2, axis=0)) if np.isfinite(others).any() else np.zeros(2)
+        spread = np.maximum(spread, 0.0025)
         least = np.maximum(np.maximum(o.shift_sd * sd, o.shift * size[c]), o.shift_spread * spread * size[c])
+        least[1] *= 1.5  # limbs hang: what is above and below is told by few of them
         significant = np.abs(move) > least
         if significant.any():
             shift[c] = np.where(significant, move, 0.0)
             x, y = np.round(shift[c], 1)
-            where = [f"{abs(x):g} px to the {'right' if x > 0 else 'left'}"] if x else []
+            where = [f"{abs(x):g} px to the {'right' if x > 0 else 'left'} of"] if x else []
             where += [f"{abs(y):g} px {'below' if y > 0 else 'above'}"] if y else []
             name = observed.rig[c].name
             findings.append(
                 Finding(
                     "keypoint_shift",
                     (name,),
-                    f"{name}: its key points lie {' and '.join(where)} of the person in its images, constantly",
+                    f"{name}: its key points lie {' and '.join(where)} the person in its images, constantly",
                     f"set image_shift = [{x:g}, {y:g}] for this view in recording.toml",
                     float(np.linalg.norm(move)),
                 )

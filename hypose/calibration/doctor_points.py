@@ -172,7 +172,9 @@ def _sizes(rig: CameraRig, pixels: Array, c: int, stored: tuple[int, int] | None
     for fx, fy in factors:
         new = ((xy + 0.5) * np.array([fx, fy]) - 0.5, None)
         if known and stored is not None:
-            words = f"its key points are in pixels of the stored {stored[0]} x {stored[1]} images, not of the calibrated"
+            words = (
+                f"its key points are in pixels of the stored {stored[0]} x {stored[1]} images, not of the calibrated"
+            )
         else:
             words = f"its key points are in pixels of images {1 / fx:.2f} times the calibrated size"
         cure = 'set keypoint_pixels = "image" in recording.toml'

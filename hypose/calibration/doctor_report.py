@@ -34,14 +34,14 @@ UNITS = (
 class Limits:
     """What counts as a fault. Shares are of the person's size in the image (its longer side).
 
-    gross: mean disagreement of the views above which gross faults are tried, gross_lens: the same for lens
-    conventions, gross_cured: what must be left of it at most; largest_lag: frames; late: frames, late_sd: in sd,
-    late_gain: half log likelihood; keypoint_lag_sd, own_lag_sd: of all and of one view's key points
-    against the masks, in sd; shift: share, shift_sd: in sd,
-    shift_spread: in the spread of the other views' shifts; extrinsics: share of the residual that may be left after refinement, moved: share by which a
-    camera's image of the person moves, gain: least fall of the residual (share of the size); lens_z: sd of a radial
-    term; lens_gain: share of the residual that may be left after freeing it; lens_px: its effect on the person; heights:
-    of a person, m; height_share: against the known height."""
+    gross: disagreement of a view with the others above which gross faults are tried, gross_lens: the same for lens
+    conventions, gross_cured: what must be left of it at most. largest_lag: frames; late: frames, late_sd: in sd,
+    late_gain: half log likelihood. keypoint_lag_sd, own_lag_sd: of all and of one view's key points against the masks,
+    in sd. shift: share, shift_sd: in sd, shift_spread: in the spread of the other views' shifts. extrinsics: share of
+    the residual that may be left after refinement, moved: share by which a camera's image of the person moves, gain:
+    least fall of the residual. lens_z: sd of a radial term, lens_gain: share of the residual that may be left after
+    freeing it, lens_px: its effect on the person. heights: of a person, m; height_share: against the known height;
+    tangency: disagreement of the silhouettes' tangent planes."""
 
     gross: float = 0.03
     gross_lens: float = 0.012
@@ -58,7 +58,7 @@ class Limits:
     extrinsics: float = 0.85
     moved: float = 0.012
     gain: float = 0.001
-    lens_z: float = 7.0
+    lens_z: float = 4.8
     lens_gain: float = 0.985
     lens_px: float = 0.006
     heights: tuple[float, float] = (1.0, 2.3)
@@ -69,13 +69,14 @@ class Limits:
 @dataclass(frozen=True)
 class Finding:
     """One fault. kind: one word; views: the cameras' names, () = all; text: what and the evidence; cure: the next step;
-    size: how large it is in its own unit."""
+    size: how large it is in its own unit; fault: False for what only has to be known."""
 
     kind: str
     views: tuple[str, ...]
     text: str
     cure: str
     size: float
+    fault: bool = True
 
     @property
     def sentence(self) -> str:
@@ -85,9 +86,9 @@ class Finding:
 
 @dataclass(frozen=True)
 class ViewReport:
-    """One camera. residual_px: median distance of its key points from the triangulation of all views; left_out_px: from
-    that of the others; tangency_px: median disagreement of its silhouette's tangent planes with the other views; size_px
-    of the person; change: how far a refinement moves it; alignment of key points and masks. px of the calibrated size,
+    """One camera. residual_px: median distance of its key points from the triangulation of all views; left_out_px:
+    from that of the others; tangency_px: median disagreement of its silhouette's tangent planes with the other views;
+    size_px of the person; change: how far a refinement moves it; alignment of key points and masks. px of the calibrated size,
     NaN where unknown."""
 
     name: str
@@ -111,7 +112,7 @@ class Report:
     @property
     def healthy(self) -> bool:
         """Nothing is wrong."""
-        return not self.findings
+        return not any(f.fault for f in self.findings)
 
     def of(self, view: str) -> tuple[Finding, ...]:
         """The findings about one camera, or about all."""
@@ -138,12 +139,14 @@ def clip_findings(rig: CameraRig, clips: Sequence[Clip], frame_rate: float) -> I
         if abs(h / cw - 1) < 0.01 and abs(w / ch - 1) < 0.01:
             yield Finding("size", (camera.name,), text + " (turned by 90 degrees)", "turn the video back", 1.0)
         elif abs(fx / fy - 1) < 0.002:
-            cure = "nothing if the video was only scaled; key points detected in it need keypoint_pixels = \"image\""
-            yield Finding("size", (camera.name,), text + f": scaled to {100 * fx:.0f} %", cure, abs(fx - 1))
+            cure = 'nothing if the video was only scaled; key points detected in it need keypoint_pixels = "image"'
+            yield Finding(
+                "size", (camera.name,), text + f": scaled to {100 * fx:.0f} %", cure, abs(fx - 1), fault=False
+            )
         else:
             cure = (
-                "if it was stretched, set accept_scaled = true for the view; if it was cut, correct the principal point "
-                "and size in the calibration"
+                "if it was stretched, set accept_scaled = true for the view; if it was cut, correct the principal "
+                "point and the size in the calibration"
             )
             words = f": scaled by {fx:.4f} x {fy:.4f}, or cut by {cw - w} x {ch - h} px"
             yield Finding("size", (camera.name,), text + words, cure, abs(fx / fy - 1))

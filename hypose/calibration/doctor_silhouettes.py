@@ -182,9 +182,7 @@ def _timing(
         if abs(x) >= max(o.late, 0.6) and abs(x) >= o.late_sd * sd:
             late[c] = x
             text = f"{rig.names[c]}: {abs(x):.1f} frames {'late' if x > 0 else 'early'} against the other views"
-            findings.append(
-                Finding("late", (rig.names[c],), text, "run hypose sync, and track what it writes", abs(x))
-            )
+            findings.append(Finding("late", (rig.names[c],), text, "run hypose sync, and track what it writes", abs(x)))
     return late
 
 

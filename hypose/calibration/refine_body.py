@@ -230,9 +230,7 @@ class _BodyProblem:
         largest = np.abs(dq[:, 3:]).max(1, keepdims=True)
         return x.reshape(n, p), dq * np.minimum(1, 0.3 / np.maximum(largest, 1e-9))
 
-    def solve(
-        self, cameras: list[Camera], q: Array, iterations: int, factor: float
-    ) -> tuple[list[Camera], Array]:
+    def solve(self, cameras: list[Camera], q: Array, iterations: int, factor: float) -> tuple[list[Camera], Array]:
         damping = 1e-2
         rows, cost = self.linearise(cameras, q, factor)
         for _ in range(iterations):

@@ -1,8 +1,7 @@
 """Small changes of cameras as unknowns of a least-squares problem, and the gauge: which world a refined rig lives in.
 
-A camera's change is (w, v[, log focal factor[, radial]]): p' = exp(w) p + v of points p in the camera's frame, focal
-length f exp(log factor), and radial = a k1 that is added to the undistorted image, u' = c + (u - c)(1 + radial r^2) with
-r in units of the focal length. Images and points fix a rig only up to a similarity of the whole world; refined rigs are
+A camera's change is (w, v[, log focal factor]): p' = exp(w) p + v of points p in the camera's frame, focal length
+f exp(log factor). Images and points fix a rig only up to a similarity of the whole world; refined rigs are
 laid onto the old one so that few cameras move far rather than all a little (iteratively reweighted, an L1 fit).
 """
 

@@ -232,7 +232,9 @@ def point_residual(rig: CameraRig, pixels: Array, confidence: Array, *, min_conf
 
     Points are triangulated from detections with a confidence above 0.3; those above min_confidence are judged."""
     points, _ = triangulate(rig, pixels, np.where(confidence > 0.3, confidence, 0.0))
-    distance = np.stack([np.linalg.norm(c.project_pinhole(points) - p, axis=-1) for c, p in zip(rig, pixels)])
+    distance = np.stack(
+        [np.linalg.norm(c.project_pinhole(points) - p, axis=-1) for c, p in zip(rig, pixels, strict=True)]
+    )
     return np.where(confidence > min_confidence, distance, np.nan)
 
 

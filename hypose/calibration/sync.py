@@ -14,7 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose import compute
-from hypose.calibration.sync_motion import Curves, Offsets, keypoint_curves, mask_tracks, silhouette_curves, solve_offsets
+from hypose.calibration.sync_motion import (
+    Curves,
+    Offsets,
+    keypoint_curves,
+    mask_tracks,
+    silhouette_curves,
+    solve_offsets,
+)
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
@@ -158,8 +165,10 @@ class Resampled:
             if points is not None and a.keypoints is not None and b.keypoints is not None:
                 pair = np.stack([a.keypoints.points[c], b.keypoints.points[c]])
                 points[c] = points_at(pair, share)[0] if inside else 0.0
-        new_masks = None if silhouettes is None or masks is None else Silhouettes(
-            masks, silhouettes.rig, usable, tuple(reasons)
+        new_masks = (
+            None
+            if silhouettes is None or masks is None
+            else Silhouettes(masks, silhouettes.rig, usable, tuple(reasons))
         )
         new_points = None if keypoints is None or points is None else Keypoints(points, keypoints.names, keypoints.rig)
         return Frame(here.time, here.index, new_masks, new_points, here.detections, here.sensor_joints)

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import gcd
+from typing import Protocol
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -24,12 +24,18 @@ _RATE = 8000  # Hz: what sounds are compared at
 _LEAST_PEAK = 6.0  # a peak of the correlation in its own sd, below which there is no common sound
 
 
-@dataclass(frozen=True)
-class Sound:
-    """One camera's sound: samples (N,) at rate Hz; sample 0 belongs to the start of frame 0."""
+class Sound(Protocol):
+    """One camera's sound: samples (N,) at rate Hz; sample 0 belongs to the start of frame 0 (hypose.io.sound)."""
 
-    rate: int
-    samples: Array
+    @property
+    def rate(self) -> int:
+        """Hz."""
+        ...
+
+    @property
+    def samples(self) -> Array:
+        """(N,)."""
+        ...
 
 
 def offsets_from_sound(sounds: Sequence[Sound], names: Sequence[str], largest_s: float = 10.0) -> tuple[Array, Array]:

@@ -96,9 +96,7 @@ def keypoint_curves(
     cost = np.full((len(pairs), len(lags)), np.nan)
     later = {}
     for b in range(n):
-        later[b] = [
-            (splines[b](times + lag), seen[b][np.rint(times + lag).astype(int)]) for lag in lags
-        ]
+        later[b] = [(splines[b](times + lag), seen[b][np.rint(times + lag).astype(int)]) for lag in lags]
     for p, (a, b) in enumerate(pairs):
         f = fundamental(rig, a, b)
         xa = _homogeneous(smooth[a][times])
@@ -193,9 +191,7 @@ def tangent_planes(rig: CameraRig, tracks: Sequence[MaskTrack], a: int, b: int) 
     return out, size
 
 
-def silhouette_curves(
-    rig: CameraRig, tracks: Sequence[MaskTrack], largest: float, scale_px: float
-) -> Curves:
+def silhouette_curves(rig: CameraRig, tracks: Sequence[MaskTrack], largest: float, scale_px: float) -> Curves:
     """Curves from the silhouettes' frontier planes and from where along the pencil they change."""
     frames = len(tracks[0].area)
     lags = _lags(largest, frames)
@@ -367,9 +363,7 @@ def _angles(rig: CameraRig, c: int, pixels: Array, pencil: Array) -> tuple[Array
     return np.arctan2(y, x), camera.K[0, 0] * sine
 
 
-def _activity(
-    rig: CameraRig, tracks: Sequence[MaskTrack], a: int, b: int, planes: Array
-) -> tuple[Array, Array] | None:
+def _activity(rig: CameraRig, tracks: Sequence[MaskTrack], a: int, b: int, planes: Array) -> tuple[Array, Array] | None:
     """(T, BINS) per view: share of the mask that changed, by where along the pencil. None without masks."""
     known = planes[np.isfinite(planes).all(-1)]
     if len(known) < 8:

@@ -71,7 +71,9 @@ def observe(scene: Scene, noise_px: float | None, scale: float = 0.5) -> Observe
             break
     points = None
     if noise_px is not None:
-        points = np.stack([keypoint_detections(scene, c, noise_px)[rows[0] : rows[-1] + 1] for c in range(len(scene.rig))])
+        points = np.stack(
+            [keypoint_detections(scene, c, noise_px)[rows[0] : rows[-1] + 1] for c in range(len(scene.rig))]
+        )
     clips = tuple(Clip(c.size, scene.frame_rate, len(rows)) for c in scene.given_rig)
     return Observed(scene.given_rig, points, BODY_25, masks, clips, scene.frame_rate)
 
@@ -159,7 +161,9 @@ def _points(o: Observed, c: int, xy: Array, order: list[int] | None = None) -> O
 def _size(o: Observed, c: int, rng: np.random.Generator) -> Planted:
     w, h = o.rig[c].size
     f = float(rng.choice([0.5, 0.75, 2 / 3]))
-    return Planted("size", _clip(o, c, replace(o.clips[c], size=(round(w * f), round(h * f)))), ("size",), (o.rig.names[c],))
+    return Planted(
+        "size", _clip(o, c, replace(o.clips[c], size=(round(w * f), round(h * f)))), ("size",), (o.rig.names[c],)
+    )
 
 
 def _scaled(o: Observed, c: int, rng: np.random.Generator) -> Planted:
@@ -187,7 +191,9 @@ def _cropped(o: Observed, c: int, rng: np.random.Generator) -> Planted:
         new = s
         if s is not None:
             m = s.masks.copy()
-            m[c, : small[1], : small[0]] = cv2.warpAffine(m[c, : small[1], : small[0]], a, small, flags=cv2.INTER_NEAREST)
+            m[c, : small[1], : small[0]] = cv2.warpAffine(
+                m[c, : small[1], : small[0]], a, small, flags=cv2.INTER_NEAREST
+            )
             new = replace(s, masks=m)
         masks.append(new)
     return Planted("cropped", replace(made, silhouettes=masks), ("cropped", "size"), (o.rig.names[c],))
@@ -265,7 +271,9 @@ def _unit(o: Observed, c: int, rng: np.random.Generator) -> Planted:
 
 def _mirrored(o: Observed, c: int, rng: np.random.Generator) -> Planted:
     w, _ = o.rig[c].size
-    xy = np.zeros(2) if o.keypoints is None else np.array([w - 1.0, 0]) + np.array([-1.0, 1.0]) * o.keypoints[c, ..., :2]
+    xy = (
+        np.zeros(2) if o.keypoints is None else np.array([w - 1.0, 0]) + np.array([-1.0, 1.0]) * o.keypoints[c, ..., :2]
+    )
     return _flipped(o, c, "mirrored", xy, mirrored_names(o.names), 1)
 
 
@@ -334,13 +342,20 @@ def planted(base: Planted, kind: str, seed: int) -> Planted:
 def judged(fault: Planted, findings: Sequence[Finding]) -> tuple[bool, int]:
     """Whether the fault was found (kind and camera), and how many findings are wrong."""
     right = [
-        f for f in findings if f.kind in fault.kinds and (not fault.views or not f.views or set(f.views) & set(fault.views))
+        f
+        for f in findings
+        if f.kind in fault.kinds and (not fault.views or not f.views or set(f.views) & set(fault.views))
     ]
     return bool(right), len(findings) - len(right)
 
 
 def run_set(
-    first_seed: int, count: int, limits: Limits | None = None, *, keypoints: bool = True, progress=None  # noqa: ANN001
+    first_seed: int,
+    count: int,
+    limits: Limits | None = None,
+    *,
+    keypoints: bool = True,
+    progress=None,  # noqa: ANN001
 ) -> list[tuple[str, Planted, bool, int, tuple[Finding, ...]]]:
     """`count` healthy recordings and as many with a planted fault: (kind, recording, found, wrong findings, all)."""
     kinds = ("late", *FAULTS) if keypoints else _MASK_FAULTS

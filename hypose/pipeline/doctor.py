@@ -27,7 +27,7 @@ from hypose.io.frames import FrameOptions, FrameStream, load_keypoints
 from hypose.io.recording import Recording
 from hypose.io.video import open_video
 from hypose.pipeline.run import TrackOptions, track_source
-from hypose.pipeline.subject import find_subject, SubjectOptions
+from hypose.pipeline.subject import SubjectOptions, find_subject
 from hypose.tracking.evidence import KeypointModel, keypoint_model, keypoint_term, prepare
 from hypose.tracking.subject import fit_girths, shape_from_keypoints, subject_from_keypoints
 
@@ -85,9 +85,7 @@ def observe(recording: Recording, most: int = 100, progress: Progress = _ignore)
                 silhouettes.append(stream.frame(i).silhouettes)
             progress("masks", len(stream), len(stream))
     clips = tuple(_clip(v.source or v.masks) for v in recording.views)
-    return Observed(
-        few.rig, points, names, silhouettes, clips, recording.frame_rate, recording.subject_height
-    )
+    return Observed(few.rig, points, names, silhouettes, clips, recording.frame_rate, recording.subject_height)
 
 
 def _clip(path) -> Clip:  # noqa: ANN001 - Path | None
@@ -139,7 +137,9 @@ def refine_recording(
     if method not in METHODS:
         raise InputError(f"There is no refinement from {method!r}; choose {', '.join(METHODS)}.")
     if len(recording.rig) < 2:
-        raise InputError("A calibration of one camera cannot be refined from the person; at least two views are needed.")
+        raise InputError(
+            "A calibration of one camera cannot be refined from the person; at least two views are needed."
+        )
     few = window(recording, most)
     late = np.zeros(len(few.rig)) if late is None else late
     points, names = raw_keypoints(few)
@@ -203,9 +203,7 @@ class _Judge:
         return out[0], out[1], out[2], out[3]
 
 
-def _by_points(
-    rig: CameraRig, points: Array, used: Array, focal: bool, free: np.ndarray
-) -> tuple[CameraRig, Array]:
+def _by_points(rig: CameraRig, points: Array, used: Array, focal: bool, free: np.ndarray) -> tuple[CameraRig, Array]:
     uv, confidence = undistorted(rig, points[:, used])
     c = len(rig)
     found = adjust(
