@@ -119,17 +119,19 @@ def test_the_whole_box_gives_the_plain_cost_on_another_scale(body, standing, fra
 
 def test_swing_leaves_the_twist_and_twist_the_bone(body, standing):
     s = body.skeleton
-    h = Hypotheses.uniform(np.repeat(standing[None], 200, 0))
+    bent = standing.copy()
+    bent[s.dofs_of("left_elbow")] += 0.8  # the wrist of a straight arm lies on the axis
+    h = Hypotheses.uniform(np.repeat(bent[None], 200, 0))
     still = np.zeros(s.dof)
     elbow, wrist = s.joint("left_elbow"), s.joint("left_wrist")
-    before = s.forward(standing)[1]
+    before = s.forward(bent)[1]
     twisted = LimbDiffusion(s, still, (ball_step(s, "left_shoulder", "left_elbow", 0.0, 0.3),))
     joints = body.joints(twisted(h, None, np.random.default_rng(0)).values)  # type: ignore[arg-type]
     assert np.abs(joints[:, elbow] - before[elbow]).max() < 1e-9
     assert np.linalg.norm(joints[:, wrist] - before[wrist], axis=1).std() > 0.005
     swung = LimbDiffusion(s, still, (ball_step(s, "left_shoulder", "left_elbow", 0.1, 0.0),))
     values = swung(h, None, np.random.default_rng(0)).values  # type: ignore[arg-type]
-    moved = np.flatnonzero(np.abs(values - standing).max(0) > 0)
+    moved = np.flatnonzero(np.abs(values - bent).max(0) > 0)
     assert set(moved) == set(s.dofs_of("left_shoulder"))
     angle = np.linalg.norm(body.joints(values)[:, elbow] - before[elbow], axis=1) / 0.28
     assert 0.08 < np.sqrt((angle**2).mean()) < 0.2  # two axes of 0.1 rad
