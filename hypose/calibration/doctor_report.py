@@ -88,8 +88,8 @@ class Finding:
 class ViewReport:
     """One camera. residual_px: median distance of its key points from the triangulation of all views; left_out_px:
     from that of the others; tangency_px: median disagreement of its silhouette's tangent planes with the other views;
-    size_px of the person; change: how far a refinement moves it; alignment of key points and masks. px of the calibrated size,
-    NaN where unknown."""
+    size_px of the person; change: how far a refinement moves it; alignment of key points and masks. px of the
+    calibrated size, NaN where unknown."""
 
     name: str
     residual_px: float

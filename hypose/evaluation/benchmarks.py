@@ -81,9 +81,11 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
     """All benchmarks by name (imported when asked for, because they pull in the whole product)."""
     from hypose.evaluation import (
         anthropometry,
-        court,
         anthropometry_real,
         calibration,
+        court,
+        doctor,
+        doctor_real,
         fusion_benchmarks,
         fusion_speed,
         gesture_asl,
@@ -97,6 +99,7 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
         scorer_speed,
         sensor_choice,
         speed,
+        sync,
         table_2_4,
     )
 
@@ -107,6 +110,9 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
         "real-balancing": real.real_balancing,
         "real-uu4cam": real.real_uu4cam,
         "calibration": calibration.boards,
+        "doctor": doctor.doctor,
+        "doctor-real": doctor_real.doctor_real,
+        "sync": sync.sync,
         "silhouette-scorer": scorer_speed.silhouette_scorer,
         "contour-solve": speed.contour_solve,
         "multiview-speed": path_speed.multiview_speed,
