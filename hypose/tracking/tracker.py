@@ -31,6 +31,8 @@ from hypose.tracking.uncertainty import joint_sd_of_pose, joint_sd_of_set
 
 BETWEEN_FRAMES, RECOVERY, START = -1, -2, -3
 """Layer numbers of the random streams used outside a recipe's layers."""
+NOBODY = 0.1
+"""Mean IoU below which the masks hold nobody where the body is."""
 
 
 @dataclass(frozen=True)
@@ -159,6 +161,9 @@ class Tracker:
                 selected = Hypotheses.uniform(s.clamp(pose + noise))
                 lost = self._is_lost(iou, state.usual_iou)
                 state = replace(state, pose=pose)  # the step back is no velocity
+        if lost and iou < NOBODY:
+            # stay where the person was last seen: a solve would drift to whatever else is in the masks
+            pose, selected = state.pose, state.hypotheses
         sd = self._joint_sd(pose, result, prepared)
         usual = state.usual_iou
         if not lost and np.isfinite(iou):
