@@ -3,6 +3,7 @@ not found and why, and what every looked-at frame gave."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import cv2
@@ -25,6 +26,8 @@ def draw_sheet(views: Sequence[CameraViews], board: Board, result: BoardCalibrat
     """One row per camera: a board that was found (its first row in red, so that opposite numberings show), all corners
     seen (green to red by their error, up to 2 px), a picture without; below them the frames from first to last."""
     rows = []
+    seen = Counter(f for view in (views if result is None else result.views) for f in view.sightings)
+    common = [f for f in sorted(seen) if seen[f] == max(seen.values())]
     for view in views:
         c = 0
         errors: dict[int, float] = {}
@@ -34,14 +37,21 @@ def draw_sheet(views: Sequence[CameraViews], board: Board, result: BoardCalibrat
         numbered = view.sightings
         if errors and result is not None:
             numbered = {**numbered, **result.fit.sightings[c]}
-        rows.append(_row(view, board, numbered, errors))
+        rows.append(_row(view, board, numbered, errors, common))
     return np.concatenate(rows) if rows else np.zeros((10, 3 * _WIDTH, 3), np.uint8)
 
 
-def _row(view: CameraViews, board: Board, sightings: Mapping[int, Sighting], errors: Mapping[int, float]) -> Image:
+def _row(
+    view: CameraViews,
+    board: Board,
+    sightings: Mapping[int, Sighting],
+    errors: Mapping[int, float],
+    common: Sequence[int],
+) -> Image:
     scale = _WIDTH / view.size[0]
     size = (_WIDTH, max(40, round(scale * view.size[1])))
-    usual = [f for f in sightings if f in errors] or list(sightings)
+    # the same picture in all cameras if there is one, so that the numbering can be compared
+    usual = [f for f in common if f in sightings] or [f for f in sightings if f in errors] or list(sightings)
     shown = usual[len(usual) // 2] if usual else None
     without = [f for f, k in view.looks.items() if k.reason]
     missing = without[len(without) // 2] if without else None

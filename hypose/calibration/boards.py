@@ -81,7 +81,7 @@ class Board:
         nx, ny = self.size
         xy = np.stack(np.meshgrid(np.arange(nx), np.arange(ny)), -1).reshape(-1, 2)
         first = 0 if self.kind == "chessboard" else 1
-        return np.concatenate([(xy + first) * self.square, np.zeros((nx * ny, 1))], 1)
+        return np.asarray(np.concatenate([(xy + first) * self.square, np.zeros((nx * ny, 1))], 1), dtype=np.float64)
 
     @cached_property
     def turns(self) -> tuple[IntArray, ...]:
@@ -318,7 +318,7 @@ def _refined(gray: Gray, corners: Array, size: tuple[int, int]) -> Array:
     lost = np.abs(out - start).max(1) > 0.4 * cell
     out[lost] = start[lost]
     back = cv2.perspectiveTransform(out.reshape(-1, 1, 2), np.linalg.inv(sheet_from_image))
-    return back.reshape(-1, 2)
+    return np.asarray(back, dtype=np.float64).reshape(-1, 2)
 
 
 def _spacing(corners: Array, size: tuple[int, int]) -> Array:

@@ -81,10 +81,10 @@ def project_with_derivatives(camera: Camera, points_camera: Array) -> tuple[Arra
     m = len(points)
     if camera.fisheye:
         uv, j = cv2.fisheye.projectPoints(points, zero, zero, camera.K, camera.distortion[:4])
-        j = np.asarray(j).reshape(m, 2, -1)
+        uv, j = np.asarray(uv, dtype=np.float64), np.asarray(j, dtype=np.float64).reshape(m, 2, -1)
         return uv.reshape(m, 2), j[..., 11:14], j[..., :8]
     uv, j = cv2.projectPoints(points, zero, zero, camera.K, camera.distortion)
-    j = np.asarray(j).reshape(m, 2, -1)
+    uv, j = np.asarray(uv, dtype=np.float64), np.asarray(j, dtype=np.float64).reshape(m, 2, -1)
     return uv.reshape(m, 2), j[..., 3:6], j[..., 6 : 10 + k]
 
 
@@ -157,7 +157,9 @@ class _Problem:
         order = np.lexsort((observations.frame, observations.camera))
         self.order = order
         o = Observations(
-            *(v[order] for v in (observations.camera, observations.frame, observations.corner)),
+            observations.camera[order],
+            observations.frame[order],
+            observations.corner[order],
             observations.pixels[order],
         )
         self.o, self.points, self.prior = o, points, prior or LensPrior()

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from hypose.calibration.boards import Board, Sighting
-from hypose.calibration.bundle import LensPrior, Observations, refine
+from hypose.calibration.bundle import LensPrior, Observations, Refined, refine
 from hypose.calibration.views import positions
 from hypose.cameras.camera import Camera
 from hypose.errors import CalibrationError
@@ -63,6 +63,7 @@ def calibrate_lens(
         if fisheye
         else _first(name, chosen, sightings, board, size)
     )
+    result: Refined | None = None
     for attempt in range(3):
         poses = [board_poses(start, sightings[f], board.points)[0] for f in chosen]
         # bad start poses (a board nearly edge-on) would only be dropped later
@@ -80,9 +81,7 @@ def calibrate_lens(
         if (error <= limit).all() or attempt == 2:
             break
         chosen = [f for f, e in zip(chosen, error, strict=True) if e <= limit]
-    else:
-        raise AssertionError
-    if len(chosen) < 3:
+    if result is None or len(chosen) < 3:
         raise CalibrationError(
             f"Camera {name}: the boards found in its pictures contradict each other; check the pattern size and that "
             "the board is flat and stiff."

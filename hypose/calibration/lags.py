@@ -31,7 +31,7 @@ def estimate_lags(
             continue
         step = float(np.median(np.diff(speeds[base][0])))
         tried = np.arange(-longest, longest + 1, max(1, round(step / 2)))
-        scores = np.array([_correlation(speeds[base], speeds[c], lag, 2.5 * step) for lag in tried])
+        scores = np.array([_correlation(speeds[base], speeds[c], int(lag), 2.5 * step) for lag in tried])
         if not np.isfinite(scores).any():
             continue
         best = int(np.nanargmax(scores))

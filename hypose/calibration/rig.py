@@ -14,7 +14,7 @@ from itertools import combinations
 
 import numpy as np
 
-from hypose.calibration.boards import Board, Sighting
+from hypose.calibration.boards import Board, IntArray, Sighting
 from hypose.calibration.bundle import NOISE_PX, LensPrior, Observations, Refined, refine
 from hypose.calibration.intrinsics import Lens, board_poses, observe, spread_out
 from hypose.calibration.timing import motion_noise
@@ -368,6 +368,7 @@ def _refined(
     moving: dict[tuple[int, int], float] = {}
     result: Refined | None = None
     obs = observe(seen, all_frames)
+    motion = np.zeros(len(obs))
     start_shape = (len(cameras), len(all_frames))
     for attempt in range(_ROUNDS):
         start = np.stack([boards[f] for f in all_frames])
@@ -448,10 +449,10 @@ def _filmed(seen: Mapping[int, Sighting]) -> dict[int, Sighting]:
     return {f: s for f, s in seen.items() if f >= 0}
 
 
-def _by_view(obs: Observations, residuals: Array, c: int, f: int) -> tuple[Array, Array]:
+def _by_view(obs: Observations, residuals: Array, c: int, f: int) -> tuple[Array, IntArray]:
     """(C, F) rms px per coordinate, NaN where a camera saw no board, and number of corners."""
     at = obs.camera * f + obs.frame
-    count = np.bincount(at, minlength=c * f).reshape(c, f)
+    count = np.bincount(at, minlength=c * f).reshape(c, f).astype(np.int64)
     total = np.bincount(at, (residuals**2).sum(1), c * f).reshape(c, f)
     with np.errstate(invalid="ignore"):
         return np.where(count > 0, np.sqrt(total / (2 * np.maximum(count, 1))), np.nan), count

@@ -66,8 +66,8 @@ def _from_above(image: Picture, camera: Camera, board: Board) -> tuple[NDArray[n
     seen &= np.abs(towards[..., 2]) / np.linalg.norm(towards, axis=-1) > _LEAST_RISE
     margin = 1.5 * board.square
     seen &= ~(((points[..., :2] > low[:2] - margin) & (points[..., :2] < high[:2] + margin)).all(-1))
-    maps = np.where(seen[..., None], uv, 0).astype(np.float32)
-    top = cv2.remap(image, maps, None, cv2.INTER_LINEAR).astype(np.float32)
+    map_x, map_y = (np.where(seen, uv[..., i], 0).astype(np.float32) for i in (0, 1))
+    top = cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR).astype(np.float32)
     return top, seen
 
 

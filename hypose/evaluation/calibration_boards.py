@@ -133,7 +133,7 @@ def compare_rigs(found: CameraRig, true: CameraRig) -> RigErrors:
             for f, t in zip(found, true, strict=True)
         ]
     )
-    return RigErrors(position, rotation, focal, relative)
+    return RigErrors(*(np.asarray(v, dtype=np.float64) for v in (position, rotation, focal, relative)))
 
 
 def _marks(camera: Camera) -> Array:
