@@ -63,7 +63,7 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
     if not findings and after < o.extrinsics * before and before - after > o.gain * person:
         own = np.array([m.image_px for m in moved]) / np.where(size > 0, size, person)
         for k, m in enumerate(moved):
-            if own[k] > o.moved:
+            if own[k] > max(o.moved, 0.2 * np.nanmax(own)):  # a little of it always goes to the others
                 text = (
                     f"{m.name}: {m.turn_deg:.1f} degrees and {1000 * m.move_m:.0f} mm off, which moves the person "
                     f"{m.image_px:.0f} px in its image; the key points miss each other by {before:.1f} px, after a "
@@ -106,7 +106,8 @@ def _lenses(
     straight = np.stack([_bent_back(k, uv[n, rest], lens.radial[n]) for n, k in enumerate(ideal)])
     without = _residual(plain.rig, uv[:, rest].reshape(c, -1, 2), seen)
     freed = _residual(lens.rig, straight.reshape(c, -1, 2), seen)
-    if freed > o.lens_gain * without:
+    z = float(np.sqrt(np.mean((lens.radial / np.maximum(lens.radial_sd, 1e-12)) ** 2)))
+    if freed > o.lens_gain * without and z < 1.25 * o.lens_z:
         return []
     out = []
     for n, camera in enumerate(ideal):

@@ -33,17 +33,20 @@ _TRUNK = (
     ("right_shoulder", "left_hip"),
 )
 _ALONG = (0.35, 0.5, 0.65)
+_BIAS = 0.01  # of the person's size: how far a limb's middle may lie from its bone, 1 sd
 _CLEAR = 0.085  # of the person's size: limbs nearer to another part of the body are left out
 
 
 @dataclass(frozen=True)
 class LimbOffsets:
     """Where the mask's middle across a limb was found: normal (N, 2) of the bone, offset (N,) px of the middle from the
-    bone along the normal, velocity (N, 2) of the bone's point, px per frame, limb (N,) and frame (N,). Working size."""
+    bone along the normal, velocity (N, 2) of the bone's point, px per frame, and its
+    position (N, 2), limb (N,) and frame (N,). Working size."""
 
     normal: Array
     offset: Array
     velocity: Array
+    position: Array
     limb: NDArray[np.int64]
     frame: NDArray[np.int64]
 
@@ -98,16 +101,20 @@ def limb_offsets(
         fine &= _clearance(start, which, p, limbs, bones) > _CLEAR * size
         offset = 0.5 * (width[:, 0] - width[:, 1])
         across = width.sum(1) / size
-        parts.append(
-            (normal[fine], offset[fine], velocity[fine], which[fine], np.full(int(fine.sum()), t), across[fine])
-        )
+        frame = np.full(len(which), t)
+        parts.append(tuple(x[fine] for x in (normal, offset, velocity, start, which, frame, across)))
     if not parts:
-        none = np.zeros(0, np.int64)
-        return LimbOffsets(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 2)), none, none)
-    normal, offset, velocity, limb, frame, across = (np.concatenate([x[k] for x in parts]) for k in range(6))
-    alone = _alone(limb.astype(np.int64), across, len(limbs))
+        none, flat = np.zeros(0, np.int64), np.zeros((0, 2))
+        return LimbOffsets(flat, np.zeros(0), flat, flat, none, none)
+    normal, offset, velocity, position, limb, frame, across = (np.concatenate([x[k] for x in parts]) for k in range(7))
+    keep = _alone(limb.astype(np.int64), across, len(limbs))
     return LimbOffsets(
-        normal[alone], offset[alone], velocity[alone], limb[alone].astype(np.int64), frame[alone].astype(np.int64)
+        normal[keep],
+        offset[keep],
+        velocity[keep],
+        position[keep],
+        limb[keep].astype(np.int64),
+        frame[keep].astype(np.int64),
     )
 
 
@@ -171,12 +178,23 @@ def align(
         if len(found.offset) < 60:
             return best
         x, sd, left = _regressed(found, scale)
+        sd[:2] = np.hypot(sd[:2], _BIAS * scale / 0.006 / np.sqrt(_views_of_limbs(found, scale / 0.006)))
         best = Alignment(lag - float(x[2]), float(sd[2]), -x[:2], sd[:2], left, len(found.offset))
         new = int(np.clip(np.rint(best.lag), -largest, largest))
         if new == lag:
             break
         lag = new
     return best
+
+
+def _views_of_limbs(found: LimbOffsets, size: float) -> float:
+    """As how many different limbs the samples count: a limb that hardly moves shows the same bias in every frame."""
+    total = 0.0
+    for limb in np.unique(found.limb):
+        mine = found.position[found.limb == limb]
+        if len(mine) >= 10:
+            total += min(1 + float(np.std(mine, axis=0).max()) / (0.02 * size), 4.0)
+    return max(total, 1.0)
 
 
 def _velocities(points: Array) -> Array:

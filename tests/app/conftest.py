@@ -51,3 +51,12 @@ def tracked(tiny, tmp_path_factory):
         main(["track", str(tiny), "--out", str(out)])
     assert stopped.value.code in (None, 0)
     return out
+
+
+@pytest.fixture
+def keypoint_recording(tmp_path):
+    """A recording of 1.2 s with key points, that a test may spoil."""
+    cameras = rig("humaneva-4", distorted=True).scaled(0.25)
+    scene = make_scene("walk", "neutral", cameras, seconds=1.2, seed=3)
+    write_scene(scene, tmp_path / "points", background_frames=10, keypoints=True)
+    return tmp_path / "points"

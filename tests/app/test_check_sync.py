@@ -1,0 +1,89 @@
+"""`hypose check` with the doctor and --refine, and `hypose sync`, on the tiny recording."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from hypose.geometry import so3_exp, so3_log
+from hypose.io.calibration import read_calibration
+
+
+def test_the_command_writes_evidence_in_step(hypose, tiny, tmp_path):
+    code, out, err = hypose("sync", tiny, "--offsets", "0,1,-0.5,0", "--out", tmp_path / "step")
+    assert code == 0, err
+    assert "cam2: 1.00 frames late (as given)" in out
+    assert len(list((tmp_path / "step" / "masks" / "cam2").glob("*.png"))) == 8
+    assert json.loads((tmp_path / "step" / "masks" / "cam2" / "hypose-masks.json").read_text())["undistorted"]
+    code, out, err = hypose("sync", tmp_path / "step", "--offsets", "0,0,0,0")
+    assert code == 0, err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("--by", "smell"), "choose motion, sound or flash"),
+        (("--offsets", "1,2"), "4 numbers of frames are needed"),
+        (("--offsets", "1,a,2,3"), "are no numbers"),
+        (("--largest", "0"), "is not possible"),
+        ((), "at least 16 consecutive frames"),
+        (("--by", "flash"), "at least 12 frames are needed"),
+    ],
+)
+def test_bad_input_of_sync_is_told_in_a_sentence(hypose, tiny, arguments, sentence):
+    code, _, err = hypose("sync", tiny, *arguments)
+    assert code == 2 and sentence in err and "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("--from", "tea"), "choose auto, keypoints, silhouettes or both"),
+        (("--refine", "--from", "keypoints"), "has no key points"),
+        (("--height", "17"), "is not a person's height"),
+        (("--keep", "cam9"), "no camera cam9"),
+    ],
+)
+def test_bad_input_of_check_is_told_in_a_sentence(hypose, recording, arguments, sentence):
+    code, _, err = hypose("check", recording, "--samples", "1", "--frames", "0", *arguments)
+    assert code == 2 and sentence in err and "Traceback" not in err
+
+
+def test_an_existing_calibration_is_never_overwritten(hypose, recording):
+    before = (recording / "calibration.toml").read_bytes()
+    code, _, err = hypose("check", recording, "--refine", "--to", recording / "calibration.toml")
+    assert code == 2 and "never overwritten" in err
+    assert (recording / "calibration.toml").read_bytes() == before
+
+
+def test_the_page_tells_what_was_found(hypose, recording):
+    code, out, err = hypose("check", recording)
+    assert code == 0, out + err
+    page = (recording / "results" / "check.html").read_text()
+    assert "No fault found" in page and "cam3" in page and "data:image/png" in page and "http" not in page
+
+
+def test_check_writes_a_refined_calibration_and_says_how_to_use_it(hypose, keypoint_recording):
+    path = keypoint_recording / "calibration.toml"
+    true = read_calibration(path)
+    text = path.read_text()
+    block = next(p for p in re.split(r"(?=\[cam\d\])", text) if p.startswith("[cam2]"))
+    rotation = np.array(json.loads(re.search(r"rotation = (.*)", block).group(1)))
+    turned = so3_log(so3_exp(np.radians([0, 2.0, 0])) @ so3_exp(rotation))
+    path.write_text(text.replace(block, re.sub(r"rotation = .*", f"rotation = {turned.tolist()}", block)))
+    code, out, err = hypose("check", keypoint_recording, "--frames", "30", "--samples", "1")
+    assert code == 1 and "fault: cam2:" in out and "hypose check --refine" in out, out + err
+    code, out, err = hypose("check", keypoint_recording, "--frames", "30", "--samples", "1", "--refine")
+    assert code == 0, out + err
+    new = read_calibration(keypoint_recording / "results" / "calibration_refined.toml")
+    assert "hypose track" in out and "frames not used" in out
+    off = [
+        np.degrees(np.linalg.norm(so3_log(a.camera_from_world[:3, :3] @ b.camera_from_world[:3, :3].T)))
+        for a, b in zip(true, new, strict=True)
+    ]
+    assert max(off) < 0.7
+    hypose("check", keypoint_recording, "--frames", "0", "--samples", "1", "--refine")
+    assert (keypoint_recording / "results" / "calibration_refined_2.toml").is_file()

@@ -1,0 +1,104 @@
+"""The doctor finds planted faults, names camera and cure, and leaves healthy recordings alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.calibration.doctor import Clip, Observed, examine, examine_and_cure
+from hypose.calibration.doctor_masks import align
+from hypose.calibration.doctor_points import disagreement, mirrored_names
+from hypose.errors import EvidenceError
+from hypose.evaluation.doctor import FAULTS, healthy, judged, planted
+from hypose.evaluation.rigs import rig as named_rig
+from hypose.evidence.keypoints import BODY_25
+
+SEED = 7  # walks before humaneva-4
+
+
+@pytest.fixture(scope="module")
+def walk():
+    return healthy(SEED)
+
+
+def test_a_healthy_recording_has_no_finding(walk):
+    report = examine(walk.observed)
+    assert report.healthy and not report.findings
+    assert report.verdict("cam1") == "cam1: no fault found"
+    assert all(v.left_out_px < 10 for v in report.views)
+
+
+@pytest.mark.parametrize("kind", sorted(FAULTS))
+def test_a_planted_fault_is_found_with_its_camera(walk, kind):
+    fault = planted(walk, kind, SEED)
+    report = examine(fault.observed)
+    right, _ = judged(fault, report.findings)
+    assert right, [f.sentence for f in report.findings]
+    found = next(f for f in report.findings if f.kind in fault.kinds)
+    assert found.cure and found.sentence.count("Next: ") == 1
+
+
+def test_a_late_camera_is_found_and_its_key_points_are_put_in_step(walk):
+    fault = planted(walk, "late", SEED)
+    report, cured = examine_and_cure(fault.observed)
+    late = next(f for f in report.findings if f.kind == "late")
+    c = fault.observed.rig.names.index(fault.views[0])
+    assert late.views == fault.views and abs(cured.late[c]) > 0.5
+    assert np.count_nonzero(cured.late) == 1
+    before, after = (disagreement(cured.rig, p) for p in (fault.observed.keypoints, cured.keypoints))
+    assert after < before
+
+
+def test_key_points_moved_by_three_pixels_and_two_frames_are_measured(walk):
+    o = walk.observed
+    masks = [s.masks[0] for s in o.silhouettes]
+    points = o.keypoints[0].copy()
+    points[..., :2] = (o.rig[0].undistort_points(points[..., :2]) + 0.5) * 0.5 - 0.5
+    usual = align(points, BODY_25, masks)
+    early = np.zeros_like(points)
+    early[:-2] = points[2:]
+    early[..., 0] += np.where(early[..., 2] > 0, 3.0, 0.0)
+    moved = align(early, BODY_25, masks)
+    assert abs(usual.lag) < 0.5 and moved.lag == pytest.approx(2, abs=0.5)
+    assert moved.shift[0] - usual.shift[0] == pytest.approx(3, abs=1.0)
+
+
+def test_silhouettes_alone_tell_a_mirrored_view():
+    base = healthy(SEED, keypoints=False)
+    assert not examine(base.observed).findings
+    fault = planted(base, "mirrored", SEED)
+    report = examine(fault.observed)
+    assert judged(fault, report.findings) == (True, 0), [f.sentence for f in report.findings]
+
+
+def test_the_known_height_shows_a_wrong_scale(walk):
+    assert not examine(walk.observed).findings
+    found = examine(replace(walk.observed, height=2.2)).findings
+    assert [f.kind for f in found] == ["unit"] and "2.20 m is known" in found[0].text
+
+
+def test_files_that_disagree_are_told(walk):
+    o = walk.observed
+    clips = (Clip((320, 240), 25.0, 64), Clip((640, 480), 50.0, 64), Clip((640, 400), 25.0, 30), *o.clips[3:])
+    found = {(f.kind, f.views): f for f in examine(replace(o, clips=clips)).findings}
+    assert not found["size", ("cam1",)].fault  # scaled alike in both directions: only to be known
+    assert found["size", ("cam3",)].fault and "or cut by 0 x 80 px" in found["size", ("cam3",)].text
+    assert "50 frames/s, the other views have 25" in found["frame_rate", ("cam2",)].text
+    assert ("frame_count", ("cam3",)) in found
+
+
+def test_nothing_to_look_at_is_told():
+    with pytest.raises(EvidenceError, match="neither key points of two views nor silhouettes"):
+        examine(Observed(named_rig("humaneva-4")))
+    rig = named_rig("humaneva-4")
+    with pytest.raises(EvidenceError, match="No frame has silhouettes"):
+        examine(Observed(rig, silhouettes=[None, None]))
+
+
+def test_left_and_right_are_exchanged_in_a_mirror():
+    order = mirrored_names(BODY_25)
+    assert BODY_25[order[BODY_25.index("left_knee")]] == "right_knee"
+    assert BODY_25[order[BODY_25.index("nose")]] == "nose"
+    assert [order[k] for k in order] == list(range(25))

@@ -1,0 +1,176 @@
+"""Refinement of cameras from key points and from silhouettes of the moving person."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.body.models import human
+from hypose.calibration.refine_body import BodyOptions, adjust_with_body
+from hypose.calibration.refine_camera import (
+    by_camera,
+    change_from,
+    changed,
+    changes,
+    free_cameras,
+    gauge,
+    in_world,
+    rescaled,
+)
+from hypose.calibration.refine_points import PointOptions, adjust, left_out_residual, point_residual
+from hypose.cameras.camera import CameraRig
+from hypose.compute.render import silhouette
+from hypose.errors import CalibrationError, EvidenceError
+from hypose.evaluation.rigs import rig as named_rig
+from hypose.evidence.silhouettes import make_silhouettes
+from hypose.fitting.articulated import contour_term
+from hypose.geometry import se3, se3_exp, so3_exp, transform
+from hypose.tracking.initialise import known_pose
+
+
+def turned(rig, c, degrees, move):
+    cameras = list(rig)
+    camera = rig[c]
+    r = so3_exp(np.radians(degrees)) @ camera.camera_from_world[:3, :3]
+    cameras[c] = replace(camera, camera_from_world=se3(r, -r @ (camera.position + move)))
+    return CameraRig(tuple(cameras))
+
+
+def test_derivative_by_the_camera_is_that_of_finite_differences(rng):
+    camera = named_rig("humaneva-4").pinhole()[1]
+    point = rng.normal(0, 0.4, 3) + [0, 0, 1]
+    for axis in range(2):
+
+        def value(x, axis=axis):
+            return changed(camera, x).project_pinhole(point)[axis]
+
+        p = transform(camera.camera_from_world, point[None])[0]
+        f, z = camera.K[axis, axis], p[2]
+        g = np.zeros(3)
+        g[axis], g[2] = f / z, -f * p[axis] / z**2
+        numeric = [(value(1e-6 * e) - value(-1e-6 * e)) / 2e-6 for e in np.eye(7)]
+        assert np.allclose(by_camera(p[None], g[None], 7)[0], numeric, rtol=1e-5, atol=1e-4)
+
+
+def test_a_change_is_undone_by_its_reading(rng):
+    camera = named_rig("humaneva-4")[0]
+    x = np.r_[rng.normal(0, 0.1, 6), 0.03]
+    assert np.allclose(change_from(camera, changed(camera, x)), x, atol=1e-9)
+
+
+def test_gauge_lets_the_one_camera_go_that_moved(rng):
+    rig = named_rig("ring-5").pinhole()
+    points = rng.normal(0, 0.4, (50, 3)) + [0, 0, 1]
+    world = se3_exp([0.05, -0.02, 0.1, 0.2, -0.1, 0.05])
+    moved = in_world(turned(rig, 2, [0, 3, 0], [0.1, 0, 0]), world)
+    back = in_world(moved, gauge(moved, rig, transform(world, points)))
+    found = changes(rig, back, points)
+    others = [f for k, f in enumerate(found) if k != 2]
+    assert found[2].turn_deg == pytest.approx(3, abs=0.15) and max(f.turn_deg for f in others) < 0.15
+    assert max(f.move_m for f in others) < 0.01
+
+
+def test_a_moved_world_and_another_scale_leave_the_images_alone(rng):
+    rig = named_rig("humaneva-4").pinhole()
+    x = rng.normal(0, 0.4, (10, 3)) + [0, 0, 1]
+    world = se3_exp([0.3, 0.1, -0.2, 1, 2, 3])
+    for a, b in zip(rig, in_world(rig, world), strict=True):
+        assert np.allclose(a.project_pinhole(x), b.project_pinhole(transform(world, x)), atol=1e-6)
+    for a, b in zip(rig, rescaled(rig, 3.0), strict=True):
+        assert np.allclose(a.project_pinhole(x), b.project_pinhole(3 * x), atol=1e-6)
+
+
+def noisy_points(rig, rng, n=400, sd=1.0):
+    x = rng.normal(0, [0.5, 0.5, 0.5], (n, 3)) + [0, 0, 1]
+    uv = np.stack([c.project_pinhole(x) for c in rig]) + rng.normal(0, sd, (len(rig), n, 2))
+    return x, uv, np.full((len(rig), n), 0.8)
+
+
+def test_key_points_bring_a_turned_camera_back_to_the_noise(rng):
+    true = named_rig("humaneva-4").pinhole()
+    _, uv, w = noisy_points(true, rng)
+    uv[0, :20] += 80  # wild detections
+    off = turned(true, 2, [1.0, -2.0, 0.5], [0.05, -0.03, 0.02])
+    found = adjust(off, uv, w)
+    floor = np.nanmedian(point_residual(true, uv, w))
+    assert np.nanmedian(point_residual(off, uv, w)) > 4 * floor
+    assert np.nanmedian(point_residual(found.rig, uv, w)) < 1.1 * floor
+    assert np.nanmedian(left_out_residual(found.rig, uv, w)) < 1.15 * np.nanmedian(left_out_residual(true, uv, w))
+    back = in_world(found.rig, gauge(found.rig, off, found.points))
+    change = changes(off, back, found.points[:50])
+    assert change[2].turn_deg > 1.5 and max(change[k].turn_deg for k in (0, 1, 3)) < 0.5
+
+
+def test_a_focal_length_is_found_when_asked_for(rng):
+    true = named_rig("ring-5").pinhole()
+    _, uv, w = noisy_points(true, rng, 800, 0.3)
+    wrong = list(true)
+    k = true[1].K.copy()
+    k[:2, :2] *= 1.02
+    wrong[1] = replace(true[1], K=k)
+    found = adjust(CameraRig(tuple(wrong)), uv, w, PointOptions(focal=True))
+    ratio = found.rig[1].K[0, 0] / found.rig[0].K[0, 0]
+    assert ratio == pytest.approx(1.0, abs=0.008)
+
+
+def test_a_camera_that_is_kept_stays(rng):
+    true = named_rig("humaneva-4").pinhole()
+    _, uv, w = noisy_points(true, rng)
+    off = turned(true, 2, [0, 2, 0], [0, 0, 0])
+    found = adjust(off, uv, w, None, free_cameras(off, ("cam1",)))
+    assert np.array_equal(found.rig[0].camera_from_world, off[0].camera_from_world)
+    assert np.nanmedian(point_residual(found.rig, uv, w)) < 2
+    with pytest.raises(CalibrationError, match="no camera cam9"):
+        free_cameras(off, ("cam9",))
+
+
+def test_too_few_points_are_told(rng):
+    true = named_rig("humaneva-4").pinhole()
+    _, uv, w = noisy_points(true, rng, 30)
+    with pytest.raises(EvidenceError, match="Only 30 key points"):
+        adjust(true, uv, w)
+
+
+def silhouettes_of(body, poses, rig):
+    out = []
+    for v in body.skin(poses):
+        masks = []
+        for c in rig:
+            z = v @ c.camera_from_world[2, :3] + c.camera_from_world[2, 3]
+            masks.append(silhouette(c.project_pinhole(v), z, body.coarse.faces, c.size).astype(np.uint8))
+        out.append(make_silhouettes(masks, rig))
+    return out
+
+
+def poses_of(body, rng, n):
+    base = np.stack([known_pose(body, name) for name in ("t", "standing", "hands-up", "a")])[np.arange(n) % 4]
+    poses = base + rng.normal(0, 0.12, base.shape)
+    poses[:, :3] = rng.normal(0, [0.3, 0.3, 0.02], (n, 3)) + [0, 0, 0.95]
+    poses[:, 3:6] = np.stack([np.zeros(n), np.zeros(n), rng.uniform(-3, 3, n)], 1)
+    return body.skeleton.clamp(poses)
+
+
+def test_silhouettes_alone_bring_a_turned_camera_back(rng):
+    body = human()
+    true = named_rig("humaneva-4").pinhole().scaled(0.4)
+    poses = poses_of(body, rng, 6)
+    masks = silhouettes_of(body, poses, true)
+    off = turned(true, 1, [1.0, 1.5, 0.0], [0.03, 0, 0.02])
+    start = body.skeleton.clamp(poses + rng.normal(size=poses.shape) * np.r_[[0.02] * 3, [0.05] * 33])
+    options = BodyOptions(coarse=(3.0, 1.0), iterations=(5, 5), contour_weight=1.0)
+    found = adjust_with_body(body, off, start, [contour_term(s) for s in masks], None, options)
+    person = body.joints(poses).reshape(-1, 3)
+    back = in_world(found.rig, gauge(found.rig, true, body.joints(found.poses).reshape(-1, 3)))
+    before, after = (np.median([c.image_px for c in changes(true, r, person)]) for r in (off, back))
+    worst_before, worst_after = (np.max([c.image_px for c in changes(true, r, person)]) for r in (off, back))
+    assert worst_after < 0.35 * worst_before and after < 1.5, (before, after, worst_before, worst_after)
+    assert found.cost < found.cost_before
+
+
+def test_no_evidence_is_told():
+    body = human()
+    rig = named_rig("humaneva-4").pinhole()
+    with pytest.raises(EvidenceError, match="No frame has silhouettes or key points"):
+        adjust_with_body(body, rig, body.skeleton.rest_pose[None], [None])
