@@ -176,6 +176,7 @@ def _against_masks(
         spread = np.sqrt(np.nanmean(others**2, axis=0)) if np.isfinite(others).any() else np.zeros(2)
         spread = np.maximum(spread, 0.0025)
         least = np.maximum(np.maximum(o.shift_sd * sd, o.shift * size[c]), o.shift_spread * spread * size[c])
+        least = np.maximum(least, o.shift_px * ratio)
         least[1] *= 1.5  # limbs hang: what is above and below is told by few of them
         significant = np.abs(move) > least
         if significant.any():

@@ -107,7 +107,7 @@ def _lenses(
     without = _residual(plain.rig, uv[:, rest].reshape(c, -1, 2), seen)
     freed = _residual(lens.rig, straight.reshape(c, -1, 2), seen)
     z = float(np.sqrt(np.mean((lens.radial / np.maximum(lens.radial_sd, 1e-12)) ** 2)))
-    if freed > o.lens_gain * without and z < 1.25 * o.lens_z:
+    if freed > o.lens_gain * without and z < o.lens_z:
         return []
     out = []
     for n, camera in enumerate(ideal):

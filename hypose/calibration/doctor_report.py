@@ -37,7 +37,8 @@ class Limits:
     gross: disagreement of a view with the others above which gross faults are tried, gross_lens: the same for lens
     conventions, gross_cured: what must be left of it at most. largest_lag: frames; late: frames, late_sd: in sd,
     late_gain: half log likelihood. keypoint_lag_sd, own_lag_sd: of all and of one view's key points against the masks,
-    in sd. shift: share, shift_sd: in sd, shift_spread: in the spread of the other views' shifts. extrinsics: share of
+    in sd. shift: share, shift_sd: in sd, shift_spread: in the spread of the other views' shifts,
+    shift_px: least, px of the masks. extrinsics: share of
     the residual that may be left after refinement, moved: share by which a camera's image of the person moves, gain:
     least fall of the residual. lens_z: sd of a radial term, lens_gain: share of the residual that may be left after
     freeing it, lens_px: its effect on the person. heights: of a person, m; height_share: against the known height;
@@ -55,11 +56,12 @@ class Limits:
     shift: float = 0.006
     shift_sd: float = 3.3
     shift_spread: float = 2.3
+    shift_px: float = 1.25
     extrinsics: float = 0.85
     moved: float = 0.012
     gain: float = 0.001
     lens_z: float = 4.8
-    lens_gain: float = 0.985
+    lens_gain: float = 0.97
     lens_px: float = 0.006
     heights: tuple[float, float] = (1.0, 2.3)
     height_share: float = 0.12

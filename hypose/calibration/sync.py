@@ -119,9 +119,9 @@ class Resampled:
 
     def __init__(self, source: Frames, late: Sequence[float] | Array) -> None:
         self.source = source
-        self.late = np.array([round(x) if abs(x - round(x)) < WHOLE else float(x) for x in late])
-        if not np.isfinite(self.late).all():
+        if not np.isfinite(np.asarray(late, dtype=np.float64)).all():
             raise InputError(f"Offsets must be finite numbers of frames, got {list(late)}.")
+        self.late = np.array([round(x) if abs(x - round(x)) < WHOLE else float(x) for x in late], dtype=np.float64)
         self._kept: dict[int, Frame] = {}
 
     def __len__(self) -> int:

@@ -71,9 +71,13 @@ def test_check_writes_a_refined_calibration_and_says_how_to_use_it(hypose, keypo
     true = read_calibration(path)
     text = path.read_text()
     block = next(p for p in re.split(r"(?=\[cam\d\])", text) if p.startswith("[cam2]"))
-    rotation = np.array(json.loads(re.search(r"rotation = (.*)", block).group(1)))
-    turned = so3_log(so3_exp(np.radians([0, 2.0, 0])) @ so3_exp(rotation))
-    path.write_text(text.replace(block, re.sub(r"rotation = .*", f"rotation = {turned.tolist()}", block)))
+    rotation, translation = (
+        np.array(json.loads(re.search(rf"{key} = (.*)", block).group(1))) for key in ("rotation", "translation")
+    )
+    turn = so3_exp(np.radians([0, 2.0, 0]))  # about the camera's own centre
+    spoilt = re.sub(r"rotation = .*", f"rotation = {so3_log(turn @ so3_exp(rotation)).tolist()}", block)
+    spoilt = re.sub(r"translation = .*", f"translation = {(turn @ translation).tolist()}", spoilt)
+    path.write_text(text.replace(block, spoilt))
     code, out, err = hypose("check", keypoint_recording, "--frames", "30", "--samples", "1")
     assert code == 1 and "fault: cam2:" in out and "hypose check --refine" in out, out + err
     code, out, err = hypose("check", keypoint_recording, "--frames", "30", "--samples", "1", "--refine")

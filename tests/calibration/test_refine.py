@@ -173,4 +173,4 @@ def test_no_evidence_is_told():
     body = human()
     rig = named_rig("humaneva-4").pinhole()
     with pytest.raises(EvidenceError, match="No frame has silhouettes or key points"):
-        adjust_with_body(body, rig, body.skeleton.rest_pose[None], [None])
+        adjust_with_body(body, rig, np.zeros((1, body.skeleton.dof)), [None])
