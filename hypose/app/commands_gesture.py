@@ -123,6 +123,7 @@ def run(
     models: Annotated[list[Path], typer.Argument(help="Model files, one per gesture.")],
     source: SourceOption = "simulated",
     osc: Annotated[str | None, typer.Option(help="HOST:PORT to send scores and events to by OSC.")] = None,
+    ws: Annotated[int | None, typer.Option(help="Port of this computer to serve them by WebSocket.")] = None,
     threshold: Annotated[float | None, typer.Option(help="cm² instead of the models' own.")] = None,
     memory: Annotated[
         float, typer.Option(help="Share of the new frame in the density (1: no temporal recursion).")
@@ -133,7 +134,8 @@ def run(
     seed: Seed = 0,
 ) -> None:
     """Watch for gestures without a screen: events as JSON lines on stdout, and by OSC."""
-    from hypose.app.gesture_job import OscOut, event_line, thresholds, watch
+    from hypose.app.gesture_job import thresholds, watch
+    from hypose.app.gesture_outputs import OscOut, WebSocketOut, event_line
     from hypose.app.gesture_sources import open_source
     from hypose.gestures.events import EventSettings
     from hypose.gestures.localise import LocaliseSettings
@@ -144,14 +146,18 @@ def run(
     loaded = [load_model(m) for m in models]
     limits = [EventSettings(t, hold_s=hold, refractory_s=rest) for t in thresholds(loaded, threshold)]
     names = [n for m in loaded for n in m.names]
-    out = OscOut(osc, names, [s.threshold for s in limits]) if osc else None
+    outs: list[OscOut | WebSocketOut] = []
+    if osc is not None:
+        outs.append(OscOut(osc, names, [s.threshold for s in limits]))
+    if ws is not None:
+        outs.append(WebSocketOut(ws, names))
     previous = signal.signal(signal.SIGTERM, _interrupt)
     try:
         opened = open_source(source, names[0], seed)
         for k, watched in enumerate(watch(opened, loaded, LocaliseSettings(memory=memory), limits), 1):
             for event in watched.events:
                 print(event_line(event, names), flush=True)
-            if out is not None:
+            for out in outs:
                 out.send(watched)
             if frames and k >= frames:
                 break
@@ -159,7 +165,7 @@ def run(
         raise typer.Exit(130) from None
     finally:
         signal.signal(signal.SIGTERM, previous)
-        if out is not None:
+        for out in outs:
             out.close()
 
 

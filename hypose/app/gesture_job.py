@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import queue
-import socket
 import sys
 import threading
 import time as clock
@@ -15,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from hypose.app.gesture_sources import Source
-from hypose.app.osc import osc_bundles, osc_message
 from hypose.errors import InputError
 from hypose.evaluation.gesture_metrics import average_precision
 from hypose.gestures.events import Event, EventSettings, EventState, step
@@ -214,56 +211,6 @@ def thresholds(models: Sequence[GestureModel], given: float | None) -> list[floa
                 )
             out.append(float(value))
     return out
-
-
-def event_line(event: Event, names: Sequence[str]) -> str:
-    """One JSON line of an event."""
-    value = {
-        "event": event.kind,
-        "gesture": names[event.gesture - 1],
-        "time": round(event.time, 4),
-        "x": round(event.x, 1),
-        "y": round(event.y, 1),
-        "position": None if event.position is None else [round(float(v), 4) for v in event.position],
-        "score": round(event.score, 3),
-    }
-    return json.dumps(value)
-
-
-class OscOut:
-    """Sends every frame by OSC: /gesture/NAME score x y z, /gesture/NAME/start and /end, and Wekinator's /wek/outputs
-    (each gesture's score over its threshold, at most 1)."""
-
-    def __init__(self, target: str, names: Sequence[str], limits: Sequence[float]) -> None:
-        host, _, port = target.rpartition(":")
-        if not host or not port.isdigit() or not 0 < int(port) < 65536:
-            raise InputError(f"{target!r} is no address for OSC; give HOST:PORT, for example 127.0.0.1:12000.")
-        try:
-            family, kind, _, _, self._target = socket.getaddrinfo(host, int(port), type=socket.SOCK_DGRAM)[0]
-            self._socket = socket.socket(family, kind)
-        except OSError as error:
-            raise InputError(f"{target!r} cannot be reached ({error}); give HOST:PORT.") from None
-        self._names, self._limits = list(names), list(limits)
-
-    def send(self, watched: Watched) -> None:
-        """One frame."""
-        messages = []
-        for f in watched.found:
-            p = (0.0, 0.0, 0.0) if f.position is None else tuple(float(v) for v in f.position)
-            messages.append(osc_message(f"/gesture/{self._names[f.gesture - 1]}", float(f.score), *p))
-        for e in watched.events:
-            messages.append(osc_message(f"/gesture/{self._names[e.gesture - 1]}/{e.kind}", float(e.score)))
-        shares = [min(1.0, f.score / limit) for f, limit in zip(watched.found, self._limits, strict=True)]
-        messages.append(osc_message("/wek/outputs", *shares))
-        for bundle in osc_bundles(messages):
-            try:
-                self._socket.sendto(bundle, self._target)
-            except OSError:  # nobody listens: the next frame counts
-                pass
-
-    def close(self) -> None:
-        """Let go of the socket."""
-        self._socket.close()
 
 
 def evaluate(model: GestureModel, recording: GestureRecording) -> dict[str, float]:

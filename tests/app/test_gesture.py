@@ -151,3 +151,29 @@ def test_azure_lenses_of_the_narrow_and_wide_modes(tmp_path):
     assert half.fx == pytest.approx(full.fx / 2) and half.cx == pytest.approx((full.cx + 0.5) / 2 - 0.5)
     with pytest.raises(InputError, match="no known mode"):
         azure_lens(calibration, (100, 100), tmp_path)
+
+
+def test_websocket_listeners_get_scores_and_events():
+    from websockets.sync.client import connect
+
+    from hypose.app.gesture_job import Watched
+    from hypose.app.gesture_outputs import WebSocketOut
+    from hypose.gestures.events import Event
+    from hypose.gestures.localise import Found
+
+    out = WebSocketOut(0, ["tee"])
+    frame = Watched(1.5, [Found(1, 3.0, 4.0, 12.0, None)], [Event("start", 1, 1.5, 3.0, 4.0, None, 12.0)])
+    with connect(f"ws://127.0.0.1:{out.port}") as listener:
+        for _ in range(200):  # the listener is entered by another thread
+            out.send(frame)
+            try:
+                texts = [listener.recv(timeout=0.05) for _ in range(2)]
+                break
+            except TimeoutError:
+                continue
+        assert json.loads(texts[0]) == {"time": 1.5, "scores": {"tee": 12.0}}
+        assert json.loads(texts[1])["event"] == "start"
+    out.send(frame)  # the listener has left
+    with pytest.raises(Exception, match="403|rejected"):
+        connect(f"ws://127.0.0.1:{out.port}", origin="https://example.org")
+    out.close()

@@ -1,0 +1,135 @@
+"""Where events go: JSON lines, OSC, WebSocket."""
+
+from __future__ import annotations
+
+import json
+import queue
+import re
+import socket
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.server import Server, ServerConnection, serve
+
+from hypose.app.gesture_job import Watched
+from hypose.app.osc import osc_bundles, osc_message
+from hypose.errors import InputError
+from hypose.gestures.events import Event
+
+MAX_LISTENERS = 16
+WAITING = 256
+"""Texts that wait for a slow listener."""
+_LOCAL = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d{1,5})?")
+
+
+def event_line(event: Event, names: Sequence[str]) -> str:
+    """One JSON line of an event."""
+    value = {
+        "event": event.kind,
+        "gesture": names[event.gesture - 1],
+        "time": round(event.time, 4),
+        "x": round(event.x, 1),
+        "y": round(event.y, 1),
+        "position": None if event.position is None else [round(float(v), 4) for v in event.position],
+        "score": round(event.score, 3),
+    }
+    return json.dumps(value)
+
+
+class OscOut:
+    """Sends every frame by OSC: /gesture/NAME score x y z, /gesture/NAME/start and /end, and Wekinator's /wek/outputs
+    (each gesture's score over its threshold, at most 1)."""
+
+    def __init__(self, target: str, names: Sequence[str], limits: Sequence[float]) -> None:
+        host, _, port = target.rpartition(":")
+        if not host or not port.isdigit() or not 0 < int(port) < 65536:
+            raise InputError(f"{target!r} is no address for OSC; give HOST:PORT, for example 127.0.0.1:12000.")
+        try:
+            family, kind, _, _, self._target = socket.getaddrinfo(host, int(port), type=socket.SOCK_DGRAM)[0]
+            self._socket = socket.socket(family, kind)
+        except OSError as error:
+            raise InputError(f"{target!r} cannot be reached ({error}); give HOST:PORT.") from None
+        self._names, self._limits = list(names), list(limits)
+
+    def send(self, watched: Watched) -> None:
+        """One frame."""
+        messages = []
+        for f in watched.found:
+            p = (0.0, 0.0, 0.0) if f.position is None else tuple(float(v) for v in f.position)
+            messages.append(osc_message(f"/gesture/{self._names[f.gesture - 1]}", float(f.score), *p))
+        for e in watched.events:
+            messages.append(osc_message(f"/gesture/{self._names[e.gesture - 1]}/{e.kind}", float(e.score)))
+        shares = [min(1.0, f.score / limit) for f, limit in zip(watched.found, self._limits, strict=True)]
+        messages.append(osc_message("/wek/outputs", *shares))
+        for bundle in osc_bundles(messages):
+            try:
+                self._socket.sendto(bundle, self._target)
+            except OSError:  # nobody listens: the next frame counts
+                pass
+
+    def close(self) -> None:
+        """Let go of the socket."""
+        self._socket.close()
+
+
+class WebSocketOut:
+    """Sends JSON text to whoever connects to ws://127.0.0.1:PORT: every event as on stdout, and every frame
+    {"time", "scores": {name: cm^2}}. Listens on this computer alone, to programs and to pages of this computer."""
+
+    def __init__(self, port: int, names: Sequence[str]) -> None:
+        if not 0 <= port < 65536:
+            raise InputError(f"--ws {port} is no port; give 0 (any free one) to 65535.")
+        self._names, self._waiting = list(names), set[queue.Queue[str | None]]()
+        self._lock = threading.Lock()
+        try:
+            self._server: Server = serve(self._listen, "127.0.0.1", port, origins=[None, _LOCAL], compression=None)
+        except OSError as error:
+            raise InputError(f"Port {port} cannot be used ({(error.strerror or str(error)).lower()}).") from None
+        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+
+    @property
+    def port(self) -> int:
+        """The port that is listened on."""
+        return int(self._server.socket.getsockname()[1])
+
+    def _listen(self, connection: ServerConnection) -> None:
+        texts: queue.Queue[str | None] = queue.Queue(WAITING)
+        with self._lock:
+            full = len(self._waiting) >= MAX_LISTENERS
+            if not full:
+                self._waiting.add(texts)
+        if full:
+            connection.close(1013, "too many listeners")
+            return
+        try:
+            while (text := texts.get()) is not None:
+                connection.send(text)
+        except (ConnectionClosed, OSError):
+            pass
+        finally:
+            with self._lock:
+                self._waiting.discard(texts)
+
+    def send(self, watched: Watched) -> None:
+        """One frame. A listener that is too slow loses the oldest texts; nobody is waited for."""
+        scores = {self._names[f.gesture - 1]: round(f.score, 3) for f in watched.found}
+        self._post(json.dumps({"time": round(watched.time, 4), "scores": scores}))
+        for e in watched.events:
+            self._post(event_line(e, self._names))
+
+    def _post(self, text: str | None) -> None:
+        with self._lock:
+            listeners = list(self._waiting)
+        for texts in listeners:
+            with suppress(queue.Empty):
+                if texts.full():
+                    texts.get_nowait()
+            with suppress(queue.Full):
+                texts.put_nowait(text)
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._post(None)
+        self._server.shutdown()
