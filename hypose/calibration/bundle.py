@@ -136,7 +136,8 @@ def refine(
     residuals = problem.residuals(cams, poses)
     rms = float(np.sqrt(np.mean(residuals**2))) if len(residuals) else float("nan")
     focal, position = problem.deviations(cams, problem.normal_equations(cams, poses))
-    return Refined(tuple(cams), poses, residuals, rms, focal, position, done)
+    factor = problem.noise_factor(residuals)
+    return Refined(tuple(cams), poses, residuals, rms, factor * focal, factor * position, done)
 
 
 class _Problem:
@@ -315,6 +316,18 @@ class _Problem:
             out.append(replace(camera, K=k, distortion=distortion, camera_from_world=pose))
         poses = se3(so3_exp(boards[:, :3]) @ frames[:, :3, :3], frames[:, :3, 3] + boards[:, 3:])
         return out, poses
+
+    def noise_factor(self, residuals: Array) -> float:
+        """By how much the corners scatter more or less than assumed, where there are enough to tell; not below a
+        third, because errors that all corners share do not show."""
+        fixed = 0 if self.fixed_frames is None else int(self.fixed_frames.sum())
+        freedom = 2 * len(self.o) - int(self.free.sum()) - 6 * (len(np.unique(self.o.frame)) - fixed)
+        if freedom < 60:
+            return 1.0
+        noise = np.empty(len(self.o))
+        noise[self.order] = self.noise
+        share = np.minimum(np.linalg.norm(residuals, axis=1) / noise, self.robust)  # outliers are no noise
+        return max(float(np.sqrt((share**2).sum() / freedom)), 1 / 3)
 
     def deviations(self, cameras: Sequence[Camera], system: tuple[Array, ...]) -> tuple[Array, Array]:
         """Standard deviations of focal lengths (C,) px and of camera positions (C,) m."""
