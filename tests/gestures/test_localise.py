@@ -11,7 +11,9 @@ from hypose.compute import forests
 from hypose.compute.forests import ScanPlan
 from hypose.errors import InputError
 from hypose.gestures import runtime
+from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import LocaliseSettings, Scratch, localise, pad
+from hypose.gestures.online import Learner
 from hypose.gestures.pictures import Lens, millimetres
 
 from .test_forest import exported
@@ -161,3 +163,26 @@ def test_pad_reuses_its_memory():
     b = pad(depth, LENS, 150, 500, a)
     assert a.values is b.values
     assert int(a.values.max()) == 10000 and (a.values == 1000).sum() == depth.size
+
+
+def test_one_forest_of_several_gestures_finds_each():
+    rng = np.random.default_rng(2)
+    learner = Learner.new(rng, ForestSettings(alpha=80, candidates=40), gestures=2)
+    for k in range(120):
+        depth, (x, y), (a, b, side) = toy(rng, int(rng.integers(900, 1600)))
+        if k % 2:
+            learner.show(depth, LENS, 1, x, y, mine=False)
+        elif a + side < 150 and b + side < 200:
+            learner.show(depth, LENS, 2, b + side / 2, a + side / 2, mine=False)
+    several, hits = learner.forest.freeze(), 0
+    for _ in range(8):
+        depth, (x, y), (a, b, side) = toy(rng, 1200, holes=False)
+        disc, square = localise(depth, LENS, [several])
+        assert [disc.gesture, square.gesture] == [1, 2]
+        hits += np.hypot(disc.x - x, disc.y - y) < 8
+        hits += np.hypot(square.x - b - side / 2, square.y - a - side / 2) < 8 or a + side >= 150 or b + side >= 200
+    assert hits >= 13
+    with pytest.raises(InputError, match="used alone"):
+        localise(depth, LENS, [several, several])
+    with pytest.raises(InputError, match="1 to 2"):
+        learner.show(depth, LENS, 3, 5.0, 5.0)
