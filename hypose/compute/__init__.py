@@ -52,6 +52,10 @@ Array = NDArray[np.float64]
 _Arrays = TypeVar("_Arrays", bound=NamedTuple)
 
 
+MOST_FOUND = 3072
+"""contour rows of one view, at most: the body's outline has up to 2032, a mask's up to 1000"""
+
+
 @cache
 def _numba(name: str) -> ModuleType:
     import importlib
@@ -172,6 +176,7 @@ def workspace(tree: TreeArrays, mesh: MeshArrays, height: int, width: int) -> Wo
     """Scratch memory for `solve` and `evaluate` on images up to (height, width); one per thread."""
     v, f, e, j, d = len(mesh.vertices), len(mesh.faces), len(mesh.edges), len(tree.parents), len(tree.axes)
     f4 = np.float32
+    rows = 2 * mesh.skin_index.shape[1] * MOST_FOUND
     return Workspace(
         np.zeros((v, 3), f4),
         np.zeros(v, f4),
@@ -190,6 +195,12 @@ def workspace(tree: TreeArrays, mesh: MeshArrays, height: int, width: int) -> Wo
         np.zeros((d, 6)),
         np.zeros((j, 21)),
         np.zeros((j, 6)),
+        np.empty((MOST_FOUND, 2), np.int32),
+        np.empty((MOST_FOUND, 5), f4),
+        np.empty((rows, 8)),
+        np.empty(rows, np.int32),
+        np.empty((13, rows)),
+        np.empty(j + 1, np.int64),
     )
 
 
@@ -263,6 +274,15 @@ def solve(
     return Solution(q, evaluation, int(info[1]), int(info[2]), bool(info[3]))
 
 
+def joint_spread(pose: Array, tree: TreeArrays, hessian: Array, ridge: float = 1e-9) -> Array:
+    """(J,) spread of the joint centres per axis, m, when the pose (D,) has the covariance (hessian + ridge)^-1:
+    sqrt(trace(G C G^T) / 3) with G (3, D) the derivative of the centre; the numba kernel, on either back end."""
+    out = np.empty(len(tree.parents))
+    q, h = _plain(pose, np.float64), _plain(hessian, np.float64)
+    _numba("covariance").joint_spread(q, _tidy(tree), h, float(ridge), out)
+    return out
+
+
 def warm_up() -> float:
     """Compile (or load from disk) every kernel on a toy body; returns the seconds it took.
 
@@ -302,12 +322,15 @@ def warm_up() -> float:
         images.warm_up()
     sdf = signed_distance(mask, sizes)
     outline = outline_points(sdf[0], (32, 32), 16)[0]
-    contours = ContourArrays(sdf, outline[None], usable, sizes, projection, 1.0, 1.0, 2.0, 4.0, 2.0, 2)
+    contours = ContourArrays(
+        sdf, outline[None], usable, sizes, projection, 1.0, 1.0, 2.0, 4.0, 2.0, 2, np.ones(1), 0 * sizes, sizes
+    )
     none = np.zeros((0, 3))
     keypoints = KeypointArrays(np.zeros((0, 0, 3)), np.zeros((0, 3, 4)), np.zeros(0, dtype=np.int64), none, 1.0)
     points = PointArrays(none, np.zeros(0), np.zeros(0, dtype=np.int64), none, 1.0)
     priors = PriorArrays(np.zeros((1, 6)), np.ones((1, 6)), np.full(6, -np.inf), np.full(6, np.inf))
     ws = workspace(tree, mesh, 32, 32)
     evaluate(q, tree, mesh, contours, keypoints, points, priors, ws)
-    solve(q, tree, mesh, contours, keypoints, points, priors, SolveSettings(1, 0, 1e-3, 1e-2), ws)
+    solve(q, tree, mesh, contours, keypoints, points, priors, SolveSettings(1, 0, 1e-3, 1e-2, 0.0), ws)
+    joint_spread(q, tree, np.eye(6))
     return time.perf_counter() - began

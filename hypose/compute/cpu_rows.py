@@ -61,29 +61,95 @@ def add_row(hessian, gradient, j, w, r, px, py, pz, gx, gy, gz):
 
 
 @njit(**OPTIONS)
-def add_edge_row(hessian, gradient, a, b, t, vertices, mesh, p, gx, gy, w, r):
-    """Residual r with image gradient (gx, gy) per px at the point (1 - t) a + t b of a mesh edge; p (3, 4) f4."""
-    s = f4(1) - t
-    x = s * vertices[a, 0] + t * vertices[b, 0]
-    y = s * vertices[a, 1] + t * vertices[b, 1]
-    z = s * vertices[a, 2] + t * vertices[b, 2]
-    iz = f4(1) / (p[2, 0] * x + p[2, 1] * y + p[2, 2] * z + p[2, 3])
-    u = (p[0, 0] * x + p[0, 1] * y + p[0, 2] * z + p[0, 3]) * iz
-    v = (p[1, 0] * x + p[1, 1] * y + p[1, 2] * z + p[1, 3]) * iz
-    k = -(gx * u + gy * v) * iz
-    gx *= iz
-    gy *= iz
-    g0 = gx * p[0, 0] + gy * p[1, 0] + k * p[2, 0]
-    g1 = gx * p[0, 1] + gy * p[1, 1] + k * p[2, 1]
-    g2 = gx * p[0, 2] + gy * p[1, 2] + k * p[2, 2]
-    ja, jb = mesh.skin_index[a, 0], mesh.skin_index[b, 0]
-    if mesh.skin_count[a] == 1 and mesh.skin_count[b] == 1 and ja == jb:
-        add_row(hessian, gradient, ja, w, r, x, y, z, g0, g1, g2)
-        return
-    for i in range(mesh.skin_count[a]):
-        add_row(hessian, gradient, mesh.skin_index[a, i], s * mesh.skin_weight[a, i] * w, r, x, y, z, g0, g1, g2)
-    for i in range(mesh.skin_count[b]):
-        add_row(hessian, gradient, mesh.skin_index[b, i], t * mesh.skin_weight[b, i] * w, r, x, y, z, g0, g1, g2)
+def sum_rows(n, rows, joints, lanes, place, hessian, gradient):
+    """hessian (J, 21), gradient (J, 6) += n contour rows, all of a joint at once in vector lanes, which is
+    faster than adding each to its joint; lanes (13, M) and place (J + 1,) are scratch."""
+    n_joints = hessian.shape[0]
+    for j in range(n_joints + 1):
+        place[j] = 0
+    for i in range(n):
+        place[joints[i] + 1] += 1
+    for j in range(n_joints):
+        place[j + 1] += place[j]
+    for i in range(n):
+        line, to = rows[i], place[joints[i]]
+        w = line[6]
+        for k in range(6):
+            lanes[k, to] = line[k]
+            lanes[6 + k, to] = w * line[k]
+        lanes[12, to] = line[7]
+        place[joints[i]] = to + 1
+    first = 0
+    for j in range(n_joints):
+        last = place[j]  # filled: place[j] has moved to the joint's end
+        if last > first:
+            k = 0
+            residual = lanes[12, first:last]
+            for x in range(6):
+                weighted = lanes[6 + x, first:last]
+                for y in range(x + 1):
+                    other = lanes[y, first:last]
+                    s = 0.0
+                    for m in range(last - first):
+                        s += weighted[m] * other[m]
+                    hessian[j, k] += s
+                    k += 1
+                s = 0.0
+                for m in range(last - first):
+                    s += weighted[m] * residual[m]
+                gradient[j, x] += s
+        first = last
+
+
+@njit(**OPTIONS)
+def form_rows(n, ends, found, n_rows, vertices, skin_index, skin_weight, skin_count, p, rows, joints):
+    """Appends the rows of n points on mesh edges to rows (M, 8) = wrench, weight, residual, and joints (M,), from row
+    n_rows on, one for each joint that moves the point; returns the number of rows then.
+
+    ends (n, 2): the edge's vertices; found (n, 5) f4: place on the edge 0..1, gradient of the residual along u and v
+    per px, weight, residual; p (3, 4) f4. One call for all points: a call for each would copy some sixty numbers that
+    describe the arrays, which took longer than the arithmetic."""
+    for i in range(n):
+        a, b = ends[i, 0], ends[i, 1]
+        t, gx, gy = found[i, 0], found[i, 1], found[i, 2]
+        w, r = found[i, 3], found[i, 4]
+        s = f4(1) - t
+        x = s * vertices[a, 0] + t * vertices[b, 0]
+        y = s * vertices[a, 1] + t * vertices[b, 1]
+        z = s * vertices[a, 2] + t * vertices[b, 2]
+        iz = f4(1) / (p[2, 0] * x + p[2, 1] * y + p[2, 2] * z + p[2, 3])
+        u = (p[0, 0] * x + p[0, 1] * y + p[0, 2] * z + p[0, 3]) * iz
+        v = (p[1, 0] * x + p[1, 1] * y + p[1, 2] * z + p[1, 3]) * iz
+        k = -(gx * u + gy * v) * iz
+        gx *= iz
+        gy *= iz
+        g0 = gx * p[0, 0] + gy * p[1, 0] + k * p[2, 0]
+        g1 = gx * p[0, 1] + gy * p[1, 1] + k * p[2, 1]
+        g2 = gx * p[0, 2] + gy * p[1, 2] + k * p[2, 2]
+        first = n_rows
+        if skin_count[a] == 1 and skin_count[b] == 1 and skin_index[a, 0] == skin_index[b, 0]:
+            joints[n_rows] = skin_index[a, 0]
+            rows[n_rows, 6] = w
+            n_rows += 1
+        else:
+            for m in range(skin_count[a]):
+                joints[n_rows] = skin_index[a, m]
+                rows[n_rows, 6] = s * skin_weight[a, m] * w
+                n_rows += 1
+            for m in range(skin_count[b]):
+                joints[n_rows] = skin_index[b, m]
+                rows[n_rows, 6] = t * skin_weight[b, m] * w
+                n_rows += 1
+        for m in range(first, n_rows):
+            line = rows[m]
+            line[0] = y * g2 - z * g1
+            line[1] = z * g0 - x * g2
+            line[2] = x * g1 - y * g0
+            line[3] = g0
+            line[4] = g1
+            line[5] = g2
+            line[7] = r
+    return n_rows
 
 
 @njit(**OPTIONS)
@@ -112,9 +178,9 @@ def own_silhouette(x0, y0, width, height, difference, running, own):
 
 
 @njit(**OPTIONS)
-def contour_rows(c, p, mesh, contours, scale, ws, hessian, gradient, count):
-    """Rows of view c under p (3, 4) f4 about the root. Adds to hessian and gradient, count[0] forward and count[1]
-    reverse rows; returns the view's cost.
+def contour_rows(c, p, mesh, contours, scale, ws, kept, count):
+    """Rows of view c under p (3, 4) f4 about the root, kept in ws.rows, kept[0] so far; count[0] forward and count[1]
+    reverse rows are added; returns the view's cost.
 
     Cost of a row: 1/2 w e^2 / (1 + e^2), e = r / scale (Geman & McClure 1985), weight in the normal equations
     w / (1 + e^2)^2. A view in which the body is not to be seen costs what its outline points cost at infinite distance.
@@ -123,6 +189,8 @@ def contour_rows(c, p, mesh, contours, scale, ws, hessian, gradient, count):
     w, h = contours.sizes[c, 0], contours.sizes[c, 1]
     sdf, outline = contours.sdf[c], contours.outline[c]
     n_outline = outline.shape[0]
+    left, top = contours.corners[c, 0], contours.corners[c, 1]
+    across, down = contours.sdf_sizes[c, 0] - 1, contours.sdf_sizes[c, 1] - 1
     unseen = 0.5 * contours.reverse_weight * n_outline
     u, v = ws.u, ws.v
     bounds = np.empty(5, np.float32)
@@ -144,15 +212,18 @@ def contour_rows(c, p, mesh, contours, scale, ws, hessian, gradient, count):
     for e in range(n):
         dx, dy = u[ws.end[e]] - u[ws.start[e]], v[ws.end[e]] - v[ws.start[e]]
         length += math.sqrt(dx * dx + dy * dy)
-    spacing = max(f4(contours.spacing), length / f4(RIM - 16))
-    thinned = spacing / f4(contours.spacing)  # weight is per arc length
+    wanted = f4(contours.spacing / contours.shrunk[c])
+    spacing = max(wanted, length / f4(RIM - 16))
+    thinned = spacing / wanted  # weight is per arc length
     stride = contours.stride
-    i2 = f4(1) / f4(scale * scale)
+    own_scale = scale / contours.shrunk[c]
+    i2 = f4(1) / f4(own_scale * own_scale)
     forward = f4(contours.forward_weight) * thinned
     cost_forward = 0.0
     cost_reverse = 0.0
     # Points of the body's outline, evenly spaced along the contour edges: the pixel just outside must not be the
     # body's.
+    ends, found, n_found = ws.ends, ws.found, 0
     n_rim = 0
     position = spacing * f4(0.5)
     for e in range(n):
@@ -175,15 +246,24 @@ def contour_rows(c, p, mesh, contours, scale, ws, hessian, gradient, count):
             if n_rim % stride == 0:
                 xi, yi = int(x), int(y)
                 fx, fy = x - f4(xi), y - f4(yi)
-                s00, s01, s10, s11 = sdf[yi, xi], sdf[yi, xi + 1], sdf[yi + 1, xi], sdf[yi + 1, xi + 1]
-                r = (s00 * (f4(1) - fx) + s01 * fx) * (f4(1) - fy) + (s10 * (f4(1) - fx) + s11 * fx) * fy
-                gx = (s01 - s00) * (f4(1) - fy) + (s11 - s10) * fy
-                gy = (s10 - s00) * (f4(1) - fx) + (s11 - s01) * fx
-                e2 = r * r * i2
-                k = f4(1) / (f4(1) + e2)
-                cost_forward += e2 * k
-                add_edge_row(hessian, gradient, a, b, t, ws.vertices, mesh, p, gx, gy, forward * i2 * k * k, r)
+                xi -= left
+                yi -= top
                 count[0] += 1
+                if 0 <= xi < across and 0 <= yi < down:
+                    s00, s01, s10, s11 = sdf[yi, xi], sdf[yi, xi + 1], sdf[yi + 1, xi], sdf[yi + 1, xi + 1]
+                    r = (s00 * (f4(1) - fx) + s01 * fx) * (f4(1) - fy) + (s10 * (f4(1) - fx) + s11 * fx) * fy
+                    gx = (s01 - s00) * (f4(1) - fy) + (s11 - s10) * fy
+                    gy = (s10 - s00) * (f4(1) - fx) + (s11 - s01) * fx
+                    e2 = r * r * i2
+                    k = f4(1) / (f4(1) + e2)
+                    cost_forward += e2 * k
+                    if n_found < ends.shape[0]:
+                        ends[n_found, 0], ends[n_found, 1] = a, b
+                        point = found[n_found]
+                        point[0], point[1], point[2], point[3], point[4] = t, gx, gy, forward * i2 * k * k, r
+                        n_found += 1
+                else:
+                    cost_forward += 1.0
             n_rim += 1
         position -= edge
     if n_rim == 0:
@@ -206,9 +286,17 @@ def contour_rows(c, p, mesh, contours, scale, ws, hessian, gradient, count):
         e2 = d2 * i2
         k = f4(1) / (f4(1) + e2)
         cost_reverse += e2 * k
-        if r > f4(0.05):
-            add_edge_row(hessian, gradient, a, b, t, ws.vertices, mesh, p, dx / r, dy / r, reverse * i2 * k * k, r)
+        if r > f4(0.05) and n_found < ends.shape[0]:
+            ends[n_found, 0], ends[n_found, 1] = a, b
+            point = found[n_found]
+            point[0], point[1], point[2], point[3], point[4] = t, dx / r, dy / r, reverse * i2 * k * k, r
+            n_found += 1
         count[1] += 1
+    if kept[0] + 2 * mesh.skin_index.shape[1] * n_found > ws.rows.shape[0]:
+        sum_rows(kept[0], ws.rows, ws.row_joints, ws.lanes, ws.place, ws.wrench_hessian, ws.wrench_gradient)
+        kept[0] = 0
+    index, weight, count_of = mesh.skin_index, mesh.skin_weight, mesh.skin_count
+    kept[0] = form_rows(n_found, ends, found, kept[0], ws.vertices, index, weight, count_of, p, ws.rows, ws.row_joints)
     return 0.5 * (forward * cost_forward + reverse * cost_reverse)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from hypose.compute.cpu_kinematics import OPTIONS, camera_about_root, joint_frames, skin_about_root
-from hypose.compute.cpu_rows import contour_rows, keypoint_rows, point_rows
+from hypose.compute.cpu_rows import contour_rows, keypoint_rows, point_rows, sum_rows
 
 LARGEST_TURN = 0.35
 """rad: steps that turn a joint further are shortened"""
@@ -150,14 +150,15 @@ def evaluate(q, tree, mesh, contours, scale, keypoints, points, priors, ws, hess
     counts[n_views:] = 0
     cost = 0.0
     if n_views > 0:
-        p = np.empty((3, 4), np.float32)
+        p, kept = np.empty((3, 4), np.float32), np.zeros(1, np.int64)
         skin_about_root(ws.rotations, ws.centres, tree, mesh, ws.vertices)
         for c in range(n_views):
             counts[c, 0] = 0
             counts[c, 1] = 0
             if contours.usable[c]:
                 camera_about_root(contours.projections[c], q, p)
-                cost += contour_rows(c, p, mesh, contours, scale, ws, ws.wrench_hessian, ws.wrench_gradient, counts[c])
+                cost += contour_rows(c, p, mesh, contours, scale, ws, kept, counts[c])
+        sum_rows(kept[0], ws.rows, ws.row_joints, ws.lanes, ws.place, ws.wrench_hessian, ws.wrench_gradient)
     cost += keypoint_rows(
         q, keypoints, ws.rotations, ws.centres, ws.wrench_hessian, ws.wrench_gradient, counts[n_views]
     )
@@ -175,13 +176,25 @@ def evaluate(q, tree, mesh, contours, scale, keypoints, points, priors, ws, hess
 
 
 @njit(**OPTIONS)
+def predicted_gain(hessian, gradient, step, factor):
+    """How much the quadratic model says that factor * step lowers the cost."""
+    gain = 0.0
+    for d in range(step.shape[0]):
+        bend = 0.0
+        for e in range(step.shape[0]):
+            bend += hessian[d, e] * step[e]
+        gain -= factor * step[d] * (gradient[d] + 0.5 * factor * bend)
+    return gain
+
+
+@njit(**OPTIONS)
 def solve(q, tree, mesh, contours, keypoints, points, priors, settings, ws, hessian, gradient, counts, info):
     """Bounded Levenberg-Marquardt from pose q (D,), which is overwritten; hessian and gradient are those at the result.
 
     info (4,): cost, iterations, evaluations, converged (1 when the last step was below the tolerance). Returns False
     when the cost at the start is not finite. The first coarse_iterations use the coarse contour scale. A step that
     raises the cost is retried with 6 times the damping at most 3 times; near the end the cost jitters with the
-    outline, so a rejected step below the tolerance stops."""
+    outline, so a rejected step below the tolerance stops, and so does one that promised less than least_gain of the cost."""
     n = q.shape[0]
     new_hessian, new_gradient = np.empty((n, n)), np.empty(n)
     step, trial = np.empty(n), np.empty(n)
@@ -227,6 +240,10 @@ def solve(q, tree, mesh, contours, keypoints, points, priors, settings, ws, hess
                 cost = new_cost
                 break
             damping = min(damping * 6, 1e4)
+            promised = predicted_gain(hessian, gradient, step, shorten)
+            if promised < settings.least_gain * cost:
+                moved = 0.0
+                break
             if coarse == 0 and moved < settings.tolerance:
                 break
         done += 1

@@ -31,7 +31,7 @@ class ContourArrays(NamedTuple):
     reverse rows: points of the mask's outline against the nearest outline point of the body."""
 
     sdf: NDArray[np.float32]
-    """(C, h, w) signed distance to the mask's edge, px, negative inside."""
+    """(C, h, w) signed distance to the mask's edge, px, negative inside, around the person."""
     outline: NDArray[np.float32]
     """(C, K, 2) points on the mask's edge, px."""
     usable: NDArray[np.bool_]
@@ -52,6 +52,12 @@ class ContourArrays(NamedTuple):
     """px between outline points of the body (candidates for the reverse rows)"""
     stride: int
     """every stride-th of them makes a forward row"""
+    shrunk: NDArray[np.float64]
+    """(C,) pixels of the lengths above (weights, scales, spacing) per pixel of sdf, outline and projections"""
+    corners: NDArray[np.int64]
+    """(C, 2) pixel of the image at which each view's sdf begins"""
+    sdf_sizes: NDArray[np.int64]
+    """(C, 2) its width and height; outside the distance counts as infinite"""
 
 
 class KeypointArrays(NamedTuple):
@@ -107,6 +113,8 @@ class SolveSettings(NamedTuple):
     """stop when no dof moves further (rad; twice the metres)"""
     damping: float
     """initial Levenberg-Marquardt damping relative to the diagonal"""
+    least_gain: float
+    """a rejected step that promised a smaller share of the cost is the last"""
 
 
 class Workspace(NamedTuple):
@@ -131,3 +139,15 @@ class Workspace(NamedTuple):
     """(J, 21) lower triangle of the 6 x 6 sum of each joint"""
     wrench_gradient: NDArray[np.float64]
     """(J, 6)"""
+    ends: NDArray[np.int32]
+    """(R, 2) mesh edges on which outline points of one view were found"""
+    found: NDArray[np.float32]
+    """(R, 5) what was found there, see cpu_rows.form_rows"""
+    rows: NDArray[np.float64]
+    """(M, 8) contour rows that wait to be summed"""
+    row_joints: NDArray[np.int32]
+    """(M,)"""
+    lanes: NDArray[np.float64]
+    """(13, M) the same in the order of their joints"""
+    place: NDArray[np.int64]
+    """(J + 1,)"""

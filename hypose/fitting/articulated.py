@@ -31,7 +31,7 @@ from hypose.compute.terms import (
 )
 from hypose.errors import EvidenceError, InputError, SolverError
 from hypose.evidence.contours import OUTLINE_POINTS as REFERENCE_OUTLINE
-from hypose.evidence.contours import SMALLEST, outlines
+from hypose.evidence.contours import SMALLEST, outlines, shrunk_projection
 from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array, nearest_branch
 
@@ -49,8 +49,11 @@ class ContourTerm:
     sdf (C, h, w) float32 signed distance px, negative inside; outline (C, K, 2) float32 px points on the mask's edge;
     usable (C,); sizes (C, 2) width, height; projections (C, 3, 4) pinhole; weight: of one row at the reference density
     (rows 6 px apart on a person 260 px tall, 130 outline points a view); scale_px, coarse_scale_px: Geman-McClure scale
-    of the distance; row_spacing_px: distance of the forward rows along the body's outline; outline_count: K;
-    height_px: apparent height of the person (median over the usable views)."""
+    of the distance; row_spacing_px: distance of the forward rows along the body's outline; outline_count: K (at most
+    1000); height_px: apparent height of the person (median over the usable views); shrunk (C,): sdf, outline, sizes and
+    projections are in pixels that are so many times as large as those of all other lengths here (None: 1); corners
+    (C, 2), sdf_sizes (C, 2): the part of each image that its sdf covers (None: all); outside it rows cost what they
+    cost at infinite distance."""
 
     sdf: NDArray[np.float32]
     outline: NDArray[np.float32]
@@ -63,6 +66,9 @@ class ContourTerm:
     row_spacing_px: float
     outline_count: int
     height_px: float = 260.0
+    shrunk: NDArray[np.int64] | None = None
+    corners: NDArray[np.int64] | None = None
+    sdf_sizes: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
         c = len(self.sdf)
@@ -71,6 +77,8 @@ class ContourTerm:
                 f"ContourTerm of {c} views needs outline {(c, self.outline_count, 2)} and projections {(c, 3, 4)}, got "
                 f"{self.outline.shape} and {self.projections.shape}."
             )
+        if self.outline_count > 1000:
+            raise InputError(f"ContourTerm.outline_count may be at most 1000, got {self.outline_count}.")
         for name in ("scale_px", "coarse_scale_px", "row_spacing_px", "height_px"):
             if not getattr(self, name) > 0:
                 raise InputError(f"ContourTerm.{name} must be positive, got {getattr(self, name)}.")
@@ -140,12 +148,14 @@ class Quadratic:
 @dataclass(frozen=True)
 class SolveOptions:
     """iterations: all, the first coarse_iterations of them with the contours' coarse scale; tolerance: stop when no dof
-    moves further than this (rad; twice the metres); damping: initial, relative to the Hessian's diagonal."""
+    moves further than this (rad; twice the metres); damping: initial, relative to the Hessian's diagonal; least_gain:
+    a step that is rejected though it promised to lower the cost, if by a smaller share, is the last."""
 
     iterations: int = 8
     coarse_iterations: int = 4
     tolerance: float = 1e-3
     damping: float = 1e-2
+    least_gain: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -173,15 +183,21 @@ def contour_term(
     coarse_factor: float = 2.0,
     row_spacing_px: float | None = None,
     outline_count: int = REFERENCE_OUTLINE,
+    working_height: int | None = None,
 ) -> ContourTerm:
     """The contour evidence of a frame's masks.
 
     weight: of one row at the reference density. scale_px: Geman-McClure scale; default 2.5 px for a person 260 px
     tall, in proportion (10 px in a 1080p image). coarse_factor: scale of the first iterations relative to it. Views
+    working_height px: for tracking; views in which the person is at least twice as tall are worked on in shrunk pixels,
+    and distances are made around the person only. Views
     that are not usable, or whose mask has no outline away from the image border, are left out; an EvidenceError when
     none is left."""
-    sizes = silhouettes.rig.sizes
-    made = outlines(silhouettes, outline_count)
+    made = outlines(silhouettes, outline_count, working_height)
+    sizes = silhouettes.rig.sizes // made.shrunk[:, None]
+    projections = np.stack(
+        [shrunk_projection(p, f) for p, f in zip(silhouettes.rig.projections, made.shrunk, strict=True)]
+    )
     usable = np.array(silhouettes.usable, dtype=np.bool_) & (made.extent > SMALLEST) & (made.found >= 20)
     if not usable.any():
         reasons = "; ".join(
@@ -196,20 +212,23 @@ def contour_term(
         made.points,
         usable,
         sizes,
-        silhouettes.rig.projections,
+        projections,
         weight,
         scale,
         scale * coarse_factor,
         spacing,
         outline_count,
         height,
+        made.shrunk,
+        made.corners,
+        made.sizes,
     )
 
 
 def workspace_for(body: Body, contours: ContourTerm | None = None) -> Workspace:
     """Scratch memory for fits of this body to images of this size; hand it to `fit_pose` to save its making. Not shared
     between threads."""
-    h, w = (2, 2) if contours is None else contours.sdf.shape[1:]
+    w, h = (2, 2) if contours is None else contours.sizes.max(0)
     return compute.workspace(body.skeleton.tree, body.coarse.arrays, h, w)
 
 
@@ -283,6 +302,7 @@ class _Problem:
             int(options.coarse_iterations),
             float(options.tolerance),
             float(options.damping),
+            float(options.least_gain),
         )
 
     def start(self, start: ArrayLike) -> Array:
@@ -334,7 +354,7 @@ class _Problem:
 
 def check_workspace(ws: Workspace, body: Body, contours: ContourTerm | None) -> None:
     """An InputError when the scratch memory was made for another body or smaller images (it would be overrun)."""
-    h, w = (0, 0) if contours is None else contours.sdf.shape[1:]
+    w, h = (0, 0) if contours is None else contours.sizes.max(0)
     mesh, tree = body.coarse.arrays, body.skeleton.tree
     fits = (
         len(ws.vertices) == len(mesh.vertices)
@@ -354,13 +374,14 @@ def contour_arrays(term: ContourTerm | None) -> ContourArrays:
     if term is None:
         f4 = np.float32
         empty = np.zeros((0, 2, 2), f4), np.zeros((0, 0, 2), f4), np.zeros(0, np.bool_), np.zeros((0, 2), np.int64)
-        return ContourArrays(*empty, np.zeros((0, 3, 4)), 0.0, 0.0, 1.0, 1.0, 1.0, 1)
+        return ContourArrays(*empty, np.zeros((0, 3, 4)), 0.0, 0.0, 1.0, 1.0, 1.0, 1, np.ones(0), empty[3], empty[3])
     stride = 2 if term.row_spacing_px >= 2 else 1
+    sizes = np.require(term.sizes, np.int64, ["C", "W"])
     return ContourArrays(
         np.require(term.sdf, np.float32, ["C", "W"]),
         np.require(term.outline, np.float32, ["C", "W"]),
         np.require(term.usable, np.bool_, ["C", "W"]),
-        np.require(term.sizes, np.int64, ["C", "W"]),
+        sizes,
         np.require(term.projections, np.float64, ["C", "W"]),
         float(term.weight * term.row_spacing_px / (SPACING_OF_HEIGHT * term.height_px)),
         float(term.weight * REFERENCE_OUTLINE / term.outline_count),
@@ -368,6 +389,9 @@ def contour_arrays(term: ContourTerm | None) -> ContourArrays:
         float(term.coarse_scale_px),
         float(term.row_spacing_px / stride),
         stride,
+        np.ones(len(term.sdf)) if term.shrunk is None else np.require(term.shrunk, np.float64, ["C", "W"]),
+        np.zeros_like(sizes) if term.corners is None else np.require(term.corners, np.int64, ["C", "W"]),
+        sizes if term.sdf_sizes is None else np.require(term.sdf_sizes, np.int64, ["C", "W"]),
     )
 
 

@@ -122,7 +122,7 @@ class _Clip:
         self.lower = np.ascontiguousarray(body.skeleton.lower, dtype=np.float64)
         self.upper = np.ascontiguousarray(body.skeleton.upper, dtype=np.float64)
         self.acceleration = acceleration
-        largest = max((t for t in contours or none if t is not None), key=lambda t: t.sdf[0].size, default=None)
+        largest = max((t for t in contours or none if t is not None), key=lambda t: t.sizes.max(0).prod(), default=None)
         self.ws = workspace_for(body, largest)
         d2 = np.diff(np.eye(n_frames), 2, axis=0) if n_frames > 2 else np.zeros((0, n_frames))
         # bands of the second-difference operator's square: (T, T) only through its three diagonals

@@ -71,12 +71,13 @@ class Estimate(Protocol):
 
 @dataclass(frozen=True)
 class Layer:
-    """One turn of the cycle."""
+    """One turn of the cycle. needed(h, frame) False: the layer is left out of this frame; None: it never is."""
 
     propose: Kernel
     weigh: Weigh
     select: Select
     name: str = ""
+    needed: Callable[[Hypotheses, Any], bool] | None = None
 
 
 @dataclass(frozen=True)
@@ -128,10 +129,12 @@ def search(h: Hypotheses, recipe: Recipe, frame: Any, rng_of_layer: RngOfLayer) 
 
     ``rng_of_layer(l)`` gives the generator of layer l, for example ``partial(stream, seed, frame.index)``.
     Weighing adds to the log-weights, selectors reset them. The estimate is read after the last weighing and
-    before its selection, which would only add noise to it.
+    before its selection, which would only add noise to it. A layer that is left out has no report.
     """
     weighted, reports = h, []
     for index, layer in enumerate(recipe.layers):
+        if layer.needed is not None and not layer.needed(h, frame):
+            continue
         rng = rng_of_layer(index)
         proposed = layer.propose(h, frame, rng)
         log_likelihood, beta = _measure(layer.weigh, proposed, frame)

@@ -22,7 +22,7 @@ from scipy.ndimage import percentile_filter
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import InputError
 from hypose.evidence.background import BackgroundModel, Image, from_frames, from_plates, from_recording
-from hypose.evidence.contours import ViewOutline, make_ahead, view_outline
+from hypose.evidence.contours import WORKING_HEIGHT, ViewOutline, make_ahead, view_outline
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import (
     follow_person,
@@ -290,7 +290,7 @@ class _Pending:
 
 def _outline(mask: Future[_PackedMask]) -> ViewOutline | None:
     found = mask.result().mask()
-    return None if found is None else view_outline(found)
+    return None if found is None else view_outline(found, working_height=WORKING_HEIGHT)
 
 
 class FrameStream:

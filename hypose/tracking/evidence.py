@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from hypose import compute
 from hypose.body.body import Body
 from hypose.errors import EvidenceError
+from hypose.evidence.contours import WORKING_HEIGHT
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.keypoints import landmark_of
 from hypose.fitting.articulated import ContourTerm, KeypointTerm, contour_term
@@ -118,7 +119,7 @@ def prepare(
     if silhouettes is not None:
         masks = prepare_masks(silhouettes)
         if masks.usable.any():
-            contours = contour_term(silhouettes, weight=contour_weight)
+            contours = contour_term(silhouettes, weight=contour_weight, working_height=WORKING_HEIGHT)
         else:
             masks = None
     term = None

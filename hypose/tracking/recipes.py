@@ -34,11 +34,10 @@ from hypose.inference.selectors import Elite, LayeredSystematic, keep, systemati
 from hypose.tracking.costs import SilhouetteXor, no_evidence
 from hypose.tracking.refinement import (
     ContourRefinement,
+    InTurn,
     RefineComposite,
     RefinedEstimate,
     SolvePrediction,
-    UnlessSettled,
-    WeighUnlessSettled,
     pose_mean,
 )
 
@@ -66,6 +65,8 @@ LIMB_LAYERS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("left_arm", ("left_clavicle", "left_shoulder", "left_elbow")),
     ("right_arm", ("right_clavicle", "right_shoulder", "right_elbow")),
 )
+_TURNS = ((0,), (1,), (0,), (1,))
+"""the frames (modulo 2) in which each of LIMB_LAYERS is searched: one leg and one arm in every frame"""
 
 
 def partitions_of(skeleton: Skeleton, layers: Sequence[tuple[str, tuple[str, ...]]]) -> list[NDArray[np.int64]]:
@@ -156,21 +157,24 @@ def hpf(
     return Recipe("hpf", tuple(rows), pose_mean(s), THESIS), particles
 
 
-def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iterations: int = 8) -> tuple[Recipe, int]:
+def default(body: Body, particles: int = 128, frame_rate: float = 25.0, iterations: int = 8) -> tuple[Recipe, int]:
     """The product's default: a contour solve from the prediction, a greedy search of one limb at a time around it with
     long-tailed steps, and a solve of what the search put together.
 
     The first solve puts the body within centimetres; the particles find limbs that went elsewhere (a local solve cannot
     pull in what lies beyond about 10 cm); the silhouettes choose between the first solve and the second. Each limb's
-    best is kept (`Elite`) instead of resampled: with two hundred particles the mean of survivors mixes a found arm
-    with a lost one. A quarter of an arm's particles are drawn anew over its whole reach, for a punch is faster than any
-    diffusion. The search is left out when the first solve overlaps the masks as well as usual (SolvePrediction).
+    best is kept (`Elite`) instead of resampled: with a hundred particles the mean of survivors mixes a found arm with a
+    lost one. A quarter of an arm's particles are drawn anew over its whole reach, for a punch is faster than any
+    diffusion. One leg and one arm are searched per frame, in turn; all four when the first solve overlaps the masks
+    worse than usual, and below 20 frames per second, where more happens between two frames.
     """
     s = body.skeleton
     sigma = 2.0 * step_sigma(s, frame_rate)
     options = SolveOptions(iterations=iterations, coarse_iterations=iterations // 2)
+    turns = _TURNS if frame_rate >= 20 else ((0,),) * len(LIMB_LAYERS)
+    period = 1 + max(t for own in turns for t in own)
     rows = [Layer(SolvePrediction(body, options), no_evidence, keep, "contours")]
-    for name, joints in LIMB_LAYERS:
+    for (name, joints), turn in zip(LIMB_LAYERS, turns, strict=True):
         own = s.dofs_of(*joints)
         step = np.zeros(s.dof)
         step[own] = sigma[own]
@@ -180,9 +184,9 @@ def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iteratio
         moves: list[Kernel] = [_diffusion(s, step, HeavyTail(0.3, 4.0, mask))]
         if name.endswith("arm"):
             moves.append(UniformShare(0.25, *_reach(s), mask))
-        kernel = UnlessSettled(KeepFirst(Compose(tuple(moves)), 2))
-        weigh = WeighUnlessSettled(_weigh(body, FixedSelectivity(1.0)))  # the best is the best under any exponent
-        rows.append(Layer(kernel, weigh, Elite(1, mask, keep=1), name))
+        kernel = KeepFirst(Compose(tuple(moves)), 2)
+        weigh = _weigh(body, FixedSelectivity(1.0))  # the best is the best under any exponent
+        rows.append(Layer(kernel, weigh, Elite(1, mask, keep=1), name, InTurn(turn, period)))
     rows.append(Layer(RefineComposite(body, options), no_evidence, keep, "refinement"))
     return Recipe("default", tuple(rows), RefinedEstimate(s), CONTOURS), particles
 

@@ -16,7 +16,6 @@ from hypose.fitting.articulated import PoseFit, Quadratic, SolveOptions, fit_pos
 from hypose.geometry import Array
 from hypose.inference.estimates import TangentMean
 from hypose.inference.hypotheses import Hypotheses
-from hypose.inference.layer import Kernel, Weigh
 from hypose.tracking.costs import silhouette_iou, xor_energy
 from hypose.tracking.evidence import PreparedFrame
 
@@ -91,15 +90,13 @@ class ContourRefinement:
 class SolvePrediction:
     """Kernel: solves from the prediction and puts all hypotheses there: where a search of single limbs wants to start.
 
-    The first carries REFINED. When the solved body overlaps the masks as well as it usually does in this recording
-    (1 - IoU at most `settled` times its usual value) the frame is settled and the others carry SETTLED; every
-    `search_every`-th frame is searched all the same, because a limb that is lost hardly changes the overlap.
+    The first carries REFINED. The others carry SETTLED unless the solved body overlaps the masks clearly worse than
+    usual in this recording (1 - IoU above `unsettled` times its usual value).
     """
 
     body: Body
     options: SolveOptions = SolveOptions()
-    settled: float = 0.9
-    search_every: int = 3
+    unsettled: float = 1.15
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """All hypotheses at the solution."""
@@ -115,61 +112,60 @@ class SolvePrediction:
     def _is_settled(self, pose: Array, frame: PreparedFrame) -> bool:
         if frame.masks is None:
             return True  # particles are weighed by silhouettes only
-        if frame.frame.index % self.search_every == 0 or not np.isfinite(frame.usual_iou):
+        if not np.isfinite(frame.usual_iou):
             return False
         iou = float(np.nanmean(silhouette_iou(self.body, pose, frame)))
-        return 1 - iou <= self.settled * (1 - frame.usual_iou)
-
-
-def is_settled(h: Hypotheses) -> bool:
-    """True when SolvePrediction found nothing to search for."""
-    return bool(h.label[-1] == SETTLED)
+        return 1 - iou <= self.unsettled * (1 - frame.usual_iou)
 
 
 @dataclass(frozen=True)
-class UnlessSettled:
-    """A kernel that does nothing in a settled frame."""
+class InTurn:
+    """When a limb is searched: in the frames whose number modulo `period` is among `turns`, and in unsettled ones.
 
-    kernel: Kernel
+    A lost limb hardly changes the overlap with the masks: neither the overlap nor the cost of the solve tells the
+    frames in which a search pays (area under the curve 0.6), so each limb has its turn, which also costs the same in
+    every frame."""
 
-    def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """The moved set, or h."""
-        return h if is_settled(h) else self.kernel(h, frame, rng)
+    turns: tuple[int, ...]
+    period: int
 
-
-@dataclass(frozen=True)
-class WeighUnlessSettled:
-    """A weight that is the same for all in a settled frame."""
-
-    weigh: Weigh
-
-    def __call__(self, h: Hypotheses, frame: PreparedFrame, /) -> Array:
-        """(N,) log-weights."""
-        return np.zeros(h.log_weights.shape) if is_settled(h) else self.weigh(h, frame)
+    def __call__(self, h: Hypotheses, frame: PreparedFrame) -> bool:
+        """True when the limb is to be searched in this frame."""
+        if frame.masks is None:
+            return False
+        return h.label[-1] != SETTLED or frame.frame.index % self.period in self.turns
 
 
 @dataclass(frozen=True)
 class RefineComposite:
     """Kernel: refines the second hypothesis, which a limb search put together, and keeps it if it beats the first.
 
-    All hypotheses become the winner; the first carries REFINED. Nothing is solved when the search changed nothing.
+    All hypotheses become the winner; the first carries REFINED. Nothing is solved when the search lowered the energy by
+    less than the share `margin`, which chance alone does.
     """
 
     body: Body
     options: SolveOptions = SolveOptions()
+    margin: float = 0.02
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """The set at the winner."""
         if not frame.usable:
             return h
         winner, composite = h.values[0], h.values[1]
-        if not np.array_equal(winner, composite):
+        if self._is_better(winner, composite, frame):
             solved = refine(self.body, composite[None], frame, self.options)[0].pose
             both = np.stack([winner, solved])
             winner = both[int(np.argmin(mismatch(self.body, both, frame)))]
         labels = np.zeros_like(h.label)
         labels[0] = REFINED
         return replace(h, values=np.repeat(winner[None], h.count, 0), label=labels)
+
+    def _is_better(self, winner: Array, composite: Array, frame: PreparedFrame) -> bool:
+        if np.array_equal(winner, composite):
+            return False
+        energy = xor_energy(self.body, np.stack([winner, composite]), frame)
+        return bool(energy[1] < (1 - self.margin) * energy[0])
 
 
 def mismatch(body: Body, poses: Array, frame: PreparedFrame, step_penalty: float = 0.002) -> Array:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from hypose import compute
 from hypose.body.body import Body
 from hypose.fitting.articulated import SolveOptions
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
-from hypose.inference.kernels import semidefinite_cholesky
 from hypose.tracking.evidence import PreparedFrame
 from hypose.tracking.refinement import refine
 
@@ -26,14 +26,7 @@ def joint_sd_of_pose(body: Body, pose: Array, frame: PreparedFrame) -> Array:
     Covariance = inflation^2 H^-1 with the priors in H, so a joint that no view sees keeps the prior's spread.
     """
     fit = refine(body, pose[None], frame, SolveOptions(iterations=0, coarse_iterations=0))[0]
-    # trace(J H^-1 J^T) = |L^-1 J^T|^2 by plain forward substitution: LAPACK's threads may change the last bits
-    factor = semidefinite_cholesky(fit.hessian + 1e-9 * np.eye(len(pose)))
-    jacobians = body.skeleton.joint_jacobians(fit.pose)  # (J, 3, D)
-    whitened = np.zeros((len(pose), *jacobians.shape[:2]))
-    for d in range(len(pose)):
-        rest = jacobians[..., d] - np.einsum("k,kja->ja", factor[d, :d], whitened[:d])
-        whitened[d] = rest / max(factor[d, d], 1e-6)
-    sd = np.sqrt((whitened**2).sum((0, 2)) / 3)
+    sd = compute.joint_spread(fit.pose, body.skeleton.tree, fit.hessian)
     return np.hypot(CURVATURE_INFLATION * sd, FLOOR)
 
 

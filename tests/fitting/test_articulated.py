@@ -296,3 +296,43 @@ def test_read_only_inputs_are_taken_and_not_changed(scene):
     finally:
         for a in (pose, term.sdf, term.outline):
             a.flags.writeable = True
+
+
+def test_spread_of_joints_is_that_of_the_covariance(rng):
+    pose = random_pose(BODY, rng, 0.25)
+    half = rng.standard_normal((len(pose), len(pose)))
+    hessian = half @ half.T + np.eye(len(pose))
+    spread = compute.joint_spread(pose, SKELETON.tree, hessian, 0.0)
+    jacobians = SKELETON.joint_jacobians(pose)
+    covariance = np.linalg.inv(hessian)
+    wanted = [np.sqrt(np.trace(j @ covariance @ j.T) / 3) for j in jacobians]
+    np.testing.assert_allclose(spread, wanted, rtol=1e-9)
+
+
+def test_evidence_for_tracking_gives_the_same_cost_near_the_person(rig):
+    pose = random_pose(BODY, np.random.default_rng(3), 0.25)
+    silhouettes = silhouettes_of(pose, rig)
+    whole = fitting.contour_term(silhouettes)
+    around = fitting.contour_term(silhouettes, working_height=10**6)  # distances around the person, nothing shrunk
+    assert around.sdf.size < whole.sdf.size
+    near = pose.copy()
+    near[:3] += 0.03
+    options = fitting.SolveOptions(iterations=0, coarse_iterations=0)
+    a, b = (fitting.fit_pose(BODY, near, contours=t, options=options) for t in (whole, around))
+    assert a.cost == pytest.approx(b.cost, rel=1e-6)  # outline points are float32
+    np.testing.assert_allclose(a.gradient, b.gradient, rtol=1e-4, atol=1e-3)
+
+
+def test_shrunk_evidence_weighs_and_places_the_person_alike(rig):
+    pose = random_pose(BODY, np.random.default_rng(3), 0.25)
+    silhouettes = silhouettes_of(pose, rig)
+    small = fitting.contour_term(silhouettes, working_height=60)
+    assert (small.shrunk > 1).any()
+    start = pose.copy()
+    start[:3] += 0.03
+    fits = [
+        fitting.fit_pose(BODY, start, contours=t, options=fitting.SolveOptions(16, 4))
+        for t in (fitting.contour_term(silhouettes), small)
+    ]
+    assert joint_error_mm(fits[0].pose, fits[1].pose) < 10
+    assert fits[1].hessian[0, 0] == pytest.approx(fits[0].hessian[0, 0], rel=0.3)

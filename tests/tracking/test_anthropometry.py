@@ -9,6 +9,7 @@ import pytest
 
 from hypose.body.anthropometry import ENTITIES, body_of, entity, prior_mean, sizes_2_1
 from hypose.errors import EvidenceError, InputError
+from hypose.fitting.articulated import contour_term
 from hypose.inference.hypotheses import Hypotheses
 from hypose.pipeline.anthropometry import (
     AnthropometryOptions,
@@ -30,12 +31,6 @@ from hypose.tracking.anthropometry import (
 )
 from hypose.tracking.evidence import prepare
 from hypose.tracking.shape_refinement import Known, ShapeOptions, outline_rows, refine_shape
-
-
-def contours_of(frame, body, pose):
-    term = prepare(frame, body, pose).contours
-    assert term is not None
-    return term
 
 
 def rows_of(*arguments):
@@ -78,7 +73,7 @@ def test_shape_of_another_body_is_found_from_motion(body, moving, frame_of, rng)
     starts[:, 6:] += rng.normal(0, 0.04, starts[:, 6:].shape)
     starts[:, :3] += rng.normal(0, 0.01, (len(starts), 3))
     starts = body.skeleton.clamp(starts)
-    contours = [contours_of(f, body, q) for f, q in zip(frames, starts, strict=True)]
+    contours = [contour_term(f.silhouettes) for f in frames]
     fit = refine_shape(body, starts, contours, known=Known(height=person.stature))
     want, got = person.segment_lengths(), fit.body.segment_lengths()
     for name in ("upper_arm", "forearm", "thigh", "shank"):
@@ -94,7 +89,7 @@ def test_shape_of_another_body_is_found_from_motion(body, moving, frame_of, rng)
 
 
 def test_fit_is_the_same_twice(body, moving, frame_of):
-    contours = [contours_of(frame_of(body, q, k), body, q) for k, q in enumerate(moving[:2])]
+    contours = [contour_term(frame_of(body, q, k).silhouettes) for k, q in enumerate(moving[:2])]
     quick = ShapeOptions(iterations=(1, 1, 1))
     a = refine_shape(body, moving[:2], contours, options=quick)
     b = refine_shape(body, moving[:2], contours, options=quick)
@@ -104,7 +99,7 @@ def test_fit_is_the_same_twice(body, moving, frame_of):
 
 def test_height_and_mass_are_kept(body, moving, frame_of):
     quick = ShapeOptions(iterations=(2, 3), coarse=(2.0, 1.0))
-    contours = [contours_of(frame_of(body, moving[0]), body, moving[0])]
+    contours = [contour_term(frame_of(body, moving[0]).silhouettes)]
     taller = refine_shape(body, moving[:1], contours, known=Known(height=body.stature + 0.02), options=quick)
     free = refine_shape(body, moving[:1], contours, options=quick)
     assert taller.body.stature > free.body.stature + 0.002
@@ -118,7 +113,7 @@ def test_no_frame_is_refused(body):
 
 
 def test_rows_vanish_on_the_truth_and_point_outwards(body, standing, frame_of):
-    contours = contours_of(frame_of(body, standing), body, standing)
+    contours = contour_term(frame_of(body, standing).silhouettes)
     vertices = body.skin(standing)
     a, b, t, r, g, w = rows_of(body.coarse, vertices, contours, 0, 4.0, 0.5)
     assert len(r) > 100 and np.abs(r).mean() < 0.5 and (w > 0).all() and ((t >= 0) & (t <= 1)).all()

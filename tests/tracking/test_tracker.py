@@ -41,7 +41,7 @@ def run(tracker, poses, frame_of, dead=lambda t: ()):
 
 def test_default_recipe_follows_within_a_centimetre(body, standing, frame_of):
     poses = moving(body, standing, 10)
-    _, estimates = run(small(body, "default", 24), poses, frame_of)
+    _, estimates = run(small(body, "default", 64), poses, frame_of)
     errors = [joint_error(body, e.pose, p) for e, p in zip(estimates, poses, strict=True)]
     assert np.mean(errors) < 0.010
     assert not any(e.lost or e.extrapolated for e in estimates)
