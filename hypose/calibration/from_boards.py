@@ -109,7 +109,7 @@ def calibrate_from_boards(
     fit = replace(fit, rig=rig, boards=boards)
     o.progress("solve", 2, 2)
     notes = [*fit.notes, said] if said else list(fit.notes)
-    warnings = _warnings(fit, lenses, views)
+    warnings = _warnings(fit, lenses, lens_views or views)
     if warnings and (late := _lag_hint(lenses, views, board)):
         warnings.append(late)
     return BoardCalibration(rig, views, lens_views, fit, lenses, tuple(notes), tuple(warnings))
