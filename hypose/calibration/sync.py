@@ -8,6 +8,7 @@ parts that move less than their width between two frames.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -29,6 +30,9 @@ from hypose.geometry import Array
 
 WHOLE = 0.05
 """frames: offsets nearer than this to a whole number are taken as whole, and nothing is interpolated"""
+
+
+_BESIDE = 0.25  # weight of silhouettes beside key points, whose errors are the smaller ones
 
 
 class Frames(Protocol):
@@ -63,7 +67,7 @@ def offsets_from_motion(
         tracks = mask_tracks(silhouettes)
         extent = np.nanmedian([np.ptp(h, axis=0).max() for t in tracks for h in t.outline if h is not None])
         more = silhouette_curves(masks.rig, tracks, largest, max(float(extent) / 130, 0.5))
-        curves = more if curves is None else curves + more
+        curves = more if curves is None else curves + replace(more, cost=_BESIDE * more.cost)
     if curves is None:
         raise EvidenceError("There are neither key points nor silhouettes to take the timing from.")
     return solve_offsets(curves, n)
