@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shlex
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
@@ -19,6 +21,10 @@ if TYPE_CHECKING:
 
 Threads = Annotated[
     int | None, typer.Option(help="Processor threads; the result does not depend on it. [default: all]")
+]
+Compute = Annotated[
+    str,
+    typer.Option(help="auto, cpu, cuda (silhouettes scored on an NVIDIA device) or reference (slow, for comparison)."),
 ]
 Seed = Annotated[int, typer.Option(help="Of every random draw; the same seed gives the same motion.")]
 
@@ -49,6 +55,7 @@ def track(
     no_overlay: Annotated[bool, typer.Option("--no-overlay", help="Do not write overlay.mp4.")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")] = False,
     threads: Threads = None,
+    compute: Compute = "auto",
     calibration: Annotated[
         Path | None, typer.Option(help="Use this calibration file instead of the recording's.")
     ] = None,
@@ -80,7 +87,8 @@ def track(
         resume=resume,
         run={"threads": threads},
     )
-    report_outcome(job, run_shown(job, list(context.find_root().obj or [])))
+    with back_end(compute):
+        report_outcome(job, run_shown(job, list(context.find_root().obj or [])))
 
 
 def demo(
@@ -181,6 +189,20 @@ def split_names(text: str) -> tuple[str, ...]:
     if not names:
         raise InputError("The list of formats is empty; give at least one, for example --formats trc,c3d.")
     return names
+
+
+@contextlib.contextmanager
+def back_end(name: str) -> Iterator[None]:
+    """Run the block on a back end of --compute; an InputError when there is none of that name or no such device."""
+    from hypose import compute
+    from hypose.compute import selection
+
+    if name not in ("auto", "cpu", "cuda", "reference"):
+        raise InputError(f"There is no --compute {name}; choose auto, cpu, cuda or reference.")
+    if name == "cuda":
+        selection.require_cuda()
+    with compute.use(name):
+        yield
 
 
 def set_threads(count: int | None) -> None:

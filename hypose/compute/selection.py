@@ -37,6 +37,21 @@ def use(name: str) -> Iterator[None]:
         _backend.reset(token)
 
 
+def require_cuda() -> None:
+    """An InputError when numba finds no NVIDIA device that it can use."""
+    from importlib import import_module
+
+    try:
+        found = bool(import_module("numba.cuda").is_available())
+    except ImportError:
+        found = False
+    if not found:
+        raise InputError(
+            "There is no usable NVIDIA device (or numba-cuda is not installed: pip install 'hypose[cuda]'); "
+            "use --compute auto."
+        )
+
+
 def default_threads() -> int:
     """Threads a call may use when it is not told: NUMBA_NUM_THREADS when set, else the cores of this process."""
     wanted = os.environ.get("NUMBA_NUM_THREADS", "")

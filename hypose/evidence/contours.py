@@ -7,7 +7,9 @@ They depend on the masks alone, so whoever makes the masks may make these too, w
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -15,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose import compute
-from hypose.evidence.frame import Silhouettes
+from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.silhouettes import Mask, bounding_box
 from hypose.geometry import Array
 
@@ -32,8 +34,8 @@ class ViewOutline:
     """Of one mask: distance (h, w) float32 px to its edge, negative inside (compute.signed_distance), in the part of
     the image that begins at corner (x, y); points (K, 2) float32 px on the edge, away from the image border
     (compute.outline_points); found: how many edge pixels there are; shrunk: the whole factor by which the mask was
-    shrunk before, so that all these are in shrunk pixels; extent: longer side of the mask's box in its own pixels. A
-    mask that is too small has no outline: zeros."""
+    shrunk before, so that all these are in shrunk pixels; extent: longer side of the mask's box in its own pixels;
+    working_height: as asked for. A mask that is too small has no outline: zeros."""
 
     distance: NDArray[np.float32]
     points: NDArray[np.float32]
@@ -41,6 +43,7 @@ class ViewOutline:
     extent: int
     shrunk: int = 1
     corner: tuple[int, int] = (0, 0)
+    working_height: int | None = None
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,9 @@ def view_outline(mask: Mask, count: int = OUTLINE_POINTS, working_height: int | 
     extent = 0 if box is None else max(box[1] - box[0], box[3] - box[2])
     factor = _factor(extent, working_height)
     if extent <= SMALLEST:
-        return ViewOutline(np.zeros(mask.shape, np.float32), np.zeros((count, 2), np.float32), 0, extent)
+        return ViewOutline(
+            np.zeros(mask.shape, np.float32), np.zeros((count, 2), np.float32), 0, extent, 1, (0, 0), working_height
+        )
     x0 = y0 = 0
     if working_height is not None and box is not None:
         h, w = (side // factor * factor for side in mask.shape)
@@ -77,7 +82,7 @@ def view_outline(mask: Mask, count: int = OUTLINE_POINTS, working_height: int | 
     distance = compute.signed_distance(small[None], np.array([size]), None if working_height is None else max(size))[0]
     points, found = compute.outline_points(distance, size, count)
     corner = (x0 // factor, y0 // factor)
-    return ViewOutline(distance, points + np.array(corner, np.float32), found, extent, factor, corner)
+    return ViewOutline(distance, points + np.array(corner, np.float32), found, extent, factor, corner, working_height)
 
 
 def _factor(extent: int, working_height: int | None) -> int:
@@ -104,27 +109,21 @@ def outlines(silhouettes: Silhouettes, count: int = OUTLINE_POINTS, working_heig
     made: list[ViewOutline | None] = []
     for c, (w, h) in enumerate(silhouettes.rig.sizes.tolist()):
         view = None if ready is None or not silhouettes.usable[c] else ready[c]
-        if silhouettes.usable[c] and not (view and _as_wanted(view, count, working_height)):
+        if silhouettes.usable[c] and not (view and (len(view.points), view.working_height) == (count, working_height)):
             view = view_outline(silhouettes.masks[c, :h, :w], count, working_height)
         made.append(view)
     rows, columns = (max([v.distance.shape[a] for v in made if v is not None], default=2) for a in (0, 1))
     views = len(made)
-    distance = np.empty((views, rows, columns), dtype=np.float32)
+    distance = np.zeros((views, rows, columns), dtype=np.float32)
     points = np.zeros((views, count, 2), dtype=np.float32)
     found, extent, shrunk = np.zeros(views, dtype=np.int64), np.zeros(views, dtype=np.int64), np.ones(views, np.int64)
     sizes, corners = np.zeros((views, 2), dtype=np.int64), np.zeros((views, 2), dtype=np.int64)
     for c, view in enumerate(made):
-        if view is None:
-            distance[c] = 0
-        else:
+        if view is not None:
             h, w = view.distance.shape
             distance[c, :h, :w], points[c], found[c], extent[c] = view.distance, view.points, view.found, view.extent
             shrunk[c], sizes[c], corners[c] = view.shrunk, (w, h), view.corner
     return Outlines(distance, points, found, extent, shrunk, sizes, corners)
-
-
-def _as_wanted(view: ViewOutline, count: int, working_height: int | None) -> bool:
-    return len(view.points) == count and view.shrunk == _factor(view.extent, working_height)
 
 
 Ready = Callable[[], list[ViewOutline | None] | None]
@@ -136,3 +135,26 @@ def make_ahead(silhouettes: Silhouettes, ready: Ready) -> None:
     None where there is none. They are forgotten with the silhouettes."""
     key = id(silhouettes)
     _AHEAD[key] = weakref.ref(silhouettes, lambda _: _AHEAD.pop(key, None)), ready
+
+
+def look_ahead(frames: Iterable[Frame], count: int = 2) -> Iterator[Frame]:
+    """The same frames, the outlines for tracking of the next `count` being made by another thread meanwhile: for frames
+    whose silhouettes are at hand (a FrameStream does so by itself)."""
+    waiting: deque[Frame] = deque()
+    with ThreadPoolExecutor(1, thread_name_prefix="outlines") as pool:
+        for frame in frames:
+            if frame.silhouettes is not None:
+                made = pool.submit(_view_outlines, frame.silhouettes)
+                make_ahead(frame.silhouettes, made.result)
+            waiting.append(frame)
+            if len(waiting) > count:
+                yield waiting.popleft()
+        yield from waiting
+
+
+def _view_outlines(silhouettes: Silhouettes) -> list[ViewOutline | None]:
+    sizes = silhouettes.rig.sizes.tolist()
+    return [
+        view_outline(mask[:h, :w], working_height=WORKING_HEIGHT) if usable else None
+        for mask, usable, (w, h) in zip(silhouettes.masks, silhouettes.usable, sizes, strict=True)
+    ]
