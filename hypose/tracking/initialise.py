@@ -158,7 +158,7 @@ def _turned(pose: Array, heading: float) -> Array:
     return out
 
 
-RECOVERY_REACH = 2.0
+RECOVERY_REACH = 1.3
 """m: how far from the last pose a lost person is looked for; whoever is farther away is somebody else."""
 
 

@@ -154,7 +154,9 @@ class Tracker:
         if settings.recover and prepared.masks is not None and (lost or state.lost or state.blind > 2):
             found = recover(self.body, prepared, pose, self._settle_options())
             found_iou = _mean_iou(self.body, found, prepared)
-            if found_iou > iou + 0.02:
+            # from nowhere only to a whole person: the rim of somebody else's hull is no find
+            cut_off = iou < NOBODY and self._is_lost(found_iou, state.usual_iou)
+            if found_iou > iou + 0.02 and not cut_off:
                 pose, iou = found, found_iou
                 rng = stream(settings.seed, frame.index, RECOVERY)
                 noise = rng.standard_normal(selected.values.shape) * step_sigma(s, settings.frame_rate)
