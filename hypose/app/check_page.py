@@ -52,6 +52,8 @@ def residual_picture(recording: Recording, observed: Observed, cured: Cured) -> 
                 np.where(confidence[others, 0] > 0.3, confidence[others, 0], 0.0),
             )
             picture = view.read(min(number + cured.keypoint_lag, recording.n_frames - 1))
+            if picture is None:
+                continue
             ratio = np.array(picture.shape[1::-1]) / np.array(camera.size)
             expected = (camera.project(points) + 0.5) * ratio - 0.5
             found = (observed.keypoints[c, row, :, :2] + 0.5) * ratio - 0.5
@@ -59,6 +61,8 @@ def residual_picture(recording: Recording, observed: Observed, cured: Cured) -> 
     finally:
         for view in images:
             view.close()
+    if not tiles:
+        return None
     height = max(t.shape[0] for t in tiles)
     padded = [cv2.copyMakeBorder(t, 0, height - t.shape[0], 0, 4, cv2.BORDER_CONSTANT) for t in tiles]
     return np.asarray(np.concatenate(padded, 1), np.uint8)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.calibration.doctor_points import sizes, undistorted
 from hypose.calibration.doctor_report import Finding, Limits
 from hypose.calibration.refine_camera import CameraChange, changes, gauge, in_world
 from hypose.calibration.refine_points import PointAdjustment, PointOptions, adjust, point_residual
-from hypose.cameras.camera import CameraRig
+from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import EvidenceError
 from hypose.geometry import Array, transform
 
@@ -37,11 +38,11 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
     c, frames = pixels.shape[:2]
     uv, confidence = undistorted(rig, pixels)
     ideal = CameraRig(tuple(replace(k, distortion=np.zeros(5), fisheye=False) for k in rig))
-    used = np.unique(np.linspace(0, frames - 1, min(_MOST_FRAMES, (frames + 1) // 2)).astype(int))
-    rest = np.setdiff1d(np.arange(frames), used)
+    used = np.unique(np.linspace(0, frames - 1, min(_MOST_FRAMES, (frames + 1) // 2)).astype(np.int64))
+    rest = np.setdiff1d(np.arange(frames), used).astype(np.int64)
     rest = rest if len(rest) else used
 
-    def of(which: Array) -> tuple[Array, Array]:
+    def of(which: NDArray[np.int64]) -> tuple[Array, Array]:
         return uv[:, which].reshape(c, -1, 2), confidence[:, which].reshape(c, -1)
 
     try:
@@ -95,7 +96,7 @@ def _lenses(
     lens: PointAdjustment,
     uv: Array,
     confidence: Array,
-    rest: Array,
+    rest: NDArray[np.int64],
     plain: PointAdjustment,
     person: float,
     o: Limits,
@@ -124,7 +125,7 @@ def _lenses(
     return out
 
 
-def _bent_back(camera, pixels: Array, radial: float) -> Array:  # noqa: ANN001 - Camera
+def _bent_back(camera: Camera, pixels: Array, radial: float) -> Array:
     """Pixels as the camera would give them without the radial term."""
     centre, focal = camera.K[:2, 2], camera.K[0, 0]
     x = (pixels - centre) / focal

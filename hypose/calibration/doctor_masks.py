@@ -101,8 +101,9 @@ def limb_offsets(
         fine &= _clearance(start, which, p, limbs, bones) > _CLEAR * size
         offset = 0.5 * (width[:, 0] - width[:, 1])
         across = width.sum(1) / size
-        frame = np.full(len(which), t)
-        parts.append(tuple(x[fine] for x in (normal, offset, velocity, start, which, frame, across)))
+        frame = np.full(len(which), float(t))
+        made = (normal, offset, velocity, start, which.astype(np.float64), frame, across)
+        parts.append(tuple(np.asarray(x[fine], dtype=np.float64) for x in made))
     if not parts:
         none, flat = np.zeros(0, np.int64), np.zeros((0, 2))
         return LimbOffsets(flat, np.zeros(0), flat, flat, none, none)

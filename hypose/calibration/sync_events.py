@@ -68,7 +68,7 @@ def _consistent(rows: Array, values: Array, weights: Array) -> Array:
     w = np.sqrt(weights)
     x = np.zeros(rows.shape[1])
     for _ in range(20):
-        x = np.linalg.lstsq(rows * w[:, None], values * w, rcond=None)[0]
+        x = np.asarray(np.linalg.lstsq(rows * w[:, None], values * w, rcond=None)[0], dtype=np.float64)
         w = np.sqrt(weights / np.maximum(np.abs(rows @ x - values), 1e-4))
     return x
 
@@ -79,7 +79,7 @@ def _prepared(sound: Sound, name: str) -> Array:
         raise EvidenceError(f"{name}: the sound is shorter than half a second or damaged; use --by motion.")
     if sound.rate != _RATE:
         g = gcd(int(sound.rate), _RATE)
-        x = resample_poly(x, _RATE // g, int(sound.rate) // g)
+        x = np.asarray(resample_poly(x, _RATE // g, int(sound.rate) // g), dtype=np.float64)
     x = sosfiltfilt(butter(2, [150, 3500], "bandpass", fs=_RATE, output="sos"), x)
     sd = float(np.std(x))
     if sd < 1e-9:

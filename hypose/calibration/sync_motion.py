@@ -171,7 +171,8 @@ def _majority(masks: Sequence[NDArray[np.uint8] | None], t: int) -> NDArray[np.u
     near = [masks[k] for k in (t - 1, t, t + 1) if 0 <= k < len(masks)]
     if masks[t] is None or len(near) < 3 or any(m is None for m in near):
         return masks[t]
-    return (sum(m.astype(np.uint8) for m in near if m is not None) >= 2).astype(np.uint8)
+    total = np.sum([m for m in near if m is not None], axis=0)
+    return np.asarray(total >= 2, dtype=np.uint8)
 
 
 def tangent_planes(rig: CameraRig, tracks: Sequence[MaskTrack], a: int, b: int) -> tuple[Array, Array]:
@@ -201,7 +202,7 @@ def silhouette_curves(rig: CameraRig, tracks: Sequence[MaskTrack], largest: floa
     cost = np.full((len(pairs), len(lags)), np.nan)
     for p, (a, b) in enumerate(pairs):
         planes, px = tangent_planes(rig, tracks, a, b)
-        usable = np.isfinite(planes).all(-1)
+        usable = np.asarray(np.isfinite(planes).all(-1), dtype=np.bool_)
         active = _activity(rig, tracks, a, b, planes)
         sa, sb = (_smoothed(x, u[:, None], _SMOOTH_MASKS) for x, u in zip(planes, usable, strict=True))
         later = _spline(sb)
@@ -300,7 +301,7 @@ def _middle(e: Array, known: NDArray[np.bool_], scale: float) -> Array:
     for _ in range(3):
         middle = (w * e).sum(0) / np.maximum(w.sum(0), 1e-9)
         w = known / (1 + ((e - middle) / (2 * scale)) ** 2)
-    return middle
+    return np.asarray(middle, dtype=np.float64)
 
 
 def _lags(largest: float, frames: int, step: float = _STEP) -> Array:
@@ -310,7 +311,7 @@ def _lags(largest: float, frames: int, step: float = _STEP) -> Array:
             f"{frames} frames are too few to find how late the cameras are; at least 16 consecutive frames are needed."
         )
     count = int(largest / step)
-    return np.arange(-count, count + 1) * step
+    return np.arange(-count, count + 1, dtype=np.float64) * step
 
 
 def _smoothed(values: Array, seen: NDArray[np.bool_], sd: float) -> Array:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.models import human
@@ -148,10 +149,10 @@ def refine_recording(
     if points is not None:
         points = np.stack([points_at(p, x) for p, x in zip(points, late, strict=True)])
     n = len(few.frames)
-    used = np.unique(np.linspace(0, n - 1, min(_USED, (n + 1) // 2) + 2).astype(int))[1:-1]
+    used = np.unique(np.linspace(0, n - 1, min(_USED, (n + 1) // 2) + 2).astype(np.int64))[1:-1]
     if len(used) < 3:
         raise InputError(f"{n} frames are too few to refine a calibration and to judge it; give at least 10.")
-    rest = np.setdiff1d(np.arange(n), used)
+    rest = np.setdiff1d(np.arange(n, dtype=np.int64), used).astype(np.int64)
     free = free_cameras(few.rig, fixed)
     judge = _Judge(few.rig, points, rest)
     notes: list[str] = []
@@ -187,7 +188,7 @@ class _Judge:
 
     old: CameraRig
     points: Array | None
-    rest: Array
+    rest: NDArray[np.int64]
 
     def residuals(self, old: CameraRig, new: CameraRig) -> tuple[float, float, float, float]:
         if self.points is None:
@@ -203,7 +204,9 @@ class _Judge:
         return out[0], out[1], out[2], out[3]
 
 
-def _by_points(rig: CameraRig, points: Array, used: Array, focal: bool, free: np.ndarray) -> tuple[CameraRig, Array]:
+def _by_points(
+    rig: CameraRig, points: Array, used: NDArray[np.int64], focal: bool, free: NDArray[np.bool_]
+) -> tuple[CameraRig, Array]:
     uv, confidence = undistorted(rig, points[:, used])
     c = len(rig)
     found = adjust(
@@ -230,10 +233,10 @@ def _by_body(
     names: tuple[str, ...],
     late: Array,
     method: str,
-    used: Array,
-    rest: Array,
+    used: NDArray[np.int64],
+    rest: NDArray[np.int64],
     focal: bool,
-    free: np.ndarray,
+    free: NDArray[np.bool_],
     disturb: Callable[[Body, Array], Array] | None,
     progress: Progress,
 ) -> tuple[CameraRig, Array, list[Silhouettes | None], list[str]]:
@@ -326,7 +329,7 @@ def _start_from_points(frames: Sequence[Frame], keypoints: Sequence) -> tuple[Bo
 
 
 def _start_from_masks(
-    source: Resampled, recording: Recording, used: Array, progress: Progress
+    source: Resampled, recording: Recording, used: NDArray[np.int64], progress: Progress
 ) -> tuple[Body, Array, list[str]]:
     progress("subject", 0, 1)
     options = SubjectOptions(height=recording.subject_height, frame_rate=recording.frame_rate)
@@ -342,7 +345,7 @@ def _scale(
     old: CameraRig,
     new: CameraRig,
     points: Array | None,
-    used: Array,
+    used: NDArray[np.int64],
     names: tuple[str, ...],
     height: float | None,
     notes: list[str],
