@@ -63,7 +63,7 @@ class SensorBody:
 
 @dataclass(frozen=True)
 class SensorView:
-    """One sensor at an instant. alive: it reported within the time-out; life: counts its returns."""
+    """One sensor at an instant. alive: it reported within the time-out before; life: counts its returns."""
 
     name: str
     alive: bool
@@ -100,7 +100,8 @@ _FIT = 4
 
 
 class _Track:
-    """The last reports on one person of one sensor, in order of time."""
+    """The last reports on one person of one sensor, in order of time. Times are of the sensor's own clock, which keeps
+    the right intervals when a busy machine takes the lines in bunches."""
 
     def __init__(self) -> None:
         self.times: list[float] = []
@@ -169,7 +170,8 @@ class _Track:
         spread = float(t @ t)
         if spread <= 0:
             return last, state
-        ahead = t[-1] + min(age, s.horizon)
+        # never further than they reach back: reports a few ms apart give no speed, only noise
+        ahead = t[-1] + min(age, s.horizon, float(t[-1] - t[0]))
         weights = 1 / n + ahead * t / spread
         line = (weights @ self.positions[first:k].reshape(n, 45)).reshape(15, 3)
         if self.state[first:k].all():
@@ -178,10 +180,13 @@ class _Track:
 
 
 class _Sensor:
-    """What the aligner knows of one sensor."""
+    """What the aligner knows of one sensor. newest, until, since: times of its own clock; it said nothing between the
+    last two."""
 
     def __init__(self, name: str, s: AlignSettings) -> None:
         self.name = name
+        self.latency = s.latency.get(name, 0.0)
+        self.until, self.since = -math.inf, -math.inf
         self.clock = SensorClock(s.clock)
         self.tracks: dict[int, _Track] = {}
         self.arrival = -math.inf
@@ -194,6 +199,30 @@ class _Sensor:
     @property
     def period(self) -> float:
         return float(np.median(self.steps)) if self.steps else 1 / 30
+
+    @property
+    def shift(self) -> float:
+        """Seconds to add to its times to have the host's."""
+        return self.clock.offset - self.latency
+
+    def wake(self, time: float, now: float, s: AlignSettings) -> None:
+        """A line after a long silence: a new or restarted sensor, or lines that were only late, as when this machine
+        had other things to do. Its own clock tells: lines that were late go on where the last ones ended."""
+        ahead = time + self.clock.offset - now  # NaN for a new sensor
+        same_clock = self.newest < time and ahead <= s.clock.agree and now - self.arrival < s.clock.window
+        if same_clock and time - self.newest <= s.timeout:
+            return
+        if not same_clock:  # else the delay of a late line would pass for the clock's offset
+            self.clock, self.newest, self.jumps = SensorClock(s.clock), -math.inf, 0
+            self.until = self.since = -math.inf
+        self.tracks.clear()
+        self.steps.clear()
+        self.life += 1
+
+    def alive_at(self, time: float, timeout: float) -> bool:
+        """Whether its reports cover an instant (its clock). Frames that this machine makes up for after a pause lie
+        where a sensor that lives now had not reported yet."""
+        return self.alive and time <= self.newest + timeout and not self.until + timeout < time < self.since
 
 
 class Aligner:
@@ -235,28 +264,25 @@ class Aligner:
             raise InputError(f"The sensor {sensor} sent the time {time}; times are seconds.")
         body = None if person is None else self._checked(sensor, joint_names, positions, state)
         it = self._sensors.get(sensor) or self._new(sensor, now)
-        if now - it.arrival > s.timeout:  # new, or back after silence: nothing of before holds
-            it.clock, it.newest = SensorClock(s.clock), -math.inf
-            it.tracks.clear()
-            it.steps.clear()
-            it.life += 1
-            it.jumps = 0
+        if now - it.arrival > s.timeout:
+            it.wake(time, now, s)
         it.alive, it.arrival = True, now
-        host = it.clock.update(time, now)
+        believed = it.clock.update(time, now) is not None
         if it.clock.jumps != it.jumps:
             it.jumps = it.clock.jumps
             it.tracks.clear()
-            it.newest = -math.inf
-        if host is None:
+            it.newest = it.until = it.since = -math.inf
+        if not believed:
             it.refused += 1
             return False
-        host -= s.latency.get(sensor, 0.0)
-        if host > it.newest:
-            if it.newest > -math.inf and host - it.newest > 1e-4:
-                it.steps.append(host - it.newest)
-            it.newest = host
+        if time > it.newest:
+            if time - it.newest > s.timeout:
+                it.until, it.since = it.newest, time - it.period
+            elif time - it.newest > 1e-4:
+                it.steps.append(time - it.newest)
+            it.newest = time
         if math.isnan(self._start):
-            self._start = host
+            self._start = time + it.shift
         if person is None or body is None:
             return True
         track = it.tracks.get(person)
@@ -267,7 +293,7 @@ class Aligner:
                     f"The sensor {sensor} reports more than {s.most_people} persons; the rest is left out."
                 )
             track = it.tracks[person] = _Track()
-        fresh = track.add(host, *body)
+        fresh = track.add(time, *body)
         it.used += fresh
         it.refused += not fresh
         return fresh
@@ -337,7 +363,7 @@ class Aligner:
         while True:
             t = self._instant(self._next)
             alive = [it for it in self._sensors.values() if it.alive]
-            complete = bool(alive) and all(it.newest >= t for it in alive)
+            complete = bool(alive) and all(it.newest + it.shift >= t for it in alive)
             if now < t or not (complete or now >= t + s.wait):
                 return out
             out.append(Instant(self._next, t, tuple(self._view(it, t) for it in self._sensors.values())))
@@ -348,6 +374,7 @@ class Aligner:
 
     def _view(self, it: _Sensor, t: float) -> SensorView:
         s, bodies, period = self.settings, [], it.period
+        t -= it.shift
         if it.alive:
             for person, track in it.tracks.items():
                 # the sensor has gone on without this person: it has lost it
@@ -355,7 +382,7 @@ class Aligner:
                 found = None if lost else track.at(t, period, s)
                 if found is not None and found[1].any():
                     bodies.append(SensorBody(person, *found))
-        return SensorView(it.name, it.alive, max(it.life, 0), tuple(bodies))
+        return SensorView(it.name, it.alive_at(t, s.timeout), max(it.life, 0), tuple(bodies))
 
     def status(self, now: float) -> tuple[SensorStatus, ...]:
         """What each sensor does."""

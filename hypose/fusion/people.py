@@ -2,7 +2,8 @@
 persons are matched by the distance of their trunks in the common frame.
 
 The common frame is that of the first sensor that saw somebody, and stays it when that sensor dies. A sensor that comes
-back is registered anew, since it may have been moved; it keeps its place only if no other sensor sees anybody.
+back is registered anew, since it may have been moved; it keeps its place if that puts its persons on those of the
+others, or if no other sensor sees anybody.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from scipy.optimize import linear_sum_assignment
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion.align import Instant, SensorBody
 from hypose.fusion.joints import COMMON, MIRROR, TRUNK
-from hypose.fusion.places import find_place, moved, trunk_centre
+from hypose.fusion.places import find_place, moved, place_score, trunk_centre
 from hypose.fusion.register import register
 from hypose.geometry import Array
 
@@ -29,7 +30,8 @@ class PeopleSettings:
 
     gate: a skeleton further from a person's trunk is not that person; faithful: how much nearer another person must be
     than the one a sensor's person was before; birth: instants before a new person is believed; linger, forget: how long
-    a person nobody sees is still reported, and remembered; window: of skeletons that a registration rests on, one every
+    a person nobody sees is still reported, and remembered; blind: how long persons are remembered beyond that while no
+    sensor reports at all, so that a pause of the whole machine makes nobody new; window: of skeletons that a registration rests on, one every
     `note`, renewed every `refit`; attempt: between tries to register; shots: fewest shared instants; residual: largest
     median distance of a registration; distinct: ratio to the next best pairing; strays: instants without a match after
     which a sensor has been moved; most: persons.
@@ -40,6 +42,7 @@ class PeopleSettings:
     birth: int = 3
     linger: float = 0.3
     forget: float = 1.0
+    blind: float = 10.0
     window: float = 5.0
     note: float = 0.1
     refit: float = 1.0
@@ -90,6 +93,7 @@ class _Person:
     last: dict[str, int]  # sensor -> its number of this person
     frames: int = 0
     apart: dict[int, int] = field(default_factory=dict)
+    blind: float = 0.0  # s since `time` in which no sensor reported
 
 
 class _Link:
@@ -130,7 +134,7 @@ class PeopleTracker:
             link.motion, link.trusted, link.anchor, link.known = np.array(motion), True, True, True
         self._people: list[_Person] = []
         self._last_id = 0
-        self._tried = -np.inf
+        self._tried = self._before = -np.inf
 
     @property
     def transforms(self) -> dict[str, Array]:
@@ -162,8 +166,11 @@ class PeopleTracker:
         placed = [v.name for v in instant.sensors if v.alive and self._links[v.name].motion is not None]
         if placed and not any(self._links[n].anchor for n in placed):
             self._links[placed[0]].anchor = True  # one stays fixed, else all drift together
+        step, self._before = now - self._before, now
+        blind = not placed or step > s.linger
         for p in self._people:
             p.members, p.placed = {}, {}
+            p.blind = min(p.blind + step, s.blind) if blind else p.blind
         order = sorted(views, key=lambda n: not (self._links[n].anchor and self._links[n].trusted))
         for name in order:
             if views[name].bodies and self._links[name].motion is not None:
@@ -173,7 +180,9 @@ class PeopleTracker:
         for p in self._people:
             if p.members:
                 self._renew(p, now)
-        self._people = [p for p in self._people if now - p.time <= (s.forget if p.frames >= s.birth else s.linger)]
+        self._people = [
+            p for p in self._people if now - p.time - p.blind <= (s.forget if p.frames >= s.birth else s.linger)
+        ]
         self._merge()
         for v in instant.sensors:
             if v.bodies:
@@ -264,7 +273,7 @@ class PeopleTracker:
                 speed = float(np.linalg.norm(p.velocity))
                 p.velocity *= min(1.0, 8.0 / max(speed, 1e-9))
             p.centre = centre
-        p.time = now
+        p.time, p.blind = now, 0.0
         p.frames += 1
 
     def _note(self, link: _Link, body: SensorBody, swapped: bool, rest: Array, weight: Array, now: float) -> None:
@@ -329,7 +338,11 @@ class PeopleTracker:
         while link.shots and link.shots[0][0] < now - s.window:
             link.shots.popleft()
         shots = [(bodies, people) for _, bodies, people in link.shots]
-        found = find_place(shots, s.shots, s.residual, s.distinct)
+        score = np.inf if link.before is None else place_score(link.before, shots)
+        if link.before is not None and score < s.residual:
+            found = link.before, score
+        else:
+            found = find_place(shots, s.shots, s.residual, s.distinct)
         if found is not None:
             link.motion, link.residual = found
             link.trusted, link.fitted, link.strays = True, now, 0

@@ -59,6 +59,21 @@ def find_place(shots: Sequence[Shot], fewest: int, residual: float, distinct: fl
     return motion, score
 
 
+def place_score(motion: Array, shots: Sequence[Shot]) -> float:
+    """Median distance (m) of the joints of a sensor's persons to those of ours at a place (4, 4) that is believed
+    already, infinite when they share no instant. Persons that only one side sees do not count."""
+    scores = []
+    for bodies, people in shots:
+        if not bodies or not people:
+            continue
+        there = moved(motion, np.stack(list(bodies.values())))
+        d = np.linalg.norm(there[:, None] - np.stack(list(people.values()))[None], axis=-1)
+        known = np.isfinite(d)
+        middle = np.ma.median(np.ma.masked_array(np.where(known, d, 0.0), ~known), axis=-1).filled(np.inf)
+        scores.append(float(np.sort(middle.min(1))[: min(len(bodies), len(people))].mean()))
+    return float(np.median(scores)) if scores else np.inf
+
+
 def moved(motion: Array, points: Array) -> Array:
     """`geometry.transform` for one motion, without its generality."""
     return points @ motion[:3, :3].T + motion[:3, 3]
