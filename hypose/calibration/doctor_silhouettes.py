@@ -57,7 +57,7 @@ def examine_silhouettes(
     tracks = [_delayed(t, round(x)) for t, x in zip(tracks, late, strict=True)]
     if not findings or all(f.kind == "late" for f in findings):
         findings += _poses(rig, small, tracks, size, silhouettes, late, o)
-        findings += _unit(silhouettes, o)
+        findings += _unit(small, size, o)
     return findings, _reports(rig, residual, size * ratio), late
 
 
@@ -258,15 +258,13 @@ def _person(silhouettes: Sequence[Silhouettes | None]) -> Array:
     return np.zeros((1, 3))
 
 
-def _unit(silhouettes: Sequence[Silhouettes | None], o: Limits) -> Iterator[Finding]:
-    heights = []
-    for s in silhouettes[:: max(1, len(silhouettes) // 6)]:
-        if s is None or s.usable.sum() < 2:
-            continue
-        try:
-            hull = visual_hull(s)
-        except EvidenceError:
-            continue
-        heights.append(float(np.ptp(hull.points[:, 2])) + hull.voxel)
-    if heights:
-        yield from height_findings(float(np.median(heights)), None, replace(o, heights=(0.5, 2.6)))
+def _unit(rig: CameraRig, size: Array, o: Limits) -> Iterator[Finding]:
+    """The person's height from its size in the images and the distance to where the cameras look: good to a third."""
+    look = np.stack([c.camera_from_world[2, :3] for c in rig])
+    across = np.eye(3) - look[:, :, None] * look[:, None, :]
+    middle = np.linalg.lstsq(across.sum(0), (across @ rig.positions[..., None]).sum(0)[:, 0], rcond=None)[0]
+    distance = np.linalg.norm(rig.positions - middle, axis=1)
+    seen = size > 0
+    if seen.any():
+        heights = size[seen] * distance[seen] / np.array([c.K[1, 1] for c in rig])[seen]
+        yield from height_findings(float(np.median(heights)), None, replace(o, heights=(0.6, 3.5)))
