@@ -194,7 +194,8 @@ def solve(q, tree, mesh, contours, keypoints, points, priors, settings, ws, hess
     info (4,): cost, iterations, evaluations, converged (1 when the last step was below the tolerance). Returns False
     when the cost at the start is not finite. The first coarse_iterations use the coarse contour scale. A step that
     raises the cost is retried with 6 times the damping at most 3 times; near the end the cost jitters with the
-    outline, so a rejected step below the tolerance stops, and so does one that promised less than least_gain of the cost."""
+    outline, so a rejected step below the tolerance stops, and so does one that promised less than least_gain
+    of the cost."""
     n = q.shape[0]
     new_hessian, new_gradient = np.empty((n, n)), np.empty(n)
     step, trial = np.empty(n), np.empty(n)
