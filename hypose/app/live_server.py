@@ -84,9 +84,14 @@ def is_loopback(host: str) -> bool:
 
 
 class LiveServer:
-    """`start`, then it runs in the loop until `stop`. Counters tell what happened."""
+    """`start`, then it runs in the loop until `stop`. Counters tell what happened.
 
-    def __init__(self, options: LiveOptions, note: Say = lambda text: None) -> None:
+    clock: monotonic seconds of this computer; without one, those of the event loop.
+    """
+
+    def __init__(
+        self, options: LiveOptions, note: Say = lambda text: None, clock: Callable[[], float] | None = None
+    ) -> None:
         self.options = options
         self.token = options.token or ("" if is_loopback(options.host) else secrets.token_urlsafe(16))
         self.fuser = LiveFuser(options.settings)
@@ -94,7 +99,7 @@ class LiveServer:
         self.latencies: deque[float] = deque(maxlen=3000)
         self.people = 0
         self.udp_port = self.ws_port = 0
-        self._note = note
+        self._note, self.clock = note, clock
         self._complained, self._silent = -math.inf, 0
         self._allowance, self._refilled = options.burst, -math.inf
         self._writer = FolderWriter(options.record) if options.record is not None else None
@@ -105,6 +110,10 @@ class LiveServer:
         self._connections = 0
         self._osc: tuple[socket.socket, Any] | None = None
         self._status_at = 0.0
+
+    def now(self) -> float:
+        """Seconds of the clock that reports and frames are timed by."""
+        return self.clock() if self.clock is not None else asyncio.get_running_loop().time()
 
     # ---- life ----
 
@@ -163,7 +172,7 @@ class LiveServer:
 
     def take(self, data: bytes | str) -> str | None:
         """One line from outside; the reason when it is ignored."""
-        now = asyncio.get_running_loop().time()
+        now = self.now()
         self.received += 1
         if not self._allowed(now):
             return self._ignore("more lines arrive than are taken", now)
@@ -211,17 +220,17 @@ class LiveServer:
 
     def tick(self) -> None:
         """Send the frames that are ready, and come back when the next one is due."""
-        loop = asyncio.get_running_loop()
-        for frame in self.fuser.poll(loop.time()):
-            self._send(frame, loop.time())
+        for frame in self.fuser.poll(self.now()):
+            self._send(frame, self.now())
         if self._timer is not None:
             self._timer.cancel()
-        due = self.fuser.due()
-        self._timer = loop.call_at(due, self.tick) if due < math.inf else None
-        if loop.time() - self._status_at >= _STATUS_S:
-            self._status_at = loop.time()
+        due, now = self.fuser.due(), self.now()
+        loop = asyncio.get_running_loop()
+        self._timer = loop.call_later(max(0.0, due - now), self.tick) if due < math.inf else None
+        if now - self._status_at >= _STATUS_S:
+            self._status_at = now
             if self._outs:
-                self._post(self._status(loop.time()))
+                self._post(self._status(now))
             if self._writer is not None:
                 self._writer.flush()
 
@@ -302,8 +311,8 @@ class LiveServer:
     async def _serve(self, connection: ServerConnection) -> None:
         queue: asyncio.Queue[str] = asyncio.Queue(maxsize=self.options.waiting)
         hello = {"type": "hello", "version": 1, "joints": COMMON, "rate": self.options.settings.align.rate}
-        await connection.send(json.dumps(hello))
-        self._outs.add(queue)
+        queue.put_nowait(json.dumps(hello))
+        self._outs.add(queue)  # who has the hello misses no frame from then on
         reading = asyncio.ensure_future(_drain(connection))
         try:
             while not reading.done():
@@ -433,5 +442,5 @@ async def run_live(options: LiveOptions, say: Say, note: Say) -> None:
 def _summary(server: LiveServer) -> str:
     ordered = sorted(server.latencies)
     p99 = 1000 * ordered[min(len(ordered) - 1, int(0.99 * len(ordered)))]
-    alive = sum(s.alive for s in server.fuser.status(asyncio.get_running_loop().time()))
+    alive = sum(s.alive for s in server.fuser.status(server.now()))
     return f"{alive} sensors, {server.people} persons, latency p99 {p99:.1f} ms, {server.ignored} lines ignored."

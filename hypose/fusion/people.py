@@ -31,7 +31,8 @@ class PeopleSettings:
     gate: a skeleton further from a person's trunk is not that person; faithful: how much nearer another person must be
     than the one a sensor's person was before; birth: instants before a new person is believed; linger, forget: how long
     a person nobody sees is still reported, and remembered; blind: how long persons are remembered beyond that while no
-    sensor reports at all, so that a pause of the whole machine makes nobody new; window: of skeletons that a registration rests on, one every
+    sensor reports at all, so that a pause of the whole machine makes nobody new; window: of skeletons that a
+    registration rests on, one every
     `note`, renewed every `refit`; attempt: between tries to register; shots: fewest shared instants; residual: largest
     median distance of a registration; distinct: ratio to the next best pairing; strays: instants without a match after
     which a sensor has been moved; most: persons.

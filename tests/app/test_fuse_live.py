@@ -34,29 +34,43 @@ def lines_at(t, sensors=range(3), people=1, clock=0.0, token=""):
             yield format_line(line).encode()
 
 
-async def feed(port, seconds, alive=lambda k, t: True, clock=lambda k, t: 0.0, start=0.0, people=1, token=""):
-    """Three sensors at 30 Hz. The movement is made beforehand, the stamps are honest however busy the machine is."""
-    loop = asyncio.get_running_loop()
-    bodies = [[json.loads(x) for x in lines_at(start + n / 30, people=people)] for n in range(int(seconds * 30))]
-    texts = [[(int(b["sensor"][1]), b["person"], json.dumps(b["joints"])) for b in frame] for frame in bodies]
-    begin = loop.time()
+class Clock:
+    """The server's time, set by the test: a busy machine makes a test longer, and changes nothing else."""
+
+    def __init__(self):
+        self.now = 1000.0
+
+    def __call__(self):
+        return self.now
+
+
+async def until(condition):
+    """`live` gives up after two minutes."""
+    while not condition():
+        await asyncio.sleep(0.001)
+
+
+async def feed(server, seconds, alive=lambda k, t: True, clock=lambda k, t: 0.0, start=0.0, people=1, token=""):
+    """Three sensors at 30 Hz; every frame of theirs arrives 2 ms after it was taken."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
-        for n, frame in enumerate(texts):
-            await asyncio.sleep(max(0, begin + n / 30 - loop.time()))
-            t = start + loop.time() - begin
-            for k, person, joints in frame:
-                if alive(k, t):
-                    head = f'{{"sensor":"s{k}","time":{t + clock(k, t) + 100 * k},"person":{person},"token":"{token}"'
-                    s.sendto(f'{head},"joints":{joints}}}'.encode(), ("127.0.0.1", port))
+        for n in range(int(seconds * 30)):
+            t = start + n / 30
+            server.clock.now = 1000.0 + t + 0.002
+            lines = [
+                line
+                for k in range(3)
+                if alive(k, t)
+                for line in lines_at(t, sensors=(k,), people=people, clock=clock(k, t), token=token)
+            ]
+            goal = server.received + len(lines)
+            for line in lines:
+                s.sendto(line, ("127.0.0.1", server.udp_port))
+            await until(lambda goal=goal: server.received >= goal)
+            server.clock.now = 1000.0 + t + 0.02
+            server.tick()
 
 
-# a machine that is busy with other things makes frames late, but not lost
-PATIENT = {
-    "udp": 0,
-    "ws": 0,
-    "waiting": 1000,
-    "settings": LiveSettings(AlignSettings(max_behind=30.0, timeout=0.6)),
-}
+OPTIONS = {"udp": 0, "ws": 0, "waiting": 1000, "settings": LiveSettings(AlignSettings(timeout=0.6))}
 
 
 def live(play, **options):
@@ -64,7 +78,8 @@ def live(play, **options):
     notes = []
 
     async def run():
-        server = LiveServer(LiveOptions(**{**PATIENT, **options}), notes.append)
+
+        server = LiveServer(LiveOptions(**{**OPTIONS, **options}), notes.append, Clock())
         await server.start()
         out = []
         try:
@@ -76,8 +91,10 @@ def live(play, **options):
                         out.append(json.loads(message))
 
                 listening = asyncio.ensure_future(listen())
-                result = await asyncio.wait_for(play(server), 30)
-                await asyncio.sleep(0.1)
+                await asyncio.wait_for(until(lambda: out), 120)  # the hello: it misses nothing from here
+                result = await asyncio.wait_for(play(server), 120)
+                assert server.dropped == 0
+                await asyncio.wait_for(until(lambda: sum(m["type"] == "frame" for m in out) == server.frames), 120)
                 listening.cancel()
         finally:
             await server.stop()
@@ -90,7 +107,7 @@ def test_a_sensor_killed_and_restarted_costs_no_frame_of_output():
     async def play(server):
         # from 1.2 to 2.2 s it is dead; then it counts from zero again
         await feed(
-            server.udp_port,
+            server,
             3.4,
             alive=lambda k, t: k != 1 or not 1.2 <= t < 2.2,
             clock=lambda k, t: -5000.0 if k == 1 and t >= 2.2 else 0.0,
@@ -111,17 +128,20 @@ def test_a_sensor_killed_and_restarted_costs_no_frame_of_output():
 def test_garbage_is_counted_and_told_of_once():
     async def play(server):
         rng = np.random.default_rng(3)
-        task = asyncio.ensure_future(feed(server.udp_port, 1.0))
+        sent = 0
+        await feed(server, 0.5)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
             for n in range(200):
                 junk = rng.integers(0, 256, int(rng.integers(1, 400))).astype(np.uint8).tobytes().replace(b"\n", b" ")
                 s.sendto(junk, ("127.0.0.1", server.udp_port))
+                sent += bool(junk.strip()) + 1
                 good = next(lines_at(0.0))
                 s.sendto(good[: int(rng.integers(2, len(good) - 2))], ("127.0.0.1", server.udp_port))
                 if n % 20 == 0:
-                    await asyncio.sleep(0.01)
+                    await until(lambda sent=sent: server.ignored == sent)
             s.sendto(b"{" * 60000, ("127.0.0.1", server.udp_port))
-        await task
+            await until(lambda: server.ignored == sent + 1)
+        await feed(server, 0.5, start=0.5)
 
     _, out, server, notes = live(play)
     frames = [m for m in out if m["type"] == "frame"]
@@ -133,12 +153,13 @@ def test_garbage_is_counted_and_told_of_once():
 
 def test_six_persons_live():
     async def play(server):
-        await feed(server.udp_port, 2.5, people=6)
+        await feed(server, 2.5, people=6)
 
     _, out, server, _ = live(play)
     frames = [m for m in out if m["type"] == "frame"]
     assert [f["n"] for f in frames] == list(range(len(frames)))
     assert max(len(f["people"]) for f in frames) == 6
+    assert {p["id"] for f in frames for p in f["people"]} == set(range(1, 7))
 
 
 def test_a_flood_is_cut():
@@ -156,10 +177,11 @@ def test_lines_by_websocket_with_answers_to_bad_ones():
     async def play(server):
         async with connect(f"ws://127.0.0.1:{server.ws_port}/in") as sender:
             for n in range(20):
+                server.clock.now = 1000.0 + n / 30
                 await sender.send(b"\n".join(lines_at(n / 30)).decode())
-                await asyncio.sleep(1 / 30)
+                await until(lambda n=n: server.received == 3 * (n + 1))
             await sender.send("nonsense\nmore")
-            return json.loads(await asyncio.wait_for(sender.recv(), 5))
+            return json.loads(await sender.recv())
 
     answer, out, server, _ = live(play)
     assert answer["type"] == "error" and answer["lines"] == 2 and "JSON" in answer["reason"]
@@ -194,9 +216,9 @@ def test_the_token_is_asked_for():
         head = {"Authorization": "Bearer a-good-token"}
         async with connect(f"ws://127.0.0.1:{server.ws_port}/out", additional_headers=head) as fine:
             await fine.recv()
-        await feed(server.udp_port, 0.3)
+        await feed(server, 0.3)
         before = server.used
-        await feed(server.udp_port, 0.5, start=1.0, token="a-good-token")
+        await feed(server, 0.5, start=1.0, token="a-good-token")
         return before
 
     before, _, server, _ = live(play, token="a-good-token")
@@ -221,7 +243,7 @@ def test_a_taken_port_is_named():
 
 def test_what_is_recorded_can_be_fused(hypose, tmp_path):
     async def play(server):
-        await feed(server.udp_port, 2.0)
+        await feed(server, 2.0)
 
     live(play, record=tmp_path / "rec")
     made = read_skeletons(tmp_path / "rec")
@@ -275,7 +297,7 @@ def test_fused_skeletons_by_osc():
         sink.settimeout(1)
 
         async def play(server):
-            await feed(server.udp_port, 1.0)
+            await feed(server, 1.0)
 
         live(play, osc=f"127.0.0.1:{sink.getsockname()[1]}")
         found = []

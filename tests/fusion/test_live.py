@@ -9,7 +9,7 @@ from hypose.errors import InputError
 from hypose.fusion.align import Aligner, AlignSettings
 from hypose.fusion.clocks import SensorClock, offset_by_movement
 from hypose.fusion.joints import COMMON, MIRROR, joint_sets
-from hypose.fusion.live import LiveFuser, replay
+from hypose.fusion.live import LiveFuser, LiveSettings, replay
 from hypose.fusion.people import PeopleTracker
 from hypose.geometry import se3_inverse, so3_exp, transform
 from tests.depth_sensors import camera, places, reports, walker
@@ -186,6 +186,83 @@ def test_a_long_pause_of_the_program_skips_frames_and_counts_them(rng):
         made += aligner.poll(now)
     assert aligner.skipped > 50
     assert np.all(np.diff([m.index for m in made]) >= 1)
+
+
+# ---- a machine that is busy with other things ----
+
+
+def held_up(made, begin, end, sensors=("s0", "s1", "s2"), room=10**6):
+    """Nothing of these sensors is read from begin to end; then their lines come 0.2 ms apart, as many as the socket's
+    buffer has room for."""
+    out, free, kept = [], end, 0
+    for r in made:
+        at = r.arrival
+        if r.sensor in sensors and begin <= at < end:
+            kept += 1
+            if kept > room:
+                continue
+        if r.sensor in sensors and begin <= at:
+            at = free = max(at, free + 2e-4)
+        out.append(replace(r, arrival=at))
+    return sorted(out, key=lambda r: r.arrival)
+
+
+def serve(made, pause=(0.0, 0.0)):
+    """As `replay`, but no timer runs in the pause."""
+    fuser, frames = LiveFuser(LiveSettings(AlignSettings(max_behind=30.0))), []
+    for r in made:
+        while (due := fuser.due()) < r.arrival:
+            at = pause[1] if pause[0] <= due < pause[1] else due + 1e-9
+            if at >= r.arrival:
+                break
+            frames += fuser.poll(at)
+        fuser.push(r.sensor, r.time, r.person, r.joint_names, r.positions, r.state, r.arrival)
+        frames += fuser.poll(r.arrival)
+    return fuser, frames
+
+
+@pytest.mark.parametrize("room", [10**6, 100])
+@pytest.mark.parametrize("length", [0.8, 1.6])
+def test_a_pause_of_the_machine_makes_nobody_new(rng, length, room):
+    pause = (1.2, 1.2 + length)
+    fuser, frames = serve(held_up(reports(rng, 2.5 + length, people=6), *pause, room=room), pause)
+    assert [f.index for f in frames] == list(range(len(frames)))
+    assert {p.id for f in frames for p in f.people} == set(range(1, 7))
+    assert len(frames[-1].people) == 6 and all(len(p.sensors) == 3 for p in frames[-1].people)
+    assert errors(fuser, frames[-10:], people=6).max() < 0.06
+    if room > 100:  # all was read in the end: no sensor was ever away
+        assert [s.returns for s in fuser.status(pause[1])] == [0, 0, 0]
+
+
+@pytest.mark.parametrize(("late", "length"), [(("s0",), 0.8), (("s1",), 0.8), (("s0", "s1", "s2"), 1.6)])
+def test_lines_that_come_late_and_all_at_once_double_nobody(rng, late, length):
+    fuser, frames = serve(held_up(reports(rng, 2.5 + length, people=6), 1.2, 1.2 + length, late))
+    assert [f.index for f in frames] == list(range(len(frames)))
+    assert {p.id for f in frames for p in f.people} == set(range(1, 7))
+    assert len(frames[-1].people) == 6 and all(len(p.sensors) == 3 for p in frames[-1].people)
+    assert errors(fuser, frames[-10:], people=6).max() < 0.06
+    assert [s.returns for s in fuser.status(3.0)] == [0, 0, 0]
+
+
+def test_a_sensor_back_after_silence_with_late_lines_keeps_its_clock(rng):
+    made = reports(rng, 5, people=6, silent=[(1, 1.2, 2.2)])
+    fuser, frames = serve(held_up(made, 2.2, 2.5, ("s1",)))
+    assert {p.id for f in frames for p in f.people} == set(range(1, 7))
+    status = {s.name: s for s in fuser.status(5.0)}
+    assert status["s1"].returns == 1 and status["s1"].jumps == 0
+    assert status["s1"].offset == pytest.approx(-1000, abs=0.02)
+    assert errors(fuser, frames[-10:], people=6).max() < 0.06
+
+
+def test_reports_a_moment_apart_are_no_movement(rng):
+    # a sender that stamps what it sends, after a pause of its own: four reports within 3 ms
+    aligner = Aligner()
+    for n in range(4):
+        joints = transform(camera(0), walker(0.0)) + 0.008 * rng.normal(size=(15, 3))
+        push(aligner, 0.001 * n, positions=joints)
+    last = aligner.poll(0.08)[-1]
+    off = last.sensors[0].bodies[0].positions - transform(camera(0), walker(0.0))
+    assert np.abs(off).max() < 0.05
 
 
 # ---- persons ----
