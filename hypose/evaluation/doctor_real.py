@@ -51,7 +51,7 @@ def doctor_real(options: BenchOptions) -> BenchReport:
             rows.append(_left_out("shipped", result.left_out_before_px))
         rows.append(Row("refined_residual_px", case, result.after_px, "px"))
         rows.append(_left_out(case, result.left_out_after_px))
-    return BenchReport(tuple(rows), {"frames": observed.rig and len(recording.frames), "used": 17})
+    return BenchReport(tuple(rows), {"frames": len(recording.frames), "used": 17})
 
 
 def _left_out(case: str, value: float) -> Row:
