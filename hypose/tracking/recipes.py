@@ -163,7 +163,7 @@ def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iteratio
 
     The first solve puts the body within centimetres; the particles find limbs that went elsewhere (a local solve cannot
     pull in what lies beyond about 10 cm); the silhouettes choose between the first solve and the second. Each limb's
-    best is kept (`Elite`) instead of resampled: with two hundred particles the mean of survivors mixes a found arm with a
+    best is kept (`Elite`) instead of resampled: with 200 particles the mean of survivors mixes a found arm with a
     lost one. A quarter of an arm's particles are drawn anew over its whole reach, for a punch is faster than any
     diffusion. One leg and one arm are searched per frame, in turn; all four when the first solve overlaps the masks
     worse than usual, and below 20 frames per second, where more happens between two frames.
