@@ -1,41 +1,12 @@
 """Recordings: what was filmed, by which calibrated cameras; recording.toml and its checks.
 
 A recording folder holds recording.toml, calibration.toml and the videos (or images, or masks). A Pose2Sim
-project or trial folder is taken as it is (`hypose.io.pose2sim`). recording.toml, with the defaults; paths are
-relative to it:
-
-    name = "walk"                     # default: the folder's name
-    calibration = "calibration.toml"  # Pose2Sim, anipose, FreeMoCap, Caliscope TOML, or Qualisys .qca.txt
-    calibration_unit = "auto"         # auto, m, cm or mm: unit of the calibration's translations
-    world_up = "z"                    # axis of the calibration's world that points up: x y z -x -y -z
-    frame_rate = 60.0                 # frames/s; default: what the videos say
-    frame_range = [0, 100]            # first frame and the one after the last, from 0; default: all
-    keypoint_set = "BODY_25"          # order of the 2D key points
-    keypoint_lag = 0                  # key-point file t belongs to video frame t + keypoint_lag
-    keypoint_pixels = "calibration"   # key points are pixels of the calibrated size, or of the stored "image"
-    subject_height = 1.75             # m; default: estimated
-    subject_mass = 70.0               # kg; default: unknown
-
-    [[view]]                          # one per camera, in any order
-    name = "cam01"
-    camera = "cam_01"                 # its name in the calibration; default: by name, else by order
-    video = "videos/cam01.mp4"        # a video file, or
-    images = "images/cam01"           # a folder of images in natural order
-    masks = "masks/cam01"             # silhouettes made elsewhere: folder of images or video; needs no video
-    background = "background/cam01"   # an image, a folder of images or a video of the empty scene
-    keypoints = "pose/cam01_json"     # a folder of OpenPose JSON files, one per frame
-    image_shift = [0.0, 0.0]          # px to add to this view's image coordinates (after scaling to the
-                                      # calibrated size) so that they agree with calibration and key points
-    accept_scaled = false             # images of another shape (width : height) than calibrated were
-                                      # stretched, not cut
-
-Images of another size but of the calibrated shape (to 1 %) are taken as scaled; a note says so. Videos are
-taken as synchronous: frame t of one belongs to frame t of the others.
+project or trial folder is taken as it is (`hypose.io.pose2sim`). The keys of recording.toml are in
+`hypose.io.recording_keys`.
 """
 
 from __future__ import annotations
 
-import difflib
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -52,39 +23,15 @@ from hypose.io import pose2sim
 from hypose.io.calibration import (
     UNITS,
     find_calibration,
-    parse_toml,
     read_calibration_with_notes,
     toml_value,
     write_calibration,
 )
+from hypose.io.recording_keys import PATH_KEYS, RECORDING_KEYS, VIEW_KEYS, check_keys, choice, numbers, read_toml
 from hypose.io.results import atomic_path
 from hypose.io.video import frame_size, open_video
 
-_MAX_TOML_BYTES = 5_000_000
 _UP = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
-_RECORDING_KEYS: dict[str, type | tuple[type, ...]] = {
-    "name": str,
-    "calibration": str,
-    "calibration_unit": str,
-    "world_up": str,
-    "frame_rate": (int, float),
-    "frame_range": list,
-    "keypoint_set": str,
-    "keypoint_lag": int,
-    "keypoint_pixels": str,
-    "subject_height": (int, float),
-    "subject_mass": (int, float),
-    "view": list,
-}
-_PATH_KEYS = ("video", "images", "masks", "background", "keypoints")
-_VIEW_KEYS: dict[str, type | tuple[type, ...]] = {
-    "name": str,
-    "camera": str,
-    **dict.fromkeys(_PATH_KEYS, str),
-    "image_shift": list,
-    "accept_scaled": bool,
-}
-_TYPE_NAMES = {str: "text in quotes", int: "a whole number", list: "a list in [ ]", bool: "true or false"}
 
 
 @dataclass(frozen=True)
@@ -144,7 +91,7 @@ class Recording:
         """All input files and folders by a telling name, for the provenance."""
         out = {"calibration": self.calibration} if self.calibration else {}
         for view in self.views:
-            out |= {f"{view.name}.{k}": p for k in _PATH_KEYS if (p := getattr(view, k)) is not None}
+            out |= {f"{view.name}.{k}": p for k in PATH_KEYS if (p := getattr(view, k)) is not None}
         return out
 
 
@@ -164,10 +111,10 @@ def load_recording(path: str | Path, calibration: str | Path | None = None) -> R
             raise InputError(
                 f"{path} is no recording; give a folder with recording.toml, that file, or a Pose2Sim project folder."
             )
-        return _build(path.parent, path, _with_calibration(_read_toml(path), calibration), [])
+        return _build(path.parent, path, _with_calibration(read_toml(path), calibration), [])
     toml = path / "recording.toml"
     if toml.is_file():
-        return _build(path, toml, _with_calibration(_read_toml(toml), calibration), [])
+        return _build(path, toml, _with_calibration(read_toml(toml), calibration), [])
     if pose2sim.is_project(path):
         settings, notes = pose2sim.read_project(path)
         return _build(path, path, _with_calibration(settings, calibration), notes)
@@ -213,7 +160,7 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
             lines.append(f"{key} = {toml_value(float(getattr(recording, key)))}")
     for view, camera in zip(recording.views, recording.rig, strict=True):
         lines += ["", "[[view]]", f"name = {toml_value(view.name)}", f"camera = {toml_value(camera.name)}"]
-        for key in _PATH_KEYS:
+        for key in PATH_KEYS:
             if (value := getattr(view, key)) is not None:
                 lines.append(f"{key} = {toml_value(_relative(value, folder))}")
         if tuple(view.image_shift) != (0, 0):
@@ -228,52 +175,6 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
 def _relative(path: Path, folder: Path) -> str:
     full, base = Path(os.path.abspath(path)), Path(os.path.abspath(folder))
     return full.relative_to(base).as_posix() if full.is_relative_to(base) else full.as_posix()
-
-
-# ---- reading recording.toml --------------------------------------------------------------------------------
-
-
-def _read_toml(path: Path) -> dict[str, Any]:
-    try:
-        if path.stat().st_size > _MAX_TOML_BYTES:
-            raise ValueError("it is larger than 5 MB")
-        return parse_toml(path, path.read_text(encoding="utf-8-sig"))
-    except UnicodeDecodeError:
-        raise InputError(f"{path} is not a text file (UTF-8); write it with a text editor.") from None
-    except ValueError as error:
-        raise InputError(f"{path} is not valid TOML: {error}; correct it.") from None
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}); check its permissions.") from None
-
-
-def _check_keys(where: str, table: Mapping[str, Any], known: Mapping[str, type | tuple[type, ...]]) -> None:
-    for key, value in table.items():
-        if key not in known:
-            near = difflib.get_close_matches(key, known, 1, 0.5)
-            hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
-            raise InputError(f"{where}: the key {key} is unknown ({hint}); correct or remove it.")
-        types = known[key]
-        right = isinstance(value, types) and (types is bool or not isinstance(value, bool))
-        if not right:
-            wanted = _TYPE_NAMES[types] if isinstance(types, type) else "a number"
-            raise InputError(f"{where}: {key} must be {wanted}, got {value!r}; correct it.")
-        if isinstance(value, float) and not np.isfinite(value):
-            raise InputError(f"{where}: {key} must be a finite number, got {value!r}; correct it.")
-
-
-def _numbers(where: str, key: str, value: Any, count: int, whole: bool) -> list[Any]:
-    types = int if whole else (int, float)
-    fine = len(value) == count and all(isinstance(v, types) and not isinstance(v, bool) for v in value)
-    if not fine or not np.isfinite(np.array(value, dtype=np.float64)).all():
-        kind = "whole numbers" if whole else "numbers"
-        raise InputError(f"{where}: {key} must be {count} {kind} in [ ], got {value!r}; correct it.")
-    return value
-
-
-def _choice(where: str, key: str, value: str, allowed: Sequence[str]) -> str:
-    if value not in allowed:
-        raise InputError(f"{where}: {key} must be {', '.join(allowed)}, got {value!r}; correct it.")
-    return value
 
 
 # ---- checks ------------------------------------------------------------------------------------------------
@@ -293,7 +194,7 @@ class _Clip:
 def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[str]) -> Recording:
     """The recording of a (translated) recording.toml; origin: the file or folder that errors name."""
     where = str(origin)
-    _check_keys(where, settings, _RECORDING_KEYS)
+    check_keys(where, settings, RECORDING_KEYS)
     tables = settings.get("view", [])
     if not tables:
         raise InputError(f"{where}: no views; add one [[view]] table per camera with name and video.")
@@ -302,7 +203,7 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
             raise InputError(
                 f"{where}: view must be [[view]] tables, got {table!r}; write [[view]] before each camera."
             )
-        _check_keys(f"{where}, view {table.get('name', i + 1)}", table, _VIEW_KEYS)
+        check_keys(f"{where}, view {table.get('name', i + 1)}", table, VIEW_KEYS)
     views = [_view(folder, where, table, i) for i, table in enumerate(tables)]
     names = [v.name for v in views]
     if len(set(names)) < len(names):
@@ -322,7 +223,7 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
     n_frames = _common_frames(views, clips, notes)
     frame_range = None
     if "frame_range" in settings:
-        first, stop = _numbers(where, "frame_range", settings["frame_range"], 2, whole=True)
+        first, stop = numbers(where, "frame_range", settings["frame_range"], 2, whole=True)
         if not 0 <= first < stop <= n_frames:
             raise InputError(
                 f"{where}: frame_range = [{first}, {stop}] lies outside the recording, which has the frames "
@@ -350,7 +251,7 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
         keypoint_lag=settings.get("keypoint_lag", 0),
         subject_height=_optional(settings.get("subject_height")),
         subject_mass=_optional(settings.get("subject_mass")),
-        keypoint_pixels=_choice(
+        keypoint_pixels=choice(
             where, "keypoint_pixels", settings.get("keypoint_pixels", "calibration"), ("calibration", "image")
         ),
         n_frames=n_frames,
@@ -367,7 +268,7 @@ def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> Vie
     name = table.get("name") or f"view{index + 1}"
     where = f"{where}, view {name}"
     paths: dict[str, Path] = {}
-    for key in _PATH_KEYS:
+    for key in PATH_KEYS:
         if key not in table:
             continue
         path = folder / Path(table[key]).expanduser()
@@ -386,7 +287,7 @@ def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> Vie
             f"{where}: the key-point folder {paths['keypoints']} holds no .json files; detect key points "
             "(OpenPose JSON, one file per frame) or remove the key."
         )
-    shift = _numbers(where, "image_shift", table.get("image_shift", [0.0, 0.0]), 2, whole=False)
+    shift = numbers(where, "image_shift", table.get("image_shift", [0.0, 0.0]), 2, whole=False)
     return View(
         name=name,
         image_shift=(float(shift[0]), float(shift[1])),
@@ -407,10 +308,10 @@ def _calibration(folder: Path, where: str, settings: Mapping[str, Any], notes: l
             "file with "
             'calibration = "...".'
         )
-    unit = _choice(where, "calibration_unit", settings.get("calibration_unit", "auto"), ("auto", *UNITS))
+    unit = choice(where, "calibration_unit", settings.get("calibration_unit", "auto"), ("auto", *UNITS))
     rig, found = read_calibration_with_notes(path, unit)
     notes += found
-    up = _choice(where, "world_up", settings.get("world_up", "z"), tuple(_UP))
+    up = choice(where, "world_up", settings.get("world_up", "z"), tuple(_UP))
     if up != "z":
         turn = se3(rotation_between(_UP[up], _UP["z"]).T, np.zeros(3))
         rig = CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ turn) for c in rig))
