@@ -331,6 +331,6 @@ def warm_up() -> float:
     priors = PriorArrays(np.zeros((1, 6)), np.ones((1, 6)), np.full(6, -np.inf), np.full(6, np.inf))
     ws = workspace(tree, mesh, 32, 32)
     evaluate(q, tree, mesh, contours, keypoints, points, priors, ws)
-    solve(q, tree, mesh, contours, keypoints, points, priors, SolveSettings(1, 0, 1e-3, 1e-2, 0.0), ws)
+    solve(q, tree, mesh, contours, keypoints, points, priors, SolveSettings(1, 0, 1e-3, 1e-2), ws)
     joint_spread(q, tree, np.eye(6))
     return time.perf_counter() - began

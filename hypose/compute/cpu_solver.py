@@ -176,26 +176,13 @@ def evaluate(q, tree, mesh, contours, scale, keypoints, points, priors, ws, hess
 
 
 @njit(**OPTIONS)
-def predicted_gain(hessian, gradient, step, factor):
-    """How much the quadratic model says that factor * step lowers the cost."""
-    gain = 0.0
-    for d in range(step.shape[0]):
-        bend = 0.0
-        for e in range(step.shape[0]):
-            bend += hessian[d, e] * step[e]
-        gain -= factor * step[d] * (gradient[d] + 0.5 * factor * bend)
-    return gain
-
-
-@njit(**OPTIONS)
 def solve(q, tree, mesh, contours, keypoints, points, priors, settings, ws, hessian, gradient, counts, info):
     """Bounded Levenberg-Marquardt from pose q (D,), which is overwritten; hessian and gradient are those at the result.
 
     info (4,): cost, iterations, evaluations, converged (1 when the last step was below the tolerance). Returns False
     when the cost at the start is not finite. The first coarse_iterations use the coarse contour scale. A step that
     raises the cost is retried with 6 times the damping at most 3 times; near the end the cost jitters with the
-    outline, so a rejected step below the tolerance stops, and so does one that promised less than least_gain
-    of the cost."""
+    outline, so a rejected step below the tolerance stops."""
     n = q.shape[0]
     new_hessian, new_gradient = np.empty((n, n)), np.empty(n)
     step, trial = np.empty(n), np.empty(n)
@@ -241,10 +228,6 @@ def solve(q, tree, mesh, contours, keypoints, points, priors, settings, ws, hess
                 cost = new_cost
                 break
             damping = min(damping * 6, 1e4)
-            promised = predicted_gain(hessian, gradient, step, shorten)
-            if promised < settings.least_gain * cost:
-                moved = 0.0
-                break
             if coarse == 0 and moved < settings.tolerance:
                 break
         done += 1

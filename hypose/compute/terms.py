@@ -113,8 +113,6 @@ class SolveSettings(NamedTuple):
     """stop when no dof moves further (rad; twice the metres)"""
     damping: float
     """initial Levenberg-Marquardt damping relative to the diagonal"""
-    least_gain: float
-    """a rejected step that promised a smaller share of the cost is the last"""
 
 
 class Workspace(NamedTuple):

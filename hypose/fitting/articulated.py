@@ -148,14 +148,12 @@ class Quadratic:
 @dataclass(frozen=True)
 class SolveOptions:
     """iterations: all, the first coarse_iterations of them with the contours' coarse scale; tolerance: stop when no dof
-    moves further than this (rad; twice the metres); damping: initial, relative to the Hessian's diagonal; least_gain:
-    a step that is rejected though it promised to lower the cost, if by a smaller share, is the last."""
+    moves further than this (rad; twice the metres); damping: initial, relative to the Hessian's diagonal."""
 
     iterations: int = 8
     coarse_iterations: int = 4
     tolerance: float = 1e-3
     damping: float = 1e-2
-    least_gain: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -302,7 +300,6 @@ class _Problem:
             int(options.coarse_iterations),
             float(options.tolerance),
             float(options.damping),
-            float(options.least_gain),
         )
 
     def start(self, start: ArrayLike) -> Array:
