@@ -11,7 +11,7 @@ from hypose.body.body import Body
 from hypose.geometry import Array
 from hypose.inference.kernels import HeavyTail, filtered_mask, layered_sigma, stay
 from hypose.inference.layer import Kernel, Layer, Recipe
-from hypose.inference.selectivity import Annealed, FixedSelectivity, Selectivity, SurvivalRate
+from hypose.inference.selectivity import Annealed
 from hypose.inference.selectors import LayeredSystematic
 from hypose.tracking.costs import SilhouetteXor
 from hypose.tracking.detections import DetectionCost, DetectorDriven, ends_of
@@ -23,7 +23,7 @@ from hypose.tracking.partitioned_observations import (
     chain_region,
     faces_of_parts,
 )
-from hypose.tracking.recipes import HPF_LAYERS, THESIS, partitions_of, step_sigma
+from hypose.tracking.recipes import HPF_LAYERS, LIMB_LAYERS, THESIS, partitions_of, selectivity_of, step_sigma
 from hypose.tracking.refinement import pose_mean
 
 # what a layer of the partitioned filter places: (points of its box: joints, landmarks), parts drawn first in it
@@ -106,7 +106,7 @@ def hpf_apo(
     regions = layer_regions(body, bounding=bounding)
     rows = []
     for n in range(len(HPF_LAYERS) + 1):
-        selectivity: Selectivity = FixedSelectivity(betas[n]) if betas is not None else SurvivalRate(survival)
+        selectivity = selectivity_of(n, betas, survival)
         region, faces = regions[n]
         last = n == len(HPF_LAYERS)
         kernel: Kernel = stay
@@ -171,11 +171,7 @@ def hpf_apo_plus(body: Body, particles: int = 500, frame_rate: float = 25.0) -> 
 
 
 # one layer per limb instead of two per arm: the (5+1) form
-FIVE_LAYERS: tuple[tuple[str, tuple[str, ...]], ...] = (
-    *HPF_LAYERS[:3],
-    ("left_arm", ("left_clavicle", "left_shoulder", "left_elbow")),
-    ("right_arm", ("right_clavicle", "right_shoulder", "right_elbow")),
-)
+FIVE_LAYERS = (HPF_LAYERS[0], *LIMB_LAYERS)
 # the end that drives each layer, in the order they are tried (END_NAMES), and its pair of bits
 _DRIVEN = {"torso": ((2,), 0), "left": ((0, 3), 1), "right": ((1, 4), 2), "left_leg": ((5,), 3), "right_leg": ((6,), 4)}
 
@@ -206,7 +202,7 @@ def dd_hpf(
     ends, sigma, psi = ends_of(body), step_sigma(s, frame_rate), partitions_of(s, layers)
     rows = []
     for n, (layer, _) in enumerate(layers):
-        selectivity: Selectivity = FixedSelectivity(betas[n]) if betas is not None else SurvivalRate(survival)
+        selectivity = selectivity_of(n, betas, survival)
         step = layered_sigma(sigma, psi, decay, n)
         driven, bit = _DRIVEN[layer if layer in _DRIVEN else layer.split("_")[0]]
         own = np.zeros(s.dof)
@@ -219,7 +215,7 @@ def dd_hpf(
         weigh = Annealed(SilhouetteXor(body), selectivity)
         rows.append(Layer(kernel, weigh, LayeredSystematic(filtered), layer))
     if refinement:
-        last: Selectivity = FixedSelectivity(betas[len(layers)]) if betas is not None else SurvivalRate(last_survival)
+        last = selectivity_of(len(layers), betas, last_survival)
         weigh = Annealed(DetectionCost(body, ends, SilhouetteXor(body), kappa), last)
         everything = filtered_mask(psi, s.dof, len(layers))
         rows.append(Layer(stay, weigh, LayeredSystematic(everything), "refinement"))

@@ -65,7 +65,7 @@ LIMB_LAYERS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("left_arm", ("left_clavicle", "left_shoulder", "left_elbow")),
     ("right_arm", ("right_clavicle", "right_shoulder", "right_elbow")),
 )
-_TURNS = ((0,), (1,), (0,), (1,))
+_TURNS = (0, 1, 0, 1)
 """the frames (modulo 2) in which each of LIMB_LAYERS is searched: one leg and one arm in every frame"""
 
 
@@ -145,7 +145,7 @@ def hpf(
     psi = partitions_of(s, HPF_LAYERS)
     rows = []
     for n, (name, _) in enumerate(HPF_LAYERS):
-        selectivity: Selectivity = FixedSelectivity(betas[n]) if betas is not None else SurvivalRate(survival)
+        selectivity = selectivity_of(n, betas, survival)
         rows.append(
             Layer(
                 _diffusion(s, layered_sigma(sigma, psi, decay, n)),
@@ -171,8 +171,8 @@ def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iteratio
     s = body.skeleton
     sigma = 2.0 * step_sigma(s, frame_rate)
     options = SolveOptions(iterations=iterations, coarse_iterations=iterations // 2)
-    turns = _TURNS if frame_rate >= 20 else ((0,),) * len(LIMB_LAYERS)
-    period = 1 + max(t for own in turns for t in own)
+    turns = _TURNS if frame_rate >= 20 else (0,) * len(LIMB_LAYERS)
+    period = 1 + max(turns)
     rows = [Layer(SolvePrediction(body, options), no_evidence, keep, "contours")]
     for (name, joints), turn in zip(LIMB_LAYERS, turns, strict=True):
         own = s.dofs_of(*joints)
@@ -232,6 +232,11 @@ def with_refinement(base: Recipe, body: Body, options: SolveOptions | None = Non
         estimate=RefinedEstimate(body.skeleton),
         citation=f"{base.citation} {CONTOURS}",
     )
+
+
+def selectivity_of(layer: int, betas: Sequence[float] | None, survival: float) -> Selectivity:
+    """A fixed exponent per layer, as the thesis has them, or the exponent at which the share `survival` lives on."""
+    return SurvivalRate(survival) if betas is None else FixedSelectivity(betas[layer])
 
 
 def step_sigma(skeleton: Skeleton, frame_rate: float) -> Array:

@@ -120,20 +120,20 @@ class SolvePrediction:
 
 @dataclass(frozen=True)
 class InTurn:
-    """When a limb is searched: in the frames whose number modulo `period` is among `turns`, and in unsettled ones.
+    """When a limb is searched: in the frames whose number modulo `period` is `turn`, and in unsettled ones.
 
     A lost limb hardly changes the overlap with the masks: neither the overlap nor the cost of the solve tells the
     frames in which a search pays (area under the curve 0.6), so each limb has its turn, which also costs the same in
     every frame."""
 
-    turns: tuple[int, ...]
+    turn: int
     period: int
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame) -> bool:
         """True when the limb is to be searched in this frame."""
         if frame.masks is None:
             return False
-        return h.label[-1] != SETTLED or frame.frame.index % self.period in self.turns
+        return h.label[-1] != SETTLED or frame.frame.index % self.period == self.turn
 
 
 @dataclass(frozen=True)
