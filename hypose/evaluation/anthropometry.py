@@ -13,18 +13,13 @@ from hypose.body.body import Body
 from hypose.body.models import human
 from hypose.compute.render import silhouette
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row, row
-from hypose.evaluation.metrics import EVALUATED, carriers, joint_errors, population_offsets
 from hypose.evaluation.performance import Angles, Performance, Stance, perform
-from hypose.evaluation.published import action_scene, subject_of_seed
+from hypose.evaluation.published import action_scene, subject_of_seed, track_scene
 from hypose.evaluation.scenes import Scene, make_scene
 from hypose.evaluation.subjects import Subject, dress, load_subjects
-from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.pipeline.anthropometry import AnthropometryOptions, SubjectEstimate, estimate_subject
-from hypose.tracking.initialise import start_from_keypoints
-from hypose.tracking.recipes import recipe
 from hypose.tracking.subject import scaled_to_height
-from hypose.tracking.tracker import Tracker, TrackerSettings, motion_of
 
 SCALE = 0.5
 """Masks are made at this share of the cameras' size (320 x 240)."""
@@ -196,27 +191,10 @@ def tracking_errors(seed: int, options: BenchOptions) -> dict[str, tuple[float, 
         scene = action_scene(action, seed, 2.0, options)
         frames = list(scene.mask_frames(1.0))
         errors = []
-        for body in (scaled_to_height(human(), scene.subject.stature), estimate.body):
-            errors.append(_tracked(scene, frames, body, seed))
+        for body in (None, estimate.body):
+            errors.append(track_scene(scene, frames, "default", seed, body).errors.mean)
         out[action] = (errors[0], errors[1])
     return out
-
-
-def _tracked(scene: Scene, frames: list[Frame], body: Body, seed: int) -> float:
-    offsets = population_offsets(human()) * scene.subject.stature
-    carrier = carriers()
-    place = body.skeleton.rest_joints + offsets - body.skeleton.rest_joints[carrier]
-    start = start_from_keypoints(body, scene.joints[0][EVALUATED], carrier[EVALUATED], place[EVALUATED]).pose
-    made, particles = recipe("default", body, frame_rate=scene.frame_rate)
-    tracker = Tracker(body, made, particles, TrackerSettings(seed=seed, frame_rate=scene.frame_rate))
-    state, estimates = tracker.start(start), []
-    for frame in frames:
-        state, estimate = tracker.step(state, frame)
-        estimates.append(estimate)
-    motion = motion_of(body, scene.times[: len(frames)], estimates)
-    assert motion.poses is not None
-    rotations, _ = body.skeleton.forward(motion.poses)
-    return joint_errors(motion.joints, scene.joints[: len(frames)], offsets, rotations).mean
 
 
 def _rows(found: dict[str, list[FitErrors]], template: list[FitErrors]) -> list[Row]:

@@ -6,23 +6,19 @@ partitioned observations give more tracked frames than the hierarchical and the 
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.models import human
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row
 from hypose.evaluation.corruptions import Corruptions
-from hypose.evaluation.metrics import LOST_M, joint_errors, population_offsets
+from hypose.evaluation.metrics import LOST_M
 from hypose.evaluation.performance import Performance
-from hypose.evaluation.published import known_subject, median_row, subject_of_seed
+from hypose.evaluation.published import median_row, subject_of_seed, track_scene
 from hypose.evaluation.scenes import Scene, make_scene
 from hypose.geometry import Array
-from hypose.tracking.recipes import recipe
-from hypose.tracking.tracker import Tracker, TrackerSettings, motion_of
 
 PRESETS = ("apf", "hpf", "hpf-apo", "hpf-apo+", "default")
 DISTURBED = Corruptions(boundary_px=0.7, blobs=1.0, desync=(0, 1, 0, 2))
@@ -108,22 +104,10 @@ def run_court(motion: str, seed: int, seconds: float, presets: tuple[str, ...] =
     frames = list(scene.mask_frames(1.0))
     out = {}
     for name in presets:
-        subject = known_subject(scene)
-        made, particles = recipe(name, subject.body, frame_rate=scene.frame_rate)
-        tracker = Tracker(subject.body, made, particles, TrackerSettings(seed=seed, frame_rate=scene.frame_rate))
-        state, estimates = tracker.start(subject.start), []
-        begin = time.perf_counter()
-        for frame in frames:
-            state, estimate = tracker.step(state, frame)
-            estimates.append(estimate)
-        seconds_per_frame = (time.perf_counter() - begin) / len(frames)
-        motion_found = motion_of(subject.body, scene.times, estimates)
-        assert motion_found.poses is not None
-        rotations, _ = subject.body.skeleton.forward(motion_found.poses)
-        offsets = population_offsets(human()) * scene.subject.stature
-        errors = joint_errors(motion_found.joints, scene.joints, offsets, rotations).frame_means
+        tracked = track_scene(scene, frames, name, seed)
+        errors = tracked.errors.frame_means
         out[name] = CourtOutcome(
-            np.where(present, errors, np.nan), _recovery(errors, present, scene.frame_rate), seconds_per_frame
+            np.where(present, errors, np.nan), _recovery(errors, present, scene.frame_rate), tracked.seconds_per_frame
         )
     return out
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hypose.body.body import Body
 from hypose.body.models import human
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row
 from hypose.evaluation.metrics import EVALUATED, JointErrors, carriers, joint_errors, population_offsets
@@ -120,10 +121,11 @@ def action_scene(action: str, seed: int, seconds: float, options: BenchOptions) 
     return make_scene(_BUILT_IN[action], subject, "humaneva-4", seconds=seconds, seed=seed, corruption=("level-1",))
 
 
-def known_subject(scene: Scene) -> TrackedSubject:
-    """The tracker's body scaled to the subject's height, posed at the true joints of frame 0 (definitions aligned)."""
+def known_subject(scene: Scene, body: Body | None = None) -> TrackedSubject:
+    """A body (default: the tracker's, scaled to the subject's height), posed at the true joints of frame 0 (definitions
+    aligned)."""
     stature = scene.subject.stature
-    body = scaled_to_height(human(), stature)
+    body = scaled_to_height(human(), stature) if body is None else body
     offsets = population_offsets(human()) * stature
     # an offset is fixed in the segment that carries it, seen from that segment's own joint
     rest, carrier = body.skeleton.rest_joints, carriers()
@@ -132,9 +134,9 @@ def known_subject(scene: Scene) -> TrackedSubject:
     return TrackedSubject(body, None, start.pose, ("height and start pose are given",))
 
 
-def track_scene(scene: Scene, frames: list[Frame], preset: str, seed: int) -> Outcome:
-    """One preset on one scene from the given subject and start."""
-    subject = known_subject(scene)
+def track_scene(scene: Scene, frames: list[Frame], preset: str, seed: int, body: Body | None = None) -> Outcome:
+    """One preset on one scene from the given subject and start; body as for `known_subject`."""
+    subject = known_subject(scene, body)
     made, particles = recipe(preset, subject.body, frame_rate=scene.frame_rate)
     settings = TrackerSettings(seed=seed, frame_rate=scene.frame_rate)
     tracker = Tracker(subject.body, made, particles, settings)
