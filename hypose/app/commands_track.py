@@ -85,7 +85,7 @@ def track(
         formats=split_names(formats),
         overlay=not no_overlay,
         resume=resume,
-        run={"threads": threads},
+        run={"threads": threads, "compute": compute},
     )
     with back_end(compute):
         report_outcome(job, run_shown(job, list(context.find_root().obj or [])))
