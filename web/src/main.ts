@@ -1,0 +1,9 @@
+import "./style.css";
+import { route } from "./router";
+import { click } from "./screens/click";
+import { gesture } from "./screens/gesture";
+import { setup } from "./screens/setup";
+import { view } from "./screens/view";
+
+const root = document.getElementById("app");
+if (root) route(root, { view, gesture, click, setup }, "view");

@@ -1,0 +1,16 @@
+import type { OpenScreen, Screen } from "./screen";
+
+/** Shows the screen that the address names (#/view/RESULT, #/gesture, ...), `fallback` when it names none. */
+export function route(root: HTMLElement, screens: Readonly<Record<string, OpenScreen>>, fallback: string): void {
+  let shown: Screen | undefined;
+  const show = (): void => {
+    const [name = "", ...rest] = location.hash.replace(/^#\/?/, "").split("/").map(decodeURIComponent);
+    const open = screens[name] ?? screens[fallback];
+    if (!open) return;
+    shown?.close();
+    root.replaceChildren();
+    shown = open(root, name in screens ? rest : []);
+  };
+  addEventListener("hashchange", show);
+  show();
+}
