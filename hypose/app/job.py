@@ -13,7 +13,8 @@ from typing import Any
 
 from hypose import compute
 from hypose.app.console import ProgressCall, ignore
-from hypose.app.plots import Truth
+from hypose.app.summary import DESCRIPTIONS
+from hypose.app.truth import Truth
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
@@ -23,26 +24,10 @@ from hypose.io.frames import FrameOptions, FrameStream
 from hypose.io.provenance import identity, provenance
 from hypose.io.recording import Recording
 from hypose.io.results import ResultsFolder, load_motion, to_json
-from hypose.pipeline.anthropometry import load_subject
+from hypose.pipeline.anthropometry import load_subject, subject_file
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.subject import SubjectOptions
 from hypose.tracking.recipes import RECIPES, recipe
-
-DESCRIPTIONS = {
-    "motion.npz": "poses, joints, uncertainty and flags (numpy; metres, radians, seconds; world z up)",
-    "body.npz": "the subject's body",
-    "motion.trc": "joint centres for OpenSim (millimetres, y up)",
-    "motion.c3d": "joint centres as float C3D (millimetres, z up; residual = standard deviation)",
-    "motion.mot": "joint angles for OpenSim (degrees, metres)",
-    "motion.bvh": "skeleton animation (metres, degrees, y up)",
-    "motion.glb": "skinned, animated body for Blender and browsers (metres, y up)",
-    "angles.csv": "joint angles (degrees)",
-    "joints.csv": "joint centres with their standard deviation (metres, z up) and flags per frame",
-    "overlay.mp4": "the body on the recorded images",
-    "provenance.json": "settings, versions, inputs with their hashes",
-    "report.html": "this report",
-}
-"""What each file of a results folder is."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +86,7 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
     recording, options, results = job.recording, job.options, job.results
     _check_choices(job)
     results.check_writable()
-    record = _record(job)
+    record = record_of(job)
     progress("compile", 0, 1)
     compute.warm_up()
     progress("compile", 1, 1)
@@ -157,7 +142,7 @@ def _check_choices(job: Job) -> None:
         )
 
 
-def _record(job: Job) -> dict[str, Any]:
+def record_of(job: Job) -> dict[str, Any]:
     """The provenance: everything that decides the result, and the run."""
     recording, options = job.recording, job.options
     frames = recording.frames
@@ -171,6 +156,8 @@ def _record(job: Job) -> dict[str, Any]:
     toml = recording.folder / "recording.toml"
     if toml.is_file():
         inputs["recording"] = toml
+    if options.subject is not None:
+        inputs["subject"] = subject_file(options.subject)
     return provenance(options.recipe, options.seed, settings, inputs, job.run)
 
 

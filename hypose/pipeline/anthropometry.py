@@ -341,14 +341,17 @@ def save_subject(folder: str | Path, estimate: SubjectEstimate, template: Body, 
     return body, toml
 
 
-def load_subject(path: str | Path) -> Body:
-    """The body of a subject: its folder, subject.toml or body.npz. An InputError names what is missing."""
+def subject_file(path: str | Path) -> Path:
+    """Where the body of a subject lies that is given as its folder, subject.toml or body.npz."""
     p = Path(path)
     if p.is_dir():
-        p = p / "body.npz"
-    elif p.name == "subject.toml":
-        p = p.with_name("body.npz")
-    return load_body(p)
+        return p / "body.npz"
+    return p.with_name("body.npz") if p.name == "subject.toml" else p
+
+
+def load_subject(path: str | Path) -> Body:
+    """The body of a subject: its folder, subject.toml or body.npz. An InputError names what is missing."""
+    return load_body(subject_file(path))
 
 
 def size_uncertainty(estimate: SubjectEstimate, template: Body, draws: int = 24) -> dict[str, float]:
