@@ -163,7 +163,7 @@ def _stopped(job: Job, arguments: list[str]) -> None:
 
 def report_outcome(job: Job, finished: tuple[Outcome, dict[str, float]]) -> None:
     """The closing lines."""
-    from hypose.app.report import summarize
+    from hypose.app.summary import summarize
 
     outcome, seconds = finished
     s = summarize(outcome.motion)

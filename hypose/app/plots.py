@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import matplotlib
@@ -16,10 +15,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from hypose.app.truth import Truth
 from hypose.body.joint_angles import joint_angles
 from hypose.body.motion import Motion
 from hypose.cameras.camera import CameraRig
-from hypose.geometry import Array
 
 LEFT, RIGHT, MIDDLE, INK = "#d9731a", "#2679c0", "#444444", "#222222"
 LOST, EXTRAPOLATED = "#d62f2f", "#e0a800"
@@ -42,22 +41,6 @@ _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "hypose",
 }
-
-
-@dataclass(frozen=True)
-class Truth:
-    """What a synthetic recording knows: distances (T, K) m between true and found joints, their names (K), and the true
-    pelvis path (T, 3) m."""
-
-    distances: Array
-    names: tuple[str, ...]
-    pelvis: Array
-    note: str = ""
-
-    @property
-    def mean_mm(self) -> float:
-        """Mean over frames and joints, mm."""
-        return float(np.nanmean(self.distances)) * 1000
 
 
 def _svg(draw: Callable[[Figure], None], size: tuple[float, float]) -> str:

@@ -15,7 +15,8 @@ import numpy as np
 from hypose import __version__
 from hypose.app import plots
 from hypose.app.pictures import Image
-from hypose.app.plots import Truth
+from hypose.app.summary import subject_rows, summarize
+from hypose.app.truth import Truth
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.cameras.camera import CameraRig
@@ -55,34 +56,6 @@ class ReportInput:
     seconds: Mapping[str, float] = field(default_factory=dict)
     truth: Truth | None = None
     complete: bool = True
-
-
-@dataclass(frozen=True)
-class Summary:
-    """Figures of a motion. iou: mean overlap (NaN when not known); worst_iou; sd_mm: median over joints and frames."""
-
-    frames: int
-    seconds: float
-    lost: int
-    extrapolated: int
-    iou: float
-    worst_iou: float
-    sd_mm: float
-
-
-def summarize(motion: Motion) -> Summary:
-    """The figures that the closing lines and the report share."""
-    iou, sd = 1 - motion.cost, motion.joint_sd
-    iou, sd = iou[np.isfinite(iou)], sd[np.isfinite(sd)]
-    return Summary(
-        len(motion),
-        len(motion) / motion.frame_rate,
-        int(motion.lost.sum()),
-        int((motion.extrapolated & ~motion.lost).sum()),
-        float(iou.mean()) if len(iou) else float("nan"),
-        float(iou.min()) if len(iou) else float("nan"),
-        float(np.median(sd)) * 1000 if len(sd) else float("nan"),
-    )
 
 
 def write_report(path: str | Path, what: ReportInput) -> Path:
@@ -186,17 +159,7 @@ def _still(caption: str, picture: Image) -> str:
 
 
 def _subject(body: Body) -> str:
-    rows = [("stature", body.stature)]
-    lengths: dict[str, float] = body.segment_lengths()
-    for name, value in lengths.items():
-        if name.startswith("left_"):
-            plain = name.removeprefix("left_")
-            rows.append((plain, 0.5 * (value + lengths[f"right_{plain}"])))
-        elif not name.startswith("right_"):
-            rows.append((name, value))
-    cells = "".join(
-        f'<tr><td>{html.escape(n.replace("_", " "))}</td><td class="n">{v:.3f} m</td></tr>' for n, v in rows
-    )
+    cells = "".join(f'<tr><td>{html.escape(n)}</td><td class="n">{v:.3f} m</td></tr>' for n, v in subject_rows(body))
     return f'<table>{cells}</table><p class="dim">Between joint centres; limbs: mean of both sides.</p>'
 
 

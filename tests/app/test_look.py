@@ -9,7 +9,8 @@ import pytest
 
 from hypose.app import __main__ as module_entry
 from hypose.app.pictures import Drawing, draw_all, draw_view, image_points, layout, mask_outline
-from hypose.app.report import ReportInput, report_html, summarize
+from hypose.app.report import ReportInput, report_html
+from hypose.app.summary import summarize
 from hypose.body.models import human
 from hypose.cameras.camera import Camera
 from hypose.compute.render import silhouette
