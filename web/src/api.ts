@@ -1,0 +1,118 @@
+import { readPack, type Pack } from "./protocol";
+
+/** The token of the address the page was opened with; "" on this computer. */
+const token = typeof location === "undefined" ? "" : (new URLSearchParams(location.search).get("token") ?? "");
+
+/** An answer that is an error; the message is the server's sentence, fit for the user. */
+export class ApiError extends Error {
+  constructor(
+    message: string,
+    readonly status: number,
+  ) {
+    super(message);
+  }
+}
+
+/** The address of something the server has, with the token and these parameters: for fetch, <img> and <a>. */
+export function address(path: string, query: Readonly<Record<string, string | number | boolean>> = {}): string {
+  const url = new URL(path.replace(/^\//, ""), new URL("./", location.href));
+  for (const [key, value] of Object.entries(query)) url.searchParams.set(key, String(value));
+  if (token) url.searchParams.set("token", token);
+  return url.href;
+}
+
+async function ask(path: string, init: RequestInit): Promise<Response> {
+  let answer: Response;
+  try {
+    answer = await fetch(address(path), init);
+  } catch (error) {
+    if (init.signal?.aborted) throw error;
+    throw new ApiError("The server does not answer; is `hypose view` still running?", 0);
+  }
+  if (answer.ok) return answer;
+  const value: unknown = await answer.json().catch(() => null);
+  const sentence = value && typeof value === "object" && "error" in value ? String(value.error) : answer.statusText;
+  throw new ApiError(sentence, answer.status);
+}
+
+export async function get<T>(path: string, signal?: AbortSignal): Promise<T> {
+  return (await (await ask(path, signal ? { signal } : {})).json()) as T;
+}
+
+export async function getPack(path: string, signal?: AbortSignal): Promise<Pack> {
+  return readPack(await (await ask(path, signal ? { signal } : {})).arrayBuffer());
+}
+
+export async function post<T>(path: string, value: unknown = {}, signal?: AbortSignal): Promise<T> {
+  const init: RequestInit = {
+    method: "POST",
+    body: JSON.stringify(value),
+    headers: { "Content-Type": "application/json" },
+  };
+  if (signal) init.signal = signal;
+  return (await (await ask(path, init)).json()) as T;
+}
+
+/** Sends a file; progress(0..1) while it goes. */
+export function put<T>(path: string, body: Blob, progress: (share: number) => void = () => undefined): Promise<T> {
+  return new Promise((done, failed) => {
+    const request = new XMLHttpRequest();
+    request.open("PUT", address(path));
+    request.upload.onprogress = (e) => progress(e.lengthComputable ? e.loaded / e.total : 0);
+    request.onerror = () => failed(new ApiError("The file could not be sent; is `hypose view` still running?", 0));
+    request.onload = () => {
+      const value = JSON.parse(request.responseText || "null") as T & { error?: string };
+      if (request.status < 300) done(value);
+      else failed(new ApiError(value?.error ?? request.statusText, request.status));
+    };
+    request.send(body);
+  });
+}
+
+/** A WebSocket of the server; it opens again by itself after a break until it is closed. */
+export class Socket {
+  private socket: WebSocket | undefined;
+  private closed = false;
+  private wait = 250;
+
+  constructor(
+    private readonly path: string,
+    private readonly onMessage: (message: unknown) => void,
+    private readonly onPicture: (message: ArrayBuffer) => void = () => undefined,
+    private readonly onState: (open: boolean) => void = () => undefined,
+  ) {
+    this.open();
+  }
+
+  private open(): void {
+    const socket = new WebSocket(address(this.path).replace(/^http/, "ws"));
+    socket.binaryType = "arraybuffer";
+    socket.onopen = () => {
+      this.wait = 250;
+      this.onState(true);
+    };
+    socket.onmessage = ({ data }: MessageEvent<string | ArrayBuffer>) => {
+      if (typeof data === "string") this.onMessage(JSON.parse(data));
+      else this.onPicture(data);
+    };
+    socket.onclose = () => {
+      this.onState(false);
+      if (this.closed) return;
+      setTimeout(() => this.closed || this.open(), this.wait);
+      this.wait = Math.min(5000, 2 * this.wait);
+    };
+    this.socket = socket;
+  }
+
+  /** False when there is no connection just now; the message is then lost. */
+  send(message: unknown): boolean {
+    if (this.socket?.readyState !== WebSocket.OPEN) return false;
+    this.socket.send(JSON.stringify(message));
+    return true;
+  }
+
+  close(): void {
+    this.closed = true;
+    this.socket?.close();
+  }
+}

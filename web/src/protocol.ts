@@ -1,0 +1,175 @@
+/** What the page and the server exchange; docs/studio-protocol.md says what it means. */
+
+export type Id = string;
+
+export interface RecordingEntry { id: Id; name: string; path: string; results: Id[] }
+export interface ResultEntry {
+  id: Id; name: string; path: string; recording: Id | null; recipe: string; frames: number; frame_rate: number;
+  complete: boolean; changed: number;
+}
+export interface SessionEntry { id: Id; name: string; path: string; gesture: string; frames: number }
+export interface ModelEntry {
+  id: Id; name: string; path: string; gestures: string[]; growing: boolean; thresholds: (number | null)[];
+}
+export interface SourceEntry { value: string; title: string; gestures?: string[]; missing?: string }
+
+export interface State {
+  version: string; root: string; upload_limit: number; recordings: RecordingEntry[]; results: ResultEntry[];
+  sessions: SessionEntry[]; models: ModelEntry[]; sources: SourceEntry[]; jobs: Job[];
+}
+
+export interface CameraInfo {
+  name: string; K: number[][]; camera_from_world: number[][]; size: [number, number]; pictures: boolean;
+}
+export interface FileInfo { name: string; what: string; bytes: number }
+
+export interface Result {
+  id: Id; name: string; path: string; recording: Id | null; recipe: string; frames: number; frame_rate: number;
+  first_frame: number; complete: boolean; joint_names: string[]; parents: number[]; has_poses: boolean;
+  has_body: boolean; has_truth: boolean; modes: number; lost: number; extrapolated: number; mean_iou: number | null;
+  sd_mm: number | null; floor: number; cameras: CameraInfo[]; files: FileInfo[]; formats: string[]; citation: string;
+  notes: string[]; provenance: Record<string, unknown>;
+}
+
+export interface ViewInfo {
+  name: string; camera: string; video: string | null; background: string | null; masks: string | null;
+  keypoints: string | null;
+}
+export type MaskSettings = Record<string, number | boolean | string>;
+export interface Finding { fault: boolean; sentence: string; view: string | null; kind: string }
+export interface Check {
+  healthy: boolean; facts: string[]; warnings: string[]; findings: Finding[]; page: string;
+  views: { name: string; residual_px: number | null; left_out_px: number | null; tangency_px: number | null }[];
+}
+export interface Recording {
+  id: Id; name: string; path: string; problem: string | null; frame_rate: number; frames: number;
+  frame_range: [number, number] | null; subject_height: number | null; views: ViewInfo[]; cameras: CameraInfo[];
+  notes: string[]; mask_settings: MaskSettings; check: Check | null;
+  subject: { stature_m: number; sizes_cm: Record<string, number> } | null; results: Id[]; starts: string[];
+}
+
+export interface Upload {
+  upload: Id; name: string; bytes: number; kind: "video" | "image" | "calibration" | "other"; size?: [number, number];
+  frames?: number; frame_rate?: number | null; cameras?: string[];
+}
+export interface NewRecording {
+  name: string; calibration: Id; frame_rate?: number; world_up?: string; calibration_unit?: string;
+  subject_height?: number; views: { name: string; camera: string; video: Id; background?: Id }[];
+}
+
+export type JobKind = "check" | "silhouettes" | "subject" | "track" | "export" | "demo" | "refine";
+export type JobState = "queued" | "running" | "done" | "failed" | "cancelled";
+export interface Stage {
+  name: string; title: string; done: number; total: number; seconds: number; per_s: number | null;
+  left_s: number | null; unit: string;
+}
+export interface Job {
+  id: Id; kind: JobKind; title: string; command: string; recording: Id | null; result: Id | null; state: JobState;
+  options: Record<string, unknown>; stages: Stage[]; lines: string[]; error: string | null; created: number;
+  began: number | null; ended: number | null; resumable: boolean;
+}
+export interface NewJob { kind: JobKind; recording?: Id; result?: Id; options?: Record<string, unknown> }
+export type JobsMessage = { t: "jobs"; jobs: Job[] } | { t: "job"; job: Job } | { t: "files" };
+
+export interface ClickedPoint { joint: string; x: number; y: number; occluded?: boolean }
+export interface ClickedView { camera: string; points: ClickedPoint[] }
+export interface FitRequest {
+  recording?: Id | null; result?: Id | null; frame: number; height?: number | null; start?: number[] | null;
+  views: ClickedView[];
+}
+export interface Fit {
+  pose: number[]; joints: number[][]; rotations: number[][]; joint_sd: number[]; covariance: number[][];
+  pixels: Record<string, Record<string, [number, number]>>; rms_px: number;
+  worst: { camera: string; joint: string; px: number } | null; depth_sd: number | null; notes: string[];
+  alternatives: { joints: number[][]; cost: number; flipped: string[] }[];
+}
+export interface ClickJoint { joint: string; title: string }
+
+export type Phase = "do_gesture" | "positive" | "release" | "negative" | "test";
+export type GestureCommand = "next" | "undo" | "pause" | "continue" | "again" | "test";
+export interface PhaseSeconds { do_gesture: number; positive: number; release: number; negative: number }
+export type GestureRequest =
+  | {
+      t: "start"; mode: "train"; gesture: string; source: string; resume?: Id | null; rounds?: number;
+      seconds?: Partial<PhaseSeconds>; seed?: number; fast?: boolean;
+    }
+  | { t: "start"; mode: "run"; models: Id[]; source: string; seed?: number; fast?: boolean }
+  | { t: "command"; command: GestureCommand }
+  | { t: "box"; x: number; y: number }
+  | { t: "threshold"; value: number | null }
+  | { t: "hold"; seconds: number }
+  | { t: "map"; on: boolean }
+  | { t: "save" }
+  | { t: "stop" }
+  | { t: "ack"; seq: number };
+
+/** [time, score, high, low, threshold, phase] */
+export type HistoryRow = [number, number | null, number | null, number | null, number | null, string];
+export interface GestureSession {
+  mode: "train" | "run"; gesture: string; gestures: string[]; source: string; title: string; size: [number, number];
+  rounds: number; seconds: PhaseSeconds; rate: number | null; folder: string | null; resumed: string | null;
+  history: HistoryRow[];
+}
+export interface GestureEvent { kind: "start" | "end"; gesture: string; time: number; x: number; y: number; score: number }
+export interface GestureFound { gesture: string; score: number; x: number; y: number; threshold: number | null }
+export interface GestureStep {
+  t: "step"; seq: number; time: number; phase: Phase; prompt: string; left_s: number | null; round: number;
+  paused: boolean; box: [number, number, number] | null; cross: [number, number] | null;
+  position: [number, number, number] | null; learned: number[] | null; mined: [number, number][];
+  score: number | null; high: number | null; low: number | null; threshold: number | null; manual: boolean;
+  detected: boolean;
+  counts: { gesture: number; negative: number; pixels: number[]; nodes: number; segments: number };
+  events: GestureEvent[]; found?: GestureFound[]; ms: Record<string, number>;
+}
+export interface GestureJudged {
+  t: "judged"; ap: number | null; frames: number; positives: number; precision: number[]; recall: number[];
+  scores: number[]; at: { precision: number; recall: number } | null; false_per_min: number | null; tested_s: number;
+}
+export type GestureMessage =
+  | { t: "hello"; session: GestureSession | null }
+  | GestureStep
+  | GestureJudged
+  | { t: "saved"; model: Id; path: string; recording: Id | null }
+  | { t: "said"; text: string }
+  | { t: "error"; error: string }
+  | { t: "ended"; why: string };
+
+export const DEPTH = 1;
+export const MAP = 2;
+export const COLOUR = 3;
+/** A binary WebSocket message: 16 bytes of header, then the picture. */
+export interface Picture { type: number; stream: number; seq: number; time: number; data: Uint8Array<ArrayBuffer> }
+
+export function readPicture(message: ArrayBuffer): Picture {
+  const view = new DataView(message);
+  return {
+    type: view.getUint8(0),
+    stream: view.getUint8(1),
+    seq: view.getUint32(4, true),
+    time: view.getFloat64(8, true),
+    data: new Uint8Array(message, 16),
+  };
+}
+
+type Numbers = Float32Array | Float64Array | Int32Array | Uint32Array | Uint16Array | Uint8Array;
+const KINDS = {
+  float32: Float32Array, float64: Float64Array, int32: Int32Array, uint32: Uint32Array, uint16: Uint16Array,
+  uint8: Uint8Array,
+};
+export interface PackArray { shape: number[]; values: Numbers }
+export interface Pack { header: Record<string, unknown>; arrays: Record<string, PackArray> }
+
+/** Arrays of a pack; they look into `buffer`, nothing is copied. Throws an Error when it is none. */
+export function readPack(buffer: ArrayBuffer): Pack {
+  const view = new DataView(buffer);
+  if (buffer.byteLength < 8 || view.getUint32(0, false) !== 0x48595031) throw new Error("This is no pack of arrays.");
+  const size = view.getUint32(4, true);
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 8, size))) as Record<string, unknown>;
+  const described = header["arrays"] as Record<string, { dtype: keyof typeof KINDS; shape: number[]; offset: number }>;
+  const arrays: Record<string, PackArray> = {};
+  for (const [name, { dtype, shape, offset }] of Object.entries(described)) {
+    const length = shape.reduce((a, b) => a * b, 1);
+    arrays[name] = { shape, values: new KINDS[dtype](buffer, 8 + size + offset, length) };
+  }
+  return { header, arrays };
+}
