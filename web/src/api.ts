@@ -1,5 +1,3 @@
-import { readPack, type Pack } from "./protocol";
-
 /** The token of the address the page was opened with; "" on this computer. */
 const token = typeof location === "undefined" ? "" : (new URLSearchParams(location.search).get("token") ?? "");
 
@@ -39,8 +37,8 @@ export async function get<T>(path: string, signal?: AbortSignal): Promise<T> {
   return (await (await ask(path, signal ? { signal } : {})).json()) as T;
 }
 
-export async function getPack(path: string, signal?: AbortSignal): Promise<Pack> {
-  return readPack(await (await ask(path, signal ? { signal } : {})).arrayBuffer());
+export async function getBytes(path: string, signal?: AbortSignal): Promise<ArrayBuffer> {
+  return (await ask(path, signal ? { signal } : {})).arrayBuffer();
 }
 
 export async function post<T>(path: string, value: unknown = {}, signal?: AbortSignal): Promise<T> {

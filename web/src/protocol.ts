@@ -21,16 +21,6 @@ export interface State {
 export interface CameraInfo {
   name: string; K: number[][]; camera_from_world: number[][]; size: [number, number]; pictures: boolean;
 }
-export interface FileInfo { name: string; what: string; bytes: number }
-
-export interface Result {
-  id: Id; name: string; path: string; recording: Id | null; recipe: string; frames: number; frame_rate: number;
-  first_frame: number; complete: boolean; joint_names: string[]; parents: number[]; has_poses: boolean;
-  has_body: boolean; has_truth: boolean; modes: number; lost: number; extrapolated: number; mean_iou: number | null;
-  sd_mm: number | null; floor: number; cameras: CameraInfo[]; files: FileInfo[]; formats: string[]; citation: string;
-  notes: string[]; provenance: Record<string, unknown>;
-}
-
 export interface ViewInfo {
   name: string; camera: string; video: string | null; background: string | null; masks: string | null;
   keypoints: string | null;
@@ -149,27 +139,4 @@ export function readPicture(message: ArrayBuffer): Picture {
     time: view.getFloat64(8, true),
     data: new Uint8Array(message, 16),
   };
-}
-
-type Numbers = Float32Array | Float64Array | Int32Array | Uint32Array | Uint16Array | Uint8Array;
-const KINDS = {
-  float32: Float32Array, float64: Float64Array, int32: Int32Array, uint32: Uint32Array, uint16: Uint16Array,
-  uint8: Uint8Array,
-};
-export interface PackArray { shape: number[]; values: Numbers }
-export interface Pack { header: Record<string, unknown>; arrays: Record<string, PackArray> }
-
-/** Arrays of a pack; they look into `buffer`, nothing is copied. Throws an Error when it is none. */
-export function readPack(buffer: ArrayBuffer): Pack {
-  const view = new DataView(buffer);
-  if (buffer.byteLength < 8 || view.getUint32(0, false) !== 0x48595031) throw new Error("This is no pack of arrays.");
-  const size = view.getUint32(4, true);
-  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 8, size))) as Record<string, unknown>;
-  const described = header["arrays"] as Record<string, { dtype: keyof typeof KINDS; shape: number[]; offset: number }>;
-  const arrays: Record<string, PackArray> = {};
-  for (const [name, { dtype, shape, offset }] of Object.entries(described)) {
-    const length = shape.reduce((a, b) => a * b, 1);
-    arrays[name] = { shape, values: new KINDS[dtype](buffer, 8 + size + offset, length) };
-  }
-  return { header, arrays };
 }
