@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hypose import __version__
 from hypose.app.summary import subject_rows, summarize
@@ -26,6 +27,8 @@ from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
+from hypose.geometry import Array
+from hypose.io.export import FORMATS
 
 MAGIC = b"HYPOSEV1"
 LOST, EXTRAPOLATED = 1, 2
@@ -36,7 +39,7 @@ _DTYPES = {"f4": "<f4", "f8": "<f8", "u1": "|u1", "u2": "<u2", "u4": "<u4"}
 class ViewResult:
     """A result to look at. body, rig: None when not known (a fused skeleton has neither). image_shifts: (x, y) px per
     camera, as in recording.toml. first_frame: the recording's frame of row 0. pictures: names of the cameras whose
-    pictures can be had. files: (name, what it is)."""
+    pictures can be had. files: (name, what it is, bytes)."""
 
     title: str
     motion: Motion
@@ -45,7 +48,7 @@ class ViewResult:
     image_shifts: Sequence[tuple[float, float]] = ()
     pictures: Sequence[str] = ()
     first_frame: int = 0
-    files: Sequence[tuple[str, str]] = ()
+    files: Sequence[tuple[str, str, int]] = ()
     notes: Sequence[str] = ()
     citation: str = ""
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -94,18 +97,27 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
         "cost": m.cost.astype("<f4"),
     }
     if m.poses is not None:
-        out["poses"] = m.poses.astype("<f4")
+        out["rotations"] = quaternions(m.skeleton, m.poses)
         if angles_known(m.skeleton):
             names, values = joint_angles(m.skeleton, m.poses)
             shown = [v if is_length(n) else np.degrees(v) for n, v in zip(names, values.T, strict=True)]
             out["angles"] = np.stack(shown).astype("<f4")
         if result.body is not None:
             out |= _mesh("fine", result.body.fine) | _mesh("coarse", result.body.coarse)
-            out["coarse_edges"] = result.body.coarse.edges.astype("<u2")
+            out["rest_joints"] = m.skeleton.rest_joints.astype("<f4")
     if result.truth is not None:
         if result.truth.joints is not None:
             out["truth_joints"] = result.truth.joints.astype("<f4")
         out["truth_distances"] = result.truth.distances.astype("<f4")
+    return out
+
+
+def quaternions(skeleton: Skeleton, poses: Array) -> np.ndarray:
+    """World-from-joint rotations of poses (T, D) as float32 quaternions (T, J, 4) x y z w; NaN where the pose is."""
+    good = np.isfinite(poses).all(1)
+    rotations, _ = skeleton.forward(poses[good])
+    out = np.full((len(poses), len(skeleton.joint_names), 4), np.nan, "<f4")
+    out[good] = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat().reshape(*rotations.shape[:2], 4)
     return out
 
 
@@ -120,7 +132,7 @@ def _mesh(level: str, mesh: Mesh) -> dict[str, np.ndarray]:
 
 
 def angles_known(skeleton: Skeleton) -> bool:
-    """Anatomical angles are defined for skeletons with the human joints."""
+    """Anatomical angles are defined for skeletons with the human joints only."""
     needed = {"pelvis", "chest", "head", "left_shoulder", "left_elbow", "left_hip", "left_knee", "left_ankle"}
     return needed <= set(skeleton.joint_names)
 
@@ -137,19 +149,14 @@ def _header(result: ViewResult) -> dict[str, Any]:
         "first_frame": result.first_frame,
         "complete": result.complete,
         "summary": asdict(summarize(m)),
-        "skeleton": {
-            "names": list(s.joint_names),
-            "parents": s.parents,
-            "offsets": s.rest_offsets,
-            "ball": s.ball,
-            "dofs": list(s.dof_names),
-            "axes": s.axes,
-            "joint_of_dof": s.joint_of_dof,
-        },
+        "joint_names": list(s.joint_names),
+        "parents": s.parents,
+        "floor": _floor(m, result.body),
+        "formats": list(FORMATS) if m.poses is not None else ["trc", "c3d", "csv"],
         "angles": [{"name": n, "unit": "m" if is_length(n) else "°"} for n in ANGLE_NAMES],
         "cameras": _cameras(result),
         "subject": subject_rows(result.body) if result.body is not None else [],
-        "files": [{"name": n, "what": w} for n, w in result.files],
+        "files": [{"name": n, "what": w, "bytes": b} for n, w, b in result.files],
         "notes": list(result.notes),
         "citation": result.citation,
         "seconds": dict(result.seconds),
@@ -182,6 +189,20 @@ def _cameras(result: ViewResult) -> list[dict[str, Any]]:
         }
         for c, shift in zip(rig, shifts, strict=True)
     ]
+
+
+def _floor(motion: Motion, body: Body | None) -> float:
+    """Height of the floor (m): 0, the world's own, unless the feet say that it lies elsewhere."""
+    feet = [j for j, n in enumerate(motion.skeleton.joint_names) if n.endswith(("ankle", "foot"))]
+    low = motion.joints[:, feet, 2]
+    low = low[np.isfinite(low)]
+    if not len(low):
+        return 0.0
+    ankle = 0.08
+    if body is not None:
+        ankle = float(body.skeleton.rest_joints[feet, 2].min() - body.fine.vertices[:, 2].min())
+    standing = float(np.percentile(low, 5)) - ankle
+    return 0.0 if abs(standing) < 0.25 else standing
 
 
 def _plain(value: Any) -> Any:
