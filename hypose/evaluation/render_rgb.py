@@ -135,11 +135,12 @@ def _depth(camera: Camera, points: Array) -> Array:
 @dataclass(frozen=True)
 class Outfit:
     """Colours of a subject: color (V, 3) BGR per vertex, weave (V,) strength of the cloth's pattern, pattern
-    (3, 3) wave vectors of it (1/m)."""
+    (3, 3) wave vectors of it (1/m); gloss: grey levels of the highlight where the surface mirrors the main light."""
 
     color: Floats
     weave: Floats
     pattern: Array
+    gloss: float = 0.0
 
 
 def make_outfit(subject: Subject, rng: np.random.Generator, hands_only: bool = False) -> Outfit:
@@ -233,8 +234,27 @@ def render_person(
         face = np.where(depth < np.repeat(np.repeat(hidden, s, 0), s, 1), face, np.int32(-1))
     n = vertex_normals(vertices, subject.faces)
     fold = np.sin(subject.vertices @ outfit.pattern.T).sum(1)
-    values = np.column_stack([outfit.color * (1 + 0.08 * outfit.weave * fold)[:, None], n @ LIGHT, n[:, 2]])
-    blend_shaded(picture[y0:y1, x0:x1], face, bary, subject.faces, values, s, (0.42, 0.62, 0.10))
+    color = outfit.color * (1 + 0.08 * outfit.weave * fold)[:, None]
+    if outfit.gloss > 0:
+        color = color + _highlight(camera, vertices, n, outfit.gloss)[:, None]
+    values = np.column_stack([color, n @ LIGHT, n[:, 2]])
+    blend_shaded(picture[y0:y1, x0:x1], face, bary, subject.faces, values, s, _LIT)
+
+
+_LIT = (0.42, 0.62, 0.10)
+"""Share of the light that comes from everywhere, from the main light, and from above."""
+_SHARPNESS = 24
+
+
+def _highlight(camera: Camera, vertices: Array, normals: Array, gloss: float) -> Array:
+    """(V,) grey levels to add to the vertices' colours so that, once shaded, a highlight of `gloss` remains (Blinn)."""
+    to_eye = camera.position - vertices
+    half = to_eye / np.linalg.norm(to_eye, axis=1, keepdims=True) + LIGHT
+    half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
+    mirrored = np.clip((normals * half).sum(1), 0, 1) ** _SHARPNESS
+    ambient, direct, sky = _LIT
+    shade = ambient + direct * np.clip(normals @ LIGHT, 0, None) + sky * normals[:, 2]
+    return gloss * mirrored / shade
 
 
 def cast_shadow(picture: Floats, backdrop: Backdrop, camera: Camera, subject: Subject, vertices: Array) -> None:
