@@ -14,6 +14,7 @@ from typing import Annotated
 import typer
 
 from hypose.app import (
+    commands_batch,
     commands_calibrate,
     commands_check,
     commands_data,
@@ -44,6 +45,7 @@ app.command("track")(commands_track.track)
 app.command("subject")(commands_subject.subject)
 app.command("fuse")(commands_fuse.fuse)
 app.add_typer(commands_gesture.app, name="gesture")
+app.command("batch")(commands_batch.batch)
 app.command("export")(commands_results.export)
 app.command("synth")(commands_data.synth)
 app.command("bench")(commands_results.bench)

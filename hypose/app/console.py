@@ -32,6 +32,7 @@ TITLES = {
     "sync": "Synchronise",
     "board": "Look for the board",
     "solve": "Solve",
+    "plan": "Look at the recordings",
 }
 """What a stage is called in front of the user."""
 COUNTED_IN_FRAMES = frozenset({"track", "overlay", "masks", "render"})

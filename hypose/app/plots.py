@@ -43,7 +43,8 @@ _STYLE: dict[Any, Any] = {
 }
 
 
-def _svg(draw: Callable[[Figure], None], size: tuple[float, float]) -> str:
+def svg(draw: Callable[[Figure], None], size: tuple[float, float]) -> str:
+    """What `draw` puts on an empty figure of `size` inches, as SVG text that loads nothing."""
     with plt.rc_context(_STYLE):
         figure = plt.figure(figsize=size, layout="constrained")
         try:
@@ -91,7 +92,7 @@ def fit_plot(motion: Motion) -> str:
         views.set_ylabel("views used")
         views.set_xlabel("time (s)")
 
-    return _svg(draw, (10.6, 3.2))
+    return svg(draw, (10.6, 3.2))
 
 
 def sd_plot(motion: Motion) -> str:
@@ -114,7 +115,7 @@ def sd_plot(motion: Motion) -> str:
         axes.set_xlabel("time (s)")
         axes.legend(loc="upper right", ncols=3)
 
-    return _svg(draw, (10.6, 2.6))
+    return svg(draw, (10.6, 2.6))
 
 
 _PANELS = (
@@ -149,7 +150,7 @@ def angle_plot(motion: Motion) -> str:
         for axes in figure.axes[3:]:
             axes.set_xlabel("time (s)")
 
-    return _svg(draw, (10.6, 4.2))
+    return svg(draw, (10.6, 4.2))
 
 
 def top_view_plot(motion: Motion, rig: CameraRig, truth: Truth | None = None) -> str:
@@ -182,7 +183,7 @@ def top_view_plot(motion: Motion, rig: CameraRig, truth: Truth | None = None) ->
         axes.set_ylabel("y (m)")
         axes.legend(loc="best", fontsize=7)
 
-    return _svg(draw, (5.2, 4.6))
+    return svg(draw, (5.2, 4.6))
 
 
 def error_plot(motion: Motion, truth: Truth) -> str:
@@ -203,4 +204,4 @@ def error_plot(motion: Motion, truth: Truth) -> str:
         bars.invert_yaxis()
         bars.set_xlabel("mm")
 
-    return _svg(draw, (10.6, 3.2))
+    return svg(draw, (10.6, 3.2))

@@ -108,9 +108,13 @@ def report_html(what: ReportInput) -> str:
         rows = "".join(f"<tr><td>{html.escape(n)}</td><td>{html.escape(t)}</td></tr>" for n, t in what.files)
         parts.append(f"<h2>Files</h2><table>{rows}</table>")
     parts.append(_origin(what))
-    body = "\n".join(parts)
+    return page(what.title, "\n".join(parts))
+
+
+def page(title: str, body: str) -> str:
+    """An HTML page of the reports' looks; `body` is HTML, the title plain text."""
     return (
-        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{html.escape(what.title)}</title>'
+        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>'
         '<meta name="viewport" content="width=device-width"><link rel="icon" href="data:,">'
         f"<style>{_STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
     )

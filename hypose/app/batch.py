@@ -1,0 +1,233 @@
+"""A sweep on Dask distributed: a cluster of this computer, one that is already running, or one of SLURM.
+
+Dask schedules, watches the workers and gives a dead one's tasks to others; the files carry the rest (what is finished,
+how far a task came), so that a batch can be stopped, killed and run again, and on the machines of a lab that share a
+folder. Tasks travel as plain values.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import os
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hypose.app.batch_worker import finished, run_task
+from hypose.app.console import ProgressCall, ignore
+from hypose.app.sweep import Task
+from hypose.errors import InputError
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+_TOPIC = "hypose-batch"
+_POLL_S = 0.5
+_STOP_S = 60.0  # a frame and a checkpoint take far less
+_THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where tasks run: workers of this computer, each a process with `threads` threads (None: the cores shared among
+    them); or the address of a running scheduler; or slurm: keywords of dask_jobqueue.SLURMCluster, one job per
+    worker. retries: how many deaths of a worker, and how many accidents, a task may have."""
+
+    workers: int = 1
+    threads: int | None = None
+    scheduler: str | None = None
+    slurm: Mapping[str, Any] | None = None
+    retries: int = 2
+
+
+@dataclass
+class _Progress:
+    """Frames done per task, as the workers tell; how often each was begun."""
+
+    frames: dict[str, int] = field(default_factory=dict)
+    attempts: dict[str, int] = field(default_factory=dict)
+
+    def hear(self, event: tuple[float, Mapping[str, Any]]) -> None:
+        message = event[1]
+        key = str(message["key"])
+        if message["stage"] == "begin":
+            self.attempts[key] = self.attempts.get(key, 0) + 1
+        elif message["stage"] == "track":
+            self.frames[key] = int(message["done"])
+
+
+def run_batch(
+    tasks: Sequence[Task],
+    place: Place,
+    results: Path,
+    progress: ProgressCall = ignore,
+    announce: Any = lambda text: None,
+) -> dict[str, dict[str, Any]]:
+    """Figures of every task by its key; state "done", "failed" or "stopped", attempts counted.
+
+    announce(text): the address of the dashboard, once. KeyboardInterrupt stops the tasks in order: each keeps what it
+    has, and the call returns; a second one ends at once (checkpoints stay).
+    """
+    out: dict[str, dict[str, Any]] = {}
+    for task in tasks:
+        known = finished(task)
+        if known is not None:
+            out[task.key] = {**known, "attempts": 0}
+    left = [t for t in tasks if t.key not in out]
+    if not left:
+        return out
+    try:
+        results.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{results} cannot be made ({error.strerror}); choose another folder for results.") from None
+    stop = results / f".stop-{os.getpid()}-{time.time_ns()}"
+    heard = _Progress()
+    try:
+        with _client(place) as client:
+            announce(_dashboard(client))
+            client.subscribe_topic(_TOPIC, heard.hear)
+            futures = {
+                client.submit(_remote, t.plain(), str(stop.absolute()), key=f"track-{t.key}", retries=place.retries): t
+                for t in left
+            }
+            _collect(futures, heard, out, progress, stop)
+    finally:
+        with contextlib.suppress(OSError):
+            stop.unlink(missing_ok=True)
+    return out
+
+
+def _remote(task: Mapping[str, Any], stop: str) -> dict[str, Any]:
+    """Runs in a worker process."""
+    from distributed import get_worker
+
+    worker = get_worker()
+    worker.log_event(_TOPIC, {"key": task["key"], "stage": "begin"})
+    made = Task(**{**task, "formats": tuple(task["formats"])})
+    return run_task(made, Path(stop), lambda message: worker.log_event(_TOPIC, dict(message)))
+
+
+def _collect(
+    futures: Mapping[Future, Task],
+    heard: _Progress,
+    out: dict[str, dict[str, Any]],
+    progress: ProgressCall,
+    stop: Path,
+) -> None:
+    """Take results as they come; on Ctrl-C ask the workers to stop and wait for what they keep."""
+    from distributed import wait
+
+    pending = set(futures)
+    frames = sum(t.frames for t in futures.values())
+    deadline = float("inf")
+    while pending and time.monotonic() < deadline:
+        try:
+            _show(futures, pending, heard, progress, frames)
+            with contextlib.suppress(TimeoutError):
+                done, _ = wait(list(pending), timeout=_POLL_S, return_when="FIRST_COMPLETED")
+                for future in done:
+                    task = futures[future]
+                    out[task.key] = {**_result(future, task), "attempts": heard.attempts.get(task.key, 1)}
+                pending -= done
+        except KeyboardInterrupt:
+            if deadline < float("inf"):
+                break
+            deadline = time.monotonic() + _STOP_S
+            stop.touch()
+    for future in pending:
+        key = futures[future].key
+        out[key] = {"key": key, "state": "stopped", "message": "stopped", "attempts": heard.attempts.get(key, 0)}
+    _show(futures, pending, heard, progress, frames)
+
+
+def _show(
+    futures: Mapping[Future, Task], pending: set[Future], heard: _Progress, progress: ProgressCall, frames: int
+) -> None:
+    complete = {t.key for f, t in futures.items() if f not in pending}
+    tracked = sum(t.frames if t.key in complete else heard.frames.get(t.key, 0) for t in futures.values())
+    progress("track", tracked, frames)
+    progress("recordings", len(complete), len(futures))
+
+
+def _result(future: Future, task: Task) -> dict[str, Any]:
+    from distributed.scheduler import KilledWorker
+
+    error = future.exception()
+    if error is None:
+        return dict(future.result())
+    if isinstance(error, KilledWorker):
+        reason = "its worker died every time (out of memory?); what was tracked is kept, run the batch again"
+    else:
+        reason = f"this should not have happened ({type(error).__name__}: {error}); please report it"
+    return {"key": task.key, "state": "failed", "message": reason}
+
+
+# ---- clusters ------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def _client(place: Place) -> Iterator[Client]:
+    """A client of the place's cluster; a cluster that was made here is closed with it."""
+    import dask
+    from distributed import Client
+
+    threads = place.threads or max(1, (os.cpu_count() or 1) // place.workers)
+    environment = {name: str(threads) for name in _THREADS}
+    with dask.config.set(
+        {
+            "distributed.scheduler.allowed-failures": place.retries,
+            # no task waits at a worker: a death counts against the task that ran, and costs that one only
+            "distributed.scheduler.worker-saturation": 1.0,
+            "distributed.nanny.pre-spawn-environ": environment,
+            "distributed.scheduler.events-log-length": 1000,
+        }
+    ):
+        if place.scheduler is not None:
+            try:
+                client = Client(place.scheduler, timeout="15s")
+            except (OSError, ValueError) as error:
+                raise InputError(
+                    f"No Dask scheduler answers at {place.scheduler} ({error}); start one with dask scheduler, and "
+                    "give the address that it prints, tcp://HOST:8786."
+                ) from None
+            with client:
+                yield client
+            return
+        with _cluster(place, environment) as cluster, Client(cluster) as client:
+            yield client
+
+
+def _cluster(place: Place, environment: Mapping[str, str]) -> Any:
+    """Loopback workers of this computer, or jobs of SLURM."""
+    if place.slurm is None:
+        from distributed import LocalCluster
+
+        return LocalCluster(
+            n_workers=place.workers,
+            threads_per_worker=1,  # tracking threads by itself, by numba
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            memory_limit=0,  # how much is free is known to the system only
+            silence_logs=50,
+        )
+    try:
+        from dask_jobqueue import SLURMCluster  # pyright: ignore[reportMissingImports] (extra)
+    except ImportError:
+        raise InputError("--slurm needs dask-jobqueue; install it with pip install 'hypose[slurm]'.") from None
+    exports = [f"export {name}={value}" for name, value in environment.items()]
+    options = {"cores": 1, "processes": 1, "memory": "4GB", "walltime": "04:00:00", **place.slurm}
+    options["job_script_prologue"] = [*exports, *options.get("job_script_prologue", [])]
+    cluster = SLURMCluster(**options)
+    cluster.scale(place.workers)
+    return cluster
+
+
+def _dashboard(client: Client) -> str:
+    """Where to watch: plots with bokeh (extra `dashboard`), plain pages without."""
+    link = client.dashboard_link
+    if importlib.util.find_spec("bokeh") is None:
+        link = link.removesuffix("status") + "info/main/workers.html"
+    return link

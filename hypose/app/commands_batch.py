@@ -1,0 +1,89 @@
+"""`hypose batch`: many recordings times many sets of parameters, on the cores of a computer or the nodes of a lab."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from types import FrameType
+from typing import Annotated
+
+import typer
+
+from hypose.app.console import Stages, note, say
+from hypose.errors import InputError
+
+
+def batch(
+    sweep: Annotated[Path, typer.Argument(help="TOML file: recordings, sets of settings; see docs/batch.md.")],
+    workers: Annotated[
+        int | None,
+        typer.Option(help="Processes of this computer, or jobs with --slurm. [default: the number of cores]"),
+    ] = None,
+    threads: Annotated[int | None, typer.Option(help="Threads of each worker. [default: the cores shared]")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Address of a running Dask scheduler, tcp://HOST:8786, instead.")
+    ] = None,
+    slurm: Annotated[
+        bool, typer.Option("--slurm", help="Workers as SLURM jobs, as [slurm] of the sweep says (extra slurm).")
+    ] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False,
+) -> None:
+    """Track many recordings with many sets of parameters; what is finished is skipped, what was begun goes on."""
+    _check(workers, threads, scheduler, slurm)
+    from hypose.app.batch import Place, run_batch
+    from hypose.app.batch_worker import finished
+    from hypose.app.sweep import plan, read_sweep
+
+    wanted = read_sweep(sweep)
+    count = workers or os.cpu_count() or 1
+    place = Place(count, threads, scheduler, wanted.slurm if slurm else None, wanted.retries)
+    previous = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        with Stages() as progress:
+            tasks, refused = plan(wanted, progress)
+            if dry_run:
+                done = sum(finished(t) is not None for t in tasks)
+                say(f"{len(tasks)} tasks: {done} finished, {len(tasks) - done} to do, {len(refused)} refused")
+                for one in refused:
+                    say(f"{one.recording}, {one.set_name}: {one.reason}")
+                return
+            figures = run_batch(tasks, place, wanted.results, progress, lambda link: note(f"Dashboard: {link}"))
+    except KeyboardInterrupt:
+        say("Stopped. Go on with the same command.")
+        raise typer.Exit(130) from None
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+    from hypose.app.batch_table import rows_of, write_table
+
+    rows = rows_of(tasks, refused, figures, wanted.results)
+    table, page = write_table(rows, wanted.results)
+    states = [str(r["state"]) for r in rows]
+    for row in rows:
+        if row["state"] == "failed":
+            note(f"{row['recording']}, {row['set']}: {row['message']}")
+    skipped = sum(r["state"] == "done" and r["attempts"] == 0 for r in rows)
+    parts = [f"{states.count('done')} of {len(rows)} done ({skipped} were before)"]
+    parts += [f"{states.count(s)} {s}" for s in ("failed", "stopped") if s in states]
+    say(", ".join(parts))
+    say(f"Table: {table}")
+    say(f"Page:  {page}")
+    if "stopped" in states:
+        say("Stopped. Go on with the same command.")
+        raise typer.Exit(130)
+    if "failed" in states:
+        raise typer.Exit(1)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def _check(workers: int | None, threads: int | None, scheduler: str | None, slurm: bool) -> None:
+    for name, value in (("workers", workers), ("threads", threads)):
+        if value is not None and not 1 <= value <= 1024:
+            raise InputError(f"--{name} {value} is not possible; give 1 to 1024.")
+    if scheduler is not None and slurm:
+        raise InputError("--scheduler and --slurm exclude each other; give one of them.")
+    if scheduler is not None and (workers is not None or threads is not None):
+        raise InputError("A running scheduler has its own workers; leave --workers and --threads out.")

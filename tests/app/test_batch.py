@@ -1,0 +1,224 @@
+"""`hypose batch`: sweeps read and refused, tasks that know what is finished, workers that are killed."""
+
+import csv
+import json
+import os
+import shutil
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from hypose.app.batch import Place, run_batch
+from hypose.app.batch_table import COLUMNS, rows_of, write_table
+from hypose.app.batch_worker import finished, run_task
+from hypose.app.sweep import Refused, plan, read_sweep
+from hypose.cameras.camera import CameraRig
+from hypose.errors import InputError
+from hypose.evaluation.rigs import rig
+from hypose.evaluation.scenes import make_scene
+from hypose.io.recording import Recording, View, write_recording
+from hypose.io.results import load_motion
+
+
+def write_masks_only(folder, seed, frames):
+    """A recording of masks: nothing to decode, so a task is little more than tracking."""
+    import cv2
+
+    scene = make_scene("walk", "neutral", rig("humaneva-4").scaled(0.25), seconds=frames / 25, seed=seed)
+    cameras = scene.given_rig.pinhole()
+    for t, frame in enumerate(scene.mask_frames()):
+        for c, camera in enumerate(cameras):
+            (folder / camera.name).mkdir(parents=True, exist_ok=True)
+            mask = frame.silhouettes.masks[c, : camera.size[1], : camera.size[0]]
+            assert cv2.imwrite(str(folder / camera.name / f"{t:04d}.png"), 255 * mask)
+    views = tuple(View(c.name, masks=folder / c.name) for c in cameras)
+    made = Recording(folder, folder.name, CameraRig(tuple(cameras)), views, 25.0, None, keypoint_set=None)
+    write_recording(made, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    """Two recordings of 60 and 6 frames; read only."""
+    folder = tmp_path_factory.mktemp("study")
+    for name, seed, frames in (("long", 1, 60), ("short", 2, 6)):
+        write_masks_only(folder / name, seed, frames)
+    return folder
+
+
+def sweep_file(study, out, text=""):
+    path = out / "sweep.toml"
+    path.write_text(f'recordings = ["{study}/*"]\nresults = "{out}/out"\n{text}')
+    return path
+
+
+# ---- reading and planning --------------------------------------------------------------------------------------
+
+
+def test_lists_in_a_set_are_combined(study, tmp_path):
+    text = (
+        '[settings]\nstart = "hull"\n[[set]]\nname = "a"\nseed = [0, 1]\nrecipe = ["sir", "hpf"]\n[[set]]\nname = "b"'
+    )
+    sweep = read_sweep(sweep_file(study, tmp_path, text))
+    assert [s["name"] for s in sweep.sets] == [
+        *("a-seed-0-recipe-sir", "a-seed-0-recipe-hpf", "a-seed-1-recipe-sir", "a-seed-1-recipe-hpf", "b")
+    ]
+    assert all(s["start"] == "hull" for s in sweep.sets)
+    tasks, refused = plan(sweep)
+    assert len({t.key for t in tasks}) == len(tasks) == 10 and not refused
+
+
+def test_the_key_follows_settings_and_content(study, tmp_path):
+    def key(text="", folder=study):
+        return plan(read_sweep(sweep_file(folder, tmp_path, text)))[0][0].key
+
+    first = key()
+    assert key() == first
+    assert key('[[set]]\nname = "other name"') == first  # a name changes no result
+    assert key("[settings]\nseed = 5") != first
+    copy = shutil.copytree(study / "long", tmp_path / "study" / "long").parent
+    assert key(folder=copy) == first
+    masks = sorted((copy / "long").rglob("*.png"))
+    shutil.copy(masks[1], masks[0])
+    assert key(folder=copy) != first
+
+
+@pytest.mark.parametrize(
+    ("text", "fragment"),
+    [
+        ('recording = "x"', "did you mean recordings?"),
+        ("recordings = []", "there are no recordings"),
+        ('recordings = ["nothing/*"]', "no recording matches 'nothing/*'"),
+        ('recordings = ["x"]\nretries = -1', "0 to 20"),
+        ('recordings = ["x"]\nformats = ["fbx"]', "no export format 'fbx'"),
+        ('recordings = ["x"]\n[settings]\nparticles = 5', "the key particles is unknown"),
+        ('recordings = ["x"]\n[settings]\nseed = "one"', "seed must be a whole number"),
+        ('recordings = ["x"]\n[[set]]\nname = "a"\n[[set]]\nname = "a"', "two sets are named a"),
+        ('recordings = ["x"', "is not valid TOML"),
+    ],
+)
+def test_sweeps_that_cannot_be(tmp_path, text, fragment):
+    path = tmp_path / "sweep.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match="sweep.toml") as caught:
+        read_sweep(path)
+    assert fragment in str(caught.value)
+
+
+def test_a_bad_recording_does_not_stop_the_others(study, tmp_path):
+    path = tmp_path / "sweep.toml"
+    path.write_text(f'recordings = ["{study}/short", "nowhere"]')
+    tasks, refused = plan(read_sweep(path))
+    assert [t.recording for t in tasks] == ["short"]
+    assert refused[0].recording == "nowhere" and "does not exist" in refused[0].reason
+
+
+def test_bad_options_end_in_a_sentence(hypose, study, tmp_path):
+    path = sweep_file(study, tmp_path)
+    assert hypose("batch", tmp_path / "none.toml")[0] == 2
+    code, _, err = hypose("batch", path, "--workers", "0")
+    assert code == 2 and "give 1 to 1024" in err
+    code, _, err = hypose("batch", path, "--scheduler", "tcp://127.0.0.1:1", "--slurm")
+    assert code == 2 and "exclude each other" in err
+
+
+def test_a_dry_run_counts_and_touches_nothing(hypose, study, tmp_path):
+    code, out, _ = hypose("batch", sweep_file(study, tmp_path), "--dry-run")
+    assert code == 0 and "2 tasks: 0 finished, 2 to do" in out
+    assert not (tmp_path / "out").exists()
+
+
+# ---- the table -------------------------------------------------------------------------------------------------
+
+
+def test_the_table_has_every_task_and_no_formula(study, tmp_path):
+    tasks, _ = plan(read_sweep(sweep_file(study, tmp_path)))
+    figures = {tasks[0].key: {"state": "done", "frames": 60, "iou": 0.9123456789, "sd_mm": 8.0, "attempts": 1}}
+    refused = [Refused("=cmd()", "<b>", "it is <i>broken</i>")]
+    table, page = write_table(rows_of(tasks, refused, figures, tmp_path), tmp_path)
+    with table.open() as file:
+        rows = list(csv.DictReader(file))
+    assert tuple(rows[0]) == COLUMNS and len(rows) == 3
+    assert rows[0]["iou"] == "0.912346" and rows[0]["recording"] == "long"
+    assert rows[2]["recording"] == "'=cmd()"
+    assert "<i>broken" not in page.read_text() and "<svg" in page.read_text()
+
+
+# ---- running ---------------------------------------------------------------------------------------------------
+
+
+def test_a_task_is_stopped_in_order_and_goes_on(study, tmp_path):
+    tasks, _ = plan(read_sweep(sweep_file(study, tmp_path, 'formats = ["trc"]')))
+    task, stop = tasks[0], tmp_path / "stop"
+
+    def stop_soon(message):
+        if message["stage"] == "track" and message["done"] > 0:
+            stop.touch()
+
+    assert run_task(task, stop, stop_soon)["state"] == "stopped"
+    assert finished(task) is None
+    assert run_task(task, stop, stop_soon)["message"] == "not begun"
+    stop.unlink()
+    done = run_task(task, stop, lambda message: None)
+    assert done["state"] == "done" and done["frames"] == 60
+    assert finished(task) == json.loads(task.record.read_text()) == done
+
+
+@pytest.mark.slow
+def test_killed_workers_change_no_byte(study, tmp_path):
+    serial = plan(read_sweep(sweep_file(study, tmp_path, "[settings]\nseed = [0, 1]")))[0]
+    for task in serial:
+        assert run_task(task, tmp_path / "no stop", lambda message: None)["state"] == "done"
+    expected = {t.key: (load_bytes(t), t) for t in serial}
+    os.rename(tmp_path / "out", tmp_path / "serial")
+
+    tasks, _ = plan(read_sweep(sweep_file(study, tmp_path, "[settings]\nseed = [0, 1]")))
+    killed = []
+
+    def kill_one():
+        """The first worker process that is at work on a long task and has a checkpoint."""
+        deadline = time.monotonic() + 300
+        while time.monotonic() < deadline and not killed:
+            if any(tmp_path.glob("out/long/*/checkpoint.npz")):
+                for pid in children():
+                    os.kill(pid, signal.SIGKILL)
+                    killed.append(pid)
+                    break
+            time.sleep(0.05)
+
+    killer = threading.Thread(target=kill_one)
+    killer.start()
+    figures = run_batch(tasks, Place(workers=1, threads=1), tmp_path / "out")
+    killer.join()
+    assert killed
+    assert {f["state"] for f in figures.values()} == {"done"}
+    assert max(f["attempts"] for f in figures.values()) == 2
+    for task in tasks:
+        assert load_bytes(task) == expected[task.key][0]
+    again = run_batch(tasks, Place(workers=1, threads=1), tmp_path / "out")
+    assert all(f["attempts"] == 0 for f in again.values())  # nothing was done twice
+    assert np.isfinite(load_motion(f"{tasks[0].results}/motion.npz").joints).all()
+
+
+def load_bytes(task):
+    with open(f"{task.results}/motion.npz", "rb") as file:
+        return file.read()
+
+
+def children():
+    """Worker processes of the local cluster: children of this process that run a nanny's worker."""
+    for entry in os.listdir("/proc"):
+        if not entry.isdigit():
+            continue
+        try:
+            with open(f"/proc/{entry}/stat") as file:
+                parent = int(file.read().rsplit(")", 1)[1].split()[1])
+            with open(f"/proc/{entry}/cmdline") as file:
+                command = file.read()
+        except (OSError, IndexError):
+            continue
+        if parent == os.getpid() and "spawn_main" in command:
+            yield int(entry)
