@@ -65,7 +65,7 @@ def view_bundle(result: ViewResult) -> bytes:
         index[name] = {"dtype": a.dtype.str[1:], "shape": list(a.shape), "offset": offset}
         offset += -(-a.nbytes // 8) * 8
     header["arrays"] = index
-    text = json.dumps(_plain(header), ensure_ascii=False, separators=(",", ":")).encode()
+    text = json.dumps(plain(header), ensure_ascii=False, separators=(",", ":")).encode()
     parts = [MAGIC, struct.pack("<I", len(text)), text, b"\0" * (-(len(MAGIC) + 4 + len(text)) % 8)]
     for a in arrays.values():
         parts += [a.tobytes(), b"\0" * (-a.nbytes % 8)]
@@ -205,14 +205,14 @@ def _floor(motion: Motion, body: Body | None) -> float:
     return 0.0 if abs(standing) < 0.25 else standing
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Plain JSON values; what JSON cannot say (NaN, infinity) becomes null."""
     if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
+        return [plain(v) for v in value]
     return value if isinstance(value, str | int | bool) or value is None else str(value)
