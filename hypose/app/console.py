@@ -5,6 +5,8 @@ Results go to stdout, progress and errors to stderr, so that `hypose ... > file`
 
 from __future__ import annotations
 
+import json
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -37,6 +39,9 @@ TITLES = {
 """What a stage is called in front of the user."""
 COUNTED_IN_FRAMES = frozenset({"track", "overlay", "masks", "render"})
 _PLAIN_SECONDS = 10.0  # without a terminal a line at most this often
+_JSON_SECONDS = 0.2
+JSON_PROGRESS = "HYPOSE_JSON_PROGRESS"
+"""With this environment variable set, progress is lines of JSON on stderr: for the program that started this one."""
 
 
 def out() -> Console:
@@ -96,7 +101,8 @@ class Stages:
     """Progress of the stages of one command; call it with (stage, done, total).
 
     In a terminal one bar per stage with frames/s and time left; elsewhere (a log, a pipe) a plain line at the start and
-    end of each stage and every 10 s. seconds: how long each stage took.
+    end of each stage and every 10 s; with JSON_PROGRESS set a line of JSON five times a second. seconds: how long each
+    stage took.
     """
 
     def __init__(self, quiet: bool = False) -> None:
@@ -105,9 +111,10 @@ class Stages:
         self._began: dict[str, float] = {}
         self._tasks: dict[str, TaskID] = {}
         self._said: dict[str, float] = {}
-        self._plain = None if quiet or console.is_terminal else console
+        self._json = bool(os.environ.get(JSON_PROGRESS)) and not quiet
+        self._plain = None if quiet or console.is_terminal or self._json else console
         self._bars: Progress | None = None
-        if console.is_terminal and not quiet:
+        if console.is_terminal and not quiet and not self._json:
             self._bars = _bars(console)
 
     def __enter__(self) -> Stages:
@@ -135,6 +142,10 @@ class Stages:
             self._bars.update(task, completed=done, total=total)
         elif self._plain is not None:
             self._say_plainly(stage, title, done, total, now)
+        elif self._json and (done in (0, total) or now - self._said.get(stage, 0.0) >= _JSON_SECONDS):
+            self._said[stage] = now
+            line = {"stage": stage, "title": title, "done": done, "total": total}
+            print(json.dumps(line), file=sys.stderr, flush=True)
 
     def _say_plainly(self, stage: str, title: str, done: int, total: int, now: float) -> None:
         first, last = stage not in self._said, done >= total

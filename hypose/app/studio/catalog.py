@@ -1,0 +1,148 @@
+"""What lies in the served folder: recordings, results, gesture sessions and models, each under an opaque id.
+
+The page never names a path. It names an id, which is looked up here, and only what really lies inside the served folder
+(links resolved) has one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+import time
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from hypose.errors import InputError
+from hypose.io import pose2sim
+
+Kind = Literal["recording", "result", "session", "model"]
+_DEPTH, _MOST, _MOST_FOLDERS = 5, 2000, 20_000
+_FRESH_S = 1.0
+_SKIPPED = frozenset({"node_modules", "__pycache__", "depth", "videos", "images", "masks", "site-packages"})
+
+
+class NotFound(InputError):
+    """There is nothing of this id."""
+
+
+@dataclass(frozen=True)
+class Item:
+    """Something to work with: kind; id; path, resolved and inside the root; changed: time of its last change, s."""
+
+    kind: Kind
+    id: str
+    path: Path
+    changed: float
+
+
+class Catalog:
+    """The items of a folder. Looked for again when asked for, at most once a second."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root.resolve()
+        self._lock = threading.Lock()
+        self._items: dict[str, Item] = {}
+        self._looked = -_FRESH_S
+
+    def items(self, kind: Kind, fresh: bool = False) -> list[Item]:
+        """All of a kind, the last changed first; fresh: look again now."""
+        self._look(fresh)
+        return sorted((i for i in self._items.values() if i.kind == kind), key=lambda i: (-i.changed, str(i.path)))
+
+    def find(self, kind: Kind, id: str) -> Item:
+        """The item of an id; NotFound when there is none, or no longer."""
+        item = self._items.get(id)
+        if item is None or item.kind != kind or not item.path.exists():
+            self._look(fresh=item is None)
+            item = self._items.get(id)
+        if item is None or item.kind != kind or not self.contains(item.path):
+            raise NotFound(f"There is no {kind} {id[:40]!r} here (any more); go back to the list.")
+        return item
+
+    def id_of(self, kind: Kind, path: Path) -> str:
+        """The id of a path inside the root, whether or not it is there yet."""
+        text = f"{kind}:{path.resolve().relative_to(self.root).as_posix()}"
+        return hashlib.blake2b(text.encode(), digest_size=6).hexdigest()
+
+    def contains(self, path: Path) -> bool:
+        """Whether a path lies inside the root when all links are followed."""
+        try:
+            return path.resolve().is_relative_to(self.root)
+        except OSError:
+            return False
+
+    def shown(self, path: Path) -> str:
+        """A path as the page shows it: relative to the root."""
+        return path.resolve().relative_to(self.root).as_posix()
+
+    def recording_of(self, result: Path) -> Path | None:
+        """The recording in whose folder results lie: results/RECIPE/ in it."""
+        for folder in list(result.resolve().parents)[:3]:
+            if folder.is_relative_to(self.root) and is_recording(folder):
+                return folder
+        return None
+
+    def _look(self, fresh: bool) -> None:
+        with self._lock:
+            if not fresh and time.monotonic() - self._looked < _FRESH_S:
+                return
+            found: dict[str, Item] = {}
+            for kind, path in _search(self.root):
+                if len(found) >= _MOST or not self.contains(path):
+                    continue
+                id = self.id_of(kind, path)
+                found[id] = Item(kind, id, path.resolve(), _changed(path))
+            self._items, self._looked = found, time.monotonic()
+
+
+def is_recording(folder: Path) -> bool:
+    """A folder that `hypose track` takes."""
+    return (folder / "recording.toml").is_file() or pose2sim.is_project(folder)
+
+
+def _changed(path: Path) -> float:
+    motion = path / "motion.npz"
+    try:
+        return (motion if motion.is_file() else path).stat().st_mtime
+    except OSError:
+        return 0.0
+
+
+def _search(root: Path) -> Iterator[tuple[Kind, Path]]:
+    """Breadth first, so that what is near is found though the folder be huge."""
+    waiting, seen = [(root, 0)], 0
+    while waiting and seen < _MOST_FOLDERS:
+        folder, depth = waiting.pop(0)
+        seen += 1
+        try:
+            entries = sorted(folder.iterdir())
+            if is_recording(folder):
+                yield "recording", folder
+        except OSError:
+            continue
+        names = {e.name for e in entries}
+        if "motion.npz" in names:
+            yield "result", folder
+        if {"session.json", "frames.csv"} <= names:
+            yield "session", folder
+        for entry in entries:
+            if entry.suffix == ".npz" and _is_model(entry):
+                yield "model", entry
+            hidden = entry.name.startswith(".") or entry.name in _SKIPPED
+            if depth < _DEPTH and not hidden and not entry.is_symlink() and entry.is_dir():
+                waiting.append((entry, depth + 1))
+
+
+def _is_model(path: Path) -> bool:
+    """A gesture model by the names of its arrays; whether it can be used shows when it is loaded."""
+    if path.name in ("motion.npz", "body.npz", "checkpoint.npz", "truth.npz"):
+        return False
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = set(archive.namelist())
+    except (OSError, zipfile.BadZipFile, ValueError):
+        return False
+    return {"description.npy", "test.npy", "left.npy"} <= names

@@ -1,0 +1,107 @@
+"""Who may talk to the server: this computer's own pages, or who shows the token.
+
+A web page of somebody else can make a browser send requests to 127.0.0.1. So a WebSocket, and whatever changes
+something, must come from the page that this server served (its Origin is the host that was asked for); and the host
+that was asked for must be one the server goes by, else a foreign name that was pointed to 127.0.0.1 would pass.
+"""
+
+from __future__ import annotations
+
+import hmac
+import secrets
+from dataclasses import dataclass
+from http import HTTPStatus
+from urllib.parse import parse_qs, urlsplit
+
+from starlette.datastructures import Headers
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from hypose.app.studio.answers import refusal
+
+LOOPBACK = frozenset({"127.0.0.1", "localhost", "::1"})
+_CHANGING = frozenset({"POST", "PUT", "DELETE", "PATCH"})
+POLICY = (
+    "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; connect-src 'self'; "
+    "worker-src 'self' blob:; media-src 'self' data: blob:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+)
+"""Nothing from elsewhere is loaded, whatever a recording or a bug puts into the page."""
+
+
+@dataclass(frozen=True)
+class Access:
+    """host: what the server listens on; token: None when it listens on this computer alone."""
+
+    host: str
+    token: str | None
+
+    @staticmethod
+    def of(host: str, token: str | None = None) -> Access:
+        """With a new token when others can reach the host and none is given."""
+        return Access(host, token or (None if host in LOOPBACK else secrets.token_urlsafe(16)))
+
+    def problem(self, scope: Scope) -> tuple[HTTPStatus, str] | None:
+        """Why a request is refused, None when it is not."""
+        headers = Headers(scope=scope)
+        asked = headers.get("host", "")
+        if self.token is None and _name(asked) not in LOOPBACK:
+            return HTTPStatus.FORBIDDEN, f"This server does not go by {asked[:80]!r}; open it as http://127.0.0.1."
+        changing = scope["type"] == "websocket" or scope["method"] in _CHANGING
+        origin = headers.get("origin")
+        foreign = origin is not None and urlsplit(origin).netloc.lower() != asked.lower()
+        if changing and (foreign or headers.get("sec-fetch-site") in ("cross-site", "same-site")):
+            return HTTPStatus.FORBIDDEN, "Pages of other sites may not talk to this server; open its own page."
+        talks = scope["path"].startswith(("/api/", "/ws/"))
+        if self.token is not None and talks and not self._shown(scope, headers):
+            return HTTPStatus.UNAUTHORIZED, "The token is missing or wrong; use the address that `hypose view` printed."
+        return None
+
+    def _shown(self, scope: Scope, headers: Headers) -> bool:
+        shown = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
+        bearer = headers.get("authorization", "").removeprefix("Bearer ")
+        token = (self.token or "").encode()
+        return any(hmac.compare_digest(t.encode(), token) for t in (shown, bearer))
+
+
+def _name(host: str) -> str:
+    """The host without its port."""
+    return (urlsplit(f"//{host}").hostname or "").lower() if host.isprintable() else ""
+
+
+class Guard:
+    """Refuses what Access does not allow, before anything else sees it."""
+
+    def __init__(self, app: ASGIApp, access: Access) -> None:
+        self._app, self._access = app, access
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """One request or connection."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        try:
+            problem = self._access.problem(scope)
+        except ValueError:  # an Origin or Host that is no address
+            problem = HTTPStatus.BAD_REQUEST, "The request names no proper host."
+        if problem is None:
+            await self._app(scope, receive, self._hardened(scope, send))
+        elif scope["type"] == "http":
+            await refusal(problem[0].value, problem[1])(scope, receive, send)
+        else:
+            await receive()
+            await send({"type": "websocket.close", "code": 1008, "reason": problem[1][:120]})
+
+    def _hardened(self, scope: Scope, send: Send) -> Send:
+        if scope["type"] != "http":
+            return send
+
+        async def sending(message) -> None:  # noqa: ANN001 - an ASGI message
+            if message["type"] == "http.response.start":
+                headers = Headers(raw=message["headers"])
+                extra = {"x-content-type-options": "nosniff", "referrer-policy": "no-referrer"}
+                extra["cross-origin-resource-policy"] = "same-origin"
+                if "content-security-policy" not in headers:
+                    extra["content-security-policy"] = POLICY
+                message["headers"] = [*message["headers"], *((k.encode(), v.encode()) for k, v in extra.items())]
+            await send(message)
+
+        return sending

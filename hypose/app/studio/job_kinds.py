@@ -1,0 +1,167 @@
+"""What a job is on the command line: the page's options, checked, as the arguments of a hypose command.
+
+A job is the command itself in a process of its own, so the studio can do nothing that the command line cannot, and the
+page can show the line that does the same again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hypose.app.studio.catalog import Catalog
+from hypose.errors import InputError
+
+
+@dataclass(frozen=True)
+class Plan:
+    """arguments of `hypose`; title; recording, result: ids (the result may be not there yet); resumable: the same
+    command with --resume goes on; folder: where a motion that is under way keeps its state."""
+
+    arguments: tuple[str, ...]
+    title: str
+    recording: str | None = None
+    result: str | None = None
+    resumable: bool = False
+    folder: Path | None = None
+
+
+def _text(value: Any, name: str) -> str:
+    # an option's value is one argument of its own; it must not pass for another option
+    if not isinstance(value, str) or not value or len(value) > 200 or value.startswith("-") or not value.isprintable():
+        raise InputError(f"The option {name} is not usable: {str(value)[:40]!r}.")
+    return value
+
+
+def _number(value: Any, name: str) -> str:
+    if isinstance(value, bool) or not isinstance(value, int | float) or value != value or abs(value) > 1e9:
+        raise InputError(f"The option {name} must be a number, {str(value)[:40]!r} is none.")
+    return f"{value:g}"
+
+
+def _flag(value: Any, name: str) -> bool:
+    if not isinstance(value, bool):
+        raise InputError(f"The option {name} must be true or false.")
+    return value
+
+
+def _formats(value: Any, name: str) -> str:
+    if not isinstance(value, list) or not value:
+        raise InputError(f"The option {name} must be a list of formats.")
+    return ",".join(_text(v, name) for v in value)
+
+
+_Reader = Callable[[Any, str], str | bool]
+_OPTIONS: Mapping[str, Mapping[str, tuple[str, _Reader]]] = {
+    "check": {"samples": ("--samples", _number), "frames": ("--frames", _number)},
+    "refine": {
+        "using": ("--from", _text),
+        "focal": ("--focal", _flag),
+        "height": ("--height", _number),
+    },
+    "silhouettes": {"frames": ("--frames", _text)},
+    "subject": {
+        "height": ("--height", _number),
+        "mass": ("--mass", _number),
+        "start": ("--start", _text),
+        "frames": ("--frames", _text),
+        "poses": ("--poses", _number),
+    },
+    "track": {
+        "recipe": ("--recipe", _text),
+        "refine": ("--refine", _flag),
+        "evidence": ("--evidence", _text),
+        "start": ("--start", _text),
+        "height": ("--height", _number),
+        "frames": ("--frames", _text),
+        "seed": ("--seed", _number),
+        "formats": ("--formats", _formats),
+        "camera": ("--camera", _text),
+        "method": ("--method", _text),
+    },
+    "export": {"formats": ("--formats", _formats)},
+    "demo": {"seconds": ("--seconds", _number), "seed": ("--seed", _number)},
+}
+KINDS = tuple(_OPTIONS)
+_TITLES = {
+    "check": "Check {}",
+    "refine": "Refine the calibration of {}",
+    "silhouettes": "Silhouettes of {}",
+    "subject": "Measure the person in {}",
+    "track": "Track {}",
+    "export": "Export {}",
+    "demo": "Make a demo recording and track it",
+}
+
+
+def plan(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
+    """The command of a job that the page asks for: {"recording" or "result": id, "options": {...}}."""
+    if kind not in _OPTIONS:
+        raise InputError(f"There is no job {str(kind)[:40]!r}; the jobs are {', '.join(KINDS)}.")
+    options = request.get("options") or {}
+    if not isinstance(options, dict):
+        raise InputError("A job's options must be an object.")
+    own = {"track": {"name", "subject", "overlay"}}.get(kind, set())
+    unknown = [str(o)[:40] for o in options if o not in _OPTIONS[kind] and o not in own]
+    if unknown:
+        raise InputError(f"The job {kind} has no option {unknown[0]!r}; it has {', '.join(_OPTIONS[kind])}.")
+    arguments: list[str] = []
+    for name, (flag, read) in _OPTIONS[kind].items():
+        value = options.get(name)
+        if value is None:
+            continue
+        given = read(value, name)
+        arguments += [flag] if given is True else [] if given is False else [flag, str(given)]
+    if kind == "demo":
+        out = free_folder(catalog.root, "demo")
+        return Plan(("demo", "--out", str(out), *arguments), _TITLES[kind], catalog.id_of("recording", out))
+    if kind == "export":
+        item = catalog.find("result", _id(request, "result"))
+        return Plan(("export", str(item.path), *arguments), _TITLES[kind].format(item.path.name), None, item.id)
+    item = catalog.find("recording", _id(request, "recording"))
+    title = _TITLES[kind].format(item.path.name)
+    if kind == "track":
+        return _track(item.path, item.id, arguments, options, title, catalog)
+    extra = ("--refine",) if kind == "refine" else ()
+    command = "check" if kind == "refine" else kind
+    return Plan((command, str(item.path), *extra, *arguments), title, item.id)
+
+
+def _track(
+    folder: Path, recording: str, arguments: list[str], options: Mapping[str, Any], title: str, catalog: Catalog
+) -> Plan:
+    name = options.get("name") or options.get("recipe") or "default"
+    if not isinstance(name, str) or not is_name(name):
+        raise InputError(f"{str(name)[:40]!r} is no name for a result; use letters, digits, -, _ and dots between.")
+    out = folder / "results" / name
+    if not catalog.contains(out):
+        raise InputError(f"The results of {folder.name} lie outside the served folder; track them on the command line.")
+    arguments += ["--out", str(out)]
+    if options.get("subject") and _flag(options["subject"], "subject"):
+        arguments += ["--subject", str(folder / "subject")]
+    if options.get("overlay") is not None and not _flag(options["overlay"], "overlay"):
+        arguments.append("--no-overlay")
+    return Plan(("track", str(folder), *arguments), title, recording, catalog.id_of("result", out), True, out)
+
+
+def _id(request: Mapping[str, Any], name: str) -> str:
+    value = request.get(name)
+    if not isinstance(value, str):
+        raise InputError(f"Say which {name} is meant.")
+    return value
+
+
+def is_name(text: str) -> bool:
+    """A name for a folder or file that means nothing else to any system."""
+    plain = all(c.isascii() and (c.isalnum() or c in "-_.") for c in text)
+    return plain and 0 < len(text) <= 80 and text[0] not in ".-" and text[-1] != "."
+
+
+def free_folder(parent: Path, name: str) -> Path:
+    """parent/name, or with a number behind it the first that is not taken."""
+    path, number = parent / name, 2
+    while path.exists():
+        path, number = parent / f"{name}-{number}", number + 1
+    return path

@@ -1,0 +1,290 @@
+"""Jobs: commands that run in processes of their own, one at a time; their progress, their end, stopping and going on.
+
+They belong to the server, not to a page. A job that is stopped, or whose server ends, keeps what it has computed, as the
+command line does, and `resume` goes on.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import shlex
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from hypose.app.console import COUNTED_IN_FRAMES, JSON_PROGRESS
+from hypose.app.studio.answers import NotNow
+from hypose.app.studio.catalog import Catalog, NotFound
+from hypose.app.studio.job_kinds import Plan, plan
+
+JobState = Literal["queued", "running", "done", "failed", "cancelled"]
+_KEPT_JOBS, _KEPT_LINES, _MOST_WAITING = 100, 200, 20
+_KILL_S = 20.0
+"""After this a process that was asked to end is ended."""
+
+
+@dataclass
+class _Stage:
+    title: str
+    began: float
+    done: int = 0
+    total: int = 1
+    seconds: float = 0.0
+
+    def shown(self, name: str) -> dict[str, Any]:
+        per_s = self.done / self.seconds if self.seconds > 0.2 and self.done else None
+        return {
+            "name": name,
+            "title": self.title,
+            "done": self.done,
+            "total": self.total,
+            "seconds": round(self.seconds, 2),
+            "per_s": per_s,
+            "left_s": (self.total - self.done) / per_s if per_s and self.done < self.total else None,
+            "unit": "frames" if name in COUNTED_IN_FRAMES else "",
+        }
+
+
+@dataclass
+class Job:
+    """One job. Changed under the lock of Jobs only."""
+
+    id: str
+    kind: str
+    plan: Plan
+    options: Mapping[str, Any]
+    created: float
+    state: JobState = "queued"
+    stages: dict[str, _Stage] = field(default_factory=dict)
+    lines: deque[str] = field(default_factory=lambda: deque(maxlen=_KEPT_LINES))
+    error: str | None = None
+    began: float | None = None
+    ended: float | None = None
+    stopping: bool = False
+    process: subprocess.Popen[str] | None = None
+
+    def shown(self) -> dict[str, Any]:
+        """As the page gets it."""
+        return {
+            "id": self.id,
+            "kind": self.kind,
+            "title": self.plan.title,
+            "command": "hypose " + shlex.join(self.plan.arguments),
+            "recording": self.plan.recording,
+            "result": self.plan.result,
+            "state": self.state,
+            "options": dict(self.options),
+            "stages": [s.shown(n) for n, s in list(self.stages.items())],
+            "lines": list(self.lines),
+            "error": self.error,
+            "created": self.created,
+            "began": self.began,
+            "ended": self.ended,
+            "resumable": self.plan.resumable and self.state in ("failed", "cancelled"),
+        }
+
+
+class Jobs:
+    """All jobs of a server; listen: called with a job whenever it has changed, from any thread."""
+
+    def __init__(self, catalog: Catalog) -> None:
+        self._catalog = catalog
+        self._lock = threading.Condition()
+        self._jobs: dict[str, Job] = {}
+        self._listeners: list[Callable[[Job], None]] = []
+        self._closed = False
+        self._worker = threading.Thread(target=self._work, name="jobs", daemon=True)
+        self._worker.start()
+
+    def listen(self, listener: Callable[[Job], None]) -> Callable[[], None]:
+        """Returns the call that ends it."""
+        with self._lock:
+            self._listeners.append(listener)
+
+        def stop() -> None:
+            with self._lock:
+                self._listeners.remove(listener)
+
+        return stop
+
+    def every(self) -> list[Job]:
+        """The newest first."""
+        with self._lock:
+            return sorted(self._jobs.values(), key=lambda j: -j.created)
+
+    def find(self, id: str) -> Job:
+        """A job by its id; NotFound when there is none."""
+        with self._lock:
+            if id not in self._jobs:
+                raise NotFound(f"There is no job {id[:40]!r}.")
+            return self._jobs[id]
+
+    def start(self, kind: str, request: Mapping[str, Any]) -> Job:
+        """Queue a job; an InputError when its options cannot be."""
+        return self._queue(kind, plan(kind, request, self._catalog), request.get("options") or {})
+
+    def resume(self, id: str) -> Job:
+        """Go on with a job that was stopped or failed, as a new job."""
+        old = self.find(id)
+        if not old.shown()["resumable"]:
+            raise NotNow(f"The job {old.plan.title!r} is {old.state} and cannot be resumed; start it again.")
+        arguments = old.plan.arguments if "--resume" in old.plan.arguments else (*old.plan.arguments, "--resume")
+        p = old.plan
+        return self._queue(
+            old.kind, Plan(arguments, p.title, p.recording, p.result, p.resumable, p.folder), old.options
+        )
+
+    def cancel(self, id: str) -> Job:
+        """Stop a job with its work kept."""
+        job = self.find(id)
+        with self._lock:
+            if job.state == "queued":
+                job.state, job.ended = "cancelled", time.time()
+            elif job.state == "running":
+                self._stop(job)
+            else:
+                raise NotNow(f"The job {job.plan.title!r} is {job.state} already.")
+        self._tell(job)
+        return job
+
+    def close(self) -> None:
+        """Stop what runs, and wait for it."""
+        with self._lock:
+            self._closed = True
+            for job in self._jobs.values():
+                if job.state == "queued":
+                    job.state = "cancelled"
+                elif job.state == "running":
+                    self._stop(job)
+            self._lock.notify_all()
+        self._worker.join(_KILL_S + 5)
+
+    def _queue(self, kind: str, made: Plan, options: Mapping[str, Any]) -> Job:
+        job = Job(secrets.token_hex(6), kind, made, options, time.time())
+        with self._lock:
+            waiting = [j for j in self._jobs.values() if j.state in ("queued", "running")]
+            if len(waiting) >= _MOST_WAITING:
+                raise NotNow(f"{len(waiting)} jobs wait already; let some end first.")
+            if made.result and any(j.plan.result == made.result and j.kind == kind for j in waiting):
+                raise NotNow(f"{made.title} is under way already; stop it first, or give the result another name.")
+            self._jobs[job.id] = job
+            for old in sorted(self._jobs.values(), key=lambda j: j.created)[: max(0, len(self._jobs) - _KEPT_JOBS)]:
+                if old.state not in ("queued", "running"):
+                    del self._jobs[old.id]
+            self._lock.notify_all()
+        self._tell(job)
+        return job
+
+    def _stop(self, job: Job) -> None:
+        """Ask the process to end, as Ctrl-C does; the lock is held."""
+        if job.process is None or job.stopping:
+            job.stopping = True
+            return
+        job.stopping = True
+        job.process.terminate()
+        timer = threading.Timer(_KILL_S, job.process.kill)
+        timer.daemon = True
+        timer.start()
+
+    def _tell(self, job: Job) -> None:
+        with self._lock:
+            listeners = list(self._listeners)
+        for listener in listeners:
+            listener(job)
+
+    # ---- the thread that runs them ----
+
+    def _work(self) -> None:
+        while True:
+            with self._lock:
+                self._lock.wait_for(lambda: self._closed or self._next() is not None)
+                job = self._next()
+                if job is None:
+                    return
+                job.state, job.began = "running", time.time()
+            self._tell(job)
+            self._run(job)
+            self._tell(job)
+
+    def _next(self) -> Job | None:
+        waiting = [j for j in self._jobs.values() if j.state == "queued"]
+        return min(waiting, key=lambda j: j.created, default=None)
+
+    def _run(self, job: Job) -> None:
+        try:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "hypose", *job.plan.arguments],
+                cwd=self._catalog.root,
+                env={**os.environ, JSON_PROGRESS: "1", "PYTHONUNBUFFERED": "1", "COLUMNS": "160"},
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                encoding="utf-8",
+                errors="replace",
+                start_new_session=True,  # Ctrl-C ends the server, which then ends its jobs in order
+            )
+        except OSError as error:
+            self._end(job, f"The job could not be started ({error.strerror}).", 1)
+            return
+        with self._lock:
+            job.process = process
+            if job.stopping:
+                process.terminate()
+        assert process.stdout is not None and process.stderr is not None
+        out = threading.Thread(target=self._read_lines, args=(job, process.stdout), daemon=True)
+        out.start()
+        problem = self._read_progress(job, process.stderr)
+        code = process.wait()
+        out.join(5)
+        self._end(job, problem, code)
+
+    def _end(self, job: Job, problem: str | None, code: int) -> None:
+        with self._lock:
+            job.ended, job.process = time.time(), None
+            if job.stopping:
+                job.state = "cancelled"
+            elif code == 0 or (job.kind == "check" and code == 1 and problem is None):
+                job.state = "done"  # a check that found something wrong has done its work
+            else:
+                job.state = "failed"
+                job.error = problem or f"The command ended with code {code}; its last words are below."
+
+    def _read_lines(self, job: Job, stream: Any) -> None:
+        for line in stream:
+            with self._lock:
+                job.lines.append(line.rstrip()[:500])
+
+    def _read_progress(self, job: Job, stream: Any) -> str | None:
+        """Progress and notes of a process until it ends; the sentence of its error."""
+        problem = None
+        for line in stream:
+            text = line.rstrip()
+            with self._lock:
+                if text.startswith('{"stage"') and self._progress(job, text):
+                    pass
+                elif text.startswith("error: "):
+                    problem = text.removeprefix("error: ")[:2000]
+                elif text:
+                    job.lines.append(text[:500])
+            self._tell(job)
+        return problem
+
+    @staticmethod
+    def _progress(job: Job, text: str) -> bool:
+        try:
+            value = json.loads(text)
+            name, title, done, total = value["stage"], value["title"], int(value["done"]), int(value["total"])
+        except (ValueError, KeyError, TypeError):
+            return False
+        now = time.monotonic()
+        stage = job.stages.setdefault(name, _Stage(title, now))
+        stage.done, stage.total, stage.seconds = done, total, now - stage.began
+        return True
