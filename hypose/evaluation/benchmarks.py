@@ -92,6 +92,7 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
         gesture_benchmarks,
         gesture_sessions,
         gesture_speed,
+        mono_benchmarks,
         path_speed,
         published,
         real,
@@ -130,6 +131,9 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
         "gesture-semi-synthetic": gesture_asl.semi_synthetic,
         "gesture-speed": gesture_speed.speed,
         "gesture-false-alarms": gesture_sessions.false_alarms,
+        "mono-arm": mono_benchmarks.mono_arm,
+        "mono-body": mono_benchmarks.mono_body,
+        "mono-speed": mono_benchmarks.mono_speed,
     }
 
 

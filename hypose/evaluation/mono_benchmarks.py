@@ -1,0 +1,176 @@
+"""Benchmarks of the monocular tracker on scenes with known truth: mono-arm, mono-body, mono-speed.
+
+Seeds 0 to 9 (arm) and 0 to 7 (body) are reported; settings, inflation included, were chosen on seeds from 100 on.
+Ablations are settings of the same tracker.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row, row
+from hypose.evaluation.mono_motions import STRAIGHT_KNEE
+from hypose.evaluation.mono_runs import KEPT_MEDIAN_M, KEPT_PX, STAGES, MonoRun, pictures, track_scene
+from hypose.evaluation.mono_scenes import MonoScene, arm_scene, body_scene
+from hypose.monocular.settings import MonoSettings
+
+Ablation = Callable[[MonoSettings], MonoSettings]
+
+
+def hypotheses(count: int, directions: int) -> Ablation:
+    """So many hypotheses from so many uncertain directions."""
+    return lambda s: replace(s, search=replace(s.search, hypotheses=count, directions=directions))
+
+
+def _single(s: MonoSettings) -> MonoSettings:
+    return hypotheses(1, 0)(s)
+
+
+def _gaussian(s: MonoSettings) -> MonoSettings:
+    return s.robust("gaussian")
+
+
+def _no_flow(s: MonoSettings) -> MonoSettings:
+    return replace(s, flow=replace(s.flow, use=False))
+
+
+def _no_boundaries(s: MonoSettings) -> MonoSettings:
+    return replace(s, edge=replace(s.edge, motion_boundaries=False))
+
+
+def _isotropic(s: MonoSettings) -> MonoSettings:
+    return replace(s, search=replace(s.search, isotropic=True))
+
+
+def _no_velocity(s: MonoSettings) -> MonoSettings:
+    return replace(s, velocity=0.0)
+
+
+def _no_limits(s: MonoSettings) -> MonoSettings:
+    return replace(s, limits=False)
+
+
+ABLATIONS: Mapping[str, Ablation] = {
+    "single": _single,
+    "gaussian": _gaussian,
+    "no_flow": _no_flow,
+    "no_boundaries": _no_boundaries,
+    "isotropic": _isotropic,
+    "no_velocity": _no_velocity,
+}
+"""Each leaves out one part of the method."""
+
+ARM = hypotheses(3, 1)(MonoSettings())
+"""The published arm experiment: 3 hypotheses, one uncertain direction."""
+BODY = hypotheses(7, 3)(MonoSettings())
+"""The published body experiment: 7 hypotheses, three uncertain directions."""
+
+
+def mono_arm(options: BenchOptions) -> BenchReport:
+    """A 7-dof arm for 8 s. kept_track: number of seeds in which it was kept to the end (mono_runs.MonoRun.kept);
+    mean_error_mm, depth_mm, image_error_px: means over elbow, wrist and knuckles, in the world, over all seeds, sd over
+    the seeds; kept_error_mm: over the seeds kept; alive: hypotheses really alive."""
+    seeds = _seeds(options, 10, quick=2)
+    seconds = 2.0 if options.quick else 8.0
+    variants: dict[str, MonoSettings] = {
+        "robust_3": ARM,
+        "robust_1": _single(ARM),
+        "gaussian_1": _gaussian(_single(ARM)),
+    }
+    if not options.quick:
+        variants |= {f"robust_3/{n}": ABLATIONS[n](ARM) for n in ABLATIONS if n not in ("single", "gaussian")}
+    scenes = (arm_scene(s, seconds) for s in seeds)
+    return BenchReport(tuple(_table(scenes, variants, options, len(seeds), "mean_error_mm")), _settings(seeds, seconds))
+
+
+def mono_body(options: BenchOptions) -> BenchReport:
+    """A 30-dof body for 1.2 s (and, without --quick, for 8 s), 7 hypotheses, and what each part of the method is worth.
+
+    root_aligned_mm, depth_mm: 14 joints, pelves made to coincide; image_error_px; oracle_mm: the best of all modes;
+    coverage_90: share of joints and frames whose truth lies in the 90 % region of any mode, coverage_90_best in that of
+    the best hypothesis; kept_track: number of scenes. no_limits is compared on a motion near a straight knee.
+    """
+    seeds = _seeds(options, 8, quick=2)
+    mocap = _mocap(options)
+    variants: dict[str, MonoSettings] = {"full": BODY}
+    variants |= {n: ABLATIONS[n](BODY) for n in (("gaussian",) if options.quick else ABLATIONS)}
+    scenes = (body_scene(s, 1.2, mocap=mocap) for s in seeds)
+    rows = _table(scenes, variants, options, len(seeds), "root_aligned_mm")
+    if not options.quick:
+        knees = [body_scene(s, 1.2, motion=STRAIGHT_KNEE) for s in seeds[:4]]
+        pair = {"straight_knee": BODY, "straight_knee/no_limits": _no_limits(BODY)}
+        rows += _table(knees, pair, options, len(knees), "root_aligned_mm")
+        longer = (body_scene(s, 8.0, mocap=mocap) for s in seeds[:4])
+        pair = {"full/8s": BODY, "single/8s": _single(BODY), "gaussian/8s": _gaussian(BODY)}
+        rows += _table(longer, pair, options, len(seeds[:4]), "root_aligned_mm")
+    return BenchReport(tuple(rows), {**_settings(seeds, 1.2), "captured_motion": mocap is not None})
+
+
+def mono_speed(options: BenchOptions) -> BenchReport:
+    """Seconds per frame of 384 x 288 px on one core (median over the frames), and the share of each stage."""
+    frames = 15 if options.quick else 50
+    rows: list[Row] = []
+    for case, scene, settings in (
+        ("arm", arm_scene(0, 8.0), ARM),
+        ("body", body_scene(0, frames / 25.0, motion="box"), BODY),
+    ):
+        run = track_scene(scene, settings, [scene.image(i) for i in range(frames)])
+        seconds = run.seconds[2:]  # the first ones compile
+        total = seconds.sum(1)
+        rows.append(Row("seconds_per_frame", case, float(np.median(total)), "s", float(total.std()), len(total)))
+        for name, part in zip(STAGES, seconds.T, strict=True):
+            rows.append(Row("stage_share", f"{case}:{name}", float(part.sum() / total.sum()), "1", n=len(total)))
+    return BenchReport(tuple(rows), {"frames": frames, "size": [384, 288]})
+
+
+def _table(
+    scenes: Iterable[MonoScene],
+    variants: Mapping[str, MonoSettings],
+    options: BenchOptions,
+    count: int,
+    error: str,
+) -> list[Row]:
+    """Every variant on every scene (one scene's pictures at a time), and the rows."""
+    runs: dict[str, list[MonoRun]] = {name: [] for name in variants}
+    for k, scene in enumerate(scenes):
+        images = pictures(scene)
+        for n, (name, settings) in enumerate(variants.items()):
+            options.progress(f"{scene.name}: {name}", k * len(variants) + n, count * len(variants))
+            runs[name].append(track_scene(scene, settings, images))
+    return [r for name in variants for r in _rows(name, runs[name], error)]
+
+
+def _rows(case: str, runs: Sequence[MonoRun], error: str) -> list[Row]:
+    kept = [r for r in runs if r.kept]
+    out = [
+        Row("kept_track", case, float(len(kept)), "runs", n=len(runs)),
+        row(error, case, [1e3 * r.mean for r in runs], "mm"),
+        row("median_error_mm", case, [1e3 * np.median(r.errors) for r in runs], "mm"),
+        row("depth_mm", case, [1e3 * r.depth.mean() for r in runs], "mm"),
+        row("image_error_px", case, [r.pixels.mean() for r in runs], "px"),
+        row("oracle_mm", case, [1e3 * r.oracle.mean() for r in runs], "mm"),
+        row("coverage_90", case, [r.inside.mean() for r in runs], "1"),
+        row("coverage_90_best", case, [r.inside_best.mean() for r in runs], "1"),
+        row("alive", case, [r.mode_count.mean() for r in runs], "1"),
+    ]
+    if kept:
+        out.append(row("kept_error_mm", case, [1e3 * r.mean for r in kept], "mm"))
+    return out
+
+
+def _seeds(options: BenchOptions, usual: int, quick: int) -> list[int]:
+    first = options.first_seed or 0
+    return list(range(first, first + (options.seeds or (quick if options.quick else usual))))
+
+
+def _mocap(options: BenchOptions) -> Path | None:
+    folder = options.data / "mocap" if options.data is not None else None
+    return folder if folder is not None and (folder / "02.asf").is_file() else None
+
+
+def _settings(seeds: Sequence[int], seconds: float) -> dict[str, object]:
+    return {"seeds": list(seeds), "seconds": seconds, "kept_median_m": KEPT_MEDIAN_M, "kept_px": KEPT_PX}
