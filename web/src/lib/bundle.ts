@@ -1,0 +1,173 @@
+/** The block of bytes that holds one result; hypose/app/view_bundle.py writes it and says what is where. */
+
+export type Numbers = Float32Array | Float64Array | Uint8Array | Uint16Array | Uint32Array;
+
+export interface CameraData {
+  name: string;
+  K: number[][];
+  distortion: number[];
+  fisheye: boolean;
+  camera_from_world: number[][];
+  size: [number, number];
+  image_shift: [number, number];
+  pictures: boolean;
+}
+
+export interface Header {
+  version: string;
+  title: string;
+  recipe: string;
+  frames: number;
+  frame_rate: number;
+  first_frame: number;
+  complete: boolean;
+  summary: {
+    frames: number;
+    seconds: number;
+    lost: number;
+    extrapolated: number;
+    iou: number | null;
+    worst_iou: number | null;
+    sd_mm: number | null;
+  };
+  joint_names: string[];
+  parents: number[];
+  floor: number;
+  formats: string[];
+  angles: { name: string; unit: string }[];
+  cameras: CameraData[];
+  subject: [string, number][];
+  files: { name: string; what: string; bytes: number }[];
+  notes: string[];
+  citation: string;
+  seconds: Record<string, number>;
+  truth: { names: string[]; parents: number[]; mean_mm: number | null; note: string } | null;
+  provenance: Record<string, unknown>;
+}
+
+/** A skinned triangle mesh at rest, in the model frame. */
+export interface MeshData {
+  vertices: Float32Array;
+  faces: Uint16Array | Uint32Array;
+  skinIndex: Uint8Array;
+  skinWeight: Float32Array;
+}
+
+export interface ViewData {
+  header: Header;
+  /** T: number of frames; J: of joints. */
+  frames: number;
+  joints: number;
+  times: Float64Array;
+  /** (T, J, 3) m, world. */
+  positions: Float32Array;
+  /** (T, J, 4) x y z w, world from joint; null when only positions are known. */
+  rotations: Float32Array | null;
+  /** (T, J) m, NaN where not known. */
+  sd: Float32Array;
+  /** (T) 1 = lost, 2 = extrapolated. */
+  flags: Uint8Array;
+  views: Uint8Array;
+  /** (T) 1 - overlap with the masks. */
+  cost: Float32Array;
+  /** (A, T) degrees or metres. */
+  angles: Float32Array | null;
+  fine: MeshData | null;
+  coarse: MeshData | null;
+  restJoints: Float32Array | null;
+  /** (T', J', 3) m, world. */
+  truth: Float32Array | null;
+  /** (T', K) m. */
+  truthDistances: Float32Array | null;
+}
+
+export const LOST = 1;
+export const EXTRAPOLATED = 2;
+
+const KINDS = { f4: Float32Array, f8: Float64Array, u1: Uint8Array, u2: Uint16Array, u4: Uint32Array };
+type Described = Record<string, { dtype: keyof typeof KINDS; shape: number[]; offset: number }>;
+
+/** The result in a block; its arrays look into `buffer`, nothing is copied. Throws an Error when it is none. */
+export function readBundle(buffer: ArrayBuffer): ViewData {
+  const magic = new TextDecoder().decode(new Uint8Array(buffer, 0, Math.min(8, buffer.byteLength)));
+  if (magic !== "HYPOSEV1") throw new Error("What the server sent is no result of this version; reload the page.");
+  const length = new DataView(buffer).getUint32(8, true);
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 12, length))) as Header & {
+    arrays: Described;
+  };
+  const start = Math.ceil((12 + length) / 8) * 8;
+  const arrays = new Map<string, Numbers>();
+  for (const [name, { dtype, shape, offset }] of Object.entries(header.arrays)) {
+    arrays.set(name, new KINDS[dtype](buffer, start + offset, shape.reduce((a, b) => a * b, 1)));
+  }
+  const get = <T extends Numbers>(name: string): T | null => (arrays.get(name) as T | undefined) ?? null;
+  const need = <T extends Numbers>(name: string): T => {
+    const found = get<T>(name);
+    if (!found) throw new Error(`The result lacks its ${name}; reload the page.`);
+    return found;
+  };
+  const mesh = (level: string): MeshData | null =>
+    arrays.has(`${level}_vertices`)
+      ? {
+          vertices: need(`${level}_vertices`),
+          faces: need(`${level}_faces`),
+          skinIndex: need(`${level}_skin_index`),
+          skinWeight: need(`${level}_skin_weight`),
+        }
+      : null;
+  return {
+    header,
+    frames: header.frames,
+    joints: header.joint_names.length,
+    times: need("times"),
+    positions: need("joints"),
+    rotations: get("rotations"),
+    sd: need("joint_sd"),
+    flags: need("flags"),
+    views: need("n_views"),
+    cost: need("cost"),
+    angles: get("angles"),
+    fine: mesh("fine"),
+    coarse: mesh("coarse"),
+    restJoints: get("rest_joints"),
+    truth: get("truth_joints"),
+    truthDistances: get("truth_distances"),
+  };
+}
+
+/** Stretches of frames [first, last] with the same flag other than 0. */
+export interface Stretch {
+  first: number;
+  last: number;
+  flag: number;
+}
+
+export function stretches(flags: Uint8Array): Stretch[] {
+  const out: Stretch[] = [];
+  for (let i = 0; i < flags.length; i++) {
+    const flag = flags[i] as number;
+    const open = out[out.length - 1];
+    if (!flag) continue;
+    if (open && open.flag === flag && open.last === i - 1) open.last = i;
+    else out.push({ first: i, last: i, flag });
+  }
+  return out;
+}
+
+/** Row of `data` at a time in seconds: the last frame that has begun by then. */
+export function rowAt(times: Float64Array, seconds: number): number {
+  let low = 0;
+  let high = times.length - 1;
+  while (low < high) {
+    const middle = (low + high + 1) >> 1;
+    if ((times[middle] as number) <= seconds + 1e-9) low = middle;
+    else high = middle - 1;
+  }
+  return low;
+}
+
+/** "left" or "right" of a joint's or angle's name, "middle" else. */
+export function side(name: string): "left" | "right" | "middle" {
+  if (name.startsWith("left") || name.endsWith("_l")) return "left";
+  return name.startsWith("right") || name.endsWith("_r") ? "right" : "middle";
+}
