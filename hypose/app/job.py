@@ -93,7 +93,7 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
     finished = _finished(job, record) if job.resume else None
     progress("background", 0, 1)
     # key points alone need no image, so nothing is decoded
-    evidence = FrameOptions(silhouettes=None) if options.evidence == "keypoints" else FrameOptions()
+    evidence = FrameOptions(silhouettes=None) if options.evidence == "keypoints" else None
     with FrameStream(recording, evidence) as source:
         progress("background", 1, 1)
         if finished is None:

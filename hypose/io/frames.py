@@ -300,7 +300,8 @@ class FrameStream:
     that number over the frame rate. A view without image, with an empty mask, or with a mask far from its
     usual area (the median over about the last two seconds at 25 fps, at the start over the first) is not
     usable; the reason names camera and frame. rig: pinhole cameras of the working size. notes: sentences
-    for the user about doubtful backgrounds.
+    for the user about doubtful backgrounds. options: by default the usual ones, with the recording's way to
+    make masks.
     """
 
     def __init__(
@@ -310,7 +311,7 @@ class FrameStream:
         backgrounds: Sequence[BackgroundModel | None] | None = None,
         covers: Covers | None = None,
     ) -> None:
-        self.recording, self.options = recording, options or FrameOptions()
+        self.recording, self.options = recording, options or FrameOptions(silhouettes=recording.silhouettes)
         self.rig = working_rig(recording.rig, self.options)
         self.frames = recording.frames
         if len(self.frames) == 0:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError, InputError
+from hypose.evidence.silhouettes import SilhouetteOptions
 from hypose.geometry import rotation_between, se3
 from hypose.io import pose2sim
 from hypose.io.calibration import (
@@ -27,7 +28,16 @@ from hypose.io.calibration import (
     toml_value,
     write_calibration,
 )
-from hypose.io.recording_keys import PATH_KEYS, RECORDING_KEYS, VIEW_KEYS, check_keys, choice, numbers, read_toml
+from hypose.io.recording_keys import (
+    PATH_KEYS,
+    RECORDING_KEYS,
+    VIEW_KEYS,
+    check_keys,
+    choice,
+    numbers,
+    read_toml,
+    silhouette_options,
+)
 from hypose.io.results import atomic_path
 from hypose.io.video import frame_size, open_video
 
@@ -57,8 +67,8 @@ class View:
 class Recording:
     """A checked recording. rig: the cameras in the order of `views`, world in metres, z up. frame_rate:
     frames/s. frame_range: (first, stop) as given, None = all. n_frames: frames that every view has.
-    keypoint_set None: there are no key points. subject_height m, subject_mass kg. notes: sentences about
-    accepted oddities, for the user."""
+    keypoint_set None: there are no key points. subject_height m, subject_mass kg. silhouettes: how masks are
+    made. notes: sentences about accepted oddities, for the user."""
 
     folder: Path
     name: str
@@ -73,6 +83,7 @@ class Recording:
     keypoint_pixels: str = "calibration"
     n_frames: int = 0
     calibration: Path | None = None
+    silhouettes: SilhouetteOptions = SilhouetteOptions()
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -167,9 +178,17 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
             lines.append(f"image_shift = {toml_value([float(s) for s in view.image_shift])}")
         if view.accept_scaled:
             lines.append("accept_scaled = true")
+    lines += silhouette_lines(recording.silhouettes)
     with atomic_path(folder / "recording.toml") as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
     return folder / "recording.toml"
+
+
+def silhouette_lines(options: SilhouetteOptions) -> list[str]:
+    """The [silhouettes] table of a recording.toml; nothing when all is as usual."""
+    usual = asdict(SilhouetteOptions())
+    changed = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(options).items() if v != usual[k]}
+    return ["", "[silhouettes]", *(f"{k} = {toml_value(v)}" for k, v in changed.items())] if changed else []
 
 
 def _relative(path: Path, folder: Path) -> str:
@@ -256,6 +275,7 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
         ),
         n_frames=n_frames,
         calibration=calibration,
+        silhouettes=silhouette_options(where, settings.get("silhouettes", {})),
         notes=tuple(notes),
     )
 

@@ -27,6 +27,9 @@ With the defaults; paths are relative to it:
     accept_scaled = false             # images of another shape (width : height) than calibrated were
                                       # stretched, not cut
 
+    [silhouettes]                     # how masks are made (hypose.evidence.silhouettes.SilhouetteOptions)
+    threshold = 4.0                   # and the other options; default: the usual ones
+
 Images of another size but of the calibrated shape (to 1 %) are taken as scaled; a note says so. Videos are
 taken as synchronous: frame t of one belongs to frame t of the others.
 """
@@ -35,12 +38,14 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hypose.errors import InputError
+from hypose.evidence.silhouettes import SilhouetteOptions
 from hypose.io.calibration import parse_toml
 
 _MAX_TOML_BYTES = 5_000_000
@@ -57,6 +62,7 @@ RECORDING_KEYS: dict[str, type | tuple[type, ...]] = {
     "subject_height": (int, float),
     "subject_mass": (int, float),
     "view": list,
+    "silhouettes": dict,
 }
 PATH_KEYS = ("video", "images", "masks", "background", "keypoints")
 VIEW_KEYS: dict[str, type | tuple[type, ...]] = {
@@ -66,7 +72,21 @@ VIEW_KEYS: dict[str, type | tuple[type, ...]] = {
     "image_shift": list,
     "accept_scaled": bool,
 }
-_TYPE_NAMES = {str: "text in quotes", int: "a whole number", list: "a list in [ ]", bool: "true or false"}
+SILHOUETTE_KEYS: dict[str, type | tuple[type, ...]] = {
+    f.name: type(f.default)
+    if type(f.default) in (bool, int, str)
+    else list
+    if f.name == "shadow_range"
+    else (int, float)
+    for f in fields(SilhouetteOptions)
+}
+_TYPE_NAMES = {
+    str: "text in quotes",
+    int: "a whole number",
+    list: "a list in [ ]",
+    bool: "true or false",
+    dict: "a table [silhouettes]",
+}
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -114,3 +134,15 @@ def choice(where: str, key: str, value: str, allowed: Sequence[str]) -> str:
     if value not in allowed:
         raise InputError(f"{where}: {key} must be {', '.join(allowed)}, got {value!r}; correct it.")
     return value
+
+
+def silhouette_options(where: str, table: Mapping[str, Any]) -> SilhouetteOptions:
+    """The options of a [silhouettes] table; what it does not name is as usual."""
+    check_keys(f"{where}, silhouettes", table, SILHOUETTE_KEYS)
+    values = dict(table)
+    if "shadow_range" in values:
+        values["shadow_range"] = tuple(numbers(where, "shadow_range", values["shadow_range"], 2, whole=False))
+    try:
+        return SilhouetteOptions(**values)
+    except InputError as error:
+        raise InputError(f"{where}, silhouettes: {error}") from None

@@ -1,7 +1,7 @@
-"""Jobs: commands that run in processes of their own, one at a time; their progress, their end, stopping and going on.
+"""Jobs: commands in processes of their own, one at a time; their progress, their end, stopping and going on.
 
-They belong to the server, not to a page. A job that is stopped, or whose server ends, keeps what it has computed, as the
-command line does, and `resume` goes on.
+They belong to the server, not to a page. A job that is stopped, or whose server ends, keeps what it has computed, as
+the command line does, and `resume` goes on.
 """
 
 from __future__ import annotations
