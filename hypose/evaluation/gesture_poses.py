@@ -137,7 +137,7 @@ def gesture(
         raise InputError(f"There is no gesture {name!r}; the gestures are {', '.join(GESTURES)}.")
     frame = _GESTURES[name](do)
     apply(puppet, frame)
-    return frame, _annotated(puppet, name, do)
+    return frame, annotated(puppet, name, leading)
 
 
 def _palm(do: _Doer, side: str) -> float:
@@ -224,11 +224,12 @@ _GESTURES = {
 }
 
 
-def _annotated(puppet: Puppet, name: str, do: _Doer) -> Array:
-    """The point on the surface that a gesture is annotated at."""
-    lead, other = do.lead, do.other
+def annotated(puppet: Puppet, name: str, leading: str) -> Array:
+    """The point (3,) m on the surface that a gesture is annotated at, of a person who is doing it."""
+    lead, other = leading, "left" if leading == "right" else "right"
+    chest = puppet.rotation("chest")
     if name == "tee":  # where the fingers of the upright hand meet the flat one
-        return puppet.finger_end(other, 2) + do.chest @ np.array([0, -0.01, 0.01])
+        return puppet.finger_end(other, 2) + chest @ np.array([0, -0.01, 0.01])
     if name == "cross":  # where the front forearm passes before the other
         a, b = puppet.at(f"{lead}_elbow"), puppet.at(f"{lead}_wrist")
         c, d = puppet.at(f"{other}_elbow"), puppet.at(f"{other}_wrist")
@@ -236,9 +237,9 @@ def _annotated(puppet: Puppet, name: str, do: _Doer) -> Array:
         uu, uv, vv, uw, vw = u @ u, u @ v, v @ v, u @ w, v @ w
         t = float(np.clip((uv * vw - vv * uw) / max(uu * vv - uv * uv, 1e-9), 0, 1))
         s = float(np.clip((uu * vw - uv * uw) / max(uu * vv - uv * uv, 1e-9), 0, 1))
-        return min((a + t * u, c + s * v), key=lambda p: p[1]) + do.chest @ np.array([0, -0.03, 0])
+        return min((a + t * u, c + s * v), key=lambda p: p[1]) + chest @ np.array([0, -0.03, 0])
     if name == "silence":
-        return puppet.carried("head", lips(puppet.person)) + do.chest @ np.array([0, -0.02, 0])
+        return puppet.carried("head", lips(puppet.person)) + chest @ np.array([0, -0.02, 0])
     if name == "ok":
         return 0.5 * (puppet.finger_end(lead, 0) + puppet.finger_end(lead, 1))
     wrist = puppet.at(f"{lead}_wrist")
