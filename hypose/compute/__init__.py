@@ -7,7 +7,7 @@ definitions are in reference.py (numpy), the fast versions in cpu_*.py (numba, i
 from __future__ import annotations
 
 import time
-from functools import cache
+from functools import cache, lru_cache
 from types import ModuleType
 from typing import NamedTuple, TypeVar
 
@@ -118,12 +118,14 @@ def silhouette_xor(
     boxes: ArrayLike | None = None,
     threads: int | None = None,
     faces: ArrayLike | None = None,
+    moving: ArrayLike | None = None,
 ) -> NDArray[np.int64]:
     """Silhouettes of the mesh at poses (N, D) against the frame's masks: (N, C, 3) = (xor, model, intersection) pixels.
 
     boxes (C, 4) = x0, x1, y0, y1 (half open, px) restricts the counting; default: each view's whole image. faces (F,)
     bool: only these triangles of the mesh, as seen from outside (body parts, where a hierarchical search has not placed
-    the rest yet). Views that are not usable give zeros. The same counts for any number of threads, and for a pose
+    the rest yet). moving (J,) bool: only these joints turn, everything else stands as in the last pose, and what they
+    do not move is drawn once. Views that are not usable give zeros. The same counts for any number of threads, and for a pose
     alone or among others. Exact up to 1-2 pixels of a silhouette whose edge passes through a pixel's centre. Parts
     nearer than 0.05 m to a camera's plane, or behind it, are cut off. A SolverError for poses that are not finite.
     """
@@ -143,9 +145,12 @@ def silhouette_xor(
     wanted = None if faces is None else _plain(faces, np.bool_)
     if wanted is not None and wanted.shape != (len(mesh.faces),):
         raise InputError(f"faces needs a truth value per face: shape {(len(mesh.faces),)}, got {wanted.shape}.")
+    turning = None if moving is None else _plain(moving, np.bool_)
+    if turning is not None:
+        q = np.where(turning[tree.joint_of_dof], q, q[-1:])
     if selection.backend() == "numpy":
         return reference.silhouette_xor(q, tree, mesh, prepared, b, wanted)
-    t, m, prepared = _tidy(tree), lane_mesh.prepare(mesh, wanted), _tidy(prepared)
+    t, prepared = _tidy(tree), _tidy(prepared)
     areas = prepared.areas
     if boxes is not None:
         areas = np.empty(c, dtype=np.int64)
@@ -153,12 +158,30 @@ def silhouette_xor(
     if selection.backend() == "cuda":
         from hypose.compute import cuda
 
-        return cuda.silhouette_xor(q, t, m, prepared, b, areas)
+        return cuda.silhouette_xor(q, t, lane_mesh.prepare(mesh, tree, wanted), prepared, b, areas)
+    drawn, drawn_counts = _nothing(prepared.bits.shape), np.zeros((c, 2), dtype=np.int64)
+    if turning is not None and n:
+        moved = lane_mesh.moved_faces(mesh, tree, turning)
+        standing = ~moved if wanted is None else wanted & ~moved
+        wanted = moved if wanted is None else wanted & moved
+        drawn = np.zeros_like(prepared.bits)
+        _numba("standing").draw_standing(
+            q[-1], t, _tidy(mesh), mesh.faces[standing], standing, prepared, b, drawn, drawn_counts
+        )
+    m = lane_mesh.prepare(mesh, tree, wanted)
     kernels = _numba("lanes")
     out = np.zeros((n, c, 3), dtype=np.int64)
-    blocks = -(-n // kernels.LANES)
-    over_chunks(lambda i, k: kernels.silhouette_xor(q, i, k, t, m, prepared, b, areas, out), blocks, threads)
+    over_chunks(
+        lambda i, k: kernels.silhouette_xor(q, i, k, t, m, prepared, b, areas, drawn, drawn_counts, out),
+        -(-n // kernels.LANES),
+        threads,
+    )
     return out
+
+
+@lru_cache(4)
+def _nothing(shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    return np.zeros(shape, dtype=np.uint8)
 
 
 def outline_points(sdf: NDArray[np.float32], size: tuple[int, int], k: int) -> tuple[NDArray[np.float32], int]:
@@ -199,7 +222,7 @@ def workspace(tree: TreeArrays, mesh: MeshArrays, height: int, width: int) -> Wo
         np.empty((MOST_FOUND, 5), f4),
         np.empty((rows, 8)),
         np.empty(rows, np.int32),
-        np.empty((13, rows)),
+        np.empty((9, rows)),
         np.empty(j + 1, np.int64),
     )
 
@@ -318,7 +341,7 @@ def warm_up() -> float:
     with use("numba"):
         skin(*forward_kinematics(q[None], tree), tree, mesh)
         prepared = prepare_masks(mask, usable, sizes, projection)
-        silhouette_xor(q[None], tree, mesh, prepared, np.array([[0, 32, 0, 32]]))
+        silhouette_xor(q[None], tree, mesh, prepared, np.array([[0, 32, 0, 32]]), moving=np.array([False, True]))
         images.warm_up()
     sdf = signed_distance(mask, sizes)
     outline = outline_points(sdf[0], (32, 32), 16)[0]

@@ -80,12 +80,15 @@ def copy_lanes(a, out):
 
 
 @njit(**OPTIONS)
-def bone_maps(poses, first, tree, frames, centres, axis, scratch, maps):
-    """Maps (J, 12, LANES) f4 from the model at rest to the world about each pose's root, rows of (3, 4), for the poses
-    from first on (the last one repeated); kinematics in float64: frames (J + 1, 9, LANES), centres (J, 3, LANES)."""
+def bone_maps(poses, first, tree, needed, frames, centres, axis, scratch, maps):
+    """Maps (J, 12, LANES) f4 of the needed joints from the model at rest to the world about each pose's root, rows of
+    (3, 4), for the poses from first on (the last one repeated); kinematics in float64: frames (J + 1, 9, LANES),
+    centres (J, 3, LANES)."""
     last = poses.shape[0] - 1
     spare = frames[tree.parents.shape[0]]
     for j in range(tree.parents.shape[0]):
+        if not needed[j]:
+            continue
         a = tree.parents[j]
         own = frames[j]
         if a < 0:
@@ -239,7 +242,7 @@ def draw_lists(up, down, difference):
 
 
 @njit(**OPTIONS)
-def score_safely(mesh, points, u, v, p, lane, near, one_sided, mask, origin, first_column, safe, counts):
+def score_safely(mesh, points, u, v, p, lane, near, mask, drawn, origin, first_column, safe, counts):
     """One lane drawn by the plain way in int16, for what the fast way cannot hold. counts (3,) model, hit."""
     vertices, single_u, single_v, camera, front, start, end, difference, running, model, hit = safe
     n = points.shape[0]
@@ -252,7 +255,7 @@ def score_safely(mesh, points, u, v, p, lane, near, one_sided, mask, origin, fir
         for r in range(3):
             for c in range(4):
                 camera[r, c] = p[4 * r + c, lane]
-        emit_clipped_faces(vertices, mesh.faces, camera, x0, y0, width, height, difference, one_sided)
+        emit_clipped_faces(vertices, mesh.faces, camera, x0, y0, width, height, difference, mesh.one_sided)
     else:
         for i in range(n):
             single_u[i], single_v[i] = u[i, lane], v[i, lane]
@@ -260,12 +263,15 @@ def score_safely(mesh, points, u, v, p, lane, near, one_sided, mask, origin, fir
         front[mesh.faces.shape[0]] = 0
         k = contour_edges(mesh.edges, front, start, end)
         emit_contours(k, start, end, single_u, single_v, x0, y0, width, height, difference)
-    count_window(mask, x0, y0, width, height, difference, running, model, hit, counts)
+    count_window(mask, drawn, x0, y0, width, height, difference, running, model, hit, counts)
 
 
 @njit(**OPTIONS)
-def silhouette_xor(poses, first, last, tree, mesh, prepared, boxes, box_areas, out):
-    """Blocks first..last (of LANES poses) of out (N, C, 3) = (xor, model, intersection) pixels inside boxes (C, 4)."""
+def silhouette_xor(poses, first, last, tree, mesh, prepared, boxes, box_areas, drawn, drawn_counts, out):
+    """Blocks first..last (of LANES poses) of out (N, C, 3) = (xor, model, intersection) pixels inside boxes (C, 4).
+
+    drawn (C, h, B) packed as the masks, drawn_counts (C, 2) model, intersection: pixels that belong to the body in
+    every pose."""
     n_joints, n_vertices, n_faces = tree.parents.shape[0], mesh.vertices.shape[0], mesh.faces.shape[0]
     n_edges = mesh.edges.shape[0]
     views, image_rows, image_columns = prepared.masks.shape
@@ -282,7 +288,7 @@ def silhouette_xor(poses, first, last, tree, mesh, prepared, boxes, box_areas, o
     lists, ends = np.empty((2 * LANES, 16 * image_columns + 1024), np.int32), np.zeros(2 * LANES, np.int64)
     difference = np.zeros((image_rows + 1) * row_stride(image_columns + 8), np.int8)
     counts = np.zeros(3, np.int64)
-    mask_bits = prepared.bits.reshape(-1)
+    mask_bits, drawn_bits = prepared.bits.reshape(-1), drawn.reshape(-1)
     mask_stride = prepared.bits.shape[2]
     safe = (
         np.empty((n_vertices, 3), np.float32),
@@ -300,7 +306,7 @@ def silhouette_xor(poses, first, last, tree, mesh, prepared, boxes, box_areas, o
     for block in range(first, last):
         begin = block * LANES
         lanes = min(LANES, poses.shape[0] - begin)
-        bone_maps(poses, begin, tree, frames, centres, axis, scratch, maps)
+        bone_maps(poses, begin, tree, mesh.needed, frames, centres, axis, scratch, maps)
         for i in range(n_vertices):
             x, y, z = mesh.vertices[i, 0], mesh.vertices[i, 1], mesh.vertices[i, 2]
             skin_vertex(maps, mesh.joint, mesh.weight, mesh.start[i], mesh.start[i + 1], x, y, z, points, i)
@@ -325,7 +331,7 @@ def silhouette_xor(poses, first, last, tree, mesh, prepared, boxes, box_areas, o
                         corner = (c * image_rows + origin[k, 1]) * mask_stride + (origin[k, 0] >> 3)
                         for s in range(0, origin[k, 2], STRIP):
                             place = corner + (s >> 3)
-                            count_strip(difference, s, stride, rows, mask_bits, place, mask_stride, counts)
+                            count_strip(difference, s, stride, rows, mask_bits, drawn_bits, place, mask_stride, counts)
                             for x in range(s, s + STRIP):
                                 difference[rows * stride + x] = 0
                         again = counts[2] != 0
@@ -341,13 +347,14 @@ def silhouette_xor(poses, first, last, tree, mesh, prepared, boxes, box_areas, o
                         p,
                         k,
                         (near & bit) != 0,
-                        mesh.one_sided,
                         prepared.masks[c],
+                        drawn[c],
                         origin[k],
                         np.int64(window[2, k]),
                         safe,
                         counts,
                     )
-                out[begin + k, c, 0] = counts[0] + box_areas[c] - 2 * counts[1]
-                out[begin + k, c, 1] = counts[0]
-                out[begin + k, c, 2] = counts[1]
+                model, hits = counts[0] + drawn_counts[c, 0], counts[1] + drawn_counts[c, 1]
+                out[begin + k, c, 0] = model + box_areas[c] - 2 * hits
+                out[begin + k, c, 1] = model
+                out[begin + k, c, 2] = hits

@@ -137,8 +137,9 @@ def emit_clipped_faces(vertices, faces, p, x0, y0, width, height, difference, on
 
 
 @njit(**OPTIONS)
-def count_window(mask, x0, y0, width, height, difference, running, model, hit, counts):
-    """Running sums down the rows: counts[0] model pixels, counts[1] those inside the mask; clears the differences."""
+def count_window(mask, drawn, x0, y0, width, height, difference, running, model, hit, counts):
+    """Running sums down the rows: counts[0] model pixels that are not set in drawn (h, B; packed, low bit first),
+    counts[1] those inside the mask; clears the differences."""
     acc, mo, hi = running[:width], model[:width], hit[:width]
     for x in range(width):
         acc[x] = 0
@@ -150,7 +151,8 @@ def count_window(mask, x0, y0, width, height, difference, running, model, hit, c
         for x in range(width):
             acc[x] = np.int16(acc[x] + d[x])
             d[x] = 0
-            k = np.uint16(acc[x] > 0)
+            already = np.uint16(drawn[y0 + r, (x0 + x) >> 3] >> ((x0 + x) & 7)) & np.uint16(1)
+            k = np.uint16(acc[x] > 0) & ~already
             mo[x] = np.uint16(mo[x] + k)
             hi[x] = np.uint16(hi[x] + (k & np.uint16(m[x] != 0)))
     difference[height, :width] = 0

@@ -259,14 +259,14 @@ def write_crossings(typingctx: Any, edge, lane, skip, rows, stride, out, place):
 
 
 @intrinsic
-def count_strip(typingctx: Any, difference, start, stride, rows, bits, mask_start, mask_stride, counts):
+def count_strip(typingctx: Any, difference, start, stride, rows, bits, drawn, mask_start, mask_stride, counts):
     """Running sums down STRIP columns of difference (i1, flat, from index start): adds to counts (3,) i8 the pixels
-    where the sum is positive, those of them set in bits (u1, packed, low bit first, flat index mask_start), and the
-    strips whose sums came near the end of int8. Clears what it read."""
+    where the sum is positive and that are not set in drawn, those of them set in bits (both u1, packed, low bit first,
+    flat index mask_start), and the strips whose sums came near the end of int8. Clears what it read."""
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         at = _Arrays(context, builder, signature, args)
-        _, start, stride, rows, _, mask_start, mask_stride, _ = args
+        _, start, stride, rows, _, _, mask_start, mask_stride, _ = args
         zero = _constant(builder, _BYTES, [0] * STRIP)
         running, highest, lowest = (cgutils.alloca_once_value(builder, zero.v) for _ in range(3))
         model, hit = (cgutils.alloca_once_value(builder, _I64(0)) for _ in range(2))
@@ -278,21 +278,24 @@ def count_strip(typingctx: Any, difference, start, stride, rows, bits, mask_star
             builder.store(acc.v, running)
             builder.store(acc.at_least(_V(builder, builder.load(highest))).v, highest)
             builder.store(acc.at_most(_V(builder, builder.load(lowest))).v, lowest)
-            inside = (acc > zero).bits(_I64)
             where = builder.add(mask_start, builder.mul(loop.index, mask_stride))
-            mask = builder.load(builder.bitcast(builder.gep(at.data[4], [where]), _I64.as_pointer()), align=1)
+            mask, already = (
+                builder.load(builder.bitcast(builder.gep(at.data[k], [where]), _I64.as_pointer()), align=1)
+                for k in (4, 5)
+            )
+            inside = builder.and_((acc > zero).bits(_I64), builder.not_(already))
             for total, word in ((model, inside), (hit, builder.and_(inside, mask))):
                 builder.store(builder.add(builder.load(total), builder.call(popcount, [word])), total)
         high, low = (_constant(builder, _BYTES, [k] * STRIP) for k in (GUARD - 1, -GUARD))
         beyond = (_V(builder, builder.load(highest)) > high) | (_V(builder, builder.load(lowest)) < low)
         flag = builder.zext(builder.icmp_unsigned("!=", beyond.bits(_I64), _I64(0)), _I64)
         for k, value in enumerate((builder.load(model), builder.load(hit), flag)):
-            place = builder.gep(at.data[7], [_I64(k)])
+            place = builder.gep(at.data[8], [_I64(k)])
             builder.store(builder.add(builder.load(place), value), place)
         return context.get_dummy_value()
 
     i8 = types.int64
-    return types.none(difference, i8, i8, i8, bits, i8, i8, counts), code
+    return types.none(difference, i8, i8, i8, bits, drawn, i8, i8, counts), code
 
 
 @intrinsic

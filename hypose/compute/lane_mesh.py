@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute.arrays import MeshArrays
+from hypose.compute.arrays import MeshArrays, TreeArrays
 
 
 class LaneMesh(NamedTuple):
@@ -26,6 +26,8 @@ class LaneMesh(NamedTuple):
     """(K,)"""
     weight: NDArray[np.float32]
     """(K,)"""
+    needed: NDArray[np.bool_]
+    """(J,) the joints that move these vertices, and those above them"""
     one_sided: bool
     """Only front faces are drawn, also where the near plane opens the mesh."""
 
@@ -43,7 +45,7 @@ _lock = threading.Lock()
 _KEPT = 24  # two bodies with ten layers of parts each
 
 
-def prepare(mesh: MeshArrays, faces: NDArray[np.bool_] | None) -> LaneMesh:
+def prepare(mesh: MeshArrays, tree: TreeArrays, faces: NDArray[np.bool_] | None) -> LaneMesh:
     """The mesh, or its faces where faces (F,) is True. What depends on topology and weights is kept for the next call;
     vertices are read anew."""
     wanted = None if faces is None else faces.tobytes()
@@ -52,7 +54,7 @@ def prepare(mesh: MeshArrays, faces: NDArray[np.bool_] | None) -> LaneMesh:
             if plan.edges_of is mesh.edges and plan.weights_of is mesh.skin_weight and plan.wanted == wanted:
                 _plans.insert(0, _plans.pop(k))
                 return _with_vertices(plan, mesh)
-    plan = _plan(mesh, faces, wanted)
+    plan = _plan(mesh, tree, faces, wanted)
     with _lock:
         _plans.insert(0, plan)
         del _plans[_KEPT:]
@@ -63,7 +65,7 @@ def _with_vertices(plan: _Plan, mesh: MeshArrays) -> LaneMesh:
     return plan.mesh._replace(vertices=np.ascontiguousarray(mesh.vertices[plan.used], dtype=np.float32))
 
 
-def _plan(mesh: MeshArrays, faces: NDArray[np.bool_] | None, wanted: bytes | None) -> _Plan:
+def _plan(mesh: MeshArrays, tree: TreeArrays, faces: NDArray[np.bool_] | None, wanted: bytes | None) -> _Plan:
     chosen = np.ones(len(mesh.faces), dtype=bool) if faces is None else faces
     kept = mesh.faces[chosen]
     new_face = np.full(len(mesh.faces), len(kept), dtype=np.int32)
@@ -74,6 +76,7 @@ def _plan(mesh: MeshArrays, faces: NDArray[np.bool_] | None, wanted: bytes | Non
     new_vertex[used] = np.arange(len(used), dtype=np.int32)
     count = mesh.skin_count[used]
     own = np.arange(mesh.skin_index.shape[1]) < count[:, None]
+    joint = np.ascontiguousarray(mesh.skin_index[used][own])
     return _Plan(
         mesh.edges,
         mesh.skin_weight,
@@ -84,8 +87,28 @@ def _plan(mesh: MeshArrays, faces: NDArray[np.bool_] | None, wanted: bytes | Non
             np.ascontiguousarray(new_vertex[kept]),
             np.ascontiguousarray(np.concatenate([new_vertex[edges[:, :2]], new_face[edges[:, 2:]]], 1)),
             np.concatenate([[0], np.cumsum(count)]).astype(np.int64),
-            np.ascontiguousarray(mesh.skin_index[used][own]),
+            joint,
             np.ascontiguousarray(mesh.skin_weight[used][own]),
+            _with_ancestors(joint, tree.parents),
             faces is not None,
         ),
     )
+
+
+def _with_ancestors(joints: NDArray[np.int32], parents: NDArray[np.int64]) -> NDArray[np.bool_]:
+    needed = np.zeros(len(parents), dtype=bool)
+    needed[joints] = True
+    for j in range(len(parents) - 1, 0, -1):
+        needed[parents[j]] |= needed[j]
+    return needed
+
+
+def moved_faces(mesh: MeshArrays, tree: TreeArrays, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(F,) the faces that move when the joints `moving` (J,) turn: those with a corner that hangs on such a joint or
+    on one below it."""
+    below = moving.copy()
+    for j, parent in enumerate(tree.parents):
+        below[j] |= parent >= 0 and below[parent]
+    own = np.arange(mesh.skin_index.shape[1]) < mesh.skin_count[:, None]
+    vertices = (below[mesh.skin_index] & own).any(1)
+    return np.asarray(vertices[mesh.faces].any(1))

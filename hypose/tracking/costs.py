@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose import compute
 from hypose.body.body import Body
@@ -18,21 +19,23 @@ class SilhouetteXor:
     """Energy E = sum over usable views of XOR(M_v, S_v) / C(S_v), so that the weight is exp(-E).
 
     M_v: silhouette of the posed coarse mesh in view v, S_v: the mask, C: its foreground pixels. With no usable view
-    every hypothesis costs the same (0). Source: Alcoverro 2014, eq. 2.8.
+    every hypothesis costs the same (0). moving (J,) bool: the joints that differ in the set, for a search of one limb;
+    everything else stands as in the last hypothesis and is drawn once. Source: Alcoverro 2014, eq. 2.8.
     """
 
     body: Body
+    moving: NDArray[np.bool_] | None = None
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, /) -> Array:
         """(N,) energies of h.values (N, D)."""
-        return xor_energy(self.body, h.values, frame)
+        return xor_energy(self.body, h.values, frame, self.moving)
 
 
-def xor_energy(body: Body, poses: Array, frame: PreparedFrame) -> Array:
-    """(N,) energies of eq. 2.8 for poses (N, D); zeros when no view is usable."""
+def xor_energy(body: Body, poses: Array, frame: PreparedFrame, moving: NDArray[np.bool_] | None = None) -> Array:
+    """(N,) energies of eq. 2.8 for poses (N, D); zeros when no view is usable. moving: as for SilhouetteXor."""
     if frame.masks is None:
         return np.zeros(len(poses))
-    counts = _counts(body, poses, frame.masks)
+    counts = _counts(body, poses, frame.masks, moving)
     use = frame.masks.usable
     return (counts[:, use, 0] / frame.masks.areas[use]).sum(1)
 
@@ -47,9 +50,11 @@ def silhouette_iou(body: Body, pose: Array, frame: PreparedFrame) -> Array:
         return np.where(frame.masks.usable, counts[:, 2] / union, np.nan)
 
 
-def _counts(body: Body, poses: Array, masks: compute.PreparedMasks) -> np.ndarray:
+def _counts(
+    body: Body, poses: Array, masks: compute.PreparedMasks, moving: NDArray[np.bool_] | None = None
+) -> NDArray[np.int64]:
     flat = np.ascontiguousarray(poses, dtype=np.float64)
-    return compute.silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, masks)
+    return compute.silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, masks, moving=moving)
 
 
 def no_evidence(h: Hypotheses, frame: PreparedFrame, /) -> Array:

@@ -185,7 +185,8 @@ def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iteratio
         if name.endswith("arm"):
             moves.append(UniformShare(0.25, *_reach(s), mask))
         kernel = KeepFirst(Compose(tuple(moves)), 2)
-        weigh = _weigh(body, FixedSelectivity(1.0))  # the best is the best under any exponent
+        moving = np.isin(np.arange(len(s.joint_names)), [s.joint(j) for j in joints])
+        weigh = Annealed(SilhouetteXor(body, moving), FixedSelectivity(1.0))  # the best is best under any exponent
         rows.append(Layer(kernel, weigh, Elite(1, mask, keep=1), name, InTurn(turn, period)))
     rows.append(Layer(RefineComposite(body, options), no_evidence, keep, "refinement"))
     return Recipe("default", tuple(rows), RefinedEstimate(s), CONTOURS), particles
