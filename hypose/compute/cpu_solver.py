@@ -140,17 +140,18 @@ def bounded_step(hessian, gradient, q, lower, upper, damping, step):
 
 
 @njit(**OPTIONS)
-def evaluate(q, tree, mesh, contours, scale, keypoints, points, priors, ws, hessian, gradient, counts):
-    """Cost at pose q (D,); hessian (D, D) and gradient (D,) are overwritten; counts (C + 2, 2): forward and reverse
-    rows of each view, then the key points, then the points."""
+def cost_at(q, tree, mesh, contours, scale, keypoints, points, priors, ws, counts):
+    """Cost at pose q (D,), and how many contour rows wait in the workspace for `normal_equations`; counts (C + 2, 2):
+    forward and reverse rows of each view, then the key points, then the points."""
     joint_frames(q, tree, ws.rotations, ws.centres, ws.twists)
     ws.wrench_hessian[:] = 0.0
     ws.wrench_gradient[:] = 0.0
     n_views = contours.sdf.shape[0]
     counts[n_views:] = 0
     cost = 0.0
+    kept = np.zeros(1, np.int64)
     if n_views > 0:
-        p, kept = np.empty((3, 4), np.float32), np.zeros(1, np.int64)
+        p = np.empty((3, 4), np.float32)
         skin_about_root(ws.rotations, ws.centres, tree, mesh, ws.vertices)
         for c in range(n_views):
             counts[c, 0] = 0
@@ -158,20 +159,37 @@ def evaluate(q, tree, mesh, contours, scale, keypoints, points, priors, ws, hess
             if contours.usable[c]:
                 camera_about_root(contours.projections[c], q, p)
                 cost += contour_rows(c, p, mesh, contours, scale, ws, kept, counts[c])
-        sum_rows(kept[0], ws.rows, ws.row_joints, ws.lanes, ws.place, ws.wrench_hessian, ws.wrench_gradient)
     cost += keypoint_rows(
         q, keypoints, ws.rotations, ws.centres, ws.wrench_hessian, ws.wrench_gradient, counts[n_views]
     )
     cost += point_rows(q, points, ws.rotations, ws.centres, ws.wrench_hessian, ws.wrench_gradient, counts[n_views + 1])
-    fold(tree, ws.twists, ws.wrench_hessian, ws.wrench_gradient, hessian, gradient)
     for i in range(priors.centre.shape[0]):
         for d in range(q.shape[0]):
             w = priors.weight[i, d]
             if w > 0:  # a centre without weight may be anything, NaN included
                 e = q[d] - priors.centre[i, d]
                 cost += 0.5 * w * e * e
-                gradient[d] += w * e
+    return cost, kept[0]
+
+
+@njit(**OPTIONS)
+def normal_equations(q, kept, tree, priors, ws, hessian, gradient):
+    """hessian (D, D) and gradient (D,), overwritten, of the cost that `cost_at` has just found at q."""
+    sum_rows(kept, ws.rows, ws.row_joints, ws.lanes, ws.place, ws.wrench_hessian, ws.wrench_gradient)
+    fold(tree, ws.twists, ws.wrench_hessian, ws.wrench_gradient, hessian, gradient)
+    for i in range(priors.centre.shape[0]):
+        for d in range(q.shape[0]):
+            w = priors.weight[i, d]
+            if w > 0:
+                gradient[d] += w * (q[d] - priors.centre[i, d])
                 hessian[d, d] += w
+
+
+@njit(**OPTIONS)
+def evaluate(q, tree, mesh, contours, scale, keypoints, points, priors, ws, hessian, gradient, counts):
+    """Cost, hessian, gradient and counts at pose q; see `cost_at` and `normal_equations`."""
+    cost, kept = cost_at(q, tree, mesh, contours, scale, keypoints, points, priors, ws, counts)
+    normal_equations(q, kept, tree, priors, ws, hessian, gradient)
     return cost
 
 
@@ -184,7 +202,6 @@ def solve(q, tree, mesh, contours, keypoints, points, priors, settings, ws, hess
     raises the cost is retried with 6 times the damping at most 3 times; near the end the cost jitters with the
     outline, so a rejected step below the tolerance stops."""
     n = q.shape[0]
-    new_hessian, new_gradient = np.empty((n, n)), np.empty(n)
     step, trial = np.empty(n), np.empty(n)
     new_counts = np.empty_like(counts)
     for d in range(n):
@@ -219,13 +236,12 @@ def solve(q, tree, mesh, contours, keypoints, points, priors, settings, ws, hess
             for d in range(n):
                 trial[d] = min(max(q[d] + shorten * step[d], priors.lower[d]), priors.upper[d])
                 moved = max(moved, abs(shorten * step[d]) * (1.0 if d > 2 else 2.0))
-            new_cost = evaluate(
-                trial, tree, mesh, contours, scale, keypoints, points, priors, ws, new_hessian, new_gradient, new_counts
-            )
+            new_cost, kept = cost_at(trial, tree, mesh, contours, scale, keypoints, points, priors, ws, new_counts)
             evaluations += 1
             if math.isfinite(new_cost) and new_cost < cost * ACCEPT:
                 accepted = True
                 cost = new_cost
+                normal_equations(trial, kept, tree, priors, ws, hessian, gradient)
                 break
             damping = min(damping * 6, 1e4)
             if coarse == 0 and moved < settings.tolerance:
@@ -235,9 +251,6 @@ def solve(q, tree, mesh, contours, keypoints, points, priors, settings, ws, hess
         if accepted:
             for d in range(n):  # array assignments would compile numba's error texts too: 2 s
                 q[d] = trial[d]
-                gradient[d] = new_gradient[d]
-                for e in range(n):
-                    hessian[d, e] = new_hessian[d, e]
             for r in range(counts.shape[0]):
                 counts[r, 0] = new_counts[r, 0]
                 counts[r, 1] = new_counts[r, 1]
