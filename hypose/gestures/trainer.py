@@ -61,9 +61,17 @@ class Trainer:
         return self.session.threshold(self.settings)
 
     def frame(
-        self, time: float, depth: Depth, lens: Lens, box: tuple[float, float], commands: Sequence[Command] = ()
+        self,
+        time: float,
+        depth: Depth,
+        lens: Lens,
+        box: tuple[float, float],
+        commands: Sequence[Command] = (),
+        *,
+        learn: bool = True,
     ) -> Feedback:
-        """Take a frame (h, w) uint16 mm of a time (s); box: the pixel where the gesture is asked for."""
+        """Take a frame (h, w) uint16 mm of a time (s); box: the pixel where the gesture is asked for; learn False: the
+        frame is kept from the forest (to judge it by, or because it was shown before)."""
         self.session, instruction = step(self.session, self.settings, time, commands)
         if instruction.restart and self._before is not None:
             self._restore(self._before)
@@ -71,8 +79,9 @@ class Trainer:
         if instruction.learn is not None:
             if instruction.segment != self._segment:
                 self._segment, self._before = instruction.segment, self._snapshot()
-            taught = self.learn(instruction.learn, depth, lens, box)
-            found = None if taught is None or not taught.maxima else taught.maxima[0]
+            if learn:
+                taught = self.learn(instruction.learn, depth, lens, box)
+                found = None if taught is None or not taught.maxima else taught.maxima[0]
         elif instruction.phase == "test":
             found = localise(depth, lens, [self.learner.forest], self.learner.settings.look, self.learner.scratch)[0]
         return Feedback(instruction, box, taught, found, self.threshold)
