@@ -12,7 +12,7 @@ from hypose.io.frames import FrameStream
 from hypose.pipeline.anthropometry import SubjectEstimate, estimate_subject, size_uncertainty
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.subject import Subject, SubjectOptions, find_subject, first_start
-from hypose.tracking.evidence import keypoint_model
+from hypose.tracking.keypoint_evidence import keypoint_model
 
 
 def subject_balancing(options: BenchOptions) -> BenchReport:

@@ -23,7 +23,7 @@ from hypose.io.recording import Recording, View, load_recording
 from hypose.io.video import open_video
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.subject import SubjectOptions, find_subject
-from hypose.tracking.evidence import KeypointModel
+from hypose.tracking.keypoint_evidence import KeypointModel
 
 LIMBS = tuple(
     BODY_25B.index(f"{side}_{part}")

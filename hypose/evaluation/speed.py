@@ -18,7 +18,7 @@ from hypose.fitting.articulated import ContourTerm, KeypointTerm, PoseFit, Solve
 from hypose.geometry import Array
 from hypose.io.frames import FrameOptions, FrameStream
 from hypose.pipeline.subject import SubjectOptions, find_subject
-from hypose.tracking.evidence import keypoint_term
+from hypose.tracking.keypoint_evidence import keypoint_term
 from hypose.tracking.refinement import anatomical_prior, prediction_prior
 
 _FAST, _LONG = SolveOptions(), SolveOptions(iterations=60, coarse_iterations=4, tolerance=1e-6)
@@ -54,7 +54,10 @@ def contour_solve(options: BenchOptions) -> BenchReport:
         rows.append(Row("iterations_p90", case, float(np.percentile(solved.iterations, 90)), "1", n=len(terms)))
         if scale == 1.0:
             rows += _convergence(body, solved.poses, terms)
-    points = [keypoint_term(f, body, 8.0, 1.0) for f in scene.mask_frames(0.5, keypoints=True)]
+    points = [
+        keypoint_term(f.keypoints, body) if f.keypoints is not None else None
+        for f in scene.mask_frames(0.5, keypoints=True)
+    ]
     solved = _follow(body, start, [None] * len(points), points, _FAST, repeats=3)
     rows.append(row("ms_per_frame", "keypoints", 1e3 * solved.seconds, "ms"))
     if options.data is not None and (options.data / "pose2sim_balancing").exists() and not options.quick:

@@ -20,7 +20,7 @@ from hypose.calibration.sync import Resampled, points_at
 from hypose.calibration.sync_motion import mask_tracks
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import EvidenceError, InputError
-from hypose.evidence.frame import Frame, Silhouettes
+from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import keypoint_names, triangulate_keypoints
 from hypose.fitting.articulated import contour_term
 from hypose.geometry import Array, transform
@@ -29,7 +29,8 @@ from hypose.io.recording import Recording
 from hypose.io.video import open_video
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.subject import SubjectOptions, find_subject
-from hypose.tracking.evidence import KeypointModel, keypoint_model, keypoint_term, prepare
+from hypose.tracking.evidence import prepare
+from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term
 from hypose.tracking.subject import fit_girths, shape_from_keypoints, subject_from_keypoints
 
 Progress = Callable[[str, int, int], None]
@@ -274,8 +275,8 @@ def _by_body(
         assert silhouettes is not None
         contours.append(contour_term(silhouettes) if silhouettes.usable.any() else None)
         both = method == "both" and keypoints is not None and model is not None
-        seen = replace(frames[i], keypoints=keypoints[int(used[i])]) if both and keypoints is not None else None
-        marks.append(None if seen is None else keypoint_term(seen, body, _mark_scale(seen), 1.0, model))
+        seen = keypoints[int(used[i])] if both and keypoints is not None else None
+        marks.append(None if seen is None else keypoint_term(seen, body, model, scale_px=_mark_scale(seen)))
     small = stream.rig
     progress("refine", 0, 1)
     weight = 0.1 if method == "both" else 1.0  # rows of a contour err together; key points weigh as detections
@@ -305,10 +306,9 @@ def _shifted(keypoints: Sequence, c: int, t: int, late: float) -> Array:
     return points_at(pair, t + late - low)[0]
 
 
-def _mark_scale(frame: Frame) -> float:
+def _mark_scale(keypoints: Keypoints) -> float:
     """sd of a detection in px of the working size: 0.8 % of the person's size."""
-    assert frame.keypoints is not None
-    seen = frame.keypoints.points[frame.keypoints.points[..., 2] > 0.3]
+    seen = keypoints.points[keypoints.points[..., 2] > 0.3]
     return max(0.008 * float(np.ptp(seen[:, 1])) if len(seen) else 2.0, 0.5)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,8 +14,10 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.geometry import Array
 from hypose.pipeline.anthropometry import AnthropometryOptions, estimate_subject
-from hypose.tracking.evidence import KeypointModel, PreparedFrame, keypoint_model, prepare
+from hypose.tracking.evidence import PreparedFrame, prepare
 from hypose.tracking.initialise import KNOWN_POSES, hull_of, start_from_hull, start_from_keypoints
+from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model
+from hypose.tracking.keypoint_offsets import calibrate_keypoints
 from hypose.tracking.subject import fit_girths, scaled_to_height, subject_from_keypoints
 
 FrameAt = Callable[[int], Frame]
@@ -94,8 +96,9 @@ def _from_keypoints(
         few = [solved[k] for k in np.unique(np.linspace(0, len(solved) - 1, min(10, len(solved))).astype(int))]
         body, note = _with_girths(body, poses[few], [seen[n] for n in few])
         notes.append(note)
-        # the landmarks on the skin moved with the girths; the fitted offsets did not
-        model = replace(keypoint_model(body, model.names), offset=model.offset)
+    # the landmarks on the skin moved with the girths: where the key points sit is measured on the body as it is now
+    model = calibrate_keypoints(body, keypoint_model(body, model.names), keypoints, poses)
+    notes.append(_noise_note(model))
     start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
     if at:
         notes.append(f"the start is the pose of frame {at}, the first with enough key points")
@@ -105,13 +108,20 @@ def _from_keypoints(
 def _known_by_points(
     body: Body, frame_at: FrameAt, sampled: np.ndarray, n_frames: int, options: SubjectOptions
 ) -> Subject:
-    seen = next((k for k in (frame_at(int(i)).keypoints for i in sampled) if k is not None), None)
-    if seen is None:
+    seen = [k for k in (frame_at(int(i)).keypoints for i in sampled) if k is not None]
+    if not seen:
         raise EvidenceError("No frame has key points to start from; use the start 'hull'.")
-    model = keypoint_model(body, seen.names)
+    model = calibrate_keypoints(body, keypoint_model(body, seen[0].names), seen)
     start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
-    notes = (GIVEN,) if at == 0 else (GIVEN, f"the start is the pose of frame {at}, the first with enough key points")
-    return Subject(body, model, start, notes)
+    notes = [GIVEN, _noise_note(model)]
+    if at:
+        notes.append(f"the start is the pose of frame {at}, the first with enough key points")
+    return Subject(body, model, start, tuple(notes))
+
+
+def _noise_note(model: KeypointModel) -> str:
+    assert model.sd is not None
+    return f"key points weigh as if they scattered by {1e3 * float(np.median(model.sd[model.known])):.0f} mm per axis"
 
 
 def first_start(body: Body, model: KeypointModel, frame_at: FrameAt, last: int) -> tuple[Array, int]:

@@ -12,9 +12,9 @@ from hypose.body.body import Body
 from hypose.errors import EvidenceError
 from hypose.evidence.contours import WORKING_HEIGHT
 from hypose.evidence.frame import Frame, Silhouettes
-from hypose.evidence.keypoints import landmark_of
 from hypose.fitting.articulated import ContourTerm, KeypointTerm, contour_term
 from hypose.geometry import Array
+from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term
 
 
 @dataclass(frozen=True)
@@ -48,52 +48,6 @@ def prepare_masks(silhouettes: Silhouettes) -> compute.PreparedMasks:
     return compute.prepare_masks(silhouettes.masks, silhouettes.usable & (areas > 0), rig.sizes, rig.projections)
 
 
-def keypoint_term(
-    frame: Frame, body: Body, scale_px: float, weight: float, model: KeypointModel | None = None
-) -> KeypointTerm | None:
-    """The key points of a frame as rows of the solver; None when the frame has none that the body knows.
-
-    scale_px is the robust scale in pixels of the key points' rig; model: where the points sit on this subject (by
-    default where the body's landmarks say).
-    """
-    if frame.keypoints is None:
-        return None
-    model = model or keypoint_model(body, frame.keypoints.names)
-    if model.names != frame.keypoints.names:
-        raise EvidenceError(
-            f"Frame {frame.index} has other key points ({len(frame.keypoints.names)}) than the subject was fitted with "
-            f"({len(model.names)}); fit the subject again from this recording."
-        )
-    joint, offset, known = model.joint, model.offset, model.known
-    points = np.nan_to_num(frame.keypoints.points[:, known])
-    if not (points[..., 2] > 0).any():
-        return None
-    return KeypointTerm(
-        np.ascontiguousarray(points),
-        frame.keypoints.rig.projections,
-        joint[known],
-        offset[known],
-        scale_px,
-        weight,
-    )
-
-
-@dataclass(frozen=True)
-class KeypointModel:
-    """Where named key points sit on a body: joint (K,), offset (K, 3) m in that joint's frame, known (K,)."""
-
-    names: tuple[str, ...]
-    joint: NDArray[np.int64]
-    offset: Array
-    known: NDArray[np.bool_]
-
-
-def keypoint_model(body: Body, names: tuple[str, ...]) -> KeypointModel:
-    """The key points on a body by its joints and landmarks."""
-    joint, offset, known = landmark_of(names, body)
-    return KeypointModel(tuple(names), joint, offset, known)
-
-
 def prepare(
     frame: Frame,
     body: Body,
@@ -103,7 +57,6 @@ def prepare(
     use_keypoints: bool = False,
     contour_weight: float = 0.05,
     keypoint_scale_px: float = 8.0,
-    keypoint_weight: float = 1.0,
     keypoints_on_body: KeypointModel | None = None,
     prediction_weight: float = 0.1,
     usual_iou: float = float("nan"),
@@ -123,8 +76,14 @@ def prepare(
         else:
             masks = None
     term = None
-    if use_keypoints:
-        term = keypoint_term(frame, body, keypoint_scale_px, keypoint_weight, keypoints_on_body)
+    if use_keypoints and frame.keypoints is not None:
+        model = keypoints_on_body or keypoint_model(body, frame.keypoints.names)
+        if model.names != frame.keypoints.names:
+            raise EvidenceError(
+                f"Frame {frame.index} has other key points ({len(frame.keypoints.names)}) than the subject was fitted "
+                f"with ({len(model.names)}); fit the subject again from this recording."
+            )
+        term = keypoint_term(frame.keypoints, body, model, prediction, keypoint_scale_px)
     return PreparedFrame(frame, prediction, masks, contours, term, prediction_weight, usual_iou)
 
 

@@ -18,8 +18,10 @@ from hypose.errors import EvidenceError
 from hypose.fitting.articulated import PointTerm, SolveOptions, fit_pose
 from hypose.geometry import Array
 from hypose.tracking.costs import xor_energy
-from hypose.tracking.evidence import KeypointModel, PreparedFrame, keypoint_model
+from hypose.tracking.evidence import PreparedFrame
 from hypose.tracking.initialise import start_from_keypoints
+from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model
+from hypose.tracking.keypoint_offsets import offset_limits
 from hypose.tracking.refinement import anatomical_prior
 
 PAIRED = {
@@ -81,7 +83,7 @@ def subject_from_keypoints(
     if len(usable) == 0:
         raise EvidenceError("No frame has 6 triangulated key points; check the key points' folder and the calibration.")
     chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(max_frames, len(usable))).astype(int))]
-    base, limit = model.offset.copy(), _offset_limits(names)
+    base, limit = model.offset.copy(), offset_limits(names)
     poses = np.full((len(points_world), body.skeleton.dof), np.nan)
     for _ in range(rounds):
         _solve_frames(deformed, points_world, model, chosen, poses)
@@ -134,13 +136,6 @@ def shape_from_keypoints(body: Body, points_world: Array, names: tuple[str, ...]
         offset[f"{side}_clavicle"] = (scale / trunk, 1.0, 1.0)
         offset[f"{side}_shoulder"] = (shoulders / scale, 1.0, 1.0)
     return Shape(scale=scale, length=length, offset=offset)
-
-
-def _offset_limits(names: tuple[str, ...]) -> Array:
-    face = ("nose", "eye", "ear", "head")
-    foot = ("toe", "heel")
-    lower = [n.lower() for n in names]
-    return np.array([0.12 if any(f in n for f in face) else 0.08 if any(f in n for f in foot) else 0.05 for n in lower])
 
 
 def _solve_frames(body: Body, points: Array, model: KeypointModel, frames: np.ndarray, poses: Array) -> None:

@@ -23,8 +23,9 @@ from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Recipe, SearchResult, search
 from hypose.inference.random_streams import stream
 from hypose.tracking.costs import silhouette_iou
-from hypose.tracking.evidence import KeypointModel, PreparedFrame, prepare, view_count
+from hypose.tracking.evidence import PreparedFrame, prepare, view_count
 from hypose.tracking.initialise import recover
+from hypose.tracking.keypoint_evidence import KeypointModel
 from hypose.tracking.recipes import step_sigma
 from hypose.tracking.refinement import REFINED, RefinedEstimate, refine
 from hypose.tracking.uncertainty import joint_sd_of_pose, joint_sd_of_set

@@ -1,0 +1,157 @@
+"""Where a detector's key points sit on this person, and how noisy they are: measured on the clip itself.
+
+What a detector calls a hip is not the joint's centre, and every detector has habits of its own. Offsets and poses are
+found in turn on the reprojection in all views, offsets with a prior about the body's landmarks and within limits, so
+that they cannot take over what is pose. The remaining distances are the noise that weighs key points against contours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hypose.body.body import Body
+from hypose.errors import EvidenceError
+from hypose.evidence.frame import Keypoints
+from hypose.evidence.keypoints import triangulate_keypoints
+from hypose.fitting.articulated import SolveOptions, fit_pose
+from hypose.geometry import Array
+from hypose.tracking.initialise import start_from_keypoints
+from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_term, pixels_per_metre
+from hypose.tracking.refinement import anatomical_prior
+
+LEAST_SD, LARGEST_SD = 0.008, 0.08
+"""m: bounds of the measured noise."""
+TOGETHER = 2.0
+"""Detections of one point err alike in neighbouring frames and views, and now and then widely: the noise that weighs
+them best is twice what their median distance says (chosen on the balancing clip)."""
+_SHRINK = 20.0
+"""So many of all points' distances are added to those of each point, so that one that is rarely seen is like others."""
+
+
+def offset_limits(names: Sequence[str]) -> Array:
+    """(K,) m: how far a point may be moved from the body's own: 5 cm for joints, 12 cm for the face, 8 cm for feet."""
+    face = ("nose", "eye", "ear", "head")
+    foot = ("toe", "heel")
+    lower = [n.lower() for n in names]
+    return np.array([0.12 if any(f in n for f in face) else 0.08 if any(f in n for f in foot) else 0.05 for n in lower])
+
+
+def calibrate_keypoints(
+    body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], poses: Array | None = None, *, rounds: int = 3
+) -> KeypointModel:
+    """The model with offsets and noise measured on frames of this person (T; some tens of different poses).
+
+    model: where the points are expected; offsets stay within `offset_limits` of the body's own landmarks, which are
+    those of the model given. poses (T, D): roughly known poses, NaN rows where unknown (default: from triangulation).
+    An EvidenceError when no frame has enough points.
+    """
+    start = _starts(body, model, keypoints) if poses is None else poses
+    chosen = np.flatnonzero(np.isfinite(start).all(1))
+    if len(chosen) == 0:
+        raise EvidenceError("No frame has 6 triangulated key points; check the key points' folder and the calibration.")
+    used, q = [keypoints[int(t)] for t in chosen], start[chosen].copy()
+    base, found = model, model
+    for n in range(rounds):
+        q = _solve(body, found, used, q)
+        rows = _rows(body, found, used, q)
+        found = replace(found, offset=_offsets(base, found, rows))
+        found = replace(found, sd=_noise(_rows(body, found, used, q)))
+        if n == rounds - 1:
+            q = _solve(body, found, used, q)
+    return replace(found, sd=_noise(_rows(body, found, used, q)))
+
+
+def _starts(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints]) -> Array:
+    points, _, _ = triangulate_keypoints(keypoints)
+    known = model.known
+    out = np.full((len(points), body.skeleton.dof), np.nan)
+    for t, frame in enumerate(points):
+        if np.isfinite(frame[known]).all(1).sum() >= 6:
+            out[t] = start_from_keypoints(body, frame[known], model.joint[known], model.offset[known]).pose
+    return out
+
+
+def _solve(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], poses: Array) -> Array:
+    """Each frame alone, from its pose (T, D)."""
+    out, prior = poses.copy(), (anatomical_prior(body.skeleton),)
+    options = SolveOptions(iterations=12, coarse_iterations=0)
+    for t, frame in enumerate(keypoints):
+        term = keypoint_term(frame, body, model, poses[t])
+        if term is not None:
+            out[t] = fit_pose(body, poses[t], keypoints=term, priors=prior, options=options).pose
+    return out
+
+
+class _Rows:
+    """Residual (T, C, K, 2) px, its derivative by the offset (T, C, K, 2, 3) px/m, confidence (T, C, K) and pixels per
+    metre (T, C) of all points; confidence 0 where there is none."""
+
+    def __init__(self, residual: Array, slope: Array, confidence: Array, size: Array) -> None:
+        self.residual, self.slope, self.confidence, self.size = residual, slope, confidence, size
+
+
+def _rows(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], poses: Array) -> _Rows:
+    rotations, centres = body.skeleton.forward(poses)
+    r = rotations[:, model.joint]
+    x = centres[:, model.joint] + np.einsum("tkab,kb->tka", r, model.offset)
+    views, count = len(keypoints[0].rig), len(model.names)
+    residual = np.zeros((len(poses), views, count, 2))
+    slope = np.zeros((len(poses), views, count, 2, 3))
+    confidence = np.zeros((len(poses), views, count))
+    size = np.ones((len(poses), views))
+    for t, frame in enumerate(keypoints):
+        size[t] = pixels_per_metre(frame, poses[t, :3])
+        term = keypoint_term(frame, body, replace(model, sd=None), poses[t])  # exchanged sides put right
+        if term is None:
+            continue
+        for c, p in enumerate(frame.rig.projections):
+            h = x[t] @ p[:, :3].T + p[:, 3]
+            depth = np.where(h[:, 2] > 0.05, h[:, 2], np.nan)
+            uv = h[:, :2] / depth[:, None]
+            by_point = (p[None, :2, :3] - uv[:, :, None] * p[None, 2:, :3]) / depth[:, None, None]
+            slope[t, c] = np.einsum("kia,kab->kib", by_point, r[t])
+            confidence[t, c, model.known] = term.points[c, :, 2]
+            residual[t, c, model.known] = uv[model.known] - term.points[c, :, :2]
+    bad = ~np.isfinite(residual).all(-1) | ~np.isfinite(slope).all((-1, -2))
+    confidence[bad], residual[bad], slope[bad] = 0.0, 0.0, 0.0
+    return _Rows(residual, slope, confidence, size)
+
+
+def _offsets(base: KeypointModel, model: KeypointModel, rows: _Rows) -> Array:
+    """(K, 3): one robust Gauss-Newton step of every offset on all frames, held by its prior and cut at its limit."""
+    limit = offset_limits(base.names)
+    sd_px = (model.sd if model.sd is not None else np.full(len(limit), 0.02)) * rows.size[..., None]
+    square = (rows.residual**2).sum(-1) / sd_px**2
+    weight = rows.confidence / sd_px**2 / (1 + 0.25 * square)
+    hessian = np.einsum("tck,tckia,tckib->kab", weight, rows.slope, rows.slope)
+    gradient = np.einsum("tck,tckia,tcki->ka", weight, rows.slope, rows.residual)
+    # frames of a clip err alike: their number is no measure of what is known
+    prior = len(rows.residual) * (2 / limit) ** 2 * 0.1
+    shift = model.offset - base.offset
+    hessian += prior[:, None, None] * np.eye(3)
+    gradient += prior[:, None] * shift
+    moved = shift - np.linalg.solve(hessian, gradient[..., None])[..., 0]
+    length = np.linalg.norm(moved, axis=1, keepdims=True)
+    moved *= np.minimum(1.0, limit[:, None] / np.maximum(length, 1e-9))
+    return np.where(model.known[:, None], base.offset + moved, base.offset)
+
+
+def _noise(rows: _Rows) -> Array:
+    """(K,) m per axis at confidence 1, from the median distances; see TOGETHER."""
+    metres = np.abs(rows.residual) / rows.size[..., None, None]
+    by_point = [
+        (np.sqrt(rows.confidence[:, :, k, None]) * metres[:, :, k])[rows.confidence[:, :, k] > 0].ravel()
+        for k in range(metres.shape[2])
+    ]
+    pooled = np.concatenate(by_point)
+    if len(pooled) == 0:
+        return np.full(len(by_point), LARGEST_SD)
+    usual = float(np.median(pooled))
+    middle = np.array(
+        [(len(d) * np.median(d) + _SHRINK * usual) / (len(d) + _SHRINK) if len(d) else usual for d in by_point]
+    )
+    # half way to what is usual: a point's own habits are partly taken up by its offset and the pose
+    return np.clip(TOGETHER * 1.4826 * np.sqrt(middle * usual), LEAST_SD, LARGEST_SD)
