@@ -21,6 +21,7 @@ from hypose.app import (
     commands_fuse,
     commands_gesture,
     commands_results,
+    commands_studio,
     commands_subject,
     commands_sync,
     commands_track,
@@ -46,6 +47,7 @@ app.command("subject")(commands_subject.subject)
 app.command("fuse")(commands_fuse.fuse)
 app.add_typer(commands_gesture.app, name="gesture")
 app.command("batch")(commands_batch.batch)
+app.command("view")(commands_studio.view)
 app.command("export")(commands_results.export)
 app.command("synth")(commands_data.synth)
 app.command("bench")(commands_results.bench)

@@ -27,7 +27,7 @@ _CACHE_BYTES = 48 << 20
 _QUALITY = 82
 
 
-class _AnyFrame:
+class AnyFrame:
     """Frames of one view in any order. A folder of images is read directly."""
 
     def __init__(self, view: View) -> None:
@@ -87,7 +87,7 @@ class ViewPictures:
     def __init__(self, recording: Recording, first: int, rows: int) -> None:
         self._recording = replace(recording, frame_range=(first, first + rows))
         self._first, self._rows = first, rows
-        self._views = [_AnyFrame(v) if v.source or v.masks else None for v in recording.views]
+        self._views = [AnyFrame(v) if v.source or v.masks else None for v in recording.views]
         self._stream: FrameStream | None = None
         self._lock, self._mask_lock = threading.Lock(), threading.Lock()
         self._cache: OrderedDict[tuple[int, int], bytes] = OrderedDict()
@@ -141,7 +141,7 @@ class ViewPictures:
         if not 0 <= row < self._rows:
             raise InputError(f"There is no frame {row} in this result; its frames are 0 to {self._rows - 1}.")
 
-    def _jpeg(self, view: _AnyFrame | None, row: int, width: int) -> bytes:
+    def _jpeg(self, view: AnyFrame | None, row: int, width: int) -> bytes:
         image = view.read(self._first + row) if view is not None else None
         if view is None or image is None:
             return b""

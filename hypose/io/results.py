@@ -320,6 +320,8 @@ def load_motion(path: str | Path) -> Motion:
 
 # ---- checkpoints -------------------------------------------------------------------------------------------
 
+_AFRESH = "run again without --resume to start from the first frame"
+
 
 @dataclass(frozen=True)
 class Checkpoint:
@@ -349,8 +351,19 @@ class Checkpoint:
     def load(path: str | Path, identity: Mapping[str, Any]) -> Checkpoint:
         """Read a checkpoint of the same run; an InputError says what differs (inputs, settings, seed,
         versions)."""
+        found = Checkpoint.read(path)
+        difference = _first_difference(found.identity, json.loads(to_json(dict(identity))))
+        if difference:
+            raise InputError(
+                f"{path} belongs to another run: {difference}; {_AFRESH}, or restore the former inputs and settings."
+            )
+        return found
+
+    @staticmethod
+    def read(path: str | Path) -> Checkpoint:
+        """Read a checkpoint of any run."""
         path = Path(path)
-        next_step = "run again without --resume to start from the first frame"
+        next_step = _AFRESH
         arrays = _load_arrays(path, "checkpoint", next_step)
         try:
             document = json.loads(str(arrays.pop("checkpoint")))
@@ -360,11 +373,6 @@ class Checkpoint:
             raise InputError(f"{path} is not a checkpoint of hypose; {next_step}.") from None
         if version != _FORMAT or not (isinstance(frame, int) and isinstance(meta, dict) and isinstance(stored, dict)):
             raise InputError(f"{path} is a checkpoint of another version of hypose; {next_step}.")
-        difference = _first_difference(stored, json.loads(to_json(dict(identity))))
-        if difference:
-            raise InputError(
-                f"{path} belongs to another run: {difference}; {next_step}, or restore the former inputs and settings."
-            )
         return Checkpoint(frame, {k.removeprefix("state."): v for k, v in arrays.items()}, meta, stored)
 
 

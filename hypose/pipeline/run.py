@@ -13,6 +13,7 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import HyposeError, InputError
 from hypose.evidence.frame import Frame
+from hypose.io.bodies import save_body
 from hypose.io.provenance import identity
 from hypose.io.results import Checkpoint, ResultsFolder, save_motion
 from hypose.pipeline.subject import Subject, SubjectOptions, find_subject
@@ -105,6 +106,8 @@ def track_source(
         wanted = SubjectOptions(options.start, options.height, options.girths, body, frame_rate, options.seed, known)
         subject = find_subject(source.frame, total, wanted)
         report("subject", 1, 1)
+    if results is not None:  # before the motion, so that what is kept of an interrupted run can be looked at
+        save_body(subject.body, results.file("body.npz"))
     tracker = _tracker(subject, options, frame_rate)
     key = identity(record or {})
     state, estimates = tracker.start(subject.start), []

@@ -1,0 +1,84 @@
+"""`hypose view`: the studio, a page on this computer for results, clicked joints, gestures and new recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hypose.app.commands_track import Threads, set_threads
+from hypose.app.console import note, say
+from hypose.errors import InputError
+
+_NETWORK = "Network"
+
+
+def view(
+    what: Annotated[
+        Path, typer.Argument(help="Results folder, recording, or a folder that holds such. [default: this folder]")
+    ] = Path(),
+    port: Annotated[
+        int, typer.Option(help="Port to listen on; 0 takes any free one.", rich_help_panel=_NETWORK)
+    ] = 8765,
+    host: Annotated[
+        str,
+        typer.Option(help="Address to listen on; others than this computer need the token.", rich_help_panel=_NETWORK),
+    ] = "127.0.0.1",
+    token: Annotated[
+        str | None,
+        typer.Option(
+            help="What pages must show. [default: none on this computer, else made]", rich_help_panel=_NETWORK
+        ),
+    ] = None,
+    upload_limit: Annotated[
+        float, typer.Option(help="GiB that a file dropped onto the page may have.", rich_help_panel=_NETWORK)
+    ] = 4.0,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
+    threads: Threads = None,
+) -> None:
+    """Open the studio: results in 3D with their pictures, corrections by clicks, gestures, new recordings."""
+    set_threads(threads)
+    open_studio(what, "", host, port, token, upload_limit, not no_browser)
+
+
+def open_studio(
+    what: Path, screen: str, host: str, port: int, token: str | None, upload_limit: float, browser: bool
+) -> None:
+    """Serve the folder of `what` until Ctrl-C; screen: what the page shows first, by default what fits `what`."""
+    from hypose.app.studio.server import NOT_BUILT, STATIC, StudioOptions, run
+
+    if not what.exists():
+        raise InputError(f"{what} does not exist; give a results folder, a recording, or a folder that holds such.")
+    if not 0 <= port <= 65535:
+        raise InputError(f"--port {port} is no port; give 0 (any free one) to 65535.")
+    if not 0 < upload_limit <= 1024:
+        raise InputError(f"--upload-limit {upload_limit:g} is not possible; give more than 0 and at most 1024 (GiB).")
+    if not (STATIC / "index.html").is_file():
+        raise InputError(NOT_BUILT)
+    root, shown = _place(what)
+
+    def ready(address: str) -> None:
+        page = address + (f"#/{screen or shown}" if screen or shown else "")
+        say(f"Studio: {page}")
+        note(f"Shows {root}. Stop with Ctrl-C.")
+        if browser:
+            import webbrowser
+
+            webbrowser.open(page)
+
+    run(StudioOptions(root, host, port, token, round(upload_limit * 2**30)), ready)
+
+
+def _place(what: Path) -> tuple[Path, str]:
+    """The folder to serve, and the screen that shows `what` in it."""
+    from hypose.app.studio.catalog import Catalog, is_recording
+
+    folder = (what if what.is_dir() else what.parent).resolve()
+    if (folder / "motion.npz").is_file():
+        above = [p for p in list(folder.parents)[:3] if is_recording(p)]
+        root = above[0] if above else folder
+        return root, f"view/{Catalog(root).id_of('result', folder)}"
+    if is_recording(folder):
+        return folder, f"setup/{Catalog(folder).id_of('recording', folder)}"
+    return folder, ""

@@ -1,0 +1,40 @@
+"""What a job has tracked so far, to watch it run: read from its checkpoint, which nothing here changes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hypose.app.studio.catalog import Catalog, NotFound
+from hypose.app.studio.job_kinds import Plan
+from hypose.app.studio.recordings import Recordings
+from hypose.app.view_bundle import ViewResult, view_bundle
+from hypose.app.view_result import load_view
+from hypose.io.bodies import load_body
+from hypose.io.results import Checkpoint
+from hypose.tracking.tracker import estimates_from_arrays, motion_of
+
+
+def block_so_far(plan: Plan, catalog: Catalog, recordings: Recordings) -> bytes:
+    """The block of a result under way, or of the finished one; NotFound while there is nothing."""
+    folder = plan.folder
+    if folder is None or plan.recording is None:
+        raise NotFound("This job makes no motion.")
+    recording = recordings.load(catalog.find("recording", plan.recording))
+    checkpoint = folder / "checkpoint.npz"
+    if not checkpoint.is_file():
+        if not (folder / "motion.npz").is_file():
+            raise NotFound("Nothing is tracked yet; wait for the first frames.")
+        return view_bundle(load_view(folder, recording))
+    saved = Checkpoint.read(checkpoint)
+    estimates = estimates_from_arrays(
+        {k.removeprefix("done_"): v for k, v in saved.arrays.items() if k.startswith("done_")}
+    )
+    body = load_body(folder / "body.npz")
+    times = np.arange(len(estimates)) / recording.frame_rate
+    motion = motion_of(body, times, estimates, saved.identity)
+    names = [v.name for v in recording.views if v.source]
+    shown = ViewResult(
+        recording.name, motion, body, recording.rig, [v.image_shift for v in recording.views], names,
+        recording.frames.start, complete=False,
+    )  # fmt: skip
+    return view_bundle(shown)

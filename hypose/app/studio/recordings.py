@@ -1,0 +1,288 @@
+"""Recordings as the Set up and Click screens ask for them: facts, pictures, masks with settings tried out."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.app.studio.catalog import Catalog, Item, NotFound
+from hypose.app.view_pictures import AnyFrame
+from hypose.cameras.camera import Camera
+from hypose.errors import HyposeError, InputError
+from hypose.evidence.background import BackgroundModel, Image
+from hypose.evidence.silhouettes import Mask, SilhouetteOptions, make_segmenter
+from hypose.io.files import write_text
+from hypose.io.frames import build_backgrounds, working_rig
+from hypose.io.recording import Recording, load_recording, silhouette_lines
+from hypose.io.recording_keys import SILHOUETTE_KEYS, read_toml, silhouette_options
+from hypose.io.view_source import Prepare, ViewSource, preparer
+
+Shown = Literal["none", "edge", "fill", "only"]
+_OPEN, _QUALITY = 3, 85
+_EDGE = (70, 60, 255)  # BGR; the same pink as in the report
+
+
+@dataclass
+class _Open:
+    """A recording that is being worked on, by one thread at a time. images, masks: readers by view; lenses: what
+    undistorts, by (view, width)."""
+
+    recording: Recording
+    stamp: float
+    lock: threading.Lock = field(default_factory=threading.Lock)
+    images: dict[int, AnyFrame] = field(default_factory=dict)
+    masks: dict[int, ViewSource] = field(default_factory=dict)
+    lenses: dict[tuple[int, int], Prepare] = field(default_factory=dict)
+    backgrounds: tuple[BackgroundModel | None, ...] | None = None
+
+    def image(self, view: int, frame: int, small: Camera) -> Image:
+        """The undistorted picture of a view with pictures, of the size of the camera `small`."""
+        v, key = self.recording.views[view], (view, small.size[0])
+        if view not in self.images:
+            self.images[view] = AnyFrame(v)
+        if key not in self.lenses:
+            while len(self.lenses) > 4 * len(self.recording.views):
+                del self.lenses[next(iter(self.lenses))]
+            self.lenses[key] = preparer(self.recording.rig[view], small, v.image_shift)
+        stored = self.images[view].read(frame)
+        if stored is None:
+            raise InputError(f"{v.name} has no frame {frame}.")
+        return self.lenses[key](stored, None)
+
+    def close(self) -> None:
+        with self.lock:
+            for source in (*self.images.values(), *self.masks.values()):
+                source.close()
+            self.images.clear()
+            self.masks.clear()
+
+
+class Recordings:
+    """What is open of recordings; used by several threads."""
+
+    def __init__(self, catalog: Catalog) -> None:
+        self._catalog = catalog
+        self._lock = threading.Lock()
+        self._open: OrderedDict[str, _Open] = OrderedDict()
+
+    def load(self, item: Item) -> Recording:
+        """The recording of an item; an InputError says what is wrong with it."""
+        return self._opened(item).recording
+
+    def shown(self, item: Item, results: Sequence[str]) -> dict[str, Any]:
+        """All there is to say about a recording; results: ids."""
+        common = {
+            "id": item.id,
+            "path": self._catalog.shown(item.path),
+            "results": list(results),
+            "check": read_check(item.path),
+            "subject": read_subject(item.path),
+            "starts": sorted(p.stem for p in (item.path / "starts").glob("*.json")),
+        }
+        try:
+            r = self.load(item)
+        except HyposeError as error:
+            return {**_nothing(item.path.name), **common, "problem": str(error)}
+        return {
+            **common,
+            "name": r.name,
+            "problem": None,
+            "frame_rate": r.frame_rate,
+            "frames": r.n_frames,
+            "frame_range": r.frame_range,
+            "subject_height": r.subject_height,
+            "views": [
+                {
+                    "name": v.name,
+                    "camera": c.name,
+                    "video": v.source.name if v.source else None,
+                    **{k: p.name if (p := getattr(v, k)) else None for k in ("background", "masks", "keypoints")},
+                }
+                for v, c in zip(r.views, r.rig, strict=True)
+            ],
+            "cameras": [camera_info(c, v.source is not None) for v, c in zip(r.views, r.rig, strict=True)],
+            "notes": r.notes,
+            "mask_settings": asdict(r.silhouettes),
+        }
+
+    def picture(
+        self, item: Item, camera: str, frame: int, width: int, shown: Shown, settings: Mapping[str, str]
+    ) -> bytes:
+        """An undistorted picture as JPEG; with the mask that `settings` (over the recording's own) would give."""
+        opened = self._opened(item)
+        r = opened.recording
+        view = r.rig.names.index(camera) if camera in r.rig.names else -1
+        if view < 0:
+            raise NotFound(f"{r.name} has no camera {camera[:40]!r}; it has {', '.join(r.rig.names)}.")
+        if not 0 <= frame < r.n_frames:
+            raise InputError(f"{r.name} has the frames 0 to {r.n_frames - 1}, there is no {frame}.")
+        if not 32 <= width <= 4096:
+            raise InputError(f"Pictures cannot be {width} px wide; ask for 32 to 4096.")
+        options = changed(r.silhouettes, settings)
+        with opened.lock:
+            small = r.rig[view].scaled(shown_size(r.rig[view], width)).pinhole()
+            image = opened.image(view, frame, small) if r.views[view].source else None
+            mask = None if shown == "none" else self._mask(opened, view, frame, options)
+        if image is None:
+            if mask is None:
+                raise NotFound(f"{camera} has masks only, no pictures.")
+            image = np.full((*mask.shape, 3), 40, np.uint8)
+        picture = image if mask is None else draw(image, mask, shown)
+        return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
+
+    def save_settings(self, item: Item, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Write [silhouettes] into recording.toml, in whose other lines nothing changes; returns all settings."""
+        path = item.path / "recording.toml"
+        if not path.is_file():
+            raise InputError(f"{item.path.name} has no recording.toml to keep settings in; a Pose2Sim project is read.")
+        options = silhouette_options("The settings", settings)
+        read_toml(path)
+        text = without_table(path.read_text(encoding="utf-8-sig"), "silhouettes").rstrip("\n")
+        write_text(path, "\n".join([text, *silhouette_lines(options)]) + "\n")
+        return asdict(options)
+
+    def close(self) -> None:
+        """Release the files."""
+        with self._lock:
+            for one in self._open.values():
+                one.close()
+            self._open.clear()
+
+    def _opened(self, item: Item) -> _Open:
+        stamp = _stamp(item.path)
+        with self._lock:
+            known = self._open.get(item.id)
+            if known is not None and known.stamp == stamp:
+                self._open.move_to_end(item.id)
+                return known
+        made = _Open(load_recording(item.path), stamp)
+        with self._lock:
+            old = self._open.pop(item.id, None)
+            self._open[item.id] = made
+            closing = [o for o in (old,) if o is not None]
+            closing += [self._open.popitem(last=False)[1] for _ in range(len(self._open) - _OPEN)]
+        for one in closing:
+            one.close()
+        return made
+
+    @staticmethod
+    def _mask(opened: _Open, view: int, frame: int, options: SilhouetteOptions) -> Mask:
+        """The mask at working size, as tracking would get it but for the band around key points."""
+        r = opened.recording
+        small = working_rig(r.rig)[view]
+        if opened.backgrounds is None:
+            opened.backgrounds = build_backgrounds(r)
+        background = opened.backgrounds[view]
+        if background is not None:
+            return make_segmenter(background, options)(opened.image(view, frame, small))
+        if view not in opened.masks:  # made elsewhere: there is nothing to set
+            opened.masks[view] = ViewSource(r.views[view], r.rig[view], small)
+        mask, reason = opened.masks[view].mask(frame, None)
+        if mask is None:
+            raise InputError(reason)
+        return mask
+
+
+def camera_info(camera: Camera, pictures: bool) -> dict[str, Any]:
+    """A camera as pinhole, which is what undistorted pictures are seen through."""
+    return {
+        "name": camera.name,
+        "K": camera.K,
+        "camera_from_world": camera.camera_from_world,
+        "size": list(camera.size),
+        "pictures": pictures,
+    }
+
+
+def shown_size(camera: Camera, width: int) -> tuple[int, int]:
+    """Size of a camera's picture at most `width` px wide."""
+    w = min(width, camera.size[0])
+    return w, max(1, round(camera.size[1] * w / camera.size[0]))
+
+
+def draw(image: Image, mask: Mask, shown: Shown) -> Image:
+    """A picture with a mask of any size of the same shape."""
+    h, w = image.shape[:2]
+    whole = np.asarray(cv2.resize(mask * np.uint8(255), (w, h), interpolation=cv2.INTER_LINEAR) > 127, np.uint8)
+    if shown == "only":
+        return np.repeat((whole * np.uint8(255))[..., None], 3, 2)
+    out = image.copy()
+    if shown == "fill":
+        out[whole > 0] = (0.5 * out[whole > 0] + 0.5 * np.array(_EDGE)).astype(np.uint8)
+    outlines: Sequence[NDArray[Any]] = cv2.findContours(whole, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0]
+    cv2.drawContours(out, outlines, -1, _EDGE, max(1, w // 400), cv2.LINE_AA)
+    return out
+
+
+def changed(options: SilhouetteOptions, settings: Mapping[str, str]) -> SilhouetteOptions:
+    """The options with settings out of a query: text, of the type that the option has."""
+    table: dict[str, Any] = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(options).items()}
+    for key, text in settings.items():
+        if key not in SILHOUETTE_KEYS:
+            raise InputError(f"There is no mask setting {key[:40]!r}; there are {', '.join(SILHOUETTE_KEYS)}.")
+        kind = SILHOUETTE_KEYS[key]
+        try:
+            if kind is bool:
+                table[key] = {"1": True, "true": True, "0": False, "false": False}[text]
+            elif kind is list:
+                table[key] = [float(v) for v in text.split(",")]
+            else:
+                table[key] = text if kind is str else int(text) if kind is int else float(text)
+        except (ValueError, KeyError):
+            raise InputError(f"The mask setting {key} cannot be {text[:40]!r}.") from None
+    return silhouette_options("The settings", table)
+
+
+def without_table(text: str, name: str) -> str:
+    """A TOML text without the table of a name."""
+    out, inside = [], False
+    for line in text.splitlines():
+        if line.lstrip().startswith("["):
+            inside = line.split("#")[0].strip() == f"[{name}]"
+        if not inside:
+            out.append(line)
+    return "\n".join(out) + "\n"
+
+
+def read_check(folder: Path) -> dict[str, Any] | None:
+    """What `hypose check` found last time."""
+    try:
+        value = json.loads((folder / "results" / "check.json").read_text("utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return value if isinstance(value, dict) else None
+
+
+def read_subject(folder: Path) -> dict[str, Any] | None:
+    """The measured person's sizes."""
+    path = folder / "subject" / "subject.toml"
+    if not path.is_file():
+        return None
+    try:
+        sizes = read_toml(path).get("sizes", {})
+        in_cm = {str(k): float(v["cm"]) for k, v in sizes.items()}
+    except (HyposeError, TypeError, ValueError, KeyError, AttributeError):
+        return None
+    return {"stature_m": in_cm.get("stature", float("nan")) / 100, "sizes_cm": in_cm}
+
+
+def _stamp(folder: Path) -> float:
+    """Changes when the recording's description does."""
+    names = ("recording.toml", "Config.toml", "calibration.toml", "subject")
+    return sum(p.stat().st_mtime for n in names if (p := folder / n).exists())
+
+
+def _nothing(name: str) -> dict[str, Any]:
+    empty: dict[str, Any] = {k: [] for k in ("views", "cameras", "notes")}
+    usual = asdict(SilhouetteOptions())
+    rest = {"frame_rate": 0.0, "frames": 0, "frame_range": None, "subject_height": None, "mask_settings": usual}
+    return {**empty, **rest, "name": name}

@@ -1,0 +1,191 @@
+"""The studio's server: everything put together, and `hypose view`'s main loop."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import FileResponse, Response
+from starlette.routing import BaseRoute, Mount, Route
+from starlette.staticfiles import StaticFiles
+
+from hypose import __version__
+from hypose.app.studio import results, routes_jobs, routes_recordings
+from hypose.app.studio.answers import answer, refusal, told
+from hypose.app.studio.catalog import Catalog
+from hypose.app.studio.guard import Access, Guard
+from hypose.app.studio.jobs import Jobs
+from hypose.app.studio.recordings import Recordings
+from hypose.app.studio.results import Results
+from hypose.app.studio.sockets import MAX_MESSAGE, Sockets
+from hypose.app.studio.uploads import Uploads
+from hypose.errors import InputError
+
+STATIC = Path(__file__).parent / "static"
+"""Where the built page lies."""
+UPLOAD_LIMIT = 4 << 30
+
+
+@dataclass(frozen=True)
+class StudioOptions:
+    """root: the folder that is served; host, port (0 = any free one); token: None = made when others can reach the
+    host; upload_limit: bytes of one file."""
+
+    root: Path
+    host: str = "127.0.0.1"
+    port: int = 8765
+    token: str | None = None
+    upload_limit: int = UPLOAD_LIMIT
+
+
+class Studio:
+    """What a server holds: the catalog and everything that is open. `app` is the ASGI application."""
+
+    def __init__(self, options: StudioOptions) -> None:
+        self.access = Access.of(options.host, options.token)
+        self.catalog = Catalog(options.root)
+        self.jobs = Jobs(self.catalog)
+        self.uploads = Uploads(self.catalog, options.upload_limit)
+        self.results, self.recordings = Results(self.catalog), Recordings(self.catalog)
+        self.sockets = Sockets()
+        self._routed = Starlette(
+            routes=self._routes(), lifespan=self._lifespan, exception_handlers={Exception: _bug, 404: _nothing}
+        )
+        self.app = Guard(self._routed, self.access)
+
+    def _routes(self) -> list[BaseRoute]:
+        return [
+            Route("/", _page),
+            Route("/api/state", told(self._state)),
+            *results.routes(self.catalog, self.results, self.jobs),
+            *routes_jobs.routes(self.catalog, self.recordings, self.uploads, self.jobs, self.sockets),
+            *routes_recordings.routes(self.catalog, self.recordings),
+            Mount("/static", StaticFiles(directory=STATIC, check_dir=False)),
+        ]
+
+    async def _state(self, request: Request) -> Response:
+        return answer(await run_in_threadpool(self.state))
+
+    def state(self) -> dict[str, Any]:
+        """Everything there is, for the page's lists."""
+        catalog = self.catalog
+        found = [self.results.head(i) for i in catalog.items("result", fresh=True)]
+        return {
+            "version": __version__,
+            "root": catalog.root.name,
+            "upload_limit": self.uploads.limit,
+            "recordings": [
+                {
+                    "id": i.id,
+                    "name": i.path.name,
+                    "path": catalog.shown(i.path),
+                    "results": [r["id"] for r in found if r["recording"] == i.id],
+                }
+                for i in catalog.items("recording")
+            ],
+            "results": found,
+            "sessions": [],
+            "models": [],
+            "sources": [],
+            "jobs": [j.shown() for j in self.jobs.every()],
+        }
+
+    @contextlib.asynccontextmanager
+    async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
+        yield
+        await run_in_threadpool(self.close)
+
+    def close(self) -> None:
+        """Stop what runs with its work kept, and let go of everything."""
+        self.jobs.close()
+        self.results.close()
+        self.recordings.close()
+        self.uploads.close()
+
+
+async def _page(request: Request) -> Response:
+    if not (STATIC / "index.html").is_file():
+        return Response(NOT_BUILT + "\n", 503, media_type="text/plain")
+    return FileResponse(STATIC / "index.html", headers={"Cache-Control": "no-store"})
+
+
+NOT_BUILT = (
+    "The studio's page is not part of this installation: it could not be built when hypose was installed. Install "
+    "hypose from a wheel, or build the page with `python hatch_build.py` in the sources (it needs the network once)."
+)
+
+
+async def _bug(request: Request, error: Exception) -> Response:
+    return refusal(500, f"This should not have happened ({type(error).__name__}); the server's terminal says more.")
+
+
+async def _nothing(request: Request, error: Exception) -> Response:
+    return refusal(404, "There is nothing at this address.")
+
+
+def config(studio: Studio, host: str, port: int) -> uvicorn.Config:
+    """How the application is served: small messages only, nothing compressed (pictures are), no signature."""
+    return uvicorn.Config(
+        studio.app,
+        host=host,
+        port=port,
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        ws="websockets-sansio",
+        ws_max_size=MAX_MESSAGE,
+        ws_per_message_deflate=False,
+        ws_max_queue=32,
+        timeout_graceful_shutdown=2,
+    )
+
+
+class _Server(uvicorn.Server):
+    """Calls `ready` with the port as soon as it listens."""
+
+    def __init__(self, settings: uvicorn.Config, ready: Callable[[int], None]) -> None:
+        super().__init__(settings)
+        self._ready = ready
+
+    async def startup(self, sockets=None) -> None:  # noqa: ANN001 - as in uvicorn
+        """Listen, then say so."""
+        await super().startup(sockets)
+        if self.started:
+            self._ready(self.servers[0].sockets[0].getsockname()[1])
+
+
+def make_server(
+    studio: Studio, host: str, port: int, ready: Callable[[int], None] = lambda port: None
+) -> uvicorn.Server:
+    """A server that is not running yet; `should_exit` ends it."""
+    return _Server(config(studio, host, port), ready)
+
+
+def run(options: StudioOptions, ready: Callable[[str], None]) -> None:
+    """Serve until Ctrl-C or SIGTERM; ready(address) is called when the page can be opened."""
+    import socket
+
+    studio = Studio(options)
+    with socket.socket(socket.AF_INET6 if ":" in options.host else socket.AF_INET) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((options.host, options.port))
+        except (OSError, OverflowError) as error:
+            studio.close()
+            reason = getattr(error, "strerror", None) or str(error)
+            raise InputError(
+                f"Port {options.port} on {options.host} cannot be used ({reason.lower()}); choose another with --port, "
+                "0 takes any free one."
+            ) from None
+    token = f"?token={studio.access.token}" if studio.access.token else ""
+    host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(options.host, options.host)
+    server = make_server(studio, options.host, options.port, lambda port: ready(f"http://{host}:{port}/{token}"))
+    with contextlib.suppress(KeyboardInterrupt):
+        server.run()

@@ -1,0 +1,57 @@
+"""What all WebSockets share: how many there may be, how they end, and pictures that wait for nobody."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from hypose.errors import InputError
+
+MAX_MESSAGE = 1 << 16
+"""Bytes of a message from the page."""
+_MOST = 16
+IN_FLIGHT = 3
+"""Pictures that may be on their way before the page has drawn the first of them."""
+DEPTH, MAP, COLOUR = 1, 2, 3
+"""Types of pictures."""
+
+
+class Sockets:
+    """The connections of a server."""
+
+    def __init__(self) -> None:
+        self._open = 0
+
+    async def serve(self, ws: WebSocket, talk: Callable[[WebSocket], Awaitable[None]]) -> None:
+        """Let a connection in and talk to it until either side ends it."""
+        await ws.accept()
+        if self._open >= _MOST:
+            await ws.close(1013, "too many connections; close some pages")
+            return
+        self._open += 1
+        try:
+            await talk(ws)
+        except WebSocketDisconnect:
+            pass
+        finally:
+            self._open -= 1
+
+
+def picture(kind: int, stream: int, seq: int, time: float, data: bytes) -> bytes:
+    """A binary message: type, stream, number, time (s), then the file."""
+    return struct.pack("<BBHId", kind, stream, 0, seq & 0xFFFFFFFF, time) + data
+
+
+def message_of(text: str) -> dict[str, Any]:
+    """A message from the page; an InputError when it is none."""
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError):
+        raise InputError("The message is no JSON.") from None
+    if not isinstance(value, dict) or not isinstance(value.get("t"), str):
+        raise InputError('The message is no object with a "t".')
+    return value

@@ -1,0 +1,192 @@
+"""Files that are dropped onto the page, and the recordings made of them.
+
+An upload is streamed to a hidden folder of the served root under a name of the server's; a recording takes it over by
+renaming. What no recording has taken over is gone when the server ends.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import secrets
+import shutil
+import threading
+from collections.abc import AsyncIterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hypose.app.studio.answers import NotNow, TooLarge
+from hypose.app.studio.catalog import Catalog, NotFound
+from hypose.app.studio.job_kinds import free_folder, is_name
+from hypose.errors import HyposeError, InputError
+from hypose.io.calibration import read_calibration, toml_value
+from hypose.io.files import write_text
+from hypose.io.recording import load_recording
+from hypose.io.video import IMAGE_ENDINGS, VIDEO_ENDINGS, open_video
+
+FOLDER = ".studio-uploads"
+_LARGEST_CALIBRATION = 20 << 20
+_MOST = 64
+
+
+@dataclass(frozen=True)
+class Upload:
+    """A file that lies ready: id, name as it was dropped (made harmless), path, facts for the page."""
+
+    id: str
+    name: str
+    path: Path
+    facts: Mapping[str, Any]
+
+
+class Uploads:
+    """The uploads of a server. limit: bytes of one file."""
+
+    def __init__(self, catalog: Catalog, limit: int) -> None:
+        self._catalog, self.limit = catalog, limit
+        self._folder = catalog.root / FOLDER
+        self._lock = threading.Lock()
+        self._uploads: dict[str, Upload] = {}
+        self._coming = 0
+
+    async def receive(self, name: str, chunks: AsyncIterator[bytes], stated: int | None) -> Path:
+        """Take a file's bytes; returns where they lie until `examine`. TooLarge as soon as they are too many."""
+        if stated is not None:
+            self._check_size(stated, name)
+        with self._lock:
+            if len(self._uploads) + self._coming >= _MOST:
+                raise NotNow(f"{_MOST} files wait already; make a recording of them, or remove some.")
+            self._coming += 1
+        path = self._folder / secrets.token_hex(6) / harmless(name)
+        try:
+            path.parent.mkdir(parents=True)
+            received = 0
+            with path.open("wb") as file:
+                async for chunk in chunks:
+                    received += len(chunk)
+                    self._check_size(received, name)
+                    file.write(chunk)
+            if stated is not None and received != stated:
+                raise InputError(f"{harmless(name)} broke off after {received} bytes; send it again.")
+        except BaseException as error:
+            shutil.rmtree(path.parent, ignore_errors=True)
+            if isinstance(error, OSError):
+                raise InputError(f"{path.name} cannot be kept ({(error.strerror or str(error)).lower()}).") from None
+            raise
+        finally:
+            with self._lock:
+                self._coming -= 1
+        return path
+
+    def examine(self, path: Path) -> dict[str, Any]:
+        """What a received file is."""
+        upload = Upload(path.parent.name, path.name, path, facts_of(path))
+        with self._lock:
+            self._uploads[upload.id] = upload
+        return {"upload": upload.id, "name": upload.name, "bytes": path.stat().st_size, **upload.facts}
+
+    def forget(self, id: str) -> None:
+        """Remove a file that is not wanted after all."""
+        upload = self._find(id)
+        with self._lock:
+            self._uploads.pop(id, None)
+        shutil.rmtree(upload.path.parent, ignore_errors=True)
+
+    def make_recording(self, wanted: Mapping[str, Any]) -> Path:
+        """A recording folder of uploads; nothing is left of it when it cannot be used, and the uploads stay."""
+        name = wanted.get("name")
+        if not isinstance(name, str) or not is_name(name):
+            raise InputError("Give the recording a name of letters, digits, - and _.")
+        views = wanted.get("views")
+        if not isinstance(views, list) or not views or not all(isinstance(v, dict) for v in views):
+            raise InputError("A recording needs at least one video; drop them onto the page.")
+        moves: dict[str, str] = {}  # id -> place in the folder
+        calibration = self._given(wanted, "calibration")
+        moves[calibration.id] = f"calibration/{calibration.name}"
+        lines = [f"name = {toml_value(name)}", f"calibration = {toml_value(moves[calibration.id])}"]
+        lines += [
+            f"{key} = {toml_value(wanted[key])}"
+            for key in ("calibration_unit", "world_up", "frame_rate", "subject_height")
+            if isinstance(wanted.get(key), str | int | float)
+        ]
+        for view in views:
+            lines += ["", "[[view]]"]
+            lines += [f"{k} = {toml_value(view[k])}" for k in ("name", "camera") if isinstance(view.get(k), str)]
+            for key in ("video", "background"):
+                if view.get(key) is None and key == "background":
+                    continue
+                upload = self._given(view, key)
+                if upload.id in moves:
+                    raise InputError(f"{upload.name} is given twice; give every view a file of its own.")
+                moves[upload.id] = f"{key}s/{len(moves):02d}_{upload.name}"
+                lines.append(f"{key} = {toml_value(moves[upload.id])}")
+        return self._build(free_folder(self._catalog.root, name), moves, "\n".join(lines) + "\n")
+
+    def close(self) -> None:
+        """Remove what was not used."""
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _build(self, folder: Path, moves: Mapping[str, str], text: str) -> Path:
+        done: list[tuple[Path, Path]] = []
+        try:
+            for id, place in moves.items():
+                target = folder / place
+                target.parent.mkdir(parents=True, exist_ok=True)
+                source = self._find(id).path
+                source.rename(target)
+                done.append((source, target))
+            write_text(folder / "recording.toml", text)
+            load_recording(folder)
+        except (HyposeError, OSError) as error:
+            for source, target in done:
+                with contextlib.suppress(OSError):
+                    target.rename(source)
+            shutil.rmtree(folder, ignore_errors=True)
+            if isinstance(error, OSError):
+                raise InputError(f"{folder.name} cannot be made ({(error.strerror or str(error)).lower()}).") from None
+            raise InputError(str(error).replace(f"{folder}/", "")) from None
+        with self._lock:
+            for id in moves:
+                shutil.rmtree(self._folder / id, ignore_errors=True)
+                self._uploads.pop(id, None)
+        return folder
+
+    def _given(self, table: Mapping[str, Any], key: str) -> Upload:
+        value = table.get(key)
+        if not isinstance(value, str):
+            raise InputError(f"A recording needs a {key} here; drop the file onto the page.")
+        return self._find(value)
+
+    def _find(self, id: str) -> Upload:
+        with self._lock:
+            if id not in self._uploads:
+                raise NotFound("A dropped file is not there any more; drop it again.")
+            return self._uploads[id]
+
+    def _check_size(self, size: int, name: str) -> None:
+        if size > self.limit:
+            raise TooLarge(
+                f"{harmless(name)} is larger than {self.limit / 2**30:.3g} GiB; copy it into the folder "
+                f"{self._catalog.root.name} by hand, or start `hypose view` with a larger --upload-limit."
+            )
+
+
+def harmless(name: str) -> str:
+    """A file name without anything that a system could take for more than a name."""
+    plain = "".join(c if c.isascii() and (c.isalnum() or c in "-_.") else "_" for c in name)[-80:].strip(".")
+    return plain if plain and not plain.startswith("-") else f"file_{plain}"
+
+
+def facts_of(path: Path) -> dict[str, Any]:
+    """What a dropped file is, by looking into it; a file that cannot be read as what its ending says is "other"."""
+    ending = path.suffix.lower()
+    try:
+        if ending in VIDEO_ENDINGS or ending in IMAGE_ENDINGS:
+            with open_video(path) as reader:
+                facts = {"size": list(reader.size), "frames": reader.n_frames, "frame_rate": reader.frame_rate}
+            return {"kind": "video" if ending in VIDEO_ENDINGS else "image", **facts}
+        if path.stat().st_size <= _LARGEST_CALIBRATION:
+            return {"kind": "calibration", "cameras": list(read_calibration(path).names)}
+    except HyposeError as error:
+        return {"kind": "other", "problem": str(error).replace(f"{path.parent}/", "")}
+    return {"kind": "other"}
