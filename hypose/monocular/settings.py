@@ -41,22 +41,25 @@ class EdgeSettings:
 @dataclass(frozen=True)
 class FlowSettings:
     """Inner nodes against optical flow. form, sigma_px, height as for edges; area_px: side of the square that makes one
-    independent sample; consistency_px: nodes with a larger forward-backward error are outliers."""
+    independent sample; spacing_px: of the grid of nodes; consistency_px: nodes with a larger forward-backward error are
+    outliers."""
 
     use: bool = True
     form: str = "lorentzian"
     sigma_px: float = 1.2
     height: float = 0.1
     area_px: float = 14.0
+    spacing_px: float = 8.0
     consistency_px: float = 1.0
 
 
 @dataclass(frozen=True)
 class CueSettings:
-    """Silhouettes and 2D points (key points, clicked joints): weight on all their samples (0: not used), and the form
-    of the cost. Scales of points come with the points; silhouette_sigma_px is that of a mask's edge."""
+    """Silhouettes and 2D points (key points, clicked joints). silhouette_height, silhouette_form, silhouette_sigma_px
+    as for edges (height 0: not used); point_weight on all points (0: not used), whose scales come with them;
+    point_form."""
 
-    silhouette_weight: float = 1.0
+    silhouette_height: float = 2.0
     silhouette_form: str = "lorentzian"
     silhouette_sigma_px: float = 4.0
     point_weight: float = 1.0

@@ -1,0 +1,201 @@
+"""numba: the whole cost of a pose, the damped Newton search for its minimum, and eigen-vectors of its Hessian."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from hypose.compute.cpu_kinematics import OPTIONS
+from hypose.compute.cpu_mono_cues import edge_terms, flow_terms, mask_terms
+from hypose.compute.cpu_mono_nodes import contour_nodes, draw_still, fill_depth, inner_nodes, pose_mesh
+from hypose.compute.cpu_mono_rows import mark_terms, sphere_terms, sum_vertex_rows
+from hypose.compute.cpu_solver import bounded_step
+
+GAIN = 0.02
+"""a step that lowers the cost by less, and moves nothing noticeably, is the last"""
+
+
+@njit(**OPTIONS)
+def image_cost(q, problem, sigma, n_flow, want, ws, hessian, gradient):
+    """Cost of all evidence at pose q (D,) with edges of scale sigma px and n_flow inner nodes (0: without flow); the
+    derivatives over the active dof overwrite hessian (A, A) and gradient (A,) when wanted."""
+    model, a = problem.model, gradient.shape[0]
+    for i in range(a):
+        gradient[i] = 0.0
+        for k in range(a):
+            hessian[i, k] = 0.0
+    for k in range(7):
+        ws.counts[k] = 0
+    ws.counts[7] += 1
+    pose_mesh(q, model, ws)
+    cost, n_rows = 0.0, 0
+    if problem.edges.weight > 0 or problem.mask.height > 0:
+        fill_depth(model, ws)
+        n = contour_nodes(model, problem.edges.spacing, ws)
+        if problem.edges.weight > 0:
+            part, n_rows = edge_terms(q, n, problem, sigma, want, ws, n_rows)
+            cost += part
+        part, n_rows = mask_terms(q, n, problem, want, ws, n_rows)
+        cost += part
+    part, n_rows = flow_terms(q, n_flow, problem, want, ws, n_rows)
+    cost += part
+    if want:
+        sum_vertex_rows(n_rows, model, ws, hessian, gradient)
+    cost += mark_terms(q, model, problem.marks, problem.second_order, ws, hessian, gradient)
+    cost += sphere_terms(model, problem.spheres, ws, hessian, gradient)
+    for i in range(a):
+        for k in range(i):
+            s = hessian[i, k] + hessian[k, i]
+            hessian[i, k] = s
+            hessian[k, i] = s
+    for f in range(ws.front.shape[0]):
+        ws.counts[4] += 1 - ws.front[f]
+    ws.counts[5], ws.counts[6] = n_flow, n_rows
+    return cost
+
+
+@njit(**OPTIONS)
+def full_cost(q, problem, sigma, n_flow, ws, hessian, gradient):
+    """Evidence and priors: equations (6) and (10)."""
+    cost = image_cost(q, problem, sigma, n_flow, True, ws, hessian, gradient)
+    priors, active = problem.priors, problem.model.active
+    for i in range(priors.centre.shape[0]):
+        for k in range(active.shape[0]):
+            w = priors.weight[i, k]
+            if w > 0:
+                e = q[active[k]] - priors.centre[i, k]
+                cost += 0.5 * w * e * e
+                gradient[k] += w * e
+                hessian[k, k] += w
+    return cost
+
+
+@njit(**OPTIONS)
+def descend(q, problem, sigma, n_flow, iterations, ws, hessian, gradient):
+    """Damped Newton within the limits from pose q (D,), which is overwritten, as hessian and gradient are; returns the
+    cost. (H + lambda W) step = -g, W the diagonal of H, with an active set of limits (section 4.1); a step that does
+    not lower the cost is tried again with more damping, at most four times."""
+    priors, active = problem.priors, problem.model.active
+    n, dof = active.shape[0], q.shape[0]
+    new_hessian, new_gradient = np.empty((n, n)), np.empty(n)
+    step, at, trial = np.empty(n), np.empty(n), np.empty(dof)
+    damping = 1e-2
+    cost = full_cost(q, problem, sigma, n_flow, ws, hessian, gradient)
+    for _ in range(iterations):
+        for k in range(n):
+            at[k] = q[active[k]]
+        accepted, moved, gain = False, 0.0, 0.0
+        for _ in range(4):
+            if not bounded_step(hessian, gradient, at, priors.lower, priors.upper, damping, step):
+                damping *= 8
+                continue
+            longest = 1.0
+            for k in range(n):
+                longest = max(longest, abs(step[k]) / priors.longest[k])
+            for d in range(dof):
+                trial[d] = q[d]
+            moved = 0.0
+            for k in range(n):
+                s = step[k] / longest
+                moved = max(moved, abs(s) / priors.resolution[k])
+                trial[active[k]] = min(max(at[k] + s, priors.lower[k]), priors.upper[k])
+            new_cost = full_cost(trial, problem, sigma, n_flow, ws, new_hessian, new_gradient)
+            if new_cost < cost:
+                accepted, gain, cost = True, cost - new_cost, new_cost
+                break
+            damping *= 8
+            if damping > 1e3 or moved < 1:
+                break
+        if not accepted:
+            break
+        for d in range(dof):
+            q[d] = trial[d]
+        for i in range(n):
+            gradient[i] = new_gradient[i]
+            for k in range(n):
+                hessian[i, k] = new_hessian[i, k]
+        damping = max(damping / 6, 1e-4)
+        if gain < GAIN and moved < 1:
+            break
+    return cost
+
+
+@njit(**OPTIONS)
+def search(q, before, problem, coarse, iterations, ws, hessian, gradient, info):
+    """One hypothesis in one frame: inner nodes from the pose `before` (D,) in the previous picture, then a coarse and a
+    fine descent from q (D,), which is overwritten.
+
+    hessian (A, A) is that of the evidence and the rest posture at the result, without the prediction; gradient (A,) of
+    all. info (3,): full cost, cost of the evidence without flow, number of inner nodes. False when the cost is not
+    finite."""
+    model, priors = problem.model, problem.priors
+    for k in range(model.active.shape[0]):
+        d = model.active[k]
+        q[d] = min(max(q[d], priors.lower[k]), priors.upper[k])
+    n_flow = 0
+    if problem.flow.flow.shape[0] > 1:
+        draw_still(before, model, ws)
+        pose_mesh(before, model, ws)
+        fill_depth(model, ws)
+        n_flow = inner_nodes(model, problem.flow, ws)
+    draw_still(q, model, ws)
+    ws.counts[7] = 0
+    if coarse > 0:
+        descend(q, problem, problem.edges.coarse_sigma, n_flow, coarse, ws, hessian, gradient)
+    cost = descend(q, problem, problem.edges.sigma, n_flow, iterations, ws, hessian, gradient)
+    info[0] = cost
+    for k in range(model.active.shape[0]):
+        hessian[k, k] -= priors.weight[0, k]
+    unused_h, unused_g = np.empty_like(hessian), np.empty_like(gradient)
+    info[1] = image_cost(q, problem, problem.edges.sigma, 0, False, ws, unused_h, unused_g)
+    info[2] = n_flow
+    return math.isfinite(cost)
+
+
+@njit(**OPTIONS)
+def score(poses, problem, ws, costs):
+    """Costs (N,) of the evidence without flow at poses (N, D): how samples are ranked (section 4.2)."""
+    a = problem.model.active.shape[0]
+    hessian, gradient = np.empty((a, a)), np.empty(a)
+    if poses.shape[0] > 0:
+        draw_still(poses[0], problem.model, ws)
+    for n in range(poses.shape[0]):
+        costs[n] = image_cost(poses[n], problem, problem.edges.sigma, 0, False, ws, hessian, gradient)
+
+
+@njit(**OPTIONS)
+def symmetric_eigen(a, vectors):
+    """Eigenvalues on the diagonal of a (N, N), which is overwritten, vectors (N, N) in columns: cyclic Jacobi. No BLAS,
+    whose threads cost far more than so small a matrix."""
+    n = a.shape[0]
+    for i in range(n):
+        for k in range(n):
+            vectors[i, k] = 1.0 if i == k else 0.0
+    for _ in range(30):
+        off, on = 0.0, 0.0
+        for i in range(n):
+            on += a[i, i] * a[i, i]
+            for k in range(i):
+                off += a[i, k] * a[i, k]
+        if not off > 1e-22 * on:
+            return
+        for p in range(n - 1):
+            for r in range(p + 1, n):
+                x = a[p, r]
+                if x == 0.0:
+                    continue
+                theta = (a[r, r] - a[p, p]) / (2 * x)
+                t = (1.0 if theta >= 0 else -1.0) / (abs(theta) + math.sqrt(theta * theta + 1))
+                c = 1 / math.sqrt(t * t + 1)
+                s = t * c
+                for k in range(n):
+                    y, z = a[k, p], a[k, r]
+                    a[k, p], a[k, r] = c * y - s * z, s * y + c * z
+                for k in range(n):
+                    y, z = a[p, k], a[r, k]
+                    a[p, k], a[r, k] = c * y - s * z, s * y + c * z
+                for k in range(n):
+                    y, z = vectors[k, p], vectors[k, r]
+                    vectors[k, p], vectors[k, r] = c * y - s * z, s * y + c * z

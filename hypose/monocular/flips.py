@@ -1,0 +1,68 @@
+"""Mirrored limbs: one view cannot tell whether a segment points towards the camera or away from it.
+
+Source: the ambiguity of Sminchisescu & Triggs 2001, section 4.2 (motions far from parallel with the image plane), made
+explicit as in Sminchisescu & Triggs 2003 (kinematic jumps). Mirrored poses must be optimised before they are ranked:
+raw ones destroy a track.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.body.body import Body
+from hypose.cameras.camera import Camera
+from hypose.errors import SolverError
+from hypose.fitting.articulated import PointTerm, Quadratic, SolveOptions, fit_pose
+from hypose.geometry import Array
+
+CHAINS = tuple(
+    tuple(f"{side}_{part}" for part in parts)
+    for parts in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"))
+    for side in ("left", "right")
+)
+"""Joints of the limbs; a segment joins neighbours."""
+LEAST_DEPTH = 0.06
+"""m: a segment that leaves the image plane by less has no mirror image worth trying"""
+REACHED = 0.06
+"""m: how near the limb's joints must come to their mirrored places; limits may forbid it"""
+
+
+def mirrored(body: Body, camera: Camera, pose: ArrayLike, active: NDArray[np.int64]) -> Array:
+    """Poses (M, D) that look nearly the same from the camera as pose (D,): each has one segment of one limb mirrored
+    in depth (what hangs on it is carried along), as far as the active dof (A,) and the joint limits allow it."""
+    q = np.asarray(pose, dtype=np.float64)
+    s = body.skeleton
+    joints = body.joints(q)
+    held = np.full(s.dof, 1e6)
+    held[active] = 0.02
+    out = []
+    for chain in CHAINS:
+        limb = [s.joint(name) for name in chain]
+        if not np.isin(s.joint_of_dof[active], limb).any():
+            continue
+        for k in range(len(limb) - 1):
+            sight = joints[limb[k]] - camera.position
+            sight = sight / np.linalg.norm(sight)
+            depth = float((joints[limb[k + 1]] - joints[limb[k]]) @ sight)
+            if abs(depth) < LEAST_DEPTH:
+                continue
+            target = joints.copy()
+            target[s.descendants(chain[k + 1])] -= 2 * depth * sight
+            fit = _reach(body, q, target, held)
+            if fit is not None and np.linalg.norm((body.joints(fit) - target)[limb], axis=1).max() < REACHED:
+                out.append(fit)
+    return np.array(out).reshape(-1, s.dof)
+
+
+def _reach(body: Body, pose: Array, target: Array, held: Array) -> Array | None:
+    """The pose near `pose` whose joint centres are those of target (J, 3)."""
+    j = len(target)
+    term = PointTerm(target, np.ones(j), np.arange(j, dtype=np.int64), np.zeros((j, 3)), 0.05)
+    try:
+        fit = fit_pose(
+            body, pose, points=term, priors=(Quadratic(pose, held),), options=SolveOptions(iterations=20, damping=1e-3)
+        )
+    except SolverError:
+        return None
+    return fit.pose
