@@ -125,9 +125,10 @@ def silhouette_xor(
     boxes (C, 4) = x0, x1, y0, y1 (half open, px) restricts the counting; default: each view's whole image. faces (F,)
     bool: only these triangles of the mesh, as seen from outside (body parts, where a hierarchical search has not placed
     the rest yet). moving (J,) bool: only these joints turn, everything else stands as in the last pose, and what they
-    do not move is drawn once. Views that are not usable give zeros. The same counts for any number of threads, and for a pose
-    alone or among others. Exact up to 1-2 pixels of a silhouette whose edge passes through a pixel's centre. Parts
-    nearer than 0.05 m to a camera's plane, or behind it, are cut off. A SolverError for poses that are not finite.
+    do not move is drawn once. Views that are not usable give zeros. The same counts for any number of threads, and for
+    a pose alone or among others. Exact up to 1-2 pixels of a silhouette whose edge passes through a pixel's centre.
+    Parts nearer than 0.05 m to a camera's plane, or behind it, are cut off. A SolverError for poses that are not
+    finite.
     """
     q = _plain(poses, np.float64)
     if q.size and not np.abs(q).max() < 1e6:

@@ -36,7 +36,7 @@ class Silhouettes:
     @property
     def areas(self) -> NDArray[np.int64]:
         """(C,) foreground pixels."""
-        return self.masks.reshape(len(self.masks), -1).sum(1, dtype=np.int64)
+        return np.array([np.count_nonzero(view) for view in self.masks], dtype=np.int64)
 
 
 @dataclass(frozen=True)

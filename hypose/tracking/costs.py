@@ -11,7 +11,7 @@ from hypose import compute
 from hypose.body.body import Body
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.evidence import PreparedFrame
+from hypose.tracking.evidence import PreparedFrame, posed
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ def xor_energy(body: Body, poses: Array, frame: PreparedFrame, moving: NDArray[n
     """(N,) energies of eq. 2.8 for poses (N, D); zeros when no view is usable. moving: as for SilhouetteXor."""
     if frame.masks is None:
         return np.zeros(len(poses))
-    counts = _counts(body, poses, frame.masks, moving)
+    counts = _counts(body, poses, frame) if moving is None else _count(body, poses, frame.masks, moving)
     use = frame.masks.usable
     return (counts[:, use, 0] / frame.masks.areas[use]).sum(1)
 
@@ -44,13 +44,29 @@ def silhouette_iou(body: Body, pose: Array, frame: PreparedFrame) -> Array:
     """(C,) intersection over union of the posed body and the mask per view; NaN for views without a usable mask."""
     if frame.masks is None:
         return np.full(0, np.nan)
-    counts = _counts(body, pose[None], frame.masks)[0]
+    counts = _counts(body, pose[None], frame)[0]
     union = counts[:, 0] + counts[:, 2]  # XOR and intersection are disjoint
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(frame.masks.usable, counts[:, 2] / union, np.nan)
 
 
-def _counts(
+_FEW = 4
+"""sets of no more poses are looked up, and remembered: the same pose is judged several times in a frame"""
+
+
+def _counts(body: Body, poses: Array, frame: PreparedFrame) -> NDArray[np.int64]:
+    assert frame.masks is not None
+    if len(poses) > _FEW:
+        return _count(body, poses, frame.masks)
+    counts, keys = frame.known.counts, [posed(body, pose) for pose in poses]
+    new = [n for n, key in enumerate(keys) if key not in counts]
+    if new:
+        for n, found in zip(new, _count(body, poses[new], frame.masks), strict=True):
+            counts[keys[n]] = found
+    return np.stack([counts[key] for key in keys])
+
+
+def _count(
     body: Body, poses: Array, masks: compute.PreparedMasks, moving: NDArray[np.bool_] | None = None
 ) -> NDArray[np.int64]:
     flat = np.ascontiguousarray(poses, dtype=np.float64)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,24 @@ from hypose.evidence.frame import Frame, Silhouettes
 from hypose.fitting.articulated import ContourTerm, KeypointTerm, contour_term
 from hypose.geometry import Array
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term
+
+
+Posed = tuple[int, bytes]
+"""A pose of a body: the body's identity and the pose's bytes."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What somebody has found out about single poses in a frame, so that nobody does it again: counts (C, 3) of the
+    silhouettes, hessians (D, D) of the solved cost."""
+
+    counts: dict[Posed, NDArray[np.int64]] = field(default_factory=dict)
+    hessians: dict[Posed, Array] = field(default_factory=dict)
+
+
+def posed(body: Body, pose: Array) -> Posed:
+    """The key of a pose (D,) of a body."""
+    return id(body), np.asarray(pose, dtype=np.float64).tobytes()
 
 
 @dataclass(frozen=True)
@@ -31,6 +49,7 @@ class PreparedFrame:
     keypoints: KeypointTerm | None
     prediction_weight: float = 0.1
     usual_iou: float = float("nan")
+    known: Known = field(default_factory=Known, compare=False, repr=False)
 
     @property
     def usable(self) -> bool:
@@ -43,9 +62,9 @@ def prepare_masks(silhouettes: Silhouettes) -> compute.PreparedMasks:
 
     A view without foreground is left out, never divided by zero (Alcoverro 2014, after eq. 2.8, says nothing of it).
     """
-    areas = silhouettes.areas
     rig = silhouettes.rig
-    return compute.prepare_masks(silhouettes.masks, silhouettes.usable & (areas > 0), rig.sizes, rig.projections)
+    made = compute.prepare_masks(silhouettes.masks, silhouettes.usable, rig.sizes, rig.projections)
+    return made._replace(usable=made.usable & (made.areas > 0))
 
 
 def prepare(

@@ -17,7 +17,7 @@ from hypose.geometry import Array
 from hypose.inference.estimates import TangentMean
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.costs import silhouette_iou, xor_energy
-from hypose.tracking.evidence import PreparedFrame
+from hypose.tracking.evidence import PreparedFrame, posed
 
 REFINED, SETTLED = 1, 2
 """Labels: REFINED is the hypothesis that a refinement put in; in a settled frame the others are SETTLED, else 0."""
@@ -191,9 +191,9 @@ def best_fit(body: Body, fits: list[PoseFit], frame: PreparedFrame) -> PoseFit:
 def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveOptions) -> list[PoseFit]:
     """Independent robust solves from starts (N, D) on a frame's evidence, with anatomical and prediction priors."""
     priors = (anatomical_prior(body.skeleton), prediction_prior(frame.prediction, frame.prediction_weight))
-    return list(
-        fit_poses(body, starts, contours=frame.contours, keypoints=frame.keypoints, priors=priors, options=options)
-    )
+    fits = fit_poses(body, starts, contours=frame.contours, keypoints=frame.keypoints, priors=priors, options=options)
+    frame.known.hessians.update((posed(body, fit.pose), fit.hessian) for fit in fits)
+    return fits
 
 
 def pose_mean(skeleton: Skeleton) -> TangentMean:
