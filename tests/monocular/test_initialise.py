@@ -1,0 +1,138 @@
+"""The first hypotheses from points of one picture."""
+
+import numpy as np
+import pytest
+
+from hypose.body.fit_skeleton import FACTORS
+from hypose.body.models import human
+from hypose.errors import EvidenceError, InputError
+from hypose.evaluation.mono_scenes import body_scene
+from hypose.evaluation.rigs import look_at
+from hypose.monocular.initialise import initialise, rival_poses
+from hypose.monocular.models import body_dofs
+from hypose.monocular.proportions import NAMES, proportions, search_factors, shaped
+from hypose.monocular.types import MonoFrame, clicked_joints
+
+CLICKED = tuple(
+    [f"{side}_{part}" for side in ("left", "right") for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")]
+    + ["neck", "head"]
+)
+
+
+@pytest.fixture(scope="module")
+def camera():
+    return look_at("cam1", (2.6, -2.4, 1.4), (0.0, 0.0, 1.0), 450.0, (384, 288))
+
+
+@pytest.fixture(scope="module")
+def stride():
+    body = human()
+    s, q = body.skeleton, np.zeros(body.skeleton.dof)
+    q[:3] = (0.05, -0.1, 0.92)
+    q[5] = 0.3
+    q[s.dofs_of("left_hip")[0]], q[s.dofs_of("left_knee")] = -0.5, 0.3
+    q[s.dofs_of("right_hip")[0]], q[s.dofs_of("right_knee")] = 0.3, 0.6
+    q[s.dofs_of("left_elbow")], q[s.dofs_of("right_elbow")] = 0.5, 0.9
+    return body, q
+
+
+def clicks_of(body, camera, pose, names=CLICKED):
+    uv = camera.project(body.joints(pose))
+    return {n: (float(uv[j, 0]), float(uv[j, 1])) for n in names for j in [body.skeleton.joint(n)]}
+
+
+def aligned_error(body, pose, joints):
+    mine = body.joints(pose)
+    return float(np.linalg.norm(mine - mine[0] - joints + joints[0], axis=1).mean())
+
+
+def test_rivals_hold_the_truth_and_its_mirror_images(camera, stride) -> None:
+    body, q = stride
+    points = clicked_joints(body, clicks_of(body, camera, q), 2.0)
+    active = body_dofs(body.skeleton)
+    rivals = rival_poses(body, camera, points, active, 8)
+    assert 4 <= len(rivals) <= 8
+    errors = [aligned_error(body, r, body.joints(q)) for r in rivals]
+    assert min(errors) < 0.045
+    assert max(errors) > 0.06  # the others look alike and are not
+    shown = camera.project(body.joints(q))
+    clicked = [body.skeleton.joint(n) for n in CLICKED]
+    for r in rivals:
+        apart = np.linalg.norm(camera.project(body.joints(r)) - shown, axis=1)[clicked]
+        assert np.median(apart) < 4
+    held = np.setdiff1d(np.arange(body.skeleton.dof), active)
+    np.testing.assert_allclose(rivals[:, held], 0, atol=1e-3)
+
+
+def test_rivals_differ_and_keep_the_limits(camera, stride) -> None:
+    body, q = stride
+    points = clicked_joints(body, clicks_of(body, camera, q), 2.0)
+    rivals = rival_poses(body, camera, points, body_dofs(body.skeleton), 6)
+    joints = body.joints(rivals)
+    for i in range(len(rivals)):
+        for k in range(i):
+            assert np.linalg.norm(joints[i] - joints[k], axis=1).max() > 0.06
+    s = body.skeleton
+    assert (rivals >= s.lower - 1e-9).all()
+    assert (rivals <= s.upper + 1e-9).all()
+
+
+def test_proportions_are_found_with_the_pose_and_are_mirrored() -> None:
+    scene = body_scene(104, 0.2, motion="wave")
+    s = human().skeleton
+    uv = scene.camera.project(scene.joints[0])
+    clicks = {n: (float(uv[s.joint(n), 0]), float(uv[s.joint(n), 1])) for n in CLICKED}
+    frame = MonoFrame(0, 0.0, scene.image(0))
+    fit = initialise(
+        human(), scene.camera, lambda b: clicked_joints(b, clicks, 2.0), frame, height=scene.subject.stature, rivals=4
+    )
+    assert abs(fit.body.stature / scene.subject.stature - 1) < 0.04
+    lengths = fit.body.segment_lengths()
+    for part in ("upper_arm", "forearm", "thigh", "shank"):
+        assert lengths[f"left_{part}"] == pytest.approx(lengths[f"right_{part}"], rel=0.01)
+    assert fit.residual_px < 6
+    h = fit.hypotheses
+    assert 1 <= len(h) <= 4
+    assert fit.tried >= len(h)
+    assert h.weights.sum() == pytest.approx(1)
+    assert (np.diff(h.costs) >= 0).all()
+    errors = [aligned_error(fit.body, q, scene.joints[0]) for q in h.poses]
+    assert min(errors) < 0.15
+    variance = np.diagonal(h.covariances[0])[body_dofs(fit.body.skeleton)]
+    assert (variance > 0).all()
+    prior = proportions(human(), scene.subject.stature)
+    assert (fit.factors >= prior.lower - 1e-9).all()
+    assert (fit.factors <= prior.upper + 1e-9).all()
+
+
+def test_too_few_points(camera, stride) -> None:
+    body, q = stride
+    clicks = clicks_of(body, camera, q, ("neck", "head", "left_hip"))
+    frame = MonoFrame(7, 0.0, np.zeros((288, 384, 3), np.uint8))
+    with pytest.raises(EvidenceError, match="Frame 7: only 3 points of the body are seen; at least 6"):
+        initialise(body, camera, lambda b: clicked_joints(b, clicks), frame)
+
+
+def test_a_height_that_is_none() -> None:
+    with pytest.raises(InputError, match="height of 17 m is implausible"):
+        proportions(human(), 17.0)
+
+
+def test_the_height_is_known_or_that_of_adults() -> None:
+    scale = NAMES.index("scale")
+    known, unknown = proportions(human(), 1.9), proportions(human(), None)
+    assert shaped(human(), known.centre).stature == pytest.approx(1.9, abs=0.01)
+    assert known.sd[scale] < unknown.sd[scale] / 4
+
+
+def test_factors_are_searched_within_their_intervals() -> None:
+    prior = proportions(human(), 1.7)
+    target = prior.centre + np.where(np.arange(len(FACTORS)) % 2 == 0, 0.9, -0.9) * prior.sd
+    target[-1] = prior.centre[-1] + 9 * prior.sd[-1]
+
+    def cost(x):
+        return 200 * float((((x - target) / prior.sd) ** 2).sum())
+
+    found = search_factors(cost, prior.centre.copy(), np.arange(len(FACTORS)), prior, rounds=3)
+    np.testing.assert_allclose(found[:-1], target[:-1], atol=0.25 * prior.sd[:-1].max())
+    assert found[-1] == pytest.approx(prior.upper[-1])
