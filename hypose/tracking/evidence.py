@@ -16,7 +16,6 @@ from hypose.fitting.articulated import ContourTerm, KeypointTerm, contour_term
 from hypose.geometry import Array
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term
 
-
 Posed = tuple[int, bytes]
 """A pose of a body: the body's identity and the pose's bytes."""
 
