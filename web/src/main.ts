@@ -4,6 +4,8 @@ import { click } from "./screens/click";
 import { gesture } from "./screens/gesture";
 import { setup } from "./screens/setup";
 import { view } from "./screens/view";
+import { startTheme } from "./ui/theme";
 
+startTheme();
 const root = document.getElementById("app");
 if (root) route(root, { view, gesture, click, setup }, "view");

@@ -4,7 +4,7 @@ import { h } from "./dom";
 export interface Key {
   /** As KeyboardEvent.key says it, "Shift+" before it where needed: " ", "ArrowLeft", "Shift+ArrowLeft", "f". */
   keys: readonly string[];
-  /** How the help names the keys and what they do. */
+  /** How the help names the keys ("" = it does not) and what they do. */
   shown: string;
   what: string;
   act: () => void;
@@ -38,7 +38,7 @@ function showKeys(title: string, bindings: readonly Key[]): void {
     h(
       "dl",
       { class: "keys" },
-      ...[...bindings, { shown: "?", what: "this list" }].flatMap((b) => [
+      ...[...bindings.filter((b) => b.shown), { shown: "?", what: "this list" }].flatMap((b) => [
         h("dt", {}, ...b.shown.split(" ").map((k) => h("kbd", {}, k))),
         h("dd", {}, b.what),
       ]),

@@ -1,0 +1,157 @@
+import uPlot from "uplot";
+import "uplot/dist/uPlot.min.css";
+import { h, onResize } from "./dom";
+import { colour, onTheme } from "./theme";
+
+export interface Series {
+  label: string;
+  /** Name of a colour of style.css. */
+  colour: string;
+  values: ArrayLike<number>;
+  dashed?: boolean;
+}
+
+export interface PlotOptions {
+  title: string;
+  unit: string;
+  /** Range that is shown at least. */
+  range?: readonly [number, number];
+  /** A click or drag in the plot chooses a time. */
+  chosen?: (index: number) => void;
+}
+
+/** A plot of values over time with a cursor line that follows the frame shown, and the values there in its title. */
+export class Plot {
+  readonly element: HTMLElement;
+  private readonly holder = h("div", { class: "plot-area" });
+  private readonly line = h("div", { class: "plot-cursor" });
+  private readonly figures: HTMLElement[];
+  private readonly stop: (() => void)[] = [];
+  private chart: uPlot | undefined;
+  private at = 0;
+
+  constructor(
+    private readonly times: Float64Array,
+    private readonly series: readonly Series[],
+    private readonly options: PlotOptions,
+  ) {
+    this.figures = series.map(() => h("b", { class: "number" }));
+    const legend = series.map((s, i) =>
+      h("span", { style: `--c: var(--${s.colour})`, class: s.dashed ? "dashed" : "" }, `${s.label} `, this.figures[i]),
+    );
+    this.element = h(
+      "figure",
+      { class: "plot" },
+      h("figcaption", {}, h("span", { class: "plot-title" }, `${options.title} (${options.unit})`), ...legend),
+      this.holder,
+    );
+    this.stop.push(
+      onResize(this.holder, (w, height) => this.size(w, height)),
+      onTheme(() => this.make()),
+    );
+    if (options.chosen) this.pointer(options.chosen);
+  }
+
+  /** Moves the cursor to a frame. */
+  show(index: number): void {
+    this.at = index;
+    if (!this.chart) return;
+    this.line.style.transform = `translateX(${this.chart.valToPos(this.times[index] ?? 0, "x")}px)`;
+    this.series.forEach((s, i) => {
+      const value = s.values[index];
+      const text = value === undefined || !Number.isFinite(value) ? "–" : value.toFixed(digits(this.options.unit));
+      const figure = this.figures[i];
+      if (figure && figure.textContent !== text) figure.textContent = text;
+    });
+  }
+
+  close(): void {
+    for (const stop of this.stop) stop();
+    this.chart?.destroy();
+    this.chart = undefined;
+  }
+
+  private size(width: number, height: number): void {
+    if (width < 40 || height < 40) return;
+    if (this.chart) this.chart.setSize({ width, height });
+    else this.make();
+    this.show(this.at);
+  }
+
+  private make(): void {
+    const { clientWidth: width, clientHeight: height } = this.holder;
+    if (width < 40 || height < 40) return;
+    this.chart?.destroy();
+    const grid = { stroke: colour("line"), width: 1 };
+    const font = `11px ${getComputedStyle(document.body).fontFamily}`;
+    const axis = { stroke: colour("dim"), grid, ticks: { show: false }, font } satisfies uPlot.Axis;
+    const least = this.options.range;
+    this.chart = new uPlot(
+      {
+        width,
+        height,
+        legend: { show: false },
+        cursor: { show: false },
+        padding: [6, 10, 0, 0],
+        scales: {
+          x: { time: false },
+          y: {
+            range: (_, low, high) => {
+              if (!Number.isFinite(low)) return [...(least ?? [0, 1])] as [number, number];
+              const [a, b] = [Math.min(low, least?.[0] ?? low), Math.max(high, least?.[1] ?? high)];
+              const room = Math.max(1e-3, (b - a) * 0.06);
+              return [least && low >= least[0] ? a : a - room, least && high <= least[1] ? b : b + room];
+            },
+          },
+        },
+        axes: [
+          { ...axis, size: 20, gap: 2, space: 60 },
+          { ...axis, size: 40, gap: 4, space: 22 },
+        ],
+        series: [
+          {},
+          ...this.series.map((s) => ({
+            stroke: colour(s.colour),
+            width: 1.5,
+            points: { show: false },
+            spanGaps: false,
+            ...(s.dashed ? { dash: [4, 3] } : {}),
+          })),
+        ],
+      },
+      [this.times, ...this.series.map((s) => gaps(s.values))] as unknown as uPlot.AlignedData,
+      this.holder,
+    );
+    this.chart.over.append(this.line);
+    this.show(this.at);
+  }
+
+  private pointer(chosen: (index: number) => void): void {
+    const choose = (event: PointerEvent): void => {
+      if (!this.chart) return;
+      const x = event.clientX - this.chart.over.getBoundingClientRect().left;
+      chosen(this.chart.posToIdx(x));
+    };
+    this.holder.addEventListener("pointerdown", (down) => {
+      if (down.button !== 0) return;
+      this.holder.setPointerCapture(down.pointerId);
+      choose(down);
+      this.holder.addEventListener("pointermove", choose);
+      this.holder.addEventListener("lostpointercapture", () => this.holder.removeEventListener("pointermove", choose), {
+        once: true,
+      });
+    });
+  }
+}
+
+/** uPlot takes null for a gap, and NaN breaks its search for the range. */
+function gaps(values: ArrayLike<number>): (number | null)[] | ArrayLike<number> {
+  for (let i = 0; i < values.length; i++) {
+    if (!Number.isFinite(values[i])) return Array.from(values, (v) => (Number.isFinite(v) ? v : null));
+  }
+  return values;
+}
+
+function digits(unit: string): number {
+  return unit === "m" ? 3 : unit === "IoU" ? 2 : unit === "views" ? 0 : 1;
+}

@@ -1,0 +1,215 @@
+import type { ViewData } from "../lib/bundle";
+import { Skin } from "../lib/skin";
+import { button, toggle } from "../ui/buttons";
+import { h, memory, onResize } from "../ui/dom";
+import { onTheme } from "../ui/theme";
+import { Overlay, type Shown } from "./overlay";
+import type { Outlines, Source } from "./source";
+
+const GAP = 4;
+const WIDTHS = [240, 320, 480, 640, 960, 1280, 1920];
+
+interface Tile {
+  box: HTMLElement;
+  canvas: HTMLCanvasElement;
+  note: HTMLElement;
+  overlay: Overlay;
+  image: ImageBitmap | null;
+}
+
+/** The recorded pictures of all cameras at the frame shown, with what was found drawn over them. */
+export class CameraPane {
+  readonly element: HTMLElement;
+  /** Frame of the pictures that are shown; they follow the frame of the screen as fast as they arrive. */
+  row = -1;
+  private readonly grid: HTMLElement;
+  private readonly tiles: Tile[];
+  private readonly skin: Skin | null;
+  private readonly shown: Shown;
+  private readonly stop: (() => void)[] = [];
+  private readonly abort = new AbortController();
+  private readonly outlines = new Map<number, Outlines | null>();
+  private enlarged = -1;
+  private width = 480;
+  private wanted = 0;
+  private fetched = "";
+  private busy = false;
+
+  constructor(
+    private readonly data: ViewData,
+    private readonly source: Source,
+    private readonly failed: (message: string) => void,
+  ) {
+    this.shown = { body: true, skeleton: true, masks: false, ...(JSON.parse(memory.get("overlays") ?? "{}") as object) };
+    this.skin = data.coarse ? new Skin(data, data.coarse) : null;
+    this.tiles = data.header.cameras.map((camera, i) => {
+      const canvas = h("canvas", { role: "img", "aria-label": `Picture of ${camera.name}` });
+      const note = h("span", { class: "tile-note dim" });
+      const enlarge = button("", () => this.enlarge(this.enlarged === i ? -1 : i), {
+        kind: "quiet",
+        icon: "expand",
+        title: `Enlarge ${camera.name}`,
+        key: i < 9 ? String(i + 1) : "",
+      });
+      const box = h("div", { class: "tile" }, canvas, h("span", { class: "tile-name" }, camera.name), note, enlarge);
+      box.addEventListener("dblclick", () => this.enlarge(this.enlarged === i ? -1 : i));
+      return { box, canvas, note, overlay: new Overlay(data, camera, this.skin), image: null };
+    });
+    this.grid = h("div", { class: "tiles" }, ...this.tiles.map((t) => t.box));
+    this.element = h("div", { class: "cameras" }, this.tiles.length ? this.grid : this.empty());
+    this.stop.push(
+      onResize(this.grid, (w, height) => this.layout(w, height)),
+      onTheme(() => this.draw()),
+    );
+  }
+
+  /** Buttons for what is drawn over the pictures. */
+  tools(): HTMLElement[] {
+    const change = (what: keyof Shown) => (on: boolean) => {
+      this.shown[what] = on;
+      memory.set("overlays", JSON.stringify(this.shown));
+      if (what === "masks") void this.needOutlines();
+      this.draw();
+    };
+    const made = [
+      toggle("", this.shown.body, change("body"), { icon: "body", title: "Body on the pictures" }),
+      toggle("", this.shown.skeleton, change("skeleton"), { icon: "skeleton", title: "Skeleton on the pictures" }),
+    ];
+    if (this.source.id !== null) {
+      made.push(toggle("", this.shown.masks, change("masks"), { icon: "edge", title: "Edge of the masks" }));
+    }
+    return made.map((t) => t.element);
+  }
+
+  /** Shows a frame as soon as its pictures are there; frames asked for meanwhile are passed over. */
+  show(row: number): void {
+    this.wanted = row;
+    if (!this.busy) void this.fetch();
+  }
+
+  enlarge(index: number): void {
+    if (index >= this.tiles.length) return;
+    this.enlarged = index;
+    this.tiles.forEach((t, i) => (t.box.hidden = index >= 0 && i !== index));
+    this.layout(this.grid.clientWidth, this.grid.clientHeight);
+  }
+
+  /** One view more or less enlarged; false when none was. */
+  shrink(): boolean {
+    if (this.enlarged < 0) return false;
+    this.enlarge(-1);
+    return true;
+  }
+
+  close(): void {
+    this.abort.abort();
+    for (const stop of this.stop) stop();
+    for (const tile of this.tiles) tile.image?.close();
+  }
+
+  private async fetch(): Promise<void> {
+    this.busy = true;
+    try {
+      while (!this.abort.signal.aborted && this.fetched !== `${this.wanted}/${this.width}`) {
+        const row = this.wanted;
+        this.fetched = `${row}/${this.width}`;
+        const found = this.hasPictures() ? await this.source.pictures(row, this.width, this.abort.signal) : null;
+        const images = await Promise.all((found?.files ?? []).map((f) => (f ? createImageBitmap(f) : null)));
+        this.tiles.forEach((tile, i) => {
+          tile.image?.close();
+          tile.image = images[i] ?? null;
+          const camera = this.data.header.cameras[i];
+          tile.note.textContent = tile.image ? "" : camera?.pictures ? "no picture of this frame" : "no pictures";
+        });
+        this.row = found?.row ?? row;
+        void this.needOutlines();
+        this.draw();
+      }
+    } catch (error) {
+      if (!this.abort.signal.aborted) this.failed((error as Error).message);
+    } finally {
+      this.busy = false;
+    }
+  }
+
+  private hasPictures(): boolean {
+    return this.data.header.cameras.some((c) => c.pictures);
+  }
+
+  private async needOutlines(): Promise<void> {
+    const row = this.row;
+    if (!this.shown.masks || row < 0 || this.outlines.has(row) || this.source.id === null) return;
+    this.outlines.set(row, null);
+    try {
+      this.outlines.set(row, await this.source.outlines(row, this.abort.signal));
+    } catch (error) {
+      if (!this.abort.signal.aborted) this.failed((error as Error).message);
+    }
+    for (const old of this.outlines.keys()) {
+      if (this.outlines.size <= 100) break;
+      this.outlines.delete(old);
+    }
+    if (row === this.row) this.draw();
+  }
+
+  /** Tiles as large as possible: the number of columns that wastes least. */
+  private layout(width: number, height: number): void {
+    const sizes = this.data.header.cameras.map((c) => c.size);
+    const n = this.enlarged < 0 ? sizes.length : 1;
+    const first = sizes[Math.max(0, this.enlarged)];
+    if (!first || width < 20 || height < 20) return;
+    const aspect = first[0] / first[1];
+    let best = { w: 0, h: 0, columns: 1 };
+    for (let columns = 1; columns <= n; columns++) {
+      const rows = Math.ceil(n / columns);
+      const w = Math.min((width - GAP * (columns - 1)) / columns, aspect * ((height - GAP * (rows - 1)) / rows));
+      if (w > best.w) best = { w, h: w / aspect, columns };
+    }
+    this.grid.style.setProperty("--columns", String(best.columns));
+    const ratio = window.devicePixelRatio || 1;
+    this.tiles.forEach((tile, i) => {
+      const size = sizes[i];
+      if (!size) return;
+      const scale = Math.min(best.w / size[0], best.h / size[1]);
+      const [w, hgt] = [Math.max(1, Math.floor(size[0] * scale)), Math.max(1, Math.floor(size[1] * scale))];
+      tile.box.style.width = tile.canvas.style.width = `${w}px`;
+      tile.box.style.height = tile.canvas.style.height = `${hgt}px`;
+      tile.canvas.width = Math.round(w * ratio);
+      tile.canvas.height = Math.round(hgt * ratio);
+    });
+    this.width = WIDTHS.find((x) => x >= best.w * ratio) ?? 1920;
+    this.draw();
+    this.show(this.wanted);
+  }
+
+  private draw(): void {
+    const row = Math.max(0, this.row);
+    const posed = this.shown.body && this.skin ? this.skin.pose(row) : false;
+    this.tiles.forEach((tile, i) => {
+      const c = tile.canvas.getContext("2d");
+      if (!c || tile.box.hidden) return;
+      const { width, height } = tile.canvas;
+      if (tile.image) c.drawImage(tile.image, 0, 0, width, height);
+      else {
+        c.fillStyle = "#22282e";
+        c.fillRect(0, 0, width, height);
+      }
+      if (this.row < 0) return;
+      const scale = width / tile.overlay.camera.size[0];
+      tile.overlay.draw(c, row, posed, this.shown, scale);
+      const edges = this.shown.masks ? this.outlines.get(row)?.[i] : null;
+      if (edges) tile.overlay.masks(c, edges, scale);
+    });
+  }
+
+  private empty(): HTMLElement {
+    return h(
+      "div",
+      { class: "empty" },
+      h("h2", {}, "No cameras"),
+      h("p", {}, "These results lie outside a recording folder, so their cameras and pictures are not known. Put them into "),
+      h("code", {}, "RECORDING/results/NAME"),
+      h("p", {}, "and open that recording's folder to see them here."),
+    );
+  }
+}

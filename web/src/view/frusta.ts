@@ -1,0 +1,65 @@
+import {
+  BufferGeometry, CanvasTexture, Color, Float32BufferAttribute, Group, LineBasicMaterial, LineSegments, Sprite,
+  SpriteMaterial,
+} from "three";
+import type { CameraData } from "../lib/bundle";
+import { Projector } from "../lib/camera";
+import { colour } from "../ui/theme";
+
+/** The cameras as wire pyramids with their names. */
+export class Frusta {
+  readonly group = new Group();
+  private readonly lines: LineBasicMaterial[] = [];
+
+  constructor(
+    private readonly cameras: readonly CameraData[],
+    depth: number,
+  ) {
+    for (const camera of cameras) {
+      const eye = new Projector(camera);
+      const [w, h] = camera.size;
+      const o = eye.position;
+      const corners = [[0, 0], [w, 0], [w, h], [0, h]].map(([x, y]) => eye.unproject(x! - 0.5, y! - 0.5, depth));
+      const top = eye.unproject(w / 2, -0.18 * h, depth);
+      const at: number[] = [];
+      corners.forEach((c, i) => at.push(...o, ...c, ...c, ...corners[(i + 1) % 4]!));
+      at.push(...corners[0]!, ...top, ...top, ...corners[1]!); // a roof shows which way is up
+      const material = new LineBasicMaterial();
+      const geometry = new BufferGeometry().setAttribute("position", new Float32BufferAttribute(at, 3));
+      this.lines.push(material);
+      this.group.add(new LineSegments(geometry, material));
+    }
+    this.recolour();
+  }
+
+  recolour(): void {
+    for (const material of this.lines) material.color = new Color(colour("dim"));
+    for (const old of this.group.children.filter((c): c is Sprite => c instanceof Sprite)) {
+      old.material.map?.dispose();
+      old.material.dispose();
+      this.group.remove(old);
+    }
+    for (const camera of this.cameras) {
+      const sprite = label(camera.name);
+      const [x, y, z] = new Projector(camera).position;
+      sprite.position.set(x, y, z + 0.16);
+      this.group.add(sprite);
+    }
+  }
+}
+
+function label(text: string): Sprite {
+  const canvas = document.createElement("canvas");
+  const context = canvas.getContext("2d")!;
+  const font = "500 26px system-ui, sans-serif";
+  context.font = font;
+  canvas.width = Math.ceil(context.measureText(text).width) + 8;
+  canvas.height = 34;
+  context.font = font;
+  context.fillStyle = colour("dim");
+  context.textBaseline = "middle";
+  context.fillText(text, 4, 18);
+  const sprite = new Sprite(new SpriteMaterial({ map: new CanvasTexture(canvas), sizeAttenuation: false }));
+  sprite.scale.set((0.034 * canvas.width) / canvas.height, 0.034, 1).multiplyScalar(0.62);
+  return sprite;
+}

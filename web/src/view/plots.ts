@@ -1,0 +1,185 @@
+import { side, type ViewData } from "../lib/bundle";
+import { tabs } from "../ui/buttons";
+import { h, memory } from "../ui/dom";
+import { Plot, type PlotOptions, type Series } from "../ui/plot";
+
+/** Another run beside the one shown: row `i` of this result is row `i + shift` of the other. */
+export interface Beside {
+  data: ViewData;
+  shift: number;
+}
+
+interface Panel extends PlotOptions {
+  series: Series[];
+}
+
+type Group = { name: string; label: string; panels: (data: ViewData, beside: Beside | null) => Panel[] };
+
+const ANGLE_GROUPS: readonly [string, string, readonly [string, readonly string[]][]][] = [
+  ["legs", "Legs", [
+    ["Hip flexion", ["hip_flexion_l", "hip_flexion_r"]],
+    ["Knee flexion", ["knee_angle_l", "knee_angle_r"]],
+    ["Ankle dorsiflexion", ["ankle_angle_l", "ankle_angle_r"]],
+  ]],
+  ["hips", "Hips", [
+    ["Hip flexion", ["hip_flexion_l", "hip_flexion_r"]],
+    ["Hip adduction", ["hip_adduction_l", "hip_adduction_r"]],
+    ["Hip rotation", ["hip_rotation_l", "hip_rotation_r"]],
+  ]],
+  ["arms", "Arms", [
+    ["Shoulder flexion", ["arm_flex_l", "arm_flex_r"]],
+    ["Shoulder adduction", ["arm_add_l", "arm_add_r"]],
+    ["Elbow flexion", ["elbow_flex_l", "elbow_flex_r"]],
+  ]],
+  ["trunk", "Trunk", [
+    ["Trunk", ["lumbar_extension", "lumbar_bending", "lumbar_rotation"]],
+    ["Neck", ["neck_extension", "neck_bending", "neck_rotation"]],
+    ["Pelvis", ["pelvis_tilt", "pelvis_list", "pelvis_rotation"]],
+  ]],
+];
+const THREE = ["middle", "good", "other"] as const;
+
+/** Joint angles and the quality of the fit over time, in groups. */
+export class PlotPane {
+  readonly element: HTMLElement;
+  readonly tabs: HTMLElement;
+  private plots: Plot[] = [];
+  private readonly groups: Group[];
+  private readonly showTab: (name: string) => void;
+  private name = "";
+  private row = 0;
+  private beside: Beside | null = null;
+
+  constructor(
+    private readonly data: ViewData,
+    private readonly chosen: (row: number) => void,
+  ) {
+    this.element = h("div", { class: "plots" });
+    this.groups = [
+      ...(data.angles ? ANGLE_GROUPS.map(([name, label, panels]): Group => ({ name, label, panels: angles(panels) })) : []),
+      { name: "place", label: "Position", panels: place },
+      { name: "quality", label: "Quality", panels: quality },
+    ];
+    const made = tabs("Plots", this.groups, (name) => this.open(name));
+    this.tabs = made.element;
+    this.showTab = made.show;
+    const before = memory.get("plots") ?? "";
+    this.showTab(this.groups.some((g) => g.name === before) ? before : this.groups[0]!.name);
+  }
+
+  show(row: number): void {
+    this.row = row;
+    for (const plot of this.plots) plot.show(row);
+  }
+
+  compare(beside: Beside | null): void {
+    this.beside = beside;
+    this.open(this.name);
+  }
+
+  close(): void {
+    for (const plot of this.plots) plot.close();
+    this.plots = [];
+  }
+
+  private open(name: string): void {
+    this.name = name;
+    memory.set("plots", name);
+    this.close();
+    const group = this.groups.find((g) => g.name === name);
+    const panels = group?.panels(this.data, this.beside) ?? [];
+    this.plots = panels.map(({ series, ...options }) => {
+      return new Plot(this.data.times, series, { ...options, chosen: this.chosen });
+    });
+    this.element.replaceChildren(...this.plots.map((p) => p.element));
+    this.show(this.row);
+  }
+}
+
+function angles(panels: readonly [string, readonly string[]][]) {
+  return (data: ViewData, beside: Beside | null): Panel[] =>
+    panels.map(([title, names]) => {
+      const two = names.length === 2;
+      const series = names.flatMap((name, i): Series[] => {
+        const values = angle(data, name);
+        if (!values) return [];
+        const label = two ? side(name) : (name.split("_").pop() ?? name);
+        const one: Series = { label, colour: two ? side(name) : THREE[i % 3]!, values };
+        const other = beside && angle(beside.data, name);
+        if (!other) return [one];
+        return [one, { ...one, label: "", values: shifted(other, beside.shift, data.frames), dashed: true }];
+      });
+      return { title, unit: "°", series };
+    });
+}
+
+function angle(data: ViewData, name: string): Float32Array | null {
+  const at = data.header.angles.findIndex((a) => a.name === name);
+  return data.angles && at >= 0 ? data.angles.subarray(at * data.frames, (at + 1) * data.frames) : null;
+}
+
+function shifted(values: Float32Array, shift: number, frames: number): Float32Array {
+  return Float32Array.from({ length: frames }, (_, i) => values[i + shift] ?? NaN);
+}
+
+function place(data: ViewData): Panel[] {
+  const of = (joint: string, axis: number): Float32Array | null => {
+    const j = data.header.joint_names.indexOf(joint);
+    if (j < 0) return null;
+    return Float32Array.from({ length: data.frames }, (_, t) => data.positions[3 * (t * data.joints + j) + axis]!);
+  };
+  const lines = (named: readonly [string, string, number, string][]): Series[] =>
+    named.flatMap(([label, joint, axis, tone]) => {
+      const values = of(joint, axis);
+      return values ? [{ label, colour: tone, values }] : [];
+    });
+  const root = data.header.joint_names[0] ?? "pelvis";
+  return [
+    { title: "Pelvis", unit: "m", series: lines([["x", root, 0, "middle"], ["y", root, 1, "good"], ["z", root, 2, "other"]]) },
+    { title: "Height of the hands", unit: "m", series: lines([["left", "left_wrist", 2, "left"], ["right", "right_wrist", 2, "right"]]) },
+    { title: "Height of the ankles", unit: "m", series: lines([["left", "left_ankle", 2, "left"], ["right", "right_ankle", 2, "right"]]) },
+  ].filter((p) => p.series.length);
+}
+
+const REGIONS: readonly [string, string, RegExp][] = [
+  ["trunk", "middle", /^(pelvis|spine|chest|neck|head)$/],
+  ["arms", "other", /(shoulder|elbow|wrist)$/],
+  ["legs", "good", /(hip|knee|ankle)$/],
+];
+
+function quality(data: ViewData): Panel[] {
+  const { frames, joints } = data;
+  const mean = (values: Float32Array, columns: readonly number[], stride: number): Float32Array =>
+    Float32Array.from({ length: frames }, (_, t) => {
+      let sum = 0;
+      let n = 0;
+      for (const c of columns) {
+        const value = values[t * stride + c] ?? NaN;
+        if (!Number.isFinite(value)) continue;
+        sum += value;
+        n += 1;
+      }
+      return n ? (1000 * sum) / n : NaN;
+    });
+  const panels: Panel[] = [];
+  if (data.cost.some(Number.isFinite)) {
+    const overlap = data.cost.map((c) => 1 - c);
+    panels.push({ title: "Overlap with the masks", unit: "IoU", range: [0, 1], series: [{ label: "", colour: "accent", values: overlap }] });
+  }
+  if (data.sd.some(Number.isFinite)) {
+    const series = REGIONS.map(([label, tone, which]) => {
+      const columns = data.header.joint_names.flatMap((n, j) => (which.test(n) ? [j] : []));
+      return { label, colour: tone, values: mean(data.sd, columns, joints) };
+    });
+    panels.push({ title: "Standard deviation", unit: "mm", range: [0, 1], series });
+  }
+  const names = data.header.truth?.names ?? [];
+  if (data.truthDistances) {
+    const values = mean(data.truthDistances, names.map((_, i) => i), names.length);
+    panels.push({ title: "Distance to the truth", unit: "mm", range: [0, 1], series: [{ label: "mean", colour: "other", values }] });
+  }
+  if (panels.length < 3) {
+    panels.push({ title: "Views used", unit: "views", range: [0, 1], series: [{ label: "", colour: "middle", values: data.views }] });
+  }
+  return panels;
+}

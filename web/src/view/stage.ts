@@ -1,0 +1,164 @@
+import {
+  AmbientLight, BufferGeometry, CircleGeometry, Color, DirectionalLight, Float32BufferAttribute, Fog, LineBasicMaterial,
+  LineSegments, Mesh, MeshBasicMaterial, PerspectiveCamera, Scene, Vector3, WebGLRenderer,
+} from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { colour } from "../ui/theme";
+
+const FOV = 34;
+const SETTLE_MS = 220;
+
+/** The 3D picture: floor, light, a camera to move around, and two layers, `over` seen through everything in `scene`. */
+export class Stage {
+  readonly scene = new Scene();
+  readonly over = new Scene();
+  readonly camera = new PerspectiveCamera(FOV, 1, 0.05, 200);
+  readonly controls: OrbitControls;
+  readonly canvas: HTMLCanvasElement;
+  /** Drawn by the processor: no smoothing while things move, twice the pixels when they rest. */
+  readonly software: boolean;
+  private readonly renderer: WebGLRenderer;
+  private readonly floor = new Mesh(new CircleGeometry(1, 72), new MeshBasicMaterial());
+  private readonly grid = new LineSegments(
+    new BufferGeometry(),
+    new LineBasicMaterial({ vertexColors: true, transparent: true }),
+  );
+  private settle = 0;
+  private ratio = 0;
+
+  constructor(private readonly dirty: () => void) {
+    this.software = drawnBySoftware();
+    this.renderer = new WebGLRenderer({ antialias: !this.software, powerPreference: "high-performance" });
+    this.renderer.autoClear = false;
+    this.canvas = this.renderer.domElement;
+    this.camera.up.set(0, 0, 1);
+    this.camera.position.set(3, -4, 2);
+    this.controls = new OrbitControls(this.camera, this.canvas);
+    this.controls.maxPolarAngle = Math.PI * 0.54;
+    this.controls.minDistance = 0.3;
+    this.controls.maxDistance = 60;
+    this.controls.addEventListener("change", dirty);
+    const sun = new DirectionalLight(0xffffff, 2.1);
+    sun.position.set(2, -3, 6);
+    const back = new DirectionalLight(0xffffff, 0.7);
+    back.position.set(-4, 3, 2);
+    this.scene.add(this.floor, this.grid, sun, back, new AmbientLight(0xffffff, 1.1));
+    const light = new DirectionalLight(0xffffff, 1.6);
+    light.position.set(2, -3, 6);
+    this.over.add(light, new AmbientLight(0xffffff, 1.6));
+  }
+
+  /** Lays a floor of squares of 0.5 m at a height (m) around a point; it fades out at `radius`. */
+  layFloor(height: number, x: number, y: number, radius: number): void {
+    const [cx, cy] = [Math.round(x), Math.round(y)];
+    this.floor.position.set(cx, cy, height - 0.004);
+    this.floor.scale.setScalar(radius * 1.02);
+    const at: number[] = [];
+    const rgba: number[] = [];
+    const line = new Color(colour("floor-line"));
+    const add = (px: number, py: number, strength: number): void => {
+      at.push(cx + px, cy + py, height);
+      rgba.push(line.r, line.g, line.b, strength * Math.max(0, 1 - Math.hypot(px, py) / radius));
+    };
+    for (let k = -Math.floor(2 * radius); k <= 2 * radius; k++) {
+      const u = k / 2;
+      const half = Math.sqrt(Math.max(0, radius * radius - u * u));
+      const strength = k % 2 === 0 ? 1 : 0.45;
+      const pieces = Math.max(2, Math.ceil(half * 2));
+      for (let i = 0; i < pieces; i++) {
+        const a = -half + (2 * half * i) / pieces;
+        const b = -half + (2 * half * (i + 1)) / pieces;
+        add(u, a, strength);
+        add(u, b, strength);
+        add(a, u, strength);
+        add(b, u, strength);
+      }
+    }
+    this.grid.geometry.dispose();
+    this.grid.geometry = new BufferGeometry()
+      .setAttribute("position", new Float32BufferAttribute(at, 3))
+      .setAttribute("color", new Float32BufferAttribute(rgba, 4));
+    this.scene.fog = new Fog(colour("sky"), radius * 1.5, radius * 4);
+    this.floor.material.fog = false;
+    this.recolour();
+  }
+
+  recolour(): void {
+    this.renderer.setClearColor(new Color(colour("sky")));
+    this.floor.material.color.set(colour("floor"));
+    this.dirty();
+  }
+
+  resize(width: number, height: number): void {
+    if (width < 2 || height < 2) return;
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    this.renderer.setSize(width, height);
+    this.canvas.style.width = this.canvas.style.height = "100%";
+    this.dirty();
+  }
+
+  /** Looks at a point from a direction (x, y, z) so that a sphere of `radius` m is seen whole. */
+  look(target: Vector3, direction: Vector3, radius: number): void {
+    this.camera.fov = FOV;
+    this.camera.updateProjectionMatrix();
+    const half = Math.min(FOV, 2 * Math.atan(Math.tan((FOV * Math.PI) / 360) * this.camera.aspect) * (180 / Math.PI)) / 2;
+    const distance = radius / Math.sin((half * Math.PI) / 180);
+    this.controls.target.copy(target);
+    this.camera.position.copy(target).addScaledVector(direction.clone().normalize(), distance);
+    this.controls.update();
+    this.dirty();
+  }
+
+  /** Stands where a camera stands and looks along `towards`, with its angle of view (degrees, vertical). */
+  lookAs(position: Vector3, towards: Vector3, fov: number): void {
+    this.camera.fov = fov;
+    this.camera.updateProjectionMatrix();
+    this.camera.position.copy(position);
+    this.controls.target.copy(towards);
+    this.controls.update();
+    this.dirty();
+  }
+
+  draw(): void {
+    const wanted = this.software ? 1 : Math.min(2, window.devicePixelRatio);
+    this.drawAt(wanted);
+    if (!this.software) return;
+    clearTimeout(this.settle);
+    this.settle = window.setTimeout(() => this.drawAt(2), SETTLE_MS);
+  }
+
+  private drawAt(ratio: number): void {
+    if (ratio !== this.ratio) {
+      this.renderer.setPixelRatio(ratio);
+      this.ratio = ratio;
+    }
+    this.renderer.clear();
+    this.renderer.render(this.scene, this.camera);
+    this.renderer.clearDepth();
+    this.renderer.render(this.over, this.camera);
+  }
+
+  /** Numbers of geometries and textures held, to see that nothing piles up. */
+  get held(): { geometries: number; textures: number } {
+    return this.renderer.info.memory;
+  }
+
+  close(): void {
+    clearTimeout(this.settle);
+    this.controls.dispose();
+    this.renderer.dispose();
+    this.renderer.forceContextLoss();
+  }
+}
+
+/** Whether the browser draws WebGL without a graphics card. Throws an Error when it cannot draw at all. */
+function drawnBySoftware(): boolean {
+  const canvas = document.createElement("canvas");
+  const gl = canvas.getContext("webgl2");
+  if (!gl) throw new Error("This browser shows no 3D (WebGL 2 is off); switch it on, or use another browser.");
+  const info = gl.getExtension("WEBGL_debug_renderer_info");
+  const name = info ? String(gl.getParameter(info.UNMASKED_RENDERER_WEBGL)) : "";
+  gl.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software|basic render/i.test(name);
+}
