@@ -58,18 +58,14 @@ def train(
     seed: Seed = 0,
 ) -> None:
     """Teach a gesture: a live session that learns while you watch, or recorded sessions again."""
-    from hypose.app.gesture_job import learn_offline, learn_recordings, new_learner
-    from hypose.pipeline.gesture_files import load_model, read_recording, save_model
+    from hypose.app.gesture_job import growing_model, learn_offline, learn_recordings, new_learner
+    from hypose.pipeline.gesture_files import read_recording, save_model
 
     if out.suffix != ".npz":
         raise InputError(f"{out} is no name for a model; give one that ends in .npz.")
     if passes < 1 or passes > 100:
         raise InputError(f"--passes {passes} is not possible; give 1 to 100.")
-    old = load_model(resume) if resume is not None else None
-    if old is not None and old.learner is None:
-        raise InputError(f"{resume} is a finished forest (trained offline); only a growing one can be resumed.")
-    if old is not None and old.names != (gesture,):
-        raise InputError(f"{resume} is of {', '.join(old.names)}, not of {gesture}; give the model of that gesture.")
+    old = growing_model(resume, gesture) if resume is not None else None
     learner = old.learner if old is not None and old.learner is not None else new_learner(seed)
     if recording:
         loaded = [read_recording(r) for r in recording]

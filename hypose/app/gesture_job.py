@@ -23,7 +23,7 @@ from hypose.gestures.offline import OfflineSettings, collect, train
 from hypose.gestures.online import Learner
 from hypose.gestures.session import Command, SessionSettings
 from hypose.gestures.trainer import Feedback, Trainer
-from hypose.pipeline.gesture_files import GestureRecording, SessionWriter
+from hypose.pipeline.gesture_files import GestureRecording, SessionWriter, load_model
 
 Say = Callable[[str], None]
 KEYS: dict[str, Command] = {
@@ -59,6 +59,16 @@ def typed_commands() -> Callable[[], list[Command]]:
 def new_learner(seed: int) -> Learner:
     """A learner with the usual settings."""
     return Learner.new(np.random.default_rng(seed), ForestSettings())
+
+
+def growing_model(path: Path, gesture: str) -> GestureModel:
+    """The model of a gesture, to go on teaching it; InputError when it is finished or another gesture's."""
+    model = load_model(path)
+    if model.learner is None:
+        raise InputError(f"{path} is a finished forest (trained offline); only a growing one can be resumed.")
+    if model.names != (gesture,):
+        raise InputError(f"{path} is of {', '.join(model.names)}, not of {gesture}; give the model of that gesture.")
+    return model
 
 
 def run_session(

@@ -1,0 +1,160 @@
+"""How good a forest is while it is taught: on frames that are kept from it, and on movement before it is learned."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hypose.compute.forests import Depth
+from hypose.evaluation.gesture_metrics import RADIUS_M, average_precision, precision_recall
+from hypose.gestures.events import EventSettings, EventState, step
+from hypose.gestures.forest import Forest
+from hypose.gestures.localise import Found, Scratch, localise
+from hypose.gestures.pictures import Lens, surface_depth
+
+KEPT = 40
+"""Frames of each kind that are kept; every frame has the same chance."""
+_WINDOW_S = 60.0
+"""s of movement over which false alarms are counted."""
+_POINTS = 100
+"""At most so many points of a curve are told."""
+
+
+@dataclass(frozen=True)
+class _Held:
+    depth: Depth
+    at: tuple[float, float] | None  # of the gesture; None: it is not done
+    segment: int
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """score, error (m; inf where the gesture is not done) and whether it is done."""
+
+    score: float
+    error: float
+    shown: bool
+
+
+class HeldBack:
+    """Frames that are kept from a forest; judged in a thread of its own, so that the session does not wait."""
+
+    def __init__(self, lens: Lens) -> None:
+        self._lens, self._keep = lens, np.random.default_rng(0)
+        self._frames: dict[bool, list[_Held]] = {True: [], False: []}
+        self._count = {True: 0, False: 0}
+        self._tested: list[_Seen] = []
+        self._busy: threading.Thread | None = None
+        self._result: dict[str, Any] | None = None
+
+    def keep(self, depth: Depth, at: tuple[float, float] | None, segment: int) -> None:
+        """A frame of a learning segment that is not learned; at: pixel of the gesture, None for other movement."""
+        kept, shown = self._frames[at is not None], at is not None
+        self._count[shown] += 1
+        held = _Held(depth, at, segment)
+        if len(kept) < KEPT:
+            kept.append(held)
+        elif (place := int(self._keep.integers(self._count[shown]))) < KEPT:
+            kept[place] = held
+
+    def test(self, depth: Depth, at: tuple[float, float] | None, found: Found) -> None:
+        """A frame of the test whose truth is known."""
+        self._tested.append(_judged(depth, self._lens, at, found))
+
+    def drop(self, undone: tuple[int, ...]) -> None:
+        """Forget the frames of segments that were taken back."""
+        for shown, kept in self._frames.items():
+            self._frames[shown] = [k for k in kept if k.segment not in undone]
+
+    def begin(self, forest: Forest) -> bool:
+        """Look at the kept frames again with the forest as it is now; False while that is still going on."""
+        if self._busy is not None and self._busy.is_alive():
+            return False
+        frames = [*self._frames[True], *self._frames[False]]
+        self._busy = threading.Thread(target=self._look, args=(forest, frames), daemon=True)
+        self._busy.start()
+        return True
+
+    def _look(self, forest: Forest, frames: list[_Held]) -> None:
+        scratch = Scratch()
+        seen = [
+            _judged(f.depth, self._lens, f.at, localise(f.depth, self._lens, [forest], None, scratch)[0])
+            for f in frames
+        ]
+        self._result = _curve(seen) | {"on": "held-back"}
+
+    def result(self, threshold: float | None) -> dict[str, Any] | None:
+        """The newest judgement once, None when there is none that is new: of the test when it has both kinds of frame,
+        else of the kept frames."""
+        new, self._result = self._result, None
+        if {s.shown for s in self._tested} == {True, False}:
+            new = _curve(self._tested) | {"on": "test"}
+        return None if new is None else new | {"at": _at(new, threshold)}
+
+
+def _judged(depth: Depth, lens: Lens, at: tuple[float, float] | None, found: Found) -> _Seen:
+    if at is None:
+        return _Seen(found.score, np.inf, False)
+    z = surface_depth(depth, *at)
+    pixels = float(np.hypot(found.x - at[0], found.y - at[1]))
+    return _Seen(found.score, np.inf if z is None else pixels * z / 1000 / lens.fx, True)
+
+
+def _curve(seen: list[_Seen]) -> dict[str, Any]:
+    scores, errors = np.array([s.score for s in seen]), np.array([s.error for s in seen])
+    positives = sum(s.shown for s in seen)
+    correct = errors <= RADIUS_M
+    out: dict[str, Any] = {"frames": len(seen), "positives": positives, "ap": None}
+    if not positives or positives == len(seen):
+        return out | {"precision": [], "recall": [], "scores": []}
+    precision, recall = precision_recall(scores, correct, positives)
+    order = np.lexsort((correct, -scores))
+    ranked = scores[order][scores[order] > 0]
+    pick = np.unique(np.linspace(0, len(ranked) - 1, min(_POINTS, len(ranked))).astype(int)) if len(ranked) else []
+    return out | {
+        "ap": average_precision(scores, correct, positives),
+        "precision": [round(float(precision[k]), 4) for k in pick],
+        "recall": [round(float(recall[k]), 4) for k in pick],
+        "scores": [round(float(ranked[k]), 3) for k in pick],
+    }
+
+
+def _at(curve: dict[str, Any], threshold: float | None) -> dict[str, float] | None:
+    """Precision and recall of the scores from the threshold on."""
+    if threshold is None or not curve["scores"]:
+        return None
+    passed = [k for k, s in enumerate(curve["scores"]) if s >= threshold]
+    if not passed:
+        return {"precision": 1.0, "recall": 0.0}
+    return {"precision": curve["precision"][passed[-1]], "recall": curve["recall"][passed[-1]]}
+
+
+class FalseAlarms:
+    """Events in movement that the forest has not learned yet, over the last minute of it."""
+
+    def __init__(self) -> None:
+        self._state, self._clock = EventState(), 0.0
+        self._last: float | None = None
+        self._starts: list[float] = []
+
+    def see(self, time: float, found: Found, threshold: float | None, hold_s: float) -> None:
+        """A frame of other movement, looked at before it is learned."""
+        if self._last is not None and 0 < time - self._last < 1:
+            self._clock += time - self._last
+        elif self._last is not None:  # another segment: what went on has ended meanwhile
+            self._state = EventState()
+        self._last = time
+        if threshold is None or threshold <= 0:
+            return
+        settings = [EventSettings(threshold, hold_s=hold_s)] * found.gesture
+        self._state, events = step(self._state, [found], self._clock, settings)
+        self._starts += [self._clock for e in events if e.kind == "start"]
+
+    def told(self) -> dict[str, float | None]:
+        """false_per_min and tested_s."""
+        seconds = min(self._clock, _WINDOW_S)
+        recent = sum(t > self._clock - _WINDOW_S for t in self._starts)
+        return {"false_per_min": recent * 60 / seconds if seconds > 5 else None, "tested_s": round(seconds, 1)}

@@ -1,0 +1,178 @@
+"""The thread of a gesture session: takes pictures at their pace, hands them on with what the page asked for, saves."""
+
+from __future__ import annotations
+
+import threading
+import time as clock
+from collections import deque
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from hypose.app.gesture_sources import Taken
+from hypose.app.studio.gesture_controls import Controls, Start, change, read_command
+from hypose.app.studio.gesture_feed import shut
+from hypose.app.studio.gesture_pictures import depth_picture, map_picture
+from hypose.app.studio.gesture_train import Training
+from hypose.app.studio.gesture_watch import Watching
+from hypose.errors import HyposeError
+from hypose.gestures.session import Command
+
+HISTORY = 2000
+"""Frames whose scores a page that comes later gets."""
+_SAVE_S = 10.0
+_FULL = 6e-4
+"""m^2 of voting surface per cell that the map shows opaque."""
+
+
+class Run:
+    """say gets messages, show pictures; both from this thread."""
+
+    def __init__(
+        self,
+        start: Start,
+        activity: Training | Watching,
+        resumed: str | None,
+        identify: Callable[[Path], str],
+        say: Callable[[Mapping[str, Any]], None],
+        show: Callable[[bytes], None],
+    ) -> None:
+        self.over = False
+        self._start, self._activity, self._resumed = start, activity, resumed
+        self._identify, self._say, self._show = identify, say, show
+        self._history: deque[list[Any]] = deque(maxlen=HISTORY)
+        self._news = threading.Condition()
+        self._commands: list[Command] = []
+        self._controls = Controls()
+        self._changed, self._save, self._stop = False, False, False
+        self._thread = threading.Thread(target=self._work, daemon=True)
+
+    def begin(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def described(self) -> dict[str, Any]:
+        """SESSION of the protocol."""
+        a = self._activity
+        names = a.names if isinstance(a, Watching) else [self._start.gesture]
+        return {
+            "mode": self._start.mode,
+            "gesture": names[0],
+            "gestures": names,
+            "source": self._start.source,
+            "title": a.feed.title,
+            "size": list(a.feed.source.size),
+            **a.told,
+            "folder": None if a.folder is None else f"{a.folder.parent.name}/{a.folder.name}",
+            "resumed": self._resumed,
+            "history": list(self._history),
+        }
+
+    def post(self, message: Mapping[str, Any]) -> None:
+        """A message of a page; InputError when it cannot be."""
+        with self._news:
+            kind = message.get("t")
+            if kind == "save":
+                self._save = True
+            elif kind == "stop":
+                self._stop = True
+            elif change(self._controls, message, self._activity.feed.source.size):
+                self._changed = True
+            else:
+                self._commands.append(read_command(message))
+            self._news.notify()
+
+    def stop(self) -> None:
+        """End it, with everything saved."""
+        with self._news:
+            self._stop = True
+            self._news.notify()
+        if self._thread.is_alive():
+            self._thread.join(10)
+
+    def _work(self) -> None:
+        a, why = self._activity, "The session was stopped."
+        try:
+            why = self._loop() or why
+        except HyposeError as error:
+            why = str(error)
+        except Exception as error:  # noqa: BLE001 - the thread's end must be told, and the work saved
+            why = f"The session broke off ({type(error).__name__}: {error}); what was recorded is kept."
+        try:
+            self._saved()
+        except (HyposeError, OSError) as error:
+            self._say({"t": "error", "error": str(error)})
+        a.close()
+        shut(a.feed)
+        self.over = True
+        self._say({"t": "ended", "why": why})
+
+    def _loop(self) -> str | None:
+        """Until it is stopped (None) or the source ends (why)."""
+        a, last, seq = self._activity, None, 0
+        behind = clock.monotonic()  # the moment at which a picture of time 0 is due
+        saved = clock.monotonic()
+        while True:
+            # a paused recording waits; a camera goes on, so that the person sees where they stand
+            waits = a.paused and not a.feed.live
+            commands, stop, save = self._wait(None if waits else behind)
+            if stop:
+                return None
+            fresh = last is None or not (waits or clock.monotonic() < behind) or "continue" in commands
+            if fresh:
+                taken = a.feed.source.take(a.asks)
+                if taken is None:
+                    return "The recording has ended."
+                if not (self._start.fast or a.feed.live):
+                    step = 0.0 if last is None else max(0.0, taken.time - last.time)
+                    behind = max(behind, clock.monotonic() - 0.2) + step
+                last = taken
+            if last is None:
+                continue
+            seq += 1
+            self._publish(last, commands, fresh, seq)
+            if save or clock.monotonic() - saved > _SAVE_S:
+                self._saved()
+                saved = clock.monotonic()
+
+    def _wait(self, until: float | None) -> tuple[list[Command], bool, bool]:
+        """What the page asked for meanwhile, as soon as it does; None: nothing happens before."""
+        with self._news:
+            while not (self._commands or self._changed or self._stop or self._save):
+                left = None if until is None else until - clock.monotonic()
+                if left is not None and left <= 0:
+                    break
+                self._news.wait(left)
+            out = (self._commands, self._stop, self._save)
+            self._commands, self._changed, self._save = [], False, False
+        return out
+
+    def _publish(self, taken: Taken, commands: list[Command], fresh: bool, seq: int) -> None:
+        a = self._activity
+        shown = a.frame(taken, self._controls, commands, fresh)
+        m = shown.message
+        began = clock.perf_counter()
+        if fresh:
+            self._show(depth_picture(taken.depth, seq, taken.time))
+            self._history.append([m["time"], m["score"], m["high"], m["low"], m["threshold"], m["phase"]])
+        if shown.density is not None:
+            self._show(map_picture(shown.density, seq, taken.time, _FULL))
+        m["ms"]["depth"] = round(1e3 * (clock.perf_counter() - began), 2)
+        self._say({**m, "seq": seq})
+        judged = a.judged(taken.time, self._controls)
+        if judged is not None:
+            self._say(judged)
+
+    def _saved(self) -> None:
+        path = self._activity.save(self._controls)
+        if path is None:
+            return
+        folder = self._activity.folder
+        self._say(
+            {
+                "t": "saved",
+                "model": self._identify(path),
+                "path": f"{path.parent.name}/{path.name}",
+                "recording": None if folder is None else self._identify(folder),
+            }
+        )

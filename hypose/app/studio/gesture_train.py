@@ -1,0 +1,254 @@
+"""A session that teaches a gesture: one frame in, what the page shows of it out; everything is recorded and saved."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.app.gesture_job import growing_model, new_learner
+from hypose.app.gesture_sources import Taken
+from hypose.app.studio.gesture_controls import Controls, Start
+from hypose.app.studio.gesture_feed import Feed
+from hypose.app.studio.gesture_judge import FalseAlarms, HeldBack
+from hypose.gestures.events import Event, EventSettings, EventState, step
+from hypose.gestures.localise import Found, LocaliseSettings, Scratch, densities, settle
+from hypose.gestures.model import GestureModel
+from hypose.gestures.pictures import surface_depth
+from hypose.gestures.session import Command, Instruction
+from hypose.gestures.session import step as peek
+from hypose.gestures.trainer import Feedback, Trainer
+from hypose.pipeline.gesture_files import SessionWriter, save_model
+
+BOX_M = 0.1
+"""Half side of the box that is shown, at the surface in it."""
+_HELD_EVERY = 5
+"""Every so many seconds of learning, one second is kept from the forest."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a frame gives the page: the step message (without seq), the map of votes if it was wanted."""
+
+    message: dict[str, Any]
+    density: NDArray[np.float32] | None
+
+
+class Training:
+    """Only the session's thread calls it, except `save` after that thread has ended."""
+
+    def __init__(self, start: Start, feed: Feed, old: Path | None, folder: Path, model: Path) -> None:
+        self.feed, self.start, self.folder, self.path = feed, start, folder, model
+        self._old = growing_model(old, start.gesture) if old is not None else None
+        # checks the name before anything is written
+        learner = self._old.learner if self._old is not None and self._old.learner is not None else None
+        learner = learner or new_learner(start.seed)
+        GestureModel((start.gesture,), learner.forest, (None,), LocaliseSettings(), learner)
+        self.trainer = Trainer(learner, start.settings)
+        s = start.settings
+        seconds = {name: getattr(s, f"{name}_s") for name in ("do_gesture", "positive", "release", "negative")}
+        self.told = {"rounds": s.rounds, "seconds": seconds}
+        source = feed.source
+        self._writer = SessionWriter(folder, [start.gesture], source.lens, source.size, self.told)
+        self._held, self._alarms = HeldBack(source.lens), FalseAlarms()
+        self._scratch, self._events = Scratch(), EventState()
+        self._final: float | None = None  # the threshold that a saved model gets, found when the test begins
+        self._place = (source.size[0] / 2, 0.45 * source.size[1])
+        self._frames, self._pixels = {"gesture": 0, "negative": 0}, [0, 0]
+        self._before: tuple[int, dict[str, int], list[int]] = (0, {}, [])  # a segment, and the counts when it began
+        self._seconds = 0.0
+        self._judged_at = -10.0
+
+    @property
+    def asks(self) -> str:
+        """The phase that the next picture should show."""
+        return self.trainer.session.phase
+
+    @property
+    def paused(self) -> bool:
+        """Nothing goes on until the page says so."""
+        return self.trainer.session.paused is not None
+
+    def frame(self, taken: Taken, controls: Controls, commands: Sequence[Command], fresh: bool) -> Shown:
+        """Take a picture; fresh False: it was taken before, and only the commands are new."""
+        source, trainer = self.feed.source, self.trainer
+        if not self.feed.knows:
+            self._place = controls.box or self._place
+        elif taken.box is not None:
+            self._place = taken.box
+        before = trainer.session
+        session, instruction = peek(before, trainer.settings, taken.time, commands)
+        kept = instruction.learn is not None and int(taken.time - session.entered) % _HELD_EVERY == _HELD_EVERY - 1
+        usable = fresh and self._agrees(instruction, taken)
+        if session.segment != self._before[0]:
+            self._before = (session.segment, dict(self._frames), list(self._pixels))
+        began = clock.perf_counter()
+        f = trainer.frame(taken.time, taken.depth, source.lens, self._place, commands, learn=usable and not kept)
+        learned = clock.perf_counter()
+        found, density = self._look(taken, f, controls.map)
+        looked = clock.perf_counter()
+        self._seconds += learned - began
+        if "undo" in commands and trainer.session.undone != before.undone:
+            self._held.drop(trainer.session.undone)
+            _, self._frames, self._pixels = self._before
+        if instruction.phase == "test" and before.phase != "test":
+            self._final = trainer.final_threshold()
+        threshold = self._threshold(controls)
+        if fresh:
+            self._keep(taken, f, found, usable and kept, threshold, controls.hold_s)
+            if not self.paused:
+                self._write(taken, f)
+        for c in commands:
+            gone = trainer.session.undone[len(before.undone) :] if c == "undo" else ()
+            self._writer.act(taken.time, c, str(gone[0]) if gone else "")
+        events = self._happened(found, taken.time, threshold, controls.hold_s) if fresh else []
+        message = self._message(taken, f, found, threshold, controls, events)
+        message["ms"] = {"learn": round(1e3 * (learned - began), 2), "look": round(1e3 * (looked - learned), 2)}
+        return Shown(message, density)
+
+    def _agrees(self, instruction: Instruction, taken: Taken) -> bool:
+        """Whether the picture shows what is to be learned, where the source knows it."""
+        if instruction.learn is None or not self.feed.knows:
+            return True
+        return (taken.box is not None) == (instruction.learn == "gesture")
+
+    def _look(self, taken: Taken, f: Feedback, wanted: bool) -> tuple[Found, NDArray[np.float32] | None]:
+        """Where the forest sees the gesture: in a frame that is learned, before it was."""
+        maxima = f.taught.maxima if f.taught is not None else ()
+        if maxima and not wanted:
+            return maxima[0], None
+        look = LocaliseSettings() if f.instruction.phase == "test" else self.trainer.learner.settings.look
+        lens, forest = self.feed.source.lens, self.trainer.learner.forest
+        maps = densities(taken.depth, lens, [forest], look, self._scratch)
+        found = maxima[0] if maxima else settle(maps, taken.depth, lens, look, self._scratch)[0]
+        return found, maps[0][0] if wanted else None
+
+    def _threshold(self, controls: Controls) -> float | None:
+        return controls.threshold or (self._final if self.asks == "test" else None) or self.trainer.threshold
+
+    def _keep(
+        self, taken: Taken, f: Feedback, found: Found, kept: bool, threshold: float | None, hold_s: float
+    ) -> None:
+        """Count what was learned; put aside what is judged."""
+        kind, phase = f.instruction.learn, f.instruction.phase
+        if kind is not None and f.taught is not None:
+            self._frames[kind] += 1
+            for k, n in enumerate(f.taught.learned):
+                self._pixels[k] += n
+        if kept:
+            at = self._place if kind == "gesture" else None
+            self._held.keep(taken.depth, at, f.instruction.segment)
+        if phase == "negative" and not self.paused:
+            self._alarms.see(taken.time, found, threshold, hold_s)
+        if phase == "test" and self.feed.clear():
+            self._held.test(taken.depth, taken.box, found)
+
+    def _write(self, taken: Taken, f: Feedback) -> None:
+        phase, learned = f.instruction.phase, f.taught is not None
+        self._writer.add(
+            taken.time,
+            taken.depth,
+            "free" if phase in ("positive", "negative") and not learned else phase,
+            f.instruction.segment,
+            int(f.instruction.learn == "gesture"),
+            self._place,
+        )
+
+    def _happened(self, found: Found, time: float, threshold: float | None, hold_s: float) -> list[Event]:
+        if self.asks != "test" or threshold is None or threshold <= 0:
+            return []
+        self._events, events = step(self._events, [found], time, [EventSettings(threshold, hold_s=hold_s)])
+        return events
+
+    def _message(
+        self, taken: Taken, f: Feedback, found: Found, threshold: float | None, c: Controls, events: list[Event]
+    ) -> dict[str, Any]:
+        s, i = self.trainer.session, f.instruction
+        z = surface_depth(taken.depth, *self._place)
+        half = BOX_M * self.feed.source.lens.fx / (2.0 if z is None else z / 1000)
+        return {
+            "t": "step",
+            "time": round(taken.time, 3),
+            "phase": i.phase,
+            "prompt": i.prompt,
+            "left_s": None if i.left_s == float("inf") else round(i.left_s, 2),
+            "round": s.round + 1,
+            "paused": s.paused is not None,
+            "box": [round(self._place[0], 1), round(self._place[1], 1), round(half, 1)],
+            "cross": [round(found.x, 1), round(found.y, 1)] if found.score > 0 else None,
+            "position": position(found),
+            "learned": None if f.taught is None else list(f.taught.learned),
+            "mined": [] if f.taught is None else [[round(m.x, 1), round(m.y, 1)] for m in f.taught.mined],
+            "score": round(found.score, 3),
+            "high": rounded(s.high),
+            "low": rounded(s.low),
+            "threshold": rounded(threshold),
+            "manual": c.threshold is not None,
+            "detected": threshold is not None and found.score >= threshold,
+            "counts": {
+                **self._frames,
+                "pixels": list(self._pixels),
+                "nodes": int(self.trainer.learner.forest.size.sum()),
+                "segments": s.segment - len(s.undone),
+            },
+            "events": [event_message(e, [self.start.gesture]) for e in events],
+        }
+
+    def judged(self, time: float, controls: Controls) -> dict[str, Any] | None:
+        """The newest judgement, about once a second of the session; None when there is nothing new."""
+        if abs(time - self._judged_at) < 1.0:
+            return None
+        self._judged_at = time
+        result = self._held.result(self._threshold(controls))
+        if self.asks != "test" and not self.paused:
+            self._held.begin(self.trainer.learner.forest.freeze())
+        return None if result is None else {"t": "judged", **result, **self._alarms.told()}
+
+    def save(self, controls: Controls) -> Path | None:
+        """Write the model; None when nothing has been learned yet."""
+        if not sum(self._frames.values()):
+            return None
+        threshold = controls.threshold or self._final or self.trainer.final_threshold()
+        old = self._old.history if self._old is not None else ()
+        entry: Mapping[str, Any] = {
+            "session": self.folder.name,
+            "frames_learned": sum(self._frames.values()),
+            "computing_s": round(self._seconds, 3),
+        }
+        learner = self.trainer.learner
+        model = GestureModel(
+            (self.start.gesture,), learner.forest, (threshold,), LocaliseSettings(), learner, (*old, entry)
+        )
+        save_model(model, self.path)
+        return self.path
+
+    def close(self) -> None:
+        """Close the recording."""
+        self._writer.close()
+
+
+def event_message(event: Event, names: Sequence[str]) -> dict[str, Any]:
+    """An event as the page gets it."""
+    return {
+        "kind": event.kind,
+        "gesture": names[event.gesture - 1],
+        "time": round(event.time, 3),
+        "x": round(event.x, 1),
+        "y": round(event.y, 1),
+        "score": round(event.score, 3),
+    }
+
+
+def position(found: Found) -> list[float] | None:
+    """m in the camera's frame."""
+    return None if found.position is None else [round(float(v), 3) for v in found.position]
+
+
+def rounded(value: float | None) -> float | None:
+    """For JSON."""
+    return None if value is None else round(value, 3)
