@@ -56,9 +56,10 @@ class MonoRun:
         return near and float(np.median(self.errors)) < KEPT_MEDIAN_M
 
 
-def pictures(scene: MonoScene) -> list[Image]:
-    """All pictures of a scene, for several trackers."""
-    return [scene.image(i) for i in range(len(scene))]
+def pictures(scene: MonoScene, seconds: float | None = None) -> list[Image]:
+    """The pictures of a scene (of its first seconds), for several trackers."""
+    shown = len(scene) if seconds is None else int(np.searchsorted(scene.times, seconds))
+    return [scene.image(i) for i in range(shown)]
 
 
 def track_scene(
