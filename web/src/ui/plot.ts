@@ -1,5 +1,6 @@
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
+import { LOST, type Stretch } from "../lib/bundle";
 import { h, onResize } from "./dom";
 import { colour, onTheme } from "./theme";
 
@@ -16,6 +17,8 @@ export interface PlotOptions {
   unit: string;
   /** Range that is shown at least. */
   range?: readonly [number, number];
+  /** Stretches that are shaded: lost or extrapolated. */
+  flagged?: readonly Stretch[];
   /** A click or drag in the plot chooses a time. */
   chosen?: (index: number) => void;
 }
@@ -75,7 +78,6 @@ export class Plot {
     if (width < 40 || height < 40) return;
     if (this.chart) this.chart.setSize({ width, height });
     else this.make();
-    this.show(this.at);
   }
 
   private make(): void {
@@ -93,6 +95,11 @@ export class Plot {
         legend: { show: false },
         cursor: { show: false },
         padding: [6, 10, 0, 0],
+        hooks: {
+          ready: [() => this.show(this.at)],
+          setSize: [() => this.show(this.at)],
+          drawClear: [(chart) => this.shade(chart)],
+        },
         scales: {
           x: { time: false },
           y: {
@@ -123,7 +130,19 @@ export class Plot {
       this.holder,
     );
     this.chart.over.append(this.line);
-    this.show(this.at);
+  }
+
+  private shade(chart: uPlot): void {
+    const { left, top, width, height } = chart.bbox;
+    const step = (this.times[1] ?? 1) - (this.times[0] ?? 0);
+    for (const { first, last, flag } of this.options.flagged ?? []) {
+      const from = chart.valToPos((this.times[first] ?? 0) - step / 2, "x", true);
+      const to = chart.valToPos((this.times[last] ?? 0) + step / 2, "x", true);
+      chart.ctx.globalAlpha = 0.22;
+      chart.ctx.fillStyle = colour(flag === LOST ? "lost" : "extrapolated");
+      chart.ctx.fillRect(Math.max(left, from), top, Math.min(left + width, to) - Math.max(left, from), height);
+      chart.ctx.globalAlpha = 1;
+    }
   }
 
   private pointer(chosen: (index: number) => void): void {

@@ -32,9 +32,19 @@ export class Frusta {
     this.recolour();
   }
 
+  /** Keeps the names 12 px high in a picture of this height (px) and angle of view (degrees). */
+  scale(height: number, fov: number): void {
+    const one = (2 * Math.tan((fov * Math.PI) / 360) * LABEL_PX) / Math.max(1, height);
+    for (const sprite of this.labels()) sprite.scale.set(one * (sprite.userData["aspect"] as number), one, 1);
+  }
+
+  private labels(): Sprite[] {
+    return this.group.children.filter((c): c is Sprite => c instanceof Sprite);
+  }
+
   recolour(): void {
     for (const material of this.lines) material.color = new Color(colour("dim"));
-    for (const old of this.group.children.filter((c): c is Sprite => c instanceof Sprite)) {
+    for (const old of this.labels()) {
       old.material.map?.dispose();
       old.material.dispose();
       this.group.remove(old);
@@ -48,6 +58,8 @@ export class Frusta {
   }
 }
 
+const LABEL_PX = 17; // 34 px of the canvas for letters of 26 px, seen at half the size
+
 function label(text: string): Sprite {
   const canvas = document.createElement("canvas");
   const context = canvas.getContext("2d")!;
@@ -56,10 +68,12 @@ function label(text: string): Sprite {
   canvas.width = Math.ceil(context.measureText(text).width) + 8;
   canvas.height = 34;
   context.font = font;
-  context.fillStyle = colour("dim");
+  context.fillStyle = colour("ink");
   context.textBaseline = "middle";
   context.fillText(text, 4, 18);
-  const sprite = new Sprite(new SpriteMaterial({ map: new CanvasTexture(canvas), sizeAttenuation: false }));
-  sprite.scale.set((0.034 * canvas.width) / canvas.height, 0.034, 1).multiplyScalar(0.62);
+  const map = new CanvasTexture(canvas);
+  map.colorSpace = SRGBColorSpace;
+  const sprite = new Sprite(new SpriteMaterial({ map, sizeAttenuation: false, depthTest: false, fog: false }));
+  sprite.userData["aspect"] = canvas.width / canvas.height;
   return sprite;
 }

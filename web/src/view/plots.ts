@@ -1,4 +1,4 @@
-import { side, type ViewData } from "../lib/bundle";
+import { side, stretches, type ViewData } from "../lib/bundle";
 import { tabs } from "../ui/buttons";
 import { h, memory } from "../ui/dom";
 import { Plot, type PlotOptions, type Series } from "../ui/plot";
@@ -87,9 +87,10 @@ export class PlotPane {
     memory.set("plots", name);
     this.close();
     const group = this.groups.find((g) => g.name === name);
+    const flagged = stretches(this.data.flags);
     const panels = group?.panels(this.data, this.beside) ?? [];
     this.plots = panels.map(({ series, ...options }) => {
-      return new Plot(this.data.times, series, { ...options, chosen: this.chosen });
+      return new Plot(this.data.times, series, { ...options, chosen: this.chosen, flagged });
     });
     this.element.replaceChildren(...this.plots.map((p) => p.element));
     this.show(this.row);

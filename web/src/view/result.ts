@@ -74,7 +74,7 @@ export class ResultView {
       this.schedule();
     }, { icon: "follow", title: "Keep the person in the middle" });
     const holder = h("div", { class: "space-canvas" }, this.space.stage.canvas);
-    this.stop.push(onResize(holder, (w, height) => this.space.stage.resize(w, height)));
+    this.stop.push(onResize(holder, (w, height) => this.space.resize(w, height)));
     this.space.stage.canvas.setAttribute("aria-label", "The person in three dimensions; drag to turn, wheel to come closer");
     const space = h(
       "section",

@@ -28,6 +28,7 @@ export class Space {
   private readonly reach: { centre: Vector3; radius: number };
   private readonly stop: () => void;
   private row = 0;
+  private height = 1;
 
   constructor(
     private readonly data: ViewData,
@@ -107,7 +108,13 @@ export class Space {
     if (this.follow) this.track(row);
   }
 
+  resize(width: number, height: number): void {
+    this.height = height;
+    this.stage.resize(width, height);
+  }
+
   draw(): void {
+    this.frusta.scale(this.height, this.stage.camera.fov);
     this.stage.draw();
   }
 

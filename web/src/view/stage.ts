@@ -38,11 +38,11 @@ export class Stage {
     this.controls.minDistance = 0.3;
     this.controls.maxDistance = 60;
     this.controls.addEventListener("change", dirty);
-    const sun = new DirectionalLight(0xffffff, 2.1);
+    const sun = new DirectionalLight(0xffffff, 2.4);
     sun.position.set(2, -3, 6);
     const back = new DirectionalLight(0xffffff, 0.7);
     back.position.set(-4, 3, 2);
-    this.scene.add(this.floor, this.grid, sun, back, new AmbientLight(0xffffff, 1.1));
+    this.scene.add(this.floor, this.grid, sun, back, new AmbientLight(0xffffff, 1.5));
     const light = new DirectionalLight(0xffffff, 1.6);
     light.position.set(2, -3, 6);
     this.over.add(light, new AmbientLight(0xffffff, 1.6));
