@@ -247,6 +247,14 @@ class LiveServer:
                 with contextlib.suppress(OSError):  # nobody listens, or the buffer is full: the next frame counts
                     send.sendto(bundle, target)
 
+    def listen(self, queue: asyncio.Queue[str]) -> None:
+        """From now on the queue gets every message, as text; when it is full, the newest take the oldest's places."""
+        self._outs.add(queue)
+
+    def unlisten(self, queue: asyncio.Queue[str]) -> None:
+        """No more of it."""
+        self._outs.discard(queue)
+
     def _post(self, text: str) -> None:
         for queue in self._outs:
             if queue.full():  # a slow listener gets the newest
@@ -312,7 +320,7 @@ class LiveServer:
         queue: asyncio.Queue[str] = asyncio.Queue(maxsize=self.options.waiting)
         hello = {"type": "hello", "version": 1, "joints": COMMON, "rate": self.options.settings.align.rate}
         queue.put_nowait(json.dumps(hello))
-        self._outs.add(queue)  # who has the hello misses no frame from then on
+        self.listen(queue)  # who has the hello misses no frame from then on
         reading = asyncio.ensure_future(_drain(connection))
         try:
             while not reading.done():
@@ -323,7 +331,7 @@ class LiveServer:
                     break
                 await connection.send(waiting.result())
         finally:
-            self._outs.discard(queue)
+            self.unlisten(queue)
             reading.cancel()
 
 

@@ -17,9 +17,12 @@ from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from hypose import __version__
-from hypose.app.studio import results, routes_jobs, routes_recordings
+from hypose.app.studio import clicks, fuse_socket, gesture_socket, results, routes_jobs, routes_recordings
 from hypose.app.studio.answers import answer, refusal, told
 from hypose.app.studio.catalog import Catalog
+from hypose.app.studio.fuse_socket import FuseHost
+from hypose.app.studio.gesture_room import GestureRoom
+from hypose.app.studio.gesture_socket import models_shown, places, sessions_shown, sources_shown
 from hypose.app.studio.guard import Access, Guard
 from hypose.app.studio.jobs import Jobs
 from hypose.app.studio.recordings import Recordings
@@ -54,6 +57,7 @@ class Studio:
         self.jobs = Jobs(self.catalog)
         self.uploads = Uploads(self.catalog, options.upload_limit)
         self.results, self.recordings = Results(self.catalog), Recordings(self.catalog)
+        self.gestures, self.fusion = GestureRoom(places(self.catalog)), FuseHost()
         self.sockets = Sockets()
         self._routed = Starlette(
             routes=self._routes(), lifespan=self._lifespan, exception_handlers={Exception: _bug, 404: _nothing}
@@ -67,6 +71,9 @@ class Studio:
             *results.routes(self.catalog, self.results, self.jobs),
             *routes_jobs.routes(self.catalog, self.recordings, self.uploads, self.jobs, self.sockets),
             *routes_recordings.routes(self.catalog, self.recordings),
+            *clicks.routes(self.catalog, self.recordings),
+            *gesture_socket.routes(self.gestures, self.sockets),
+            *fuse_socket.routes(self.fusion, self.sockets),
             Mount("/static", StaticFiles(directory=STATIC, check_dir=False)),
         ]
 
@@ -91,19 +98,21 @@ class Studio:
                 for i in catalog.items("recording")
             ],
             "results": found,
-            "sessions": [],
-            "models": [],
-            "sources": [],
+            "sessions": sessions_shown(catalog),
+            "models": models_shown(catalog),
+            "sources": sources_shown(catalog),
             "jobs": [j.shown() for j in self.jobs.every()],
         }
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
         yield
+        await self.fusion.stop()
         await run_in_threadpool(self.close)
 
     def close(self) -> None:
         """Stop what runs with its work kept, and let go of everything."""
+        self.gestures.close()
         self.jobs.close()
         self.results.close()
         self.recordings.close()

@@ -1,0 +1,131 @@
+"""The routes of the Click screen: clicked joints to a pose while they are clicked, and kept as a start."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+import numpy as np
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+
+from hypose.app.studio import click_fit
+from hypose.app.studio.answers import answer, body_of, told
+from hypose.app.studio.catalog import Catalog, Item
+from hypose.app.studio.job_kinds import is_name
+from hypose.app.studio.recordings import Recordings
+from hypose.body.body import Body
+from hypose.body.models import human
+from hypose.errors import InputError
+from hypose.geometry import Array
+from hypose.io.bodies import load_body
+from hypose.io.files import text_lines
+from hypose.io.results import ResultsFolder, load_motion
+
+_FORMAT = "hypose-clicks"
+
+
+def routes(catalog: Catalog, recordings: Recordings) -> list[Route]:
+    """The routes."""
+
+    async def joints(request: Request) -> Response:
+        return answer([{"joint": k, "title": v} for k, v in click_fit.CLICK_JOINTS.items()])
+
+    async def fit(request: Request) -> Response:
+        value = await body_of(request)
+        return answer(await run_in_threadpool(lambda: _fitted(value, catalog, recordings)))
+
+    async def save(request: Request) -> Response:
+        value, item = await body_of(request), catalog.find("recording", request.path_params["id"])
+        return answer(await run_in_threadpool(lambda: _save(value, item, catalog, recordings)), 201)
+
+    async def one(request: Request) -> Response:
+        item, name = catalog.find("recording", request.path_params["id"]), request.path_params["name"]
+        return answer(await run_in_threadpool(lambda: _load(item, name)))
+
+    return [
+        Route("/api/click-joints", told(joints)),
+        Route("/api/fit-clicks", told(fit), methods=["POST"]),
+        Route("/api/recordings/{id}/starts", told(save), methods=["POST"]),
+        Route("/api/recordings/{id}/starts/{name}", told(one)),
+    ]
+
+
+def _fitted(value: dict[str, Any], catalog: Catalog, recordings: Recordings) -> dict[str, Any]:
+    item = _recording(value, catalog)
+    recording = recordings.load(item)
+    clicks = click_fit.clicks_of(value.get("views"), recording.rig)
+    body, pose, measured = _body(value, item, catalog)
+    height = value.get("height") or (None if measured else recording.subject_height)
+    if height is not None and (isinstance(height, bool) or not isinstance(height, int | float)):
+        raise InputError("The height must be a number of metres.")
+    if not measured:
+        body = click_fit.sized(body, height)
+    start = _pose(value.get("start"), body) if value.get("start") is not None else pose
+    found = click_fit.fit_clicks(body, clicks, start, measured or height is not None, correct=pose is not None)
+    return click_fit.shown(body, clicks, found)
+
+
+def _recording(value: dict[str, Any], catalog: Catalog) -> Item:
+    given = value.get("recording")
+    if isinstance(given, str):
+        return catalog.find("recording", given)
+    if isinstance(value.get("result"), str):
+        folder = catalog.recording_of(catalog.find("result", value["result"]).path)
+        if folder is not None:
+            return catalog.find("recording", catalog.id_of("recording", folder))
+    raise InputError("Say in which recording the joints were clicked.")
+
+
+def _body(value: dict[str, Any], item: Item, catalog: Catalog) -> tuple[Body, Array | None, bool]:
+    """The person's body; the pose that is corrected; whether the body was measured."""
+    frame = value.get("frame")
+    if isinstance(frame, bool) or not isinstance(frame, int) or frame < 0:
+        raise InputError("Say in which frame the joints were clicked.")
+    if isinstance(value.get("result"), str):
+        folder = ResultsFolder(catalog.find("result", value["result"]).path)
+        motion, body = load_motion(folder.motion), load_body(folder.file("body.npz"))
+        frames = motion.provenance.get("settings", {}).get("frames")
+        row = frame - (int(frames[0]) if frames else 0)
+        if motion.poses is None or not 0 <= row < len(motion) or not np.isfinite(motion.poses[row]).all():
+            return body, None, True
+        return body, motion.poses[row], True
+    measured = item.path / "subject" / "body.npz"
+    return (load_body(measured), None, True) if measured.is_file() else (human(), None, False)
+
+
+def _pose(value: Any, body: Body) -> Array:
+    numbers = isinstance(value, list) and all(isinstance(v, int | float) and abs(v) < 1e6 for v in value)
+    if not numbers or len(value) != body.skeleton.dof:
+        raise InputError(f"A pose has {body.skeleton.dof} numbers.")
+    return body.skeleton.clamp(np.array(value, dtype=np.float64))
+
+
+def _save(value: dict[str, Any], item: Item, catalog: Catalog, recordings: Recordings) -> dict[str, Any]:
+    """Keep clicks and the pose they give in starts/NAME.json."""
+    name = value.get("name") or f"frame-{value.get('frame')}"
+    if not isinstance(name, str) or not is_name(name):
+        raise InputError("Give the start a name of letters, digits, - and _.")
+    if not catalog.contains(item.path / "starts"):
+        raise InputError(f"The starts of {item.path.name} lie outside the served folder.")
+    found = _fitted({**value, "recording": item.id}, catalog, recordings)
+    keep = {k: value[k] for k in ("frame", "views", "height", "result") if value.get(k) is not None}
+    document = {"format": _FORMAT, "version": 1, **keep, **{k: found[k] for k in ("pose", "joint_sd", "rms_px")}}
+    ResultsFolder(item.path / "starts").write_json(f"{name}.json", document)
+    return {"name": name, **document}
+
+
+def _load(item: Item, name: str) -> dict[str, Any]:
+    if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,79}", name):
+        raise InputError(f"{name[:40]!r} is no name of a start.")
+    path = item.path / "starts" / f"{name}.json"
+    try:
+        value = json.loads("\n".join(text_lines(path, "a start", 1 << 20)))
+    except (ValueError, RecursionError):
+        value = None
+    if not isinstance(value, dict) or value.get("format") != _FORMAT:
+        raise InputError(f"The start {name} was not written by hypose.")
+    return value
