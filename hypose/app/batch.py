@@ -182,7 +182,6 @@ def _client(place: Place) -> Iterator[Client]:
             # no task waits at a worker: a death counts against the task that ran, and costs that one only
             "distributed.scheduler.worker-saturation": 1.0,
             "distributed.nanny.pre-spawn-environ": environment,
-            "distributed.scheduler.events-log-length": 1000,
         }
     ):
         if place.scheduler is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 from typing import Annotated
@@ -27,6 +28,7 @@ def batch(
     slurm: Annotated[
         bool, typer.Option("--slurm", help="Workers as SLURM jobs, as [slurm] of the sweep says (extra slurm).")
     ] = False,
+    out: Annotated[Path | None, typer.Option(help="Results folder. [default: the sweep's]")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False,
 ) -> None:
     """Track many recordings with many sets of parameters; what is finished is skipped, what was begun goes on."""
@@ -36,6 +38,8 @@ def batch(
     from hypose.app.sweep import plan, read_sweep
 
     wanted = read_sweep(sweep)
+    if out is not None:
+        wanted = replace(wanted, results=out)
     count = workers or os.cpu_count() or 1
     place = Place(count, threads, scheduler, wanted.slurm if slurm else None, wanted.retries)
     previous = signal.signal(signal.SIGTERM, _interrupt)

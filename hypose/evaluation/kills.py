@@ -1,0 +1,185 @@
+"""kill -9 at random moments of every long command: what is lost, what is half written, what a second run makes of it.
+
+Every other kill hits a run over a folder that already holds finished results: these must stay whole.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row
+from hypose.evaluation.programs import kill_after, run
+from hypose.evaluation.small_recordings import small_scene, write_board_pictures, write_masks, write_skeletons
+
+_VARIES = {"provenance.json", "report.html", "task.json", "results.csv", "results.html"}
+"""Files that tell of the run itself: times, attempts, the command."""
+_PASSING = {"checkpoint.npz"}
+
+
+@dataclass(frozen=True)
+class LongCommand:
+    """name; arguments before the results' place; option: how the place is given (None: as the last argument); file:
+    the result is this file in the folder; again: what the second run adds; share of all kills."""
+
+    name: str
+    arguments: tuple[str | Path, ...]
+    share: float
+    option: str | None = "--out"
+    file: str | None = None
+    again: tuple[str, ...] = ()
+
+    def to(self, folder: Path, again: bool = False) -> list[str | Path]:
+        """The command line that writes to a folder."""
+        place = folder / self.file if self.file else folder
+        given = [self.option, place] if self.option else [place]
+        return [*self.arguments, *given, *(self.again if again else ())]
+
+
+@dataclass
+class Tally:
+    """Counts of one command's kills."""
+
+    kills: int = 0
+    lost: int = 0
+    half_written: int = 0
+    identical: int = 0
+    begun: int = 0
+    found: list[str] = field(default_factory=list)
+
+
+def prepare(folder: Path, frames: int) -> list[LongCommand]:
+    """Inputs for all commands, written once; needs a minute."""
+    masks = write_masks(small_scene(1, frames), folder / "walk")
+    write_board_pictures(folder)
+    write_skeletons(folder / "sensors")
+    body, done, session = folder / "subject", folder / "done", folder / "session"
+    for arguments in (
+        ["subject", masks, "--out", body, "--poses", 1, "--frames", "0:6"],
+        ["track", masks, "--out", done, "--subject", body, "--no-overlay", "--formats", "trc"],
+        ["gesture", "record", session, "--gesture", "pause", "--rounds", 1],
+    ):
+        ended = run([str(a) for a in arguments])
+        if ended.code != 0:
+            raise RuntimeError(f"preparing {arguments[:2]} failed: {ended.err[-500:]}")
+    track = ("track", masks, "--subject", body, "--no-overlay", "--formats", "trc,c3d,csv")
+    sweep = folder / "sweep.toml"
+    sweep.write_text(
+        f'recordings = ["walk"]\nresults = "out"\n[settings]\nsubject = "{body}"\n[[set]]\nname = "s"\nseed = [0, 1]\n'
+    )
+    boards = ("calibrate", folder / "boards", "--chessboard", "6x5", "--square", "12cm", "--floor", "0")
+    teach = ("gesture", "train", "--gesture", "pause", "--recording", session)
+    return [
+        LongCommand("track", track, 0.2, again=("--resume",)),
+        LongCommand("fuse", ("fuse", folder / "sensors"), 0.2, again=("--resume",)),
+        LongCommand("gesture train", teach, 0.2, option=None, file="model.npz"),
+        LongCommand("calibrate", (*boards, "--intrinsics", folder / "lenses.toml"), 0.12, file="calibration.toml"),
+        LongCommand("export", ("export", done), 0.15),
+        LongCommand("silhouettes", ("silhouettes", masks), 0.07),
+        LongCommand("batch", ("batch", sweep, "--workers", "1"), 0.04),
+        LongCommand("subject", ("subject", masks, "--poses", "1", "--frames", "0:6"), 0.02),
+    ]
+
+
+def kills(options: BenchOptions) -> BenchReport:
+    """lost_results, half_written (files), resumed_identical (share of kills) per command and over all.
+
+    --seeds: number of kills (200; quick: 8, at least one per command). The moment is uniform over the time that an
+    undisturbed run took. Lost: a finished file of before is gone or changed. Half-written: a file with its final name
+    cannot be read whole. Identical: the second run ends well, and its files are those of the undisturbed run, byte for
+    byte; files that tell of the run itself only have to be whole.
+    """
+    total = options.seeds or (8 if options.quick else 200)
+    rng = np.random.default_rng([options.first_seed or 0, 11])
+    with tempfile.TemporaryDirectory() as temporary:
+        root = Path(temporary)
+        commands = prepare(root, 30 if options.quick else 60)
+        done = 0
+        tallies: dict[str, Tally] = {}
+        for command in commands:
+            count = max(1, round(total * command.share))
+            tallies[command.name] = kill_command(
+                command, root, count, rng, lambda n, at=done: options.progress("kills", at + n, total)
+            )
+            done += count
+    return BenchReport(tuple(_rows(tallies)), {"kills": done})
+
+
+def kill_command(
+    command: LongCommand, root: Path, count: int, rng: np.random.Generator, tell: Callable[[int], None]
+) -> Tally:
+    """`count` kills of one command; tell(n): after the n-th."""
+    reference = root / "reference" / command.name
+    first = run(command.to(reference))
+    if first.code != 0:
+        raise RuntimeError(f"{command.name} failed undisturbed: {first.err[-500:]}")
+    wanted = _contents(reference)
+    tally, tries = Tally(), 0
+    while tally.kills < count and tries < 3 * count:
+        tries += 1
+        out = root / "killed" / command.name
+        shutil.rmtree(out, ignore_errors=True)
+        over_old = tries % 2 == 0
+        if over_old:
+            shutil.copytree(reference, out)
+        if not kill_after(command.to(out), float(rng.uniform(0.0, first.seconds))):
+            continue
+        tally.kills += 1
+        tally.begun += (out / "checkpoint.npz").exists()
+        after = _contents(out)
+        damaged = [p for p in after if not _whole(out / p, after[p], wanted.get(p))]
+        tally.half_written += len(damaged)
+        gone = [p for p in wanted if over_old and p not in after]
+        tally.lost += len(gone) + (len(damaged) if over_old else 0)
+        second = run(command.to(out, again=True))
+        final = _contents(out)
+        same = second.code == 0 and set(wanted) <= set(final)
+        same = same and all(_whole(out / p, final[p], wanted.get(p)) for p in final)
+        same = same and not any(Path(p).name in _PASSING for p in final)
+        tally.identical += same
+        if damaged or gone or not same:
+            tally.found.append(f"{command.name}: damaged {damaged}, gone {gone}, second run {second.err[-300:]}")
+        tell(tally.kills)
+    return tally
+
+
+def _contents(folder: Path) -> dict[str, bytes]:
+    """Files by their path in the folder; temporary ones, whose names begin with a dot, are no results."""
+    files = (p for p in sorted(folder.rglob("*")) if p.is_file() and not p.name.startswith("."))
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in files}
+
+
+def _whole(path: Path, data: bytes, wanted: bytes | None) -> bool:
+    """A file that the reference has is the same; any other one can be read to its end."""
+    if wanted is not None and path.name not in _VARIES:
+        return data == wanted
+    try:
+        if path.suffix == ".json":
+            json.loads(data)
+        elif path.suffix == ".html":
+            return data.endswith(b"</html>\n")
+        elif path.suffix == ".npz":
+            with zipfile.ZipFile(path) as archive:
+                return archive.testzip() is None
+        return len(data) > 0
+    except (ValueError, zipfile.BadZipFile):
+        return False
+
+
+def _rows(tallies: dict[str, Tally]) -> Sequence[Row]:
+    rows = []
+    for name, of in [*((n, [t]) for n, t in tallies.items()), ("all", list(tallies.values()))]:
+        n = sum(t.kills for t in of)
+        rows += [
+            Row("lost_results", name, float(sum(t.lost for t in of)), "files", n=n),
+            Row("half_written", name, float(sum(t.half_written for t in of)), "files", n=n),
+            Row("resumed_identical", name, sum(t.identical for t in of) / max(n, 1), "1", n=n),
+        ]
+    return rows
