@@ -109,7 +109,7 @@ def kills(options: BenchOptions) -> BenchReport:
                 command, root, count, rng, lambda n, at=done: options.progress("kills", at + n, total)
             )
             done += count
-    return BenchReport(tuple(_rows(tallies)), {"kills": done})
+    return BenchReport(tuple(_rows(tallies)), {"kills": done, "found": [f for t in tallies.values() for f in t.found]})
 
 
 def kill_command(
