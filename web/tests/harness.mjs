@@ -1,0 +1,65 @@
+// A user's path through the page, in a real browser against a real server. A path is a file of its own:
+//
+//   import assert from "node:assert/strict";
+//   import { walk } from "./harness.mjs";
+//   await walk(async ({ page, address, picture }) => {
+//     await page.getByRole("link", { name: "Gestures" }).click();
+//     ...
+//   });
+//
+// tests/app/studio/test_paths.py runs every *.path.mjs with STUDIO (the server's address), FOLDER (what it serves),
+// CHROMIUM and PICTURES (a folder for pictures) in the environment; `// slow` in the first line marks a slow one, and
+// `// folder: empty` one that starts with nothing in the served folder.
+import assert from "node:assert/strict";
+import { join } from "node:path";
+import { chromium } from "playwright-core";
+
+const address = process.env.STUDIO ?? "http://127.0.0.1:8765/";
+const folder = process.env.FOLDER ?? "";
+const pictures = process.env.PICTURES ?? ".";
+// The wrapper in /usr/bin of Debian prints warnings; software drawing, because a test machine has no display. Every
+// host but this one is unknown to the browser.
+const program = process.env.CHROMIUM ?? "/usr/lib/chromium/chromium";
+const flags = [
+  "--no-sandbox",
+  "--use-gl=angle",
+  "--use-angle=swiftshader",
+  "--enable-unsafe-swiftshader",
+  "--ignore-gpu-blocklist",
+  "--disable-background-networking",
+  "--autoplay-policy=no-user-gesture-required",
+  "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1",
+];
+
+/** Opens a page and goes the path; the process fails when the path does, when the page reports an error, or when it
+ * asks for anything that is not the server's. options: of Playwright's page (viewport, colorScheme); `at`: the screen
+ * to open, e.g. "#/gesture"; `expected`: a RegExp of console errors that belong to the path. */
+export async function walk(path, { at = "", expected, ...options } = {}) {
+  const browser = await chromium.launch({ executablePath: program, args: flags, timeout: 240_000 });
+  const page = await browser.newPage({ viewport: { width: 1280, height: 800 }, ...options });
+  page.setDefaultTimeout(60_000);
+  const foreign = [];
+  const errors = [];
+  const own = new URL(address).host;
+  const asked = (url) => /^(data|blob):/.test(url) || new URL(url).host === own || foreign.push(url);
+  page.on("request", (request) => asked(request.url()));
+  page.on("websocket", (socket) => asked(socket.url()));
+  page.on("pageerror", (error) => errors.push(String(error.stack ?? error)));
+  page.on("console", (message) => {
+    if (message.type() === "error" && !expected?.test(message.text())) errors.push(message.text());
+  });
+  const picture = (name) => page.screenshot({ path: join(pictures, `${name}.png`) });
+  let failed;
+  try {
+    await page.goto(new URL(address).href + at, { waitUntil: "commit" });
+    await path({ page, browser, address, folder, picture });
+    assert.deepEqual(foreign, [], "requests that leave the server");
+    assert.deepEqual(errors, [], "errors in the page");
+  } catch (error) {
+    failed = error;
+    console.error(errors.join("\n"));
+    await picture("failed").catch(() => undefined);
+  }
+  await browser.close();
+  if (failed) throw failed;
+}
