@@ -1,6 +1,1 @@
-import type { OpenScreen } from "../screen";
-
-export const gesture: OpenScreen = (root) => {
-  root.textContent = "gesture";
-  return { close: () => undefined };
-};
+export { gesture } from "../gesture/screen";
