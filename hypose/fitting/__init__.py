@@ -12,10 +12,12 @@ from hypose.fitting.articulated import (
     fit_poses,
     workspace_for,
 )
-from hypose.fitting.clip import fit_clip
+from hypose.fitting.clip import Coupling, Gaussian, fit_clip
 
 __all__ = [
     "ContourTerm",
+    "Coupling",
+    "Gaussian",
     "KeypointTerm",
     "PointTerm",
     "PoseFit",

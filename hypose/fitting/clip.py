@@ -1,8 +1,9 @@
-"""Fitting a whole clip at once: all frames coupled by a penalty on acceleration."""
+"""Fitting a whole clip at once: all frames coupled by penalties on acceleration and speed."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,6 +30,15 @@ from hypose.geometry import Array, nearest_branch
 LARGEST_TURN = 0.35
 
 
+@dataclass(frozen=True)
+class Gaussian:
+    """What is known of one frame's pose, summed up: 1/2 (q - centre)' information (q - centre). centre (D,);
+    information (D, D): an inverse covariance, as the Hessian of a solved frame is."""
+
+    centre: Array
+    information: Array
+
+
 def default_acceleration(dof: int, strength: float = 1.0) -> Array:
     """(D,) weights on squared second differences per frame: 1 rad and 1/300 m per frame^2 count alike."""
     return strength * np.r_[np.full(3, 300.0), np.ones(dof - 3)] ** 2
@@ -41,15 +51,18 @@ def fit_clip(
     points: Sequence[PointTerm | None] | None = None,
     keypoints: Sequence[KeypointTerm | None] | None = None,
     contours: Sequence[ContourTerm | None] | None = None,
+    gaussians: Sequence[Gaussian | None] | None = None,
     acceleration: float | ArrayLike = 1.0,
+    velocity: ArrayLike = 0.0,
     priors: Sequence[Quadratic] = (),
     options: SolveOptions | None = None,
 ) -> Array:
     """Poses (T, D) of a clip from starts (T, D): the frames' evidence plus 1/2 sum_d a_d (q_{t-1} - 2 q_t +
-    q_{t+1})_d^2.
+    q_{t+1})_d^2 + 1/2 sum_d v_d (q_{t+1} - q_t)_d^2.
 
-    points, keypoints, contours: one term (or None) per frame. acceleration: strength a (times
-    `default_acceleration`), or (D,) weights. priors act on every frame. Damped Gauss-Newton on all frames together:
+    points, keypoints, contours, gaussians: one term (or None) per frame. acceleration: strength a (times
+    `default_acceleration`), or (D,) weights; velocity: weights v, (D,) or one for all: without it what is extrapolated
+    goes on for ever. priors act on every frame. Damped Gauss-Newton on all frames together:
     the matrix is block-pentadiagonal and solved as a banded Cholesky, so the cost is linear in T. Joint limits are
     kept by cutting the step off. A SolverError when a frame's cost at the start is not finite."""
     q = _continuous(np.array(starts, dtype=np.float64))
@@ -58,7 +71,8 @@ def fit_clip(
     weights = np.asarray(acceleration, dtype=np.float64)
     if weights.ndim == 0:
         weights = default_acceleration(dof, float(weights))
-    problem = _Clip(body, n_frames, points, keypoints, contours, priors, weights)
+    coupling = Coupling(n_frames, weights, np.broadcast_to(np.asarray(velocity, dtype=np.float64), (dof,)))
+    problem = _Clip(body, coupling, points, keypoints, contours, gaussians, priors)
     lower, upper = body.skeleton.lower, body.skeleton.upper
     q = np.clip(q, lower, upper)
     coarse = o.coarse_iterations > 0 and problem.has_contours
@@ -95,20 +109,55 @@ def _continuous(q: Array) -> Array:
     return q
 
 
+class Coupling:
+    """The penalties between T frames: weights (D,) on squared second and first differences. Their matrix is the same
+    for all frames but for the ends: bands (3, T, D), the weights between a frame and the one s later, dof by dof."""
+
+    def __init__(self, n_frames: int, acceleration: Array, velocity: Array) -> None:
+        self.n_frames = n_frames
+        self.acceleration, self.velocity = np.asarray(acceleration), np.asarray(velocity)
+        self.bands = np.zeros((3, n_frames, len(self.acceleration)))
+        for weight, stencil in ((self.acceleration, (1.0, -2.0, 1.0)), (self.velocity, (-1.0, 1.0))):
+            for first in range(len(stencil)):
+                for second in range(first, len(stencil)):
+                    last = n_frames - len(stencil) + 1 + first
+                    if last > first:
+                        self.bands[second - first, first:last] += stencil[first] * stencil[second] * weight
+
+    def cost(self, q: Array) -> tuple[float, Array]:
+        """Cost of poses (T, D) and its gradient (T, D)."""
+        pull = np.zeros_like(q)
+        cost = 0.0
+        if len(q) > 2:
+            a = q[:-2] - 2 * q[1:-1] + q[2:]
+            cost += 0.5 * float((self.acceleration * a**2).sum())
+            weighted = self.acceleration * a
+            pull[:-2] += weighted
+            pull[1:-1] -= 2 * weighted
+            pull[2:] += weighted
+        v = np.diff(q, axis=0)
+        cost += 0.5 * float((self.velocity * v**2).sum())
+        pull[1:] += self.velocity * v
+        pull[:-1] -= self.velocity * v
+        return cost, pull
+
+
 class _Clip:
     """Evidence of all frames as flat arrays; cost, gradient (T, D) and diagonal blocks (T, D, D) of the whole clip."""
 
     def __init__(
         self,
         body: Body,
-        n_frames: int,
+        coupling: Coupling,
         points: Sequence[PointTerm | None] | None,
         keypoints: Sequence[KeypointTerm | None] | None,
         contours: Sequence[ContourTerm | None] | None,
+        gaussians: Sequence[Gaussian | None] | None,
         priors: Sequence[Quadratic],
-        acceleration: Array,
     ) -> None:
-        for name, terms in (("points", points), ("keypoints", keypoints), ("contours", contours)):
+        n_frames = coupling.n_frames
+        given = {"points": points, "keypoints": keypoints, "contours": contours, "gaussians": gaussians}
+        for name, terms in given.items():
             if terms is not None and len(terms) != n_frames:
                 raise SolverError(f"fit_clip needs one entry of {name} per frame: {n_frames}, got {len(terms)}.")
         joints = len(body.skeleton.parents)
@@ -121,14 +170,9 @@ class _Clip:
         self.centre, self.weight = prior_arrays(priors, body.skeleton.dof)
         self.lower = np.ascontiguousarray(body.skeleton.lower, dtype=np.float64)
         self.upper = np.ascontiguousarray(body.skeleton.upper, dtype=np.float64)
-        self.acceleration = acceleration
+        self.coupling, self.gaussians = coupling, gaussians or none
         largest = max((t for t in contours or none if t is not None), key=lambda t: t.sizes.max(0).prod(), default=None)
         self.ws = workspace_for(body, largest)
-        d2 = np.diff(np.eye(n_frames), 2, axis=0) if n_frames > 2 else np.zeros((0, n_frames))
-        # bands of the second-difference operator's square: (T, T) only through its three diagonals
-        self.bands = [
-            np.einsum("ki,ki->i", d2[:, : n_frames - s], d2[:, s:]) if s < n_frames else np.zeros(0) for s in range(3)
-        ]
 
     def evaluate(self, q: Array, coarse: bool) -> tuple[float, Array, Array]:
         cost, (t, d) = 0.0, q.shape
@@ -149,14 +193,16 @@ class _Clip:
             )
             cost += e.cost
             gradient[k], hessian[k] = e.gradient, e.hessian
-        if t > 2:
-            a = q[:-2] - 2 * q[1:-1] + q[2:]
-            cost += 0.5 * float((self.acceleration * a**2).sum())
-            pull = self.acceleration * a
-            gradient[:-2] += pull
-            gradient[1:-1] -= 2 * pull
-            gradient[2:] += pull
-        return cost, gradient, hessian
+            known = self.gaussians[k]
+            if known is not None:
+                off = q[k] - known.centre
+                off[3:6] = q[k, 3:6] - nearest_branch(known.centre[3:6], q[k, 3:6])
+                pull = known.information @ off
+                cost += 0.5 * float(off @ pull)
+                gradient[k] += pull
+                hessian[k] += known.information
+        coupled, pull = self.coupling.cost(q)
+        return cost + coupled, gradient + pull, hessian
 
     def step(
         self, gradient: Array, hessian: Array, q: Array, lower: Array, upper: Array, damping: float
@@ -173,7 +219,7 @@ class _Clip:
             bands[k, index[:, rows].ravel()] = value.ravel()
         for s in range(3):
             if s < t:
-                value = self.bands[s][:, None] * self.acceleration * keep[: t - s] * keep[s:]
+                value = self.coupling.bands[s, : t - s] * keep[: t - s] * keep[s:]
                 bands[s * d, index[: t - s].ravel()] += value.ravel()
         bands[0] += damping * np.maximum(bands[0], 1.0)
         try:

@@ -5,7 +5,7 @@ import pytest
 
 from hypose import fitting
 from hypose.errors import SolverError
-from hypose.fitting.clip import _Clip, default_acceleration
+from hypose.fitting.clip import Coupling, _Clip, default_acceleration
 from tests.capsule_person import capsule_person, random_pose
 
 BODY = capsule_person(0.09)
@@ -51,13 +51,16 @@ def test_frames_without_evidence_are_bridged(motion, rng):
 
 
 def test_banded_step_is_the_dense_step(motion, rng):
-    problem = _Clip(BODY, 6, point_terms(motion[:6], rng, 0.02), None, None, (), default_acceleration(S.dof, 2.0))
+    velocity = np.full(S.dof, 3.0)
+    coupling = Coupling(6, default_acceleration(S.dof, 2.0), velocity)
+    problem = _Clip(BODY, coupling, point_terms(motion[:6], rng, 0.02), None, None, None, ())
     q = motion[:6] + 0.02 * rng.normal(size=(6, S.dof))
     _, gradient, hessian = problem.evaluate(q, False)
     free = np.full(S.dof, np.inf)
     step = problem.step(gradient, hessian, q, -free, free, 1e-2)
     d2 = np.diff(np.eye(6), 2, axis=0)
-    dense = np.kron(d2.T @ d2, np.diag(default_acceleration(S.dof, 2.0)))
+    d1 = np.diff(np.eye(6), 1, axis=0)
+    dense = np.kron(d2.T @ d2, np.diag(default_acceleration(S.dof, 2.0))) + np.kron(d1.T @ d1, np.diag(velocity))
     for t in range(6):
         dense[t * S.dof : (t + 1) * S.dof, t * S.dof : (t + 1) * S.dof] += hessian[t]
     dense += 1e-2 * np.diag(np.maximum(np.diag(dense), 1))
@@ -65,7 +68,10 @@ def test_banded_step_is_the_dense_step(motion, rng):
 
 
 def test_clip_gradient_by_finite_differences(motion, rng):
-    problem = _Clip(BODY, 4, point_terms(motion[:4], rng, 0.02), None, None, (), default_acceleration(S.dof))
+    a = rng.normal(size=(4, S.dof, S.dof))
+    known = [fitting.Gaussian(m + 0.1, x @ x.T) for m, x in zip(motion[:4], a, strict=True)]
+    coupling = Coupling(4, default_acceleration(S.dof), np.full(S.dof, 2.0))
+    problem = _Clip(BODY, coupling, point_terms(motion[:4], rng, 0.02), None, None, known, ())
     q = motion[:4] + 0.02 * rng.normal(size=(4, S.dof))
     _, gradient, _ = problem.evaluate(q, False)
     numeric = np.zeros_like(q)
