@@ -274,15 +274,14 @@ def _with_proportions(
 def _image_jacobian(body: Body, camera: Camera, points: MonoPoints, pose: Array) -> Array:
     """(P, 2, D) px: derivative of the points' pixels by the pose."""
     world = _on_body(body, pose, points)
-    by_pose = np.zeros((len(world), 3, len(pose)))
-    for joint in np.unique(points.joint):
-        mine = points.joint == joint
-        by_pose[mine] = body.skeleton.jacobian(pose, int(joint), world[mine])
+    twists = body.skeleton.world_twists(pose)
+    by_pose = np.cross(twists[None, :, :3], world[:, None]) + twists[None, :, 3:]
+    by_pose[~body.skeleton.moves.T[points.joint]] = 0.0
     p = camera.projection
     h = world @ p[:, :3].T + p[:, 3]
     shown = h[:, :2] / h[:, 2:]
     by_point = (p[None, :2, :3] - shown[..., None] * p[None, None, 2, :3]) / h[:, 2, None, None]
-    return np.einsum("pxa,pad->pxd", by_point, by_pose)
+    return np.einsum("pxa,pda->pxd", by_point, by_pose)
 
 
 def _contour_cost(
