@@ -1,0 +1,192 @@
+"""What is fuzzed: every reader of files and lines that come from outside, with a small good input for each."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hypose.evaluation.small_recordings import small_scene, write_masks, write_skeletons
+from hypose.fusion.joints import COMMON
+
+
+@dataclass(frozen=True)
+class Target:
+    """file: what is spoilt, relative to the folder of good inputs; read: the reader; kind: of mutation; given: what the
+    reader gets ("" = that file; else its folder or another file); lines: the reader gets the bytes themselves."""
+
+    name: str
+    file: str
+    read: Callable[[Any], Any]
+    kind: str = "text"
+    given: str = ""
+    lines: bool = False
+
+
+def targets() -> dict[str, Target]:
+    """All targets by name."""
+    from hypose.app.sweep import read_sweep
+    from hypose.calibration.points import read_scene_points
+    from hypose.evidence.keypoints import BODY_25, parse_openpose
+    from hypose.io import asf, bodies, c3d, calibration_formats, meshes, recording, results, trc, video
+    from hypose.io.depth import read_depth_png
+    from hypose.io.skeleton_lines import parse_line
+    from hypose.io.skeletons import read_skeletons
+    from hypose.pipeline.gesture_files import load_model, read_recording
+
+    cameras = calibration_formats.read_any
+    found = [
+        Target("calibration-toml", "rig/calibration.toml", cameras),
+        Target("calibration-caliscope", "rig/caliscope/camera_array.toml", cameras),
+        Target("calibration-yml", "rig/easymocap/extri.yml", cameras),
+        Target("calibration-yml-lenses", "rig/easymocap/intri.yml", cameras, given="rig/easymocap/extri.yml"),
+        Target("calibration-qca", "rig/rig.qca.txt", cameras),
+        Target("calibration-xcp", "rig/rig.xcp", cameras),
+        Target("calibration-opencap", "rig/opencap/cam1.pickle", cameras, "binary"),
+        Target("calibration-points", "points.toml", read_scene_points),
+        Target("recording-toml", "walk/recording.toml", recording.load_recording, given="walk"),
+        Target("sweep-toml", "sweep.toml", read_sweep),
+        Target("openpose-json", "pose.json", lambda b: parse_openpose(b, BODY_25, "pose.json"), lines=True),
+        Target("trc", "motion/motion.trc", trc.read_trc),
+        Target("c3d", "motion/motion.c3d", c3d.read_c3d, "binary"),
+        Target("asf", "person.asf", asf.read_asf),
+        Target("amc", "person.amc", asf.read_amc),
+        Target("motion-npz", "motion/motion.npz", results.load_motion, "npz"),
+        Target("body-npz", "motion/body.npz", bodies.load_body, "npz"),
+        Target("checkpoint-npz", "motion/checkpoint.npz", lambda p: results.Checkpoint.load(p, {}), "npz"),
+        Target("gesture-model", "model.npz", load_model, "npz"),
+        Target("gesture-session", "session/session.json", read_recording, given="session"),
+        Target("gesture-frames", "session/frames.csv", read_recording, given="session"),
+        Target("skeleton-session", "sensors/session.json", read_skeletons, given="sensors"),
+        Target("skeleton-frames", "sensors/frames.csv", read_skeletons, given="sensors"),
+        Target("skeleton-bodies", "sensors/skeleton.csv", read_skeletons, given="sensors"),
+        Target("skeleton-lines", "people.jsonl", read_skeletons),
+        Target("skeleton-kinect", "kinect.csv", read_skeletons),
+        Target("skeleton-ntu", "S001C001P001R001A001.skeleton", read_skeletons),
+        Target("live-line", "line.json", parse_line, lines=True),
+        Target("live-server", "line.json", _live(), lines=True),
+        Target("mesh-obj", "person.obj", meshes.read_person),
+        Target("mesh-ply", "person.ply", meshes.read_person, "binary"),
+        Target("mesh-stl", "person.stl", meshes.read_person, "binary"),
+        Target("mesh-glb", "motion/motion.glb", meshes.read_person, "binary"),
+        Target("depth-png", "depth.png", read_depth_png, "binary"),
+        Target("image-png", "walk/cam1/00000.png", video.read_image, "binary"),
+        Target("video-avi", "clip.avi", _all_frames, "binary"),
+    ]
+    return {t.name: t for t in found}
+
+
+def _all_frames(path: Path) -> int:
+    from hypose.io.video import open_video
+
+    with open_video(path) as reader:
+        return sum(1 for _ in reader)
+
+
+def _live() -> Callable[[bytes], Any]:
+    """A live server that takes line after line, as from UDP; its clock goes on by 10 ms per line."""
+    import asyncio
+
+    from hypose.app.live_server import LiveOptions, LiveServer
+
+    loop = asyncio.new_event_loop()
+    now = [0.0]
+    server = LiveServer(LiveOptions(udp=None, ws=None), clock=lambda: now[0])
+
+    async def take(data: bytes) -> str | None:
+        now[0] += 0.01
+        return server.take(data)
+
+    return lambda data: loop.run_until_complete(take(data))
+
+
+# ---- good inputs ---------------------------------------------------------------------------------------------
+
+
+def write_good(folder: Path) -> None:
+    """The good inputs of all targets, written by the package's own writers where it has them."""
+    import trimesh
+
+    from hypose.body.models import human
+    from hypose.body.motion import Motion
+    from hypose.cameras.camera import CameraRig
+    from hypose.evaluation.rigs import rig
+    from hypose.gestures.forest import ForestSettings
+    from hypose.gestures.localise import LocaliseSettings
+    from hypose.gestures.model import GestureModel
+    from hypose.gestures.online import Learner
+    from hypose.gestures.pictures import KINECT
+    from hypose.io.bodies import save_body
+    from hypose.io.calibration_formats import write_any
+    from hypose.io.depth import write_depth_png
+    from hypose.io.export import export_motion
+    from hypose.io.results import Checkpoint, save_motion
+    from hypose.io.video import VideoWriter
+    from hypose.pipeline.gesture_files import SessionWriter, save_model
+
+    rng = np.random.default_rng(5)
+    cameras = CameraRig(rig("humaneva-4", distorted=True).scaled(0.25).cameras[:2])
+    for name in ("calibration.toml", "caliscope/camera_array.toml", "easymocap/extri.yml", "rig.qca.txt"):
+        write_any(cameras, folder / "rig" / name)
+    write_any(cameras.pinhole(), folder / "rig" / "rig.xcp")
+    write_any(cameras, folder / "rig" / "opencap" / "cam1.pickle")
+    write_masks(small_scene(1, 2), folder / "walk")
+    write_skeletons(folder / "sensors", seconds=0.5)
+    body = human()
+    poses = np.zeros((4, body.skeleton.dof)) + 0.01 * rng.standard_normal((4, body.skeleton.dof))
+    joints, flags = body.joints(poses), np.zeros(4, bool)
+    sd = np.full(joints.shape[:2], 0.01)
+    motion = Motion(body.skeleton, np.arange(4) / 25, joints, poses, sd, flags, flags, np.full(4, 4), np.full(4, 0.1))
+    (folder / "motion").mkdir()
+    save_motion(motion, folder / "motion" / "motion.npz")
+    save_body(body, folder / "motion" / "body.npz")
+    Checkpoint(2, {"pose": poses[0], "done_poses": poses}, {"a": 1}, {}).save(folder / "motion" / "checkpoint.npz")
+    export_motion(motion, body, folder / "motion", ("trc", "c3d", "glb"))
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.8)
+    for ending in ("obj", "ply", "stl"):
+        ball.export(folder / f"person.{ending}")
+    write_depth_png(folder / "depth.png", 1.0 + rng.random((24, 32)))
+    with VideoWriter(folder / "clip.avi", 25.0, (32, 24)) as writer:
+        for _ in range(4):
+            writer.write(rng.integers(0, 255, (24, 32, 3), dtype=np.uint8))
+    session = SessionWriter(folder / "session", ["wave"], KINECT, (32, 24))
+    for n in range(3):
+        session.add(n / 10, rng.integers(500, 4000, (24, 32)).astype(np.uint16), "positive", 0, 1, (16.0, 12.0))
+    session.close()
+    learner = Learner.new(np.random.default_rng(0), ForestSettings())
+    model = GestureModel(("wave",), learner.forest, (None,), LocaliseSettings(), learner)
+    save_model(model, folder / "model.npz")
+    _write_texts(folder)
+
+
+def _write_texts(folder: Path) -> None:
+    """Formats that the package reads and does not write."""
+    points = {"a": [0, 0, 0], "b": [0.5, 0, 0], "c": [0, 0.5, 0], "d": [0.1, 0.1, 0.7]}
+    lines = ["[points]", *(f"{n} = {p}" for n, p in points.items()), "[clicks.cam1]", "a = [10.5, 20.0]", "b = [30, 4]"]
+    (folder / "points.toml").write_text("\n".join(lines) + "\n")
+    (folder / "sweep.toml").write_text('recordings = ["walk"]\nretries = 1\n[[set]]\nname = "a"\nseed = [0, 1]\n')
+    person = {"person_id": [-1], "pose_keypoints_2d": [1.5, 2.5, 0.9] * 25}
+    (folder / "pose.json").write_text(json.dumps({"version": 1.3, "people": [person, person]}))
+    joints = {n: [0.1, 0.1 * k, 2.0, 2] for k, n in enumerate(COMMON)}
+    line = json.dumps({"sensor": "s0", "time": 1.25, "person": 0, "joints": joints})
+    (folder / "line.json").write_text(line)
+    (folder / "people.jsonl").write_text("\n".join(line.replace("1.25", f"{t / 30:.4f}") for t in range(8)) + "\n")
+    header = "Tracker_Time,Kinect_Id,Person_Id,Head_X,Head_Y,Head_Z,Neck_X,Neck_Y,Neck_Z"
+    rows = [f"{33 * t},{t % 2},0,0.1,0.2,2.0,0.1,0.0,2.0" for t in range(12)]
+    (folder / "kinect.csv").write_text("\n".join([header, *rows]) + "\n")
+    joint = "0.1 0.2 3.0 0 0 0 0 0 0 0 1 2"
+    frame = "\n".join(["1", "72057594037944738 0 1 1 0 0 0 0.1 0.2 2", "25", *[joint] * 25])
+    (folder / "S001C001P001R001A001.skeleton").write_text("\n".join(["3", frame, frame, frame]) + "\n")
+    (folder / "person.asf").write_text(
+        ":version 1.10\n:name t\n:units\n mass 1.0\n length 0.45\n angle deg\n:root\n order TX TY TZ RX RY RZ\n"
+        " axis XYZ\n position 0 0 0\n orientation 0 0 0\n:bonedata\n begin\n  id 1\n  name hip\n  direction 0 1 0\n"
+        "  length 2.5\n  axis 0 0 20 XYZ\n  dof rx ry rz\n  limits (-160 20)\n   (-70 70)\n   (-60 70)\n end\n"
+        ":hierarchy\n begin\n  root hip\n end\n"
+    )
+    (folder / "person.amc").write_text(
+        ":FULLY-SPECIFIED\n:DEGREES\n" + "".join(f"{n}\nroot 1 2 3 4 5 6\nhip 7 8 9\n" for n in (1, 2, 3))
+    )
