@@ -1,6 +1,6 @@
 import {
   BufferGeometry, CanvasTexture, Color, Float32BufferAttribute, Group, LineBasicMaterial, LineSegments, Sprite,
-  SpriteMaterial,
+  SpriteMaterial, SRGBColorSpace,
 } from "three";
 import type { CameraData } from "../lib/bundle";
 import { Projector } from "../lib/camera";

@@ -1,6 +1,6 @@
 import {
   AmbientLight, BufferGeometry, CircleGeometry, Color, DirectionalLight, Float32BufferAttribute, Fog, LineBasicMaterial,
-  LineSegments, Mesh, MeshBasicMaterial, PerspectiveCamera, Scene, Vector3, WebGLRenderer,
+  LineSegments, Mesh, PerspectiveCamera, Scene, ShaderMaterial, Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { colour } from "../ui/theme";
@@ -18,7 +18,7 @@ export class Stage {
   /** Drawn by the processor: no smoothing while things move, twice the pixels when they rest. */
   readonly software: boolean;
   private readonly renderer: WebGLRenderer;
-  private readonly floor = new Mesh(new CircleGeometry(1, 72), new MeshBasicMaterial());
+  private readonly floor = new Mesh(new CircleGeometry(1, 72), plainMaterial());
   private readonly grid = new LineSegments(
     new BufferGeometry(),
     new LineBasicMaterial({ vertexColors: true, transparent: true }),
@@ -79,13 +79,12 @@ export class Stage {
       .setAttribute("position", new Float32BufferAttribute(at, 3))
       .setAttribute("color", new Float32BufferAttribute(rgba, 4));
     this.scene.fog = new Fog(colour("sky"), radius * 1.5, radius * 4);
-    this.floor.material.fog = false;
     this.recolour();
   }
 
   recolour(): void {
     this.renderer.setClearColor(new Color(colour("sky")));
-    this.floor.material.color.set(colour("floor"));
+    this.floor.material.uniforms["plain"]!.value.set(colour("floor")).convertLinearToSRGB();
     this.dirty();
   }
 
@@ -150,6 +149,15 @@ export class Stage {
     this.renderer.dispose();
     this.renderer.forceContextLoss();
   }
+}
+
+/** One colour and nothing else: the floor fills half the picture, and light or gamma per pixel would cost too much. */
+function plainMaterial(): ShaderMaterial {
+  return new ShaderMaterial({
+    uniforms: { plain: { value: new Color() } },
+    vertexShader: "void main() { gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0); }",
+    fragmentShader: "uniform vec3 plain; void main() { gl_FragColor = vec4(plain, 1.0); }",
+  });
 }
 
 /** Whether the browser draws WebGL without a graphics card. Throws an Error when it cannot draw at all. */
