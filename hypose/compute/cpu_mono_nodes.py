@@ -13,9 +13,10 @@ f4 = np.float32
 NEAR = f4(0.1)
 """m: faces with a corner nearer than this are not drawn"""
 EMPTY = f4(1e9)
-HIDDEN, BEYOND = 0.04, 0.03
-"""m: a contour node is occluded when its inner side lies so far behind something, and is a contour at all when what is
-seen on its outer side lies so far behind it"""
+HIDDEN, BEYOND, ROUND = 0.03, 0.03, 0.12
+"""m: a contour node is occluded when its outer side lies HIDDEN behind something or its inner side ROUND (a trunk's own
+surface rises by 6 cm within the two pixels), and is a contour at all when what is seen on its outer side lies BEYOND
+it"""
 INNER, OUTER = 1.5, 1.7
 """px from the contour at which these two are looked up"""
 
@@ -45,64 +46,71 @@ def pose_mesh(q, model, ws):
 
 @njit(**OPTIONS)
 def draw(uvz, faces, chosen, front, depth):
-    """Nearest depth of the chosen front faces into depth (h, w), span by span; the caller clears."""
+    """Nearest depth of the chosen front faces into depth (h, w), row by row; the caller clears."""
     h, w = depth.shape
     for n in range(chosen.shape[0]):
         f = chosen[n]
         if front[f] == 0:
             continue
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        if uvz[b, 1] < uvz[a, 1]:
+            a, b = b, a
+        if uvz[c, 1] < uvz[b, 1]:
+            b, c = c, b
+            if uvz[b, 1] < uvz[a, 1]:
+                a, b = b, a
         x0, y0, z0 = uvz[a, 0], uvz[a, 1], uvz[a, 2]
         x1, y1, z1 = uvz[b, 0], uvz[b, 1], uvz[b, 2]
         x2, y2, z2 = uvz[c, 0], uvz[c, 1], uvz[c, 2]
-        low, high = min(y0, min(y1, y2)), max(y0, max(y1, y2))
-        if not (high >= 0 and low <= h - 1):
+        if not (y2 >= 0 and y0 <= h - 1):
             continue
-        area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
-        zx = ((z1 - z0) * (y2 - y0) - (z2 - z0) * (y1 - y0)) / area
-        zy = ((z2 - z0) * (x1 - x0) - (z1 - z0) * (x2 - x0)) / area
-        first, last = max(int(math.ceil(low)), 0), min(int(math.floor(high)), h - 1)
+        first, last = max(int(math.ceil(y0)), 0), min(int(math.floor(y2)), h - 1)
+        if first > last:
+            continue
+        ia = f4(1) / ((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0))
+        zx = ((z1 - z0) * (y2 - y0) - (z2 - z0) * (y1 - y0)) * ia
+        zy = ((z2 - z0) * (x1 - x0) - (z1 - z0) * (x2 - x0)) * ia
+        long = (x2 - x0) / (y2 - y0)
+        upper = (x1 - x0) / (y1 - y0) if y1 > y0 else f4(0)
+        lower = (x2 - x1) / (y2 - y1) if y2 > y1 else f4(0)
         for y in range(first, last + 1):
-            fy = f4(y)
-            left, right = EMPTY, -EMPTY
-            if (y0 <= fy) != (y1 <= fy):
-                t = x0 + (fy - y0) / (y1 - y0) * (x1 - x0)
-                left, right = min(left, t), max(right, t)
-            if (y1 <= fy) != (y2 <= fy):
-                t = x1 + (fy - y1) / (y2 - y1) * (x2 - x1)
-                left, right = min(left, t), max(right, t)
-            if (y2 <= fy) != (y0 <= fy):
-                t = x2 + (fy - y2) / (y0 - y2) * (x0 - x2)
-                left, right = min(left, t), max(right, t)
-            if right < left or right < 0 or left > w - 1:
+            dy = f4(y) - y0
+            left = x0 + dy * long
+            right = x0 + dy * upper if f4(y) < y1 else x1 + (f4(y) - y1) * lower
+            if left > right:
+                left, right = right, left
+            if right < 0 or left > w - 1:
                 continue
             i0, i1 = max(int(math.ceil(left)), 0), min(int(math.floor(right)), w - 1)
-            row = depth[y]
-            z = z0 + (f4(i0) - x0) * zx + (fy - y0) * zy
-            for i in range(i0, i1 + 1):
-                if z < row[i]:
-                    row[i] = z
-                z += zx
+            if i0 > i1:
+                continue
+            # a slice, so that indices are known to be positive and the loop runs in vector lanes
+            row, z = depth[y, i0 : i1 + 1], z0 + (f4(i0) - x0) * zx + dy * zy
+            for i in range(row.shape[0]):
+                row[i] = min(row[i], z + f4(i) * zx)
 
 
 @njit(**OPTIONS)
 def fill_depth(model, ws):
-    """The z-buffer around the body: still parts as they were drawn before, moving parts drawn now."""
+    """The z-buffer around the moving parts: still parts as they were drawn before, moving parts drawn now."""
     h, w = ws.depth.shape
     x0, x1, y0, y1 = f4(1e6), f4(-1e6), f4(1e6), f4(-1e6)
-    uvz = ws.uvz
-    for v in range(uvz.shape[0]):
-        if uvz[v, 2] > NEAR:
-            x0, x1 = min(x0, uvz[v, 0]), max(x1, uvz[v, 0])
-            y0, y1 = min(y0, uvz[v, 1]), max(y1, uvz[v, 1])
-    x0, x1 = max(x0 - f4(5), f4(0)), min(x1 + f4(6), f4(w))
-    y0, y1 = max(y0 - f4(5), f4(0)), min(y1 + f4(6), f4(h))
+    uvz, faces = ws.uvz, model.mesh.faces
+    for n in range(model.moving_faces.shape[0]):
+        for k in range(3):
+            v = faces[model.moving_faces[n], k]
+            if uvz[v, 2] > NEAR:
+                x0, x1 = min(x0, uvz[v, 0]), max(x1, uvz[v, 0])
+                y0, y1 = min(y0, uvz[v, 1]), max(y1, uvz[v, 1])
+    x0, x1 = max(x0 - f4(6), f4(0)), min(x1 + f4(7), f4(w))
+    y0, y1 = max(y0 - f4(6), f4(0)), min(y1 + f4(7), f4(h))
     if x1 > x0 and y1 > y0:
+        left, right = int(x0), int(x1)
         for y in range(int(y0), int(y1)):
-            to, source = ws.depth[y], ws.still[y]
-            for x in range(int(x0), int(x1)):
+            to, source = ws.depth[y, left:right], ws.still[y, left:right]
+            for x in range(to.shape[0]):
                 to[x] = source[x]
-    draw(uvz, model.mesh.faces, model.moving_faces, ws.front, ws.depth)
+    draw(uvz, faces, model.moving_faces, ws.front, ws.depth)
 
 
 @njit(**OPTIONS)
@@ -122,8 +130,8 @@ def contour_nodes(model, spacing, ws):
     returns their number.
 
     A node lies on a mesh edge between a face seen from outside and one that is not. It is seen when nothing lies before
-    its inner side and its outer side shows something well behind it (the background: outer); else it is occluded (kept,
-    seen = 0), or no contour (left out)."""
+    it and its outer side shows something well behind it (the background: outer); else it is occluded (kept, seen = 0),
+    or no contour (left out)."""
     mesh, uvz, depth, nodes = model.mesh, ws.uvz, ws.depth, ws.nodes
     h, w = depth.shape
     n = 0
@@ -159,7 +167,7 @@ def contour_nodes(model, spacing, ws):
             xo, yo = int(x + OUTER * nx + 0.5), int(y + OUTER * ny + 0.5)
             if min(min(xi, yi), min(xo, yo)) < 2 or max(xi, xo) >= w - 2 or max(yi, yo) >= h - 2:
                 continue
-            if depth[yi, xi] < z - HIDDEN:
+            if depth[yo, xo] < z - HIDDEN or depth[yi, xi] < z - ROUND:
                 seen = 0.0
             elif depth[yo, xo] > z + BEYOND:
                 seen = 1.0

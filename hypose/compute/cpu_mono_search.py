@@ -184,7 +184,7 @@ def symmetric_eigen(a, vectors):
         for p in range(n - 1):
             for r in range(p + 1, n):
                 x = a[p, r]
-                if x == 0.0:
+                if x * x < 1e-26 * abs(a[p, p] * a[r, r]):
                     continue
                 theta = (a[r, r] - a[p, p]) / (2 * x)
                 t = (1.0 if theta >= 0 else -1.0) / (abs(theta) + math.sqrt(theta * theta + 1))

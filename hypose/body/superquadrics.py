@@ -1,0 +1,189 @@
+"""Superquadric parts: tapered and bent superellipsoids, their nodes with derivatives, and a body made of them.
+
+A part has nine parameters x_d: semi-axes a1, a2, a3 (m, a3 along the bone), the exponents e1 (along) and e2 (around),
+tapers t1, t2 of the two cross axes along the bone, and a circular bend of curvature k (1/m) in the plane at angle alpha
+to the first axis. Nodes lie on a grid of the part's two angles, so a node's place is a smooth function of x_d.
+Source: the model of Sminchisescu & Triggs 2001, section 2 (equation (1): D(x_d, u)); superquadrics and tapering Barr
+1984, bending Solina & Bajcsy 1990, here written so that curvature 0 is no special case.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import least_squares
+
+from hypose.body.body import BONE_END, Body, Mesh
+from hypose.errors import InputError
+from hypose.geometry import Array, rotation_between
+
+PARAMETERS = ("a1", "a2", "a3", "e1", "e2", "t1", "t2", "k", "alpha")
+"""Names of x_d, in order."""
+RINGS, SECTORS = 7, 10
+"""Nodes along and around a part, poles not counted."""
+_SERIES = 1e-3
+"""rad: below this, sines and cosines of the bend are series"""
+
+
+def grid(rings: int = RINGS, sectors: int = SECTORS) -> tuple[Array, NDArray[np.int32]]:
+    """Angles (N, 2) of a part's nodes (along, around) in the topological domain, and the closed mesh (F, 3) on them,
+    counter-clockwise from outside. The first and last node are the poles."""
+    if rings < 1 or sectors < 3:
+        raise InputError(f"A part needs at least 1 ring of 3 nodes, got {rings} of {sectors}.")
+    along = np.linspace(-np.pi / 2, np.pi / 2, rings + 2)[1:-1]
+    around = np.linspace(-np.pi, np.pi, sectors, endpoint=False) + np.pi / sectors
+    ring = np.stack(np.meshgrid(along, around, indexing="ij"), -1).reshape(-1, 2)
+    angles = np.concatenate([[[-np.pi / 2, 0.0]], ring, [[np.pi / 2, 0.0]]])
+    faces = []
+    top = 1 + rings * sectors
+    for k in range(sectors):
+        n = (k + 1) % sectors
+        faces.append((0, 1 + n, 1 + k))
+        for r in range(rings - 1):
+            a, b = 1 + r * sectors, 1 + (r + 1) * sectors
+            faces += [(a + k, a + n, b + n), (a + k, b + n, b + k)]
+        last = 1 + (rings - 1) * sectors
+        faces.append((last + k, last + n, top))
+    return angles, np.array(faces, dtype=np.int32)
+
+
+def nodes(parameters: ArrayLike, angles: Array) -> tuple[Array, Array]:
+    """Nodes (N, 3) m of a part in its own frame (origin at its middle, third axis along the bone) and their derivatives
+    (N, 3, 9) with respect to the parameters (9,), at angles (N, 2) of `grid`."""
+    x_d = np.asarray(parameters, dtype=np.float64)
+    if x_d.shape != (9,) or not (x_d[:5] > 0).all():
+        raise InputError(f"A part has nine parameters {', '.join(PARAMETERS)}, the first five above 0, got {x_d}.")
+    a1, a2, a3, e1, e2, t1, t2, k, alpha = x_d
+    (ce, lce), (se, lse) = _power(np.cos(angles[:, 0]), e1), _power(np.sin(angles[:, 0]), e1)
+    (co, lco), (so, lso) = _power(np.cos(angles[:, 1]), e2), _power(np.sin(angles[:, 1]), e2)
+    zero = np.zeros_like(ce)
+    # superellipsoid and taper: rows are d/dx_d of the three coordinates
+    wide1, wide2 = 1 + t1 * se, 1 + t2 * se
+    x, y, z = a1 * ce * co, a2 * ce * so, a3 * se
+    tapered = np.stack([wide1 * x, wide2 * y, z], -1)
+    dx = [wide1 * ce * co, zero, zero, (wide1 * lce + t1 * se * lse) * x, wide1 * x * lco, se * x, zero, zero, zero]
+    dy = [zero, wide2 * ce * so, zero, (wide2 * lce + t2 * se * lse) * y, wide2 * y * lso, zero, se * y, zero, zero]
+    dz = [zero, zero, se, z * lse, zero, zero, zero, zero, zero]
+    jacobian = np.stack([np.stack(d, -1) for d in (dx, dy, dz)], 1)
+    return _bend(tapered, jacobian, k, alpha)
+
+
+def _bend(p: Array, jacobian: Array, k: float, alpha: float) -> tuple[Array, Array]:
+    """Points (N, 3) and derivatives (N, 3, 9) after a bend of curvature k in the plane at angle alpha: with g = k z and
+    r the coordinate in that plane, r moves to r cos g + (1 - cos g) / k and z to sin g (1 / k - r)."""
+    u, v = np.cos(alpha), np.sin(alpha)
+    x, y, z = p.T
+    g = k * z
+    r = u * x + v * y
+    small = np.abs(g) < _SERIES
+    safe = np.where(small, 1.0, g)
+    sine, cosine = np.sin(g), np.cos(g)
+    # sin g / g, (1 - cos g) / g and their derivatives with respect to g
+    s = np.where(small, 1 - g**2 / 6, np.sin(safe) / safe)
+    c = np.where(small, g / 2 - g**3 / 24, (1 - np.cos(safe)) / safe)
+    ds = np.where(small, -g / 3, (np.cos(safe) - np.sin(safe) / safe) / safe)
+    dc = np.where(small, 0.5 - g**2 / 8, (np.sin(safe) - (1 - np.cos(safe)) / safe) / safe)
+    shift = z * c - r * (1 - cosine)
+    out = np.stack([x + u * shift, y + v * shift, z * s - r * sine], -1)
+    shift_r, shift_z, shift_k = -(1 - cosine), c + g * dc - k * r * sine, z * z * dc - r * z * sine
+    up_r, up_z, up_k = -sine, s + g * ds - k * r * cosine, z * z * ds - r * z * cosine
+    # chain rule through x, y, z
+    dr = u * jacobian[:, 0] + v * jacobian[:, 1]
+    d_shift = shift_r[:, None] * dr + shift_z[:, None] * jacobian[:, 2]
+    d_shift[:, 7] += shift_k
+    d_up = up_r[:, None] * dr + up_z[:, None] * jacobian[:, 2]
+    d_up[:, 7] += up_k
+    # the plane itself turns: dr / dalpha = -v x + u y
+    turn = -v * x + u * y
+    d_shift[:, 8] += shift_r * turn
+    d_up[:, 8] += up_r * turn
+    dx, dy = jacobian[:, 0] + u * d_shift, jacobian[:, 1] + v * d_shift
+    dx[:, 8] -= v * shift
+    dy[:, 8] += u * shift
+    return out, np.stack([dx, dy, d_up], 1)
+
+
+def _power(c: Array, exponent: float) -> tuple[Array, Array]:
+    """sign(c) |c|^e and log |c| (0 where c is 0, because its product with the power is 0 there)."""
+    size = np.abs(c)
+    size = np.where(size < 1e-12, 0.0, size)
+    logarithm = np.log(np.where(size > 0, size, 1.0))
+    return np.sign(c) * size**exponent, logarithm
+
+
+@dataclass(frozen=True)
+class Part:
+    """A superquadric on a joint. joint: its index; rotation (3, 3) and centre (3,) m of the part in the joint's rest
+    frame; parameters (9,)."""
+
+    joint: int
+    rotation: Array
+    centre: Array
+    parameters: Array
+
+    def place(self, points: Array) -> Array:
+        """Points (..., 3) of the part's frame in the joint's rest frame."""
+        return points @ self.rotation.T + self.centre
+
+
+def fit_parts(body: Body) -> list[Part]:
+    """One superquadric per joint that carries skin, fitted to that skin at rest (no bend).
+
+    The distance is the radial one of Whaite & Ferrie 1991, taken with the taper undone."""
+    names, rest = body.skeleton.joint_names, body.skeleton.rest_joints
+    parts = []
+    for j, name in enumerate(names):
+        skin = body.fine.vertices[body.fine.main_joint == j] - rest[j]
+        if len(skin) < 12:
+            continue
+        end = BONE_END.get(name)
+        spread = np.linalg.eigh(np.cov(skin.T))[1][:, -1]
+        axis = np.array([0.0, 0, 1]) if end is None else rest[names.index(end)] - rest[j]
+        if name.endswith(("wrist", "ankle")):
+            axis = spread * np.sign(spread @ (skin.mean(0)))  # hands and feet have no bone of their own
+        rotation = rotation_between(np.array([0.0, 0, 1]), axis)
+        local = skin @ rotation
+        low, high = np.quantile(local, 0.01, axis=0), np.quantile(local, 0.99, axis=0)
+        middle, half = 0.5 * (low + high), np.maximum(0.5 * (high - low), 0.01)
+        parts.append(Part(j, rotation, rotation @ middle, _fit(local - middle, half)))
+    return parts
+
+
+def _fit(points: Array, half: Array) -> Array:
+    """Parameters (9,) of the unbent superquadric nearest to points (V, 3) of its own frame."""
+
+    def radial(p: Array) -> Array:
+        a, e1, e2, taper = p[:3], p[3], p[4], p[5:7]
+        u = np.clip(points[:, 2] / a[2], -1, 1)
+        x = np.abs(points[:, 0] / (1 + taper[0] * u)) / a[0]
+        y = np.abs(points[:, 1] / (1 + taper[1] * u)) / a[1]
+        z = np.abs(points[:, 2]) / a[2]
+        inside = (x ** (2 / e2) + y ** (2 / e2)) ** (e2 / e1) + z ** (2 / e1)
+        return np.linalg.norm(points, axis=1) * (1 - np.maximum(inside, 1e-9) ** (-e1 / 2))
+
+    start = np.concatenate([half, [0.7, 1.0, 0.0, 0.0]])
+    low = np.concatenate([0.6 * half, [0.4, 0.5, -0.6, -0.6]])
+    high = np.concatenate([1.4 * half, [1.0, 1.2, 0.6, 0.6]])
+    found = least_squares(radial, start, bounds=(low, high), loss="soft_l1", f_scale=0.01, max_nfev=60).x
+    return np.concatenate([found, [0.0, 0.0]])
+
+
+def superquadric_body(body: Body, rings: int = RINGS, sectors: int = SECTORS) -> Body:
+    """The body with superquadric parts instead of skin: the same skeleton and landmarks, meshes of separate closed
+    parts whose nodes follow one joint each."""
+    parts = fit_parts(body)
+    angles, faces = grid(rings, sectors)
+    n = len(angles)
+    vertices = [p.place(nodes(p.parameters, angles)[0]) + body.skeleton.rest_joints[p.joint] for p in parts]
+    index = np.zeros((n * len(parts), 4), dtype=np.int32)
+    weight = np.zeros((n * len(parts), 4))
+    index[:, 0], weight[:, 0] = np.repeat([p.joint for p in parts], n), 1.0
+    mesh = Mesh(
+        np.concatenate(vertices),
+        np.concatenate([faces + k * n for k in range(len(parts))]).astype(np.int32),
+        index,
+        weight,
+    )
+    return Body(f"{body.name}-superquadrics", body.skeleton, mesh, mesh, body.landmarks)

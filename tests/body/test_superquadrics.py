@@ -1,0 +1,64 @@
+"""Superquadric parts: derivatives, limiting shapes, and a body made of them."""
+
+import numpy as np
+import pytest
+
+from hypose.body.models import human
+from hypose.body.superquadrics import PARAMETERS, fit_parts, grid, nodes, superquadric_body
+from hypose.errors import InputError
+
+PART = np.array([0.06, 0.05, 0.20, 0.7, 0.9, -0.3, 0.2, 1.5, 0.4])
+
+
+@pytest.mark.parametrize("curvature", [1.5, 1e-3, 0.0, -2.0])
+def test_derivatives_of_the_nodes_agree_with_finite_differences(curvature):
+    angles, _ = grid()
+    part = np.array([*PART[:7], curvature, PART[8]])
+    _, jacobian = nodes(part, angles)
+    for k, name in enumerate(PARAMETERS):
+        h = 1e-6
+        up, down = part.copy(), part.copy()
+        up[k] += h
+        down[k] -= h
+        numeric = (nodes(up, angles)[0] - nodes(down, angles)[0]) / (2 * h)
+        np.testing.assert_allclose(jacobian[:, :, k], numeric, atol=2e-8, err_msg=name)
+
+
+def test_without_taper_and_bend_it_is_an_ellipsoid():
+    angles, faces = grid(20, 24)
+    a = np.array([0.1, 0.2, 0.3])
+    x, _ = nodes([*a, 1, 1, 0, 0, 0, 0], angles)
+    np.testing.assert_allclose(((x / a) ** 2).sum(1), 1, atol=1e-12)
+    corner = [x[faces[:, k]] for k in range(3)]
+    volume = np.einsum("ij,ij->i", corner[0], np.cross(corner[1], corner[2])).sum() / 6
+    assert volume == pytest.approx(4 / 3 * np.pi * a.prod(), rel=0.03)  # positive: faces look outwards
+
+
+def test_taper_is_a_ratio_of_widths_and_a_bend_keeps_the_axis_length():
+    angles, _ = grid(5, 24)  # rings at -60, -30, ... degrees: two of them at half the length
+    x, _ = nodes([0.05, 0.05, 0.2, 1, 1, 0.5, 0.5, 0, 0], angles)
+    width = [np.abs(x[np.abs(x[:, 2] - z) < 1e-9][:, 0]).max() for z in (-0.1, 0.1)]
+    assert width[1] / width[0] == pytest.approx(1.25 / 0.75, abs=1e-9)
+    bent, _ = nodes([0.05, 0.05, 0.2, 1, 1, 0, 0, 2.0, 0], angles)
+    poles = bent[[0, -1]]
+    # an arc of length 0.4 and curvature 2: its chord
+    assert np.linalg.norm(poles[1] - poles[0]) == pytest.approx(2 / 2.0 * np.sin(0.4 * 2.0 / 2), abs=1e-9)
+
+
+def test_a_body_of_superquadrics_is_closed_and_about_as_large_as_its_skin():
+    body = human()
+    double = superquadric_body(body)
+    assert double.coarse.edges.shape[1] == 4  # raises when the mesh is not closed
+    assert (double.coarse.skin_weight[:, 0] == 1).all()
+    assert double.coarse.volume == pytest.approx(body.fine.volume, rel=0.35)
+    assert np.ptp(double.coarse.vertices[:, 2]) == pytest.approx(body.stature, rel=0.05)
+    names = [body.skeleton.joint_names[p.joint] for p in fit_parts(body)]
+    assert {"left_elbow", "right_knee", "chest", "head"} <= set(names)
+
+
+def test_wrong_parameters_are_refused_by_name():
+    angles, _ = grid()
+    with pytest.raises(InputError, match="a1, a2, a3"):
+        nodes(np.zeros(9), angles)
+    with pytest.raises(InputError, match="ring"):
+        grid(0, 2)
