@@ -86,11 +86,14 @@ def nearest_branch(rotation_vector: ArrayLike, reference: ArrayLike) -> Array:
     branch.
     """
     r = np.asarray(rotation_vector, dtype=np.float64)
-    ref = np.broadcast_to(np.asarray(reference, dtype=np.float64), r.shape)
-    angle = np.linalg.norm(r, axis=-1, keepdims=True)
-    other = r - 2 * np.pi * r / np.maximum(angle, 1e-12)
-    closer = np.linalg.norm(other - ref, axis=-1, keepdims=True) < np.linalg.norm(r - ref, axis=-1, keepdims=True)
-    return np.where(closer & (angle > 1e-9), other, r)
+    ref = np.asarray(reference, dtype=np.float64)
+    squared = (r * r).sum(-1, keepdims=True)
+    # the other branch is r - 2 pi r / |r|: nearer when r.ref lies more than pi |r| below |r|^2
+    angle = np.sqrt(squared)
+    closer = ((r * ref).sum(-1, keepdims=True) < squared - np.pi * angle) & (angle > 1e-9)
+    if not closer.any():
+        return r.copy()
+    return np.where(closer, r - 2 * np.pi * r / np.maximum(angle, 1e-12), r)
 
 
 def rotation_mean(rotations: ArrayLike, weights: ArrayLike | None = None, iterations: int = 10) -> Array:

@@ -75,6 +75,8 @@ def _global(
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point of the console script; arguments default to those of the process. Exits the process."""
+    # threads that make the next frame hold the interpreter for less than a tenth of a frame's time
+    sys.setswitchinterval(5e-4)
     given = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in given or os.environ.get("HYPOSE_DEBUG", "") not in ("", "0")
     # accepted in any place: who needs it is in a hurry

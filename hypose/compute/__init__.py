@@ -162,13 +162,9 @@ def silhouette_xor(
         return cuda.silhouette_xor(q, t, lane_mesh.prepare(mesh, tree, wanted), prepared, b, areas)
     drawn, drawn_counts = _nothing(prepared.bits.shape), np.zeros((c, 2), dtype=np.int64)
     if turning is not None and n:
-        moved = lane_mesh.moved_faces(mesh, tree, turning)
-        standing = ~moved if wanted is None else wanted & ~moved
-        wanted = moved if wanted is None else wanted & moved
+        wanted, standing, corners = lane_mesh.moving_parts(mesh, tree, turning, wanted)
         drawn = np.zeros_like(prepared.bits)
-        _numba("standing").draw_standing(
-            q[-1], t, _tidy(mesh), mesh.faces[standing], standing, prepared, b, drawn, drawn_counts
-        )
+        _numba("standing").draw_standing(q[-1], t, _tidy(mesh), corners, standing, prepared, b, drawn, drawn_counts)
     m = lane_mesh.prepare(mesh, tree, wanted)
     kernels = _numba("lanes")
     out = np.zeros((n, c, 3), dtype=np.int64)

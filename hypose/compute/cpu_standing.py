@@ -19,8 +19,8 @@ f4 = np.float32
 
 @njit(**OPTIONS)
 def stamp(mask, x0, y0, width, height, difference, running, own, bits, counts):
-    """Sets the bits (h, B) of the silhouette whose winding differences are given in the window with corner (x0, y0),
-    and clears them; counts (2,): pixels set, those of them in the mask (h, w)."""
+    """Sets the bits (h, B) of the silhouette whose winding differences are given in the window with corner (x0, y0);
+    counts (2,): pixels set, those of them in the mask (h, w)."""
     acc, inside = running[:width], own[:width]
     acc[:] = 0
     model, hit = 0, 0
@@ -29,7 +29,6 @@ def stamp(mask, x0, y0, width, height, difference, running, own, bits, counts):
         n_model, n_hit = np.uint32(0), np.uint32(0)
         for x in range(width):
             acc[x] = np.int16(acc[x] + d[x])
-            d[x] = 0
             inside[x] = np.uint8(acc[x] > 0)
             n_model += np.uint32(inside[x])
             n_hit += np.uint32(inside[x] & np.uint8(m[x] != 0))
@@ -38,7 +37,6 @@ def stamp(mask, x0, y0, width, height, difference, running, own, bits, counts):
         if n_model > 0:
             for x in range(width):
                 line[(x0 + x) >> 3] |= inside[x] << np.uint8((x0 + x) & 7)
-    difference[height, :width] = 0
     counts[0] = model
     counts[1] = hit
 
@@ -55,8 +53,7 @@ def draw_standing(pose, tree, mesh, faces, standing, prepared, boxes, bits, coun
     p, bounds = np.empty((3, 4), np.float32), np.empty(5, np.float32)
     front = np.empty(mesh.faces.shape[0], np.uint8)
     start, end = np.empty(mesh.edges.shape[0], np.int32), np.empty(mesh.edges.shape[0], np.int32)
-    views, rows, columns = prepared.masks.shape
-    difference = np.zeros((rows + 1, columns), np.int16)
+    views, _, columns = prepared.masks.shape
     running, own = np.empty(columns, np.int16), np.empty(columns, np.uint8)
     joint_frames(pose, tree, rotations, centres, twists)
     skin_about_root(rotations, centres, tree, mesh, vertices)
@@ -74,6 +71,7 @@ def draw_standing(pose, tree, mesh, faces, standing, prepared, boxes, bits, coun
             y1 = int(max(min(f4(y1), math.ceil(bounds[3]) + f4(1)), f4(y0)))
         if x0 >= x1 or y0 >= y1:
             continue
+        difference = np.zeros((y1 - y0 + 1, x1 - x0), np.int16)  # no larger: pages of memory touched first cost most
         if near:
             emit_clipped_faces(vertices, faces, p, x0, y0, x1 - x0, y1 - y0, difference, True)
         else:

@@ -103,12 +103,38 @@ def _with_ancestors(joints: NDArray[np.int32], parents: NDArray[np.int64]) -> ND
     return needed
 
 
-def moved_faces(mesh: MeshArrays, tree: TreeArrays, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(F,) the faces that move when the joints `moving` (J,) turn: those with a corner that hangs on such a joint or
-    on one below it."""
+class MovingParts(NamedTuple):
+    """What of a mesh, or of the faces asked for, moves when some joints turn."""
+
+    moved: NDArray[np.bool_]
+    """(F,) the faces with a corner that hangs on such a joint or on one below it"""
+    standing: NDArray[np.bool_]
+    """(F,) the others"""
+    corners: NDArray[np.int32]
+    """(K, 3) the others"""
+
+
+_moving: list[tuple[NDArray[np.int32], bytes, MovingParts]] = []
+
+
+def moving_parts(
+    mesh: MeshArrays, tree: TreeArrays, moving: NDArray[np.bool_], faces: NDArray[np.bool_] | None
+) -> MovingParts:
+    """The parts when the joints `moving` (J,) turn, of the faces (F,) asked for; kept for the next call."""
+    wanted = moving.tobytes() + (b"" if faces is None else faces.tobytes())
+    with _lock:
+        for index_of, key, parts in _moving:
+            if index_of is mesh.skin_index and key == wanted:
+                return parts
     below = moving.copy()
     for j, parent in enumerate(tree.parents):
         below[j] |= parent >= 0 and below[parent]
     own = np.arange(mesh.skin_index.shape[1]) < mesh.skin_count[:, None]
-    vertices = (below[mesh.skin_index] & own).any(1)
-    return np.asarray(vertices[mesh.faces].any(1))
+    moved = np.asarray((below[mesh.skin_index] & own).any(1)[mesh.faces].any(1))
+    chosen = np.ones_like(moved) if faces is None else faces
+    standing = chosen & ~moved
+    made = MovingParts(chosen & moved, standing, np.ascontiguousarray(mesh.faces[standing]))
+    with _lock:
+        _moving.insert(0, (mesh.skin_index, wanted, made))
+        del _moving[_KEPT:]
+    return made

@@ -12,9 +12,9 @@ from hypose.body.body import Body, Mesh
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row
 from hypose.evaluation.published import action_scene, known_subject
 from hypose.evaluation.timing import best
+from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.tracking.evidence import prepare_masks
 
 _UPPER = ("pelvis", "spine", "chest", "neck", "head", "left_clavicle", "right_clavicle")
 
@@ -28,7 +28,7 @@ def silhouette_scorer(options: BenchOptions) -> BenchReport:
     subject = known_subject(scene)
     body = subject.body
     assert frame.silhouettes is not None
-    masks = prepare_masks(frame.silhouettes)
+    masks = prepared_masks(frame.silhouettes)
     tree, mesh = body.skeleton.tree, body.coarse.arrays
     n = 96 if options.quick else 500
     poses = _around(body, subject.start, 2 * body.skeleton.sigma, n)
@@ -68,7 +68,7 @@ def silhouette_scorer(options: BenchOptions) -> BenchReport:
 def opencv_unit(frame: Frame, body: Body, pose: Array) -> float:
     """Seconds that OpenCV needs for one silhouette: what the speed of other things is divided by on a noisy machine."""
     assert frame.silhouettes is not None
-    masks = prepare_masks(frame.silhouettes)
+    masks = prepared_masks(frame.silhouettes)
     return best(_opencv_call(body, _around(body, pose, body.skeleton.sigma, 4), masks), 5) / (4 * len(masks.masks))
 
 
@@ -100,7 +100,7 @@ def _ranking(body: Body, pose: Array, masks: compute.PreparedMasks, n: int) -> f
         compute.reference.rasterize(vertices, body.fine.faces, p, (int(w), int(h)))
         for p, (w, h) in zip(masks.projections, masks.sizes, strict=True)
     ]
-    prepared = compute.prepare_masks(np.stack(own), np.ones(len(own), bool), masks.sizes, masks.projections)
+    prepared = compute.prepared_masks(np.stack(own), np.ones(len(own), bool), masks.sizes, masks.projections)
     sd = np.where(np.arange(len(pose)) < 3, 0.01, np.deg2rad(2))
     poses = _around(body, pose, sd, n)
 

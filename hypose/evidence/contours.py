@@ -1,15 +1,8 @@
-"""Outlines of masks: signed distances and points on the edge, which can be made ahead by other threads.
-
-They depend on the masks alone, so whoever makes the masks may make these too, while the frame before is being tracked:
-`make_ahead` tells where they are, and `outlines` takes them from there or makes them.
-"""
+"""Outlines of masks: signed distances and points on the edge. `hypose.evidence.ahead` has those of a frame."""
 
 from __future__ import annotations
 
-import weakref
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -17,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose import compute
-from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.silhouettes import Mask, bounding_box
 from hypose.geometry import Array
 
@@ -102,59 +94,18 @@ def shrunk_projection(projection: Array, factor: float) -> Array:
     return np.array([[1 / factor, 0, shift], [0, 1 / factor, shift], [0, 0, 1]]) @ projection
 
 
-def outlines(silhouettes: Silhouettes, count: int = OUTLINE_POINTS, working_height: int | None = None) -> Outlines:
-    """The outlines of a frame's usable views, with `count` points each; working_height as for `view_outline`."""
-    known = _AHEAD.get(id(silhouettes))
-    ready = None if known is None or known[0]() is not silhouettes else known[1]()
-    made: list[ViewOutline | None] = []
-    for c, (w, h) in enumerate(silhouettes.rig.sizes.tolist()):
-        view = None if ready is None or not silhouettes.usable[c] else ready[c]
-        if silhouettes.usable[c] and not (view and (len(view.points), view.working_height) == (count, working_height)):
-            view = view_outline(silhouettes.masks[c, :h, :w], count, working_height)
-        made.append(view)
-    rows, columns = (max([v.distance.shape[a] for v in made if v is not None], default=2) for a in (0, 1))
-    views = len(made)
-    distance = np.zeros((views, rows, columns), dtype=np.float32)
-    points = np.zeros((views, count, 2), dtype=np.float32)
-    found, extent, shrunk = np.zeros(views, dtype=np.int64), np.zeros(views, dtype=np.int64), np.ones(views, np.int64)
-    sizes, corners = np.zeros((views, 2), dtype=np.int64), np.zeros((views, 2), dtype=np.int64)
-    for c, view in enumerate(made):
+def stack_outlines(views: Sequence[ViewOutline | None], count: int = OUTLINE_POINTS) -> Outlines:
+    """The outlines of all views of a frame, with `count` points each; None: a view that is not usable."""
+    shapes = [v.distance.shape for v in views if v is not None]
+    rows, columns = (max([shape[a] for shape in shapes], default=2) for a in (0, 1))
+    n = len(views)
+    distance = np.zeros((n, rows, columns), dtype=np.float32)
+    points = np.zeros((n, count, 2), dtype=np.float32)
+    found, extent, shrunk = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.ones(n, dtype=np.int64)
+    sizes, corners = np.zeros((n, 2), dtype=np.int64), np.zeros((n, 2), dtype=np.int64)
+    for c, view in enumerate(views):
         if view is not None:
             h, w = view.distance.shape
             distance[c, :h, :w], points[c], found[c], extent[c] = view.distance, view.points, view.found, view.extent
             shrunk[c], sizes[c], corners[c] = view.shrunk, (w, h), view.corner
     return Outlines(distance, points, found, extent, shrunk, sizes, corners)
-
-
-Ready = Callable[[], list[ViewOutline | None] | None]
-_AHEAD: dict[int, tuple[weakref.ref[Silhouettes], Ready]] = {}  # by identity, as long as the silhouettes live
-
-
-def make_ahead(silhouettes: Silhouettes, ready: Ready) -> None:
-    """Tell that the outlines of these silhouettes are being made: `ready` waits for them and returns one per view, or
-    None where there is none. They are forgotten with the silhouettes."""
-    key = id(silhouettes)
-    _AHEAD[key] = weakref.ref(silhouettes, lambda _: _AHEAD.pop(key, None)), ready
-
-
-def look_ahead(frames: Iterable[Frame], count: int = 2) -> Iterator[Frame]:
-    """The same frames, the outlines for tracking of the next `count` being made by another thread meanwhile: for frames
-    whose silhouettes are at hand (a FrameStream does so by itself)."""
-    waiting: deque[Frame] = deque()
-    with ThreadPoolExecutor(1, thread_name_prefix="outlines") as pool:
-        for frame in frames:
-            if frame.silhouettes is not None:
-                made = pool.submit(_view_outlines, frame.silhouettes)
-                make_ahead(frame.silhouettes, made.result)
-            waiting.append(frame)
-            if len(waiting) > count:
-                yield waiting.popleft()
-        yield from waiting
-
-
-def _view_outlines(silhouettes: Silhouettes) -> list[ViewOutline | None]:
-    sizes = silhouettes.rig.sizes.tolist()
-    return [
-        view_outline(mask[:h, :w], working_height=WORKING_HEIGHT) if usable else None
-        for mask, usable, (w, h) in zip(silhouettes.masks, silhouettes.usable, sizes, strict=True)
-    ]

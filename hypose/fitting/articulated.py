@@ -30,8 +30,9 @@ from hypose.compute.terms import (
     Workspace,
 )
 from hypose.errors import EvidenceError, InputError, SolverError
+from hypose.evidence.ahead import outlines
 from hypose.evidence.contours import OUTLINE_POINTS as REFERENCE_OUTLINE
-from hypose.evidence.contours import SMALLEST, outlines, shrunk_projection
+from hypose.evidence.contours import SMALLEST, shrunk_projection
 from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array, nearest_branch
 

@@ -93,11 +93,14 @@ class GaussianDiffusion:
 
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
         """One Gaussian step for every hypothesis."""
-        step = rng.standard_normal(h.values.shape) * self.sigma
+        own = np.flatnonzero(self.sigma > 0)
+        step = rng.standard_normal(h.values.shape)[..., own] * self.sigma[own]
         if self.heavy_tail is not None:
-            step *= self.heavy_tail.gain(h.count, h.dimension)
-        moved = reflect(h.values + step, self.lower, self.upper)
-        return replace(h, values=np.where(self.sigma > 0, moved, h.values))
+            step *= self.heavy_tail.gain(h.count, h.dimension)[:, own]
+        values = h.values.copy()
+        lower, upper = (None if b is None else np.asarray(b)[own] for b in (self.lower, self.upper))
+        values[..., own] = reflect(values[..., own] + step, lower, upper)
+        return replace(h, values=values)
 
 
 @dataclass(frozen=True)

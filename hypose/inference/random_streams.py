@@ -4,6 +4,8 @@ resumed.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 _WORD = 2**64
@@ -20,6 +22,11 @@ def stream(seed: int, frame: int, layer: int, particle: int | None = None) -> np
     ask for the sub-stream of that ``particle``. Integers of any sign; frame and layer count modulo 2^64
     (layer -1 is free for what happens between two frames).
     """
-    key = np.random.SeedSequence(seed % 2**128).generate_state(2, np.uint64)
     counter = np.array([0, 0 if particle is None else particle + 1, layer % _WORD, frame % _WORD], dtype=np.uint64)
-    return np.random.Generator(np.random.Philox(counter=counter, key=key))
+    return np.random.Generator(np.random.Philox(counter=counter, key=np.array(_key(seed % 2**128), dtype=np.uint64)))
+
+
+@lru_cache(16)
+def _key(seed: int) -> tuple[int, int]:
+    first, second = np.random.SeedSequence(seed).generate_state(2, np.uint64).tolist()
+    return first, second

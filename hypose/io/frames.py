@@ -21,8 +21,9 @@ from scipy.ndimage import percentile_filter
 
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import InputError
+from hypose.evidence.ahead import make_ahead
 from hypose.evidence.background import BackgroundModel, Image, from_frames, from_plates, from_recording
-from hypose.evidence.contours import WORKING_HEIGHT, ViewOutline, make_ahead, view_outline
+from hypose.evidence.contours import WORKING_HEIGHT, ViewOutline, view_outline
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import (
     follow_person,

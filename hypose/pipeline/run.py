@@ -12,6 +12,7 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import HyposeError, InputError
+from hypose.evidence.ahead import look_ahead
 from hypose.evidence.frame import Frame
 from hypose.io.bodies import save_body
 from hypose.io.provenance import identity
@@ -115,12 +116,14 @@ def track_source(
         state, estimates = _resume(Checkpoint.load(results.checkpoint, key))
     interrupted = False
     try:
-        for index in range(len(estimates), total):
-            report("track", index, total)
-            state, estimate = tracker.step(state, source.frame(index))
-            estimates.append(estimate)
-            if results is not None and len(estimates) % options.checkpoint_every == 0 and len(estimates) < total:
-                _save_checkpoint(results, state, estimates, key)
+        rest = range(len(estimates), total)
+        with contextlib.closing(look_ahead(source.frame(index) for index in rest)) as frames:
+            for index in rest:
+                report("track", index, total)
+                state, estimate = tracker.step(state, next(frames))
+                estimates.append(estimate)
+                if results is not None and len(estimates) % options.checkpoint_every == 0 and len(estimates) < total:
+                    _save_checkpoint(results, state, estimates, key)
         report("track", total, total)
     except KeyboardInterrupt:
         interrupted = True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,8 +11,9 @@ from numpy.typing import NDArray
 from hypose import compute
 from hypose.body.body import Body
 from hypose.errors import EvidenceError
+from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.contours import WORKING_HEIGHT
-from hypose.evidence.frame import Frame, Silhouettes
+from hypose.evidence.frame import Frame
 from hypose.fitting.articulated import ContourTerm, KeypointTerm, contour_term
 from hypose.geometry import Array
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term
@@ -56,16 +58,6 @@ class PreparedFrame:
         return self.masks is not None or self.keypoints is not None
 
 
-def prepare_masks(silhouettes: Silhouettes) -> compute.PreparedMasks:
-    """The masks of one frame as compute's silhouette scorer takes them.
-
-    A view without foreground is left out, never divided by zero (Alcoverro 2014, after eq. 2.8, says nothing of it).
-    """
-    rig = silhouettes.rig
-    made = compute.prepare_masks(silhouettes.masks, silhouettes.usable, rig.sizes, rig.projections)
-    return made._replace(usable=made.usable & (made.areas > 0))
-
-
 def prepare(
     frame: Frame,
     body: Body,
@@ -88,10 +80,11 @@ def prepare(
         )
     masks = contours = None
     if silhouettes is not None:
-        masks = prepare_masks(silhouettes)
-        if masks.usable.any():
+        masks = prepared_masks(silhouettes)
+        # masks that are foreground from border to border have no outline: no evidence either
+        with contextlib.suppress(EvidenceError):
             contours = contour_term(silhouettes, weight=contour_weight, working_height=WORKING_HEIGHT)
-        else:
+        if contours is None:
             masks = None
     term = None
     if use_keypoints and frame.keypoints is not None:

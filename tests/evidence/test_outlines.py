@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from hypose.evidence.contours import WORKING_HEIGHT, look_ahead, outlines
+from hypose.evidence.ahead import look_ahead, outlines
+from hypose.evidence.contours import WORKING_HEIGHT
 from hypose.evidence.frame import Frame, Silhouettes
 from tests.capsule_person import ring
 

@@ -1,0 +1,107 @@
+"""What the tracker wants of a frame's masks, made by other threads while the frame before is being tracked.
+
+It depends on the masks alone, so whoever has the masks may make it: `make_ahead` tells that somebody does, `look_ahead`
+does so for the frames to come, and `outlines` and `prepared_masks` take it from there or make it.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextvars import copy_context
+from dataclasses import dataclass
+
+from hypose import compute
+from hypose.evidence.contours import (
+    OUTLINE_POINTS,
+    WORKING_HEIGHT,
+    Outlines,
+    ViewOutline,
+    stack_outlines,
+    view_outline,
+)
+from hypose.evidence.frame import Frame, Silhouettes
+
+Views = Callable[[], list[ViewOutline | None] | None]
+
+
+@dataclass(frozen=True)
+class _Made:
+    """views: waits for the outlines for tracking; stacked, masks: what `outlines` and `prepared_masks` return."""
+
+    views: Views | None = None
+    stacked: Outlines | None = None
+    masks: compute.PreparedMasks | None = None
+
+
+_AHEAD: dict[int, tuple[weakref.ref[Silhouettes], _Made]] = {}  # by identity, as long as the silhouettes live
+
+
+def _known(silhouettes: Silhouettes) -> _Made:
+    found = _AHEAD.get(id(silhouettes))
+    return _Made() if found is None or found[0]() is not silhouettes else found[1]
+
+
+def _keep(silhouettes: Silhouettes, made: _Made) -> None:
+    key = id(silhouettes)
+    _AHEAD[key] = weakref.ref(silhouettes, lambda _: _AHEAD.pop(key, None)), made
+
+
+def make_ahead(silhouettes: Silhouettes, views: Views) -> None:
+    """Tell that the outlines for tracking of these silhouettes are being made: `views` waits for them and returns one
+    per view (None where there is none), or None when they will not come. They are forgotten with the silhouettes."""
+    _keep(silhouettes, _Made(views))
+
+
+def look_ahead(frames: Iterable[Frame], count: int = 2) -> Generator[Frame, None, None]:
+    """The same frames, taken from `frames` by another thread, `count` of them before they are asked for, and what
+    tracking wants of their masks made. What taking a frame raises is raised when its turn comes."""
+    source = iter(frames)
+    context = copy_context()  # which back end to use is said there
+    pool = ThreadPoolExecutor(1, thread_name_prefix="ahead")
+    try:
+        waiting: deque[Future[Frame | None]] = deque(pool.submit(context.run, _next, source) for _ in range(count))
+        while (frame := waiting.popleft().result()) is not None:
+            waiting.append(pool.submit(context.run, _next, source))
+            yield frame
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _next(source: Iterator[Frame]) -> Frame | None:
+    frame = next(source, None)
+    if frame is not None and frame.silhouettes is not None:
+        s = frame.silhouettes
+        _keep(s, _Made(None, outlines(s, OUTLINE_POINTS, WORKING_HEIGHT), prepared_masks(s)))
+    return frame
+
+
+def outlines(silhouettes: Silhouettes, count: int = OUTLINE_POINTS, working_height: int | None = None) -> Outlines:
+    """The outlines of a frame's usable views, with `count` points each; working_height as for `view_outline`."""
+    known = _known(silhouettes)
+    tracking = (count, working_height) == (OUTLINE_POINTS, WORKING_HEIGHT)
+    if tracking and known.stacked is not None:
+        return known.stacked
+    ready = known.views() if tracking and known.views is not None else None
+    made: list[ViewOutline | None] = []
+    for c, (w, h) in enumerate(silhouettes.rig.sizes.tolist()):
+        view = None if ready is None or not silhouettes.usable[c] else ready[c]
+        if silhouettes.usable[c] and view is None:
+            view = view_outline(silhouettes.masks[c, :h, :w], count, working_height)
+        made.append(view)
+    return stack_outlines(made, count)
+
+
+def prepared_masks(silhouettes: Silhouettes) -> compute.PreparedMasks:
+    """The masks of one frame as compute's silhouette scorer takes them.
+
+    A view without foreground is left out, never divided by zero (Alcoverro 2014, after eq. 2.8, says nothing of it).
+    """
+    known = _known(silhouettes).masks
+    if known is not None:
+        return known
+    rig = silhouettes.rig
+    made = compute.prepare_masks(silhouettes.masks, silhouettes.usable, rig.sizes, rig.projections)
+    return made._replace(usable=made.usable & (made.areas > 0))
