@@ -100,7 +100,7 @@ def _ranking(body: Body, pose: Array, masks: compute.PreparedMasks, n: int) -> f
         compute.reference.rasterize(vertices, body.fine.faces, p, (int(w), int(h)))
         for p, (w, h) in zip(masks.projections, masks.sizes, strict=True)
     ]
-    prepared = compute.prepared_masks(np.stack(own), np.ones(len(own), bool), masks.sizes, masks.projections)
+    prepared = compute.prepare_masks(np.stack(own), np.ones(len(own), bool), masks.sizes, masks.projections)
     sd = np.where(np.arange(len(pose)) < 3, 0.01, np.deg2rad(2))
     poses = _around(body, pose, sd, n)
 
