@@ -167,7 +167,7 @@ def watch(name: str, good: Path, seed: int, first: int, count: int) -> Iterator[
                 yield Finding(name, last, message["what"])
         if process.returncode == 0:
             break
-        tail = " ".join(complaint.split())[-300:]
+        tail = " ".join(complaint.split())[:400]
         if last < first:
             raise RuntimeError(f"{name}: its good input cannot be read: {tail}")
         yield Finding(name, last, f"the process ended with {process.returncode}: {tail}")
