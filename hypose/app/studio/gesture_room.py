@@ -65,6 +65,8 @@ class GestureRoom:
             run = self._run
             outlet.text({"t": "hello", "session": None if run is None or run.over else run.described()})
             self._outlets.append(outlet)
+            if run is not None:
+                run.again()
 
     def leave(self, outlet: Outlet) -> None:
         """A page has gone; without any, a session is paused after 5 s."""

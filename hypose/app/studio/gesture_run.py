@@ -82,6 +82,12 @@ class Run:
                 self._commands.append(read_command(message))
             self._news.notify()
 
+    def again(self) -> None:
+        """Show the last picture once more, to a page that has just come."""
+        with self._news:
+            self._changed = True
+            self._news.notify()
+
     def stop(self) -> None:
         """End it, with everything saved."""
         with self._news:
@@ -152,8 +158,8 @@ class Run:
         shown = a.frame(taken, self._controls, commands, fresh)
         m = shown.message
         began = clock.perf_counter()
+        self._show(depth_picture(taken.depth, seq, taken.time))
         if fresh:
-            self._show(depth_picture(taken.depth, seq, taken.time))
             self._history.append([m["time"], m["score"], m["high"], m["low"], m["threshold"], m["phase"]])
         if shown.density is not None:
             self._show(map_picture(shown.density, seq, taken.time, _FULL))

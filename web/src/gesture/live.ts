@@ -76,9 +76,22 @@ export function signature(step: GestureStep | null): string {
   return [step.phase, step.paused, step.round, step.counts.segments, step.manual, step.manual ? step.threshold : ""].join();
 }
 
-export const PHASES: readonly { phase: Exclude<Phase, "test">; short: string; what: string }[] = [
-  { phase: "do_gesture", short: "Do it", what: "Bring your hand into the box and do the gesture." },
-  { phase: "positive", short: "Hold", what: "Hold it and vary it a little: nearer, turned, tilted. The forest learns it." },
-  { phase: "release", short: "Release", what: "Let your arms down." },
-  { phase: "negative", short: "Anything else", what: "Move as you like, without the gesture. The forest learns where it is wrong." },
+interface PhaseWords {
+  phase: Exclude<Phase, "test">;
+  /** To be read from two metres. */
+  words: string;
+  short: string;
+  what: string;
+}
+
+export const PHASES: readonly PhaseWords[] = [
+  { phase: "do_gesture", words: "Do it in the box", short: "Do it", what: "Bring your hand into the box and do the gesture." },
+  { phase: "positive", words: "Hold it", short: "Hold", what: "Hold it and vary it a little: nearer, turned, tilted. It is being learned." },
+  { phase: "release", words: "Release", short: "Release", what: "Let your arms down." },
+  {
+    phase: "negative",
+    words: "Anything else",
+    short: "Anything else",
+    what: "Move as you like, but without the gesture. Where it is seen wrongly, that is learned.",
+  },
 ];

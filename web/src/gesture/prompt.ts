@@ -55,7 +55,7 @@ export class Prompt {
       const seconds = session.seconds[phase] || 1;
       bar.style.flexGrow = String(Math.max(1.6, seconds));
       const share = k < now ? 1 : k > now ? 0 : 1 - Math.min(1, (step.left_s ?? 0) / seconds);
-      (bar.lastElementChild as HTMLElement).style.width = `${(100 * share).toFixed(1)}%`;
+      (bar.lastElementChild as HTMLElement).style.transform = `scaleX(${share.toFixed(3)})`;
       bar.toggleAttribute("data-now", k === now);
     });
   }
@@ -78,7 +78,8 @@ function words(state: string, seen: string, prompt: string, run: boolean): strin
   if (state === "ended") return "Done";
   if (state === "wait") return "Getting ready…";
   if (seen) return seen;
-  return state === "test" ? (run ? "Watching" : "Try it") : prompt;
+  if (state === "test") return run ? "Watching" : "Try it";
+  return state === "paused" ? "Paused" : (PHASES.find((p) => p.phase === state)?.words ?? prompt);
 }
 
 function hint(state: string, gestures: readonly string[]): string {

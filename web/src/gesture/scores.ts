@@ -38,7 +38,7 @@ export class ScorePlot {
     this.element = h(
       "div",
       { class: "score-plot" },
-      h("div", { class: "score-keys" }, key("score", "score"), key("high", "gesture"), key("low", "other"), key("threshold", "threshold")),
+      h("div", { class: "score-keys" }, key("score", "score, cm²"), key("high", "gesture"), key("low", "other"), key("threshold", "threshold")),
       canvas,
     );
   }
@@ -164,10 +164,6 @@ export class ScorePlot {
     g.textAlign = "center";
     g.textBaseline = "top";
     for (let t = Math.ceil(begin / 20) * 20; t <= end; t += 20) g.fillText(`${t} s`, Math.max(LEFT + 8, Math.min(width - 14, toX(t))), bottom + 4);
-    g.save();
-    g.textAlign = "left";
-    g.fillText("cm²", LEFT + 4, 8);
-    g.restore();
   }
 
   private line(

@@ -34,7 +34,7 @@ export class DepthStage {
     private readonly answered: (seq: number) => void,
   ) {
     this.canvas = h("canvas", { class: "depth", role: "img", "aria-label": "Depth picture" });
-    const context = this.canvas.getContext("2d", { alpha: false });
+    const context = this.canvas.getContext("2d", { alpha: false, willReadFrequently: true });
     if (!context) throw new Error("This browser draws no pictures.");
     this.context = context;
     this.canvas.addEventListener("pointerdown", (event) => {

@@ -4,14 +4,15 @@ import type { GestureCommand, GestureRequest, GestureStep, Picture } from "../pr
 import { button, toggle, type Toggle } from "../ui/buttons";
 import { h, memory } from "../ui/dom";
 import { bindKeys, type Key } from "../ui/keyboard";
-import { setMuted } from "../ui/sounds";
-import { play } from "../ui/sounds";
+import { play, setMuted } from "../ui/sounds";
 import { onTheme } from "../ui/theme";
 import { signature, type Live } from "./live";
 import { Numbers } from "./numbers";
 import { Prompt } from "./prompt";
 import { ScorePlot } from "./scores";
 import { DepthStage } from "./stage";
+
+const SIDE_MS = 120;
 
 /** The screen of a running session. */
 export class Trainer {
@@ -31,6 +32,8 @@ export class Trainer {
   private readonly stops: (() => void)[];
   private asked: { at: number; before: string }[] = [];
   private sliding = 0;
+  private shownBeside = 0;
+  private besideLater = 0;
 
   constructor(
     private readonly live: Live,
@@ -46,7 +49,7 @@ export class Trainer {
     this.scores = new ScorePlot((value) => this.threshold(value));
     const keys = this.keys(teaches);
     this.pause = button("Pause", () => this.flipPause(), { icon: "pause", key: "Space" });
-    this.automatic = button("Automatic", () => this.threshold(null), { kind: "quiet", title: "Let the session find the threshold" });
+    this.automatic = button("Automatic", () => this.threshold(null), { title: "Let the session find the threshold" });
     this.map = toggle("Map", false, (on) => this.showMap(on), { icon: "other", title: "Where the forest sees the gesture", key: "m" });
     const bound = bindKeys("Gestures", keys);
     this.slider.addEventListener("input", () => this.threshold((Number(this.slider.value) / 1000) * this.scores.highest));
@@ -61,8 +64,6 @@ export class Trainer {
   show(): void {
     const { live } = this;
     this.prompt.show(live);
-    this.scores.show(live.history, live.step?.threshold ?? null);
-    this.numbers.show(live);
     const over = live.ended !== null;
     const paused = live.step?.paused ?? false;
     const label = paused ? "Go on" : "Pause";
@@ -71,9 +72,23 @@ export class Trainer {
     for (const b of [this.pause, ...this.commands.values()]) b.disabled = over;
     const test = live.step?.phase === "test";
     for (const name of ["next", "test"] as const) this.commands.get(name)!.disabled = over || test;
-    this.showThreshold(live.step);
+    this.showBeside();
     this.saved.textContent = live.saved ? `Saved: ${live.saved.path}` : live.session?.mode === "train" ? "Recording" : "";
     if (over && this.after.hidden) this.showAfter(live.ended!);
+  }
+
+  /** The column beside the picture: a few times a second is enough, and leaves the time to the picture. */
+  private showBeside(): void {
+    const wait = SIDE_MS - (performance.now() - this.shownBeside);
+    clearTimeout(this.besideLater);
+    if (wait > 0) {
+      this.besideLater = window.setTimeout(() => this.showBeside(), wait);
+      return;
+    }
+    this.shownBeside = performance.now();
+    this.scores.show(this.live.history, this.live.step?.threshold ?? null);
+    this.numbers.show(this.live);
+    this.showThreshold(this.live.step);
   }
 
   takeStep(step: GestureStep): void {
@@ -93,6 +108,7 @@ export class Trainer {
   }
 
   close(): void {
+    clearTimeout(this.besideLater);
     this.stage.close();
     this.scores.close();
     this.numbers.close();
@@ -118,7 +134,7 @@ export class Trainer {
     const t = step?.threshold ?? null;
     this.slider.disabled = t === null;
     this.automatic.disabled = !step?.manual;
-    this.sliderValue.textContent = t === null ? "–" : `${t.toFixed(1)} cm²${step?.manual ? "" : " (automatic)"}`;
+    this.sliderValue.textContent = t === null ? "–" : `${t.toFixed(1)} cm²${step?.manual ? "" : ", automatic"}`;
     if (t !== null && performance.now() - this.sliding > 500) this.slider.value = String(Math.round((1000 * t) / this.scores.highest));
   }
 
@@ -212,7 +228,8 @@ export class Trainer {
         { class: "gesture-side" },
         h("div", { class: "side-head" }, h("h2", {}, this.live.session?.gestures.join(", ") ?? ""), h("span", { class: "dim" }, this.live.session?.title ?? ""), this.saved),
         this.scores.element,
-        h("div", { class: "row threshold" }, h("span", { class: "field-name" }, "Threshold"), this.slider, this.sliderValue, this.automatic),
+        h("div", { class: "row threshold" }, h("span", { class: "field-name" }, "Threshold"), this.slider),
+        h("div", { class: "row threshold" }, h("span", { class: "field-name" }), this.sliderValue, this.automatic),
         h("div", { class: "row threshold" }, h("span", { class: "field-name" }, "Hold it for"), hold, h("span", { class: "dim" }, "s until it counts")),
         teaches ? h("section", {}, h("h3", {}, "Learned"), this.numbers.learned) : null,
         teaches ? h("section", {}, h("h3", {}, "How good it is"), this.numbers.good, this.numbers.curve) : null,
