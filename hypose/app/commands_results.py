@@ -1,4 +1,4 @@
-"""`hypose export` and `hypose bench`: work on results."""
+"""`hypose export`, `hypose report` and `hypose bench`: work on results."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from hypose.app.commands_track import Threads, set_threads, split_names
-from hypose.app.console import Stages, say
+from hypose.app.console import Stages, note, say
 from hypose.errors import InputError
 
 
@@ -38,6 +38,33 @@ def export(
         progress("export", 1, 1)
     for path in written:
         say(str(path))
+
+
+def report(
+    results: Annotated[Path, typer.Argument(help="Results folder of hypose track or hypose fuse, or its motion.npz.")],
+    out: Annotated[
+        Path | None, typer.Option(help="File to write. [default: report.html in the results folder]")
+    ] = None,
+    threads: Threads = None,
+) -> None:
+    """Write the report of a result again: one file that opens from disk and loads nothing."""
+    set_threads(threads)
+    from hypose.app.report import from_result, write_report
+    from hypose.app.view_result import find_recording, load_view
+
+    folder = results if results.is_dir() else results.parent
+    target = out or folder / "report.html"
+    if target.is_dir():
+        raise InputError(f"{target} is a folder; name the file to write, for example {target / 'report.html'}.")
+    recording = find_recording(folder) if results.exists() else None
+    shown = load_view(results, recording)
+    with Stages() as progress:
+        progress("report", 0, 1)
+        written = write_report(target, from_result(shown, recording))
+        progress("report", 1, 1)
+    for text in shown.notes:
+        note(f"note: {text}")
+    say(f"Report: {written}")
 
 
 def bench(

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from hypose.app.truth import Truth
 from hypose.body.joint_angles import joint_angles
 from hypose.body.motion import Motion
-from hypose.cameras.camera import CameraRig
+from hypose.cameras.camera import Camera, CameraRig
 
 LEFT, RIGHT, MIDDLE, INK = "#d9731a", "#2679c0", "#444444", "#222222"
 LOST, EXTRAPOLATED = "#d62f2f", "#e0a800"
@@ -153,7 +153,7 @@ def angle_plot(motion: Motion) -> str:
     return svg(draw, (10.6, 4.2))
 
 
-def top_view_plot(motion: Motion, rig: CameraRig, truth: Truth | None = None) -> str:
+def top_view_plot(motion: Motion, rig: CameraRig | Sequence[Camera], truth: Truth | None = None) -> str:
     """Paths of pelvis and feet from above, with the cameras."""
 
     def draw(figure: Figure) -> None:

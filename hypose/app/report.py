@@ -5,7 +5,8 @@ from __future__ import annotations
 import base64
 import html
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import closing
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,41 +15,61 @@ import numpy as np
 
 from hypose import __version__
 from hypose.app import plots
+from hypose.app.overlay import still_rows, write_overlay
 from hypose.app.pictures import Image
+from hypose.app.report_viewer import PLACE, Viewer, make_viewer
 from hypose.app.summary import subject_rows, summarize
 from hypose.app.truth import Truth
+from hypose.app.view_bundle import ViewResult
+from hypose.app.view_pictures import ViewPictures
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.cameras.camera import CameraRig
+from hypose.io.frames import FrameStream
+from hypose.io.recording import Recording
 from hypose.io.results import to_json
 
+# The colours are those of web/src/style.css, which is part of a report only where the front end was built.
 _STYLE = """
-:root { color-scheme: light; }
-body { font: 15px/1.5 system-ui, sans-serif; color: #222; background: #fff; margin: 0 auto; max-width: 1080px;
-  padding: 24px; }
-h1 { font-size: 24px; margin: 0 0 2px; } h2 { font-size: 17px; margin: 34px 0 6px; border-bottom: 1px solid #ddd; }
-p { margin: 6px 0; } .dim { color: #666; } .bad { color: #b3261e; font-weight: 600; }
-.cards { display: flex; flex-wrap: wrap; gap: 10px; margin: 16px 0; }
-.card { border: 1px solid #ddd; border-radius: 6px; padding: 8px 14px; min-width: 110px; }
-.card b { display: block; font-size: 21px; font-weight: 600; } .card span { color: #666; font-size: 13px; }
-table { border-collapse: collapse; font-size: 14px; } td, th { padding: 3px 14px 3px 0; text-align: left;
-  vertical-align: top; border-bottom: 1px solid #eee; } td.n { text-align: right; font-variant-numeric: tabular-nums; }
-img, svg { max-width: 100%; height: auto; } figure { margin: 12px 0; } figcaption { color: #666; font-size: 13px; }
-details { margin: 8px 0; } pre { background: #f6f6f6; padding: 10px; overflow-x: auto; font-size: 12px; }
-.two { display: flex; flex-wrap: wrap; gap: 24px; align-items: flex-start; }
+:root { color-scheme: light; --bg: #eef1f4; --panel: #fff; --raised: #f3f6f8; --line: #d5dde4; --ink: #15202a;
+  --dim: #566470; --bad: #b9262b; }
+@media (prefers-color-scheme: dark) { :root { color-scheme: dark; --bg: #0d1115; --panel: #141a20; --raised: #1c242c;
+  --line: #2a343e; --ink: #e7edf2; --dim: #9aa8b5; --bad: #ff7b7e; } }
+body { margin: 0; background: var(--bg); color: var(--ink);
+  font: 15px/1.5 system-ui, "Segoe UI", Roboto, "Noto Sans", "DejaVu Sans", sans-serif; }
+.report { max-width: 1080px; margin: 0 auto; padding: 24px; font-size: 15px; } .wide { padding: 0 16px; }
+.report h1 { font-size: 24px; margin: 0 0 2px; }
+.report h2 { font-size: 17px; margin: 34px 0 6px; padding-bottom: 4px; border-bottom: 1px solid var(--line); }
+.report p { margin: 6px 0; } .dim { color: var(--dim); } .bad { color: var(--bad); font-weight: 600; }
+.report .cards { display: flex; flex-wrap: wrap; gap: 10px; margin: 16px 0 0; }
+.report .card { border: 1px solid var(--line); border-radius: 6px; padding: 8px 14px; min-width: 110px;
+  background: var(--panel); }
+.report .card b { display: block; font-size: 21px; font-weight: 600; }
+.report .card span { color: var(--dim); font-size: 13px; }
+.report table { border-collapse: collapse; font-size: 14px; }
+.report td, .report th { padding: 3px 14px 3px 0; text-align: left; vertical-align: top;
+  border-bottom: 1px solid var(--line); }
+.report td.n { text-align: right; font-variant-numeric: tabular-nums; }
+.report img, .report svg { max-width: 100%; height: auto; } .report figure { margin: 12px 0; }
+.report figure svg { background: #fff; border-radius: 6px; }
+.report figcaption { color: var(--dim); font-size: 13px; } .report details { margin: 8px 0; }
+.report pre { background: var(--raised); padding: 10px; overflow-x: auto; font-size: 12px; }
+.report .two { display: flex; flex-wrap: wrap; gap: 24px; align-items: flex-start; }
 """
+# A report can load nothing, whatever is in it.
+_POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 
 
 @dataclass(frozen=True)
 class ReportInput:
     """What a report shows. title; motion, body, rig; stills: (caption, picture BGR); files: (name, what it is); notes:
     sentences; citation of the method; seconds per stage; truth of a synthetic recording; complete: every frame was
-    tracked."""
+    tracked; recording: whose pictures the viewer shows, and its first frame that belongs to the motion."""
 
     title: str
     motion: Motion
-    body: Body
-    rig: CameraRig
+    body: Body | None
+    rig: CameraRig | None
     stills: Sequence[tuple[str, Image]] = ()
     files: Sequence[tuple[str, str]] = ()
     notes: Sequence[str] = ()
@@ -56,6 +77,38 @@ class ReportInput:
     seconds: Mapping[str, float] = field(default_factory=dict)
     truth: Truth | None = None
     complete: bool = True
+    recording: Recording | None = None
+    first_frame: int = 0
+
+
+def from_result(result: ViewResult, recording: Recording | None) -> ReportInput:
+    """The report of a result that lies in a folder, with the recording it belongs to."""
+    return ReportInput(
+        title=result.title,
+        motion=result.motion,
+        body=result.body,
+        rig=result.rig,
+        stills=_stills(result, recording) if recording is not None else (),
+        files=[(name, what) for name, what, _ in result.files],
+        notes=result.notes,
+        citation=result.citation,
+        seconds=result.seconds,
+        truth=result.truth,
+        complete=result.complete,
+        recording=recording,
+        first_frame=result.first_frame,
+    )
+
+
+def _stills(result: ViewResult, recording: Recording) -> list[tuple[str, Image]]:
+    if result.body is None or result.motion.poses is None:
+        return []
+    frames = range(result.first_frame, result.first_frame + len(result.motion))
+    shown = replace(recording, frame_range=(frames.start, frames.stop))
+    rows = still_rows(result.motion)
+    with FrameStream(shown) as source:
+        made = write_overlay("", shown, source, result.motion, result.body, frames=frames, stills=rows, video=False)
+    return [(f"Frame {frames[r]}", made[r]) for r in rows]
 
 
 def write_report(path: str | Path, what: ReportInput) -> Path:
@@ -68,8 +121,43 @@ def write_report(path: str | Path, what: ReportInput) -> Path:
 
 def report_html(what: ReportInput) -> str:
     """The page."""
+    viewer = _viewer(what)
+    top = _head(what) + _cards(what)
+    if viewer is None:
+        return page(what.title, top + _text(what))
+    place = f'</div><div class="wide">{PLACE}</div><div class="report">'
+    return page(what.title, top + place + _text(what), viewer)
+
+
+def _viewer(what: ReportInput) -> Viewer | None:
+    """The View screen for this report, None when the front end was not built."""
+    m, recording = what.motion, what.recording
+    seen = [v.name for v in recording.views if v.source or v.masks] if recording is not None else []
+    result = ViewResult(
+        title=what.title,
+        motion=m,
+        body=what.body,
+        rig=what.rig,
+        image_shifts=[v.image_shift for v in recording.views] if recording is not None else (),
+        pictures=seen,
+        first_frame=what.first_frame,
+        files=[(name, text, 0) for name, text in what.files],
+        notes=what.notes,
+        citation=what.citation,
+        seconds=what.seconds,
+        truth=what.truth,
+        complete=what.complete,
+    )
+    if recording is None or not seen:
+        return make_viewer(result, None)
+    with closing(ViewPictures(recording, what.first_frame, len(m))) as pictures:
+        return make_viewer(result, pictures)
+
+
+def _text(what: ReportInput) -> str:
+    """Everything below the viewer: what can be read and printed without a script."""
     m = what.motion
-    parts = [_head(what), _cards(what)]
+    parts = [""]
     if not what.complete:
         parts.append('<p class="bad">The run was interrupted: this is what was tracked until then.</p>')
     if what.notes:
@@ -102,21 +190,25 @@ def report_html(what: ReportInput) -> str:
         )
         parts.append("<h2>Joint angles</h2>" + _figure(plots.angle_plot(m), caption))
     parts.append('<div class="two"><div><h2>Seen from above</h2>')
-    parts.append(_figure(plots.top_view_plot(m, what.rig, what.truth), "Metres; cameras are squares.") + "</div>")
-    parts.append(f"<div><h2>Subject</h2>{_subject(what.body)}</div></div>")
+    parts.append(_figure(plots.top_view_plot(m, what.rig or (), what.truth), "Metres; cameras are squares.") + "</div>")
+    parts.append(f"<div><h2>Subject</h2>{_subject(what.body)}</div></div>" if what.body is not None else "</div>")
     if what.files:
         rows = "".join(f"<tr><td>{html.escape(n)}</td><td>{html.escape(t)}</td></tr>" for n, t in what.files)
         parts.append(f"<h2>Files</h2><table>{rows}</table>")
     parts.append(_origin(what))
-    return page(what.title, "\n".join(parts))
+    return "\n".join(parts)
 
 
-def page(title: str, body: str) -> str:
-    """An HTML page of the reports' looks; `body` is HTML, the title plain text."""
+def page(title: str, body: str, viewer: Viewer | None = None) -> str:
+    """An HTML page of the reports' looks; `body` is HTML, the title plain text. With a viewer `body` holds its
+    place."""
+    style, scripts = (f"<style>{viewer.style}</style>", viewer.body) if viewer is not None else ("", "")
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>'
+        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
         '<meta name="viewport" content="width=device-width"><link rel="icon" href="data:,">'
-        f"<style>{_STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
+        f"<style>{_STYLE}</style>{style}</head>\n"
+        f'<body>\n<div class="report">{body}\n</div>\n{scripts}</body></html>\n'
     )
 
 
@@ -130,7 +222,9 @@ def _head(what: ReportInput) -> str:
 
 def _cards(what: ReportInput) -> str:
     s = summarize(what.motion)
-    cards = [(f"{s.frames}", f"frames, {s.seconds:.1f} s"), (str(len(what.rig)), "views")]
+    cards = [(f"{s.frames}", f"frames, {s.seconds:.1f} s")]
+    if what.rig is not None:
+        cards.append((str(len(what.rig)), "views"))
     cards.append((f"{s.lost}", "frames lost"))
     cards.append((f"{s.extrapolated}", "frames extrapolated"))
     if np.isfinite(s.iou):

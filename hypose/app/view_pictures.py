@@ -10,6 +10,7 @@ import struct
 import threading
 from collections import OrderedDict
 from dataclasses import replace
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -75,6 +76,7 @@ class AnyFrame:
         return np.asarray(frame, np.uint8) if ok else None
 
     def close(self) -> None:
+        """Release the file."""
         self._reader.close()
         if self._jumps is not None:
             self._jumps.release()
@@ -111,6 +113,13 @@ class ViewPictures:
             while self._cached > _CACHE_BYTES and len(self._cache) > 1:
                 self._cached -= len(self._cache.popitem(last=False)[1])
             return data
+
+    def files(self, row: int, width: int) -> list[bytes]:
+        """The JPEGs of `row`, one per view, b"" where there is none."""
+        data = self.row(row, width)
+        (count,) = struct.unpack_from("<I", data)
+        ends = (4 * (1 + count) + np.cumsum([0, *struct.unpack_from(f"<{count}I", data, 4)])).tolist()
+        return [data[a:b] for a, b in pairwise(ends)]
 
     def outlines(self, row: int) -> list[list[list[float]]]:
         """Edges of the masks that tracking uses: per view polygons [x0, y0, x1, y1, ...] in px of the calibrated

@@ -13,6 +13,7 @@ from hypose.errors import HyposeError, InputError
 from hypose.io.bodies import load_body
 from hypose.io.recording import Recording, load_recording
 from hypose.io.results import ResultsFolder, load_motion
+from hypose.tracking.recipes import RECIPES, recipe
 
 
 def load_view(results: str | Path, recording: Recording | None = None) -> ViewResult:
@@ -45,6 +46,7 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
         first_frame=first,
         files=[(n, w, p.stat().st_size) for n, w in DESCRIPTIONS.items() if (p := folder.file(n)).is_file()],
         notes=notes,
+        citation=_citation(motion, body),
         truth=truth,
         complete=not folder.checkpoint.exists(),
     )
@@ -61,6 +63,15 @@ def find_recording(results: Path, notes: list[str] | None = None) -> Recording |
                     notes.append(f"The recording {folder} cannot be shown: {error}")
                 return None
     return None
+
+
+def _citation(motion: Motion, body: Body | None) -> str:
+    """Where the method of a motion comes from, "" for one that is not known."""
+    name = str(motion.provenance.get("recipe"))
+    if name not in RECIPES or body is None:
+        return ""
+    settings = motion.provenance.get("settings", {})
+    return recipe(name, body, frame_rate=motion.frame_rate, refine=bool(settings.get("refine")))[0].citation
 
 
 def _body(folder: ResultsFolder, motion: Motion, notes: list[str]) -> Body | None:

@@ -10,12 +10,16 @@ export interface Key {
   act: () => void;
 }
 
-/** Binds keys while a screen is open; typing into fields is left alone, and "?" shows them. Returns how to stop. */
-export function bindKeys(title: string, bindings: readonly Key[]): { stop: () => void; help: () => void } {
+/**
+ * Binds keys while a screen is open; typing into fields is left alone, and "?" shows them. Returns how to stop.
+ * within: only while the pointer or the focus is in this element, for a screen that is part of a page to scroll.
+ */
+export function bindKeys(title: string, bindings: readonly Key[], within: HTMLElement | null = null): { stop: () => void; help: () => void } {
   const help = (): void => showKeys(title, bindings);
   const listen = (event: KeyboardEvent): void => {
     if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey) return;
     if (document.querySelector("dialog[open]")) return;
+    if (within && !within.matches(":hover, :focus-within")) return;
     const target = event.target as HTMLElement;
     if (target.closest("input:not([type=range]):not([type=checkbox]), textarea, select, [contenteditable]")) return;
     const onButton = target.closest("button, a, summary") && (event.key === " " || event.key === "Enter");

@@ -119,7 +119,8 @@ export class CameraPane {
           tile.image?.close();
           tile.image = images[i] ?? null;
           const camera = this.data.header.cameras[i];
-          tile.note.textContent = tile.image ? "" : camera?.pictures ? "no picture of this frame" : "no pictures";
+          const away = found && found.row !== row ? `frame ${found.row + this.data.header.first_frame}` : "";
+          tile.note.textContent = tile.image ? away : camera?.pictures ? "no picture of this frame" : "no pictures";
         });
         this.row = found?.row ?? row;
         void this.needOutlines();

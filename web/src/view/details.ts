@@ -79,7 +79,7 @@ function files(data: ViewData, source: Source): HTMLElement {
     ...data.header.files.map(({ name, what, bytes }) => {
       const at = source.file(name);
       const link = at ? h("a", { href: at, target: "_blank", rel: "noopener" }, name) : h("b", {}, name);
-      return h("li", {}, link, h("span", { class: "dim" }, ` ${size(bytes)} · ${what}`));
+      return h("li", {}, link, h("span", { class: "dim" }, ` ${bytes ? `${size(bytes)} · ` : ""}${what}`));
     }),
   );
 }

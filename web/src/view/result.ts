@@ -22,6 +22,8 @@ export interface ResultOptions {
   doctor?: HTMLElement | null;
   /** Frame to begin with. */
   row?: number;
+  /** Keys are taken only while pointer or focus are in here; by default always. */
+  keysIn?: HTMLElement;
   /** Called when the frame has rested for a moment. */
   rested?: (row: number) => void;
 }
@@ -87,7 +89,7 @@ export class ResultView {
 
     this.play = button("", () => this.player.toggle(), { icon: "play", title: "Play", key: "Space" });
     this.speed = select("Speed", SPEEDS.map((s) => ({ value: s, label: `${s}×` })), 1, (s) => this.player.setSpeed(s));
-    const keys = bindKeys("Keys of this screen", viewKeys(this));
+    const keys = bindKeys("Keys of this screen", viewKeys(this), options.keysIn);
     this.stop.push(keys.stop);
     const flagged = this.timeline.flagged.length > 0;
     const transport = h(
