@@ -17,14 +17,16 @@ from hypose.calibration.doctor import Cured, Report, examine_and_cure
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.hull import hull_iou, visual_hull
+from hypose.io.files import write_text
 from hypose.io.frames import FrameStream
 from hypose.io.recording import Recording, View
-from hypose.io.results import atomic_path
+from hypose.io.results import atomic_path, to_json
 from hypose.io.video import open_video
 from hypose.pipeline.doctor import observe
 
 _LOW_IOU = 0.6  # hull against mask: below this a view contradicts the others
 _HEIGHTS = (0.5, 2.6)  # m: what a person's hull can measure
+_FIGURES = ("name", "residual_px", "left_out_px", "tangency_px")
 _LARGE, _SMALL = 0.5, 0.001  # share of the picture that a mask of one person covers at most and at least
 
 
@@ -137,6 +139,25 @@ def examine_recording(
     picture = residual_picture(recording, observed, cured)
     write_page(page, recording.name, report, sheet, picture, (*recording.notes, *found.facts), found.warnings)
     return report, cured
+
+
+def write_findings(path: Path, found: Findings, report: Report | None) -> None:
+    """What was found as JSON, for the studio: facts, warnings, findings, figures per view, the page's name."""
+    value = {
+        "healthy": not found.warnings and (report is None or report.healthy),
+        "facts": found.facts,
+        "warnings": found.warnings,
+        "findings": [
+            {"fault": f.fault, "kind": f.kind, "views": f.views, "sentence": f.sentence}
+            for f in (report.findings if report is not None else ())
+        ],
+        "views": [
+            {k: None if isinstance(v := getattr(view, k), float) and not np.isfinite(v) else v for k in _FIGURES}
+            for view in (report.views if report is not None else ())
+        ],
+        "page": "check.html" if report is not None else None,
+    }
+    write_text(path, to_json(value))
 
 
 def _mask_warnings(silhouettes: Silhouettes, number: int) -> list[str]:

@@ -55,7 +55,7 @@ def check(
 
     Exit code 0: fine, or refined; 1: something is wrong.
     """
-    from hypose.app.checking import camera_table, check_recording, examine_recording
+    from hypose.app.checking import camera_table, check_recording, examine_recording, write_findings
     from hypose.io.recording import load_recording
 
     if using not in ("auto", "keypoints", "silhouettes", "both"):
@@ -79,6 +79,7 @@ def check(
         found = check_recording(loaded, path, max(1, samples), progress)
         if frames > 0:
             report, cured = examine_recording(loaded, frames, path.with_suffix(".html"), path, found, progress)
+    write_findings(path.with_suffix(".json"), found, report)
     for text in found.facts:
         say(text)
     for text in found.warnings:

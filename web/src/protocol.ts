@@ -26,9 +26,9 @@ export interface ViewInfo {
   keypoints: string | null;
 }
 export type MaskSettings = Record<string, number | boolean | string>;
-export interface Finding { fault: boolean; sentence: string; view: string | null; kind: string }
+export interface Finding { fault: boolean; sentence: string; views: string[]; kind: string }
 export interface Check {
-  healthy: boolean; facts: string[]; warnings: string[]; findings: Finding[]; page: string;
+  healthy: boolean; facts: string[]; warnings: string[]; findings: Finding[]; page: string | null;
   views: { name: string; residual_px: number | null; left_out_px: number | null; tangency_px: number | null }[];
 }
 export interface Recording {

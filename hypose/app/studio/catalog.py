@@ -56,7 +56,7 @@ class Catalog:
         """The item of an id; NotFound when there is none, or no longer."""
         item = self._items.get(id)
         if item is None or item.kind != kind or not item.path.exists():
-            self._look(fresh=item is None)
+            self._look(fresh=True)
             item = self._items.get(id)
         if item is None or item.kind != kind or not self.contains(item.path):
             raise NotFound(f"There is no {kind} {id[:40]!r} here (any more); go back to the list.")

@@ -220,7 +220,7 @@ class Jobs:
     def _run(self, job: Job) -> None:
         try:
             process = subprocess.Popen(
-                [sys.executable, "-m", "hypose", *job.plan.arguments],
+                [sys.executable, "-m", "hypose.app", *job.plan.arguments],
                 cwd=self._catalog.root,
                 env={**os.environ, JSON_PROGRESS: "1", "PYTHONUNBUFFERED": "1", "COLUMNS": "160"},
                 stdin=subprocess.DEVNULL,
@@ -251,7 +251,7 @@ class Jobs:
             job.ended, job.process = time.time(), None
             if job.stopping:
                 job.state = "cancelled"
-            elif code == 0 or (job.kind == "check" and code == 1 and problem is None):
+            elif code == 0 or (job.kind == "check" and code == 1 and problem is None and job.stages):
                 job.state = "done"  # a check that found something wrong has done its work
             else:
                 job.state = "failed"

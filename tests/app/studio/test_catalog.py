@@ -1,0 +1,67 @@
+import os
+
+import pytest
+
+from hypose.app.studio.catalog import Catalog, NotFound
+
+
+def make(root):
+    (root / "a" / "results" / "default").mkdir(parents=True)
+    (root / "a" / "recording.toml").write_text("")
+    (root / "a" / "results" / "default" / "motion.npz").write_bytes(b"")
+    (root / "gestures" / "tee").mkdir(parents=True)
+    for name in ("session.json", "frames.csv"):
+        (root / "gestures" / "tee" / name).write_text("")
+    return Catalog(root)
+
+
+def test_kinds_are_told_apart_and_ids_say_nothing(tmp_path):
+    catalog = make(tmp_path)
+    found = {kind: catalog.items(kind) for kind in ("recording", "result", "session", "model")}
+    assert {k: [catalog.shown(i.path) for i in v] for k, v in found.items()} == {
+        "recording": ["a"],
+        "result": ["a/results/default"],
+        "session": ["gestures/tee"],
+        "model": [],
+    }
+    result = found["result"][0]
+    assert len(result.id) == 12 and catalog.find("result", result.id) == result
+    assert catalog.recording_of(result.path) == (tmp_path / "a").resolve()
+    assert Catalog(tmp_path).id_of("result", result.path) == result.id  # an address stays good over a restart
+    with pytest.raises(NotFound):
+        catalog.find("recording", result.id)
+
+
+def test_what_is_new_is_found_and_what_is_gone_is_not(tmp_path):
+    catalog = make(tmp_path)
+    (result,) = catalog.items("result")
+    new = tmp_path / "b"
+    new.mkdir()
+    (new / "recording.toml").write_text("")
+    assert catalog.find("recording", catalog.id_of("recording", new)).path == new.resolve()
+    (result.path / "motion.npz").unlink()
+    result.path.rmdir()
+    with pytest.raises(NotFound, match="back to the list"):
+        catalog.find("result", result.id)
+
+
+def test_links_hidden_folders_and_depths_are_not_followed(tmp_path):
+    outside, root = tmp_path / "outside", tmp_path / "root"
+    make(outside)
+    root.mkdir()
+    os.symlink(outside, root / "link")
+    os.symlink(root, root / "circle")
+    make(root / ".hidden")
+    deep = root.joinpath(*"abcdefgh")
+    make(deep)
+    assert Catalog(root).items("recording") == []
+
+
+def test_a_folder_swapped_for_a_link_has_no_id_any_more(tmp_path):
+    root = tmp_path / "root"
+    catalog = make(root)
+    (item,) = catalog.items("recording")
+    (root / "a").rename(tmp_path / "a")
+    os.symlink(tmp_path / "a", root / "a")
+    with pytest.raises(NotFound):
+        catalog.find("recording", item.id)

@@ -1,0 +1,159 @@
+"""Jobs: what the page asks for is the command that is run; progress, stopping, going on, refusals."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+
+from hypose.app.console import JSON_PROGRESS, Stages
+from hypose.app.studio.catalog import Catalog
+from hypose.app.studio.job_kinds import KINDS, plan
+from hypose.app.view_bundle import read_bundle
+from hypose.errors import InputError
+from hypose.io.results import load_motion
+
+
+def wait(client, id, *states, seconds=300):
+    for _ in range(seconds * 5):
+        job = client.get(f"/api/jobs/{id}")
+        if job["state"] in states:
+            return job
+        time.sleep(0.2)
+    raise AssertionError(job)
+
+
+def recording_of(client):
+    return client.get("/api/state")["recordings"][0]["id"]
+
+
+def test_options_become_the_command(folder):
+    catalog = Catalog(folder)
+    (item,) = catalog.items("recording")
+    options = {"recipe": "hpf", "refine": True, "frames": "0:4", "formats": ["trc", "bvh"], "overlay": False}
+    made = plan("track", {"recording": item.id, "options": {**options, "name": "try-1"}}, catalog)
+    path, out = str(item.path), str(item.path / "results" / "try-1")
+    assert made.arguments == (
+        *("track", path, "--recipe", "hpf", "--refine", "--frames", "0:4", "--formats", "trc,bvh"),
+        *("--out", out, "--no-overlay"),
+    )
+    assert made.resumable and made.result == catalog.id_of("result", item.path / "results" / "try-1")
+    assert plan("refine", {"recording": item.id}, catalog).arguments == ("check", path, "--refine")
+    assert plan("demo", {}, catalog).arguments == ("demo", "--out", str(folder / "demo"))
+
+
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        ("format-disk", {}),
+        ("track", {"no-such": 1}),
+        ("track", {"recipe": "--out=/tmp/x"}),
+        ("track", {"recipe": "a\nb"}),
+        ("track", {"seed": "1"}),
+        ("track", {"seed": float("nan")}),
+        ("track", {"refine": "yes"}),
+        ("track", {"formats": []}),
+        ("track", {"name": "../../escape"}),
+        ("track", {"name": ".hidden"}),
+        ("track", []),
+    ],
+)
+def test_options_that_cannot_be_are_refused(folder, kind, options):
+    catalog = Catalog(folder)
+    (item,) = catalog.items("recording")
+    with pytest.raises(InputError):
+        plan(
+            kind, {"recording": item.id, "options": options or {}} | ({"options": options} if options else {}), catalog
+        )
+
+
+def test_every_kind_needs_something_that_is_there(folder):
+    catalog = Catalog(folder)
+    for kind in KINDS:
+        if kind != "demo":
+            with pytest.raises(InputError):
+                plan(kind, {}, catalog)
+
+
+def test_results_that_a_link_puts_elsewhere_are_not_written_to(folder, tmp_path):
+    (folder / "walk" / "results").rename(tmp_path / "results")
+    (folder / "walk" / "results").symlink_to(tmp_path / "results")
+    catalog = Catalog(folder)
+    (item,) = catalog.items("recording")
+    with pytest.raises(InputError, match="outside"):
+        plan("track", {"recording": item.id}, catalog)
+
+
+def test_progress_is_json_when_a_program_asks_for_it(monkeypatch, capsys):
+    monkeypatch.setenv(JSON_PROGRESS, "1")
+    with Stages() as progress:
+        for done in range(101):
+            progress("track", done, 100)
+    lines = [json.loads(line) for line in capsys.readouterr().err.splitlines()]
+    assert lines[0] == {"stage": "track", "title": "Track", "done": 0, "total": 100}
+    assert lines[-1]["done"] == 100 and len(lines) < 20
+
+
+def test_an_export_runs_and_tells(own_studio, folder):
+    result = own_studio.get("/api/state")["results"][0]["id"]
+    (folder / "walk/results/default/motion.trc").unlink()
+    with own_studio.socket("/ws/jobs") as ws:
+        assert json.loads(ws.recv(30))["t"] == "jobs"
+        job = own_studio.get(f"/api/results/{result}/export", {"formats": ["trc"]}, status=201)
+        assert job["state"] in ("queued", "running") and job["command"].endswith("--formats trc")
+        told = []
+        while not told or told[-1]["t"] != "files":
+            told.append(json.loads(ws.recv(240)))
+    states = [m["job"]["state"] for m in told if m["t"] == "job"]
+    assert states[-1] == "done" and "running" in states
+    assert (folder / "walk/results/default/motion.trc").is_file()
+    assert any("motion.trc" in line for line in own_studio.get(f"/api/jobs/{job['id']}")["lines"])
+
+
+def test_a_failed_job_says_the_command_lines_sentence(own_studio):
+    result = own_studio.get("/api/state")["results"][0]["id"]
+    job = own_studio.get("/api/jobs", {"kind": "export", "result": result, "options": {"formats": ["fbx"]}}, status=201)
+    job = wait(own_studio, job["id"], "failed")
+    assert "fbx" in job["error"] and "the formats are" in job["error"] and not job["resumable"]
+    assert own_studio.get(f"/api/jobs/{job['id']}/cancel", {}, status=409)["error"]
+    assert own_studio.get(f"/api/jobs/{job['id']}/resume", {}, status=409)["error"]
+    assert own_studio.get(f"/api/jobs/{job['id']}/view", status=404)["error"]
+
+
+def test_jobs_wait_for_each_other_and_can_be_called_off(own_studio):
+    recording = recording_of(own_studio)
+    first = own_studio.get("/api/jobs", {"kind": "check", "recording": recording}, status=201)
+    second = own_studio.get("/api/jobs", {"kind": "silhouettes", "recording": recording}, status=201)
+    assert own_studio.get(f"/api/jobs/{second['id']}")["state"] == "queued"
+    assert own_studio.get(f"/api/jobs/{second['id']}/cancel", {})["state"] == "cancelled"
+    first = wait(own_studio, first["id"], "done")
+    assert [s["name"] for s in first["stages"]][:2] == ["background", "check"]
+    check = own_studio.get(f"/api/recordings/{recording}")["check"]
+    assert check["healthy"] and check["facts"] and check["page"] == "check.html" and len(check["views"]) == 4
+    assert own_studio.ask(f"/api/recordings/{recording}/file/check.html")[0] == 200
+
+
+@pytest.mark.slow
+def test_tracking_is_stopped_with_its_work_kept_and_resumed_to_the_same_motion(own_studio, folder, served):
+    """Also: a closed page loses nothing, because no page is open here at all."""
+    recording = recording_of(own_studio)
+    ask = {"kind": "track", "recording": recording, "options": {"name": "again", "formats": ["csv"], "overlay": False}}
+    job = own_studio.get("/api/jobs", ask, status=201)
+    assert own_studio.get("/api/jobs", ask, status=409)["error"]
+    for _ in range(3000):
+        stages = {s["name"]: s for s in own_studio.get(f"/api/jobs/{job['id']}")["stages"]}
+        if stages.get("track", {}).get("done", 0) >= 1:
+            break
+        time.sleep(0.05)
+    own_studio.get(f"/api/jobs/{job['id']}/cancel", {})
+    stopped = wait(own_studio, job["id"], "cancelled", "done")
+    out = folder / "walk" / "results" / "again"
+    if stopped["state"] == "cancelled":  # it may have been too fast
+        assert stopped["resumable"] and (out / "checkpoint.npz").is_file()
+        header, arrays = read_bundle(own_studio.ask(f"/api/jobs/{job['id']}/view")[2])
+        assert 1 <= header["frames"] < 8 and not header["complete"] and "fine_vertices" in arrays
+        resumed = own_studio.get(f"/api/jobs/{job['id']}/resume", {}, status=201)
+        assert resumed["command"].endswith("--resume")
+        wait(own_studio, resumed["id"], "done")
+    motion, reference = load_motion(out / "motion.npz"), load_motion(served / "walk/results/default/motion.npz")
+    np.testing.assert_array_equal(motion.poses, reference.poses)

@@ -1,0 +1,190 @@
+"""Who may talk to the studio, what it gives away, and what it does not."""
+
+import contextlib
+import json
+import os
+import socket
+
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+from hypose.app.studio import server as studio_server
+from hypose.app.studio.guard import Access
+from hypose.app.view_bundle import read_bundle
+from tests.app.studio.conftest import serving
+
+
+def result_of(client):
+    return client.get("/api/state")["results"][0]
+
+
+def test_the_state_lists_what_lies_in_the_folder(studio):
+    state = studio.get("/api/state")
+    (recording,) = state["recordings"]
+    (result,) = state["results"]
+    assert recording["path"] == "walk" and recording["results"] == [result["id"]]
+    assert result["path"] == "walk/results/default" and result["recording"] == recording["id"]
+    assert result["frames"] == 8 and result["complete"] and result["title"] == "walk: default"
+    assert [s["value"] for s in state["sources"]][:1] == ["simulated:0"] and state["jobs"] == []
+    assert [r["id"] for r in studio.get("/api/results")] == [result["id"]]
+
+
+def test_a_result_is_one_block_with_its_pictures_and_outlines(studio):
+    id = result_of(studio)["id"]
+    status, headers, block = studio.ask(f"/api/results/{id}/view")
+    header, arrays = read_bundle(block)
+    assert status == 200 and header["frames"] == 8 and arrays["joints"].shape == (8, 19, 3)
+    assert "default-src 'self'" in headers["content-security-policy"]
+    _, _, pictures = studio.ask(f"/api/results/{id}/pictures/3?width=100")
+    count, *lengths = memoryview(pictures)[:20].cast("I")
+    assert count == 4 and len(pictures) == 20 + sum(lengths) and pictures[20:22] == b"\xff\xd8"
+    assert len(studio.get(f"/api/results/{id}/outlines/3")["views"]) == 4
+    status, headers, data = studio.ask(f"/api/results/{id}/files/motion.trc")
+    assert status == 200 and data.startswith(b"PathFileType") and "attachment" in headers["content-disposition"]
+
+
+def test_pages_of_the_folder_cannot_reach_the_server(studio):
+    id = result_of(studio)["id"]
+    _, headers, _ = studio.ask(f"/api/results/{id}/files/report.html")
+    assert headers["content-security-policy"].startswith("sandbox allow-scripts; default-src 'none'")
+
+
+@pytest.mark.parametrize(
+    ("path", "status"),
+    [
+        ("/api/results/0123456789ab/view", 404),
+        ("/api/results/..%2f..%2f..%2fetc%2fpasswd/view", 404),
+        ("/api/results/RESULT/pictures/8", 400),
+        ("/api/results/RESULT/pictures/-1", 400),
+        ("/api/results/RESULT/pictures/1?width=100000", 400),
+        ("/api/results/RESULT/files/..%2fcalibration.toml", 404),
+        ("/api/results/RESULT/files/checkpoint.npz", 404),
+        ("/api/recordings/RESULT", 404),
+        ("/api/recordings/RECORDING/file/..%2frecording.toml", 404),
+        ("/api/recordings/RECORDING/image/cam9/0.jpg", 404),
+        ("/api/recordings/RECORDING/image/cam1/8.jpg", 400),
+        ("/api/recordings/RECORDING/image/cam1/1.jpg?mask=edge&threshold=many", 400),
+        ("/api/recordings/RECORDING/starts/..%2f..%2frecording", 404),
+        ("/api/jobs/none", 404),
+        ("/static/../server.py", 404),
+        ("/static/..%2fserver.py", 404),
+        ("/static/%2e%2e/server.py", 404),
+        ("/nothing", 404),
+    ],
+)
+def test_nothing_else_is_given_away(studio, path, status):
+    state = studio.get("/api/state")
+    path = path.replace("RESULT", state["results"][0]["id"]).replace("RECORDING", state["recordings"][0]["id"])
+    got, _, body = studio.ask(path)
+    assert got == status
+    assert status == 404 or json.loads(body)["error"].endswith(".")
+    assert b"root:" not in body and b"import" not in body
+
+
+def test_links_out_of_the_folder_lead_nowhere(own_studio, folder, tmp_path):
+    secret = tmp_path / "secret"
+    secret.mkdir()
+    (secret / "motion.npz").write_bytes((folder / "walk/results/default/motion.npz").read_bytes())
+    os.symlink(secret, folder / "elsewhere")
+    report = folder / "walk/results/default/report.html"
+    report.unlink()
+    (secret / "report.html").write_text("secret")
+    os.symlink(secret / "report.html", report)
+    state = own_studio.get("/api/state")
+    assert [r["path"] for r in state["results"]] == ["walk/results/default"]
+    assert own_studio.ask(f"/api/results/{state['results'][0]['id']}/files/report.html")[0] == 404
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [{"Origin": "http://evil.example"}, {"Origin": "null"}, {"Sec-Fetch-Site": "cross-site"}, {"Origin": "http://[x"}],
+)
+def test_a_foreign_page_can_change_nothing(studio, headers):
+    for path, method in (("/api/jobs", "POST"), ("/api/uploads/a.mp4", "PUT"), ("/api/uploads/0", "DELETE")):
+        assert studio.ask(path, {}, method=method, headers=headers)[0] in (400, 403)
+    if "Origin" in headers:
+        with pytest.raises(InvalidStatus) as refused:
+            studio.socket("/ws/jobs", origin=headers["Origin"])
+        assert refused.value.response.status_code == 403
+
+
+def test_the_own_page_and_programs_may(studio):
+    own = f"http://127.0.0.1:{studio.port}"
+    assert studio.ask("/api/jobs", {}, headers={"Origin": own})[0] == 400  # heard, and then found wanting
+    for origin in (own, None):
+        with studio.socket("/ws/jobs", origin=origin) as ws:
+            assert json.loads(ws.recv(30)) == {"t": "jobs", "jobs": []}
+
+
+def test_a_foreign_name_for_this_computer_is_refused(studio):
+    assert studio.ask("/api/state", headers={"Host": "evil.example"})[0] == 403
+    assert studio.ask("/api/state", headers={"Host": f"localhost:{studio.port}"})[0] == 200
+
+
+def test_an_oversized_message_ends_the_connection(studio):
+    for path in ("/ws/jobs", "/ws/gesture", "/ws/fuse"):
+        with studio.socket(path) as ws:
+            ws.recv(30)
+            with pytest.raises(ConnectionClosed) as closed:
+                ws.send("x" * 70_000)
+                while True:
+                    ws.recv(30)
+            assert closed.value.rcvd.code == 1009
+    assert studio.ask("/api/fit-clicks", data=b"[" * (2 << 20))[0] == 413
+    assert studio.ask("/api/fit-clicks", data=b"[" * 9000)[0] == 400
+
+
+def test_nonsense_on_a_socket_is_answered_with_a_sentence(studio):
+    for path in ("/ws/gesture", "/ws/fuse"):
+        with studio.socket(path) as ws:
+            ws.recv(30)
+            for text in ("{", "[]", '{"t": 3}', '{"t": "fly"}', '{"t": "start"}' if "gesture" in path else '{"t":"x"}'):
+                ws.send(text)
+                answer = json.loads(ws.recv(30))
+                assert answer["t"] == "error" and answer["error"].endswith(".")
+
+
+def test_too_many_connections_are_refused(studio):
+    with contextlib.ExitStack() as stack:
+        with pytest.raises(ConnectionClosed) as closed:
+            for _ in range(17):
+                stack.enter_context(studio.socket("/ws/jobs")).recv(30)
+        assert closed.value.rcvd.code == 1013
+
+
+def test_others_than_this_computer_need_the_token(served):
+    assert Access.of("0.0.0.0").token and Access.of("127.0.0.1").token is None
+    with serving(served, host="0.0.0.0", token="secret") as client:
+        assert client.ask("/api/state")[0] == 401
+        assert client.ask("/api/state?token=wrong")[0] == 401
+        assert client.ask("/api/state?token=secret")[0] == 200
+        assert client.ask("/api/state", headers={"Authorization": "Bearer secret"})[0] == 200
+        assert client.ask("/static/none.js")[0] == 404  # the page itself is no secret
+        with pytest.raises(InvalidStatus) as refused:
+            client.socket("/ws/jobs")
+        assert refused.value.response.status_code == 403
+        with client.socket("/ws/jobs?token=secret") as ws:
+            assert json.loads(ws.recv(30))["t"] == "jobs"
+
+
+def test_without_a_page_the_server_says_what_to_do(studio, monkeypatch, tmp_path):
+    monkeypatch.setattr(studio_server, "STATIC", tmp_path)
+    status, _, body = studio.ask("/")
+    assert status == 503 and b"hatch_build.py" in body
+
+
+def test_view_says_why_it_cannot_start(hypose, monkeypatch, served, tmp_path):
+    code, _, err = hypose("view", tmp_path / "none")
+    assert code == 2 and "does not exist" in err
+    for option, value in (("--port", 70000), ("--upload-limit", 0)):
+        code, _, err = hypose("view", served, option, value)
+        assert code == 2 and option in err
+    monkeypatch.setattr(studio_server, "STATIC", tmp_path)
+    code, _, err = hypose("view", served)
+    assert code == 2 and "hatch_build.py" in err
+    (tmp_path / "index.html").write_text("page")
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        code, _, err = hypose("view", served, "--port", taken.getsockname()[1], "--no-browser")
+    assert code == 2 and "cannot be used" in err and "--port" in err
