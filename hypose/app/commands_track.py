@@ -12,12 +12,14 @@ from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from click.core import ParameterSource
 
 from hypose.app.console import Stages, note, say
 from hypose.errors import InputError
 
 if TYPE_CHECKING:
     from hypose.app.job import Job, Outcome
+    from hypose.pipeline.monocular import MonoOptions
 
 Threads = Annotated[
     int | None, typer.Option(help="Processor threads; the result does not depend on it. [default: all]")
@@ -36,7 +38,11 @@ def track(
     refine: Annotated[bool, typer.Option("--refine", help="Contour refinement after a published recipe.")] = False,
     evidence: Annotated[str, typer.Option(help="silhouettes, keypoints or both.")] = "silhouettes",
     start: Annotated[
-        str, typer.Option(help="auto, keypoints, hull, or the first frame's pose: a, t, standing, hands-up.")
+        str,
+        typer.Option(
+            help="auto, keypoints, hull, or the first frame's pose: a, t, standing, hands-up; with one camera "
+            "keypoints or a file of clicked joints."
+        ),
     ] = "auto",
     height: Annotated[
         float | None, typer.Option(help="The subject's height in metres. [default: recording.toml's, else estimated]")
@@ -59,6 +65,11 @@ def track(
     calibration: Annotated[
         Path | None, typer.Option(help="Use this calibration file instead of the recording's.")
     ] = None,
+    method: Annotated[
+        str, typer.Option(help="multiview, or monocular: one camera, several hypotheses (docs/monocular.md).")
+    ] = "multiview",
+    camera: Annotated[str | None, typer.Option(help="The camera of --method monocular.")] = None,
+    hypotheses: Annotated[int, typer.Option(min=1, max=100, help="Hypotheses of --method monocular.")] = 7,
 ) -> None:
     """Track the person in a recording: poses with their uncertainty, motion files, overlay video, report."""
     set_threads(threads)
@@ -68,7 +79,7 @@ def track(
     from hypose.pipeline.run import TrackOptions
 
     loaded = choose_frames(load_recording(recording, calibration), frames)
-    options = TrackOptions(
+    options: TrackOptions | MonoOptions = TrackOptions(
         recipe=recipe,
         refine=refine,
         evidence=evidence,
@@ -77,7 +88,12 @@ def track(
         height=height if height is not None else loaded.subject_height,
         subject=str(subject) if subject is not None else None,
     )
-    results = ResultsFolder(out) if out is not None else ResultsFolder.of(loaded.folder, recipe)
+    if method != "multiview" or camera is not None:
+        from hypose.app.mono_job import one_camera
+
+        given = context.get_parameter_source("evidence") is not ParameterSource.DEFAULT
+        loaded, options = one_camera(loaded, method, camera, options, hypotheses, evidence if given else "auto")
+    results = ResultsFolder(out) if out is not None else ResultsFolder.of(loaded.folder, options.recipe)
     job = Job(
         loaded,
         options,

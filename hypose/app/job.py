@@ -25,6 +25,7 @@ from hypose.io.provenance import identity, provenance
 from hypose.io.recording import Recording
 from hypose.io.results import ResultsFolder, load_motion, to_json
 from hypose.pipeline.anthropometry import load_subject, subject_file
+from hypose.pipeline.monocular import MonoOptions
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.subject import SubjectOptions
 from hypose.tracking.recipes import RECIPES, recipe
@@ -37,7 +38,7 @@ class Job:
     record only. truth: compares the motion with a known truth, for synthetic recordings."""
 
     recording: Recording
-    options: TrackOptions
+    options: TrackOptions | MonoOptions
     results: ResultsFolder
     formats: Sequence[str] = tuple(FORMATS)
     overlay: bool = True
@@ -84,13 +85,17 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
     in any other stage it is passed on.
     """
     recording, options, results = job.recording, job.options, job.results
-    _check_choices(job)
+    if isinstance(options, MonoOptions):
+        from hypose.app.mono_job import run_mono_job
+
+        return run_mono_job(job, options, progress, seconds)
+    _check_choices(job, options)
     results.check_writable()
     record = record_of(job)
     progress("compile", 0, 1)
     compute.warm_up()
     progress("compile", 1, 1)
-    finished = _finished(job, record) if job.resume else None
+    finished = finished_before(job, record) if job.resume else None
     progress("background", 0, 1)
     # key points alone need no image, so nothing is decoded
     evidence = FrameOptions(silhouettes=None) if options.evidence == "keypoints" else None
@@ -116,18 +121,15 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
         truth = job.truth(tracked.motion, tracked.body) if job.truth is not None else None
         if not tracked.complete:
             return Outcome(tracked.motion, tracked.body, False, tuple(files), notes, truth)
-        files += _export(job, tracked, progress)
-        files += _draw(job, tracked, source, notes, truth, files, progress, seconds or {})
-    _remove_stale(results, files)
+        files += export_all(job, tracked.motion, tracked.body, progress)
+        files += _draw(job, options, tracked, source, notes, truth, files, progress, seconds or {})
+    remove_stale(results, files)
     return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth)
 
 
-def _check_choices(job: Job) -> None:
+def _check_choices(job: Job, options: TrackOptions) -> None:
     """Refuse now what would be refused only after minutes of work."""
-    options = job.options
-    unknown = [f for f in job.formats if f not in FORMATS]
-    if unknown:
-        raise InputError(f"There is no export format {unknown[0]!r}; the formats are {', '.join(FORMATS)}.")
+    check_formats(job.formats)
     if options.recipe not in RECIPES:
         raise InputError(f"There is no recipe {options.recipe!r}; the recipes are {', '.join(RECIPES)}.")
     SubjectOptions(options.start)
@@ -140,6 +142,13 @@ def _check_choices(job: Job) -> None:
             "The evidence 'keypoints' needs key points, and this recording has none; add keypoints = ... to the views "
             "in recording.toml, or use silhouettes."
         )
+
+
+def check_formats(names: Sequence[str]) -> None:
+    """An InputError when there is no such motion format."""
+    unknown = [f for f in names if f not in FORMATS]
+    if unknown:
+        raise InputError(f"There is no export format {unknown[0]!r}; the formats are {', '.join(FORMATS)}.")
 
 
 def record_of(job: Job) -> dict[str, Any]:
@@ -161,7 +170,7 @@ def record_of(job: Job) -> dict[str, Any]:
     return provenance(options.recipe, options.seed, settings, inputs, job.run)
 
 
-def _finished(job: Job, record: Mapping[str, Any]) -> TrackResult | None:
+def finished_before(job: Job, record: Mapping[str, Any]) -> TrackResult | None:
     """The complete motion of an earlier run with the same inputs and settings, when only later files may be missing."""
     results = job.results
     body = results.file("body.npz")
@@ -173,17 +182,19 @@ def _finished(job: Job, record: Mapping[str, Any]) -> TrackResult | None:
     return TrackResult(motion, load_body(body), True, ("tracked in an earlier run with the same inputs and settings",))
 
 
-def _export(job: Job, tracked: TrackResult, progress: ProgressCall) -> list[Path]:
+def export_all(job: Job, motion: Motion, body: Body, progress: ProgressCall) -> list[Path]:
+    """The motion in all the formats that are wanted."""
     written: list[Path] = []
     for done, name in enumerate(job.formats):
         progress("export", done, len(job.formats))
-        written += export_motion(tracked.motion, tracked.body, job.results.path, (name,))
+        written += export_motion(motion, body, job.results.path, (name,))
     progress("export", len(job.formats), len(job.formats))
     return written
 
 
 def _draw(
     job: Job,
+    options: TrackOptions,
     tracked: TrackResult,
     source: FrameStream,
     notes: Sequence[str],
@@ -207,7 +218,7 @@ def _draw(
     progress("report", 0, 1)
     numbers = recording.frames
     listed = [*files, *out, report]
-    made, _ = recipe(job.options.recipe, tracked.body, frame_rate=recording.frame_rate, refine=job.options.refine)
+    made, _ = recipe(options.recipe, tracked.body, frame_rate=recording.frame_rate, refine=options.refine)
     write_report(
         report,
         ReportInput(
@@ -222,13 +233,15 @@ def _draw(
             seconds=dict(seconds),
             truth=truth,
             complete=tracked.complete,
+            recording=recording,
+            first_frame=numbers.start,
         ),
     )
     progress("report", 1, 1)
     return [*out, report]
 
 
-def _remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:
+def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:
     """Files of an earlier run that this one did not write again would pass for results of this one."""
     keep = {p.name for p in written}
     for name in DESCRIPTIONS:

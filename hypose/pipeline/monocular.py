@@ -185,8 +185,8 @@ def depth_note(motion: Motion, modes: Modes, body: Body) -> str:
     others = np.median(modes.alive) - 1
     return (
         f"one camera does not measure depth: along its line of sight a joint is known to +-{depth:.0f} mm (1 sd, "
-        f"median), across it to +-{across:.0f} mm; beside the best pose {others:.0f} others explain the pictures nearly "
-        f"as well (median), whose joints lie up to {spread:.0f} mm elsewhere: see {MODES}"
+        f"median), across it to +-{across:.0f} mm; beside the best pose {others:.0f} others explain the pictures "
+        f"nearly as well (median), whose joints lie up to {spread:.0f} mm elsewhere: see {MODES}"
     )
 
 
