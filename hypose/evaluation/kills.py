@@ -1,27 +1,32 @@
 """kill -9 at random moments of every long command: what is lost, what is half written, what a second run makes of it.
 
-Every other kill hits a run over a folder that already holds finished results: these must stay whole.
+The processes are forked from one that has imported and compiled everything, so that kills fall into the work. Every
+other kill hits a run over a folder that already holds finished results: these must stay whole.
 """
 
 from __future__ import annotations
 
+import importlib
 import json
 import shutil
 import tempfile
+import time
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import cv2
 import numpy as np
 
+from hypose import compute
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row
-from hypose.evaluation.programs import kill_after, run
+from hypose.evaluation.programs import fork, run
 from hypose.evaluation.small_recordings import small_scene, write_board_pictures, write_masks, write_skeletons
 
 _VARIES = {"provenance.json", "report.html", "task.json", "results.csv", "results.html"}
 """Files that tell of the run itself: times, attempts, the command."""
-_PASSING = {"checkpoint.npz"}
+_PATIENCE_S = 900.0
 
 
 @dataclass(frozen=True)
@@ -91,63 +96,89 @@ def prepare(folder: Path, frames: int) -> list[LongCommand]:
 def kills(options: BenchOptions) -> BenchReport:
     """lost_results, half_written (files), resumed_identical (share of kills) per command and over all.
 
-    --seeds: number of kills (200; quick: 8, at least one per command). The moment is uniform over the time that an
-    undisturbed run took. Lost: a finished file of before is gone or changed. Half-written: a file with its final name
-    cannot be read whole. Identical: the second run ends well, and its files are those of the undisturbed run, byte for
-    byte; files that tell of the run itself only have to be whole.
+    --seeds: number of kills (200; quick: 8, at least one per command), in random order. The moment is uniform over the
+    time that an undisturbed run took. Lost: a finished file of before is gone or changed. Half-written: a file with its
+    final name cannot be read whole. Identical: the second run ends well, and its files are those of the undisturbed
+    run, byte for byte; files that tell of the run itself only have to be whole. Ctrl-C gives the rows of the kills so
+    far.
     """
     total = options.seeds or (8 if options.quick else 200)
     rng = np.random.default_rng([options.first_seed or 0, 11])
     with tempfile.TemporaryDirectory() as temporary:
         root = Path(temporary)
-        commands = prepare(root, 30 if options.quick else 60)
-        done = 0
-        tallies: dict[str, Tally] = {}
-        for command in commands:
-            count = max(1, round(total * command.share))
-            tallies[command.name] = kill_command(
-                command, root, count, rng, lambda n, at=done: options.progress("kills", at + n, total)
-            )
-            done += count
-    return BenchReport(tuple(_rows(tallies)), {"kills": done, "found": [f for t in tallies.values() for f in t.found]})
+        commands = prepare(root, 30)
+        _preload()
+        seconds = {c.name: _undisturbed(c, root) for c in commands}
+        order = [c for c in commands for _ in range(max(1, round(total * c.share)))]
+        tallies = {c.name: Tally() for c in commands}
+        try:
+            for n, k in enumerate(rng.permutation(len(order))):
+                options.progress("kills", n, len(order))
+                command = order[k]
+                kill_once(command, root, seconds[command.name], n % 2 == 0, rng, tallies[command.name])
+        except KeyboardInterrupt:
+            pass
+    done = sum(t.kills for t in tallies.values())
+    return BenchReport(
+        tuple(_rows(tallies)),
+        {
+            "kills": done,
+            "found": [f for t in tallies.values() for f in t.found],
+            "with_checkpoint": {n: t.begun for n, t in tallies.items()},
+        },
+    )
 
 
-def kill_command(
-    command: LongCommand, root: Path, count: int, rng: np.random.Generator, tell: Callable[[int], None]
-) -> Tally:
-    """`count` kills of one command; tell(n): after the n-th."""
-    reference = root / "reference" / command.name
-    first = run(command.to(reference))
-    if first.code != 0:
-        raise RuntimeError(f"{command.name} failed undisturbed: {first.err[-500:]}")
-    wanted = _contents(reference)
-    tally, tries = Tally(), 0
-    while tally.kills < count and tries < 3 * count:
-        tries += 1
-        out = root / "killed" / command.name
+def _preload() -> None:
+    """What all commands import and compile; OpenCV without threads, which a fork would lose."""
+    cv2.setNumThreads(1)
+    compute.warm_up()
+    for name in ("job", "report", "overlay", "fuse_job", "gesture_job", "commands_calibrate", "checking", "batch"):
+        importlib.import_module(f"hypose.app.{name}")
+
+
+def _undisturbed(command: LongCommand, root: Path) -> float:
+    """Seconds of a run that nobody kills; its results are what the others are compared with."""
+    log = root / "log"
+    begin = time.monotonic()
+    if fork(command.to(root / "reference" / command.name), log).wait(_PATIENCE_S) != 0:
+        raise RuntimeError(f"{command.name} failed undisturbed: {log.read_text()[-500:]}")
+    return time.monotonic() - begin
+
+
+def kill_once(
+    command: LongCommand, root: Path, seconds: float, over_old: bool, rng: np.random.Generator, tally: Tally
+) -> None:
+    """One run of a command killed, one to go on. over_old: it begins over finished results."""
+    reference, out, log = root / "reference" / command.name, root / "killed" / command.name, root / "log"
+    for _ in range(5):
         shutil.rmtree(out, ignore_errors=True)
-        over_old = tries % 2 == 0
         if over_old:
             shutil.copytree(reference, out)
-        if not kill_after(command.to(out), float(rng.uniform(0.0, first.seconds))):
-            continue
-        tally.kills += 1
-        tally.begun += (out / "checkpoint.npz").exists()
-        after = _contents(out)
-        damaged = [p for p in after if not _whole(out / p, after[p], wanted.get(p))]
-        tally.half_written += len(damaged)
-        gone = [p for p in wanted if over_old and p not in after]
-        tally.lost += len(gone) + (len(damaged) if over_old else 0)
-        second = run(command.to(out, again=True))
-        final = _contents(out)
-        same = second.code == 0 and set(wanted) <= set(final)
-        same = same and all(_whole(out / p, final[p], wanted.get(p)) for p in final)
-        same = same and not any(Path(p).name in _PASSING for p in final)
-        tally.identical += same
-        if damaged or gone or not same:
-            tally.found.append(f"{command.name}: damaged {damaged}, gone {gone}, second run {second.err[-300:]}")
-        tell(tally.kills)
-    return tally
+        process = fork(command.to(out), log)
+        if process.wait(float(rng.uniform(0.0, seconds))) is None:
+            process.kill()
+            break
+    else:
+        return  # always over before its time
+    wanted = _contents(reference)
+    tally.kills += 1
+    tally.begun += any(out.rglob("checkpoint.npz"))
+    after = _contents(out)
+    damaged = [p for p in after if not _whole(out / p, after[p], wanted.get(p))]
+    gone = [p for p in wanted if over_old and p not in after]
+    tally.half_written += len(damaged)
+    tally.lost += len(gone) + (len(damaged) if over_old else 0)
+    second = fork(command.to(out, again=True), log)
+    code = second.wait(_PATIENCE_S)
+    if code is None:
+        second.kill()
+    final = _contents(out)
+    same = code == 0 and set(wanted) <= set(final) and not any(Path(p).name == "checkpoint.npz" for p in final)
+    same = same and all(_whole(out / p, final[p], wanted.get(p)) for p in final)
+    tally.identical += same
+    if damaged or gone or not same:
+        tally.found.append(f"{command.name}: damaged {damaged}, gone {gone}, then {code}: {log.read_text()[-300:]}")
 
 
 def _contents(folder: Path) -> dict[str, bytes]:

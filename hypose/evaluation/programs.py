@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import resource
+import runpy
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -76,24 +78,53 @@ def run(
     return Ended(process.returncode, out, err, time.monotonic() - begin)
 
 
-def kill_after(arguments: Sequence[str | Path], seconds: float, seen: Callable[[], None] | None = None) -> bool:
-    """Start `hypose ARGUMENTS` and send SIGKILL to it after some seconds; False when it ended before. seen() is called
-    often while it runs."""
-    process = subprocess.Popen(
-        [*HYPOSE, *map(str, arguments)],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline and process.poll() is None:
-        if seen is not None:
-            seen()
-        time.sleep(min(0.05, max(0.0, deadline - time.monotonic())))
-    running = process.poll() is None
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    return running
+@dataclass(frozen=True)
+class Forked:
+    """A process that runs `hypose ARGUMENTS`, forked from this one: what this one has imported and compiled need not be
+    loaded again, so that a kill falls into the work. Its output goes to a file."""
+
+    pid: int
+    log: Path
+
+    def wait(self, seconds: float) -> int | None:
+        """Exit code (negative: the signal), None when it still runs after some seconds."""
+        deadline = time.monotonic() + seconds
+        while True:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            if pid:
+                return os.waitstatus_to_exitcode(status)
+            left = deadline - time.monotonic()
+            if left <= 0:
+                return None
+            time.sleep(min(0.02, left))
+
+    def kill(self) -> None:
+        """SIGKILL, and wait for its end."""
+        os.kill(self.pid, signal.SIGKILL)
+        os.waitpid(self.pid, 0)
+
+
+def fork(arguments: Sequence[str | Path], log: Path) -> Forked:
+    """Start `hypose ARGUMENTS` in a fork of this process, which must have no running threads but numba's."""
+    pid = os.fork()
+    if pid:
+        return Forked(pid, log)
+    code = 1
+    try:
+        os.dup2(os.open(log, os.O_CREAT | os.O_TRUNC | os.O_WRONLY), 1)
+        os.dup2(1, 2)
+        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+        sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w")
+        sys.argv = ["hypose", *map(str, arguments)]
+        runpy.run_module("hypose.app.cli", run_name="__main__")
+        code = 0
+    except SystemExit as ended:
+        code = ended.code if isinstance(ended.code, int) else int(ended.code is not None)
+    finally:
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(code)
 
 
 def workers_of(process: int) -> list[int]:
