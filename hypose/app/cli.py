@@ -49,6 +49,7 @@ app.add_typer(commands_gesture.app, name="gesture")
 app.command("batch")(commands_batch.batch)
 app.command("view")(commands_studio.view)
 app.command("export")(commands_results.export)
+app.command("report")(commands_results.report)
 app.command("synth")(commands_data.synth)
 app.command("bench")(commands_results.bench)
 
