@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import LinAlgError, solveh_banded
 
 from hypose import compute
 from hypose.body.body import Body
@@ -25,6 +24,7 @@ from hypose.fitting.articulated import (
     prior_arrays,
     workspace_for,
 )
+from hypose.compute.banded import solve_coupled
 from hypose.geometry import Array, nearest_branch
 
 LARGEST_TURN = 0.35
@@ -63,7 +63,7 @@ def fit_clip(
     points, keypoints, contours, gaussians: one term (or None) per frame. acceleration: strength a (times
     `default_acceleration`), or (D,) weights; velocity: weights v, (D,) or one for all: without it what is extrapolated
     goes on for ever. priors act on every frame. Damped Gauss-Newton on all frames together:
-    the matrix is block-pentadiagonal and solved as a banded Cholesky, so the cost is linear in T. Joint limits are
+    the matrix couples each frame to the next two, so the cost is linear in T. Joint limits are
     kept by cutting the step off. A SolverError when a frame's cost at the start is not finite."""
     q = _continuous(np.array(starts, dtype=np.float64))
     n_frames, dof = q.shape
@@ -208,21 +208,13 @@ class _Clip:
         self, gradient: Array, hessian: Array, q: Array, lower: Array, upper: Array, damping: float
     ) -> Array | None:
         """Damped Newton step (T, D) with the dof that push against a limit held; None when not positive definite."""
-        t, d = q.shape
         held = ((q <= lower + 1e-9) & (gradient > 0)) | ((q >= upper - 1e-9) & (gradient < 0))
         keep = ~held
-        bands = np.zeros((3 * d, t * d))
-        index = np.arange(t * d).reshape(t, d)
-        for k in range(d):  # lower diagonals inside the blocks
-            rows = np.arange(d - k)
-            value = hessian[:, rows + k, rows] * keep[:, rows + k] * keep[:, rows]
-            bands[k, index[:, rows].ravel()] = value.ravel()
-        for s in range(3):
-            if s < t:
-                value = self.coupling.bands[s, : t - s] * keep[: t - s] * keep[s:]
-                bands[s * d, index[: t - s].ravel()] += value.ravel()
-        bands[0] += damping * np.maximum(bands[0], 1.0)
-        try:
-            return -solveh_banded(bands, (gradient * keep).ravel(), lower=True).reshape(t, d)
-        except LinAlgError:
-            return None
+        own = hessian * (keep[:, :, None] & keep[:, None, :])
+        bands = self.coupling.bands * keep
+        for s in (1, 2):
+            bands[s, : len(q) - s] *= keep[s:]
+        diagonal = np.einsum("tdd->td", own) + bands[0]
+        bands[0] += damping * np.maximum(diagonal, 1.0) + held  # a held coordinate stands alone
+        step = solve_coupled(own, bands, gradient * keep)
+        return None if step is None else -step

@@ -129,14 +129,16 @@ def checked(
     if (middle <= STRANGER_M).sum() >= 2:
         out[strangers, :, 2] = 0.0
     column = {name: k for k, name in enumerate(names)}
-    for view in np.flatnonzero(~strangers):
+    far = np.nan_to_num(distance) > SWAPPED_M
+    for view in np.flatnonzero(~strangers & far.any(1)):
         for chain in _CHAINS:
             pairs = [
                 (column[f"left_{part}"], column[f"right_{part}"])
                 for part in chain
                 if f"left_{part}" in column and f"right_{part}" in column
             ]
-            _exchange(out[view], expected[view], pairs, float(size[view]))
+            if far[view, list(sum(pairs, ()))].any():  # the mean can only be as far if one of them is
+                _exchange(out[view], expected[view], pairs, float(size[view]))
     return out
 
 

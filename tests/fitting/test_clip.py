@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from hypose import fitting
+from hypose.compute.banded import frame_covariances
 from hypose.errors import SolverError
 from hypose.fitting.clip import Coupling, _Clip, default_acceleration
-from hypose.fitting.clip_covariance import frame_covariances
 from tests.capsule_person import capsule_person, random_pose
 
 BODY = capsule_person(0.09)
@@ -51,7 +51,7 @@ def test_frames_without_evidence_are_bridged(motion, rng):
     assert np.linalg.norm(BODY.joints(clip) - BODY.joints(motion), axis=-1).max() < 0.02
 
 
-def test_banded_step_is_the_dense_step(motion, rng):
+def test_step_is_the_dense_step(motion, rng):
     velocity = np.full(S.dof, 3.0)
     coupling = Coupling(6, default_acceleration(S.dof, 2.0), velocity)
     problem = _Clip(BODY, coupling, point_terms(motion[:6], rng, 0.02), None, None, None, ())
@@ -89,25 +89,8 @@ def test_wrong_number_of_terms_is_named(motion, rng):
         fitting.fit_clip(BODY, motion, points=point_terms(motion[:3], rng, 0.0))
 
 
-@pytest.mark.parametrize("frames", [2, 5, 8])
-def test_covariances_are_those_of_the_dense_inverse(rng, frames):
-    d = 3
-    a = rng.normal(size=(frames, d, d))
-    information = a @ np.swapaxes(a, 1, 2)
-    information[frames // 2] = 0.0  # a gap
-    acceleration, velocity = np.array([5.0, 1.0, 2.0]), np.array([0.5, 0.1, 0.3])
-    found = frame_covariances(information, Coupling(frames, acceleration, velocity))
-    d2, d1 = (np.diff(np.eye(frames), n, axis=0) for n in (2, 1))
-    dense = np.kron(d2.T @ d2, np.diag(acceleration)) + np.kron(d1.T @ d1, np.diag(velocity))
-    for t in range(frames):
-        dense[t * d : (t + 1) * d, t * d : (t + 1) * d] += information[t]
-    inverse = np.linalg.inv(dense)
-    for t in range(frames):
-        np.testing.assert_allclose(found[t], inverse[t * d : (t + 1) * d, t * d : (t + 1) * d], rtol=1e-8, atol=1e-12)
-
-
 def test_uncertainty_grows_into_a_gap():
     information = np.repeat(100.0 * np.eye(2)[None], 20, 0)
     information[10:] = 0.0
-    sd = np.sqrt(frame_covariances(information, Coupling(20, np.full(2, 50.0), np.full(2, 1.0)))[:, 0, 0])
+    sd = np.sqrt(frame_covariances(information, Coupling(20, np.full(2, 50.0), np.full(2, 1.0)).bands)[:, 0, 0])
     assert (np.diff(sd[9:]) > 0).all() and sd[-1] > 5 * sd[5]

@@ -1,0 +1,187 @@
+"""Whole clips: all frames of a motion together, smooth without lag, gaps bridged with growing uncertainty.
+
+A tracker looks at one frame after the other; here every frame knows what comes after it, too. What the tracker found
+is summed up frame by frame as a Gaussian (the solved pose and the curvature there), or, where the evidence is small,
+used as it is (key points). Frames are coupled by what bodies do: accelerations and speeds are limited. This is a
+smoother and no low-pass filter: where the evidence is sharp it is followed, where it is weak its neighbours decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hypose.body.body import Body
+from hypose.body.skeleton import Skeleton
+from hypose.compute.banded import frame_covariances
+from hypose.evidence.frame import Keypoints
+from hypose.fitting import KeypointTerm, PointTerm, SolveOptions, fit_clip, fit_pose
+from hypose.fitting.clip import Coupling, Gaussian
+from hypose.geometry import Array, nearest_branch
+from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_term
+from hypose.tracking.refinement import anatomical_prior
+
+
+@dataclass(frozen=True)
+class ClipSettings:
+    """acceleration_m, speed_m: usual acceleration (m/s^2) and speed (m/s) of the root; acceleration_rad, speed_rad: of
+    angles (rad/s^2, rad/s); independent: share of a frame's information that its neighbours do not repeat (errors of
+    one frame, a body's wrong girth above all, are those of the next); window, overlap: frames solved together, and how
+    many are shared by two windows."""
+
+    acceleration_m: float = 4.0
+    acceleration_rad: float = 150.0
+    speed_m: float = 1.5
+    speed_rad: float = 6.0
+    independent: float = 0.3
+    window: int = 400
+    overlap: int = 40
+
+
+def acceleration_weight(skeleton: Skeleton, frame_rate: float, settings: ClipSettings) -> Array:
+    """(D,) weights of squared second differences at a frame rate (Hz)."""
+    usual = np.r_[np.full(3, settings.acceleration_m), np.full(skeleton.dof - 3, settings.acceleration_rad)]
+    return (frame_rate**2 / usual) ** 2
+
+
+def speed_weight(skeleton: Skeleton, frame_rate: float, settings: ClipSettings) -> Array:
+    """(D,) weights of squared first differences at a frame rate (Hz)."""
+    usual = np.r_[np.full(3, settings.speed_m), np.full(skeleton.dof - 3, settings.speed_rad)]
+    return (frame_rate / usual) ** 2
+
+
+def smooth_poses(
+    body: Body,
+    poses: Array,
+    information: Array,
+    frame_rate: float,
+    settings: ClipSettings | None = None,
+    contacts: Sequence[PointTerm | None] | None = None,
+) -> Array:
+    """Poses (T, D) of a clip from those of its frames (T, D) and what is known of each: information (T, D, D), zero in
+    frames without evidence, whose pose does not matter. contacts: points that hold still, per frame."""
+    settings = settings or ClipSettings()
+    weight, slow = (f(body.skeleton, frame_rate, settings) for f in (acceleration_weight, speed_weight))
+    known = information.any((1, 2))
+    given = _bridged(poses, known)
+    # the priors' part of a frame's information pulls to its own pose; a little is left so that no coordinate is free
+    terms = [
+        Gaussian(q, settings.independent * i) if k else None for q, i, k in zip(given, information, known, strict=True)
+    ]
+    options = SolveOptions(iterations=6, coarse_iterations=0, damping=1e-6)
+
+    def solve(part: slice) -> Array:
+        held = None if contacts is None else contacts[part]
+        return fit_clip(
+            body,
+            given[part],
+            points=held,
+            gaussians=terms[part],
+            acceleration=weight,
+            velocity=slow,
+            options=options,
+        )
+
+    return _in_windows(given, settings, solve)
+
+
+def gap_variance(
+    body: Body, poses: Array, information: Array, frame_rate: float, settings: ClipSettings | None = None
+) -> Array:
+    """(T, J) m^2 per axis: what coupling to the neighbours leaves open, of each joint's centre. It is small where a
+    frame has evidence and grows with the distance from such frames."""
+    settings = settings or ClipSettings()
+    weight, slow = (f(body.skeleton, frame_rate, settings) for f in (acceleration_weight, speed_weight))
+    out = np.zeros((len(poses), len(body.skeleton.joint_names)))
+
+    def solve(part: slice) -> Array:
+        n = part.stop - part.start
+        covariance = frame_covariances(settings.independent * information[part], Coupling(n, weight, slow).bands)
+        spread = np.empty((n, out.shape[1]))
+        for t in range(n):
+            g = body.skeleton.joint_jacobians(poses[part.start + t])
+            spread[t] = np.einsum("jad,de,jae->j", g, covariance[t], g) / 3
+        return spread
+
+    return _in_windows(out, settings, solve)
+
+
+def solve_keypoint_clip(
+    body: Body,
+    model: KeypointModel,
+    keypoints: Sequence[Keypoints | None],
+    start: Array,
+    frame_rate: float,
+    settings: ClipSettings | None = None,
+) -> tuple[Array, list[KeypointTerm | None]]:
+    """Poses (T, D) of a clip from its key points alone, and the rows they came from (None: no evidence).
+
+    start (D,): pose in the first frame. First each frame from the last one, which puts exchanged sides right and
+    leaves strangers out, then all frames together on the key points themselves."""
+    settings = settings or ClipSettings()
+    s = body.skeleton
+    prior = (anatomical_prior(s),)
+    poses, terms = np.empty((len(keypoints), s.dof)), []
+    last, before = start, start
+    for t, seen in enumerate(keypoints):
+        expected = s.clamp(last + 0.8 * (last - s.on_branch(before, last)))
+        term = None if seen is None else keypoint_term(seen, body, model, expected)
+        terms.append(term)
+        poses[t] = expected
+        if term is not None:
+            poses[t] = fit_pose(body, expected, keypoints=term, priors=prior, options=_QUICK).pose
+        before, last = (last, poses[t]) if t else (poses[t], poses[t])
+    weight, slow = (f(s, frame_rate, settings) for f in (acceleration_weight, speed_weight))
+    given = _bridged(poses, np.array([t is not None for t in terms]))
+
+    def solve(part: slice) -> Array:
+        return fit_clip(
+            body,
+            given[part],
+            keypoints=terms[part],
+            acceleration=weight,
+            velocity=slow,
+            priors=prior,
+            options=SolveOptions(iterations=8, coarse_iterations=0),
+        )
+
+    return _in_windows(given, settings, solve), terms
+
+
+_QUICK = SolveOptions(iterations=6, coarse_iterations=0, tolerance=3e-3)
+
+
+def _bridged(poses: Array, known: Array) -> Array:
+    """Poses with straight lines across frames that are not known, on one branch of the root's rotation vector."""
+    out = poses.copy()
+    if not known.any():
+        return out
+    at = np.flatnonzero(known)
+    for a, b in zip(at[:-1], at[1:], strict=True):
+        out[b, 3:6] = nearest_branch(out[b, 3:6], out[a, 3:6])
+        share = (np.arange(a + 1, b) - a)[:, None] / (b - a)
+        out[a + 1 : b] = (1 - share) * out[a] + share * out[b]
+    out[: at[0]], out[at[-1] + 1 :] = out[at[0]], out[at[-1]]
+    return out
+
+
+def _in_windows(like: Array, settings: ClipSettings, solve) -> Array:  # noqa: ANN001 - a function of a slice
+    """solve(part) of overlapping windows, faded over where two overlap, so that memory and time grow with the clip's
+    length only linearly."""
+    t, out = len(like), np.zeros_like(like)
+    step = settings.window - settings.overlap
+    first = 0
+    while True:
+        last = min(first + settings.window, t)
+        if t - last < settings.overlap:
+            last = t
+        found = solve(slice(first, last))
+        n = min(settings.overlap, last - first) if first else 0
+        fade = (np.arange(n) + 1.0)[:, None] / (n + 1.0)
+        out[first : first + n] = (1 - fade) * out[first : first + n] + fade * found[:n]
+        out[first + n : last] = found[n:]
+        if last == t:
+            return out
+        first += step
