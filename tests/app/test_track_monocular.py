@@ -1,0 +1,135 @@
+"""`hypose track --method monocular`: one camera through the command line, its errors, interruption and resume."""
+
+import json
+
+import numpy as np
+import pytest
+
+from hypose.app import console
+from hypose.app.cli import main
+from hypose.app.job import DESCRIPTIONS
+from hypose.body.models import JOINT_NAMES
+from hypose.evaluation.rigs import rig
+from hypose.io.modes import load_modes
+from hypose.io.results import load_motion
+from hypose.io.video import open_video
+
+CLICKED = [
+    *(f"{s}_{p}" for s in ("left", "right") for p in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")),
+    "neck",
+    "head",
+]
+MONO = ("--method", "monocular", "--camera", "cam2", "--hypotheses", "2")
+
+
+@pytest.fixture(scope="module")
+def clicks(tiny, tmp_path_factory):
+    """Joints clicked in the first picture of cam2."""
+    with np.load(tiny / "truth.npz") as truth:
+        joints = truth["joints"][0]
+    uv = rig("humaneva-4", distorted=True).scaled(0.25)[1].project(joints)
+    at = {n: uv[JOINT_NAMES.index(n)].round(1).tolist() for n in CLICKED}
+    path = tmp_path_factory.mktemp("clicks") / "clicks.json"
+    path.write_text(json.dumps({"camera": "cam2", "frame": 0, "joints": at}))
+    return path
+
+
+@pytest.fixture(scope="module")
+def one_camera(tiny, clicks, tracked, tmp_path_factory):
+    """Results folder of a whole run with a given body."""
+    out = tmp_path_factory.mktemp("mono") / "results"
+    with pytest.raises(SystemExit) as stopped:
+        main(["track", str(tiny), *MONO, "--start", str(clicks), "--subject", str(tracked), "--out", str(out)])
+    assert stopped.value.code in (None, 0)
+    return out
+
+
+def test_every_file_is_written(one_camera) -> None:
+    assert {p.name for p in one_camera.iterdir()} == set(DESCRIPTIONS)
+    with open_video(one_camera / "overlay.mp4") as video:
+        assert len(video) == 8
+
+
+def test_the_modes_can_be_read(one_camera) -> None:
+    motion, modes = load_motion(one_camera / "motion.npz"), load_modes(one_camera / "modes.npz")
+    assert len(motion) == len(modes) == 8
+    np.testing.assert_allclose(modes.joints[:, 0], motion.joints, atol=1e-6)
+    assert ((modes.alive >= 1) & (modes.alive <= 2)).all()
+    np.testing.assert_allclose(np.nansum(modes.weights, 1), 1.0, atol=1e-6)
+    assert (modes.depth_sd > 0).any()
+    assert np.isnan(motion.cost).all()  # costs of pictures are no overlap
+
+
+def test_the_report_says_how_uncertain_depth_is(one_camera) -> None:
+    page = (one_camera / "report.html").read_text()
+    assert "one camera does not measure depth" in page
+    assert "mm (1 sd" in page
+    assert "monocular" in page
+
+
+def test_interrupted_and_resumed_is_the_same(tiny, clicks, tracked, one_camera, tmp_path, hypose, monkeypatch) -> None:
+    out = tmp_path / "results"
+    arguments = ("track", tiny, *MONO, "--start", clicks, "--subject", tracked, "--out", out, "--no-overlay")
+    shown = console.Stages.__call__
+
+    def call(self, now, count, total):
+        if (now, count) == ("track", 5):
+            raise KeyboardInterrupt
+        shown(self, now, count, total)
+
+    monkeypatch.setattr(console.Stages, "__call__", call)
+    code, printed, _ = hypose(*arguments, "--formats", "trc")
+    assert code == 130
+    assert "5 of 8 frames" in printed
+    assert len(load_modes(out / "modes.npz")) == 5
+    monkeypatch.setattr(console.Stages, "__call__", shown)
+    code, _, _ = hypose(*arguments, "--formats", "trc", "--resume")
+    assert code == 0
+    whole, again = load_motion(one_camera / "motion.npz"), load_motion(out / "motion.npz")
+    np.testing.assert_array_equal(whole.poses, again.poses)
+    assert not (out / "checkpoint.npz").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("--method", "monocular", "--camera", "cam9"), "has no camera 'cam9'; it has cam1, cam2, cam3, cam4"),
+        (("--method", "monocular"), "has 4 cameras (cam1, cam2, cam3, cam4); name one with --camera"),
+        (("--method", "stereo"), "There is no --method stereo; choose multiview or monocular"),
+        (("--camera", "cam2"), "--camera chooses one camera, and that needs --method monocular"),
+        ((*MONO, "--recipe", "hpf"), "leave them out with --method monocular"),
+        (MONO, "has no key points and no clicks were given"),
+        ((*MONO, "--start", "t"), "--start t is no file of clicked joints"),
+        ((*MONO, "--evidence", "keypoints"), "has no key points; add keypoints"),
+    ],
+)
+def test_what_does_not_go_is_said_in_a_sentence(tiny, tmp_path, hypose, arguments, sentence) -> None:
+    code, _, printed = hypose("track", tiny, *arguments, "--out", tmp_path / "results")
+    assert code == 2
+    assert sentence in " ".join(printed.split())
+    assert "Traceback" not in printed
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (
+            {"joints": {"left_wrist": [900, 20]}},
+            "left_wrist was clicked at (900, 20), outside the picture of 160 x 120",
+        ),
+        ({"joints": {"left_ear": [9, 20]}}, "there is no joint 'left_ear'"),
+        ({"joints": {"left_wrist": "here"}}, "left_wrist must be two numbers"),
+        ({"joints": {"left_wrist": [9, 20]}}, "holds 1 clicked joints; at least 6"),
+        ({"camera": "cam1"}, "belong to camera 'cam1', and cam2 is to be tracked"),
+        ({"frame": 3}, "belong to frame 3, and tracking begins at frame 0; give --frames 3:"),
+        ({"joints": 5}, 'needs "joints"'),
+        (None, "is not JSON"),
+    ],
+)
+def test_bad_clicks(tiny, clicks, tmp_path, hypose, change, sentence) -> None:
+    path = tmp_path / "clicks.json"
+    path.write_text("{joints}" if change is None else json.dumps({**json.loads(clicks.read_text()), **change}))
+    code, _, printed = hypose("track", tiny, *MONO, "--start", path, "--out", tmp_path / "results")
+    assert code == 2
+    assert sentence in " ".join(printed.split())
+    assert not (tmp_path / "results" / "motion.npz").exists()

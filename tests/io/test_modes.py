@@ -1,0 +1,60 @@
+"""modes.npz: read back as written, padded to the most modes, and refused when it is something else."""
+
+import numpy as np
+import pytest
+
+from hypose.errors import InputError
+from hypose.io.modes import Modes, joined, load_modes, save_modes
+
+
+def some(t, k, seed=0, d=5, j=3):
+    rng = np.random.default_rng(seed)
+    weights = rng.random((t, k))
+    return Modes(
+        rng.normal(size=(t, k, d)),
+        rng.normal(size=(t, k, j, 3)),
+        weights / weights.sum(1, keepdims=True),
+        rng.normal(size=(t, k)),
+        rng.normal(size=(t, k, d, d)).astype(np.float32),
+        rng.normal(size=(t, j, 3, 3)),
+        rng.random((t, j)),
+        np.full(t, k, dtype=np.int64),
+    )
+
+
+def test_read_back(tmp_path) -> None:
+    modes = some(4, 2)
+    save_modes(modes, tmp_path / "modes.npz")
+    again = load_modes(tmp_path / "modes.npz")
+    for name in ("poses", "joints", "weights", "costs", "covariances", "joint_covariance", "depth_sd", "alive"):
+        np.testing.assert_array_equal(getattr(modes, name), getattr(again, name))
+    assert len(again) == 4
+
+
+def test_frames_with_fewer_modes_are_padded() -> None:
+    both = joined([some(2, 1), some(3, 4, seed=1)])
+    assert both.poses.shape[:2] == (5, 4)
+    assert np.isnan(both.joints[:2, 1:]).all()
+    assert np.isfinite(both.joints[2:]).all()
+    assert both.alive.tolist() == [1, 1, 4, 4, 4]
+
+
+def test_shapes_must_agree() -> None:
+    a = some(2, 2)
+    with pytest.raises(InputError, match=r"Modes.weights has shape \(2, 3\)"):
+        Modes(a.poses, a.joints, np.ones((2, 3)), a.costs, a.covariances, a.joint_covariance, a.depth_sd, a.alive)
+
+
+@pytest.mark.parametrize("content", [b"", b"no archive", None])
+def test_other_files_are_refused(tmp_path, content) -> None:
+    path = tmp_path / "modes.npz"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match="modes.npz"):
+        load_modes(path)
+
+
+def test_arrays_of_something_else_are_refused(tmp_path) -> None:
+    np.savez(tmp_path / "modes.npz", x=np.zeros(3))
+    with pytest.raises(InputError, match="no file of modes"):
+        load_modes(tmp_path / "modes.npz")
