@@ -28,7 +28,12 @@ from hypose.tracking.initialise import recover
 from hypose.tracking.keypoint_evidence import KeypointModel
 from hypose.tracking.recipes import step_sigma
 from hypose.tracking.refinement import REFINED, RefinedEstimate, refine
-from hypose.tracking.uncertainty import joint_sd_of_pose, joint_sd_of_set
+from hypose.tracking.uncertainty import (
+    PoseUncertainty,
+    nothing_known,
+    uncertainty_of_pose,
+    uncertainty_of_set,
+)
 
 BETWEEN_FRAMES, RECOVERY, START = -1, -2, -3
 """Layer numbers of the random streams used outside a recipe's layers."""
@@ -61,14 +66,19 @@ class TrackerSettings:
 
 @dataclass(frozen=True)
 class FrameEstimate:
-    """pose (D,), joint_sd (J,) m per axis, cost: 1 - mean IoU (NaN without silhouettes), flags, number of views."""
+    """pose (D,), its uncertainty, cost: 1 - mean IoU (NaN without silhouettes), flags, number of views."""
 
     pose: Array
-    joint_sd: Array
+    uncertainty: PoseUncertainty
     cost: float
     lost: bool
     extrapolated: bool
     n_views: int
+
+    @property
+    def joint_sd(self) -> Array:
+        """(J,) m per axis."""
+        return self.uncertainty.joint_sd
 
 
 @dataclass(frozen=True)
@@ -167,13 +177,13 @@ class Tracker:
         if lost and iou < NOBODY:
             # stay where the person was last seen: a solve would drift to whatever else is in the masks
             pose, selected = state.pose, state.hypotheses
-        sd = self._joint_sd(pose, result, prepared)
+        known = self._uncertainty(pose, result, prepared)
         usual = state.usual_iou
         if not lost and np.isfinite(iou):
             usual = iou if np.isnan(usual) else usual + 0.1 * (iou - usual)
-        following = TrackerState(state.frames + 1, selected, pose, state.pose, sd, usual, 0, lost)
+        following = TrackerState(state.frames + 1, selected, pose, state.pose, known.joint_sd, usual, 0, lost)
         cost = 1 - iou if np.isfinite(iou) else float("nan")
-        return following, FrameEstimate(pose, sd, cost, lost, False, view_count(prepared))
+        return following, FrameEstimate(pose, known, cost, lost, False, view_count(prepared))
 
     def _gain(self, state: TrackerState) -> float:
         """Share of the last step that is expected again: none after a loss, and none for estimates that are means of
@@ -239,12 +249,12 @@ class Tracker:
         lost = state.lost or blind > self.settings.extrapolate * self.settings.frame_rate
         h = replace(state.hypotheses, values=s.clamp(state.hypotheses.values + velocity))
         following = TrackerState(state.frames + 1, h, prediction, state.pose, sd, state.usual_iou, blind, lost)
-        return following, FrameEstimate(prediction, sd, float("nan"), lost, True, 0)
+        return following, FrameEstimate(prediction, nothing_known(sd, s.dof), float("nan"), lost, True, 0)
 
-    def _joint_sd(self, pose: Array, result: SearchResult, prepared: PreparedFrame) -> Array:
+    def _uncertainty(self, pose: Array, result: SearchResult, prepared: PreparedFrame) -> PoseUncertainty:
         if (result.weighted.label == REFINED).any():
-            return joint_sd_of_pose(self.body, pose, prepared)
-        return joint_sd_of_set(self.body, result.weighted)
+            return uncertainty_of_pose(self.body, pose, prepared)
+        return uncertainty_of_set(self.body, result.weighted)
 
 
 def joint_step(body: Body, pose: Array, sigma: Array) -> Array:
@@ -282,6 +292,7 @@ def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray
     return {
         "poses": np.stack([e.pose for e in estimates]),
         "joint_sds": np.stack([e.joint_sd for e in estimates]),
+        "information": np.stack([e.uncertainty.information for e in estimates]),
         "costs": np.array([e.cost for e in estimates]),
         "flags": np.array([[e.lost, e.extrapolated] for e in estimates]),
         "views": np.array([e.n_views for e in estimates]),
@@ -291,8 +302,14 @@ def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray
 def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimate]:
     """The estimates that `estimates_to_arrays` wrote."""
     return [
-        FrameEstimate(pose, sd, float(cost), bool(flags[0]), bool(flags[1]), int(views))
-        for pose, sd, cost, flags, views in zip(
-            arrays["poses"], arrays["joint_sds"], arrays["costs"], arrays["flags"], arrays["views"], strict=True
+        FrameEstimate(pose, PoseUncertainty(sd, known), float(cost), bool(flags[0]), bool(flags[1]), int(views))
+        for pose, sd, known, cost, flags, views in zip(
+            arrays["poses"],
+            arrays["joint_sds"],
+            arrays["information"],
+            arrays["costs"],
+            arrays["flags"],
+            arrays["views"],
+            strict=True,
         )
     ]

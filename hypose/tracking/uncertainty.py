@@ -1,15 +1,18 @@
-"""Uncertainty of joints: from the curvature of the solved cost, or from the spread of a weighted set."""
+"""Uncertainty of a frame's pose: from the curvature of the solved cost, or from the spread of a weighted set."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from hypose import compute
 from hypose.body.body import Body
 from hypose.fitting.articulated import SolveOptions
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.evidence import PreparedFrame, posed
+from hypose.tracking.evidence import PreparedFrame
 from hypose.tracking.refinement import refine
 
 # The default weight of a contour row (0.05) already makes up for rows that err together and for a body whose shape is
@@ -18,23 +21,57 @@ from hypose.tracking.refinement import refine
 CURVATURE_INFLATION = 1.0
 FLOOR = 0.005
 """m; no joint centre of a fitted body is known better than this."""
+_SET_FLOOR = 0.02
+"""rad, m; no coordinate of a weighted set is known better than this, however few of its members survived."""
 
 
-def joint_sd_of_pose(body: Body, pose: Array, frame: PreparedFrame) -> Array:
-    """(J,) sd per axis (m) of the joint centres at a solved pose (D,), from the inverse of the cost's Hessian.
+@dataclass(frozen=True)
+class PoseUncertainty:
+    """joint_sd (J,) m per axis of the joint centres. information (D (D + 1) / 2,): what the frame by itself says of the
+    pose, an inverse covariance (its lower triangle) without the pull to the prediction, for solving whole clips; zero:
+    nothing. In float32, since long recordings have many frames."""
 
-    Covariance = inflation^2 H^-1 with the priors in H, so a joint that no view sees keeps the prior's spread.
+    joint_sd: Array
+    information: NDArray[np.float32]
+
+
+def uncertainty_of_pose(body: Body, pose: Array, frame: PreparedFrame) -> PoseUncertainty:
+    """Of a solved pose (D,), from the inverse of the cost's Hessian.
+
+    Covariance of the joints = inflation^2 H^-1 with the priors in H, so a joint that no view sees keeps the prior's
+    spread.
     """
-    hessian = frame.known.hessians.get(posed(body, pose))
-    if hessian is None:
-        hessian = refine(body, pose[None], frame, SolveOptions(iterations=0, coarse_iterations=0))[0].hessian
-    sd = compute.joint_spread(pose, body.skeleton.tree, hessian)
-    return np.hypot(CURVATURE_INFLATION * sd, FLOOR)
+    fit = refine(body, pose[None], frame, SolveOptions(iterations=0, coarse_iterations=0))[0]
+    sd = compute.joint_spread(fit.pose, body.skeleton.tree, fit.hessian)
+    information = fit.hessian - frame.prediction_weight * np.eye(len(pose))
+    return PoseUncertainty(np.hypot(CURVATURE_INFLATION * sd, FLOOR), packed(information))
 
 
-def joint_sd_of_set(body: Body, h: Hypotheses) -> Array:
-    """(J,) sd per axis (m) of the joint centres over a weighted set (N, D)."""
+def uncertainty_of_set(body: Body, h: Hypotheses) -> PoseUncertainty:
+    """Of a weighted set (N, D)."""
     joints = body.joints(h.values)
     w = h.weights[:, None, None]
     mean = (w * joints).sum(0)
-    return np.hypot(np.sqrt((w * (joints - mean) ** 2).sum((0, 2)) / 3), FLOOR)
+    sd = np.hypot(np.sqrt((w * (joints - mean) ** 2).sum((0, 2)) / 3), FLOOR)
+    off = h.values - h.weights @ h.values
+    covariance = np.einsum("n,nd,ne->de", h.weights, off, off) + _SET_FLOOR**2 * np.eye(off.shape[1])
+    return PoseUncertainty(sd, packed(np.linalg.inv(covariance)))
+
+
+def nothing_known(joint_sd: Array, dof: int) -> PoseUncertainty:
+    """Of a frame without evidence, whose joints are known to joint_sd (J,) from the frames before."""
+    return PoseUncertainty(joint_sd, packed(np.zeros((dof, dof))))
+
+
+def packed(information: Array) -> NDArray[np.float32]:
+    """(D (D + 1) / 2,) float32: the lower triangle of a symmetric matrix (D, D)."""
+    return information[np.tril_indices(len(information))].astype(np.float32)
+
+
+def unpacked(triangles: ArrayLike, dof: int) -> Array:
+    """(T, D, D) from triangles (T, D (D + 1) / 2)."""
+    triangles = np.asarray(triangles, dtype=np.float64)
+    rows, columns = np.tril_indices(dof)
+    out = np.zeros((len(triangles), dof, dof))
+    out[:, rows, columns] = out[:, columns, rows] = triangles
+    return out
