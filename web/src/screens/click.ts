@@ -1,6 +1,1 @@
-import type { OpenScreen } from "../screen";
-
-export const click: OpenScreen = (root) => {
-  root.textContent = "click";
-  return { close: () => undefined };
-};
+export { click } from "../click/screen";

@@ -1,0 +1,224 @@
+import { address, post } from "../api";
+import { answered, type Counters } from "../counters";
+import type { ClickJoint, Job, Recording } from "../protocol";
+import { button } from "../ui/buttons";
+import { h } from "../ui/dom";
+import { bindKeys, type Key } from "../ui/keyboard";
+import { toast } from "../ui/toast";
+import { ClickState } from "./clicks";
+import { Fitter } from "./fitter";
+import { FitFacts, JointList } from "./panel";
+import { ClickPicture } from "./picture";
+import { FitSpace } from "./space";
+
+/** Clicking in the pictures of one frame, the fitted pose beside it. */
+export class Workspace {
+  readonly element: HTMLElement;
+  readonly state: ClickState;
+  private readonly fitter: Fitter;
+  private readonly picture: ClickPicture;
+  private readonly list: JointList;
+  private readonly facts: FitFacts;
+  private readonly space: FitSpace;
+  private readonly titles: Record<string, string>;
+  private readonly cameras = h("div", { class: "row click-cameras", role: "radiogroup", "aria-label": "Camera" });
+  private readonly save = h("form", { class: "click-save" });
+  private readonly stops: (() => void)[];
+  private touched = 0;
+  private before = "";
+
+  /** result: the pose of this result is corrected; frame: number in the recording. */
+  constructor(
+    private readonly recording: Recording,
+    private readonly result: string | null,
+    readonly frame: number,
+    joints: readonly ClickJoint[],
+    private readonly counters: Counters,
+    private readonly go: (frame: number) => void,
+  ) {
+    this.titles = Object.fromEntries(joints.map((j) => [j.joint, j.title]));
+    const cameras = recording.cameras.filter((c) => c.pictures);
+    const key = `clicks.${recording.id}.${result ?? ""}.${frame}`;
+    this.state = new ClickState(joints, cameras.map((c) => c.name), key, () => this.show());
+    this.fitter = new Fitter(this.state, { recording: recording.id, result, frame }, () => this.show());
+    this.picture = new ClickPicture(this.state, (dragging) => this.fitter.ask(dragging));
+    this.list = new JointList(this.state, joints);
+    this.facts = new FitFacts(this.fitter);
+    const host = h("div", { class: "fit-space", "aria-label": "The fitted pose in 3D; drag to turn it" });
+    this.space = new FitSpace(cameras, host);
+    this.cameras.append(
+      ...cameras.map((c, k) =>
+        h("button", { type: "button", class: "tab", role: "radio", "data-camera": c.name, title: k < 9 ? `${c.name} (${k + 1})` : c.name, onclick: () => this.state.show(c.name) }, c.name),
+      ),
+    );
+    const bound = bindKeys("Click to start", this.keys());
+    const undo = (event: KeyboardEvent): void => {
+      if (!(event.ctrlKey || event.metaKey) || event.key.toLowerCase() !== "z") return;
+      if (event.shiftKey) this.state.redo();
+      else this.state.undo();
+      event.preventDefault();
+    };
+    const touch = (event: Event): void => void (this.touched = event.timeStamp);
+    document.addEventListener("keydown", undo);
+    for (const kind of ["pointerdown", "keydown"]) document.addEventListener(kind, touch, { capture: true });
+    this.stops = [
+      bound.stop,
+      () => document.removeEventListener("keydown", undo),
+      () => ["pointerdown", "keydown"].forEach((kind) => document.removeEventListener(kind, touch, { capture: true })),
+    ];
+    this.element = this.layout(host, bound.help);
+    this.drawSave();
+    void this.load();
+    this.show();
+  }
+
+  close(): void {
+    this.fitter.close();
+    this.picture.close();
+    this.space.close();
+    for (const stop of this.stops) stop();
+  }
+
+  private shownCamera = "";
+
+  /** Shows the state as it is, and asks for a fit when the clicks have changed. */
+  private show(): void {
+    const { state, fitter } = this;
+    if (this.touched) {
+      answered(this.counters, this.touched);
+      this.touched = 0;
+    }
+    const now = JSON.stringify(state.views());
+    if (now !== this.before) {
+      this.before = now;
+      fitter.ask(false);
+      return;
+    }
+    if (state.camera !== this.shownCamera) void this.load();
+    this.list.show();
+    this.picture.show(fitter.state.choice === 0 ? (fitter.state.fit?.pixels[state.camera] ?? {}) : {});
+    this.picture.later();
+    this.facts.show(state.count, this.titles);
+    this.space.show(fitter.state.fit, fitter.state.choice);
+    for (const tab of this.cameras.children as HTMLCollectionOf<HTMLElement>) {
+      const name = tab.dataset["camera"] ?? "";
+      const n = Object.keys(state.clicks[name] ?? {}).length;
+      tab.setAttribute("aria-checked", String(name === state.camera));
+      tab.setAttribute("aria-selected", String(name === state.camera));
+      tab.textContent = n ? `${name} · ${n}` : name;
+    }
+    for (const b of this.save.querySelectorAll("button")) b.disabled = !fitter.state.fit;
+    Object.assign(this.counters, { fit: fitter.state, clicks: state.clicks, joint: state.joint, drawn3d: () => this.space.drawn });
+  }
+
+  private async load(): Promise<void> {
+    const camera = this.recording.cameras.find((c) => c.name === this.state.camera);
+    if (!camera) return;
+    this.shownCamera = camera.name;
+    const width = Math.min(camera.size[0], 1920);
+    const path = `/api/recordings/${this.recording.id}/image/${encodeURIComponent(camera.name)}/${this.frame}.jpg`;
+    try {
+      await this.picture.load(camera, address(path, { width }));
+      this.counters.pictures++;
+    } catch {
+      toast(`The picture of ${camera.name}, frame ${this.frame}, cannot be shown; choose another frame.`, "error");
+    }
+  }
+
+  private keys(): Key[] {
+    const key = (keys: string[], shown: string, what: string, act: () => void): Key => ({ keys, shown, what, act });
+    return [
+      key(["Enter"], "Enter", "place the joint at the cross (in the picture)", () => this.picture.element.querySelector("canvas")?.focus()),
+      key(["o"], "o", "hidden joint, yes or no", () => this.state.flipOccluded()),
+      key(["u"], "u", "undo (also Ctrl Z)", () => this.state.undo()),
+      key(["r"], "r", "redo", () => this.state.redo()),
+      key(["Delete", "Backspace"], "Delete", "take the joint away", () => this.state.remove()),
+      key(["["], "[", "joint before", () => this.state.step(-1)),
+      key(["]"], "]", "next joint", () => this.state.step(1)),
+      key([","], ",", "one frame back", () => this.go(this.frame - 1)),
+      key(["."], ".", "one frame on", () => this.go(this.frame + 1)),
+      key(["+", "="], "+", "zoom in", () => this.picture.zoomBy(1.5)),
+      key(["-"], "-", "zoom out", () => this.picture.zoomBy(1 / 1.5)),
+      key(["0"], "0", "whole picture", () => this.picture.fit()),
+      ...this.state.cameras.slice(0, 9).map((name, k) => key([String(k + 1)], k ? "" : "1 … 9", "that camera", () => this.state.show(name))),
+    ];
+  }
+
+  private drawSave(): void {
+    const name = h("input", { type: "text", value: `frame-${this.frame}`, maxlength: 60, pattern: "[A-Za-z0-9_.\\-]+", required: true, "aria-label": "Name" });
+    const height = h("input", { type: "number", min: 40, max: 280, step: 0.5, placeholder: "cm", "aria-label": "Height of the person in cm" });
+    const known = this.recording.subject_height;
+    if (known) height.value = (100 * known).toFixed(0);
+    height.addEventListener("change", () => {
+      this.fitter.height = height.value ? Number(height.value) / 100 : null;
+      this.fitter.ask(false);
+    });
+    this.save.addEventListener("submit", (event) => {
+      event.preventDefault();
+      void this.keep(name.value);
+    });
+    const submit = button("Save", () => undefined, { kind: "primary", icon: "done", title: "Keep the clicks and the pose" });
+    submit.type = "submit";
+    this.save.append(
+      this.result || this.recording.subject ? "" : h("div", { class: "field" }, h("label", { class: "field-name" }, "Height"), h("div", { class: "row" }, height, h("span", { class: "dim" }, "cm, if known: the distance follows from it"))),
+      h("div", { class: "field" }, h("span", { class: "field-name" }, "Save as"), h("div", { class: "row" }, name, submit)),
+      h("div", { class: "row" }, button("Track from here", () => void this.track(name.value), { icon: "play", title: "Follow the person with this camera alone, from this frame on" })),
+    );
+  }
+
+  private async keep(name: string): Promise<boolean> {
+    try {
+      await post(`/api/recordings/${this.recording.id}/starts`, { ...this.fitter.request(), name });
+      toast(`Saved as starts/${name}.json`, "done");
+      return true;
+    } catch (error) {
+      toast((error as Error).message, "error");
+      return false;
+    }
+  }
+
+  /** Saves, and starts the tracker of one camera at this frame. */
+  private async track(name: string): Promise<void> {
+    if (!(await this.keep(name))) return;
+    const camera = this.state.camera;
+    const options = { method: "monocular", camera, start: name, frames: `${this.frame}:`, name: `monocular-${camera}` };
+    try {
+      const job = await post<Job>("/api/jobs", { kind: "track", recording: this.recording.id, options });
+      toast(`${job.title} has begun.`);
+      location.hash = `#/setup/${this.recording.id}`;
+    } catch (error) {
+      toast((error as Error).message, "error");
+    }
+  }
+
+  private layout(host: HTMLElement, help: () => void): HTMLElement {
+    const last = this.recording.frames - 1;
+    const slider = h("input", { type: "range", min: 0, max: last, value: this.frame, "aria-label": "Frame", class: "grow" });
+    slider.addEventListener("change", () => this.go(Number(slider.value)));
+    const frame = h("output", { class: "number" }, `${this.frame} of ${last}`);
+    slider.addEventListener("input", () => (frame.textContent = `${slider.value} of ${last}`));
+    return h(
+      "div",
+      { class: "click-screen" },
+      this.list.element,
+      h(
+        "div",
+        { class: "click-main" },
+        h(
+          "div",
+          { class: "pane-head" },
+          this.cameras,
+          h("span", { class: "grow" }),
+          button("", () => this.picture.zoomBy(1 / 1.5), { kind: "quiet", icon: "back", title: "Zoom out", key: "-" }),
+          button("", () => this.picture.fit(), { kind: "quiet", icon: "fit", title: "Whole picture", key: "0" }),
+          button("", () => this.picture.zoomBy(1.5), { kind: "quiet", icon: "plus", title: "Zoom in", key: "+" }),
+          button("Clear", () => this.state.clear(), { kind: "quiet", title: "Take all clicks away; undo brings them back" }),
+          button("", help, { kind: "quiet", icon: "help", title: "Keys", key: "?" }),
+        ),
+        this.picture.element,
+        h("div", { class: "row click-frame" }, h("span", { class: "dim" }, "Frame"), slider, frame),
+      ),
+      h("aside", { class: "click-side" }, host, this.facts.element, this.save),
+    );
+  }
+}
