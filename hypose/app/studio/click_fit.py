@@ -51,8 +51,9 @@ _OCCLUDED = 0.3
 """Weight of a joint that is guessed behind something."""
 _HEIGHT_SHARE = 0.04
 """1 sd of adults' statures as a share of the mean: with one view, distance is as uncertain as the height."""
-_STAY = 0.5
-"""Pull to the pose that is corrected, per rad^2 and 1/4 m^2."""
+_STAY, _TRUNK_STAY, _LIMBS_STAY = 0.02, 0.07, 0.35
+"""A correction leaves the root's place (m), the turns of the trunk (rad) and of the limbs (rad) as they were to these
+standard deviations: who moves a wrist means the arm."""
 _RIVALS = 4
 
 
@@ -117,9 +118,10 @@ def fit_clicks(
     term = KeypointTerm(points, clicks.rig.projections, joint, offset, scale, min_confidence=1e-6)
     pull = anatomical_prior(body.skeleton)
     if correct and start is not None:
-        weight = np.full(body.skeleton.dof, _STAY)
-        weight[:3] *= 4
-        pull = Quadratic(start, weight)
+        trunk = body.skeleton.dofs_of("pelvis", "spine", "neck", "left_clavicle", "right_clavicle")
+        sd = np.full(body.skeleton.dof, _LIMBS_STAY)
+        sd[trunk], sd[:3] = _TRUNK_STAY, _STAY
+        pull = Quadratic(start, sd**-2.0)
 
     def solve(pose: Array) -> PoseFit:
         options = SolveOptions(iterations=40, coarse_iterations=10)

@@ -55,16 +55,14 @@ def test_options_become_the_command(folder):
         ("track", {"formats": []}),
         ("track", {"name": "../../escape"}),
         ("track", {"name": ".hidden"}),
-        ("track", []),
+        ("track", ["recipe"]),
     ],
 )
 def test_options_that_cannot_be_are_refused(folder, kind, options):
     catalog = Catalog(folder)
     (item,) = catalog.items("recording")
     with pytest.raises(InputError):
-        plan(
-            kind, {"recording": item.id, "options": options or {}} | ({"options": options} if options else {}), catalog
-        )
+        plan(kind, {"recording": item.id, "options": options}, catalog)
 
 
 def test_every_kind_needs_something_that_is_there(folder):

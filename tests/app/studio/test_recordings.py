@@ -1,0 +1,201 @@
+"""Recordings over the wire: facts, pictures, masks tried out and kept, clicked joints, dropped files."""
+
+import json
+import re
+
+import cv2
+import numpy as np
+import pytest
+
+from hypose.app.studio.recordings import without_table
+from hypose.app.studio.uploads import harmless
+from hypose.io.bodies import load_body
+from hypose.io.recording import load_recording
+from hypose.io.results import load_motion
+from tests.app.studio.conftest import serving
+
+
+def recording_of(client):
+    return client.get("/api/state")["recordings"][0]["id"]
+
+
+def image(client, path):
+    status, headers, data = client.ask(path)
+    assert status == 200 and headers["content-type"] == "image/jpeg", data[:300]
+    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+
+
+def test_a_recording_says_what_it_is(studio):
+    r = studio.get(f"/api/recordings/{recording_of(studio)}")
+    assert r["problem"] is None and r["frames"] == 8 and r["frame_rate"] == pytest.approx(25)
+    assert [v["video"] for v in r["views"]] == [f"cam{k}.mp4" for k in (1, 2, 3, 4)]
+    assert r["cameras"][0]["size"] == [160, 120] and np.shape(r["cameras"][0]["K"]) == (3, 3)
+    assert r["mask_settings"]["threshold"] == 4.0 and r["check"] is None and r["subject"] is None
+
+
+def test_a_recording_that_cannot_be_used_says_why(own_studio, folder):
+    (folder / "walk" / "calibration.toml").write_text("nonsense")
+    r = own_studio.get(f"/api/recordings/{recording_of(own_studio)}")
+    assert "calibration.toml" in r["problem"] and r["views"] == [] and r["results"]
+
+
+def test_pictures_are_undistorted_and_masks_follow_the_settings(studio):
+    base = f"/api/recordings/{recording_of(studio)}/image/cam1"
+    plain = image(studio, f"{base}/4.jpg?width=120")
+    assert plain.shape == (90, 120, 3)
+    usual = image(studio, f"{base}/4.jpg?mask=only") > 127
+    timid = image(studio, f"{base}/4.jpg?mask=only&threshold=40&min_sd=30") > 127
+    assert 0.01 < usual.mean() < 0.3 and timid.mean() < 0.8 * usual.mean()
+    assert not np.array_equal(image(studio, f"{base}/4.jpg?mask=edge"), image(studio, f"{base}/4.jpg?mask=fill"))
+    # frames in any order are the same frames
+    later, again = image(studio, f"{base}/7.jpg"), image(studio, f"{base}/4.jpg?width=120")
+    assert later.shape == (120, 160, 3) and np.array_equal(again, plain)
+
+
+def test_mask_settings_are_kept_in_the_recording_and_used(own_studio, folder):
+    id = recording_of(own_studio)
+    before = (folder / "walk" / "recording.toml").read_text()
+    saved = own_studio.get(f"/api/recordings/{id}/mask-settings", {"threshold": 6.5, "shadow": False})
+    assert saved["threshold"] == 6.5 and saved["shadow"] is False and saved["close_px"] == 5
+    options = load_recording(folder / "walk").silhouettes
+    assert options.threshold == 6.5 and not options.shadow
+    assert own_studio.get(f"/api/recordings/{id}")["mask_settings"]["threshold"] == 6.5
+    own_studio.get(f"/api/recordings/{id}/mask-settings", {})
+    assert (folder / "walk" / "recording.toml").read_text() == before
+    for bad in ({"threshold": -1}, {"treshold": 4}, {"shadow": 1}, {"shadow_range": [0.5]}):
+        assert "settings" in own_studio.get(f"/api/recordings/{id}/mask-settings", bad, status=400)["error"]
+
+
+def test_a_table_is_taken_out_of_a_text_and_nothing_else():
+    text = "a = 1\n[silhouettes]\nb = 2\n\n[[view]]\nc = 3\n[silhouettes] # again\nd = 4\n"
+    assert without_table(text, "silhouettes") == "a = 1\n[[view]]\nc = 3\n"
+
+
+@pytest.fixture(scope="module")
+def pose(served):
+    folder = served / "walk" / "results" / "default"
+    return load_body(folder / "body.npz"), load_motion(folder / "motion.npz").poses[4]
+
+
+def clicks(client, pose, cameras, joints=None):
+    body, q = pose
+    rig = load_recording(client.studio.catalog.items("recording")[0].path).rig.pinhole()
+    centres = dict(zip(body.skeleton.joint_names, body.joints(q), strict=True))
+    names = [j["joint"] for j in client.get("/api/click-joints") if j["joint"] in centres]
+    out = []
+    for name in cameras:
+        uv = rig.select([name])[0].project_pinhole(np.stack([centres[n] for n in names]))
+        points = [{"joint": n, "x": x, "y": y} for n, (x, y) in zip(names, uv.tolist(), strict=True)]
+        out.append({"camera": name, "points": [p for p in points if joints is None or p["joint"] in joints]})
+    return out
+
+
+def test_clicks_in_two_views_give_the_pose(studio, pose):
+    views = clicks(studio, pose, ["cam1", "cam2"])
+    ask = {"recording": recording_of(studio), "frame": 4, "views": views}
+    fit = studio.get("/api/fit-clicks", ask)
+    error = np.linalg.norm(np.array(fit["joints"]) - pose[0].joints(pose[1]), axis=1)
+    # another body than the one that was clicked: the usual person of the recording's height
+    assert error.mean() < 0.06 and fit["rms_px"] < 2.0 and fit["depth_sd"] is None and fit["alternatives"] == []
+    assert len(fit["pose"]) == 36 and np.shape(fit["rotations"]) == (19, 4) and np.shape(fit["covariance"]) == (19, 6)
+    dragged = studio.get("/api/fit-clicks", {**ask, "start": fit["pose"]})
+    assert abs(dragged["rms_px"] - fit["rms_px"]) < 0.1
+
+
+def test_one_view_says_how_uncertain_depth_is_and_what_else_it_could_be(studio, pose):
+    ask = {"recording": recording_of(studio), "frame": 4, "views": clicks(studio, pose, ["cam1"])}
+    fit = studio.get("/api/fit-clicks", ask)
+    assert fit["rms_px"] < 2.0 and 0.05 < fit["depth_sd"] < 1.0 and "distance" in fit["notes"][0]
+    assert np.array(fit["joint_sd"]).mean() > 0.05
+    best = np.array(fit["joints"])
+    for other in fit["alternatives"]:
+        assert np.linalg.norm(np.array(other["joints"]) - best, axis=1).max() > 0.05 and other["cost"] >= 0
+
+
+def test_a_correction_stays_near_what_was_tracked(studio, pose):
+    views = clicks(studio, pose, ["cam1"], {"left_wrist"})
+    views[0]["points"][0]["x"] += 6
+    result = studio.get("/api/state")["results"][0]["id"]
+    fit = studio.get("/api/fit-clicks", {"result": result, "frame": 4, "views": views})
+    moved = np.linalg.norm(np.array(fit["joints"]) - pose[0].joints(pose[1]), axis=1)
+    names = pose[0].skeleton.joint_names
+    wrist = moved[names.index("left_wrist")]
+    assert wrist > 0.03 and np.median(moved) < 0.3 * wrist and wrist == moved.max()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"views": []},
+        {"views": "all"},
+        {"views": [{"camera": "cam9", "points": []}]},
+        {"views": [{"camera": "cam1", "points": [{"joint": "tail", "x": 1, "y": 1}]}]},
+        {"views": [{"camera": "cam1", "points": [{"joint": "neck", "x": None, "y": 1}]}]},
+        {"views": [{"camera": "cam1", "points": [{"joint": "neck", "x": 1, "y": 1}]}]},
+        {"frame": "first"},
+        {"height": 20},
+        {"start": [0.0]},
+        {"recording": None},
+    ],
+)
+def test_clicks_that_cannot_be_are_answered_with_a_sentence(studio, pose, change):
+    ask = {"recording": recording_of(studio), "frame": 4, "views": clicks(studio, pose, ["cam1"])}
+    assert studio.get("/api/fit-clicks", {**ask, **change}, status=400)["error"].endswith(".")
+
+
+def test_clicks_are_kept_as_a_start(own_studio, folder, pose):
+    id = recording_of(own_studio)
+    ask = {"frame": 4, "views": clicks(own_studio, pose, ["cam1", "cam2"]), "name": "first"}
+    own_studio.get(f"/api/recordings/{id}/starts", ask, status=201)
+    kept = json.loads((folder / "walk" / "starts" / "first.json").read_text())
+    assert kept["format"] == "hypose-clicks" and len(kept["pose"]) == 36 and kept["views"] == ask["views"]
+    assert own_studio.get(f"/api/recordings/{id}")["starts"] == ["first"]
+    assert own_studio.get(f"/api/recordings/{id}/starts/first")["frame"] == 4
+    assert own_studio.get(f"/api/recordings/{id}/starts", {**ask, "name": "../x"}, status=400)["error"]
+    assert own_studio.get(f"/api/recordings/{id}/starts/none", status=400)["error"]
+
+
+def upload(client, path, name=None, status=201):
+    return client.get(f"/api/uploads/{name or path.name}", method="PUT", data=path.read_bytes(), status=status)
+
+
+def test_dropped_files_become_a_recording(own_studio, folder):
+    walk = folder / "walk"
+    calibration = upload(own_studio, walk / "calibration.toml")
+    assert calibration["kind"] == "calibration" and calibration["cameras"] == ["cam1", "cam2", "cam3", "cam4"]
+    videos = {k: upload(own_studio, walk / "videos" / f"cam{k}.mp4") for k in (1, 2)}
+    assert videos[1]["kind"] == "video" and videos[1]["frames"] == 8 and videos[1]["size"] == [160, 120]
+    empty = upload(own_studio, walk / "background" / "cam1.mp4")
+    views = [{"name": f"cam{k}", "camera": f"cam{k}", "video": v["upload"]} for k, v in videos.items()]
+    ask = {"name": "mine", "calibration": calibration["upload"], "views": views, "frame_rate": 25}
+    ask["views"][0]["background"] = empty["upload"]
+    refused = own_studio.get("/api/recordings", {**ask, "frame_rate": -3}, status=400)["error"]
+    assert "frame_rate" in refused and not (folder / "mine").exists()
+    made = own_studio.get("/api/recordings", ask, status=201)  # the files were still there
+    assert made["frames"] == 8 and made["path"] == "mine" and len(made["views"]) == 2
+    assert re.search(r"(?m)^camera = .cam2.$", (folder / "mine" / "recording.toml").read_text())
+    assert own_studio.get("/api/recordings", ask, status=404)["error"]  # used up
+    assert not list((folder / ".studio-uploads").iterdir())
+
+
+def test_drops_are_bounded_and_named_harmlessly(folder):
+    with serving(folder, upload_limit=1000) as client:
+        huge = client.get("/api/uploads/a.mp4", method="PUT", data=b"0" * 5000, status=413)["error"]
+        assert "--upload-limit" in huge
+        chunked = client.ask("/api/uploads/b.mp4", data=iter([b"0" * 600] * 5), method="PUT")
+        assert chunked[0] == 413
+        assert not any(p.is_file() for p in (folder / ".studio-uploads").rglob("*"))
+        odd = client.get("/api/uploads/..%5C..%5Cevil%20%24(x).mp4", method="PUT", data=b"no video", status=201)
+        assert odd["kind"] == "other" and "/" not in odd["problem"]
+        assert odd["name"] == "_.._evil___x_.mp4"
+        client.get(f"/api/uploads/{odd['upload']}", method="DELETE")
+        assert client.get(f"/api/uploads/{odd['upload']}", method="DELETE", status=404)["error"]
+        for bad in ({}, {"name": "../x"}, {"name": "x", "views": []}, {"name": "x", "views": [{"video": "0"}]}):
+            assert client.ask("/api/recordings", bad)[0] in (400, 404)
+    assert not (folder / ".studio-uploads").exists()
+
+
+def test_names_of_dropped_files():
+    assert harmless("../../etc/passwd").strip("_.") == "etc_passwd"
+    assert harmless("") == "file_" and harmless("-rf") == "file_-rf" and harmless(".hidden") == "hidden"
+    assert len(harmless("x" * 500 + ".mp4")) <= 80 and harmless("x" * 500 + ".mp4").endswith(".mp4")
