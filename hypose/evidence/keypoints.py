@@ -127,7 +127,7 @@ def parse_openpose(
     if isinstance(document, (str, bytes)):
         try:
             document = json.loads(document)
-        except (json.JSONDecodeError, UnicodeDecodeError) as problem:
+        except (ValueError, RecursionError) as problem:
             raise InputError(f"{source} is not JSON ({problem}); export it from the detector again.") from None
     if not isinstance(document, Mapping) or not isinstance(document.get("people"), list):
         raise InputError(

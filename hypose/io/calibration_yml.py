@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from hypose.cameras.camera import CameraRig
@@ -13,6 +12,7 @@ from hypose.errors import CalibrationError
 from hypose.geometry import Array, so3_exp, so3_log
 from hypose.io.calibration import checked_camera, guess_unit, natural_key, rescaled, rig_of
 from hypose.io.files import text_lines, write_text
+from hypose.io.opencv_storage import parse_storage
 
 _MAX_BYTES = 5_000_000
 _K = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "CameraMatrix", "K")
@@ -48,53 +48,41 @@ def _pair(folder: Path) -> tuple[Path, Path] | None:
 
 
 class _Storage:
-    """cv2.FileStorage with sentences for errors."""
+    """The values of a file, with sentences for errors."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        text = "\n".join(text_lines(path, "a calibration file", _MAX_BYTES))
         try:
-            self._file = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-            opened = self._file.isOpened()
-        except (cv2.error, SystemError):
-            opened = False
-        if not opened:
-            raise CalibrationError(f"{path} is not a file of OpenCV's storage (YAML or XML); calibrate again.")
+            self._values = parse_storage("\n".join(text_lines(path, "a calibration file", _MAX_BYTES)))
+        except ValueError as error:
+            raise CalibrationError(
+                f"{path} is not a file of OpenCV's storage (YAML or XML): {error}; calibrate again."
+            ) from None
 
     def names(self) -> list[str]:
-        node = self._file.getNode("names")
-        out = []
-        for i in range(int(node.size()) if node.isSeq() else 0):
-            item = node.at(i)
-            out.append(item.string() if item.isString() else f"{item.real():g}")
-        return out
+        """The cameras' names; EasyMocap writes numbers as well."""
+        found = self._values.get("names")
+        found = [found] if isinstance(found, str | float) else found
+        return [n if isinstance(n, str) else f"{n:g}" for n in found] if isinstance(found, list) else []
 
     def matrix(self, keys: tuple[str, ...], counts: tuple[int, ...]) -> Array | None:
         """The first matrix or list found under the keys, flat."""
         for key in keys:
-            try:
-                node = self._file.getNode(key)
-                if node.empty():
-                    continue
-                if node.isSeq():
-                    value = np.array([node.at(i).real() for i in range(int(node.size()))])
-                else:
-                    value = np.asarray(node.mat(), dtype=np.float64).ravel()
-            except (cv2.error, SystemError, TypeError, ValueError):
-                value = np.zeros(0)
-            if value.size not in counts or not np.isfinite(value).all():
+            value = self._values.get(key)
+            if value is None:
+                continue
+            numbers = isinstance(value, list) and all(isinstance(v, float) for v in value)
+            flat = np.array(value, dtype=np.float64) if numbers or isinstance(value, np.ndarray) else np.zeros(0)
+            if flat.size not in counts or not np.isfinite(flat).all():
                 raise CalibrationError(
                     f"{self.path}: {key} must be {' or '.join(map(str, counts))} finite numbers; calibrate again."
                 )
-            return value
+            return flat
         return None
 
     def number(self, keys: tuple[str, ...]) -> float | None:
-        for key in keys:
-            node = self._file.getNode(key)
-            if not node.empty() and (node.isInt() or node.isReal()):
-                return float(node.real())
-        return None
+        """The first number found under the keys."""
+        return next((v for key in keys if isinstance(v := self._values.get(key), float)), None)
 
 
 _LENS_COUNTS = (4, 5, 8, 12, 14)

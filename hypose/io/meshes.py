@@ -6,6 +6,7 @@ Only geometry is read: no materials, no textures, no other file that the mesh na
 from __future__ import annotations
 
 import io
+import tokenize
 import zipfile
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -110,7 +111,7 @@ def _read_smpl(path: Path, data: bytes) -> PersonMesh:
         raise
     except KeyError as error:
         raise InputError(f"{path} is not an SMPL-format model: it needs {wanted}, and {error} lacks.") from None
-    except ValueError as error:
+    except (ValueError, SyntaxError, tokenize.TokenError) as error:  # numpy's header is a Python literal
         raise InputError(
             f"{path}: an array holds Python objects or is damaged ({error}); save {wanted} as plain numbers "
             "(J_regressor.toarray() if it is sparse)."

@@ -208,7 +208,10 @@ def _parse_array(name: str, data: bytes) -> np.ndarray:
     version = np.lib.format.read_magic(stream)
     if version != (1, 0):
         raise ValueError(f"{name} has another version of the array format")
-    shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+    try:
+        shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+    except Exception as error:  # numpy lets errors of Python's own parser through
+        raise ValueError(f"the header of {name} is damaged ({error})") from None
     if dtype.hasobject or dtype.kind not in "fiubU" or dtype.itemsize == 0 and dtype.kind != "U":
         raise ValueError(f"{name} holds {dtype}, which is not allowed")
     count = 1
