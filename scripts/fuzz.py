@@ -80,6 +80,7 @@ def judge(target: Target, folder: Path, data: bytes, forbidden: list[str]) -> st
     whole = file.read_bytes()
     file.write_bytes(data)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    signal.signal(signal.SIGALRM, _too_slow)
     signal.setitimer(signal.ITIMER_REAL, TIME_S)
     try:
         target.read(data if target.lines else folder / (target.given or target.file))
@@ -123,7 +124,6 @@ def read_many(name: str, good: Path, seed: int, first: int, count: int) -> None:
         data = (good / target.file).read_bytes()
         # what a reader imports and compiles is loaded by the good input, before limits and watch
         target.read(data if target.lines else folder / (target.given or target.file))
-        signal.signal(signal.SIGALRM, _too_slow)
         limit = _address_space() + MEMORY
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -209,7 +209,6 @@ def fuzz(names: list[str], minutes: float, seed: int, out: Path) -> int:
 def replay(folder: Path) -> int:
     """Read kept inputs again, whose names begin with their target's; returns how many still misbehave."""
     bad = 0
-    signal.signal(signal.SIGALRM, _too_slow)
     with tempfile.TemporaryDirectory() as temporary:
         good = Path(temporary) / "good"
         good.mkdir()
