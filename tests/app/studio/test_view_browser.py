@@ -1,0 +1,84 @@
+"""The View screen and the report in Chromium: what needs results of its own (the rest: web/tests/view.path.mjs)."""
+
+import json
+import shutil
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.app import report_viewer
+from hypose.app.pictures import image_points
+from hypose.app.report import from_result, report_html
+from hypose.app.view_result import load_view
+from hypose.io.bodies import load_body
+from hypose.io.recording import load_recording
+from hypose.io.results import load_motion, save_motion
+from tests.app.studio.browser import WEB, build, go
+from tests.app.studio.conftest import serving
+
+
+@pytest.fixture(scope="module")
+def page():
+    builder = build()
+    try:
+        builder.build_page()
+    except builder.PageError as error:
+        pytest.skip(f"the page cannot be built, so it is NOT tested: {error}")
+
+
+def flagged(source, target):
+    """The run with two lost frames and an extrapolated one."""
+    motion = load_motion(source / "motion.npz")
+    n = np.arange(len(motion))
+    target.mkdir(parents=True)
+    save_motion(replace(motion, lost=(n == 6) | (n == 7), extrapolated=n == 3), target / "motion.npz")
+    shutil.copy(source / "body.npz", target)
+
+
+def ten_minutes(source, target):
+    """15 000 frames: the run forth and back again and again."""
+    motion = load_motion(source / "motion.npz")
+    names = ("poses", "joints", "joint_sd", "lost", "extrapolated", "n_views", "cost")
+    there_and_back = {n: np.concatenate([getattr(motion, n), getattr(motion, n)[::-1]]) for n in names}
+    times = 15_000 // (2 * len(motion)) + 1
+    series = {n: np.concatenate([a] * times)[:15_000] for n, a in there_and_back.items()}
+    target.mkdir(parents=True)
+    save_motion(replace(motion, times=np.arange(15_000) / 25, **series), target / "motion.npz")
+    shutil.copy(source / "body.npz", target)
+
+
+def expected(recording, results, row=5):
+    """What skinning and projection give in Python."""
+    body, motion = load_body(results / "body.npz"), load_motion(results / "motion.npz")
+    vertices = body.skin(motion.poses[row])
+    cameras = []
+    for view, camera in zip(recording.views, recording.rig, strict=True):
+        pixels = image_points(view, camera, vertices, camera.size)
+        cameras.append({"points": vertices.ravel().tolist(), "pixels": pixels.ravel().tolist()})
+    return {"row": row, "vertices": vertices.ravel().tolist(), "cameras": cameras}
+
+
+@pytest.mark.slow
+def test_flags_comparison_and_ten_minutes(served, page, tmp_path):
+    root = shutil.copytree(served, tmp_path / "root")
+    default = root / "walk" / "results" / "default"
+    flagged(default, default.with_name("flagged"))
+    ten_minutes(default, root / "long")
+    (root / "expected.json").write_text(json.dumps(expected(load_recording(root / "walk"), default)))
+    with serving(root) as client:
+        said = go(WEB / "tests" / "view_own.walk.mjs", client.address, root, tmp_path)
+    measured = json.loads(said.strip().splitlines()[-1])
+    sys.stdout.write(f"\nView: {measured}\n")
+    assert all(np.isfinite(v) for v in measured.values())
+
+
+@pytest.mark.slow
+def test_a_report_is_the_same_view_from_disk(served, page, tmp_path):
+    recording = load_recording(served / "walk")
+    text = report_html(from_result(load_view(served / "walk" / "results" / "default"), recording))
+    assert report_viewer.PLACE in text
+    file = tmp_path / "report with spaces.html"
+    file.write_text(text, encoding="utf-8")
+    go(WEB / "tests" / "report.walk.mjs", file.as_uri(), tmp_path, tmp_path)

@@ -1,0 +1,242 @@
+"""What the View screen and the report are fed: the block of bytes, the pictures of any frame, the results folder."""
+
+import gzip
+import json
+import re
+import shutil
+import struct
+from base64 import b64decode
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from hypose.app import report_viewer
+from hypose.app.report import from_result, report_html
+from hypose.app.view_bundle import read_bundle, view_bundle
+from hypose.app.view_pictures import ViewPictures
+from hypose.app.view_result import find_recording, load_view
+from hypose.errors import InputError
+from hypose.geometry import so3_exp
+from hypose.io.recording import load_recording
+from hypose.io.results import load_motion, save_motion
+from hypose.io.video import VideoWriter, open_video
+
+
+@pytest.fixture
+def folder(tiny, tracked, tmp_path):
+    """The recording with its results where hypose puts them."""
+    shutil.copytree(tiny, tmp_path / "walk")
+    return shutil.copytree(tracked, tmp_path / "walk" / "results" / "default")
+
+
+# ---- the block
+
+
+def test_a_block_holds_what_the_result_holds(folder):
+    result = load_view(folder)
+    header, arrays = read_bundle(view_bundle(result))
+    motion, body = result.motion, result.body
+    assert header["frames"] == len(motion) and header["title"] == load_recording(folder.parents[1]).name
+    assert [c["name"] for c in header["cameras"]] == ["cam1", "cam2", "cam3", "cam4"]
+    assert all(c["pictures"] and len(c["distortion"]) == 5 for c in header["cameras"])
+    np.testing.assert_allclose(arrays["joints"], motion.joints, atol=1e-6)
+    np.testing.assert_array_equal(arrays["times"], motion.times)
+    assert header["truth"]["mean_mm"] > 0 and arrays["truth_joints"].shape == motion.joints.shape
+    assert "Gauss-Newton" in header["citation"] and "stature" in dict(header["subject"])
+    assert arrays["fine_vertices"].shape == body.fine.vertices.shape
+    # rotation, rest joints and weights give the body that Python skins
+    j = len(header["joint_names"])
+    x, y, z, w = arrays["rotations"][4].astype(float).T
+    angle = 2 * np.arctan2(np.sqrt(x * x + y * y + z * z), w)
+    axis = np.stack([x, y, z], 1) / np.maximum(np.sqrt(x * x + y * y + z * z), 1e-12)[:, None]
+    turn = so3_exp(axis * angle[:, None])
+    index, weight = arrays["fine_skin_index"], arrays["fine_skin_weight"]
+    local = arrays["fine_vertices"][:, None] - arrays["rest_joints"][index]
+    moved = arrays["joints"][4][index] + np.einsum("vkij,vkj->vki", turn[index], local)
+    skinned = np.einsum("vk,vki->vi", weight, moved)
+    assert turn.shape == (j, 3, 3)
+    np.testing.assert_allclose(skinned, body.skin(motion.poses[4], body.fine), atol=2e-5)
+
+
+def test_flags_gaps_and_missing_parts_are_told(folder):
+    motion = load_motion(folder / "motion.npz")
+    n = np.arange(len(motion))
+    poses = motion.poses.copy()
+    poses[2] = np.nan
+    sd = np.full_like(motion.joint_sd, np.nan)
+    bad = replace(motion, poses=poses, joint_sd=sd, lost=n >= 6, extrapolated=n >= 5)
+    result = replace(load_view(folder), motion=bad, truth=None, rig=None, pictures=(), body=None)
+    header, arrays = read_bundle(view_bundle(result))
+    assert arrays["flags"].tolist() == [0, 0, 0, 0, 0, 2, 1, 1]
+    assert np.isnan(arrays["rotations"][2]).all() and np.isfinite(arrays["rotations"][3]).all()
+    assert header["summary"]["sd_mm"] is None and header["truth"] is None and header["cameras"] == []
+    assert "fine_vertices" not in arrays
+    header, arrays = read_bundle(view_bundle(replace(result, motion=replace(bad, poses=None))))
+    assert "rotations" not in arrays and "angles" not in arrays and header["formats"] == ["trc", "c3d", "csv"]
+
+
+def test_other_bytes_are_no_block():
+    with pytest.raises(InputError, match="no result"):
+        read_bundle(b"HYPOSEV0" + bytes(20))
+
+
+# ---- the folder
+
+
+def test_a_folder_alone_is_shown_without_cameras(tracked, tmp_path):
+    alone = shutil.copytree(tracked, tmp_path / "alone")
+    result = load_view(alone)
+    assert result.rig is None and result.truth is None and result.title == "alone" and find_recording(alone) is None
+    assert load_view(alone / "motion.npz").motion.times.tolist() == result.motion.times.tolist()
+
+
+def test_what_cannot_be_read_is_left_out_and_named(folder):
+    (folder / "body.npz").write_bytes(b"nonsense")
+    (folder.parents[1] / "truth.npz").write_bytes(b"nonsense")
+    result = load_view(folder)
+    assert result.body is None and result.truth is None
+    assert any("body.npz" in n for n in result.notes) and any("truth.npz" in n for n in result.notes)
+    (folder.parents[1] / "calibration.toml").unlink()
+    result = load_view(folder)
+    assert result.rig is None and any("cannot be shown" in n for n in result.notes)
+
+
+def test_no_result_at_all_is_one_sentence(tmp_path):
+    with pytest.raises(InputError, match="does not exist"):
+        load_view(tmp_path / "nowhere")
+    with pytest.raises(InputError, match=r"motion\.npz does not exist"):
+        load_view(tmp_path)
+
+
+# ---- pictures
+
+
+def decoded(data):
+    (count,) = struct.unpack_from("<I", data)
+    lengths = struct.unpack_from(f"<{count}I", data, 4)
+    at, out = 4 * (1 + count), []
+    for length in lengths:
+        file = np.frombuffer(data, np.uint8, length, at)
+        out.append(cv2.imdecode(file, cv2.IMREAD_COLOR) if length else None)
+        at += length
+    assert at == len(data)
+    return out
+
+
+def counting_video(path, frames):
+    """Every frame says in its grey value which it is."""
+    with VideoWriter(path, 25.0, (64, 48)) as writer:
+        for i in range(frames):
+            writer.write(np.full((48, 64, 3), (i * 3) % 250, np.uint8))
+
+
+def test_any_frame_is_the_right_one(folder):
+    recording = load_recording(folder.parents[1])
+    path = folder.parents[1] / "videos" / "long.mp4"
+    counting_video(path, 80)
+    views = tuple(replace(v, video=path) for v in recording.views[:1]) + recording.views[1:]
+    pictures = ViewPictures(replace(recording, views=views), 0, 80)
+    with open_video(path) as reader:
+        true = [float(reader.read().mean()) for _ in range(80)]
+    for row in (79, 3, 40, 41, 12, 70, 0, 55, 2):
+        first, second = decoded(pictures.row(row, 64))[:2]
+        assert first.mean() == pytest.approx(true[row], abs=1.5), row
+        assert (second is None) == (row >= 8)  # the other views end earlier
+    pictures.close()
+
+
+def test_pictures_are_no_wider_than_asked_and_start_at_the_first_row(folder):
+    recording = load_recording(folder.parents[1])
+    pictures = ViewPictures(recording, 2, 6)
+    small = decoded(pictures.row(0, 80))
+    assert [s.shape[:2] for s in small] == [(60, 80)] * 4
+    with open_video(recording.views[0].video) as reader:
+        own = decoded(pictures.row(1, 160))[0].astype(float)
+        distances = [np.abs(own - reader.read(i)).mean() for i in range(8)]
+    assert int(np.argmin(distances)) == 3
+    assert pictures.files(1, 160)[0] == pictures.row(1, 160)[20 : 20 + len(pictures.files(1, 160)[0])]
+    for row in (-1, 6):
+        with pytest.raises(InputError, match="frames are 0 to 5"):
+            pictures.row(row, 80)
+    with pytest.raises(InputError, match="32 to 4096"):
+        pictures.row(0, 5000)
+    pictures.close()
+
+
+def test_outlines_lie_around_the_person(folder):
+    recording, result = load_recording(folder.parents[1]), load_view(folder)
+    pictures = ViewPictures(recording, 0, 8)
+    lines = pictures.outlines(4)
+    pictures.close()
+    for camera, polygons in zip(recording.rig, lines, strict=True):
+        points = np.concatenate([np.reshape(p, (-1, 2)) for p in polygons])
+        pelvis = camera.project(result.motion.joints[4, 0])
+        low, high = points.min(0), points.max(0)
+        assert (low < pelvis).all() and (pelvis < high).all()
+
+
+# ---- the report
+
+
+@pytest.fixture
+def built(tmp_path, monkeypatch):
+    """A front end of two lines."""
+    static = tmp_path / "static"
+    static.mkdir()
+    (static / "report.js").write_text('console.log("</script>")')
+    (static / "report.css").write_text(".viewer { color: red }")
+    monkeypatch.setattr(report_viewer, "STATIC", static)
+    return static
+
+
+def part(page, name):
+    return re.search(rf'<script[^>]* id="{name}">(.*?)</script>', page, re.DOTALL).group(1)
+
+
+def test_a_report_carries_the_result_and_pictures(folder, built):
+    result, recording = load_view(folder), load_recording(folder.parents[1])
+    page = report_html(from_result(result, recording))
+    header, arrays = read_bundle(gzip.decompress(b64decode(part(page, "hypose-result"))))
+    assert header["frames"] == 8 and header["citation"] == result.citation
+    np.testing.assert_array_equal(arrays["rotations"], read_bundle(view_bundle(result))[1]["rotations"])
+    stored = json.loads(part(page, "hypose-pictures"))
+    assert stored["rows"] == list(range(8)) and all(len(files) == 4 for files in stored["files"])
+    assert b64decode(stored["files"][0][0])[:2] == b"\xff\xd8"
+    assert '<\\/script>")' in page and report_viewer.PLACE in page and "default-src 'none'" in page
+
+
+def test_without_the_front_end_a_report_has_its_text(folder, built):
+    (built / "report.js").unlink()
+    page = report_html(from_result(load_view(folder), None))
+    assert "<script" not in page and "hypose-viewer" not in page and "Joint angles" in page
+
+
+def test_stored_rows_are_spread_and_few():
+    assert report_viewer.stored_rows(8, 4) == list(range(8))
+    rows = report_viewer.stored_rows(15_000, 4, worst=123)
+    assert rows[0] == 0 and rows[-1] == 14_999 and 123 in rows and len(rows) <= 17
+    assert len(report_viewer.stored_rows(15_000, 100)) == 4
+
+
+def test_the_report_command_writes_where_it_is_told(folder, built, hypose, tmp_path):
+    code, out, err = hypose("report", folder, "--out", tmp_path / "here.html")
+    assert code == 0, err
+    assert str(tmp_path / "here.html") in out and report_viewer.PLACE in (tmp_path / "here.html").read_text()
+    code, _, err = hypose("report", tmp_path / "nowhere")
+    assert code == 2 and "does not exist" in err
+    code, _, err = hypose("report", folder, "--out", tmp_path)
+    assert code == 2 and "is a folder" in err
+
+
+def test_a_skeleton_without_a_body_has_a_report(folder, built, hypose):
+    motion = load_motion(folder / "motion.npz")
+    save_motion(replace(motion, poses=None), folder / "motion.npz")
+    (folder / "body.npz").unlink()
+    code, _, err = hypose("report", folder)
+    assert code == 0, err
+    header, arrays = read_bundle(
+        gzip.decompress(b64decode(part((folder / "report.html").read_text(), "hypose-result")))
+    )
+    assert header["subject"] == [] and "rotations" not in arrays

@@ -1,0 +1,111 @@
+// Results made for this: what the page computes is what Python computes; flags; two runs side by side; ten minutes.
+// FOLDER/expected.json: {"row", "vertices", "cameras": [{"points", "pixels"}]}. Prints what was measured as JSON.
+import assert from "node:assert/strict";
+import { readFile } from "node:fs/promises";
+import { join } from "node:path";
+import { walk } from "./harness.mjs";
+
+const at = (list, share) => [...list].sort((a, b) => a - b)[Math.floor(share * (list.length - 1))] ?? NaN;
+const opened = (page) => page.waitForFunction(() => window.hypose && window.hypose.frames.length >= 0 && document.querySelector(".where")?.textContent);
+
+await walk(
+  async ({ page, folder, picture }) => {
+    const { results } = await (await fetch(new URL("api/state", process.env.STUDIO))).json();
+    const result = (path) => results.find((r) => r.path.endsWith(path)).id;
+
+    // ---- parity with Python
+    const expected = JSON.parse(await readFile(join(folder, "expected.json"), "utf8"));
+    await page.evaluate((id) => (location.hash = `#/view/${id}`), result("walk/results/flagged"));
+    await opened(page);
+    const found = await page.evaluate(({ row, cameras }) => {
+      const { cameras: pane } = window.hypose.view;
+      pane.skin.pose(row);
+      const pixels = cameras.map(({ points }, i) => {
+        const out = new Float32Array((points.length / 3) * 2);
+        pane.tiles[i].overlay.projector.project(Float32Array.from(points), out);
+        return [...out];
+      });
+      return { vertices: [...pane.skin.vertices], pixels };
+    }, expected);
+    const worst = (a, b) => Math.max(...a.map((v, i) => Math.abs(v - b[i])));
+    assert.equal(found.vertices.length, expected.vertices.length);
+    assert.ok(worst(found.vertices, expected.vertices) < 1e-4, "skinning");
+    expected.cameras.forEach((c, i) => assert.ok(worst(found.pixels[i], c.pixels) < 0.02, `projection ${i}`));
+
+    // ---- flags
+    assert.match(await page.locator(".view-head").innerText(), /2 lost\s+1 extrapolated/);
+    await page.keyboard.press("n");
+    await page.waitForFunction(() => window.hypose.row() === 3);
+    await page.keyboard.press("n");
+    await page.waitForFunction(() => window.hypose.row() === 6);
+    await page.keyboard.press("p");
+    await page.waitForFunction(() => window.hypose.row() === 3);
+
+    // ---- another run of the same recording beside it
+    await page.getByLabel("Compare with another run").selectOption({ label: "default" });
+    await page.locator("figcaption .dashed").first().waitFor();
+    await picture("view-compare");
+
+    // ---- ten minutes
+    const begin = Date.now();
+    await page.evaluate((id) => (location.hash = `#/view/${id}`), result("long"));
+    await page.waitForFunction(() => window.hypose?.view.player.rows === 15000 && window.hypose.frames.length > 0);
+    const open_ms = Date.now() - begin;
+    await page.getByRole("heading", { name: "No cameras" }).waitFor();
+    const line = await page.getByRole("slider", { name: "Time" }).boundingBox();
+    const x = (share) => line.x + 2 + share * (line.width - 4);
+    const y = line.y + line.height / 2;
+    await page.evaluate(() => (window.hypose.latency.length = 0));
+    for (let i = 0; i < 40; i++) {
+      await page.mouse.click(x((i * 0.317) % 1), y);
+      await page.waitForTimeout(120);
+    }
+    const clicks = await page.evaluate(() => [...window.hypose.latency]);
+    assert.ok(clicks.length >= 35, `${clicks.length} of 40 clicks changed the frame`);
+    await page.evaluate(() => (window.hypose.frames.length = window.hypose.latency.length = 0));
+    await page.mouse.move(x(0), y);
+    await page.mouse.down();
+    for (let i = 1; i <= 240; i++) {
+      await page.mouse.move(x((i * 0.0131) % 1), y);
+      await page.waitForTimeout(12);
+    }
+    await page.mouse.move(x(0.999), y);
+    await page.waitForFunction(() => window.hypose.row() >= 14950);
+    await page.mouse.up();
+    const scrub = await page.evaluate(() => ({ frames: [...window.hypose.frames], latency: [...window.hypose.latency] }));
+    assert.ok(scrub.frames.length > 20);
+
+    // ---- memory over playing
+    const memory = async () => {
+      const session = await page.context().newCDPSession(page);
+      await session.send("HeapProfiler.collectGarbage");
+      const { usedSize } = await session.send("Runtime.getHeapUsage");
+      const { geometries, textures } = await page.evaluate(() => window.hypose.held());
+      return { mb: usedSize / 1e6, geometries, textures };
+    };
+    await page.keyboard.press("Home");
+    await page.getByLabel("Speed").selectOption({ label: "8×" });
+    await page.keyboard.press("Space");
+    await page.waitForTimeout(2000);
+    const first = await memory();
+    const row = await page.evaluate(() => window.hypose.row());
+    await page.waitForTimeout(Number(process.env.PLAY_MS ?? 8000));
+    const last = await memory();
+    assert.ok((await page.evaluate(() => window.hypose.row())) > row, "it plays");
+    assert.ok(last.mb - first.mb < 6, `memory grows: ${first.mb} MB, then ${last.mb} MB`);
+    assert.deepEqual([last.geometries, last.textures], [first.geometries, first.textures]);
+    console.log(
+      JSON.stringify({
+        open_ms,
+        click_p50_ms: at(clicks, 0.5),
+        click_p95_ms: at(clicks, 0.95),
+        scrub_frame_p50_ms: at(scrub.frames, 0.5),
+        scrub_frame_p95_ms: at(scrub.frames, 0.95),
+        scrub_latency_p95_ms: at(scrub.latency, 0.95),
+        heap_first_mb: first.mb,
+        heap_last_mb: last.mb,
+      }),
+    );
+  },
+  { at: "#/view" },
+);
