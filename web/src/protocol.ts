@@ -71,7 +71,7 @@ export interface Fit {
   pose: number[]; joints: number[][]; rotations: number[][]; joint_sd: number[]; covariance: number[][];
   pixels: Record<string, Record<string, [number, number]>>; rms_px: number;
   worst: { camera: string; joint: string; px: number } | null; depth_sd: number | null; notes: string[];
-  alternatives: { joints: number[][]; cost: number; flipped: string[] }[];
+  alternatives: { pose: number[]; joints: number[][]; cost: number; flipped: string[] }[];
 }
 export interface ClickJoint { joint: string; title: string }
 

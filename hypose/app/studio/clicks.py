@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,12 +19,15 @@ from hypose.app.studio.catalog import Catalog, Item
 from hypose.app.studio.job_kinds import is_name
 from hypose.app.studio.recordings import Recordings
 from hypose.body.body import Body
-from hypose.body.models import human
+from hypose.body.models import JOINT_NAMES, human
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.bodies import load_body
 from hypose.io.files import text_lines
+from hypose.io.recording import Recording
 from hypose.io.results import ResultsFolder, load_motion
+from hypose.io.video import frame_size
+from hypose.pipeline.mono_start import LEAST_POINTS
 
 _FORMAT = "hypose-clicks"
 
@@ -113,9 +117,28 @@ def _save(value: dict[str, Any], item: Item, catalog: Catalog, recordings: Recor
         raise InputError(f"The starts of {item.path.name} lie outside the served folder.")
     found = _fitted({**value, "recording": item.id}, catalog, recordings)
     keep = {k: value[k] for k in ("frame", "views", "height", "result") if value.get(k) is not None}
+    keep |= _for_one_camera(value["views"], value.get("camera"), recordings.load(item))
     document = {"format": _FORMAT, "version": 1, **keep, **{k: found[k] for k in ("pose", "joint_sd", "rms_px")}}
     ResultsFolder(item.path / "starts").write_json(f"{name}.json", document)
     return {"name": name, **document}
+
+
+def _for_one_camera(views: Sequence[Mapping[str, Any]], wanted: Any, recording: Recording) -> dict[str, Any]:
+    """camera and joints as `hypose track --method monocular --start FILE` reads them (hypose.pipeline.mono_start): of
+    the wanted camera, else the one with most clicks; in pixels of the picture as it was recorded. Joints behind
+    something only where there are too few others."""
+    view = max(views, key=lambda v: (v["camera"] == wanted, len(v["points"])))
+    index = recording.rig.names.index(view["camera"])
+    camera, source = recording.rig[index], recording.views[index]
+    points = [p for p in view["points"] if p["joint"] in JOINT_NAMES]
+    clear = [p for p in points if not p.get("occluded")]
+    points = clear if len(clear) >= LEAST_POINTS else points
+    if not points or source.source is None:
+        return {"camera": source.name, "joints": {}}
+    origin, rays = camera.pinhole().rays(np.array([[p["x"], p["y"]] for p in points], dtype=np.float64))
+    seen = camera.project(origin + rays) - np.asarray(source.image_shift)
+    stored = (seen + 0.5) * np.array(frame_size(source.source)) / np.array(camera.size) - 0.5
+    return {"camera": source.name, "joints": {p["joint"]: stored[k] for k, p in enumerate(points)}}
 
 
 def _load(item: Item, name: str) -> dict[str, Any]:

@@ -138,12 +138,22 @@ def _track(
     out = folder / "results" / name
     if not catalog.contains(out):
         raise InputError(f"The results of {folder.name} lie outside the served folder; track them on the command line.")
+    if isinstance(start := options.get("start"), str) and start.startswith("clicks:"):
+        arguments[arguments.index("--start") + 1] = str(_clicked(folder, start.removeprefix("clicks:")))
     arguments += ["--out", str(out)]
     if options.get("subject") and _flag(options["subject"], "subject"):
         arguments += ["--subject", str(folder / "subject")]
     if options.get("overlay") is not None and not _flag(options["overlay"], "overlay"):
         arguments.append("--no-overlay")
     return Plan(("track", str(folder), *arguments), title, recording, catalog.id_of("result", out), True, out)
+
+
+def _clicked(folder: Path, name: str) -> Path:
+    """The file of clicks that the page has saved under a name."""
+    path = folder / "starts" / f"{name}.json"
+    if not is_name(name) or not path.is_file():
+        raise InputError(f"There are no clicks saved as {name[:40]!r} in {folder.name}; save them first.")
+    return path
 
 
 def _id(request: Mapping[str, Any], name: str) -> str:

@@ -29,7 +29,7 @@ export class ClickState {
     this.clicks = kept(key, cameras, joints);
     this.camera = cameras[0] ?? "";
     this.joint = joints[0]?.joint ?? "";
-    this.chooseNext();
+    this.chooseNext(true);
   }
 
   /** Points of the camera shown. */

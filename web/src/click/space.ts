@@ -46,7 +46,7 @@ export class FitSpace {
     this.stage.over.add(this.spread, this.box);
     host.append(this.stage.canvas);
     this.lay(0);
-    this.stage.look(new Vector3(0, 0, 0.9), new Vector3(0.6, -1, 0.45), Math.min(4, 0.8 * ring));
+    this.stage.look(new Vector3(0, 0, 0.9), new Vector3(0.6, -1, 0.55), Math.min(9, 1.05 * ring));
     this.stops = [
       onResize(host, (w, h) => {
         this.stage.resize(w, h);

@@ -160,7 +160,7 @@ export class Workspace {
     const submit = button("Save", () => undefined, { kind: "primary", icon: "done", title: "Keep the clicks and the pose" });
     submit.type = "submit";
     this.save.append(
-      this.result || this.recording.subject ? "" : h("div", { class: "field" }, h("label", { class: "field-name" }, "Height"), h("div", { class: "row" }, height, h("span", { class: "dim" }, "cm, if known: the distance follows from it"))),
+      this.result || this.recording.subject ? "" : h("div", { class: "field" }, h("label", { class: "field-name" }, "Height"), h("div", { class: "row" }, height, h("span", { class: "dim" }, "cm, if known"))),
       h("div", { class: "field" }, h("span", { class: "field-name" }, "Save as"), h("div", { class: "row" }, name, submit)),
       h("div", { class: "row" }, button("Track from here", () => void this.track(name.value), { icon: "play", title: "Follow the person with this camera alone, from this frame on" })),
     );
@@ -168,7 +168,7 @@ export class Workspace {
 
   private async keep(name: string): Promise<boolean> {
     try {
-      await post(`/api/recordings/${this.recording.id}/starts`, { ...this.fitter.request(), name });
+      await post(`/api/recordings/${this.recording.id}/starts`, { ...this.fitter.request(), name, camera: this.state.camera });
       toast(`Saved as starts/${name}.json`, "done");
       return true;
     } catch (error) {
@@ -181,7 +181,7 @@ export class Workspace {
   private async track(name: string): Promise<void> {
     if (!(await this.keep(name))) return;
     const camera = this.state.camera;
-    const options = { method: "monocular", camera, start: name, frames: `${this.frame}:`, name: `monocular-${camera}` };
+    const options = { method: "monocular", camera, start: `clicks:${name}`, frames: `${this.frame}:`, name: `monocular-${camera}` };
     try {
       const job = await post<Job>("/api/jobs", { kind: "track", recording: this.recording.id, options });
       toast(`${job.title} has begun.`);
