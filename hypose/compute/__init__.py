@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.compute import images, lane_mesh, reference, selection
+from hypose.compute import glance, images, lane_mesh, reference, selection
 from hypose.compute.arrays import BALL, FIXED, MeshArrays, TreeArrays
 from hypose.compute.contours import signed_distance
 from hypose.compute.selection import default_threads, over_chunks, use
@@ -340,6 +340,7 @@ def warm_up() -> float:
         prepared = prepare_masks(mask, usable, sizes, projection)
         silhouette_xor(q[None], tree, mesh, prepared, np.array([[0, 32, 0, 32]]), moving=np.array([False, True]))
         images.warm_up()
+        glance.warm_up()
     sdf = signed_distance(mask, sizes)
     outline = outline_points(sdf[0], (32, 32), 16)[0]
     contours = ContourArrays(

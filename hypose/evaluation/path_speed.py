@@ -22,6 +22,7 @@ from hypose.evaluation.scenes import Scene
 from hypose.evaluation.write_recording import write_scene
 from hypose.evidence.ahead import look_ahead
 from hypose.evidence.background import BackgroundModel
+from hypose.evidence.contours import WORKING_HEIGHT
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.fitting.articulated import contour_term
@@ -182,7 +183,7 @@ def _frames(recording: Recording, backgrounds: tuple[BackgroundModel | None, ...
 def _prepare(recording: Recording, backgrounds: tuple[BackgroundModel | None, ...]) -> int:
     for frame in _frames(recording, backgrounds):
         if frame.silhouettes is not None and frame.silhouettes.usable.any():
-            contour_term(frame.silhouettes)
+            contour_term(frame.silhouettes, working_height=WORKING_HEIGHT)
     return len(recording.frames)
 
 

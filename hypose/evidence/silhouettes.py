@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 import cv2
 import numpy as np
@@ -17,13 +17,24 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import CameraRig
 from hypose.compute import images
+from hypose.compute.glance import Glance, glance_at
 from hypose.errors import InputError
 from hypose.evidence.background import BackgroundModel, Image
 from hypose.evidence.frame import Silhouettes
 
 Mask = NDArray[np.uint8]
-Segmenter = Callable[[Image, Mask | None], Mask]
-"""(image (h, w, 3), where the person can be (h, w) or None) -> mask (h, w)."""
+
+
+class Segmenter(Protocol):
+    """Turns an image of one view into a mask."""
+
+    glance: Glance | None
+    """how to tell from a stored picture where there is anything at all; None: the whole image is needed"""
+
+    def __call__(self, image: Image, band: Mask | None = None, box: images.Box | None = None, /) -> Mask:
+        """image (h, w, 3) -> mask (h, w). band (h, w): where the person can be; box: what of the image is given, and
+        where the person is, if no band is given."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -82,36 +93,44 @@ def make_segmenter(background: BackgroundModel, options: SilhouetteOptions | Non
     It keeps no memory of earlier images, so frames may come in any order; one segmenter must not be called
     from two threads at once.
     """
-    o = options or SilhouetteOptions()
-    differ = _gaussian(background, o) if o.method == "gaussian" else _mog2(background, o)
-    unseen = (~background.valid).astype(np.uint8) if not background.valid.all() else None
+    return _Segmenter(background, options or SilhouetteOptions())
 
-    def segment(image: Image, band: Mask | None = None) -> Mask:
-        h, w = background.valid.shape
+
+class _Segmenter:
+    def __init__(self, background: BackgroundModel, options: SilhouetteOptions) -> None:
+        self._options, self._shape = options, background.valid.shape
+        self._unseen = (~background.valid).astype(np.uint8) if not background.valid.all() else None
+        self.glance: Glance | None = None
+        if options.method == "gaussian":
+            room = _room(background, options)
+            self._differ = _outside_of(room)
+            self.glance = None if options.grabcut else glance_at(room)
+        else:
+            self._differ = _mog2(background, options)
+
+    def __call__(self, image: Image, band: Mask | None = None, box: images.Box | None = None, /) -> Mask:
+        h, w = self._shape
         if image.shape != (h, w, 3):
             raise InputError(f"An image of {image.shape[1::-1]} px does not fit a background of {(w, h)} px.")
-        box = bounding_box(band) if band is not None else (0, h, 0, w)
+        box = bounding_box(band) if band is not None else box or (0, h, 0, w)
         mask = np.zeros((h, w), np.uint8)
-        if box is None:
+        if box is None or box[0] == box[1]:
             return mask
         y0, y1, x0, x1 = box
-        raw = differ(image, box)
-        if unseen is not None:
+        raw = self._differ(image, box)
+        if self._unseen is not None:
             # the room is unknown there: the person if anything says so, else nothing
-            hidden = unseen[y0:y1, x0:x1]
+            hidden = self._unseen[y0:y1, x0:x1]
             raw = np.where(hidden > 0, 0 if band is None else band[y0:y1, x0:x1], raw).astype(np.uint8)
         if band is not None:
             raw &= (band[y0:y1, x0:x1] > 0).astype(np.uint8)
         mask[y0:y1, x0:x1] = raw
+        o = self._options
         mask = clean(mask, o)
         return refine_rim(image, mask, o.rim_px, band) if o.grabcut else mask
 
-    return segment
 
-
-def _gaussian(
-    background: BackgroundModel, options: SilhouetteOptions
-) -> Callable[[Image, tuple[int, int, int, int]], Mask]:
+def _room(background: BackgroundModel, options: SilhouetteOptions) -> images.Room:
     """Single Gaussian per pixel and channel, with the brightness cone for shadows.
 
     Foreground: some channel more than `threshold` sd from the mean. Shadow: the pixel's colour a seen as s
@@ -122,7 +141,7 @@ def _gaussian(
     """
     reach = options.threshold * np.maximum(background.sd, np.float32(options.min_sd))
     mean = np.ascontiguousarray(background.mean, dtype=np.float32)
-    room = images.Room(
+    return images.Room(
         np.clip(np.ceil(mean - reach), 0, 255).astype(np.uint8),
         np.clip(np.floor(mean + reach), 0, 255).astype(np.uint8),
         mean,
@@ -132,17 +151,20 @@ def _gaussian(
         options.shadow_chroma**2,
     )
 
-    def differ(image: Image, box: tuple[int, int, int, int]) -> Mask:
+
+_Differ = Callable[[Image, images.Box], Mask]
+
+
+def _outside_of(room: images.Room) -> _Differ:
+    def differ(image: Image, box: images.Box) -> Mask:
         y0, y1, x0, x1 = box
         found = images.differences(image, room, box)[y0:y1, x0:x1]
-        return images.without_shadows(found) if options.shadow else found
+        return images.without_shadows(found) if room.shadow else found
 
     return differ
 
 
-def _mog2(
-    background: BackgroundModel, options: SilhouetteOptions
-) -> Callable[[Image, tuple[int, int, int, int]], Mask]:
+def _mog2(background: BackgroundModel, options: SilhouetteOptions) -> _Differ:
     """OpenCV's MOG2 taught with pictures of the background model (its quantiles), then frozen.
 
     Deviation from its usual form: it does not go on learning, so that a person who stands still is not
@@ -159,7 +181,7 @@ def _mog2(
         picture = background.mean + np.float32(level) * background.sd
         model.apply(np.clip(np.rint(picture), 0, 255).astype(np.uint8))
 
-    def differ(image: Image, box: tuple[int, int, int, int]) -> Mask:
+    def differ(image: Image, box: images.Box) -> Mask:
         y0, y1, x0, x1 = box
         return (model.apply(image, None, 0)[y0:y1, x0:x1] == 255).astype(np.uint8)
 

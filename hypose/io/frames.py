@@ -44,7 +44,7 @@ from hypose.geometry import Array
 from hypose.io.files import atomic_path, write_text
 from hypose.io.recording import Recording
 from hypose.io.video import open_video
-from hypose.io.view_source import SIDECAR, ViewSource, preparer
+from hypose.io.view_source import SIDECAR, Preparer, ViewSource
 
 Covers = Callable[[int, int], Mask | None]
 """(view, video frame) -> where the person is, (h, w) at working size: the silhouette of a model tracked
@@ -209,12 +209,12 @@ def build_backgrounds(
         view = recording.views[c]
         if view.masks is not None:
             return None
-        prepare = preparer(recording.rig[c], small[c], view.image_shift)
+        prepare = Preparer(recording.rig[c], small[c], view.image_shift)
         plate = None
         if view.background is not None:
             with open_video(view.background) as reader:
                 chosen = _spread(range(reader.n_frames), o.background_frames)
-                images = [prepare(reader.read(i), None) for i in chosen]
+                images = [prepare(reader.read(i)) for i in chosen]
                 if reader.n_frames >= _CLIP:
                     return from_frames(images)
                 plate = from_plates(images)
@@ -341,8 +341,6 @@ class FrameStream:
             source = ViewSource(view, camera, small)
             if background is not None:
                 source.segment = make_segmenter(background, self.options.silhouettes)
-                o = self.options.silhouettes or SilhouetteOptions()
-                source.in_band = o.method == "gaussian" and not o.grabcut
             self._sources.append(source)
         # one lane per camera: a view's frames are read in the order asked for
         self._lanes = [ThreadPoolExecutor(1, thread_name_prefix=v.name) for v in r.views]

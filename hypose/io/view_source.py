@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
+from hypose.compute.glance import Glance, differing_box, stored_pixels
 from hypose.compute.images import Box, Lens, make_lens, shrink_undistort
 from hypose.errors import InputError
 from hypose.evidence.background import Image
@@ -19,34 +20,45 @@ from hypose.io.video import VideoReader, list_images, open_video, read_image
 SIDECAR = "hypose-masks.json"
 """lies beside masks that are undistorted already"""
 
-Prepare = Callable[[Image, Box | None], Image]
-"""(stored image, box (y0, y1, x0, x1) that is needed) -> undistorted image of the working size"""
 
+class Preparer:
+    """Stored images (any size) of a camera -> undistorted images of the working-size camera `small`. shift: px of the
+    calibrated size added to image positions."""
 
-def preparer(camera: Camera, small: Camera, shift: tuple[float, float]) -> Prepare:
-    """Stored image (any size) -> undistorted image of the working-size camera. shift: px of the calibrated
-    size added to image positions."""
-    size = small.size
-    mx, my = camera.undistort_maps(size, size)
-    mx = mx - np.float32(shift[0] * size[0] / camera.size[0])
-    my = my - np.float32(shift[1] * size[1] / camera.size[1])
-    lenses: dict[tuple[int, int], Lens] = {}
+    def __init__(self, camera: Camera, small: Camera, shift: tuple[float, float]) -> None:
+        self.size = small.size
+        mx, my = camera.undistort_maps(self.size, self.size)
+        scale = self.size[0] / camera.size[0], self.size[1] / camera.size[1]
+        self._maps = mx - np.float32(shift[0] * scale[0]), my - np.float32(shift[1] * scale[1])
+        self._lenses: dict[tuple[int, int], Lens] = {}
+        self._pixels: dict[tuple[int, int], NDArray[np.int32]] = {}
 
-    def prepare(image: Image, box: Box | None = None) -> Image:
-        if image.shape[1] < size[0] or image.shape[0] < size[1]:
-            image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    def __call__(self, image: Image, box: Box | None = None) -> Image:
+        """The undistorted image; outside the box (y0, y1, x0, x1), if given, undefined."""
+        image = self._enlarged(image)
         stored = (image.shape[1], image.shape[0])
-        if stored not in lenses:
-            lenses[stored] = make_lens(stored, mx, my)
-        return shrink_undistort(image, lenses[stored], box)
+        if stored not in self._lenses:
+            self._lenses[stored] = make_lens(stored, *self._maps)
+        return shrink_undistort(image, self._lenses[stored], box)
 
-    return prepare
+    def differing_box(self, image: Image, glance: Glance) -> Box | None:
+        """The box of the working size that holds what is not the room; None when there is nothing."""
+        image = self._enlarged(image)
+        stored = (image.shape[1], image.shape[0])
+        if stored not in self._pixels:
+            self._pixels[stored] = stored_pixels(stored, *self._maps)
+        return differing_box(image, self._pixels[stored], glance, self.size)
+
+    def _enlarged(self, image: Image) -> Image:
+        if image.shape[1] >= self.size[0] and image.shape[0] >= self.size[1]:
+            return image
+        return np.asarray(cv2.resize(image, self.size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 class _MaskSource:
     """Masks made elsewhere: a video, a folder of images in order, or a folder written by write_masks."""
 
-    def __init__(self, path: Path, prepare: Prepare, size: tuple[int, int]) -> None:
+    def __init__(self, path: Path, prepare: Preparer, size: tuple[int, int]) -> None:
         self.path, self._prepare, self._size = path, prepare, size
         self._numbered: dict[int, Path] | None = None
         self._reader: VideoReader | None = None
@@ -78,22 +90,22 @@ class ViewSource:
 
     def __init__(self, view: View, camera: Camera, small: Camera) -> None:
         self.view = view
-        prepare = preparer(camera, small, view.image_shift)
-        self._prepare = prepare
-        self._masks = None if view.masks is None else _MaskSource(view.masks, prepare, small.size)
+        self._prepare = Preparer(camera, small, view.image_shift)
+        self._masks = None if view.masks is None else _MaskSource(view.masks, self._prepare, small.size)
         self._reader: VideoReader | None = None
         self.segment: Segmenter | None = None
-        self.in_band = False
-        """the segmenter looks at nothing outside the band"""
         self._broken: tuple[int, str] | None = None
 
-    def image(self, frame: int, box: Box | None = None) -> Image:
-        """The undistorted working-size image; outside the box (y0, y1, x0, x1) undefined."""
+    def image(self, frame: int) -> Image:
+        """The undistorted working-size image."""
+        return self._prepare(self._stored(frame))
+
+    def _stored(self, frame: int) -> Image:
         if self._reader is None:
             if self.view.source is None:
                 raise InputError(f"View {self.view.name} has neither video nor images, only masks.")
             self._reader = open_video(self.view.source)
-        return self._prepare(self._reader.read(frame), box)
+        return self._reader.read(frame)
 
     def mask(self, frame: int, band: Mask | None) -> tuple[Mask | None, str]:
         """The mask, or None and why there is none."""
@@ -104,8 +116,12 @@ class ViewSource:
                 mask = self._masks.read(frame)
                 return (mask if band is None else mask & band), ""
             assert self.segment is not None
-            box = bounding_box(band) or (0, 0, 0, 0) if band is not None and self.in_band else None
-            return self.segment(self.image(frame, box), band), ""
+            image, box = self._stored(frame), None
+            if self.segment.glance is not None:  # then nothing outside the person's box is looked at
+                glance = self.segment.glance
+                found = self._prepare.differing_box(image, glance) if band is None else bounding_box(band)
+                box = found or (0, 0, 0, 0)
+            return self.segment(self._prepare(image, box), band, box), ""
         except InputError as problem:
             if self._masks is None:  # a damaged video stays damaged: do not decode it from its start again and again
                 self._broken = (frame, str(problem))

@@ -24,7 +24,7 @@ from hypose.io.files import write_text
 from hypose.io.frames import build_backgrounds, working_rig
 from hypose.io.recording import Recording, load_recording, silhouette_lines
 from hypose.io.recording_keys import SILHOUETTE_KEYS, read_toml, silhouette_options
-from hypose.io.view_source import Prepare, ViewSource, preparer
+from hypose.io.view_source import Preparer, ViewSource
 
 Shown = Literal["none", "edge", "fill", "only"]
 _OPEN, _QUALITY = 3, 85
@@ -41,7 +41,7 @@ class _Open:
     lock: threading.Lock = field(default_factory=threading.Lock)
     images: dict[int, AnyFrame] = field(default_factory=dict)
     masks: dict[int, ViewSource] = field(default_factory=dict)
-    lenses: dict[tuple[int, int], Prepare] = field(default_factory=dict)
+    lenses: dict[tuple[int, int], Preparer] = field(default_factory=dict)
     backgrounds: tuple[BackgroundModel | None, ...] | None = None
 
     def image(self, view: int, frame: int, small: Camera) -> Image:
@@ -52,11 +52,11 @@ class _Open:
         if key not in self.lenses:
             while len(self.lenses) > 4 * len(self.recording.views):
                 del self.lenses[next(iter(self.lenses))]
-            self.lenses[key] = preparer(self.recording.rig[view], small, v.image_shift)
+            self.lenses[key] = Preparer(self.recording.rig[view], small, v.image_shift)
         stored = self.images[view].read(frame)
         if stored is None:
             raise InputError(f"{v.name} has no frame {frame}.")
-        return self.lenses[key](stored, None)
+        return self.lenses[key](stored)
 
     def close(self) -> None:
         with self.lock:

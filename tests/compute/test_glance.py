@@ -1,0 +1,75 @@
+"""A look at every fourth pixel finds the box of what is not the room."""
+
+import numpy as np
+import pytest
+
+from hypose import compute
+from hypose.compute.glance import MARGIN, STEP, differing_box, glance_at, stored_pixels
+from hypose.compute.images import Room, make_lens, shrink_undistort
+
+SIZE = (160, 120)
+
+
+def room_of(mean, slack=12):
+    low, high = (np.clip(mean.astype(int) + s, 0, 255).astype(np.uint8) for s in (-slack, slack))
+    real = mean.astype(np.float32)
+    return Room(low, high, real, (real * real).sum(2) + 1, False, 0.5, 0.9, 100.0)
+
+
+def maps():
+    x, y = np.meshgrid(np.arange(SIZE[0], dtype=float), np.arange(SIZE[1], dtype=float))
+    return x + 1.5, y - 0.7
+
+
+@pytest.fixture
+def walls(rng):
+    """A room with sharp edges as it is undistorted, and the stored picture of it, three times as large."""
+    stored = np.repeat(np.repeat(rng.integers(40, 200, (12, 16, 3)), 30, 0), 30, 1).astype(np.uint8)
+    return shrink_undistort(stored, make_lens((480, 360), *maps())), stored
+
+
+def look(picture, mean):
+    at = stored_pixels((picture.shape[1], picture.shape[0]), *maps())
+    box = differing_box(picture, at, glance_at(room_of(mean)), SIZE)
+    with compute.use("reference"):
+        assert differing_box(picture, at, glance_at(room_of(mean)), SIZE) == box
+    return box
+
+
+def noisy(picture, rng, sd=4.0):
+    return np.clip(np.rint(picture + rng.normal(0, sd, picture.shape)), 0, 255).astype(np.uint8)
+
+
+def test_an_empty_room_with_noise_and_edges_has_no_box(walls, rng):
+    mean, picture = walls
+    assert look(noisy(picture, rng), mean) is None
+
+
+def test_the_box_holds_the_person_and_a_margin(walls, rng):
+    mean, picture = walls
+    x, y = maps()
+    for left, top, w, h in ((60, 30, 20, 50), (0, 0, 12, 30), (140, 100, 20, 20)):
+        seen = picture.copy()
+        seen[3 * top : 3 * (top + h), 3 * left : 3 * (left + w)] = (5, 250, 5)
+        y0, y1, x0, x1 = look(noisy(seen, rng), mean)
+        inside = (x >= left) & (x < left + w) & (y >= top) & (y < top + h)
+        rows, columns = np.flatnonzero(inside.any(1)), np.flatnonzero(inside.any(0))
+        assert y0 <= rows[0] and rows[-1] < y1 and x0 <= columns[0] and columns[-1] < x1
+        reach = MARGIN + STEP
+        assert y0 >= rows[0] - reach and y1 <= rows[-1] + reach + 1
+        assert x0 >= columns[0] - reach and x1 <= columns[-1] + reach + 1
+
+
+def test_single_odd_pixels_are_noise(walls, rng):
+    mean, picture = walls
+    seen = picture.copy()
+    seen[30::100, 40::100] = 255
+    seen[30::100, 41::100] = 0
+    assert look(seen, mean) is None
+
+
+def test_where_the_lens_does_not_see_nothing_is_looked_at(walls):
+    mean, picture = walls
+    at = stored_pixels((480, 360), maps()[0] - 1000, maps()[1])
+    assert (at == -1).all()
+    assert differing_box(picture, at, glance_at(room_of(255 - mean)), SIZE) is None
