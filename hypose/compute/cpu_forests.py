@@ -1,5 +1,5 @@
-"""numba: forests of depth tests in flat arrays: growing, scanning, density. The definition is the plain numpy runtime
-in hypose/gestures/runtime.py; parity is tested.
+"""numba: forests of depth tests in flat arrays: the test itself, and how trees grow. How a picture is looked at with
+them: cpu_forest_votes.py. The definition is the plain numpy runtime in hypose/gestures/runtime.py; parity is tested.
 
 A depth picture is a padded flat int16 array in millimetres whose holes and border are FAR. A test is (uy, ux, vy, vx,
 threshold) in millimetres: the clipped depth at the pixel + u minus that at the pixel + v (the pixel itself when v = 0)
@@ -21,8 +21,6 @@ u8 = np.uint64
 i4 = np.int32
 _SHIFT = 4096  # makes the truncation of a negative number a floor
 _HALF = f4(4096.5)
-PROBABILITY = 10000
-"""Probabilities are whole ten-thousandths in scanning."""
 
 
 @njit(**OPTIONS)
@@ -36,7 +34,9 @@ def pad(depth, border, out):
 
 
 @njit(inline="always", **OPTIONS)
-def _response(flat, width, c, d, s, lo, hi, uy, ux, vy, vx):
+def response(flat, width, c, d, s, lo, hi, uy, ux, vy, vx):
+    """What the test of (uy, ux) against (vy, vx) mm reads at cell c of depth d, with s = focal length / d and depths
+    clipped to lo..hi."""
     y = i4(f4(uy) * s + _HALF) - _SHIFT
     x = i4(f4(ux) * s + _HALF) - _SHIFT
     a = i4(flat[u8(np.int64(c) + y * width + x)])
@@ -189,7 +189,7 @@ def grow(flat, width, cells, labels, focal, near, clip, half, spread, rate, alph
             n = 0
             while g.left[t, n] >= 0:
                 e = g.test[t, n]
-                f = _response(flat, width, c, d, s, lo, hi, e[0], e[1], e[2], e[3])
+                f = response(flat, width, c, d, s, lo, hi, e[0], e[1], e[2], e[3])
                 n = g.left[t, n] + (0 if f < e[4] else 1)
             g.seen[t, n, y] += k
             if g.level[t, n] >= deepest:
@@ -207,7 +207,7 @@ def grow(flat, width, cells, labels, focal, near, clip, half, spread, rate, alph
             g.total[t, slot, y] += k
             for q in range(g.candidate.shape[2]):
                 e = g.candidate[t, slot, q]
-                if _response(flat, width, c, d, s, lo, hi, e[0], e[1], e[2], e[3]) < e[4]:
+                if response(flat, width, c, d, s, lo, hi, e[0], e[1], e[2], e[3]) < e[4]:
                     g.left_count[t, slot, q, y] += k
             seen = 0
             for j in range(classes):
@@ -221,196 +221,6 @@ def grow(flat, width, cells, labels, focal, near, clip, half, spread, rate, alph
                 _split(g, t, n, slot, best)
             elif seen > 3 * alpha:
                 _close(g, t, n, slot)
-
-
-@njit(**OPTIONS)
-def pack(test, left, count, size, records, shares):
-    """Scanning layout: records (trees, N, 8) i2 = test, left child, share of class 1, 0; shares (trees, N, C) u2: all
-    classes. Ten-thousandths; a node that has seen nothing is background."""
-    classes = count.shape[2]
-    for t in range(left.shape[0]):
-        for n in range(size[t]):
-            total = np.float64(0.0)
-            for c in range(classes):
-                total += count[t, n, c]
-            for j in range(5):
-                records[t, n, j] = test[t, n, j]
-            records[t, n, 5] = left[t, n]
-            for c in range(classes):
-                p = count[t, n, c] / total if total > 0 else (1.0 if c == 0 else 0.0)
-                shares[t, n, c] = int(p * PROBABILITY + 0.5)
-            records[t, n, 6] = shares[t, n, 1]
-
-
-@njit(inline="always", **OPTIONS)
-def _leaf(flat, width, c, d, s, lo, hi, records, base):
-    n = base
-    while True:
-        child = records[n, u8(5)]
-        if child < 0:
-            return n
-        f = _response(
-            flat, width, c, d, s, lo, hi, records[n, u8(0)], records[n, u8(1)], records[n, u8(2)], records[n, u8(3)]
-        )
-        n = base + u8(child) + u8(0 if f < records[n, u8(4)] else 1)
-
-
-@njit(**OPTIONS)
-def leaves(flat, width, cells, focal, clip, records, trees, out):
-    """out (S, trees) i4: the leaf that each cell of the padded picture reaches."""
-    nodes = u8(records.shape[0] // trees)
-    for i in range(cells.shape[0]):
-        c = u8(cells[i])
-        d = i4(flat[c])
-        s = f4(focal / d)
-        for t in range(trees):
-            base = u8(t) * nodes
-            out[i, t] = _leaf(flat, width, c, d, s, d - clip, d + clip, records, base) - base
-
-
-@njit(**OPTIONS)
-def coarse_pass(flat, width, border, h, w, near, far, focal, clip, records, trees, first, least, stride, active):
-    """active (ceil(h / stride), ...) u1: where the mean of the first trees' shares at the cell's centre or at a
-    neighbour's reaches `least`. Returns the number of tree descents."""
-    rows, columns = active.shape
-    nodes = u8(records.shape[0] // trees)
-    active[:] = 0
-    limit, descents = least * PROBABILITY * first, 0
-    for i in range(rows):
-        y = i * stride + stride // 2
-        for j in range(columns):
-            x = j * stride + stride // 2
-            if y >= h or x >= w:
-                continue
-            c = u8((y + border) * width + x + border)
-            d = i4(flat[c])
-            if d < near or d > far:
-                continue
-            s, a = f4(focal / d), 0
-            for t in range(first):
-                a += records[_leaf(flat, width, c, d, s, d - clip, d + clip, records, u8(t) * nodes), u8(6)]
-            descents += first
-            if a >= limit:
-                for u in range(max(0, i - 1), min(rows, i + 2)):
-                    for v in range(max(0, j - 1), min(columns, j + 2)):
-                        active[u, v] = 1
-    return descents
-
-
-@njit(**OPTIONS)
-def scan(flat, width, border, h, w, near, far, focal, clip, records, trees, first, least, stride, active, ratio, out):
-    """out (ceil(h / stride), ...) f4: mean share of class 1 at every stride-th pixel; 0 where there is no depth within
-    near..far, where active (coarse grid, `ratio` cells to one; used when ratio > 0) is 0, and where the mean over the
-    first trees stays below `least`, over twice as many below 1.5 `least` (first = 0: no such rejection). Returns the
-    number of tree descents."""
-    rows, columns = out.shape
-    nodes = u8(records.shape[0] // trees)
-    limit1, limit2 = least * PROBABILITY * first, 1.5 * least * PROBABILITY * 2 * first
-    descents, scale = 0, f4(1.0 / (PROBABILITY * trees))
-    for i in range(rows):
-        y = i * stride + stride // 2
-        for j in range(columns):
-            out[i, j] = 0
-            if ratio > 0 and active[i // ratio, j // ratio] == 0:
-                continue
-            x = j * stride + stride // 2
-            if y >= h or x >= w:
-                continue
-            c = u8((y + border) * width + x + border)
-            d = i4(flat[c])
-            if d < near or d > far:
-                continue
-            s, a, base = f4(focal / d), i4(0), u8(0)
-            lo, hi = d - clip, d + clip
-            for t in range(trees):
-                a += records[_leaf(flat, width, c, d, s, lo, hi, records, base), u8(6)]
-                base += nodes
-                descents += 1
-                if (t + 1 == first and a < limit1) or (t + 1 == 2 * first and a < limit2):
-                    a = 0
-                    break
-            out[i, j] = a * scale
-    return descents
-
-
-@njit(**OPTIONS)
-def scan_classes(flat, width, border, h, w, near, far, focal, clip, records, shares, trees, first, least, stride, out):
-    """out (C - 1, rows, columns) f4: mean share of the winning class where a gesture wins over the background and the
-    other gestures, else 0. Early rejection on the summed share of all gestures."""
-    rows, columns = out.shape[1:]
-    classes = shares.shape[1]
-    nodes = u8(records.shape[0] // trees)
-    limit1, limit2 = least * PROBABILITY * first, 1.5 * least * PROBABILITY * 2 * first
-    sums, scale = np.empty(classes, np.int32), f4(1.0 / (PROBABILITY * trees))
-    descents = 0
-    for i in range(rows):
-        y = i * stride + stride // 2
-        for j in range(columns):
-            for k in range(classes - 1):
-                out[k, i, j] = 0
-            x = j * stride + stride // 2
-            if y >= h or x >= w:
-                continue
-            c = u8((y + border) * width + x + border)
-            d = i4(flat[c])
-            if d < near or d > far:
-                continue
-            s, base, kept = f4(focal / d), u8(0), True
-            sums[:] = 0
-            for t in range(trees):
-                n = _leaf(flat, width, c, d, s, d - clip, d + clip, records, base)
-                for k in range(classes):
-                    sums[k] += shares[n, k]
-                base += nodes
-                descents += 1
-                a = PROBABILITY * (t + 1) - sums[0]
-                if (t + 1 == first and a < limit1) or (t + 1 == 2 * first and a < limit2):
-                    kept = False
-                    break
-            if kept:
-                best = 0
-                for k in range(1, classes):
-                    if sums[k] > sums[best]:
-                        best = k
-                if best > 0:
-                    out[best - 1, i, j] = sums[best] * scale
-    return descents
-
-
-@njit(**OPTIONS)
-def parzen(flat, width, border, stride, focal, scores, majority, sigma, sums, out):
-    """Density of the votes on the grid: out (rows, columns) f4, m^2 of surface per grid cell around it.
-
-    A cell votes where scores > majority; its weight is score x (z stride / focal)^2, the surface it stands for, so that
-    the sum over a gesture does not depend on its distance. Gaussian kernel of unit sum, sigma in cells, cut at 3 sigma;
-    sums (rows, columns) is scratch. Returns the index of the largest value."""
-    rows, columns = scores.shape
-    r = int(3 * sigma + 0.5)
-    kernel = np.exp(-0.5 * (np.arange(-r, r + 1) / sigma) ** 2)
-    kernel = (kernel / kernel.sum()).astype(np.float32)
-    sums[:] = 0
-    out[:] = 0
-    unit = f4((0.001 * stride / focal) ** 2)
-    for i in range(rows):
-        for j in range(columns):
-            p = scores[i, j]
-            if p > majority:
-                d = f4(flat[u8((i * stride + stride // 2 + border) * width + j * stride + stride // 2 + border)])
-                v = p * d * d * unit
-                for q in range(max(-r, -j), min(r, columns - 1 - j) + 1):
-                    sums[i, j + q] += v * kernel[q + r]
-    for i in range(rows):
-        for j in range(columns):
-            v = sums[i, j]
-            if v != 0:
-                for q in range(max(-r, -i), min(r, rows - 1 - i) + 1):
-                    out[i + q, j] += v * kernel[q + r]
-    best, at = f4(-1.0), 0
-    for i in range(rows):
-        for j in range(columns):
-            if out[i, j] > best:
-                best, at = out[i, j], i * columns + j
-    return at
 
 
 @njit(**OPTIONS)

@@ -1,4 +1,5 @@
-"""Forests of depth tests: the arrays they live in, and what is computed with them (kernels in cpu_forests.py).
+"""Forests of depth tests: the arrays they live in, and what is computed with them (kernels in cpu_forests.py and
+cpu_forest_votes.py).
 
 Depth here is (h, w) uint16 in millimetres, 0 = hole, as sensors give it: tests compare whole millimetres, so that the
 same picture gives the same answer everywhere. A hole counts as far away (10 m), never as near.
@@ -6,7 +7,9 @@ same picture gives the same answer everywhere. A hole counts as far away (10 m),
 
 from __future__ import annotations
 
+import importlib
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from types import ModuleType
@@ -91,12 +94,30 @@ class PaddedDepth:
         return (r + self.border) * self.width + c + self.border
 
 
+class Raster(NamedTuple):
+    """A padded picture as scanning reads it: flat (n,) i2 mm, its width and border; rows and columns of the picture;
+    depths from near to far (mm) are looked at; focal length px."""
+
+    flat: NDArray[np.int16]
+    width: int
+    border: int
+    rows: int
+    columns: int
+    near: int
+    far: int
+    focal: float
+
+
 @cache
 def _kernels() -> ModuleType:
-    import importlib
-
     selection.drop_stale_kernels()
     return importlib.import_module("hypose.compute.cpu_forests")
+
+
+@cache
+def _voting() -> ModuleType:
+    selection.drop_stale_kernels()
+    return importlib.import_module("hypose.compute.cpu_forest_votes")
 
 
 def pad_depth(depth: Depth, focal: float, near_mm: int, reach_mm: int, reuse: PaddedDepth | None = None) -> PaddedDepth:
@@ -151,7 +172,7 @@ def pack(
     n = int(size.max())
     records = np.zeros((len(left), n, 8), np.int16)
     shares = np.zeros((len(left), n, count.shape[2]), np.uint16)
-    _kernels().pack(test, left, count, size, records, shares)
+    _voting().pack(test, left, count, size, records, shares)
     return Packed(records, shares)
 
 
@@ -159,7 +180,7 @@ def leaves(picture: PaddedDepth, cells: NDArray[np.int64], packed: Packed, clip_
     """(S, nt) the leaf that each cell reaches in each tree."""
     out = np.empty((len(cells), len(packed.records)), np.int32)
     records = packed.records.reshape(-1, 8)
-    _kernels().leaves(picture.flat, picture.width, cells, picture.focal, clip_mm, records, len(packed.records), out)
+    _voting().leaves(picture.flat, picture.width, cells, picture.focal, clip_mm, records, len(packed.records), out)
     return out
 
 
@@ -182,31 +203,45 @@ def grid_shape(shape: tuple[int, int], stride: int) -> tuple[int, int]:
     return -(-shape[0] // stride), -(-shape[1] // stride)
 
 
-def scan(picture: PaddedDepth, packed: Packed, clip_mm: int, plan: ScanPlan) -> tuple[NDArray[np.float32], int]:
-    """Mean share (rows, columns) of class 1 on the grid (0 where rejected), and the number of tree descents."""
-    kernels, (h, w) = _kernels(), picture.shape
-    trees, records = len(packed.records), packed.records.reshape(-1, 8)
-    near = max(plan.near_mm, picture.near_mm)
-    at = (picture.flat, picture.width, picture.border, h, w, near, plan.far_mm, picture.focal, clip_mm, records, trees)
-    out = np.empty(grid_shape((h, w), plan.stride), np.float32)
-    active, spent = np.zeros((1, 1), np.uint8), 0
+def _raster(picture: PaddedDepth, near_mm: int, far_mm: int) -> Raster:
+    h, w = picture.shape
+    near = max(near_mm, picture.near_mm)
+    return Raster(picture.flat, picture.width, picture.border, h, w, near, far_mm, picture.focal)
+
+
+MOST_FORESTS = 32
+"""Looked with at a time."""
+
+
+def scan(
+    picture: PaddedDepth, packed: Sequence[Packed], clip_mm: Sequence[int], plan: ScanPlan
+) -> tuple[NDArray[np.float32], int]:
+    """Mean share (G, rows, columns) of class 1 of each of at most 32 forests on the grid (0 where rejected), and the
+    number of tree descents. All forests share one coarse pass and one walk over the picture."""
+    raster = _raster(picture, plan.near_mm, plan.far_mm)
+    records = [p.records.reshape(-1, 8) for p in packed]
+    starts = np.cumsum([0, *(len(r) for r in records)])
+    table = np.array(
+        [(a, p.records.shape[1], len(p.records), c) for a, p, c in zip(starts, packed, clip_mm, strict=False)], np.int64
+    )
+    joined = records[0] if len(records) == 1 else np.concatenate(records)
+    shape = grid_shape(picture.shape, plan.stride)
+    out, wanted, spent = np.empty((len(packed), *shape), np.float32), np.zeros((1, 1), np.uint32), 0
     wide = plan.coarse if plan.first else 0
     if wide:
-        active = np.empty(grid_shape((h, w), plan.stride * wide), np.uint8)
-        spent = kernels.coarse_pass(*at, plan.first, plan.least, plan.stride * wide, active)
-    spent += kernels.scan(*at, plan.first, plan.least, plan.stride, active, wide, out)
+        wanted = np.empty(grid_shape(picture.shape, plan.stride * wide), np.uint32)
+        spent = _voting().coarse_pass(raster, joined, table, plan.first, plan.least, plan.stride * wide, wanted)
+    spent += _voting().scan(raster, joined, table, plan.first, plan.least, plan.stride, wanted, wide, out)
     return out, int(spent)
 
 
 def scan_classes(picture: PaddedDepth, packed: Packed, clip_mm: int, plan: ScanPlan) -> tuple[NDArray[np.float32], int]:
     """(C - 1, rows, columns): mean share of each gesture where it wins, else 0; and the number of tree descents."""
-    (h, w), trees = picture.shape, len(packed.records)
-    near = max(plan.near_mm, picture.near_mm)
+    raster = _raster(picture, plan.near_mm, plan.far_mm)
     shares = packed.shares.reshape(-1, packed.shares.shape[2])
-    out = np.empty((shares.shape[1] - 1, *grid_shape((h, w), plan.stride)), np.float32)
-    at = (picture.flat, picture.width, picture.border, h, w, near, plan.far_mm, picture.focal, clip_mm)
-    records = packed.records.reshape(-1, 8)
-    spent = _kernels().scan_classes(*at, records, shares, trees, plan.first, plan.least, plan.stride, out)
+    out = np.empty((shares.shape[1] - 1, *grid_shape(picture.shape, plan.stride)), np.float32)
+    records, trees = packed.records.reshape(-1, 8), len(packed.records)
+    spent = _voting().scan_classes(raster, records, shares, trees, clip_mm, plan.first, plan.least, plan.stride, out)
     return out, int(spent)
 
 
@@ -215,19 +250,8 @@ def parzen(
 ) -> tuple[NDArray[np.float32], int]:
     """Density (rows, columns) of the votes: m^2 of voting surface per cell; and the index of its largest value."""
     sums, out = np.empty_like(scores), np.empty_like(scores)
-    at = _kernels().parzen(
-        picture.flat,
-        picture.width,
-        picture.border,
-        stride,
-        picture.focal,
-        scores,
-        majority,
-        sigma_px / stride,
-        sums,
-        out,
-    )
-    return out, int(at)
+    raster = _raster(picture, 0, FAR_MM)
+    return out, int(_voting().parzen(raster, stride, scores, majority, sigma_px / stride, sums, out))
 
 
 def cut_patches(picture: PaddedDepth, cells: NDArray[np.int64], step_mm: int) -> NDArray[np.int16]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hypose.errors import InputError
-from hypose.evaluation.gesture_people import ArmGoal, HandShape, Person, Puppet, turn, unit
+from hypose.evaluation.gesture_people import SIDES, ArmGoal, HandShape, Person, Puppet, turn, unit
 from hypose.geometry import Array
 
 GESTURES = ("tee", "cross", "pause", "silence", "ok", "volume_up")
@@ -97,6 +97,11 @@ class _Doer:
     def elbow(self, x: float, y: float, z: float) -> Array:
         return np.array([x, y, z]) * self.mirror
 
+    def middle_finger(self, side: str) -> Array:
+        """From the wrist to the end of the middle finger (3,) at rest."""
+        person = self.puppet.person
+        return person.ends[SIDES.index(side), 2] - person.joint(f"{side}_wrist")
+
     def shape(self, side: str, kind: str, jitter: float = 6.0) -> HandShape:
         return self.puppet.person.shape(side, kind, self.rng, jitter)
 
@@ -145,22 +150,17 @@ def _palm(do: _Doer, side: str) -> float:
 
 
 def _tee(do: _Doer) -> Keyframe:
-    centre = do.middle + do.way(0, -0.33, -0.12, 0.03)
-    f, n = unit(do.way(1, -0.1, 0, 0.08)), do.way(0, 0, -1, 0.08)
-    lead = ArmGoal(
-        centre - f * _palm(do, do.lead) * 1.05 - unit(n) * 0.015,
-        f,
-        n,
-        do.elbow(-1, 0.2, -0.6),
-        do.shape(do.lead, "flat"),
-    )
-    f = unit(do.way(0, 0, 1, 0.08))
     side = do.other
-    length = float(np.linalg.norm(do.puppet.person.ends[0, 2] - do.puppet.person.joint("left_wrist")))
-    other = ArmGoal(
-        centre - f * length * 0.985, f, do.way(-1, 0.3, 0, 0.12), do.elbow(1, 0.2, -0.5), do.shape(side, "flat")
-    )
-    return do.keyframe(lead, other)
+    up, length = unit(do.way(0, 0, 1, 0.08)), float(np.linalg.norm(do.middle_finger(side)))
+    wrist = do.middle + do.way(0, -0.33, -0.12, 0.03) - up * length
+    upright = ArmGoal(wrist, up, do.way(-1, 0.3, 0, 0.12), do.elbow(1, 0.2, -0.5), do.shape(side, "flat"))
+    # short arms do not reach the middle: the flat hand comes to where the fingers of the upright one are
+    do.puppet.reach(side, upright)
+    tip = do.puppet.finger_end(side, 2)
+    along, palm = unit(do.way(1, -0.1, 0, 0.08)), unit(do.way(0, 0, -1, 0.08))
+    wrist = tip - along * _palm(do, do.lead) * 1.05 - palm * 0.015
+    flat = ArmGoal(wrist, along, palm, do.elbow(-1, 0.2, -0.6), do.shape(do.lead, "flat"))
+    return do.keyframe(flat, upright)
 
 
 def _cross(do: _Doer) -> Keyframe:

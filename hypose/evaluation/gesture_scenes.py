@@ -211,8 +211,10 @@ def picture(person: int, kind: str, stage: Stage, rng: np.random.Generator, othe
                 continue
         depth, inverse = render(shown, setting.behind, view, rng)
         if point is not None:
-            window = inverse[int(y) - 3 : int(y) + 4, int(x) - 3 : int(x) + 4]
-            if np.abs(1 / np.maximum(window, 1e-3) - position[2]).min() > 0.06:
+            window = slice(int(y) - 3, int(y) + 4), slice(int(x) - 3, int(x) + 4)
+            if np.abs(1 / np.maximum(inverse[window], 1e-3) - position[2]).min() > 0.06:
+                continue
+            if 1 / np.maximum(setting.behind[window], 1e-3).max() < position[2] + 0.03:  # furniture before the hand
                 continue
         number = GESTURES.index(kind) + 1 if kind in GESTURES else 0
         return GestureFrame(depth, number, x, y, position, person, kind)

@@ -103,16 +103,16 @@ def densities(
         raise InputError("The forests have different reaches; train them with the same reach_mm.")
     if len(forest_list) > 1 and any(f.classes != 2 for f in forest_list):
         raise InputError("A forest of several gestures is used alone; give one forest per gesture, or that one.")
+    if len(forest_list) > forests.MOST_FORESTS:
+        raise InputError(f"{len(forest_list)} forests are too many to look with; give at most {forests.MOST_FORESTS}.")
     picture = scratch.picture = pad(depth, lens, reach, s.plan.near_mm, scratch.picture)
-    scratch.descents = 0
-    maps: list[NDArray[np.float32]] = []
-    for f in forest_list:
-        look = forests.scan if f.classes == 2 else forests.scan_classes
-        scores, spent = look(picture, f.packed, f.settings.clip, s.plan)
-        scratch.descents += spent
-        maps += list(scores) if scores.ndim == 3 else [scores]
-    # with several classes the scan has already asked which one wins
-    majority = s.majority if forest_list[0].classes == 2 else 0.0
+    if len(forest_list) > 1 or forest_list[0].classes == 2:
+        clips = [f.settings.clip for f in forest_list]
+        maps, scratch.descents = forests.scan(picture, [f.packed for f in forest_list], clips, s.plan)
+        majority = s.majority
+    else:
+        forest, majority = forest_list[0], 0.0  # the scan has already asked which class wins
+        maps, scratch.descents = forests.scan_classes(picture, forest.packed, forest.settings.clip, s.plan)
     return [forests.parzen(picture, m, s.plan.stride, majority, s.sigma_px) for m in maps]
 
 

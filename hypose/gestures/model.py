@@ -16,7 +16,7 @@ from hypose.gestures.forest import MAX_CLASSES, Forest, ForestSettings, GrowingF
 from hypose.gestures.localise import LocaliseSettings
 from hypose.gestures.online import Learner, LearnSettings
 
-FORMAT, VERSION = "hypose-gesture", 1
+FORMAT, VERSION = "hypose-gesture", 2
 _KINDS = {
     "test": ("<i2", 3), "left": ("<i2", 2), "seen": ("<u4", 3), "level": ("|u1", 2), "slot": ("<i2", 2),
     "size": ("<i4", 1), "free": ("<i2", 2), "n_free": ("<i4", 1), "candidate": ("<i2", 4), "left_count": ("<u2", 4),

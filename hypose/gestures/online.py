@@ -25,16 +25,19 @@ BACKGROUND = 0
 @dataclass(frozen=True)
 class LearnSettings:
     """How many pixels of a frame are learned. positives within box_mm of the marked point and surface_mm of its depth;
-    beside: random negatives outside clear_mm of it; hard: most hard negatives, within box_mm of the maximum; few:
-    random negatives that go with them; many: random negatives without hard ones (the baseline). look: how the forest is
-    asked while it learns."""
+    around: negatives between rim_mm and clear_mm of it, which teach where the gesture's place ends; beside: random
+    negatives outside clear_mm; hard: most hard negatives, within box_mm of the maximum; few: random negatives that go
+    with them; many: random negatives without hard ones (the baseline). look: how the forest is asked while it
+    learns."""
 
-    positives: int = 20
+    positives: int = 30
+    around: int = 10
     beside: int = 8
     hard: int = 30
     few: int = 2
     many: int = 10
     box_mm: float = 15.0
+    rim_mm: float = 20.0
     surface_mm: float = 80.0
     clear_mm: float = 45.0
     look: LocaliseSettings = LocaliseSettings(ScanPlan(stride=8, coarse=0), sigma_px=10.0)
@@ -86,10 +89,11 @@ class Learner:
         scale = lens.fx / surface
         maxima = self._take(depth, lens, mine)
         clear = (x, y, s.clear_mm * scale)
-        rows, columns = self._near(depth, x, y, s.box_mm * scale, s.positives, (surface, s.surface_mm))
         counts = [0] * self.forest.classes
-        self._learn(rows, columns, gesture, counts)
+        self._learn(*self._inside(depth, x, y, scale, surface, s.positives), gesture, counts)
         self._learn(*self._anywhere(depth, s.beside if mine else s.many, clear), BACKGROUND, counts)
+        if mine:
+            self._learn(*self._rim(depth, x, y, scale), BACKGROUND, counts)
         mined = []
         for found in maxima:
             old = self.strength.get(found.gesture, found.score)
@@ -118,10 +122,10 @@ class Learner:
         if surface is None:
             return []
         scale = e.lens.fx / surface
-        near = self._near(e.depth, e.x, e.y, s.box_mm * scale, positives, (surface, s.surface_mm))
         return [
-            (*near, e.gesture),
+            (*self._inside(e.depth, e.x, e.y, scale, surface, positives), e.gesture),
             (*self._anywhere(e.depth, negatives, (e.x, e.y, s.clear_mm * scale)), BACKGROUND),
+            (*self._rim(e.depth, e.x, e.y, scale), BACKGROUND),
         ]
 
     def _take(self, depth: Depth, lens: Lens, look: bool) -> tuple[Found, ...]:
@@ -139,7 +143,7 @@ class Learner:
         most = max(self.strength.get(found.gesture, found.score), 1e-3)
         number = int(np.ceil(self.settings.hard * min(1.0, found.score / most)))
         radius = self.settings.box_mm * lens.fx / surface
-        rows, columns = self._near(depth, found.x, found.y, radius, number, None)
+        rows, columns = self._ring(depth, found.x, found.y, (0.0, radius), number)
         self._learn(rows, columns, BACKGROUND, counts)
         return bool(len(rows))
 
@@ -150,18 +154,37 @@ class Learner:
         self.forest.learn(picture, rows, columns, np.full(len(rows), label, np.int32))
         counts[label] += len(rows)
 
-    def _near(
-        self, depth: Depth, x: float, y: float, radius: float, n: int, surface: tuple[float, float] | None
+    def _inside(
+        self, depth: Depth, x: float, y: float, scale: float, surface: float, n: int
     ) -> tuple[NDArray, NDArray]:
-        angle, r = self.rng.uniform(0, 2 * np.pi, 4 * n), radius * np.sqrt(self.rng.random(4 * n))
+        """Pixels of the gesture's own surface around the marked point; scale: px per mm there."""
+        s = self.settings
+        return self._ring(depth, x, y, (0.0, s.box_mm * scale), n, (surface - s.surface_mm, surface + s.surface_mm))
+
+    def _rim(self, depth: Depth, x: float, y: float, scale: float) -> tuple[NDArray, NDArray]:
+        """Pixels around the gesture's place."""
+        s = self.settings
+        return self._ring(depth, x, y, (s.rim_mm * scale, s.clear_mm * scale), s.around)
+
+    def _ring(
+        self,
+        depth: Depth,
+        x: float,
+        y: float,
+        radii: tuple[float, float],
+        n: int,
+        between: tuple[float, float] = (0.0, np.inf),
+    ) -> tuple[NDArray, NDArray]:
+        """At most n pixels at a distance (px) of (x, y) within `radii`, evenly over the area, and at a depth (mm) that
+        is usable and within `between`."""
+        angle = self.rng.uniform(0, 2 * np.pi, 4 * n)
+        r = np.sqrt(self.rng.uniform(radii[0] ** 2, radii[1] ** 2, 4 * n))
         columns = np.rint(x + r * np.cos(angle)).astype(np.int64)
         rows = np.rint(y + r * np.sin(angle)).astype(np.int64)
         ok = (columns >= 0) & (rows >= 0) & (columns < depth.shape[1]) & (rows < depth.shape[0])
         rows, columns = rows[ok], columns[ok]
         d = depth[rows, columns].astype(np.int64)
-        ok = self._usable(d)
-        if surface is not None:
-            ok &= np.abs(d - surface[0]) <= surface[1]
+        ok = self._usable(d) & (d >= between[0]) & (d <= between[1])
         return rows[ok][:n], columns[ok][:n]
 
     def _anywhere(self, depth: Depth, n: int, clear: tuple[float, float, float] | None) -> tuple[NDArray, NDArray]:

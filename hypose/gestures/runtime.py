@@ -80,7 +80,7 @@ def find(
     out = []
     for k in range(1, p.shape[1]):
         wins = p[:, 1] > model["majority"] if p.shape[1] == 2 else p.argmax(1) == k
-        vote = np.where(wins & seen, p[:, k], 0) * (d * 0.001 * stride / focal_px) ** 2
+        vote = np.where(wins & seen, p[:, k] ** 3, 0) * (d * 0.001 * stride / focal_px) ** 2
         density = _blurred(
             vote.reshape(-(-(h - stride // 2) // stride), -1), model["sigma_px"] * focal_px / 575.8 / stride
         )

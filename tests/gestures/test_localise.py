@@ -84,7 +84,7 @@ def test_parzen_is_a_gaussian_of_unit_sum():
     density, at = forests.parzen(picture, scores, 4, 0.5, 8.0)
     assert at == 12 * 30 + 15
     surface = (0.004 * 1000 / 200) ** 2
-    assert density.sum() == pytest.approx(0.8 * surface, rel=1e-5)
+    assert density.sum() == pytest.approx(0.8**3 * surface, rel=1e-5)
     assert density[12, 17] / density[12, 15] == pytest.approx(np.exp(-0.5), rel=1e-5)
     assert density[3, 3] == 0
 
