@@ -17,6 +17,7 @@ from hypose.app import (
     commands_batch,
     commands_calibrate,
     commands_check,
+    commands_cite,
     commands_data,
     commands_fuse,
     commands_gesture,
@@ -51,6 +52,7 @@ app.command("view")(commands_studio.view)
 app.command("export")(commands_results.export)
 app.command("report")(commands_results.report)
 app.command("synth")(commands_data.synth)
+app.command("cite")(commands_cite.cite)
 app.command("bench")(commands_results.bench)
 
 

@@ -156,9 +156,12 @@ def kill_once(
         if over_old:
             shutil.copytree(reference, out)
         process = fork(command.to(out), log)
-        if process.wait(float(rng.uniform(0.0, seconds))) is None:
+        ended = process.wait(float(rng.uniform(0.0, seconds)))
+        if ended is None:
             process.kill()
             break
+        if ended != 0:
+            tally.found.append(f"{command.name}: ended with {ended} by itself: {log.read_text()[-300:]}")
     else:
         return  # always over before its time
     wanted = _contents(reference)

@@ -1,0 +1,31 @@
+"""Types of the names that `hypose/__init__.py` imports when they are used."""
+
+from hypose.body.body import Body as Body
+from hypose.body.joint_angles import joint_angles as joint_angles
+from hypose.body.models import human as human
+from hypose.body.motion import Motion as Motion
+from hypose.cameras.camera import Camera as Camera
+from hypose.cameras.camera import CameraRig as CameraRig
+from hypose.errors import HyposeError as HyposeError
+from hypose.errors import InputError as InputError
+from hypose.evaluation.scenes import make_scene as make_scene
+from hypose.evidence.frame import Frame as Frame
+from hypose.fusion.fuse import fuse_clip as fuse_clip
+from hypose.io.bodies import load_body as load_body
+from hypose.io.bodies import save_body as save_body
+from hypose.io.calibration_formats import read_any as read_calibration
+from hypose.io.calibration_formats import write_any as write_calibration
+from hypose.io.export import export_motion as export_motion
+from hypose.io.recording import Recording as Recording
+from hypose.io.recording import load_recording as load_recording
+from hypose.io.results import load_motion as load_motion
+from hypose.io.results import save_motion as save_motion
+from hypose.io.skeletons import read_skeletons as read_skeletons
+from hypose.pipeline.gesture_files import load_model as load_gesture_model
+from hypose.pipeline.run import TrackOptions as TrackOptions
+from hypose.pipeline.run import TrackResult as TrackResult
+from hypose.pipeline.track import track as track
+from hypose.tracking.recipes import recipe as recipe
+from hypose.tracking.tracker import Tracker as Tracker
+
+__version__: str

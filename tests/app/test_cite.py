@@ -1,0 +1,38 @@
+"""`hypose cite`: papers by method and by results, and BibTeX that has every field."""
+
+import json
+
+import pytest
+
+from hypose.app.cite import PAPERS, papers_of
+from hypose.errors import InputError
+from hypose.fusion.fuse import METHODS
+from hypose.tracking.recipes import RECIPES
+
+
+def test_every_recipe_and_fusion_has_its_papers():
+    for name in (*RECIPES, *(f"fusion-{m}" for m in METHODS)):
+        assert papers_of(name)[0].key == "hypose"
+    assert {"alcoverro2014"} == {p.key for p in papers_of("hpf")[1:]}
+
+
+def test_a_results_folder_tells_its_method(hypose, tmp_path):
+    (tmp_path / "provenance.json").write_text(json.dumps({"recipe": "apf"}))
+    code, out, _ = hypose("cite", tmp_path)
+    assert code == 0 and "Deutscher" in out and "hypose" in out
+
+
+def test_bibtex(hypose):
+    code, out, _ = hypose("cite", "gesture", "--bibtex")
+    assert code == 0
+    assert out.count("@") == 3 and out.count("{") == out.count("}")
+    assert "@phdthesis{alcoverro2014," in out and "year = {2009}" in out
+
+
+def test_what_is_no_method(hypose, tmp_path):
+    code, _, err = hypose("cite", "magic")
+    assert code == 2 and "default, sir" in err
+    (tmp_path / "provenance.json").write_text("{}")
+    with pytest.raises(InputError, match="tells no method"):
+        papers_of(str(tmp_path))
+    assert all(p.year > 1900 for papers in PAPERS.values() for p in papers)
