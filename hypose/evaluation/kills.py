@@ -138,12 +138,15 @@ def _preload() -> None:
 
 
 def _undisturbed(command: LongCommand, root: Path) -> float:
-    """Seconds of a run that nobody kills; its results are what the others are compared with."""
-    log = root / "log"
-    begin = time.monotonic()
-    if fork(command.to(root / "reference" / command.name), log).wait(_PATIENCE_S) != 0:
-        raise RuntimeError(f"{command.name} failed undisturbed: {log.read_text()[-500:]}")
-    return time.monotonic() - begin
+    """Seconds of a run that nobody kills, the shorter of two; its results are what the others are compared with."""
+    log, seconds = root / "log", []
+    for _ in range(2):
+        shutil.rmtree(root / "reference" / command.name, ignore_errors=True)
+        begin = time.monotonic()
+        if fork(command.to(root / "reference" / command.name), log).wait(_PATIENCE_S) != 0:
+            raise RuntimeError(f"{command.name} failed undisturbed: {log.read_text()[-500:]}")
+        seconds.append(time.monotonic() - begin)
+    return min(seconds)
 
 
 def kill_once(
