@@ -6,7 +6,7 @@ import { join } from "node:path";
 import { walk } from "./harness.mjs";
 
 const at = (list, share) => [...list].sort((a, b) => a - b)[Math.floor(share * (list.length - 1))] ?? NaN;
-const opened = (page) => page.waitForFunction(() => window.hypose && window.hypose.frames.length >= 0 && document.querySelector(".where")?.textContent);
+const opened = (page) => page.waitForFunction(() => window.hypose && document.querySelector(".where")?.textContent);
 
 await walk(
   async ({ page, folder, picture }) => {
@@ -49,7 +49,7 @@ await walk(
     // ---- ten minutes
     const begin = Date.now();
     await page.evaluate((id) => (location.hash = `#/view/${id}`), result("long"));
-    await page.waitForFunction(() => window.hypose?.view.player.rows === 15000 && window.hypose.frames.length > 0);
+    await page.waitForFunction(() => window.hypose?.view.player.rows === 15000 && document.querySelector(".where")?.textContent);
     const open_ms = Date.now() - begin;
     await page.getByRole("heading", { name: "No cameras" }).waitFor();
     const line = await page.getByRole("slider", { name: "Time" }).boundingBox();

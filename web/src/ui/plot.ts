@@ -17,6 +17,8 @@ export interface PlotOptions {
   unit: string;
   /** Range that is shown at least. */
   range?: readonly [number, number];
+  /** Seconds that are shown at a time; 0 = all. */
+  window?: number;
   /** Stretches that are shaded: lost or extrapolated. */
   flagged?: readonly Stretch[];
   /** A click or drag in the plot chooses a time. */
@@ -32,11 +34,12 @@ export class Plot {
   private readonly stop: (() => void)[] = [];
   private chart: uPlot | undefined;
   private at = 0;
+  private page = 0;
 
   constructor(
     private readonly times: Float64Array,
     private readonly series: readonly Series[],
-    private readonly options: PlotOptions,
+    private options: PlotOptions,
   ) {
     this.figures = series.map(() => h("b", { class: "number" }));
     const legend = series.map((s, i) =>
@@ -59,6 +62,7 @@ export class Plot {
   show(index: number): void {
     this.at = index;
     if (!this.chart) return;
+    this.turn();
     this.line.style.transform = `translateX(${this.chart.valToPos(this.times[index] ?? 0, "x")}px)`;
     this.series.forEach((s, i) => {
       const value = s.values[index];
@@ -66,6 +70,36 @@ export class Plot {
       const figure = this.figures[i];
       if (figure && figure.textContent !== text) figure.textContent = text;
     });
+  }
+
+  /** Shows so many seconds at a time, 0 = all. */
+  setWindow(seconds: number): void {
+    this.options = { ...this.options, window: seconds };
+    this.page = -1;
+    this.show(this.at);
+  }
+
+  /** To the page that the frame shown is on. */
+  private turn(): void {
+    const page = this.pageOf(this.at);
+    if (page === this.page) return;
+    this.page = page;
+    const [min, max] = this.shownRange();
+    this.chart?.setScale("x", { min, max });
+  }
+
+  private pageOf(index: number): number {
+    const since = (this.times[index] ?? 0) - (this.times[0] ?? 0);
+    return this.options.window ? Math.floor(since / this.options.window) : 0;
+  }
+
+  private shownRange(): [number, number] {
+    const { times } = this;
+    const [first, last] = [times[0] ?? 0, times[times.length - 1] ?? 0];
+    const window = this.options.window ?? 0;
+    if (!window || last - first <= window) return [first, Math.max(last, first + 1e-3)];
+    const from = first + this.pageOf(this.at) * window;
+    return [from, from + window];
   }
 
   close(): void {
@@ -101,7 +135,7 @@ export class Plot {
           drawClear: [(chart) => this.shade(chart)],
         },
         scales: {
-          x: { time: false },
+          x: { time: false, range: () => this.shownRange() },
           y: {
             range: (_, low, high) => {
               if (!Number.isFinite(low)) return [...(least ?? [0, 1])] as [number, number];

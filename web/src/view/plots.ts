@@ -1,5 +1,5 @@
 import { side, stretches, type ViewData } from "../lib/bundle";
-import { tabs } from "../ui/buttons";
+import { select, tabs } from "../ui/buttons";
 import { h, memory } from "../ui/dom";
 import { Plot, type PlotOptions, type Series } from "../ui/plot";
 
@@ -37,17 +37,22 @@ const ANGLE_GROUPS: readonly [string, string, readonly [string, readonly string[
     ["Pelvis", ["pelvis_tilt", "pelvis_list", "pelvis_rotation"]],
   ]],
 ];
+const WINDOWS = [0, 5, 20, 60];
+const LONG_S = 60; // longer results begin with a part of themselves: whole, their curves would be solid blocks
 const THREE = ["middle", "good", "other"] as const;
 
 /** Joint angles and the quality of the fit over time, in groups. */
 export class PlotPane {
   readonly element: HTMLElement;
   readonly tabs: HTMLElement;
+  /** How much time the plots show at once. */
+  readonly span: HTMLElement;
   private plots: Plot[] = [];
   private readonly groups: Group[];
   private readonly showTab: (name: string) => void;
   private name = "";
   private row = 0;
+  private window = 0;
   private beside: Beside | null = null;
 
   constructor(
@@ -60,6 +65,13 @@ export class PlotPane {
       { name: "place", label: "Position", panels: place },
       { name: "quality", label: "Quality", panels: quality },
     ];
+    const seconds = (data.times[data.frames - 1] ?? 0) - (data.times[0] ?? 0);
+    if (seconds > LONG_S) this.window = 20;
+    const spans = WINDOWS.map((w) => ({ value: w, label: w ? `${w} s` : "All" })).filter((w) => w.value < seconds);
+    this.span = select("Time shown in the plots", spans, this.window, (w) => {
+      this.window = w;
+      for (const plot of this.plots) plot.setWindow(w);
+    });
     const made = tabs("Plots", this.groups, (name) => this.open(name));
     this.tabs = made.element;
     this.showTab = made.show;
@@ -90,7 +102,7 @@ export class PlotPane {
     const flagged = stretches(this.data.flags);
     const panels = group?.panels(this.data, this.beside) ?? [];
     this.plots = panels.map(({ series, ...options }) => {
-      return new Plot(this.data.times, series, { ...options, chosen: this.chosen, flagged });
+      return new Plot(this.data.times, series, { ...options, chosen: this.chosen, flagged, window: this.window });
     });
     this.element.replaceChildren(...this.plots.map((p) => p.element));
     this.show(this.row);

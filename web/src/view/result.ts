@@ -126,7 +126,7 @@ export class ResultView {
         button("", keys.help, { icon: "help", title: "Keys", key: "?", kind: "quiet" }),
       ),
       main,
-      h("section", { class: "pane plots-pane", "aria-label": "Plots" }, h("div", { class: "pane-head" }, this.plots.tabs), this.plots.element),
+      h("section", { class: "pane plots-pane", "aria-label": "Plots" }, h("div", { class: "pane-head" }, this.plots.tabs, h("span", { class: "grow" }), this.plots.span), this.plots.element),
       transport,
     );
     const bar = splitter(this.element, "plots", "rows", "Height of the plots", 25, [8, 60]);

@@ -213,5 +213,5 @@ function reach(data: ViewData): { centre: Vector3; radius: number } {
     box.expandByPoint(new Vector3(at[0], at[1], at[2]));
   }
   const centre = box.getCenter(new Vector3());
-  return { centre, radius: Math.min(8, Math.max(1.05, 0.5 * box.getSize(new Vector3()).length() + 0.12)) };
+  return { centre, radius: Math.min(8, Math.max(1.05, 0.44 * box.getSize(new Vector3()).length() + 0.1)) };
 }
