@@ -14,7 +14,7 @@ from hypose.compute.cpu_mono_rows import mark_terms, sphere_terms, sum_vertex_ro
 from hypose.compute.cpu_solver import bounded_step
 
 GAIN = 0.02
-"""a step that lowers the cost by less, and moves nothing noticeably, is the last"""
+"""a search ends when no step promises to lower the cost by more"""
 
 
 @njit(**OPTIONS)
@@ -73,41 +73,56 @@ def full_cost(q, problem, sigma, n_flow, ws, hessian, gradient):
 
 
 @njit(**OPTIONS)
+def expected_gain(hessian, gradient, step, scale):
+    """Decrease of the quadratic model along scale * step."""
+    slope, bend = 0.0, 0.0
+    for i in range(step.shape[0]):
+        s = 0.0
+        for k in range(step.shape[0]):
+            s += hessian[i, k] * step[k]
+        slope += gradient[i] * step[i]
+        bend += s * step[i]
+    return -scale * slope - 0.5 * scale * scale * bend
+
+
+@njit(**OPTIONS)
 def descend(q, problem, sigma, n_flow, iterations, ws, hessian, gradient):
     """Damped Newton within the limits from pose q (D,), which is overwritten, as hessian and gradient are; returns the
-    cost. (H + lambda W) step = -g, W the diagonal of H, with an active set of limits (section 4.1); a step that does
-    not lower the cost is tried again with more damping, at most four times."""
+    cost.
+
+    (H + lambda W) step = -g, W the diagonal of H, with an active set of limits (section 4.1). A step is cut to the
+    trusted reach (1: priors.longest); one that does not lower the cost is tried again, shorter and with more damping,
+    at most four times. The search ends when no step promises to lower the cost by GAIN."""
     priors, active = problem.priors, problem.model.active
     n, dof = active.shape[0], q.shape[0]
     new_hessian, new_gradient = np.empty((n, n)), np.empty(n)
     step, at, trial = np.empty(n), np.empty(n), np.empty(dof)
-    damping = 1e-2
+    damping, reach = 1e-2, 1.0
     cost = full_cost(q, problem, sigma, n_flow, ws, hessian, gradient)
     for _ in range(iterations):
         for k in range(n):
             at[k] = q[active[k]]
-        accepted, moved, gain = False, 0.0, 0.0
+        accepted = False
         for _ in range(4):
             if not bounded_step(hessian, gradient, at, priors.lower, priors.upper, damping, step):
                 damping *= 8
                 continue
-            longest = 1.0
+            length = 1e-12
             for k in range(n):
-                longest = max(longest, abs(step[k]) / priors.longest[k])
+                length = max(length, abs(step[k]) / priors.longest[k])
+            scale = min(1.0, reach / length)
+            if expected_gain(hessian, gradient, step, scale) < GAIN:
+                break
             for d in range(dof):
                 trial[d] = q[d]
-            moved = 0.0
             for k in range(n):
-                s = step[k] / longest
-                moved = max(moved, abs(s) / priors.resolution[k])
-                trial[active[k]] = min(max(at[k] + s, priors.lower[k]), priors.upper[k])
+                trial[active[k]] = min(max(at[k] + scale * step[k], priors.lower[k]), priors.upper[k])
             new_cost = full_cost(trial, problem, sigma, n_flow, ws, new_hessian, new_gradient)
             if new_cost < cost:
-                accepted, gain, cost = True, cost - new_cost, new_cost
+                accepted, cost = True, new_cost
                 break
-            damping *= 8
-            if damping > 1e3 or moved < 1:
-                break
+            damping *= 6
+            reach = 0.35 * min(reach, length)
         if not accepted:
             break
         for d in range(dof):
@@ -116,9 +131,7 @@ def descend(q, problem, sigma, n_flow, iterations, ws, hessian, gradient):
             gradient[i] = new_gradient[i]
             for k in range(n):
                 hessian[i, k] = new_hessian[i, k]
-        damping = max(damping / 6, 1e-4)
-        if gain < GAIN and moved < 1:
-            break
+        damping, reach = max(damping / 6, 1e-4), min(1.0, 2 * reach)
     return cost
 
 

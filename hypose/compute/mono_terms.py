@@ -127,8 +127,6 @@ class MonoPriors(NamedTuple):
     """(A,)"""
     longest: NDArray[np.float64]
     """(A,) longest Newton step"""
-    resolution: NDArray[np.float64]
-    """(A,) steps below this end the search"""
 
 
 class MonoProblem(NamedTuple):

@@ -23,8 +23,6 @@ from hypose.monocular.types import MonoFrame
 
 LONGEST_STEP = 2.0
 """times the expected error of a prediction: the longest Newton step"""
-RESOLUTION = 0.03
-"""of the same: shorter steps end a search"""
 
 
 @dataclass(frozen=True)
@@ -74,7 +72,6 @@ def frame_problem(
         fixed.lower,
         fixed.upper,
         LONGEST_STEP * fixed.spread,
-        RESOLUTION * fixed.spread,
     )
     return MonoProblem(
         fixed.model,

@@ -1,0 +1,202 @@
+"""The cost of a pose: derivatives of every term against finite differences, and the search against scipy."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from hypose.body.models import human
+from hypose.body.superquadrics import superquadric_body
+from hypose.compute import cpu_mono_cues, cpu_mono_nodes, cpu_mono_rows, cpu_mono_search, mono
+from hypose.compute.mono_terms import FlowArrays
+from hypose.inference.newton import minimise
+from hypose.monocular.models import arm_dofs, body_dofs, with_hand
+from hypose.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction
+from hypose.monocular.settings import MonoSettings
+from hypose.monocular.types import MonoFrame, clicked_joints
+from tests.monocular.pictures import SIZE, camera, picture, wall
+
+ONLY_POINTS = MonoSettings(edges=False, second_order=False)
+
+
+def pose_of(body, seed=0, spread=0.1):
+    s = body.skeleton
+    return s.clamp(s.rest_pose() + np.random.default_rng(seed).normal(0, spread, s.dof))
+
+
+def problem_of(body, active, settings=ONLY_POINTS, points=None, image=None, distance=3.5):
+    view = camera(body, distance=distance)
+    fixed = fixed_parts(body, body.coarse, view, active, settings)
+    blank = np.full((SIZE[1], SIZE[0], 3), 120, np.uint8) if image is None else image
+    frame = MonoFrame(0, 0.0, blank, None, points)
+    problem = frame_problem(fixed, frame, field_of(frame, settings), None, settings)
+    return problem, mono.workspace(fixed.model, SIZE[1], SIZE[0])
+
+
+def numeric_gradient(cost, pose, active, h=1e-5):
+    out = np.zeros(len(active))
+    for k, d in enumerate(active):
+        up, down = pose.copy(), pose.copy()
+        up[d] += h
+        down[d] -= h
+        out[k] = (cost(up) - cost(down)) / (2 * h)
+    return out
+
+
+@pytest.mark.parametrize("form", ["gaussian", "lorentzian", "leclerc"])
+def test_points_and_priors_have_the_gradient_of_their_cost(form):
+    body = human()
+    pose = pose_of(body)
+    seen = camera(body).project(body.joints(pose))
+    points = clicked_joints(
+        body, {n: tuple(seen[body.skeleton.joint(n)] + [6, -9]) for n in ("left_wrist", "right_knee", "head")}
+    )
+    settings = replace(ONLY_POINTS, cues=replace(ONLY_POINTS.cues, point_form=form))
+    problem, ws = problem_of(body, body_dofs(body.skeleton), settings, points)
+    problem = with_prediction(problem, pose + 0.03, np.full(30, 0.2))
+    found = mono.evaluate(pose, problem, ws)
+    numeric = numeric_gradient(lambda q: mono.evaluate(q, problem, ws).cost, pose, problem.model.active)
+    np.testing.assert_allclose(found.gradient, numeric, atol=2e-5 * np.abs(numeric).max())
+
+
+def test_spheres_push_an_arm_out_of_the_trunk():
+    body = human()
+    problem, ws = problem_of(body, body_dofs(body.skeleton))
+    assert mono.evaluate(body.skeleton.rest_pose(), problem, ws).cost == pytest.approx(0, abs=1e-9)
+    pose = body.skeleton.rest_pose()
+    pose[body.skeleton.dofs_of("left_shoulder")] = [0.4, 1.1, 0.0]  # the hand in the trunk
+    found = mono.evaluate(pose, problem, ws)
+    without = problem._replace(spheres=problem.spheres._replace(weight=0.0))
+    assert found.cost - mono.evaluate(pose, without, ws).cost > 20
+    numeric = numeric_gradient(lambda q: mono.evaluate(q, problem, ws).cost, pose, problem.model.active)
+    np.testing.assert_allclose(found.gradient, numeric, atol=1e-4 * np.abs(numeric).max())
+
+
+def flow_problem(body, active, pose, shift=(3.0, -2.0), second_order=False):
+    """Inner nodes of a pose, carried by a uniform flow."""
+    settings = replace(ONLY_POINTS, interpenetration=0.0, second_order=second_order)
+    problem, ws = problem_of(body, active, settings, distance=1.7)
+    w, h = SIZE
+    flow = np.broadcast_to(np.float32(shift), (h, w, 2)).copy()
+    arrays = FlowArrays(flow, np.zeros((h, w), np.float32), np.zeros(2, np.int64), 1, 4.0, 1.0, 14.0, 6.0, 1.0)
+    problem = problem._replace(flow=arrays)
+    cpu_mono_nodes.draw_still(pose, problem.model, ws)
+    cpu_mono_nodes.pose_mesh(pose, problem.model, ws)
+    cpu_mono_nodes.fill_depth(problem.model, ws)
+    return problem, ws, cpu_mono_nodes.inner_nodes(problem.model, arrays, ws)
+
+
+def flow_cost(problem, ws, n, pose):
+    a = len(problem.model.active)
+    hessian, gradient = np.empty((a, a)), np.empty(a)
+    cost = cpu_mono_search.full_cost(pose, problem, 3.0, n, ws, hessian, gradient)
+    return cost, gradient, hessian
+
+
+@pytest.mark.parametrize("kind", ["skin", "superquadrics", "arm"])
+def test_the_jacobian_of_the_nodes_is_exact(kind):
+    # the flow term sees surface nodes through skinning, chain and projection, and its targets do not move
+    body = {"skin": human, "superquadrics": lambda: superquadric_body(human()), "arm": lambda: with_hand(human())}[
+        kind
+    ]()
+    active = arm_dofs(body.skeleton) if kind == "arm" else body_dofs(body.skeleton)
+    pose = pose_of(body, 1)
+    problem, ws, n = flow_problem(body, active, pose)
+    assert n > (6 if kind == "arm" else 80)
+    at = pose + 0.01
+    _, gradient, _ = flow_cost(problem, ws, n, at)
+    numeric = numeric_gradient(lambda q: flow_cost(problem, ws, n, q)[0], at, problem.model.active, h=3e-4)
+    np.testing.assert_allclose(gradient, numeric, atol=3e-3 * np.abs(numeric).max())
+
+
+def test_the_hessian_is_that_of_equation_9_where_residuals_are_small():
+    # with residuals far below sigma the neglected part (residual times second derivative of the projection) is small
+    body = human()
+    pose = pose_of(body, 2)
+    problem, ws, n = flow_problem(body, body_dofs(body.skeleton), pose, shift=(0.05, 0.02), second_order=True)
+    _, _, hessian = flow_cost(problem, ws, n, pose)
+    h, numeric = 1e-3, np.zeros((30, 30))
+    for k, d in enumerate(problem.model.active):
+        up, down = pose.copy(), pose.copy()
+        up[d] += h
+        down[d] -= h
+        numeric[k] = (flow_cost(problem, ws, n, up)[1] - flow_cost(problem, ws, n, down)[1]) / (2 * h)
+    np.testing.assert_allclose(hessian, numeric, atol=0.03 * np.abs(numeric).max())
+    np.testing.assert_allclose(hessian, hessian.T)
+
+
+def test_the_second_derivative_of_rho_is_used_and_kept_positive():
+    for s in (0.0, 1.0, 8.0, 100.0):
+        for form in (0, 1, 2):
+            _, first, second = cpu_mono_rows.robust(form, s, 9.0)
+            exact = first + 2 * second * s
+            used = cpu_mono_rows.curvature(first, second, s, True)
+            assert used == pytest.approx(max(exact, 0.1 * first))
+            assert cpu_mono_rows.curvature(first, second, s, False) == first
+
+
+def test_the_search_finds_what_scipys_bounded_solver_finds():
+    body = human()
+    s = body.skeleton
+    truth = pose_of(body, 3, 0.3)
+    truth[s.dofs_of("left_knee")] = 0.7
+    seen = camera(body).project(body.joints(truth))
+    names = [n for n in s.joint_names if n.split("_")[-1] in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")]
+    points = clicked_joints(body, {n: tuple(seen[s.joint(n)]) for n in (*names, "head", "pelvis")})
+    problem, ws = problem_of(body, body_dofs(s), replace(ONLY_POINTS, second_order=True), points)
+    active = problem.model.active
+    # a knee that may not bend as far as it should: the limit must hold it
+    upper = problem.priors.upper.copy()
+    knee = int(np.flatnonzero(active == s.dofs_of("left_knee")[0])[0])
+    upper[knee] = truth[active[knee]] - 0.2
+    problem = problem._replace(priors=problem.priors._replace(upper=upper))
+    start = np.clip(truth + np.random.default_rng(4).normal(0, 0.05, s.dof), s.lower, s.upper)
+    found = mono.search(start, start, problem, 0, 60, ws)
+
+    def cost(x):
+        q = start.copy()
+        q[active] = x
+        return mono.evaluate(q, problem, ws)
+
+    bounds = list(zip(problem.priors.lower, upper, strict=True))
+    first = np.clip(start[active], problem.priors.lower, upper)
+    double = minimize(
+        lambda x: (cost(x).cost, cost(x).gradient), first, jac=True, method="L-BFGS-B", bounds=bounds,
+        options={"maxiter": 600, "ftol": 1e-12},
+    )  # fmt: skip
+    assert found.cost <= double.fun + 0.05
+    assert (found.pose[active] <= upper).all()
+    assert (found.pose[active] >= problem.priors.lower).all()
+    third = minimise(lambda x: cost(x)[:3], first, problem.priors.lower, upper)
+    assert found.cost <= third.cost + 0.05
+
+
+def test_eigenvectors_agree_with_numpy():
+    a = np.random.default_rng(0).normal(size=(30, 40))
+    a = a @ a.T
+    values, vectors = mono.eigen(a)
+    np.testing.assert_allclose(values, np.linalg.eigvalsh(a), rtol=1e-10)
+    np.testing.assert_allclose(vectors @ np.diag(values) @ vectors.T, a, atol=1e-9 * values.max())
+
+
+def test_occluding_contour_runs_along_the_silhouette():
+    body = human()
+    pose = body.skeleton.rest_pose()
+    image = picture(body, pose, camera(body), wall())
+    problem, ws = problem_of(body, body_dofs(body.skeleton), MonoSettings(), image=image)
+    counts = mono.evaluate(pose, problem, ws).counts
+    nodes = ws.nodes[: counts[0] + counts[3]]
+    seen = nodes[nodes[:, 6] == 1]
+    assert len(seen) == counts[0] > 60
+    assert (seen[:, 7] == 1).mean() > 0.6  # most of it lies before the wall
+    # more of a trunk's outline is seen than hidden, round as it is
+    assert counts[3] < counts[0]
+    # the picture has an edge at nearly every node
+    field = problem.edges.field
+    scratch, offset, strength = np.empty(29), np.empty(16), np.empty(16)
+    near = 0
+    for node in seen[seen[:, 7] == 1]:
+        m = cpu_mono_cues.line_search(field, node[1], node[2], node[3], node[4], 14, 0.08, scratch, offset, strength)
+        near += m > 0 and np.abs(offset[:m]).min() < 2.5
+    assert near > 0.9 * (seen[:, 7] == 1).sum()

@@ -1,0 +1,199 @@
+"""One test per printed equation of Sminchisescu & Triggs 2001 that the monocular tracker rests on."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.body.models import human
+from hypose.compute import cpu_mono_cues, cpu_mono_rows, cpu_mono_search, mono
+from hypose.compute.mono_terms import GAUSSIAN, LECLERC, LORENTZIAN
+from hypose.monocular.models import body_dofs
+from hypose.monocular.pool import Candidate, prune, uncertain_samples
+from hypose.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction
+from hypose.monocular.settings import MonoSettings
+from hypose.monocular.types import MonoFrame
+from tests.monocular.pictures import SIZE, camera, picture, wall
+
+NO_BACKGROUND = replace(
+    MonoSettings(), edge=replace(MonoSettings().edge, background=0.0, form="leclerc"), interpenetration=0.0
+)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    body = human()
+    pose = body.skeleton.rest_pose()
+    return body, pose, picture(body, pose, camera(body), wall(clutter=8))
+
+
+def problem_of(scene, settings):
+    body, _, image = scene
+    fixed = fixed_parts(body, body.coarse, camera(body), body_dofs(body.skeleton), settings)
+    frame = MonoFrame(0, 0.0, image)
+    problem = frame_problem(fixed, frame, field_of(frame, settings), None, settings)
+    return problem, mono.workspace(fixed.model, SIZE[1], SIZE[0])
+
+
+@pytest.mark.parametrize("sigma", [0.5, 3.0])
+def test_equations_2_and_3_robust_forms(sigma):
+    s = np.array([0.0, 0.3, 4.0, 90.0])
+    for form, rho in (
+        (LORENTZIAN, np.log1p(s / sigma**2)),
+        (LECLERC, 1 - np.exp(-s / sigma**2)),
+        (GAUSSIAN, s / sigma**2),
+    ):
+        found = np.array([cpu_mono_rows.robust(form, x, sigma**2) for x in s])
+        np.testing.assert_allclose(found[:, 0], rho, atol=1e-14)
+        # rho(0) = 0 and rho'(0) = nu / sigma^2, nu = 1
+        np.testing.assert_allclose(found[0, :2], [0, 1 / sigma**2])
+        h = 1e-6
+        for k in (0, 1):  # rho' and rho'' by central differences
+            up, down = (np.array([cpu_mono_rows.robust(form, x + e, sigma**2)[k] for x in s]) for e in (h, -h))
+            np.testing.assert_allclose(found[:, k + 1], (up - down) / (2 * h), atol=1e-8 / sigma**4)
+
+
+def test_equations_5_and_6_assigned_nodes_cost_half_rho_and_occluded_ones_k_nu(scene):
+    # deviations: a node stands for its length of contour, its cost is not divided by N nu, and back-facing nodes, whose
+    # share of a closed surface hardly changes, are counted but cost nothing
+    settings = NO_BACKGROUND
+    problem, ws = problem_of(scene, settings)
+    pose, e = scene[1], settings.edge
+    a = len(problem.model.active)
+    hessian, gradient = np.empty((a, a)), np.empty(a)
+    total = cpu_mono_search.image_cost(pose, problem, e.sigma_px, 0, False, ws, hessian, gradient)
+    counts = ws.counts.copy()
+    nodes = ws.nodes[: counts[0] + counts[3]].copy()
+    window, sigma2 = e.window_px, e.sigma_px**2
+    most = 1 - np.exp(-(window**2) / sigma2)
+    expected = 0.0
+    for node in nodes:
+        share = e.height * node[5] / e.sample_px  # nu times independent samples
+        if node[6] == 0:
+            expected += 0.5 * share * e.occluded * most
+            continue
+        scratch, offset, strength = np.empty(2 * window + 1), np.empty(16), np.empty(16)
+        m = cpu_mono_cues.line_search(problem.edges.field, *node[1:5], window, e.threshold, scratch, offset, strength)
+        w = strength[:m] / max(1.0, strength[:m].sum())
+        rho = 1 - np.exp(-(offset[:m] ** 2) / sigma2)
+        expected += 0.5 * share * ((w * rho).sum() + (1 - w.sum()) * most)
+    assert total == pytest.approx(expected, rel=1e-6)
+    assert 0.4 < counts[4] / len(problem.model.mesh.faces) < 0.6  # N_bf of a closed surface
+
+
+def test_equation_7_all_edges_in_the_window_are_assigned_by_strength():
+    # three vertical edges: the search along x keeps all three, at sub-pixel places, the weak one with its strength
+    h, w = 40, 80
+    field = np.zeros((h, w, 2), np.float32)
+    for centre, strength in ((30.25, 1.0), (40.0, 0.4), (47.0, -0.7)):
+        x = np.arange(w)
+        field[:, :, 0] += strength * np.exp(-0.5 * ((x - centre) / 1.2) ** 2)
+    scratch, offset, strength = np.empty(29), np.empty(16), np.empty(16)
+    m = cpu_mono_cues.line_search(field, 38.0, 20.0, 1.0, 0.0, 14, 0.08, scratch, offset, strength)
+    assert m == 3
+    np.testing.assert_allclose(offset[:3], [-7.75, 2.0, 9.0], atol=0.15)
+    np.testing.assert_allclose(strength[:3], [1.0, 0.4, 0.7], atol=0.05)
+    # edges across the normal count nothing
+    assert cpu_mono_cues.line_search(field, 38.0, 20.0, 0.0, 1.0, 14, 0.08, scratch, offset, strength) == 0
+
+
+def test_equation_7_motion_boundaries_weigh_the_edges():
+    field = np.ones((6, 8, 2), np.float32)
+    boundaries = np.zeros((3, 4), np.float32)
+    boundaries[1, 2] = 1.0
+    out = mono.weigh(field, boundaries, (2, 1), 0.1)
+    assert out[2, 4, 0] == pytest.approx(1.0)  # a full boundary keeps the edge
+    assert out[0, 0, 1] == pytest.approx(0.1)  # where nothing moves it is worth the floor
+
+
+@pytest.mark.parametrize("second_order", [False, True])
+def test_equations_8_and_9_gradient_and_hessian_are_sums_over_nodes(scene, second_order):
+    # the rows of the kernel against J^T (sum rho' W dr) and J^T (sum rho' W + 2 rho'' (W dr)(W dr)^T) J, with J by
+    # finite differences of the node's place along its normal
+    body, pose, _ = scene
+    settings = replace(NO_BACKGROUND, second_order=second_order, edge=replace(NO_BACKGROUND.edge, spacing_px=40.0))
+    problem, ws = problem_of(scene, settings)
+    a = len(problem.model.active)
+    hessian, gradient = np.empty((a, a)), np.empty(a)
+    cpu_mono_search.image_cost(pose, problem, 3.0, 0, True, ws, hessian, gradient)
+    counts = ws.counts.copy()
+    nodes, ends = ws.nodes[: counts[0] + counts[3]].copy(), ws.node_ends[: counts[0] + counts[3]].copy()
+
+    def places(q):
+        v = body.skin(q)
+        x = (1 - nodes[:, :1]) * v[ends[:, 0]] + nodes[:, :1] * v[ends[:, 1]]
+        return (camera(body).project(x) * nodes[:, 3:5]).sum(1)
+
+    jacobian = np.zeros((len(nodes), a))
+    for k, d in enumerate(problem.model.active):
+        up, down = pose.copy(), pose.copy()
+        up[d] += 1e-4
+        down[d] -= 1e-4
+        jacobian[:, k] = (places(up) - places(down)) / 2e-4
+    e, first, second = settings.edge, np.zeros(len(nodes)), np.zeros(len(nodes))
+    for i, node in enumerate(nodes):
+        if node[6] == 0:
+            continue
+        scratch, offset, strength = np.empty(29), np.empty(16), np.empty(16)
+        m = cpu_mono_cues.line_search(problem.edges.field, *node[1:5], 14, e.threshold, scratch, offset, strength)
+        w = e.height * node[5] / e.sample_px * strength[:m] / max(1.0, strength[:m].sum())
+        r1 = np.exp(-(offset[:m] ** 2) / 9) / 9
+        first[i] = -(w * r1 * offset[:m]).sum()
+        bend = np.maximum(r1 - 2 * r1 / 9 * offset[:m] ** 2, 0.1 * r1) if second_order else r1
+        second[i] = (w * bend).sum()
+    expected = jacobian.T @ (second[:, None] * jacobian)
+    np.testing.assert_allclose(gradient, jacobian.T @ first, atol=3e-3 * np.abs(gradient).max())
+    np.testing.assert_allclose(hessian, expected, atol=3e-3 * np.abs(expected).max())
+
+
+def test_equation_10_priors_add_their_gradient_and_curvature(scene):
+    problem, ws = problem_of(scene, NO_BACKGROUND)
+    pose = scene[1]
+    spread = np.full(30, 0.25)
+    prediction = pose + 0.02
+    plain = mono.evaluate(pose, problem, ws)
+    pulled = mono.evaluate(pose, with_prediction(problem, prediction, spread), ws)
+    np.testing.assert_allclose(pulled.hessian - plain.hessian, np.diag(1 / spread**2), atol=1e-6)
+    np.testing.assert_allclose(pulled.gradient - plain.gradient, -0.02 / spread**2, atol=1e-6)
+    assert pulled.cost - plain.cost == pytest.approx(30 * 0.5 * (0.02 / 0.25) ** 2, rel=1e-6)
+
+
+def test_figure_4_samples_lie_along_the_most_uncertain_free_directions():
+    body = human()
+    active = body_dofs(body.skeleton)
+    rng = np.random.default_rng(0)
+    basis = np.linalg.qr(rng.normal(size=(30, 30)))[0]
+    values = np.geomspace(4.0, 4e4, 30)
+    spread = np.ones(30)
+    free = np.ones(30, bool)
+    pose = body.skeleton.rest_pose()
+    unlimited = np.full(30, np.inf)
+    search = replace(MonoSettings().search, directions=2, samples=2, reach=3.0, longest=100.0)
+    hessian = basis @ np.diag(values) @ basis.T
+    candidate = Candidate(pose, 0 * pose, hessian, free, 0.0, 0.0, 0)
+    found = uncertain_samples(candidate, active, spread, -unlimited, unlimited, search, rng)
+    assert len(found) == 8
+    steps = (found - pose)[:, active]
+    for k in range(2):  # x + p sigma_j v_j with sigma_j = 1 / sqrt(lambda_j), p to p_f on either side
+        along = steps[4 * k : 4 * k + 4] @ basis[:, k]
+        np.testing.assert_allclose(np.sort(along), np.array([-3, -1.5, 1.5, 3]) / np.sqrt(values[k]), rtol=1e-6)
+    # a dof that a limit holds stays: the decomposition is that of the free subspace
+    held = free.copy()
+    held[3] = False
+    stuck = uncertain_samples(replace(candidate, free=held), active, spread, -unlimited, unlimited, search, rng)
+    assert (stuck[:, active[3]] == pose[active[3]]).all()
+
+
+def test_figure_4_the_pool_of_all_hypotheses_is_pruned_to_the_best_distinct_ones():
+    body = human()
+    search = replace(MonoSettings().search, hypotheses=3, distinct_m=0.05)
+
+    def at(angle, evidence):
+        pose = body.skeleton.rest_pose()
+        pose[body.skeleton.dofs_of("left_elbow")] += angle
+        return Candidate(pose, 0 * pose, np.eye(30), np.ones(30, bool), evidence, evidence, 0)
+
+    pool = [at(0.0, 1.0), at(0.01, 1.1), at(0.5, 3.0), at(0.9, 2.0), at(-0.5, 9.0)]
+    kept = prune(pool, body, search)
+    # 0.01 is no other pose than 0; of the rest the two best stay
+    assert [c.evidence for c in kept] == [1.0, 2.0, 3.0]
