@@ -117,7 +117,9 @@ def quaternions(skeleton: Skeleton, poses: Array) -> np.ndarray:
     good = np.isfinite(poses).all(1)
     rotations, _ = skeleton.forward(poses[good])
     out = np.full((len(poses), len(skeleton.joint_names), 4), np.nan, "<f4")
-    out[good] = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat().reshape(*rotations.shape[:2], 4)
+    out[good] = (
+        Rotation.from_matrix(rotations.reshape(-1, 3, 3), assume_valid=True).as_quat().reshape(*rotations.shape[:2], 4)
+    )
     return out
 
 

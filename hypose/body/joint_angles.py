@@ -218,14 +218,15 @@ def _branch(both: Array, prior_axis: int) -> NDArray[np.int64]:
     node = price * np.maximum(np.abs(both[..., prior_axis]) - usual, 0)
     t, k = both.shape[:2]
     came_from = np.zeros((t, k, 2), dtype=np.int64)
+    change = np.abs(_wrap(both[1:, :, :, None] - both[:-1, :, None])).sum(-1)  # (T - 1, K, now, before)
     total = node[0]
     for i in range(1, t):
-        change = np.abs(_wrap(both[i, :, :, None] - both[i - 1, :, None])).sum(-1)  # (K, now, before)
-        through = change + total[:, None, :]
+        through = change[i - 1] + total[:, None, :]
         came_from[i] = through.argmin(-1)
         total = through.min(-1) + node[i]
     out = np.zeros((t, k), dtype=np.int64)
     out[-1] = total.argmin(-1)
+    every = np.arange(k)
     for i in range(t - 1, 0, -1):
-        out[i - 1] = np.take_along_axis(came_from[i], out[i][:, None], 1)[:, 0]
+        out[i - 1] = came_from[i, every, out[i]]
     return out
