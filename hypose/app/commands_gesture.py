@@ -120,6 +120,15 @@ def run(
     source: SourceOption = "simulated",
     osc: Annotated[str | None, typer.Option(help="HOST:PORT to send scores and events to by OSC.")] = None,
     ws: Annotated[int | None, typer.Option(help="Port of this computer to serve them by WebSocket.")] = None,
+    midi: Annotated[
+        str | None, typer.Option(help="MIDI port (part of its name, or virtual) for notes and controllers.")
+    ] = None,
+    key: Annotated[
+        list[str] | None, typer.Option(help="GESTURE=KEY: hold a key down while the gesture is on (again: several).")
+    ] = None,
+    command: Annotated[
+        str | None, typer.Option(help="Program to run at each start, {gesture} replaced; with {event}, at ends too.")
+    ] = None,
     threshold: Annotated[float | None, typer.Option(help="cm² instead of the models' own.")] = None,
     memory: Annotated[
         float, typer.Option(help="Share of the new frame in the density (1: no temporal recursion).")
@@ -129,9 +138,10 @@ def run(
     frames: Frames = 0,
     seed: Seed = 0,
 ) -> None:
-    """Watch for gestures without a screen: events as JSON lines on stdout, and by OSC."""
+    """Watch for gestures without a screen: events as JSON lines on stdout, and wherever the options say."""
+    from hypose.app import gesture_actions as actions
     from hypose.app.gesture_job import thresholds, watch
-    from hypose.app.gesture_outputs import OscOut, WebSocketOut, event_line
+    from hypose.app.gesture_outputs import OscOut, Out, WebSocketOut, event_line
     from hypose.app.gesture_sources import open_source
     from hypose.gestures.events import EventSettings
     from hypose.gestures.localise import LocaliseSettings
@@ -142,13 +152,19 @@ def run(
     loaded = [load_model(m) for m in models]
     limits = [EventSettings(t, hold_s=hold, refractory_s=rest) for t in thresholds(loaded, threshold)]
     names = [n for m in loaded for n in m.names]
-    outs: list[OscOut | WebSocketOut] = []
-    if osc is not None:
-        outs.append(OscOut(osc, names, [s.threshold for s in limits]))
-    if ws is not None:
-        outs.append(WebSocketOut(ws, names))
+    outs: list[Out] = []
     previous = signal.signal(signal.SIGTERM, _interrupt)
     try:
+        if osc is not None:
+            outs.append(OscOut(osc, names, [s.threshold for s in limits]))
+        if ws is not None:
+            outs.append(WebSocketOut(ws, names))
+        if midi is not None:
+            outs.append(actions.MidiOut(actions.open_midi(midi), [s.threshold for s in limits]))
+        if key:
+            outs.append(actions.open_keys(actions.keys_of(key, names)))
+        if command is not None:
+            outs.append(actions.CommandOut(command, names))
         opened = open_source(source, names[0], seed)
         for k, watched in enumerate(watch(opened, loaded, LocaliseSettings(memory=memory), limits), 1):
             for event in watched.events:

@@ -1,4 +1,4 @@
-"""Where events go: JSON lines, OSC, WebSocket."""
+"""Where events go: JSON lines, OSC, WebSocket. What they set off on this computer: gesture_actions.py."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import socket
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
+from typing import Protocol
 
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import Server, ServerConnection, serve
@@ -36,6 +37,18 @@ def event_line(event: Event, names: Sequence[str]) -> str:
         "score": round(event.score, 3),
     }
     return json.dumps(value)
+
+
+class Out(Protocol):
+    """Takes every frame that was looked at."""
+
+    def send(self, watched: Watched, /) -> None:
+        """One frame."""
+        ...
+
+    def close(self) -> None:
+        """The end."""
+        ...
 
 
 class OscOut:

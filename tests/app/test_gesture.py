@@ -114,6 +114,10 @@ def test_bad_input_ends_in_a_sentence(folder, tmp_path, capsys):
     assert "does not exist" in refused(capsys, "gesture", "run", tmp_path / "none.npz")
     assert "no depth source" in refused(capsys, "gesture", "run", model, "--source", "nowhere")
     assert "HOST:PORT" in refused(capsys, "gesture", "run", model, "--osc", "here", "--threshold", "1")
+    assert "GESTURE=KEY" in refused(capsys, "gesture", "run", model, "--key", "wave=space", "--threshold", "1")
+    assert "no such program" in refused(
+        capsys, "gesture", "run", model, "--command", "nothing-here", "--threshold", "1"
+    )
     assert "same gesture" in refused(capsys, "gesture", "run", model, model, "--threshold", "1", "--source", session)
     assert "--memory" in refused(capsys, "gesture", "run", model, "--memory", "0")
     assert "no gesture 'tee'" in refused(
