@@ -11,6 +11,9 @@ export interface FitState {
   choice: number;
 }
 
+/** Joints from which on a pose can be fitted; one is enough to correct a pose. */
+const LEAST = 4;
+
 /** Asks the server for the pose after every change: one question at a time, always the newest. */
 export class Fitter {
   readonly state: FitState = { fit: null, problem: null, busy: false, choice: 0 };
@@ -54,7 +57,8 @@ export class Fitter {
 
   private async run(): Promise<void> {
     const { state } = this;
-    if (!this.clicks.count) {
+    const joints = new Set(this.clicks.views().flatMap((v) => v.points.map((p) => p.joint)));
+    if (joints.size < (this.about.result ? 1 : LEAST)) {
       Object.assign(state, { fit: null, problem: null, choice: 0 });
       this.changed();
       return;

@@ -92,7 +92,7 @@ export class FitFacts {
     ];
     this.facts.replaceChildren(...rows.flatMap(([name, value]) => [h("dt", {}, name), h("dd", { class: "number" }, value)]));
     this.notes.replaceChildren(
-      ...(problem ? [h("p", { class: clicked < 4 ? "dim" : "bad" }, problem)] : (fit?.notes ?? []).map((n) => h("p", { class: "dim" }, n))),
+      ...(problem ? [h("p", { class: "bad" }, problem)] : (fit?.notes ?? []).map((n) => h("p", { class: "dim" }, n))),
       ...(!fit && !problem ? [h("p", { class: "dim" }, "Click the joints in the picture; from four on the pose is shown here.")] : []),
     );
     const choices = fit?.alternatives.length ? [[], ...fit.alternatives.map((a) => a.flipped)] : [];

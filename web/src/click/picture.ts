@@ -6,7 +6,9 @@ import type { ClickState, Point } from "./clicks";
 import { drawLoupe } from "./loupe";
 import { LINES } from "./skeleton";
 
+/** How near a point the pointer must be to take it: less while a click is to place the next joint. */
 const NEAR_PX = 11;
+const NEAR_PLACING_PX = 5;
 const STEP_PX = 4;
 
 type XY = [number, number];
@@ -127,7 +129,7 @@ export class ClickPicture {
 
   private nearest(at: XY): string | null {
     let best: string | null = null;
-    let least = NEAR_PX;
+    let least = this.state.points[this.state.joint] ? NEAR_PX : NEAR_PLACING_PX;
     for (const [joint, p] of Object.entries(this.state.points)) {
       const [u, v] = this.toScreen([p.x, p.y]);
       const distance = Math.hypot(u - at[0], v - at[1]);
@@ -145,7 +147,7 @@ export class ClickPicture {
       this.drag = { kind: "pan", from: at, offset: [...this.offset] };
       return;
     }
-    const joint = this.nearest(at);
+    const joint = event.shiftKey ? null : this.nearest(at);
     const p = this.toPicture(at);
     if (joint) {
       this.drag = { kind: "point", joint, moved: false };

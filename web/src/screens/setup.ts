@@ -1,6 +1,1 @@
-import type { OpenScreen } from "../screen";
-
-export const setup: OpenScreen = (root) => {
-  root.textContent = "setup";
-  return { close: () => undefined };
-};
+export { setup } from "../setup/screen";

@@ -1,0 +1,95 @@
+import { post } from "../api";
+import type { Job, Stage } from "../protocol";
+import { button } from "../ui/buttons";
+import { h } from "../ui/dom";
+import { toast } from "../ui/toast";
+import { active } from "./feed";
+
+const STATES = { queued: "waits", running: "runs", done: "done", failed: "failed", cancelled: "stopped" } as const;
+
+/** A job as it runs: its stages with progress and time left, what it said, and what can be done about it. */
+export class JobCard {
+  readonly element: HTMLElement;
+  private readonly title = h("h3");
+  private readonly state = h("span", { class: "chip" });
+  private readonly stages = h("div", { class: "stages" });
+  private readonly said = h("pre", { class: "said", tabindex: 0, "aria-label": "What the job said" });
+  private readonly error = h("p", { class: "bad" });
+  private readonly actions = h("div", { class: "row job-actions" });
+  private shownState = "";
+  private lines = -1;
+
+  constructor(job: Job) {
+    this.element = h(
+      "article",
+      { class: "card job", "data-job": job.kind },
+      h("div", { class: "row" }, this.title, h("span", { class: "grow" }), this.state),
+      this.stages,
+      this.error,
+      this.actions,
+      h("details", { class: "job-more" }, h("summary", { class: "dim" }, "What it does"), h("code", {}, job.command), this.said),
+    );
+    this.show(job);
+  }
+
+  show(job: Job): void {
+    this.title.textContent = job.title;
+    this.element.dataset["state"] = job.state;
+    this.state.textContent = STATES[job.state];
+    this.state.className = `chip ${job.state === "failed" ? "bad" : job.state === "done" ? "good" : ""}`;
+    this.error.textContent = job.error ?? "";
+    this.showStages(job.stages);
+    if (job.lines.length !== this.lines) {
+      this.lines = job.lines.length;
+      this.said.textContent = job.lines.join("\n");
+    }
+    const key = `${job.state} ${job.result} ${job.resumable}`;
+    if (key === this.shownState) return;
+    this.shownState = key;
+    this.actions.replaceChildren(
+      ...(active(job) ? [button("Stop", () => void act(job, "cancel"), { icon: "close", title: "Stop it; what is done is kept" })] : []),
+      ...(job.resumable && !active(job) && job.state !== "done" ? [button("Go on", () => void act(job, "resume"), { icon: "play", kind: "primary" })] : []),
+      ...(job.state === "done" && job.result ? [h("a", { class: "button primary", href: `#/view/${job.result}` }, "Open in View")] : []),
+      ...(job.state === "done" && !job.result && job.recording ? [h("a", { class: "button", href: `#/setup/${job.recording}` }, "Go on with the recording")] : []),
+    );
+  }
+
+  private showStages(stages: readonly Stage[]): void {
+    while (this.stages.children.length > stages.length) this.stages.lastElementChild?.remove();
+    stages.forEach((stage, k) => {
+      let row = this.stages.children[k] as HTMLElement | undefined;
+      if (!row) {
+        row = h("div", { class: "stage" }, h("span"), h("progress"), h("span", { class: "number dim" }));
+        this.stages.append(row);
+      }
+      const [name, bar, rest] = row.children as unknown as [HTMLElement, HTMLProgressElement, HTMLElement];
+      if (name.textContent !== stage.title) name.textContent = stage.title;
+      bar.max = Math.max(1, stage.total);
+      bar.value = stage.done;
+      bar.setAttribute("aria-label", stage.title);
+      rest.textContent = detail(stage);
+    });
+  }
+}
+
+function detail(stage: Stage): string {
+  const parts = [stage.total > 1 ? `${stage.done} of ${stage.total}` : ""];
+  if (stage.per_s && stage.unit === "frames") parts.push(`${stage.per_s.toFixed(stage.per_s < 10 ? 1 : 0)} frames/s`);
+  if (stage.done >= stage.total) parts.push(duration(stage.seconds));
+  else if (stage.left_s !== null) parts.push(`${duration(stage.left_s)} left`);
+  return parts.filter(Boolean).join(" · ");
+}
+
+export function duration(seconds: number): string {
+  if (seconds < 10) return `${seconds.toFixed(1)} s`;
+  if (seconds < 120) return `${Math.round(seconds)} s`;
+  return `${Math.floor(seconds / 60)} min ${Math.round(seconds % 60)} s`;
+}
+
+async function act(job: Job, what: "cancel" | "resume"): Promise<void> {
+  try {
+    await post(`/api/jobs/${job.id}/${what}`);
+  } catch (error) {
+    toast((error as Error).message, "error");
+  }
+}

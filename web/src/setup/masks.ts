@@ -1,0 +1,152 @@
+import { address, post } from "../api";
+import { answered, type Counters } from "../counters";
+import type { MaskSettings, Recording } from "../protocol";
+import { button, select, toggle } from "../ui/buttons";
+import { h } from "../ui/dom";
+import { toast } from "../ui/toast";
+
+interface Slider {
+  name: string;
+  title: string;
+  what: string;
+  low: number;
+  high: number;
+  step: number;
+}
+
+const SLIDERS: readonly Slider[] = [
+  { name: "threshold", title: "Threshold", what: "how much a pixel must differ from the empty room, in standard deviations", low: 1, high: 15, step: 0.5 },
+  { name: "min_sd", title: "Least noise", what: "grey levels; more where light flickers or video is compressed", low: 1, high: 25, step: 0.5 },
+  { name: "shadow_chroma", title: "Shadow colour", what: "how much a shadow may differ in colour from the lit ground, grey levels", low: 0, high: 40, step: 1 },
+  { name: "open_px", title: "Open", what: "px; takes thin things away", low: 0, high: 15, step: 1 },
+  { name: "close_px", title: "Close", what: "px; joins what is close", low: 0, high: 25, step: 1 },
+  { name: "hole_px", title: "Holes", what: "px of area; smaller holes are filled", low: 0, high: 2000, step: 10 },
+  { name: "keep_share", title: "Smallest part", what: "share of the biggest part; smaller ones are dropped", low: 0, high: 1, step: 0.01 },
+  { name: "keep_gap", title: "Farthest part", what: "share of the person's length; farther parts are dropped", low: 0, high: 1, step: 0.01 },
+];
+const WAIT_MS = 60;
+
+/** Step 2: the masks of a frame in all cameras, with the settings as they are being moved. */
+export class MaskStep {
+  readonly element: HTMLElement;
+  private settings: MaskSettings;
+  private frame: number;
+  private shown: "edge" | "fill" | "only" = "edge";
+  private readonly pictures: HTMLImageElement[];
+  private readonly sliders = h("div", { class: "mask-sliders" });
+  private readonly save = button("Use these settings", () => void this.keep(), { kind: "primary", icon: "done" });
+  private waiting = 0;
+  private asked = 0;
+
+  constructor(
+    private readonly recording: Recording,
+    counters: Counters,
+    private readonly kept: () => void,
+  ) {
+    this.settings = { ...recording.mask_settings };
+    const [first, stop] = recording.frame_range ?? [0, recording.frames];
+    this.frame = Math.floor((first + stop - 1) / 2);
+    this.pictures = recording.cameras.map((c) => {
+      const image = h("img", { alt: `Mask of ${c.name}`, width: c.size[0], height: c.size[1] });
+      image.addEventListener("load", () => {
+        counters.pictures++;
+        if (this.asked) answered(counters, this.asked);
+      });
+      return image;
+    });
+    const frame = h("output", { class: "number" }, String(this.frame));
+    const slider = h("input", { type: "range", min: 0, max: recording.frames - 1, value: this.frame, class: "grow", "aria-label": "Frame" });
+    slider.addEventListener("input", () => {
+      this.frame = Number(slider.value);
+      frame.textContent = slider.value;
+      this.later();
+    });
+    this.element = h(
+      "div",
+      { class: "step" },
+      h("h2", {}, "Masks"),
+      h("p", { class: "dim" }, "The person should be cut out whole, and nothing else. Move the sliders until that is so in several frames; usually the settings are right as they are."),
+      h(
+        "div",
+        { class: "row" },
+        select("Show the mask as", [{ value: "edge", label: "outline" }, { value: "fill", label: "filled" }, { value: "only", label: "mask only" }], this.shown, (v) => {
+          this.shown = v as typeof this.shown;
+          this.later();
+        }),
+        h("span", { class: "dim" }, "Frame"),
+        slider,
+        frame,
+      ),
+      h("div", { class: "mask-layout" }, h("div", { class: "mask-pictures" }, ...this.pictures.map((p, k) => h("figure", {}, p, h("figcaption", {}, recording.cameras[k]?.name ?? "")))), this.sliders),
+    );
+    this.drawSliders();
+    this.load();
+  }
+
+  private drawSliders(): void {
+    const rows = SLIDERS.filter((s) => typeof this.settings[s.name] === "number").map((s) => {
+      const value = h("output", { class: "number" }, String(this.settings[s.name]));
+      const input = h("input", { type: "range", min: s.low, max: s.high, step: s.step, value: this.settings[s.name], "aria-label": s.title, title: s.what });
+      input.addEventListener("input", () => {
+        this.settings[s.name] = Number(input.value);
+        value.textContent = input.value;
+        this.changed();
+      });
+      return h("div", { class: "mask-slider", title: s.what }, h("span", {}, s.title), input, value);
+    });
+    const flag = (name: string, text: string, title: string): HTMLElement =>
+      toggle(text, this.settings[name] === true, (on) => {
+        this.settings[name] = on;
+        this.changed();
+      }, { title }).element;
+    const reset = button("As before", () => {
+      this.settings = { ...this.recording.mask_settings };
+      this.drawSliders();
+      this.load();
+    }, { title: "Back to the settings of the recording" });
+    this.sliders.replaceChildren(
+      ...rows,
+      h("div", { class: "row" }, flag("shadow", "No shadows", "Take shadows away; switch it off in grey scenes"), flag("grabcut", "Fine rim", "Refine the outline by GrabCut; slow")),
+      h("div", { class: "row" }, this.save, reset),
+    );
+    this.save.disabled = true;
+  }
+
+  private changed(): void {
+    this.asked = performance.now();
+    this.save.disabled = false;
+    this.later();
+  }
+
+  private later(): void {
+    clearTimeout(this.waiting);
+    this.waiting = window.setTimeout(() => this.load(), WAIT_MS);
+  }
+
+  private load(): void {
+    const before = this.recording.mask_settings;
+    const different = Object.fromEntries(
+      Object.entries(this.settings).filter(([k, v]) => v !== before[k] && (typeof v === "number" || typeof v === "boolean" || typeof v === "string")),
+    ) as Record<string, number | boolean | string>;
+    this.recording.cameras.forEach((c, k) => {
+      const path = `/api/recordings/${this.recording.id}/image/${encodeURIComponent(c.name)}/${this.frame}.jpg`;
+      const wanted = address(path, { width: Math.min(480, c.size[0]), mask: this.shown, ...different });
+      const picture = this.pictures[k];
+      if (picture && picture.src !== wanted) picture.src = wanted;
+    });
+  }
+
+  private async keep(): Promise<void> {
+    try {
+      await post(`/api/recordings/${this.recording.id}/mask-settings`, this.settings);
+      toast("The masks are made with these settings from now on.", "done");
+      this.kept();
+    } catch (error) {
+      toast((error as Error).message, "error");
+    }
+  }
+
+  close(): void {
+    clearTimeout(this.waiting);
+  }
+}

@@ -1,0 +1,158 @@
+import { get } from "../api";
+import type { Counters } from "../counters";
+import type { Job, Recording, State } from "../protocol";
+import { h } from "../ui/dom";
+import { JobCard } from "./card";
+import { checkStep } from "./check";
+import { active, type JobFeed } from "./feed";
+import { MaskStep } from "./masks";
+import { personStep } from "./person";
+import { trackStep } from "./track";
+import { LiveFigure } from "./watch";
+
+const STEPS = ["check", "masks", "person", "track"] as const;
+type Step = (typeof STEPS)[number];
+const TITLES: Record<Step, string> = { check: "Check", masks: "Masks", person: "Person", track: "Track" };
+const STEP_OF: Partial<Record<Job["kind"], Step>> = { check: "check", refine: "check", silhouettes: "masks", subject: "person", track: "track" };
+
+/** One recording: the steps from videos to motion, and the jobs that do them. */
+export class RecordingPage {
+  readonly element: HTMLElement;
+  private readonly nav = h("nav", { class: "steps", "aria-label": "Steps" });
+  private readonly content = h("div", { class: "step-box" });
+  private readonly side = h("aside", { class: "setup-jobs", "aria-label": "Jobs" });
+  private readonly cards = new Map<string, JobCard>();
+  private readonly notes = h("div");
+  private step: Step;
+  private masks: MaskStep | null = null;
+  private figure: { id: string; live: LiveFigure } | null = null;
+
+  constructor(
+    private recording: Recording,
+    private state: State,
+    private readonly feed: JobFeed,
+    private readonly counters: Counters,
+  ) {
+    this.step = firstStep(recording);
+    this.element = h(
+      "div",
+      { class: "setup-recording" },
+      h(
+        "div",
+        { class: "setup-main" },
+        h("div", { class: "setup-title" }, h("a", { class: "dim", href: "#/setup" }, "Recordings"), h("h1", {}, recording.name), h("span", { class: "dim" }, facts(recording))),
+        this.notes,
+        this.nav,
+        this.content,
+      ),
+      this.side,
+    );
+    this.draw();
+    this.showJobs();
+  }
+
+  /** Reads again what a job has found. */
+  async reload(signal: AbortSignal): Promise<void> {
+    const [recording, state] = await Promise.all([
+      get<Recording>(`/api/recordings/${this.recording.id}`, signal),
+      get<State>("/api/state", signal),
+    ]);
+    this.recording = recording;
+    this.state = state;
+    // sliders that are being moved stay as they are
+    if (this.step !== "masks" || !this.masks) this.draw();
+    else this.drawNav();
+  }
+
+  showJobs(): void {
+    const jobs = this.feed.of(this.recording.id).slice(0, 12);
+    for (const job of jobs) {
+      const card = this.cards.get(job.id);
+      if (card) card.show(job);
+      else this.cards.set(job.id, new JobCard(job));
+    }
+    const elements = jobs.map((j) => this.cards.get(j.id)!.element);
+    const same = elements.length === this.side.querySelectorAll(".job").length && elements.every((e) => e.isConnected);
+    if (!same || !this.side.children.length) {
+      this.side.replaceChildren(h("h2", {}, "Jobs"), ...(elements.length ? elements : [h("p", { class: "dim" }, "What you begin at the left runs here; it goes on when the page is closed.")]));
+    }
+    this.showFigure(jobs.find((j) => j.kind === "track" && active(j)));
+    this.drawNav();
+  }
+
+  close(): void {
+    this.masks?.close();
+    this.figure?.live.close();
+  }
+
+  private showFigure(job: Job | undefined): void {
+    if (job && this.figure?.id === job.id) return this.figure.live.show(job);
+    if (!job) return;
+    this.figure?.live.close();
+    const live = new LiveFigure(job);
+    this.figure = { id: job.id, live };
+    this.cards.get(job.id)?.element.insertBefore(live.element, this.cards.get(job.id)!.element.children[1] ?? null);
+  }
+
+  private go(step: Step): void {
+    this.step = step;
+    this.draw();
+  }
+
+  private draw(): void {
+    const { recording } = this;
+    this.masks?.close();
+    this.masks = null;
+    this.notes.replaceChildren(
+      ...(recording.problem ? [h("p", { class: "card bad", role: "alert" }, recording.problem)] : []),
+      ...recording.notes.map((n) => h("p", { class: "dim note" }, n)),
+    );
+    this.drawNav();
+    if (recording.problem) return this.content.replaceChildren();
+    if (this.step === "masks") {
+      this.masks = new MaskStep(recording, this.counters, () => {
+        this.masks = null;
+        void this.reload(new AbortController().signal);
+      });
+    }
+    const names = new Map(this.state.results.map((r) => [r.id, r.name]));
+    this.content.replaceChildren(
+      this.step === "check" ? checkStep(recording)
+      : this.step === "masks" ? this.masks!.element
+      : this.step === "person" ? personStep(recording)
+      : trackStep(recording, (id) => names.get(id) ?? id),
+    );
+  }
+
+  private drawNav(): void {
+    const running = new Set(this.feed.of(this.recording.id).filter(active).map((j) => STEP_OF[j.kind]));
+    const done: Record<Step, string> = {
+      check: this.recording.check ? (this.recording.check.healthy ? "done" : "look") : "",
+      masks: "",
+      person: this.recording.subject ? "done" : "",
+      track: this.recording.results.length ? "done" : "",
+    };
+    const key = JSON.stringify([this.step, [...running], done]);
+    if (this.nav.dataset["key"] === key) return;
+    this.nav.dataset["key"] = key;
+    this.nav.replaceChildren(
+      ...STEPS.map((s, k) =>
+        h(
+          "button",
+          { type: "button", class: "step-tab", "aria-current": s === this.step ? "step" : null, "data-step": s, onclick: () => this.go(s) },
+          h("span", { class: "step-number" }, String(k + 1)),
+          h("span", {}, TITLES[s]),
+          h("small", { class: running.has(s) ? "accent" : done[s] === "look" ? "warn" : "good" }, running.has(s) ? "runs" : done[s] === "look" ? "look" : done[s] ? "done" : ""),
+        ),
+      ),
+    );
+  }
+}
+
+function firstStep(recording: Recording): Step {
+  return recording.check ? "track" : "check";
+}
+
+function facts(r: Recording): string {
+  return r.problem ? r.path : `${r.path} · ${r.views.length} ${r.views.length === 1 ? "camera" : "cameras"} · ${r.frames} frames · ${Number(r.frame_rate.toFixed(2))} frames/s`;
+}

@@ -1,0 +1,50 @@
+import type { Recording } from "../protocol";
+import { button, select } from "../ui/buttons";
+import { h } from "../ui/dom";
+import { begin } from "./check";
+
+const RECIPES = [
+  { value: "default", label: "default: particles and contours" },
+  { value: "hpf", label: "hierarchical particle filter (hpf)" },
+  { value: "apf", label: "annealed particle filter (apf)" },
+  { value: "sir", label: "plain particle filter (sir)" },
+  { value: "partitioned", label: "partitioned sampling" },
+];
+
+/** Step 4: how to track; and what was tracked before. */
+export function trackStep(recording: Recording, named: (id: string) => string): HTMLElement {
+  const wish = { recipe: "default", evidence: "silhouettes", start: "auto", subject: recording.subject !== null };
+  const [first, stop] = recording.frame_range ?? [0, recording.frames];
+  const from = h("input", { type: "number", min: 0, max: recording.frames - 1, value: first, "aria-label": "First frame" });
+  const to = h("input", { type: "number", min: 1, max: recording.frames, value: stop, "aria-label": "Frame after the last" });
+  const keypoints = recording.views.some((v) => v.keypoints);
+  const field = (name: string, ...inputs: (HTMLElement | string)[]): HTMLElement =>
+    h("div", { class: "field" }, h("span", { class: "field-name" }, name), h("div", { class: "row" }, ...inputs));
+  const subject = h("input", { type: "checkbox", checked: wish.subject, disabled: recording.subject === null });
+  subject.addEventListener("change", () => (wish.subject = subject.checked));
+  const go = (): void => {
+    const options: Record<string, unknown> = { recipe: wish.recipe, evidence: wish.evidence, start: wish.start };
+    if (wish.subject) options["subject"] = true;
+    if (Number(from.value) !== 0 || Number(to.value) !== recording.frames) options["frames"] = `${from.value}:${to.value}`;
+    void begin(recording, "track", options);
+  };
+  return h(
+    "div",
+    { class: "step" },
+    h("h2", {}, "Track"),
+    h(
+      "div",
+      { class: "fields" },
+      field("Recipe", select("Recipe", RECIPES, wish.recipe, (v) => (wish.recipe = v))),
+      field("Evidence", select("Evidence", [{ value: "silhouettes", label: "silhouettes" }, ...(keypoints ? [{ value: "keypoints", label: "key points" }, { value: "both", label: "both" }] : [])], wish.evidence, (v) => (wish.evidence = v))),
+      field("Start", select("Start", ["auto", ...(keypoints ? ["keypoints"] : []), "hull", "a", "t", "standing", "hands-up"].map((v) => ({ value: v, label: v === "auto" ? "found by itself" : v === "hull" ? "from the visual hull" : v === "keypoints" ? "from key points" : `pose: ${v}` })), wish.start, (v) => (wish.start = v))),
+      field("Frames", from, "to", to, h("span", { class: "dim" }, "(the one after the last)")),
+      field("Body", h("label", {}, subject, recording.subject ? "the measured person" : "the measured person (not measured yet)")),
+    ),
+    h("div", { class: "row" }, button("Track", go, { kind: "primary", icon: "play" }), h("a", { class: "button", href: `#/click/${recording.id}/${first}` }, "One camera only: click to start")),
+    h("h3", {}, "Results"),
+    recording.results.length
+      ? h("div", { class: "row wrap" }, ...recording.results.map((id) => h("a", { class: "button", href: `#/view/${id}` }, named(id))))
+      : h("p", { class: "dim" }, "None yet."),
+  );
+}
