@@ -77,8 +77,9 @@ def run_mono_job(
         progress("background", 1, 1)
         tracked = _earlier(job, record) if job.resume else None
         if tracked is None:
+            given = load_subject(options.subject) if options.subject is not None else None
             tracked = track_stream(
-                stream, options, results=results, record=record, resume=job.resume, progress=progress
+                stream, options, body=given, results=results, record=record, resume=job.resume, progress=progress
             )
             results.write_json("provenance.json", record)
     notes = (*job.recording.notes, *tracked.notes)

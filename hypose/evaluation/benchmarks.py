@@ -95,6 +95,7 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
         gesture_speed,
         kills,
         mono_benchmarks,
+        mono_real,
         path_speed,
         published,
         real,
@@ -138,6 +139,7 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
         "mono-arm": mono_benchmarks.mono_arm,
         "mono-body": mono_benchmarks.mono_body,
         "mono-speed": mono_benchmarks.mono_speed,
+        "mono-real": mono_real.mono_real,
     }
 
 

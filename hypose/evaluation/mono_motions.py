@@ -51,7 +51,7 @@ def arm_reach(subject: Subject, seconds: float, frame_rate: float, rng: np.rando
     phase = 1 - np.abs(2 * times / times[-1] - 1)  # there and back
     at = phase * (len(keys) - 1)
     curve = gaussian_filter1d(PchipInterpolator(np.arange(len(keys)), keys)(at), 2.5, axis=0, mode="nearest")
-    flexion, abduction, inward, elbow, twist, bend, deviation = curve.T
+    flexion, abduction, inward, elbow, twist, bend, deviation = (np.asarray(c) for c in curve.T)
     relaxed = {"left_shoulder_abduction": 9.0, "left_shoulder_internal": 12.0, "left_elbow_flexion": 18.0}
     values = {k: np.full(n, v) for k, v in relaxed.items()}
     values |= {

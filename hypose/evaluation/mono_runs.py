@@ -91,7 +91,7 @@ def track_scene(
     return MonoRun(scene.name, "body" if scene.root_aligned else "arm", *columns)
 
 
-def _measure(scene: MonoScene, estimate: MonoEstimate, truth: Array, root: Array) -> tuple[Array, ...]:
+def _measure(scene: MonoScene, estimate: MonoEstimate, truth: Array, root: Array) -> tuple[np.ndarray, ...]:
     """One row of a MonoRun."""
     modes = estimate.posterior
     marks = scene.estimated_marks(modes.poses)
@@ -108,7 +108,7 @@ def _measure(scene: MonoScene, estimate: MonoEstimate, truth: Array, root: Array
         np.abs((apart[0] * sight).sum(1)),
         np.linalg.norm(shown, axis=1),
         distance.mean(1).min(),
-        inside.any(0),
+        np.asarray(inside.any(0)),
         inside[0],
         np.array(estimate.alive),
         np.array(estimate.seconds),

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.body.body import BONE_END, Body, deform
 from hypose.body.models import JOINT_NAMES
@@ -64,7 +65,7 @@ def _girths(
     return {name: (row[0], row[1], row[2]) for name, row in girth.items()}
 
 
-def _thickness(vertices: Array, part: Array, joints: Array) -> Array:
+def _thickness(vertices: Array, part: NDArray[np.int64], joints: Array) -> Array:
     """(19, 2) m: mean distance of a part's vertices from its bone (limbs), or from the joint along x and y (others)."""
     out = np.full((len(joints), 2), np.nan)
     for j, name in enumerate(JOINT_NAMES):

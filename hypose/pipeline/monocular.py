@@ -20,7 +20,6 @@ from hypose.io.results import Checkpoint, ResultsFolder, save_motion
 from hypose.monocular.settings import MonoSettings
 from hypose.monocular.tracker import MonoTracker
 from hypose.monocular.types import MonoEstimate, MonoHypotheses, MonoState, posterior_arrays
-from hypose.pipeline.anthropometry import load_subject
 from hypose.pipeline.mono_start import find_start, keypoints_on, load_clicks
 from hypose.pipeline.mono_stream import MonoStream
 from hypose.pipeline.run import Progress
@@ -90,6 +89,7 @@ def track_stream(
     stream: MonoStream,
     options: MonoOptions,
     *,
+    body: Body | None = None,
     results: ResultsFolder | None = None,
     record: Mapping[str, Any] | None = None,
     resume: bool = False,
@@ -97,15 +97,16 @@ def track_stream(
 ) -> MonoResult:
     """Tracks all frames of a stream.
 
-    With `results` a checkpoint is written every `checkpoint_every` frames, and motion.npz and modes.npz at the end or
-    when interrupted (KeyboardInterrupt, for example from progress). `record` is the provenance; its identity must match
-    for `resume`. An InputError when there is nothing to start from.
+    body: the person's own, taken as it is (default: found with the start, from the template). With `results` a
+    checkpoint is written every `checkpoint_every` frames, and motion.npz and modes.npz at the end or when interrupted
+    (KeyboardInterrupt, for example from progress). `record` is the provenance; its identity must match for `resume`. An
+    InputError when there is nothing to start from.
     """
     report = progress or (lambda stage, done, total: None)
     total, recording = len(stream), stream.recording
     settings = options.tracker_settings(recording.frame_rate)
     key = identity(record or {})
-    body, state, done, notes = _begin(stream, options, settings, results, resume, key, report)
+    body, state, done, notes = _begin(stream, options, settings, body, results, resume, key, report)
     tracker = MonoTracker(body, stream.camera, settings)
     parts = [] if done is None else [done]
     count, interrupted = 0 if done is None else len(done), False
@@ -152,6 +153,7 @@ def _begin(
     stream: MonoStream,
     options: MonoOptions,
     settings: MonoSettings,
+    given: Body | None,
     results: ResultsFolder | None,
     resume: bool,
     key: Mapping[str, Any],
@@ -164,7 +166,6 @@ def _begin(
         return load_body(results.file(_BODY)), state, rows, tuple(saved.meta["notes"])
     report("subject", 0, 1)
     clicks = None if options.start in ("auto", "keypoints") else load_clicks(options.start, stream.recording)
-    given = load_subject(options.subject) if options.subject is not None else None
     fit, notes = find_start(stream, clicks=clicks, body=given, height=options.height, settings=settings)
     report("subject", 1, 1)
     if results is not None:
@@ -245,7 +246,7 @@ def _save_checkpoint(
 def _from_checkpoint(saved: Checkpoint, source: str) -> tuple[MonoState, _Rows]:
     a = saved.arrays
     try:
-        hypotheses = MonoHypotheses(*(a[f"h_{name}"] for name in _STATE))
+        hypotheses = MonoHypotheses(**{name: np.asarray(a[f"h_{name}"]) for name in _STATE})
         state = MonoState(int(a["frames"]), hypotheses, np.asarray(a["grey"], dtype=np.uint8))
         done = {k.removeprefix("done_"): np.asarray(v) for k, v in a.items() if k.startswith("done_")}
         return state, _Rows(from_arrays(done, source), a["joint_sd"], np.asarray(a["lost"], dtype=bool))
