@@ -3,6 +3,7 @@ import "uplot/dist/uPlot.min.css";
 import { LOST, type Stretch } from "../lib/bundle";
 import { h, onResize } from "./dom";
 import { colour, onTheme } from "./theme";
+import { clock } from "./timeline";
 
 export interface Series {
   label: string;
@@ -146,7 +147,7 @@ export class Plot {
           },
         },
         axes: [
-          { ...axis, size: 20, gap: 2, space: 60 },
+          { ...axis, size: 20, gap: 2, space: 60, values: (_, at, __, ___, step) => at.map((t) => clock(t, step)) },
           { ...axis, size: 40, gap: 4, space: 22 },
         ],
         series: [
@@ -172,9 +173,11 @@ export class Plot {
     for (const { first, last, flag } of this.options.flagged ?? []) {
       const from = chart.valToPos((this.times[first] ?? 0) - step / 2, "x", true);
       const to = chart.valToPos((this.times[last] ?? 0) + step / 2, "x", true);
+      const [a, b] = [Math.max(left, from), Math.min(left + width, to)];
+      if (a >= b) continue;
       chart.ctx.globalAlpha = 0.22;
       chart.ctx.fillStyle = colour(flag === LOST ? "lost" : "extrapolated");
-      chart.ctx.fillRect(Math.max(left, from), top, Math.min(left + width, to) - Math.max(left, from), height);
+      chart.ctx.fillRect(a, top, b - a, height);
       chart.ctx.globalAlpha = 1;
     }
   }

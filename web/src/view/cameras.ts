@@ -65,6 +65,7 @@ export class CameraPane {
 
   /** Buttons for what is drawn over the pictures. */
   tools(): HTMLElement[] {
+    if (!this.tiles.length) return [];
     const change = (what: keyof Shown) => (on: boolean) => {
       this.shown[what] = on;
       memory.set("overlays", JSON.stringify(this.shown));
