@@ -50,6 +50,9 @@ def track(
     subject: Annotated[
         Path | None, typer.Option(help="The person's body: the folder or body.npz that hypose subject wrote.")
     ] = None,
+    no_smooth: Annotated[
+        bool, typer.Option("--no-smooth", help="Each frame as it was tracked, without solving all together at the end.")
+    ] = False,
     seed: Seed = 0,
     frames: Annotated[
         str | None, typer.Option(help="first:stop, counted from 0. [default: recording.toml's, else all]")
@@ -87,6 +90,7 @@ def track(
         start=start,
         height=height if height is not None else loaded.subject_height,
         subject=str(subject) if subject is not None else None,
+        smooth=not no_smooth,
     )
     if method != "multiview" or camera is not None:
         from hypose.app.mono_job import one_camera

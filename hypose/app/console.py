@@ -24,6 +24,7 @@ TITLES = {
     "masks": "Silhouettes",
     "subject": "Subject",
     "track": "Track",
+    "smooth": "Smooth",
     "export": "Export",
     "overlay": "Overlay video",
     "report": "Report",

@@ -19,6 +19,7 @@ from hypose.io.provenance import identity
 from hypose.io.results import Checkpoint, ResultsFolder, save_motion
 from hypose.pipeline.subject import Subject, SubjectOptions, find_subject
 from hypose.tracking.recipes import recipe
+from hypose.tracking.smooth_motion import smooth_motion
 from hypose.tracking.tracker import (
     FrameEstimate,
     Tracker,
@@ -44,7 +45,8 @@ class FrameSource(Protocol):
 class TrackOptions:
     """What a user chooses. recipe: a preset's name; refine: contour refinement after a published recipe; evidence:
     'silhouettes', 'keypoints' or 'both'; start, height, girths: see SubjectOptions;
-    subject: where the given body comes from (then `track_source` takes its body as it is); checkpoint_every: frames."""
+    subject: where the given body comes from (then `track_source` takes its body as it is); smooth: solve all frames
+    together at the end; checkpoint_every: frames."""
 
     recipe: str = "default"
     refine: bool = False
@@ -54,6 +56,7 @@ class TrackOptions:
     height: float | None = None
     girths: bool = True
     subject: str | None = None
+    smooth: bool = True
     checkpoint_every: int = 25
 
     def __post_init__(self) -> None:
@@ -94,8 +97,9 @@ def track_source(
     """Tracks the frames of a source.
 
     body: the template to fit (default: the human template); subject: a known subject and start, which skips the
-    fitting. With `results` a checkpoint is written every `checkpoint_every` frames, and motion.npz at the end or when
-    interrupted. `record` is the provenance; its identity must match for `resume`.
+    fitting. With `results` a checkpoint is written every `checkpoint_every` frames (later every twentieth of what is
+    done), and motion.npz at the end or when interrupted. `record` is the provenance; its identity must match for
+    `resume`.
     """
     report = progress or (lambda stage, done, total: None)
     total = len(source)
@@ -116,14 +120,18 @@ def track_source(
         state, estimates = _resume(Checkpoint.load(results.checkpoint, key))
     interrupted = False
     try:
-        rest = range(len(estimates), total)
+        saved = len(estimates)
+        rest = range(saved, total)
         with contextlib.closing(look_ahead(source.frame(index) for index in rest)) as frames:
             for index in rest:
                 report("track", index, total)
                 state, estimate = tracker.step(state, next(frames))
                 estimates.append(estimate)
-                if results is not None and len(estimates) % options.checkpoint_every == 0 and len(estimates) < total:
+                done = len(estimates)
+                # all frames are written every time, so ever fewer times: the work of an hour of film stays linear
+                if results is not None and done - saved >= max(options.checkpoint_every, saved // 20) and done < total:
                     _save_checkpoint(results, state, estimates, key)
+                    saved = done
         report("track", total, total)
     except KeyboardInterrupt:
         interrupted = True
@@ -140,12 +148,17 @@ def track_source(
         raise type(error)(
             f"{error} The {len(estimates)} frames before are kept in {results.path}; see --resume."
         ) from error
-    motion = _motion(subject, estimates, frame_rate, record)
+    motion, notes = _motion(subject, estimates, frame_rate, record), subject.notes
+    if options.smooth and not interrupted:
+        report("smooth", 0, 1)
+        smoothed = smooth_motion(subject.body, motion, np.stack([e.uncertainty.information for e in estimates]))
+        motion, notes = smoothed.motion, (*notes, *smoothed.notes)
+        report("smooth", 1, 1)
     if results is not None:
         save_motion(motion, results.motion)
         if not interrupted:
             results.checkpoint.unlink(missing_ok=True)
-    return TrackResult(motion, subject.body, not interrupted, subject.notes)
+    return TrackResult(motion, subject.body, not interrupted, notes)
 
 
 def _motion(

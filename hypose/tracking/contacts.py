@@ -1,0 +1,155 @@
+"""Feet on the ground: when heel or ball of a foot stands still, and what holds it there when a clip is solved.
+
+Found on a motion that is already smooth: a point of the sole that is slow for a while and, where there is a common
+floor, near it. What a person stands on need not be flat (a beam, a step): without a common height each contact has its
+own. Source: foot-plant clean-up as of Kovar, Schreiner & Gleicher 2002, here as weighted points of the clip's solve, so
+that the legs give in where the evidence is weak and the evidence may disagree where it is strong.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.fitting import PointTerm
+from hypose.geometry import Array
+
+SOLE_NAMES = ("left_heel", "left_ball", "right_heel", "right_ball")
+
+
+@dataclass(frozen=True)
+class ContactSettings:
+    """slow, fast: m/s, a contact begins below and ends above; shortest: s; near: m above the floor that is still on it;
+    common: share of the contacts' frames within `near` of one height that makes it a floor; hold: m, how exactly a
+    point in contact is held."""
+
+    slow: float = 0.25
+    fast: float = 0.5
+    shortest: float = 0.12
+    near: float = 0.05
+    common: float = 0.6
+    hold: float = 0.005
+
+
+@dataclass(frozen=True)
+class Soles:
+    """Heel and ball of both feet (SOLE_NAMES): joint (4,), offset (4, 3) m in its frame."""
+
+    joint: NDArray[np.int64]
+    offset: Array
+
+    def positions(self, body: Body, poses: Array) -> Array:
+        """(T, 4, 3) m in the world at poses (T, D)."""
+        rotations, centres = body.skeleton.forward(poses)
+        return centres[:, self.joint] + np.einsum("tkab,kb->tka", rotations[:, self.joint], self.offset)
+
+
+def soles_of(body: Body) -> Soles:
+    """The middle of the hindmost and of the foremost part of each sole's skin (its lowest 2 cm at rest)."""
+    joint, offset = [], []
+    for side in ("left", "right"):
+        j = body.skeleton.joint(f"{side}_ankle")
+        skin = body.fine.vertices[body.fine.main_joint == j]
+        sole = skin[skin[:, 2] < skin[:, 2].min() + 0.02]
+        y = sole[:, 1]  # backward
+        hind, fore = y > np.quantile(y, 0.8), y < np.quantile(y, 0.3)
+        for part in (hind, fore):
+            joint.append(j)
+            offset.append(sole[part].mean(0) - body.skeleton.rest_joints[j])
+    return Soles(np.array(joint), np.array(offset))
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """touching (T, 4): a point of the soles stands; place (T, 4, 3) m: where (NaN where it does not); floor: the
+    common height, m (NaN: none)."""
+
+    touching: NDArray[np.bool_]
+    place: Array
+    floor: float
+
+
+def find_contacts(
+    positions: Array, known: NDArray[np.bool_], frame_rate: float, settings: ContactSettings | None = None
+) -> Contacts:
+    """Contacts of the soles' points (T, 4, 3) m of a smooth motion; frames that are not known (T,) have none."""
+    o = settings or ContactSettings()
+    t = len(positions)
+    speed = np.linalg.norm(np.gradient(positions, 1 / frame_rate, axis=0), axis=-1) if t > 1 else np.zeros((t, 4))
+    touching = np.stack([_hysteresis(s, known, o.slow, o.fast) for s in speed.T], 1)
+    shortest = max(2, round(o.shortest * frame_rate))
+    touching = np.stack([_only_long(c, shortest) for c in touching.T], 1)
+    floor = _common_height(positions[..., 2][touching], o)
+    if np.isfinite(floor):
+        high = positions[..., 2] > floor + o.near
+        touching = np.stack([_only_long(c, shortest) for c in (touching & ~high).T], 1)
+    place = np.full(positions.shape, np.nan)
+    for k in range(positions.shape[1]):
+        for a, b in _runs(touching[:, k]):
+            middle = np.median(positions[a:b, k], axis=0)
+            if np.isfinite(floor):
+                middle[2] = floor
+            place[a:b, k] = middle
+    return Contacts(touching, place, floor)
+
+
+def contact_terms(contacts: Contacts, soles: Soles, settings: ContactSettings | None = None) -> list[PointTerm | None]:
+    """Points that hold the soles in every frame with a contact, None elsewhere."""
+    o = settings or ContactSettings()
+    return [
+        PointTerm(place[on], np.ones(int(on.sum())), soles.joint[on], soles.offset[on], o.hold) if on.any() else None
+        for on, place in zip(contacts.touching, contacts.place, strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class FootMotion:
+    """What feet do that they should not: sliding, mm/s, mean horizontal speed of points in contact; sinking, mm: mean
+    depth of points in contact under their place; contacts: share of the frames with any."""
+
+    sliding: float
+    sinking: float
+    contacts: float
+
+
+def foot_motion(positions: Array, contacts: Contacts, frame_rate: float) -> FootMotion:
+    """Of the soles' points (T, 4, 3) m, over given contacts: the same for all motions that are compared."""
+    both = contacts.touching[1:] & contacts.touching[:-1]
+    speed = np.linalg.norm(np.diff(positions[..., :2], axis=0), axis=-1) * frame_rate
+    depth = np.maximum(contacts.place[..., 2] - positions[..., 2], 0.0)[contacts.touching]
+    return FootMotion(
+        1e3 * float(speed[both].mean()) if both.any() else 0.0,
+        1e3 * float(depth.mean()) if len(depth) else 0.0,
+        float(contacts.touching.any(1).mean()),
+    )
+
+
+def _hysteresis(speed: Array, known: NDArray[np.bool_], slow: float, fast: float) -> NDArray[np.bool_]:
+    out = np.zeros(len(speed), dtype=bool)
+    for a, b in _runs((speed < fast) & known):
+        if (speed[a:b] < slow).any():
+            out[a:b] = True
+    return out
+
+
+def _only_long(flags: NDArray[np.bool_], shortest: int) -> NDArray[np.bool_]:
+    out = np.zeros(len(flags), dtype=bool)
+    for a, b in _runs(flags):
+        out[a:b] = b - a >= shortest
+    return out
+
+
+def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.r_[False, flags, False].astype(np.int8)))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _common_height(heights: Array, settings: ContactSettings) -> float:
+    """The low height that most contacts share, NaN when they do not: a foot may be held up for long."""
+    if len(heights) == 0:
+        return float("nan")
+    near = np.abs(heights - np.quantile(heights, 0.1)) < settings.near
+    return float(np.median(heights[near])) if near.mean() >= settings.common else float("nan")

@@ -1,0 +1,72 @@
+"""The last step of tracking: the motion of all frames together, with feet that stand, and its uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hypose.body.body import Body
+from hypose.body.motion import Motion
+from hypose.geometry import Array
+from hypose.tracking.contacts import FootMotion, contact_terms, find_contacts, foot_motion, soles_of
+from hypose.tracking.smoothing import ClipSettings, gap_variance, smooth_poses
+from hypose.tracking.uncertainty import unpacked
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """motion; how feet moved over the contacts that were found, before and after; notes for the user."""
+
+    motion: Motion
+    feet_before: FootMotion
+    feet: FootMotion
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences about contacts and gaps."""
+        said = []
+        if self.feet.contacts > 0:
+            said.append(
+                f"feet in contact in {100 * self.feet.contacts:.0f} % of the frames: they slide by "
+                f"{self.feet.sliding:.0f} mm/s ({self.feet_before.sliding:.0f} as tracked)"
+            )
+        bridged = int((self.motion.extrapolated | self.motion.lost).sum())
+        if bridged:
+            said.append(
+                f"{bridged} frames without the person are bridged from their neighbours, flagged, with larger sd"
+            )
+        return tuple(said)
+
+
+def smooth_motion(body: Body, motion: Motion, information: ArrayLike, settings: ClipSettings | None = None) -> Smoothed:
+    """A tracked motion with poses, solved again as one clip.
+
+    information (T, D (D + 1) / 2): what each frame says of its pose (`PoseUncertainty`). Frames in which the person was
+    lost or unseen say nothing: they are bridged, stay flagged, and their sd grows with the distance from the frames
+    that do. Where the soles stand they are held, and all is solved again.
+    """
+    assert motion.poses is not None
+    settings, rate = settings or ClipSettings(), motion.frame_rate
+    known = ~(np.asarray(motion.lost) | np.asarray(motion.extrapolated))
+    if len(motion) < 3 or known.sum() < 2:
+        nothing = FootMotion(0.0, 0.0, 0.0)
+        return Smoothed(motion, nothing, nothing)
+    own = unpacked(information, body.skeleton.dof) * known[:, None, None]
+    free = smooth_poses(body, motion.poses, own, rate, settings)
+    soles = soles_of(body)
+    contacts = find_contacts(soles.positions(body, free), known, rate)
+    poses = smooth_poses(body, motion.poses, own, rate, settings, contact_terms(contacts, soles))
+    spread = gap_variance(body, poses, own, rate, settings)
+    sd = np.sqrt(_carried(motion.joint_sd, known) ** 2 + spread)
+    smoothed = replace(motion, poses=poses, joints=body.joints(poses), joint_sd=sd)
+    before, after = (foot_motion(soles.positions(body, q), contacts, rate) for q in (motion.poses, poses))
+    return Smoothed(smoothed, before, after)
+
+
+def _carried(sd: Array, known: Array) -> Array:
+    """(T, J): sd of the known frames, and in between what lies on the straight line."""
+    at = np.flatnonzero(known)
+    frames = np.arange(len(sd))
+    return np.stack([np.interp(frames, at, column[at]) for column in sd.T], 1)

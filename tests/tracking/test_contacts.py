@@ -1,0 +1,89 @@
+"""Feet that stand: found where they stand, held there, and not where they do not."""
+
+import numpy as np
+import pytest
+
+from hypose.tracking.contacts import Contacts, ContactSettings, contact_terms, find_contacts, foot_motion, soles_of
+
+RATE = 25.0
+
+
+def walking_points(steps=3, floor=0.1):
+    """(T, 4, 3): each foot stands for 0.4 s and swings for 0.4 s, in turn."""
+    t = np.arange(int(0.8 * RATE * steps)) / RATE
+    out = np.zeros((len(t), 4, 3))
+    for foot, phase in ((0, 0.0), (1, 0.4)):
+        cycle, inside = np.divmod(t + phase, 0.8)
+        swing = np.clip((inside - 0.4) / 0.4, 0, 1)
+        smooth = swing**2 * (3 - 2 * swing)
+        for k in (2 * foot, 2 * foot + 1):
+            out[:, k, 0] = 1.2 * (cycle + smooth) + 0.1 * (k % 2)
+            out[:, k, 2] = floor + 0.12 * np.sin(np.pi * swing)
+    return out
+
+
+def standing_share(contacts):
+    return contacts.touching.mean()
+
+
+def test_contacts_are_where_feet_stand():
+    points = walking_points()
+    contacts = find_contacts(points, np.ones(len(points), bool), RATE)
+    assert contacts.floor == pytest.approx(0.1, abs=0.01)
+    moving = np.linalg.norm(np.gradient(points, 1 / RATE, axis=0), axis=-1) > 0.8
+    assert not (contacts.touching & moving).any()
+    assert 0.3 < standing_share(contacts) < 0.7
+    assert np.isfinite(contacts.place[contacts.touching]).all()
+    assert np.isnan(contacts.place[~contacts.touching]).all()
+
+
+def test_no_contact_in_unknown_frames_nor_in_the_air():
+    points = walking_points()
+    known = np.ones(len(points), bool)
+    known[10:40] = False
+    assert not find_contacts(points, known, RATE).touching[10:40].any()
+    hovering = points.copy()
+    hovering[:, :2] = [5.0, 0.0, 0.8]  # one foot is held up, quite still
+    found = find_contacts(hovering, np.ones(len(points), bool), RATE)
+    assert np.isnan(found.floor)  # which foot is on the ground cannot be told; holding a still one still does no harm
+    low = find_contacts(hovering, np.ones(len(points), bool), RATE, ContactSettings(common=0.2))
+    assert low.floor == pytest.approx(0.1, abs=0.01)
+    assert not low.touching[:, :2].any() and low.touching[:, 2:].any()
+
+
+def test_steps_of_different_height_keep_their_own():
+    points = walking_points()
+    points[:, :2, 2] += 0.3
+    contacts = find_contacts(points, np.ones(len(points), bool), RATE)
+    assert np.isnan(contacts.floor)
+    high = contacts.place[contacts.touching[:, 0], 0, 2]
+    assert high == pytest.approx(0.4, abs=0.02)
+
+
+def test_sliding_and_sinking_are_measured():
+    t = 20
+    place = np.zeros((t, 4, 3))
+    contacts = Contacts(np.ones((t, 4), bool), place, 0.0)
+    points = place.copy()
+    points[..., 0] = 0.1 * np.arange(t)[:, None] / RATE  # 0.1 m/s
+    points[..., 2] = -0.004
+    feet = foot_motion(points, contacts, RATE)
+    assert feet.sliding == pytest.approx(100)
+    assert feet.sinking == pytest.approx(4)
+    assert feet.contacts == 1
+
+
+def test_terms_hold_only_what_touches(body):
+    soles = soles_of(body)
+    touching = np.array([[True, False, False, True], [False] * 4])
+    terms = contact_terms(Contacts(touching, np.zeros((2, 4, 3)), 0.0), soles)
+    assert terms[1] is None and terms[0] is not None
+    np.testing.assert_array_equal(terms[0].joint, soles.joint[[0, 3]])
+
+
+def test_soles_lie_under_the_ankles(body, standing):
+    soles = soles_of(body)
+    points = soles.positions(body, standing[None])[0]
+    assert np.abs(points[:, 2]).max() < 0.03
+    heel, ball = points[0], points[1]
+    assert 0.08 < np.linalg.norm(heel - ball) < 0.25

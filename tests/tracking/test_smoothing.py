@@ -1,0 +1,121 @@
+"""Whole clips: smooth without lag, gaps bridged with growing uncertainty, feet held, windows without seams."""
+
+import numpy as np
+import pytest
+
+from hypose.body.motion import Motion
+from hypose.evidence.keypoints import BODY_25B
+from hypose.tracking.keypoint_evidence import keypoint_model
+from hypose.tracking.smooth_motion import smooth_motion
+from hypose.tracking.smoothing import ClipSettings, smooth_poses, solve_keypoint_clip
+from hypose.tracking.uncertainty import packed, unpacked
+from tests.tracking.test_keypoint_evidence import exchanged, seen_by
+
+RATE = 25.0
+
+
+@pytest.fixture
+def swing(body, standing):
+    """Poses (40, D): arms and trunk swing at 1 Hz, the legs stand."""
+    t = np.arange(40) / RATE
+    poses = np.repeat(standing[None], len(t), 0)
+    arm = body.skeleton.dofs_of("left_shoulder", "right_shoulder", "left_elbow", "spine")
+    poses[:, arm] += 0.4 * np.sin(2 * np.pi * t)[:, None] - 0.3
+    return body.skeleton.clamp(poses)
+
+
+def information(poses, sd=0.05):
+    return np.repeat(np.diag(np.full(poses.shape[1], sd**-2.0))[None], len(poses), 0)
+
+
+def motion_of(body, poses, lost=()):
+    n = len(poses)
+    flags = np.isin(np.arange(n), lost)
+    sd = np.full((n, len(body.skeleton.joint_names)), 0.01)
+    return Motion(
+        body.skeleton, np.arange(n) / RATE, body.joints(poses), poses, sd, flags, flags, np.full(n, 4), np.full(n, 0.1)
+    )
+
+
+def distances(body, a, b):
+    return np.linalg.norm(body.joints(a) - body.joints(b), axis=-1)
+
+
+def test_noise_goes_and_no_lag_comes(body, swing, rng):
+    noise = 0.05 * rng.normal(size=swing.shape)
+    noise[:, :3] *= 0.1
+    noisy = body.skeleton.clamp(swing + noise)
+    own = information(swing)
+    own[:, :3, :3] *= 100
+    smooth = smooth_poses(body, noisy, own, RATE, ClipSettings(acceleration_rad=20.0))
+    assert distances(body, smooth, swing).mean() < 0.7 * distances(body, noisy, swing).mean()
+    angle = body.skeleton.dofs_of("left_elbow")[0]
+
+    def agreement(shift):
+        return np.corrcoef(smooth[5 + shift : 35 + shift, angle], swing[5:35, angle])[0, 1]
+
+    assert agreement(0) > max(agreement(1), agreement(-1))
+
+
+def test_a_gap_is_bridged_flagged_and_less_certain(body, swing):
+    lost = range(15, 21)
+    tracked = swing.copy()
+    tracked[15:21] += 0.5  # what a lost tracker says does not count
+    given = np.stack([packed(i) for i in information(swing, 0.02)])
+    result = smooth_motion(body, motion_of(body, tracked, lost), given).motion
+    assert distances(body, result.poses, swing)[15:21].mean() < 0.06
+    assert result.lost[15:21].all() and result.lost.sum() == 6
+    sd = result.joint_sd.mean(1)
+    assert sd[17] > sd[15] > sd[13] and sd[17] > 1.5 * sd[5]
+    assert sd[18] > sd[20]
+
+
+def test_extrapolation_comes_to_rest(body, swing):
+    poses = swing.copy()
+    poses[:, 0] += 1.5 * np.arange(40) / RATE
+    given = np.stack([packed(i) for i in information(poses, 0.02)])
+    result = smooth_motion(body, motion_of(body, poses, range(20, 40)), given).motion
+    ahead = result.poses[20:, 0] - result.poses[19, 0]
+    assert 0.02 < ahead[-1] < 0.8 and (np.diff(result.joint_sd[19:].mean(1)) > 0).all()
+
+
+def test_feet_are_held(body, swing, rng):
+    noise = np.zeros_like(swing)
+    legs = body.skeleton.dofs_of("left_hip", "right_hip", "left_knee", "right_knee")
+    noise[:, legs] = 0.02 * rng.normal(size=(40, len(legs)))
+    noisy = body.skeleton.clamp(swing + noise)
+    given = np.stack([packed(i) for i in information(swing, 0.05)])
+    found = smooth_motion(body, motion_of(body, noisy), given)
+    assert found.feet.contacts > 0.8
+    assert found.feet.sliding < 0.3 * found.feet_before.sliding
+    assert any("slide" in note for note in found.notes)
+
+
+def test_windows_have_no_seams(body, swing):
+    own = information(swing)
+    whole = smooth_poses(body, swing, own, RATE, ClipSettings())
+    parts = smooth_poses(body, swing, own, RATE, ClipSettings(window=16, overlap=6))
+    assert np.abs(whole - parts).max() < 0.02
+
+
+def test_a_motion_of_two_frames_is_left_alone(body, swing):
+    given = np.stack([packed(i) for i in information(swing[:2])])
+    motion = motion_of(body, swing[:2])
+    assert smooth_motion(body, motion, given).motion is motion
+
+
+def test_packed_information_comes_back(rng):
+    a = rng.normal(size=(6, 6))
+    a = a + a.T
+    np.testing.assert_allclose(unpacked(packed(a)[None], 6)[0], a, rtol=1e-6)
+
+
+def test_key_point_clip_with_exchanged_sides_and_a_gap(body, swing, small_rig, rng):
+    model = keypoint_model(body, BODY_25B)
+    seen = [seen_by(small_rig, model, body, q, rng, 0.5) for q in swing]
+    for t in range(10, 14):
+        seen[t] = exchanged(seen[t], 1, ("shoulder", "elbow", "wrist"))
+    seen[20:23] = [None] * 3
+    poses, terms = solve_keypoint_clip(body, model, seen, swing[0], RATE)
+    assert distances(body, poses, swing).mean() < 0.015
+    assert [t for t, term in enumerate(terms) if term is None] == [20, 21, 22]
