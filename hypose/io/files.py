@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 from hypose.errors import InputError
 from hypose.io.results import atomic_path
@@ -49,3 +52,31 @@ def text_lines(path: str | Path, kind: str, limit: int = MAX_TEXT_BYTES) -> list
     if b"\0" in data[:65536]:
         raise InputError(f"{path} is a binary file, not {kind}.")
     return data.decode("utf-8", errors="replace").lstrip("\ufeff").splitlines()
+
+
+class RecordingFolder:
+    """A new or empty folder that is written to while something is recorded; InputError when it is neither, and, within
+    `writing`, when the system does not let us."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        if self.path.is_file() or (self.path.is_dir() and any(self.path.iterdir())):
+            raise InputError(f"{self.path} is not empty; give a new folder to record to.")
+        with self.writing():
+            self.path.mkdir(parents=True, exist_ok=True)
+
+    @contextmanager
+    def writing(self) -> Iterator[None]:
+        """What is written within ends in a sentence when it fails."""
+        try:
+            yield
+        except OSError as error:
+            reason = (error.strerror or str(error)).lower()
+            raise InputError(f"{self.path} cannot be written ({reason}); choose another folder to record to.") from None
+
+    def table(self, name: str, header: Sequence[str]) -> IO[str]:
+        """A new CSV file, open for its rows."""
+        with self.writing():
+            stream = (self.path / name).open("w", encoding="utf-8", newline="\n")
+            stream.write(",".join(header) + "\n")
+        return stream

@@ -17,7 +17,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.depth import depth_at_joints, read_depth_png
-from hypose.io.files import text_lines
+from hypose.io.files import RecordingFolder, text_lines
 from hypose.io.results import to_json
 from hypose.io.skeletons import MAX_JOINTS, MAX_SENSORS, SkeletonRecording, StreamRows, checked_recording
 from hypose.io.text_in import bounded_lines
@@ -228,27 +228,13 @@ class FolderWriter:
     """Writes a recording folder while it is being recorded; what was written so far can be read at any time."""
 
     def __init__(self, folder: str | Path, name: str = "", clock: str = "own") -> None:
-        self.folder = Path(folder)
-        if self.folder.is_dir() and any(self.folder.iterdir()) or self.folder.is_file():
-            raise InputError(f"{self.folder} is not empty; give a new folder to record to.")
+        self._folder = RecordingFolder(folder)
+        self.folder = self._folder.path
         self._name, self._clock = name or self.folder.name, clock
         self._joints: dict[str, tuple[str, ...]] = {}
         self._frame: dict[str, tuple[int, float]] = {}
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            self._frames = self._open("frames.csv", _FRAMES)
-            self._skeleton = self._open("skeleton.csv", _SKELETON)
-        except OSError as error:
-            raise self._failed(error) from None
-
-    def _open(self, name: str, header: Sequence[str]) -> IO[str]:
-        stream = (self.folder / name).open("w", encoding="utf-8", newline="\n")
-        stream.write(",".join(header) + "\n")
-        return stream
-
-    def _failed(self, error: OSError) -> InputError:
-        reason = (error.strerror or str(error)).lower()
-        return InputError(f"{self.folder} cannot be written ({reason}); choose another folder to record to.")
+        self._frames = self._folder.table("frames.csv", _FRAMES)
+        self._skeleton = self._folder.table("skeleton.csv", _SKELETON)
 
     def add(
         self,
@@ -260,7 +246,7 @@ class FolderWriter:
         state: NDArray[np.uint8],
     ) -> None:
         """One body (person None: the sensor saw nobody). Bodies of one sensor frame come together, with equal times."""
-        try:
+        with self._folder.writing():
             if sensor not in self._joints and person is not None:
                 self._joints[sensor] = tuple(joint_names)
                 self._session()
@@ -277,8 +263,6 @@ class FolderWriter:
                 if s
             ]
             self._skeleton.write("".join(rows))
-        except OSError as error:
-            raise self._failed(error) from None
 
     def _session(self) -> None:
         sensors = [{"name": n, "joints": list(j)} for n, j in self._joints.items()]

@@ -14,7 +14,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from hypose.gestures.model import GestureModel
 from hypose.gestures.online import Example
 from hypose.gestures.pictures import Lens, millimetres
 from hypose.io.depth import read_depth_png, write_depth_png
-from hypose.io.files import text_lines
+from hypose.io.files import RecordingFolder, text_lines
 from hypose.io.results import _load_arrays, _write_archive, to_json
 
 FORMAT = "hypose-gesture-session"
@@ -208,9 +208,8 @@ class SessionWriter:
         size: tuple[int, int],
         settings: Mapping[str, Any] | None = None,
     ) -> None:
-        self.folder = Path(folder)
-        if self.folder.is_file() or (self.folder.is_dir() and any(self.folder.iterdir())):
-            raise InputError(f"{self.folder} is not empty; give a new folder to record to.")
+        self._folder = RecordingFolder(folder)
+        self.folder = self._folder.path
         value = {
             "format": FORMAT,
             "version": 1,
@@ -219,23 +218,12 @@ class SessionWriter:
             "size": list(size),
             "settings": dict(settings or {}),
         }
-        try:
-            (self.folder / "depth").mkdir(parents=True, exist_ok=True)
+        with self._folder.writing():
+            (self.folder / "depth").mkdir(exist_ok=True)
             (self.folder / "session.json").write_text(to_json(value), encoding="utf-8", newline="\n")
-            self._frames = self._open("frames.csv", _FRAMES)
-            self._actions = self._open("actions.csv", ["time", "action", "detail"])
-        except OSError as error:
-            raise self._failed(error) from None
+        self._frames = self._folder.table("frames.csv", _FRAMES)
+        self._actions = self._folder.table("actions.csv", ["time", "action", "detail"])
         self._count = 0
-
-    def _open(self, name: str, header: Sequence[str]) -> IO[str]:
-        stream = (self.folder / name).open("w", encoding="utf-8", newline="\n")
-        stream.write(",".join(header) + "\n")
-        return stream
-
-    def _failed(self, error: OSError) -> InputError:
-        reason = (error.strerror or str(error)).lower()
-        return InputError(f"{self.folder} cannot be written ({reason}); choose another folder to record to.")
 
     def add(
         self,
@@ -249,20 +237,16 @@ class SessionWriter:
         """One picture (h, w) uint16 mm of a time (s), with what it was for."""
         file = f"depth/{self._count:06d}.png"
         write_depth_png(self.folder / file, depth.astype(np.float64) / 1000)
-        try:
+        with self._folder.writing():
             self._frames.write(f"{self._count},{time:.6f},{file},{phase},{segment},{gesture},{at[0]:.2f},{at[1]:.2f}\n")
             self._frames.flush()
-        except OSError as error:
-            raise self._failed(error) from None
         self._count += 1
 
     def act(self, time: float, action: str, detail: str = "") -> None:
         """Something the user did; "undo" with the number of the segment."""
-        try:
+        with self._folder.writing():
             self._actions.write(f"{time:.6f},{action},{detail}\n")
             self._actions.flush()
-        except OSError as error:
-            raise self._failed(error) from None
 
     def close(self) -> None:
         """Close the files."""
