@@ -15,6 +15,7 @@ from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row, row
 from hypose.evaluation.gesture_data import Size, examples, for_gesture, test_set, training_set
 from hypose.evaluation.gesture_metrics import judge
 from hypose.evaluation.gesture_poses import GESTURES
+from hypose.evaluation.timing import best
 from hypose.gestures.forest import Forest, ForestSettings
 from hypose.gestures.localise import LocaliseSettings, Scratch, localise, pad
 from hypose.gestures.offline import OfflineSettings, Pool, collect, train
@@ -38,7 +39,7 @@ def speed(options: BenchOptions) -> BenchReport:
         for e in [
             e for k in range(2 if options.quick else 4) for e in shown if e.gesture or learner.rng.random() < 0.5
         ]:
-            rates.append(_cpu(partial(teach, learner, [e]), 1))
+            rates.append(_cpu(partial(teach, learner, [e])))
         forests.append(learner.forest.freeze())
         sizes.append(learner.forest.nbytes / 1e6)
         mine = for_gesture(test, number)
@@ -69,15 +70,8 @@ def speed(options: BenchOptions) -> BenchReport:
     )
 
 
-def _cpu(call: Callable[[], object], repeats: int) -> float:
-    """Seconds of the fastest of some calls, in processor time of this thread: nothing here uses a second one, and what
-    else runs on the machine then disturbs least."""
-    seconds = []
-    for _ in range(repeats):
-        began = time.thread_time()
-        call()
-        seconds.append(time.thread_time() - began)
-    return min(seconds)
+def _cpu(call: Callable[[], object], repeats: int = 1) -> float:
+    return best(call, repeats, time.thread_time)
 
 
 def _milliseconds(pictures: list[Any], forests: list[Forest]) -> list[float]:
@@ -95,12 +89,12 @@ def _compared(shown: list[Example], rng: np.random.Generator, options: BenchOpti
     half = Pool(pool.patches, pool.labels)
     settings = OfflineSettings(per_class=len(pool.labels) // 2)
     train(half, rng, OfflineSettings(ForestSettings(trees=1), per_class=100))  # compiles
-    ours = _cpu(lambda: train(half, np.random.default_rng(0), settings), 1)
+    ours = _cpu(lambda: train(half, np.random.default_rng(0), settings))
     features = _features(pool, rng)
     try:
         ensemble: Any = importlib.import_module("sklearn.ensemble")
         model = ensemble.RandomForestClassifier(15, max_depth=20, max_features=None, n_jobs=1, random_state=0)
-        theirs = _cpu(lambda: model.fit(features, pool.labels), 1)
+        theirs = _cpu(lambda: model.fit(features, pool.labels))
         rows.append(Row("offline_fit_s", "all", ours, "s", baseline="scikit-learn", baseline_value=theirs))
     except ImportError:
         rows.append(Row("offline_fit_s", "all", ours, "s"))
@@ -109,15 +103,17 @@ def _compared(shown: list[Example], rng: np.random.Generator, options: BenchOpti
     rows_, columns = np.nonzero(shown[0].depth[::7, ::7])
     labels = rng.integers(0, 2, len(rows_)).astype(np.int32)
     learner.forest.learn(picture, rows_[:64] * 7, columns[:64] * 7, labels[:64])
-    one = _cpu(lambda: learner.forest.learn(picture, rows_ * 7, columns * 7, labels), 1) / len(rows_)
+    one = _cpu(lambda: learner.forest.learn(picture, rows_ * 7, columns * 7, labels)) / len(rows_)
     try:
         river: Any = importlib.import_module("river.forest")
         model = river.ARFClassifier(n_models=15, seed=0)
         samples = [dict(enumerate(map(float, f))) for f in features[: 60 if options.quick else 200]]
-        began = time.thread_time()
-        for x, y in zip(samples, pool.labels.tolist(), strict=False):
-            model.learn_one(x, int(y))
-        theirs = (time.thread_time() - began) / len(samples)
+
+        def learn() -> None:
+            for x, y in zip(samples, pool.labels.tolist(), strict=False):
+                model.learn_one(x, int(y))
+
+        theirs = _cpu(learn) / len(samples)
         rows.append(Row("learn_one_us", "all", 1e6 * one, "us", baseline="river", baseline_value=1e6 * theirs))
     except ImportError:
         rows.append(Row("learn_one_us", "all", 1e6 * one, "us"))
