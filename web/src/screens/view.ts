@@ -94,7 +94,10 @@ function compare(made: ResultView, data: ViewData, others: readonly ResultEntry[
   return select("Compare with another run", choices, "", (id) => {
     if (!id) return made.compare(null);
     new ServerSource(id).data(signal).then(
-      (other) => made.compare({ data: other, shift: data.header.first_frame - other.header.first_frame }),
+      (other) => {
+        const name = others.find((r) => r.id === id)?.name ?? "";
+        made.compare({ data: other, shift: data.header.first_frame - other.header.first_frame }, name);
+      },
       (error: Error) => toast(error.message, "error"),
     );
   });

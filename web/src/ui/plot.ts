@@ -26,6 +26,8 @@ export interface PlotOptions {
   chosen?: (index: number) => void;
 }
 
+const ROOM = 4; // values that find room beside a plot's title
+
 /** A plot of values over time with a cursor line that follows the frame shown, and the values there in its title. */
 export class Plot {
   readonly element: HTMLElement;
@@ -43,9 +45,11 @@ export class Plot {
     private options: PlotOptions,
   ) {
     this.figures = series.map(() => h("b", { class: "number" }));
-    const legend = series.map((s, i) =>
-      h("span", { style: `--c: var(--${s.colour})`, class: s.dashed ? "dashed" : "" }, `${s.label} `, this.figures[i]),
-    );
+    const legend = series.flatMap((s, i) => {
+      if (s.dashed && series.length > ROOM) return [];
+      const style = `--c: var(--${s.colour})`;
+      return [h("span", { style, class: s.dashed ? "dashed" : "" }, `${s.label} `, this.figures[i])];
+    });
     this.element = h(
       "figure",
       { class: "plot" },
@@ -147,7 +151,7 @@ export class Plot {
           },
         },
         axes: [
-          { ...axis, size: 20, gap: 2, space: 60, values: (_, at, __, ___, step) => at.map((t) => clock(t, step)) },
+          { ...axis, size: 20, gap: 2, space: 60, values: (_, at, __, ___, step) => at.map((t) => this.timeText(t, step)) },
           { ...axis, size: 40, gap: 4, space: 22 },
         ],
         series: [
@@ -165,6 +169,11 @@ export class Plot {
       this.holder,
     );
     this.chart.over.append(this.line);
+  }
+
+  private timeText(seconds: number, step: number): string {
+    const long = (this.times[this.times.length - 1] ?? 0) >= 60;
+    return long ? clock(seconds, step) : seconds.toFixed(step >= 1 ? 0 : step >= 0.1 ? 1 : 2);
   }
 
   private shade(chart: uPlot): void {

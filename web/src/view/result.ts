@@ -50,6 +50,7 @@ export class ResultView {
   private readonly speed: HTMLSelectElement;
   private readonly layers = new Map<Layer, Toggle>();
   private readonly follow: Toggle;
+  private readonly legend = h("div", { class: "legend" });
   private readonly stop: (() => void)[] = [];
   private readonly measured = measure();
   private pending = false;
@@ -75,7 +76,7 @@ export class ResultView {
       this.space.show(this.player.row);
       this.schedule();
     }, { icon: "follow", title: "Keep the person in the middle" });
-    const holder = h("div", { class: "space-canvas" }, this.space.stage.canvas);
+    const holder = h("div", { class: "space-canvas" }, this.space.stage.canvas, this.legend);
     this.stop.push(onResize(holder, (w, height) => this.space.resize(w, height)));
     this.space.stage.canvas.setAttribute("aria-label", "The person in three dimensions; drag to turn, wheel to come closer");
     const space = h(
@@ -165,7 +166,12 @@ export class ResultView {
     else this.go(next);
   }
 
-  compare(beside: Beside | null): void {
+  /** Puts another run beside this one; null takes it away. */
+  compare(beside: Beside | null, name = ""): void {
+    this.legend.replaceChildren(
+      ...(beside ? [entry("middle", "this result"), entry("extrapolated", name)] : []),
+      ...(beside && this.space.hasTruth ? [entry("other", "truth")] : []),
+    );
     this.space.compare(beside);
     this.plots.compare(beside);
     this.schedule();
@@ -273,6 +279,10 @@ const TITLES: Record<Layer, string> = {
   cameras: "The cameras",
   truth: "The truth of this made-up recording",
 };
+
+function entry(tone: string, text: string): HTMLElement {
+  return h("span", { style: `--c: var(--${tone})` }, text);
+}
 
 function round(rate: number): string {
   return Number(rate.toFixed(2)).toString();
