@@ -23,12 +23,19 @@ from hypose.io.modes import load_modes
 from hypose.io.provenance import file_identity
 from hypose.io.recording import Recording
 from hypose.pipeline.anthropometry import load_subject
-from hypose.pipeline.mono_start import load_clicks
+from hypose.pipeline.mono_start import side_to_work_on
 from hypose.pipeline.mono_stream import MonoStream, one_view
-from hypose.pipeline.monocular import CITATION, MODES, MonoOptions, MonoResult, depth_note, track_stream
+from hypose.pipeline.monocular import (
+    CITATION,
+    MODES,
+    POINT_STARTS,
+    MonoOptions,
+    MonoResult,
+    clicks_of,
+    depth_note,
+    track_stream,
+)
 from hypose.pipeline.run import TrackOptions
-
-POINT_STARTS = ("auto", "keypoints")
 
 
 def one_camera(
@@ -73,7 +80,8 @@ def run_mono_job(
     compute.warm_up()
     progress("compile", 1, 1)
     progress("background", 0, 1)
-    with MonoStream(job.recording, options.evidence) as stream:
+    side = side_to_work_on(job.recording, clicks_of(options, job.recording))
+    with MonoStream(job.recording, options.evidence, side) as stream:
         progress("background", 1, 1)
         tracked = _earlier(job, record) if job.resume else None
         if tracked is None:
@@ -103,7 +111,7 @@ def _check(job: Job, options: MonoOptions) -> None:
                 f"--start {options.start} is no file of clicked joints, and with one camera it can otherwise only be "
                 f"{' or '.join(POINT_STARTS)}; give one of these."
             )
-        load_clicks(options.start, job.recording)
+        clicks_of(options, job.recording)
 
 
 def _earlier(job: Job, record: Mapping[str, object]) -> MonoResult | None:

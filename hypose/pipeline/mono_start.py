@@ -24,12 +24,13 @@ from hypose.cameras.camera import Camera
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.keypoints import person_size
 from hypose.geometry import Array
+from hypose.io.frames import FrameOptions, load_keypoints
 from hypose.io.recording import Recording
 from hypose.io.video import open_video
 from hypose.monocular.initialise import LEAST_POINTS, InitialFit, initialise
 from hypose.monocular.settings import MonoSettings
 from hypose.monocular.types import MonoPoints, clicked_joints, points_from_keypoints
-from hypose.pipeline.mono_stream import MonoStream
+from hypose.pipeline.mono_stream import MonoStream, working_side
 
 CLICK_SHARE, KEYPOINT_SHARE = 0.010, 0.016
 """1 sd of a click and of a detector's point, as a share of the person's size in the picture."""
@@ -67,8 +68,7 @@ def load_clicks(path: str | Path, recording: Recording) -> Clicks:
             f"The clicks in {path} belong to frame {document['frame']}, and tracking begins at frame {first}; give "
             f"--frames {document['frame']}: or click in frame {first}."
         )
-    assert view.source is not None
-    with open_video(view.source) as reader:
+    with open_video(_source(recording)) as reader:
         size = reader.size
     joints = {name: _click(path, name, at, size) for name, at in document["joints"].items()}
     if len(joints) < LEAST_POINTS:
@@ -94,13 +94,35 @@ def _click(path: Path, name: str, at: Any, size: tuple[int, int]) -> tuple[float
 def clicked_pixels(clicks: Clicks, recording: Recording, working: Camera) -> dict[str, tuple[float, float]]:
     """Clicks in the undistorted pixels of the working camera."""
     view, camera = recording.views[0], recording.rig[0]
-    assert view.source is not None
-    with open_video(view.source) as reader:
+    with open_video(_source(recording)) as reader:
         stored = np.array(reader.size, dtype=np.float64)
     pixels = np.array(list(clicks.joints.values()))
     calibrated = (pixels + 0.5) * np.array(camera.size) / stored - 0.5 + np.asarray(view.image_shift)
     shown = (camera.undistort_points(calibrated) + 0.5) * np.array(working.size) / np.array(camera.size) - 0.5
     return {name: (float(u), float(v)) for name, (u, v) in zip(clicks.joints, shown, strict=True)}
+
+
+def side_to_work_on(recording: Recording, clicks: Clicks | None) -> int:
+    """Longer side of the working pictures, px, by the size of the person at the start."""
+    if clicks is not None:
+        with open_video(_source(recording)) as reader:
+            return working_side(recording, _extent(np.array(list(clicks.joints.values()))), reader.size)
+    points = load_keypoints(recording)
+    sizes = [person_size(k.points[0]) for k in (points or [])[: 1 + int(recording.frame_rate)]]
+    found = [s for s in sizes if s > 0]
+    if points is None or not found:
+        return FrameOptions().longer_side
+    return working_side(recording, float(np.median(found)), points[0].rig[0].size)
+
+
+def _extent(pixels: Array) -> float:
+    return float(np.ptp(pixels, axis=0).max())
+
+
+def _source(recording: Recording) -> Path:
+    source = recording.views[0].source
+    assert source is not None  # mono_stream.one_view saw to it
+    return source
 
 
 def find_start(
@@ -117,7 +139,7 @@ def find_start(
     if clicks is not None:
         at, source = 0, f"{len(clicks.joints)} clicked joints"
         pixels = clicked_pixels(clicks, recording, stream.camera)
-        scale = max(FEWEST_PX, CLICK_SHARE * float(np.ptp(np.array(list(pixels.values())), axis=0).max()))
+        scale = max(FEWEST_PX, CLICK_SHARE * _extent(np.array(list(pixels.values()))))
 
         def points_on(b: Body) -> MonoPoints:
             return clicked_joints(b, pixels, scale)

@@ -18,6 +18,9 @@ from hypose.monocular.types import MonoFrame
 
 CUES = ("auto", "edges", "silhouettes", "keypoints", "both")
 """What is used besides edges and flow: all there is, nothing, masks, key points, or both."""
+TARGET_PX = 250.0
+"""The person's size in the pictures that are worked on: larger ones cost time, smaller ones limbs."""
+SMALLEST_SIDE = 320
 
 
 def one_view(recording: Recording, camera: str | None) -> Recording:
@@ -40,6 +43,14 @@ def one_view(recording: Recording, camera: str | None) -> Recording:
             "video in recording.toml."
         )
     return replace(recording, views=(view,), rig=CameraRig((recording.rig[k],)))
+
+
+def working_side(recording: Recording, person_px: float, picture: tuple[int, int]) -> int:
+    """Longer side of the pictures to work on, px, so that somebody who is person_px tall in pictures of that size
+    (width, height) is about TARGET_PX tall."""
+    longest = max(recording.rig[0].size)
+    share = person_px / max(picture)
+    return round(float(np.clip(TARGET_PX / max(share, 1e-3), min(SMALLEST_SIDE, longest), longest)))
 
 
 class MonoStream:

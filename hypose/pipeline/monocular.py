@@ -20,7 +20,7 @@ from hypose.io.results import Checkpoint, ResultsFolder, save_motion
 from hypose.monocular.settings import MonoSettings
 from hypose.monocular.tracker import MonoTracker
 from hypose.monocular.types import MonoEstimate, MonoHypotheses, MonoState, posterior_arrays
-from hypose.pipeline.mono_start import find_start, keypoints_on, load_clicks
+from hypose.pipeline.mono_start import Clicks, find_start, keypoints_on, load_clicks
 from hypose.pipeline.mono_stream import MonoStream
 from hypose.pipeline.run import Progress
 
@@ -29,6 +29,8 @@ CITATION = (
     "constant-velocity prediction, calibrated regions and mirrored limbs at the start."
 )
 MODES = "modes.npz"
+POINT_STARTS = ("auto", "keypoints")
+"""Starts that are no file of clicks."""
 _BODY = "body.npz"
 _STATE = ("poses", "velocities", "covariances", "weights", "costs", "evidence", "labels")
 
@@ -83,6 +85,11 @@ class _Rows:
 
     def __len__(self) -> int:
         return len(self.lost)
+
+
+def clicks_of(options: MonoOptions, recording: Recording) -> Clicks | None:
+    """The clicks that a track starts from; None when it starts from key points."""
+    return None if options.start in POINT_STARTS else load_clicks(options.start, recording)
 
 
 def track_stream(
@@ -165,7 +172,7 @@ def _begin(
         state, rows = _from_checkpoint(saved, str(results.checkpoint))
         return load_body(results.file(_BODY)), state, rows, tuple(saved.meta["notes"])
     report("subject", 0, 1)
-    clicks = None if options.start in ("auto", "keypoints") else load_clicks(options.start, stream.recording)
+    clicks = clicks_of(options, stream.recording)
     fit, notes = find_start(stream, clicks=clicks, body=given, height=options.height, settings=settings)
     report("subject", 1, 1)
     if results is not None:
