@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -146,7 +146,7 @@ class CameraRig:
     def __len__(self) -> int:
         return len(self.cameras)
 
-    def __iter__(self):  # noqa: ANN204 - iterator of Camera
+    def __iter__(self) -> Iterator[Camera]:
         return iter(self.cameras)
 
     def __getitem__(self, index: int) -> Camera:
