@@ -6,7 +6,7 @@ import numpy as np
 
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import localise
-from hypose.gestures.online import Learner
+from hypose.gestures.online import Example, Learner, LearnSettings
 from hypose.gestures.session import SessionSettings
 from hypose.gestures.trainer import Trainer
 
@@ -89,3 +89,18 @@ def test_hard_negatives_are_taken_at_the_maximum_and_in_proportion_to_it():
     expected = int(np.ceil(settings.hard * min(1.0, found.score / strength)))
     assert strong.learned[0] <= expected + settings.few
     assert strong.learned[0] >= 0.8 * expected
+
+
+def test_pixels_around_the_place_are_learned_as_background():
+    depth = np.full((150, 200), 1000, np.uint16)
+    learned = {}
+    for around in (0, 10):
+        settings = LearnSettings(positives=5, around=around, beside=0, hard=0, rim_mm=20, clear_mm=45)
+        learner = Learner.new(np.random.default_rng(0), None, settings)
+        taught = learner.show(depth, LENS, 1, 100.0, 75.0)
+        assert taught is not None
+        learned[around] = taught.learned
+    assert learned == {0: (0, 5), 10: (10, 5)}
+    pixels = learner.choose(Example(depth, LENS, 1, 100.0, 75.0), 5, 0)
+    distance = np.hypot(pixels[2][0] - 75, pixels[2][1] - 100) / (LENS.fx / 1000)
+    assert pixels[2][2] == 0 and distance.min() > 17 and distance.max() < 48  # half a pixel is 2.5 mm
