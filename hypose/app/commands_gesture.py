@@ -249,3 +249,15 @@ def evaluate(
         values = gesture_job.evaluate(loaded, session)
         progress("check", 1, 1)
     print(json.dumps({k: round(v, 4) for k, v in values.items()}, indent=2))
+
+
+@app.command("studio")
+def studio(
+    folder: Annotated[Path, typer.Argument(help="Folder for sessions and models. [default: this folder]")] = Path(),
+    port: Annotated[int, typer.Option(help="Port of this computer; 0 takes any free one.")] = 8765,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
+) -> None:
+    """Teach gestures on a page: live picture, prompts, scores, undo, test (hypose view, opened at the trainer)."""
+    from hypose.app.commands_studio import open_studio
+
+    open_studio(folder, "gesture", port=port, browser=not no_browser)

@@ -39,11 +39,18 @@ def view(
 ) -> None:
     """Open the studio: results in 3D with their pictures, corrections by clicks, gestures, new recordings."""
     set_threads(threads)
-    open_studio(what, "", host, port, token, upload_limit, not no_browser)
+    open_studio(what, "", host=host, port=port, token=token, upload_limit=upload_limit, browser=not no_browser)
 
 
 def open_studio(
-    what: Path, screen: str, host: str, port: int, token: str | None, upload_limit: float, browser: bool
+    what: Path,
+    screen: str,
+    *,
+    port: int,
+    browser: bool,
+    host: str = "127.0.0.1",
+    token: str | None = None,
+    upload_limit: float = 4.0,
 ) -> None:
     """Serve the folder of `what` until Ctrl-C; screen: what the page shows first, by default what fits `what`."""
     from hypose.app.studio.server import NOT_BUILT, STATIC, StudioOptions, run

@@ -2,10 +2,11 @@ import "./style.css";
 import { route } from "./router";
 import { click } from "./screens/click";
 import { gesture } from "./screens/gesture";
+import { live } from "./screens/live";
 import { setup } from "./screens/setup";
 import { view } from "./screens/view";
 import { startTheme } from "./ui/theme";
 
 startTheme();
 const root = document.getElementById("app");
-if (root) route(root, { view, gesture, click, setup }, "view");
+if (root) route(root, { view, gesture, click, setup, live }, "view");

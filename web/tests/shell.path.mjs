@@ -5,7 +5,7 @@ import { walk } from "./harness.mjs";
 for (const colorScheme of ["dark", "light"]) {
   await walk(
     async ({ page, picture }) => {
-      for (const screen of ["view", "gesture", "click", "setup"]) {
+      for (const screen of ["view", "gesture", "click", "setup", "live"]) {
         await page.evaluate((name) => (location.hash = `#/${name}`), screen);
         await page.waitForFunction(() => document.querySelector("#app")?.textContent?.trim());
         await page.waitForTimeout(300);

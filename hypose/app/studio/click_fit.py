@@ -90,18 +90,23 @@ def clicks_of(views: Any, rig: CameraRig) -> Clicks:
         if name not in rig.names or not isinstance(points, list):
             raise InputError(f"There is no camera {str(name)[:40]!r}; there are {', '.join(rig.names)}.")
         for p in points:
-            joint, x, y = (p.get(k) for k in ("joint", "x", "y")) if isinstance(p, dict) else (None,) * 3
-            if joint not in CLICK_JOINTS:
+            joint = p.get("joint") if isinstance(p, dict) else None
+            if not isinstance(joint, str) or joint not in CLICK_JOINTS:
                 raise InputError(f"There is no joint {str(joint)[:40]!r} to click.")
-            if not all(isinstance(v, int | float) and not isinstance(v, bool) and abs(v) < 1e5 for v in (x, y)):
-                raise InputError(f"The click on {joint} has no position.")
-            found.setdefault(name, {})[joint] = (float(x), float(y), _OCCLUDED if p.get("occluded") else 1.0)
+            weight = _OCCLUDED if p.get("occluded") else 1.0
+            found.setdefault(name, {})[joint] = (_pixel(p.get("x"), joint), _pixel(p.get("y"), joint), weight)
     cameras = [n for n in rig.names if n in found]
     if not cameras:
         raise InputError("Nothing is clicked yet.")
     names = tuple(n for n in CLICK_JOINTS if any(n in found[c] for c in cameras))
     table = np.array([[found[c].get(n, (0.0, 0.0, 0.0)) for n in names] for c in cameras])
     return Clicks(rig.select(cameras).pinhole(), names, table[..., :2], table[..., 2])
+
+
+def _pixel(value: Any, joint: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e5:
+        raise InputError(f"The click on {joint} has no position.")
+    return float(value)
 
 
 def fit_clicks(

@@ -2,13 +2,14 @@ import { h, put } from "./dom";
 import { icon, type IconName } from "./icons";
 import { themeButton } from "./theme";
 
-export type ScreenName = "view" | "gesture" | "click" | "setup";
+export type ScreenName = "view" | "gesture" | "click" | "setup" | "live";
 
 const SCREENS: readonly { name: ScreenName; label: string; icon: IconName }[] = [
   { name: "view", label: "View", icon: "skeleton" },
   { name: "setup", label: "Set up", icon: "camera" },
   { name: "click", label: "Click to start", icon: "plus" },
   { name: "gesture", label: "Gestures", icon: "hand" },
+  { name: "live", label: "Live", icon: "play" },
 ];
 
 const MARK =

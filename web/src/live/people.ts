@@ -1,0 +1,127 @@
+import { DynamicDrawUsage, Group, InstancedMesh, Matrix4, MeshBasicMaterial, SphereGeometry, Vector3 } from "three";
+import { onResize } from "../ui/dom";
+import { colour, onTheme } from "../ui/theme";
+import { Sticks } from "../view/figure";
+import { Stage } from "../view/stage";
+import type { Person } from "./messages";
+
+const SPREAD = 2; // standard deviations
+const HIPS = ["left_hip", "right_hip"];
+
+interface Figure {
+  sticks: Sticks;
+  spread: InstancedMesh;
+  joints: Float32Array;
+}
+
+/** Everybody who is seen just now, with spheres of two standard deviations around the joints. */
+export class People {
+  readonly stage: Stage;
+  drawn = 0;
+  private readonly figures = new Map<number, Figure>();
+  private readonly box = new Group();
+  private readonly stops: (() => void)[];
+  private readonly matrix = new Matrix4();
+  private waiting = 0;
+  /** Which axis of the reference sensor points up, found when somebody is seen: index and sign. */
+  private up: [number, number] | null = null;
+
+  constructor(
+    private readonly names: readonly string[],
+    private readonly parents: readonly number[],
+    host: HTMLElement,
+  ) {
+    this.stage = new Stage(() => this.later());
+    this.stage.over.add(this.box);
+    host.append(this.stage.canvas);
+    this.stage.layFloor(0, 0, 0, 4);
+    this.stage.look(new Vector3(0, 0, 0.9), new Vector3(0.5, -1, 0.4), 2.2);
+    this.stops = [
+      onResize(host, (w, h) => this.stage.resize(w, h)),
+      onTheme(() => {
+        for (const f of this.figures.values()) {
+          f.sticks.recolour();
+          (f.spread.material as MeshBasicMaterial).color.set(colour("accent"));
+        }
+        this.stage.recolour();
+      }),
+    ];
+  }
+
+  show(people: readonly Person[]): void {
+    const first = people[0];
+    if (first && !this.up) this.find(first);
+    for (const [id, figure] of this.figures) {
+      if (people.some((p) => p.id === id)) continue;
+      this.box.remove(figure.sticks.group, figure.spread);
+      this.figures.delete(id);
+    }
+    for (const person of people) this.place(this.figures.get(person.id) ?? this.add(person.id), person);
+    this.later();
+  }
+
+  close(): void {
+    cancelAnimationFrame(this.waiting);
+    for (const stop of this.stops) stop();
+    this.stage.close();
+  }
+
+  private add(id: number): Figure {
+    const material = new MeshBasicMaterial({ transparent: true, opacity: 0.26, depthWrite: false });
+    material.color.set(colour("accent"));
+    const spread = new InstancedMesh(new SphereGeometry(1, 14, 10), material, this.names.length);
+    spread.frustumCulled = false;
+    spread.instanceMatrix.setUsage(DynamicDrawUsage);
+    const sticks = new Sticks(this.parents, this.names, null, 1.4);
+    const figure = { sticks, spread, joints: new Float32Array(3 * this.names.length) };
+    this.box.add(sticks.group, spread);
+    this.figures.set(id, figure);
+    return figure;
+  }
+
+  private place(figure: Figure, person: Person): void {
+    person.joints.forEach((joint, j) => {
+      const p = this.upright(joint);
+      figure.joints.set(p, 3 * j);
+      const r = SPREAD * (person.sd[j] ?? 0);
+      if (r > 0 && Number.isFinite(p[0])) this.matrix.makeScale(r, r, r).setPosition(p[0], p[1], p[2]);
+      else this.matrix.makeScale(0, 0, 0);
+      figure.spread.setMatrixAt(j, this.matrix);
+    });
+    figure.sticks.place(figure.joints, 0);
+    figure.spread.instanceMatrix.needsUpdate = true;
+  }
+
+  /** Up is the axis along which this person's neck lies farthest above the hips; the floor lies below the feet. */
+  private find(person: Person): void {
+    const at = (name: string): Vector3 => new Vector3().fromArray(person.joints[this.names.indexOf(name)]!.map((v) => v ?? NaN));
+    const hips = HIPS.map(at).reduce((a, b) => a.add(b)).divideScalar(HIPS.length);
+    const rise = at("neck").sub(hips).toArray();
+    const axis = [0, 1, 2].reduce((a, b) => (Math.abs(rise[b]!) > Math.abs(rise[a]!) ? b : a));
+    if (!Number.isFinite(rise[axis])) return;
+    this.up = [axis, Math.sign(rise[axis]!)];
+    const places = person.joints.map((j) => this.upright(j)).filter((p) => Number.isFinite(p[2]));
+    const low = Math.min(...places.map((p) => p[2])) - 0.08;
+    const [x, y] = this.upright(hips.toArray());
+    this.stage.layFloor(low, x, y, 4);
+    this.stage.look(new Vector3(x, y, low + 0.9), new Vector3(0.5, -1, 0.35), 1.6);
+  }
+
+  /** A point of the sensor's frame in one whose z axis points up. */
+  private upright(p: readonly (number | null)[]): [number, number, number] {
+    const v = [0, 1, 2].map((k) => p[k] ?? NaN) as [number, number, number];
+    const [axis, sign] = this.up ?? [2, 1];
+    if (axis === 2) return sign > 0 ? v : [v[0], -v[1], -v[2]];
+    // the other two axes keep their handedness
+    const [a, b] = axis === 1 ? [v[2], v[0]] : [v[1], v[2]];
+    return sign > 0 ? [a, b, v[axis]!] : [b, a, -v[axis]!];
+  }
+
+  private later(): void {
+    this.waiting ||= requestAnimationFrame(() => {
+      this.waiting = 0;
+      this.stage.draw();
+      this.drawn++;
+    });
+  }
+}

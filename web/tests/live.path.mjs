@@ -1,0 +1,61 @@
+// Two sensors send a person who walks; the page shows one skeleton and how the sensors do.
+import assert from "node:assert/strict";
+import { createSocket } from "node:dgram";
+import { walk } from "./harness.mjs";
+
+// OpenNI's joints of a person who stands upright in the frame of a sensor whose y axis points up, metres.
+const STANDING = {
+  head: [0, 0.65, 0], neck: [0, 0.45, 0], torso: [0, 0.1, 0],
+  left_shoulder: [0.18, 0.42, 0], left_elbow: [0.24, 0.15, 0], left_hand: [0.26, -0.1, 0.05],
+  right_shoulder: [-0.18, 0.42, 0], right_elbow: [-0.24, 0.15, 0], right_hand: [-0.26, -0.1, 0.05],
+  left_hip: [0.1, -0.1, 0], left_knee: [0.11, -0.5, 0.02], left_foot: [0.11, -0.9, 0],
+  right_hip: [-0.1, -0.1, 0], right_knee: [-0.11, -0.5, 0.02], right_foot: [-0.11, -0.9, 0],
+};
+/** What a sensor turned by `angle` about the vertical sees at a time (s). */
+function seen(time, angle) {
+  const joints = {};
+  const [x, z] = [0.5 * Math.sin(time), 0.3 * Math.cos(0.7 * time)];
+  for (const [name, p] of Object.entries(STANDING)) {
+    const swing = name.includes("hand") ? 0.12 * Math.sin(3 * time) * (name.startsWith("left") ? 1 : -1) : 0;
+    const [a, b] = [p[0] + x, p[2] + z + swing];
+    joints[name] = [Math.cos(angle) * a + Math.sin(angle) * b, p[1], Math.cos(angle) * b - Math.sin(angle) * a + 2.5, 2];
+  }
+  return joints;
+}
+
+await walk(
+  async ({ page, picture }) => {
+    await page.getByText("Not running").waitFor();
+    await picture("live-empty");
+    await page.getByLabel("UDP port").fill("0");
+    await page.getByLabel("WebSocket port").fill("0");
+    await page.getByRole("button", { name: "Start" }).click();
+    const text = await page.getByText(/awaited at UDP/).textContent();
+    const port = Number(/UDP 127\.0\.0\.1:(\d+)/.exec(text)[1]);
+    const socket = createSocket("udp4");
+    const began = performance.now();
+    const timer = setInterval(() => {
+      const time = (performance.now() - began) / 1000;
+      for (const [sensor, angle] of [["left", 0], ["right", 0.9]]) {
+        socket.send(JSON.stringify({ sensor, time, person: 0, joints: seen(time, angle) }), port, "127.0.0.1");
+      }
+    }, 33);
+    try {
+      await page.waitForFunction(() => globalThis.__app.frames > 60 && globalThis.__app.people === 1);
+      await page.getByText("in place").first().waitFor();
+      assert.equal(await page.locator("tbody tr").count(), 2);
+      const drawn = await page.evaluate(() => globalThis.__app.pictures);
+      await page.waitForFunction((before) => globalThis.__app.pictures > before + 10, drawn);
+      await picture("live");
+      // a page that comes later sees the same
+      await page.reload({ waitUntil: "commit" });
+      await page.waitForFunction(() => globalThis.__app?.people === 1);
+      await page.getByRole("button", { name: "Stop" }).click();
+      await page.getByText("Not running").waitFor();
+    } finally {
+      clearInterval(timer);
+      socket.close();
+    }
+  },
+  { at: "#/live", colorScheme: "dark" },
+);
