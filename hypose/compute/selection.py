@@ -6,7 +6,7 @@ import contextlib
 import os
 import re
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
@@ -78,10 +78,22 @@ def over_chunks(work: Callable[[int, int], None], n: int, threads: int | None, s
         if n:
             work(0, n)
         return
-    cuts = [n * k // count for k in range(count + 1)]
-    waiting = [_pool(count, os.getpid()).submit(work, a, b) for a, b in zip(cuts[1:-1], cuts[2:], strict=True)]
-    work(cuts[0], cuts[1])
-    for future in waiting:
+    # more chunks than threads, taken as they come: a core may be busy with the evidence of the next frame
+    pieces = min(count + 1, n // max(smallest, 1))
+    cuts = [n * k // pieces for k in range(pieces + 1)]
+    chunks = iter(zip(cuts[:-1], cuts[1:], strict=True))  # next() on it is atomic
+
+    def take() -> None:
+        for first, last in chunks:
+            work(first, last)
+
+    waiting = [_pool(count, os.getpid()).submit(take) for _ in range(count - 1)]
+    try:
+        take()
+    finally:  # whatever happened, nobody may go on working on the caller's arrays
+        begun = [future for future in waiting if not future.cancel()]
+        wait(begun)
+    for future in begun:
         future.result()
 
 

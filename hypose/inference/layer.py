@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -40,7 +40,6 @@ class Weigh(Protocol):
         ...
 
 
-@runtime_checkable
 class SelectiveWeigh(Protocol):
     """A Weigh that chooses its own exponent and can tell it: measure returns log-likelihoods (*B, N) and
     beta (*B,).
@@ -145,6 +144,7 @@ def search(h: Hypotheses, recipe: Recipe, frame: Any, rng_of_layer: RngOfLayer) 
 
 
 def _measure(weigh: Weigh, h: Hypotheses, frame: Any) -> tuple[FloatArray, FloatArray]:
-    if isinstance(weigh, SelectiveWeigh):
-        return weigh.measure(h, frame)
+    measure = getattr(weigh, "measure", None)  # isinstance of a protocol takes 20 times as long
+    if measure is not None:
+        return measure(h, frame)
     return weigh(h, frame), np.full(h.log_weights.shape[:-1], np.nan)

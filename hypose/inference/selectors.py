@@ -127,8 +127,12 @@ class Elite:
 
     def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
         """Equal weights again."""
-        order = np.argsort(-h.relative_log_weights, axis=-1, kind="stable")
-        index = order[..., np.arange(h.count) % min(self.k, h.count)]
+        weights = h.relative_log_weights
+        if self.k == 1:
+            index = np.repeat(weights.argmax(axis=-1)[..., None], h.count, axis=-1)
+        else:
+            order = np.argsort(-weights, axis=-1, kind="stable")
+            index = order[..., np.arange(h.count) % min(self.k, h.count)]
         index[..., : self.keep] = np.arange(h.count)[: self.keep]
         drawn = h.take(index)
         return Hypotheses.uniform(np.where(self.coordinates, drawn.values, h.values), h.label, h.covariance)

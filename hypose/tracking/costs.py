@@ -11,7 +11,7 @@ from hypose import compute
 from hypose.body.body import Body
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.evidence import PreparedFrame, posed
+from hypose.tracking.evidence import PreparedFrame
 
 
 @dataclass(frozen=True)
@@ -58,12 +58,12 @@ def _counts(body: Body, poses: Array, frame: PreparedFrame) -> NDArray[np.int64]
     assert frame.masks is not None
     if len(poses) > _FEW:
         return _count(body, poses, frame.masks)
-    counts, keys = frame.known.counts, [posed(body, pose) for pose in poses]
-    new = [n for n, key in enumerate(keys) if key not in counts]
+    found = [frame.counts.get(body, pose) for pose in poses]
+    new = [n for n, counts in enumerate(found) if counts is None]
     if new:
-        for n, found in zip(new, _count(body, poses[new], frame.masks), strict=True):
-            counts[keys[n]] = found
-    return np.stack([counts[key] for key in keys])
+        for n, counts in zip(new, _count(body, poses[new], frame.masks), strict=True):
+            found[n] = frame.counts.keep(body, poses[n], counts)
+    return np.stack([counts for counts in found if counts is not None])
 
 
 def _count(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import dataclass, field
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,22 +19,25 @@ from hypose.fitting.articulated import ContourTerm, KeypointTerm, contour_term
 from hypose.geometry import Array
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term
 
-Posed = tuple[int, bytes]
-"""A pose of a body: the body's identity and the pose's bytes."""
+_Found = TypeVar("_Found")
 
 
-@dataclass(frozen=True)
-class Known:
-    """What somebody has found out about single poses in a frame, so that nobody does it again: counts (C, 3) of the
-    silhouettes, hessians (D, D) of the solved cost."""
+class PoseMemory(Generic[_Found]):
+    """What somebody has found out about single poses of a body, so that nobody does it again."""
 
-    counts: dict[Posed, NDArray[np.int64]] = field(default_factory=dict)
-    hessians: dict[Posed, Array] = field(default_factory=dict)
+    def __init__(self) -> None:
+        # with the bodies, so that no other one gets the identity of a body that is gone
+        self._found: dict[tuple[int, bytes], tuple[Body, _Found]] = {}
 
+    def get(self, body: Body, pose: Array) -> _Found | None:
+        """What was kept of a pose (D,), or None."""
+        known = self._found.get((id(body), pose.tobytes()))
+        return None if known is None else known[1]
 
-def posed(body: Body, pose: Array) -> Posed:
-    """The key of a pose (D,) of a body."""
-    return id(body), np.asarray(pose, dtype=np.float64).tobytes()
+    def keep(self, body: Body, pose: Array, found: _Found) -> _Found:
+        """Keeps what was found, and returns it."""
+        self._found[id(body), pose.tobytes()] = body, found
+        return found
 
 
 @dataclass(frozen=True)
@@ -41,7 +45,8 @@ class PreparedFrame:
     """One frame ready to be searched. masks and contours are None when no view has a usable silhouette, keypoints is
     None when there are no key points. prediction (D,): the pose expected before looking at the evidence, and
     prediction_weight: how strongly solves are pulled to it (1 / rad^2 in units of the robust rows' cost). usual_iou:
-    how well the body has overlapped the masks so far (NaN: not known)."""
+    how well the body has overlapped the masks so far (NaN: not known). counts: of the silhouettes of single poses,
+    (C, 3); hessians: of their solves, (D, D)."""
 
     frame: Frame
     prediction: Array
@@ -50,7 +55,8 @@ class PreparedFrame:
     keypoints: KeypointTerm | None
     prediction_weight: float = 0.1
     usual_iou: float = float("nan")
-    known: Known = field(default_factory=Known, compare=False, repr=False)
+    counts: PoseMemory[NDArray[np.int64]] = field(default_factory=PoseMemory, compare=False, repr=False)
+    hessians: PoseMemory[Array] = field(default_factory=PoseMemory, compare=False, repr=False)
 
     @property
     def usable(self) -> bool:

@@ -17,7 +17,7 @@ from hypose.geometry import Array
 from hypose.inference.estimates import TangentMean
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.costs import silhouette_iou, xor_energy
-from hypose.tracking.evidence import PreparedFrame, posed
+from hypose.tracking.evidence import PreparedFrame
 
 REFINED, SETTLED = 1, 2
 """Labels: REFINED is the hypothesis that a refinement put in; in a settled frame the others are SETTLED, else 0."""
@@ -192,7 +192,8 @@ def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveOption
     """Independent robust solves from starts (N, D) on a frame's evidence, with anatomical and prediction priors."""
     priors = (anatomical_prior(body.skeleton), prediction_prior(frame.prediction, frame.prediction_weight))
     fits = fit_poses(body, starts, contours=frame.contours, keypoints=frame.keypoints, priors=priors, options=options)
-    frame.known.hessians.update((posed(body, fit.pose), fit.hessian) for fit in fits)
+    for fit in fits:
+        frame.hessians.keep(body, fit.pose, fit.hessian)
     return fits
 
 

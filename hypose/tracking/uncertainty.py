@@ -12,7 +12,7 @@ from hypose.body.body import Body
 from hypose.fitting.articulated import SolveOptions
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.evidence import PreparedFrame, posed
+from hypose.tracking.evidence import PreparedFrame
 from hypose.tracking.refinement import refine
 
 # The default weight of a contour row (0.05) already makes up for rows that err together and for a body whose shape is
@@ -41,7 +41,7 @@ def uncertainty_of_pose(body: Body, pose: Array, frame: PreparedFrame) -> PoseUn
     Covariance of the joints = inflation^2 H^-1 with the priors in H, so a joint that no view sees keeps the prior's
     spread.
     """
-    hessian = frame.known.hessians.get(posed(body, pose))
+    hessian = frame.hessians.get(body, pose)
     if hessian is None:
         hessian = refine(body, pose[None], frame, SolveOptions(iterations=0, coarse_iterations=0))[0].hessian
     sd = compute.joint_spread(pose, body.skeleton.tree, hessian)
