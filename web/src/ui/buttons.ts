@@ -20,7 +20,7 @@ export function button(text: string, act: (event: Event) => void, options: Butto
       type: "button",
       class: ["button", options.kind ?? "", text ? "" : "only-icon"].filter(Boolean).join(" "),
       title: tip || null,
-      "aria-label": text ? null : title,
+      "aria-label": text || title,
       "aria-keyshortcuts": options.key ?? null,
       onclick: act,
     },
