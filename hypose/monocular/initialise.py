@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.cameras.camera import Camera
 from hypose.errors import EvidenceError
-from hypose.fitting.articulated import KeypointTerm, Quadratic, SolveOptions, fit_poses
+from hypose.fitting.articulated import KeypointTerm, Quadratic, SolveOptions, fit_pose
 from hypose.geometry import Array, so3_exp, so3_log
 from hypose.inference.newton import minimise
 from hypose.inference.robust import Lorentzian
@@ -181,7 +181,7 @@ def _solved(
     fits = []
     for start in starts:
         priors = (anatomical_prior(body.skeleton), Quadratic(start, held))
-        fits += fit_poses(body, start[None], keypoints=term, priors=priors, options=options, threads=1)
+        fits.append(fit_pose(body, start, keypoints=term, priors=priors, options=options))
     return np.stack([f.pose for f in fits]), np.array([f.cost for f in fits])
 
 

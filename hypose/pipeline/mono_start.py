@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,12 +36,8 @@ CLICK_SHARE, KEYPOINT_SHARE = 0.010, 0.016
 FEWEST_PX = 1.0
 
 
-@dataclass(frozen=True)
-class Clicks:
-    """Joints clicked in a recorded picture: name -> (u, v) px; frame: number in the recording, None = the first."""
-
-    joints: Mapping[str, tuple[float, float]]
-    frame: int | None
+Clicks = Mapping[str, tuple[float, float]]
+"""Joints clicked in a recorded picture: name -> (u, v) px."""
 
 
 def load_clicks(path: str | Path, recording: Recording) -> Clicks:
@@ -73,7 +68,7 @@ def load_clicks(path: str | Path, recording: Recording) -> Clicks:
     joints = {name: _click(path, name, at, size) for name, at in document["joints"].items()}
     if len(joints) < LEAST_POINTS:
         raise InputError(f"{path} holds {len(joints)} clicked joints; at least {LEAST_POINTS} are needed to start.")
-    return Clicks(joints, document.get("frame"))
+    return joints
 
 
 def _click(path: Path, name: str, at: Any, size: tuple[int, int]) -> tuple[float, float]:
@@ -96,17 +91,17 @@ def clicked_pixels(clicks: Clicks, recording: Recording, working: Camera) -> dic
     view, camera = recording.views[0], recording.rig[0]
     with open_video(_source(recording)) as reader:
         stored = np.array(reader.size, dtype=np.float64)
-    pixels = np.array(list(clicks.joints.values()))
+    pixels = np.array(list(clicks.values()))
     calibrated = (pixels + 0.5) * np.array(camera.size) / stored - 0.5 + np.asarray(view.image_shift)
     shown = (camera.undistort_points(calibrated) + 0.5) * np.array(working.size) / np.array(camera.size) - 0.5
-    return {name: (float(u), float(v)) for name, (u, v) in zip(clicks.joints, shown, strict=True)}
+    return {name: (float(u), float(v)) for name, (u, v) in zip(clicks, shown, strict=True)}
 
 
 def side_to_work_on(recording: Recording, clicks: Clicks | None) -> int:
     """Longer side of the working pictures, px, by the size of the person at the start."""
     if clicks is not None:
         with open_video(_source(recording)) as reader:
-            return working_side(recording, _extent(np.array(list(clicks.joints.values()))), reader.size)
+            return working_side(recording, _extent(np.array(list(clicks.values()))), reader.size)
     points = load_keypoints(recording)
     sizes = [person_size(k.points[0]) for k in (points or [])[: 1 + int(recording.frame_rate)]]
     found = [s for s in sizes if s > 0]
@@ -137,7 +132,7 @@ def find_start(
     recording = stream.recording
     template = body or human()
     if clicks is not None:
-        at, source = 0, f"{len(clicks.joints)} clicked joints"
+        at, source = 0, f"{len(clicks)} clicked joints"
         pixels = clicked_pixels(clicks, recording, stream.camera)
         scale = max(FEWEST_PX, CLICK_SHARE * _extent(np.array(list(pixels.values()))))
 
