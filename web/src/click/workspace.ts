@@ -108,7 +108,8 @@ export class Workspace {
       tab.textContent = n ? `${name} · ${n}` : name;
     }
     for (const b of this.save.querySelectorAll("button")) b.disabled = !fitter.state.fit;
-    Object.assign(this.counters, { fit: fitter.state, clicks: state.clicks, joint: state.joint, drawn3d: () => this.space.drawn });
+    const size = this.recording.cameras.find((c) => c.name === state.camera)?.size;
+    Object.assign(this.counters, { size, fit: fitter.state, clicks: state.clicks, joint: state.joint, drawn3d: () => this.space.drawn });
   }
 
   private async load(): Promise<void> {

@@ -50,7 +50,7 @@ export class JobCard {
       ...(active(job) ? [button("Stop", () => void act(job, "cancel"), { icon: "close", title: "Stop it; what is done is kept" })] : []),
       ...(job.resumable && !active(job) && job.state !== "done" ? [button("Go on", () => void act(job, "resume"), { icon: "play", kind: "primary" })] : []),
       ...(job.state === "done" && job.result ? [h("a", { class: "button primary", href: `#/view/${job.result}` }, "Open in View")] : []),
-      ...(job.state === "done" && !job.result && job.recording ? [h("a", { class: "button", href: `#/setup/${job.recording}` }, "Go on with the recording")] : []),
+      ...(job.state === "done" && !job.result && job.recording && !location.hash.includes(job.recording) ? [h("a", { class: "button", href: `#/setup/${job.recording}` }, "Go on with the recording")] : []),
     );
   }
 

@@ -1,6 +1,7 @@
 import { get } from "../api";
 import type { Counters } from "../counters";
 import type { Job, Recording, State } from "../protocol";
+import { button } from "../ui/buttons";
 import { h } from "../ui/dom";
 import { JobCard } from "./card";
 import { checkStep } from "./check";
@@ -121,7 +122,13 @@ export class RecordingPage {
       : this.step === "masks" ? this.masks!.element
       : this.step === "person" ? personStep(recording)
       : trackStep(recording, (id) => names.get(id) ?? id),
+      this.onward(),
     );
+  }
+
+  private onward(): HTMLElement {
+    const next = STEPS[STEPS.indexOf(this.step) + 1];
+    return h("div", { class: "row step-next" }, next ? button(`Next: ${TITLES[next]}`, () => this.go(next), { icon: "next" }) : null);
   }
 
   private drawNav(): void {

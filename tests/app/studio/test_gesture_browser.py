@@ -1,0 +1,59 @@
+"""A gesture is taught to the simulated person in the page; what it has learned is judged on frames it has not seen."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+
+from hypose.evaluation.gesture_metrics import judge
+from hypose.evaluation.gesture_poses import GESTURES
+from hypose.evaluation.gesture_sessions import test_frames as unseen_frames
+from hypose.pipeline.gesture_files import load_model, read_recording
+from tests.app.studio.browser import WEB, build, go
+from tests.app.studio.conftest import serving
+
+
+@pytest.fixture(scope="module")
+def page():
+    builder = build()
+    try:
+        builder.build_page()
+    except builder.PageError as error:
+        pytest.skip(f"the page cannot be built, so it is NOT tested: {error}")
+
+
+def same_trees(old, new):
+    """All splits of the old forest are in the new one."""
+    for t, n in enumerate(old.size):
+        inner = np.flatnonzero(old.arrays.left[t, :n] >= 0)
+        assert (new.arrays.left[t, inner] == old.arrays.left[t, inner]).all()
+        assert (new.arrays.test[t, inner] == old.arrays.test[t, inner]).all()
+
+
+@pytest.mark.slow
+def test_taught_in_the_page(page, tmp_path, monkeypatch):
+    root, pictures = tmp_path / "root", tmp_path / "pictures"
+    root.mkdir()
+    pictures.mkdir()
+    monkeypatch.setitem(os.environ, "ROUNDS", "6")
+    with serving(root) as client:
+        said = go(WEB / "tests" / "gesture_taught.walk.mjs", client.address, root, pictures, timeout=1500)
+    assert json.loads(said.splitlines()[-1])["seconds"] < 240
+    first, model = load_model(root / "first.npz"), load_model(root / "gestures" / "tee.npz")
+    judged = judge(
+        first.forest.freeze(), unseen_frames(0, "tee", 30, np.random.default_rng([94, 0])), GESTURES.index("tee") + 1
+    )
+    print(f"AP on unseen frames in other rooms: {judged.ap_metres():.3f} at 5 cm, {judged.ap():.3f} at 10 px")
+    assert judged.ap_metres() >= 0.75
+    assert first.thresholds[0] is not None
+
+    # the second session went on with the first one's trees
+    assert [h["session"] for h in model.history] == ["tee", "tee-2"]
+    assert model.forest.size.sum() >= first.forest.size.sum()
+    same_trees(first.forest, model.forest)
+
+    # everything that was shown is on disk, with what was taken back
+    recorded = read_recording(root / "gestures" / "tee")
+    assert recorded.undone
+    assert {f.phase for f in recorded.frames} >= {"do_gesture", "positive", "release", "negative", "test", "free"}

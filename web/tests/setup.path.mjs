@@ -1,0 +1,59 @@
+// slow: from dropped videos to a motion that opens in View.
+import assert from "node:assert/strict";
+import { readdirSync } from "node:fs";
+import { join } from "node:path";
+import { walk } from "./harness.mjs";
+
+await walk(
+  async ({ page, folder, picture }) => {
+    const done = (kind) => page.locator(`.job[data-job=${kind}][data-state=done]`).first().waitFor({ timeout: 600_000 });
+    const videos = readdirSync(join(folder, "walk", "videos")).map((name) => join(folder, "walk", "videos", name));
+    const files = page.getByLabel("Videos and calibration");
+
+    // what is missing is said
+    await page.getByRole("heading", { name: "Set up a recording" }).waitFor();
+    await files.setInputFiles(videos);
+    await page.getByText("The calibration is missing").waitFor();
+    assert.ok(await page.getByRole("button", { name: "Make the recording" }).isDisabled());
+    await files.setInputFiles(join(folder, "walk", "recording.toml"));
+    await page.getByText("no video, picture or calibration").or(page.locator(".dropped-file .bad")).first().waitFor();
+    await page.getByRole("button", { name: "Remove recording.toml" }).click();
+    await files.setInputFiles(join(folder, "walk", "calibration.toml"));
+    await page.getByText("calibration of cam1").waitFor();
+    await page.getByLabel("Name of the recording").fill("mine");
+    await picture("setup-dropped");
+    await page.getByRole("button", { name: "Make the recording" }).click();
+    await page.getByRole("heading", { name: "mine" }).waitFor();
+
+    // checked, with the findings in words
+    await page.getByRole("button", { name: "Check the recording" }).click();
+    await done("check");
+    await page.locator(".verdict").waitFor();
+    await picture("setup-checked");
+
+    // masks follow the sliders, and are kept
+    await page.getByRole("button", { name: "Next: Masks" }).click();
+    const loaded = () => page.waitForFunction(() => [...document.querySelectorAll(".mask-pictures img")].every((i) => i.complete && i.naturalWidth > 0), undefined, { timeout: 120_000 });
+    await loaded();
+    const pictures = () => page.evaluate(() => window.__app.pictures);
+    const before = await pictures();
+    await page.getByRole("slider", { name: "Threshold" }).press("ArrowRight");
+    await page.waitForFunction((n) => window.__app.pictures >= n + 4, before, { timeout: 120_000 });
+    assert.match(await page.locator(".mask-pictures img").first().getAttribute("src"), /threshold=4\.5/);
+    await picture("setup-masks");
+    await page.getByRole("button", { name: "Use these settings" }).click();
+    await page.getByText("made with these settings").waitFor();
+
+    // tracked, stopped, gone on with, and opened
+    await page.locator("[data-step=track]").click();
+    await page.getByRole("button", { name: "Track", exact: true }).click();
+    const card = page.locator(".job[data-job=track]").first();
+    await card.waitFor();
+    await picture("setup-tracking");
+    await done("track");
+    await card.getByRole("link", { name: "Open in View" }).click();
+    await page.waitForFunction(() => location.hash.startsWith("#/view/"));
+    await page.locator(".where").waitFor();
+  },
+  { at: "#/setup" },
+);
