@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -12,9 +13,10 @@ import numpy as np
 
 from hypose.compute.forests import ScanPlan
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row, row
-from hypose.evaluation.gesture_data import Size, examples, for_gesture, test_set, training_set
+from hypose.evaluation.gesture_data import Size, examples, for_gesture, test_set, thinned, training_set
 from hypose.evaluation.gesture_metrics import judge
 from hypose.evaluation.gesture_poses import GESTURES
+from hypose.evaluation.gesture_scenes import GestureFrame
 from hypose.evaluation.timing import best
 from hypose.gestures.forest import Forest, ForestSettings
 from hypose.gestures.localise import LocaliseSettings, Scratch, localise, pad
@@ -25,43 +27,58 @@ from hypose.gestures.pictures import KINECT
 THOROUGH = LocaliseSettings(ScanPlan(first=0, coarse=0))
 
 
+@dataclass(frozen=True)
+class _Grown:
+    """A forest of each gesture, its size (MB) while growing, the AP (5 cm) that looking quickly costs; seconds of every
+    learning step; ms to find a gesture in each of its test pictures."""
+
+    forests: list[Forest]
+    megabytes: list[float]
+    lost: list[float]
+    steps_s: list[float]
+    find_ms: list[float]
+
+
+def _grow(shot: list[GestureFrame], test: list[GestureFrame], options: BenchOptions) -> _Grown:
+    out = _Grown([], [], [], [], [])
+    for number in range(1, len(GESTURES) + 1):
+        learner, shown = Learner.new(np.random.default_rng(number)), examples(shot, number)
+        teach(learner, shown[:20])  # compiles
+        for _ in range(2 if options.quick else 4):
+            out.steps_s.extend(_cpu(partial(teach, learner, [e])) for e in thinned(shown, 0.5, learner.rng))
+        forest, mine = learner.forest.freeze(), for_gesture(test, number)
+        out.forests.append(forest)
+        out.megabytes.append(learner.forest.nbytes / 1e6)
+        quick, thorough = judge(forest, mine, number), judge(forest, mine, number, THOROUGH)
+        out.lost.append(thorough.ap_metres() - quick.ap_metres())
+        out.find_ms.extend(_milliseconds([f.depth for f in mine[:: 2 if options.quick else 1]], [forest]))
+        options.progress("learn", number, len(GESTURES))
+    return out
+
+
 def speed(options: BenchOptions) -> BenchReport:
     """Milliseconds per 640 x 480 picture for one and for six gestures; learning steps per second; megabytes."""
     size = Size(12, 48, 8) if options.quick else Size(24, 96, 10)
     rng = np.random.default_rng([91, 0])
     shot = training_set(size, rng, tick=lambda k, n: options.progress("render", k, n))
     test = test_set(size, rng)
-    forests: list[Forest] = []
-    rates, sizes, lost, ms = [], [], [], []
-    for number in range(1, len(GESTURES) + 1):
-        learner, shown = Learner.new(np.random.default_rng(number)), examples(shot, number)
-        teach(learner, shown[:20])  # compiles
-        for e in [
-            e for k in range(2 if options.quick else 4) for e in shown if e.gesture or learner.rng.random() < 0.5
-        ]:
-            rates.append(_cpu(partial(teach, learner, [e])))
-        forests.append(learner.forest.freeze())
-        sizes.append(learner.forest.nbytes / 1e6)
-        mine = for_gesture(test, number)
-        quick, thorough = judge(forests[-1], mine, number), judge(forests[-1], mine, number, THOROUGH)
-        lost.append(thorough.ap_metres() - quick.ap_metres())
-        ms += _milliseconds([f.depth for f in mine[:: 2 if options.quick else 1]], [forests[-1]])
-        options.progress("learn", number, len(GESTURES))
-    shown = examples(shot, 5)
+    grown = _grow(shot, test, options)
+    shown = examples(shot, GESTURES.index("ok") + 1)
     deep = Learner.new(rng, ForestSettings(alpha=40), LearnSettings(positives=60, hard=60))
     for _ in range(2 if options.quick else 4):
         teach(deep, shown, shuffle=True)
     pictures = [f.depth for f in test[:: 4 if options.quick else 2]]
+    ms = grown.find_ms
     rows = [
         Row("detect_ms", "one", float(np.median(ms)), "ms", float(np.std(ms)), len(ms)),
         Row("detect_ms", "one/p95", float(np.percentile(ms, 95)), "ms", n=len(ms)),
         Row("detect_ms", "one/deep", float(np.median(_milliseconds(pictures, [deep.forest.freeze()]))), "ms"),
-        Row("detect_ms", "six", float(np.median(_milliseconds(pictures, forests))), "ms", n=len(pictures)),
-        row("ap_lost_to_rejection", "all", lost, "1"),
-        Row("train_frames_per_second", "all", 1 / float(np.mean(rates)), "1/s", n=len(rates)),
-        Row("model_mb", "all", float(np.max(sizes)), "MB", n=len(sizes)),
+        Row("detect_ms", "six", float(np.median(_milliseconds(pictures, grown.forests))), "ms", n=len(pictures)),
+        row("ap_lost_to_rejection", "all", grown.lost, "1"),
+        Row("train_frames_per_second", "all", 1 / float(np.mean(grown.steps_s)), "1/s", n=len(grown.steps_s)),
+        Row("model_mb", "all", max(grown.megabytes), "MB", n=len(grown.megabytes)),
         Row("model_mb", "deep", deep.forest.nbytes / 1e6, "MB"),
-        Row("nodes", "one", float(np.mean([f.size.sum() for f in forests])), "1"),
+        Row("nodes", "one", float(np.mean([f.size.sum() for f in grown.forests])), "1"),
         Row("nodes", "deep", float(deep.forest.arrays.size.sum()), "1"),
         *_compared(shown, rng, options),
     ]
@@ -83,41 +100,41 @@ def _milliseconds(pictures: list[Any], forests: list[Forest]) -> list[float]:
 
 def _compared(shown: list[Example], rng: np.random.Generator, options: BenchOptions) -> list[Row]:
     """Our learning beside scikit-learn (fit of as many trees on 100 ready-made features, all tried at every node) and
-    river (one sample)."""
-    rows: list[Row] = []
+    river (one sample); alone where they are not installed."""
     pool = collect(shown, rng)
-    half = Pool(pool.patches, pool.labels)
+    train(pool, rng, OfflineSettings(ForestSettings(trees=1), per_class=100))  # compiles
     settings = OfflineSettings(per_class=len(pool.labels) // 2)
-    train(half, rng, OfflineSettings(ForestSettings(trees=1), per_class=100))  # compiles
-    ours = _cpu(lambda: train(half, np.random.default_rng(0), settings))
-    features = _features(pool, rng)
-    try:
-        ensemble: Any = importlib.import_module("sklearn.ensemble")
+    ours = _cpu(lambda: train(pool, np.random.default_rng(0), settings))
+    features, theirs = _features(pool, rng), dict[str, Any]()
+    if (ensemble := _optional("sklearn.ensemble")) is not None:
         model = ensemble.RandomForestClassifier(15, max_depth=20, max_features=None, n_jobs=1, random_state=0)
-        theirs = _cpu(lambda: model.fit(features, pool.labels))
-        rows.append(Row("offline_fit_s", "all", ours, "s", baseline="scikit-learn", baseline_value=theirs))
-    except ImportError:
-        rows.append(Row("offline_fit_s", "all", ours, "s"))
+        value = _cpu(lambda: model.fit(features, pool.labels))
+        theirs = {"baseline": "scikit-learn", "baseline_value": value}
+    rows = [Row("offline_fit_s", "all", ours, "s", **theirs)]
+
     learner = Learner.new(np.random.default_rng(3))
     picture = pad(shown[0].depth, KINECT, 150, 500)
-    rows_, columns = np.nonzero(shown[0].depth[::7, ::7])
-    labels = rng.integers(0, 2, len(rows_)).astype(np.int32)
-    learner.forest.learn(picture, rows_[:64] * 7, columns[:64] * 7, labels[:64])
-    one = _cpu(lambda: learner.forest.learn(picture, rows_ * 7, columns * 7, labels)) / len(rows_)
-    try:
-        river: Any = importlib.import_module("river.forest")
-        model = river.ARFClassifier(n_models=15, seed=0)
+    y, x = (7 * k for k in np.nonzero(shown[0].depth[::7, ::7]))
+    labels = rng.integers(0, 2, len(y)).astype(np.int32)
+    learner.forest.learn(picture, y[:64], x[:64], labels[:64])
+    ours, theirs = _cpu(lambda: learner.forest.learn(picture, y, x, labels)) / len(y), dict[str, Any]()
+    if (river := _optional("river.forest")) is not None:
+        adaptive = river.ARFClassifier(n_models=15, seed=0)
         samples = [dict(enumerate(map(float, f))) for f in features[: 60 if options.quick else 200]]
 
         def learn() -> None:
-            for x, y in zip(samples, pool.labels.tolist(), strict=False):
-                model.learn_one(x, int(y))
+            for sample, label in zip(samples, pool.labels.tolist(), strict=False):
+                adaptive.learn_one(sample, int(label))
 
-        theirs = _cpu(learn) / len(samples)
-        rows.append(Row("learn_one_us", "all", 1e6 * one, "us", baseline="river", baseline_value=1e6 * theirs))
+        theirs = {"baseline": "river", "baseline_value": 1e6 * _cpu(learn) / len(samples)}
+    return [*rows, Row("learn_one_us", "all", 1e6 * ours, "us", **theirs)]
+
+
+def _optional(module: str) -> Any:
+    try:
+        return importlib.import_module(module)
     except ImportError:
-        rows.append(Row("learn_one_us", "all", 1e6 * one, "us"))
-    return rows
+        return None
 
 
 def _features(pool: Pool, rng: np.random.Generator) -> np.ndarray:
