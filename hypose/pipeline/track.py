@@ -30,6 +30,6 @@ def track(
         chosen = replace(chosen, subject=chosen.subject or "given")
     elif chosen.subject is not None:
         body = load_subject(chosen.subject)
-    evidence = FrameOptions(silhouettes=None) if chosen.evidence == "keypoints" else FrameOptions()
+    evidence = FrameOptions(silhouettes=None) if chosen.evidence == "keypoints" else None
     with FrameStream(loaded, evidence) as source:
         return track_source(source, loaded.frame_rate, chosen, body=body, progress=progress)

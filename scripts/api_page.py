@@ -1,0 +1,81 @@
+"""Write docs/api.md, the reference of the public interface, from the docstrings:  python -m scripts.api_page
+
+The site's build does so first; the page is not kept, so that it cannot go stale.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import re
+from pathlib import Path
+from typing import Any
+
+import hypose
+
+_TITLES = {
+    "load_recording": "A recording becomes a motion",
+    "Motion": "A motion and what is made of it",
+    "Body": "Bodies",
+    "Camera": "Cameras",
+    "Frame": "Frame by frame, with evidence of one's own",
+    "read_skeletons": "Depth sensors",
+    "make_scene": "Scenes with known truth",
+    "HyposeError": "What goes wrong",
+}
+
+
+def api_page() -> str:
+    """The page as Markdown."""
+    parts = [
+        "# Python interface",
+        "What `import hypose` offers. Metres, radians, seconds, pixels; the world is right-handed with z up. Each name "
+        "is imported when it is first used. What is not listed here is reached by its module (`hypose.tracking`, "
+        "`hypose.io`, ...) and may change between minor versions.",
+    ]
+    for name in hypose.__all__[1:]:
+        if name in _TITLES:
+            parts.append(f"## {_TITLES[name]}")
+        value = getattr(hypose, name)
+        parts.append(f"### {name}\n\n```python\n{_signature(name, value)}\n```")
+        parts.append(_plain(inspect.getdoc(value) or ""))
+        if inspect.isclass(value) and not issubclass(value, Exception):
+            rows = [f"- `{n}`: {_first(inspect.getdoc(m) or '')}" for n, m in _members(value)]
+            parts += ["\n".join(rows)] if rows else []
+    return "\n\n".join(parts) + "\n"
+
+
+def _signature(name: str, value: Any) -> str:
+    if inspect.isclass(value) and issubclass(value, Exception):
+        return f"class {name}({value.__bases__[0].__name__})"
+    if inspect.isclass(value) and dataclasses.is_dataclass(value):
+        fields = ", ".join(f"{f.name}: {_type(f.type)}" for f in dataclasses.fields(value))
+        return f"{name}({fields})"
+    signature = re.sub(r"hypose(\.\w+)+\.", "", str(inspect.signature(value))).replace("'", "")
+    return f"{name}{signature}"
+
+
+def _type(annotation: Any) -> str:
+    return annotation if isinstance(annotation, str) else getattr(annotation, "__name__", str(annotation))
+
+
+def _members(value: type) -> list[tuple[str, Any]]:
+    """Public methods and properties that the class itself defines."""
+    return [
+        (n, m.__func__ if isinstance(m, staticmethod | classmethod) else m)
+        for n, m in vars(value).items()
+        if not n.startswith("_") and (callable(m) or isinstance(m, property | staticmethod | classmethod))
+    ]
+
+
+def _first(text: str) -> str:
+    return _plain(re.split(r"(?<=[.;])\s", " ".join(text.split()), maxsplit=1)[0])
+
+
+def _plain(text: str) -> str:
+    """Docstrings are plain text: what Markdown would take for marks is kept."""
+    return text.replace("<", "&lt;").replace("*", "\\*")
+
+
+if __name__ == "__main__":
+    (Path(__file__).parent.parent / "docs" / "api.md").write_text(api_page(), encoding="utf-8")

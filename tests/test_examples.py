@@ -1,0 +1,104 @@
+"""Examples run, commands in the documentation exist with their options, and the generated reference is up to date."""
+
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+
+import click
+import pytest
+import typer
+
+import hypose
+from hypose.app.cli import app
+from hypose.app.sweep import read_sweep
+from hypose.evaluation.small_recordings import small_scene, write_masks
+from hypose.io.calibration import write_calibration
+from scripts.api_page import api_page
+from tests.conftest import ROOT
+
+PAGES = sorted([*ROOT.glob("docs/*.md"), ROOT / "README.md"])
+
+
+def run(path, *arguments):
+    done = subprocess.run([sys.executable, path, *arguments], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_own_evidence():
+    assert run(ROOT / "examples/python/own_evidence.py").count("right wrist at") == 5
+
+
+def test_convert_calibration(tmp_path):
+    write_calibration(small_scene(1, 2).rig, tmp_path / "a.toml")
+    said = run(ROOT / "examples/python/convert_calibration.py", tmp_path / "a.toml", tmp_path / "b.qca.txt")
+    assert said.startswith("4 cameras: cam1") and (tmp_path / "b.qca.txt").is_file()
+
+
+@pytest.mark.slow
+def test_read_results(tmp_path):
+    write_masks(small_scene(1, 6), tmp_path / "walk")
+    run("-m", "hypose.app.cli", "track", tmp_path / "walk", "--no-overlay", "--formats", "csv")
+    assert "6 of 6 frames; right knee" in run(
+        ROOT / "examples/python/read_results.py", tmp_path / "walk" / "results" / "default"
+    )
+
+
+def test_the_sweep_can_be_read(tmp_path):
+    write_masks(small_scene(1, 2), tmp_path / "study" / "anna")
+    (tmp_path / "sweep.toml").write_text((ROOT / "examples/cluster/sweep.toml").read_text())
+    sweep = read_sweep(tmp_path / "sweep.toml")
+    assert len(sweep.sets) == 4 and sweep.slurm["cores"] == 1
+
+
+def test_the_shell_script_is_no_nonsense():
+    assert subprocess.run(["bash", "-n", ROOT / "examples/cluster/batch.slurm"]).returncode == 0
+
+
+def test_the_reference_has_every_name():
+    text = api_page()
+    for name in hypose.__all__[1:]:
+        assert f"### {name}\n\n```python\n" in text, name
+    assert "<" not in re.sub(r"```.*?```", "", text, flags=re.DOTALL).replace("&lt;", "")
+
+
+def test_every_page_is_in_the_site():
+    # the file is YAML of the simplest kind
+    text = (ROOT / "mkdocs.yml").read_text()
+    named = set(re.findall(r"[\w-]+\.md", text[text.index("nav:") :]))
+    assert named == {p.name for p in ROOT.glob("docs/*.md")} | {"api.md"}  # generated
+
+
+def test_links_between_pages_lead_somewhere():
+    for page in PAGES:
+        for target in re.findall(r"\]\(([^)#:]+)(?:#[\w-]+)?\)", page.read_text()):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def commands():
+    """(page, words) of every `hypose ...` line in a shell block of the documentation."""
+    for page in PAGES:
+        for block in re.findall(r"```(?:sh|bash|)\n(.*?)```", page.read_text(), re.DOTALL):
+            for line in block.replace("\\\n", " ").splitlines():
+                found = re.match(r"\s*(?:\S*/)?hypose\s+(.*)", line.split("  #")[0].split(" && ")[-1])
+                if found and "COMMAND" not in line:
+                    yield page.name, shlex.split(found[1], comments=True)
+
+
+@pytest.mark.parametrize(("page", "words"), list(commands()), ids=lambda x: x if isinstance(x, str) else " ".join(x))
+def test_commands_in_the_documentation_exist(page, words):
+    command = typer.main.get_command(app)
+    while isinstance(command, click.Group) or hasattr(command, "commands"):
+        assert words and words[0] in command.commands, words
+        command, words = command.commands[words[0]], words[1:]
+    known = {o for p in command.params for o in (*p.opts, *p.secondary_opts)}
+    given = {w.partition("=")[0] for w in words if re.match(r"--[a-z]", w)}
+    assert given <= known, f"{page}: {given - known}"
+
+
+def test_toml_in_the_documentation_is_toml():
+    for page in PAGES:
+        for block in re.findall(r"```toml\n(.*?)```", page.read_text(), re.DOTALL):
+            tomllib.loads(block)
