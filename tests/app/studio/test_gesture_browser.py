@@ -44,7 +44,6 @@ def test_taught_in_the_page(page, tmp_path, monkeypatch):
     judged = judge(
         first.forest.freeze(), unseen_frames(0, "tee", 30, np.random.default_rng([94, 0])), GESTURES.index("tee") + 1
     )
-    print(f"AP on unseen frames in other rooms: {judged.ap_metres():.3f} at 5 cm, {judged.ap():.3f} at 10 px")
     assert judged.ap_metres() >= 0.75
     assert first.thresholds[0] is not None
 

@@ -32,6 +32,7 @@ export class ClickPicture {
 
   constructor(
     private readonly state: ClickState,
+    /** A drag has begun or ended. */
     private readonly moved: (dragging: boolean) => void,
   ) {
     const { canvas, redraw, stop } = sharpCanvas("The picture; Enter places the joint at the cross, arrows move it", (g, w, hgt) => {
@@ -162,9 +163,9 @@ export class ClickPicture {
     if (this.drag?.kind === "pan") {
       this.offset = [this.drag.offset[0] + at[0] - this.drag.from[0], this.drag.offset[1] + at[1] - this.drag.from[1]];
     } else if (this.drag?.kind === "point" && this.inside(p)) {
+      if (!this.drag.moved) this.moved(true);
       this.state.move(this.drag.joint, ...p, !this.drag.moved);
       this.drag.moved = true;
-      this.moved(true);
     }
     this.canvas.style.cursor = this.drag?.kind === "pan" ? "grabbing" : this.nearest(at) ? "grab" : "crosshair";
     this.later();
@@ -192,7 +193,6 @@ export class ClickPicture {
     if (by && placed) {
       const step = event.shiftKey ? 5 : 1;
       this.state.move(this.state.joint, placed.x + step * by[0], placed.y + step * by[1], true);
-      this.moved(false);
     } else if (by) {
       const [x, y] = this.cursor ?? [w / 2, h / 2];
       const step = (event.shiftKey ? 5 : 1) * STEP_PX;

@@ -26,6 +26,7 @@ export class Workspace {
   private readonly stops: (() => void)[];
   private touched = 0;
   private before = "";
+  private dragging = false;
 
   /** result: the pose of this result is corrected; frame: number in the recording. */
   constructor(
@@ -41,7 +42,10 @@ export class Workspace {
     const key = `clicks.${recording.id}.${result ?? ""}.${frame}`;
     this.state = new ClickState(joints, cameras.map((c) => c.name), key, () => this.show());
     this.fitter = new Fitter(this.state, { recording: recording.id, result, frame }, () => this.show());
-    this.picture = new ClickPicture(this.state, (dragging) => this.fitter.ask(dragging));
+    this.picture = new ClickPicture(this.state, (dragging) => {
+      this.dragging = dragging;
+      if (!dragging) this.fitter.ask(false);
+    });
     this.list = new JointList(this.state, joints);
     this.facts = new FitFacts(this.fitter);
     const host = h("div", { class: "fit-space", "aria-label": "The fitted pose in 3D; drag to turn it" });
@@ -88,12 +92,6 @@ export class Workspace {
       answered(this.counters, this.touched);
       this.touched = 0;
     }
-    const now = JSON.stringify(state.views());
-    if (now !== this.before) {
-      this.before = now;
-      fitter.ask(false);
-      return;
-    }
     if (state.camera !== this.shownCamera) void this.load();
     this.list.show();
     this.picture.show(fitter.state.choice === 0 ? (fitter.state.fit?.pixels[state.camera] ?? {}) : {});
@@ -110,6 +108,10 @@ export class Workspace {
     for (const b of this.save.querySelectorAll("button")) b.disabled = !fitter.state.fit;
     const size = this.recording.cameras.find((c) => c.name === state.camera)?.size;
     Object.assign(this.counters, { size, fit: fitter.state, clicks: state.clicks, joint: state.joint, drawn3d: () => this.space.drawn });
+    const now = JSON.stringify(state.views());
+    if (now === this.before) return;
+    this.before = now;
+    fitter.ask(this.dragging);
   }
 
   private async load(): Promise<void> {
