@@ -30,10 +30,14 @@ _MAX_BYTES = 64 * 2**20
 def write_depth_png(path: str | Path, depth: ArrayLike) -> None:
     """Write a depth map (h, w) m as 16-bit PNG in whole millimetres; holes and what is beyond 65 m become 0."""
     mm = np.asarray(depth, dtype=np.float64) * 1000
-    mm = np.where(np.isfinite(mm) & (mm > 0) & (mm < 65535.5), np.rint(mm), 0)
-    ok, data = cv2.imencode(".png", mm.astype(np.uint16))
+    write_millimetres_png(path, np.where(np.isfinite(mm) & (mm > 0) & (mm < 65535.5), np.rint(mm), 0).astype(np.uint16))
+
+
+def write_millimetres_png(path: str | Path, depth: NDArray[np.uint16]) -> None:
+    """Write a depth map (h, w) that is in whole millimetres already, 0 = hole, as 16-bit PNG."""
+    ok, data = cv2.imencode(".png", depth)
     if not ok:
-        raise InputError(f"{path}: a depth map of shape {mm.shape} cannot be written; it must be (height, width).")
+        raise InputError(f"{path}: a depth map of shape {depth.shape} cannot be written; it must be (height, width).")
     with atomic_path(path) as temporary:
         temporary.write_bytes(data.tobytes())
 

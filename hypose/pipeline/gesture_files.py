@@ -24,7 +24,7 @@ from hypose.gestures import model as model_arrays
 from hypose.gestures.model import GestureModel
 from hypose.gestures.online import Example
 from hypose.gestures.pictures import Lens, millimetres
-from hypose.io.depth import read_depth_png, write_depth_png
+from hypose.io.depth import read_depth_png, write_millimetres_png
 from hypose.io.files import RecordingFolder, text_lines
 from hypose.io.results import _load_arrays, _write_archive, to_json
 
@@ -236,7 +236,7 @@ class SessionWriter:
     ) -> None:
         """One picture (h, w) uint16 mm of a time (s), with what it was for."""
         file = f"depth/{self._count:06d}.png"
-        write_depth_png(self.folder / file, depth.astype(np.float64) / 1000)
+        write_millimetres_png(self.folder / file, depth)
         with self._folder.writing():
             self._frames.write(f"{self._count},{time:.6f},{file},{phase},{segment},{gesture},{at[0]:.2f},{at[1]:.2f}\n")
             self._frames.flush()
