@@ -53,11 +53,13 @@ def collect(
     *,
     positives: int = 40,
     negatives: int = 12,
+    around: int = 10,
     reach_mm: int = 150,
 ) -> Pool:
-    """Samples of every example: N+ around the marked point, N- at random outside it or anywhere in a negative frame."""
+    """Samples of every example: N+ around the marked point, N- at random outside it or anywhere in a negative frame,
+    and `around` in a ring around the place (0: as published)."""
     # the same choice of pixels as in online learning
-    chooser = Learner.new(rng, ForestSettings(trees=1, reach_mm=reach_mm), LearnSettings())
+    chooser = Learner.new(rng, ForestSettings(trees=1, reach_mm=reach_mm), LearnSettings(around=around))
     patches, labels, picture = [], [], None
     near = chooser.settings.look.plan.near_mm
     for e in examples:
