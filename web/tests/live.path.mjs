@@ -42,8 +42,9 @@ await walk(
     }, 33);
     try {
       await page.waitForFunction(() => globalThis.__app.frames > 60 && globalThis.__app.people === 1);
-      await page.getByText("in place").first().waitFor();
+      await page.getByText("in place").nth(1).waitFor();
       assert.equal(await page.locator("tbody tr").count(), 2);
+      assert.equal(await page.getByLabel("UDP port").inputValue(), String(port));
       const drawn = await page.evaluate(() => globalThis.__app.pictures);
       await page.waitForFunction((before) => globalThis.__app.pictures > before + 10, drawn);
       await picture("live");

@@ -11,6 +11,7 @@ import pytest
 from websockets.sync.client import connect
 
 from hypose.app.studio.server import Studio, StudioOptions, make_server
+from tests.app.studio.browser import build
 
 
 class Client:
@@ -89,3 +90,13 @@ def own_studio(folder):
     """A running studio on a folder of its own."""
     with serving(folder) as client:
         yield client
+
+
+@pytest.fixture(scope="session")
+def page():
+    """The page is built, from the sources as they are."""
+    builder = build()
+    try:
+        builder.build_page()
+    except builder.PageError as error:
+        pytest.skip(f"the page cannot be built, so it is NOT tested: {error}")

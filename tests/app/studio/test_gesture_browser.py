@@ -10,17 +10,8 @@ from hypose.evaluation.gesture_metrics import judge
 from hypose.evaluation.gesture_poses import GESTURES
 from hypose.evaluation.gesture_sessions import test_frames as unseen_frames
 from hypose.pipeline.gesture_files import load_model, read_recording
-from tests.app.studio.browser import WEB, build, go
+from tests.app.studio.browser import WEB, go
 from tests.app.studio.conftest import serving
-
-
-@pytest.fixture(scope="module")
-def page():
-    builder = build()
-    try:
-        builder.build_page()
-    except builder.PageError as error:
-        pytest.skip(f"the page cannot be built, so it is NOT tested: {error}")
 
 
 def same_trees(old, new):

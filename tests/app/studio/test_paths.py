@@ -4,18 +4,8 @@ import shutil
 
 import pytest
 
-from tests.app.studio.browser import PATHS, build, go
+from tests.app.studio.browser import PATHS, go
 from tests.app.studio.conftest import serving
-
-
-@pytest.fixture(scope="module")
-def page():
-    """The page is built, from the sources as they are."""
-    builder = build()
-    try:
-        builder.build_page()
-    except builder.PageError as error:
-        pytest.skip(f"the page cannot be built, so it is NOT tested: {error}")
 
 
 def _parameter(path):

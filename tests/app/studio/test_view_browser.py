@@ -15,17 +15,8 @@ from hypose.app.view_result import load_view
 from hypose.io.bodies import load_body
 from hypose.io.recording import load_recording
 from hypose.io.results import load_motion, save_motion
-from tests.app.studio.browser import WEB, build, go
+from tests.app.studio.browser import WEB, go
 from tests.app.studio.conftest import serving
-
-
-@pytest.fixture(scope="module")
-def page():
-    builder = build()
-    try:
-        builder.build_page()
-    except builder.PageError as error:
-        pytest.skip(f"the page cannot be built, so it is NOT tested: {error}")
 
 
 def flagged(source, target):

@@ -27,9 +27,8 @@ export const live: OpenScreen = (root) => {
   const ws = h("input", { type: "number", min: 0, max: 65535, value: 9871, "aria-label": "WebSocket port" });
   const start = button("Start", () => socket.send({ t: "start", udp: Number(udp.value), ws: Number(ws.value), rate: 30 }), { kind: "primary", icon: "play" });
   const stop = button("Stop", () => socket.send({ t: "stop" }), { icon: "pause" });
-  const ports = h("div", { class: "row" }, h("label", {}, "UDP", udp), h("label", {}, "WebSocket", ws));
   side.append(
-    h("div", { class: "live-head" }, h("h2", {}, "Live fusion"), said.state, ports, h("div", { class: "row" }, start, stop)),
+    h("div", { class: "live-head" }, h("h2", {}, "Live fusion"), said.state, h("div", { class: "row" }, h("label", {}, "UDP", udp), h("label", {}, "WebSocket", ws)), h("div", { class: "row" }, start, stop)),
     h(
       "dl",
       { class: "live-figures" },
@@ -47,14 +46,15 @@ export const live: OpenScreen = (root) => {
   const counters = count("live", { frames: 0, people: 0 });
 
   const showRunning = (running: false | { udp: number; ws: number }): void => {
-    start.hidden = ports.hidden = running !== false;
+    start.hidden = udp.disabled = ws.disabled = running !== false;
     stop.hidden = running === false;
+    if (running) [udp.valueAsNumber, ws.valueAsNumber] = [running.udp, running.ws];
     said.state.textContent = running
       ? `Skeletons are awaited at UDP 127.0.0.1:${running.udp} and ws://127.0.0.1:${running.ws}/in.`
       : "Not running. Start it, then let each sensor's program send its skeletons as lines of JSON (docs/live.md).";
+    sensors.replaceChildren(h("tr", {}, h("td", { class: "dim", colspan: 3 }, "No sensor has sent anything yet.")));
     if (running) return;
     people?.show([]);
-    sensors.replaceChildren();
     for (const one of [said.people, said.rate, said.latency]) one.textContent = "–";
   };
   const heard = (message: LiveMessage): void => {
