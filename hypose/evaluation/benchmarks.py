@@ -105,12 +105,14 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
         speed,
         sync,
         table_2_4,
+        uncertainty,
     )
 
     return {
         "table-2.3": published.table_2_3,
         "table-2.4": table_2_4.table_2_4,
         "court-4": court.court_4,
+        "uncertainty": uncertainty.uncertainty,
         "real-balancing": real.real_balancing,
         "real-uu4cam": real.real_uu4cam,
         "calibration": calibration.boards,

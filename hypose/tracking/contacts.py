@@ -23,15 +23,16 @@ SOLE_NAMES = ("left_heel", "left_ball", "right_heel", "right_ball")
 @dataclass(frozen=True)
 class ContactSettings:
     """slow, fast: m/s, a contact begins below and ends above; shortest: s; near: m above the floor that is still on it;
-    common: share of the contacts' frames within `near` of one height that makes it a floor; hold: m, how exactly a
-    point in contact is held."""
+    common: share of the contacts' frames within `near` of one height that makes it a floor; drift: m, a point that
+    goes further away begins another contact; hold: m, how exactly a point in contact is held."""
 
     slow: float = 0.25
     fast: float = 0.5
     shortest: float = 0.12
     near: float = 0.05
     common: float = 0.6
-    hold: float = 0.005
+    drift: float = 0.025
+    hold: float = 0.01
 
 
 @dataclass(frozen=True)
@@ -88,11 +89,15 @@ def find_contacts(
         touching = np.stack([_only_long(c, shortest) for c in (touching & ~high).T], 1)
     place = np.full(positions.shape, np.nan)
     for k in range(positions.shape[1]):
-        for a, b in _runs(touching[:, k]):
-            middle = np.median(positions[a:b, k], axis=0)
-            if np.isfinite(floor):
-                middle[2] = floor
-            place[a:b, k] = middle
+        for run in _runs(touching[:, k]):
+            for a, b in _standing(positions[:, k], *run, o.drift):
+                if b - a < shortest:
+                    touching[a:b, k] = False
+                    continue
+                middle = np.median(positions[a:b, k], axis=0)
+                if np.isfinite(floor):
+                    middle[2] = max(middle[2], floor)  # a heel may be raised, but nothing sinks
+                place[a:b, k] = middle
     return Contacts(touching, place, floor)
 
 
@@ -135,6 +140,17 @@ def _hysteresis(speed: Array, known: NDArray[np.bool_], slow: float, fast: float
     return out
 
 
+def _standing(points: Array, first: int, last: int, drift: float) -> list[tuple[int, int]]:
+    """The frames first to last cut where a point (T, 3) has gone further than drift from where it stood (its mean so
+    far): who shuffles does not stand."""
+    out, begin = [], first
+    for t in range(first + 1, last):
+        if np.linalg.norm(points[t] - points[begin:t].mean(0)) > drift:
+            out.append((begin, t))
+            begin = t
+    return [*out, (begin, last)]
+
+
 def _only_long(flags: NDArray[np.bool_], shortest: int) -> NDArray[np.bool_]:
     out = np.zeros(len(flags), dtype=bool)
     for a, b in _runs(flags):
@@ -152,4 +168,4 @@ def _common_height(heights: Array, settings: ContactSettings) -> float:
     if len(heights) == 0:
         return float("nan")
     near = np.abs(heights - np.quantile(heights, 0.1)) < settings.near
-    return float(np.median(heights[near])) if near.mean() >= settings.common else float("nan")
+    return float(np.quantile(heights[near], 0.25)) if near.mean() >= settings.common else float("nan")

@@ -1,0 +1,56 @@
+"""The product as a user has it on synthetic scenes: the body estimated from silhouettes, the default recipe, the clip
+solved at the end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hypose.body.body import Body
+from hypose.body.models import human
+from hypose.body.motion import Motion
+from hypose.evaluation.benchmarks import BenchOptions
+from hypose.evaluation.metrics import population_offsets, with_offsets
+from hypose.evaluation.published import action_scene, known_subject
+from hypose.evaluation.scenes import Scene
+from hypose.evidence.frame import Frame
+from hypose.geometry import Array
+from hypose.pipeline.anthropometry import AnthropometryOptions, estimate_subject
+from hypose.pipeline.run import TrackOptions, track_source
+
+BODY_SECONDS = 3.0
+"""Length of the clip (combo) from which the body is estimated."""
+
+
+@dataclass(frozen=True)
+class InMemory:
+    """Frames as a source for the pipeline."""
+
+    frames: list[Frame]
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def frame(self, index: int, /) -> Frame:
+        """Frame number index."""
+        return self.frames[index]
+
+
+def estimated_body(seed: int, options: BenchOptions) -> Body:
+    """The body of a seed's subject from the silhouettes of another clip (combo), as `hypose track` estimates it."""
+    scene = action_scene("combo", seed, BODY_SECONDS, options)
+    frames = list(scene.mask_frames(1.0))
+    how = AnthropometryOptions(frames=8, tracked=24, passes=1, seed=seed)
+    return estimate_subject(lambda i: frames[i], len(frames), scene.frame_rate, human(), how).body
+
+
+def product_motion(scene: Scene, frames: list[Frame], body: Body, seed: int) -> Motion:
+    """The default recipe with a body, from the true pose of frame 0 (definitions aligned), solved as one clip."""
+    options = TrackOptions(seed=seed)
+    return track_source(InMemory(frames), scene.frame_rate, options, subject=known_subject(scene, body)).motion
+
+
+def aligned_joints(motion: Motion, scene: Scene) -> Array:
+    """(T, 19, 3) m: the motion's joints by the truth's definitions (population offsets, no subject information)."""
+    assert motion.poses is not None
+    rotations, _ = motion.skeleton.forward(motion.poses)
+    return with_offsets(motion.joints, rotations, population_offsets(human()) * scene.subject.stature)
