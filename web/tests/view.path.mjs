@@ -56,7 +56,7 @@ await walk(
     await page.getByRole("button", { name: "Pause" }).waitFor();
     await page.waitForFunction(() => window.hypose.row() !== 4);
     await page.keyboard.press("]");
-    assert.equal(await page.getByLabel("Speed").inputValue(), "2");
+    await page.waitForFunction(() => document.querySelector("[aria-label=Speed]").value === "2");
     await page.getByRole("button", { name: "Pause" }).click();
     await page.getByRole("button", { name: "Play" }).waitFor();
     assert.equal(await page.evaluate(() => window.hypose.playing()), false);

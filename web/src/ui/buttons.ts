@@ -10,6 +10,11 @@ export interface ButtonOptions {
   key?: string;
 }
 
+/** After a click with the pointer the keys steer the screen again, not the button; with the keyboard the focus stays. */
+function letGo(event: Event): void {
+  if ((event as MouseEvent).detail > 0) (event.currentTarget as HTMLElement).blur();
+}
+
 /** A button with text, an icon, or both. */
 export function button(text: string, act: (event: Event) => void, options: ButtonOptions = {}): HTMLButtonElement {
   const title = options.title ?? "";
@@ -22,7 +27,10 @@ export function button(text: string, act: (event: Event) => void, options: Butto
       title: tip || null,
       "aria-label": text || title,
       "aria-keyshortcuts": options.key ?? null,
-      onclick: act,
+      onclick: (event: Event) => {
+        letGo(event);
+        act(event);
+      },
     },
     options.icon ? icon(options.icon) : null,
     text ? h("span", {}, text) : null,
@@ -145,7 +153,7 @@ export function tabs(
   changed: (name: string) => void,
 ): { element: HTMLElement; show: (name: string) => void } {
   const buttons = entries.map((e) =>
-    h("button", { type: "button", role: "tab", class: "tab", "data-tab": e.name, onclick: () => show(e.name) }, e.label),
+    h("button", { type: "button", role: "tab", class: "tab", "data-tab": e.name, onclick: (event: Event) => choose(event, e.name) }, e.label),
   );
   const element = h("div", { class: "tabs", role: "tablist", "aria-label": label }, ...buttons);
   element.addEventListener("keydown", (event) => {
@@ -158,6 +166,10 @@ export function tabs(
     event.preventDefault();
     event.stopPropagation();
   });
+  function choose(event: Event, name: string): void {
+    letGo(event);
+    show(name);
+  }
   function show(name: string): void {
     for (const b of buttons) {
       const chosen = b.dataset["tab"] === name;
