@@ -112,7 +112,7 @@ export interface GestureStep {
   events: GestureEvent[]; found?: GestureFound[]; ms: Record<string, number>;
 }
 export interface GestureJudged {
-  t: "judged"; ap: number | null; frames: number; positives: number; precision: number[]; recall: number[];
+  t: "judged"; on: "held-back" | "test"; ap: number | null; frames: number; positives: number; precision: number[]; recall: number[];
   scores: number[]; at: { precision: number; recall: number } | null; false_per_min: number | null; tested_s: number;
 }
 export type GestureMessage =

@@ -85,10 +85,10 @@ export class FitFacts {
     const sd = fit ? Math.max(...fit.joint_sd) : 0;
     const rows: [string, string][] = [
       ["Clicked", `${clicked} joints`],
-      ["Distance to the clicks", fit ? `${fit.rms_px.toFixed(1)} px` : "–"],
+      ["Off the clicks", fit ? `${fit.rms_px.toFixed(1)} px` : "–"],
       ["Farthest", fit?.worst ? `${titles[fit.worst.joint] ?? fit.worst.joint}, ${fit.worst.px.toFixed(1)} px` : "–"],
-      ["Uncertainty of the joints", fit ? `${centimetres(median(fit.joint_sd))}, at most ${centimetres(sd)}` : "–"],
-      ["Distance from the camera", fit ? (fit.depth_sd === null ? "known from several views" : `± ${centimetres(fit.depth_sd)}`) : "–"],
+      ["Joints are sure to", fit ? `${centimetres(median(fit.joint_sd))}, worst ${centimetres(sd)}` : "–"],
+      ["Camera distance", fit ? (fit.depth_sd === null ? "from several views" : `± ${centimetres(fit.depth_sd)}`) : "–"],
     ];
     this.facts.replaceChildren(...rows.flatMap(([name, value]) => [h("dt", {}, name), h("dd", { class: "number" }, value)]));
     this.notes.replaceChildren(

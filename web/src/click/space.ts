@@ -10,6 +10,7 @@ import { Stage } from "../view/stage";
 import { JOINT_NAMES, PARENTS } from "./skeleton";
 
 const SPREAD = 2; // standard deviations
+const MOST_M = 0.4; // one standard deviation that is drawn at most
 
 /** The fitted pose in 3D with its uncertainty, beside the cameras; rivals are thin. */
 export class FitSpace {
@@ -25,6 +26,7 @@ export class FitSpace {
   private readonly matrix = new Matrix4();
   private waiting = 0;
   private looked = false;
+  private shown: { fit: Fit | null; choice: number } | null = null;
   private floor = NaN;
 
   constructor(cameras: readonly CameraInfo[], host: HTMLElement) {
@@ -59,6 +61,8 @@ export class FitSpace {
 
   /** Shows a fit: choice 0 is the best pose, k the k-th rival. */
   show(fit: Fit | null, choice: number): void {
+    if (this.shown?.fit === fit && this.shown.choice === choice) return;
+    this.shown = { fit, choice };
     this.box.visible = this.spread.visible = fit !== null;
     if (fit) {
       const best = Float32Array.from(fit.joints.flat());
@@ -108,7 +112,8 @@ export class FitSpace {
       const d = Math.sqrt(Math.max(yy! - b * b, 1e-8));
       const e = (yz! - b * c) / d;
       const f = Math.sqrt(Math.max(zz! - c * c - e * e, 1e-8));
-      const s = SPREAD;
+      // what is hardly known at all would cover everything
+      const s = SPREAD * Math.min(1, MOST_M / Math.sqrt(xx! + yy! + zz!));
       this.matrix.set(
         s * a, 0, 0, joints[3 * j]!,
         s * b, s * d, 0, joints[3 * j + 1]!,

@@ -188,7 +188,7 @@ function taught(state: State, wish: Wish, begin: (request: GestureRequest) => vo
     return list;
   }
   const watch = (models: ModelEntry[]): void =>
-    begin({ t: "start", mode: "run", models: models.map((m) => m.id), source: wish.source });
+    begin({ t: "start", mode: "run", models: models.map((m) => m.id), source: wish.source, fast: wish.fast });
   for (const model of state.models) {
     const t = model.thresholds.find((v) => v !== null);
     list.append(
