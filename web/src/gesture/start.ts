@@ -64,41 +64,45 @@ export function startPage(state: State, begin: (request: GestureRequest) => void
   );
 }
 
+/** The form. Choosing a source draws it anew; typing does not, because the click that ends it must find its button. */
 function teachFields(state: State, kinds: Kind[], wish: Wish, draw: () => void): HTMLElement[] {
   const chosen = kinds.find((k) => k.sources.some((s) => s.value === wish.source)) ?? kinds[0];
   const source = chosen?.sources.find((s) => s.value === wish.source);
   const gestures = source?.gestures ?? [];
   if (gestures.length && !gestures.includes(wish.gesture)) wish.gesture = gestures[0]!;
-  const again = state.models.filter((m) => m.growing && m.gestures.length === 1 && m.gestures[0] === wish.gesture);
-  if (!again.some((m) => m.id === wish.resume)) wish.resume = NEW;
-  const total = wish.rounds * Object.values(wish.seconds).reduce((a, b) => a + b, 0);
+  const total = h("span", { class: "dim number" });
+  const showTotal = (): void => {
+    const seconds = wish.rounds * Object.values(wish.seconds).reduce((a, b) => a + b, 0);
+    total.textContent = `${minutes(seconds)} in all`;
+  };
+  const learn = h("div", { class: "row" });
+  const showLearn = (): void => learn.replaceChildren(learnSelect(state, wish));
+  showTotal();
+  showLearn();
+  const start = button("Start", () => undefined, { kind: "primary", icon: "play" });
+  start.type = "submit";
+  start.classList.add("big");
   return [
     h("h2", {}, "Who is seen"),
     h("div", { class: "kinds", role: "radiogroup", "aria-label": "Source" }, ...kinds.map((k) => kindCard(k, k === chosen, wish, draw))),
-    chosen && chosen.sources.length > 1
-      ? field("Which one", sourceSelect(chosen, wish, draw))
-      : h("div", { hidden: true }),
-    field("Gesture", gestures.length ? gestureSelect(gestures, wish, draw) : gestureName(wish, draw)),
-    field("Learn", select<string>(
-      "Learn",
-      [{ value: NEW, label: "from the beginning" }, ...again.map((m) => ({ value: m.id, label: `on with ${m.path}` }))],
-      wish.resume,
-      (value) => (wish.resume = value),
-    )),
-    field("Rounds", number("Rounds", wish.rounds, 1, 100, (n) => {
+    ...(chosen && chosen.sources.length > 1 ? [field("Which one", sourceSelect(chosen, wish, draw))] : []),
+    field("Gesture", gestures.length ? gestureSelect(gestures, wish, showLearn) : gestureName(wish, showLearn)),
+    field("Learn", learn),
+    field("Rounds", number("Rounds", wish.rounds, 1, 100, 1, (n) => {
       wish.rounds = n;
-      draw();
-    }), h("span", { class: "dim number" }, `${minutes(total)} in all`)),
-    timing(wish, draw),
-    h("div", { class: "row" }, button("Start", () => undefined, { kind: "primary", icon: "play" }), h("span", { class: "dim" }, "Enter")),
-  ].map((element) => {
-    const start = element.querySelector<HTMLButtonElement>("button.primary");
-    if (start) {
-      start.type = "submit";
-      start.classList.add("big");
-    }
-    return element;
-  });
+      showTotal();
+    }), total),
+    timing(wish, showTotal),
+    h("div", { class: "row" }, start, h("span", { class: "dim" }, "Enter")),
+  ];
+}
+
+/** From the beginning, or on with a model of the same gesture. */
+function learnSelect(state: State, wish: Wish): HTMLElement {
+  const again = state.models.filter((m) => m.growing && m.gestures.length === 1 && m.gestures[0] === wish.gesture);
+  if (!again.some((m) => m.id === wish.resume)) wish.resume = NEW;
+  const choices = [{ value: NEW, label: "from the beginning" }, ...again.map((m) => ({ value: m.id, label: `on with ${m.path}` }))];
+  return select<string>("Learn", choices, wish.resume, (value) => (wish.resume = value));
 }
 
 function kindsOf(state: State): Kind[] {
@@ -146,33 +150,32 @@ function sourceSelect(kind: Kind, wish: Wish, draw: () => void): HTMLElement {
   });
 }
 
-function gestureSelect(gestures: readonly string[], wish: Wish, draw: () => void): HTMLElement {
+function gestureSelect(gestures: readonly string[], wish: Wish, changed: () => void): HTMLElement {
   return select("Gesture", gestures.map((g) => ({ value: g, label: g.replaceAll("_", " ") })), wish.gesture, (value) => {
     wish.gesture = value;
-    draw();
+    changed();
   });
 }
 
-function gestureName(wish: Wish, draw: () => void): HTMLElement {
+function gestureName(wish: Wish, changed: () => void): HTMLElement {
   const input = h("input", {
     type: "text", value: wish.gesture, required: true, maxlength: 64, pattern: "[A-Za-z0-9_\\-]+", "aria-label": "Gesture",
     title: "Letters, digits, - and _",
   });
-  input.addEventListener("change", () => {
+  input.addEventListener("input", () => {
     wish.gesture = input.value.trim();
-    draw();
+    changed();
   });
-  input.addEventListener("input", () => (wish.gesture = input.value.trim()));
   return input;
 }
 
-function timing(wish: Wish, draw: () => void): HTMLElement {
+function timing(wish: Wish, changed: () => void): HTMLElement {
   const details = h("details", { class: "timing", open: memory.get("gesture.timing") === "open" }, h("summary", {}, "Timing"));
   details.addEventListener("toggle", () => memory.set("gesture.timing", details.open ? "open" : "shut"));
   for (const { phase, short } of PHASES) {
-    details.append(field(short, number(short, wish.seconds[phase], 0, 600, (n) => {
+    details.append(field(short, number(short, wish.seconds[phase], 0, 600, "any", (n) => {
       wish.seconds[phase] = n;
-      draw();
+      changed();
     }), h("span", { class: "dim" }, "s")));
   }
   const fast = h("input", { type: "checkbox", checked: wish.fast });
@@ -212,12 +215,12 @@ function field(name: string, ...inputs: HTMLElement[]): HTMLElement {
   return h("div", { class: "field" }, h("span", { class: "field-name" }, name), h("div", { class: "row" }, ...inputs));
 }
 
-function number(label: string, value: number, low: number, high: number, changed: (value: number) => void): HTMLElement {
-  const input = h("input", { type: "number", value, min: low, max: high, step: "any", "aria-label": label });
-  input.addEventListener("change", () => {
-    const given = Number(input.value);
-    if (Number.isFinite(given) && input.value !== "") changed(Math.min(high, Math.max(low, given)));
-    else input.value = String(value);
+function number(
+  label: string, value: number, low: number, high: number, step: number | "any", changed: (value: number) => void,
+): HTMLElement {
+  const input = h("input", { type: "number", value, min: low, max: high, step, required: true, "aria-label": label });
+  input.addEventListener("input", () => {
+    if (input.validity.valid) changed(Number(input.value));
   });
   return input;
 }

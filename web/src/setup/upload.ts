@@ -7,7 +7,8 @@ import { toast } from "../ui/toast";
 
 interface Dropped {
   file: File;
-  share: number;
+  /** How much of it is there. */
+  bar: HTMLProgressElement;
   upload: (Upload & { problem?: string }) | null;
   error: string | null;
   /** What the file is for: the video of a camera, its empty room, or nothing. */
@@ -60,12 +61,9 @@ export class NewRecordingForm {
 
   private add(files: File[]): void {
     for (const file of files) {
-      const one: Dropped = { file, share: 0, upload: null, error: null, role: "none", camera: "" };
+      const one: Dropped = { file, bar: h("progress", { max: 1, value: 0, "aria-label": `Sending ${file.name}` }), upload: null, error: null, role: "none", camera: "" };
       this.files.push(one);
-      put<Upload>(`/api/uploads/${encodeURIComponent(file.name)}`, file, (share) => {
-        one.share = share;
-        this.draw();
-      })
+      put<Upload>(`/api/uploads/${encodeURIComponent(file.name)}`, file, (share) => (one.bar.value = share))
         .then((upload) => {
           one.upload = upload;
           one.role = upload.kind === "video" ? "video" : upload.kind === "image" ? "background" : "none";
@@ -122,13 +120,13 @@ export class NewRecordingForm {
   }
 
   private row(f: Dropped): HTMLElement {
-    const facts = f.error ?? (f.upload ? (f.upload.problem ?? told(f.upload)) : `${Math.round(100 * f.share)} %`);
+    const facts = f.error ?? (f.upload ? (f.upload.problem ?? told(f.upload)) : "being sent");
     const usable = f.upload?.kind === "video" || f.upload?.kind === "image";
     return h(
       "div",
       { class: "dropped-file" },
       icon(f.upload?.kind === "video" ? "camera" : f.upload?.kind === "image" ? "picture" : "report"),
-      h("div", { class: "grow" }, h("b", {}, f.file.name), h("div", { class: f.error || f.upload?.problem ? "bad" : "dim" }, facts), f.upload || f.error ? null : h("progress", { max: 1, value: f.share })),
+      h("div", { class: "grow" }, h("b", {}, f.file.name), h("div", { class: f.error || f.upload?.problem ? "bad" : "dim" }, facts), f.upload || f.error ? null : f.bar),
       usable
         ? select("What it is", [{ value: "video", label: "video of" }, { value: "background", label: "empty room of" }, { value: "none", label: "not used" }], f.role, (role) => {
             f.role = role as Dropped["role"];
