@@ -16,7 +16,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from hypose.app.console import COUNTED_IN_FRAMES, JSON_PROGRESS
@@ -136,10 +136,7 @@ class Jobs:
         if not old.shown()["resumable"]:
             raise NotNow(f"The job {old.plan.title!r} is {old.state} and cannot be resumed; start it again.")
         arguments = old.plan.arguments if "--resume" in old.plan.arguments else (*old.plan.arguments, "--resume")
-        p = old.plan
-        return self._queue(
-            old.kind, Plan(arguments, p.title, p.recording, p.result, p.resumable, p.folder), old.options
-        )
+        return self._queue(old.kind, replace(old.plan, arguments=arguments), old.options)
 
     def cancel(self, id: str) -> Job:
         """Stop a job with its work kept."""

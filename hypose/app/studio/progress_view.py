@@ -14,27 +14,33 @@ from hypose.io.results import Checkpoint
 from hypose.tracking.tracker import estimates_from_arrays, motion_of
 
 
-def block_so_far(plan: Plan, catalog: Catalog, recordings: Recordings) -> bytes:
-    """The block of a result under way, or of the finished one; NotFound while there is nothing."""
+def block_so_far(plan: Plan, began: float | None, catalog: Catalog, recordings: Recordings) -> bytes:
+    """The block of a result under way, or of the finished one; NotFound while there is nothing. began: when the job
+    did (s); what lies there from before is not its own."""
     folder = plan.folder
     if folder is None or plan.recording is None:
         raise NotFound("This job makes no motion.")
     recording = recordings.load(catalog.find("recording", plan.recording))
-    checkpoint = folder / "checkpoint.npz"
+    checkpoint, motion = folder / "checkpoint.npz", folder / "motion.npz"
     if not checkpoint.is_file():
-        if not (folder / "motion.npz").is_file():
+        if began is None or not motion.is_file() or motion.stat().st_mtime < began:
             raise NotFound("Nothing is tracked yet; wait for the first frames.")
         return view_bundle(load_view(folder, recording))
     saved = Checkpoint.read(checkpoint)
-    estimates = estimates_from_arrays(
-        {k.removeprefix("done_"): v for k, v in saved.arrays.items() if k.startswith("done_")}
-    )
-    body = load_body(folder / "body.npz")
+    done = {k.removeprefix("done_"): v for k, v in saved.arrays.items() if k.startswith("done_")}
+    if not {"poses", "joint_sds", "flags"} <= done.keys():
+        raise NotFound("What this method has tracked so far cannot be shown; wait for its end.")
+    estimates, body = estimates_from_arrays(done), load_body(folder / "body.npz")
     times = np.arange(len(estimates)) / recording.frame_rate
-    motion = motion_of(body, times, estimates, saved.identity)
-    names = [v.name for v in recording.views if v.source]
+    frames = saved.identity.get("settings", {}).get("frames")
     shown = ViewResult(
-        recording.name, motion, body, recording.rig, [v.image_shift for v in recording.views], names,
-        recording.frames.start, complete=False,
-    )  # fmt: skip
+        recording.name,
+        motion_of(body, times, estimates, saved.identity),
+        body,
+        recording.rig,
+        [v.image_shift for v in recording.views],
+        [v.name for v in recording.views if v.source],
+        int(frames[0]) if frames else 0,
+        complete=False,
+    )
     return view_bundle(shown)

@@ -180,8 +180,9 @@ def test_view_says_why_it_cannot_start(hypose, monkeypatch, served, tmp_path):
         code, _, err = hypose("view", served, option, value)
         assert code == 2 and option in err
     monkeypatch.setattr(studio_server, "STATIC", tmp_path)
-    code, _, err = hypose("view", served)
-    assert code == 2 and "hatch_build.py" in err
+    for command in (("view",), ("gesture", "studio")):
+        code, _, err = hypose(*command, served)
+        assert code == 2 and "hatch_build.py" in err
     (tmp_path / "index.html").write_text("page")
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
