@@ -134,7 +134,7 @@ def run_session(
 def _detail(f: Feedback) -> str:
     if f.instruction.phase == "test" or f.threshold is None:
         return ""
-    return f" (threshold {f.threshold:.1f} cm²)"
+    return f" (threshold {f.threshold:.2f} cm²)"
 
 
 def learn_recordings(
