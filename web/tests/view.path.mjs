@@ -75,6 +75,7 @@ await walk(
     // plots and details
     await page.getByRole("tab", { name: "Quality" }).click();
     await page.getByText("Overlap with the masks (IoU)").waitFor();
+    await page.locator(".plot-area canvas").nth(2).waitFor();
     const plot = await page.locator(".plot-area").first().boundingBox();
     await page.mouse.click(plot.x + plot.width - 30, plot.y + plot.height / 2);
     await page.waitForFunction(() => window.hypose.row() >= 6);
@@ -106,5 +107,5 @@ await walk(
     await page.getByRole("link", { name: "All results" }).click();
     await page.getByRole("heading", { name: "Results" }).waitFor();
   },
-  { at: "#/view", acceptDownloads: true },
+  { at: "#/view", colorScheme: "dark", acceptDownloads: true },
 );
