@@ -80,7 +80,7 @@ def train(
     save_model(model, out)
     t = model.thresholds[0]
     nodes = int(model.forest.size.sum())
-    say(f"{gesture}: {nodes} nodes, threshold " + ("not known yet" if t is None else f"{t:.1f} cm²"))
+    say(f"{gesture}: {nodes} nodes, threshold " + ("not known yet" if t is None else f"{t:.2f} cm²"))
     say(f"Model: {out}")
 
 
