@@ -17,7 +17,7 @@ MOST_EDGES = 16
 
 
 @njit(**OPTIONS)
-def image_row(p, q, ws, r, u, v, depth, nx, ny, first, second):
+def image_row(p, ws, r, u, v, depth, nx, ny, first, second):
     """Direction and derivatives of row r: along (nx, ny) in the image, for a point seen at (u, v)."""
     values = ws.row_values[r]
     iz = 1 / depth
@@ -28,14 +28,14 @@ def image_row(p, q, ws, r, u, v, depth, nx, ny, first, second):
 
 
 @njit(**OPTIONS)
-def contour_row(p, q, ws, r, i, nx, ny, first, second):
+def contour_row(p, ws, r, i, nx, ny, first, second):
     """Row r of contour node i along (nx, ny)."""
     node = ws.nodes[i]
     a, b, t = ws.node_ends[i, 0], ws.node_ends[i, 1], node[0]
     ws.row_vertices[r, 0], ws.row_vertices[r, 1], ws.row_vertices[r, 2] = a, b, -1
     ws.row_values[r, 0], ws.row_values[r, 1], ws.row_values[r, 2] = 1 - t, t, 0.0
     depth = (1 - t) * ws.uvz[a, 2] + t * ws.uvz[b, 2]
-    image_row(p, q, ws, r, node[1], node[2], depth, nx, ny, first, second)
+    image_row(p, ws, r, node[1], node[2], depth, nx, ny, first, second)
 
 
 @njit(**OPTIONS)
@@ -65,7 +65,7 @@ def line_search(field, x, y, nx, ny, window, threshold, energy, offset, strength
 
 
 @njit(**OPTIONS)
-def edge_terms(q, n_nodes, problem, sigma, want, ws, n_rows):
+def edge_terms(n_nodes, problem, sigma, want, ws, n_rows):
     """Cost of the contour nodes: equation (7), first sum, over all edges of each node's window; appends rows when
     derivatives are wanted. Returns cost and rows.
 
@@ -104,7 +104,7 @@ def edge_terms(q, n_nodes, problem, sigma, want, ws, n_rows):
             ws.counts[1] += 1
             ws.counts[2] += m
             if want and n_rows < ws.row_values.shape[0]:
-                contour_row(p, q, ws, n_rows, i, nx, ny, samples * first, samples * second)
+                contour_row(p, ws, n_rows, i, nx, ny, samples * first, samples * second)
                 n_rows += 1
     return cost, n_rows
 
@@ -144,15 +144,15 @@ def flow_terms(q, n_flow, problem, want, ws, n_rows):
             ws.row_values[n_rows, 0], ws.row_values[n_rows, 1], ws.row_values[n_rows, 2] = w0, w1, w2
             if k == 0:
                 bend = weight * curvature(first, second, s, second_order)
-                image_row(p, q, ws, n_rows, u, v, depth, nx, ny, weight * first * length, bend)
+                image_row(p, ws, n_rows, u, v, depth, nx, ny, weight * first * length, bend)
             else:
-                image_row(p, q, ws, n_rows, u, v, depth, -ny, nx, 0.0, weight * first)
+                image_row(p, ws, n_rows, u, v, depth, -ny, nx, 0.0, weight * first)
             n_rows += 1
     return cost, n_rows
 
 
 @njit(**OPTIONS)
-def mask_terms(q, n_nodes, problem, want, ws, n_rows):
+def mask_terms(n_nodes, problem, want, ws, n_rows):
     """Cost of the outer contour against a silhouette: nodes against the distance to the mask's edge, and points of the
     mask's outline against the nearest node (along its normal), so that neither a small nor a large body wins."""
     mask, p = problem.mask, problem.model.projection
@@ -180,7 +180,7 @@ def mask_terms(q, n_nodes, problem, want, ws, n_rows):
         cost += 0.5 * weight * value
         if want and slope > 0.1 and n_rows < ws.row_values.shape[0]:
             bend = curvature(first, second, d * d, problem.second_order)
-            contour_row(p, q, ws, n_rows, i, gx / slope, gy / slope, weight * first * d, weight * bend)
+            contour_row(p, ws, n_rows, i, gx / slope, gy / slope, weight * first * d, weight * bend)
             n_rows += 1
     weight = 0.5 * mask.height * mask.outline_share / mask.sample
     for m in range(mask.outline.shape[0]):
@@ -203,6 +203,6 @@ def mask_terms(q, n_nodes, problem, want, ws, n_rows):
         cost += 0.5 * weight * value
         if want and n_rows < ws.row_values.shape[0]:
             bend = max(first + 2 * second * d * d, 0.1 * first) if problem.second_order else first
-            contour_row(p, q, ws, n_rows, outer[best], node[3], node[4], weight * first * d, weight * bend)
+            contour_row(p, ws, n_rows, outer[best], node[3], node[4], weight * first * d, weight * bend)
             n_rows += 1
     return cost, n_rows

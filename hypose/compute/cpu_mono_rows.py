@@ -48,7 +48,6 @@ def curvature(first, second, s, second_order):
 def sum_vertex_rows(n, model, ws, hessian, gradient):
     """hessian (A, A), gradient (A,) += n rows of ws; of the hessian either [i, k] or [k, i] gets a pair's sum."""
     tree, mesh, slot = model.tree, model.mesh, model.slot
-    parents, start, count = tree.parents, tree.dof_start, tree.dof_count
     joints, rotations, centres, twists = tree.joints, ws.rotations, ws.centres, ws.twists
     vertices, index, weight, carriers = mesh.vertices, mesh.skin_index, mesh.skin_weight, mesh.skin_count
     rows, values, wrench, marked = ws.row_vertices, ws.row_values, ws.wrench, ws.marked
@@ -73,14 +72,15 @@ def sum_vertex_rows(n, model, ws, hessian, gradient):
                 wrench[j, 4] += w * dy
                 wrench[j, 5] += w * dz
                 marked[j] = 1
-        m = climb(parents, start, count, slot, twists, wrench, marked, columns, entries)
+        m = climb(tree, slot, twists, wrench, marked, columns, entries)
         spread(m, columns, entries, values[r, 6], values[r, 7], hessian, gradient)
 
 
 @njit(**OPTIONS)
-def climb(parents, start, count, slot, twists, wrench, marked, columns, entries):
+def climb(tree, slot, twists, wrench, marked, columns, entries):
     """Wrenches at marked joints -> the m non-zero entries of a row over the active dof; wrench and marks are cleared.
     Returns m."""
+    parents, start, count = tree.parents, tree.dof_start, tree.dof_count
     m = 0
     for j in range(parents.shape[0] - 1, -1, -1):
         if marked[j] == 0:
@@ -163,10 +163,7 @@ def mark_terms(q, model, marks, second_order, ws, hessian, gradient):
             wrench[0], wrench[1], wrench[2] = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
             wrench[3], wrench[4], wrench[5] = dx, dy, dz
             ws.marked[j] = 1
-            n = climb(
-                tree.parents, tree.dof_start, tree.dof_count, model.slot, ws.twists, ws.wrench, ws.marked, columns,
-                entries,
-            )  # fmt: skip
+            n = climb(tree, model.slot, ws.twists, ws.wrench, ws.marked, columns, entries)
             slope = w * first * length if k == 0 else 0.0
             bend = w * (curvature(first, second, s, second_order) if k == 0 else first)
             spread(n, columns, entries, slope, bend, hessian, gradient)
@@ -206,8 +203,6 @@ def sphere_terms(model, spheres, ws, hessian, gradient):
             wrench[4] += gy
             wrench[5] += gz
             ws.marked[j] = 1
-        m = climb(
-            tree.parents, tree.dof_start, tree.dof_count, model.slot, ws.twists, ws.wrench, ws.marked, columns, entries
-        )
+        m = climb(tree, model.slot, ws.twists, ws.wrench, ws.marked, columns, entries)
         spread(m, columns, entries, -spheres.weight * short, spheres.weight, hessian, gradient)
     return cost

@@ -35,9 +35,9 @@ def image_cost(q, problem, sigma, n_flow, want, ws, hessian, gradient):
         fill_depth(model, ws)
         n = contour_nodes(model, problem.edges.spacing, ws)
         if problem.edges.weight > 0:
-            part, n_rows = edge_terms(q, n, problem, sigma, want, ws, n_rows)
+            part, n_rows = edge_terms(n, problem, sigma, want, ws, n_rows)
             cost += part
-        part, n_rows = mask_terms(q, n, problem, want, ws, n_rows)
+        part, n_rows = mask_terms(n, problem, want, ws, n_rows)
         cost += part
     part, n_rows = flow_terms(q, n_flow, problem, want, ws, n_rows)
     cost += part
@@ -57,10 +57,9 @@ def image_cost(q, problem, sigma, n_flow, want, ws, hessian, gradient):
 
 
 @njit(**OPTIONS)
-def full_cost(q, problem, sigma, n_flow, ws, hessian, gradient):
-    """Evidence and priors: equations (6) and (10)."""
-    cost = image_cost(q, problem, sigma, n_flow, True, ws, hessian, gradient)
-    priors, active = problem.priors, problem.model.active
+def prior_cost(q, priors, active, hessian, gradient):
+    """The prediction's and the rest posture's quadratics; hessian and gradient get theirs added."""
+    cost = 0.0
     for i in range(priors.centre.shape[0]):
         for k in range(active.shape[0]):
             w = priors.weight[i, k]
@@ -70,6 +69,21 @@ def full_cost(q, problem, sigma, n_flow, ws, hessian, gradient):
                 gradient[k] += w * e
                 hessian[k, k] += w
     return cost
+
+
+@njit(**OPTIONS)
+def full_cost(q, problem, sigma, n_flow, ws, hessian, gradient):
+    """Evidence and priors: equations (6) and (10)."""
+    cost = image_cost(q, problem, sigma, n_flow, True, ws, hessian, gradient)
+    return cost + prior_cost(q, problem.priors, problem.model.active, hessian, gradient)
+
+
+@njit(**OPTIONS)
+def rank_cost(q, problem, ws, hessian, gradient):
+    """What hypotheses are ranked by: all but flow, whose targets differ between hypotheses (section 4.2). The matrices
+    are scratch."""
+    cost = image_cost(q, problem, problem.edges.sigma, 0, False, ws, hessian, gradient)
+    return cost + prior_cost(q, problem.priors, problem.model.active, hessian, gradient)
 
 
 @njit(**OPTIONS)
@@ -141,8 +155,7 @@ def search(q, before, problem, coarse, iterations, ws, hessian, gradient, info):
     fine descent from q (D,), which is overwritten.
 
     hessian (A, A) is that of the evidence and the rest posture at the result, without the prediction; gradient (A,) of
-    all. info (3,): full cost, cost of the evidence without flow, number of inner nodes. False when the cost is not
-    finite."""
+    all. info (3,): full cost, cost without flow, number of inner nodes. False when the cost is not finite."""
     model, priors = problem.model, problem.priors
     for k in range(model.active.shape[0]):
         d = model.active[k]
@@ -162,20 +175,20 @@ def search(q, before, problem, coarse, iterations, ws, hessian, gradient, info):
     for k in range(model.active.shape[0]):
         hessian[k, k] -= priors.weight[0, k]
     unused_h, unused_g = np.empty_like(hessian), np.empty_like(gradient)
-    info[1] = image_cost(q, problem, problem.edges.sigma, 0, False, ws, unused_h, unused_g)
+    info[1] = rank_cost(q, problem, ws, unused_h, unused_g)
     info[2] = n_flow
     return math.isfinite(cost)
 
 
 @njit(**OPTIONS)
 def score(poses, problem, ws, costs):
-    """Costs (N,) of the evidence without flow at poses (N, D): how samples are ranked (section 4.2)."""
+    """Costs (N,) without flow at poses (N, D): how samples are ranked."""
     a = problem.model.active.shape[0]
     hessian, gradient = np.empty((a, a)), np.empty(a)
     if poses.shape[0] > 0:
         draw_still(poses[0], problem.model, ws)
     for n in range(poses.shape[0]):
-        costs[n] = image_cost(poses[n], problem, problem.edges.sigma, 0, False, ws, hessian, gradient)
+        costs[n] = rank_cost(poses[n], problem, ws, hessian, gradient)
 
 
 @njit(**OPTIONS)

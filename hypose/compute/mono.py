@@ -89,8 +89,8 @@ def evaluate(pose: ArrayLike, problem: MonoProblem, ws: MonoWorkspace, *, coarse
 
 
 class MonoSolution(NamedTuple):
-    """A pose (D,) at a minimum; cost with all priors; evidence: cost of the image without flow; gradient (A,) of the
-    cost; hessian (A, A) of evidence, flow and rest posture; counts as in MonoWorkspace."""
+    """A pose (D,) at a minimum; cost of everything; evidence: cost without flow, by which hypotheses are ranked;
+    gradient (A,) of the cost; hessian (A, A) of evidence, flow and rest posture; counts as in MonoWorkspace."""
 
     pose: Array
     cost: float
@@ -117,7 +117,7 @@ def search(
 
 
 def score(poses: ArrayLike, problem: MonoProblem, ws: MonoWorkspace) -> Array:
-    """Costs (N,) of the image evidence without flow at poses (N, D). Releases the GIL."""
+    """Costs (N,) without flow at poses (N, D). Releases the GIL."""
     q = _plain(poses, np.float64)
     costs = np.empty(len(q))
     _numba("mono_search").score(q, problem, ws, costs)
@@ -142,9 +142,9 @@ def strongest_gradient(image: ArrayLike) -> tuple[Floats, Floats]:
     return field, size
 
 
-def saturate(field: Floats, size: Floats, full: float) -> None:
-    """Divide field (h, w, 2) by max(full, size (h, w)), in place."""
-    _numba("mono_images").saturate(field, size, np.float32(full))
+def saturate(field: Floats, size: Floats, full: Floats) -> None:
+    """Divide field (h, w, 2) by max(full, size), both (h, w), in place."""
+    _numba("mono_images").saturate(field, size, _plain(full, np.float32))
 
 
 def weigh(field: Floats, boundaries: Floats, corner: tuple[int, int], floor: float) -> Floats:

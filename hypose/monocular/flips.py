@@ -24,6 +24,8 @@ CHAINS = tuple(
 """Joints of the limbs; a segment joins neighbours."""
 LEAST_DEPTH = 0.06
 """m: a segment that leaves the image plane by less has no mirror image worth trying"""
+HELD, LOOSE = 1e6, 0.02
+"""Weights (1 / rad^2) that hold a dof where it is, and that decide between poses with the same joint centres."""
 REACHED = 0.06
 """m: how near the limb's joints must come to their mirrored places; limits may forbid it"""
 
@@ -34,8 +36,8 @@ def mirrored(body: Body, camera: Camera, pose: ArrayLike, active: NDArray[np.int
     q = np.asarray(pose, dtype=np.float64)
     s = body.skeleton
     joints = body.joints(q)
-    held = np.full(s.dof, 1e6)
-    held[active] = 0.02
+    held = np.ones(s.dof, dtype=bool)
+    held[active] = False
     out = []
     for chain in CHAINS:
         limb = [s.joint(name) for name in chain]
@@ -55,14 +57,13 @@ def mirrored(body: Body, camera: Camera, pose: ArrayLike, active: NDArray[np.int
     return np.array(out).reshape(-1, s.dof)
 
 
-def _reach(body: Body, pose: Array, target: Array, held: Array) -> Array | None:
-    """The pose near `pose` whose joint centres are those of target (J, 3)."""
+def _reach(body: Body, pose: Array, target: Array, held: NDArray[np.bool_]) -> Array | None:
+    """The pose near `pose` whose joint centres are those of target (J, 3); held (D,): dof that stay."""
     j = len(target)
     term = PointTerm(target, np.ones(j), np.arange(j, dtype=np.int64), np.zeros((j, 3)), 0.05)
+    stay = Quadratic(pose, np.where(held, HELD, LOOSE))
     try:
-        fit = fit_pose(
-            body, pose, points=term, priors=(Quadratic(pose, held),), options=SolveOptions(iterations=20, damping=1e-3)
-        )
+        fit = fit_pose(body, pose, points=term, priors=(stay,), options=SolveOptions(iterations=20, damping=1e-3))
     except SolverError:
         return None
-    return fit.pose
+    return np.where(held, pose, fit.pose)

@@ -24,11 +24,12 @@ LEAST_CURVATURE = 1e-6
 
 @dataclass(frozen=True)
 class Candidate:
-    """One member of the pool. pose, velocity (D,); hessian (A, A) of the evidence where it (or its parent) was
-    optimised, free (A,) dof that no limit held there; cost of this frame's image, evidence accumulated; label."""
+    """One member of the pool. pose, velocity, prediction (D,); hessian (A, A) of the evidence where it (or its parent)
+    was optimised, free (A,) dof that no limit held there; cost in this frame, evidence accumulated; label."""
 
     pose: Array
     velocity: Array
+    prediction: Array
     hessian: Array
     free: NDArray[np.bool_]
     cost: float

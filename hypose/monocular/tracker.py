@@ -82,15 +82,18 @@ class MonoTracker:
         clock.append(time.perf_counter())
         problem = frame_problem(self._fixed, frame, field, flow, settings)
         solutions = self._search(problem, predictions, before.poses, settings.coarse_iterations, settings.iterations)
+        # where a start or a sample settles is no motion: it keeps the velocity it was born with
+        settled = before.labels == OPTIMISED
+        moved = np.stack([s.pose for s in solutions]) - before.poses
+        velocities = np.where(settled[:, None], moved, before.velocities)
         optimised = [
-            self._candidate(s, q - before.poses[k] if state.frames else np.zeros_like(q), before.evidence[k], OPTIMISED)
+            self._candidate(s, velocities[k], predictions[k], before.evidence[k], OPTIMISED)
             for k, s in enumerate(solutions)
-            for q in [s.pose]
         ]
         if settings.search.flips and state.frames % settings.search.flip_every == 0:
-            optimised += self._optimised_flips(problem, optimised, before)
+            optimised += self._optimised_flips(problem, optimised)
         clock.append(time.perf_counter())
-        samples = self._samples(problem, optimised, before, rng) if settings.search.hypotheses > 1 else []
+        samples = self._samples(problem, optimised, rng) if settings.search.hypotheses > 1 else []
         best = min(range(len(optimised)), key=lambda k: optimised[k].evidence)
         others = [c for k, c in enumerate(optimised) if k != best]
         following = prune([optimised[best], *others, *samples], self.body, settings.search)
@@ -115,7 +118,7 @@ class MonoTracker:
         )
         still = np.zeros(self.body.skeleton.dof)
         found = [
-            replace(self._candidate(s, still, 0.0, int(hypotheses.labels[k])), cost=s.cost, evidence=s.cost)
+            replace(self._candidate(s, still, s.pose, 0.0, int(hypotheses.labels[k])), cost=s.cost, evidence=s.cost)
             for k, s in enumerate(solutions)
         ]
         return self._with_covariances(sorted(found, key=lambda c: c.cost))
@@ -203,30 +206,29 @@ class MonoTracker:
         over_chunks(work, len(starts), len(free))
         return [s for s in solutions if s is not None]
 
-    def _candidate(self, s: mono.MonoSolution, velocity: Array, evidence: float, label: int) -> Candidate:
+    def _candidate(
+        self, s: mono.MonoSolution, velocity: Array, prediction: Array, evidence: float, label: int
+    ) -> Candidate:
         fixed, at = self._fixed, s.pose[self._fixed.model.active]
         held = ((at <= fixed.lower + 1e-6) & (s.gradient > 0)) | ((at >= fixed.upper - 1e-6) & (s.gradient < 0))
         total = self.settings.search.memory * float(evidence) + s.evidence
-        return Candidate(s.pose, velocity, s.hessian, ~held, s.evidence, total, label)
+        return Candidate(s.pose, velocity, prediction, s.hessian, ~held, s.evidence, total, label)
 
-    def _samples(
-        self, problem: MonoProblem, optimised: list[Candidate], before: MonoHypotheses, rng: np.random.Generator
-    ) -> list[Candidate]:
-        """Samples of all candidates, each with the history of the one it was drawn from."""
+    def _samples(self, problem: MonoProblem, optimised: list[Candidate], rng: np.random.Generator) -> list[Candidate]:
+        """Samples of all candidates, each with the history and the prediction of the one it was drawn from."""
         fixed, out = self._fixed, []
         for parent in optimised:
             poses = uncertain_samples(
                 parent, fixed.model.active, fixed.spread, fixed.lower, fixed.upper, self.settings.search, rng
             )
             history = parent.evidence - parent.cost
-            for pose, cost in zip(poses, mono.score(poses, problem, self._workspaces[0]), strict=True):
+            own = with_prediction(problem, parent.prediction, fixed.spread)
+            for pose, cost in zip(poses, mono.score(poses, own, self._workspaces[0]), strict=True):
                 drawn = replace(parent, pose=pose, cost=float(cost), evidence=history + float(cost), label=SAMPLED)
                 out.append(drawn)
         return out
 
-    def _optimised_flips(
-        self, problem: MonoProblem, optimised: list[Candidate], before: MonoHypotheses
-    ) -> list[Candidate]:
+    def _optimised_flips(self, problem: MonoProblem, optimised: list[Candidate]) -> list[Candidate]:
         """Mirrored limbs of the best candidate, optimised; they start at rest."""
         best = min(optimised, key=lambda c: c.evidence)
         poses = mirrored(self.body, self.camera, best.pose, self._fixed.model.active)
@@ -236,8 +238,8 @@ class MonoTracker:
         found = self._search(still, poses, poses, self.settings.coarse_iterations, self.settings.iterations)
         history = best.evidence - best.cost
         return [
-            replace(self._candidate(s, np.zeros_like(s.pose), 0.0, FLIPPED), evidence=history + s.evidence)
-            for s in found
+            replace(self._candidate(s, np.zeros_like(q), q, 0.0, FLIPPED), evidence=history + s.evidence)
+            for s, q in zip(found, poses, strict=True)
         ]
 
     def _with_covariances(self, candidates: list[Candidate]) -> MonoHypotheses:

@@ -28,15 +28,15 @@ SETTINGS = replace(MonoSettings(), search=replace(MonoSettings().search, hypothe
 
 
 def motion(body, frames):
-    """(frames, D): an arm that lifts and bends, a knee that bends, a small step aside; 2 to 4 px per frame."""
+    """(frames, D): an arm that lifts and bends, a knee that bends, a small step aside; 2 to 5 px per frame."""
     s = body.skeleton
     q = np.tile(s.rest_pose(), (frames, 1))
     t = np.arange(frames)[:, None]
-    q[:, s.dofs_of("left_shoulder")] += 0.035 * t * [0.3, -1, 0.4]
-    q[:, s.dofs_of("left_elbow")] += 0.04 * t
-    q[:, s.dofs_of("right_knee")] += 0.05 * t
-    q[:, s.dofs_of("right_hip")[:1]] -= 0.03 * t
-    q[:, 0] += 0.004 * t[:, 0]
+    q[:, s.dofs_of("left_shoulder")] += 0.06 * t * [0.3, -1, 0.4]
+    q[:, s.dofs_of("left_elbow")] += 0.07 * t
+    q[:, s.dofs_of("right_knee")] += 0.08 * t
+    q[:, s.dofs_of("right_hip")[:1]] -= 0.05 * t
+    q[:, 0] += 0.006 * t[:, 0]
     return s.clamp(q)
 
 
@@ -70,9 +70,9 @@ def error(body, estimates, poses):
 def test_a_small_motion_is_recovered(clip):
     body, view, poses, pictures = clip
     estimates = follow(body, view, poses, pictures)
-    still = np.linalg.norm(body.joints(poses[0]) - body.joints(poses[-1]), axis=1)
-    assert still.max() > 0.15  # standing still would be far off
-    assert error(body, estimates, poses) < 0.03
+    moved = np.linalg.norm(body.joints(poses[0]) - body.joints(poses[-1]), axis=1)
+    assert moved.max() > 0.12
+    assert error(body, estimates, poses) < 0.02
     last = estimates[-1]
     assert not last.lost
     assert last.nodes.assigned > 0.8 * last.nodes.contour > 40

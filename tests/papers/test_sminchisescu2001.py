@@ -170,7 +170,7 @@ def test_figure_4_samples_lie_along_the_most_uncertain_free_directions():
     unlimited = np.full(30, np.inf)
     search = replace(MonoSettings().search, directions=2, samples=2, reach=3.0, longest=100.0)
     hessian = basis @ np.diag(values) @ basis.T
-    candidate = Candidate(pose, 0 * pose, hessian, free, 0.0, 0.0, 0)
+    candidate = Candidate(pose, 0 * pose, pose, hessian, free, 0.0, 0.0, 0)
     found = uncertain_samples(candidate, active, spread, -unlimited, unlimited, search, rng)
     assert len(found) == 8
     steps = (found - pose)[:, active]
@@ -191,7 +191,7 @@ def test_figure_4_the_pool_of_all_hypotheses_is_pruned_to_the_best_distinct_ones
     def at(angle, evidence):
         pose = body.skeleton.rest_pose()
         pose[body.skeleton.dofs_of("left_elbow")] += angle
-        return Candidate(pose, 0 * pose, np.eye(30), np.ones(30, bool), evidence, evidence, 0)
+        return Candidate(pose, 0 * pose, pose, np.eye(30), np.ones(30, bool), evidence, evidence, 0)
 
     pool = [at(0.0, 1.0), at(0.01, 1.1), at(0.5, 3.0), at(0.9, 2.0), at(-0.5, 9.0)]
     kept = prune(pool, body, search)
