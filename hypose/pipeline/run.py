@@ -17,6 +17,7 @@ from hypose.evidence.frame import Frame
 from hypose.io.bodies import save_body
 from hypose.io.provenance import identity
 from hypose.io.results import Checkpoint, ResultsFolder, save_motion
+from hypose.pipeline.colour_detections import tracked_frames
 from hypose.pipeline.subject import Subject, SubjectOptions, find_subject
 from hypose.tracking.recipes import recipe
 from hypose.tracking.smooth_motion import smooth_motion
@@ -122,7 +123,7 @@ def track_source(
     try:
         saved = len(estimates)
         rest = range(saved, total)
-        with contextlib.closing(look_ahead(source.frame(index) for index in rest)) as frames:
+        with contextlib.closing(look_ahead(tracked_frames(source, rest, options.recipe, subject))) as frames:
             for index in rest:
                 report("track", index, total)
                 state, estimate = tracker.step(state, next(frames))
