@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.cameras.camera import Camera
 from hypose.compute.render import silhouette
+from hypose.errors import InputError
 from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array
 from hypose.io.recording import Recording, View
@@ -80,10 +81,13 @@ class ViewImages:
         self.size: tuple[int, int] = self._reader.size if self._reader is not None else camera.size
 
     def read(self, index: int) -> Image | None:
-        """Frame `index`, or None when the view ends before it."""
+        """Frame `index`, or None when the view ends before it or is damaged there."""
         if self._reader is None or index >= self._reader.n_frames:
             return None
-        image = self._reader.read(index)
+        try:
+            image = self._reader.read(index)
+        except InputError:  # tracking has left this frame of the view out, and says so
+            return None
         return image if self.view.source is not None else (image // 3 + 40).astype(np.uint8)
 
     def close(self) -> None:

@@ -1,0 +1,90 @@
+"""Full disks, folders that may not be written, damaged evidence: one sentence or a result that says what happened."""
+
+import contextlib
+import os
+import resource
+
+import numpy as np
+import pytest
+
+from hypose.body.models import human
+from hypose.evaluation.small_recordings import small_scene, write_masks, write_skeletons
+from hypose.io.bodies import save_body
+from hypose.io.results import load_motion
+
+LIGHT = ("--no-overlay", "--formats", "trc")
+
+
+@pytest.fixture(scope="module")
+def masks(tmp_path_factory):
+    """Six frames of masks, and a body that is given, so that nothing has to be fitted; may not be spoilt."""
+    folder = tmp_path_factory.mktemp("faults")
+    save_body(human(), folder / "anna" / "body.npz")
+    return write_masks(small_scene(1, 6), folder / "walk")
+
+
+@contextlib.contextmanager
+def full_disk(largest):
+    """No file may grow beyond some bytes; Python turns the signal into an error, as a full disk gives."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (largest, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_disk_that_is_full_at_the_end_keeps_the_motion(hypose, masks, tmp_path):
+    arguments = ("track", masks, "--subject", masks.parent / "anna", *LIGHT)
+    assert hypose(*arguments, "--out", tmp_path / "whole")[0] == 0
+    largest = (tmp_path / "whole" / "body.npz").stat().st_size + 4096
+    with full_disk(largest):
+        code, _, err = hypose(*arguments, "--formats", "glb,trc", "--out", tmp_path / "full")
+    sentence = " ".join(err[err.index("error: ") :].split())
+    assert code == 2 and "Traceback" not in err
+    assert "cannot be written" in sentence and "what was written before is intact" in sentence
+    whole, kept = (tmp_path / n / "motion.npz" for n in ("whole", "full"))
+    assert kept.read_bytes() == whole.read_bytes()
+    code, _, err = hypose(*arguments, "--out", tmp_path / "full", "--resume")
+    assert code == 0 and "Track:" not in err
+    assert not [p for p in (tmp_path / "full").iterdir() if p.name.startswith(".")]
+
+
+@pytest.mark.parametrize("what", ["fuse", "export"])
+def test_a_full_disk_ends_in_a_sentence(hypose, tracked, tmp_path, what):
+    source = write_skeletons(tmp_path / "sensors", seconds=2.0) if what == "fuse" else tracked
+    with full_disk(2000):
+        code, _, err = hypose(what, source, "--out", tmp_path / "out")
+    assert code == 2 and "cannot be written" in err and "Traceback" not in err
+    assert not any((tmp_path / "out").glob("*")), "a half-written file has its final name"
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_may_not_be_written(hypose, masks, tmp_path):
+    (tmp_path / "out").mkdir(mode=0o555)
+    code, _, err = hypose("track", masks, "--subject", masks.parent / "anna", "--out", tmp_path / "out", *LIGHT)
+    assert code == 2 and "choose a folder that you may write to" in " ".join(err.split())
+
+
+def test_a_damaged_mask_is_left_out(hypose, masks, tmp_path):
+    damaged = masks.parent / "damaged"
+    write_masks(small_scene(1, 6), damaged)
+    path = sorted((damaged / "cam2").iterdir())[3]
+    path.write_bytes(path.read_bytes()[:40])
+    code, _, err = hypose("track", damaged, "--subject", masks.parent / "anna", "--out", tmp_path, *LIGHT)
+    assert code == 0, err
+    assert load_motion(tmp_path / "motion.npz").n_views.tolist() == [4, 4, 4, 3, 4, 4]
+
+
+def test_masks_that_are_all_foreground_are_no_evidence(hypose, masks, tmp_path):
+    import cv2
+
+    flooded = masks.parent / "flooded"
+    write_masks(small_scene(1, 6), flooded)
+    for path in flooded.glob("cam*/0000[34].png"):
+        assert cv2.imwrite(str(path), np.full((120, 160), 255, np.uint8))
+    code, _, err = hypose("track", flooded, "--subject", masks.parent / "anna", "--out", tmp_path, *LIGHT)
+    assert code == 0, err
+    motion = load_motion(tmp_path / "motion.npz")
+    assert motion.extrapolated.tolist() == [False, False, False, True, True, False]
+    assert np.isfinite(motion.poses).all()
