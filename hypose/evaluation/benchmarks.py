@@ -82,6 +82,7 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
     from hypose.evaluation import (
         anthropometry,
         anthropometry_real,
+        batch_scale,
         calibration,
         court,
         doctor,
@@ -136,6 +137,7 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
         "gesture-semi-synthetic": gesture_asl.semi_synthetic,
         "gesture-speed": gesture_speed.speed,
         "gesture-false-alarms": gesture_sessions.false_alarms,
+        "batch": batch_scale.batch,
         "faults": faults.faults,
         "kills": kills.kills,
         "mono-arm": mono_benchmarks.mono_arm,
