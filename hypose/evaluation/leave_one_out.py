@@ -18,6 +18,7 @@ from hypose.fitting import SolveOptions, contour_term, fit_clip
 from hypose.geometry import Array
 from hypose.io.trc import read_trc
 from hypose.pipeline.subject import Subject, SubjectOptions, find_subject
+from hypose.tracking.keypoint_evidence import keypoint_term
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.smoothing import ClipSettings, acceleration_weight, solve_keypoint_clip, speed_weight
 
@@ -42,7 +43,8 @@ def without_view(frame: Frame, view: int) -> Frame:
         return CameraRig(tuple(c for k, c in enumerate(rig) if k != view))
 
     s, k = frame.silhouettes, frame.keypoints
-    keep = [i for i in range(len((s or k).rig)) if i != view] if s is not None or k is not None else []  # type: ignore[union-attr]
+    given = s or k
+    keep = [i for i in range(len(given.rig)) if i != view] if given is not None else []
     return replace(
         frame,
         silhouettes=None
@@ -79,6 +81,11 @@ def _given(frame: Frame) -> Keypoints:
     return frame.keypoints
 
 
+def pose2sim_of(frames: Sequence[Frame], rig: CameraRig, frame_rate: float) -> Array:
+    """(T, K, 3) m: Pose2Sim's points from the frames' key points; rig: their full-size cameras."""
+    return pose2sim_points(rig.pinhole(), np.stack([_full_size(_given(f), rig) for f in frames]), frame_rate)
+
+
 def _full_size(keypoints: Keypoints, rig: CameraRig) -> Array:
     """(C, K, 3) with pixels of the full-size cameras."""
     out = keypoints.points.copy()
@@ -97,7 +104,7 @@ def _methods(frames: Sequence[Frame], rig: CameraRig, rate: float) -> dict[str, 
     both = both_clip(subject, frames, poses, rate)
     return {
         "triangulation": triangulate_keypoints(keypoints)[0],
-        "pose2sim": pose2sim_points(rig, np.stack([_full_size(k, rig) for k in keypoints]), rate),
+        "pose2sim": pose2sim_of(frames, rig, rate),
         "keypoints": subject.keypoints.positions(subject.body, poses),
         "both": subject.keypoints.positions(subject.body, both),
     }
@@ -105,8 +112,6 @@ def _methods(frames: Sequence[Frame], rig: CameraRig, rate: float) -> dict[str, 
 
 def both_clip(subject: Subject, frames: Sequence[Frame], poses: Array, rate: float, weight: float = 0.05) -> Array:
     """Poses (T, D) of a whole clip from key points and contours together, from those of the key points."""
-    from hypose.tracking.keypoint_evidence import keypoint_term
-
     s = subject.body.skeleton
     points = [
         None if f.keypoints is None else keypoint_term(f.keypoints, subject.body, subject.keypoints, q)
@@ -150,9 +155,7 @@ def agreement_with_the_tool(folder: Path, frames: Sequence[Frame], shipped: Came
     if not found:
         return float("nan")
     tool = read_trc(found[0])
-    own = pose2sim_points(
-        shipped.pinhole(), np.stack([_full_size(_given(f), shipped) for f in frames]), tool.frame_rate
-    )
+    own = pose2sim_of(frames, shipped, tool.frame_rate)
     alike = {n.lower().replace("_", ""): k for k, n in enumerate(names)}
     distances = []
     for m, name in enumerate(tool.names):

@@ -16,6 +16,7 @@ import numpy as np
 
 from hypose.cameras.camera import CameraRig
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row
+from hypose.evaluation.clip_speed import keypoint_clip_rows
 from hypose.evaluation.published import action_scene, known_subject
 from hypose.evaluation.real import balancing_recording
 from hypose.evaluation.scenes import Scene
@@ -72,6 +73,7 @@ def multiview_speed(options: BenchOptions) -> BenchReport:
     known = known_subject(scene)
     frames = list(scene.mask_frames(1.0))
     rows = _masks_in(options, scene, known, frames, repeats)
+    rows += keypoint_clip_rows(scene, known, repeats)
     with tempfile.TemporaryDirectory() as folder:
         options.progress("videos", 0, 1)
         small = load_recording(write_scene(scene, Path(folder) / "480p").parent)

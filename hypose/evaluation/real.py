@@ -13,6 +13,8 @@ from hypose.body.body import Body
 from hypose.body.models import human
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row
+from hypose.evaluation.leave_one_out import agreement_with_the_tool, leave_one_out, pose2sim_of, rows_of
+from hypose.evaluation.product import InMemory
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.hull import hull_iou, visual_hull
 from hypose.evidence.keypoints import BODY_25B
@@ -23,6 +25,8 @@ from hypose.io.recording import Recording, View, load_recording
 from hypose.io.video import open_video
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.subject import SubjectOptions, find_subject
+from hypose.tracking.costs import silhouette_iou
+from hypose.tracking.evidence import prepare
 from hypose.tracking.keypoint_evidence import KeypointModel
 
 LIMBS = tuple(
@@ -30,6 +34,8 @@ LIMBS = tuple(
     for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
     for side in ("left", "right")
 )
+_SEGMENTS = ((0, 2), (1, 3), (2, 4), (3, 5), (6, 8), (7, 9), (8, 10), (9, 11))
+"""the limbs' segments by pairs of LIMBS"""
 
 
 def balancing_recording(folder: Path, *, keypoints: bool = True) -> Recording:
@@ -55,16 +61,19 @@ def real_balancing(options: BenchOptions) -> BenchReport:
 
     silhouettes: tracked from silhouettes alone after a subject and a start from key points; masks made without key
     points. silhouettes, masks with key points: the background is taken where the key points' skeleton is not.
-    keypoints, both: the same clip with key points as evidence (judged against themselves).
+    keypoints, both: the same clip with key points as evidence (judged against themselves). pose2sim: that tool's method
+    on the same key points and extrinsics; agreement_mm: its median distance from the tool's own result file.
+    loco_px: median distance, in the camera left out, of what the other three say (`leave_one_out`).
     """
     folder = options.folder("pose2sim_balancing")
     reference = np.load(folder / "kp3d_refined_m.npy")
-    with_points = FrameStream(balancing_recording(folder))
-    without = FrameStream(balancing_recording(folder, keypoints=False))
-    rate = with_points.recording.frame_rate
-    n = 20 if options.quick else len(with_points)
+    recording = balancing_recording(folder)
+    rate = recording.frame_rate
+    n = 20 if options.quick else len(recording.frames)
+    with_points = _in_memory(recording, n)
+    without = _in_memory(balancing_recording(folder, keypoints=False), n)
     rows: list[Row] = []
-    options.progress("subject", 0, 5)
+    options.progress("subject", 0, 10)
     subject = find_subject(with_points.frame, n, SubjectOptions("keypoints", frame_rate=rate))
     cases = (
         ("silhouettes", without, "silhouettes"),
@@ -72,19 +81,56 @@ def real_balancing(options: BenchOptions) -> BenchReport:
         ("keypoints", with_points, "keypoints"),
         ("both", with_points, "both"),
     )
-    for k, (case, stream, evidence) in enumerate(cases):
-        options.progress(case, k + 1, len(cases) + 1)
-        source = FirstFrames(stream, n)
+    for k, (case, source, evidence) in enumerate(cases):
+        options.progress(case, k + 1, 10)
         result = track_source(source, rate, TrackOptions(evidence=evidence), subject=subject)
         assert result.motion.poses is not None and subject.keypoints is not None
         assert subject.keypoints.names == BODY_25B  # the order of the reference
         # key-point file t belongs to video frame t + 1: frame 0 of the video has none
         rows += against_keypoints(case, subject.body, subject.keypoints, result.motion.poses[1:], reference[: n - 1])
-        if evidence != "keypoints":
-            rows.append(Row("iou", case, 1 - float(np.nanmean(result.motion.cost)), "1", n=n))
+        rows += _overlap(case, subject.body, result.motion.poses, source)
+    rows += _pose2sim(folder, recording, with_points.frames[1:], reference)
+    if not options.quick:
+        left_out = leave_one_out(
+            with_points.frames[1:], recording.rig, rate, lambda c: options.progress("leave one out", 5 + c, 10)
+        )
+        rows += rows_of(left_out)
+    options.progress("done", 10, 10)
     return BenchReport(
         tuple(rows), {"frames": n, "extrinsics": "refined", "joints": 12, "subject": list(subject.notes)}
     )
+
+
+def _in_memory(recording: Recording, n: int) -> InMemory:
+    with FrameStream(recording) as stream:
+        return InMemory([stream.frame(i) for i in range(n)])
+
+
+def _overlap(case: str, body: Body, poses: Array, source: InMemory) -> list[Row]:
+    """IoU of body and masks, mean over the frames, in each view and over all."""
+    by_view = [
+        silhouette_iou(body, pose, prepare(frame, body, pose))
+        for pose, frame in zip(poses, source.frames, strict=True)
+        if frame.silhouettes is not None
+    ]
+    mean = np.nanmean(by_view, axis=0)
+    rows = [Row("iou", f"{case}/view {c + 1}", float(x), "1", n=len(by_view)) for c, x in enumerate(mean)]
+    return [*rows, Row("iou", case, float(mean.mean()), "1", n=len(by_view))]
+
+
+def _pose2sim(folder: Path, recording: Recording, frames: list[Frame], reference: Array) -> list[Row]:
+    """The same figures for points made by Pose2Sim's method, and how near that is to the tool's own result."""
+    own = pose2sim_of(frames, recording.rig, recording.frame_rate)
+    distance = np.linalg.norm(own - reference[: len(own)], axis=-1)[:, LIMBS] * 1e3
+    points = own[:, LIMBS]
+    lengths = [np.nanstd(np.linalg.norm(points[:, a] - points[:, b], axis=-1)) * 1e3 for a, b in _SEGMENTS]
+    agreement = agreement_with_the_tool(folder, frames, load_recording(folder).rig, BODY_25B)
+    return [
+        Row("median_mm", "pose2sim", float(np.nanmedian(distance)), "mm", n=distance.size),
+        Row("p95_mm", "pose2sim", float(np.nanpercentile(distance, 95)), "mm", n=distance.size),
+        Row("bone_sd_mm", "pose2sim", float(np.mean(lengths)), "mm", n=len(lengths)),
+        Row("agreement_mm", "pose2sim", 1e3 * agreement, "mm", n=len(own)),
+    ]
 
 
 class FirstFrames:
@@ -113,9 +159,8 @@ def against_keypoints(case: str, body: Body, model: KeypointModel, poses: Array,
     fixed = np.nanmean(local, axis=0)
     aligned = np.linalg.norm(p + np.einsum("tkab,kb->tka", r, fixed) - target, axis=-1) * 1e3
     given = np.linalg.norm(p + np.einsum("tkab,kb->tka", r, offset) - target, axis=-1) * 1e3
-    segments = [(0, 2), (1, 3), (2, 4), (3, 5), (6, 8), (7, 9), (8, 10), (9, 11)]
     points = p + np.einsum("tkab,kb->tka", r, fixed)
-    sd = [np.std(np.linalg.norm(points[:, a] - points[:, b], axis=-1)) * 1e3 for a, b in segments]
+    sd = [np.std(np.linalg.norm(points[:, a] - points[:, b], axis=-1)) * 1e3 for a, b in _SEGMENTS]
     joints = body.joints(poses)
     bones = [
         np.std(np.linalg.norm(joints[:, j] - joints[:, q], axis=-1)) * 1e3

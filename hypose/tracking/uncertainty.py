@@ -16,9 +16,9 @@ from hypose.tracking.evidence import PreparedFrame
 from hypose.tracking.refinement import refine
 
 # Rows of one contour err together, a body is only nearly right, and lost limbs make tails: how far the curvature is
-# from the truth is measured, not derived. With these factors the 90 % regions of the default recipe with an estimated body
-# held the truth in 90 % of the joints of each group on 24 synthetic scenes (walk, box, run, combo; seeds 20 to 25).
-# They belong to the default weight of a contour row (0.05).
+# from the truth is measured, not derived. With these factors the 90 % regions of the default recipe with an estimated
+# body held the truth in 90 % of the joints of each group on 24 synthetic scenes (walk, box, run, combo; seeds 20 to
+# 25). They belong to the default weight of a contour row (0.05).
 CURVATURE_FACTOR = {"torso": 0.48, "arms": 0.75, "legs": 0.40, "head": 0.27}
 FLOOR = 0.005
 """m; no joint centre of a fitted body is known better than this."""
