@@ -134,6 +134,7 @@ def _packages_fit(*kinds: str) -> bool:
 
 def _run(command: list[str], node: str) -> None:
     environment = {**os.environ, "PATH": os.pathsep.join([str(Path(node).parent), os.environ.get("PATH", "")])}
+    environment["npm_config_cache"] = str(ROOT / ".cache" / "npm")  # nothing is left outside this folder
     try:
         done = subprocess.run(command, cwd=WEB, env=environment, capture_output=True, text=True, errors="replace")
     except OSError as error:

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
+from hypose.evidence.silhouettes import SilhouetteOptions
 from hypose.io import video
 from hypose.io.calibration import write_calibration
+from hypose.io.frames import FrameOptions, FrameStream
 from hypose.io.recording import Recording, View, load_recording, write_recording
 from tests.io.recordings import SIZE, frame, make_recording, make_rig, make_video
 
@@ -87,6 +89,22 @@ def test_everything_and_round_trip(tmp_path):
             assert getattr(again, name) == getattr(recording, name), name
         assert [v.image_shift for v in again.views] == [(6.0, -0.5), (0.0, 0.0)]
     assert 'video = "cam_2.avi"' in (folder / "recording.toml").read_text()  # inside: relative
+
+
+def test_how_masks_are_made_is_read_written_and_used(tmp_path):
+    folder = everything(tmp_path / "a")
+    path = folder / "recording.toml"
+    plain = path.read_text()
+    path.write_text(plain + "\n[silhouettes]\nthreshold = 6\nshadow = false\nshadow_range = [0.5, 0.9]\n")
+    recording = load_recording(folder)
+    assert recording.silhouettes == SilhouetteOptions(threshold=6, shadow=False, shadow_range=(0.5, 0.9))
+    assert load_recording(write_recording(recording, tmp_path / "b")).silhouettes == recording.silhouettes
+    with FrameStream(recording) as usual, FrameStream(recording, FrameOptions()) as other:
+        assert usual.options.silhouettes == recording.silhouettes and other.options.silhouettes == SilhouetteOptions()
+    for line, word in (("treshold = 4", "threshold"), ("shadow = 1", "true or false"), ("min_sd = -1", "min_sd")):
+        path.write_text(f"{plain}\n[silhouettes]\n{line}\n")
+        with pytest.raises(InputError, match=word):
+            load_recording(folder)
 
 
 def test_views_without_videos(tmp_path):
