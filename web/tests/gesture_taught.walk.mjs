@@ -13,6 +13,7 @@ await walk(
     const fact = (name, on = page) => on.locator(`dt:text-is("${name}") + dd`).innerText();
     const step = (on = page) => on.evaluate(() => window.__app.live.step);
 
+    page.setDefaultTimeout(240_000);
     await page.getByRole("radio", { name: /Simulated person/ }).waitFor();
     assert.equal(await page.getByRole("radio", { name: /Simulated person/ }).getAttribute("aria-checked"), "true");
     assert.match(await page.getByRole("region", { name: "Your gestures" }).innerText(), /None yet/);
@@ -46,6 +47,7 @@ await walk(
     await page.waitForFunction(() => window.__app.live.step.counts.negative > 20, undefined, { timeout: 300_000 });
     const before = await step();
     const again = await browser.newPage({ viewport: { width: 1280, height: 800 } });
+    again.setDefaultTimeout(240_000);
     await page.close();
     await new Promise((done) => setTimeout(done, 6500));
     await again.goto(`${address}#/gesture`, { waitUntil: "commit" });

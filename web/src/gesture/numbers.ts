@@ -32,7 +32,7 @@ export class Numbers {
     const at = j?.at;
     facts(this.good, [
       ["Average precision", j && j.ap !== null ? j.ap.toFixed(2) : "–", j && j.ap !== null ? grade(j.ap) : ""],
-      ["Precision, recall at the threshold", at ? `${percent(at.precision)}, ${percent(at.recall)}` : "–"],
+      ["Precision, recall", at ? `${percent(at.precision)}, ${percent(at.recall)}` : "–"],
       ["False alarms per minute", j && j.false_per_min !== null ? j.false_per_min.toFixed(1) : "–"],
       ["Judged on", j && j.positives ? `${j.positives} + ${j.frames - j.positives} ${j.on === "test" ? "frames of the test" : "kept frames"}` : "nothing yet"],
     ]);
