@@ -39,10 +39,10 @@ def strongest_gradient(image, out, size):
 
 @njit(**OPTIONS)
 def saturate(field, size, full):
-    """field (h, w, 2) in units of a full edge (h, w), cut at 1, in place."""
+    """field (h, w, 2) in units of a full edge, cut at 1, in place."""
     for y in range(size.shape[0]):
         for x in range(size.shape[1]):
-            k = f4(1) / max(full[y, x], size[y, x])
+            k = f4(1) / max(full, size[y, x])
             field[y, x, 0] *= k
             field[y, x, 1] *= k
 

@@ -142,9 +142,9 @@ def strongest_gradient(image: ArrayLike) -> tuple[Floats, Floats]:
     return field, size
 
 
-def saturate(field: Floats, size: Floats, full: Floats) -> None:
-    """Divide field (h, w, 2) by max(full, size), both (h, w), in place."""
-    _numba("mono_images").saturate(field, size, _plain(full, np.float32))
+def saturate(field: Floats, size: Floats, full: float) -> None:
+    """Divide field (h, w, 2) by max(full, size (h, w)), in place."""
+    _numba("mono_images").saturate(field, size, np.float32(full))
 
 
 def weigh(field: Floats, boundaries: Floats, corner: tuple[int, int], floor: float) -> Floats:

@@ -89,7 +89,7 @@ def field_of(frame: MonoFrame, settings: MonoSettings) -> NDArray[np.float32]:
     """The frame's edges (h, w, 2)."""
     if not settings.edges:
         return np.zeros((*frame.image.shape[:2], 2), np.float32)
-    return edge_field(frame.image, settings.edge.smoothing_px, settings.edge.strength, settings.edge.contrast_px)
+    return edge_field(frame.image, settings.edge.smoothing_px, settings.edge.strength)
 
 
 def with_prediction(problem: MonoProblem, prediction: Array, spread: Array) -> MonoProblem:

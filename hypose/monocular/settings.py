@@ -16,11 +16,11 @@ class EdgeSettings:
     form: of the cost, one of ROBUST_FORMS; sigma_px: its scale; height: nu, what one independent sample costs that
     finds nothing; sample_px: contour per independent sample; window_px: reach of the line search to either side;
     spacing_px: distance of the contour's nodes; strength: quantile of the image gradient that counts as a full edge;
-    threshold: weakest edge that is taken, as a share of that; smoothing_px: of the image before; contrast_px:
-    radius in which less contrast makes a full edge (0: the whole picture counts). background: expected
-    cost of a node where no body is, as a share of nu, taken off each node so that a short contour is not rewarded;
-    occluded: k of equation (5), what an occluded node costs as a share of nu. motion_boundaries: weigh edges by them;
-    boundary_floor: weight of an edge where nothing moves. coarse_factor: of sigma in the first iterations.
+    threshold: weakest edge that is taken, as a share of that; smoothing_px: of the image before. background: expected
+    cost of a node where no body is, as a share of nu, taken off each node: a contour that fits worse than it would by
+    chance is the better the shorter it is, so with too low a value limbs hide; occluded: k of equation (5), what an
+    occluded node costs as a share of nu (as much: hiding neither helps nor harms). motion_boundaries: weigh edges by
+    them; boundary_floor: weight of an edge where nothing moves. coarse_factor: of sigma in the first iterations.
     """
 
     form: str = "leclerc"
@@ -32,9 +32,8 @@ class EdgeSettings:
     strength: float = 0.93
     threshold: float = 0.08
     smoothing_px: float = 1.2
-    contrast_px: float = 0.0
-    background: float = 0.5
-    occluded: float = 0.5
+    background: float = 0.8
+    occluded: float = 0.8
     motion_boundaries: bool = True
     boundary_floor: float = 0.1
     coarse_factor: float = 2.0
