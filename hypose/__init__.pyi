@@ -29,3 +29,4 @@ from hypose.tracking.recipes import recipe as recipe
 from hypose.tracking.tracker import Tracker as Tracker
 
 __version__: str
+__all__: list[str]

@@ -127,11 +127,11 @@ def _collect(
         try:
             _show(futures, pending, heard, progress, frames)
             with contextlib.suppress(TimeoutError):
-                done, _ = wait(list(pending), timeout=_POLL_S, return_when="FIRST_COMPLETED")
-                for future in done:
-                    task = futures[future]
-                    out[task.key] = {**_result(future, task), "attempts": heard.attempts.get(task.key, 1)}
-                pending -= done
+                wait(list(pending), timeout=_POLL_S, return_when="FIRST_COMPLETED")
+            for future in [f for f in pending if f.done()]:
+                task = futures[future]
+                out[task.key] = {**_result(future, task), "attempts": heard.attempts.get(task.key, 1)}
+                pending.discard(future)
         except KeyboardInterrupt:
             if deadline < float("inf"):
                 break
@@ -171,12 +171,12 @@ def _result(future: Future, task: Task) -> dict[str, Any]:
 @contextlib.contextmanager
 def _client(place: Place) -> Iterator[Client]:
     """A client of the place's cluster; a cluster that was made here is closed with it."""
-    import dask
+    from dask import config
     from distributed import Client
 
     threads = place.threads or max(1, (os.cpu_count() or 1) // place.workers)
     environment = {name: str(threads) for name in _THREADS}
-    with dask.config.set(
+    with config.set(
         {
             "distributed.scheduler.allowed-failures": place.retries,
             # no task waits at a worker: a death counts against the task that ran, and costs that one only
@@ -226,7 +226,7 @@ def _cluster(place: Place, environment: Mapping[str, str]) -> Any:
 
 def _dashboard(client: Client) -> str:
     """Where to watch: plots with bokeh (extra `dashboard`), plain pages without."""
-    link = client.dashboard_link
+    link = client.dashboard_link or "none"
     if importlib.util.find_spec("bokeh") is None:
         link = link.removesuffix("status") + "info/main/workers.html"
     return link
