@@ -184,7 +184,8 @@ export class Workspace {
   private async track(name: string): Promise<void> {
     if (!(await this.keep(name))) return;
     const camera = this.state.camera;
-    const options = { method: "monocular", camera, start: `clicks:${name}`, frames: `${this.frame}:`, name: `monocular-${camera}` };
+    const view = this.recording.views.find((v) => v.camera === camera)?.name ?? camera;
+    const options = { method: "monocular", camera: view, start: `clicks:${name}`, frames: `${this.frame}:`, name: `monocular-${camera}` };
     try {
       const job = await post<Job>("/api/jobs", { kind: "track", recording: this.recording.id, options });
       toast(`${job.title} has begun.`);

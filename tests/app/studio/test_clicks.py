@@ -1,0 +1,65 @@
+"""What the page clicks is what `hypose track --method monocular` starts from."""
+
+import json
+
+import numpy as np
+import pytest
+
+from hypose.app.studio.clicks import _for_one_camera
+from hypose.app.studio.job_kinds import plan
+from hypose.errors import InputError
+from hypose.io.recording import load_recording
+from hypose.pipeline.mono_start import clicked_pixels, load_clicks
+from hypose.pipeline.mono_stream import one_view
+
+PIXELS = {
+    "neck": (75, 30), "left_shoulder": (82.62, 32.5), "left_elbow": (85, 45), "left_wrist": (86.25, 55),
+    "left_hip": (80, 60), "left_knee": (80.5, 75), "left_ankle": (81, 90.06), "head_top": (75, 20),
+}  # fmt: skip
+
+
+def view(camera, hidden=()):
+    points = [{"joint": j, "x": x, "y": y, "occluded": j in hidden} for j, (x, y) in PIXELS.items()]
+    return {"camera": camera, "points": points}
+
+
+def test_undistorted_clicks_come_back_through_the_lens(tiny, tmp_path):
+    recording = load_recording(tiny)
+    name = recording.rig.names[1]
+    kept = _for_one_camera([view(recording.rig.names[0]), view(name)], name, recording)
+    assert kept["camera"] == recording.views[1].name
+    assert set(kept["joints"]) == set(PIXELS) - {"head_top"}  # the tracker knows joints of the body only
+    path = tmp_path / "clicks.json"
+    path.write_text(json.dumps({**kept, "joints": {k: list(v) for k, v in kept["joints"].items()}}))
+    one = one_view(recording, kept["camera"])
+    back = clicked_pixels(load_clicks(path, one), one, recording.rig[1].pinhole())
+    for joint, pixel in back.items():
+        np.testing.assert_allclose(pixel, PIXELS[joint], atol=1e-3)
+
+
+def test_hidden_joints_are_left_out_where_enough_are_seen(tiny):
+    recording = load_recording(tiny)
+    name = recording.rig.names[0]
+    assert "left_wrist" not in _for_one_camera([view(name, ["left_wrist"])], None, recording)["joints"]
+    few = _for_one_camera([view(name, ["left_wrist", "left_ankle"])], None, recording)["joints"]
+    assert "left_wrist" in few
+
+
+def test_a_job_takes_saved_clicks_by_name(tmp_path):
+    from hypose.app.studio.catalog import Catalog
+
+    folder = tmp_path / "walk"
+    (folder / "starts").mkdir(parents=True)
+    (folder / "recording.toml").write_text("")
+    (folder / "starts" / "first.json").write_text("{}")
+    catalog = Catalog(tmp_path)
+    request = {
+        "recording": catalog.id_of("recording", folder),
+        "options": {"method": "monocular", "camera": "cam1", "start": "clicks:first"},
+    }
+    arguments = plan("track", request, catalog).arguments
+    assert arguments[arguments.index("--start") + 1] == str(folder / "starts" / "first.json")
+    for name in ("none", "../first", ""):
+        request["options"]["start"] = f"clicks:{name}"
+        with pytest.raises(InputError, match="save them first"):
+            plan("track", request, catalog)
