@@ -238,7 +238,9 @@ class SessionWriter:
         file = f"depth/{self._count:06d}.png"
         write_millimetres_png(self.folder / file, depth)
         with self._folder.writing():
-            self._frames.write(f"{self._count},{time:.6f},{file},{phase},{segment},{gesture},{at[0]:.2f},{at[1]:.2f}\n")
+            self._frames.write(
+                f"{self._count},{time:.6f},{file},{phase},{segment},{gesture},{float(at[0])!r},{float(at[1])!r}\n"
+            )
             self._frames.flush()
         self._count += 1
 
