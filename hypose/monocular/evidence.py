@@ -83,11 +83,13 @@ def edge_arrays(field: NDArray[np.float32], flow: Flow | None, settings: EdgeSet
 
 def flow_arrays(flow: Flow | None, settings: FlowSettings) -> FlowArrays:
     """The flow term; without flow it has no nodes."""
-    use = flow is not None and settings.use
+    if flow is None or not settings.use:
+        none = np.zeros((0, 0), np.float32)
+        flow = Flow(np.zeros((0, 0, 2), np.float32), none, none, (0, 0))
     return FlowArrays(
-        flow.flow if use else np.zeros((0, 0, 2), np.float32),
-        flow.error if use else np.zeros((0, 0), np.float32),
-        np.array(flow.corner if use else (0, 0), dtype=np.int64),
+        flow.flow,
+        flow.error,
+        np.array(flow.corner, dtype=np.int64),
         FORMS[settings.form],
         float(settings.sigma_px),
         float(settings.height),
