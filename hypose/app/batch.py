@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import os
+import signal
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -108,6 +109,12 @@ def _remote(task: Mapping[str, Any], stop: str) -> dict[str, Any]:
     worker.log_event(_TOPIC, {"key": task["key"], "stage": "begin"})
     made = Task(**{**task, "formats": tuple(task["formats"])})
     return run_task(made, Path(stop), lambda message: worker.log_event(_TOPIC, dict(message)))
+
+
+def dask_setup(worker: object) -> None:
+    """Called by Dask in each local worker process: Ctrl-C reaches all processes of a terminal, and must not end workers
+    before they have kept what they have."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _collect(
@@ -211,6 +218,7 @@ def _cluster(place: Place, environment: Mapping[str, str]) -> Any:
             dashboard_address="127.0.0.1:0",
             memory_limit=0,  # how much is free is known to the system only
             silence_logs=50,
+            preload=[__name__],  # for dask_setup
         )
     try:
         from dask_jobqueue import SLURMCluster  # pyright: ignore[reportMissingImports] (extra)

@@ -5,6 +5,8 @@ import json
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -15,29 +17,9 @@ from hypose.app.batch import Place, run_batch
 from hypose.app.batch_table import COLUMNS, rows_of, write_table
 from hypose.app.batch_worker import finished, run_task
 from hypose.app.sweep import Refused, plan, read_sweep
-from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
-from hypose.evaluation.rigs import rig
-from hypose.evaluation.scenes import make_scene
-from hypose.io.recording import Recording, View, write_recording
+from hypose.evaluation.small_recordings import small_scene, write_masks
 from hypose.io.results import load_motion
-
-
-def write_masks_only(folder, seed, frames):
-    """A recording of masks: nothing to decode, so a task is little more than tracking."""
-    import cv2
-
-    scene = make_scene("walk", "neutral", rig("humaneva-4").scaled(0.25), seconds=frames / 25, seed=seed)
-    cameras = scene.given_rig.pinhole()
-    for t, frame in enumerate(scene.mask_frames()):
-        for c, camera in enumerate(cameras):
-            (folder / camera.name).mkdir(parents=True, exist_ok=True)
-            mask = frame.silhouettes.masks[c, : camera.size[1], : camera.size[0]]
-            assert cv2.imwrite(str(folder / camera.name / f"{t:04d}.png"), 255 * mask)
-    views = tuple(View(c.name, masks=folder / c.name) for c in cameras)
-    made = Recording(folder, folder.name, CameraRig(tuple(cameras)), views, 25.0, None, keypoint_set=None)
-    write_recording(made, folder)
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +27,7 @@ def study(tmp_path_factory):
     """Two recordings of 60 and 6 frames; read only."""
     folder = tmp_path_factory.mktemp("study")
     for name, seed, frames in (("long", 1, 60), ("short", 2, 6)):
-        write_masks_only(folder / name, seed, frames)
+        write_masks(small_scene(seed, frames), folder / name)
     return folder
 
 
@@ -201,6 +183,24 @@ def test_killed_workers_change_no_byte(study, tmp_path):
     again = run_batch(tasks, Place(workers=1, threads=1), tmp_path / "out")
     assert all(f["attempts"] == 0 for f in again.values())  # nothing was done twice
     assert np.isfinite(load_motion(f"{tasks[0].results}/motion.npz").joints).all()
+
+
+@pytest.mark.slow
+def test_ctrl_c_keeps_what_was_tracked(study, tmp_path):
+    path = sweep_file(study, tmp_path)
+    command = [sys.executable, "-m", "hypose.app.cli", "batch", str(path), "--workers", "1"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, process_group=0)
+    deadline = time.monotonic() + 300
+    while not any(tmp_path.glob("out/long/*/checkpoint.npz")):
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: the workers get it too
+    said, _ = process.communicate(timeout=300)
+    assert process.returncode == 130 and "Go on with the same command" in said
+    with (tmp_path / "out" / "results.csv").open() as file:
+        rows = {r["recording"]: r for r in csv.DictReader(file)}
+    assert rows["long"]["state"] == "stopped" and "frames are kept" in rows["long"]["message"]
+    assert any(tmp_path.glob("out/long/*/checkpoint.npz"))
 
 
 def load_bytes(task):
