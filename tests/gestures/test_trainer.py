@@ -6,7 +6,7 @@ import numpy as np
 
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import localise
-from hypose.gestures.online import Example, Learner, LearnSettings
+from hypose.gestures.online import Example, Learner, LearnSettings, teach
 from hypose.gestures.session import SessionSettings
 from hypose.gestures.trainer import Trainer
 
@@ -78,9 +78,7 @@ def test_positives_are_learned_where_the_surface_is():
 
 def test_hard_negatives_are_taken_at_the_maximum_and_in_proportion_to_it():
     learner = Learner.new(np.random.default_rng(0), ForestSettings(alpha=60, candidates=30))
-    for e in toy_examples(40, 5):
-        if e.gesture:
-            learner.show(e.depth, LENS, 1, e.x, e.y)
+    teach(learner, toy_examples(60, 5))
     shown = toy_examples(1, 8)[0]
     strong = learner.reject(shown.depth, LENS)  # calling the gesture itself movement is the worst of errors
     found = strong.mined[0]
