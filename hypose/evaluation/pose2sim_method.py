@@ -11,12 +11,12 @@ from __future__ import annotations
 from itertools import combinations
 
 import numpy as np
-from scipy.signal import butter, filtfilt
+from scipy.signal import butter, sosfiltfilt
 
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.geometry import Array
 
-_ERROR_PX, _LIKELIHOOD, _GAP, _CUTOFF_HZ = 15.0, 0.3, 20, 6.0
+_ERROR_PX, _LIKELIHOOD, _GAP, _CUTOFF_HZ, _SHORTEST = 15.0, 0.3, 20, 6.0, 9
 
 
 def pose2sim_points(rig: CameraRig, points: Array, frame_rate: float) -> Array:
@@ -71,9 +71,9 @@ def _filtered(column: Array, frame_rate: float) -> Array:
         spread = np.median(np.abs(window - middle))
         if spread > 0 and abs(0.6745 * (column[t] - middle) / spread) > 2:
             out[t] = middle
-    b, a = butter(2, _CUTOFF_HZ / (frame_rate / 2))
+    sections = butter(2, _CUTOFF_HZ / (frame_rate / 2), output="sos")
     known = np.flatnonzero(np.isfinite(out))
     for part in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
-        if len(part) > 3 * max(len(a), len(b)):
-            out[part] = filtfilt(b, a, out[part])
+        if len(part) > _SHORTEST:
+            out[part] = sosfiltfilt(sections, out[part], padlen=_SHORTEST)
     return out

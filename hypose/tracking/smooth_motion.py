@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body
 from hypose.body.motion import Motion
@@ -65,7 +65,7 @@ def smooth_motion(body: Body, motion: Motion, information: ArrayLike, settings: 
     return Smoothed(smoothed, before, after)
 
 
-def _carried(sd: Array, known: Array) -> Array:
+def _carried(sd: Array, known: NDArray[np.bool_]) -> Array:
     """(T, J): sd of the known frames, and in between what lies on the straight line."""
     at = np.flatnonzero(known)
     frames = np.arange(len(sd))

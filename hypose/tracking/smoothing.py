@@ -8,10 +8,11 @@ smoother and no low-pass filter: where the evidence is sharp it is followed, whe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
@@ -66,7 +67,7 @@ def smooth_poses(
     frames without evidence, whose pose does not matter. contacts: points that hold still, per frame."""
     settings = settings or ClipSettings()
     weight, slow = (f(body.skeleton, frame_rate, settings) for f in (acceleration_weight, speed_weight))
-    known = information.any((1, 2))
+    known = np.asarray(information.any((1, 2)))
     given = _bridged(poses, known)
     terms = [Gaussian(q, i) if k else None for q, i, k in zip(given, information, known, strict=True)]
     options = SolveOptions(iterations=6, coarse_iterations=0, damping=1e-6)
@@ -94,7 +95,7 @@ def gap_variance(
     settings = settings or ClipSettings()
     weight, slow = (f(body.skeleton, frame_rate, settings) for f in (acceleration_weight, speed_weight))
     out = np.zeros((len(poses), len(body.skeleton.joint_names)))
-    blind = ~information.any((1, 2))
+    blind = ~np.asarray(information.any((1, 2)))
     if not blind.any():
         return out
     least = np.diag(np.r_[np.full(3, _FARTHEST_M), np.ones(body.skeleton.dof - 3)] ** -2.0)
@@ -154,7 +155,7 @@ def solve_keypoint_clip(
     return _in_windows(given, settings, solve), terms
 
 
-def _bridged(poses: Array, known: Array) -> Array:
+def _bridged(poses: Array, known: NDArray[np.bool_]) -> Array:
     """Poses with straight lines across frames that are not known, on one branch of the root's rotation vector."""
     out = poses.copy()
     if not known.any():
@@ -168,7 +169,7 @@ def _bridged(poses: Array, known: Array) -> Array:
     return out
 
 
-def _in_windows(like: Array, settings: ClipSettings, solve) -> Array:  # noqa: ANN001 - a function of a slice
+def _in_windows(like: Array, settings: ClipSettings, solve: Callable[[slice], Array]) -> Array:
     """solve(part) of overlapping windows, faded over where two overlap, so that memory and time grow with the clip's
     length only linearly."""
     t, out = len(like), np.zeros_like(like)
