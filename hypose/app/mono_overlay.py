@@ -61,7 +61,7 @@ def write_mono_overlay(
                 faint = shown.copy()
                 for k in range(int(modes.alive[i]) - 1, 0, -1):
                     draw_skeleton(faint, view, camera, body, modes.joints[i, k])
-                shown = cv2.addWeighted(faint, _FAINT, shown, 1 - _FAINT, 0)
+                shown = np.asarray(cv2.addWeighted(faint, _FAINT, shown, 1 - _FAINT, 0), dtype=np.uint8)
                 draw_skeleton(shown, view, camera, body, modes.joints[i, 0])
                 picture[_BAR : _BAR + size[1], : size[0]] = shown[: whole[1] - _BAR]
             picture[_BAR : _BAR + size[1], size[0] : size[0] + size[1]] = side_view(camera, body, modes, i, size[1])

@@ -253,7 +253,8 @@ def _save_checkpoint(
 def _from_checkpoint(saved: Checkpoint, source: str) -> tuple[MonoState, _Rows]:
     a = saved.arrays
     try:
-        hypotheses = MonoHypotheses(**{name: np.asarray(a[f"h_{name}"]) for name in _STATE})
+        values = [np.asarray(a[f"h_{name}"]) for name in _STATE[:-1]]
+        hypotheses = MonoHypotheses(*values, labels=np.asarray(a["h_labels"], dtype=np.int8))
         state = MonoState(int(a["frames"]), hypotheses, np.asarray(a["grey"], dtype=np.uint8))
         done = {k.removeprefix("done_"): np.asarray(v) for k, v in a.items() if k.startswith("done_")}
         return state, _Rows(from_arrays(done, source), a["joint_sd"], np.asarray(a["lost"], dtype=bool))
