@@ -18,6 +18,7 @@ from hypose.app.batch_table import COLUMNS, rows_of, write_table
 from hypose.app.batch_worker import finished, run_task
 from hypose.app.sweep import Refused, plan, read_sweep
 from hypose.errors import InputError
+from hypose.evaluation.programs import workers_of
 from hypose.evaluation.small_recordings import small_scene, write_masks
 from hypose.io.results import load_motion
 
@@ -165,7 +166,7 @@ def test_killed_workers_change_no_byte(study, tmp_path):
         deadline = time.monotonic() + 300
         while time.monotonic() < deadline and not killed:
             if any(tmp_path.glob("out/long/*/checkpoint.npz")):
-                for pid in children():
+                for pid in workers_of(os.getpid()):
                     os.kill(pid, signal.SIGKILL)
                     killed.append(pid)
                     break
@@ -206,19 +207,3 @@ def test_ctrl_c_keeps_what_was_tracked(study, tmp_path):
 def load_bytes(task):
     with open(f"{task.results}/motion.npz", "rb") as file:
         return file.read()
-
-
-def children():
-    """Worker processes of the local cluster: children of this process that run a nanny's worker."""
-    for entry in os.listdir("/proc"):
-        if not entry.isdigit():
-            continue
-        try:
-            with open(f"/proc/{entry}/stat") as file:
-                parent = int(file.read().rsplit(")", 1)[1].split()[1])
-            with open(f"/proc/{entry}/cmdline") as file:
-                command = file.read()
-        except (OSError, IndexError):
-            continue
-        if parent == os.getpid() and "spawn_main" in command:
-            yield int(entry)
