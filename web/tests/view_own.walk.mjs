@@ -10,6 +10,7 @@ const opened = (page) => page.waitForFunction(() => window.hypose && document.qu
 
 await walk(
   async ({ page, folder, picture }) => {
+    page.setDefaultTimeout(200_000); // on a machine that is busy with other things
     const { results } = await (await fetch(new URL("api/state", process.env.STUDIO))).json();
     const result = (path) => results.find((r) => r.path.endsWith(path)).id;
 
@@ -56,12 +57,12 @@ await walk(
     const x = (share) => line.x + 2 + share * (line.width - 4);
     const y = line.y + line.height / 2;
     await page.evaluate(() => (window.hypose.latency.length = 0));
-    for (let i = 0; i < 40; i++) {
+    for (let i = 1; i <= 40; i++) {
       await page.mouse.click(x((i * 0.317) % 1), y);
-      await page.waitForTimeout(120);
+      await page.waitForFunction((n) => window.hypose.latency.length >= n, i);
+      await page.waitForTimeout(60);
     }
     const clicks = await page.evaluate(() => [...window.hypose.latency]);
-    assert.ok(clicks.length >= 35, `${clicks.length} of 40 clicks changed the frame`);
     await page.evaluate(() => (window.hypose.frames.length = window.hypose.latency.length = 0));
     await page.mouse.move(x(0), y);
     await page.mouse.down();

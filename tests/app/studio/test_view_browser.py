@@ -59,7 +59,7 @@ def test_flags_comparison_and_ten_minutes(served, page, tmp_path):
     ten_minutes(default, root / "long")
     (root / "expected.json").write_text(json.dumps(expected(load_recording(root / "walk"), default)))
     with serving(root) as client:
-        said = go(WEB / "tests" / "view_own.walk.mjs", client.address, root, tmp_path)
+        said = go(WEB / "tests" / "view_own.walk.mjs", client.address, root, tmp_path, 900)
     measured = json.loads(said.strip().splitlines()[-1])
     sys.stdout.write(f"\nView: {measured}\n")
     assert all(np.isfinite(v) for v in measured.values())

@@ -132,6 +132,8 @@ export class ResultView {
     );
     const bar = splitter(this.element, "plots", "rows", "Height of the plots", 25, [8, 60]);
     this.element.insertBefore(bar, this.element.children[2]!);
+    // as wide as it will ever be, so that the line of time keeps its place
+    this.where.style.width = `${this.place(data.frames - 1).length + 1}ch`;
     this.player.show(options.row ?? 0);
     this.measured.expose(this);
     this.schedule();
@@ -212,11 +214,14 @@ export class ResultView {
     this.cameras.show(row);
     this.plots.show(row);
     this.timeline.show(row);
-    const number = row + this.data.header.first_frame;
-    this.where.textContent = `${clock(this.data.times[row] ?? 0)}  ·  frame ${number}`;
+    this.where.textContent = this.place(row);
     this.measured.changed();
     clearTimeout(this.rest);
     if (this.options.rested) this.rest = window.setTimeout(() => this.options.rested?.(row), 400);
+  }
+
+  private place(row: number): string {
+    return `${clock(this.data.times[row] ?? 0)}  ·  frame ${row + this.data.header.first_frame}`;
   }
 
   private controls(): void {
