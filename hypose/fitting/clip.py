@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from hypose import compute
 from hypose.body.body import Body
+from hypose.compute.banded import solve_coupled
 from hypose.compute.terms import PriorArrays
 from hypose.errors import SolverError
 from hypose.fitting.articulated import (
@@ -24,7 +25,6 @@ from hypose.fitting.articulated import (
     prior_arrays,
     workspace_for,
 )
-from hypose.compute.banded import solve_coupled
 from hypose.geometry import Array, nearest_branch
 
 LARGEST_TURN = 0.35
