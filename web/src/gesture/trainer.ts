@@ -67,7 +67,10 @@ export class Trainer {
     const over = live.ended !== null;
     const paused = live.step?.paused ?? false;
     const label = paused ? "Go on" : "Pause";
-    if (this.pause.textContent !== label) this.pause.lastElementChild!.textContent = label;
+    if (this.pause.textContent !== label) {
+      this.pause.lastElementChild!.textContent = label;
+      this.pause.setAttribute("aria-label", label);
+    }
     this.pause.classList.toggle("primary", paused && !over);
     for (const b of [this.pause, ...this.commands.values()]) b.disabled = over;
     const test = live.step?.phase === "test";
