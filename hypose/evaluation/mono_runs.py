@@ -72,7 +72,7 @@ def track_scene(
 ) -> MonoRun:
     """Follows the scene from its measured first pose (or `start`) through images; keypoints: with the detector's points
     besides. The truth is used for measuring only."""
-    tracker = MonoTracker(scene.body, scene.camera, settings, scene.active)
+    tracker = MonoTracker(scene.body, scene.camera, settings, scene.active, threads=1)
     hypotheses = MonoHypotheses.at(scene.start) if start is None else start
 
     def frame(i: int) -> MonoFrame:
