@@ -215,6 +215,8 @@ class Training:
             return None
         threshold = controls.threshold or self._final or self.trainer.final_threshold()
         old = self._old.history if self._old is not None else ()
+        if threshold is None and self._old is not None:  # ended before both gesture and movement were seen again
+            threshold = self._old.thresholds[0]
         entry: Mapping[str, Any] = {
             "session": self.folder.name,
             "frames_learned": sum(self._frames.values()),
