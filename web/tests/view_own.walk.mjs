@@ -71,7 +71,7 @@ await walk(
       await page.waitForTimeout(12);
     }
     await page.mouse.move(x(0.999), y);
-    await page.waitForFunction(() => window.hypose.row() >= 14950);
+    await page.waitForFunction(() => window.hypose.row() >= 14900);
     await page.mouse.up();
     const scrub = await page.evaluate(() => ({ frames: [...window.hypose.frames], latency: [...window.hypose.latency] }));
     assert.ok(scrub.frames.length > 20);
