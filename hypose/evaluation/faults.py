@@ -236,7 +236,8 @@ def faults(options: BenchOptions) -> BenchReport:
     """Per fault: error before, during and after (mm), recovered_s, flagged_share, finite; medians over the seeds.
 
     Scenes: walk, rig humaneva-4 at half size, 6 s, masks with level-1 corruption; the subject's height is given, the
-    body is fitted to the scene without the fault. The fault begins at 1.6 s and lasts 2 s (a stopped camera: to the end)."""
+    body is fitted to the scene without the fault. The fault begins at 1.6 s and lasts 2 s (a stopped camera: to the
+    end)."""
     seeds = options.seeds or (1 if options.quick else 3)
     first = options.first_seed or 0
     names = ("empty-masks", "clock-jump") if options.quick else tuple(FAULTS)
