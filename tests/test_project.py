@@ -262,7 +262,7 @@ def test_every_folder_of_code_is_a_package():
 
 
 def test_every_imported_package_is_declared():
-    distributions = {"cv2": "opencv-python-headless", "skimage": "scikit-image"}
+    distributions = {"cv2": "opencv-python-headless", "skimage": "scikit-image", "distributed": "dask"}
     extras = {k: v for k, v in PROJECT["optional-dependencies"].items() if k not in ("dev", "oracles")}
     requirements = PROJECT["dependencies"] + [line for lines in extras.values() for line in lines]
     declared = {re.split(r"[<>=!~;\[ ]", line)[0].lower() for line in requirements}
