@@ -12,7 +12,6 @@ from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from click.core import ParameterSource
 
 from hypose.app.console import Stages, note, say
 from hypose.errors import InputError
@@ -95,7 +94,8 @@ def track(
     if method != "multiview" or camera is not None:
         from hypose.app.mono_job import one_camera
 
-        given = context.get_parameter_source("evidence") is not ParameterSource.DEFAULT
+        source = context.get_parameter_source("evidence")
+        given = source is not None and source.name != "DEFAULT"
         loaded, options = one_camera(loaded, method, camera, options, hypotheses, evidence if given else "auto")
     results = ResultsFolder(out) if out is not None else ResultsFolder.of(loaded.folder, options.recipe)
     job = Job(
