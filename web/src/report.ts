@@ -1,5 +1,6 @@
 /** The viewer inside a report: one file, opened from disk, with everything in it. hypose/app/report_viewer.py fills it. */
 import { readBundle, type ViewData } from "./lib/bundle";
+import { suitCanvases } from "./lib/software";
 import { button } from "./ui/buttons";
 import { startTheme, themeButton } from "./ui/theme";
 import { ResultView } from "./view/result";
@@ -64,6 +65,7 @@ function decode(base64: string): Uint8Array<ArrayBuffer> {
 }
 
 async function open(box: HTMLElement): Promise<void> {
+  suitCanvases();
   startTheme();
   const source = new PageSource();
   const data = await source.data();

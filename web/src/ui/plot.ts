@@ -26,6 +26,7 @@ export interface PlotOptions {
   chosen?: (index: number) => void;
 }
 
+const TURN_MS = 90;
 const ROOM = 4; // values that find room beside a plot's title
 
 /** A plot of values over time with a cursor line that follows the frame shown, and the values there in its title. */
@@ -38,6 +39,7 @@ export class Plot {
   private chart: uPlot | undefined;
   private at = 0;
   private page = 0;
+  private turning = 0;
 
   constructor(
     private readonly times: Float64Array,
@@ -80,17 +82,22 @@ export class Plot {
   /** Shows so many seconds at a time, 0 = all. */
   setWindow(seconds: number): void {
     this.options = { ...this.options, window: seconds };
-    this.page = -1;
-    this.show(this.at);
+    this.turnNow();
   }
 
-  /** To the page that the frame shown is on. */
+  /** To the page that the frame shown is on, a moment later: what moves with the hand must not wait for curves. */
   private turn(): void {
-    const page = this.pageOf(this.at);
-    if (page === this.page) return;
-    this.page = page;
+    const away = this.pageOf(this.at) !== this.page;
+    this.line.hidden = away;
+    clearTimeout(this.turning);
+    if (away) this.turning = window.setTimeout(() => this.turnNow(), TURN_MS);
+  }
+
+  private turnNow(): void {
+    this.page = this.pageOf(this.at);
     const [min, max] = this.shownRange();
     this.chart?.setScale("x", { min, max });
+    this.show(this.at);
   }
 
   private pageOf(index: number): number {
@@ -108,6 +115,7 @@ export class Plot {
   }
 
   close(): void {
+    clearTimeout(this.turning);
     for (const stop of this.stop) stop();
     this.chart?.destroy();
     this.chart = undefined;
@@ -135,7 +143,7 @@ export class Plot {
         cursor: { show: false },
         padding: [6, 10, 0, 0],
         hooks: {
-          ready: [() => this.show(this.at)],
+          ready: [() => this.turnNow()],
           setSize: [() => this.show(this.at)],
           drawClear: [(chart) => this.shade(chart)],
         },

@@ -188,7 +188,7 @@ export class CameraPane {
     const row = Math.max(0, this.row);
     const posed = this.shown.body && this.skin ? this.skin.pose(row) : false;
     this.tiles.forEach((tile, i) => {
-      const c = tile.canvas.getContext("2d", { alpha: false, willReadFrequently: true });
+      const c = tile.canvas.getContext("2d", { alpha: false });
       if (!c || tile.box.hidden) return;
       const { width, height } = tile.canvas;
       if (tile.image) c.drawImage(tile.image, 0, 0, width, height);

@@ -3,10 +3,12 @@ import {
   LineSegments, Mesh, PerspectiveCamera, Scene, ShaderMaterial, Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { drawnBySoftware } from "../lib/software";
 import { colour } from "../ui/theme";
 
 const FOV = 34;
-const SETTLE_MS = 220;
+const SETTLE_MS = 900; // late enough not to be in the way of somebody who clicks on
+const SETTLED = 1.5;
 
 /** The 3D picture: floor, light, a camera to move around, and two layers, `over` seen through everything in `scene`. */
 export class Stage {
@@ -15,7 +17,7 @@ export class Stage {
   readonly camera = new PerspectiveCamera(FOV, 1, 0.05, 200);
   readonly controls: OrbitControls;
   readonly canvas: HTMLCanvasElement;
-  /** Drawn by the processor: no smoothing while things move, twice the pixels when they rest. */
+  /** Drawn by the processor: no smoothing while things move, more pixels when they rest. */
   readonly software: boolean;
   private readonly renderer: WebGLRenderer;
   private readonly floor = new Mesh(new CircleGeometry(1, 72), plainMaterial());
@@ -27,7 +29,11 @@ export class Stage {
   private ratio = 0;
 
   constructor(private readonly dirty: () => void) {
-    this.software = drawnBySoftware();
+    const software = drawnBySoftware();
+    if (software === null) {
+      throw new Error("This browser shows no 3D (WebGL 2 is off); switch it on, or use another browser.");
+    }
+    this.software = software;
     this.renderer = new WebGLRenderer({ antialias: !this.software, powerPreference: "high-performance" });
     this.renderer.autoClear = false;
     this.canvas = this.renderer.domElement;
@@ -124,7 +130,7 @@ export class Stage {
     this.drawAt(wanted);
     if (!this.software) return;
     clearTimeout(this.settle);
-    this.settle = window.setTimeout(() => this.drawAt(2), SETTLE_MS);
+    this.settle = window.setTimeout(() => this.drawAt(SETTLED), SETTLE_MS);
   }
 
   private drawAt(ratio: number): void {
@@ -158,15 +164,4 @@ function plainMaterial(): ShaderMaterial {
     vertexShader: "void main() { gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0); }",
     fragmentShader: "uniform vec3 plain; void main() { gl_FragColor = vec4(plain, 1.0); }",
   });
-}
-
-/** Whether the browser draws WebGL without a graphics card. Throws an Error when it cannot draw at all. */
-function drawnBySoftware(): boolean {
-  const canvas = document.createElement("canvas");
-  const gl = canvas.getContext("webgl2");
-  if (!gl) throw new Error("This browser shows no 3D (WebGL 2 is off); switch it on, or use another browser.");
-  const info = gl.getExtension("WEBGL_debug_renderer_info");
-  const name = info ? String(gl.getParameter(info.UNMASKED_RENDERER_WEBGL)) : "";
-  gl.getExtension("WEBGL_lose_context")?.loseContext();
-  return /swiftshader|llvmpipe|software|basic render/i.test(name);
 }
