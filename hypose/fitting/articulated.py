@@ -187,11 +187,10 @@ def contour_term(
     """The contour evidence of a frame's masks.
 
     weight: of one row at the reference density. scale_px: Geman-McClure scale; default 2.5 px for a person 260 px
-    tall, in proportion (10 px in a 1080p image). coarse_factor: scale of the first iterations relative to it. Views
+    tall, in proportion (10 px in a 1080p image). coarse_factor: scale of the first iterations relative to it.
     working_height px: for tracking; views in which the person is at least twice as tall are worked on in shrunk pixels,
-    and distances are made around the person only. Views
-    that are not usable, or whose mask has no outline away from the image border, are left out; an EvidenceError when
-    none is left."""
+    and distances are made around the person only. Views that are not usable, or whose mask has no outline away from the
+    image border, are left out; an EvidenceError when none is left."""
     made = outlines(silhouettes, outline_count, working_height)
     sizes = silhouettes.rig.sizes // made.shrunk[:, None]
     projections = np.stack(
