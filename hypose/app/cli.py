@@ -34,26 +34,31 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
+    rich_markup_mode=None,  # rich takes longer to import than all the rest of `hypose --help`
     help="Human motion from ordinary cameras: calibrated videos in; joint positions, angles and their uncertainty out.",
 )
 
-app.command("demo")(commands_track.demo)
-app.command("calibrate")(commands_calibrate.calibrate)
-app.command("check")(commands_check.check)
-app.command("sync")(commands_sync.sync)
-app.command("silhouettes")(commands_data.silhouettes)
-app.command("track")(commands_track.track)
-app.command("subject")(commands_subject.subject)
-app.command("fuse")(commands_fuse.fuse)
-app.add_typer(commands_gesture.app, name="gesture")
-app.command("batch")(commands_batch.batch)
-app.command("view")(commands_studio.view)
-app.command("export")(commands_results.export)
-app.command("report")(commands_results.report)
-app.command("synth")(commands_data.synth)
-app.command("cite")(commands_cite.cite)
-app.command("bench")(commands_results.bench)
+# (name, what does it, its line in `hypose --help`), in the order in which they are needed
+_COMMANDS = (
+    ("demo", commands_track.demo, "Make a synthetic recording, track it, compare with the truth."),
+    ("calibrate", commands_calibrate.calibrate, "Lenses and places of cameras, from boards or measured points."),
+    ("check", commands_check.check, "Do the views agree? What is wrong, and --refine cures it."),
+    ("sync", commands_sync.sync, "How many frames each view is late; cure it with --out."),
+    ("silhouettes", commands_data.silhouettes, "Write the masks of the person, and a contact sheet."),
+    ("track", commands_track.track, "Track the person: motion files, overlay video, report."),
+    ("subject", commands_subject.subject, "Measure a person: lengths, girths, a body for track."),
+    ("fuse", commands_fuse.fuse, "One skeleton per person from several depth sensors."),
+    ("batch", commands_batch.batch, "Many recordings, many settings, all cores or a cluster."),
+    ("view", commands_studio.view, "The studio in the browser: look at results, correct, set up."),
+    ("export", commands_results.export, "Write TRC, C3D, BVH, GLB, CSV, MOT of a tracked motion."),
+    ("report", commands_results.report, "Write the report of a result again."),
+    ("synth", commands_data.synth, "Make a synthetic recording with known truth."),
+    ("cite", commands_cite.cite, "Print the papers behind the method that gave a result."),
+    ("bench", commands_results.bench, "Measure accuracy and speed."),
+)
+for _name, _command, _line in _COMMANDS:
+    app.command(_name, short_help=_line)(_command)
+app.add_typer(commands_gesture.app, name="gesture", short_help="Learn still gestures in minutes, and watch for them.")
 
 
 def _version(wanted: bool) -> None:
