@@ -75,8 +75,9 @@ class Catalog:
             return False
 
     def shown(self, path: Path) -> str:
-        """A path as the page shows it: relative to the root."""
-        return path.resolve().relative_to(self.root).as_posix()
+        """A path as the page shows it: relative to the root, which itself goes by its name."""
+        relative = path.resolve().relative_to(self.root).as_posix()
+        return self.root.name if relative == "." else relative
 
     def recording_of(self, result: Path) -> Path | None:
         """The recording in whose folder results lie: results/RECIPE/ in it."""

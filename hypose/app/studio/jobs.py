@@ -1,7 +1,7 @@
 """Jobs: commands in processes of their own, one at a time; their progress, their end, stopping and going on.
 
-They belong to the server, not to a page. A job that is stopped, or whose server ends, keeps what it has computed, as
-the command line does, and `resume` goes on.
+They belong to the served folder, not to a page. A job that is stopped, or whose server ends, keeps what it has
+computed, as the command line does, and `resume` goes on, with the next server too.
 """
 
 from __future__ import annotations
@@ -9,95 +9,34 @@ from __future__ import annotations
 import json
 import os
 import secrets
-import shlex
 import subprocess
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from dataclasses import replace
+from typing import Any
 
-from hypose.app.console import COUNTED_IN_FRAMES, JSON_PROGRESS
+from hypose.app.console import JSON_PROGRESS
 from hypose.app.studio.answers import NotNow
 from hypose.app.studio.catalog import Catalog, NotFound
 from hypose.app.studio.job_kinds import Plan, plan
+from hypose.app.studio.job_list import read_jobs, write_jobs
+from hypose.app.studio.job_record import ENDED, Job, Stage
 
-JobState = Literal["queued", "running", "done", "failed", "cancelled"]
-_KEPT_JOBS, _KEPT_LINES, _MOST_WAITING = 100, 200, 20
+_KEPT_JOBS, _MOST_WAITING = 100, 20
 _KILL_S = 20.0
 """After this a process that was asked to end is ended."""
 
 
-@dataclass
-class _Stage:
-    title: str
-    began: float
-    done: int = 0
-    total: int = 1
-    seconds: float = 0.0
-
-    def shown(self, name: str) -> dict[str, Any]:
-        per_s = self.done / self.seconds if self.seconds > 0.2 and self.done else None
-        return {
-            "name": name,
-            "title": self.title,
-            "done": self.done,
-            "total": self.total,
-            "seconds": round(self.seconds, 2),
-            "per_s": per_s,
-            "left_s": (self.total - self.done) / per_s if per_s and self.done < self.total else None,
-            "unit": "frames" if name in COUNTED_IN_FRAMES else "",
-        }
-
-
-@dataclass
-class Job:
-    """One job. Changed under the lock of Jobs only."""
-
-    id: str
-    kind: str
-    plan: Plan
-    options: Mapping[str, Any]
-    created: float
-    state: JobState = "queued"
-    stages: dict[str, _Stage] = field(default_factory=dict)
-    lines: deque[str] = field(default_factory=lambda: deque(maxlen=_KEPT_LINES))
-    error: str | None = None
-    began: float | None = None
-    ended: float | None = None
-    stopping: bool = False
-    process: subprocess.Popen[str] | None = None
-
-    def shown(self) -> dict[str, Any]:
-        """As the page gets it."""
-        return {
-            "id": self.id,
-            "kind": self.kind,
-            "title": self.plan.title,
-            "command": "hypose " + shlex.join(self.plan.arguments),
-            "recording": self.plan.recording,
-            "result": self.plan.result,
-            "state": self.state,
-            "options": dict(self.options),
-            "stages": [s.shown(n) for n, s in list(self.stages.items())],
-            "lines": list(self.lines),
-            "error": self.error,
-            "created": self.created,
-            "began": self.began,
-            "ended": self.ended,
-            "resumable": self.plan.resumable and self.state in ("failed", "cancelled"),
-        }
-
-
 class Jobs:
-    """All jobs of a server; listen: called with a job whenever it has changed, from any thread."""
+    """All jobs of a server, and those of servers before it; listeners are called with a job whenever it has changed,
+    from any thread."""
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
-        self._lock = threading.Condition()
-        self._jobs: dict[str, Job] = {}
+        self._lock, self._keeping = threading.Condition(), threading.Lock()
+        self._jobs = {j.id: j for j in read_jobs(catalog)}
         self._listeners: list[Callable[[Job], None]] = []
         self._closed = False
         self._worker = threading.Thread(target=self._work, name="jobs", daemon=True)
@@ -148,7 +87,7 @@ class Jobs:
                 self._stop(job)
             else:
                 raise NotNow(f"The job {job.plan.title!r} is {job.state} already.")
-        self._tell(job)
+        self._changed(job)
         return job
 
     def close(self) -> None:
@@ -162,21 +101,22 @@ class Jobs:
                     self._stop(job)
             self._lock.notify_all()
         self._worker.join(_KILL_S + 5)
+        self._keep()
 
     def _queue(self, kind: str, made: Plan, options: Mapping[str, Any]) -> Job:
         job = Job(secrets.token_hex(6), kind, made, options, time.time())
         with self._lock:
-            waiting = [j for j in self._jobs.values() if j.state in ("queued", "running")]
+            waiting = [j for j in self._jobs.values() if j.state not in ENDED]
             if len(waiting) >= _MOST_WAITING:
                 raise NotNow(f"{len(waiting)} jobs wait already; let some end first.")
             if made.result and any(j.plan.result == made.result and j.kind == kind for j in waiting):
                 raise NotNow(f"{made.title} is under way already; stop it first, or give the result another name.")
             self._jobs[job.id] = job
             for old in sorted(self._jobs.values(), key=lambda j: j.created)[: max(0, len(self._jobs) - _KEPT_JOBS)]:
-                if old.state not in ("queued", "running"):
+                if old.state in ENDED:
                     del self._jobs[old.id]
             self._lock.notify_all()
-        self._tell(job)
+        self._changed(job)
         return job
 
     def _stop(self, job: Job) -> None:
@@ -189,6 +129,15 @@ class Jobs:
         timer = threading.Timer(_KILL_S, job.process.kill)
         timer.daemon = True
         timer.start()
+
+    def _changed(self, job: Job) -> None:
+        """A job is in another state: kept on disk, and told."""
+        self._keep()
+        self._tell(job)
+
+    def _keep(self) -> None:
+        with self._keeping:
+            write_jobs(self._catalog, self.every())
 
     def _tell(self, job: Job) -> None:
         with self._lock:
@@ -206,9 +155,9 @@ class Jobs:
                 if job is None:
                     return
                 job.state, job.began = "running", time.time()
-            self._tell(job)
+            self._changed(job)
             self._run(job)
-            self._tell(job)
+            self._changed(job)
 
     def _next(self) -> Job | None:
         waiting = [j for j in self._jobs.values() if j.state == "queued"]
@@ -282,6 +231,6 @@ class Jobs:
         except (ValueError, KeyError, TypeError):
             return False
         now = time.monotonic()
-        stage = job.stages.setdefault(name, _Stage(title, now))
+        stage = job.stages.setdefault(name, Stage(title, now))
         stage.done, stage.total, stage.seconds = done, total, now - stage.began
         return True

@@ -9,9 +9,11 @@ import pytest
 from hypose.app.console import JSON_PROGRESS, Stages
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.job_kinds import KINDS, plan
+from hypose.app.studio.job_list import NAME, read_jobs, write_jobs
 from hypose.app.view_bundle import read_bundle
 from hypose.errors import InputError
 from hypose.io.results import load_motion
+from tests.app.studio.conftest import serving
 
 
 def wait(client, id, *states, seconds=300):
@@ -129,6 +131,47 @@ def test_jobs_wait_for_each_other_and_can_be_called_off(own_studio):
     check = own_studio.get(f"/api/recordings/{recording}")["check"]
     assert check["healthy"] and check["facts"] and check["page"] == "check.html" and len(check["views"]) == 4
     assert own_studio.ask(f"/api/recordings/{recording}/file/check.html")[0] == 200
+
+
+def test_the_list_outlives_the_server(folder):
+    with serving(folder) as client:
+        result = client.get("/api/state")["results"][0]["id"]
+        ask = {"kind": "export", "result": result, "options": {"formats": ["fbx"]}}
+        failed = wait(client, client.get("/api/jobs", ask, status=201)["id"], "failed")
+        recording = recording_of(client)
+        check = client.get("/api/jobs", {"kind": "check", "recording": recording}, status=201)
+    with serving(folder) as client:
+        jobs = {j["id"]: j for j in client.get("/api/jobs")}
+        assert jobs[failed["id"]] == failed
+        assert jobs[check["id"]]["state"] == "cancelled" and jobs[check["id"]]["title"] == "Check walk"
+
+
+def test_what_a_list_of_jobs_says_is_planned_again_and_never_run_as_it_stands(folder):
+    catalog = Catalog(folder)
+    (item,) = catalog.items("recording")
+    shown = {
+        **{"id": "a" * 12, "kind": "track", "title": "Track walk", "command": "hypose track / --out /", "lines": []},
+        **{"recording": item.id, "result": None, "state": "running", "options": {"recipe": "hpf"}, "stages": []},
+        **{"error": None, "created": 1.0, "began": 2.0, "ended": None, "resumable": False},
+    }
+    bad = [{**shown, "kind": "rm"}, {**shown, "options": 3}, {"id": "x"}, 7, None]
+    gone = {**shown, "id": "b" * 12, "recording": "0" * 12}
+    (folder / NAME).write_text(json.dumps([shown, *bad, gone]))
+    job, lost = read_jobs(catalog)
+    assert job.state == "failed" and "server ended" in (job.error or "") and job.shown()["resumable"]
+    assert job.plan.arguments == ("track", str(item.path), "--recipe", "hpf", "--out", str(item.path / "results/hpf"))
+    assert not lost.shown()["resumable"] and lost.plan.arguments == ()
+    for text in ("", "[", "{}", "[[]]", "[" * 100_000):
+        (folder / NAME).write_text(text)
+        assert read_jobs(catalog) == []
+
+
+def test_a_list_of_jobs_is_neither_read_nor_written_through_a_link(folder, tmp_path):
+    outside = tmp_path / "outside.json"
+    outside.write_text("[]")
+    (folder / NAME).symlink_to(outside)
+    write_jobs(Catalog(folder), [])
+    assert (folder / NAME).is_symlink() and read_jobs(Catalog(folder)) == []
 
 
 @pytest.mark.slow

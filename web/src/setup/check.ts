@@ -5,6 +5,8 @@ import { h } from "../ui/dom";
 import { icon } from "../ui/icons";
 import { toast } from "../ui/toast";
 
+const SHOWN = 3;
+
 /** Begins a job of a recording; the server's sentence when it cannot be. */
 export async function begin(recording: Recording, kind: Job["kind"], options: Record<string, unknown> = {}): Promise<Job | null> {
   try {
@@ -40,12 +42,19 @@ function found(recording: Recording, check: Check): HTMLElement {
     { class: "found" },
     h("p", { class: `verdict ${sure ? "good" : "warn"}` }, icon(sure ? "done" : "warning"), sure ? "Nothing speaks against this calibration." : `${faults.length || "Some"} ${faults.length === 1 ? "thing" : "things"} should be mended.`),
     ...check.findings.map((f) => sentence(f.fault ? "bad" : "dim", f.sentence, f.views)),
-    ...check.warnings.map((w) => sentence("warn", w, [])),
+    ...folded(check.warnings.map((w) => sentence("warn", w, []))),
     faults.length ? h("div", { class: "row" }, button("Refine the calibration", () => void begin(recording, "refine"), { icon: "fit", title: "Move the cameras so that they agree with what they see of the person" })) : null,
     check.views.length ? residuals(check) : null,
     h("details", {}, h("summary", { class: "dim" }, `${check.facts.length} facts`), ...check.facts.map((f) => h("p", {}, f))),
     check.page ? h("a", { href: address(`/api/recordings/${recording.id}/file/${check.page}`), target: "_blank" }, "The whole page with pictures") : null,
   );
+}
+
+/** The first of many sentences, and the others behind a click: a bad frame says the same of every camera. */
+function folded(sentences: HTMLElement[]): HTMLElement[] {
+  if (sentences.length <= SHOWN + 1) return sentences;
+  const rest = sentences.slice(SHOWN);
+  return [...sentences.slice(0, SHOWN), h("details", { class: "more" }, h("summary", { class: "dim" }, `${rest.length} more like these`), ...rest)];
 }
 
 function sentence(kind: string, text: string, views: readonly string[]): HTMLElement {
