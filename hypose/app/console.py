@@ -22,6 +22,7 @@ TITLES = {
     "compile": "Compile (once per machine)",
     "background": "Background",
     "masks": "Silhouettes",
+    "detect": "Key points",
     "subject": "Subject",
     "track": "Track",
     "smooth": "Smooth",
@@ -38,7 +39,7 @@ TITLES = {
     "plan": "Look at the recordings",
 }
 """What a stage is called in front of the user."""
-COUNTED_IN_FRAMES = frozenset({"track", "overlay", "masks", "render"})
+COUNTED_IN_FRAMES = frozenset({"track", "overlay", "masks", "render", "detect"})
 _PLAIN_SECONDS = 10.0  # without a terminal a line at most this often
 _JSON_SECONDS = 0.2
 JSON_PROGRESS = "HYPOSE_JSON_PROGRESS"

@@ -14,6 +14,7 @@ from hypose.body.models import JOINT_NAMES
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.evaluation.detections import keypoint_detections
 from hypose.evaluation.scenes import Scene
+from hypose.evidence.detector import openpose_document
 from hypose.io.recording import Recording, View, write_recording
 from hypose.io.results import atomic_path
 from hypose.io.video import VideoWriter
@@ -63,8 +64,7 @@ def write_scene(
             pose.mkdir(parents=True, exist_ok=True)
             points = keypoint_detections(scene, c, keypoint_noise_px)
             for t, people in enumerate(points):
-                person = {"person_id": [-1], "pose_keypoints_2d": np.round(people, 3).ravel().tolist()}
-                document = {"version": 1.3, "people": [person] if (people[:, 2] > 0).any() else []}
+                document = openpose_document(people[None])
                 (pose / f"{camera.name}_{t:012d}_keypoints.json").write_text(json.dumps(document), encoding="utf-8")
         views.append(View(camera.name, video=video, background=background, keypoints=pose))
     with atomic_path(folder / "truth.npz") as temporary:

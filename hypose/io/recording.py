@@ -28,6 +28,7 @@ from hypose.io.calibration import (
     toml_value,
     write_calibration,
 )
+from hypose.io.detected_keypoints import with_detected
 from hypose.io.recording_keys import (
     PATH_KEYS,
     RECORDING_KEYS,
@@ -214,6 +215,7 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
     """The recording of a (translated) recording.toml; origin: the file or folder that errors name."""
     where = str(origin)
     check_keys(where, settings, RECORDING_KEYS)
+    settings = with_detected(folder, settings, notes)
     tables = settings.get("view", [])
     if not tables:
         raise InputError(f"{where}: no views; add one [[view]] table per camera with name and video.")

@@ -1,0 +1,83 @@
+"""Key points that `hypose keypoints` left beside a recording: where they lie, and how the recording finds them.
+
+FOLDER/detector.json says what made them; FOLDER/VIEW/ holds one OpenPose file per frame, in pixels of the calibrated
+picture, numbered from the first frame of the video.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hypose.errors import InputError
+from hypose.io.files import write_text
+
+FOLDER = "keypoints"
+"""In the recording's folder."""
+_SIDECAR = "detector.json"
+_MAX_BYTES = 2**20
+
+
+@dataclass(frozen=True)
+class DetectedKeypoints:
+    """The folder of a detection. keypoint_set: name of the points' set; identity: what decides what was found;
+    complete: every frame of every view was looked at."""
+
+    folder: Path
+    keypoint_set: str
+    identity: Mapping[str, Any]
+    complete: bool
+
+    def view(self, name: str) -> Path:
+        """The folder of a view."""
+        return self.folder / name
+
+    def file(self, view: str, frame: int) -> Path:
+        """The file of a frame."""
+        return self.view(view) / f"{view}_{frame:012d}_keypoints.json"
+
+    def save(self) -> None:
+        """Write what says all this."""
+        said = {"keypoint_set": self.keypoint_set, "complete": self.complete, **self.identity}
+        write_text(self.folder / _SIDECAR, json.dumps(said, indent=2) + "\n")
+
+
+def load_detected(folder: Path) -> DetectedKeypoints | None:
+    """What a folder says of itself, None when it is not one of these."""
+    path = folder / _SIDECAR
+    if not path.is_file():
+        return None
+    try:
+        identity = dict(json.loads(path.read_bytes()[:_MAX_BYTES]))
+        points, complete = str(identity.pop("keypoint_set")), bool(identity.pop("complete"))
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        raise InputError(
+            f"{path} is damaged; delete the folder {folder} and detect again with hypose keypoints."
+        ) from None
+    return DetectedKeypoints(folder, points, identity, complete)
+
+
+def with_detected(folder: Path, settings: Mapping[str, Any], notes: list[str]) -> Mapping[str, Any]:
+    """The settings of a recording (keys of recording.toml) with the key points that were detected for it, unless it
+    names its own."""
+    tables = settings.get("view", [])
+    if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
+        return settings  # which the recording's own check tells
+    if any("keypoints" in t for t in tables):
+        return settings
+    found = load_detected(folder / FOLDER)
+    if found is None:
+        return settings
+    if not found.complete:
+        notes.append(f"The key points in {found.folder} are not complete and not used; see hypose keypoints --resume.")
+        return settings
+    views = []
+    for table in tables:
+        path = found.view(str(table.get("name", "")))
+        views.append({**table, "keypoints": str(path.absolute())} if table.get("name") and path.is_dir() else table)
+    notes.append(f"Key points ({found.keypoint_set}) are those that hypose keypoints wrote to {found.folder}.")
+    own = {"keypoint_set": found.keypoint_set, "keypoint_lag": 0, "keypoint_pixels": "calibration"}
+    return {**settings, **own, "view": views}
