@@ -10,6 +10,7 @@ Asteriadis et al. 2013.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -81,7 +82,7 @@ class Hypotheses:
         """
         return np.logical_not(np.any(_usable(self.log_weights), axis=-1))
 
-    @property
+    @cached_property
     def relative_log_weights(self) -> FloatArray:
         """(*B, N) log-weights shifted so that the best is 0; unusable ones -inf; all 0 where the evidence
         is lost.
@@ -92,7 +93,7 @@ class Hypotheses:
         lost = np.isneginf(peak)
         return np.where(lost, 0.0, log_weights - np.where(lost, 0.0, peak))
 
-    @property
+    @cached_property
     def weights(self) -> FloatArray:
         """(*B, N) weights, non-negative, finite and summing to 1; all 1/N where the evidence is lost."""
         weights = np.exp(self.relative_log_weights)

@@ -1,8 +1,8 @@
 """Kernels: how hypotheses move. Values (*B, N, D) in, new values of the same shape out; labels stay unless
 a mixture sets them.
 
-Every kernel draws its numbers as one block of the shape of the values, filled in row order, and hypothesis
-i reads row i (see ``random_streams``). Products are formed with einsum and plain loops, never with a
+Every kernel draws its numbers as one block with a row per hypothesis (and a column per coordinate that it moves),
+filled in row order, and hypothesis i reads row i (see ``random_streams``). Products are formed with einsum and plain loops, never with a
 threaded BLAS, so the numbers do not depend on the number of threads.
 """
 
@@ -66,9 +66,9 @@ class HeavyTail:
 
     def gain(self, count: int, dimension: int) -> FloatArray:
         """(N, D) factors on the steps."""
-        steps = np.floor(np.arange(count + 1) * self.share)
-        far = np.diff(steps) > 0
-        return np.where(far[:, None] & _mask(self.coordinates, dimension), self.factor, 1.0)
+        gain = np.ones((count, dimension))
+        gain[np.ix_(_every(self.share, count), _mask(self.coordinates, dimension))] = self.factor
+        return gain
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class GaussianDiffusion:
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
         """One Gaussian step for every hypothesis."""
         own = np.flatnonzero(self.sigma > 0)
-        step = rng.standard_normal(h.values.shape)[..., own] * self.sigma[own]
+        step = rng.standard_normal((*h.values.shape[:-1], own.size)) * self.sigma[own]
         if self.heavy_tail is not None:
             step *= self.heavy_tail.gain(h.count, h.dimension)[:, own]
         values = h.values.copy()
@@ -189,11 +189,12 @@ class UniformShare:
 
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
         """The set with some rows drawn anew."""
-        chosen = _mask(self.coordinates, h.dimension)
-        low, high = np.where(chosen, self.lower, 0.0), np.where(chosen, self.upper, 0.0)
-        drawn = low + (high - low) * rng.random(h.values.shape)
-        anew = np.diff(np.floor(np.arange(h.count + 1) * self.share)) > 0
-        return replace(h, values=np.where(anew[:, None] & chosen, drawn, h.values))
+        own, rows = np.flatnonzero(_mask(self.coordinates, h.dimension)), _every(self.share, h.count)
+        low, high = np.asarray(self.lower)[own], np.asarray(self.upper)[own]
+        values = h.values.copy()
+        drawn = rng.random((*h.values.shape[:-2], rows.size, own.size))
+        values[..., rows[:, None], own] = low + (high - low) * drawn
+        return replace(h, values=values)
 
 
 @dataclass(frozen=True)
@@ -337,6 +338,11 @@ def semidefinite_cholesky(covariance: ArrayLike) -> FloatArray:
         factor[..., k:, k] = column
         remainder[..., k:, k:] -= column[..., :, None] * column[..., None, :]
     return factor
+
+
+def _every(share: float, count: int) -> NDArray[np.intp]:
+    """The numbers of a share of `count` rows, spread evenly; which of the first rows they are does not depend on count."""
+    return np.flatnonzero(np.diff(np.floor(np.arange(count + 1) * share)) > 0)
 
 
 def _mask(coordinates: ArrayLike, dimension: int) -> NDArray[np.bool_]:

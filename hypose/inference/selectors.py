@@ -129,13 +129,14 @@ class Elite:
         """Equal weights again."""
         weights = h.relative_log_weights
         if self.k == 1:
-            index = np.repeat(weights.argmax(axis=-1)[..., None], h.count, axis=-1)
+            order = weights.argmax(axis=-1)[..., None]
         else:
-            order = np.argsort(-weights, axis=-1, kind="stable")
-            index = order[..., np.arange(h.count) % min(self.k, h.count)]
-        index[..., : self.keep] = np.arange(h.count)[: self.keep]
-        drawn = h.take(index)
-        return Hypotheses.uniform(np.where(self.coordinates, drawn.values, h.values), h.label, h.covariance)
+            order = np.argsort(-weights, axis=-1, kind="stable")[..., : self.k]
+        own, taken = np.flatnonzero(self.coordinates), np.arange(h.count - self.keep) + self.keep
+        best = np.take_along_axis(h.values[..., own], order[..., None], axis=-2)
+        values = h.values.copy()
+        values[..., self.keep :, own] = best[..., taken % order.shape[-1], :]
+        return Hypotheses.uniform(values, h.label, h.covariance)
 
 
 def _equal(h: Hypotheses) -> Hypotheses:

@@ -72,8 +72,12 @@ def reference(layers, seed=3):
         estimate = [0.0] * D
         for number, (sigma, cost, beta, resampled) in enumerate(layers):
             rng = stream(seed, t, number)
-            noise = rng.standard_normal((N, D))
-            states = [[states[i][d] + noise[i][d] * sigma[d] for d in range(D)] for i in range(N)]
+            moved = [d for d in range(D) if sigma[d] > 0]
+            noise = rng.standard_normal((N, len(moved)))
+            states = [list(x) for x in states]
+            for i in range(N):
+                for k, d in enumerate(moved):
+                    states[i][d] += noise[i][k] * sigma[d]
             weights = normalised([cost(np.array(x), TRUTH[t]) for x in states], beta)
             estimate = [sum(weights[i] * states[i][d] for i in range(N)) for d in range(D)]
             a = draw_ancestors(weights, rng.random())
