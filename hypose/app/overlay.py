@@ -15,7 +15,7 @@ from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.io.recording import Recording
 from hypose.io.video import VideoWriter
-from hypose.pipeline.run import FrameSource
+from hypose.pipeline.track_loop import FrameSource
 
 
 def write_overlay(

@@ -22,7 +22,7 @@ from hypose.monocular.tracker import MonoTracker
 from hypose.monocular.types import MonoEstimate, MonoHypotheses, MonoState, posterior_arrays
 from hypose.pipeline.mono_start import Clicks, find_start, keypoints_on, load_clicks
 from hypose.pipeline.mono_stream import MonoStream
-from hypose.pipeline.run import Progress
+from hypose.pipeline.track_loop import Progress
 
 CITATION = (
     "Sminchisescu & Triggs 2001, A robust multiple hypothesis approach to monocular human motion tracking, with a "

@@ -3,43 +3,23 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import HyposeError, InputError
-from hypose.evidence.ahead import look_ahead
-from hypose.evidence.frame import Frame
-from hypose.io.bodies import save_body
 from hypose.io.provenance import identity
-from hypose.io.results import Checkpoint, ResultsFolder, save_motion
-from hypose.pipeline.colour_detections import tracked_frames
+from hypose.io.results import ResultsFolder, save_motion
+from hypose.pipeline.kept import SUBJECT, keep_subject, kept_subject
 from hypose.pipeline.subject import Subject, SubjectOptions, find_subject
+from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
 from hypose.tracking.recipes import recipe
 from hypose.tracking.smooth_motion import smooth_motion
-from hypose.tracking.tracker import (
-    FrameEstimate,
-    Tracker,
-    TrackerSettings,
-    TrackerState,
-    estimates_from_arrays,
-    estimates_to_arrays,
-    motion_of,
-)
-
-
-class FrameSource(Protocol):
-    """Frames by number: hypose.io.frames.FrameStream, or any synthetic scene."""
-
-    def __len__(self) -> int: ...
-
-    def frame(self, index: int, /) -> Frame:
-        """Frame number index, 0 <= index < len."""
-        ...
+from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings, motion_of
 
 
 @dataclass(frozen=True)
@@ -79,10 +59,6 @@ class TrackResult:
     notes: tuple[str, ...]
 
 
-Progress = Callable[[str, int, int], None]
-"""progress(stage, done, total) is called often; raising KeyboardInterrupt in it stops the run with its work kept."""
-
-
 def track_source(
     source: FrameSource,
     frame_rate: float,
@@ -106,82 +82,79 @@ def track_source(
     total = len(source)
     if total == 0:
         raise InputError("The recording has no frame to track; check the frame range and the videos.")
+    key = identity(record or {})
     if subject is None:
-        report("subject", 0, 1)
+        subject = subject_of(source, frame_rate, options, body, results if resume else None, key, report)
+    keep = None
+    if results is not None:  # before the motion, so that what is kept of an interrupted run can be looked at
+        keep_subject(subject, results, key)
+        keep = Keep(results.checkpoint, key, options.checkpoint_every)
+    tracker = tracker_of(subject, options, frame_rate)
+    before = tracked_before(results.checkpoint, key, total) if resume and results is not None else None
+    begin = tracker.start(subject.start)
+    done = track_frames(source, range(total), tracker, begin, subject, keep=keep, before=before, progress=report)
+    if done.error is not None and results is not None:
+        with contextlib.suppress(HyposeError):  # the first error is the one to tell
+            save_motion(_motion(subject, done.estimates, frame_rate, record), results.motion)
+        raise type(done.error)(
+            f"{done.error} The {len(done.estimates)} frames before are kept in {results.path}; see --resume."
+        ) from done.error
+    return finish(subject, done, frame_rate, options, results, record, report)
+
+
+def subject_of(
+    source: FrameSource,
+    frame_rate: float,
+    options: TrackOptions,
+    body: Body | None,
+    results: ResultsFolder | None,
+    key: Mapping[str, Any],
+    progress: Progress,
+) -> Subject:
+    """The subject that the run of this identity (`key`) kept in `results`, or else found in the frames."""
+    progress("subject", 0, 1)
+    subject = None if results is None else kept_subject(results, key)
+    if subject is None:
         known = options.subject is not None
         wanted = SubjectOptions(options.start, options.height, options.girths, body, frame_rate, options.seed, known)
-        subject = find_subject(source.frame, total, wanted)
-        report("subject", 1, 1)
-    if results is not None:  # before the motion, so that what is kept of an interrupted run can be looked at
-        save_body(subject.body, results.file("body.npz"))
-    tracker = _tracker(subject, options, frame_rate)
-    key = identity(record or {})
-    state, estimates = tracker.start(subject.start), []
-    if resume and results is not None and results.checkpoint.exists():
-        state, estimates = _resume(Checkpoint.load(results.checkpoint, key))
-    interrupted = False
-    try:
-        saved = len(estimates)
-        rest = range(saved, total)
-        with contextlib.closing(look_ahead(tracked_frames(source, rest, options.recipe, subject))) as frames:
-            for index in rest:
-                report("track", index, total)
-                state, estimate = tracker.step(state, next(frames))
-                estimates.append(estimate)
-                done = len(estimates)
-                # all frames are written every time, so ever fewer times: the work of an hour of film stays linear
-                if results is not None and done - saved >= max(options.checkpoint_every, saved // 20) and done < total:
-                    _save_checkpoint(results, state, estimates, key)
-                    saved = done
-        report("track", total, total)
-    except KeyboardInterrupt:
-        interrupted = True
-        if not estimates:
-            raise
-        if results is not None:
-            _save_checkpoint(results, state, estimates, key)
-    except HyposeError as error:
-        if not estimates or results is None:
-            raise
-        with contextlib.suppress(HyposeError):  # the first error is the one to tell
-            _save_checkpoint(results, state, estimates, key)
-            save_motion(_motion(subject, estimates, frame_rate, record), results.motion)
-        raise type(error)(
-            f"{error} The {len(estimates)} frames before are kept in {results.path}; see --resume."
-        ) from error
-    motion, notes = _motion(subject, estimates, frame_rate, record), subject.notes
-    if options.smooth and not interrupted:
-        report("smooth", 0, 1)
-        smoothed = smooth_motion(subject.body, motion, np.stack([e.uncertainty.information for e in estimates]))
+        subject = find_subject(source.frame, len(source), wanted)
+    progress("subject", 1, 1)
+    return subject
+
+
+def finish(
+    subject: Subject,
+    done: Tracked,
+    frame_rate: float,
+    options: TrackOptions,
+    results: ResultsFolder | None,
+    record: Mapping[str, Any] | None,
+    progress: Progress,
+) -> TrackResult:
+    """The motion of what was tracked: smoothed and written, and when it is complete nothing else of the run is left."""
+    motion, notes = _motion(subject, done.estimates, frame_rate, record), subject.notes
+    if options.smooth and done.complete:
+        progress("smooth", 0, 1)
+        smoothed = smooth_motion(subject.body, motion, np.stack([e.uncertainty.information for e in done.estimates]))
         motion, notes = smoothed.motion, (*notes, *smoothed.notes)
-        report("smooth", 1, 1)
+        progress("smooth", 1, 1)
     if results is not None:
         save_motion(motion, results.motion)
-        if not interrupted:
-            results.checkpoint.unlink(missing_ok=True)
-    return TrackResult(motion, subject.body, not interrupted, notes)
+        if done.complete:
+            for left in (results.checkpoint, results.file(SUBJECT)):
+                left.unlink(missing_ok=True)
+    return TrackResult(motion, subject.body, done.complete, notes)
 
 
 def _motion(
-    subject: Subject, estimates: list[FrameEstimate], frame_rate: float, record: Mapping[str, Any] | None
+    subject: Subject, estimates: Sequence[FrameEstimate], frame_rate: float, record: Mapping[str, Any] | None
 ) -> Motion:
     """The motion of the finished frames; time 0 is the first tracked frame."""
     return motion_of(subject.body, np.arange(len(estimates)) / frame_rate, estimates, record or {})
 
 
-def _tracker(subject: Subject, options: TrackOptions, frame_rate: float) -> Tracker:
+def tracker_of(subject: Subject, options: TrackOptions, frame_rate: float) -> Tracker:
+    """The tracker of a run."""
     made, particles = recipe(options.recipe, subject.body, frame_rate=frame_rate, refine=options.refine)
     settings = TrackerSettings(evidence=options.evidence, seed=options.seed, frame_rate=frame_rate)
     return Tracker(subject.body, made, particles, settings, subject.keypoints)
-
-
-def _save_checkpoint(
-    results: ResultsFolder, state: TrackerState, estimates: list[FrameEstimate], key: Mapping[str, Any]
-) -> None:
-    arrays = {**state.to_arrays(), **{f"done_{k}": v for k, v in estimates_to_arrays(estimates).items()}}
-    Checkpoint(len(estimates), arrays, {}, key).save(results.checkpoint)
-
-
-def _resume(saved: Checkpoint) -> tuple[TrackerState, list[FrameEstimate]]:
-    done = {k.removeprefix("done_"): v for k, v in saved.arrays.items() if k.startswith("done_")}
-    return TrackerState.from_arrays(saved.arrays), estimates_from_arrays(done)

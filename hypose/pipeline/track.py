@@ -9,7 +9,8 @@ from hypose.body.body import Body
 from hypose.io.frames import FrameOptions, FrameStream
 from hypose.io.recording import Recording, load_recording
 from hypose.pipeline.anthropometry import load_subject
-from hypose.pipeline.run import Progress, TrackOptions, TrackResult, track_source
+from hypose.pipeline.run import TrackOptions, TrackResult, track_source
+from hypose.pipeline.track_loop import Progress
 
 
 def track(

@@ -1,0 +1,126 @@
+"""Frames tracked one after the other, with checkpoints: those of a whole recording, or of a chunk of it."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from hypose.errors import HyposeError
+from hypose.evidence.ahead import look_ahead
+from hypose.evidence.frame import Frame
+from hypose.io.results import Checkpoint
+from hypose.pipeline.colour_detections import tracked_frames
+from hypose.pipeline.subject import Subject
+from hypose.tracking.tracker import (
+    FrameEstimate,
+    Tracker,
+    TrackerState,
+    estimates_from_arrays,
+    estimates_to_arrays,
+)
+
+
+class FrameSource(Protocol):
+    """Frames by number: hypose.io.frames.FrameStream, or any synthetic scene."""
+
+    def __len__(self) -> int: ...
+
+    def frame(self, index: int, /) -> Frame:
+        """Frame number index, 0 <= index < len."""
+        ...
+
+
+Progress = Callable[[str, int, int], None]
+"""progress(stage, done, total) is called often; raising KeyboardInterrupt in it stops the run with its work kept."""
+
+
+@dataclass(frozen=True)
+class Keep:
+    """Where a run keeps its state: the checkpoint's path; the identity of the run; every: frames between two writings,
+    at least; finished: write it when all frames are done as well."""
+
+    path: Path
+    identity: Mapping[str, Any]
+    every: int = 25
+    finished: bool = False
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """frames: the numbers of those that are done; estimates: one for each; state: after the last of them. error: what
+    ended it early; None when it is complete or was interrupted."""
+
+    frames: range
+    estimates: list[FrameEstimate]
+    state: TrackerState
+    complete: bool = True
+    error: HyposeError | None = None
+
+
+def track_frames(
+    source: FrameSource,
+    frames: range,
+    tracker: Tracker,
+    begin: TrackerState,
+    subject: Subject,
+    *,
+    keep: Keep | None = None,
+    before: Tracked | None = None,
+    progress: Progress,
+) -> Tracked:
+    """Tracks `frames`, from the state `begin`, or behind what was done `before`.
+
+    KeyboardInterrupt, and with `keep` a HyposeError too, end it with what is done until then; they are passed on when
+    that is nothing.
+    """
+    state, estimates = (before.state, list(before.estimates)) if before is not None else (begin, [])
+    saved, total = len(estimates), len(frames)
+    error: HyposeError | None = None
+    try:
+        rest = frames[saved:]
+        with contextlib.closing(look_ahead(tracked_frames(source, rest, tracker.recipe.name, subject))) as coming:
+            for done in range(saved, total):
+                progress("track", done, total)
+                state, estimate = tracker.step(state, next(coming))
+                estimates.append(estimate)
+                # all frames are written every time, so ever fewer times: the work of an hour of film stays linear
+                if keep is not None and done + 1 - saved >= max(keep.every, saved // 20) and done + 1 < total:
+                    _save(keep, Tracked(frames, estimates, state))
+                    saved = done + 1
+        progress("track", total, total)
+    except KeyboardInterrupt:
+        if not estimates:
+            raise
+    except HyposeError as problem:
+        if not estimates or keep is None:
+            raise
+        error = problem
+    out = Tracked(frames[: len(estimates)], estimates, state, error is None and len(estimates) == total, error)
+    if keep is not None and (keep.finished or not out.complete):
+        with (
+            contextlib.suppress(HyposeError) if error is not None else contextlib.nullcontext()
+        ):  # the first one counts
+            _save(keep, out)
+    return out
+
+
+def tracked_before(path: Path, identity: Mapping[str, Any], stop: int) -> Tracked | None:
+    """What a checkpoint of the same run holds, complete when it reaches `stop`; None when there is none."""
+    if not path.exists():
+        return None
+    saved = Checkpoint.load(path, identity)
+    done = {k.removeprefix("done_"): v for k, v in saved.arrays.items() if k.startswith("done_")}
+    estimates = estimates_from_arrays(done)
+    first = int(saved.meta.get("first", 0))
+    frames = range(first, first + len(estimates))
+    return Tracked(frames, estimates, TrackerState.from_arrays(saved.arrays), frames.stop == stop)
+
+
+def _save(keep: Keep, tracked: Tracked) -> None:
+    arrays = {**tracked.state.to_arrays()}
+    arrays |= {f"done_{k}": v for k, v in estimates_to_arrays(tracked.estimates).items()}
+    meta = {"first": tracked.frames.start}
+    Checkpoint(len(tracked.estimates), arrays, meta, keep.identity).save(keep.path)
