@@ -45,8 +45,9 @@ def kept_subject(results: ResultsFolder, identity: Mapping[str, Any]) -> Subject
             return None
         model = None
         if "keypoints" in saved.meta:
-            parts = {name: saved.arrays[name] for name in _MODEL if name in saved.arrays}
-            model = KeypointModel(tuple(saved.meta["keypoints"]), **parts)
+            a = saved.arrays
+            names, known = tuple(saved.meta["keypoints"]), a["known"].astype(np.bool_)
+            model = KeypointModel(names, a["joint"].astype(np.int64), a["offset"], known, a.get("sd"))
         return Subject(load_body(body), model, saved.arrays["start"], tuple(saved.meta["notes"]))
     except (HyposeError, KeyError, TypeError):
         return None
@@ -67,11 +68,13 @@ def kept_backgrounds(path: Path, identity: Mapping[str, Any]) -> tuple[Backgroun
     """The backgrounds that the same run kept; None when there are none."""
     try:
         saved = Checkpoint.load(path, identity)
-        return tuple(
-            None
-            if note is None
-            else BackgroundModel(*(saved.arrays[f"{k}_{n}"] for k in ("mean", "sd", "valid")), note)
-            for n, note in enumerate(saved.meta["notes"])
-        )
+        return tuple(_background(saved.arrays, n, note) for n, note in enumerate(saved.meta["notes"]))
     except (HyposeError, KeyError, TypeError):
         return None
+
+
+def _background(arrays: Mapping[str, np.ndarray], view: int, note: str | None) -> BackgroundModel | None:
+    if note is None:
+        return None
+    mean, sd = (arrays[f"{k}_{view}"].astype(np.float32) for k in ("mean", "sd"))
+    return BackgroundModel(mean, sd, arrays[f"valid_{view}"].astype(np.bool_), note)
