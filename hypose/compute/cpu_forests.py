@@ -247,17 +247,20 @@ def _patch_response(patch, clip, e):
 
 @njit(**OPTIONS)
 def grow_tree(
-    patches, labels, order, deepest, tests, thresholds, clip, spread, sample, fewest, state, test, left, count, level
+    patches, labels, order, deepest, tests, thresholds, clip, sample, fewest, state, test, left, count, level
 ):
-    """One tree from all samples at once: at every node `tests` random pairs of patch pixels with `thresholds` random
-    thresholds each, judged on at most `sample` samples. order (n,) i8 is permuted. test (N, 5) i2: patch indices and
-    threshold; left (N,) i2; count (N, C) u4. Returns the number of nodes."""
+    """One tree from all samples at once: at every node `tests` random pairs of patch pixels with `thresholds` cuts
+    each, drawn evenly from the range of what the node's samples read there; judged on at most `sample` samples. order
+    (n,) i8 is permuted. test (N, 5) i2: patch indices and threshold; left (N,) i2; count (N, C) u4. Returns the number
+    of nodes."""
     classes, side = count.shape[1], patches.shape[1]
     stack = np.empty((2 * deepest + 8, 3), np.int64)
     stack[0, 0], stack[0, 1], stack[0, 2] = 0, order.shape[0], 0
     waiting, nodes = 1, 1
     level[0] = 0
     pairs, cuts = np.empty((tests, 4), np.int64), np.empty((tests, thresholds), np.int64)
+    most = min(sample, order.shape[0])
+    read, who = np.empty((tests, most), np.int32), np.empty(most, np.int8)
     lefts, total = np.empty((tests * thresholds, classes), np.int64), np.empty(classes, np.int64)
     sides = np.empty((2, classes), np.int64)
     while waiting > 0:
@@ -278,20 +281,21 @@ def grow_tree(
                 pairs[q, k] = int(_uniform(state, 0) * side)
             if _uniform(state, 0) < 0.5:
                 pairs[q, 2], pairs[q, 3] = side // 2, side // 2
-            for k in range(thresholds):
-                cuts[q, k] = int((2 * _uniform(state, 0) - 1) * spread * _uniform(state, 0))
-        lefts[:] = 0
         total[:] = 0
         m = min(n, sample)
         for i in range(m):
             j = order[a + i] if m == n else order[a + int(_uniform(state, 0) * n)]
-            c, patch = labels[j], patches[j]
-            total[c] += 1
+            who[i] = labels[j]
+            total[who[i]] += 1
             for q in range(tests):
-                f = _patch_response(patch, clip, pairs[q])
-                for k in range(thresholds):
-                    if f < cuts[q, k]:
-                        lefts[q * thresholds + k, c] += 1
+                read[q, i] = _patch_response(patches[j], clip, pairs[q])
+        lefts[:] = 0
+        for q in range(tests):
+            low, high = read[q, :m].min(), read[q, :m].max()
+            for k in range(thresholds):
+                cuts[q, k] = low + 1 + int(_uniform(state, 0) * (high - low))
+                for i in range(m):
+                    lefts[q * thresholds + k, who[i]] += 1 if read[q, i] < cuts[q, k] else 0
         best, gain = _best_test(lefts, total, 1, sides)
         if best < 0 or gain < 1e-6:
             continue

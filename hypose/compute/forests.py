@@ -283,7 +283,6 @@ def grow_tree(
     tests: int,
     thresholds: int,
     clip_mm: int,
-    spread_mm: int,
     sample: int,
     fewest: int = 4,
 ) -> TreeArraysOffline:
@@ -304,7 +303,6 @@ def grow_tree(
         tests,
         thresholds,
         clip_mm,
-        spread_mm,
         sample,
         fewest,
         state,

@@ -66,7 +66,7 @@ class ForestSettings:
 
     @property
     def spread_mm(self) -> int:
-        """Range of the thresholds: differences beyond the clipping distance do not occur."""
+        """Range of the thresholds drawn while growing, before anything was read at that leaf."""
         return 1000 if self.clip_mm is None else min(self.clip_mm, 300)
 
 

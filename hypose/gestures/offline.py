@@ -1,7 +1,8 @@
 """Learning from recorded frames all at once: boosted trees, boosted sub-forests, or neither.
 
 Boosted trees: Lopez-Mendez et al., as described in Alcoverro 2014, 3.2.3. Boosted sub-forests: Gall et al. 2011, the
-baseline of Table 3.1.
+baseline of Table 3.1. Thresholds are drawn from what a node's samples read, whatever the clipping distance: a prior for
+small differences would clip by itself, and hide what reading far behind the hand costs.
 """
 
 from __future__ import annotations
@@ -99,7 +100,6 @@ def train(pool: Pool, rng: np.random.Generator, settings: OfflineSettings | None
             tests=s.tests,
             thresholds=s.thresholds,
             clip_mm=f.clip,
-            spread_mm=f.spread_mm,
             sample=s.sample,
         )
         trees.append(tree)
