@@ -7,8 +7,8 @@ import time
 from hypose.evaluation.benchmarks import Row
 from hypose.evaluation.scenes import Scene
 from hypose.pipeline.subject import Subject
+from hypose.tracking.keypoint_clip import solve_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
-from hypose.tracking.smoothing import solve_keypoint_clip
 
 
 def keypoint_clip_rows(scene: Scene, subject: Subject, repeats: int) -> list[Row]:

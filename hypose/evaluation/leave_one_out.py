@@ -18,9 +18,10 @@ from hypose.fitting import SolveOptions, contour_term, fit_clip
 from hypose.geometry import Array
 from hypose.io.trc import read_trc
 from hypose.pipeline.subject import Subject, SubjectOptions, find_subject
+from hypose.tracking.keypoint_clip import solve_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_term
 from hypose.tracking.refinement import anatomical_prior
-from hypose.tracking.smoothing import ClipSettings, acceleration_weight, solve_keypoint_clip, speed_weight
+from hypose.tracking.smoothing import ClipSettings, acceleration_weight, speed_weight
 
 CONFIDENT = 0.5
 """Key points of the camera left out count from this confidence on."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from hypose.errors import HyposeError, InputError
 from hypose.io.provenance import identity
 from hypose.io.results import ResultsFolder, save_motion
 from hypose.pipeline.kept import SUBJECT, keep_subject, kept_subject
+from hypose.pipeline.keypoint_track import track_keypoints
 from hypose.pipeline.subject import Subject, SubjectOptions, find_subject
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
 from hypose.tracking.recipes import recipe
@@ -43,6 +44,11 @@ class TrackOptions:
     def __post_init__(self) -> None:
         if self.evidence not in ("silhouettes", "keypoints", "both"):
             raise InputError(f"There is no evidence {self.evidence!r}; choose silhouettes, keypoints or both.")
+
+    @property
+    def whole_clip(self) -> bool:
+        """All frames are solved on their key points together, instead of one after the other and then together."""
+        return self.evidence == "keypoints" and self.smooth and self.recipe == "default"
 
     def settings(self) -> dict[str, Any]:
         """The choices that decide the result."""
@@ -89,6 +95,10 @@ def track_source(
     if results is not None:  # before the motion, so that what is kept of an interrupted run can be looked at
         keep_subject(subject, results, key)
         keep = Keep(results.checkpoint, key, options.checkpoint_every)
+    if options.whole_clip:
+        solved = track_keypoints(source, frame_rate, subject, report)
+        motion = replace(solved.motion, provenance=record or {})
+        return _written(TrackResult(motion, subject.body, True, (*subject.notes, *solved.notes)), results)
     tracker = tracker_of(subject, options, frame_rate)
     before = tracked_before(results.checkpoint, key, total) if resume and results is not None else None
     begin = tracker.start(subject.start)
@@ -131,19 +141,24 @@ def finish(
     record: Mapping[str, Any] | None,
     progress: Progress,
 ) -> TrackResult:
-    """The motion of what was tracked: smoothed and written, and when it is complete nothing else of the run is left."""
+    """The motion of what was tracked, smoothed and written."""
     motion, notes = _motion(subject, done.estimates, frame_rate, record), subject.notes
     if options.smooth and done.complete:
         progress("smooth", 0, 1)
         smoothed = smooth_motion(subject.body, motion, np.stack([e.uncertainty.information for e in done.estimates]))
         motion, notes = smoothed.motion, (*notes, *smoothed.notes)
         progress("smooth", 1, 1)
+    return _written(TrackResult(motion, subject.body, done.complete, notes), results)
+
+
+def _written(result: TrackResult, results: ResultsFolder | None) -> TrackResult:
+    """The result, its motion written; when it is complete nothing else of the run is left."""
     if results is not None:
-        save_motion(motion, results.motion)
-        if done.complete:
+        save_motion(result.motion, results.motion)
+        if result.complete:
             for left in (results.checkpoint, results.file(SUBJECT)):
                 left.unlink(missing_ok=True)
-    return TrackResult(motion, subject.body, done.complete, notes)
+    return result
 
 
 def _motion(

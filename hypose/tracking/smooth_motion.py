@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body
 from hypose.body.motion import Motion
+from hypose.fitting import PointTerm
 from hypose.geometry import Array
 from hypose.tracking.contacts import FootMotion, contact_terms, find_contacts, foot_motion, soles_of
 from hypose.tracking.smoothing import ClipSettings, gap_variance, smooth_poses
@@ -54,10 +56,31 @@ def smooth_motion(body: Body, motion: Motion, information: ArrayLike, settings: 
         nothing = FootMotion(0.0, 0.0, 0.0)
         return Smoothed(motion, nothing, nothing)
     own = unpacked(information, body.skeleton.dof) * known[:, None, None]
-    free = smooth_poses(body, motion.poses, own, rate, settings)
+    given = motion.poses
+
+    def held(contacts: list[PointTerm | None] | None) -> Array:
+        return smooth_poses(body, given, own, rate, settings, contacts)
+
+    return with_feet(body, motion, own, held(None), held, settings)
+
+
+def with_feet(
+    body: Body,
+    motion: Motion,
+    own: Array,
+    free: Array,
+    held: Callable[[list[PointTerm | None]], Array],
+    settings: ClipSettings,
+) -> Smoothed:
+    """The motion with poses solved again where the soles stand, its sd grown in gaps.
+
+    own (T, D, D): what each frame says of its pose (zero: nothing); free (T, D): the clip solved without contacts;
+    held: solves it with points that hold still, one term or None per frame."""
+    assert motion.poses is not None
+    known, rate = own.any((1, 2)), motion.frame_rate
     soles = soles_of(body)
     contacts = find_contacts(soles.positions(body, free), known, rate)
-    poses = smooth_poses(body, motion.poses, own, rate, settings, contact_terms(contacts, soles))
+    poses = held(contact_terms(contacts, soles))
     spread = gap_variance(body, poses, own, rate, settings)
     sd = np.sqrt(_carried(motion.joint_sd, known) ** 2 + spread)
     smoothed = replace(motion, poses=poses, joints=body.joints(poses), joint_sd=sd)

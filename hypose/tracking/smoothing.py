@@ -1,9 +1,10 @@
 """Whole clips: all frames of a motion together, smooth without lag, gaps bridged with growing uncertainty.
 
 A tracker looks at one frame after the other; here every frame knows what comes after it, too. What the tracker found
-is summed up frame by frame as a Gaussian (the solved pose and the curvature there), or, where the evidence is small,
-used as it is (key points). Frames are coupled by what bodies do: accelerations and speeds are limited. This is a
-smoother and no low-pass filter: where the evidence is sharp it is followed, where it is weak its neighbours decide.
+is summed up frame by frame as a Gaussian (the solved pose and the curvature there); key points alone, which are few,
+are used as they are (`hypose.tracking.keypoint_clip`). Frames are coupled by what bodies do: accelerations and speeds
+are limited. This is a smoother and no low-pass filter: where the evidence is sharp it is followed, where it is weak
+its neighbours decide.
 """
 
 from __future__ import annotations
@@ -17,16 +18,12 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
 from hypose.compute.banded import frame_covariances
-from hypose.evidence.frame import Keypoints
-from hypose.fitting import KeypointTerm, PointTerm, SolveOptions, fit_clip, fit_pose
+from hypose.fitting import PointTerm, SolveOptions, fit_clip
 from hypose.fitting.clip import Coupling, Gaussian
 from hypose.geometry import Array, nearest_branch
-from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_term
-from hypose.tracking.refinement import anatomical_prior
 
 _FARTHEST_M = 2.0
 """m: sd of the place of somebody who has not been seen for long; of an angle it is 1 rad"""
-_QUICK = SolveOptions(iterations=6, coarse_iterations=0, tolerance=3e-3)
 
 
 @dataclass(frozen=True)
@@ -68,7 +65,7 @@ def smooth_poses(
     settings = settings or ClipSettings()
     weight, slow = (f(body.skeleton, frame_rate, settings) for f in (acceleration_weight, speed_weight))
     known = np.asarray(information.any((1, 2)))
-    given = _bridged(poses, known)
+    given = bridged(poses, known)
     terms = [Gaussian(q, i) if k else None for q, i, k in zip(given, information, known, strict=True)]
     options = SolveOptions(iterations=6, coarse_iterations=0, damping=1e-6)
 
@@ -84,7 +81,7 @@ def smooth_poses(
             options=options,
         )
 
-    return _in_windows(given, settings, solve)
+    return in_windows(given, settings, solve)
 
 
 def gap_variance(
@@ -110,52 +107,10 @@ def gap_variance(
             spread[t] = np.einsum("jad,de,jae->j", g, covariance[t], g) / 3
         return spread
 
-    return _in_windows(out, settings, solve)
+    return in_windows(out, settings, solve)
 
 
-def solve_keypoint_clip(
-    body: Body,
-    model: KeypointModel,
-    keypoints: Sequence[Keypoints | None],
-    start: Array,
-    frame_rate: float,
-    settings: ClipSettings | None = None,
-) -> tuple[Array, list[KeypointTerm | None]]:
-    """Poses (T, D) of a clip from its key points alone, and the rows they came from (None: no evidence).
-
-    start (D,): pose in the first frame. First each frame from the last one, which puts exchanged sides right and
-    leaves strangers out, then all frames together on the key points themselves."""
-    settings = settings or ClipSettings()
-    s = body.skeleton
-    prior = (anatomical_prior(s),)
-    poses, terms = np.empty((len(keypoints), s.dof)), []
-    last, before = start, start
-    for t, seen in enumerate(keypoints):
-        expected = s.clamp(last + 0.8 * (last - s.on_branch(before, last)))
-        term = None if seen is None else keypoint_term(seen, body, model, expected)
-        terms.append(term)
-        poses[t] = expected
-        if term is not None:
-            poses[t] = fit_pose(body, expected, keypoints=term, priors=prior, options=_QUICK).pose
-        before, last = (last, poses[t]) if t else (poses[t], poses[t])
-    weight, slow = (f(s, frame_rate, settings) for f in (acceleration_weight, speed_weight))
-    given = _bridged(poses, np.array([t is not None for t in terms]))
-
-    def solve(part: slice) -> Array:
-        return fit_clip(
-            body,
-            given[part],
-            keypoints=terms[part],
-            acceleration=weight,
-            velocity=slow,
-            priors=prior,
-            options=SolveOptions(iterations=8, coarse_iterations=0),
-        )
-
-    return _in_windows(given, settings, solve), terms
-
-
-def _bridged(poses: Array, known: NDArray[np.bool_]) -> Array:
+def bridged(poses: Array, known: NDArray[np.bool_]) -> Array:
     """Poses with straight lines across frames that are not known, on one branch of the root's rotation vector."""
     out = poses.copy()
     if not known.any():
@@ -169,7 +124,7 @@ def _bridged(poses: Array, known: NDArray[np.bool_]) -> Array:
     return out
 
 
-def _in_windows(like: Array, settings: ClipSettings, solve: Callable[[slice], Array]) -> Array:
+def in_windows(like: Array, settings: ClipSettings, solve: Callable[[slice], Array]) -> Array:
     """solve(part) of overlapping windows, faded over where two overlap, so that memory and time grow with the clip's
     length only linearly."""
     t, out = len(like), np.zeros_like(like)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,11 +16,15 @@ from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.evidence import PreparedFrame
 from hypose.tracking.refinement import refine
 
-# Rows of one contour err together, a body is only nearly right, and lost limbs make tails: how far the curvature is
-# from the truth is measured, not derived. With these factors the 90 % regions of the default recipe with an estimated
-# body held the truth in 90 % of the joints of each group on 24 synthetic scenes (walk, box, run, combo; seeds 20 to
-# 25). They belong to the default weight of a contour row (0.05).
-CURVATURE_FACTOR = {"torso": 0.48, "arms": 0.75, "legs": 0.40, "head": 0.27}
+# Rows of one contour err together, so do detections in neighbouring frames, a body is only nearly right, and lost limbs
+# make tails: how far the curvature is from the truth is measured, not derived. With these factors the 90 % regions held
+# the truth in 90 % of the joints of each group on synthetic scenes (walk, box, run, combo) of the seeds 20 to 27.
+# Those with silhouettes belong to the default weight of a contour row (0.05).
+CURVATURE_FACTOR: Mapping[str, Mapping[str, float]] = {
+    "silhouettes": {"torso": 0.48, "arms": 0.75, "legs": 0.40, "head": 0.27},
+    "keypoints": {"torso": 1.0, "arms": 1.0, "legs": 1.0, "head": 1.0},
+    "both": {"torso": 1.0, "arms": 1.0, "legs": 1.0, "head": 1.0},
+}
 FLOOR = 0.005
 """m; no joint centre of a fitted body is known better than this."""
 _SET_FLOOR = 0.02
@@ -45,10 +50,17 @@ def uncertainty_of_pose(body: Body, pose: Array, frame: PreparedFrame) -> PoseUn
     hessian = frame.hessians.get(body, pose)
     if hessian is None:
         hessian = refine(body, pose[None], frame, SolveOptions(iterations=0, coarse_iterations=0))[0].hessian
-    sd = compute.joint_spread(pose, body.skeleton.tree, hessian)
     information = hessian - frame.prediction_weight * np.eye(len(pose))
-    factor = np.array([CURVATURE_FACTOR[joint_group(name)] for name in body.skeleton.joint_names])
-    return PoseUncertainty(np.hypot(factor * sd, FLOOR), packed(information))
+    evidence = "keypoints" if frame.contours is None else "silhouettes" if frame.keypoints is None else "both"
+    return PoseUncertainty(joint_sd_of(body, pose, hessian, evidence), packed(information))
+
+
+def joint_sd_of(body: Body, pose: Array, hessian: Array, evidence: str) -> Array:
+    """(J,) m per axis: sd of the joint centres at a solved pose (D,) from the cost's Hessian (D, D) there; evidence:
+    what the cost was made of, one of CURVATURE_FACTOR."""
+    factors = CURVATURE_FACTOR[evidence]
+    factor = np.array([factors[joint_group(name)] for name in body.skeleton.joint_names])
+    return np.hypot(factor * compute.joint_spread(pose, body.skeleton.tree, hessian), FLOOR)
 
 
 def joint_group(name: str) -> str:

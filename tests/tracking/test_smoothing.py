@@ -1,13 +1,17 @@
 """Whole clips: smooth without lag, gaps bridged with growing uncertainty, feet held, windows without seams."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hypose.body.motion import Motion
+from hypose.errors import EvidenceError
 from hypose.evidence.keypoints import BODY_25B
+from hypose.tracking.keypoint_clip import solve_keypoint_clip, track_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.smooth_motion import smooth_motion
-from hypose.tracking.smoothing import ClipSettings, smooth_poses, solve_keypoint_clip
+from hypose.tracking.smoothing import ClipSettings, smooth_poses
 from hypose.tracking.uncertainty import packed, unpacked
 from tests.tracking.test_keypoint_evidence import exchanged, seen_by
 
@@ -119,3 +123,25 @@ def test_key_point_clip_with_exchanged_sides_and_a_gap(body, swing, small_rig, r
     poses, terms = solve_keypoint_clip(body, model, seen, swing[0], RATE)
     assert distances(body, poses, swing).mean() < 0.015
     assert [t for t, term in enumerate(terms) if term is None] == [20, 21, 22]
+
+
+def test_key_points_of_a_whole_clip_are_tracked(body, swing, small_rig, rng):
+    model = keypoint_model(body, BODY_25B)
+    seen = [seen_by(small_rig, model, body, q, rng, 0.5) for q in swing]
+    few = seen[8].points.copy()
+    few[:, 3:, 2] = 0  # the face only: no pose
+    seen[8] = replace(seen[8], points=few)
+    seen[14:] = [None] * 26
+    found = track_keypoint_clip(body, model, seen, swing[0], RATE)
+    motion = found.motion
+    limits = body.skeleton
+    assert (motion.poses >= limits.lower - 1e-9).all() and (motion.poses <= limits.upper + 1e-9).all()
+    assert distances(body, motion.poses, swing)[:14].mean() < 0.02
+    assert np.flatnonzero(motion.extrapolated).tolist() == [8, *range(14, 40)]
+    assert np.flatnonzero(motion.lost).tolist() == [39]  # more than a second after the last key points
+    sd = motion.joint_sd.mean(1)
+    assert (np.diff(sd[13:]) > 0).all() and sd[8] > sd[7] and np.isfinite(sd).all()
+    assert motion.n_views[0] == len(small_rig) and motion.n_views[20] == 0
+    assert found.feet.contacts > 0.2 and found.feet.sliding <= found.feet_before.sliding + 1e-9
+    with pytest.raises(EvidenceError, match="0 of 3 frames"):
+        track_keypoint_clip(body, model, [None] * 3, swing[0], RATE)

@@ -1,0 +1,162 @@
+"""Key points of a whole clip solved at once: no frame is final before the last one has been seen.
+
+First frame after frame, which puts exchanged sides right, leaves strangers out and finds the pose's branch; then all
+frames together on the key points themselves, with feet that stand. For a camera that is still running, the tracker
+looks at key points frame by frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.body.motion import Motion
+from hypose.errors import EvidenceError
+from hypose.evidence.frame import Keypoints
+from hypose.fitting import KeypointTerm, PointTerm, SolveOptions, fit_clip, fit_pose
+from hypose.geometry import Array
+from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_term
+from hypose.tracking.refinement import anatomical_prior
+from hypose.tracking.smooth_motion import Smoothed, with_feet
+from hypose.tracking.smoothing import ClipSettings, acceleration_weight, bridged, in_windows, speed_weight
+from hypose.tracking.uncertainty import joint_sd_of
+
+VELOCITY_GAIN = 0.8
+"""Share of the last step that is expected again."""
+EXTRAPOLATE_S = 1.0
+"""s without key points after which the person counts as lost, as for the tracker."""
+LEAST_POINTS = 6
+"""A frame with fewer points (in all views together) says nothing of the pose by itself."""
+_QUICK = SolveOptions(iterations=6, coarse_iterations=0, tolerance=3e-3)
+_ALL = SolveOptions(iterations=8, coarse_iterations=0)
+
+Report = Callable[[int, int], None]
+
+
+def solve_keypoint_clip(
+    body: Body,
+    model: KeypointModel,
+    keypoints: Sequence[Keypoints | None],
+    start: Array,
+    frame_rate: float,
+    settings: ClipSettings | None = None,
+) -> tuple[Array, list[KeypointTerm | None]]:
+    """Poses (T, D) of a clip from its key points alone, and the rows they came from (None: no evidence).
+
+    start (D,): pose in the first frame."""
+    first, terms = _one_by_one(body, model, keypoints, start)
+    return _together(body, first, terms, frame_rate, settings or ClipSettings()), terms
+
+
+def track_keypoint_clip(
+    body: Body,
+    model: KeypointModel,
+    keypoints: Sequence[Keypoints | None],
+    start: Array,
+    frame_rate: float,
+    settings: ClipSettings | None = None,
+    progress: Report | None = None,
+) -> Smoothed:
+    """The motion of a clip from its key points alone; start (D,): pose in the first frame.
+
+    Frames with fewer than LEAST_POINTS are bridged from their neighbours, flagged as extrapolated (as lost after a
+    second), and their sd grows with the distance from the others. progress(done, total) is called after every frame of
+    the first pass. An EvidenceError when fewer than two frames have so many points."""
+    settings = settings or ClipSettings()
+    first, terms = _one_by_one(body, model, keypoints, start, progress)
+    seen = [np.zeros((1, 1), dtype=bool) if term is None else term.points[..., 2] > 0 for term in terms]
+    known = np.array([points.any(0).sum() >= LEAST_POINTS for points in seen])
+    if known.sum() < 2:
+        raise EvidenceError(
+            f"{int(known.sum())} of {len(terms)} frames have {LEAST_POINTS} confident key points or more; check the "
+            "detector's files, or use silhouettes."
+        )
+    free = _together(body, first, terms, frame_rate, settings)
+    own = np.zeros((len(terms), body.skeleton.dof, body.skeleton.dof))
+    sd = np.full((len(terms), len(body.skeleton.joint_names)), np.nan)
+    for t in np.flatnonzero(known):
+        own[t] = _information(body, free[t], terms[t])
+        sd[t] = joint_sd_of(body, free[t], own[t], "keypoints")
+    motion = Motion(
+        body.skeleton,
+        np.arange(len(terms)) / frame_rate,
+        body.joints(free),
+        free,
+        sd,
+        _lost(known, EXTRAPOLATE_S * frame_rate),
+        ~known,
+        np.array([int(points.any(1).sum()) for points in seen]),
+        np.full(len(terms), np.nan),
+        {},
+    )
+
+    def held(contacts: list[PointTerm | None]) -> Array:
+        return _together(body, free, terms, frame_rate, settings, contacts)
+
+    return with_feet(body, motion, own, free, held, settings)
+
+
+def _one_by_one(
+    body: Body,
+    model: KeypointModel,
+    keypoints: Sequence[Keypoints | None],
+    start: Array,
+    progress: Report | None = None,
+) -> tuple[Array, list[KeypointTerm | None]]:
+    """Each frame from the last one: poses (T, D), bridged where nothing is seen, and their rows."""
+    s = body.skeleton
+    prior = (anatomical_prior(s),)
+    poses, terms = np.empty((len(keypoints), s.dof)), []
+    last, before = start, start
+    for t, seen in enumerate(keypoints):
+        expected = s.clamp(last + VELOCITY_GAIN * (last - s.on_branch(before, last)))
+        term = None if seen is None else keypoint_term(seen, body, model, expected)
+        terms.append(term)
+        poses[t] = expected  # unseen: ever less of the last velocity
+        if term is not None:
+            poses[t] = fit_pose(body, expected, keypoints=term, priors=prior, options=_QUICK).pose
+        before, last = (last, poses[t]) if t else (poses[t], poses[t])
+        if progress is not None:
+            progress(t + 1, len(keypoints))
+    return bridged(poses, np.array([t is not None for t in terms])), terms
+
+
+def _together(
+    body: Body,
+    given: Array,
+    terms: list[KeypointTerm | None],
+    frame_rate: float,
+    settings: ClipSettings,
+    contacts: list[PointTerm | None] | None = None,
+) -> Array:
+    """All frames on their rows, from the poses given (T, D)."""
+    weight, slow = (f(body.skeleton, frame_rate, settings) for f in (acceleration_weight, speed_weight))
+
+    def solve(part: slice) -> Array:
+        return fit_clip(
+            body,
+            given[part],
+            keypoints=terms[part],
+            points=None if contacts is None else contacts[part],
+            acceleration=weight,
+            velocity=slow,
+            priors=(anatomical_prior(body.skeleton),),
+            options=_ALL,
+        )
+
+    return in_windows(given, settings, solve)
+
+
+def _information(body: Body, pose: Array, term: KeypointTerm | None) -> Array:
+    """(D, D): what a frame by itself says of its pose."""
+    still = SolveOptions(iterations=0, coarse_iterations=0)
+    return fit_pose(body, pose, keypoints=term, priors=(anatomical_prior(body.skeleton),), options=still).hessian
+
+
+def _lost(known: NDArray[np.bool_], patience: float) -> NDArray[np.bool_]:
+    """Frames (T,) more than `patience` frames after the last known one."""
+    frames = np.arange(len(known))
+    return frames - np.maximum.accumulate(np.where(known, frames, -1)) > patience
