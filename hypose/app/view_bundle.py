@@ -39,7 +39,8 @@ _DTYPES = {"f4": "<f4", "f8": "<f8", "u1": "|u1", "u2": "<u2", "u4": "<u4"}
 class ViewResult:
     """A result to look at. body, rig: None when not known (a fused skeleton has neither). image_shifts: (x, y) px per
     camera, as in recording.toml. first_frame: the recording's frame of row 0. pictures: names of the cameras whose
-    pictures can be had. files: (name, what it is, bytes)."""
+    pictures can be had. files: (name, what it is, bytes). joint_covariance: (T, J, 3, 3) m^2, where more is known than
+    the motion's joint_sd."""
 
     title: str
     motion: Motion
@@ -54,6 +55,7 @@ class ViewResult:
     seconds: Mapping[str, float] = field(default_factory=dict)
     truth: Truth | None = None
     complete: bool = True
+    joint_covariance: Array | None = None
 
 
 def view_bundle(result: ViewResult) -> bytes:
@@ -96,6 +98,9 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
         "n_views": np.clip(m.n_views, 0, 255).astype("u1"),
         "cost": m.cost.astype("<f4"),
     }
+    if result.joint_covariance is not None:
+        rows, columns = np.triu_indices(3)
+        out["joint_covariance"] = result.joint_covariance[..., rows, columns].astype("<f4")
     if m.poses is not None:
         out["rotations"] = quaternions(m.skeleton, m.poses)
         if angles_known(m.skeleton):

@@ -10,7 +10,9 @@ from hypose.app.view_bundle import ViewResult
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import HyposeError, InputError
+from hypose.geometry import Array
 from hypose.io.bodies import load_body
+from hypose.io.modes import load_joint_covariance
 from hypose.io.recording import Recording, load_recording
 from hypose.io.results import ResultsFolder, load_motion
 from hypose.tracking.recipes import RECIPES, recipe
@@ -49,6 +51,7 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
         citation=_citation(motion, body),
         truth=truth,
         complete=not folder.checkpoint.exists(),
+        joint_covariance=_covariance(folder.file("modes.npz"), motion, notes),
     )
 
 
@@ -87,6 +90,18 @@ def _body(folder: ResultsFolder, motion: Motion, notes: list[str]) -> Body | Non
         notes.append("The body is not shown: body.npz and the motion belong to different bodies; track again.")
         return None
     return body
+
+
+def _covariance(path: Path, motion: Motion, notes: list[str]) -> Array | None:
+    """Of the joints, where the modes of a track with one camera lie beside its motion."""
+    if not path.is_file():
+        return None
+    try:
+        found = load_joint_covariance(path)
+    except HyposeError as error:
+        notes.append(f"Uncertainty is shown as spheres: {error}")
+        return None
+    return found if found.shape[:2] == motion.joints.shape[:2] else None
 
 
 def _truth(path: Path, motion: Motion, first: int, notes: list[str]) -> Truth | None:

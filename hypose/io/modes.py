@@ -21,6 +21,7 @@ from hypose.geometry import Array
 from hypose.io.results import _load_arrays, _write_archive
 
 _FORMAT = 1
+_NEXT_STEP = "give the modes.npz that hypose track --method monocular wrote"
 _DIMENSIONS = {
     "poses": 3,
     "joints": 4,
@@ -99,11 +100,20 @@ def save_modes(modes: Modes, path: str | Path) -> None:
 def load_modes(path: str | Path) -> Modes:
     """Read a modes.npz; an InputError names the file and what is wrong."""
     path = Path(path)
-    next_step = "give the modes.npz that hypose track --method monocular wrote"
-    arrays = _load_arrays(path, "file of modes", next_step)
+    arrays = _load_arrays(path, "file of modes", _NEXT_STEP)
     if arrays.pop("format", np.array(-1)).tolist() != _FORMAT:
-        raise InputError(f"{path} is no file of modes of this version of hypose; {next_step}.")
+        raise InputError(f"{path} is no file of modes of this version of hypose; {_NEXT_STEP}.")
     return from_arrays(arrays, str(path))
+
+
+def load_joint_covariance(path: str | Path) -> Array:
+    """joint_covariance (T, J, 3, 3) m^2 of a modes.npz alone, which is little of what it holds; an InputError as of
+    `load_modes`."""
+    path, name = Path(path), "joint_covariance"
+    found = _load_arrays(path, "file of modes", _NEXT_STEP, {name}).get(name)
+    if found is None or found.dtype.kind != "f" or found.ndim != _DIMENSIONS[name] or found.shape[2:] != (3, 3):
+        raise InputError(f"{path} is damaged: {name} is missing or has another shape; track again.")
+    return found
 
 
 def to_arrays(modes: Modes) -> dict[str, np.ndarray]:

@@ -14,7 +14,7 @@ import json
 import os
 import shutil
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -179,9 +179,9 @@ def _write_archive(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
             archive.writestr(entry, buffer.getvalue())
 
 
-def _read_archive(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of an archive that `_write_archive` wrote; raises ValueError with a short reason on anything
-    else.
+def _read_archive(path: Path, only: Container[str] | None = None) -> dict[str, np.ndarray]:
+    """The arrays of an archive that `_write_archive` wrote, or only those of these names; raises ValueError with a
+    short reason on anything else.
 
     Nothing is unpacked or allocated before its size is known: entries must be stored (a compressed one could
     be a zip bomb), array headers must agree with the bytes that follow, Python objects are refused.
@@ -199,7 +199,8 @@ def _read_archive(path: Path) -> dict[str, np.ndarray]:
                 raise ValueError(f"{name} is compressed or encrypted")
             if name in out:
                 raise ValueError(f"{name} occurs twice")
-            out[name] = _parse_array(name, archive.read(entry))
+            if only is None or name in only:
+                out[name] = _parse_array(name, archive.read(entry))
     return out
 
 
@@ -228,11 +229,11 @@ def _parse_array(name: str, data: bytes) -> np.ndarray:
     return (array.reshape(shape[::-1]).T if fortran else array.reshape(shape)).copy()
 
 
-def _load_arrays(path: Path, what: str, next_step: str) -> dict[str, np.ndarray]:
+def _load_arrays(path: Path, what: str, next_step: str, only: Container[str] | None = None) -> dict[str, np.ndarray]:
     if not path.is_file():
         raise InputError(f"The {what} {path} does not exist; {next_step}.")
     try:
-        return _read_archive(path)
+        return _read_archive(path, only)
     except (zipfile.BadZipFile, ValueError, EOFError, NotImplementedError, RuntimeError, KeyError) as error:
         raise InputError(f"{path} is not a {what} of hypose, or is damaged: {error}; {next_step}.") from None
     except (OSError, MemoryError) as error:

@@ -19,6 +19,7 @@ from hypose.app.view_pictures import ViewPictures
 from hypose.app.view_result import find_recording, load_view
 from hypose.errors import InputError
 from hypose.geometry import so3_exp
+from hypose.io.modes import Modes, save_modes
 from hypose.io.recording import load_recording
 from hypose.io.results import load_motion, save_motion
 from hypose.io.video import VideoWriter, open_video
@@ -32,6 +33,25 @@ def folder(tiny, tracked, tmp_path):
 
 
 # ---- the block
+
+
+def test_covariances_of_the_joints_are_shown_where_they_are_known(folder):
+    motion = load_motion(folder / "motion.npz")
+    t, j, d = *motion.joints.shape[:2], motion.skeleton.dof
+    shape = np.diag([0.01, 0.02, 0.3]) ** 2
+    one = np.ones((t, 1))
+    modes = Modes(
+        *(motion.poses[:, None], motion.joints[:, None], one, one, np.zeros((t, 1, d, d), np.float32)),
+        *(np.broadcast_to(shape, (t, j, 3, 3)), np.ones((t, j)), np.ones(t, np.int64)),
+    )
+    assert "joint_covariance" not in read_bundle(view_bundle(load_view(folder)))[1]
+    save_modes(modes, folder / "modes.npz")
+    result = load_view(folder)
+    found = read_bundle(view_bundle(result))[1]["joint_covariance"]
+    np.testing.assert_allclose(found[2, 5], [1e-4, 0, 0, 4e-4, 0, 0.09], rtol=1e-6)
+    assert from_result(result, None).joint_covariance is result.joint_covariance
+    (folder / "modes.npz").write_bytes(b"no archive")
+    assert any("as spheres" in n for n in load_view(folder).notes)
 
 
 def test_a_block_holds_what_the_result_holds(folder):

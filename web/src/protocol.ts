@@ -47,7 +47,7 @@ export interface NewRecording {
   subject_height?: number; views: { name: string; camera: string; video: Id; background?: Id }[];
 }
 
-export type JobKind = "check" | "silhouettes" | "subject" | "track" | "export" | "demo" | "refine";
+export type JobKind = "check" | "silhouettes" | "subject" | "track" | "correct" | "export" | "demo" | "refine";
 export type JobState = "queued" | "running" | "done" | "failed" | "cancelled";
 export interface Stage {
   name: string; title: string; done: number; total: number; seconds: number; per_s: number | null;
@@ -71,7 +71,7 @@ export interface Fit {
   pose: number[]; joints: number[][]; rotations: number[][]; joint_sd: number[]; covariance: number[][];
   pixels: Record<string, Record<string, [number, number]>>; rms_px: number;
   worst: { camera: string; joint: string; px: number } | null; depth_sd: number | null; notes: string[];
-  alternatives: { pose: number[]; joints: number[][]; cost: number; flipped: string[] }[];
+  alternatives: { pose: number[]; joints: number[][]; rotations: number[][]; cost: number; flipped: string[] }[];
 }
 export interface ClickJoint { joint: string; title: string }
 

@@ -9,11 +9,13 @@ const rounds = process.env.ROUNDS ?? "6";
 
 await walk(
   async ({ page, browser, address, folder, picture }) => {
-    const prompt = (state, on = page) => on.locator(`.prompt[data-state=${state}]`).waitFor({ timeout: 300_000 });
+    // as long as the session's own clock goes on, a slow machine is given its time
+    const PATIENCE = { timeout: 1_500_000 };
+    const prompt = (state, on = page) => on.locator(`.prompt[data-state=${state}]`).waitFor(PATIENCE);
     const fact = (name, on = page) => on.locator(`dt:text-is("${name}") + dd`).innerText();
     const step = (on = page) => on.evaluate(() => window.__app.live.step);
 
-    page.setDefaultTimeout(240_000);
+    page.setDefaultTimeout(PATIENCE.timeout);
     await page.getByRole("radio", { name: /Simulated person/ }).waitFor();
     assert.equal(await page.getByRole("radio", { name: /Simulated person/ }).getAttribute("aria-checked"), "true");
     assert.match(await page.getByRole("region", { name: "Your gestures" }).innerText(), /None yet/);
@@ -44,10 +46,10 @@ await walk(
     await page.waitForFunction(() => window.__app.live.step.counts.negative === 0);
 
     // a closed tab loses nothing: the session waits until somebody comes back
-    await page.waitForFunction(() => window.__app.live.step.counts.negative > 20, undefined, { timeout: 300_000 });
+    await page.waitForFunction(() => window.__app.live.step.counts.negative > 20, undefined, PATIENCE);
     const before = await step();
     const again = await browser.newPage({ viewport: { width: 1280, height: 800 } });
-    again.setDefaultTimeout(240_000);
+    again.setDefaultTimeout(PATIENCE.timeout);
     await page.close();
     await new Promise((done) => setTimeout(done, 6500));
     await again.goto(`${address}#/gesture`, { waitUntil: "commit" });
@@ -59,10 +61,10 @@ await walk(
     await again.getByRole("button", { name: "Go on" }).click();
 
     // to the end of the rounds, and how good it is
-    await prompt("test", again).catch(() => prompt("sees", again));
+    await again.locator(".prompt[data-state=test], .prompt[data-state=sees]").first().waitFor(PATIENCE);
     assert.match(await fact("Average precision", again), /^[01]\.\d\d$/);
     assert.match(await fact("Judged on", again), /frames/);
-    await again.locator(".events b").first().waitFor({ timeout: 120_000 });
+    await again.locator(".events b").first().waitFor(PATIENCE);
     const limit = (await step(again)).threshold;
     await again.getByRole("slider", { name: "Threshold" }).press("ArrowRight");
     await again.waitForFunction(() => window.__app.live.step.manual);
@@ -79,13 +81,13 @@ await walk(
     // the same forest goes on growing
     await again.getByRole("button", { name: "Teach it more" }).click();
     await prompt("positive", again);
-    await again.waitForFunction(() => window.__app.live.step.counts.gesture > 10, undefined, { timeout: 120_000 });
+    await again.waitForFunction(() => window.__app.live.step.counts.gesture > 10, undefined, PATIENCE);
     await again.getByRole("button", { name: "Stop" }).click();
     await again.getByText("The gesture is saved as gestures/tee.npz").waitFor();
 
     // and is watched for, with its log
     await again.getByRole("button", { name: "Watch for it" }).click();
-    await again.locator(".events b").first().waitFor({ timeout: 120_000 });
+    await again.locator(".events b").first().waitFor(PATIENCE);
     assert.equal(await again.locator(".events b").first().innerText(), "tee");
     await again.getByRole("button", { name: "Stop" }).click();
     await again.getByRole("button", { name: "Another gesture" }).click();

@@ -153,8 +153,6 @@ def fit_clicks(
 
 def shown(body: Body, clicks: Clicks, fit: ClickFit) -> dict[str, Any]:
     """A fit as the page gets it."""
-    s = body.skeleton
-    rotations, centres = s.forward(fit.pose)
     rows, columns = np.triu_indices(3)
     clicked = np.isfinite(fit.residual)
     worst = np.unravel_index(int(np.nanargmax(fit.residual)), fit.residual.shape)
@@ -164,9 +162,7 @@ def shown(body: Body, clicks: Clicks, fit: ClickFit) -> dict[str, Any]:
         if fit.rivals:
             notes.append("Limbs may point towards the camera or away from it; choose among the alternatives.")
     return {
-        "pose": fit.pose,
-        "joints": centres,
-        "rotations": np.roll(quaternion_from_matrix(rotations), -1, axis=-1),
+        **_placed(body, fit.pose),
         "joint_sd": np.sqrt(np.trace(fit.covariance, axis1=1, axis2=2) / 3),
         "covariance": fit.covariance[:, rows, columns],
         "pixels": {
@@ -181,10 +177,15 @@ def shown(body: Body, clicks: Clicks, fit: ClickFit) -> dict[str, Any]:
         "depth_sd": fit.depth_sd,
         "notes": notes,
         "alternatives": [
-            {"pose": q, "joints": body.joints(q), "cost": cost, "flipped": _flipped(body, clicks, fit.pose, q)}
-            for q, cost in fit.rivals
+            {**_placed(body, q), "cost": cost, "flipped": _flipped(body, clicks, fit.pose, q)} for q, cost in fit.rivals
         ],
     }
+
+
+def _placed(body: Body, pose: Array) -> dict[str, Array]:
+    """A pose (D,) with its joint centres and their rotations (x y z w), as the page moves the body."""
+    rotations, centres = body.skeleton.forward(pose)
+    return {"pose": pose, "joints": centres, "rotations": np.roll(quaternion_from_matrix(rotations), -1, axis=-1)}
 
 
 def _places(body: Body, names: Sequence[str]) -> tuple[NDArray[np.int64], Array]:

@@ -18,8 +18,10 @@ from hypose.app.studio.answers import answer, body_of, told
 from hypose.app.studio.catalog import Catalog, Item
 from hypose.app.studio.job_kinds import is_name
 from hypose.app.studio.recordings import Recordings
+from hypose.app.view_bundle import ViewResult, view_bundle
 from hypose.body.body import Body
 from hypose.body.models import JOINT_NAMES, human
+from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.bodies import load_body
@@ -42,6 +44,11 @@ def routes(catalog: Catalog, recordings: Recordings) -> list[Route]:
         value = await body_of(request)
         return answer(await run_in_threadpool(lambda: _fitted(value, catalog, recordings)))
 
+    async def body(request: Request) -> Response:
+        asked = dict(request.query_params)
+        data = await run_in_threadpool(lambda: _body_block(asked, catalog, recordings))
+        return Response(data, media_type="application/octet-stream", headers={"Cache-Control": "no-store"})
+
     async def save(request: Request) -> Response:
         value, item = await body_of(request), catalog.find("recording", request.path_params["id"])
         return answer(await run_in_threadpool(lambda: _save(value, item, catalog, recordings)), 201)
@@ -52,6 +59,7 @@ def routes(catalog: Catalog, recordings: Recordings) -> list[Route]:
 
     return [
         Route("/api/click-joints", told(joints)),
+        Route("/api/click-body", told(body)),
         Route("/api/fit-clicks", told(fit), methods=["POST"]),
         Route("/api/recordings/{id}/starts", told(save), methods=["POST"]),
         Route("/api/recordings/{id}/starts/{name}", told(one)),
@@ -63,14 +71,38 @@ def _fitted(value: dict[str, Any], catalog: Catalog, recordings: Recordings) -> 
     recording = recordings.load(item)
     clicks = click_fit.clicks_of(value.get("views"), recording.rig)
     body, pose, measured = _body(value, item, catalog)
-    height = value.get("height") or (None if measured else recording.subject_height)
-    if height is not None and (isinstance(height, bool) or not isinstance(height, int | float)):
-        raise InputError("The height must be a number of metres.")
+    height = _height(value.get("height"), measured, recording)
     if not measured:
         body = click_fit.sized(body, height)
     start = _pose(value.get("start"), body) if value.get("start") is not None else pose
     found = click_fit.fit_clicks(body, clicks, start, measured or height is not None, correct=pose is not None)
     return click_fit.shown(body, clicks, found)
+
+
+def _height(value: Any, measured: bool, recording: Recording) -> float | None:
+    """m; of a person who was not measured the recording may know it."""
+    height = value or (None if measured else recording.subject_height)
+    if height is not None and (isinstance(height, bool) or not isinstance(height, int | float)):
+        raise InputError("The height must be a number of metres.")
+    return height
+
+
+def _body_block(asked: dict[str, str], catalog: Catalog, recordings: Recordings) -> bytes:
+    """The body that clicks are fitted with, as a block of one frame in which it stands at rest."""
+    item = _recording(asked, catalog)
+    try:
+        wanted = float(asked["height"]) if "height" in asked else None
+    except ValueError:
+        raise InputError("The height must be a number of metres.") from None
+    body, _, measured = _body({**asked, "frame": 0}, item, catalog)
+    if not measured:
+        body = click_fit.sized(body, _height(wanted, measured, recordings.load(item)))
+    rest = np.zeros((1, body.skeleton.dof))
+    one, unknown = np.zeros(1, dtype=bool), np.full((1, len(body.skeleton.joint_names)), np.nan)
+    motion = Motion(
+        body.skeleton, np.zeros(1), body.joints(rest), rest, unknown, one, one, np.zeros(1, np.int64), unknown[:, 0]
+    )
+    return view_bundle(ViewResult(item.path.name, motion, body))
 
 
 def _recording(value: dict[str, Any], catalog: Catalog) -> Item:

@@ -6,12 +6,14 @@ page can show the line that does the same again.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hypose.app.studio.catalog import Catalog
+from hypose.app.correct import read_correction
+from hypose.app.studio.catalog import Catalog, Item
 from hypose.errors import InputError
 
 
@@ -81,6 +83,7 @@ _OPTIONS: Mapping[str, Mapping[str, tuple[str, _Reader]]] = {
         "camera": ("--camera", _text),
         "method": ("--method", _text),
     },
+    "correct": {"until": ("--until", _number)},
     "export": {"formats": ("--formats", _formats)},
     "demo": {"seconds": ("--seconds", _number), "seed": ("--seed", _number)},
 }
@@ -91,6 +94,7 @@ _TITLES = {
     "silhouettes": "Silhouettes of {}",
     "subject": "Measure the person in {}",
     "track": "Track {}",
+    "correct": "Track {} again from frame {}",
     "export": "Export {}",
     "demo": "Make a demo recording and track it",
 }
@@ -103,7 +107,7 @@ def plan(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
     options = request.get("options") or {}
     if not isinstance(options, dict):
         raise InputError("A job's options must be an object.")
-    own = {"track": {"name", "subject", "overlay"}}.get(kind, set())
+    own = {"track": {"name", "subject", "overlay"}, "correct": {"start"}}.get(kind, set())
     unknown = [str(o)[:40] for o in options if o not in _OPTIONS[kind] and o not in own]
     if unknown:
         raise InputError(f"The job {kind} has no option {unknown[0]!r}; it has {', '.join(_OPTIONS[kind])}.")
@@ -120,6 +124,8 @@ def plan(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
     if kind == "export":
         item = catalog.find("result", _id(request, "result"))
         return Plan(("export", str(item.path), *arguments), _TITLES[kind].format(item.path.name), None, item.id)
+    if kind == "correct":
+        return _correct(catalog.find("result", _id(request, "result")), arguments, options, catalog)
     item = catalog.find("recording", _id(request, "recording"))
     title = _TITLES[kind].format(item.path.name)
     if kind == "track":
@@ -146,6 +152,18 @@ def _track(
     if options.get("overlay") is not None and not _flag(options["overlay"], "overlay"):
         arguments.append("--no-overlay")
     return Plan(("track", str(folder), *arguments), title, recording, catalog.id_of("result", out), True, out)
+
+
+def _correct(item: Item, arguments: list[str], options: Mapping[str, Any], catalog: Catalog) -> Plan:
+    folder, start = catalog.recording_of(item.path), options.get("start")
+    if folder is None or not isinstance(start, str) or not start.startswith("clicks:"):
+        raise InputError("Say which clicks the result is to be tracked again from.")
+    clicks = _clicked(folder, start.removeprefix("clicks:"))
+    original = re.sub(r"-corrected(-\d+)?$", "", item.path.name)
+    out = free_folder(item.path.parent, f"{original}-corrected")
+    title = _TITLES["correct"].format(item.path.name, read_correction(clicks).frame)
+    command = ("correct", str(item.path), str(clicks), *arguments, "--out", str(out))
+    return Plan(command, title, catalog.id_of("recording", folder), catalog.id_of("result", out))
 
 
 def _clicked(folder: Path, name: str) -> Path:

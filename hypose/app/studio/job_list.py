@@ -55,9 +55,9 @@ def _job_of(record: Mapping[str, Any], catalog: Catalog) -> Job:
     kind, title = str(record["kind"]), str(record["title"])
     if kind not in KINDS:
         raise ValueError(kind)
-    known = {k: _text(record[k]) for k in ("recording", "result")}
-    request = {**known, "options": dict(record["options"])}
-    made = Plan((), title, **known)
+    recording, result = _text(record["recording"]), _text(record["result"])
+    request = {"recording": recording, "result": result, "options": dict(record["options"])}
+    made = Plan((), title, recording, result)
     if record["resumable"] or record["state"] not in ENDED:
         with contextlib.suppress(HyposeError):  # its recording may be gone
             made = replace(plan(kind, request, catalog), title=title)

@@ -29,7 +29,7 @@ def test_taught_in_the_page(page, tmp_path, monkeypatch):
     pictures.mkdir()
     monkeypatch.setitem(os.environ, "ROUNDS", "6")
     with serving(root) as client:
-        said = go(WEB / "tests" / "gesture_taught.walk.mjs", client.address, root, pictures, timeout=1500)
+        said = go(WEB / "tests" / "gesture_taught.walk.mjs", client.address, root, pictures, timeout=3600)
     assert json.loads(said.splitlines()[-1])["seconds"] < 240
     first, model = load_model(root / "first.npz"), load_model(root / "gestures" / "tee.npz")
     judged = judge(

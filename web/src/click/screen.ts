@@ -1,6 +1,6 @@
 import { get } from "../api";
 import { count } from "../counters";
-import type { ClickJoint, Recording, State } from "../protocol";
+import type { ClickJoint, Recording, ResultEntry, State } from "../protocol";
 import type { OpenScreen } from "../screen";
 import { h } from "../ui/dom";
 import { icon } from "../ui/icons";
@@ -16,10 +16,10 @@ export const click: OpenScreen = (root, rest) => {
   const { signal } = aborted;
   let workspace: Workspace | null = null;
 
-  const open = async (recording: Recording, frame: number, result: string | null, joints: ClickJoint[]): Promise<void> => {
+  const open = async (recording: Recording, frame: number, result: ResultEntry | null, joints: ClickJoint[]): Promise<void> => {
     const at = Math.min(recording.frames - 1, Math.max(0, frame));
     workspace?.close();
-    history.replaceState(null, "", `#/click/${recording.id}/${at}${result ? `/${result}` : ""}`);
+    history.replaceState(null, "", `#/click/${recording.id}/${at}${result ? `/${result.id}` : ""}`);
     workspace = new Workspace(recording, result, at, joints, counters, (to) => void open(recording, to, result, joints));
     box.replaceChildren(workspace.element);
   };
@@ -29,13 +29,14 @@ export const click: OpenScreen = (root, rest) => {
       box.replaceChildren(chooser(await get<State>("/api/state", signal)));
       return;
     }
-    const [recording, joints] = await Promise.all([
+    const [recording, joints, results] = await Promise.all([
       get<Recording>(`/api/recordings/${id}`, signal),
       get<ClickJoint[]>("/api/click-joints", signal),
+      result ? get<ResultEntry[]>("/api/results", signal) : [],
     ]);
     if (recording.problem) box.replaceChildren(nothing("This recording cannot be used", recording.problem, `#/setup/${id}`));
     else if (!recording.cameras.some((c) => c.pictures)) box.replaceChildren(nothing("No pictures", "This recording has masks only; there is nothing to click in.", "#/click"));
-    else await open(recording, Number(frame) || 0, result ?? null, joints);
+    else await open(recording, Number(frame) || 0, results.find((r) => r.id === result) ?? null, joints);
   };
   begin().catch((error: Error) => {
     if (!signal.aborted) box.replaceChildren(nothing("That did not work", error.message, "#/click"));

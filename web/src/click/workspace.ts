@@ -1,6 +1,7 @@
-import { address, post } from "../api";
+import { address, getBytes, post } from "../api";
 import { answered, type Counters } from "../counters";
-import type { ClickJoint, Job, Recording } from "../protocol";
+import { readBundle } from "../lib/bundle";
+import type { ClickJoint, Job, NewJob, Recording, ResultEntry } from "../protocol";
 import { button } from "../ui/buttons";
 import { h } from "../ui/dom";
 import { bindKeys, type Key } from "../ui/keyboard";
@@ -31,7 +32,7 @@ export class Workspace {
   /** result: the pose of this result is corrected; frame: number in the recording. */
   constructor(
     private readonly recording: Recording,
-    private readonly result: string | null,
+    private readonly result: ResultEntry | null,
     readonly frame: number,
     joints: readonly ClickJoint[],
     private readonly counters: Counters,
@@ -39,9 +40,9 @@ export class Workspace {
   ) {
     this.titles = Object.fromEntries(joints.map((j) => [j.joint, j.title]));
     const cameras = recording.cameras.filter((c) => c.pictures);
-    const key = `clicks.${recording.id}.${result ?? ""}.${frame}`;
+    const key = `clicks.${recording.id}.${result?.id ?? ""}.${frame}`;
     this.state = new ClickState(joints, cameras.map((c) => c.name), key, () => this.show());
-    this.fitter = new Fitter(this.state, { recording: recording.id, result, frame }, () => this.show());
+    this.fitter = new Fitter(this.state, { recording: recording.id, result: result?.id ?? null, frame }, () => this.show());
     this.picture = new ClickPicture(this.state, (dragging) => {
       this.dragging = dragging;
       if (!dragging) this.fitter.ask(false);
@@ -72,6 +73,7 @@ export class Workspace {
     ];
     this.element = this.layout(host, bound.help);
     this.drawSave();
+    void this.loadBody();
     void this.load();
     this.show();
   }
@@ -128,6 +130,18 @@ export class Workspace {
     }
   }
 
+  /** The body that is fitted, of the height given. */
+  private async loadBody(): Promise<void> {
+    const query = new URLSearchParams({ recording: this.recording.id });
+    if (this.result) query.set("result", this.result.id);
+    if (this.fitter.height) query.set("height", String(this.fitter.height));
+    try {
+      this.space.setBody(readBundle(await getBytes(`/api/click-body?${query}`)));
+    } catch {
+      // without it the pose is shown as a skeleton
+    }
+  }
+
   private keys(): Key[] {
     const key = (keys: string[], shown: string, what: string, act: () => void): Key => ({ keys, shown, what, act });
     return [
@@ -155,6 +169,7 @@ export class Workspace {
     height.addEventListener("change", () => {
       this.fitter.height = height.value ? Number(height.value) / 100 : null;
       this.fitter.ask(false);
+      void this.loadBody();
     });
     this.save.addEventListener("submit", (event) => {
       event.preventDefault();
@@ -162,10 +177,16 @@ export class Workspace {
     });
     const submit = button("Save", () => undefined, { kind: "primary", icon: "done", title: "Keep the clicks and the pose" });
     submit.type = "submit";
+    const again = this.corrects;
     this.save.append(
       this.result || this.recording.subject ? "" : h("div", { class: "field" }, h("label", { class: "field-name" }, "Height"), h("div", { class: "row" }, height, h("span", { class: "dim" }, "cm, if known"))),
       h("div", { class: "field" }, h("span", { class: "field-name" }, "Save as"), h("div", { class: "row" }, name, submit)),
-      h("div", { class: "row" }, button("Track from here", () => void this.track(name.value), { icon: "play", title: "Follow the person with this camera alone, from this frame on" })),
+      h("div", { class: "row" }, button(again ? "Track again from here" : "Track from here", () => void this.track(name.value), {
+        icon: "play",
+        title: again
+          ? "Track this result again from the corrected pose on; the frames before stay, and so does the old result"
+          : "Follow the person with this camera alone, from this frame on",
+      })),
     );
   }
 
@@ -180,14 +201,25 @@ export class Workspace {
     }
   }
 
-  /** Saves, and starts the tracker of one camera at this frame. */
+  /** Whether what is corrected was tracked with several cameras, which is then tracked again from this frame on. */
+  private get corrects(): boolean {
+    return this.result !== null && this.result.recipe !== "monocular";
+  }
+
+  /** Saves, and tracks from this frame on: the result again from the corrected pose, or with this camera alone. */
   private async track(name: string): Promise<void> {
     if (!(await this.keep(name))) return;
-    const camera = this.state.camera;
+    const { camera } = this.state;
     const view = this.recording.views.find((v) => v.camera === camera)?.name ?? camera;
-    const options = { method: "monocular", camera: view, start: `clicks:${name}`, frames: `${this.frame}:`, name: `monocular-${camera}` };
+    const start = `clicks:${name}`;
+    const wanted: NewJob = this.corrects
+      ? { kind: "correct", result: this.result!.id, options: { start } }
+      : {
+          kind: "track", recording: this.recording.id,
+          options: { method: "monocular", camera: view, start, frames: `${this.frame}:`, name: `monocular-${camera}` },
+        };
     try {
-      const job = await post<Job>("/api/jobs", { kind: "track", recording: this.recording.id, options });
+      const job = await post<Job>("/api/jobs", wanted);
       toast(`${job.title} has begun.`);
       location.hash = `#/setup/${this.recording.id}`;
     } catch (error) {

@@ -65,6 +65,8 @@ export interface ViewData {
   rotations: Float32Array | null;
   /** (T, J) m, NaN where not known. */
   sd: Float32Array;
+  /** (T, J, 6) xx xy xz yy yz zz, m^2: where more is known than sd. */
+  covariance: Float32Array | null;
   /** (T) 1 = lost, 2 = extrapolated. */
   flags: Uint8Array;
   views: Uint8Array;
@@ -123,6 +125,7 @@ export function readBundle(buffer: ArrayBuffer): ViewData {
     positions: need("joints"),
     rotations: get("rotations"),
     sd: need("joint_sd"),
+    covariance: get("joint_covariance"),
     flags: need("flags"),
     views: need("n_views"),
     cost: need("cost"),

@@ -1,16 +1,16 @@
-import { DynamicDrawUsage, Group, InstancedMesh, Matrix4, MeshBasicMaterial, SphereGeometry, Vector3 } from "three";
+import { Group, Vector3 } from "three";
 import { onResize } from "../ui/dom";
-import { colour, onTheme } from "../ui/theme";
+import { onTheme } from "../ui/theme";
+import { Ellipsoids } from "../view/ellipsoids";
 import { Sticks } from "../view/figure";
 import { Stage } from "../view/stage";
 import type { Person } from "./messages";
 
-const SPREAD = 2; // standard deviations
 const HIPS = ["left_hip", "right_hip"];
 
 interface Figure {
   sticks: Sticks;
-  spread: InstancedMesh;
+  spread: Ellipsoids;
   joints: Float32Array;
 }
 
@@ -21,7 +21,6 @@ export class People {
   private readonly figures = new Map<number, Figure>();
   private readonly box = new Group();
   private readonly stops: (() => void)[];
-  private readonly matrix = new Matrix4();
   private waiting = 0;
   /** Which axis of the reference sensor points up, found when somebody is seen: index and sign. */
   private up: [number, number] | null = null;
@@ -41,7 +40,7 @@ export class People {
       onTheme(() => {
         for (const f of this.figures.values()) {
           f.sticks.recolour();
-          (f.spread.material as MeshBasicMaterial).color.set(colour("accent"));
+          f.spread.recolour();
         }
         this.stage.recolour();
       }),
@@ -53,7 +52,9 @@ export class People {
     if (first && !this.up) this.find(first);
     for (const [id, figure] of this.figures) {
       if (people.some((p) => p.id === id)) continue;
-      this.box.remove(figure.sticks.group, figure.spread);
+      this.box.remove(figure.sticks.group, figure.spread.mesh);
+      figure.sticks.dispose();
+      figure.spread.dispose();
       this.figures.delete(id);
     }
     for (const person of people) this.place(this.figures.get(person.id) ?? this.add(person.id), person);
@@ -67,14 +68,10 @@ export class People {
   }
 
   private add(id: number): Figure {
-    const material = new MeshBasicMaterial({ transparent: true, opacity: 0.26, depthWrite: false });
-    material.color.set(colour("accent"));
-    const spread = new InstancedMesh(new SphereGeometry(1, 14, 10), material, this.names.length);
-    spread.frustumCulled = false;
-    spread.instanceMatrix.setUsage(DynamicDrawUsage);
+    const spread = new Ellipsoids(this.names.length);
     const sticks = new Sticks(this.parents, this.names, null, 1.4);
     const figure = { sticks, spread, joints: new Float32Array(3 * this.names.length) };
-    this.box.add(sticks.group, spread);
+    this.box.add(sticks.group, spread.mesh);
     this.figures.set(id, figure);
     return figure;
   }
@@ -83,13 +80,9 @@ export class People {
     person.joints.forEach((joint, j) => {
       const p = this.upright(joint);
       figure.joints.set(p, 3 * j);
-      const r = SPREAD * (person.sd[j] ?? 0);
-      if (r > 0 && Number.isFinite(p[0])) this.matrix.makeScale(r, r, r).setPosition(p[0], p[1], p[2]);
-      else this.matrix.makeScale(0, 0, 0);
-      figure.spread.setMatrixAt(j, this.matrix);
+      figure.spread.sphere(j, p, person.sd[j] ?? 0);
     });
     figure.sticks.place(figure.joints, 0);
-    figure.spread.instanceMatrix.needsUpdate = true;
   }
 
   /** Up is the axis along which this person's neck lies farthest above the hips; the floor lies below the feet. */

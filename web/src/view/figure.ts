@@ -1,13 +1,13 @@
 import {
   Bone, BufferGeometry, Color, CylinderGeometry, DynamicDrawUsage, Float32BufferAttribute, Group, InstancedMesh, Line,
-  LineBasicMaterial, Matrix4, MeshBasicMaterial, MeshLambertMaterial, Quaternion, Skeleton, SkinnedMesh, SphereGeometry,
-  Uint16BufferAttribute, Uint32BufferAttribute, Vector3,
+  LineBasicMaterial, Matrix4, MeshBasicMaterial, MeshLambertMaterial, type Object3D, Quaternion, Skeleton, SkinnedMesh,
+  SphereGeometry, Uint16BufferAttribute, Uint32BufferAttribute, Vector3,
 } from "three";
 import { LOST, side, type ViewData } from "../lib/bundle";
 import { colour } from "../ui/theme";
+import { Ellipsoids } from "./ellipsoids";
 
 const TRAIL_S = 2;
-const SPREAD = 2; // standard deviations
 const BONE_R = 0.011;
 const JOINT_R = 0.02;
 
@@ -50,6 +50,15 @@ export class Sticks {
     for (const mesh of [this.balls, this.sticks]) if (mesh.instanceColor) mesh.instanceColor.needsUpdate = true;
   }
 
+  /** Frees what the graphics card holds of it. */
+  dispose(): void {
+    for (const mesh of [this.balls, this.sticks]) {
+      mesh.geometry.dispose();
+      (mesh.material as MeshLambertMaterial).dispose();
+      mesh.dispose();
+    }
+  }
+
   /** Moves to the joints (J, 3) that begin at `at`. */
   place(joints: Float32Array, at: number): void {
     for (let j = 0; j < this.balls.count; j++) {
@@ -82,7 +91,7 @@ export class SkinnedBody {
   private readonly flat: Bone[] = [];
   private readonly material = new MeshLambertMaterial();
   private readonly shade = new MeshBasicMaterial();
-  private readonly flatten: Matrix4;
+  private readonly flatten = new Matrix4();
   private readonly position = new Vector3();
   private readonly turn = new Quaternion();
   private readonly one = new Vector3(1, 1, 1);
@@ -97,9 +106,7 @@ export class SkinnedBody {
     geometry.setAttribute("skinWeight", new Float32BufferAttribute(mesh.skinWeight, 4));
     geometry.setIndex(new Uint32BufferAttribute(mesh.faces, 1));
     geometry.computeVertexNormals();
-    // light from high above, a little from the side: x and y move with the height above the floor
-    const f = data.header.floor + 0.002;
-    this.flatten = new Matrix4().set(1, 0, -0.25, 0.25 * f, 0, 1, 0.3, -0.3 * f, 0, 0, 0.001, f, 0, 0, 0, 1);
+    this.layShadow(data.header.floor);
     for (const [bones, material] of [[this.bones, this.material], [this.flat, this.shade]] as const) {
       const inverses: Matrix4[] = [];
       for (let j = 0; j < data.joints; j++) {
@@ -115,6 +122,23 @@ export class SkinnedBody {
       this.group.add(skinned);
     }
     this.recolour();
+  }
+
+  /** Frees what the graphics card holds of it. */
+  dispose(): void {
+    for (const mesh of this.group.children as SkinnedMesh[]) {
+      mesh.geometry.dispose();
+      mesh.skeleton.dispose();
+    }
+    this.material.dispose();
+    this.shade.dispose();
+  }
+
+  /** The shadow falls on a floor of this height (m), with the next frame that is placed. */
+  layShadow(floor: number): void {
+    // light from high above, a little from the side: x and y move with the height above the floor
+    const f = floor + 0.002;
+    this.flatten.set(1, 0, -0.25, 0.25 * f, 0, 1, 0.3, -0.3 * f, 0, 0, 0.001, f, 0, 0, 0, 1);
   }
 
   recolour(): void {
@@ -141,34 +165,30 @@ export class SkinnedBody {
   }
 }
 
-/** Spheres of two standard deviations around the joints. */
+/** How sure the joints of a result are, at one frame. */
 export class Spread {
-  readonly mesh: InstancedMesh;
-  private readonly matrix = new Matrix4();
+  private readonly ellipsoids: Ellipsoids;
 
   constructor(private readonly data: ViewData) {
-    const material = new MeshBasicMaterial({ transparent: true, opacity: 0.28, depthWrite: false });
-    this.mesh = new InstancedMesh(new SphereGeometry(1, 16, 12), material, data.joints);
-    this.mesh.frustumCulled = false;
-    this.mesh.instanceMatrix.setUsage(DynamicDrawUsage);
-    this.recolour();
+    this.ellipsoids = new Ellipsoids(data.joints);
+  }
+
+  get mesh(): Object3D {
+    return this.ellipsoids.mesh;
   }
 
   recolour(): void {
-    (this.mesh.material as MeshBasicMaterial).color.set(colour("accent"));
+    this.ellipsoids.recolour();
   }
 
   place(row: number): void {
-    const { positions, sd, joints } = this.data;
+    const { positions, sd, covariance, joints } = this.data;
     for (let j = 0; j < joints; j++) {
       const at = row * joints + j;
-      const r = SPREAD * sd[at]!;
-      if (r > 0 && Number.isFinite(positions[3 * at]!)) {
-        this.matrix.makeScale(r, r, r).setPosition(positions[3 * at]!, positions[3 * at + 1]!, positions[3 * at + 2]!);
-      } else this.matrix.makeScale(0, 0, 0);
-      this.mesh.setMatrixAt(j, this.matrix);
+      const p = [positions[3 * at]!, positions[3 * at + 1]!, positions[3 * at + 2]!] as const;
+      if (covariance) this.ellipsoids.ellipsoid(j, p, covariance, 6 * at);
+      else this.ellipsoids.sphere(j, p, sd[at]!);
     }
-    this.mesh.instanceMatrix.needsUpdate = true;
   }
 }
 

@@ -1,6 +1,6 @@
 import {
-  BufferGeometry, CanvasTexture, Color, Float32BufferAttribute, Group, LineBasicMaterial, LineSegments, Sprite,
-  SpriteMaterial, SRGBColorSpace,
+  BufferGeometry, CanvasTexture, Color, Float32BufferAttribute, Group, LineBasicMaterial, LineSegments,
+  type PerspectiveCamera, Sprite, SpriteMaterial, SRGBColorSpace, Vector3,
 } from "three";
 import type { CameraData } from "../lib/bundle";
 import { Projector } from "../lib/camera";
@@ -10,6 +10,7 @@ import { colour } from "../ui/theme";
 export class Frusta {
   readonly group = new Group();
   private readonly lines: LineBasicMaterial[] = [];
+  private readonly at = new Vector3();
 
   constructor(
     private readonly cameras: readonly CameraData[],
@@ -32,10 +33,17 @@ export class Frusta {
     this.recolour();
   }
 
-  /** Keeps the names 12 px high in a picture of this height (px) and angle of view (degrees). */
-  scale(height: number, fov: number): void {
-    const one = (2 * Math.tan((fov * Math.PI) / 360) * LABEL_PX) / Math.max(1, height);
-    for (const sprite of this.labels()) sprite.scale.set(one * (sprite.userData["aspect"] as number), one, 1);
+  /** Keeps the names 12 px high in a picture of this height (px), and leaves out those that its edge would cut. */
+  label(camera: PerspectiveCamera, height: number): void {
+    const share = LABEL_PX / Math.max(1, height);
+    const one = 2 * Math.tan((camera.fov * Math.PI) / 360) * share;
+    camera.updateMatrixWorld();
+    for (const sprite of this.labels()) {
+      const aspect = sprite.userData["aspect"] as number;
+      sprite.scale.set(one * aspect, one, 1);
+      const { x, y, z } = this.at.copy(sprite.position).project(camera);
+      sprite.visible = z < 1 && Math.abs(x) + (share * aspect) / camera.aspect < 1 && Math.abs(y) + share < 1;
+    }
   }
 
   private labels(): Sprite[] {

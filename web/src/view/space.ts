@@ -114,7 +114,7 @@ export class Space {
   }
 
   draw(): void {
-    this.frusta.scale(this.height, this.stage.camera.fov);
+    if (this.on.cameras) this.frusta.label(this.stage.camera, this.height);
     this.stage.draw();
   }
 

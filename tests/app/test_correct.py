@@ -1,0 +1,84 @@
+"""`hypose correct`: a result tracked again from a corrected frame, the frames before left as they were."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.app.correct import join, read_correction
+from hypose.app.truth import compare
+from hypose.errors import InputError
+from hypose.io.bodies import load_body
+from hypose.io.results import load_motion
+
+FRAME = 3
+
+
+@pytest.fixture
+def result(recording, tracked):
+    """A result of the recording: its folder and its motion."""
+    results = shutil.copytree(tracked, recording / "results" / "default")
+    return results, load_motion(results / "motion.npz")
+
+
+def clicks(recording, frame, pose, **more):
+    path = recording / "starts" / "arm.json"
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(json.dumps({"format": "hypose-clicks", "version": 1, "frame": frame, "pose": list(pose), **more}))
+    return path
+
+
+def test_the_rest_is_tracked_again_from_the_corrected_pose(result, recording, hypose):
+    results, motion = result
+    corrected = motion.poses[FRAME].copy()
+    corrected[motion.skeleton.dofs_of("left_elbow")] += 0.2
+    file = clicks(recording, FRAME, corrected)
+    code, out, err = hypose("correct", results, file, "--formats", "trc")
+    assert code == 0, err
+    assert f"Frames {FRAME} and after" in out
+    folder = recording / "results" / "default-corrected"
+    again, body = load_motion(folder / "motion.npz"), load_body(folder / "body.npz")
+    assert len(again) == len(motion)
+    np.testing.assert_array_equal(again.poses[:FRAME], motion.poses[:FRAME])
+    np.testing.assert_allclose(again.joints, body.joints(again.poses), atol=1e-9)
+    off, before = (compare(recording / "truth.npz", m, 0).distances[FRAME:].mean() for m in (again, motion))
+    assert off < 1.2 * before, "tracked from a start that is 11 degrees off at one elbow it is as good as it was"
+    assert not np.array_equal(again.poses[FRAME:], motion.poses[FRAME:])
+    assert again.provenance["corrections"] == [{"clicks": "arm", "frame": FRAME, "of": "default", "until": 8}]
+    assert {"motion.trc", "report.html", "provenance.json"} <= {p.name for p in folder.iterdir()}
+    np.testing.assert_array_equal(load_motion(results / "motion.npz").poses, motion.poses)
+
+
+def test_what_cannot_be_corrected_is_said(result, recording, hypose, tmp_path):
+    results, motion = result
+
+    def said(*arguments):
+        code, _, err = hypose("correct", *arguments)
+        assert code == 2
+        return " ".join(err.split())
+
+    assert "not part of this result" in said(results, clicks(recording, 8, motion.poses[0]))
+    assert "not part of this result" in said(results, clicks(recording, 3, motion.poses[0]), "--until", 3)
+    assert "another body" in said(results, clicks(recording, 3, motion.poses[0][:-1]))
+    assert "folder of its own" in said(results, clicks(recording, 3, motion.poses[0]), "--out", results)
+    assert "lies in no recording" in said(shutil.copytree(results, tmp_path / "alone"), clicks(recording, 3, [0.0]))
+    for text in ("", "{}", "[1]", '{"format": "hypose-clicks", "frame": 1, "pose": ["x"]}'):
+        (tmp_path / "bad.json").write_text(text)
+        with pytest.raises(InputError, match=r"clicked pose|empty"):
+            read_correction(tmp_path / "bad.json")
+
+
+def test_parts_are_joined_on_one_branch_of_the_rotation(tracked):
+    motion = load_motion(tracked / "motion.npz")
+    turned = motion.poses.copy()
+    turn = turned[:, 3:6]
+    norm = np.linalg.norm(turn, axis=1, keepdims=True)
+    turned[:, 3:6] = turn * (1 - 2 * np.pi / norm)  # the same rotations, the other way around
+    new = replace(motion, poses=turned)
+    joined = join(motion, new, 0, {"frame": 0})
+    np.testing.assert_array_equal(joined.poses, turned)
+    part = {n: getattr(new, n)[3:] for n in ("times", "poses", "joints", "joint_sd", "lost", "extrapolated", "n_views")}
+    joined = join(motion, replace(new, cost=new.cost[3:], **part), 3, {"frame": 3})
+    np.testing.assert_allclose(joined.poses, motion.poses, atol=1e-9)
