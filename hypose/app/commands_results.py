@@ -71,7 +71,9 @@ def bench(
     name: Annotated[str, typer.Argument(help="Name of the benchmark; a wrong one lists them.")] = "",
     quick: Annotated[bool, typer.Option("--quick", help="At most a minute on two cores; small, and says so.")] = False,
     seeds: Annotated[int, typer.Option(help="Repetitions; 0 = the benchmark's own number.")] = 0,
-    first_seed: Annotated[int | None, typer.Option(help="First seed of the fusion benchmarks. [default: 2000]")] = None,
+    first_seed: Annotated[
+        int | None, typer.Option(help="First seed, where a benchmark has several. [default: the benchmark's own]")
+    ] = None,
     data: Annotated[Path | None, typer.Option(help="Folder with the real recordings, for real-* benchmarks.")] = None,
     json: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
     threads: Threads = None,

@@ -9,7 +9,7 @@ import numpy as np
 from hypose.compute.forests import Depth, ScanPlan
 from hypose.errors import InputError
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row, row
-from hypose.evaluation.gesture_data import TESTED, TRAINED
+from hypose.evaluation.gesture_data import TESTED, TRAINED, seeds_of
 from hypose.evaluation.gesture_metrics import Judged, judge
 from hypose.evaluation.gesture_scenes import CLUTTERED, GestureFrame, picture
 from hypose.gestures.forest import ForestSettings
@@ -78,10 +78,10 @@ def semi_synthetic(options: BenchOptions) -> BenchReport:
     """AP of every letter against all others: real hands, one person, simulated rooms around them."""
     crops = load_letters(options.folder("asl_depth_crops"))
     chosen = "afl" if options.quick else LETTERS
-    seeds = options.seeds or (1 if options.quick else 3)
+    seeds = seeds_of(options)
     split = {c: round(TRAINED_SHARE * len(v)) for c, v in crops.items()}
     values: dict[str, list[Judged]] = {}
-    for seed in range(seeds):
+    for repetition, seed in enumerate(seeds):
         rng = np.random.default_rng([85, seed])
         rooms = [
             [picture(p, "movement", CLUTTERED, rng).depth for p in (people * 7)[:_BACKGROUNDS]]
@@ -104,12 +104,12 @@ def semi_synthetic(options: BenchOptions) -> BenchReport:
                 )
             look = LocaliseSettings(ScanPlan())
             values.setdefault(letter, []).append(judge(learner.forest.freeze(), test, number, look))
-            options.progress("learn", seed * len(chosen) + done + 1, seeds * len(chosen))
+            options.progress("learn", repetition * len(chosen) + done + 1, len(seeds) * len(chosen))
     rows: list[Row] = []
     for case, take in (("", Judged.ap), ("/5cm", Judged.ap_metres)):
         every = np.array([[take(j) for j in values[c]] for c in chosen])
         rows.append(row("mean_ap", f"letters{case}", every.mean(0), "1"))
         rows += [row("ap", f"{c}{case}", every[k], "1") for k, c in enumerate(chosen)]
-    settings = {"data": "semi-synthetic: real crops of one person in simulated rooms", "seeds": seeds}
+    settings = {"data": "semi-synthetic: real crops of one person in simulated rooms", "seeds": list(seeds)}
     share = 1 / len([c for c in LETTERS if crops[c]])
     return BenchReport(tuple(rows), settings | {"split_by_time": TRAINED_SHARE, "share_of_positives": share})

@@ -22,6 +22,7 @@ from hypose.evaluation.gesture_data import (
     Size,
     examples,
     for_gesture,
+    seeds_of,
     test_set,
     thinned,
     training_set,
@@ -36,19 +37,20 @@ from hypose.gestures.online import Example, Learner, teach
 
 PASSES = 4
 """Over the positive pictures; each pass takes half of the negative ones."""
-SEEDS = 3
 
 
 @dataclass(frozen=True)
-class _Data:
+class Shot:
+    """Pictures to learn from and to test with."""
+
     train: list[GestureFrame]
     test: list[GestureFrame]
 
 
-def _shoot(seed: int, options: BenchOptions, size: Size, stage: Stage | None = None) -> _Data:
+def shoot(seed: int, options: BenchOptions, size: Size, stage: Stage = TRAINING) -> Shot:
+    """The pictures of a seed: other people, and cluttered rooms, in the test."""
     rng = np.random.default_rng([8, seed])
-    stage = stage or TRAINING
-    return _Data(
+    return Shot(
         training_set(size, rng, stage, tick=lambda k, n: options.progress("render", k, n)),
         test_set(size, rng, CLUTTERED, tick=lambda k, n: options.progress("render test", k, n)),
     )
@@ -77,12 +79,11 @@ def learn_offline(pool: Pool, seed: int, settings: OfflineSettings | None = None
 def table_3_2(options: BenchOptions) -> BenchReport:
     """Offline boosted (as published, and with negatives around the place) against online learning with random and with
     hard negatives, on the same frames."""
-    seeds, size = (options.seeds or (1 if options.quick else SEEDS)), QUICK if options.quick else FULL
+    seeds, size = seeds_of(options), QUICK if options.quick else FULL
     names = GESTURES[:2] if options.quick else GESTURES
     values: dict[tuple[str, str], list[Judged]] = {}
-    first: tuple[_Data, Forest, Forest] | None = None
-    for seed in range(seeds):
-        data = _shoot(seed, options, size)
+    for done, seed in enumerate(seeds):
+        data = shoot(seed, options, size)
         for k, name in enumerate(names):
             number = GESTURES.index(name) + 1
             shown, test = examples(data.train, number), for_gesture(data.test, number)
@@ -93,15 +94,11 @@ def table_3_2(options: BenchOptions) -> BenchReport:
                 "offline_boosted": learn_offline(published, seed),
                 "offline_boosted_around": learn_offline(pool, seed),
             }
-            if name == "pause" and seed == 0:
-                first = data, forests["online_hard"], forests["offline_boosted"]
             for method, forest in forests.items():
                 values.setdefault((method, name), []).append(judge(forest, test, number))
-            options.progress("learn", seed * len(names) + k + 1, seeds * len(names))
+            options.progress("learn", done * len(names) + k + 1, len(seeds) * len(names))
     rows = _means(values, names, "mean_ap", tuple(dict.fromkeys(m for m, _ in values)))
-    if first is not None:
-        rows += _sweeps(*first)
-    curves = {f"{m}/{g}": _curve(v[0]) for (m, g), v in values.items()}
+    curves = {f"{m}/{g}": curve(v[0]) for (m, g), v in values.items()}
     return BenchReport(tuple(rows), _settings(size, seeds) | {"curves": curves})
 
 
@@ -120,41 +117,20 @@ def _means(
     return rows
 
 
-def _sweeps(data: _Data, online: Forest, offline: Forest) -> list[Row]:
-    """alpha and beta for "pause" (Figs. 3.5, 3.6) and the balance of the trees (Fig. 3.9), first seed."""
-    number = GESTURES.index("pause") + 1
-    shown, test = examples(data.train, number), for_gesture(data.test, number)
-    rows: list[Row] = []
-    trees: list[tuple[str, Forest]] = [("alpha_300", online), ("offline", offline)]
-    for alpha in (50, 100, 600, 1200):
-        forest = learn_online(shown, 0, settings=ForestSettings(alpha=alpha))
-        trees.append((f"alpha_{alpha}", forest))
-        rows.append(Row("ap_alpha", f"{alpha}", judge(forest, test, number).ap(), "1"))
-    for beta in (0.02, 0.05, 0.1):
-        forest = learn_online(shown, 0, settings=ForestSettings(beta=beta))
-        rows.append(Row("ap_beta", f"{beta:g}", judge(forest, test, number).ap(), "1"))
-    for name, forest in trees:
-        balance = np.abs(forest.balance())
-        rows.append(Row("balanced_share", name, float((balance == 0).mean()) if len(balance) else 1.0, "1"))
-        rows.append(Row("mean_imbalance", name, float(balance.mean()) if len(balance) else 0.0, "levels"))
-        rows.append(Row("nodes", name, float(forest.size.sum()), "1"))
-    return rows
-
-
 _CLIPS: dict[str, int | None] = {"clipped_15": 150, "clipped_30": 300, "clipped_50": 500, "unclipped": None}
 
 
 def table_3_1(options: BenchOptions) -> BenchReport:
     """Clipping distances, trained in two fixed empty rooms, tested in clutter; and boosted sub-forests."""
-    seeds = options.seeds or (1 if options.quick else SEEDS)
+    seeds = seeds_of(options)
     size = QUICK if options.quick else Size(40, 160, 20)
     names = ("tee", "ok") if options.quick else GESTURES
     auc: dict[tuple[str, str], list[float]] = {}
     online: dict[tuple[str, str], list[float]] = {}
     curves: dict[str, Any] = {}
-    for seed in range(seeds):
+    for done, seed in enumerate(seeds):
         stage = two_fixed_rooms(np.random.default_rng([84, seed]))
-        data = _shoot(seed + 1000, options, size, stage)
+        data = shoot(seed + 1000, options, size, stage)
         for k, name in enumerate(names):
             number = GESTURES.index(name) + 1
             shown, test = examples(data.train, number), for_gesture(data.test, number)
@@ -165,16 +141,16 @@ def table_3_1(options: BenchOptions) -> BenchReport:
             # the published baseline is unclipped
             jobs["subforest"] = replace(jobs["unclipped"], learning="subforests")
             for case, settings in jobs.items():
-                if seed and case in ("clipped_30", "clipped_50"):  # the middle distances once: they decide nothing
+                if done and case in ("clipped_30", "clipped_50"):  # the middle distances once: they decide nothing
                     continue
                 judged = judge(learn_offline(pool, seed, settings), test, number)
                 auc.setdefault((case, name), []).append(judged.auc())
-                if seed == 0:
-                    curves[f"{case}/{name}"] = _curve(judged)
+                if not done:
+                    curves[f"{case}/{name}"] = curve(judged)
             for case in ("clipped_15", "unclipped"):
                 forest = learn_online(shown, seed, settings=ForestSettings(clip_mm=_CLIPS[case]), passes=2)
                 online.setdefault((case, name), []).append(judge(forest, test, number).ap())
-            options.progress("learn", seed * len(names) + k + 1, seeds * len(names))
+            options.progress("learn", done * len(names) + k + 1, len(seeds) * len(names))
     rows: list[Row] = []
     for metric, table in (("auc", auc), ("online_ap", online)):
         for case in dict.fromkeys(c for c, _ in table):
@@ -184,14 +160,15 @@ def table_3_1(options: BenchOptions) -> BenchReport:
     return BenchReport(tuple(rows), _settings(size, seeds) | {"curves": curves})
 
 
-def _curve(judged: Judged) -> list[list[float]]:
+def curve(judged: Judged) -> list[list[float]]:
+    """(1 - precision, recall) after each detection, for pictures of the curves."""
     precision, recall = precision_recall(judged.scores, judged.errors_px <= 10, int(judged.shown.sum()))
     return np.round(np.stack([1 - precision, recall], 1), 4).tolist()
 
 
-def _settings(size: Size, seeds: int) -> dict[str, Any]:
+def _settings(size: Size, seeds: range) -> dict[str, Any]:
     return {
-        "seeds": seeds,
+        "seeds": list(seeds),
         "training_pictures": {"of_each_gesture": size.train_each, "of_movement": size.train_movement},
         "test_pictures_of_each_gesture": size.test_each,
         "share_of_positives": SHARE,
