@@ -133,63 +133,74 @@ def remap(small, corner, parts, y0, y1, x0, x1, out):
 def differ(image, low, high, mean, square, shadow, darkest, lightest, chroma, y0, y1, x0, x1, out):
     """out (h, w) u1 in the box: 0 = the room, 1 = something else, 2 = the room, darker. image (h, w, 3) u1 between
     low and high (same type) is the room. For the shadow test (if shadow): mean (h, w, 3) f4, square (h, w) f4."""
-    bad = np.empty(3 * (x1 - x0), np.uint8)
+    width = x1 - x0
+    words = np.zeros(3 * ((width + 7) // 8), np.uint64)
+    bad = words.view(np.uint8)
     for y in range(y0, y1):
         picture, least, most = image[y].reshape(-1), low[y].reshape(-1), high[y].reshape(-1)
-        made = out[y]
+        made = out[y, x0:x1]
         part, under, above = picture[3 * x0 : 3 * x1], least[3 * x0 : 3 * x1], most[3 * x0 : 3 * x1]
-        for i in range(3 * (x1 - x0)):
+        for i in range(3 * width):
             bad[i] = np.uint8((part[i] < under[i]) | (part[i] > above[i]))
-        for x in range(x1 - x0):
-            i = u8(3 * x)
-            made[x0 + x] = bad[i] | bad[i + u8(1)] | bad[i + u8(2)]
+        for k in range(0, width, 8):  # eight pixels at a time: most of them are the room
+            word = u8(3 * (k // 8))
+            if (words[word] | words[word + u8(1)] | words[word + u8(2)]) == 0:
+                for x in range(k, min(k + 8, width)):
+                    made[u8(x)] = 0
+                continue
+            for x in range(k, min(k + 8, width)):
+                i = u8(3 * x)
+                made[u8(x)] = bad[i] | bad[i + u8(1)] | bad[i + u8(2)]
         if not shadow:
             continue
         room = mean[y].reshape(-1)
-        for x in range(x0, x1):
-            if made[x] == 0:
+        for x in range(width):
+            if made[u8(x)] == 0:
                 continue
-            i = u8(3 * x)
+            i = u8(3 * (x0 + x))
             j, k = i + u8(1), i + u8(2)
             a, b, c = f4(picture[i]), f4(picture[j]), f4(picture[k])
             p, q, r = room[i], room[j], room[k]
-            s = (a * p + b * q + c * r) / square[y, x]
+            s = (a * p + b * q + c * r) / square[y, x0 + x]
             if s > darkest and s < lightest:
                 a -= s * p
                 b -= s * q
                 c -= s * r
                 if a * a + b * b + c * c < chroma:
-                    made[x] = 2
+                    made[u8(x)] = 2
+
+
+@njit(**OPTIONS)
+def _all_of_three(a, b, c, out):
+    for x in range(out.shape[0]):
+        out[x] = a[x] & b[x] & c[x]
+
+
+@njit(**OPTIONS)
+def _any_of_three(a, b, c, out):
+    for x in range(out.shape[0]):
+        out[x] = a[x] | b[x] | c[x]
 
 
 @njit(**OPTIONS)
 def without_shadows(codes, out):
     """out (h, w) u1 = codes (h, w) > 0, less every 3 x 3 block of twos (as much of it as lies inside the picture)."""
     h, w = codes.shape
+    # row y of these is picture row y - 1; beyond the picture there is shadow to erode, and nothing to dilate
+    twos, whole = np.ones((h + 2, w + 2), np.uint8), np.zeros((h + 2, w + 2), np.uint8)
+    line = np.ones(w + 2, np.uint8)
     for y in range(h):
-        line, made = codes[y], out[y]
+        row, two = codes[y], twos[y + 1, 1 : w + 1]
         for x in range(w):
-            made[x] = np.uint8(line[x] > 0)
-    for y in range(h):
-        a, b = max(y - 1, 0), min(y + 2, h)
-        line = codes[y]
-        twos = 0
-        for x in range(w):  # vectorises; most rows hold none
-            twos += line[x] == 2
-        if twos < 2:
-            continue
+            two[x] = row[x] == 2
+    for y in range(1, h + 1):
+        _all_of_three(twos[y - 1], twos[y], twos[y + 1], line)
+        _all_of_three(line[:w], line[1 : w + 1], line[2:], whole[y, 1 : w + 1])
+    for y in range(1, h + 1):
+        _any_of_three(whole[y - 1], whole[y], whole[y + 1], line)
+        row, left, middle, right, made = codes[y - 1], line[:w], line[1 : w + 1], line[2:], out[y - 1]
         for x in range(w):
-            if line[x] != 2:
-                continue
-            c, d = max(x - 1, 0), min(x + 2, w)
-            whole = True
-            for i in range(a, b):
-                for j in range(c, d):
-                    whole &= codes[i, j] == 2
-            if whole:
-                for i in range(a, b):
-                    for j in range(c, d):
-                        out[i, j] = 0
+            made[x] = np.uint8(row[x] > 0) & np.uint8((left[x] | middle[x] | right[x]) ^ np.uint8(1))
 
 
 @njit(**OPTIONS)

@@ -369,32 +369,38 @@ def point_rows(q, points, rotations, centres, hessian, gradient, count):
 
 
 @njit(**OPTIONS)
+def _mark_edge(above, row, below, before, after, marked):
+    """marked (n,) u1: 1 where row (n,) is negative and some neighbour positive; by itself it vectorises."""
+    for i in range(row.shape[0]):
+        most = before[i]
+        most = after[i] if after[i] > most else most
+        most = above[i] if above[i] > most else most
+        most = below[i] if below[i] > most else most
+        marked[i] = (most if most < -row[i] else -row[i]) > f4(0)
+
+
+@njit(**OPTIONS)
 def outline_points(sdf, width, height, out):
     """Up to K points on the zero line of sdf (h, w), evenly taken in row order, BORDER px of the image border left
     out: inside pixels with an outside neighbour, moved by -sdf along its gradient. Fills out (K, 2) (repeating when
     there are fewer) and returns how many outline pixels there are."""
-    found = np.empty(4 * (width + height), np.int32)
+    found = np.empty(width * height, np.int32)  # memory that is not touched costs nothing
     n = 0
+    words = (width + 7) // 8
+    flags = np.zeros(words, np.uint64)
+    flag = flags.view(np.uint8)
+    inner, most = flag[1 : width - 1], width - 2
     for y in range(BORDER, height - BORDER):
-        above, row, below = sdf[y - 1, :width], sdf[y, :width], sdf[y + 1, :width]
-        inside = 0
-        for x in range(width):  # most rows are empty, and this loop vectorises
-            inside += row[x] < 0
-        if inside == 0:
-            continue
-        for i in range(width - 2 * BORDER):
-            x = np.uint64(i + BORDER)
-            if row[x] >= 0:
+        above, row, below = sdf[y - 1, 1 : most + 1], sdf[y, 1 : most + 1], sdf[y + 1, 1 : most + 1]
+        before, after = sdf[y, :most], sdf[y, 2 : most + 2]
+        _mark_edge(above, row, below, before, after, inner)  # what follows looks at the few pixels that count
+        for word in range(words):
+            if flags[word] == 0:
                 continue
-            before, after = np.uint64(i + BORDER - 1), np.uint64(i + BORDER + 1)
-            if row[before] > 0 or row[after] > 0 or above[x] > 0 or below[x] > 0:
-                if n == found.shape[0]:
-                    longer = np.empty(2 * n, np.int32)
-                    for k in range(n):  # a slice assignment would compile numba's error texts too: 3 s
-                        longer[k] = found[k]
-                    found = longer
-                found[n] = y * width + i + BORDER
-                n += 1
+            for x in range(max(8 * word, BORDER), min(8 * word + 8, width - BORDER)):
+                if flag[x] != 0:
+                    found[n] = y * width + x
+                    n += 1
     k = out.shape[0]
     m = min(n, k)
     for i in range(m):

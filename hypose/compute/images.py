@@ -31,7 +31,8 @@ class Lens(NamedTuple):
     columns[x] + k, rows alike before, rounded to 16ths; columns (w,), column_weights (w, K), rows (h,), row_weights
     (h, L). corner (h, w): number of the pixel up and left of the undistorted one in the shrunk picture, in rows with
     one pixel of black on the left and two on the right (one above, two below); parts (h, w, 2) u1: further right and
-    down, in 32nds of a pixel. straight: the shrunk picture is the undistorted one.
+    down, in 32nds of a pixel. row_reach (h, 2), column_reach (w, 2): first and last shrunk row (column) that the corners
+    of an undistorted row (column) lie in. straight: the shrunk picture is the undistorted one.
     """
 
     stored: tuple[int, int]
@@ -43,6 +44,8 @@ class Lens(NamedTuple):
     row_weights: NDArray[np.uint16]
     corner: NDArray[np.int32]
     parts: NDArray[np.uint8]
+    row_reach: NDArray[np.int64]
+    column_reach: NDArray[np.int64]
     straight: bool
 
 
@@ -77,8 +80,26 @@ def make_lens(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> Le
     j = np.clip(np.nan_to_num(np.rint(32 * my), nan=-1e6), -32, 32 * h).astype(np.int64)
     corner = ((j // 32 + 1) * (w + 3) + i // 32 + 1).astype(np.int32)
     parts = np.stack([i % 32, j % 32], -1).astype(np.uint8)
+    row_reach, column_reach = _reach(j // 32 + 1, 1), _reach(i // 32 + 1, 0)
     straight = bool((i == 32 * np.arange(w)).all() and (j == 32 * np.arange(h)[:, None]).all())
-    return Lens(stored, across, down, columns, column_weights, rows, row_weights, corner, parts, straight)
+    return Lens(
+        stored,
+        across,
+        down,
+        columns,
+        column_weights,
+        rows,
+        row_weights,
+        corner,
+        parts,
+        row_reach,
+        column_reach,
+        straight,
+    )
+
+
+def _reach(at: NDArray[np.int64], axis: int) -> NDArray[np.int64]:
+    return np.stack([at.min(axis), at.max(axis)], -1)
 
 
 def _averages(source: int, target: int) -> tuple[NDArray[np.int64], NDArray[np.uint16]]:
@@ -139,17 +160,16 @@ def _kernels():  # noqa: ANN202 - a module
 
 
 def _needed(lens: Lens, box: Box | None) -> Box:
-    """The part of the shrunk picture that undistorted pixels in the box are made of."""
+    """A part of the shrunk picture that holds all that undistorted pixels in the box are made of."""
     h, w = lens.corner.shape
     if box is None:
         return 0, h, 0, w
-    at = lens.corner[box[0] : box[1], box[2] : box[3]]
-    rows, columns = at // (w + 3), at % (w + 3)
+    rows, columns = lens.row_reach[box[0] : box[1]], lens.column_reach[box[2] : box[3]]
     return (
-        max(int(rows.min()) - 1, 0),
-        min(int(rows.max()) + 1, h),
-        max(int(columns.min()) - 1, 0),
-        min(int(columns.max()) + 1, w),
+        max(int(rows[:, 0].min()) - 1, 0),
+        min(int(rows[:, 1].max()) + 1, h),
+        max(int(columns[:, 0].min()) - 1, 0),
+        min(int(columns[:, 1].max()) + 1, w),
     )
 
 
