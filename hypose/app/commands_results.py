@@ -76,6 +76,7 @@ def bench(
     ] = None,
     data: Annotated[Path | None, typer.Option(help="Folder with the real recordings, for real-* benchmarks.")] = None,
     json: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw the figures to this file (.png, .svg or .pdf).")] = None,
     threads: Threads = None,
 ) -> None:
     """Measure accuracy and speed."""
@@ -87,6 +88,10 @@ def bench(
         raise InputError(f"--seeds {seeds} is not possible; give 0 (the benchmark's own number) or more.")
     if first_seed is not None and first_seed < 0:
         raise InputError(f"--first-seed {first_seed} is not possible; give 0 or more.")
+    if plot is not None:
+        from hypose.app.bench_plot import check_plot_path, plot_report
+
+        check_plot_path(plot)
     with Stages() as progress:
         report = run_benchmark(name, quick=quick, seeds=seeds, data=data, progress=progress, first_seed=first_seed)
     _show(report)
@@ -94,6 +99,9 @@ def bench(
         with atomic_path(json) as temporary:
             temporary.write_text(to_json(report), encoding="utf-8", newline="\n")
         say(f"Written: {json}")
+    if plot is not None:
+        plot_report(report, plot)
+        say(f"Drawn: {plot}")
 
 
 def _show(report: dict[str, Any]) -> None:

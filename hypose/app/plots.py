@@ -29,7 +29,7 @@ GROUPS = {
 }
 _GROUP_COLOURS = {"trunk and head": MIDDLE, "legs": "#2a9d6f", "arms": "#8e4ec6"}
 _MAX_POINTS = 3000
-_STYLE: dict[Any, Any] = {
+STYLE: dict[Any, Any] = {
     "font.size": 9,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -45,7 +45,7 @@ _STYLE: dict[Any, Any] = {
 
 def svg(draw: Callable[[Figure], None], size: tuple[float, float]) -> str:
     """What `draw` puts on an empty figure of `size` inches, as SVG text that loads nothing."""
-    with plt.rc_context(_STYLE):
+    with plt.rc_context(STYLE):
         figure = plt.figure(figsize=size, layout="constrained")
         try:
             draw(figure)

@@ -1,4 +1,4 @@
-"""The product as a user has it on synthetic scenes: the body estimated from silhouettes, the default recipe, the clip
+"""The product as a user has it on synthetic scenes: the body estimated from another clip, the default recipe, the clip
 solved at the end."""
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.pipeline.anthropometry import AnthropometryOptions, estimate_subject
 from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.subject import SubjectOptions, find_subject
 
 BODY_SECONDS = 3.0
 """Length of the clip (combo) from which the body is estimated."""
@@ -47,6 +48,27 @@ def product_motion(scene: Scene, frames: list[Frame], body: Body, seed: int) -> 
     """The default recipe with a body, from the true pose of frame 0 (definitions aligned), solved as one clip."""
     options = TrackOptions(seed=seed)
     return track_source(InMemory(frames), scene.frame_rate, options, subject=known_subject(scene, body)).motion
+
+
+def body_by_keypoints(seed: int, options: BenchOptions) -> Body:
+    """The body of a seed's subject from the key points and silhouettes of another clip (combo)."""
+    scene = action_scene("combo", seed, BODY_SECONDS, options)
+    frames = list(scene.mask_frames(1.0, keypoints=True))
+    how = SubjectOptions("keypoints", frame_rate=scene.frame_rate)
+    return find_subject(lambda i: frames[i], len(frames), how).body
+
+
+def keypoint_motions(scene: Scene, frames: list[Frame], body: Body, seed: int) -> dict[str, Motion]:
+    """Motions of frames with key points and silhouettes by the evidence used, 'keypoints' and 'both': with a body,
+    start, offsets and noise of the key points from the clip itself."""
+    how = SubjectOptions("keypoints", frame_rate=scene.frame_rate, body=body, known=True)
+    subject = find_subject(lambda i: frames[i], len(frames), how)
+    return {
+        evidence: track_source(
+            InMemory(frames), scene.frame_rate, TrackOptions(seed=seed, evidence=evidence), subject=subject
+        ).motion
+        for evidence in ("keypoints", "both")
+    }
 
 
 def aligned_joints(motion: Motion, scene: Scene) -> Array:
