@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.compute import glance, images, lane_mesh, reference, selection
 from hypose.compute.arrays import BALL, FIXED, MeshArrays, TreeArrays
 from hypose.compute.contours import signed_distance
+from hypose.compute.lane_scratch import lane_scratch
 from hypose.compute.selection import default_threads, over_chunks, use
 from hypose.compute.terms import (
     ContourArrays,
@@ -168,11 +169,12 @@ def silhouette_xor(
     m = lane_mesh.prepare(mesh, tree, wanted)
     kernels = _numba("lanes")
     out = np.zeros((n, c, 3), dtype=np.int64)
-    over_chunks(
-        lambda i, k: kernels.silhouette_xor(q, i, k, t, m, prepared, b, areas, drawn, drawn_counts, out),
-        -(-n // kernels.LANES),
-        threads,
-    )
+
+    def score(first: int, last: int) -> None:
+        scratch = lane_scratch(m, prepared.masks.shape[1:], kernels.LANES, kernels.STRIP)
+        kernels.silhouette_xor(q, first, last, t, m, prepared, b, areas, drawn, drawn_counts, scratch, out)
+
+    over_chunks(score, -(-n // kernels.LANES), threads)
     return out
 
 
@@ -303,8 +305,9 @@ def joint_spread(pose: Array, tree: TreeArrays, hessian: Array, ridge: float = 1
     return out
 
 
-def warm_up() -> float:
-    """Compile (or load from disk) every kernel on a toy body; returns the seconds it took.
+def warm_up(*, monocular: bool = False) -> float:
+    """Compile (or load from disk) every kernel on a toy body, those of one camera only when asked for; returns the
+    seconds it took.
 
     The first time on a machine this takes some tens of seconds; afterwards the compiled code is on disk.
     """
@@ -354,4 +357,8 @@ def warm_up() -> float:
     evaluate(q, tree, mesh, contours, keypoints, points, priors, ws)
     solve(q, tree, mesh, contours, keypoints, points, priors, SolveSettings(1, 0, 1e-3, 1e-2), ws)
     joint_spread(q, tree, np.eye(6))
+    if monocular:
+        from hypose.compute import mono  # which imports this module
+
+        mono.warm_up(tree, mesh, q, projection[0])
     return time.perf_counter() - began

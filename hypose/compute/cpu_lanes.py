@@ -267,47 +267,21 @@ def score_safely(mesh, points, u, v, p, lane, near, mask, drawn, origin, first_c
 
 
 @njit(**OPTIONS)
-def silhouette_xor(poses, first, last, tree, mesh, prepared, boxes, box_areas, drawn, drawn_counts, out):
+def silhouette_xor(poses, first, last, tree, mesh, prepared, boxes, box_areas, drawn, drawn_counts, scratch, out):
     """Blocks first..last (of LANES poses) of out (N, C, 3) = (xor, model, intersection) pixels inside boxes (C, 4).
 
     drawn (C, h, B) packed as the masks, drawn_counts (C, 2) model, intersection: pixels that belong to the body in
-    every pose."""
-    n_joints, n_vertices, n_faces = tree.parents.shape[0], mesh.vertices.shape[0], mesh.faces.shape[0]
-    n_edges = mesh.edges.shape[0]
-    views, image_rows, image_columns = prepared.masks.shape
-    frames, centres = np.empty((n_joints + 1, 9, LANES)), np.empty((n_joints, 3, LANES))
-    axis, scratch = np.empty((3, LANES)), np.empty((9, LANES))
-    maps = np.empty((n_joints, 12, LANES), np.float32)
-    points = np.empty((n_vertices, 3, LANES), np.float32)
-    u, v = np.empty((n_vertices, LANES), np.float32), np.empty((n_vertices, LANES), np.float32)
-    p, bounds = np.empty((12, LANES), np.float32), np.empty((5, LANES), np.float32)
-    window, origin = np.zeros((5, LANES), np.float32), np.zeros((LANES, 4), np.int64)
-    front, union = np.empty(n_faces + 1, np.uint16), np.empty(n_edges + 1, np.int32)
-    edge, columns = np.empty((4, LANES), np.float32), np.empty(LANES, np.int32)
-    # an outline crosses a column some 5 times each way; memory that is not touched costs nothing
-    lists, ends = np.empty((2 * LANES, 16 * image_columns + 1024), np.int32), np.zeros(2 * LANES, np.int64)
-    difference = np.zeros((image_rows + 1) * row_stride(image_columns + 8), np.int8)
-    counts = np.zeros(3, np.int64)
+    every pose. scratch: of lane_scratch.py, for this mesh and these images."""
+    views, image_rows, _ = prepared.masks.shape
+    frames, centres, axis, turn, maps, points, u, v, p, bounds, window, origin = scratch[:12]
+    front, union, edge, columns, lists, ends, difference, counts, single = scratch[12:]
     mask_bits, drawn_bits = prepared.bits.reshape(-1), drawn.reshape(-1)
     mask_stride = prepared.bits.shape[2]
-    safe = (
-        np.empty((n_vertices, 3), np.float32),
-        np.empty(n_vertices, np.float32),
-        np.empty(n_vertices, np.float32),
-        np.empty((3, 4), np.float32),
-        np.empty(n_faces + 1, np.uint8),
-        np.empty(n_edges, np.int32),
-        np.empty(n_edges, np.int32),
-        np.zeros((image_rows + 1, image_columns), np.int16),
-        np.empty(image_columns, np.int16),
-        np.empty(image_columns, np.uint16),
-        np.empty(image_columns, np.uint16),
-    )
     for block in range(first, last):
         begin = block * LANES
         lanes = min(LANES, poses.shape[0] - begin)
-        bone_maps(poses, begin, tree, mesh.needed, frames, centres, axis, scratch, maps)
-        for i in range(n_vertices):
+        bone_maps(poses, begin, tree, mesh.needed, frames, centres, axis, turn, maps)
+        for i in range(points.shape[0]):
             x, y, z = mesh.vertices[i, 0], mesh.vertices[i, 1], mesh.vertices[i, 2]
             skin_vertex(maps, mesh.joint, mesh.weight, mesh.start[i], mesh.start[i + 1], x, y, z, points, i)
         for c in range(views):
@@ -351,7 +325,7 @@ def silhouette_xor(poses, first, last, tree, mesh, prepared, boxes, box_areas, d
                         drawn[c],
                         origin[k],
                         np.int64(window[2, k]),
-                        safe,
+                        single,
                         counts,
                     )
                 model, hits = counts[0] + drawn_counts[c, 0], counts[1] + drawn_counts[c, 1]

@@ -31,8 +31,8 @@ class Lens(NamedTuple):
     columns[x] + k, rows alike before, rounded to 16ths; columns (w,), column_weights (w, K), rows (h,), row_weights
     (h, L). corner (h, w): number of the pixel up and left of the undistorted one in the shrunk picture, in rows with
     one pixel of black on the left and two on the right (one above, two below); parts (h, w, 2) u1: further right and
-    down, in 32nds of a pixel. row_reach (h, 2), column_reach (w, 2): first and last shrunk row (column) that the corners
-    of an undistorted row (column) lie in. straight: the shrunk picture is the undistorted one.
+    down, in 32nds of a pixel. row_reach (h, 2), column_reach (w, 2): first and last shrunk row (column) that the
+    corners of an undistorted row (column) lie in. straight: the shrunk picture is the undistorted one.
     """
 
     stored: tuple[int, int]

@@ -12,6 +12,7 @@ Deviation: outline association is by nearest point of the visible outline, not a
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -267,12 +268,24 @@ def fit_poses(
     fits: list[PoseFit | None] = [None] * len(q)
 
     def work(first: int, last: int) -> None:
-        ws = workspace_for(body, contours)
+        ws = _own_workspace(body, contours)
         for n in range(first, last):
             fits[n] = problem.fit(q[n], ws)
 
     over_chunks(work, len(q), threads)
     return [f for f in fits if f is not None]
+
+
+_OWN = threading.local()
+
+
+def _own_workspace(body: Body, contours: ContourTerm | None) -> Workspace:
+    """This thread's scratch memory: made anew, its pages are touched for the first time, which takes as long as two
+    evaluations."""
+    known: Workspace | None = getattr(_OWN, "workspace", None)
+    if known is None or not _fits(known, body, contours):
+        known = _OWN.workspace = workspace_for(body, contours)
+    return known
 
 
 class _Problem:
@@ -351,9 +364,14 @@ class _Problem:
 
 def check_workspace(ws: Workspace, body: Body, contours: ContourTerm | None) -> None:
     """An InputError when the scratch memory was made for another body or smaller images (it would be overrun)."""
+    if not _fits(ws, body, contours):
+        raise InputError("The workspace was made for another body or a smaller image; make one with workspace_for.")
+
+
+def _fits(ws: Workspace, body: Body, contours: ContourTerm | None) -> bool:
     w, h = (0, 0) if contours is None else contours.sizes.max(0)
     mesh, tree = body.coarse.arrays, body.skeleton.tree
-    fits = (
+    return bool(
         len(ws.vertices) == len(mesh.vertices)
         and len(ws.front) == len(mesh.faces)
         and len(ws.start) == len(mesh.edges)
@@ -362,8 +380,6 @@ def check_workspace(ws: Workspace, body: Body, contours: ContourTerm | None) -> 
         and ws.own.shape[0] >= h
         and ws.own.shape[1] >= w
     )
-    if not fits:
-        raise InputError("The workspace was made for another body or a smaller image; make one with workspace_for.")
 
 
 def contour_arrays(term: ContourTerm | None) -> ContourArrays:

@@ -2,8 +2,8 @@
 a mixture sets them.
 
 Every kernel draws its numbers as one block with a row per hypothesis (and a column per coordinate that it moves),
-filled in row order, and hypothesis i reads row i (see ``random_streams``). Products are formed with einsum and plain loops, never with a
-threaded BLAS, so the numbers do not depend on the number of threads.
+filled in row order, and hypothesis i reads row i (see ``random_streams``). Products are formed with einsum and plain
+loops, never with a threaded BLAS, so the numbers do not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -341,7 +341,7 @@ def semidefinite_cholesky(covariance: ArrayLike) -> FloatArray:
 
 
 def _every(share: float, count: int) -> NDArray[np.intp]:
-    """The numbers of a share of `count` rows, spread evenly; which of the first rows they are does not depend on count."""
+    """The numbers of a share of `count` rows, spread evenly; which of the first rows does not depend on count."""
     return np.flatnonzero(np.diff(np.floor(np.arange(count + 1) * share)) > 0)
 
 
