@@ -25,7 +25,7 @@ from hypose.fitting.articulated import (
     prior_arrays,
     workspace_for,
 )
-from hypose.geometry import Array, nearest_branch
+from hypose.geometry import Array, nearest_branch, so3_exp, so3_left_jacobian, so3_log
 
 LARGEST_TURN = 0.35
 
@@ -58,14 +58,18 @@ def fit_clip(
     options: SolveOptions | None = None,
 ) -> Array:
     """Poses (T, D) of a clip from starts (T, D): the frames' evidence plus 1/2 sum_d a_d (q_{t-1} - 2 q_t +
-    q_{t+1})_d^2 + 1/2 sum_d v_d (q_{t+1} - q_t)_d^2.
+    q_{t+1})_d^2 + 1/2 sum_d v_d (q_{t+1} - q_t)_d^2. Differences of the root's rotation are rotations from one frame to
+    the next, log(R_{t+1} R_t'): those of rotation vectors mean nothing near a full turn. It is solved for as a small
+    turn in the world, and returned on the branch nearest to its start.
 
     points, keypoints, contours, gaussians: one term (or None) per frame. acceleration: strength a (times
     `default_acceleration`), or (D,) weights; velocity: weights v, (D,) or one for all: without it what is extrapolated
     goes on for ever. priors act on every frame. Damped Gauss-Newton on all frames together:
     the matrix couples each frame to the next two, so the cost is linear in T. Joint limits are
     kept by cutting the step off. A SolverError when a frame's cost at the start is not finite."""
-    q = _continuous(np.array(starts, dtype=np.float64))
+    given = np.array(starts, dtype=np.float64)
+    q = given.copy()
+    q[:, 3:6] = nearest_branch(q[:, 3:6], np.zeros(3))
     n_frames, dof = q.shape
     o = options or SolveOptions(iterations=15, coarse_iterations=0)
     weights = np.asarray(acceleration, dtype=np.float64)
@@ -89,24 +93,31 @@ def fit_clip(
             step = problem.step(gradient, hessian, q, lower, upper, damping)
             if step is not None:
                 step *= min(1.0, LARGEST_TURN / max(float(np.abs(step[:, 3:]).max()), 1e-9))
-                trial = np.clip(q + step, lower, upper)
+                trial = np.clip(_moved(q, step), lower, upper)
                 new = problem.evaluate(trial, coarse)
                 if np.isfinite(new[0]) and new[0] < cost * (1.002 if problem.has_contours else 1.0):
                     accepted = True
-                    moved = float((np.abs(trial - q) * np.r_[[2.0] * 3, np.ones(dof - 3)]).max())
+                    moved = float((np.abs(step) * np.r_[[2.0] * 3, np.ones(dof - 3)]).max())
                     q, (cost, gradient, hessian) = trial, new
                     break
             damping = min(damping * 6, 1e6)
         damping = max(damping / 4, 1e-6)
         if (not accepted or moved < o.tolerance) and not coarse:
             break
+    q[:, 3:6] = nearest_branch(q[:, 3:6], given[:, 3:6])
     return q
 
 
-def _continuous(q: Array) -> Array:
-    for t in range(1, len(q)):
-        q[t, 3:6] = nearest_branch(q[t, 3:6], q[t - 1, 3:6])
-    return q
+def _moved(q: Array, step: Array) -> Array:
+    """Poses (T, D) after a step (T, D), in which the root turns in the world."""
+    out = q + step
+    out[:, 3:6] = so3_log(so3_exp(step[:, 3:6]) @ so3_exp(q[:, 3:6]))
+    return out
+
+
+def _turns(r: Array) -> Array:
+    """(T, 3, 3): how rotation vectors (T, 3) of up to half a turn change with a small turn in the world."""
+    return np.linalg.inv(so3_left_jacobian(r))
 
 
 class Coupling:
@@ -125,21 +136,27 @@ class Coupling:
                         self.bands[second - first, first:last] += stencil[first] * stencil[second] * weight
 
     def cost(self, q: Array) -> tuple[float, Array]:
-        """Cost of poses (T, D) and its gradient (T, D)."""
-        pull = np.zeros_like(q)
-        cost = 0.0
-        if len(q) > 2:
-            a = q[:-2] - 2 * q[1:-1] + q[2:]
-            cost += 0.5 * float((self.acceleration * a**2).sum())
-            weighted = self.acceleration * a
-            pull[:-2] += weighted
-            pull[1:-1] -= 2 * weighted
-            pull[2:] += weighted
+        """Cost of poses (T, D) and its gradient (T, D), for the root's rotation to small turns in the world."""
         v = np.diff(q, axis=0)
-        cost += 0.5 * float((self.velocity * v**2).sum())
-        pull[1:] += self.velocity * v
-        pull[:-1] -= self.velocity * v
+        rotations = so3_exp(q[:, 3:6])
+        v[:, 3:6] = so3_log(rotations[1:] @ np.swapaxes(rotations[:-1], -1, -2))
+        a = np.diff(v, axis=0)
+        cost = 0.5 * float((self.acceleration * a**2).sum() + (self.velocity * v**2).sum())
+        by_v = self.velocity * v
+        by_v[1:] += self.acceleration * a
+        by_v[:-1] -= self.acceleration * a
+        pull = np.zeros_like(q)
+        pull[1:] += _by_turn(by_v, v)
+        pull[:-1] -= _by_turn(by_v, -v)
         return cost, pull
+
+
+def _by_turn(by_v: Array, v: Array) -> Array:
+    """Derivatives by the steps v (T, D) from frame to frame, of which 3:6 is a rotation vector, become those by what
+    turns its end."""
+    out = by_v.copy()
+    out[:, 3:6] = np.einsum("tab,ta->tb", _turns(v[:, 3:6]), by_v[:, 3:6])
+    return out
 
 
 class _Clip:
@@ -177,6 +194,7 @@ class _Clip:
     def evaluate(self, q: Array, coarse: bool) -> tuple[float, Array, Array]:
         cost, (t, d) = 0.0, q.shape
         gradient, hessian = np.empty((t, d)), np.empty((t, d, d))
+        turns = _turns(q[:, 3:6])
         for k in range(t):
             centre = self.centre.copy()
             centre[:, 3:6] = nearest_branch(centre[:, 3:6], q[k, 3:6])
@@ -201,6 +219,9 @@ class _Clip:
                 cost += 0.5 * float(off @ pull)
                 gradient[k] += pull
                 hessian[k] += known.information
+            gradient[k, 3:6] = turns[k].T @ gradient[k, 3:6]
+            hessian[k, 3:6] = turns[k].T @ hessian[k, 3:6]
+            hessian[k, :, 3:6] = hessian[k, :, 3:6] @ turns[k]
         coupled, pull = self.coupling.cost(q)
         return cost + coupled, gradient + pull, hessian
 

@@ -111,15 +111,16 @@ def gap_variance(
 
 
 def bridged(poses: Array, known: NDArray[np.bool_]) -> Array:
-    """Poses with straight lines across frames that are not known, on one branch of the root's rotation vector."""
+    """Poses with straight lines across frames that are not known."""
     out = poses.copy()
     if not known.any():
         return out
     at = np.flatnonzero(known)
     for a, b in zip(at[:-1], at[1:], strict=True):
-        out[b, 3:6] = nearest_branch(out[b, 3:6], out[a, 3:6])
+        end = out[b].copy()
+        end[3:6] = nearest_branch(end[3:6], out[a, 3:6])
         share = (np.arange(a + 1, b) - a)[:, None] / (b - a)
-        out[a + 1 : b] = (1 - share) * out[a] + share * out[b]
+        out[a + 1 : b] = (1 - share) * out[a] + share * end
     out[: at[0]], out[at[-1] + 1 :] = out[at[0]], out[at[-1]]
     return out
 

@@ -6,7 +6,8 @@ import pytest
 from hypose import fitting
 from hypose.compute.banded import frame_covariances
 from hypose.errors import SolverError
-from hypose.fitting.clip import Coupling, _Clip, default_acceleration
+from hypose.fitting.clip import Coupling, _Clip, _moved, default_acceleration
+from hypose.geometry import so3_exp, so3_log
 from tests.capsule_person import capsule_person, random_pose
 
 BODY = capsule_person(0.09)
@@ -80,8 +81,27 @@ def test_clip_gradient_by_finite_differences(motion, rng):
         for d in range(S.dof):
             e = np.zeros_like(q)
             e[t, d] = 1e-5
-            numeric[t, d] = (problem.evaluate(q + e, False)[0] - problem.evaluate(q - e, False)[0]) / 2e-5
+            numeric[t, d] = (
+                problem.evaluate(_moved(q, e), False)[0] - problem.evaluate(_moved(q, -e), False)[0]
+            ) / 2e-5
     np.testing.assert_allclose(gradient, numeric, atol=1e-6 * np.abs(numeric).max())
+
+
+def test_somebody_who_turns_round_and_round_is_smoothed_like_anybody_else(rng):
+    turned = np.linspace(0, 4 * np.pi, 100)
+    truth = np.zeros((100, S.dof))
+    lean = so3_exp(np.stack([0.1 * np.sin(turned), 0.05 * np.cos(turned), np.zeros(100)], 1))
+    truth[:, 3:6] = so3_log(so3_exp(np.stack([0 * turned, 0 * turned, turned], 1)) @ lean)
+    known = []
+    for q in truth:
+        seen = q.copy()
+        seen[3:6] = so3_log(so3_exp(0.01 * rng.normal(size=3)) @ so3_exp(q[3:6]))
+        known.append(fitting.Gaussian(seen, np.eye(S.dof)))
+    starts = np.stack([k.centre for k in known])
+    clip = fitting.fit_clip(BODY, starts, gaussians=known, acceleration=10.0)
+    error = np.linalg.norm(BODY.joints(clip) - BODY.joints(truth), axis=-1)
+    assert error.mean() < 0.5 * np.linalg.norm(BODY.joints(starts) - BODY.joints(truth), axis=-1).mean()
+    assert error.max() < 0.02
 
 
 def test_wrong_number_of_terms_is_named(motion, rng):
