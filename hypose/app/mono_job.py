@@ -8,7 +8,6 @@ from pathlib import Path
 from hypose import compute
 from hypose.app.console import ProgressCall, ignore
 from hypose.app.job import (
-    DESCRIPTIONS,
     Job,
     Outcome,
     check_formats,
@@ -17,7 +16,7 @@ from hypose.app.job import (
     record_of,
     remove_stale,
 )
-from hypose.app.overlay import still_rows
+from hypose.app.pictures import Image
 from hypose.errors import InputError
 from hypose.io.modes import load_modes
 from hypose.io.provenance import file_identity
@@ -77,7 +76,7 @@ def run_mono_job(
     if options.start not in POINT_STARTS:
         record["inputs"]["clicks"] = file_identity(options.start)
     progress("compile", 0, 1)
-    compute.warm_up()
+    compute.warm_up(monocular=True)
     progress("compile", 1, 1)
     progress("background", 0, 1)
     side = side_to_work_on(job.recording, clicks_of(options, job.recording))
@@ -134,30 +133,27 @@ def _draw(
     seconds: Mapping[str, float],
 ) -> list[Path]:
     """Overlay and report."""
+    from hypose.app.drawing import draw
     from hypose.app.mono_overlay import write_mono_overlay
-    from hypose.app.report import ReportInput, write_report
+    from hypose.app.report import ReportInput
 
-    recording, results, motion = job.recording, job.results, tracked.motion
-    rows = still_rows(motion)
-    path, report = results.file("overlay.mp4"), results.file("report.html")
-    stills = write_mono_overlay(
-        path, recording, motion, tracked.modes, tracked.body, stills=rows, video=job.overlay, progress=progress
+    recording, motion, body = job.recording, tracked.motion, tracked.body
+    about = ReportInput(
+        title=recording.name,
+        motion=motion,
+        body=body,
+        rig=recording.rig,
+        notes=notes,
+        citation=CITATION,
+        seconds=dict(seconds),
+        recording=recording,
+        first_frame=recording.frames.start,
     )
-    out = [path] if job.overlay else []
-    progress("report", 0, 1)
-    write_report(
-        report,
-        ReportInput(
-            title=recording.name,
-            motion=motion,
-            body=tracked.body,
-            rig=recording.rig,
-            stills=[(f"Frame {recording.frames[r]}, and all modes from the side", stills[r]) for r in rows],
-            files=[(p.name, DESCRIPTIONS.get(p.name, "")) for p in [*files, *out, report]],
-            notes=notes,
-            citation=CITATION,
-            seconds=dict(seconds),
-        ),
-    )
-    progress("report", 1, 1)
-    return [*out, report]
+
+    def overlay(path: Path, rows: Sequence[int]) -> Mapping[int, Image]:
+        return write_mono_overlay(
+            path, recording, motion, tracked.modes, body, stills=rows, video=job.overlay, progress=progress
+        )
+
+    caption = "Frame {}, and all modes from the side"
+    return draw(job.results, about, overlay, files, video=job.overlay, caption=caption, progress=progress)

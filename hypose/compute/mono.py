@@ -12,7 +12,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute import _numba, _plain
 from hypose.compute.arrays import MeshArrays, TreeArrays
-from hypose.compute.mono_terms import MonoModel, MonoProblem, MonoWorkspace
+from hypose.compute.mono_terms import (
+    LECLERC,
+    LORENTZIAN,
+    EdgeArrays,
+    FlowArrays,
+    MarkArrays,
+    MaskArrays,
+    MonoModel,
+    MonoPriors,
+    MonoProblem,
+    MonoWorkspace,
+    SphereArrays,
+)
 from hypose.errors import SolverError
 
 Array = NDArray[np.float64]
@@ -167,3 +179,31 @@ def boundary_map(back: Floats, error: Floats, steep: float, wrong: float) -> Flo
     kernels = _numba("mono_images")
     kernels.boundary_map(_plain(back, np.float32), error, np.float32(steep), np.float32(wrong), out)
     return out
+
+
+def warm_up(tree: TreeArrays, mesh: MeshArrays, pose: Array, projection: Array) -> None:
+    """Compile (or load from disk) every kernel of monocular tracking on a toy body at pose (D,) before a pinhole (3, 4)
+    of 32 x 32 px."""
+    d, j = len(pose), len(tree.parents)
+    field, size = strongest_gradient(np.zeros((32, 32, 3), np.float32))
+    saturate(field, size, 1.0)
+    still = np.zeros((32, 32, 2), np.float32)
+    error = flow_error(still, still)
+    field = weigh(field, boundary_map(still, error, 1.0, 1.0), (0, 0), 0.1)
+    pixels, places, joint = np.full((1, 2), 16.0), np.zeros((2, 3)), np.zeros(2, dtype=np.int64)
+    bounds = np.full(d, np.inf)
+    problem = MonoProblem(
+        model(tree, mesh, np.ones((d, j), dtype=np.bool_), np.arange(d), projection),
+        EdgeArrays(field, 1.0, LECLERC, 3.0, 6.0, 5.0, 8.0, 4, 6.0, 0.08, 0.8, 0.8),
+        FlowArrays(still, error, np.zeros(2, dtype=np.int64), LORENTZIAN, 1.2, 0.1, 14.0, 8.0, 1.0),
+        MaskArrays(error, pixels.astype(np.float32), 1.0, 1.0, LORENTZIAN, 4.0, 8.0),
+        MarkArrays(pixels, np.ones(1), joint[:1], places[:1], np.ones(1), LORENTZIAN),
+        SphereArrays(joint, places, np.array([[0, 1]]), np.ones(1), 1.0),
+        MonoPriors(np.zeros((2, d)), np.ones((2, d)), -bounds, bounds, np.ones(d)),
+        True,
+    )
+    ws = workspace(problem.model, 32, 32)
+    found = search(pose, pose, problem, 1, 1, ws)
+    evaluate(found.pose, problem, ws)
+    score(found.pose[None], problem, ws)
+    eigen(found.hessian)

@@ -6,16 +6,21 @@ Ablations are settings of the same tracker.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row, row
 from hypose.evaluation.mono_motions import STRAIGHT_KNEE
 from hypose.evaluation.mono_runs import KEPT_MEDIAN_M, KEPT_PX, STAGES, MonoRun, pictures, track_scene
 from hypose.evaluation.mono_scenes import MonoScene, arm_scene, body_scene
+from hypose.evaluation.render_rgb import Image
+from hypose.monocular.evidence import grey
 from hypose.monocular.settings import MonoSettings
 
 Ablation = Callable[[MonoSettings], MonoSettings]
@@ -73,9 +78,10 @@ BODY = hypotheses(7, 3)(MonoSettings())
 def mono_arm(options: BenchOptions) -> BenchReport:
     """A 7-dof arm for 8 s. kept_track: number of seeds in which it was kept to the end (mono_runs.MonoRun.kept);
     mean_error_mm, depth_mm, image_error_px: means over elbow, wrist and knuckles, in the world, over all seeds, sd over
-    the seeds; kept_error_mm: over the seeds kept; alive: hypotheses really alive."""
-    seeds = _seeds(options, 10, quick=2)
-    seconds = 2.0 if options.quick else 8.0  # the first ones of the same motion
+    the seeds; kept_error_mm: over the seeds kept; alive: hypotheses really alive. quick: one seed, its first second,
+    without the ablations."""
+    seeds = _seeds(options, 10, quick=1)
+    seconds = 1.0 if options.quick else 8.0  # the first ones of the same motion
     variants: dict[str, MonoSettings] = {
         "robust_3": ARM,
         "robust_1": _single(ARM),
@@ -93,14 +99,16 @@ def mono_body(options: BenchOptions) -> BenchReport:
 
     root_aligned_mm, depth_mm: 14 joints, pelves made to coincide; image_error_px; oracle_mm: the best of all modes;
     coverage_90: share of joints and frames whose truth lies in the 90 % region of any mode, coverage_90_best in that of
-    the best hypothesis; kept_track: number of scenes. no_limits is compared on a motion near a straight knee.
+    the best hypothesis; kept_track: number of scenes. no_limits is compared on a motion near a straight knee. quick:
+    half a second of one scene, and of the ablations the Gaussian only.
     """
-    seeds = _seeds(options, 8, quick=2)
+    seeds = _seeds(options, 8, quick=1)
+    seconds = 0.5 if options.quick else 1.2
     mocap = _mocap(options)
     variants: dict[str, MonoSettings] = {"full": BODY}
     variants |= {n: ABLATIONS[n](BODY) for n in (("gaussian",) if options.quick else ABLATIONS)}
     scenes = (body_scene(s, 1.2, mocap=mocap) for s in seeds)
-    rows = _table(scenes, variants, options, len(seeds), "root_aligned_mm")
+    rows = _table(scenes, variants, options, len(seeds), "root_aligned_mm", seconds)
     if not options.quick:
         knees = [body_scene(s, 1.2, motion=STRAIGHT_KNEE) for s in seeds[:4]]
         pair = {"straight_knee": BODY, "straight_knee/no_limits": _no_limits(BODY)}
@@ -108,24 +116,38 @@ def mono_body(options: BenchOptions) -> BenchReport:
         longer = (body_scene(s, 8.0, mocap=mocap) for s in seeds[:4])
         pair = {"full/8s": BODY, "single/8s": _single(BODY), "gaussian/8s": _gaussian(BODY)}
         rows += _table(longer, pair, options, len(seeds[:4]), "root_aligned_mm")
-    return BenchReport(tuple(rows), {**_settings(seeds, 1.2), "captured_motion": mocap is not None})
+    return BenchReport(tuple(rows), {**_settings(seeds, seconds), "captured_motion": mocap is not None})
 
 
 def mono_speed(options: BenchOptions) -> BenchReport:
-    """Seconds per frame of 384 x 288 px on one core (median over the frames), and the share of each stage."""
+    """Seconds of the processor per frame of 384 x 288 px on one core (median over the frames), beside those of OpenCV's
+    optical flow of the whole picture in the same run, and the share of each stage."""
     frames = 15 if options.quick else 50
     rows: list[Row] = []
     for case, scene, settings in (
         ("arm", arm_scene(0), ARM),
         ("body", body_scene(0, frames / 25.0, motion="box"), BODY),
     ):
-        run = track_scene(scene, settings, pictures(scene, frames / 25.0))
-        seconds = run.seconds[2:]  # the first ones compile
+        images = pictures(scene, frames / 25.0)
+        flow = _flow_seconds(images)
+        seconds = track_scene(scene, settings, images).seconds[2:]  # the first ones compile
         total = seconds.sum(1)
-        rows.append(Row("seconds_per_frame", case, float(np.median(total)), "s", float(total.std()), len(total)))
+        value, sd = float(np.median(total)), float(total.std())
+        rows.append(Row("seconds_per_frame", case, value, "s", sd, len(total), "optical flow", flow))
         for name, part in zip(STAGES, seconds.T, strict=True):
             rows.append(Row("stage_share", f"{case}:{name}", float(part.sum() / total.sum()), "1", n=len(total)))
     return BenchReport(tuple(rows), {"frames": frames, "size": [384, 288]})
+
+
+def _flow_seconds(images: Sequence[Image]) -> float:
+    """Seconds of the processor that OpenCV's DIS flow takes from one picture to the next, one way (median)."""
+    solver = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    greys, out = [grey(image) for image in images], []
+    for before, after in pairwise(greys):
+        begin = time.process_time()
+        solver.calc(before, after, None)  # type: ignore[call-overload]
+        out.append(time.process_time() - begin)
+    return float(np.median(out))
 
 
 def _table(

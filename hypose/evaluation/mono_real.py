@@ -10,7 +10,7 @@ from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row
 from hypose.evaluation.real import LIMBS, balancing_recording
 from hypose.evidence.keypoints import BODY_25B
 from hypose.geometry import Array
-from hypose.io.frames import FrameStream
+from hypose.io.frames import FrameOptions, FrameStream
 from hypose.io.recording import Recording
 from hypose.pipeline.mono_stream import MonoStream, one_view
 from hypose.pipeline.monocular import MonoOptions, MonoResult, track_stream
@@ -30,15 +30,17 @@ def mono_real(options: BenchOptions) -> BenchReport:
 
     keypoints, both (with silhouettes): start and every frame from this view's own key points, which took part in the
     reference; edges, silhouettes: only the start from key points, then edges and flow, and masks besides. The body is
-    the one of all four views, or, in '/one_view', found from the first picture and the height alone.
+    the one of all four views, or, in '/one_view', found from the first picture and the height alone. quick: 15 frames
+    of the first case, with the girths of the template, so that no video but that one is read.
     """
     folder = options.folder("pose2sim_balancing")
     reference = np.load(folder / "kp3d_refined_m.npy")
     whole = balancing_recording(folder)
-    n = 30 if options.quick else len(whole.frames)
+    n = 16 if options.quick else len(whole.frames)
     options.progress("subject", 0, 1)
-    with FrameStream(whole) as stream:
-        subject = find_subject(stream.frame, len(stream), SubjectOptions("keypoints", frame_rate=whole.frame_rate))
+    subject_options = SubjectOptions("keypoints", girths=not options.quick, frame_rate=whole.frame_rate)
+    with FrameStream(whole, FrameOptions(silhouettes=None) if options.quick else None) as stream:
+        subject = find_subject(stream.frame, len(stream), subject_options)
     recording = replace(one_view(whole, CAMERA), frame_range=(1, n))  # key points begin with video frame 1
     cases = [("keypoints", True), ("both", True), ("edges", True), ("silhouettes", True), ("both/one_view", False)]
     rows: list[Row] = []

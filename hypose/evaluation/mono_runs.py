@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -31,7 +32,7 @@ class MonoRun:
     """T frames after the first, M marks. errors, depth (T, M) m: distance of the best hypothesis to the truth, and its
     part along the line of sight; pixels (T, M): distance in the image; oracle (T,) m: mean error of the best of all
     modes; inside, inside_best (T, M): the truth lies in the LEVEL region of any mode, of the best hypothesis;
-    mode_count (T,); seconds (T, stages) of StageTimes."""
+    mode_count (T,); seconds (T, stages) of StageTimes, of the processor."""
 
     scene: str
     kind: str
@@ -58,7 +59,8 @@ class MonoRun:
 
 def pictures(scene: MonoScene, seconds: float | None = None) -> list[Image]:
     """The pictures of a scene (of its first seconds), for several trackers."""
-    shown = len(scene) if seconds is None else int(np.searchsorted(scene.times, seconds))
+    times = scene.performance.times
+    shown = len(times) if seconds is None else int(np.searchsorted(times, seconds))
     return [scene.image(i) for i in range(shown)]
 
 
@@ -72,21 +74,21 @@ def track_scene(
 ) -> MonoRun:
     """Follows the scene from its measured first pose (or `start`) through images; keypoints: with the detector's points
     besides. The truth is used for measuring only."""
-    tracker = MonoTracker(scene.body, scene.camera, settings, scene.active, threads=1)
+    tracker = MonoTracker(scene.body, scene.camera, settings, scene.active, threads=1, clock=time.process_time)
     hypotheses = MonoHypotheses.at(scene.start) if start is None else start
 
     def frame(i: int) -> MonoFrame:
         points = None
         if keypoints:
             points = points_from_keypoints(scene.body, scene.keypoint_names, scene.keypoints[i])
-        return MonoFrame(i, float(scene.times[i]), images[i], None, points)
+        return MonoFrame(i, float(scene.performance.times[i]), images[i], None, points)
 
     state = tracker.start(hypotheses, frame(0))
     truth, rows = scene.true_marks(), []
     for i in range(1, len(images)):
         rng = np.random.default_rng([scene.seed, 1000 + i])
         state, estimate = tracker.step(state, frame(i), rng)
-        rows.append(_measure(scene, estimate, truth[i], scene.joints[i, 0]))
+        rows.append(_measure(scene, estimate, truth[i], scene.performance.joints[i, 0]))
     columns = [np.array(c) for c in zip(*rows, strict=True)]
     return MonoRun(scene.name, "body" if scene.root_aligned else "arm", *columns)
 

@@ -80,22 +80,9 @@ class MonoScene:
     root_aligned: bool
     noise: NDArray[np.int16] = field(repr=False)
 
-    def __len__(self) -> int:
-        return len(self.performance)
-
-    @property
-    def times(self) -> Array:
-        """(T,) s."""
-        return self.performance.times
-
-    @property
-    def joints(self) -> Array:
-        """(T, 19, 3) true joint centres, m, world."""
-        return self.performance.joints
-
     def dressed(self, index: int) -> Subject:
         """The subject with its clothes as they hang in frame `index`."""
-        share = 0.5 + 0.5 * np.sin(2 * np.pi * self.times[index] / FOLDS_PERIOD_S + self.seed)
+        share = 0.5 + 0.5 * np.sin(2 * np.pi * self.performance.times[index] / FOLDS_PERIOD_S + self.seed)
         vertices = (1 - share) * self.subject.vertices + share * self.other_folds.vertices
         return replace(self.subject, vertices=vertices)
 

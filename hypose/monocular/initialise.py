@@ -10,7 +10,7 @@ contour's cost has jumps.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,20 +21,10 @@ from hypose.cameras.camera import Camera
 from hypose.errors import EvidenceError
 from hypose.fitting.articulated import KeypointTerm, Quadratic, SolveOptions, fit_pose
 from hypose.geometry import Array, so3_exp, so3_log
-from hypose.inference.newton import minimise
-from hypose.inference.robust import Lorentzian
 from hypose.monocular.flips import mirrored
 from hypose.monocular.models import body_dofs
-from hypose.monocular.proportions import (
-    INTERNAL,
-    VOLUMETRIC,
-    Proportions,
-    proportions,
-    search_factors,
-    shaped,
-    skeleton_only,
-    without_display,
-)
+from hypose.monocular.points_fit import PointsOn, fit_proportions, points_on_body
+from hypose.monocular.proportions import VOLUMETRIC, proportions, search_factors, shaped, without_display
 from hypose.monocular.settings import MonoSettings
 from hypose.monocular.tracker import MonoTracker
 from hypose.monocular.types import MonoFrame, MonoHypotheses, MonoPoints
@@ -49,9 +39,6 @@ FLIP_ROUNDS = 2
 JOINT_FITS = 3
 """So many of the best rivals get proportions of their own before one body is chosen."""
 _HELD = 1e6
-
-PointsOn = Callable[[Body], MonoPoints]
-"""Where the points sit on a body, with their pixels: types.clicked_joints or types.points_from_keypoints."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +60,7 @@ def initialise(
     points_on: PointsOn,
     frame: MonoFrame,
     *,
+    later: Sequence[PointsOn] = (),
     settings: MonoSettings | None = None,
     height: float | None = None,
     fixed_body: bool = False,
@@ -81,9 +69,10 @@ def initialise(
 ) -> InitialFit:
     """The first hypotheses of a picture (frame; its points are not used) of a pinhole camera.
 
-    height in m: of the person, None if not known: then the distance to the camera stays as uncertain as people's
-    heights. fixed_body: the template is the person's own body; only poses are looked for. active: dof to estimate (by
-    default the body's 30). An EvidenceError when fewer than 6 points are seen.
+    later: the points of further pictures of the same camera; lengths are those that suit all of them. height in m: of
+    the person, None if not known: then the distance to the camera stays as uncertain as people's heights. fixed_body:
+    the template is the person's own body; only poses are looked for. active: dof to estimate (by default the body's
+    30). An EvidenceError when fewer than 6 points are seen.
     """
     chosen = body_dofs(template.skeleton) if active is None else np.asarray(active, dtype=np.int64)
     seen = int((points_on(template).confidence > 0).sum())
@@ -98,7 +87,12 @@ def initialise(
     poses = rival_poses(body, camera, points_on(body), chosen, rivals)
     tried = len(poses)
     if not fixed_body:
-        fits = [_with_proportions(template, camera, points_on, q, factors, prior, chosen) for q in poses[:JOINT_FITS]]
+        pictures = [points_on, *later]
+        others = [_later_pose(body, camera, seen_later(body), poses[0], chosen) for seen_later in later]
+        fits = [
+            fit_proportions(template, camera, pictures, [q, *others], factors, prior, chosen)
+            for q in poses[: 1 if later else JOINT_FITS]
+        ]
         factors = min(fits, key=lambda f: f[2])[1]
         body = shaped(template, factors)
         poses = _distinct(*_solved(body, camera, points_on(body), poses, chosen), body, rivals)
@@ -106,7 +100,9 @@ def initialise(
     tracker = MonoTracker(body, camera, settings or MonoSettings(), chosen)
     found = tracker.optimise(MonoHypotheses.at(poses), still)
     if not fixed_body:
-        for which, rounds in ((VOLUMETRIC, 2), (np.arange(len(factors)), 1)):
+        # lengths that suit many pictures are not for the contours of one to change
+        last = VOLUMETRIC if later else np.arange(len(factors))
+        for which, rounds in ((VOLUMETRIC, 2), (last, 1)):
             cost = _contour_cost(template, tracker, points_on, still, found.poses[0])
             factors = search_factors(cost, factors, which, prior, rounds)
             body = shaped(template, factors)
@@ -130,6 +126,14 @@ def rival_poses(body: Body, camera: Camera, points: MonoPoints, active: NDArray[
     return poses
 
 
+def _later_pose(body: Body, camera: Camera, points: MonoPoints, near: Array, active: NDArray[np.int64]) -> Array:
+    """(D,) the best pose on the points of another picture, from the pose `near` (D,) and from several headings; which
+    of its mirror images it is does not matter for lengths."""
+    starts = [near, *(_placed(body, camera, points, yaw, "standing") for yaw in _yaws())]
+    poses, costs = _solved(body, camera, points, np.stack(starts), active)
+    return poses[int(costs.argmin())]
+
+
 def _yaws() -> Array:
     return np.arange(HEADINGS) * 2 * np.pi / HEADINGS
 
@@ -140,7 +144,7 @@ def _placed(body: Body, camera: Camera, points: MonoPoints, yaw: float, name: st
     pose = known_pose(body, name)
     pose[3:6] = so3_log(so3_exp([0, 0, yaw]) @ so3_exp(pose[3:6]))
     seen = points.confidence > 0
-    world = _on_body(body, pose, points)[seen]
+    world = points_on_body(body, pose, points)[seen]
     rotation = camera.camera_from_world[:3, :3]
     flat = (world - world.mean(0)) @ rotation.T
     rays = np.column_stack([points.pixels[seen], np.ones(int(seen.sum()))]) @ np.linalg.inv(camera.K).T
@@ -153,12 +157,6 @@ def _placed(body: Body, camera: Camera, points: MonoPoints, yaw: float, name: st
     centre = (middle * depth - camera.camera_from_world[:3, 3]) @ rotation
     pose[:3] += centre - world.mean(0)
     return pose
-
-
-def _on_body(body: Body, pose: Array, points: MonoPoints) -> Array:
-    """(P, 3) m: the points on the body at a pose (D,), world."""
-    rotations, centres = body.skeleton.forward(pose)
-    return centres[points.joint] + np.einsum("pab,pb->pa", rotations[points.joint], points.offset)
 
 
 def _solved(
@@ -214,76 +212,6 @@ def _subset(h: MonoHypotheses, keep: list[int]) -> MonoHypotheses:
     )
 
 
-def _with_proportions(
-    template: Body,
-    camera: Camera,
-    points_on: PointsOn,
-    pose: Array,
-    factors: Array,
-    prior: Proportions,
-    active: NDArray[np.int64],
-) -> tuple[Array, Array, float]:
-    """Stage 1: pose (D,), factors (K,) and cost, both found together from the points (bounded Newton)."""
-    bare = skeleton_only(template)
-    loss, pull = Lorentzian(2.0), anatomical_prior(template.skeleton)
-    a = len(active)
-
-    def unpack(x: Array) -> tuple[Array, Array]:
-        q, f = pose.copy(), factors.copy()
-        q[active], f[INTERNAL] = x[:a], x[a:]
-        return q, f
-
-    def residuals(q: Array, f: Array) -> tuple[Array, Body, MonoPoints]:
-        body = shaped(bare, f)
-        points = points_on(body)
-        shown = camera.project_pinhole(_on_body(body, q, points))
-        return (shown - points.pixels) / points.scale_px[:, None], body, points
-
-    def cost(x: Array) -> tuple[float, Array, Array]:
-        q, f = unpack(x)
-        r, body, points = residuals(q, f)
-        rows = np.zeros((len(r), 2, len(x)))
-        rows[:, :, :a] = _image_jacobian(body, camera, points, q)[:, :, active] / points.scale_px[:, None, None]
-        for k, i in enumerate(INTERNAL):
-            moved = f.copy()
-            moved[i] += 0.01
-            rows[:, :, a + k] = (residuals(q, moved)[0] - r) / 0.01
-        length = np.linalg.norm(r, axis=1)
-        weight = points.confidence * loss.weight(length)
-        value = float((points.confidence * loss.rho(length)).sum())
-        gradient = np.einsum("p,pxd,px->d", weight, rows, r)
-        hessian = np.einsum("p,pxd,pxe->de", weight, rows, rows)
-        centre = np.concatenate([pull.centre[active], prior.centre[INTERNAL]])
-        stiffness = np.concatenate([pull.weight[active], prior.sd[INTERNAL] ** -2])
-        away = x - centre
-        value += 0.5 * float(stiffness @ away**2)
-        return value, gradient + stiffness * away, hessian + np.diag(stiffness)
-
-    s = template.skeleton
-    found = minimise(
-        cost,
-        np.concatenate([pose[active], factors[INTERNAL]]),
-        np.concatenate([s.lower[active], prior.lower[INTERNAL]]),
-        np.concatenate([s.upper[active], prior.upper[INTERNAL]]),
-        max_iterations=30,
-        cost_tolerance=1e-5,
-    )
-    return *unpack(found.x), found.cost
-
-
-def _image_jacobian(body: Body, camera: Camera, points: MonoPoints, pose: Array) -> Array:
-    """(P, 2, D) px: derivative of the points' pixels by the pose."""
-    world = _on_body(body, pose, points)
-    twists = body.skeleton.world_twists(pose)
-    by_pose = np.cross(twists[None, :, :3], world[:, None]) + twists[None, :, 3:]
-    by_pose[~body.skeleton.moves.T[points.joint]] = 0.0
-    p = camera.projection
-    h = world @ p[:, :3].T + p[:, 3]
-    shown = h[:, :2] / h[:, 2:]
-    by_point = (p[None, :2, :3] - shown[..., None] * p[None, None, 2, :3]) / h[:, 2, None, None]
-    return np.einsum("pxa,pda->pxd", by_point, by_pose)
-
-
 def _contour_cost(
     template: Body, tracker: MonoTracker, points_on: PointsOn, frame: MonoFrame, pose: Array
 ) -> Callable[[Array], float]:
@@ -303,5 +231,5 @@ def _residual(body: Body, camera: Camera, frame: MonoFrame, pose: Array) -> floa
     points = frame.points
     assert points is not None
     seen = points.confidence > 0
-    apart = camera.project_pinhole(_on_body(body, pose, points)[seen]) - points.pixels[seen]
+    apart = camera.project_pinhole(points_on_body(body, pose, points)[seen]) - points.pixels[seen]
     return float(np.sqrt((apart**2).sum(1).mean()))

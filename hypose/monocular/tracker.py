@@ -7,6 +7,7 @@ track), evidence accumulated over frames, mirrored limbs as an option; see also 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -50,7 +51,7 @@ class MonoTracker:
     """A body, the camera (lens distortion is ignored: give undistorted pictures), settings, the dof to estimate
     (default `body_dofs`: 30; the others keep their start values), the mesh that is compared with the picture (default
     the body's coarse one), and how many threads share the hypotheses (default: the machine's; any number gives the
-    same results)."""
+    same results). clock: what the stages' seconds are read from (time.process_time: the processor's)."""
 
     body: Body
     camera: Camera
@@ -58,6 +59,7 @@ class MonoTracker:
     active: NDArray[np.int64] | None = None
     mesh: Mesh | None = None
     threads: int | None = None
+    clock: Callable[[], float] = time.perf_counter
 
     def start(self, hypotheses: MonoHypotheses, frame: MonoFrame | None = None) -> MonoState:
         """The state before the first step; with a frame (the one the hypotheses belong to) flow is used at once."""
@@ -72,14 +74,14 @@ class MonoTracker:
         Raises InputError or EvidenceError, naming the frame, for a picture, mask or points that do not fit the camera.
         """
         check_frame(frame, self.camera)
-        clock = [time.perf_counter()]
+        clock = [self.clock()]
         settings, before = self.settings, state.hypotheses
         predictions = self._predict(before)
         field = field_of(frame, settings)
-        clock.append(time.perf_counter())
+        clock.append(self.clock())
         now = grey(frame.image)
         flow = self._flow(state.grey, now, np.concatenate([before.poses, predictions]))
-        clock.append(time.perf_counter())
+        clock.append(self.clock())
         problem = frame_problem(self._fixed, frame, field, flow, settings)
         solutions = self._search(problem, predictions, before.poses, settings.coarse_iterations, settings.iterations)
         # where a start or a sample settles is no motion: it keeps the velocity it was born with
@@ -92,18 +94,18 @@ class MonoTracker:
         ]
         if settings.search.flips and state.frames % settings.search.flip_every == 0:
             optimised += self._optimised_flips(problem, optimised)
-        clock.append(time.perf_counter())
+        clock.append(self.clock())
         samples = self._samples(problem, optimised, rng) if settings.search.hypotheses > 1 else []
         best = min(range(len(optimised)), key=lambda k: optimised[k].evidence)
         others = [c for k, c in enumerate(optimised) if k != best]
         following = prune([optimised[best], *others, *samples], self.body, settings.search)
-        clock.append(time.perf_counter())
+        clock.append(self.clock())
         modes = prune([optimised[best], *others], self.body, settings.search)
         posterior = self._with_covariances(modes)
         none = np.zeros((len(following), *posterior.covariances.shape[1:]))
         counts = solutions[best].counts if best < len(solutions) else solutions[0].counts
         covariance = self.joint_covariances(posterior.poses[0], posterior.covariances[0])
-        clock.append(time.perf_counter())
+        clock.append(self.clock())
         estimate = self._estimate(posterior, covariance, counts, StageTimes(*np.diff(clock).tolist()))
         return MonoState(state.frames + 1, as_hypotheses(following, none), now), estimate
 
@@ -122,16 +124,6 @@ class MonoTracker:
             for k, s in enumerate(solutions)
         ]
         return self._with_covariances(sorted(found, key=lambda c: c.cost))
-
-    def flips(self, hypotheses: MonoHypotheses) -> MonoHypotheses:
-        """The hypotheses and all their mirrored limbs, not yet optimised (forward/backward ambiguity)."""
-        poses, labels = [*hypotheses.poses], [*hypotheses.labels]
-        for q in hypotheses.poses:
-            found = mirrored(self.body, self.camera, q, self._fixed.model.active)
-            poses += [*found]
-            labels += [FLIPPED] * len(found)
-        out = MonoHypotheses.at(np.stack(poses))
-        return replace(out, labels=np.array(labels, dtype=np.int8))
 
     def joint_covariances(self, pose: Array, covariance: Array) -> Array:
         """(J, 3, 3) m^2 of the joint centres in the world for a pose (D,) with covariance (D, D)."""

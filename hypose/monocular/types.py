@@ -1,20 +1,19 @@
-"""What goes into a monocular tracker and what comes out: values, and their conversion to a Motion.
+"""What goes into a monocular tracker and what comes out: values, and their conversion to plain arrays.
 
 One camera sees no depth but through perspective and the known body, so the result is a weighted set of hypotheses with
-covariances, not a pose: the pose, joint centres and spreads of a Motion are those of the best hypothesis.
+covariances, not a pose.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body
-from hypose.body.motion import Motion
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.keypoints import landmark_of
 from hypose.geometry import Array
@@ -187,26 +186,6 @@ class MonoEstimate:
     lost: bool
     nodes: Nodes
     seconds: StageTimes
-
-
-def motion_of(
-    body: Body, times: ArrayLike, estimates: Sequence[MonoEstimate], provenance: Mapping[str, Any] | None = None
-) -> Motion:
-    """The Motion of the best hypotheses: one estimate per time (T,). Its joint_sd is that of the best hypothesis."""
-    poses = np.stack([e.pose for e in estimates])
-    t = len(poses)
-    return Motion(
-        body.skeleton,
-        np.asarray(times, dtype=np.float64),
-        body.joints(poses),
-        poses,
-        np.stack([e.joint_sd for e in estimates]),
-        np.array([e.lost for e in estimates], dtype=bool),
-        np.zeros(t, dtype=bool),
-        np.ones(t, dtype=np.int64),
-        np.array([e.cost for e in estimates], dtype=np.float64),
-        provenance or {},
-    )
 
 
 def posterior_arrays(body: Body, estimates: Sequence[MonoEstimate]) -> dict[str, np.ndarray]:

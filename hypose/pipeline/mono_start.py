@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from hypose.io.frames import FrameOptions, load_keypoints
 from hypose.io.recording import Recording
 from hypose.io.video import open_video
 from hypose.monocular.initialise import LEAST_POINTS, InitialFit, initialise
+from hypose.monocular.points_fit import PointsOn
 from hypose.monocular.settings import MonoSettings
 from hypose.monocular.types import MonoPoints, clicked_joints, points_from_keypoints
 from hypose.pipeline.mono_stream import MonoStream, working_side
@@ -34,6 +36,8 @@ from hypose.pipeline.mono_stream import MonoStream, working_side
 CLICK_SHARE, KEYPOINT_SHARE = 0.010, 0.016
 """1 sd of a click and of a detector's point, as a share of the person's size in the picture."""
 FEWEST_PX = 1.0
+LENGTH_FRAMES = 10
+"""So many further frames with key points decide the lengths of somebody whose body is not known."""
 
 
 Clicks = Mapping[str, tuple[float, float]]
@@ -146,18 +150,21 @@ def find_start(
         def points_on(b: Body) -> MonoPoints:
             return keypoints_on(b, names, seen)
 
+    later = () if body is not None else _later_points(stream, at)
     fit = initialise(
         template,
         stream.camera,
         points_on,
         stream.frame(at),
+        later=later,
         settings=settings,
         height=height,
         fixed_body=body is not None,
     )
     notes = [f"start from {source}: {len(fit.hypotheses)} rival poses, the best {fit.residual_px:.1f} px off"]
     if body is None:
-        notes.append(f"body of {fit.body.stature:.2f} m from {source} and the picture's contours")
+        further = f", the key points of {len(later)} further frames" if later else ""
+        notes.append(f"body of {fit.body.stature:.2f} m from {source}{further} and the picture's contours")
     if body is None and height is None:
         notes.append(
             "the height is not known, so distances and lengths are as uncertain as people's heights (about 5 %); give "
@@ -170,6 +177,19 @@ def keypoints_on(body: Body, names: tuple[str, ...], keypoints: Array) -> MonoPo
     """Key points (K, 3) on a body, with the error that detectors have at that size."""
     scale = max(FEWEST_PX, KEYPOINT_SHARE * person_size(keypoints))
     return points_from_keypoints(body, names, keypoints, scale_px=scale)
+
+
+def _later_points(stream: MonoStream, first: int) -> tuple[PointsOn, ...]:
+    """The key points of LENGTH_FRAMES frames over the whole clip, to measure lengths with."""
+    points = stream.start_points
+    if points is None:
+        return ()
+    rows = np.unique(np.linspace(first, len(stream) - 1, LENGTH_FRAMES + 1).astype(int))[1:]
+    names = points[0].names
+    seen = (np.asarray(points[i].points[0]) for i in rows)
+    template = human()
+    enough = [k for k in seen if (keypoints_on(template, names, k).confidence > 0).sum() >= LEAST_POINTS]
+    return tuple(partial(keypoints_on, names=names, keypoints=k) for k in enough)
 
 
 def _first_keypoints(stream: MonoStream) -> tuple[int, Array, tuple[str, ...]]:

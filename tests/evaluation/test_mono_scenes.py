@@ -86,6 +86,6 @@ def test_captured_motion() -> None:
     if not MOCAP.exists():
         pytest.skip(f"{MOCAP} not found")
     scene = body_scene(101, mocap=MOCAP)
-    assert len(scene) == 30
-    uv = scene.camera.project(scene.joints)
+    assert len(scene.performance) == 30
+    uv = scene.camera.project(scene.performance.joints)
     assert ((uv > 0) & (uv < scene.camera.size)).all()

@@ -80,7 +80,7 @@ def test_rivals_differ_and_keep_the_limits(camera, stride) -> None:
 def test_proportions_are_found_with_the_pose_and_are_mirrored() -> None:
     scene = body_scene(104, 0.2, motion="wave")
     s = human().skeleton
-    uv = scene.camera.project(scene.joints[0])
+    uv = scene.camera.project(scene.performance.joints[0])
     clicks = {n: (float(uv[s.joint(n), 0]), float(uv[s.joint(n), 1])) for n in CLICKED}
     frame = MonoFrame(0, 0.0, scene.image(0))
     fit = initialise(
@@ -96,7 +96,7 @@ def test_proportions_are_found_with_the_pose_and_are_mirrored() -> None:
     assert fit.tried >= len(h)
     assert h.weights.sum() == pytest.approx(1)
     assert (np.diff(h.costs) >= 0).all()
-    errors = [aligned_error(fit.body, q, scene.joints[0]) for q in h.poses]
+    errors = [aligned_error(fit.body, q, scene.performance.joints[0]) for q in h.poses]
     assert min(errors) < 0.15
     variance = np.diagonal(h.covariances[0])[body_dofs(fit.body.skeleton)]
     assert (variance > 0).all()

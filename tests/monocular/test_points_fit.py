@@ -1,0 +1,71 @@
+"""Poses and proportions together from points: derivatives, and what more than one picture is worth."""
+
+import numpy as np
+
+from hypose.body.models import human
+from hypose.evaluation.rigs import look_at
+from hypose.monocular.models import body_dofs
+from hypose.monocular.points_fit import fit_proportions, image_jacobian, points_on_body
+from hypose.monocular.proportions import NAMES, proportions, shaped
+from hypose.monocular.types import clicked_joints
+
+POINTS = tuple(
+    [f"{side}_{part}" for side in ("left", "right") for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")]
+    + ["neck", "head"]
+)
+CAMERA = look_at("cam1", (2.6, -2.4, 1.4), (0.0, 0.0, 1.0), 450.0, (384, 288))
+
+
+def stance(body, seed):
+    """(D,) a pose with bent limbs."""
+    s, rng = body.skeleton, np.random.default_rng(seed)
+    q = s.rest_pose()
+    q[:3], q[5] = (0.05, -0.1, 0.92), 0.3
+    limbs = [d for d, n in enumerate(s.dof_names) if n.split("_")[1] in ("shoulder", "elbow", "hip", "knee")]
+    q[limbs] += rng.uniform(-0.5, 0.5, len(limbs))
+    return s.clamp(q)
+
+
+def points_of(body, pose):
+    uv = CAMERA.project_pinhole(body.joints(pose))
+    clicks = {n: (float(u), float(v)) for n in POINTS for u, v in [uv[body.skeleton.joint(n)]]}
+    return lambda b: clicked_joints(b, clicks, 0.5)
+
+
+def test_the_jacobian_of_the_points_is_exact() -> None:
+    body = human()
+    pose = stance(body, 0)
+    points = points_of(body, pose)(body)
+    exact, h = image_jacobian(body, CAMERA, points, pose), 1e-6
+    for d in range(len(pose)):
+        step = h * (np.arange(len(pose)) == d)
+        up, down = (CAMERA.project_pinhole(points_on_body(body, pose + k * step, points)) for k in (1, -1))
+        np.testing.assert_allclose(exact[:, :, d], (up - down) / (2 * h), atol=1e-3)
+
+
+def test_more_pictures_measure_lengths_better() -> None:
+    template = human()
+    prior, active = proportions(template, template.stature), body_dofs(template.skeleton)
+    wanted = [NAMES.index(n) for n in ("upper arm", "forearm", "thigh", "shank")]
+    truth = prior.centre.copy()
+    truth[wanted] += [0.08, -0.08, 0.07, -0.07]
+    person = shaped(template, truth)
+    poses = [stance(person, seed) for seed in range(6)]
+    pictures = [points_of(person, q) for q in poses]
+    # the wrong lengths move the first guess, as they do when poses are found with the template's
+    begin = [
+        q + 0.05 * np.random.default_rng(9).normal(size=len(q)) * np.isin(np.arange(len(q)), active) for q in poses
+    ]
+    errors = []
+    for n in (1, 6):
+        found, factors, cost = fit_proportions(
+            template, CAMERA, pictures[:n], begin[:n], prior.centre.copy(), prior, active
+        )
+        assert found.shape == (n, template.skeleton.dof)
+        assert np.isfinite(cost)
+        assert (factors >= prior.lower - 1e-9).all()
+        assert (factors <= prior.upper + 1e-9).all()
+        held = np.setdiff1d(np.arange(template.skeleton.dof), active)
+        np.testing.assert_array_equal(found[:, held], np.array(begin[:n])[:, held])
+        errors.append(np.abs(factors - truth)[wanted].mean())
+    assert errors[1] < 0.6 * errors[0]
