@@ -15,6 +15,7 @@ from hypose.errors import InputError
 
 if TYPE_CHECKING:
     from hypose.gestures.model import GestureModel
+    from hypose.gestures.online import Learner
 
 app = typer.Typer(no_args_is_help=True, help="Learn still gestures from a depth camera in minutes, and watch for them.")
 
@@ -24,6 +25,7 @@ SourceOption = Annotated[
 ]
 Gesture = Annotated[str, typer.Option(help="Name of the gesture.")]
 Rounds = Annotated[int, typer.Option(help="Rounds of gesture and other movement.")]
+_LETTERS = "Commands (letter and Enter): n next, u undo, p pause, c continue, a again, t end with the test"
 Frames = Annotated[int, typer.Option(help="Stop after so many frames; 0 = never.")]
 
 
@@ -36,9 +38,13 @@ def record(
     seed: Seed = 0,
 ) -> None:
     """Record a session with its prompts without learning; train from it later."""
-    from hypose.app.gesture_job import new_learner
+    from hypose.app.gesture_job import record_session, typed_commands
+    from hypose.app.gesture_sources import open_source
+    from hypose.gestures.session import SessionSettings
 
-    _session(source, gesture, out, rounds, new_learner(seed), seed, None, None)
+    settings, opened = SessionSettings(rounds=rounds), open_source(source, gesture, seed)
+    note(_LETTERS)
+    record_session(opened, gesture, settings, record=out, commands=typed_commands(), say=note)
     say(f"Recorded: {out}")
 
 
@@ -58,13 +64,19 @@ def train(
     seed: Seed = 0,
 ) -> None:
     """Teach a gesture: a live session that learns while you watch, or recorded sessions again."""
-    from hypose.app.gesture_job import growing_model, learn_offline, learn_recordings, new_learner
+    from hypose.app.gesture_job import growing_model, in_cm2, learn_offline, learn_recordings, new_learner
     from hypose.pipeline.gesture_files import read_recording, save_model
 
     if out.suffix != ".npz":
         raise InputError(f"{out} is no name for a model; give one that ends in .npz.")
     if passes < 1 or passes > 100:
         raise InputError(f"--passes {passes} is not possible; give 1 to 100.")
+    if offline and not recording:
+        raise InputError("--offline learns from recordings; name them with --recording.")
+    if offline and resume is not None:
+        raise InputError("--offline makes a new forest, which --resume cannot go on with; leave one of the two out.")
+    if recording and record_to is not None:
+        raise InputError("--record is for live sessions, and --recording learns from one that is there; give one.")
     old = growing_model(resume, gesture) if resume is not None else None
     learner = old.learner if old is not None and old.learner is not None else new_learner(seed)
     if recording:
@@ -73,14 +85,11 @@ def train(
             model = learn_offline(loaded, gesture, seed)
         else:
             model = learn_recordings(loaded, gesture, learner, passes, note)
-    elif offline:
-        raise InputError("--offline learns from recordings; name them with --recording.")
     else:
-        model = _session(source, gesture, record_to, rounds, learner, seed, old, resume)
+        model = _session(source, gesture, record_to, rounds, learner, seed, old)
     save_model(model, out)
-    t = model.thresholds[0]
     nodes = int(model.forest.size.sum())
-    say(f"{gesture}: {nodes} nodes, threshold " + ("not known yet" if t is None else f"{t:.2f} cm²"))
+    say(f"{gesture}: {nodes} nodes, threshold {in_cm2(model.thresholds[0])}")
     say(f"Model: {out}")
 
 
@@ -89,24 +98,21 @@ def _session(
     gesture: str,
     record_to: Path | None,
     rounds: int,
-    learner: object,
+    learner: Learner,
     seed: int,
     old: GestureModel | None,
-    resume: Path | None,
 ) -> GestureModel:
     from hypose.app.gesture_job import run_session, typed_commands
     from hypose.app.gesture_sources import open_source
-    from hypose.gestures.online import Learner
     from hypose.gestures.session import SessionSettings
 
-    assert isinstance(learner, Learner)
-    opened = open_source(source, gesture, seed)
-    note("Commands (letter and Enter): n next, u undo, p pause, c continue, a again, t end with the test")
+    settings, opened = SessionSettings(rounds=rounds), open_source(source, gesture, seed)
+    note(_LETTERS)
     return run_session(
         opened,
         gesture,
         learner,
-        SessionSettings(rounds=rounds),
+        settings,
         record=record_to,
         commands=typed_commands(),
         say=note,
@@ -140,11 +146,10 @@ def run(
 ) -> None:
     """Watch for gestures without a screen: events as JSON lines on stdout, and wherever the options say."""
     from hypose.app import gesture_actions as actions
-    from hypose.app.gesture_job import thresholds, watch
+    from hypose.app.gesture_job import looking, thresholds, watch
     from hypose.app.gesture_outputs import OscOut, Out, WebSocketOut, event_line
     from hypose.app.gesture_sources import open_source
     from hypose.gestures.events import EventSettings
-    from hypose.gestures.localise import LocaliseSettings
     from hypose.pipeline.gesture_files import load_model
 
     if not 0 < memory <= 1:
@@ -166,7 +171,7 @@ def run(
         if command is not None:
             outs.append(actions.CommandOut(command, names))
         opened = open_source(source, names[0], seed)
-        for k, watched in enumerate(watch(opened, loaded, LocaliseSettings(memory=memory), limits), 1):
+        for k, watched in enumerate(watch(opened, loaded, looking(loaded, memory), limits, note), 1):
             for event in watched.events:
                 print(event_line(event, names), flush=True)
             for out in outs:
@@ -195,16 +200,15 @@ def test(
     """Try a model: what it finds in every frame, as JSON lines."""
     import json
 
-    from hypose.app.gesture_job import watch
+    from hypose.app.gesture_job import looking, watch
     from hypose.app.gesture_sources import open_source
     from hypose.gestures.events import EventSettings
-    from hypose.gestures.localise import LocaliseSettings
     from hypose.pipeline.gesture_files import load_model
 
     loaded = load_model(model)
     limits = [EventSettings(t or float("inf")) for t in loaded.thresholds]
     opened = open_source(source, loaded.names[0], seed)
-    for k, watched in enumerate(watch(opened, [loaded], LocaliseSettings(), limits), 1):
+    for k, watched in enumerate(watch(opened, [loaded], looking([loaded]), limits, note), 1):
         for f in watched.found:
             value = {
                 "time": round(watched.time, 4),

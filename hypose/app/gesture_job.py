@@ -7,12 +7,13 @@ import sys
 import threading
 import time as clock
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from hypose.app.gesture_sources import Source
+from hypose.app.gesture_sources import Source, Taken
+from hypose.compute.forests import ScanPlan
 from hypose.errors import InputError
 from hypose.evaluation.gesture_metrics import average_precision
 from hypose.gestures.events import Event, EventSettings, EventState, step
@@ -20,9 +21,9 @@ from hypose.gestures.forest import Forest, ForestSettings, GrowingForest
 from hypose.gestures.localise import Found, LocaliseSettings, Scratch, localise
 from hypose.gestures.model import GestureModel
 from hypose.gestures.offline import OfflineSettings, collect, train
-from hypose.gestures.online import Learner
-from hypose.gestures.session import Command, SessionSettings
-from hypose.gestures.trainer import Feedback, Trainer
+from hypose.gestures.online import Learner, LearnSettings
+from hypose.gestures.session import Command, Instruction, SessionSettings
+from hypose.gestures.trainer import Feedback, Trainer, half_way
 from hypose.pipeline.gesture_files import GestureRecording, SessionWriter, load_model
 
 Say = Callable[[str], None]
@@ -84,38 +85,83 @@ def run_session(
 ) -> GestureModel:
     """An interactive session until its test begins or the source ends; the model it leaves. Everything is recorded."""
     trainer = Trainer(learner, settings)
-    writer = None
+    counts = _follow(source, gesture, trainer, record=record, commands=commands, say=say, learn=True)
+    where = _range(learner.settings.look.plan)
+    if not counts.learned:
+        raise InputError(
+            f"Nothing was learned from {source.name}: {counts.asked} frames asked for the gesture, and none had depth "
+            f"{where} in the box; come nearer, and keep the gesture in the box."
+        )
+    if 2 * counts.learned < counts.asked:
+        say(f"Only {counts.learned} of {counts.asked} frames of the gesture had depth {where} in the box.")
+    entry = {"session": source.name, "frames_learned": counts.taught, "computing_s": round(counts.seconds, 3)}
+    history = (*(model.history if model is not None else ()), entry)
+    threshold = trainer.final_threshold()
+    return GestureModel((gesture,), trainer.learner.forest, (threshold,), LocaliseSettings(), trainer.learner, history)
+
+
+def record_session(
+    source: Source,
+    gesture: str,
+    settings: SessionSettings,
+    *,
+    record: Path,
+    commands: Callable[[], list[Command]] = list,
+    say: Say,
+) -> None:
+    """The same session with its prompts, recorded and not learned from."""
+    _follow(source, gesture, Trainer(new_learner(0), settings), record=record, commands=commands, say=say, learn=False)
+
+
+def _range(plan: ScanPlan) -> str:
+    return f"between {plan.near_mm / 1000:g} and {plan.far_mm / 1000:g} m"
+
+
+@dataclass(frozen=True)
+class _Counts:
+    """Frames: that asked for the gesture, that taught it, that taught anything; seconds of computing."""
+
+    asked: int
+    learned: int
+    taught: int
+    seconds: float
+
+
+def _follow(
+    source: Source,
+    gesture: str,
+    trainer: Trainer,
+    *,
+    record: Path | None,
+    commands: Callable[[], list[Command]],
+    say: Say,
+    learn: bool,
+) -> _Counts:
+    """Lead through a session until its test begins or the source ends."""
+    writer, rounds = None, trainer.settings.rounds
     if record is not None:
-        writer = SessionWriter(record, [gesture], source.lens, source.size, {"rounds": settings.rounds})
+        writer = SessionWriter(record, [gesture], source.lens, source.size, {"rounds": rounds})
     middle = (source.size[0] / 2, 0.45 * source.size[1])
-    shown, phase, taught, seconds = "", "do_gesture", 0, 0.0
+    shown, phase, asked, learned, taught, seconds = "", "do_gesture", 0, 0, 0, 0.0
     try:
         while trainer.session.phase != "test":
             taken = source.take(phase)
             if taken is None:
                 break
-            given = commands()
-            before = trainer.session
-            box = taken.box or middle
-            began = clock.perf_counter()
-            f = trainer.frame(taken.time, taken.depth, source.lens, box, given)
+            given, before = commands(), trainer.session
+            box, began = taken.box or middle, clock.perf_counter()
+            f = trainer.frame(taken.time, taken.depth, source.lens, box, given, learn=learn)
             seconds += clock.perf_counter() - began
+            asked += f.instruction.learn == "gesture"
+            learned += f.instruction.learn == "gesture" and f.taught is not None
             taught += f.taught is not None
             phase = f.instruction.phase
             if writer is not None:
-                learned = f.instruction.learn is not None
-                writer.add(
-                    taken.time,
-                    taken.depth,
-                    phase if learned or phase not in ("positive", "negative") else "free",
-                    f.instruction.segment,
-                    1 if f.instruction.learn == "gesture" else 0,
-                    box,
-                )
+                _write(writer, taken, box, f.instruction)
                 for c in given:
                     undone = trainer.session.undone[len(before.undone) :] if c == "undo" else ()
                     writer.act(taken.time, c, str(undone[0]) if undone else "")
-            text = f"round {trainer.session.round + 1}/{settings.rounds}: {f.instruction.prompt}"
+            text = f"round {trainer.session.round + 1}/{rounds}: {f.instruction.prompt}"
             if text != shown:
                 say(text + _detail(f))
                 shown = text
@@ -123,55 +169,67 @@ def run_session(
         if writer is not None:
             writer.close()
         source.close()
-    if not taught:
-        raise InputError(f"Nothing was learned from {source.name}; keep the gesture in the box while it is asked for.")
-    entry = {"session": source.name, "frames_learned": taught, "computing_s": round(seconds, 3)}
-    history = (*(model.history if model is not None else ()), entry)
-    threshold = trainer.final_threshold()
-    return GestureModel((gesture,), trainer.learner.forest, (threshold,), LocaliseSettings(), trainer.learner, history)
+    return _Counts(asked, learned, taught, seconds)
+
+
+def _write(writer: SessionWriter, taken: Taken, box: tuple[float, float], asked: Instruction) -> None:
+    learning = asked.learn is not None
+    phase = asked.phase if learning or asked.phase not in ("positive", "negative") else "free"  # paused
+    writer.add(taken.time, taken.depth, phase, asked.segment, int(asked.learn == "gesture"), box)
+
+
+def in_cm2(threshold: float | None) -> str:
+    """A threshold to be read: three digits that count, because small gestures score less than 0.1 cm²."""
+    return "not known yet" if threshold is None else f"{threshold:.3g} cm²"
 
 
 def _detail(f: Feedback) -> str:
     if f.instruction.phase == "test" or f.threshold is None:
         return ""
-    return f" (threshold {f.threshold:.2f} cm²)"
+    return f" (threshold {in_cm2(f.threshold)})"
 
 
 def learn_recordings(
     recordings: Sequence[GestureRecording], gesture: str, learner: Learner, passes: int, say: Say
 ) -> GestureModel:
     """A forest taught with recorded sessions in the order of time, as the live session would have."""
-    trainer, seen = Trainer(learner), 0
+    trainer, seen, shown = Trainer(learner), 0, 0
     for k in range(passes):
         for r in recordings:
             number = r.number(gesture)
             for f in r.learned():
                 kind = "gesture" if f.phase == "positive" and f.gesture == number else "negative"
-                seen += trainer.learn(kind, f.depth(), r.lens, (f.x, f.y)) is not None
+                taught = trainer.learn(kind, r.picture(f), r.lens, (f.x, f.y)) is not None
+                seen, shown = seen + taught, shown + (taught and kind == "gesture")
         say(f"pass {k + 1} of {passes}: {seen} frames learned")
-    if not seen:
-        raise InputError("The recordings hold no frames to learn from; record a session with `hypose gesture record`.")
+    if not shown:
+        raise InputError(_NOTHING.format(gesture=gesture, where=_range(learner.settings.look.plan)))
     history = tuple({"recording": r.folder.name, "passes": passes} for r in recordings)
     threshold = trainer.final_threshold()
     return GestureModel((gesture,), learner.forest, (threshold,), LocaliseSettings(), learner, history)
 
 
-def learn_offline(recordings: Sequence[GestureRecording], gesture: str, seed: int) -> GestureModel:
-    """Boosted trees from all frames at once.
+_NOTHING = (
+    "The recordings hold no frame of {gesture!r} with depth {where} at the marked place; record a session of it with "
+    "`hypose gesture record`."
+)
 
-    The threshold is half way between the lower quartile of the maxima where the gesture is shown and the strongest
-    elsewhere, on the frames it was trained with, hence on the high side for others."""
+
+def learn_offline(recordings: Sequence[GestureRecording], gesture: str, seed: int) -> GestureModel:
+    """Boosted trees from all frames at once. The threshold is found on the frames they were trained with, hence on the
+    high side for others."""
     rng = np.random.default_rng(seed)
     every = [e for r in recordings for e in r.examples(gesture)]
-    if not any(e.gesture for e in every):
-        raise InputError(f"The recordings hold no frame of {gesture!r} to learn from; record a session of it.")
-    forest = train(collect(every, rng, positives=20, negatives=20), rng, OfflineSettings())
+    pool = collect(every, rng, positives=20, negatives=20)
+    if not pool.labels.any():
+        raise InputError(_NOTHING.format(gesture=gesture, where=_range(LearnSettings().look.plan)))
+    forest = train(pool, rng, OfflineSettings())
     scores: tuple[list[float], list[float]] = ([], [])
     for e in every:
         scores[e.gesture].append(localise(e.depth, e.lens, [forest])[0].score)
-    low, high = max(scores[0], default=0.0), float(np.quantile(scores[1], 0.25))
     history = tuple({"recording": r.folder.name, "learning": "offline boosted"} for r in recordings)
-    return GestureModel((gesture,), forest, (0.5 * (low + high),), LocaliseSettings(), None, history)
+    threshold = half_way(scores[1], scores[0])
+    return GestureModel((gesture,), forest, (threshold,), LocaliseSettings(), None, history)
 
 
 @dataclass(frozen=True)
@@ -183,14 +241,26 @@ class Watched:
     events: list[Event]
 
 
+EMPTY = 30
+"""Frames in a row without usable depth after which it is said that there is nothing to see."""
+
+
 def watch(
-    source: Source, models: Sequence[GestureModel], settings: LocaliseSettings, limits: Sequence[EventSettings]
+    source: Source,
+    models: Sequence[GestureModel],
+    settings: LocaliseSettings,
+    limits: Sequence[EventSettings],
+    say: Say = lambda text: None,
 ) -> Iterator[Watched]:
-    """Look for the gestures of all models in every frame of a source."""
-    forests = finished(models)
+    """Look for the gestures of all models in every frame of a source; say: takes a sentence when nothing is near."""
+    forests, plan, empty = finished(models), settings.plan, 0
     scratch, state = Scratch(), EventState()
     try:
         while (taken := source.take("free")) is not None:
+            some = taken.depth[::8, ::8]
+            empty = 0 if ((some >= plan.near_mm) & (some <= plan.far_mm)).any() else empty + 1
+            if empty == EMPTY:
+                say(f"{source.name}: {EMPTY} frames have no depth {_range(plan)}, where gestures are looked for.")
             found = localise(taken.depth, source.lens, forests, settings, scratch)
             state, events = step(state, found, taken.time, limits)
             yield Watched(taken.time, found, events)
@@ -206,6 +276,15 @@ def finished(models: Sequence[GestureModel]) -> list[Forest]:
     if len(set(names)) < len(names):
         raise InputError(f"Two models are for the same gesture ({', '.join(names)}); give one of each.")
     return [m.forest.freeze() if isinstance(m.forest, GrowingForest) else m.forest for m in models]
+
+
+def looking(models: Sequence[GestureModel], memory: float = 1.0) -> LocaliseSettings:
+    """How the models look, with a share of the new frame in the density; InputError when they look differently."""
+    settings = replace(models[0].settings, memory=memory)
+    if any(replace(m.settings, memory=memory) != settings for m in models):
+        names = ", ".join(n for m in models for n in m.names)
+        raise InputError(f"The models of {names} were made to look differently; run them one by one.")
+    return settings
 
 
 def thresholds(models: Sequence[GestureModel], given: float | None) -> list[float]:
@@ -232,7 +311,7 @@ def evaluate(model: GestureModel, recording: GestureRecording) -> dict[str, floa
     scratch = Scratch()
     scores, px, metres = [], [], []
     for f in recording.learned():
-        depth = f.depth()
+        depth = recording.picture(f)
         found = localise(depth, recording.lens, [forest], model.settings, scratch)[0]
         shown = f.phase == "positive" and f.gesture == number
         error = float(np.hypot(found.x - f.x, found.y - f.y)) if shown else np.inf

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from hypose.compute import forests
 from hypose.compute.forests import GrowingArrays, Packed, PaddedDepth
 from hypose.errors import InputError
+from hypose.gestures.bounds import check
 
 MAX_CLASSES = 17
 """The background and 16 gestures."""
@@ -51,9 +52,7 @@ class ForestSettings:
             "most_slots": (1, 8000),
             "most_nodes": (3, forests.MAX_NODES),
         }
-        for name, (low, high) in bounds.items():
-            if not low <= getattr(self, name) <= high:
-                raise InputError(f"A forest's {name} is {getattr(self, name)}; it must be {low} to {high}.")
+        check("A forest's", self, bounds)
         if self.clip_mm is not None and not 1 <= self.clip_mm <= forests.UNCLIPPED_MM:
             raise InputError(f"A forest's clip_mm is {self.clip_mm}; it must be 1 to {forests.UNCLIPPED_MM}, or None.")
         if not 0 < self.rate <= 20 or not 0 <= self.beta <= 1:

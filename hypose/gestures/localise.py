@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from hypose.compute import forests
 from hypose.compute.forests import Depth, PaddedDepth, ScanPlan
 from hypose.errors import InputError
+from hypose.gestures.bounds import check
 from hypose.gestures.forest import Forest, GrowingForest
 from hypose.gestures.pictures import KINECT, Lens, surface_depth
 
@@ -33,6 +34,25 @@ class LocaliseSettings:
     sigma_px: float = 8.0
     memory: float = 1.0
     disc_mm: float = 60.0
+
+    def __post_init__(self) -> None:
+        check(
+            "The localization's",
+            self,
+            {"majority": (0, 1), "sigma_px": (0.01, 1000), "memory": (0, 1), "disc_mm": (1, 1000)},
+        )
+        check(
+            "The scan's",
+            self.plan,
+            {
+                "stride": (1, 1000),
+                "near_mm": (100, forests.FAR_MM),
+                "far_mm": (100, forests.FAR_MM),
+                "first": (0, 200),
+                "least": (0, 1),
+                "coarse": (0, 16),
+            },
+        )
 
     def at(self, lens: Lens) -> LocaliseSettings:
         """The settings in the pixels of a lens."""

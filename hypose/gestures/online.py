@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hypose.compute.forests import Depth, ScanPlan
 from hypose.errors import InputError
+from hypose.gestures.bounds import check
 from hypose.gestures.forest import ForestSettings, GrowingForest
 from hypose.gestures.localise import Found, LocaliseSettings, Scratch, localise, pad
 from hypose.gestures.pictures import Lens, surface_depth
@@ -41,6 +42,11 @@ class LearnSettings:
     surface_mm: float = 80.0
     clear_mm: float = 45.0
     look: LocaliseSettings = LocaliseSettings(ScanPlan(stride=8, coarse=0), sigma_px=10.0)
+
+    def __post_init__(self) -> None:
+        counts = dict.fromkeys(("positives", "around", "beside", "hard", "few", "many"), (0, 1000))
+        lengths = dict.fromkeys(("box_mm", "rim_mm", "surface_mm", "clear_mm"), (1, 1000))
+        check("Learning's", self, {**counts, **lengths})
 
 
 @dataclass(frozen=True)
@@ -79,11 +85,12 @@ class Learner:
     def show(self, depth: Depth, lens: Lens, gesture: int, x: float, y: float, *, mine: bool = True) -> Taught | None:
         """Learn a frame (h, w) uint16 mm in which a gesture (number from 1) is done at pixel (x, y).
 
-        None when there is no surface at that pixel. mine: also learn hard negatives elsewhere in the frame."""
+        None when no surface is measured at that pixel between the nearest and farthest range. mine: also learn hard
+        negatives elsewhere in the frame."""
         if not 1 <= gesture < self.forest.classes:
             raise InputError(f"There is no gesture {gesture}; this forest has 1 to {self.forest.classes - 1}.")
         s = self.settings
-        surface = surface_depth(depth, x, y)
+        surface = self._surface(depth, x, y)
         if surface is None:
             return None
         scale = lens.fx / surface
@@ -118,7 +125,7 @@ class Learner:
         e, s = example, self.settings
         if not e.gesture:
             return [(*self._anywhere(e.depth, negatives, None), BACKGROUND)]
-        surface = surface_depth(e.depth, e.x, e.y)
+        surface = self._surface(e.depth, e.x, e.y)
         if surface is None:
             return []
         scale = e.lens.fx / surface
@@ -194,6 +201,11 @@ class Learner:
         if clear is not None:
             ok &= (columns - clear[0]) ** 2 + (rows - clear[1]) ** 2 > clear[2] ** 2
         return rows[ok][:n], columns[ok][:n]
+
+    def _surface(self, depth: Depth, x: float, y: float) -> float | None:
+        """Depth (mm) of what is marked, if it is where the forest looks."""
+        surface, plan = surface_depth(depth, x, y), self.settings.look.plan
+        return surface if surface is not None and plan.near_mm <= surface <= plan.far_mm else None
 
     def _usable(self, d: NDArray) -> NDArray[np.bool_]:
         plan = self.settings.look.plan

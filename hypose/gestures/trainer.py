@@ -32,6 +32,11 @@ class Feedback:
     threshold: float | None
 
 
+def half_way(gestures: Sequence[float], others: Sequence[float]) -> float:
+    """Half way between the strongest of the others' scores (0 without any) and the weaker gestures (lower quartile)."""
+    return 0.5 * (float(np.quantile(gestures, 0.25)) + max(others, default=0.0))
+
+
 KEPT = 12
 """Frames of each kind that are kept to find the threshold in the end."""
 
@@ -96,7 +101,7 @@ class Trainer:
         mine: bool = True,
     ) -> Taught | None:
         """Learn a frame outside the state machine's order (from a recording): the forest, the moving averages and the
-        kept frames change as in a live session. None when there is no surface at the pixel `at`."""
+        kept frames change as in a live session. None when no usable surface is at the pixel `at`."""
         learner = self.learner
         shows = kind == "gesture"
         taught = learner.show(depth, lens, 1, *at, mine=mine) if shows else learner.reject(depth, lens, mine=mine)
@@ -109,8 +114,7 @@ class Trainer:
         return taught
 
     def final_threshold(self, look: LocaliseSettings | None = None) -> float | None:
-        """The threshold (cm^2) of the forest as it is now, from the kept frames that were not taken back: half way
-        between the strongest movement and the weaker gestures (their lower quartile).
+        """The threshold (cm^2) of the forest as it is now, from the kept frames that were not taken back (`half_way`).
 
         Deviation: the published moving averages follow a forest that goes on changing, and what a gesture scores in the
         end differs; they are shown while training and used when one kind has not been kept."""
@@ -121,7 +125,7 @@ class Trainer:
         }
         if not scores["gesture"] or not scores["negative"]:
             return self.threshold
-        return 0.5 * (float(np.quantile(scores["gesture"], 0.25)) + max(scores["negative"]))
+        return half_way(scores["gesture"], scores["negative"])
 
     def _remember(self, kind: str, frame: tuple[Depth, Lens, int]) -> None:
         kept = self._kept[kind]

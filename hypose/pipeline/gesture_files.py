@@ -96,7 +96,7 @@ class GestureRecording:
         """What a forest for one gesture learns from, in the order of time: others are background."""
         number = self.number(name)
         for f in self.learned():
-            depth = self._checked(f)
+            depth = self.picture(f)
             if f.phase == "positive" and f.gesture == number:
                 yield Example(depth, self.lens, 1, f.x, f.y)
             else:
@@ -105,9 +105,10 @@ class GestureRecording:
     def pictures(self) -> Iterator[tuple[RecordedFrame, Depth]]:
         """Every frame with its picture."""
         for f in self.frames:
-            yield f, self._checked(f)
+            yield f, self.picture(f)
 
-    def _checked(self, frame: RecordedFrame) -> Depth:
+    def picture(self, frame: RecordedFrame) -> Depth:
+        """A frame's picture (h, w) uint16 mm; InputError when it is no depth in millimetres or of another size."""
         depth = millimetres(frame.depth(), str(frame.file))
         if depth.shape != (self.size[1], self.size[0]):
             raise InputError(

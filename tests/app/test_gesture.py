@@ -127,6 +127,9 @@ def test_bad_input_ends_in_a_sentence(folder, tmp_path, capsys):
         capsys, "gesture", "train", tmp_path / "x.npz", "--gesture", "tee", "--resume", model
     )
     assert "--recording" in refused(capsys, "gesture", "train", tmp_path / "x.npz", "--gesture", "tee", "--offline")
+    two = ["gesture", "train", tmp_path / "x.npz", "--gesture", "pause", "--recording", session]
+    assert "--resume" in refused(capsys, *two, "--offline", "--resume", model)
+    assert "--record is" in refused(capsys, *two, "--record", tmp_path / "r")
     assert ".npz" in refused(capsys, "gesture", "train", tmp_path / "x", "--gesture", "tee")
     assert "cannot do" in refused(capsys, "gesture", "record", tmp_path / "r", "--gesture", "fly")
     assert "RealSense" in refused(capsys, "gesture", "run", model, "--source", "realsense", "--threshold", "1")
@@ -141,6 +144,81 @@ def test_a_session_in_metres_is_named(tmp_path, capsys):
     writer.add(0.0, np.full((64, 64), 2, np.uint16), "positive", 1, 1, (32.0, 32.0))
     writer.close()
     assert "that is metres" in refused(capsys, "gesture", "run", tmp_path / "m.npz", "--source", tmp_path / "s")
+
+
+def blank(depth_mm, frames=60):
+    """A camera that sees one depth everywhere."""
+    from hypose.app.gesture_sources import Source, Taken
+    from hypose.gestures.pictures import Lens
+
+    times = iter(range(frames))
+    picture = np.full((64, 64), depth_mm, np.uint16)
+
+    def take(phase):
+        k = next(times, None)
+        return None if k is None else Taken(0.1 * k, picture, None)
+
+    return Source("blank", Lens(100, 100, 31.5, 31.5), (64, 64), take)
+
+
+@pytest.mark.parametrize("depth_mm", [0, 8000])
+def test_nothing_within_reach_is_said(depth_mm):
+    from hypose.app.gesture_job import new_learner, run_session, watch
+    from hypose.gestures.events import EventSettings
+    from hypose.gestures.session import SessionSettings
+
+    settings = SessionSettings(do_gesture_s=0.2, positive_s=1.0, release_s=0.2, negative_s=1.0, rounds=2)
+    with pytest.raises(InputError, match="none had depth between 0.5 and 4 m in the box"):
+        run_session(blank(depth_mm), "tee", new_learner(0), settings, record=None, say=lambda text: None)
+    learner, said = new_learner(0), []
+    model = GestureModel(("tee",), learner.forest, (1.0,), LocaliseSettings(), learner)
+    seen = list(watch(blank(depth_mm), [model], LocaliseSettings(), [EventSettings(1.0)], said.append))
+    assert len(seen) == 60 and not any(w.events for w in seen)
+    assert len(said) == 1 and "between 0.5 and 4 m" in said[0]
+
+
+def test_recordings_without_a_usable_gesture_are_refused(tmp_path, capsys):
+    from hypose.gestures.pictures import Lens
+
+    writer = SessionWriter(tmp_path / "far", ["tee"], Lens(100, 100, 31.5, 31.5), (64, 64))
+    for k in range(6):
+        picture = np.full((64, 64), 8000 if k % 2 else 2000, np.uint16)
+        writer.add(0.1 * k, picture, "positive" if k % 2 else "negative", k + 1, k % 2, (32.0, 32.0))
+    writer.close()
+    arguments = ["gesture", "train", tmp_path / "m.npz", "--gesture", "tee", "--recording", tmp_path / "far"]
+    for more in ([], ["--offline"]):
+        assert "no frame of 'tee' with depth between 0.5 and 4 m" in refused(capsys, *arguments, *more)
+    assert not (tmp_path / "m.npz").exists()
+
+
+def test_recording_learns_nothing(tmp_path, monkeypatch):
+    from hypose.app.gesture_job import record_session
+    from hypose.gestures.online import Learner as Watched
+    from hypose.gestures.session import SessionSettings
+
+    monkeypatch.setattr(Watched, "show", None)
+    monkeypatch.setattr(Watched, "reject", None)
+    settings = SessionSettings(do_gesture_s=0.2, positive_s=1.0, release_s=0.2, negative_s=1.0, rounds=2)
+    record_session(blank(2000), "tee", settings, record=tmp_path / "s", say=lambda text: None)
+    assert sum(bool(e.gesture) for e in read_recording(tmp_path / "s").examples("tee")) > 10
+
+
+def test_thresholds_are_shown_with_the_digits_that_count():
+    from hypose.app.gesture_job import in_cm2
+
+    assert [in_cm2(t) for t in (None, 0.004321, 4.321)] == ["not known yet", "0.00432 cm²", "4.32 cm²"]
+
+
+def test_models_that_look_differently_are_not_mixed():
+    from hypose.app.gesture_job import looking
+
+    learner = Learner.new(np.random.default_rng(0), ForestSettings())
+    one, other = (
+        GestureModel((n,), learner.forest, (1.0,), LocaliseSettings(sigma_px=s)) for n, s in (("a", 8.0), ("b", 6.0))
+    )
+    assert looking([other], 0.8) == LocaliseSettings(sigma_px=6.0, memory=0.8)
+    with pytest.raises(InputError, match="look differently"):
+        looking([one, other])
 
 
 def test_azure_lenses_of_the_narrow_and_wide_modes(tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -105,6 +107,20 @@ def test_forests_that_would_lead_astray_are_refused(taught, name, change):
     arrays = to_arrays(model_of(taught))
     arrays[name] = change(arrays[name]).astype(arrays[name].dtype) if name != "seen" else change(arrays[name])
     with pytest.raises(ValueError, match="its|it|a "):
+        from_arrays(arrays)
+
+
+@pytest.mark.parametrize(
+    ("place", "name", "value"),
+    [("look", "sigma_px", 1e9), ("look", "disc_mm", float("nan")), ("plan", "stride", 0), ("learner", "hard", 10**9)],
+)
+def test_settings_that_would_hang_or_crash_are_refused(taught, place, name, value):
+    arrays = to_arrays(model_of(taught))
+    text = json.loads(str(arrays["description"]))
+    settings = {"look": text["look"], "plan": text["look"]["plan"], "learner": text["learner"]["settings"]}[place]
+    settings[name] = value
+    arrays["description"] = np.array(json.dumps(text))
+    with pytest.raises((ValueError, InputError), match=name):
         from_arrays(arrays)
 
 
