@@ -117,7 +117,7 @@ def _moved(q: Array, step: Array) -> Array:
 
 def _turns(r: Array) -> Array:
     """(T, 3, 3): how rotation vectors (T, 3) of up to half a turn change with a small turn in the world."""
-    return np.linalg.inv(so3_left_jacobian(r))
+    return np.asarray(np.linalg.inv(so3_left_jacobian(r)), dtype=np.float64)
 
 
 class Coupling:
