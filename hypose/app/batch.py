@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hypose.app.batch_worker import finished, run_task
+from hypose.app.batch_worker import Report, finished, run_chunk, run_task
 from hypose.app.console import ProgressCall, ignore
 from hypose.app.sweep import Task
 from hypose.errors import InputError
@@ -46,18 +46,27 @@ class Place:
 
 @dataclass
 class _Progress:
-    """Frames done per task, as the workers tell; how often each was begun."""
+    """As the workers tell, of each task's pieces (a chunk, or None): frames done, and how often it was begun."""
 
-    frames: dict[str, int] = field(default_factory=dict)
-    attempts: dict[str, int] = field(default_factory=dict)
+    frames: dict[str, dict[int | None, int]] = field(default_factory=dict)
+    begun: dict[str, dict[int | None, int]] = field(default_factory=dict)
 
     def hear(self, event: tuple[float, Mapping[str, Any]]) -> None:
         message = event[1]
-        key = str(message["key"])
+        key, piece = str(message["key"]), message["chunk"]
         if message["stage"] == "begin":
-            self.attempts[key] = self.attempts.get(key, 0) + 1
+            begun = self.begun.setdefault(key, {})
+            begun[piece] = begun.get(piece, 0) + 1
         elif message["stage"] == "track":
-            self.frames[key] = int(message["done"])
+            self.frames.setdefault(key, {})[piece] = int(message["done"])
+
+    def attempts(self, key: str) -> int:
+        """How often a task was begun; of one in chunks, the piece that was begun most often."""
+        return max(self.begun.get(key, {}).values(), default=0)
+
+    def tracked(self, task: Task) -> int:
+        """Frames of a task that are done; those that two chunks share count once."""
+        return min(task.frames, sum(self.frames.get(task.key, {}).values()))
 
 
 def run_batch(
@@ -90,10 +99,7 @@ def run_batch(
         with _client(place) as client:
             announce(_dashboard(client))
             client.subscribe_topic(_TOPIC, heard.hear)
-            futures = {
-                client.submit(_remote, t.plain(), str(stop.absolute()), key=f"track-{t.key}", retries=place.retries): t
-                for t in left
-            }
+            futures = {_submit(client, t, str(stop.absolute()), place.retries): t for t in left}
             _collect(futures, heard, out, progress, stop)
     finally:
         with contextlib.suppress(OSError):
@@ -101,14 +107,45 @@ def run_batch(
     return out
 
 
-def _remote(task: Mapping[str, Any], stop: str) -> dict[str, Any]:
-    """Runs in a worker process."""
+def _submit(client: Client, task: Task, stop: str, retries: int) -> Future:
+    """The task, behind its chunks if it has any, which come behind what they all need."""
+    plain, key = task.plain(), task.key
+    chunks: list[Future] = []
+    if task.chunks:
+        common = client.submit(_remote_chunk, plain, None, stop, key=f"subject-{key}", retries=retries)
+        chunks = [
+            client.submit(_remote_chunk, plain, n, stop, common, key=f"chunk-{key}-{n}", retries=retries)
+            for n in range(task.chunks)
+        ]
+    return client.submit(_remote, plain, stop, *chunks, key=f"track-{key}", retries=retries)
+
+
+def _remote(task: Mapping[str, Any], stop: str, *before: Mapping[str, Any]) -> dict[str, Any]:
+    """Runs in a worker process; `before`: what came of the task's chunks."""
+    return _unless_ended(before) or run_task(_made(task), Path(stop), _begin(task, None))
+
+
+def _remote_chunk(task: Mapping[str, Any], chunk: int | None, stop: str, *before: Mapping[str, Any]) -> dict[str, Any]:
+    """Runs in a worker process; `before`: what came of that which all chunks need."""
+    return _unless_ended(before) or run_chunk(_made(task), chunk, Path(stop), _begin(task, chunk))
+
+
+def _made(task: Mapping[str, Any]) -> Task:
+    return Task(**{**task, "formats": tuple(task["formats"])})
+
+
+def _unless_ended(before: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+    """The first of them that failed or was stopped, with which the task ends as well."""
+    return next((dict(b) for b in before if b["state"] != "done"), None)
+
+
+def _begin(task: Mapping[str, Any], chunk: int | None) -> Report:
+    """Tells that a piece of work begins, and returns what tells how it goes on."""
     from distributed import get_worker
 
     worker = get_worker()
-    worker.log_event(_TOPIC, {"key": task["key"], "stage": "begin"})
-    made = Task(**{**task, "formats": tuple(task["formats"])})
-    return run_task(made, Path(stop), lambda message: worker.log_event(_TOPIC, dict(message)))
+    worker.log_event(_TOPIC, {"key": task["key"], "chunk": chunk, "stage": "begin"})
+    return lambda message: worker.log_event(_TOPIC, dict(message))
 
 
 def dask_setup(worker: object) -> None:
@@ -137,7 +174,7 @@ def _collect(
                 wait(list(pending), timeout=_POLL_S, return_when="FIRST_COMPLETED")
             for future in [f for f in pending if f.done()]:
                 task = futures[future]
-                out[task.key] = {**_result(future, task), "attempts": heard.attempts.get(task.key, 1)}
+                out[task.key] = {**_result(future, task), "attempts": max(1, heard.attempts(task.key))}
                 pending.discard(future)
         except KeyboardInterrupt:
             if deadline < float("inf"):
@@ -146,7 +183,7 @@ def _collect(
             stop.touch()
     for future in pending:
         key = futures[future].key
-        out[key] = {"key": key, "state": "stopped", "message": "stopped", "attempts": heard.attempts.get(key, 0)}
+        out[key] = {"key": key, "state": "stopped", "message": "stopped", "attempts": heard.attempts(key)}
     _show(futures, pending, heard, progress, frames)
 
 
@@ -154,7 +191,7 @@ def _show(
     futures: Mapping[Future, Task], pending: set[Future], heard: _Progress, progress: ProgressCall, frames: int
 ) -> None:
     complete = {t.key for f, t in futures.items() if f not in pending}
-    tracked = sum(t.frames if t.key in complete else heard.frames.get(t.key, 0) for t in futures.values())
+    tracked = sum(t.frames if t.key in complete else heard.tracked(t) for t in futures.values())
     progress("track", tracked, frames)
     progress("recordings", len(complete), len(futures))
 

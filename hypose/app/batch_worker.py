@@ -16,7 +16,7 @@ from hypose.app.sweep import Task
 from hypose.errors import HyposeError
 
 Report = Callable[[Mapping[str, Any]], None]
-"""Takes {"key", "stage", "done", "total"}, at most about once a second."""
+"""Takes {"key", "chunk", "stage", "done", "total"}, at most about once a second."""
 _REPORT_S = 1.0
 
 
@@ -46,7 +46,7 @@ def run_task(task: Task, stop: Path, report: Report) -> dict[str, Any]:
     if stop.exists():
         return {"key": task.key, "state": "stopped", "message": "not begun"}
     seconds: dict[str, float] = {}
-    watch = _Watch(task, stop, report, seconds)
+    watch = _Watch(task, None, stop, report, seconds)
     try:
         job = job_of(task)
         outcome = run_job(job, watch, seconds)
@@ -81,6 +81,41 @@ def run_task(task: Task, stop: Path, report: Report) -> dict[str, Any]:
     return figures
 
 
+def run_chunk(task: Task, chunk: int | None, stop: Path, report: Report) -> dict[str, Any]:
+    """Work on one chunk of a task, or (None) on what all chunks need: the subject and the backgrounds. What comes of it
+    lies in the task's folder. State "done", or as for `run_task`."""
+    from hypose import compute
+    from hypose.app.job import backgrounds_file, chunk_run, open_frames, record_of
+    from hypose.app.sweep import job_of
+    from hypose.io.provenance import identity
+    from hypose.pipeline.kept import keep_backgrounds
+    from hypose.pipeline.run import TrackOptions
+
+    out = {"key": task.key, "state": "done"}
+    if finished(task) is not None:
+        return out
+    if stop.exists():
+        return {**out, "state": "stopped", "message": "not begun"}
+    watch = _Watch(task, chunk, stop, report, {})
+    try:
+        job = job_of(task)
+        assert isinstance(job.options, TrackOptions) and job.chunk_s is not None
+        record = record_of(job)
+        compute.warm_up()
+        with open_frames(job, record) as source:
+            run = chunk_run(job, job.options, source, record, job.chunk_s)
+            if chunk is None:
+                keep_backgrounds(source.backgrounds, backgrounds_file(job), identity(record))
+                run.subject(watch)
+            elif not run.chunk(chunk, watch).complete:
+                return {**out, "state": "stopped", "message": "stopped; what was tracked is kept"}
+    except HyposeError as error:
+        return {**out, "state": "failed", "message": str(error)}
+    except KeyboardInterrupt:
+        return {**out, "state": "stopped", "message": "stopped; what was tracked is kept"}
+    return out
+
+
 def _known(value: float) -> float | None:
     return value if value == value else None
 
@@ -88,8 +123,8 @@ def _known(value: float) -> float | None:
 class _Watch:
     """A progress that reports once a second, notes how long stages take, and stops the job when the file appears."""
 
-    def __init__(self, task: Task, stop: Path, report: Report, seconds: dict[str, float]) -> None:
-        self._task, self._stop, self._report, self._seconds = task, stop, report, seconds
+    def __init__(self, task: Task, chunk: int | None, stop: Path, report: Report, seconds: dict[str, float]) -> None:
+        self._task, self._chunk, self._stop, self._report, self._seconds = task, chunk, stop, report, seconds
         self._began: dict[str, float] = {}
         self._last = float("-inf")
 
@@ -99,6 +134,6 @@ class _Watch:
         if now - self._last < _REPORT_S and done < total:
             return
         self._last = now
-        self._report({"key": self._task.key, "stage": stage, "done": done, "total": total})
+        self._report({"key": self._task.key, "chunk": self._chunk, "stage": stage, "done": done, "total": total})
         if self._stop.exists():
             raise KeyboardInterrupt

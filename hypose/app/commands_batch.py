@@ -16,7 +16,12 @@ from hypose.errors import InputError
 
 
 def batch(
-    sweep: Annotated[Path, typer.Argument(help="TOML file: recordings, sets of settings; see docs/batch.md.")],
+    sweep: Annotated[
+        Path,
+        typer.Argument(
+            help="TOML file: recordings, sets of settings; see docs/batch.md. Or the folder of a recording."
+        ),
+    ],
     workers: Annotated[
         int | None,
         typer.Option(help="Processes of this computer, or jobs with --slurm. [default: the number of cores]"),
@@ -29,15 +34,21 @@ def batch(
         bool, typer.Option("--slurm", help="Workers as SLURM jobs, as [slurm] of the sweep says (extra slurm).")
     ] = False,
     out: Annotated[Path | None, typer.Option(help="Results folder. [default: the sweep's]")] = None,
+    chunk: Annotated[
+        float | None,
+        typer.Option(help="Split recordings that are longer into chunks of so many seconds. [default: the sweep's]"),
+    ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False,
 ) -> None:
     """Track many recordings with many sets of parameters; what is finished is skipped, what was begun goes on."""
     _check(workers, threads, scheduler, slurm)
     from hypose.app.batch import Place, run_batch
     from hypose.app.batch_worker import finished
-    from hypose.app.sweep import plan, read_sweep
+    from hypose.app.sweep import is_recording, plan, read_sweep, sweep_of
 
-    wanted = read_sweep(sweep)
+    wanted = sweep_of(sweep) if is_recording(sweep) else read_sweep(sweep)
+    if chunk is not None:
+        wanted = replace(wanted, chunk_s=chunk)
     if out is not None:
         wanted = replace(wanted, results=out)
     count = workers or os.cpu_count() or 1

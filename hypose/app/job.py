@@ -13,6 +13,7 @@ from typing import Any
 
 from hypose import compute
 from hypose.app.console import ProgressCall, ignore
+from hypose.app.pictures import Image
 from hypose.app.summary import DESCRIPTIONS
 from hypose.app.truth import Truth
 from hypose.body.body import Body
@@ -25,6 +26,9 @@ from hypose.io.provenance import identity, provenance
 from hypose.io.recording import Recording
 from hypose.io.results import ResultsFolder, load_motion, to_json
 from hypose.pipeline.anthropometry import load_subject, subject_file
+from hypose.pipeline.chunked import FOLDER as CHUNKS
+from hypose.pipeline.chunked import ChunkRun
+from hypose.pipeline.kept import kept_backgrounds
 from hypose.pipeline.monocular import MonoOptions
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.subject import SubjectOptions
@@ -35,7 +39,8 @@ from hypose.tracking.recipes import RECIPES, recipe
 class Job:
     """recording: its frame_range is what is tracked. results: where files go. formats: of hypose.io.export. overlay:
     write overlay.mp4. resume: go on from a checkpoint, or fill in what is missing of a complete run. threads: for the
-    record only. truth: compares the motion with a known truth, for synthetic recordings."""
+    record only. truth: compares the motion with a known truth, for synthetic recordings. chunk_s: track in overlapping
+    chunks of about so many seconds and join them; what is kept of them in `results` is used."""
 
     recording: Recording
     options: TrackOptions | MonoOptions
@@ -45,6 +50,7 @@ class Job:
     resume: bool = False
     run: Mapping[str, Any] = field(default_factory=dict)
     truth: Callable[[Motion, Body], Truth] | None = None
+    chunk_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -97,21 +103,10 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
     progress("compile", 1, 1)
     finished = finished_before(job, record) if job.resume else None
     progress("background", 0, 1)
-    # key points alone need no image, so nothing is decoded
-    evidence = FrameOptions(silhouettes=None) if options.evidence == "keypoints" else None
-    with FrameStream(recording, evidence) as source:
+    with open_frames(job, record) as source:
         progress("background", 1, 1)
         if finished is None:
-            tracked = track_source(
-                source,
-                recording.frame_rate,
-                options,
-                body=load_subject(options.subject) if options.subject is not None else None,
-                results=results,
-                record=record,
-                resume=job.resume,
-                progress=progress,
-            )
+            tracked = _track(job, options, source, record, progress)
             save_body(tracked.body, results.file("body.npz"))
             results.write_json("provenance.json", tracked.motion.provenance)
         else:
@@ -125,6 +120,44 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
         files += _draw(job, options, tracked, source, notes, truth, files, progress, seconds or {})
     remove_stale(results, files)
     return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth)
+
+
+def open_frames(job: Job, record: Mapping[str, Any]) -> FrameStream:
+    """The frames of a job's recording; with the backgrounds that its chunks have kept."""
+    # key points alone need no image, so nothing is decoded
+    evidence = FrameOptions(silhouettes=None) if job.options.evidence == "keypoints" else None
+    kept = kept_backgrounds(backgrounds_file(job), identity(record)) if job.chunk_s is not None else None
+    return FrameStream(job.recording, evidence, kept)
+
+
+def backgrounds_file(job: Job) -> Path:
+    """Where the backgrounds are kept for all chunks."""
+    return job.results.path / CHUNKS / "backgrounds.npz"
+
+
+def _track(
+    job: Job, options: TrackOptions, source: FrameStream, record: Mapping[str, Any], progress: ProgressCall
+) -> TrackResult:
+    if job.chunk_s is not None:
+        return chunk_run(job, options, source, record, job.chunk_s).whole(progress)
+    return track_source(
+        source,
+        job.recording.frame_rate,
+        options,
+        body=load_subject(options.subject) if options.subject is not None else None,
+        results=job.results,
+        record=record,
+        resume=job.resume,
+        progress=progress,
+    )
+
+
+def chunk_run(
+    job: Job, options: TrackOptions, source: FrameStream, record: Mapping[str, Any], chunk_s: float
+) -> ChunkRun:
+    """A job in chunks."""
+    body = load_subject(options.subject) if options.subject is not None else None
+    return ChunkRun(source, job.recording.frame_rate, options, chunk_s, job.results, record, body)
 
 
 def _check_choices(job: Job, options: TrackOptions) -> None:
@@ -161,6 +194,8 @@ def record_of(job: Job) -> dict[str, Any]:
         "frame_rate": recording.frame_rate,
         "views": [v.name for v in recording.views],
     }
+    if job.chunk_s is not None:
+        settings["chunk_s"] = job.chunk_s
     inputs = dict(recording.inputs)
     toml = recording.folder / "recording.toml"
     if toml.is_file():
@@ -204,41 +239,30 @@ def _draw(
     seconds: Mapping[str, float],
 ) -> list[Path]:
     """Overlay and report."""
-    from hypose.app.overlay import still_rows, write_overlay
-    from hypose.app.report import ReportInput, write_report
+    from hypose.app.drawing import draw
+    from hypose.app.overlay import write_overlay
+    from hypose.app.report import ReportInput
 
-    recording, motion, results = job.recording, tracked.motion, job.results
-    rows = still_rows(motion)
-    path = results.file("overlay.mp4")
-    stills = write_overlay(
-        path, recording, source, motion, tracked.body, stills=rows, video=job.overlay, progress=progress
+    recording, motion, body = job.recording, tracked.motion, tracked.body
+    made, _ = recipe(options.recipe, body, frame_rate=recording.frame_rate, refine=options.refine)
+    about = ReportInput(
+        title=recording.name,
+        motion=motion,
+        body=body,
+        rig=recording.rig,
+        notes=notes,
+        citation=made.citation,
+        seconds=dict(seconds),
+        truth=truth,
+        complete=tracked.complete,
+        recording=recording,
+        first_frame=recording.frames.start,
     )
-    out = [path] if job.overlay else []
-    report = results.file("report.html")
-    progress("report", 0, 1)
-    numbers = recording.frames
-    listed = [*files, *out, report]
-    made, _ = recipe(options.recipe, tracked.body, frame_rate=recording.frame_rate, refine=options.refine)
-    write_report(
-        report,
-        ReportInput(
-            title=recording.name,
-            motion=motion,
-            body=tracked.body,
-            rig=recording.rig,
-            stills=[(f"Frame {numbers[r]}", stills[r]) for r in rows],
-            files=[(p.name, DESCRIPTIONS.get(p.name, "")) for p in listed],
-            notes=notes,
-            citation=made.citation,
-            seconds=dict(seconds),
-            truth=truth,
-            complete=tracked.complete,
-            recording=recording,
-            first_frame=numbers.start,
-        ),
-    )
-    progress("report", 1, 1)
-    return [*out, report]
+
+    def overlay(path: Path, rows: Sequence[int]) -> Mapping[int, Image]:
+        return write_overlay(path, recording, source, motion, body, stills=rows, video=job.overlay, progress=progress)
+
+    return draw(job.results, about, overlay, files, video=job.overlay, progress=progress)
 
 
 def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:

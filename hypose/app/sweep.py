@@ -10,7 +10,7 @@ import hashlib
 import itertools
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from hypose.io.provenance import identity
 from hypose.io.recording import load_recording
 from hypose.io.recording_keys import check_keys, read_toml
 from hypose.io.results import ResultsFolder, to_json
+from hypose.pipeline.chunked import chunk_ranges
 from hypose.pipeline.run import TrackOptions
 
 _SWEEP_KEYS: dict[str, type | tuple[type, ...]] = {
@@ -32,6 +33,7 @@ _SWEEP_KEYS: dict[str, type | tuple[type, ...]] = {
     "formats": list,
     "overlay": bool,
     "retries": int,
+    "chunk_s": (int, float),
     "settings": dict,
     "set": list,
     "slurm": dict,
@@ -53,7 +55,8 @@ MAX_TASKS = 100_000
 @dataclass(frozen=True)
 class Sweep:
     """recordings: paths; sets: one mapping of settings each, with its name; results: the folder; formats, overlay: what
-    is written; retries: how often a task that failed by accident is begun again; slurm: options of the cluster."""
+    is written; retries: how often a task that failed by accident is begun again; slurm: options of the cluster;
+    chunk_s: longer recordings are tracked in chunks of about so many seconds."""
 
     recordings: tuple[Path, ...]
     sets: tuple[Mapping[str, Any], ...]
@@ -62,12 +65,14 @@ class Sweep:
     overlay: bool = False
     retries: int = 2
     slurm: Mapping[str, Any] = field(default_factory=dict)
+    chunk_s: float | None = None
 
 
 @dataclass(frozen=True)
 class Task:
     """One recording tracked with one set. key: see the module; recording: its name, path its folder; settings: of the
-    set; frames: how many; results: the folder; formats, overlay: what is written."""
+    set; frames: how many; results: the folder; formats, overlay: what is written; chunk_s, chunks: into how many chunks
+    of about how many seconds it is split (None, 0: it is not)."""
 
     key: str
     recording: str
@@ -78,6 +83,8 @@ class Task:
     results: str
     formats: tuple[str, ...]
     overlay: bool
+    chunk_s: float | None = None
+    chunks: int = 0
 
     @property
     def record(self) -> Path:
@@ -119,7 +126,21 @@ def read_sweep(path: Path) -> Sweep:
             f"{path}: {len(recordings)} recordings times {len(sets)} sets are more than {MAX_TASKS} tasks; split it."
         )
     results = path.parent / Path(table.get("results", f"{path.stem}-results")).expanduser()
-    return Sweep(recordings, sets, results, formats, table.get("overlay", False), retries, table.get("slurm", {}))
+    chunk_s = table.get("chunk_s")
+    return Sweep(
+        recordings, sets, results, formats, table.get("overlay", False), retries, table.get("slurm", {}), chunk_s
+    )
+
+
+def sweep_of(recording: Path) -> Sweep:
+    """A single recording with the usual settings, its results in results/batch in its folder."""
+    folder = recording if recording.is_dir() else recording.parent
+    return Sweep((recording,), ({"name": "default"},), folder / "results" / "batch")
+
+
+def is_recording(path: Path) -> bool:
+    """True for a folder with a recording, or its recording.toml."""
+    return path.name == "recording.toml" or (path / "recording.toml").is_file() or (path.is_dir() and is_project(path))
 
 
 def _texts(path: Path, key: str, value: Sequence[Any]) -> tuple[str, ...]:
@@ -138,7 +159,7 @@ def _recordings(path: Path, patterns: Sequence[str]) -> tuple[Path, ...]:
             continue
         base, parts = (Path(full.anchor), full.parts[1:]) if full.is_absolute() else (path.parent, full.parts)
         matches = sorted(base.glob("/".join(parts)))
-        matches = [m for m in matches if (m / "recording.toml").is_file() or (m.is_dir() and is_project(m))]
+        matches = [m for m in matches if m.is_dir() and is_recording(m)]
         if not matches:
             raise InputError(f"{path}: no recording matches {pattern!r}; a recording is a folder with recording.toml.")
         found |= dict.fromkeys(matches)
@@ -195,13 +216,15 @@ def _task(sweep: Sweep, path: Path, chosen: Mapping[str, Any]) -> Task:
     # which recording it is decides where the results lie, so it is part of who the task is
     draft = Task("", path.name, str(path), chosen["name"], settings, 0, "", sweep.formats, sweep.overlay)
     job = job_of(draft)
+    frames = len(job.recording.frames)
+    chunks = len(chunk_ranges(frames, job.recording.frame_rate, sweep.chunk_s)) if sweep.chunk_s is not None else 1
+    if chunks > 1:
+        draft = replace(draft, chunk_s=sweep.chunk_s, chunks=chunks)
+        job = replace(job, chunk_s=sweep.chunk_s)
     who = to_json({"recording": job.recording.name, **identity(record_of(job))})
     key = hashlib.sha256(who.encode()).hexdigest()[:16]
     folder = sweep.results / _plain(job.recording.name) / f"{_plain(chosen['name'])}-{key[:8]}"
-    frames = len(job.recording.frames)
-    return Task(
-        key, job.recording.name, str(path), chosen["name"], settings, frames, str(folder), sweep.formats, sweep.overlay
-    )
+    return replace(draft, key=key, recording=job.recording.name, frames=frames, results=str(folder))
 
 
 def _plain(name: str) -> str:
@@ -223,4 +246,5 @@ def job_of(task: Task) -> Job:
         overlay=task.overlay,
         resume=True,
         truth=compare_with(truth, recording.frames.start) if truth.is_file() else None,
+        chunk_s=task.chunk_s,
     )
