@@ -152,6 +152,7 @@ def config(studio: Studio, host: str, port: int) -> uvicorn.Config:
         ws_max_size=MAX_MESSAGE,
         ws_per_message_deflate=False,
         ws_max_queue=32,
+        ws_ping_timeout=60,  # a page on a busy machine may be silent for long
         timeout_graceful_shutdown=2,
     )
 

@@ -17,6 +17,8 @@ export const gesture: OpenScreen = (root) => {
   const counters = count("gesture", { live });
   const aborted = new AbortController();
   let trainer: Trainer | null = null;
+  // the session that was under way when the connection broke: the server lets it wait, this page goes on with it
+  let interrupted: string | null = null;
 
   const begin = (request: GestureRequest): void => {
     box.setAttribute("aria-busy", "true");
@@ -49,6 +51,11 @@ export const gesture: OpenScreen = (root) => {
       box.removeAttribute("aria-busy");
       toast(message.error, "error");
     } else if (message.t === "said") toast(message.text);
+    else if (message.t === "hello" && interrupted && message.session?.folder === interrupted) {
+      interrupted = null;
+      socket.send({ t: "command", command: "continue" });
+      if (take(live, message)) show();
+    }
     else if (take(live, message)) show();
     else if (message.t === "step") trainer?.takeStep(message);
     else trainer?.show();
@@ -57,7 +64,11 @@ export const gesture: OpenScreen = (root) => {
     "/ws/gesture",
     (message) => onMessage(message as GestureMessage),
     (picture) => trainer?.takePicture(readPicture(picture)),
-    (open) => (live.connected = open),
+    (open) => {
+      const goesOn = live.step !== null && !live.step.paused && live.ended === null;
+      if (!open && live.connected) interrupted = goesOn ? (live.session?.folder ?? null) : null;
+      live.connected = open;
+    },
   );
   return {
     close() {

@@ -26,7 +26,7 @@ export interface PlotOptions {
   chosen?: (index: number) => void;
 }
 
-const TURN_MS = 90;
+const TURN_MS = 160; // longer than from one click to the next of somebody who looks around
 const ROOM = 4; // values that find room beside a plot's title
 
 /** A plot of values over time with a cursor line that follows the frame shown, and the values there in its title. */
@@ -40,6 +40,7 @@ export class Plot {
   private at = 0;
   private page = 0;
   private turning = 0;
+  private asked = 0;
 
   constructor(
     private readonly times: Float64Array,
@@ -85,12 +86,16 @@ export class Plot {
     this.turnNow();
   }
 
-  /** To the page that the frame shown is on, a moment later: what moves with the hand must not wait for curves. */
+  /** To the page that the frame shown is on, once the hand rests: what moves with it must not wait for curves. Where
+   * frames take long, rest is longer too. */
   private turn(): void {
     const away = this.pageOf(this.at) !== this.page;
     this.line.hidden = away;
     clearTimeout(this.turning);
-    if (away) this.turning = window.setTimeout(() => this.turnNow(), TURN_MS);
+    const now = performance.now();
+    const wait = Math.max(TURN_MS, Math.min(4 * TURN_MS, 3 * (now - this.asked)));
+    this.asked = now;
+    if (away) this.turning = window.setTimeout(() => this.turnNow(), wait);
   }
 
   private turnNow(): void {

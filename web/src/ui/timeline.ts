@@ -10,6 +10,7 @@ export interface TimelineData {
 }
 
 const RULER = 16;
+const HOVER = 190; // px, as in view.css: measured at every move it would lay out the page each time
 
 /** The line of time of a result: a ruler, flagged stretches, a curve, and the frame that is shown, which can be dragged. */
 export class Timeline {
@@ -20,13 +21,18 @@ export class Timeline {
   private readonly hover = h("div", { class: "timeline-hover", hidden: true });
   private readonly stop: (() => void)[] = [];
   private row = -1;
+  private width = 1;
 
   constructor(
     private readonly data: TimelineData,
     private readonly chosen: (row: number) => void,
   ) {
     this.flagged = stretches(data.flags);
-    this.back = sharpCanvas("", (c, w, height) => this.draw(c, w, height));
+    this.back = sharpCanvas("", (c, w, height) => {
+      this.width = w;
+      this.draw(c, w, height);
+      this.moveCursor();
+    });
     this.element = h(
       "div",
       {
@@ -62,13 +68,18 @@ export class Timeline {
   show(row: number): void {
     if (row === this.row) return;
     this.row = row;
-    this.cursor.style.left = `${(100 * (row + 0.5)) / this.data.times.length}%`;
+    this.moveCursor();
     this.element.setAttribute("aria-valuenow", String(row));
     this.element.setAttribute("aria-valuetext", `frame ${row + 1} of ${this.data.times.length}`);
   }
 
   close(): void {
     for (const stop of this.stop) stop();
+  }
+
+  /** A transform, since it moves with every frame and must not lay out the page anew. */
+  private moveCursor(): void {
+    this.cursor.style.transform = `translateX(${(this.width * (this.row + 0.5)) / this.data.times.length}px)`;
   }
 
   private rowOf(event: PointerEvent): number {
@@ -78,6 +89,7 @@ export class Timeline {
   }
 
   private tell(event: PointerEvent): void {
+    const box = this.element.getBoundingClientRect();
     const row = this.rowOf(event);
     const flag = this.data.flags[row];
     const what = flag === LOST ? " · lost" : flag === EXTRAPOLATED ? " · extrapolated" : "";
@@ -85,10 +97,8 @@ export class Timeline {
     const fit = Number.isFinite(value) ? ` · overlap ${value.toFixed(2)}` : "";
     this.hover.textContent = `${clock(this.data.times[row] ?? 0)}${what}${fit}`;
     this.hover.hidden = false;
-    const box = this.element.getBoundingClientRect();
-    const x = event.clientX - box.left;
-    const half = this.hover.offsetWidth / 2;
-    this.hover.style.left = `${Math.min(box.width - half, Math.max(half, x))}px`;
+    const x = Math.min(box.width - HOVER / 2, Math.max(HOVER / 2, event.clientX - box.left));
+    this.hover.style.transform = `translateX(${x - HOVER / 2}px)`;
   }
 
   private draw(c: CanvasRenderingContext2D, w: number, height: number): void {

@@ -3,7 +3,7 @@ import {
   LineBasicMaterial, Matrix4, MeshBasicMaterial, MeshLambertMaterial, type Object3D, Quaternion, Skeleton, SkinnedMesh,
   SphereGeometry, Uint16BufferAttribute, Uint32BufferAttribute, Vector3,
 } from "three";
-import { LOST, side, type ViewData } from "../lib/bundle";
+import { LOST, side, type MeshData, type ViewData } from "../lib/bundle";
 import { colour } from "../ui/theme";
 import { Ellipsoids } from "./ellipsoids";
 
@@ -100,14 +100,10 @@ export class SkinnedBody {
     const mesh = data.fine;
     const rest = data.restJoints;
     if (!mesh || !rest) throw new Error("no body");
-    const geometry = new BufferGeometry();
-    geometry.setAttribute("position", new Float32BufferAttribute(mesh.vertices, 3));
-    geometry.setAttribute("skinIndex", new Uint16BufferAttribute(mesh.skinIndex, 4));
-    geometry.setAttribute("skinWeight", new Float32BufferAttribute(mesh.skinWeight, 4));
-    geometry.setIndex(new Uint32BufferAttribute(mesh.faces, 1));
-    geometry.computeVertexNormals();
     this.layShadow(data.header.floor);
-    for (const [bones, material] of [[this.bones, this.material], [this.flat, this.shade]] as const) {
+    // nobody sees the detail of a shadow
+    const low = data.coarse ?? mesh;
+    for (const [bones, material, one] of [[this.bones, this.material, mesh], [this.flat, this.shade, low]] as const) {
       const inverses: Matrix4[] = [];
       for (let j = 0; j < data.joints; j++) {
         const bone = new Bone();
@@ -115,7 +111,7 @@ export class SkinnedBody {
         bones.push(bone);
         inverses.push(new Matrix4().makeTranslation(-rest[3 * j]!, -rest[3 * j + 1]!, -rest[3 * j + 2]!));
       }
-      const skinned = new SkinnedMesh(geometry, material);
+      const skinned = new SkinnedMesh(geometryOf(one), material);
       skinned.bindMode = "detached";
       skinned.bind(new Skeleton(bones, inverses), new Matrix4());
       skinned.frustumCulled = false;
@@ -163,6 +159,16 @@ export class SkinnedBody {
     this.material.emissive.set(this.data.flags[row] === LOST ? colour("lost") : "#000000");
     this.material.emissiveIntensity = 0.35;
   }
+}
+
+function geometryOf(mesh: MeshData): BufferGeometry {
+  const geometry = new BufferGeometry();
+  geometry.setAttribute("position", new Float32BufferAttribute(mesh.vertices, 3));
+  geometry.setAttribute("skinIndex", new Uint16BufferAttribute(mesh.skinIndex, 4));
+  geometry.setAttribute("skinWeight", new Float32BufferAttribute(mesh.skinWeight, 4));
+  geometry.setIndex(new Uint32BufferAttribute(mesh.faces, 1));
+  geometry.computeVertexNormals();
+  return geometry;
 }
 
 /** How sure the joints of a result are, at one frame. */

@@ -7,8 +7,13 @@ import { drawnBySoftware } from "../lib/software";
 import { colour } from "../ui/theme";
 
 const FOV = 34;
-const SETTLE_MS = 900; // late enough not to be in the way of somebody who clicks on
+// Where the processor draws: pixels per CSS pixel while things move, fewer when frames take longer than SLOW_MS, more
+// again below FAST_MS, and SETTLED ones once all rests.
+const MOVING = [1, 0.75, 0.6] as const;
+const SLOW_MS = 48;
+const FAST_MS = 30;
 const SETTLED = 1.5;
+const SETTLE_MS = 600; // late enough not to be in the way of somebody who clicks on
 
 /** The 3D picture: floor, light, a camera to move around, and two layers, `over` seen through everything in `scene`. */
 export class Stage {
@@ -27,6 +32,9 @@ export class Stage {
   );
   private settle = 0;
   private ratio = 0;
+  private coarse = 0;
+  private drawn = 0;
+  private usual = FAST_MS;
 
   constructor(private readonly dirty: () => void) {
     const software = drawnBySoftware();
@@ -126,11 +134,24 @@ export class Stage {
   }
 
   draw(): void {
-    const wanted = this.software ? 1 : Math.min(2, window.devicePixelRatio);
-    this.drawAt(wanted);
-    if (!this.software) return;
+    if (!this.software) return this.drawAt(Math.min(2, window.devicePixelRatio));
+    this.drawAt(this.movingRatio());
     clearTimeout(this.settle);
     this.settle = window.setTimeout(() => this.drawAt(SETTLED), SETTLE_MS);
+  }
+
+  /** By the usual time from one frame to the next; what comes after a pause says nothing about that. */
+  private movingRatio(): number {
+    const now = performance.now();
+    const passed = now - this.drawn;
+    this.drawn = now;
+    if (passed > 400) return MOVING[this.coarse]!;
+    this.usual += 0.2 * (passed - this.usual);
+    const step = this.usual > SLOW_MS ? 1 : this.usual < FAST_MS ? -1 : 0;
+    const next = Math.min(MOVING.length - 1, Math.max(0, this.coarse + step));
+    if (next !== this.coarse) this.usual = (SLOW_MS + FAST_MS) / 2;
+    this.coarse = next;
+    return MOVING[next]!;
   }
 
   private drawAt(ratio: number): void {
