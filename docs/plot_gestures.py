@@ -1,6 +1,8 @@
-"""Draws the pictures of docs/gestures.md: what the simulated sensor delivers, and curves of recall over 1 - precision.
+"""Draws the pictures of docs/gestures.md and docs/benchmarks.md: what the simulated sensor delivers; curves of recall
+over 1 - precision; alpha, beta and the trees' balance; sessions.
 
-python docs/plot_gestures.py FILE.json [FILE.json ...]     (of `hypose bench gesture-table-3.1` or `-3.2`)
+python docs/plot_gestures.py [FILE.json ...]     (of `hypose bench gesture-table-3.1`, `-3.2`, `-3.3`, `gesture-sweeps`;
+                                                  without files: the sensor)
 """
 
 import argparse
@@ -45,8 +47,7 @@ def sensor():
     figure.savefig(IMAGES / "gestures-sensor.png", dpi=75)
 
 
-def curves(file):
-    document = json.loads(Path(file).read_text())
+def curves(document):
     data = document["settings"]["curves"]
     names = [g for g in GESTURES if any(k.endswith(f"/{g}") for k in data)]
     figure, axes = plt.subplots(2, 3, figsize=(9, 5.4), sharex=True, sharey=True)
@@ -66,17 +67,72 @@ def curves(file):
     handles, labels = axes.flat[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncol=3, fontsize=8, frameon=False)
     figure.tight_layout(rect=(0, 0.08, 1, 1))
-    which = "3.1" if any(k.startswith("clipped") for k in data) else "3.2"
-    figure.savefig(IMAGES / f"gestures-table-{which}.png", dpi=100)
+    figure.savefig(IMAGES / f"{document['name'].replace('gesture-', 'gestures-')}.png", dpi=100)
+
+
+def sweeps(document):
+    data, balance = document["settings"]["curves"], document["settings"]["balance"]
+    ap = {r["case"]: r["value"] for r in document["results"] if r["metric"] == "ap"}
+    figure, axes = plt.subplots(1, 3, figsize=(11, 3.6))
+    for axis, name, fixed in ((axes[0], "alpha", None), (axes[1], "beta", "alpha_300")):
+        chosen = {k: v for k, v in data.items() if k.startswith(name)}
+        chosen = {fixed: data[fixed], **chosen} if fixed else chosen
+        for shade, (key, points) in zip(np.linspace(0.25, 1, len(chosen)), chosen.items(), strict=True):
+            value = "0" if key == fixed else key.partition("_")[2]
+            points = np.array(points).reshape(-1, 2)
+            label = f"{name} {value} (AP {ap[key]:.2f})"
+            axis.step(*points.T, where="post", color=plt.get_cmap("Blues")(shade), lw=1.4, label=label)
+        axis.set(xlim=(0, 1), ylim=(0, 1.02), title=f"pause, {name}")
+        axis.set_xlabel("1 - precision")
+        axis.set_ylabel("recall")
+        axis.legend(fontsize=7, loc="lower right")
+    widest = len(balance["offline"]) // 2
+    colours = {"offline": "#d9822b", "alpha_50": "#9ecae1", "alpha_300": "#1f77b4"}
+    for k, (name, colour) in enumerate(colours.items()):
+        place = np.arange(-widest, widest + 1) + 0.27 * (k - 1)
+        label = name if name == "offline" else f"online, {name.replace('_', ' ')}"
+        axes[2].bar(place, balance[name], 0.27, color=colour, label=label)
+    axes[2].set(
+        xlabel="height of the left minus the right branch", ylabel="share of nodes", title="balance of the trees"
+    )
+    axes[2].legend(fontsize=7)
+    figure.tight_layout()
+    figure.savefig(IMAGES / "gestures-sweeps.png", dpi=90)
+
+
+def sessions(document):
+    rows = {(r["metric"], r["case"]): (r["value"], r["sd"] or 0.0) for r in document["results"]}
+    bars = {"ap_10px": (0.75, 0.82, 0.85), "ap_5cm": (0.85, 0.92, 0.95)}
+    published = {"interactive": (0.54, 0.78, 0.82), "offline": (0.34, 0.64, 0.87)}
+    figure, axes = plt.subplots(1, 2, figsize=(8, 3.4), sharey=True)
+    for axis, (metric, goal) in zip(axes, bars.items(), strict=True):
+        for method, colour in (("interactive", "#1f77b4"), ("offline", "#d9822b")):
+            cases = [f"{method}/{m}min" for m in (3, 6, 9)]
+            minutes = [rows["minutes", c][0] for c in cases]
+            values, spread = zip(*(rows[metric, c] for c in cases), strict=True)
+            axis.errorbar(minutes, values, spread, color=colour, marker="o", ms=4, capsize=3, label=method)
+            if metric == "ap_10px":
+                axis.plot((3, 6, 9), published[method], color=colour, ls=":", label=f"{method}, published")
+        axis.plot((3, 6, 9), goal, "_", color="black", ms=12, label="bar")
+        axis.set(title=metric.replace("ap_10px", "AP at 10 px").replace("ap_5cm", "AP at 5 cm"), ylim=(0.3, 1.02))
+        axis.set_xlabel("minutes, waiting included")
+        axis.grid(alpha=0.3)
+    axes[0].legend(fontsize=7, loc="lower right")
+    figure.tight_layout()
+    figure.savefig(IMAGES / "gestures-table-3.3.png", dpi=90)
 
 
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("files", nargs="*")
+    files = parser.parse_args().files
     IMAGES.mkdir(exist_ok=True)
-    sensor()
-    for file in parser.parse_args().files:
-        curves(file)
+    if not files:
+        sensor()
+    draw = {"gesture-sweeps": sweeps, "gesture-table-3.3": sessions}
+    for file in files:
+        document = json.loads(Path(file).read_text())
+        draw.get(document["name"], curves)(document)
 
 
 if __name__ == "__main__":

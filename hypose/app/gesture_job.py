@@ -21,7 +21,8 @@ from hypose.gestures.forest import Forest, ForestSettings, GrowingForest
 from hypose.gestures.localise import Found, LocaliseSettings, Scratch, localise
 from hypose.gestures.model import GestureModel
 from hypose.gestures.offline import OfflineSettings, collect, train
-from hypose.gestures.online import Learner, LearnSettings
+from hypose.gestures.online import Learner
+from hypose.gestures.pixels import LearnSettings
 from hypose.gestures.session import Command, Instruction, SessionSettings
 from hypose.gestures.trainer import Feedback, Trainer, half_way
 from hypose.pipeline.gesture_files import GestureRecording, SessionWriter, load_model

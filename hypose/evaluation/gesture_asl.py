@@ -14,8 +14,9 @@ from hypose.evaluation.gesture_metrics import Judged, judge
 from hypose.evaluation.gesture_scenes import CLUTTERED, GestureFrame, picture
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import LocaliseSettings
-from hypose.gestures.online import Example, Learner, LearnSettings, teach
+from hypose.gestures.online import Learner, teach
 from hypose.gestures.pictures import KINECT
+from hypose.gestures.pixels import Example, LearnSettings
 from hypose.io.depth import read_depth_png
 
 LETTERS = "abcdefghiklmnopqrstuvwxy"

@@ -33,7 +33,8 @@ from hypose.evaluation.gesture_poses import GESTURES
 from hypose.evaluation.gesture_scenes import GestureFrame, Stage
 from hypose.gestures.forest import Forest, ForestSettings
 from hypose.gestures.offline import OfflineSettings, Pool, collect, train
-from hypose.gestures.online import Example, Learner, teach
+from hypose.gestures.online import Learner, teach
+from hypose.gestures.pixels import Example
 
 PASSES = 4
 """Over the positive pictures; each pass takes half of the negative ones."""

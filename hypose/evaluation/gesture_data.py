@@ -19,8 +19,8 @@ from hypose.evaluation.gesture_scenes import (
     make_view,
     picture,
 )
-from hypose.gestures.online import Example
 from hypose.gestures.pictures import KINECT
+from hypose.gestures.pixels import Example
 
 TRAINED = tuple(range(12))
 """People in training pictures; three of them left-handed."""

@@ -18,8 +18,9 @@ from hypose.gestures.events import EventSettings, EventState, step
 from hypose.gestures.forest import Forest
 from hypose.gestures.localise import LocaliseSettings, Scratch, densities, localise, settle
 from hypose.gestures.offline import OfflineSettings, collect, train
-from hypose.gestures.online import Example, Learner
+from hypose.gestures.online import Learner
 from hypose.gestures.pictures import KINECT
+from hypose.gestures.pixels import Example
 from hypose.gestures.trainer import Trainer
 
 ROUNDS = 6

@@ -21,8 +21,9 @@ from hypose.evaluation.timing import best
 from hypose.gestures.forest import Forest, ForestSettings
 from hypose.gestures.localise import LocaliseSettings, Scratch, localise, pad
 from hypose.gestures.offline import OfflineSettings, Pool, collect, train
-from hypose.gestures.online import Example, Learner, LearnSettings, teach
+from hypose.gestures.online import Learner, teach
 from hypose.gestures.pictures import KINECT
+from hypose.gestures.pixels import Example, LearnSettings
 
 THOROUGH = LocaliseSettings(ScanPlan(first=0, coarse=0))
 

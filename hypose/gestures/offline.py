@@ -19,7 +19,7 @@ from hypose.compute.forests import TreeArraysOffline
 from hypose.errors import InputError
 from hypose.gestures.forest import Forest, ForestSettings
 from hypose.gestures.localise import pad
-from hypose.gestures.online import Example, Learner, LearnSettings
+from hypose.gestures.pixels import Chooser, Example, LearnSettings
 
 STEP_MM = 6
 """Offsets of offline tests are multiples of this: samples are kept as patches read at that spacing."""
@@ -59,13 +59,12 @@ def collect(
 ) -> Pool:
     """Samples of every example: N+ around the marked point, N- at random outside it or anywhere in a negative frame,
     and `around` in a ring around the place (0: as published)."""
-    # the same choice of pixels as in online learning
-    chooser = Learner.new(rng, ForestSettings(trees=1, reach_mm=reach_mm), LearnSettings(around=around))
+    chooser = Chooser(rng, LearnSettings(around=around))
     patches, labels, picture = [], [], None
     near = chooser.settings.look.plan.near_mm
     for e in examples:
         picture = pad(e.depth, e.lens, reach_mm, near, picture)
-        for rows, columns, label in chooser.choose(e, positives, negatives):
+        for (rows, columns), label in chooser.choose(e, positives, negatives):
             if len(rows):
                 patches.append(forests.cut_patches(picture, picture.cells(rows, columns), STEP_MM))
                 labels.append(np.full(len(rows), label, np.int8))

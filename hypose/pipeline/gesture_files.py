@@ -22,8 +22,8 @@ from hypose.compute.forests import Depth
 from hypose.errors import InputError
 from hypose.gestures import model as model_arrays
 from hypose.gestures.model import GestureModel
-from hypose.gestures.online import Example
 from hypose.gestures.pictures import Lens, millimetres
+from hypose.gestures.pixels import Example
 from hypose.io.depth import read_depth_png, write_millimetres_png
 from hypose.io.files import RecordingFolder, text_lines
 from hypose.io.results import _load_arrays, _write_archive, to_json
@@ -175,8 +175,9 @@ def _read_frames(folder: Path, gestures: int) -> list[RecordedFrame]:
             if number == len(lines):  # the line that was being written when the power went
                 break
             raise InputError(f"{path}, line {number}: {line!r} is no frame; it must be {','.join(_FRAMES)}.") from None
+        finite = all(math.isfinite(v) for v in (row.time, row.x, row.y))
         outside = Path(file).is_absolute() or ".." in Path(file).parts
-        if outside or phase not in PHASES or not 0 <= row.gesture <= gestures or not math.isfinite(row.time):
+        if outside or phase not in PHASES or not 0 <= row.gesture <= gestures or not finite:
             raise InputError(
                 f"{path}, line {number}: {line!r} is no frame; files lie in the folder, phases are {', '.join(PHASES)},"
                 f" gestures 0 to {gestures}."

@@ -12,7 +12,8 @@ from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import LocaliseSettings
 from hypose.gestures.model import GestureModel, from_arrays, to_arrays
 from hypose.gestures.offline import OfflineSettings, collect, train
-from hypose.gestures.online import Example, Learner, teach
+from hypose.gestures.online import Learner, teach
+from hypose.gestures.pixels import Example
 from hypose.pipeline.gesture_files import SessionWriter, export_model, load_model, read_recording, save_model
 
 from .toys import LENS, SHAPE, toy
