@@ -11,7 +11,7 @@ from hypose.errors import InputError
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import LocaliseSettings
 from hypose.gestures.model import GestureModel, from_arrays, to_arrays
-from hypose.gestures.offline import OfflineSettings, collect, train
+from hypose.gestures.offline import OfflineSettings, Pool, collect, train
 from hypose.gestures.online import Learner, teach
 from hypose.gestures.pixels import Example
 from hypose.pipeline.gesture_files import SessionWriter, export_model, load_model, read_recording, save_model
@@ -186,6 +186,21 @@ def test_offline_patches_read_what_scanning_reads():
             test, forest.left[t, :n].copy(), forest.seen[t, :n].copy(), np.zeros(n, np.uint8)
         )
         np.testing.assert_array_equal(kernels.patch_leaves(patches, tree, 150), walked[:, t])
+
+
+def test_thresholds_lie_where_the_samples_are():
+    # the two kinds differ only by what is 3 m or 5 m behind: nothing to a clipped tree, everything to another
+    rng = np.random.default_rng(3)
+    labels = (np.arange(400) % 2).astype(np.int8)
+    patches = np.zeros((400, 51, 51), np.int16)
+    patches[:, :20] = np.where(labels == 1, 3000, 5000)[:, None, None] + rng.integers(-200, 200, (400, 1, 1))
+    pool = Pool(patches, labels)
+    for clip, right in ((None, 1.0), (150, 0.5)):
+        settings = OfflineSettings(ForestSettings(trees=1, clip_mm=clip, deepest=4), per_class=200)
+        forest = train(pool, np.random.default_rng(0), settings)
+        leaves = forest.left[0, : forest.size[0]] < 0
+        purest = forest.seen[0, : forest.size[0]][leaves].max(1).sum() / forest.seen[0, 0].sum()
+        assert purest == pytest.approx(right, abs=0.1)
 
 
 def test_a_pool_without_a_gesture_is_refused():
