@@ -62,9 +62,9 @@ def multiview_speed(options: BenchOptions) -> BenchReport:
     processor time, decode_ratio and growth.
 
     decode_ratio CASE: processor time from video files to prepared evidence (masks, distances, outlines) over that of
-    decoding alone. decode_ratio CASE, poses: time by the clock from video files to poses over that of decoding alone,
-    both with one thread per camera. growth: time per frame with twice the particles, views, or frames, over that
-    without; peak_memory_growth_mib: how much higher the peak is after a clip of twice the length.
+    decoding alone. decode_ratio CASE, poses: time by the clock from video files to poses over that of decoding alone.
+    growth: time per frame with twice the particles, views, or frames, over that without; peak_memory_growth_mib: how
+    much higher the peak is after a clip of twice the length.
     With --data also the balancing clip, whose videos are 1080p.
     """
     seconds = 0.6 if options.quick else 4.0

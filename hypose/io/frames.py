@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import percentile_filter
 
 from hypose.cameras.camera import Camera, CameraRig
+from hypose.compute.selection import default_threads
 from hypose.errors import InputError
 from hypose.evidence.ahead import make_ahead
 from hypose.evidence.background import BackgroundModel, Image, from_frames, from_plates, from_recording
@@ -342,8 +343,10 @@ class FrameStream:
             if background is not None:
                 source.segment = make_segmenter(background, self.options.silhouettes)
             self._sources.append(source)
-        # one lane per camera: a view's frames are read in the order asked for
-        self._lanes = [ThreadPoolExecutor(1, thread_name_prefix=v.name) for v in r.views]
+        # each camera has its lane, so that its frames are read in the order asked for; cameras share one where there
+        # are fewer cores, for more threads than cores mostly wait for each other
+        pools = [ThreadPoolExecutor(1, thread_name_prefix=v.name) for v in r.views[: default_threads()]]
+        self._lanes = [pools[c % len(pools)] for c in range(len(r.views))]
 
     @property
     def notes(self) -> tuple[str, ...]:
