@@ -165,8 +165,8 @@ RECOVERY_REACH = 1.3
 def recover(body: Body, frame: PreparedFrame, pose: Array, options: SolveOptions) -> Array:
     """The best pose (D,) after a loss: the last pose carried to the hull and turned, and known poses; refined.
 
-    Only the space within RECOVERY_REACH of the last pose is looked at: with nobody there the pose stays, so that
-    another person in view is not taken for the one who left.
+    Only the space within RECOVERY_REACH of the last pose is looked at, and who is solved to stand further away was only
+    reached into: with nobody there the pose stays, so that another person in view is not taken for the one who left.
     """
     try:
         hull = hull_of(frame, np.stack([pose[:3] - RECOVERY_REACH, pose[:3] + RECOVERY_REACH]))
@@ -176,7 +176,8 @@ def recover(body: Body, frame: PreparedFrame, pose: Array, options: SolveOptions
     for base in (pose, known_pose(body, "standing"), known_pose(body, "a")):
         for heading in np.arange(8) * np.pi / 4:
             candidates.append(_centred(body, _turned(base, heading), hull))
-    return _best_refined(body, np.stack(candidates), frame, options).pose
+    found = _best_refined(body, np.stack(candidates), frame, options).pose
+    return found if np.linalg.norm(found[:3] - pose[:3]) <= RECOVERY_REACH else pose
 
 
 def hull_of(frame: PreparedFrame, bounds: Array | None = None) -> Hull:

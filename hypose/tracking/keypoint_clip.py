@@ -16,9 +16,11 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Keypoints
+from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.fitting import KeypointTerm, PointTerm, SolveOptions, fit_clip, fit_pose
 from hypose.geometry import Array
-from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_term
+from hypose.tracking.initialise import start_from_keypoints
+from hypose.tracking.keypoint_evidence import STRANGER_M, KeypointModel, keypoint_term, shows_somebody_else
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.smooth_motion import Smoothed, with_feet
 from hypose.tracking.smoothing import ClipSettings, acceleration_weight, bridged, in_windows, speed_weight
@@ -28,6 +30,16 @@ VELOCITY_GAIN = 0.8
 """Share of the last step that is expected again."""
 EXTRAPOLATE_S = 1.0
 """s without key points after which the person counts as lost, as for the tracker."""
+FASTEST, FARTHEST = 4.0, 1.3
+"""m/s, m: how much faster than expected, and how far, somebody may go on unseen and still be the same person."""
+SAME_SIZE = 0.1
+"""A lost person may be found anywhere when the limbs' lengths (median) differ from the body's by less than this."""
+_LIMBS = [
+    (f"{side}_{a}", f"{side}_{b}")
+    for side in ("left", "right")
+    for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
+]
+_LOOK_EVERY = 5  # frames; looking everywhere is dear
 LEAST_POINTS = 6
 """A frame with fewer points (in all views together) says nothing of the pose by itself."""
 _QUICK = SolveOptions(iterations=6, coarse_iterations=0, tolerance=3e-3)
@@ -47,7 +59,7 @@ def solve_keypoint_clip(
     """Poses (T, D) of a clip from its key points alone, and the rows they came from (None: no evidence).
 
     start (D,): pose in the first frame."""
-    first, terms = _one_by_one(body, model, keypoints, start)
+    first, terms = _one_by_one(body, model, keypoints, start, frame_rate)
     return _together(body, first, terms, frame_rate, settings or ClipSettings()), terms
 
 
@@ -66,7 +78,7 @@ def track_keypoint_clip(
     second), and their sd grows with the distance from the others. progress(done, total) is called after every frame of
     the first pass. An EvidenceError when fewer than two frames have so many points."""
     settings = settings or ClipSettings()
-    first, terms = _one_by_one(body, model, keypoints, start, progress)
+    first, terms = _one_by_one(body, model, keypoints, start, frame_rate, progress)
     seen = [np.zeros((1, 1), dtype=bool) if term is None else term.points[..., 2] > 0 for term in terms]
     known = np.array([points.any(0).sum() >= LEAST_POINTS for points in seen])
     if known.sum() < 2:
@@ -104,17 +116,29 @@ def _one_by_one(
     model: KeypointModel,
     keypoints: Sequence[Keypoints | None],
     start: Array,
+    frame_rate: float,
     progress: Report | None = None,
 ) -> tuple[Array, list[KeypointTerm | None]]:
-    """Each frame from the last one: poses (T, D), bridged where nothing is seen, and their rows."""
+    """Each frame from the last one: poses (T, D), bridged where nothing is seen, and their rows. Who is seen where the
+    person cannot have got to is not taken for them."""
     s = body.skeleton
     prior = (anatomical_prior(s),)
     poses, terms = np.empty((len(keypoints), s.dof)), []
     last, before = start, start
+    unseen = frame_rate * EXTRAPOLATE_S  # the start may be that of a frame within the first second
     for t, seen in enumerate(keypoints):
         expected = s.clamp(last + VELOCITY_GAIN * (last - s.on_branch(before, last)))
+        reach = min(STRANGER_M + FASTEST * unseen / frame_rate, FARTHEST)
+        if seen is not None and shows_somebody_else(seen, body, model, expected, reach):
+            lost = unseen > EXTRAPOLATE_S * frame_rate
+            found = _returned(body, model, seen) if lost and int(unseen) % _LOOK_EVERY == 0 else None
+            if found is None:
+                seen = None
+            else:
+                expected = last = found  # the way there is no velocity
         term = None if seen is None else keypoint_term(seen, body, model, expected)
         terms.append(term)
+        unseen = 0.0 if term is not None else unseen + 1
         poses[t] = expected  # unseen: ever less of the last velocity
         if term is not None:
             poses[t] = fit_pose(body, expected, keypoints=term, priors=prior, options=_QUICK).pose
@@ -122,6 +146,21 @@ def _one_by_one(
         if progress is not None:
             progress(t + 1, len(keypoints))
     return bridged(poses, np.array([t is not None for t in terms])), terms
+
+
+def _returned(body: Body, model: KeypointModel, seen: Keypoints) -> Array | None:
+    """The pose (D,) of a frame's person wherever they are, None when they are of another size than the body."""
+    points = triangulate_keypoints([seen])[0][0]
+    try:
+        known = model.known
+        pose = start_from_keypoints(body, points[known], model.joint[known], model.offset[known]).pose
+    except EvidenceError:  # too few points
+        return None
+    own = model.positions(body, pose)
+    pairs = [(model.names.index(a), model.names.index(b)) for a, b in _LIMBS if {a, b} <= set(model.names)]
+    ratio = [np.linalg.norm(points[a] - points[b]) / np.linalg.norm(own[a] - own[b]) for a, b in pairs]
+    ratio = [r for r in ratio if np.isfinite(r)]
+    return pose if len(ratio) >= 2 and abs(np.median(ratio) - 1) < SAME_SIZE else None
 
 
 def _together(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.evidence.frame import Keypoints
-from hypose.evidence.keypoints import landmark_of
+from hypose.evidence.keypoints import landmark_of, triangulate_keypoints
 from hypose.fitting.articulated import KeypointTerm
 from hypose.geometry import Array
 
@@ -99,6 +99,25 @@ def keypoint_term(
         scale_px,
         min_confidence=0.0,
     )
+
+
+def shows_somebody_else(keypoints: Keypoints, body: Body, model: KeypointModel, expected: Array, reach: float) -> bool:
+    """Whether the person seen stands further than `reach` (m) from the expected pose (D,): nobody gets there so fast.
+
+    Where two views agree with the expectation the others are `checked`'s matter. Judged by the median over the
+    triangulated points, or, of fewer than four, by the view with the larger median; nobody is nobody."""
+    points, expected_points = np.nan_to_num(keypoints.points), model.positions(body, expected)
+    uv = np.stack([camera.project_pinhole(expected_points) for camera in keypoints.rig])
+    seen = (points[..., 2] > MIN_CONFIDENCE) & model.known & np.isfinite(uv).all(-1)
+    size = pixels_per_metre(keypoints, expected[:3])
+    distance = np.linalg.norm(points[..., :2] - uv, axis=-1) / size[:, None]
+    middle = [float(np.median(d[s])) for d, s in zip(distance, seen, strict=True) if s.sum() >= 4]
+    if sum(m <= STRANGER_M for m in middle) >= 2:
+        return False
+    away = np.linalg.norm(triangulate_keypoints([keypoints])[0][0] - expected_points, axis=-1)[model.known]
+    if np.isfinite(away).sum() >= 4:
+        return float(np.nanmedian(away)) > reach
+    return max(middle, default=0.0) > reach
 
 
 def pixels_per_metre(keypoints: Keypoints, position_world: Array) -> Array:
