@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import json
 import math
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,6 +35,7 @@ PHASES = ("do_gesture", "positive", "release", "negative", "test", "free")
 _FRAMES = ["frame", "time", "file", "phase", "segment", "gesture", "x", "y"]
 MAX_FRAMES = 1_000_000
 MAX_GESTURES = 16
+_WAITING = 4
 
 
 def save_model(model: GestureModel, path: str | Path) -> None:
@@ -200,7 +203,10 @@ def _undone(path: Path) -> frozenset[int]:
 
 
 class SessionWriter:
-    """Records a session while it goes on; what was written so far can be read at any time."""
+    """Records a session while it goes on; what was written so far can be read at any time.
+
+    Pictures are packed and written by a thread of its own, in order and at most _WAITING behind, since that takes as
+    long as learning from them. What goes wrong there is raised by the next call."""
 
     def __init__(
         self,
@@ -226,6 +232,8 @@ class SessionWriter:
         self._frames = self._folder.table("frames.csv", _FRAMES)
         self._actions = self._folder.table("actions.csv", ["time", "action", "detail"])
         self._count = 0
+        self._thread = ThreadPoolExecutor(1, "session")
+        self._waiting: deque[Future[None]] = deque()
 
     def add(
         self,
@@ -238,13 +246,21 @@ class SessionWriter:
     ) -> None:
         """One picture (h, w) uint16 mm of a time (s), with what it was for."""
         file = f"depth/{self._count:06d}.png"
+        row = f"{self._count},{time:.6f},{file},{phase},{segment},{gesture},{float(at[0])!r},{float(at[1])!r}\n"
+        self._settle(_WAITING - 1)
+        self._waiting.append(self._thread.submit(self._write, file, depth.copy(), row))
+        self._count += 1
+
+    def _write(self, file: str, depth: Depth, row: str) -> None:
         write_millimetres_png(self.folder / file, depth)
         with self._folder.writing():
-            self._frames.write(
-                f"{self._count},{time:.6f},{file},{phase},{segment},{gesture},{float(at[0])!r},{float(at[1])!r}\n"
-            )
+            self._frames.write(row)
             self._frames.flush()
-        self._count += 1
+
+    def _settle(self, left: int) -> None:
+        """Wait until at most so many pictures are still to be written."""
+        while len(self._waiting) > left:
+            self._waiting.popleft().result()
 
     def act(self, time: float, action: str, detail: str = "") -> None:
         """Something the user did; "undo" with the number of the segment."""
@@ -253,9 +269,13 @@ class SessionWriter:
             self._actions.flush()
 
     def close(self) -> None:
-        """Close the files."""
-        self._frames.close()
-        self._actions.close()
+        """Write what waits, and close the files."""
+        try:
+            self._settle(0)
+        finally:
+            self._thread.shutdown()
+            self._frames.close()
+            self._actions.close()
 
 
 def export_model(model: GestureModel, folder: str | Path) -> list[Path]:

@@ -63,3 +63,43 @@ export async function walk(path, { at = "", expected, ...options } = {}) {
   await browser.close();
   if (failed) throw failed;
 }
+
+/** Value below which this share of a list lies. */
+export const quantile = (list, share) => [...list].sort((a, b) => a - b)[Math.floor(share * (list.length - 1))] ?? NaN;
+
+/** What this machine can do just now, to compare with: a page with nothing but an empty WebGL canvas of this size, which
+ * is cleared in every frame, and in another colour after every click. */
+export async function emptyScene(browser, width, height, clicks = 40) {
+  const page = await browser.newPage({ viewport: { width: 1280, height: 800 } });
+  await page.setContent(`<canvas width=${width} height=${height}></canvas>`);
+  await page.evaluate(() => {
+    const canvas = document.querySelector("canvas");
+    const gl = canvas.getContext("webgl2");
+    const seen = (window.seen = { frames: [], latency: [] });
+    let before = 0;
+    const draw = (now) => {
+      gl.clearColor(Math.random(), 0, 0, 1);
+      gl.clear(gl.COLOR_BUFFER_BIT);
+      if (before) seen.frames.push(now - before);
+      before = now;
+      requestAnimationFrame(draw);
+    };
+    requestAnimationFrame(draw);
+    // as the screens count it: until the frame after the one in which it was drawn
+    canvas.addEventListener("pointerdown", (event) =>
+      requestAnimationFrame(() => requestAnimationFrame(() => seen.latency.push(performance.now() - event.timeStamp))),
+    );
+  });
+  for (let i = 1; i <= clicks; i++) {
+    await page.mouse.click(50 + i, 50);
+    await page.waitForFunction((n) => window.seen.latency.length >= n, i);
+    await page.waitForTimeout(60);
+  }
+  const seen = await page.evaluate(() => window.seen);
+  await page.close();
+  return {
+    empty_frame_p50_ms: quantile(seen.frames, 0.5),
+    empty_click_p50_ms: quantile(seen.latency, 0.5),
+    empty_click_p95_ms: quantile(seen.latency, 0.95),
+  };
+}

@@ -7,12 +7,12 @@ import { walk } from "./harness.mjs";
 await walk(
   async ({ page, folder, picture }) => {
     const done = (kind) => page.locator(`.job[data-job=${kind}][data-state=done]`).first().waitFor({ timeout: 600_000 });
-    const videos = readdirSync(join(folder, "walk", "videos")).map((name) => join(folder, "walk", "videos", name));
+    const all = (kind) => readdirSync(join(folder, "walk", kind)).map((name) => join(folder, "walk", kind, name));
     const files = page.getByLabel("Videos and calibration");
 
     // what is missing is said
     await page.getByRole("heading", { name: "Set up a recording" }).waitFor();
-    await files.setInputFiles(videos);
+    await files.setInputFiles(all("videos"));
     await page.getByText("The calibration is missing").waitFor();
     assert.ok(await page.getByRole("button", { name: "Make the recording" }).isDisabled());
     await files.setInputFiles(join(folder, "walk", "recording.toml"));
@@ -20,6 +20,10 @@ await walk(
     await page.getByRole("button", { name: "Remove recording.toml" }).click();
     await files.setInputFiles(join(folder, "walk", "calibration.toml"));
     await page.getByText("calibration of cam1").waitFor();
+    // the empty room of every camera: files of the same names, whose use is chosen
+    await files.setInputFiles(all("background"));
+    await page.waitForFunction(() => document.querySelectorAll(".dropped-file select").length === 16);
+    for (let k = 4; k < 8; k++) await page.getByLabel("What it is").nth(k).selectOption("background");
     await page.getByLabel("Name of the recording").fill("mine");
     await picture("setup-dropped");
     await page.getByRole("button", { name: "Make the recording" }).click();
@@ -44,13 +48,23 @@ await walk(
     await page.getByRole("button", { name: "Use these settings" }).click();
     await page.getByText("made with these settings").waitFor();
 
-    // tracked, stopped, gone on with, and opened
+    // the person is measured
+    await page.getByRole("button", { name: "Next: Person" }).click();
+    await page.getByRole("button", { name: "Measure the person" }).click();
+    await done("subject");
+    await page.getByRole("rowheader", { name: "stature" }).waitFor();
+    await picture("setup-person");
+
+    // tracked while one watches, and opened
     await page.locator("[data-step=track]").click();
     await page.getByRole("button", { name: "Track", exact: true }).click();
     const card = page.locator(".job[data-job=track]").first();
     await card.waitFor();
+    await card.locator(".live-figure").waitFor();
     await picture("setup-tracking");
     await done("track");
+    await card.getByText(/^frame [1-8]$/).waitFor();
+    await picture("setup-tracked");
     await card.getByRole("link", { name: "Open in View" }).click();
     await page.waitForFunction(() => location.hash.startsWith("#/view/"));
     await page.locator(".where").waitFor();

@@ -3,13 +3,12 @@
 import assert from "node:assert/strict";
 import { readFile } from "node:fs/promises";
 import { join } from "node:path";
-import { walk } from "./harness.mjs";
+import { emptyScene, quantile as at, walk } from "./harness.mjs";
 
-const at = (list, share) => [...list].sort((a, b) => a - b)[Math.floor(share * (list.length - 1))] ?? NaN;
 const opened = (page) => page.waitForFunction(() => window.hypose && document.querySelector(".where")?.textContent);
 
 await walk(
-  async ({ page, folder, picture }) => {
+  async ({ page, browser, folder, picture }) => {
     page.setDefaultTimeout(200_000); // on a machine that is busy with other things
     const { results } = await (await fetch(new URL("api/state", process.env.STUDIO))).json();
     const result = (path) => results.find((r) => r.path.endsWith(path)).id;
@@ -95,8 +94,12 @@ await walk(
     assert.ok((await page.evaluate(() => window.hypose.row())) > row, "it plays");
     assert.ok(last.mb - first.mb < 6, `memory grows: ${first.mb} MB, then ${last.mb} MB`);
     assert.deepEqual([last.geometries, last.textures], [first.geometries, first.textures]);
+    await page.keyboard.press("Space");
+    const drawn = await page.locator(".space-canvas").boundingBox();
+    const empty = await emptyScene(browser, Math.round(drawn.width), Math.round(drawn.height));
     console.log(
       JSON.stringify({
+        ...empty,
         open_ms,
         click_p50_ms: at(clicks, 0.5),
         click_p95_ms: at(clicks, 0.95),

@@ -14,7 +14,7 @@ import { LiveFigure } from "./watch";
 const STEPS = ["check", "masks", "person", "track"] as const;
 type Step = (typeof STEPS)[number];
 const TITLES: Record<Step, string> = { check: "Check", masks: "Masks", person: "Person", track: "Track" };
-const STEP_OF: Partial<Record<Job["kind"], Step>> = { check: "check", refine: "check", silhouettes: "masks", subject: "person", track: "track" };
+const STEP_OF: Partial<Record<Job["kind"], Step>> = { check: "check", refine: "check", silhouettes: "masks", subject: "person", track: "track", correct: "track" };
 
 /** One recording: the steps from videos to motion, and the jobs that do them. */
 export class RecordingPage {
@@ -77,7 +77,7 @@ export class RecordingPage {
     if (!same || !this.side.children.length) {
       this.side.replaceChildren(h("h2", {}, "Jobs"), ...(elements.length ? elements : [h("p", { class: "dim" }, "What you begin at the left runs here; it goes on when the page is closed.")]));
     }
-    this.showFigure(jobs.find((j) => j.kind === "track" && active(j)));
+    this.showFigure(jobs.find((j) => (j.kind === "track" && active(j)) || j.id === this.figure?.id));
     this.drawNav();
   }
 

@@ -16,6 +16,9 @@ interface Dropped {
   camera: string;
 }
 
+/** Names that people give to pictures of a room without anybody in it. */
+const EMPTY_ROOM = /background|empty|plate|(^|[^a-z])bg([^a-z]|$)/i;
+
 /** Drop videos and their calibration, say which camera is which, and a recording is made of them. */
 export class NewRecordingForm {
   readonly element: HTMLElement;
@@ -66,7 +69,8 @@ export class NewRecordingForm {
       put<Upload>(`/api/uploads/${encodeURIComponent(file.name)}`, file, (share) => (one.bar.value = share))
         .then((upload) => {
           one.upload = upload;
-          one.role = upload.kind === "video" ? "video" : upload.kind === "image" ? "background" : "none";
+          const empty = upload.kind === "image" || (upload.kind === "video" && EMPTY_ROOM.test(upload.name));
+          one.role = empty ? "background" : upload.kind === "video" ? "video" : "none";
           this.guess();
         })
         .catch((error: Error) => (one.error = error.message))

@@ -32,7 +32,11 @@ export class LiveFigure {
   }
 
   show(job: Job): void {
+    const ended = active(this.job) && !active(job);
     this.job = job;
+    if (!ended) return;
+    clearTimeout(this.timer);
+    void this.ask();
   }
 
   close(): void {
@@ -45,6 +49,7 @@ export class LiveFigure {
   }
 
   private async ask(): Promise<void> {
+    clearTimeout(this.timer);
     const tracking = this.job.stages.some((s) => s.name === "track" && s.done > 0);
     if (tracking) {
       const answer = await fetch(address(`/api/jobs/${this.job.id}/view`)).catch(() => null);
