@@ -21,7 +21,8 @@ class Motion:
     points are known. joint_sd: (T, J) standard deviation of each joint's position per axis (root mean square over the
     axes), m; NaN where unknown. lost: (T,) the person was not found. extrapolated: (T,) no evidence, prediction only.
     n_views: (T,) number of views that carried evidence. cost: (T,) remaining cost of the method's own measure (NaN when
-    none). provenance: recipe, versions, seed, inputs' hashes: plain JSON values.
+    none). provenance: recipe, versions, seed, inputs' hashes: plain JSON values. doubtful: (T,) the evidence speaks
+    against itself (pictures that repeat or jump, views that disagree), or None: not looked at.
     """
 
     skeleton: Skeleton
@@ -34,6 +35,7 @@ class Motion:
     n_views: np.ndarray
     cost: Array
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    doubtful: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         t, j = len(self.times), len(self.skeleton.joint_names)
@@ -45,6 +47,8 @@ class Motion:
             "n_views": (t,),
             "cost": (t,),
         }
+        if self.doubtful is not None:
+            expected["doubtful"] = (t,)
         for name, shape in expected.items():
             if getattr(self, name).shape != shape:
                 raise InputError(

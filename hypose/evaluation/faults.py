@@ -161,7 +161,13 @@ def nan_keypoints(scene: Scene) -> Spoilt:
     return replace(_changed(scene, poison, "both"), expected=False)
 
 
+def no_fault(scene: Scene) -> Spoilt:
+    """Nothing is wrong: what is flagged here is a false alarm."""
+    return replace(_changed(scene, lambda f: f), expected=False)
+
+
 FAULTS: dict[str, Callable[[Scene], Spoilt]] = {
+    "none": no_fault,
     "camera-stops": camera_stops,
     "empty-masks": empty_masks,
     "full-masks": full_masks,
@@ -178,14 +184,16 @@ FAULTS: dict[str, Callable[[Scene], Spoilt]] = {
 class Aftermath:
     """before_mm, during_mm, after_mm: median joint errors before, in and in the last second after the fault;
     recovered_s from its end until the error (median over 0.4 s) stays within 1.5 times that of before + 20 mm (inf:
-    never); flagged: share of the fault's frames that the result flags; unflagged_wrong: share of the frames after it
-    that are not lost and beyond that limit; finite: no NaN or infinity in any pose."""
+    never); flagged: share of the fault's frames that the result flags; wrong: share of the frames from the fault's
+    begin to the end of the clip that are beyond that limit; unflagged_wrong: of those, what is not flagged (lost,
+    extrapolated, fewer views, doubtful); finite: no NaN or infinity in any pose."""
 
     before_mm: float
     during_mm: float
     after_mm: float
     recovered_s: float
     flagged: float
+    wrong: float
     unflagged_wrong: float
     finite: bool
 
@@ -212,6 +220,9 @@ def aftermath(scene: Scene, spoilt: Spoilt, subject: Subject, seed: int) -> Afte
     inside = slice(spoilt.first, spoilt.stop)
     full = int(motion.n_views[: spoilt.first].max(initial=0))
     flags = motion.lost | motion.extrapolated | (motion.n_views < full)
+    if motion.doubtful is not None:
+        flags |= motion.doubtful
+    wrong = error[spoilt.first :] > limit
     tail = error[-round(_RATE) :]
     return Aftermath(
         before,
@@ -219,7 +230,8 @@ def aftermath(scene: Scene, spoilt: Spoilt, subject: Subject, seed: int) -> Afte
         float(np.median(tail)),
         float(recovered),
         float(flags[inside].mean()),
-        float((~motion.lost[spoilt.stop :] & (after > limit)).mean()) if len(after) else 0.0,
+        float(wrong.mean()),
+        float((wrong & ~flags[spoilt.first :]).mean()),
         bool(motion.poses is not None and np.isfinite(motion.poses).all() and np.isfinite(motion.joints).all()),
     )
 
@@ -233,7 +245,8 @@ def _errors(scene: Scene, motion: Motion, truth: Array) -> Array:
 
 
 def faults(options: BenchOptions) -> BenchReport:
-    """Per fault: error before, during and after (mm), recovered_s, flagged_share, finite; medians over the seeds.
+    """Per fault: error before, during and after (mm), recovered_s, flagged_share, wrong, unflagged_wrong, finite;
+    medians over the seeds. The fault "none" tells how much is flagged, and wrong, when nothing happens.
 
     Scenes: walk, rig humaneva-4 at half size, 6 s, masks with level-1 corruption; the subject's height is given, the
     body is fitted to the scene without the fault. The fault begins at 1.6 s and lasts 2 s (a stopped camera: to the
@@ -260,6 +273,7 @@ def _rows(found: dict[str, list[Aftermath]]) -> list[Row]:
         ("error_after_mm", "mm", lambda a: a.after_mm),
         ("recovered_s", "s", lambda a: a.recovered_s),
         ("flagged_share", "1", lambda a: a.flagged),
+        ("wrong", "1", lambda a: a.wrong),
         ("unflagged_wrong", "1", lambda a: a.unflagged_wrong),
         ("finite", "1", lambda a: float(a.finite)),
     )

@@ -28,7 +28,7 @@ from hypose.geometry import Array
 
 _MAX_ARCHIVE_BYTES = 4 << 30
 _FORMAT = 1
-# name: (kinds of dtype, stored dtype, number of dimensions); poses may be absent
+# name: (kinds of dtype, stored dtype, number of dimensions); poses and doubtful may be absent
 _MOTION_ARRAYS: dict[str, tuple[str, str, int]] = {
     "times": ("f", "<f8", 1),
     "joints": ("f", "<f8", 3),
@@ -36,6 +36,7 @@ _MOTION_ARRAYS: dict[str, tuple[str, str, int]] = {
     "joint_sd": ("f", "<f8", 2),
     "lost": ("b", "|b1", 1),
     "extrapolated": ("b", "|b1", 1),
+    "doubtful": ("b", "|b1", 1),
     "n_views": ("i", "<i8", 1),
     "cost": ("f", "<f8", 1),
     "parents": ("i", "<i8", 1),
@@ -52,6 +53,7 @@ _MOTION_ARRAYS: dict[str, tuple[str, str, int]] = {
 }
 _SKELETON = ("parents", "rest_offsets", "ball", "axes", "joint_of_dof", "lower", "upper", "sigma")
 _SERIES = ("times", "joints", "joint_sd", "lost", "extrapolated", "n_views", "cost")
+_OPTIONAL = ("poses", "doubtful")
 
 
 # ---- atomic files ------------------------------------------------------------------------------------------
@@ -251,8 +253,7 @@ def save_motion(motion: Motion, path: str | Path) -> None:
     """
     arrays = {name: np.asarray(getattr(motion, name)) for name in _SERIES}
     arrays |= {name: np.asarray(getattr(motion.skeleton, name)) for name in _SKELETON}
-    if motion.poses is not None:
-        arrays["poses"] = motion.poses
+    arrays |= {name: a for name in _OPTIONAL if (a := getattr(motion, name)) is not None}
     arrays = {name: a.astype(_MOTION_ARRAYS[name][1]) for name, a in arrays.items()}
     arrays["joint_names"] = np.array(motion.skeleton.joint_names, dtype=np.str_)
     arrays["dof_names"] = np.array(motion.skeleton.dof_names, dtype=np.str_)
@@ -277,7 +278,7 @@ def load_motion(path: str | Path) -> Motion:
         kinds, stored, ndim = _MOTION_ARRAYS[name]
         if array.dtype.kind not in kinds or (stored and array.dtype != np.dtype(stored)) or array.ndim != ndim:
             raise bad(f"{name} is {array.dtype} with {array.ndim} dimensions")
-    missing = [n for n in _MOTION_ARRAYS if n not in arrays and n != "poses"]
+    missing = [n for n in _MOTION_ARRAYS if n not in arrays and n not in _OPTIONAL]
     if missing:
         raise bad(f"{', '.join(missing)} is missing")
     for name in (*_SKELETON, "times"):
@@ -312,7 +313,7 @@ def load_motion(path: str | Path) -> Motion:
             raise bad("joint_of_dof names joints that do not exist")
         return Motion(
             skeleton=skeleton,
-            poses=arrays.get("poses"),
+            **{name: arrays.get(name) for name in _OPTIONAL},
             provenance=provenance,
             **{name: arrays[name] for name in _SERIES},
         )

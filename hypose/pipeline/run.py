@@ -14,6 +14,7 @@ from hypose.body.motion import Motion
 from hypose.errors import HyposeError, InputError
 from hypose.io.provenance import identity
 from hypose.io.results import ResultsFolder, save_motion
+from hypose.pipeline.doubts import with_doubts
 from hypose.pipeline.kept import SUBJECT, keep_subject, kept_subject
 from hypose.pipeline.keypoint_track import track_keypoints
 from hypose.pipeline.subject import Subject, SubjectOptions, find_subject
@@ -148,7 +149,8 @@ def finish(
         smoothed = smooth_motion(subject.body, motion, np.stack([e.uncertainty.information for e in done.estimates]))
         motion, notes = smoothed.motion, (*notes, *smoothed.notes)
         progress("smooth", 1, 1)
-    return _written(TrackResult(motion, subject.body, done.complete, notes), results)
+    motion, doubts = with_doubts(motion, [e.seen for e in done.estimates])
+    return _written(TrackResult(motion, subject.body, done.complete, (*notes, *doubts)), results)
 
 
 def _written(result: TrackResult, results: ResultsFolder | None) -> TrackResult:

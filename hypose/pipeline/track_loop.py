@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,6 +13,7 @@ from hypose.evidence.ahead import look_ahead
 from hypose.evidence.frame import Frame
 from hypose.io.results import Checkpoint
 from hypose.pipeline.colour_detections import tracked_frames
+from hypose.pipeline.doubts import what_was_seen
 from hypose.pipeline.subject import Subject
 from hypose.tracking.tracker import (
     FrameEstimate,
@@ -81,11 +82,14 @@ def track_frames(
     error: HyposeError | None = None
     try:
         rest = frames[saved:]
+        last = source.frame(rest[0] - 1) if rest and rest[0] > 0 else None
         with contextlib.closing(look_ahead(tracked_frames(source, rest, tracker.recipe.name, subject))) as coming:
             for done in range(saved, total):
                 progress("track", done, total)
-                state, estimate = tracker.step(state, next(coming))
-                estimates.append(estimate)
+                frame = next(coming)
+                state, estimate = tracker.step(state, frame)
+                estimates.append(replace(estimate, seen=what_was_seen(tracker.body, estimate.pose, frame, last)))
+                last = frame
                 # all frames are written every time, so ever fewer times: the work of an hour of film stays linear
                 if keep is not None and done + 1 - saved >= max(keep.every, saved // 20) and done + 1 < total:
                     _save(keep, Tracked(frames, estimates, state))

@@ -7,7 +7,7 @@ saved, and resumed with the same numbers.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -66,7 +66,9 @@ class TrackerSettings:
 
 @dataclass(frozen=True)
 class FrameEstimate:
-    """pose (D,), its uncertainty, cost: 1 - mean IoU (NaN without silhouettes), flags, number of views."""
+    """pose (D,), its uncertainty, cost: 1 - mean IoU (NaN without silhouettes), flags, number of views. seen (C, 2): of
+    each view's mask the overlap (IoU) with the body, and how far it differs from the mask of the frame before (XOR over
+    the larger area); NaN where not known, (0, 2) when not looked at."""
 
     pose: Array
     uncertainty: PoseUncertainty
@@ -74,6 +76,7 @@ class FrameEstimate:
     lost: bool
     extrapolated: bool
     n_views: int
+    seen: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 2), np.float32))
 
     @property
     def joint_sd(self) -> Array:
@@ -296,20 +299,22 @@ def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray
         "costs": np.array([e.cost for e in estimates]),
         "flags": np.array([[e.lost, e.extrapolated] for e in estimates]),
         "views": np.array([e.n_views for e in estimates]),
+        "seen": np.stack([e.seen for e in estimates]),
     }
 
 
 def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimate]:
     """The estimates that `estimates_to_arrays` wrote."""
     return [
-        FrameEstimate(pose, PoseUncertainty(sd, known), float(cost), bool(flags[0]), bool(flags[1]), int(views))
-        for pose, sd, known, cost, flags, views in zip(
+        FrameEstimate(pose, PoseUncertainty(sd, known), float(cost), bool(flags[0]), bool(flags[1]), int(views), seen)
+        for pose, sd, known, cost, flags, views, seen in zip(
             arrays["poses"],
             arrays["joint_sds"],
             arrays["information"],
             arrays["costs"],
             arrays["flags"],
             arrays["views"],
+            arrays["seen"],
             strict=True,
         )
     ]
