@@ -128,7 +128,7 @@ def _local(values: Array, frame_rate: float) -> Array:
 def _during(at: NDArray[np.bool_], frame_rate: float) -> NDArray[np.bool_]:
     """From the first to the last of events that lie close together, and a little after: tracking has to catch up."""
     gap = max(1, round(_AFTER_S * frame_rate))
-    closed = binary_closing(np.pad(at, gap), np.ones(gap + 1))[gap:-gap] | at
+    closed = np.asarray(binary_closing(np.pad(at, gap), np.ones(gap + 1))[gap:-gap], dtype=bool) | at
     return np.convolve(closed, np.ones(gap + 1))[: len(at)] > 0
 
 
