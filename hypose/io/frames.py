@@ -350,9 +350,10 @@ class FrameStream:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences about doubtful backgrounds, with the view's name."""
+        """Sentences with the view's name about doubtful backgrounds, and frames that could not be read so far."""
         named = zip(self.recording.views, self.backgrounds, strict=False)
-        return tuple(f"View {v.name}: {b.note}" for v, b in named if b is not None and b.note)
+        doubtful = [f"View {v.name}: {b.note}" for v, b in named if b is not None and b.note]
+        return (*doubtful, *(f"View {s.view.name} {s.note}" for s in self._sources if s.note))
 
     def __len__(self) -> int:
         return len(self.frames)

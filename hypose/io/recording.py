@@ -40,9 +40,12 @@ from hypose.io.recording_keys import (
     silhouette_options,
 )
 from hypose.io.results import atomic_path
-from hypose.io.video import frame_size, open_video
+from hypose.io.video import check_numbers, frame_size, open_video
 
 _UP = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
+
+SIDECAR = "hypose-masks.json"
+"""lies beside masks that are undistorted already, which are found by their frames' numbers"""
 
 
 @dataclass(frozen=True)
@@ -383,6 +386,8 @@ def _look(view: View) -> list[_Clip]:
     for path in (view.source, view.masks):
         if path is None:
             continue
+        if path.is_dir() and not (path / SIDECAR).is_file():
+            check_numbers(path)
         with open_video(path) as reader:
             out.append(_Clip(path, reader.size, reader.n_frames, reader.stated_frames, reader.frame_rate))
     return out

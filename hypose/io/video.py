@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -76,6 +77,29 @@ def list_images(folder: Path) -> list[Path]:
     return sorted((p for p in found if p.is_file()), key=lambda p: natural_key(p.name))
 
 
+def check_numbers(folder: Path) -> None:
+    """An InputError when pictures are missing in a numbered sequence: all later ones would be shifted in time.
+
+    Names that differ in more than one number are no sequence, and a sequence may count in steps."""
+    images = list_images(folder)
+    parts = [re.split(r"(\d+)(?=\D*$)", p.name) for p in images]
+    if len(images) < 3 or any(len(q) != 3 for q in parts) or len({(q[0], q[2]) for q in parts}) > 1:
+        return
+    numbers = np.array([int(q[1]) for q in parts])
+    steps = np.diff(numbers)
+    usual = int(np.median(steps))
+    if usual < 1 or (steps == usual).all():
+        return
+    missing = sorted(set(range(int(numbers[0]), int(numbers[-1]), usual)) - set(numbers.tolist()))
+    if not missing:
+        return  # the step changes: nobody knows what is missing
+    named = ", ".join(str(n) for n in missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
+    raise InputError(
+        f"The image sequence {folder} lacks number {named} ({images[0].name} to {images[-1].name}): all later images "
+        "would be shifted against the other cameras; put them back, or copies of others, or leave this view out."
+    )
+
+
 class VideoReader:
     """Frames of a video file, of a folder of images, or of one image: BGR uint8 (h, w, 3).
 
@@ -114,6 +138,11 @@ class VideoReader:
             self.n_frames = count_frames(path)
             self._first = np.asarray(first, dtype=np.uint8)
         self.size: tuple[int, int] = (int(first.shape[1]), int(first.shape[0]))
+
+    @property
+    def is_sequence(self) -> bool:
+        """Images, each in a file of its own."""
+        return self._images is not None
 
     @property
     def truncated(self) -> bool:

@@ -14,11 +14,8 @@ from hypose.compute.images import Box, Lens, make_lens, shrink_undistort
 from hypose.errors import InputError
 from hypose.evidence.background import Image
 from hypose.evidence.silhouettes import Mask, Segmenter, as_mask, bounding_box
-from hypose.io.recording import View
+from hypose.io.recording import SIDECAR, View
 from hypose.io.video import VideoReader, list_images, open_video, read_image
-
-SIDECAR = "hypose-masks.json"
-"""lies beside masks that are undistorted already"""
 
 
 class Preparer:
@@ -95,6 +92,7 @@ class ViewSource:
         self._reader: VideoReader | None = None
         self.segment: Segmenter | None = None
         self._broken: tuple[int, str] | None = None
+        self._problems: dict[int, str] = {}  # why there is no mask, by frame
 
     def image(self, frame: int) -> Image:
         """The undistorted working-size image."""
@@ -123,9 +121,23 @@ class ViewSource:
                 box = found or (0, 0, 0, 0)
             return self.segment(self._prepare(image, box), band, box), ""
         except InputError as problem:
-            if self._masks is None:  # a damaged video stays damaged: do not decode it from its start again and again
+            self._problems[frame] = str(problem)
+            # a damaged video stays damaged: do not decode it from its start again and again
+            if self._masks is None and not (self._reader is not None and self._reader.is_sequence):
                 self._broken = (frame, str(problem))
             return None, f"{self.view.name}, frame {frame}: {problem}"
+
+    @property
+    def note(self) -> str:
+        """What could not be read so far, "" when nothing."""
+        problems = dict(self._problems)  # another thread may be reading
+        if not problems:
+            return ""
+        first = min(problems)
+        if self._broken is not None:
+            return f"has no mask from frame {first} on: {problems[first]}"
+        which = "frame" if len(problems) == 1 else f"{len(problems)} frames, the first of them"
+        return f"has no mask in {which} {first}: {problems[first]}"
 
     def close(self) -> None:
         """Release the files."""

@@ -1,6 +1,7 @@
 """The frame stream on a small film of four views, and on the real recordings when they are there."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import cv2
@@ -111,6 +112,17 @@ def test_views_that_fail_are_left_out_with_a_reason(film, tmp_path):
     ]
     assert "c, frame 6" in frames[6].silhouettes.reasons[2]
     assert "b, frame 10" in frames[10].silhouettes.reasons[1] and "damaged" in frames[10].silhouettes.reasons[1]
+
+
+def test_one_damaged_image_costs_one_frame_and_is_named(film, tmp_path):
+    recording, _ = film
+    spoilt = shutil.copytree(recording.views[1].images, tmp_path / "spoilt")
+    (spoilt / "0005.png").write_bytes(b"cut off")
+    views = (recording.views[0], replace(recording.views[1], images=spoilt), recording.views[2])
+    with FrameStream(replace(recording, views=views), OPTIONS) as stream:
+        usable = [f.silhouettes.usable.tolist() for f in stream]
+        assert any("View b has no mask in frame 5" in n and "0005.png" in n for n in stream.notes)
+    assert [u[1] for u in usable] == [n != 5 for n in range(COUNT)]
 
 
 def test_masks_written_are_read_back_exactly(film, tmp_path):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.io.video import VideoWriter, count_frames, frame_size, open_video, read_image
+from hypose.io.video import VideoWriter, check_numbers, count_frames, frame_size, open_video, read_image
 from tests.io.recordings import SIZE, frame, frame_number, make_video
 
 
@@ -66,6 +66,30 @@ def test_a_folder_of_images_behaves_like_a_video(tmp_path):
     reader = open_video(tmp_path)
     with pytest.raises(InputError, match=r"f5\.png is 32 x 32 px, the first image of its folder is 64 x 48 px"):
         list(reader)
+
+
+@pytest.mark.parametrize(
+    ("names", "lacking"),
+    [
+        (["f0001", "f0002", "f0004", "f0005"], "lacks number 3 "),
+        (["10", "20", "30", "60", "70", "80"], "lacks number 40, 50 "),
+        (["0", "1", "2", *(str(n) for n in range(10, 30))], "3, 4, 5, 6, 7 and 2 more"),
+    ],
+)
+def test_a_gap_in_an_image_sequence_is_named(tmp_path, names, lacking):
+    for name in names:
+        (tmp_path / f"{name}.png").touch()
+    with pytest.raises(InputError, match=lacking):
+        check_numbers(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "names", [["a1", "a2", "a3"], ["5", "10", "15"], ["a1", "b3", "a2"], ["x", "y", "z"], ["1", "5"]]
+)
+def test_sequences_without_a_gap(tmp_path, names):
+    for name in names:
+        (tmp_path / f"{name}.png").touch()
+    check_numbers(tmp_path)
 
 
 def test_damaged_image(tmp_path):
