@@ -227,6 +227,16 @@ def test_sessions_are_recorded_and_read_again(tmp_path):
         list(back.examples("square"))
 
 
+def test_a_picture_that_cannot_be_written_is_told_by_the_next_call(tmp_path):
+    writer = SessionWriter(tmp_path / "s", ["disc"], LENS, (SHAPE[1], SHAPE[0]))
+    (tmp_path / "s" / "depth").rmdir()
+    (tmp_path / "s" / "depth").write_text("in the way")
+    writer.add(0.0, toy_examples(1, 1)[0].depth)
+    with pytest.raises(InputError, match="cannot be written"):
+        writer.close()
+    assert not read_recording(tmp_path / "s").frames
+
+
 def test_retraining_offline_gives_the_forest_of_the_session(tmp_path):
     writer = SessionWriter(tmp_path / "s", ["disc"], LENS, (SHAPE[1], SHAPE[0]))
     live = learner(3)

@@ -6,7 +6,8 @@ import { walk } from "./harness.mjs";
 
 await walk(
   async ({ page, folder, picture }) => {
-    const done = (kind) => page.locator(`.job[data-job=${kind}][data-state=done]`).first().waitFor({ timeout: 600_000 });
+    page.setDefaultTimeout(300_000); // on a machine that is busy with other things
+    const done = (kind) => page.locator(`.job[data-job=${kind}][data-state=done]`).first().waitFor({ timeout: 1_200_000 });
     const all = (kind) => readdirSync(join(folder, "walk", kind)).map((name) => join(folder, "walk", kind, name));
     const files = page.getByLabel("Videos and calibration");
 
@@ -37,7 +38,7 @@ await walk(
 
     // masks follow the sliders, and are kept
     await page.getByRole("button", { name: "Next: Masks" }).click();
-    const loaded = () => page.waitForFunction(() => [...document.querySelectorAll(".mask-pictures img")].every((i) => i.complete && i.naturalWidth > 0), undefined, { timeout: 120_000 });
+    const loaded = () => page.waitForFunction(() => [...document.querySelectorAll(".mask-pictures img")].every((i) => i.complete && i.naturalWidth > 0));
     await loaded();
     const pictures = () => page.evaluate(() => window.__app.pictures);
     const before = await pictures();

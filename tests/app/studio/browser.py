@@ -29,7 +29,7 @@ def chromium():
     pytest.skip("no Chromium found (Debian, Ubuntu: apt install chromium), so the page itself is NOT tested")
 
 
-def go(path, address, folder, pictures, timeout=400):
+def go(path, address, folder, pictures, timeout=1800):
     """Go a path of web/tests; what the browser said is in the failure."""
     program, builder = chromium(), build()
     if not (WEB / "node_modules" / "playwright-core").is_dir():

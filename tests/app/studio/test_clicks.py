@@ -5,8 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.clicks import _for_one_camera
 from hypose.app.studio.job_kinds import plan
+from hypose.app.view_bundle import read_bundle
 from hypose.errors import InputError
 from hypose.io.recording import load_recording
 from hypose.pipeline.mono_start import clicked_pixels, load_clicks
@@ -46,8 +48,6 @@ def test_hidden_joints_are_left_out_where_enough_are_seen(tiny):
 
 
 def test_a_job_takes_saved_clicks_by_name(tmp_path):
-    from hypose.app.studio.catalog import Catalog
-
     folder = tmp_path / "walk"
     (folder / "starts").mkdir(parents=True)
     (folder / "recording.toml").write_text("")
@@ -63,3 +63,45 @@ def test_a_job_takes_saved_clicks_by_name(tmp_path):
         request["options"]["start"] = f"clicks:{name}"
         with pytest.raises(InputError, match="save them first"):
             plan("track", request, catalog)
+
+
+def test_the_body_that_is_fitted_comes_as_a_block_of_one_frame(studio):
+    state = studio.get("/api/state")
+    recording, result = state["recordings"][0]["id"], state["results"][0]["id"]
+
+    def height(query):
+        _, arrays = read_bundle(studio.ask(f"/api/click-body?{query}")[2])
+        assert arrays["rotations"].shape == (1, 19, 4) and np.isfinite(arrays["rotations"]).all()
+        return float(np.ptp(arrays["fine_vertices"][:, 2]))
+
+    usual, tall = height(f"recording={recording}"), height(f"recording={recording}&height=1.95")
+    assert tall == pytest.approx(1.95, abs=0.03) and abs(usual - tall) > 0.05
+    assert height(f"recording={recording}&result={result}") == pytest.approx(
+        height(f"recording={recording}&result={result}&height=1.95")
+    ), "a person who was measured keeps their height"
+    for query in ("", f"recording={recording}&height=tall", f"recording={recording}&height=9", "recording=../x"):
+        assert studio.ask(f"/api/click-body?{query}")[0] in (400, 404)
+
+
+def test_a_correction_is_a_result_of_its_own(folder):
+    catalog = Catalog(folder)
+    (result,) = catalog.items("result")
+    starts = folder / "walk" / "starts"
+    starts.mkdir()
+    (starts / "arm.json").write_text(json.dumps({"format": "hypose-clicks", "frame": 3, "pose": [0.0] * 36}))
+    request = {"result": result.id, "options": {"start": "clicks:arm", "until": 6}}
+    made = plan("correct", request, catalog)
+    results = folder / "walk" / "results"
+    assert made.arguments == (
+        *("correct", str(results / "default"), str(starts / "arm.json"), "--until", "6"),
+        *("--out", str(results / "default-corrected")),
+    )
+    assert made.result == catalog.id_of("result", results / "default-corrected") and "frame 3" in made.title
+    (results / "default").rename(
+        results / "default-corrected"
+    )  # corrected once more, it is no default-corrected-corrected
+    again = {**request, "result": catalog.id_of("result", results / "default-corrected")}
+    assert plan("correct", again, catalog).arguments[-1].endswith("default-corrected-2")
+    for start in (None, "default", "clicks:none", "clicks:../arm"):
+        with pytest.raises(InputError):
+            plan("correct", {**again, "options": {"start": start} if start else {}}, catalog)

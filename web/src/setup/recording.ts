@@ -161,5 +161,8 @@ function firstStep(recording: Recording): Step {
 }
 
 function facts(r: Recording): string {
-  return r.problem ? r.path : `${r.path} · ${r.views.length} ${r.views.length === 1 ? "camera" : "cameras"} · ${r.frames} frames · ${Number(r.frame_rate.toFixed(2))} frames/s`;
+  const where = r.path === r.name ? [] : [r.path];
+  if (r.problem) return where.join();
+  const views = `${r.views.length} ${r.views.length === 1 ? "camera" : "cameras"}`;
+  return [...where, views, `${r.frames} frames`, `${Number(r.frame_rate.toFixed(2))} frames/s`].join(" · ");
 }

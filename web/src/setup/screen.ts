@@ -101,7 +101,7 @@ class Home {
         "a",
         { class: "recording-row", href: `#/setup/${r.id}` },
         icon("camera"),
-        h("span", { class: "grow" }, h("b", {}, r.name), h("span", { class: "dim" }, r.path)),
+        h("span", { class: "grow" }, h("b", {}, r.name), r.path === r.name ? null : h("span", { class: "dim" }, r.path)),
         h("span", { class: "dim" }, r.results.length ? `${r.results.length} ${r.results.length === 1 ? "result" : "results"}` : "not tracked yet"),
       ),
     );

@@ -184,7 +184,7 @@ function quality(data: ViewData): Panel[] {
       const columns = data.header.joint_names.flatMap((n, j) => (which.test(n) ? [j] : []));
       return { label, colour: tone, values: mean(data.sd, columns, joints) };
     });
-    panels.push({ title: "Standard deviation", unit: "mm", range: [0, 1], series });
+    panels.push({ title: "Joint sd", unit: "mm", range: [0, 1], series });
   }
   const names = data.header.truth?.names ?? [];
   if (data.truthDistances) {
