@@ -13,6 +13,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.patches import Patch
 
 from hypose.app.plots import STYLE
 from hypose.errors import InputError
@@ -61,6 +62,9 @@ def plot_report(report: Mapping[str, Any], path: Path) -> None:
     panels = [(m, chosen) for m in known.metrics if (chosen := [r for r in rows if r["metric"] == m])]
     if not panels:
         raise InputError(f"The benchmark {report['name']} gave no figures that can be drawn; leave out --plot.")
+    places = [grouped([r["case"] for r in chosen], known.plain) for _, chosen in panels]
+    names = dict.fromkeys(series for found in places for series, _ in found.values())
+    colours = {name: f"C{k % 10}" for k, name in enumerate(names)}
     columns = min(2, len(panels))
     lines = -(-len(panels) // columns)
     with plt.rc_context(STYLE):
@@ -71,7 +75,10 @@ def plot_report(report: Mapping[str, Any], path: Path) -> None:
             for axis in axes.flat[len(panels) :]:
                 axis.set_visible(False)
             for axis, (metric, chosen) in zip(axes.flat, panels, strict=False):
-                _bars(axis, metric, chosen, known.plain, (known.lines or {}).get(metric))
+                _bars(axis, metric, chosen, known.plain, colours, (known.lines or {}).get(metric))
+            handles = [Patch(color=colour, label=name) for name, colour in colours.items()]
+            if len(handles) > 1:
+                figure.legend(handles=handles, loc="outside lower center", ncols=min(5, len(handles)), fontsize=8)
             with atomic_path(path) as temporary:
                 figure.savefig(temporary, format=path.suffix[1:].lower(), dpi=_DPI)
         finally:
@@ -86,24 +93,31 @@ def grouped(cases: Sequence[str], plain: str) -> dict[str, tuple[str, str]]:
     return {c: pairs.get(c) or ((plain, c) if c in groups else (c, plain)) for c in cases}
 
 
-def _bars(axis: Axes, metric: str, rows: Sequence[Mapping[str, Any]], plain: str, line: float | None) -> None:
+def _bars(
+    axis: Axes,
+    metric: str,
+    rows: Sequence[Mapping[str, Any]],
+    plain: str,
+    colours: Mapping[str, str],
+    line: float | None,
+) -> None:
     rows = [r for r in rows[:_MOST_CASES] if np.isfinite(r["value"])]
     places = grouped([r["case"] for r in rows], plain)
     series = list(dict.fromkeys(s for s, _ in places.values()))
     groups = list(dict.fromkeys(g for _, g in places.values()))
-    width = 0.8 / len(series)
+    width = 0.8 / max(1, len(series))
     for k, name in enumerate(series):
         mine = [r for r in rows if places[r["case"]][0] == name]
         at = [groups.index(places[r["case"]][1]) + (k - (len(series) - 1) / 2) * width for r in mine]
-        spread = [r.get("sd") or 0.0 for r in mine]
-        axis.bar(at, [r["value"] for r in mine], 0.92 * width, yerr=spread, label=name, error_kw={"lw": 0.8})
+        value = np.array([r["value"] for r in mine])
+        spread = np.array([r.get("sd") or 0.0 for r in mine])
+        most = 1.0 if mine[0]["unit"] == "1" and value.max() <= 1 else np.inf  # a share
+        ends = np.stack([np.minimum(spread, value), np.clip(np.minimum(spread, most - value), 0, None)])
+        axis.bar(at, value, 0.92 * width, yerr=np.maximum(ends, 0), color=colours[name], error_kw={"lw": 0.8})
     if line is not None:
         axis.axhline(line, color="#222222", lw=0.8, ls="--")
-    axis.set_xticks(range(len(groups)), groups)
+    axis.set_xticks(range(len(groups)), groups if len(groups) > 1 else [""])
     axis.set_ylim(bottom=0)
     unit = rows[0]["unit"] if rows else ""
-    axis.set_ylabel("" if unit == "1" else unit)
-    axis.set_title(metric, fontsize=9)
+    axis.set_title(metric if unit == "1" or metric.endswith(f"_{unit}") else f"{metric} ({unit})", fontsize=9)
     axis.grid(axis="x", visible=False)
-    if len(series) > 1:
-        axis.legend(fontsize=7, ncols=2 if len(series) > 3 else 1)
