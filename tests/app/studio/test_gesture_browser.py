@@ -27,7 +27,7 @@ def test_taught_in_the_page(page, tmp_path, monkeypatch):
     root, pictures = tmp_path / "root", tmp_path / "pictures"
     root.mkdir()
     pictures.mkdir()
-    monkeypatch.setitem(os.environ, "ROUNDS", "6")
+    monkeypatch.setitem(os.environ, "ROUNDS", "4")
     with serving(root) as client:
         said = go(WEB / "tests" / "gesture_taught.walk.mjs", client.address, root, pictures, timeout=3600)
     assert json.loads(said.splitlines()[-1])["seconds"] < 240
