@@ -75,6 +75,10 @@ BODY = hypotheses(7, 3)(MonoSettings())
 """The published body experiment: 7 hypotheses, three uncertain directions."""
 
 
+KEYPOINTS = "keypoints"
+"""The variant that sees a detector's points too."""
+
+
 def mono_arm(options: BenchOptions) -> BenchReport:
     """A 7-dof arm for 8 s. kept_track: number of seeds in which it was kept to the end (mono_runs.MonoRun.kept);
     mean_error_mm, depth_mm, image_error_px: means over elbow, wrist and knuckles, in the world, over all seeds, sd over
@@ -99,14 +103,16 @@ def mono_body(options: BenchOptions) -> BenchReport:
 
     root_aligned_mm, depth_mm: 14 joints, pelves made to coincide; image_error_px; oracle_mm: the best of all modes;
     coverage_90: share of joints and frames whose truth lies in the 90 % region of any mode, coverage_90_best in that of
-    the best hypothesis; kept_track: number of scenes. no_limits is compared on a motion near a straight knee. quick:
-    half a second of one scene, and of the ablations the Gaussian only.
+    the best hypothesis; kept_track: number of scenes. keypoints: with a detector's points besides. no_limits is
+    compared on a motion near a straight knee. quick: half a second of one scene, and of the ablations the Gaussian
+    only.
     """
     seeds = _seeds(options, 8, quick=1)
     seconds = 0.5 if options.quick else 1.2
     mocap = _mocap(options)
     variants: dict[str, MonoSettings] = {"full": BODY}
     variants |= {n: ABLATIONS[n](BODY) for n in (("gaussian",) if options.quick else ABLATIONS)}
+    variants[KEYPOINTS] = BODY
     scenes = (body_scene(s, 1.2, mocap=mocap) for s in seeds)
     rows = _table(scenes, variants, options, len(seeds), "root_aligned_mm", seconds)
     if not options.quick:
@@ -164,7 +170,7 @@ def _table(
         images = pictures(scene, seconds)
         for n, (name, settings) in enumerate(variants.items()):
             options.progress(f"{scene.name}: {name}", k * len(variants) + n, count * len(variants))
-            runs[name].append(track_scene(scene, settings, images))
+            runs[name].append(track_scene(scene, settings, images, keypoints=name == KEYPOINTS))
     return [r for name in variants for r in _rows(name, runs[name], error)]
 
 

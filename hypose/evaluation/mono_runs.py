@@ -69,13 +69,11 @@ def track_scene(
     settings: MonoSettings,
     images: Sequence[Image],
     *,
-    start: MonoHypotheses | None = None,
     keypoints: bool = False,
 ) -> MonoRun:
-    """Follows the scene from its measured first pose (or `start`) through images; keypoints: with the detector's points
+    """Follows the scene from its measured first pose through images; keypoints: with the detector's points
     besides. The truth is used for measuring only."""
     tracker = MonoTracker(scene.body, scene.camera, settings, scene.active, threads=1, clock=time.process_time)
-    hypotheses = MonoHypotheses.at(scene.start) if start is None else start
 
     def frame(i: int) -> MonoFrame:
         points = None
@@ -83,7 +81,7 @@ def track_scene(
             points = points_from_keypoints(scene.body, scene.keypoint_names, scene.keypoints[i])
         return MonoFrame(i, float(scene.performance.times[i]), images[i], None, points)
 
-    state = tracker.start(hypotheses, frame(0))
+    state = tracker.start(MonoHypotheses.at(scene.start), frame(0))
     truth, rows = scene.true_marks(), []
     for i in range(1, len(images)):
         rng = np.random.default_rng([scene.seed, 1000 + i])

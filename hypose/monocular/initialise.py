@@ -45,13 +45,12 @@ _HELD = 1e6
 class InitialFit:
     """body: the template with the person's proportions; hypotheses: the rivals with covariances, best first; factors
     (K,): logarithms of the proportions (proportions.NAMES); residual_px: root mean square distance of the best rival to
-    the points, px; tried: how many distinct poses were compared."""
+    the points, px."""
 
     body: Body
     hypotheses: MonoHypotheses
     factors: Array
     residual_px: float
-    tried: int
 
 
 def initialise(
@@ -85,7 +84,6 @@ def initialise(
     factors = np.zeros(len(prior.centre)) if fixed_body else prior.centre.copy()
     body = template if fixed_body else shaped(template, factors)
     poses = rival_poses(body, camera, points_on(body), chosen, rivals)
-    tried = len(poses)
     if not fixed_body:
         pictures = [points_on, *later]
         others = [_later_pose(body, camera, seen_later(body), poses[0], chosen) for seen_later in later]
@@ -110,7 +108,7 @@ def initialise(
             tracker = replace(tracker, body=body)
             found = tracker.optimise(found, still)
     keep = _distinct_indices(body.joints(found.poses), rivals)
-    return InitialFit(body, _subset(found, keep), factors, _residual(body, camera, still, found.poses[0]), tried)
+    return InitialFit(body, _subset(found, keep), factors, _residual(body, camera, still, found.poses[0]))
 
 
 def rival_poses(body: Body, camera: Camera, points: MonoPoints, active: NDArray[np.int64], count: int) -> Array:

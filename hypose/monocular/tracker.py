@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.body import Body, Mesh
+from hypose.body.body import Body
 from hypose.cameras.camera import Camera
 from hypose.compute import mono
 from hypose.compute.mono_terms import MonoProblem, MonoWorkspace
@@ -48,16 +48,15 @@ LOST_SHARE = 0.2
 
 @dataclass(frozen=True)
 class MonoTracker:
-    """A body, the camera (lens distortion is ignored: give undistorted pictures), settings, the dof to estimate
-    (default `body_dofs`: 30; the others keep their start values), the mesh that is compared with the picture (default
-    the body's coarse one), and how many threads share the hypotheses (default: the machine's; any number gives the
-    same results). clock: what the stages' seconds are read from (time.process_time: the processor's)."""
+    """A body, whose coarse mesh is compared with the picture, the camera (lens distortion is ignored: give undistorted
+    pictures), settings, the dof to estimate (default `body_dofs`: 30; the others keep their start values), and how many
+    threads share the hypotheses (default: the machine's; any number gives the same results). clock: what the stages'
+    seconds are read from (time.process_time: the processor's)."""
 
     body: Body
     camera: Camera
     settings: MonoSettings = MonoSettings()
     active: NDArray[np.int64] | None = None
-    mesh: Mesh | None = None
     threads: int | None = None
     clock: Callable[[], float] = time.perf_counter
 
@@ -136,7 +135,7 @@ class MonoTracker:
     @cached_property
     def _fixed(self) -> Fixed:
         active = body_dofs(self.body.skeleton) if self.active is None else np.asarray(self.active, dtype=np.int64)
-        return fixed_parts(self.body, self.mesh or self.body.coarse, self.camera, active, self.settings)
+        return fixed_parts(self.body, self.body.coarse, self.camera, active, self.settings)
 
     @cached_property
     def _workspaces(self) -> list[MonoWorkspace]:
@@ -162,7 +161,7 @@ class MonoTracker:
         if previous is None or not (self.settings.flow.use or self.settings.edge.motion_boundaries):
             return None
         moving = self._fixed.model.moving_vertices
-        points = self.body.skin(poses, self.mesh)[:, moving].reshape(-1, 3)
+        points = self.body.skin(poses)[:, moving].reshape(-1, 3)
         uv = self.camera.project_pinhole(points)
         uv = uv[np.isfinite(uv).all(1)]
         w, h = self.camera.size

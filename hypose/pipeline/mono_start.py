@@ -165,6 +165,8 @@ def find_start(
     if body is None:
         further = f", the key points of {len(later)} further frames" if later else ""
         notes.append(f"body of {fit.body.stature:.2f} m from {source}{further} and the picture's contours")
+    if body is not None and height is not None:
+        notes.append("the given height is not used: the body is given")
     if body is None and height is None:
         notes.append(
             "the height is not known, so distances and lengths are as uncertain as people's heights (about 5 %); give "
