@@ -7,6 +7,7 @@ cure both. It is usable after any recipe; its result is the estimate, and the se
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -29,14 +30,19 @@ def anatomical_prior(skeleton: Skeleton) -> Quadratic:
     Weights are those of a joint in units of the robust rows' cost: 0.09 for limbs, 1 for spine and neck, 4 for
     clavicles and ankles, 0 for the root.
     """
-    weight = np.full(skeleton.dof, 0.3)
+    return Quadratic(np.zeros(skeleton.dof), _anatomical_weights(skeleton.dof_names).copy())
+
+
+@lru_cache(8)
+def _anatomical_weights(dof_names: tuple[str, ...]) -> Array:
+    weight = np.full(len(dof_names), 0.3)
     weight[:6] = 0
-    for n, name in enumerate(skeleton.dof_names):
+    for n, name in enumerate(dof_names):
         if name.startswith(("spine", "neck")):
             weight[n] = 1.0
         elif "clavicle" in name or "ankle" in name:
             weight[n] = 2.0
-    return Quadratic(np.zeros(skeleton.dof), weight**2)
+    return weight**2
 
 
 def prediction_prior(prediction: Array, weight: float) -> Quadratic:
