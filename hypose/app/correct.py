@@ -108,12 +108,20 @@ def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any]) -> Motio
         values = getattr(old, name).copy()
         values[row : row + len(new)] = getattr(new, name)
         series[name] = values
+    if old.doubtful is not None or new.doubtful is not None:
+        series["doubtful"] = _marks(old)
+        series["doubtful"][row : row + len(new)] = _marks(new)
     if row:  # one branch of the root's rotation, so that nothing between the two parts turns around
         poses = series["poses"]
         for t in range(row, row + len(new)):
             poses[t] = old.skeleton.on_branch(poses[t], poses[t - 1])
     corrections = [*old.provenance.get("corrections", []), dict(record)]
     return replace(old, **series, provenance={**old.provenance, "corrections": corrections})
+
+
+def _marks(motion: Motion) -> np.ndarray:
+    """(T,) which frames are doubtful; a copy."""
+    return np.zeros(len(motion), dtype=bool) if motion.doubtful is None else motion.doubtful.copy()
 
 
 def _options(motion: Motion, old: ResultsFolder) -> tuple[TrackOptions, int]:

@@ -31,7 +31,7 @@ from hypose.geometry import Array
 from hypose.io.export import FORMATS
 
 MAGIC = b"HYPOSEV1"
-LOST, EXTRAPOLATED = 1, 2
+LOST, EXTRAPOLATED, DOUBTFUL = 1, 2, 3
 _DTYPES = {"f4": "<f4", "f8": "<f8", "u1": "|u1", "u2": "<u2", "u4": "<u4"}
 
 
@@ -94,7 +94,7 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
         "times": m.times.astype("<f8"),
         "joints": m.joints.astype("<f4"),
         "joint_sd": m.joint_sd.astype("<f4"),
-        "flags": (LOST * m.lost + EXTRAPOLATED * (m.extrapolated & ~m.lost)).astype("u1"),
+        "flags": _flags(m),
         "n_views": np.clip(m.n_views, 0, 255).astype("u1"),
         "cost": m.cost.astype("<f4"),
     }
@@ -115,6 +115,13 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
             out["truth_joints"] = result.truth.joints.astype("<f4")
         out["truth_distances"] = result.truth.distances.astype("<f4")
     return out
+
+
+def _flags(motion: Motion) -> np.ndarray:
+    """(T,) the gravest that is said of each frame; 0 = nothing."""
+    doubtful = np.zeros(len(motion), dtype=bool) if motion.doubtful is None else motion.doubtful
+    cases = [motion.lost.astype(bool), motion.extrapolated.astype(bool), doubtful]
+    return np.select(cases, [LOST, EXTRAPOLATED, DOUBTFUL], 0).astype("u1")
 
 
 def quaternions(skeleton: Skeleton, poses: Array) -> np.ndarray:

@@ -35,6 +35,14 @@ def folder(tiny, tracked, tmp_path):
 # ---- the block
 
 
+def test_every_frame_has_its_gravest_flag(folder):
+    motion = load_motion(folder / "motion.npz")
+    n = np.arange(len(motion))
+    marked = replace(motion, lost=n == 1, extrapolated=(n == 1) | (n == 2), doubtful=n < 4)
+    flags = read_bundle(view_bundle(replace(load_view(folder), motion=marked)))[1]["flags"]
+    assert flags.tolist() == [3, 1, 2, 3] + [0] * (len(motion) - 4)
+
+
 def test_covariances_of_the_joints_are_shown_where_they_are_known(folder):
     motion = load_motion(folder / "motion.npz")
     t, j, d = *motion.joints.shape[:2], motion.skeleton.dof

@@ -67,7 +67,7 @@ export interface ViewData {
   sd: Float32Array;
   /** (T, J, 6) xx xy xz yy yz zz, m^2: where more is known than sd. */
   covariance: Float32Array | null;
-  /** (T) 1 = lost, 2 = extrapolated. */
+  /** (T) 1 = lost, 2 = extrapolated, 3 = doubtful. */
   flags: Uint8Array;
   views: Uint8Array;
   /** (T) 1 - overlap with the masks. */
@@ -84,7 +84,10 @@ export interface ViewData {
 }
 
 export const LOST = 1;
-export const EXTRAPOLATED = 2;
+export const DOUBTFUL = 3;
+/** What a flag of a frame is called; a colour of style.css has the same name. */
+export const flagName = (flag: number): "lost" | "extrapolated" | "doubtful" =>
+  flag === LOST ? "lost" : flag === 2 ? "extrapolated" : "doubtful";
 
 const KINDS = { f4: Float32Array, f8: Float64Array, u1: Uint8Array, u2: Uint16Array, u4: Uint32Array };
 type Described = Record<string, { dtype: keyof typeof KINDS; shape: number[]; offset: number }>;

@@ -1,6 +1,6 @@
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
-import { LOST, type Stretch } from "../lib/bundle";
+import { flagName, type Stretch } from "../lib/bundle";
 import { h, onResize } from "./dom";
 import { colour, onTheme } from "./theme";
 import { clock } from "./timeline";
@@ -20,7 +20,7 @@ export interface PlotOptions {
   range?: readonly [number, number];
   /** Seconds that are shown at a time; 0 = all. */
   window?: number;
-  /** Stretches that are shaded: lost or extrapolated. */
+  /** Stretches that are shaded: lost, extrapolated or doubtful. */
   flagged?: readonly Stretch[];
   /** A click or drag in the plot chooses a time. */
   chosen?: (index: number) => void;
@@ -198,7 +198,7 @@ export class Plot {
       const [a, b] = [Math.max(left, from), Math.min(left + width, to)];
       if (a >= b) continue;
       chart.ctx.globalAlpha = 0.22;
-      chart.ctx.fillStyle = colour(flag === LOST ? "lost" : "extrapolated");
+      chart.ctx.fillStyle = colour(flagName(flag));
       chart.ctx.fillRect(a, top, b - a, height);
       chart.ctx.globalAlpha = 1;
     }

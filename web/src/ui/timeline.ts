@@ -1,4 +1,4 @@
-import { EXTRAPOLATED, LOST, stretches, type Stretch } from "../lib/bundle";
+import { flagName, stretches, type Stretch } from "../lib/bundle";
 import { h, sharpCanvas } from "./dom";
 import { colour, onTheme } from "./theme";
 
@@ -92,7 +92,7 @@ export class Timeline {
     const box = this.element.getBoundingClientRect();
     const row = this.rowOf(event);
     const flag = this.data.flags[row];
-    const what = flag === LOST ? " · lost" : flag === EXTRAPOLATED ? " · extrapolated" : "";
+    const what = flag ? ` · ${flagName(flag)}` : "";
     const value = this.data.curve?.[row] ?? NaN;
     const fit = Number.isFinite(value) ? ` · overlap ${value.toFixed(2)}` : "";
     this.hover.textContent = `${clock(this.data.times[row] ?? 0)}${what}${fit}`;
@@ -111,7 +111,7 @@ export class Timeline {
     c.fillRect(0, top, w, height - top);
     if (curve) this.drawCurve(c, curve, w, top, height);
     for (const { first, last, flag } of this.flagged) {
-      c.fillStyle = colour(flag === LOST ? "lost" : "extrapolated");
+      c.fillStyle = colour(flagName(flag));
       const width = Math.max(2, x(last + 1) - x(first));
       c.globalAlpha = 0.28;
       c.fillRect(x(first), top, width, height - top);

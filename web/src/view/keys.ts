@@ -16,7 +16,7 @@ export function viewKeys(view: ResultView): Key[] {
     { keys: ["]"], shown: "]", what: "faster", act: () => view.player.faster(1) },
     { keys: ["Home"], shown: "Home", what: "first frame", act: () => view.go(0) },
     { keys: ["End"], shown: "End", what: "last frame", act: () => view.go(view.player.rows - 1) },
-    { keys: ["n"], shown: "n", what: "next lost or extrapolated stretch", act: () => view.nextFlag(1) },
+    { keys: ["n"], shown: "n", what: "next stretch that is lost, extrapolated or doubtful", act: () => view.nextFlag(1) },
     { keys: ["p"], shown: "p", what: "previous one", act: () => view.nextFlag(-1) },
     { keys: ["f"], shown: "f", what: "see the whole walk", act: () => view.look("fit") },
     { keys: ["k"], shown: "k", what: "keep the person in the middle", act: () => view.flipFollow() },

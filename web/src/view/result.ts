@@ -1,4 +1,4 @@
-import type { ViewData } from "../lib/bundle";
+import { DOUBTFUL, type ViewData } from "../lib/bundle";
 import { button, select, tabs, toggle, type Toggle } from "../ui/buttons";
 import { h, onResize } from "../ui/dom";
 import { bindKeys } from "../ui/keyboard";
@@ -90,6 +90,7 @@ export class ResultView {
 
     this.play = button("", () => this.player.toggle(), { icon: "play", title: "Play", key: "Space" });
     this.speed = select("Speed", SPEEDS.map((s) => ({ value: s, label: `${s}×` })), 1, (s) => this.player.setSpeed(s));
+    const doubtful = data.flags.reduce((n, flag) => n + Number(flag === DOUBTFUL), 0);
     const keys = bindKeys("Keys of this screen", viewKeys(this), options.keysIn);
     this.stop.push(keys.stop);
     const flagged = this.timeline.flagged.length > 0;
@@ -104,7 +105,7 @@ export class ResultView {
         button("", () => this.player.step(1), { icon: "next", title: "One frame on", key: "→", kind: "quiet" }),
         this.speed,
         toggle("", true, (on) => (this.player.loop = on), { icon: "loop", title: "Begin again at the end" }).element,
-        flagged ? button("Next flag", () => this.nextFlag(1), { icon: "flag", title: "Next lost or extrapolated stretch", key: "n", kind: "quiet" }) : null,
+        flagged ? button("Next flag", () => this.nextFlag(1), { icon: "flag", title: "Next stretch that is lost, extrapolated or doubtful", key: "n", kind: "quiet" }) : null,
       ),
       this.timeline.element,
       this.where,
@@ -121,6 +122,7 @@ export class ResultView {
         h("span", { class: "dim number" }, `${header.frames} frames · ${round(header.frame_rate)} fps`),
         header.summary.lost ? h("span", { class: "chip bad" }, `${header.summary.lost} lost`) : null,
         header.summary.extrapolated ? h("span", { class: "chip warn" }, `${header.summary.extrapolated} extrapolated`) : null,
+        doubtful ? h("span", { class: "chip warn", title: "There the evidence speaks against itself" }, `${doubtful} doubtful`) : null,
         header.complete ? null : h("span", { class: "chip warn" }, "not complete"),
         h("span", { class: "grow" }),
         ...(options.tools ?? []),
@@ -158,13 +160,13 @@ export class ResultView {
     this.follow.element.click();
   }
 
-  /** Goes to the beginning of the next (1) or the previous (-1) stretch that is lost or extrapolated. */
+  /** Goes to the beginning of the next (1) or the previous (-1) stretch that is lost, extrapolated or doubtful. */
   nextFlag(direction: 1 | -1): void {
     const firsts = this.timeline.flagged.map((s) => s.first);
     const row = this.player.row;
     const found = direction > 0 ? firsts.find((f) => f > row) : firsts.filter((f) => f < row).pop();
     const next = found ?? (direction > 0 ? firsts[0] : firsts[firsts.length - 1]);
-    if (next === undefined) toast("No frame is lost or extrapolated.");
+    if (next === undefined) toast("No frame is lost, extrapolated or doubtful.");
     else this.go(next);
   }
 
