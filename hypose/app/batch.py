@@ -245,28 +245,33 @@ def _client(place: Place) -> Iterator[Client]:
 
 def _cluster(place: Place, environment: Mapping[str, str]) -> Any:
     """Loopback workers of this computer, or jobs of SLURM."""
-    if place.slurm is None:
-        from distributed import LocalCluster
+    if place.slurm is not None:
+        cluster = slurm_cluster(place.slurm, environment)
+        cluster.scale(place.workers)
+        return cluster
+    from distributed import LocalCluster
 
-        return LocalCluster(
-            n_workers=place.workers,
-            threads_per_worker=1,  # tracking threads by itself, by numba
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",
-            memory_limit=0,  # how much is free is known to the system only
-            silence_logs=50,
-            preload=[__name__],  # for dask_setup
-        )
+    return LocalCluster(
+        n_workers=place.workers,
+        threads_per_worker=1,  # tracking threads by itself, by numba
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
+        memory_limit=0,  # how much is free is known to the system only
+        silence_logs=50,
+        preload=[__name__],  # for dask_setup
+    )
+
+
+def slurm_cluster(keywords: Mapping[str, Any], environment: Mapping[str, str]) -> Any:
+    """A dask_jobqueue.SLURMCluster with one worker of one thread per job, and no job yet."""
     try:
         from dask_jobqueue import SLURMCluster  # pyright: ignore[reportMissingImports] (extra)
     except ImportError:
         raise InputError("--slurm needs dask-jobqueue; install it with pip install 'hypose[slurm]'.") from None
     exports = [f"export {name}={value}" for name, value in environment.items()]
-    options = {"cores": 1, "processes": 1, "memory": "4GB", "walltime": "04:00:00", **place.slurm}
+    options = {"cores": 1, "processes": 1, "memory": "4GB", "walltime": "04:00:00", **keywords}
     options["job_script_prologue"] = [*exports, *options.get("job_script_prologue", [])]
-    cluster = SLURMCluster(**options)
-    cluster.scale(place.workers)
-    return cluster
+    return SLURMCluster(**options)
 
 
 def _dashboard(client: Client) -> str:

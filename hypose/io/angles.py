@@ -38,10 +38,10 @@ def write_angles_csv(path: str | Path, names: Sequence[str], values: ArrayLike, 
 def write_joints_csv(path: str | Path, motion: Motion) -> None:
     """Write joint centres (world, z up, m) with their standard deviation, and what is known of each frame.
 
-    Columns: time_s, lost and extrapolated (0 or 1), n_views, then x, y, z, sd per joint. `sd` is per axis
-    (root mean square of the three). Lost and extrapolated frames keep their predicted positions.
+    Columns: time_s, lost and extrapolated (0 or 1), n_views, doubtful (0 or 1; empty: not looked at), then x, y, z, sd
+    per joint. `sd` is per axis (root mean square of the three). Lost and extrapolated frames keep their predicted positions.
     """
-    header = ["time_s", "lost", "extrapolated", "n_views"]
+    header = ["time_s", "lost", "extrapolated", "n_views", "doubtful"]
     header += [f"{n}_{c}_m" for n in motion.skeleton.joint_names for c in ("x", "y", "z", "sd")]
     data = np.concatenate([motion.joints, motion.joint_sd[..., None]], axis=2).reshape(len(motion), -1)
     rows = [
@@ -50,6 +50,7 @@ def write_joints_csv(path: str | Path, motion: Motion) -> None:
             str(int(motion.lost[t])),
             str(int(motion.extrapolated[t])),
             str(int(motion.n_views[t])),
+            "" if motion.doubtful is None else str(int(motion.doubtful[t])),
             *(_cell(x, 6) for x in data[t].tolist()),
         ]
         for t in range(len(motion))

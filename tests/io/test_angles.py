@@ -38,9 +38,11 @@ def test_angles_are_degrees_and_metres(tmp_path, small_motion):
 def test_joints_have_sd_and_flags(tmp_path, small_motion):
     sd = small_motion.joint_sd.copy()
     sd[7, 2] = np.nan
-    write_joints_csv(tmp_path / "j.csv", replace(small_motion, joint_sd=sd))
+    doubtful = np.arange(len(small_motion)) == 3
+    write_joints_csv(tmp_path / "j.csv", replace(small_motion, joint_sd=sd, doubtful=doubtful))
     header, rows = _table(tmp_path / "j.csv")
-    assert header[:4] == ["time_s", "lost", "extrapolated", "n_views"]
+    assert header[:5] == ["time_s", "lost", "extrapolated", "n_views", "doubtful"]
+    assert [int(r["doubtful"]) for r in rows] == doubtful.astype(int).tolist()
     assert [int(r["lost"]) for r in rows] == small_motion.lost.astype(int).tolist()
     assert [int(r["extrapolated"]) for r in rows] == small_motion.extrapolated.astype(int).tolist()
     knee = small_motion.skeleton.joint("left_knee")
