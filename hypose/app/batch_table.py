@@ -19,7 +19,19 @@ from hypose.app.sweep import Refused, Task
 from hypose.io.files import write_text
 
 COLUMNS = (
-    *("recording", "set", "state", "frames", "lost", "extrapolated", "iou", "worst_iou", "sd_mm", "error_mm"),
+    *(
+        "recording",
+        "set",
+        "state",
+        "frames",
+        "lost",
+        "extrapolated",
+        "doubtful",
+        "iou",
+        "worst_iou",
+        "sd_mm",
+        "error_mm",
+    ),
     *("track_s", "attempts", "key", "results", "message"),
 )
 """Columns of results.csv; empty where unknown. Files and lengths: millimetres, seconds."""

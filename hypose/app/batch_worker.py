@@ -69,6 +69,7 @@ def run_task(task: Task, stop: Path, report: Report) -> dict[str, Any]:
         "frames": s.frames,
         "lost": s.lost,
         "extrapolated": s.extrapolated,
+        "doubtful": None if outcome.motion.doubtful is None else int(outcome.motion.doubtful.sum()),
         "iou": _known(s.iou),
         "worst_iou": _known(s.worst_iou),
         "sd_mm": _known(s.sd_mm),

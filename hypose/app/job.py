@@ -6,6 +6,7 @@ Each step writes its files before the next begins, so that whatever ends the job
 from __future__ import annotations
 
 import contextlib
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -119,6 +120,7 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
         files += export_all(job, tracked.motion, tracked.body, progress)
         files += _draw(job, options, tracked, source, notes, truth, files, progress, seconds or {})
     remove_stale(results, files)
+    shutil.rmtree(results.path / CHUNKS, ignore_errors=True)  # of a run that was killed when they were joined
     return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth)
 
 

@@ -22,7 +22,7 @@ from hypose.io.provenance import identity
 from hypose.io.results import ResultsFolder
 from hypose.pipeline.colour_detections import tracked_frames
 from hypose.pipeline.join import join, seam_notes
-from hypose.pipeline.kept import keep_subject
+from hypose.pipeline.kept import keep_subject, kept_subject
 from hypose.pipeline.run import TrackOptions, TrackResult, finish, subject_of, tracker_of
 from hypose.pipeline.subject import Subject, first_start
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
@@ -71,8 +71,10 @@ class ChunkRun:
     def subject(self, progress: Progress) -> Subject:
         """The subject, found now or before."""
         key = identity(self.record)
-        found = subject_of(self.source, self.frame_rate, self.options, self.body, self.results, key, progress)
-        keep_subject(found, self.results, key)
+        found = kept_subject(self.results, key)
+        if found is None:
+            found = subject_of(self.source, self.frame_rate, self.options, self.body, None, key, progress)
+            keep_subject(found, self.results, key)
         return found
 
     def chunk(self, number: int, progress: Progress) -> Tracked:

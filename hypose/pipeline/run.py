@@ -158,7 +158,7 @@ def _written(result: TrackResult, results: ResultsFolder | None) -> TrackResult:
     if results is not None:
         save_motion(result.motion, results.motion)
         if result.complete:
-            for left in (results.checkpoint, results.file(SUBJECT)):
+            for left in (results.file(SUBJECT), results.checkpoint):
                 left.unlink(missing_ok=True)
     return result
 
