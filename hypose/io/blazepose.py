@@ -86,7 +86,7 @@ def _point(landmark: Any) -> tuple[float, float, float]:
 def _pixels(people: Array, width: int, height: int) -> Array:
     """Shares of the picture's sides (P, K, 3) as pixels; what was guessed outside of the picture is not kept."""
     share = people[..., :2]
-    inside = np.isfinite(people).all(-1) & (share >= 0).all(-1) & (share <= 1).all(-1)
+    inside = np.asarray(np.isfinite(people).all(-1) & (share >= 0).all(-1) & (share <= 1).all(-1))
     out = np.empty_like(people)
     out[..., :2] = share * (width, height) - 0.5
     out[..., 2] = np.clip(people[..., 2], 0.0, 1.0)

@@ -77,7 +77,7 @@ def with_feet(
     own (T, D, D): what each frame says of its pose (zero: nothing); free (T, D): the clip solved without contacts;
     held: solves it with points that hold still, one term or None per frame."""
     assert motion.poses is not None
-    known, rate = own.any((1, 2)), motion.frame_rate
+    known, rate = np.asarray(own.any((1, 2))), motion.frame_rate
     soles = soles_of(body)
     contacts = find_contacts(soles.positions(body, free), known, rate)
     poses = held(contact_terms(contacts, soles))
