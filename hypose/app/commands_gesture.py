@@ -87,6 +87,8 @@ def train(
             model = learn_recordings(loaded, gesture, learner, passes, note)
     else:
         model = _session(source, gesture, record_to, rounds, learner, seed, old)
+    if old is not None and model.thresholds == (None,):  # only the gesture, or only movement, was seen this time
+        model = model.with_thresholds(*old.thresholds)
     save_model(model, out)
     nodes = int(model.forest.size.sum())
     say(f"{gesture}: {nodes} nodes, threshold {in_cm2(model.thresholds[0])}")

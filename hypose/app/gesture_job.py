@@ -88,7 +88,7 @@ def run_session(
     trainer = Trainer(learner, settings)
     counts = _follow(source, gesture, trainer, record=record, commands=commands, say=say, learn=True)
     where = _range(learner.settings.look.plan)
-    if not counts.learned:
+    if not counts.learned and (counts.asked or not learner.strength):  # who knows the gesture may learn what it is not
         raise InputError(
             f"Nothing was learned from {source.name}: {counts.asked} frames asked for the gesture, and none had depth "
             f"{where} in the box; come nearer, and keep the gesture in the box."
@@ -194,16 +194,17 @@ def learn_recordings(
     recordings: Sequence[GestureRecording], gesture: str, learner: Learner, passes: int, say: Say
 ) -> GestureModel:
     """A forest taught with recorded sessions in the order of time, as the live session would have."""
-    trainer, seen, shown = Trainer(learner), 0, 0
+    trainer, seen, asked, shown = Trainer(learner), 0, 0, 0
     for k in range(passes):
         for r in recordings:
             number = r.number(gesture)
             for f in r.learned():
-                kind = "gesture" if f.phase == "positive" and f.gesture == number else "negative"
+                shows = f.phase == "positive" and f.gesture == number
+                kind = "gesture" if shows else "negative"
                 taught = trainer.learn(kind, r.picture(f), r.lens, (f.x, f.y)) is not None
-                seen, shown = seen + taught, shown + (taught and kind == "gesture")
+                seen, asked, shown = seen + taught, asked + shows, shown + (taught and shows)
         say(f"pass {k + 1} of {passes}: {seen} frames learned")
-    if not shown:
+    if not shown and (asked or not learner.strength):
         raise InputError(_NOTHING.format(gesture=gesture, where=_range(learner.settings.look.plan)))
     history = tuple({"recording": r.folder.name, "passes": passes} for r in recordings)
     threshold = trainer.final_threshold()

@@ -191,6 +191,21 @@ def test_recordings_without_a_usable_gesture_are_refused(tmp_path, capsys):
     assert not (tmp_path / "m.npz").exists()
 
 
+def test_who_knows_the_gesture_may_learn_what_it_is_not(folder, tmp_path):
+    from hypose.gestures.pictures import KINECT
+    from hypose.pipeline.gesture_files import load_model
+
+    shown = next(f for f in read_recording(folder / "session").frames if f.phase == "negative")
+    writer = SessionWriter(tmp_path / "others", ["pause"], KINECT, (640, 480))
+    writer.add(0.0, shown.depth(), "negative", 1)
+    writer.close()
+    out, arguments = tmp_path / "more.npz", ["--gesture", "pause", "--recording", tmp_path / "others"]
+    hypose("gesture", "train", out, *arguments, "--resume", folder / "pause.npz")
+    assert load_model(out).thresholds == load_model(folder / "pause.npz").thresholds
+    with np.load(folder / "pause.npz") as old, np.load(out) as new:
+        assert new["seen"].sum() > old["seen"].sum()
+
+
 def test_recording_learns_nothing(tmp_path, monkeypatch):
     from hypose.app.gesture_job import record_session
     from hypose.gestures.online import Learner as Watched
