@@ -151,13 +151,12 @@ def draw_body(
     if not np.isfinite(uv).all():
         return  # the body reaches behind the camera: nothing sensible to draw
     shape = np.ascontiguousarray(silhouette(uv, depth, faces, (w, h))).astype(np.uint8)
-    rows, columns = np.nonzero(shape)
-    if not len(rows):
+    x, y, width, height = cv2.boundingRect(shape)
+    if not width:
         return
-    y, x = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
-    inside = shape[y, x] > 0
-    part = image[y, x]
-    part[inside] = (0.65 * part[inside] + 0.35 * np.array(colour)).astype(np.uint8)
+    window = np.s_[y : y + height, x : x + width]
+    tint = (0.65 * np.arange(256)[:, None] + 0.35 * np.array(colour)).astype(np.uint8)
+    np.copyto(image[window], cv2.LUT(image[window], tint[None]), where=shape[window][..., None] > 0)
     outline, _ = cv2.findContours(shape, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(image, outline, -1, colour, 1, cv2.LINE_AA)
 
