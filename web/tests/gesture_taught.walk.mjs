@@ -91,7 +91,7 @@ await walk(
     assert.equal(await again.locator(".events b").first().innerText(), "tee");
     await again.getByRole("button", { name: "Stop" }).click();
     await again.getByRole("button", { name: "Another gesture" }).click();
-    await again.getByRole("button", { name: "Watch", exact: true }).waitFor();
+    await again.getByRole("button", { name: "Watch", exact: true }).first().waitFor();
     console.log(JSON.stringify({ seconds }));
   },
   { at: "#/gesture" },
