@@ -14,9 +14,9 @@ from hypose.io.results import Checkpoint
 from hypose.tracking.tracker import estimates_from_arrays, motion_of
 
 
-def block_so_far(plan: Plan, began: float | None, catalog: Catalog, recordings: Recordings) -> bytes:
-    """The block of a result under way, or of the finished one; NotFound while there is nothing. began: when the job
-    did (s); what lies there from before is not its own."""
+def block_so_far(plan: Plan, began: float | None, catalog: Catalog, recordings: Recordings) -> bytes | None:
+    """The block of a result under way, or of the finished one; None while there is nothing, NotFound when there never
+    will be. began: when the job did (s); what lies there from before is not its own."""
     folder = plan.folder
     if folder is None or plan.recording is None:
         raise NotFound("This job makes no motion.")
@@ -24,7 +24,7 @@ def block_so_far(plan: Plan, began: float | None, catalog: Catalog, recordings: 
     checkpoint, motion = folder / "checkpoint.npz", folder / "motion.npz"
     if not checkpoint.is_file():
         if began is None or not motion.is_file() or motion.stat().st_mtime < began:
-            raise NotFound("Nothing is tracked yet; wait for the first frames.")
+            return None
         return view_bundle(load_view(folder, recording))
     saved = Checkpoint.read(checkpoint)
     done = {k.removeprefix("done_"): v for k, v in saved.arrays.items() if k.startswith("done_")}

@@ -51,6 +51,8 @@ def routes(
     async def view(request: Request) -> Response:
         job = jobs.find(request.path_params["id"])
         data = await run_in_threadpool(block_so_far, job.plan, job.began, catalog, recordings)
+        if data is None:
+            return Response(status_code=204)
         return Response(data, media_type="application/octet-stream", headers={"Cache-Control": "no-store"})
 
     async def upload(request: Request) -> Response:

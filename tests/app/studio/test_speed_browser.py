@@ -17,7 +17,7 @@ from tests.app.studio.browser import WEB, go
 from tests.app.studio.conftest import serving
 from tests.app.studio.test_view_browser import ten_minutes
 
-TAUGHT, FRAMES = 60, 1800
+TAUGHT, FRAMES = 60, 1500
 
 
 def taught(folder):

@@ -36,7 +36,7 @@ def ten_minutes(source, target):
     times = 15_000 // (2 * len(motion)) + 1
     series = {n: np.concatenate([a] * times)[:15_000] for n, a in there_and_back.items()}
     target.mkdir(parents=True)
-    save_motion(replace(motion, times=np.arange(15_000) / 25, **series), target / "motion.npz")
+    save_motion(replace(motion, times=np.arange(15_000) / 25, doubtful=None, **series), target / "motion.npz")
     shutil.copy(source / "body.npz", target)
 
 

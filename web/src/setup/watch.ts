@@ -54,7 +54,7 @@ export class LiveFigure {
     if (tracking) {
       const answer = await fetch(address(`/api/jobs/${this.job.id}/view`)).catch(() => null);
       if (this.closed) return;
-      if (answer?.ok) this.take(readBundle(await answer.arrayBuffer()));
+      if (answer?.status === 200) this.take(readBundle(await answer.arrayBuffer()));
     }
     if (!this.closed && active(this.job)) this.timer = window.setTimeout(() => void this.ask(), EVERY_MS);
   }
