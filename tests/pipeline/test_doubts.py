@@ -84,6 +84,8 @@ def test_views_and_frames_without_a_mask(clean):
     overlap[20:60], change[20:60] = np.nan, np.nan
     known = np.ones(T, dtype=bool)
     known[20:60] = False
-    assert find(overlap, change, known) == {}
+    found = find(overlap, change, known)
+    assert list(found) == ["somebody has just been found again"]
+    assert np.flatnonzero(found["somebody has just been found again"]).tolist() == list(range(60, 70))
     assert find(np.full((T, C), np.nan), np.full((T, C), np.nan)) == {}
     assert find_doubts(np.ones((3, C)), np.zeros((3, C)), np.ones(3, bool), RATE, NAMES) == []
