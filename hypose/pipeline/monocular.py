@@ -58,10 +58,11 @@ class MonoOptions:
         """The choices that decide the result."""
         return {k: v for k, v in asdict(self).items() if k != "checkpoint_every"}
 
-    def tracker_settings(self, frame_rate: float) -> MonoSettings:
-        """The tracker's settings."""
+    def tracker_settings(self, frame_rate: float, *, keypoints: bool) -> MonoSettings:
+        """The tracker's settings. keypoints: every frame has them; they tell mirrored limbs apart sooner or later, so
+        these are tried while tracking, too."""
         usual = MonoSettings(frame_rate=frame_rate)
-        return replace(usual, search=replace(usual.search, hypotheses=self.hypotheses))
+        return replace(usual, search=replace(usual.search, hypotheses=self.hypotheses, flips=keypoints))
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,7 @@ def track_stream(
     """
     report = progress or (lambda stage, done, total: None)
     total, recording = len(stream), stream.recording
-    settings = options.tracker_settings(recording.frame_rate)
+    settings = options.tracker_settings(recording.frame_rate, keypoints=len(stream.keypoint_names) > 0)
     key = identity(record or {})
     body, state, done, notes = _begin(stream, options, settings, body, results, resume, key, report)
     tracker = MonoTracker(body, stream.camera, settings)

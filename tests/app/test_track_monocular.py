@@ -13,6 +13,7 @@ from hypose.evaluation.rigs import rig
 from hypose.io.modes import load_modes
 from hypose.io.results import load_motion
 from hypose.io.video import open_video
+from hypose.pipeline.monocular import MonoOptions
 
 CLICKED = [
     *(f"{s}_{p}" for s in ("left", "right") for p in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")),
@@ -58,6 +59,12 @@ def test_the_modes_can_be_read(one_camera) -> None:
     np.testing.assert_allclose(np.nansum(modes.weights, 1), 1.0, atol=1e-6)
     assert (modes.depth_sd > 0).any()
     assert np.isnan(motion.cost).all()  # costs of pictures are no overlap
+
+
+def test_mirrored_limbs_are_tried_where_key_points_can_tell_them_apart() -> None:
+    for keypoints in (True, False):
+        search = MonoOptions(hypotheses=4).tracker_settings(60.0, keypoints=keypoints).search
+        assert (search.flips, search.hypotheses) == (keypoints, 4)
 
 
 def test_the_report_says_how_uncertain_depth_is(one_camera) -> None:
