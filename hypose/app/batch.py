@@ -226,6 +226,8 @@ def _client(place: Place) -> Iterator[Client]:
             # no task waits at a worker: a death counts against the task that ran, and costs that one only
             "distributed.scheduler.worker-saturation": 1.0,
             "distributed.nanny.pre-spawn-environ": environment,
+            # a worker of a busy machine takes long to start, and must not be given up for that
+            "distributed.comm.timeouts.connect": "300s",
         }
     ):
         if place.scheduler is not None:

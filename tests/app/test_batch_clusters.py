@@ -112,18 +112,20 @@ def test_a_dead_worker_costs_one_chunk(long, tmp_path):
 
     (task,), _ = tasks_of(long, tmp_path / "killed", 13.0)
     chunks = Path(task.results) / "chunks"
-    killed, first = [], set()
+    killed, finished = [], set()
 
     def kill_in_the_second_chunk():
-        deadline = time.monotonic() + 600
+        """Whichever chunk is begun second; the file of the first is watched."""
+        deadline, first = time.monotonic() + 600, None
         while time.monotonic() < deadline and not (Path(task.results) / "motion.npz").exists():
-            if (chunks / "0001.npz").exists():
-                if not killed:
-                    killed.extend(workers_of(os.getpid()))
-                    for pid in killed:
-                        os.kill(pid, signal.SIGKILL)
-                if (chunks / "0000.npz").exists():
-                    first.add((chunks / "0000.npz").stat().st_mtime_ns)
+            begun = sorted(chunks.glob("0*.npz"), key=lambda p: p.stat().st_mtime_ns)
+            if len(begun) == 2 and not killed:
+                first = begun[0]
+                for pid in workers_of(os.getpid()):
+                    os.kill(pid, signal.SIGKILL)
+                    killed.append(pid)
+            if first is not None and first.exists():
+                finished.add(first.stat().st_mtime_ns)
             time.sleep(0.02)
 
     killer = threading.Thread(target=kill_in_the_second_chunk)
@@ -131,6 +133,6 @@ def test_a_dead_worker_costs_one_chunk(long, tmp_path):
     figures = run_batch([task], Place(workers=1, threads=1), tmp_path / "killed")
     killer.join()
     assert killed and figures[task.key]["state"] == "done" and figures[task.key]["attempts"] == 2
-    assert len(first) == 1  # the finished chunk was not touched
+    assert len(finished) == 1  # the finished chunk was not touched
     assert (Path(task.results) / "motion.npz").read_bytes() == expected
     assert not chunks.exists()
