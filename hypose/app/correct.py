@@ -51,11 +51,11 @@ def read_correction(path: Path) -> Correction:
         value = json.loads("\n".join(text_lines(path, "saved clicks", _LARGEST_CLICKS)))
         form, frame, pose = value["format"], value["frame"], np.array(value["pose"], dtype=np.float64)
     except (ValueError, TypeError, KeyError, RecursionError):
-        form, frame, pose = None, None, np.zeros(0)
+        form, frame, pose = None, -1, np.zeros(0)
     counted = isinstance(frame, int) and not isinstance(frame, bool) and frame >= 0
     if form != "hypose-clicks" or not counted or pose.ndim != 1 or not np.isfinite(pose).all():
         raise InputError(f"{path} holds no clicked pose; correct a frame in `hypose view` and save it there.")
-    return Correction(frame, pose, path.stem)
+    return Correction(int(frame), pose, path.stem)
 
 
 def correct(
