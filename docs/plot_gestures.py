@@ -75,7 +75,8 @@ def sweeps(document):
     ap = {r["case"]: r["value"] for r in document["results"] if r["metric"] == "ap"}
     figure, axes = plt.subplots(1, 3, figsize=(11, 3.6))
     for axis, name, fixed in ((axes[0], "alpha", None), (axes[1], "beta", "alpha_300")):
-        chosen = {k: v for k, v in data.items() if k.startswith(name)}
+        keys = sorted((k for k in data if k.startswith(name)), key=lambda k: float(k.partition("_")[2]))
+        chosen = {k: data[k] for k in keys}
         chosen = {fixed: data[fixed], **chosen} if fixed else chosen
         for shade, (key, points) in zip(np.linspace(0.25, 1, len(chosen)), chosen.items(), strict=True):
             value = "0" if key == fixed else key.partition("_")[2]
