@@ -30,7 +30,7 @@ def mono_real(options: BenchOptions) -> BenchReport:
 
     keypoints, both (with silhouettes): start and every frame from this view's own key points, which took part in the
     reference; edges, silhouettes: only the start from key points, then edges and flow, and masks besides. The body is
-    the one of all four views, or, in '/one_view', found from the first picture and the height alone. quick: 15 frames
+    the one of all four views, or, in '/one_view', found from this view alone and the height. quick: 15 frames
     of the first case, with the girths of the template, so that no video but that one is read.
     """
     folder = options.folder("pose2sim_balancing")
