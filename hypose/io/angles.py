@@ -39,7 +39,8 @@ def write_joints_csv(path: str | Path, motion: Motion) -> None:
     """Write joint centres (world, z up, m) with their standard deviation, and what is known of each frame.
 
     Columns: time_s, lost and extrapolated (0 or 1), n_views, doubtful (0 or 1; empty: not looked at), then x, y, z, sd
-    per joint. `sd` is per axis (root mean square of the three). Lost and extrapolated frames keep their predicted positions.
+    per joint. `sd` is per axis (root mean square of the three). Lost and extrapolated frames keep their predicted
+    positions.
     """
     header = ["time_s", "lost", "extrapolated", "n_views", "doubtful"]
     header += [f"{n}_{c}_m" for n in motion.skeleton.joint_names for c in ("x", "y", "z", "sd")]
