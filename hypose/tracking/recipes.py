@@ -66,8 +66,8 @@ LIMB_LAYERS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("right_arm", ("right_clavicle", "right_shoulder", "right_elbow")),
 )
 _TURNS = (0, 1, 0, 1)
-"""the frames (modulo 2) in which each of LIMB_LAYERS is searched: one leg and one arm in every frame; one limb per frame
-costs a tenth of the accuracy where the body is not the person's own"""
+"""the frames (modulo 2) in which each of LIMB_LAYERS is searched: one leg and one arm in every frame; one limb per
+frame costs a tenth of the accuracy where the body is not the person's own"""
 
 
 def partitions_of(skeleton: Skeleton, layers: Sequence[tuple[str, tuple[str, ...]]]) -> list[NDArray[np.int64]]:
