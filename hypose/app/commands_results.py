@@ -89,7 +89,7 @@ def bench(
     if first_seed is not None and first_seed < 0:
         raise InputError(f"--first-seed {first_seed} is not possible; give 0 or more.")
     if plot is not None:
-        from hypose.app.bench_plot import check_plot_path, plot_report
+        from hypose.app.bench_plot import check_plot_path
 
         check_plot_path(plot)
     with Stages() as progress:
@@ -100,6 +100,8 @@ def bench(
             temporary.write_text(to_json(report), encoding="utf-8", newline="\n")
         say(f"Written: {json}")
     if plot is not None:
+        from hypose.app.bench_plot import plot_report
+
         plot_report(report, plot)
         say(f"Drawn: {plot}")
 
