@@ -53,7 +53,7 @@ def test_the_arm_crosses_the_trunk_and_comes_back(arm) -> None:
     shown = arm.camera.project(arm.true_marks())
     assert np.ptp(shown[:, 2, 0]) > 100
     np.testing.assert_allclose(shown[0], shown[-1], atol=5)
-    left, right = (arm.camera.project(arm.joints[0])[j, 0] for j in (6, 10))
+    left, right = (arm.camera.project(arm.performance.joints[0])[j, 0] for j in (6, 10))
     assert ((shown[:, 1, 0] > min(left, right)) & (shown[:, 1, 0] < max(left, right))).any()
 
 
