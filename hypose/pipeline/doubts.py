@@ -14,8 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import binary_closing, binary_opening, median_filter
 
-from hypose import compute
-from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.frame import Frame
@@ -30,25 +28,20 @@ _STILL = 0.02
 _AFTER_S = 0.4
 
 
-def what_was_seen(body: Body, pose: Array, frame: Frame, last: Frame | None) -> NDArray[np.float32]:
-    """(C, 2): overlap (IoU) of the body at a pose (D,) with each view's mask, and the mask's difference from that of
-    the frame before (XOR over the larger area; None: there is none); (0, 2) without silhouettes."""
-    silhouettes = frame.silhouettes
+def what_was_seen(overlap: ArrayLike, frame: Frame, last: Frame | None) -> NDArray[np.float32]:
+    """(C, 2): overlap (C,), as the tracker found it (empty: it did not look), and the difference of each view's mask
+    from that of the frame before (XOR over the larger area; None: there is none); (0, 2) without silhouettes."""
+    silhouettes, before = frame.silhouettes, None if last is None else last.silhouettes
     if silhouettes is None:
         return np.zeros((0, 2), np.float32)
     out = np.full((len(silhouettes.masks), 2), np.nan, np.float32)
-    masks = prepared_masks(silhouettes)
-    if masks.usable.any():
-        flat = np.ascontiguousarray(pose[None], dtype=np.float64)
-        counts = compute.silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, masks)[0]
-        use = masks.usable
-        out[use, 0] = counts[use, 2] / np.maximum(counts[use, 0] + counts[use, 2], 1)
-    before = None if last is None else last.silhouettes
+    known = np.asarray(overlap)
+    out[: len(known), 0] = known
     if before is not None and before.masks.shape == silhouettes.masks.shape:
-        both = silhouettes.usable & before.usable
-        for c in np.flatnonzero(both):
-            a, b = silhouettes.masks[c], before.masks[c]
-            out[c, 1] = np.count_nonzero(a != b) / max(np.count_nonzero(a), np.count_nonzero(b), 1)
+        now, then = prepared_masks(silhouettes), prepared_masks(before)  # packed already, for the tracker
+        for c in np.flatnonzero(silhouettes.usable & before.usable):
+            differ = int(np.bitwise_count(now.bits[c] ^ then.bits[c]).sum())
+            out[c, 1] = differ / max(int(now.areas[c]), int(then.areas[c]), 1)
     return out
 
 

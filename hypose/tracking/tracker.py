@@ -66,9 +66,9 @@ class TrackerSettings:
 
 @dataclass(frozen=True)
 class FrameEstimate:
-    """pose (D,), its uncertainty, cost: 1 - mean IoU (NaN without silhouettes), flags, number of views. seen (C, 2): of
-    each view's mask the overlap (IoU) with the body, and how far it differs from the mask of the frame before (XOR over
-    the larger area); NaN where not known, (0, 2) when not looked at."""
+    """pose (D,), its uncertainty, cost: 1 - mean IoU (NaN without silhouettes), flags, number of views. overlap (C,):
+    IoU of the body with each view's mask, NaN where that is not usable, empty when not looked at. seen (C, 2): what
+    hypose.pipeline.doubts keeps of each view, (0, 2) when nothing."""
 
     pose: Array
     uncertainty: PoseUncertainty
@@ -76,6 +76,7 @@ class FrameEstimate:
     lost: bool
     extrapolated: bool
     n_views: int
+    overlap: Array = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
     seen: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 2), np.float32))
 
     @property
@@ -186,7 +187,8 @@ class Tracker:
             usual = iou if np.isnan(usual) else usual + 0.1 * (iou - usual)
         following = TrackerState(state.frames + 1, selected, pose, state.pose, known.joint_sd, usual, 0, lost)
         cost = 1 - iou if np.isfinite(iou) else float("nan")
-        return following, FrameEstimate(pose, known, cost, lost, False, view_count(prepared))
+        overlap = silhouette_iou(self.body, pose, prepared)
+        return following, FrameEstimate(pose, known, cost, lost, False, view_count(prepared), overlap)
 
     def _gain(self, state: TrackerState) -> float:
         """Share of the last step that is expected again: none after a loss, and none for estimates that are means of
@@ -306,7 +308,9 @@ def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray
 def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimate]:
     """The estimates that `estimates_to_arrays` wrote."""
     return [
-        FrameEstimate(pose, PoseUncertainty(sd, known), float(cost), bool(flags[0]), bool(flags[1]), int(views), seen)
+        FrameEstimate(
+            pose, PoseUncertainty(sd, known), float(cost), bool(flags[0]), bool(flags[1]), int(views), seen=seen
+        )
         for pose, sd, known, cost, flags, views, seen in zip(
             arrays["poses"],
             arrays["joint_sds"],
