@@ -225,8 +225,8 @@ def contour_term(
 
 
 def workspace_for(body: Body, contours: ContourTerm | None = None) -> Workspace:
-    """Scratch memory for fits of this body to images of this size; hand it to `fit_pose` to save its making. Not shared
-    between threads."""
+    """Scratch memory for fits of this body to images of this size, for who does not want `fit_pose` to use its thread's
+    own. Not shared between threads."""
     w, h = (2, 2) if contours is None else contours.sizes.max(0)
     return compute.workspace(body.skeleton.tree, body.coarse.arrays, h, w)
 
@@ -268,9 +268,8 @@ def fit_poses(
     fits: list[PoseFit | None] = [None] * len(q)
 
     def work(first: int, last: int) -> None:
-        ws = _own_workspace(body, contours)
         for n in range(first, last):
-            fits[n] = problem.fit(q[n], ws)
+            fits[n] = problem.fit(q[n], None)
 
     over_chunks(work, len(q), threads)
     return [f for f in fits if f is not None]
@@ -333,8 +332,9 @@ class _Problem:
 
     def fit(self, start: ArrayLike, workspace: Workspace | None) -> PoseFit:
         q = self.start(start)
-        ws = workspace if workspace is not None else workspace_for(self.body, self.contour_term)
-        check_workspace(ws, self.body, self.contour_term)
+        if workspace is not None:
+            check_workspace(workspace, self.body, self.contour_term)
+        ws = workspace if workspace is not None else _own_workspace(self.body, self.contour_term)
         out = compute.solve(
             q,
             self.tree,
