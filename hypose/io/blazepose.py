@@ -9,7 +9,6 @@ Source: the Pose Landmarker guide for Python, ai.google.dev/edge/mediapipe/solut
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import importlib
 import zipfile
 from collections.abc import Iterator
@@ -25,6 +24,7 @@ from hypose.errors import InputError
 from hypose.evidence.keypoints import BLAZEPOSE_33
 from hypose.geometry import Array
 from hypose.io.files import readable_size
+from hypose.io.provenance import file_identity
 
 _MAX_BYTES = 2**30
 _INSIDE = "pose_landmarks_detector.tflite"
@@ -103,8 +103,7 @@ def _checked_model(path: Path) -> str:
         raise InputError(f"{path} is no model bundle; give {_KIND}, which is a zip archive.") from None
     if _INSIDE not in inside:
         raise InputError(f"{path} is no model of a pose (it holds no {_INSIDE}); give {_KIND}.")
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return str(file_identity(path)["sha256"])
 
 
 def _library() -> Any:
