@@ -1,5 +1,5 @@
-"""The users' paths through the page, in Chromium against the real server (web/tests/*.path.mjs). What a user must read is
-asserted by each path itself; `go` fails with what the browser said."""
+"""The users' paths through the page, in Chromium against the real server (web/tests/*.path.mjs). What a user must read
+is asserted by each path itself; `go` fails with what the browser said."""
 
 import shutil
 
