@@ -112,7 +112,7 @@ def write_good(folder: Path) -> None:
     import trimesh
 
     from hypose.body.models import human
-    from hypose.body.motion import Motion
+    from hypose.body.motion import Motion, isotropic
     from hypose.cameras.camera import CameraRig
     from hypose.evaluation.rigs import rig
     from hypose.gestures.forest import ForestSettings
@@ -139,7 +139,7 @@ def write_good(folder: Path) -> None:
     body = human()
     poses = np.zeros((4, body.skeleton.dof)) + 0.01 * rng.standard_normal((4, body.skeleton.dof))
     joints, flags = body.joints(poses), np.zeros(4, bool)
-    sd = np.full(joints.shape[:2], 0.01)
+    sd = isotropic(np.full(joints.shape[:2], 0.01))
     motion = Motion(body.skeleton, np.arange(4) / 25, joints, poses, sd, flags, flags, np.full(4, 4), np.full(4, 0.1))
     (folder / "motion").mkdir()
     save_motion(motion, folder / "motion" / "motion.npz")

@@ -104,7 +104,7 @@ def correct(
 def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any]) -> Motion:
     """The motion `old` with the rows from `row` on replaced by those of `new`, and `record` among its corrections."""
     series = {}
-    for name in ("poses", "joints", "joint_sd", "lost", "extrapolated", "n_views", "cost"):
+    for name in ("poses", "joints", "joint_covariance", "lost", "extrapolated", "n_views", "cost"):
         values = getattr(old, name).copy()
         values[row : row + len(new)] = getattr(new, name)
         series[name] = values

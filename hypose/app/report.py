@@ -25,7 +25,6 @@ from hypose.app.view_pictures import ViewPictures
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.cameras.camera import CameraRig
-from hypose.geometry import Array
 from hypose.io.frames import FrameStream
 from hypose.io.recording import Recording
 from hypose.io.results import to_json
@@ -65,8 +64,7 @@ _POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; s
 class ReportInput:
     """What a report shows. title; motion, body, rig; stills: (caption, picture BGR); files: (name, what it is); notes:
     sentences; citation of the method; seconds per stage; truth of a synthetic recording; complete: every frame was
-    tracked; recording: whose pictures the viewer shows, and its first frame that belongs to the motion;
-    joint_covariance: as in ViewResult."""
+    tracked; recording: whose pictures the viewer shows, and its first frame that belongs to the motion."""
 
     title: str
     motion: Motion
@@ -81,7 +79,6 @@ class ReportInput:
     complete: bool = True
     recording: Recording | None = None
     first_frame: int = 0
-    joint_covariance: Array | None = None
 
 
 def from_result(result: ViewResult, recording: Recording | None) -> ReportInput:
@@ -100,7 +97,6 @@ def from_result(result: ViewResult, recording: Recording | None) -> ReportInput:
         complete=result.complete,
         recording=recording,
         first_frame=result.first_frame,
-        joint_covariance=result.joint_covariance,
     )
 
 
@@ -151,7 +147,6 @@ def _viewer(what: ReportInput) -> Viewer | None:
         seconds=what.seconds,
         truth=what.truth,
         complete=what.complete,
-        joint_covariance=what.joint_covariance,
     )
     if recording is None or not seen:
         return make_viewer(result, None)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
@@ -18,18 +19,19 @@ class Motion:
     """A tracked motion in the world frame (metres, seconds, radians; z up).
 
     skeleton: the joint tree. times: (T,) s. joints: (T, J, 3) joint centres, world. poses: (T, D) or None when only
-    points are known. joint_sd: (T, J) standard deviation of each joint's position per axis (root mean square over the
-    axes), m; NaN where unknown. lost: (T,) the person was not found. extrapolated: (T,) no evidence, prediction only.
-    n_views: (T,) number of views that carried evidence. cost: (T,) remaining cost of the method's own measure (NaN when
-    none). provenance: recipe, versions, seed, inputs' hashes: plain JSON values. doubtful: (T,) the evidence speaks
-    against itself (pictures that repeat or jump, views that disagree), or None: not looked at.
+    points are known. joint_covariance: (T, J, 3, 3) covariance of each joint's position, world, m^2; NaN where
+    unknown; in 32 bit, since long recordings have many frames. lost: (T,) the person was not found. extrapolated:
+    (T,) no evidence, prediction only. n_views: (T,) number of views that carried evidence. cost: (T,) remaining
+    cost of the method's own measure (NaN when none). provenance: recipe, versions, seed, inputs' hashes: plain JSON
+    values. doubtful: (T,) the evidence speaks against itself (pictures that repeat or jump, views that disagree),
+    or None: not looked at.
     """
 
     skeleton: Skeleton
     times: Array
     joints: Array
     poses: Array | None
-    joint_sd: Array
+    joint_covariance: NDArray[np.float32]
     lost: np.ndarray
     extrapolated: np.ndarray
     n_views: np.ndarray
@@ -41,7 +43,7 @@ class Motion:
         t, j = len(self.times), len(self.skeleton.joint_names)
         expected = {
             "joints": (t, j, 3),
-            "joint_sd": (t, j),
+            "joint_covariance": (t, j, 3, 3),
             "lost": (t,),
             "extrapolated": (t,),
             "n_views": (t,),
@@ -65,6 +67,22 @@ class Motion:
         return len(self.times)
 
     @property
+    def joint_sd(self) -> Array:
+        """(T, J) standard deviation of each joint's position per axis (root mean square over the axes), m; NaN where
+        unknown."""
+        return sd_per_axis(self.joint_covariance)
+
+    @property
     def frame_rate(self) -> float:
         """Frames per second, from the median time step (1 for a single frame)."""
         return float(1 / np.median(np.diff(self.times))) if len(self.times) > 1 else 1.0
+
+
+def isotropic(joint_sd: ArrayLike) -> NDArray[np.float32]:
+    """(..., J, 3, 3) m^2 from what is known per axis, (..., J) m: the same in every direction."""
+    return (np.asarray(joint_sd, dtype=np.float64)[..., None, None] ** 2 * np.eye(3)).astype(np.float32)
+
+
+def sd_per_axis(joint_covariance: ArrayLike) -> Array:
+    """(..., J) m: root mean square over the axes, of covariances (..., J, 3, 3) m^2."""
+    return np.sqrt(np.trace(np.asarray(joint_covariance, dtype=np.float64), axis1=-2, axis2=-1) / 3)

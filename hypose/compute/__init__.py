@@ -296,12 +296,12 @@ def solve(
     return Solution(q, evaluation, int(info[1]), int(info[2]), bool(info[3]))
 
 
-def joint_spread(pose: Array, tree: TreeArrays, hessian: Array, ridge: float = 1e-9) -> Array:
-    """(J,) spread of the joint centres per axis, m, when the pose (D,) has the covariance (hessian + ridge)^-1:
-    sqrt(trace(G C G^T) / 3) with G (3, D) the derivative of the centre; the numba kernel, on either back end."""
-    out = np.empty(len(tree.parents))
+def joint_covariances(pose: Array, tree: TreeArrays, hessian: Array, ridge: float = 1e-9) -> Array:
+    """(J, 3, 3) m^2: covariances of the joint centres when the pose (D,) has the covariance C = (hessian + ridge)^-1:
+    G C G^T with G (3, D) the derivative of the centre; the numba kernel, on either back end."""
+    out = np.empty((len(tree.parents), 3, 3))
     q, h = _plain(pose, np.float64), _plain(hessian, np.float64)
-    _numba("covariance").joint_spread(q, _tidy(tree), h, float(ridge), out)
+    _numba("covariance").joint_covariances(q, _tidy(tree), h, float(ridge), out)
     return out
 
 
@@ -356,7 +356,7 @@ def warm_up(*, monocular: bool = False) -> float:
     ws = workspace(tree, mesh, 32, 32)
     evaluate(q, tree, mesh, contours, keypoints, points, priors, ws)
     solve(q, tree, mesh, contours, keypoints, points, priors, SolveSettings(1, 0, 1e-3, 1e-2), ws)
-    joint_spread(q, tree, np.eye(6))
+    joint_covariances(q, tree, np.eye(6))
     if monocular:
         from hypose.compute import mono  # which imports this module
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hypose.body.models import JOINT_NAMES
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row
@@ -51,7 +52,7 @@ def uncertainty(options: BenchOptions) -> BenchReport:
                 **keypoint_motions(scene, frames, by_points, seed),
             }
             for evidence, motion in motions.items():
-                shares = covered(aligned_joints(motion, scene), motion.joint_sd, scene.joints)
+                shares = covered(aligned_joints(motion, scene), motion.joint_covariance, scene.joints)
                 found.setdefault(evidence, []).append(shares)
     options.progress("done", jobs, jobs)
     settings = {"seeds": seeds, "first_seed": first, "seconds": seconds, "actions": list(actions)}
@@ -59,9 +60,9 @@ def uncertainty(options: BenchOptions) -> BenchReport:
     return BenchReport(tuple(rows), settings)
 
 
-def covered(estimated: Array, joint_sd: Array, truth: Array) -> dict[str, Array]:
+def covered(estimated: Array, joint_covariance: ArrayLike, truth: Array) -> dict[str, Array]:
     """{group: (3,)}: share of a scene's joints and frames inside the regions of LEVELS."""
-    by_level = coverage(estimated, joint_sd, truth, LEVELS)
+    by_level = coverage(estimated, joint_covariance, truth, LEVELS)
     group = np.array([joint_group(JOINT_NAMES[j]) for j in EVALUATED])
     shares = np.stack([by_level[level][EVALUATED] for level in LEVELS])
     return {g: shares[:, (group == g) | (g == "all")].mean(1) for g in GROUPS}

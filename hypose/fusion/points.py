@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.motion import Motion
+from hypose.body.motion import Motion, isotropic
 from hypose.body.skeleton import Skeleton
 from hypose.fusion import joints as jt
 from hypose.geometry import Array
@@ -59,7 +59,7 @@ def points_motion(
         times,
         joints[:, order],
         None,
-        sd[:, order],
+        isotropic(sd[:, order]),
         lost,
         n_sensors == 0,
         n_sensors,

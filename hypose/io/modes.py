@@ -106,16 +106,6 @@ def load_modes(path: str | Path) -> Modes:
     return from_arrays(arrays, str(path))
 
 
-def load_joint_covariance(path: str | Path) -> Array:
-    """joint_covariance (T, J, 3, 3) m^2 of a modes.npz alone, which is little of what it holds; an InputError as of
-    `load_modes`."""
-    path, name = Path(path), "joint_covariance"
-    found = _load_arrays(path, "file of modes", _NEXT_STEP, {name}).get(name)
-    if found is None or found.dtype.kind != "f" or found.ndim != _DIMENSIONS[name] or found.shape[2:] != (3, 3):
-        raise InputError(f"{path} is damaged: {name} is missing or has another shape; track again.")
-    return found
-
-
 def to_arrays(modes: Modes) -> dict[str, np.ndarray]:
     """Plain arrays by name, for archives and checkpoints."""
     return {name: np.asarray(getattr(modes, name)) for name in _DIMENSIONS}

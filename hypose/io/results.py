@@ -33,7 +33,7 @@ _MOTION_ARRAYS: dict[str, tuple[str, str, int]] = {
     "times": ("f", "<f8", 1),
     "joints": ("f", "<f8", 3),
     "poses": ("f", "<f8", 2),
-    "joint_sd": ("f", "<f8", 2),
+    "joint_covariance": ("f", "<f4", 4),
     "lost": ("b", "|b1", 1),
     "extrapolated": ("b", "|b1", 1),
     "doubtful": ("b", "|b1", 1),
@@ -52,7 +52,7 @@ _MOTION_ARRAYS: dict[str, tuple[str, str, int]] = {
     "provenance": ("U", "", 0),
 }
 _SKELETON = ("parents", "rest_offsets", "ball", "axes", "joint_of_dof", "lower", "upper", "sigma")
-_SERIES = ("times", "joints", "joint_sd", "lost", "extrapolated", "n_views", "cost")
+_SERIES = ("times", "joints", "joint_covariance", "lost", "extrapolated", "n_views", "cost")
 _OPTIONAL = ("poses", "doubtful")
 
 

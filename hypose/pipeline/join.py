@@ -136,9 +136,9 @@ def _between(body: Body, a: FrameEstimate, b: FrameEstimate, share: float) -> Fr
     """The pose and what is known of it by shares (0: a, 1: b), everything else of the nearer one."""
     step = body.skeleton.on_branch(b.pose, a.pose) - a.pose
     u, v = a.uncertainty, b.uncertainty
-    sd = (1 - share) * u.joint_sd + share * v.joint_sd
+    around = (1 - share) * u.joint_covariance + share * v.joint_covariance
     known = ((1 - share) * u.information + share * v.information).astype(np.float32)
-    return replace(b if share > 0.5 else a, pose=a.pose + share * step, uncertainty=PoseUncertainty(sd, known))
+    return replace(b if share > 0.5 else a, pose=a.pose + share * step, uncertainty=PoseUncertainty(around, known))
 
 
 def seam_notes(seams: Sequence[Seam]) -> tuple[str, ...]:

@@ -64,10 +64,10 @@ def pose_fused(fused: Motion, body: Body | None = None, smoothness: float = 1.0)
     poses = fit_clip(subject.body, subject.poses[nearest], points=terms, acceleration=smoothness, priors=(prior,))
     skeleton = subject.body.skeleton
     joints = subject.body.joints(poses)
-    sd = np.full(joints.shape[:2], np.nan)
+    around = np.full((*joints.shape[:2], 3, 3), np.nan, np.float32)
     for k in known:
         if NAMES[k] in skeleton.joint_names:
             # the fused joints of a motion start at the torso; look each up by its name there
             own = NAMES[k].replace("wrist", "hand").replace("ankle", "foot")
-            sd[:, skeleton.joint(NAMES[k])] = fused.joint_sd[:, fused.skeleton.joint(own)]
-    return subject.body, replace(fused, skeleton=skeleton, joints=joints, poses=poses, joint_sd=sd)
+            around[:, skeleton.joint(NAMES[k])] = fused.joint_covariance[:, fused.skeleton.joint(own)]
+    return subject.body, replace(fused, skeleton=skeleton, joints=joints, poses=poses, joint_covariance=around)

@@ -24,7 +24,7 @@ from hypose.tracking.keypoint_evidence import STRANGER_M, KeypointModel, keypoin
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.smooth_motion import Smoothed, with_feet
 from hypose.tracking.smoothing import ClipSettings, acceleration_weight, bridged, in_windows, speed_weight
-from hypose.tracking.uncertainty import joint_sd_of
+from hypose.tracking.uncertainty import joint_covariance_of
 
 VELOCITY_GAIN = 0.8
 """Share of the last step that is expected again."""
@@ -88,16 +88,16 @@ def track_keypoint_clip(
         )
     free = _together(body, first, terms, frame_rate, settings)
     own = np.zeros((len(terms), body.skeleton.dof, body.skeleton.dof))
-    sd = np.full((len(terms), len(body.skeleton.joint_names)), np.nan)
+    around = np.full((len(terms), len(body.skeleton.joint_names), 3, 3), np.nan, np.float32)
     for t in np.flatnonzero(known):
         own[t] = _information(body, free[t], terms[t])
-        sd[t] = joint_sd_of(body, free[t], own[t], "keypoints")
+        around[t] = joint_covariance_of(body, free[t], own[t], "keypoints")
     motion = Motion(
         body.skeleton,
         np.arange(len(terms)) / frame_rate,
         body.joints(free),
         free,
-        sd,
+        around,
         _lost(known, EXTRAPOLATE_S * frame_rate),
         ~known,
         np.array([int(points.any(1).sum()) for points in seen]),

@@ -13,7 +13,7 @@ from hypose.body.motion import Motion
 from hypose.fitting import PointTerm
 from hypose.geometry import Array
 from hypose.tracking.contacts import FootMotion, contact_terms, find_contacts, foot_motion, soles_of
-from hypose.tracking.smoothing import ClipSettings, gap_variance, smooth_poses
+from hypose.tracking.smoothing import ClipSettings, gap_covariance, smooth_poses
 from hypose.tracking.uncertainty import unpacked
 
 
@@ -72,7 +72,7 @@ def with_feet(
     held: Callable[[list[PointTerm | None]], Array],
     settings: ClipSettings,
 ) -> Smoothed:
-    """The motion with poses solved again where the soles stand, its sd grown in gaps.
+    """The motion with poses solved again where the soles stand, its covariances grown in gaps.
 
     own (T, D, D): what each frame says of its pose (zero: nothing); free (T, D): the clip solved without contacts;
     held: solves it with points that hold still, one term or None per frame."""
@@ -81,15 +81,16 @@ def with_feet(
     soles = soles_of(body)
     contacts = find_contacts(soles.positions(body, free), known, rate)
     poses = held(contact_terms(contacts, soles))
-    spread = gap_variance(body, poses, own, rate, settings)
-    sd = np.sqrt(_carried(motion.joint_sd, known) ** 2 + spread)
-    smoothed = replace(motion, poses=poses, joints=body.joints(poses), joint_sd=sd)
+    spread = gap_covariance(body, poses, own, rate, settings)
+    around = (_carried(motion.joint_covariance, known) + spread).astype(np.float32)
+    smoothed = replace(motion, poses=poses, joints=body.joints(poses), joint_covariance=around)
     before, after = (foot_motion(soles.positions(body, q), contacts, rate) for q in (motion.poses, poses))
     return Smoothed(smoothed, before, after)
 
 
-def _carried(sd: Array, known: NDArray[np.bool_]) -> Array:
-    """(T, J): sd of the known frames, and in between what lies on the straight line."""
+def _carried(covariance: NDArray[np.float32], known: NDArray[np.bool_]) -> Array:
+    """(T, J, 3, 3): of the known frames, and in between what lies on the straight line."""
     at = np.flatnonzero(known)
-    frames = np.arange(len(sd))
-    return np.stack([np.interp(frames, at, column[at]) for column in sd.T], 1)
+    columns = covariance.reshape(len(covariance), -1).T
+    carried = np.stack([np.interp(np.arange(len(covariance)), at, column[at]) for column in columns], 1)
+    return carried.reshape(covariance.shape)

@@ -84,14 +84,14 @@ def smooth_poses(
     return in_windows(given, settings, solve)
 
 
-def gap_variance(
+def gap_covariance(
     body: Body, poses: Array, information: Array, frame_rate: float, settings: ClipSettings | None = None
 ) -> Array:
-    """(T, J) m^2 per axis: what coupling to the neighbours leaves open of each joint's centre in frames that know
+    """(T, J, 3, 3) m^2: what coupling to the neighbours leaves open of each joint's centre in frames that know
     nothing by themselves (information zero), growing with the distance from those that do; 0 in the others."""
     settings = settings or ClipSettings()
     weight, slow = (f(body.skeleton, frame_rate, settings) for f in (acceleration_weight, speed_weight))
-    out = np.zeros((len(poses), len(body.skeleton.joint_names)))
+    out = np.zeros((len(poses), len(body.skeleton.joint_names), 3, 3))
     blind = ~np.asarray(information.any((1, 2)))
     if not blind.any():
         return out
@@ -101,10 +101,10 @@ def gap_variance(
         n = part.stop - part.start
         covariance = frame_covariances(information[part] + least, Coupling(n, weight, slow).bands)
         assert covariance is not None
-        spread = np.zeros((n, out.shape[1]))
+        spread = np.zeros((n, *out.shape[1:]))
         for t in np.flatnonzero(blind[part]):
             g = body.skeleton.joint_jacobians(poses[part.start + t])
-            spread[t] = np.einsum("jad,de,jae->j", g, covariance[t], g) / 3
+            spread[t] = g @ covariance[t] @ g.swapaxes(1, 2)
         return spread
 
     return in_windows(out, settings, solve)
@@ -126,8 +126,8 @@ def bridged(poses: Array, known: NDArray[np.bool_]) -> Array:
 
 
 def in_windows(like: Array, settings: ClipSettings, solve: Callable[[slice], Array]) -> Array:
-    """solve(part) of overlapping windows, faded over where two overlap, so that memory and time grow with the clip's
-    length only linearly."""
+    """solve(part), arrays as `like` (T, ...), of overlapping windows, faded over where two overlap, so that memory and
+    time grow with the clip's length only linearly."""
     t, out = len(like), np.zeros_like(like)
     step = settings.window - settings.overlap
     first = 0
@@ -137,7 +137,7 @@ def in_windows(like: Array, settings: ClipSettings, solve: Callable[[slice], Arr
             last = t
         found = solve(slice(first, last))
         n = min(settings.overlap, last - first) if first else 0
-        fade = (np.arange(n) + 1.0)[:, None] / (n + 1.0)
+        fade = ((np.arange(n) + 1.0) / (n + 1.0)).reshape(-1, *[1] * (like.ndim - 1))
         out[first : first + n] = (1 - fade) * out[first : first + n] + fade * found[:n]
         out[first + n : last] = found[n:]
         if last == t:

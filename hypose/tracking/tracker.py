@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
-from hypose.body.motion import Motion
+from hypose.body.motion import Motion, sd_per_axis
 from hypose.evidence.frame import Frame
 from hypose.fitting.articulated import SolveOptions
 from hypose.geometry import Array
@@ -67,8 +67,8 @@ class TrackerSettings:
 @dataclass(frozen=True)
 class FrameEstimate:
     """pose (D,), its uncertainty, cost: 1 - mean IoU (NaN without silhouettes), flags, number of views. overlap (C,):
-    IoU of the body with each view's mask, NaN where that is not usable, empty when not looked at. seen (C, 2): what
-    hypose.pipeline.doubts keeps of each view, (0, 2) when nothing."""
+    IoU of the body with each view's mask, NaN where that is not usable, empty when not looked at. seen (C, 3): what
+    hypose.pipeline.doubts keeps of each view, (0, 3) when nothing."""
 
     pose: Array
     uncertainty: PoseUncertainty
@@ -77,24 +77,25 @@ class FrameEstimate:
     extrapolated: bool
     n_views: int
     overlap: Array = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
-    seen: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 2), np.float32))
+    seen: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
 
     @property
     def joint_sd(self) -> Array:
         """(J,) m per axis."""
-        return self.uncertainty.joint_sd
+        return sd_per_axis(self.uncertainty.joint_covariance)
 
 
 @dataclass(frozen=True)
 class TrackerState:
-    """What the next frame needs. frames: frames done; pose, previous (D,); joint_sd (J,); usual_iou: running mean of
+    """What the next frame needs. frames: frames done; pose, previous (D,); joint_covariance (J, 3, 3) m^2;
+    usual_iou: running mean of
     the IoU while not lost (NaN before the first); blind: frames since the last evidence; lost: in the last frame."""
 
     frames: int
     hypotheses: Hypotheses
     pose: Array
     previous: Array
-    joint_sd: Array
+    joint_covariance: Array
     usual_iou: float
     blind: int
     lost: bool
@@ -108,7 +109,7 @@ class TrackerState:
             "label": self.hypotheses.label,
             "pose": self.pose,
             "previous": self.previous,
-            "joint_sd": self.joint_sd,
+            "joint_covariance": self.joint_covariance,
             "usual_iou": np.array(self.usual_iou),
             "blind": np.array(self.blind),
             "lost": np.array(self.lost),
@@ -123,7 +124,7 @@ class TrackerState:
             h,
             arrays["pose"],
             arrays["previous"],
-            arrays["joint_sd"],
+            arrays["joint_covariance"],
             float(arrays["usual_iou"]),
             int(arrays["blind"]),
             bool(arrays["lost"]),
@@ -147,7 +148,7 @@ class Tracker:
         rng = stream(self.settings.seed, 0, START)
         noise = rng.standard_normal((self.particles, s.dof)) * 0.5 * step_sigma(s, self.settings.frame_rate)
         h = Hypotheses.uniform(s.clamp(pose + noise))
-        return TrackerState(0, h, pose, pose, np.full(len(s.joint_names), np.nan), float("nan"), 0, False)
+        return TrackerState(0, h, pose, pose, np.full((len(s.joint_names), 3, 3), np.nan), float("nan"), 0, False)
 
     def step(self, state: TrackerState, frame: Frame) -> tuple[TrackerState, FrameEstimate]:
         """One frame: predict, search, judge, and recover when lost."""
@@ -185,7 +186,7 @@ class Tracker:
         usual = state.usual_iou
         if not lost and np.isfinite(iou):
             usual = iou if np.isnan(usual) else usual + 0.1 * (iou - usual)
-        following = TrackerState(state.frames + 1, selected, pose, state.pose, known.joint_sd, usual, 0, lost)
+        following = TrackerState(state.frames + 1, selected, pose, state.pose, known.joint_covariance, usual, 0, lost)
         cost = 1 - iou if np.isfinite(iou) else float("nan")
         overlap = silhouette_iou(self.body, pose, prepared)
         return following, FrameEstimate(pose, known, cost, lost, False, view_count(prepared), overlap)
@@ -249,12 +250,12 @@ class Tracker:
         s = self.body.skeleton
         blind = state.blind + 1
         # what moved on unseen may have moved by its usual step: the variance of a random walk
-        growth = joint_step(self.body, prediction, step_sigma(s, self.settings.frame_rate))
-        sd = np.sqrt(np.nan_to_num(state.joint_sd, nan=0.0) ** 2 + growth**2)
+        growth = _step_covariance(self.body, prediction, step_sigma(s, self.settings.frame_rate))
+        covariance = np.nan_to_num(state.joint_covariance, nan=0.0) + growth
         lost = state.lost or blind > self.settings.extrapolate * self.settings.frame_rate
         h = replace(state.hypotheses, values=s.clamp(state.hypotheses.values + velocity))
-        following = TrackerState(state.frames + 1, h, prediction, state.pose, sd, state.usual_iou, blind, lost)
-        return following, FrameEstimate(prediction, nothing_known(sd, s.dof), float("nan"), lost, True, 0)
+        following = TrackerState(state.frames + 1, h, prediction, state.pose, covariance, state.usual_iou, blind, lost)
+        return following, FrameEstimate(prediction, nothing_known(covariance, s.dof), float("nan"), lost, True, 0)
 
     def _uncertainty(self, pose: Array, result: SearchResult, prepared: PreparedFrame) -> PoseUncertainty:
         if (result.weighted.label == REFINED).any():
@@ -262,9 +263,10 @@ class Tracker:
         return uncertainty_of_set(self.body, result.weighted)
 
 
-def joint_step(body: Body, pose: Array, sigma: Array) -> Array:
-    """(J,) rms motion of each joint per axis when every coordinate moves by its sigma (D,), at a pose (D,), m."""
-    return np.sqrt(((body.skeleton.joint_jacobians(pose) * sigma) ** 2).sum((1, 2)) / 3)
+def _step_covariance(body: Body, pose: Array, sigma: Array) -> Array:
+    """(J, 3, 3) m^2 at a pose (D,): covariance of each joint's motion when every coordinate moves by its sigma (D,)."""
+    steps = body.skeleton.joint_jacobians(pose) * sigma
+    return steps @ steps.swapaxes(1, 2)
 
 
 def _mean_iou(body: Body, pose: Array, prepared: PreparedFrame) -> float:
@@ -283,7 +285,7 @@ def motion_of(
         np.asarray(times, dtype=np.float64),
         body.joints(poses),
         poses,
-        np.stack([e.joint_sd for e in estimates]),
+        np.stack([e.uncertainty.joint_covariance for e in estimates], dtype=np.float32),
         np.array([e.lost for e in estimates], dtype=bool),
         np.array([e.extrapolated for e in estimates], dtype=bool),
         np.array([e.n_views for e in estimates], dtype=np.int64),
@@ -296,7 +298,7 @@ def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray
     """Plain arrays of the finished frames for a checkpoint."""
     return {
         "poses": np.stack([e.pose for e in estimates]),
-        "joint_sds": np.stack([e.joint_sd for e in estimates]),
+        "joint_covariances": np.stack([e.uncertainty.joint_covariance for e in estimates]),
         "information": np.stack([e.uncertainty.information for e in estimates]),
         "costs": np.array([e.cost for e in estimates]),
         "flags": np.array([[e.lost, e.extrapolated] for e in estimates]),
@@ -309,11 +311,11 @@ def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimat
     """The estimates that `estimates_to_arrays` wrote."""
     return [
         FrameEstimate(
-            pose, PoseUncertainty(sd, known), float(cost), bool(flags[0]), bool(flags[1]), int(views), seen=seen
+            pose, PoseUncertainty(around, known), float(cost), bool(flags[0]), bool(flags[1]), int(views), seen=seen
         )
-        for pose, sd, known, cost, flags, views, seen in zip(
+        for pose, around, known, cost, flags, views, seen in zip(
             arrays["poses"],
-            arrays["joint_sds"],
+            arrays["joint_covariances"],
             arrays["information"],
             arrays["costs"],
             arrays["flags"],

@@ -17,14 +17,14 @@ from hypose.tracking.evidence import PreparedFrame
 from hypose.tracking.refinement import refine
 
 # Rows of one contour err together, so do detections in neighbouring frames, a body is only nearly right, and lost limbs
-# make tails: how far the curvature is from the truth is measured, not derived. With these factors the 90 % regions held
-# the truth in 90 % of the joints of each group on synthetic scenes (walk, box, run, combo): silhouettes on 32 of the
-# seeds 20 to 27, without the three worst for arms and legs, where a limb is lost; the others on 24 of the seeds 20 to
-# 25. Those with silhouettes belong to the default weight of a contour row (0.05).
+# make tails: how far the curvature is from the truth is measured, not derived. With these factors the 90 % regions
+# (ellipsoids) held the truth in 90 % of the joints of each group on synthetic scenes (walk, box, run, combo): from
+# silhouettes on 64 scenes of the seeds 20 to 35, the others on 24 of the seeds 20 to 25. A head seen in silhouettes is
+# known as well as FLOOR allows. Those with silhouettes belong to the default weight of a contour row (0.05).
 CURVATURE_FACTOR: Mapping[str, Mapping[str, float]] = {
-    "silhouettes": {"torso": 0.48, "arms": 0.61, "legs": 0.37, "head": 0.20},
-    "keypoints": {"torso": 0.44, "arms": 0.42, "legs": 0.55, "head": 0.66},
-    "both": {"torso": 0.51, "arms": 0.51, "legs": 0.55, "head": 0.75},
+    "silhouettes": {"torso": 0.64, "arms": 0.66, "legs": 0.48, "head": 0.04},
+    "keypoints": {"torso": 0.44, "arms": 0.41, "legs": 0.38, "head": 0.54},
+    "both": {"torso": 0.48, "arms": 0.48, "legs": 0.34, "head": 0.50},
 }
 FLOOR = 0.005
 """m; no joint centre of a fitted body is known better than this."""
@@ -34,11 +34,11 @@ _SET_FLOOR = 0.02
 
 @dataclass(frozen=True)
 class PoseUncertainty:
-    """joint_sd (J,) m per axis of the joint centres. information (D (D + 1) / 2,): what the frame by itself says of the
-    pose, an inverse covariance (its lower triangle) without the pull to the prediction, for solving whole clips; zero:
-    nothing. In float32, since long recordings have many frames."""
+    """joint_covariance (J, 3, 3) m^2 of the joint centres. information (D (D + 1) / 2,): what the frame by itself
+    says of the pose, an inverse covariance (its lower triangle) without the pull to the prediction, for solving whole
+    clips; zero: nothing. In float32, since long recordings have many frames."""
 
-    joint_sd: Array
+    joint_covariance: Array
     information: NDArray[np.float32]
 
 
@@ -53,15 +53,16 @@ def uncertainty_of_pose(body: Body, pose: Array, frame: PreparedFrame) -> PoseUn
         hessian = refine(body, pose[None], frame, SolveOptions(iterations=0, coarse_iterations=0))[0].hessian
     information = hessian - frame.prediction_weight * np.eye(len(pose))
     evidence = "keypoints" if frame.contours is None else "silhouettes" if frame.keypoints is None else "both"
-    return PoseUncertainty(joint_sd_of(body, pose, hessian, evidence), packed(information))
+    return PoseUncertainty(joint_covariance_of(body, pose, hessian, evidence), packed(information))
 
 
-def joint_sd_of(body: Body, pose: Array, hessian: Array, evidence: str) -> Array:
-    """(J,) m per axis: sd of the joint centres at a solved pose (D,) from the cost's Hessian (D, D) there; evidence:
-    what the cost was made of, one of CURVATURE_FACTOR."""
+def joint_covariance_of(body: Body, pose: Array, hessian: Array, evidence: str) -> Array:
+    """(J, 3, 3) m^2: covariances of the joint centres at a solved pose (D,) from the cost's Hessian (D, D) there;
+    evidence: what the cost was made of, one of CURVATURE_FACTOR."""
     factors = CURVATURE_FACTOR[evidence]
     factor = np.array([factors[joint_group(name)] for name in body.skeleton.joint_names])
-    return np.hypot(factor * compute.joint_spread(pose, body.skeleton.tree, hessian), FLOOR)
+    curvature = compute.joint_covariances(pose, body.skeleton.tree, hessian)
+    return factor[:, None, None] ** 2 * curvature + FLOOR**2 * np.eye(3)
 
 
 def joint_group(name: str) -> str:
@@ -77,17 +78,16 @@ def joint_group(name: str) -> str:
 def uncertainty_of_set(body: Body, h: Hypotheses) -> PoseUncertainty:
     """Of a weighted set (N, D)."""
     joints = body.joints(h.values)
-    w = h.weights[:, None, None]
-    mean = (w * joints).sum(0)
-    sd = np.hypot(np.sqrt((w * (joints - mean) ** 2).sum((0, 2)) / 3), FLOOR)
+    apart = joints - np.einsum("n,nja->ja", h.weights, joints)
+    around = np.einsum("n,nja,njb->jab", h.weights, apart, apart) + FLOOR**2 * np.eye(3)
     off = h.values - h.weights @ h.values
     covariance = np.einsum("n,nd,ne->de", h.weights, off, off) + _SET_FLOOR**2 * np.eye(off.shape[1])
-    return PoseUncertainty(sd, packed(np.linalg.inv(covariance)))
+    return PoseUncertainty(around, packed(np.linalg.inv(covariance)))
 
 
-def nothing_known(joint_sd: Array, dof: int) -> PoseUncertainty:
-    """Of a frame without evidence, whose joints are known to joint_sd (J,) from the frames before."""
-    return PoseUncertainty(joint_sd, packed(np.zeros((dof, dof))))
+def nothing_known(joint_covariance: Array, dof: int) -> PoseUncertainty:
+    """Of a frame without evidence, whose joints are known to joint_covariance (J, 3, 3) from the frames before."""
+    return PoseUncertainty(joint_covariance, packed(np.zeros((dof, dof))))
 
 
 def packed(information: Array) -> NDArray[np.float32]:

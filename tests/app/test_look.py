@@ -118,7 +118,7 @@ def test_the_report_says_what_went_wrong(result):
     motion, body, recording = result
     lost = np.arange(8) >= 5
     nothing = np.full(8, np.nan)
-    bad = replace(motion, lost=lost, extrapolated=lost, cost=nothing, joint_sd=np.full((8, 19), np.nan))
+    bad = replace(motion, lost=lost, extrapolated=lost, cost=nothing, joint_covariance=np.full((8, 19, 3, 3), np.nan))
     notes = ['View <cam1>: "dark" & blurred']
     page = report_html(ReportInput("a < b", bad, body, recording.rig, notes=notes, complete=False))
     assert "View &lt;cam1&gt;: &quot;dark&quot; &amp; blurred" in page and "a &lt; b" in page

@@ -298,15 +298,14 @@ def test_read_only_inputs_are_taken_and_not_changed(scene):
             a.flags.writeable = True
 
 
-def test_spread_of_joints_is_that_of_the_covariance(rng):
+def test_covariances_of_joints_are_those_of_the_pose(rng):
     pose = random_pose(BODY, rng, 0.25)
     half = rng.standard_normal((len(pose), len(pose)))
     hessian = half @ half.T + np.eye(len(pose))
-    spread = compute.joint_spread(pose, SKELETON.tree, hessian, 0.0)
+    found = compute.joint_covariances(pose, SKELETON.tree, hessian, 0.0)
     jacobians = SKELETON.joint_jacobians(pose)
     covariance = np.linalg.inv(hessian)
-    wanted = [np.sqrt(np.trace(j @ covariance @ j.T) / 3) for j in jacobians]
-    np.testing.assert_allclose(spread, wanted, rtol=1e-9)
+    np.testing.assert_allclose(found, jacobians @ covariance @ jacobians.swapaxes(1, 2), rtol=1e-7, atol=1e-12)
 
 
 def test_evidence_for_tracking_gives_the_same_cost_near_the_person(rig):

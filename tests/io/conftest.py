@@ -5,7 +5,7 @@ import pytest
 
 from hypose.body.body import Body, Landmarks, Mesh
 from hypose.body.models import JOINT_NAMES, PARENTS, human_skeleton
-from hypose.body.motion import Motion
+from hypose.body.motion import Motion, isotropic
 
 # joint centres of a standing adult, arms 45 degrees out, elbows a little bent; x left, y backward, z up
 _LEFT = {
@@ -91,7 +91,7 @@ def small_motion(small_body):
         times,
         skeleton.forward(poses)[1],
         poses,
-        np.full((n, 19), 0.0042),
+        isotropic(np.full((n, 19), 0.0042)),
         lost,
         extrapolated,
         np.where(lost, 0, 4),

@@ -36,10 +36,10 @@ def test_angles_are_degrees_and_metres(tmp_path, small_motion):
 
 
 def test_joints_have_sd_and_flags(tmp_path, small_motion):
-    sd = small_motion.joint_sd.copy()
-    sd[7, 2] = np.nan
+    unknown = small_motion.joint_covariance.copy()
+    unknown[7, 2] = np.nan
     doubtful = np.arange(len(small_motion)) == 3
-    write_joints_csv(tmp_path / "j.csv", replace(small_motion, joint_sd=sd, doubtful=doubtful))
+    write_joints_csv(tmp_path / "j.csv", replace(small_motion, joint_covariance=unknown, doubtful=doubtful))
     header, rows = _table(tmp_path / "j.csv")
     assert header[:5] == ["time_s", "lost", "extrapolated", "n_views", "doubtful"]
     assert [int(r["doubtful"]) for r in rows] == doubtful.astype(int).tolist()
@@ -99,7 +99,7 @@ def test_a_motion_without_frames_is_refused(tmp_path, small_motion, small_body):
         small_motion,
         **{
             k: getattr(small_motion, k)[:0]
-            for k in ("times", "joints", "poses", "joint_sd", "lost", "extrapolated", "n_views", "cost")
+            for k in ("times", "joints", "poses", "joint_covariance", "lost", "extrapolated", "n_views", "cost")
         },
     )
     with pytest.raises(InputError, match="no frames"):
@@ -111,7 +111,7 @@ def test_a_single_frame_can_be_exported(tmp_path, small_motion, small_body):
         small_motion,
         **{
             k: getattr(small_motion, k)[:1]
-            for k in ("times", "joints", "poses", "joint_sd", "lost", "extrapolated", "n_views", "cost")
+            for k in ("times", "joints", "poses", "joint_covariance", "lost", "extrapolated", "n_views", "cost")
         },
     )
     assert len(export_motion(one, small_body, tmp_path)) == 7

@@ -17,7 +17,7 @@ from hypose.body.coarse_mesh import enclosed_volume, is_closed
 from hypose.body.fit_skeleton import scan_pose
 from hypose.body.joint_names import MIXAMO, SMPL_JOINTS, renamed_body
 from hypose.body.models import JOINT_NAMES, human
-from hypose.body.motion import Motion
+from hypose.body.motion import Motion, isotropic
 from hypose.errors import InputError
 from hypose.io.bodies import load_body
 from hypose.io.gltf import write_glb
@@ -124,7 +124,9 @@ def glb_of(path: Path, body: Body) -> Path:
     n, j = 2, len(body.skeleton.joint_names)
     no, count = np.zeros(n, dtype=bool), np.zeros(n, dtype=np.int64)
     times = np.array([0.0, 0.04])
-    motion = Motion(body.skeleton, times, body.joints(poses), poses, np.zeros((n, j)), no, no, count, np.zeros(n))
+    motion = Motion(
+        body.skeleton, times, body.joints(poses), poses, isotropic(np.zeros((n, j))), no, no, count, np.zeros(n)
+    )
     write_glb(path, motion, body)
     return path
 

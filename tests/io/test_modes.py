@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.io.modes import Modes, joined, load_joint_covariance, load_modes, save_modes
+from hypose.io.modes import Modes, joined, load_modes, save_modes
 
 
 def some(t, k, seed=0, d=5, j=3):
@@ -29,7 +29,6 @@ def test_read_back(tmp_path) -> None:
     for name in ("poses", "joints", "weights", "costs", "covariances", "joint_covariance", "depth_sd", "alive"):
         np.testing.assert_array_equal(getattr(modes, name), getattr(again, name))
     assert len(again) == 4
-    np.testing.assert_array_equal(load_joint_covariance(tmp_path / "modes.npz"), modes.joint_covariance)
 
 
 def test_frames_with_fewer_modes_are_padded() -> None:

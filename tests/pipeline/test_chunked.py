@@ -56,7 +56,7 @@ def test_chunks_that_are_too_short_are_refused(seconds):
 
 
 def estimate(pose, lost=False, cost=0.1):
-    return FrameEstimate(pose, nothing_known(np.full(19, 0.01), D), cost, lost, False, 4)
+    return FrameEstimate(pose, nothing_known(np.zeros((19, 3, 3)), D), cost, lost, False, 4)
 
 
 def state_at(pose):

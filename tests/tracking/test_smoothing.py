@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.body.motion import Motion
+from hypose.body.motion import Motion, isotropic
 from hypose.errors import EvidenceError
 from hypose.evidence.keypoints import BODY_25B
 from hypose.tracking.keypoint_clip import solve_keypoint_clip, track_keypoint_clip
@@ -35,7 +35,7 @@ def information(poses, sd=0.05):
 def motion_of(body, poses, lost=()):
     n = len(poses)
     flags = np.isin(np.arange(n), lost)
-    sd = np.full((n, len(body.skeleton.joint_names)), 0.01)
+    sd = isotropic(np.full((n, len(body.skeleton.joint_names)), 0.01))
     return Motion(
         body.skeleton, np.arange(n) / RATE, body.joints(poses), poses, sd, flags, flags, np.full(n, 4), np.full(n, 0.1)
     )

@@ -21,7 +21,7 @@ from hypose.app.studio.recordings import Recordings
 from hypose.app.view_bundle import ViewResult, view_bundle
 from hypose.body.body import Body
 from hypose.body.models import JOINT_NAMES, human
-from hypose.body.motion import Motion
+from hypose.body.motion import Motion, isotropic
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.bodies import load_body
@@ -98,10 +98,9 @@ def _body_block(asked: dict[str, str], catalog: Catalog, recordings: Recordings)
     if not measured:
         body = click_fit.sized(body, _height(wanted, measured, recordings.load(item)))
     rest = np.zeros((1, body.skeleton.dof))
-    one, unknown = np.zeros(1, dtype=bool), np.full((1, len(body.skeleton.joint_names)), np.nan)
-    motion = Motion(
-        body.skeleton, np.zeros(1), body.joints(rest), rest, unknown, one, one, np.zeros(1, np.int64), unknown[:, 0]
-    )
+    one, unknown = np.zeros(1, dtype=bool), np.full(1, np.nan)
+    around = isotropic(np.full((1, len(body.skeleton.joint_names)), np.nan))
+    motion = Motion(body.skeleton, np.zeros(1), body.joints(rest), rest, around, one, one, np.zeros(1, int), unknown)
     return view_bundle(ViewResult(item.path.name, motion, body))
 
 

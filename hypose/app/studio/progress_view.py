@@ -28,7 +28,7 @@ def block_so_far(plan: Plan, began: float | None, catalog: Catalog, recordings: 
         return view_bundle(load_view(folder, recording))
     saved = Checkpoint.read(checkpoint)
     done = {k.removeprefix("done_"): v for k, v in saved.arrays.items() if k.startswith("done_")}
-    if not {"poses", "joint_sds", "flags"} <= done.keys():
+    if not {"poses", "joint_covariances", "flags"} <= done.keys():
         raise NotFound("What this method has tracked so far cannot be shown; wait for its end.")
     estimates, body = estimates_from_arrays(done), load_body(folder / "body.npz")
     times = np.arange(len(estimates)) / recording.frame_rate

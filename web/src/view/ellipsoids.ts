@@ -1,11 +1,11 @@
 import { DynamicDrawUsage, InstancedMesh, Matrix4, MeshBasicMaterial, SphereGeometry } from "three";
 import { colour } from "../ui/theme";
 
-const SPREAD = 2; // standard deviations
+const SPREAD = 2.5003; // standard deviations: nine in ten of a normal distribution in space
 const MOST_M = 0.4; // one standard deviation that is drawn at most: what is hardly known would cover everything
 const LEAST_M2 = 1e-8;
 
-/** How sure the joints are: ellipsoids of two standard deviations, spheres where only one number is known. */
+/** How sure the joints are: regions that hold them with 90 %. */
 export class Ellipsoids {
   readonly mesh: InstancedMesh<SphereGeometry, MeshBasicMaterial>;
   private readonly matrix = new Matrix4();
@@ -22,7 +22,7 @@ export class Ellipsoids {
     this.mesh.material.color.set(colour("accent"));
   }
 
-  /** A sphere around joint j at p (m); sd: m per axis, anything but a positive number hides it. */
+  /** A ball around joint j at p (m); sd: m per axis, anything but a positive number hides it. */
   sphere(j: number, p: readonly [number, number, number], sd: number): void {
     if (!(sd > 0) || !Number.isFinite(p[0])) return this.hide(j);
     const r = SPREAD * Math.min(sd, MOST_M);

@@ -188,12 +188,11 @@ export class Spread {
   }
 
   place(row: number): void {
-    const { positions, sd, covariance, joints } = this.data;
+    const { positions, covariance, joints } = this.data;
     for (let j = 0; j < joints; j++) {
       const at = row * joints + j;
       const p = [positions[3 * at]!, positions[3 * at + 1]!, positions[3 * at + 2]!] as const;
-      if (covariance) this.ellipsoids.ellipsoid(j, p, covariance, 6 * at);
-      else this.ellipsoids.sphere(j, p, sd[at]!);
+      this.ellipsoids.ellipsoid(j, p, covariance, 6 * at);
     }
   }
 }
