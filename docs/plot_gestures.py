@@ -1,5 +1,5 @@
 """Draws the pictures of docs/gestures.md and docs/benchmarks.md: what the simulated sensor delivers; curves of recall
-over 1 - precision; alpha, beta and the trees' balance; sessions.
+over 1 - precision (mean over seeds); alpha, beta and the trees' balance; sessions.
 
 python docs/plot_gestures.py [FILE.json ...]     (of `hypose bench gesture-table-3.1`, `-3.2`, `-3.3`, `gesture-sweeps`;
                                                   without files: the sensor)
@@ -22,7 +22,8 @@ IMAGES = Path(__file__).parent / "images"
 STYLE = {
     "online_hard": ("online, hard negatives", "#1f77b4"),
     "online_random": ("online, random negatives", "#9ecae1"),
-    "offline_boosted": ("offline boosted", "#d9822b"),
+    "offline_boosted_around": ("offline boosted, negatives around the place", "#d9822b"),
+    "offline_boosted": ("offline boosted, as published", "#f2c48d"),
     "clipped_15": ("clipped at 15 cm", "#1f77b4"),
     "clipped_30": ("30 cm", "#6baed6"),
     "clipped_50": ("50 cm", "#bdd7e7"),
@@ -47,15 +48,26 @@ def sensor():
     figure.savefig(IMAGES / "gestures-sensor.png", dpi=75)
 
 
+def mean_curve(several):
+    """The best recall at each 1 - precision, mean over the seeds' curves [(1 - precision, recall)]."""
+    grid, out = np.linspace(0, 1, 201), []
+    for points in several:
+        x, y = np.array(points).reshape(-1, 2).T if len(points) else np.zeros((2, 0))
+        order = np.argsort(x, kind="stable")
+        best = np.concatenate([[0.0], np.maximum.accumulate(y[order])])
+        out.append(best[np.searchsorted(x[order], grid, side="right")])
+    return grid, np.mean(out, axis=0)
+
+
 def curves(document):
     data = document["settings"]["curves"]
     names = [g for g in GESTURES if any(k.endswith(f"/{g}") for k in data)]
     figure, axes = plt.subplots(2, 3, figsize=(9, 5.4), sharex=True, sharey=True)
     for axis, name in zip(axes.flat, names, strict=False):
         for method, (label, colour) in STYLE.items():
-            points = np.array(data.get(f"{method}/{name}", []))
-            if len(points):
-                axis.step(points[:, 0], points[:, 1], where="post", label=label, color=colour, lw=1.4)
+            several = data.get(f"{method}/{name}")
+            if several:
+                axis.step(*mean_curve(several), where="post", label=label, color=colour, lw=1.4)
         axis.set_title(name.replace("_", " "), fontsize=9)
         axis.grid(alpha=0.3)
         axis.set_xlim(0, 1)
@@ -78,11 +90,10 @@ def sweeps(document):
         keys = sorted((k for k in data if k.startswith(name)), key=lambda k: float(k.partition("_")[2]))
         chosen = {k: data[k] for k in keys}
         chosen = {fixed: data[fixed], **chosen} if fixed else chosen
-        for shade, (key, points) in zip(np.linspace(0.25, 1, len(chosen)), chosen.items(), strict=True):
+        for shade, (key, several) in zip(np.linspace(0.25, 1, len(chosen)), chosen.items(), strict=True):
             value = "0" if key == fixed else key.partition("_")[2]
-            points = np.array(points).reshape(-1, 2)
             label = f"{name} {value} (AP {ap[key]:.2f})"
-            axis.step(*points.T, where="post", color=plt.get_cmap("Blues")(shade), lw=1.4, label=label)
+            axis.step(*mean_curve(several), where="post", color=plt.get_cmap("Blues")(shade), lw=1.4, label=label)
         axis.set(xlim=(0, 1), ylim=(0, 1.02), title=f"pause, {name}")
         axis.set_xlabel("1 - precision")
         axis.set_ylabel("recall")
@@ -113,7 +124,7 @@ def sessions(document):
         for method, colour in (("interactive", "#1f77b4"), ("offline", "#d9822b")):
             cases = [f"{method}/{m}min" for m in (3, 6, 9)]
             minutes = [rows["minutes", c][0] for c in cases]
-            values, spread = zip(*(rows[metric, c] for c in cases), strict=True)
+            values, spread = zip(*(rows[metric, c] for c in cases), strict=True)  # over seeds: mean and sd
             axis.errorbar(minutes, values, spread, color=colour, marker="o", ms=4, capsize=3, label=method)
             if metric == "ap_10px":
                 axis.plot(*published[method], color=colour, ls=":", label=f"{method}, published")

@@ -77,6 +77,10 @@ def bench(
     data: Annotated[Path | None, typer.Option(help="Folder with the real recordings, for real-* benchmarks.")] = None,
     json: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw the figures to this file (.png, .svg or .pdf).")] = None,
+    parts: Annotated[
+        Path | None,
+        typer.Option(help="Keep the figures of each part here, and go on from those kept (gesture tables)."),
+    ] = None,
     threads: Threads = None,
 ) -> None:
     """Measure accuracy and speed."""
@@ -93,7 +97,9 @@ def bench(
 
         check_plot_path(plot)
     with Stages() as progress:
-        report = run_benchmark(name, quick=quick, seeds=seeds, data=data, progress=progress, first_seed=first_seed)
+        report = run_benchmark(
+            name, quick=quick, seeds=seeds, data=data, progress=progress, first_seed=first_seed, parts=parts
+        )
     _show(report)
     if json is not None:
         with atomic_path(json) as temporary:

@@ -6,6 +6,7 @@ versions can be compared; ratios are taken against a baseline of the same run, b
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import time
@@ -17,6 +18,8 @@ from typing import Any
 import numpy as np
 
 from hypose.errors import InputError
+from hypose.io.files import write_text
+from hypose.io.results import to_json
 
 Progress = Callable[[str, int, int], None]
 
@@ -25,13 +28,30 @@ Progress = Callable[[str, int, int], None]
 class BenchOptions:
     """quick: end within a minute and be small; seeds: repetitions, 0 = the benchmark's own number; data: folder of real
     recordings (None: only what needs none); progress(stage, done, total); first_seed: where the repetitions' seeds
-    begin, for benchmarks that have an own default."""
+    begin, for benchmarks that have an own default; parts: folder that keeps the figures of each part."""
 
     quick: bool = False
     seeds: int = 0
     data: Path | None = None
     progress: Progress = field(default=lambda stage, done, total: None)
     first_seed: int | None = None
+    parts: Path | None = None
+
+    def part(self, name: str, measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        """The figures of one part of a long benchmark (a seed, a gesture), as JSON has them: those kept in the folder
+        `parts`, else measured and kept there. Nothing measured is lost when a run is cut short, and a table can be
+        measured bit by bit. Which code a part was measured with is not known here: new code, new folder."""
+        if self.parts is None:
+            return measure()
+        path = self.parts / f"{name}{'.quick' if self.quick else ''}.json"
+        if path.exists():
+            try:
+                return dict(json.loads(path.read_text(encoding="utf-8")))
+            except (ValueError, TypeError):
+                raise InputError(f"{path} is no part of a benchmark; delete it, or give another folder.") from None
+        figures = measure()
+        write_text(path, to_json(figures))
+        return figures
 
     def folder(self, name: str) -> Path:
         """A real recording's folder; an InputError says what is missing."""
@@ -90,6 +110,7 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
         faults,
         fusion_benchmarks,
         fusion_speed,
+        gesture_alarms,
         gesture_asl,
         gesture_benchmarks,
         gesture_sessions,
@@ -138,7 +159,7 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
         "gesture-table-3.3": gesture_sessions.table_3_3,
         "gesture-semi-synthetic": gesture_asl.semi_synthetic,
         "gesture-speed": gesture_speed.speed,
-        "gesture-false-alarms": gesture_sessions.false_alarms,
+        "gesture-false-alarms": gesture_alarms.false_alarms,
         "batch": batch_scale.batch,
         "faults": faults.faults,
         "kills": kills.kills,
@@ -157,12 +178,13 @@ def run_benchmark(
     data: Path | None = None,
     progress: Progress | None = None,
     first_seed: int | None = None,
+    parts: Path | None = None,
 ) -> dict[str, Any]:
     """Runs one benchmark and returns its JSON document; an InputError lists the names when it is unknown."""
     known = benchmarks()
     if name not in known:
         raise InputError(f"There is no benchmark {name!r}; the benchmarks are {', '.join(known)}.")
-    options = BenchOptions(quick, seeds, data, progress or (lambda stage, done, total: None), first_seed)
+    options = BenchOptions(quick, seeds, data, progress or (lambda stage, done, total: None), first_seed, parts)
     begin = time.perf_counter()
     report = known[name](options)
     return {

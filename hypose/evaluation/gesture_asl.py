@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from hypose.compute.forests import Depth, ScanPlan
+from hypose.compute.forests import Depth
 from hypose.errors import InputError
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row, row
 from hypose.evaluation.gesture_data import TESTED, TRAINED, seeds_of
 from hypose.evaluation.gesture_metrics import Judged, judge
 from hypose.evaluation.gesture_scenes import CLUTTERED, GestureFrame, picture
 from hypose.gestures.forest import ForestSettings
-from hypose.gestures.localise import LocaliseSettings
 from hypose.gestures.online import Learner, teach
 from hypose.gestures.pictures import KINECT
 from hypose.gestures.pixels import Example, LearnSettings
@@ -62,7 +64,7 @@ def paste(crop: Depth, background: Depth, rng: np.random.Generator) -> tuple[Dep
     return out, x, y
 
 
-def _frames(crops: dict[str, list[Depth]], rooms: list[Depth], rng: np.random.Generator) -> list[GestureFrame]:
+def _frames(crops: Mapping[str, list[Depth]], rooms: list[Depth], rng: np.random.Generator) -> list[GestureFrame]:
     out = []
     for k, (letter, several) in enumerate(crops.items()):
         for crop in several:
@@ -80,31 +82,13 @@ def semi_synthetic(options: BenchOptions) -> BenchReport:
     crops = load_letters(options.folder("asl_depth_crops"))
     chosen = "afl" if options.quick else LETTERS
     seeds = seeds_of(options)
-    split = {c: round(TRAINED_SHARE * len(v)) for c, v in crops.items()}
     values: dict[str, list[Judged]] = {}
     for repetition, seed in enumerate(seeds):
-        rng = np.random.default_rng([85, seed])
-        rooms = [
-            [picture(p, "movement", CLUTTERED, rng).depth for p in (people * 7)[:_BACKGROUNDS]]
-            for people in (TRAINED, TESTED)
-        ]
-        test = _frames({c: v[split[c] :] for c, v in crops.items()}, rooms[1], rng)
+        rooms = cache(partial(_rooms, seed))
         for done, letter in enumerate(chosen):
-            learner = Learner.new(rng, ForestSettings(reach_mm=_REACH_MM), LearnSettings())
-            number = LETTERS.index(letter) + 1
-            for _ in range(PASSES):
-                shown = {c: list(v[: split[c]]) for c, v in crops.items()}
-                for c in LETTERS:
-                    few = rng.permutation(len(shown[c]))[:9] if c != letter else np.tile(np.arange(len(shown[c])), 3)
-                    shown[c] = [shown[c][i] for i in few]
-                frames = _frames(shown, rooms[0], rng)
-                teach(
-                    learner,
-                    [Example(f.depth, KINECT, int(f.gesture == number), f.x, f.y) for f in frames],
-                    shuffle=True,
-                )
-            look = LocaliseSettings(ScanPlan())
-            values.setdefault(letter, []).append(judge(learner.forest.freeze(), test, number, look))
+            measure = partial(_learn_letter, crops, rooms, letter, seed)
+            part = options.part(f"gesture-semi-synthetic.{seed}.{letter}", measure)
+            values.setdefault(letter, []).append(Judged.of(part))
             options.progress("learn", repetition * len(chosen) + done + 1, len(seeds) * len(chosen))
     rows: list[Row] = []
     for case, take in (("", Judged.ap), ("/5cm", Judged.ap_metres)):
@@ -114,3 +98,33 @@ def semi_synthetic(options: BenchOptions) -> BenchReport:
     settings = {"data": "semi-synthetic: real crops of one person in simulated rooms", "seeds": list(seeds)}
     share = 1 / len([c for c in LETTERS if crops[c]])
     return BenchReport(tuple(rows), settings | {"split_by_time": TRAINED_SHARE, "share_of_positives": share})
+
+
+def _rooms(seed: int) -> tuple[list[Depth], list[Depth]]:
+    """Pictures of rooms to paste into, to learn and to test."""
+    rng = np.random.default_rng([85, seed])
+    both = [
+        [picture(p, "movement", CLUTTERED, rng).depth for p in (people * 7)[:_BACKGROUNDS]]
+        for people in (TRAINED, TESTED)
+    ]
+    return both[0], both[1]
+
+
+def _learn_letter(
+    crops: Mapping[str, list[Depth]], rooms: Callable[[], tuple[list[Depth], list[Depth]]], letter: str, seed: int
+) -> dict[str, Any]:
+    to_learn, to_test = rooms()
+    split = {c: round(TRAINED_SHARE * len(v)) for c, v in crops.items()}
+    number = LETTERS.index(letter) + 1
+    rng = np.random.default_rng([85, seed, number])
+    test = _frames({c: v[split[c] :] for c, v in crops.items()}, to_test, np.random.default_rng([85, seed, 0]))
+    learner = Learner.new(rng, ForestSettings(reach_mm=_REACH_MM), LearnSettings())
+    for _ in range(PASSES):
+        shown = {c: list(v[: split[c]]) for c, v in crops.items()}
+        for c in LETTERS:
+            few = rng.permutation(len(shown[c]))[:9] if c != letter else np.tile(np.arange(len(shown[c])), 3)
+            shown[c] = [shown[c][i] for i in few]
+        frames = _frames(shown, to_learn, rng)
+        every = [Example(f.depth, KINECT, int(f.gesture == number), f.x, f.y) for f in frames]
+        teach(learner, every, shuffle=True)
+    return judge(learner.forest.freeze(), test, number).plain()

@@ -6,8 +6,9 @@ per picture. Settings were chosen on seed 100, which is none of the seeds report
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from hypose.evaluation.gesture_data import (
     training_set,
     two_fixed_rooms,
 )
-from hypose.evaluation.gesture_metrics import Judged, judge, precision_recall
+from hypose.evaluation.gesture_metrics import Judged, judge
 from hypose.evaluation.gesture_poses import GESTURES
 from hypose.evaluation.gesture_scenes import GestureFrame, Stage
 from hypose.gestures.forest import Forest, ForestSettings
@@ -84,23 +85,36 @@ def table_3_2(options: BenchOptions) -> BenchReport:
     names = GESTURES[:2] if options.quick else GESTURES
     values: dict[tuple[str, str], list[Judged]] = {}
     for done, seed in enumerate(seeds):
-        data = shoot(seed, options, size)
+        data = cache(partial(shoot, seed, options, size))  # drawn only for what has not been measured yet
         for k, name in enumerate(names):
-            number = GESTURES.index(name) + 1
-            shown, test = examples(data.train, number), for_gesture(data.test, number)
-            published, pool = (collect(shown, np.random.default_rng([83, seed]), around=n) for n in (0, 10))
-            forests = {
-                "online_hard": learn_online(shown, seed),
-                "online_random": learn_online(shown, seed, mine=False),
-                "offline_boosted": learn_offline(published, seed),
-                "offline_boosted_around": learn_offline(pool, seed),
-            }
-            for method, forest in forests.items():
-                values.setdefault((method, name), []).append(judge(forest, test, number))
+            part = options.part(f"gesture-table-3.2.{seed}.{name}", partial(_learn_all_ways, data, name, seed))
+            for method, judged in part.items():
+                values.setdefault((method, name), []).append(Judged.of(judged))
             options.progress("learn", done * len(names) + k + 1, len(seeds) * len(names))
-    rows = _means(values, names, "mean_ap", tuple(dict.fromkeys(m for m, _ in values)))
-    curves = {f"{m}/{g}": curve(v[0]) for (m, g), v in values.items()}
-    return BenchReport(tuple(rows), _settings(size, seeds) | {"curves": curves})
+    methods = tuple(dict.fromkeys(m for m, _ in values))
+    mean = {m: np.mean([[j.ap() for j in values[m, g]] for g in names], axis=0) for m in methods}  # per seed
+    rows = _means(values, names, "mean_ap", methods)
+    rows.append(row("ratio", "online_hard/online_random", mean["online_hard"] / mean["online_random"], "1"))
+    more = {"curves": _curves(values), "mean_ap_per_seed": {m: v.tolist() for m, v in mean.items()}}
+    return BenchReport(tuple(rows), _settings(size, seeds) | more)
+
+
+def _learn_all_ways(data: Callable[[], Shot], name: str, seed: int) -> dict[str, Any]:
+    number, shot = GESTURES.index(name) + 1, data()
+    shown, test = examples(shot.train, number), for_gesture(shot.test, number)
+    published, pool = (collect(shown, np.random.default_rng([83, seed]), around=n) for n in (0, 10))
+    forests = {
+        "online_hard": learn_online(shown, seed),
+        "online_random": learn_online(shown, seed, mine=False),
+        "offline_boosted": learn_offline(published, seed),
+        "offline_boosted_around": learn_offline(pool, seed),
+    }
+    return {method: judge(forest, test, number).plain() for method, forest in forests.items()}
+
+
+def _curves(values: Mapping[tuple[str, str], Sequence[Judged]]) -> dict[str, list[list[list[float]]]]:
+    """Of each seed, by method/gesture."""
+    return {f"{m}/{g}": [j.curve() for j in every] for (m, g), every in values.items()}
 
 
 def _means(
@@ -126,45 +140,41 @@ def table_3_1(options: BenchOptions) -> BenchReport:
     seeds = seeds_of(options)
     size = QUICK if options.quick else Size(40, 160, 20)
     names = ("tee", "ok") if options.quick else GESTURES
-    auc: dict[tuple[str, str], list[float]] = {}
+    values: dict[tuple[str, str], list[Judged]] = {}
     online: dict[tuple[str, str], list[float]] = {}
-    curves: dict[str, Any] = {}
     for done, seed in enumerate(seeds):
         stage = two_fixed_rooms(np.random.default_rng([84, seed]))
-        data = shoot(seed + 1000, options, size, stage)
+        data = cache(partial(shoot, seed + 1000, options, size, stage))
         for k, name in enumerate(names):
-            number = GESTURES.index(name) + 1
-            shown, test = examples(data.train, number), for_gesture(data.test, number)
-            pool = collect(shown, np.random.default_rng([83, seed]), negatives=20, around=0)
-            jobs = {
-                c: OfflineSettings(ForestSettings(clip_mm=mm), per_class=5000, tests=60) for c, mm in _CLIPS.items()
-            }
-            # the published baseline is unclipped
-            jobs["subforest"] = replace(jobs["unclipped"], learning="subforests")
-            for case, settings in jobs.items():
-                if done and case in ("clipped_30", "clipped_50"):  # the middle distances once: they decide nothing
-                    continue
-                judged = judge(learn_offline(pool, seed, settings), test, number)
-                auc.setdefault((case, name), []).append(judged.auc())
-                if not done:
-                    curves[f"{case}/{name}"] = curve(judged)
-            for case in ("clipped_15", "unclipped"):
-                forest = learn_online(shown, seed, settings=ForestSettings(clip_mm=_CLIPS[case]), passes=2)
-                online.setdefault((case, name), []).append(judge(forest, test, number).ap())
+            part = options.part(f"gesture-table-3.1.{seed}.{name}", partial(_clip, data, name, seed))
+            for case, judged in part["offline"].items():
+                values.setdefault((case, name), []).append(Judged.of(judged))
+            for case, judged in part["online"].items():
+                online.setdefault((case, name), []).append(Judged.of(judged).ap())
             options.progress("learn", done * len(names) + k + 1, len(seeds) * len(names))
     rows: list[Row] = []
-    for metric, table in (("auc", auc), ("online_ap", online)):
+    for metric, table in (("auc", {k: [j.auc() for j in v] for k, v in values.items()}), ("online_ap", online)):
         for case in dict.fromkeys(c for c, _ in table):
             v = np.array([table[case, g] for g in names])  # (gestures, seeds)
             rows.append(row(metric, case, v.mean(0), "1"))
             rows += [row(metric, f"{case}/{g}", v[k], "1") for k, g in enumerate(names)]
-    return BenchReport(tuple(rows), _settings(size, seeds) | {"curves": curves})
+    return BenchReport(tuple(rows), _settings(size, seeds) | {"curves": _curves(values)})
 
 
-def curve(judged: Judged) -> list[list[float]]:
-    """(1 - precision, recall) after each detection, for pictures of the curves."""
-    precision, recall = precision_recall(judged.scores, judged.errors_px <= 10, int(judged.shown.sum()))
-    return np.round(np.stack([1 - precision, recall], 1), 4).tolist()
+def _clip(data: Callable[[], Shot], name: str, seed: int) -> dict[str, Any]:
+    number, shot = GESTURES.index(name) + 1, data()
+    shown, test = examples(shot.train, number), for_gesture(shot.test, number)
+    pool = collect(shown, np.random.default_rng([83, seed]), negatives=20, around=0)
+    jobs = {c: OfflineSettings(ForestSettings(clip_mm=mm), per_class=5000, tests=60) for c, mm in _CLIPS.items()}
+    jobs["subforest"] = replace(jobs["unclipped"], learning="subforests")  # the published baseline is unclipped
+    online = {
+        c: learn_online(shown, seed, settings=ForestSettings(clip_mm=_CLIPS[c]), passes=2)
+        for c in ("clipped_15", "unclipped")
+    }
+    return {
+        "offline": {c: judge(learn_offline(pool, seed, s), test, number).plain() for c, s in jobs.items()},
+        "online": {c: judge(forest, test, number).plain() for c, forest in online.items()},
+    }
 
 
 def _settings(size: Size, seeds: range) -> dict[str, Any]:

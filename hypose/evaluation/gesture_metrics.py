@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,26 @@ class Judged:
     def auc(self, radius_px: float = RADIUS_PX) -> float:
         """Area under recall over 1 - precision (Table 3.1)."""
         return area_under_curve(self.scores, self.errors_px <= radius_px, int(self.shown.sum()))
+
+    def plain(self) -> dict[str, Any]:
+        """For JSON; errors only where the gesture is shown."""
+        px, metres = (
+            [e if s else None for e, s in zip(v.tolist(), self.shown, strict=True)]
+            for v in (self.errors_px, self.errors_m)
+        )
+        return {"scores": self.scores, "errors_px": px, "errors_m": metres, "shown": self.shown}
+
+    @staticmethod
+    def of(value: Mapping[str, Any]) -> Judged:
+        """From `plain`."""
+        shown = np.asarray(value["shown"], dtype=bool)
+        px, metres = (np.where(shown, np.asarray(value[k], dtype=float), np.inf) for k in ("errors_px", "errors_m"))
+        return Judged(np.asarray(value["scores"], dtype=float), px, metres, shown)
+
+    def curve(self) -> list[list[float]]:
+        """(1 - precision, recall) after each detection, for pictures of the curves."""
+        precision, recall = precision_recall(self.scores, self.errors_px <= RADIUS_PX, int(self.shown.sum()))
+        return np.round(np.stack([1 - precision, recall], 1), 4).tolist()
 
 
 def judge(
