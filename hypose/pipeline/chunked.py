@@ -21,6 +21,7 @@ from hypose.geometry import Array
 from hypose.io.provenance import identity
 from hypose.io.results import ResultsFolder
 from hypose.pipeline.colour_detections import tracked_frames
+from hypose.pipeline.doubts import what_was_seen
 from hypose.pipeline.join import join, seam_notes
 from hypose.pipeline.kept import keep_subject, kept_subject
 from hypose.pipeline.run import TrackOptions, TrackResult, finish, subject_of, tracker_of
@@ -119,9 +120,11 @@ class ChunkRun:
         tracker = tracker_of(subject, self.options, self.frame_rate)
 
         def follow(state: TrackerState, frames: range) -> Iterator[tuple[TrackerState, FrameEstimate]]:
+            last = None
             for frame in tracked_frames(self.source, frames, self.options.recipe, subject):
                 state, estimate = tracker.step(state, frame)
-                yield state, estimate
+                yield state, replace(estimate, seen=what_was_seen(estimate, tracker.body, frame, last))
+                last = frame
 
         joined, seams = join(subject.body, chunks, follow, done)
         joined = replace(joined, complete=chunks[-1].complete and done == total)

@@ -1,8 +1,10 @@
-"""Where the evidence of a clip speaks against itself: pictures that repeat, jump or disagree with the other views.
+"""Where the evidence of a clip speaks against itself: pictures that repeat, jump or disagree with the other views, or
+show somebody else as well.
 
 A tracker explains whatever it is shown: frames that come twice, a camera that lags, a gap in the recording all give
-poses that fit their masks well enough. What gives them away is how masks change from frame to frame, and how well the
-body overlaps one view beside the others. Those frames are marked, and it is said why; nothing is corrected.
+poses that fit their masks well enough. What gives them away is how masks change from frame to frame, how well the body
+overlaps one view beside the others, and what lies apart from it in them. Those frames are marked, and it is said why;
+nothing is corrected.
 """
 
 from __future__ import annotations
@@ -14,34 +16,44 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import binary_closing, binary_opening, median_filter
 
+from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
+from hypose.pipeline.strangers import strangers_share
+from hypose.tracking.tracker import FrameEstimate
 
 JUMP, LEAST_JUMP = 1.8, 0.12
 """A mask jumps when it changes by more than this many times the usual within a second, and by this much more."""
 WORSE, SPREAD = 0.15, 4.0
 """A view disagrees when its overlap, over half a second, lies this far below its usual one, and so many times its usual
 spread, and that of the other views is not half as far below theirs. Chosen on clean walks (seeds 0 and 3)."""
+STRANGER = 0.15
+"""Somebody else is there when a part of so much of the body's area lies apart from it in two views, and in half of
+them."""
+LESS = 0.06
+"""After something doubtful tracking is not back while the mean overlap lies so far below that before it."""
 _STILL = 0.02
 _AFTER_S = 0.4
 
 
-def what_was_seen(overlap: ArrayLike, frame: Frame, last: Frame | None) -> NDArray[np.float32]:
-    """(C, 2): overlap (C,), as the tracker found it (empty: it did not look), and the difference of each view's mask
-    from that of the frame before (XOR over the larger area; None: there is none); (0, 2) without silhouettes."""
+def what_was_seen(estimate: FrameEstimate, body: Body, frame: Frame, last: Frame | None) -> NDArray[np.float32]:
+    """(C, 3) of a tracked frame, NaN where not known: the body's overlap with each view's mask; the difference of the
+    mask from that of the frame before (XOR over the larger area; None: there is none); how much of it is somebody else
+    (`strangers_share`). (0, 3) without silhouettes."""
     silhouettes, before = frame.silhouettes, None if last is None else last.silhouettes
     if silhouettes is None:
-        return np.zeros((0, 2), np.float32)
-    out = np.full((len(silhouettes.masks), 2), np.nan, np.float32)
-    known = np.asarray(overlap)
-    out[: len(known), 0] = known
+        return np.zeros((0, 3), np.float32)
+    out = np.full((len(silhouettes.masks), 3), np.nan, np.float32)
+    out[: len(estimate.overlap), 0] = estimate.overlap
     if before is not None and before.masks.shape == silhouettes.masks.shape:
         now, then = prepared_masks(silhouettes), prepared_masks(before)  # packed already, for the tracker
         for c in np.flatnonzero(silhouettes.usable & before.usable):
             differ = int(np.bitwise_count(now.bits[c] ^ then.bits[c]).sum())
             out[c, 1] = differ / max(int(now.areas[c]), int(then.areas[c]), 1)
+        if not (estimate.lost or estimate.extrapolated):
+            out[:, 2] = strangers_share(silhouettes, before, body.skeleton, body.joints(estimate.pose))
     return out
 
 
@@ -54,7 +66,7 @@ def with_doubts(motion: Motion, seen: Sequence[NDArray[np.float32]]) -> tuple[Mo
     known = ~(motion.lost | motion.extrapolated)
     views = motion.provenance.get("settings", {}).get("views", [])
     names = [f"camera {v}" for v in views] if len(views) == table.shape[1] else _numbered(table.shape[1])
-    found = find_doubts(table[..., 0], table[..., 1], known, motion.frame_rate, names)
+    found = find_doubts(table[..., 0], table[..., 1], table[..., 2], known, motion.frame_rate, names)
     marked = np.zeros(len(motion), dtype=bool)
     for _, frames in found:
         marked |= frames
@@ -65,10 +77,15 @@ def with_doubts(motion: Motion, seen: Sequence[NDArray[np.float32]]) -> tuple[Mo
 
 
 def find_doubts(
-    overlap: ArrayLike, change: ArrayLike, known: ArrayLike, frame_rate: float, names: Sequence[str]
+    overlap: ArrayLike,
+    change: ArrayLike,
+    others: ArrayLike,
+    known: ArrayLike,
+    frame_rate: float,
+    names: Sequence[str],
 ) -> list[tuple[str, NDArray[np.bool_]]]:
-    """What is doubtful, in words, and in which frames (T,). overlap, change (T, C): see `what_was_seen`; known (T,):
-    frames in which the person was found."""
+    """What is doubtful, in words, and in which frames (T,). overlap, change, others (T, C): see `what_was_seen`; known
+    (T,): frames in which the person was found."""
     overlap, change = np.asarray(overlap, dtype=np.float64), np.asarray(change, dtype=np.float64)
     known = np.asarray(known, dtype=bool)
     if len(change) < round(frame_rate):
@@ -85,11 +102,14 @@ def find_doubts(
     ]
     gone = np.asarray(binary_opening(~known, np.ones(3)), dtype=bool)
     out.append(("somebody has just been found again", _during(gone, frame_rate) & known))
+    out.append(("somebody or something else is in the masks", _strangers(others, known, frame_rate)))
     worse = _worse(overlap, known, frame_rate)
     for c, name in enumerate(names):
         alone = same[:, c] & ~all_same
         out.append((f"{name} repeats pictures while the others go on", _during(alone, frame_rate)))
         out.append((f"{name} disagrees with the other views", worse[:, c]))
+    doubted = np.any([frames for _, frames in out], axis=0)
+    out.append(("the body fits less well than before that", _not_back(overlap, doubted, known, frame_rate)))
     return [(what, frames) for what, frames in out if frames.any()]
 
 
@@ -125,6 +145,39 @@ def _during(at: NDArray[np.bool_], frame_rate: float) -> NDArray[np.bool_]:
     gap = max(1, round(_AFTER_S * frame_rate))
     closed = np.asarray(binary_closing(np.pad(at, gap), np.ones(gap + 1))[gap:-gap], dtype=bool) | at
     return np.convolve(closed, np.ones(gap + 1))[: len(at)] > 0
+
+
+def _strangers(others: ArrayLike, known: NDArray[np.bool_], frame_rate: float) -> NDArray[np.bool_]:
+    """(T,): parts of the masks lie apart from the body in several views, for at least a fifth of a second; where they
+    touch it for a moment, they are still there."""
+    share = np.where(known[:, None], np.asarray(others, dtype=np.float64), np.nan)
+    views = np.isfinite(share).sum(1)
+    at = ((share > STRANGER).sum(1) >= np.maximum(2, 0.5 * views)) & (views > 0)
+    lasting = binary_opening(at, np.ones(max(2, round(0.2 * frame_rate))))
+    gap = max(1, round(frame_rate))
+    closed = binary_closing(np.pad(lasting, gap), np.ones(gap + 1))[gap:-gap]
+    return np.asarray(closed, dtype=bool)
+
+
+def _not_back(
+    overlap: Array, doubted: NDArray[np.bool_], known: NDArray[np.bool_], frame_rate: float
+) -> NDArray[np.bool_]:
+    """(T,): from the end of each stretch of doubtful frames as long as the overlap, over half a second, lies below that
+    of the frames before all of them: whatever it was may have turned the body around, or taken an arm away."""
+    out = np.zeros(len(known), dtype=bool)
+    before = np.arange(len(known)) < np.argmax(doubted)
+    half = max(3, round(0.5 * frame_rate))
+    if not doubted.any() or (before & known).sum() < half:
+        return out
+    with np.errstate(all="ignore"):
+        mean = np.array(
+            [np.nanmean(v) if np.isfinite(v).any() else np.nan for v in np.where(known[:, None], overlap, np.nan)]
+        )
+    limit = np.nanmedian(mean[before]) - LESS
+    low = median_filter(np.nan_to_num(mean, nan=0.0), half, mode="nearest") < limit
+    for t in range(1, len(out)):
+        out[t] = low[t] and not doubted[t] and (doubted[t - 1] or out[t - 1])
+    return out
 
 
 def _worse(overlap: Array, known: NDArray[np.bool_], frame_rate: float) -> NDArray[np.bool_]:

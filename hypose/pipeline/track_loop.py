@@ -88,7 +88,7 @@ def track_frames(
                 progress("track", done, total)
                 frame = next(coming)
                 state, estimate = tracker.step(state, frame)
-                estimates.append(replace(estimate, seen=what_was_seen(estimate.overlap, frame, last)))
+                estimates.append(replace(estimate, seen=what_was_seen(estimate, tracker.body, frame, last)))
                 last = frame
                 # all frames are written every time, so ever fewer times: the work of an hour of film stays linear
                 if keep is not None and done + 1 - saved >= max(keep.every, saved // 20) and done + 1 < total:

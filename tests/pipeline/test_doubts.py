@@ -1,9 +1,14 @@
 """Evidence that speaks against itself: pictures that repeat or are missing, a view that disagrees; all else is fine."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from hypose.body.models import human
+from hypose.evaluation.small_recordings import small_scene
 from hypose.pipeline.doubts import find_doubts
+from hypose.pipeline.strangers import strangers_share
 
 T, C, RATE = 150, 4, 25.0
 NAMES = ("a", "b", "c", "d")
@@ -19,9 +24,10 @@ def clean(rng):
     return overlap, change
 
 
-def find(overlap, change, known=None):
+def find(overlap, change, known=None, others=None):
     known = np.ones(T, dtype=bool) if known is None else known
-    return dict(find_doubts(overlap, change, known, RATE, NAMES))
+    others = np.zeros((T, C)) if others is None else others
+    return dict(find_doubts(overlap, change, others, known, RATE, NAMES))
 
 
 def test_a_clean_clip_is_not_doubted(clean):
@@ -78,6 +84,33 @@ def test_all_views_worse_is_no_quarrel_among_them(clean):
     assert find(overlap, change) == {}
 
 
+def test_somebody_else_is_told_when_two_views_see_them_for_a_while(clean):
+    others = np.zeros((T, C))
+    others[60:100, :2] = 0.6
+    others[75:85, 1] = 0.0  # in front of each other for a moment
+    (what, frames), *more = find(*clean, others=others).items()
+    assert (what, more) == ("somebody or something else is in the masks", [])
+    assert np.flatnonzero(frames).tolist() == list(range(60, 100))
+    others[:, 1] = 0.1  # what a shadow leaves
+    assert find(*clean, others=others) == {}
+    others[60:63, 1] = 0.6  # a tenth of a second
+    assert find(*clean, others=others) == {}
+    others[60:100, :2] = 0.6
+    assert find(*clean, known=np.arange(T) > 120, others=others).keys() == {"somebody has just been found again"}
+
+
+def test_tracking_that_has_not_come_back(clean):
+    overlap, change = clean
+    others = np.zeros((T, C))
+    others[60:100] = 0.6
+    overlap[60:130] -= 0.12  # turned around by what was there, until it finds back
+    found = find(overlap, change, others=others)
+    assert list(found) == ["somebody or something else is in the masks", "the body fits less well than before that"]
+    frames = np.flatnonzero(found["the body fits less well than before that"])
+    assert frames[0] == 100 and 125 <= frames[-1] <= 135
+    assert find(overlap, change) == {}  # nothing happened: it fits less well, and that is all
+
+
 def test_views_and_frames_without_a_mask(clean):
     overlap, change = clean
     overlap[:, 3], change[:, 3] = np.nan, np.nan  # a camera that never delivered anything
@@ -88,4 +121,25 @@ def test_views_and_frames_without_a_mask(clean):
     assert list(found) == ["somebody has just been found again"]
     assert np.flatnonzero(found["somebody has just been found again"]).tolist() == list(range(60, 70))
     assert find(np.full((T, C), np.nan), np.full((T, C), np.nan)) == {}
-    assert find_doubts(np.ones((3, C)), np.zeros((3, C)), np.ones(3, bool), RATE, NAMES) == []
+    few = np.zeros((3, C))
+    assert find_doubts(few + 1, few, few, np.ones(3, bool), RATE, NAMES) == []
+
+
+def test_parts_that_the_body_does_not_touch():
+    scene = small_scene(1, 2)
+    first, second = (f.silhouettes for f in scene.mask_frames())
+    skeleton, joints = human().skeleton, scene.joints[1]
+    assert (strangers_share(second, first, skeleton, joints) == 0).all()
+
+    def with_corner(silhouettes):
+        masks, usable = silhouettes.masks.copy(), silhouettes.usable.copy()
+        assert not masks[0, :40, :20].any()
+        masks[0, :40, :20] = 1
+        usable[3] = False
+        return replace(silhouettes, masks=masks, usable=usable)
+
+    share = strangers_share(with_corner(second), with_corner(first), skeleton, joints)
+    assert share[0] == pytest.approx(800 / (first.masks[0] & second.masks[0]).sum(), rel=0.02)
+    assert share[1] == share[2] == 0 and np.isnan(share[3])
+    assert strangers_share(with_corner(second), first, skeleton, joints)[0] == 0  # it was not there before
+    assert np.isnan(strangers_share(second, first, skeleton, joints + (30.0, 0.0, 0.0))).all()
