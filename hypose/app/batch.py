@@ -12,8 +12,9 @@ import importlib.util
 import os
 import signal
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 _TOPIC = "hypose-batch"
 _POLL_S = 0.5
 _STOP_S = 60.0  # a frame and a checkpoint take far less
+_KEEP_UP_S = 10.0
+_START, _GONE = "300s", "300s"  # a worker of a busy machine takes long to start, the first time and again
 _THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -100,7 +103,7 @@ def run_batch(
             announce(_dashboard(client))
             client.subscribe_topic(_TOPIC, heard.hear)
             futures = {_submit(client, t, str(stop.absolute()), place.retries): t for t in left}
-            _collect(futures, heard, out, progress, stop)
+            _collect(futures, heard, out, progress, stop, partial(_keep_up, client, place))
     finally:
         with contextlib.suppress(OSError):
             stop.unlink(missing_ok=True)
@@ -160,15 +163,19 @@ def _collect(
     out: dict[str, dict[str, Any]],
     progress: ProgressCall,
     stop: Path,
+    keep_up: Callable[[], None],
 ) -> None:
-    """Take results as they come; on Ctrl-C ask the workers to stop and wait for what they keep."""
+    """Take results as they come, and keep the workers up; on Ctrl-C ask them to stop and wait for what they keep."""
     from distributed import wait
 
     pending = set(futures)
     frames = sum(t.frames for t in futures.values())
-    deadline = float("inf")
+    deadline, looked = float("inf"), time.monotonic()
     while pending and time.monotonic() < deadline:
         try:
+            if time.monotonic() - looked > _KEEP_UP_S:
+                keep_up()
+                looked = time.monotonic()
             _show(futures, pending, heard, progress, frames)
             with contextlib.suppress(TimeoutError):
                 wait(list(pending), timeout=_POLL_S, return_when="FIRST_COMPLETED")
@@ -212,6 +219,12 @@ def _result(future: Future, task: Task) -> dict[str, Any]:
 # ---- clusters ------------------------------------------------------------------------------------------------
 
 
+def _keep_up(client: Client, place: Place) -> None:
+    """New workers for those that the cluster has given up, as it does with a job that has run out of time."""
+    if client.cluster is not None:  # one that was made here
+        client.cluster.scale(place.workers)
+
+
 @contextlib.contextmanager
 def _client(place: Place) -> Iterator[Client]:
     """A client of the place's cluster; a cluster that was made here is closed with it."""
@@ -226,8 +239,8 @@ def _client(place: Place) -> Iterator[Client]:
             # no task waits at a worker: a death counts against the task that ran, and costs that one only
             "distributed.scheduler.worker-saturation": 1.0,
             "distributed.nanny.pre-spawn-environ": environment,
-            # a worker of a busy machine takes long to start, and must not be given up for that
-            "distributed.comm.timeouts.connect": "300s",
+            "distributed.comm.timeouts.connect": _START,
+            "distributed.deploy.lost-worker-timeout": _GONE,
         }
     ):
         if place.scheduler is not None:

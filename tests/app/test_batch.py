@@ -13,6 +13,7 @@ import time
 import numpy as np
 import pytest
 
+from hypose.app import batch
 from hypose.app.batch import Place, run_batch
 from hypose.app.batch_table import COLUMNS, rows_of, write_table
 from hypose.app.batch_worker import finished, run_task
@@ -184,6 +185,28 @@ def test_killed_workers_change_no_byte(study, tmp_path):
     again = run_batch(tasks, Place(workers=1, threads=1), tmp_path / "out")
     assert all(f["attempts"] == 0 for f in again.values())  # nothing was done twice
     assert np.isfinite(load_motion(f"{tasks[0].results}/motion.npz").joints).all()
+
+
+@pytest.mark.slow
+def test_a_worker_that_the_cluster_gives_up_is_replaced(study, tmp_path, monkeypatch):
+    monkeypatch.setattr(batch, "_GONE", "0s")  # as if it took too long to start again
+    monkeypatch.setattr(batch, "_KEEP_UP_S", 1.0)
+    tasks, _ = plan(read_sweep(sweep_file(study, tmp_path)))
+    first = set()
+
+    def kill_first():
+        deadline = time.monotonic() + 300
+        while time.monotonic() < deadline and not any(tmp_path.glob("out/long/*/checkpoint.npz")):
+            time.sleep(0.05)
+        for pid in workers_of(os.getpid()):
+            os.kill(pid, signal.SIGKILL)
+            first.add(pid)
+
+    killer = threading.Thread(target=kill_first)
+    killer.start()
+    figures = run_batch(tasks, Place(workers=1, threads=1), tmp_path / "out")
+    killer.join()
+    assert first and {f["state"] for f in figures.values()} == {"done"}
 
 
 @pytest.mark.slow
