@@ -71,14 +71,11 @@ def synth(
     """Make a synthetic recording with known truth: videos, background clips, calibration, recording.toml, truth.npz."""
     set_threads(threads)
     from hypose.evaluation.scenes import make_scene
-    from hypose.evaluation.write_recording import write_scene
+    from hypose.evaluation.write_recording import check_folder, write_scene
 
     if not 0 < seconds <= 3600:
         raise InputError(f"--seconds {seconds:g} is not possible; give more than 0 and at most 3600.")
-    if folder.is_file():
-        raise InputError(f"{folder} is a file; give a folder.")
-    if folder.is_dir() and any(folder.iterdir()) and not (folder / "truth.npz").is_file():
-        raise InputError(f"The folder {folder} holds other files; give an empty or new folder.")
+    check_folder(folder)
     scene = make_scene(
         motion,
         _subject_name(subject),

@@ -33,7 +33,7 @@ def sync(
         raise InputError(f"--by {by} is not possible; choose motion, sound or flash.")
     if not 0 < largest <= 600:
         raise InputError(f"--largest {largest:g} is not possible; give seconds (more than 0, at most 600).")
-    if to is not None and to.exists() and (to.is_file() or any(to.iterdir())):
+    if to is not None and to.exists() and not _unfinished(to):
         raise InputError(f"{to} is not empty; give a new folder with --out.")
     loaded = load_recording(recording)
     if len(loaded.views) < 2:
@@ -55,6 +55,11 @@ def sync(
     with Stages() as progress:
         path = _write(loaded, late, to, progress)
     say(f"Masks and key points in step: {path}", "green")
+
+
+def _unfinished(folder: Path) -> bool:
+    """True for an empty folder, and for one that this command has begun and not finished."""
+    return folder.is_dir() and all(p.name in ("masks", "keypoints") or p.name[0] == "." for p in folder.iterdir())
 
 
 def _given(text: str, count: int) -> list[float]:

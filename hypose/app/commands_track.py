@@ -72,6 +72,13 @@ def track(
     ] = "multiview",
     camera: Annotated[str | None, typer.Option(help="The camera of --method monocular.")] = None,
     hypotheses: Annotated[int, typer.Option(min=1, max=100, help="Hypotheses of --method monocular.")] = 7,
+    floor: Annotated[
+        str,
+        typer.Option(
+            help="What the person of --method monocular stands on: none, its height in the world in metres, or auto: 0 "
+            "if the person seems to stand near it."
+        ),
+    ] = "auto",
 ) -> None:
     """Track the person in a recording: poses with their uncertainty, motion files, overlay video, report."""
     set_threads(threads)
@@ -96,7 +103,7 @@ def track(
 
         source = context.get_parameter_source("evidence")
         given = source is not None and source.name != "DEFAULT"
-        loaded, options = one_camera(loaded, method, camera, options, hypotheses, evidence if given else "auto")
+        loaded, options = one_camera(loaded, method, camera, options, hypotheses, evidence if given else "auto", floor)
     results = ResultsFolder(out) if out is not None else ResultsFolder.of(loaded.folder, options.recipe)
     job = Job(
         loaded,
@@ -123,15 +130,12 @@ def demo(
     from hypose.app.job import Job
     from hypose.app.truth import compare_with
     from hypose.evaluation.scenes import make_scene
-    from hypose.evaluation.write_recording import write_scene
+    from hypose.evaluation.write_recording import check_folder, write_scene
     from hypose.io.recording import load_recording
     from hypose.io.results import ResultsFolder
     from hypose.pipeline.run import TrackOptions
 
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out} is a file; give a folder with --out.")
-    if out.is_dir() and any(out.iterdir()) and not (out / "truth.npz").is_file():
-        raise InputError(f"The folder {out} holds other files; give an empty or new folder with --out.")
+    check_folder(out)
     say(f"Writing a synthetic recording of {seconds:g} s of walking, seen by four cameras, to {out}")
     scene = make_scene("walk", rig="humaneva-4", seconds=seconds, seed=seed, distorted=True)
     with Stages() as progress:

@@ -12,12 +12,24 @@ import numpy as np
 
 from hypose.body.models import JOINT_NAMES
 from hypose.cameras.camera import Camera, CameraRig
+from hypose.errors import InputError
 from hypose.evaluation.detections import keypoint_detections
 from hypose.evaluation.scenes import Scene
 from hypose.evidence.detector import openpose_document
+from hypose.io.files import write_text
 from hypose.io.recording import Recording, View, write_recording
 from hypose.io.results import atomic_path
 from hypose.io.video import VideoWriter
+
+
+def check_folder(folder: Path) -> None:
+    """An InputError when a recording cannot be written to the folder, because something else is there; one that
+    `write_scene` has begun is written again."""
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is a file; give a folder.")
+    if folder.is_dir() and not (folder / "truth.npz").is_file():
+        if any(not p.name.startswith(".") for p in folder.iterdir()):
+            raise InputError(f"The folder {folder} holds other files; give an empty or new folder.")
 
 
 def write_scene(
@@ -37,8 +49,20 @@ def write_scene(
     rotations (T, 19, 3, 3), joint_names, stature m. progress(done, total) is called after every picture.
     """
     folder = Path(folder)
+    # first, so that a folder that was not finished is known for what it is (`check_folder`)
+    folder.mkdir(parents=True, exist_ok=True)
+    with atomic_path(folder / "truth.npz") as temporary:
+        with open(temporary, "wb") as file:
+            np.savez_compressed(
+                file,
+                times=scene.times,
+                joints=scene.joints,
+                rotations=scene.rotations,
+                joint_names=np.array(JOINT_NAMES),
+                stature=np.array(scene.subject.stature),
+            )
     for sub in ("videos", "background"):
-        (folder / sub).mkdir(parents=True, exist_ok=True)
+        (folder / sub).mkdir(exist_ok=True)
     rig = CameraRig(tuple(_even(c) for c in scene.given_rig))
     total, done = len(rig) * (len(scene) + background_frames), 0
     views = []
@@ -65,18 +89,8 @@ def write_scene(
             points = keypoint_detections(scene, c, keypoint_noise_px)
             for t, people in enumerate(points):
                 document = openpose_document(people[None])
-                (pose / f"{camera.name}_{t:012d}_keypoints.json").write_text(json.dumps(document), encoding="utf-8")
+                write_text(pose / f"{camera.name}_{t:012d}_keypoints.json", json.dumps(document))
         views.append(View(camera.name, video=video, background=background, keypoints=pose))
-    with atomic_path(folder / "truth.npz") as temporary:
-        with open(temporary, "wb") as file:
-            np.savez_compressed(
-                file,
-                times=scene.times,
-                joints=scene.joints,
-                rotations=scene.rotations,
-                joint_names=np.array(JOINT_NAMES),
-                stature=np.array(scene.subject.stature),
-            )
     recording = Recording(
         folder,
         scene.name,
