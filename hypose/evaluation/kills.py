@@ -21,31 +21,12 @@ import numpy as np
 
 from hypose import compute
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row
-from hypose.evaluation.programs import fork, run
-from hypose.evaluation.small_recordings import small_scene, write_board_pictures, write_masks, write_skeletons
+from hypose.evaluation.long_commands import LongCommand, long_commands
+from hypose.evaluation.programs import fork
 
 _VARIES = {"provenance.json", "report.html", "task.json", "results.csv", "results.html"}
 """Files that tell of the run itself: times, attempts, the command."""
 _PATIENCE_S = 900.0
-
-
-@dataclass(frozen=True)
-class LongCommand:
-    """name; arguments before the results' place; option: how the place is given (None: as the last argument); file:
-    the result is this file in the folder; again: what the second run adds; share of all kills."""
-
-    name: str
-    arguments: tuple[str | Path, ...]
-    share: float
-    option: str | None = "--out"
-    file: str | None = None
-    again: tuple[str, ...] = ()
-
-    def to(self, folder: Path, again: bool = False) -> list[str | Path]:
-        """The command line that writes to a folder."""
-        place = folder / self.file if self.file else folder
-        given = [self.option, place] if self.option else [place]
-        return [*self.arguments, *given, *(self.again if again else ())]
 
 
 @dataclass
@@ -60,53 +41,20 @@ class Tally:
     found: list[str] = field(default_factory=list)
 
 
-def prepare(folder: Path, frames: int) -> list[LongCommand]:
-    """Inputs for all commands, written once; needs a minute."""
-    masks = write_masks(small_scene(1, frames), folder / "walk")
-    write_board_pictures(folder)
-    write_skeletons(folder / "sensors")
-    body, done, session = folder / "subject", folder / "done", folder / "session"
-    for arguments in (
-        ["subject", masks, "--out", body, "--poses", 1, "--frames", "0:6"],
-        ["track", masks, "--out", done, "--subject", body, "--no-overlay", "--formats", "trc"],
-        ["gesture", "record", session, "--gesture", "pause", "--rounds", 1],
-    ):
-        ended = run([str(a) for a in arguments])
-        if ended.code != 0:
-            raise RuntimeError(f"preparing {arguments[:2]} failed: {ended.err[-500:]}")
-    track = ("track", masks, "--subject", body, "--no-overlay", "--formats", "trc,c3d,csv")
-    sweep = folder / "sweep.toml"
-    sweep.write_text(
-        f'recordings = ["walk"]\nresults = "out"\n[settings]\nsubject = "{body}"\n[[set]]\nname = "s"\nseed = [0, 1]\n'
-    )
-    boards = ("calibrate", folder / "boards", "--chessboard", "6x5", "--square", "12cm", "--floor", "0")
-    teach = ("gesture", "train", "--gesture", "pause", "--recording", session)
-    return [
-        LongCommand("track", track, 0.2, again=("--resume",)),
-        LongCommand("fuse", ("fuse", folder / "sensors"), 0.2, again=("--resume",)),
-        LongCommand("gesture train", teach, 0.2, option=None, file="model.npz"),
-        LongCommand("calibrate", (*boards, "--intrinsics", folder / "lenses.toml"), 0.12, file="calibration.toml"),
-        LongCommand("export", ("export", done), 0.15),
-        LongCommand("silhouettes", ("silhouettes", masks), 0.07),
-        LongCommand("batch", ("batch", sweep, "--workers", "1"), 0.04),
-        LongCommand("subject", ("subject", masks, "--poses", "1", "--frames", "0:6"), 0.02),
-    ]
-
-
 def kills(options: BenchOptions) -> BenchReport:
     """lost_results, half_written (files), resumed_identical (share of kills) per command and over all.
 
-    --seeds: number of kills (200; quick: 8, at least one per command), in random order. The moment is uniform over the
+    --seeds: number of kills (200; at least one per command), in random order. The moment is uniform over the
     time that an undisturbed run took. Lost: a finished file of before is gone or changed. Half-written: a file with its
     final name cannot be read whole. Identical: the second run ends well, and its files are those of the undisturbed
     run, byte for byte; files that tell of the run itself only have to be whole. Ctrl-C gives the rows of the kills so
     far.
     """
-    total = options.seeds or (8 if options.quick else 200)
+    total = options.seeds or (16 if options.quick else 200)
     rng = np.random.default_rng([options.first_seed or 0, 11])
     with tempfile.TemporaryDirectory() as temporary:
         root = Path(temporary)
-        commands = prepare(root, 30)
+        commands = long_commands(root)
         _preload()
         seconds = {c.name: _undisturbed(c, root) for c in commands}
         order = [c for c in commands for _ in range(max(1, round(total * c.share)))]
@@ -115,7 +63,8 @@ def kills(options: BenchOptions) -> BenchReport:
             for n, k in enumerate(rng.permutation(len(order))):
                 options.progress("kills", n, len(order))
                 command = order[k]
-                kill_once(command, root, seconds[command.name], n % 2 == 0, rng, tallies[command.name])
+                over_old = n % 2 == 0 and not command.refuses
+                kill_once(command, root, seconds[command.name], over_old, rng, tallies[command.name])
         except KeyboardInterrupt:
             pass
     done = sum(t.kills for t in tallies.values())
@@ -132,8 +81,8 @@ def kills(options: BenchOptions) -> BenchReport:
 def _preload() -> None:
     """What all commands import and compile; OpenCV without threads, which a fork would lose."""
     cv2.setNumThreads(1)
-    compute.warm_up()
-    for name in ("job", "report", "overlay", "fuse_job", "gesture_job", "commands_calibrate", "checking", "batch"):
+    compute.warm_up(monocular=True)
+    for name in ("job", "report", "overlay", "fuse_job", "gesture_job", "checking", "batch", "mono_job", "correct"):
         importlib.import_module(f"hypose.app.{name}")
 
 
