@@ -106,6 +106,20 @@ def load_modes(path: str | Path) -> Modes:
     return from_arrays(arrays, str(path))
 
 
+def load_joints_of_modes(path: str | Path) -> tuple[Array, Array]:
+    """joints (T, K, J, 3) m and weights (T, K) of a modes.npz alone, which is little of what it holds; an InputError as
+    of `load_modes`."""
+    path, names = Path(path), ("joints", "weights")
+    found = _load_arrays(path, "file of modes", _NEXT_STEP, set(names))
+    for name in names:
+        if name not in found or found[name].dtype.kind != "f" or found[name].ndim != _DIMENSIONS[name]:
+            raise InputError(f"{path} is damaged: {name} is missing or has another shape; track again.")
+    joints, weights = (found[name] for name in names)
+    if joints.shape[:2] != weights.shape or joints.shape[3] != 3:
+        raise InputError(f"{path} is damaged: joints and weights do not belong together; track again.")
+    return joints, weights
+
+
 def to_arrays(modes: Modes) -> dict[str, np.ndarray]:
     """Plain arrays by name, for archives and checkpoints."""
     return {name: np.asarray(getattr(modes, name)) for name in _DIMENSIONS}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.io.modes import Modes, joined, load_modes, save_modes
+from hypose.io.modes import Modes, joined, load_joints_of_modes, load_modes, save_modes
 
 
 def some(t, k, seed=0, d=5, j=3):
@@ -29,6 +29,15 @@ def test_read_back(tmp_path) -> None:
     for name in ("poses", "joints", "weights", "costs", "covariances", "joint_covariance", "depth_sd", "alive"):
         np.testing.assert_array_equal(getattr(modes, name), getattr(again, name))
     assert len(again) == 4
+    joints, weights = load_joints_of_modes(tmp_path / "modes.npz")
+    np.testing.assert_array_equal(joints, modes.joints)
+    np.testing.assert_array_equal(weights, modes.weights)
+
+
+def test_joints_and_weights_must_belong_together(tmp_path) -> None:
+    np.savez(tmp_path / "modes.npz", joints=np.zeros((4, 2, 3, 3)), weights=np.zeros((4, 3)))
+    with pytest.raises(InputError, match="do not belong together"):
+        load_joints_of_modes(tmp_path / "modes.npz")
 
 
 def test_frames_with_fewer_modes_are_padded() -> None:
@@ -58,3 +67,5 @@ def test_arrays_of_something_else_are_refused(tmp_path) -> None:
     np.savez(tmp_path / "modes.npz", x=np.zeros(3))
     with pytest.raises(InputError, match="no file of modes"):
         load_modes(tmp_path / "modes.npz")
+    with pytest.raises(InputError, match="joints is missing"):
+        load_joints_of_modes(tmp_path / "modes.npz")
