@@ -20,7 +20,7 @@ from hypose.app.pictures import Image
 from hypose.app.report_viewer import PLACE, Viewer, make_viewer
 from hypose.app.summary import subject_rows, summarize
 from hypose.app.truth import Truth
-from hypose.app.view_bundle import ViewResult
+from hypose.app.view_bundle import Rivals, ViewResult
 from hypose.app.view_pictures import ViewPictures
 from hypose.body.body import Body
 from hypose.body.motion import Motion
@@ -64,7 +64,8 @@ _POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; s
 class ReportInput:
     """What a report shows. title; motion, body, rig; stills: (caption, picture BGR); files: (name, what it is); notes:
     sentences; citation of the method; seconds per stage; truth of a synthetic recording; complete: every frame was
-    tracked; recording: whose pictures the viewer shows, and its first frame that belongs to the motion."""
+    tracked; recording: whose pictures the viewer shows, and its first frame that belongs to the motion;
+    rivals: other poses of a track with one camera."""
 
     title: str
     motion: Motion
@@ -79,6 +80,7 @@ class ReportInput:
     complete: bool = True
     recording: Recording | None = None
     first_frame: int = 0
+    rivals: Rivals | None = None
 
 
 def from_result(result: ViewResult, recording: Recording | None) -> ReportInput:
@@ -97,6 +99,7 @@ def from_result(result: ViewResult, recording: Recording | None) -> ReportInput:
         complete=result.complete,
         recording=recording,
         first_frame=result.first_frame,
+        rivals=result.rivals,
     )
 
 
@@ -147,6 +150,7 @@ def _viewer(what: ReportInput) -> Viewer | None:
         seconds=what.seconds,
         truth=what.truth,
         complete=what.complete,
+        rivals=what.rivals,
     )
     if recording is None or not seen:
         return make_viewer(result, None)

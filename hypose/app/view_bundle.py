@@ -32,15 +32,32 @@ from hypose.io.export import FORMATS
 
 MAGIC = b"HYPOSEV1"
 LOST, EXTRAPOLATED, DOUBTFUL = 1, 2, 3
+MOST_RIVALS = 6
 _DTYPES = {"f4": "<f4", "f8": "<f8", "u1": "|u1", "u2": "<u2", "u4": "<u4"}
+
+
+@dataclass(frozen=True)
+class Rivals:
+    """Other poses that explain the pictures of a track with one camera: joints (T, R, J, 3) m, best first; weights
+    (T, 1 + R), first that of the motion's own pose. NaN where a frame has fewer."""
+
+    joints: Array
+    weights: Array
+
+    @classmethod
+    def of(cls, joints: Array, weights: Array) -> Rivals | None:
+        """From all modes, joints (T, K, J, 3) with weights (T, K), the motion's own first; None when there is no other.
+        MOST_RIVALS at most: what comes after them weighs next to nothing."""
+        if joints.shape[1] < 2:
+            return None
+        return cls(joints[:, 1 : 1 + MOST_RIVALS], weights[:, : 1 + MOST_RIVALS])
 
 
 @dataclass(frozen=True)
 class ViewResult:
     """A result to look at. body, rig: None when not known (a fused skeleton has neither). image_shifts: (x, y) px per
     camera, as in recording.toml. first_frame: the recording's frame of row 0. pictures: names of the cameras whose
-    pictures can be had. files: (name, what it is, bytes). joint_covariance: (T, J, 3, 3) m^2, where more is known than
-    the motion's joint_sd."""
+    pictures can be had. files: (name, what it is, bytes). rivals: of a track with one camera."""
 
     title: str
     motion: Motion
@@ -55,7 +72,7 @@ class ViewResult:
     seconds: Mapping[str, float] = field(default_factory=dict)
     truth: Truth | None = None
     complete: bool = True
-    joint_covariance: Array | None = None
+    rivals: Rivals | None = None
 
 
 def view_bundle(result: ViewResult) -> bytes:
@@ -90,17 +107,15 @@ def read_bundle(data: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
     m = result.motion
+    rows, columns = np.triu_indices(3)
     out = {
         "times": m.times.astype("<f8"),
         "joints": m.joints.astype("<f4"),
-        "joint_sd": m.joint_sd.astype("<f4"),
+        "joint_covariance": m.joint_covariance[..., rows, columns].astype("<f4"),
         "flags": _flags(m),
         "n_views": np.clip(m.n_views, 0, 255).astype("u1"),
         "cost": m.cost.astype("<f4"),
     }
-    if result.joint_covariance is not None:
-        rows, columns = np.triu_indices(3)
-        out["joint_covariance"] = result.joint_covariance[..., rows, columns].astype("<f4")
     if m.poses is not None:
         out["rotations"] = quaternions(m.skeleton, m.poses)
         if angles_known(m.skeleton):
@@ -110,6 +125,9 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
         if result.body is not None:
             out |= _mesh("fine", result.body.fine) | _mesh("coarse", result.body.coarse)
             out["rest_joints"] = m.skeleton.rest_joints.astype("<f4")
+    if result.rivals is not None:
+        out["rival_joints"] = result.rivals.joints.astype("<f4")
+        out["rival_weights"] = result.rivals.weights.astype("<f4")
     if result.truth is not None:
         if result.truth.joints is not None:
             out["truth_joints"] = result.truth.joints.astype("<f4")

@@ -6,13 +6,12 @@ from pathlib import Path
 
 from hypose.app.summary import DESCRIPTIONS
 from hypose.app.truth import Truth, compare
-from hypose.app.view_bundle import ViewResult
+from hypose.app.view_bundle import Rivals, ViewResult
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import HyposeError, InputError
-from hypose.geometry import Array
 from hypose.io.bodies import load_body
-from hypose.io.modes import load_joint_covariance
+from hypose.io.modes import load_joints_of_modes
 from hypose.io.recording import Recording, load_recording
 from hypose.io.results import ResultsFolder, load_motion
 from hypose.tracking.recipes import RECIPES, recipe
@@ -51,7 +50,7 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
         citation=_citation(motion, body),
         truth=truth,
         complete=not folder.checkpoint.exists(),
-        joint_covariance=_covariance(folder.file("modes.npz"), motion, notes),
+        rivals=_rivals(folder.file("modes.npz"), motion, notes),
     )
 
 
@@ -92,16 +91,16 @@ def _body(folder: ResultsFolder, motion: Motion, notes: list[str]) -> Body | Non
     return body
 
 
-def _covariance(path: Path, motion: Motion, notes: list[str]) -> Array | None:
-    """Of the joints, where the modes of a track with one camera lie beside its motion."""
+def _rivals(path: Path, motion: Motion, notes: list[str]) -> Rivals | None:
+    """Where the modes of a track with one camera lie beside its motion, which is their first."""
     if not path.is_file():
         return None
     try:
-        found = load_joint_covariance(path)
+        joints, weights = load_joints_of_modes(path)
     except HyposeError as error:
-        notes.append(f"Uncertainty is shown as spheres: {error}")
+        notes.append(f"Other poses are not shown: {error}")
         return None
-    return found if found.shape[:2] == motion.joints.shape[:2] else None
+    return Rivals.of(joints, weights) if (len(joints), joints.shape[2]) == motion.joints.shape[:2] else None
 
 
 def _truth(path: Path, motion: Motion, first: int, notes: list[str]) -> Truth | None:

@@ -14,12 +14,11 @@ import pytest
 
 from hypose.app import report_viewer
 from hypose.app.report import from_result, report_html
-from hypose.app.view_bundle import read_bundle, view_bundle
+from hypose.app.view_bundle import MOST_RIVALS, read_bundle, view_bundle
 from hypose.app.view_pictures import ViewPictures
 from hypose.app.view_result import find_recording, load_view
 from hypose.errors import InputError
 from hypose.geometry import so3_exp
-from hypose.io.modes import Modes, save_modes
 from hypose.io.recording import load_recording
 from hypose.io.results import load_motion, save_motion
 from hypose.io.video import VideoWriter, open_video
@@ -43,23 +42,42 @@ def test_every_frame_has_its_gravest_flag(folder):
     assert flags.tolist() == [3, 1, 2, 3] + [0] * (len(motion) - 4)
 
 
-def test_covariances_of_the_joints_are_shown_where_they_are_known(folder):
+def test_covariances_of_the_joints_come_with_the_motion(folder):
     motion = load_motion(folder / "motion.npz")
-    t, j, d = *motion.joints.shape[:2], motion.skeleton.dof
-    shape = np.diag([0.01, 0.02, 0.3]) ** 2
-    one = np.ones((t, 1))
-    modes = Modes(
-        *(motion.poses[:, None], motion.joints[:, None], one, one, np.zeros((t, 1, d, d), np.float32)),
-        *(np.broadcast_to(shape, (t, j, 3, 3)), np.ones((t, j)), np.ones(t, np.int64)),
-    )
-    assert "joint_covariance" not in read_bundle(view_bundle(load_view(folder)))[1]
-    save_modes(modes, folder / "modes.npz")
+    shape = np.broadcast_to(np.diag([0.01, 0.02, 0.3]) ** 2, motion.joint_covariance.shape).astype(np.float32)
     result = load_view(folder)
-    found = read_bundle(view_bundle(result))[1]["joint_covariance"]
-    np.testing.assert_allclose(found[2, 5], [1e-4, 0, 0, 4e-4, 0, 0.09], rtol=1e-6)
-    assert from_result(result, None).joint_covariance is result.joint_covariance
+    found = read_bundle(view_bundle(replace(result, motion=replace(motion, joint_covariance=shape))))[1]
+    np.testing.assert_allclose(found["joint_covariance"][2, 5], [1e-4, 0, 0, 4e-4, 0, 0.09], rtol=1e-6)
+    own = read_bundle(view_bundle(result))[1]["joint_covariance"]
+    np.testing.assert_allclose(np.sqrt(own[..., [0, 3, 5]].mean(-1)), motion.joint_sd, rtol=1e-5)
+    assert np.abs(own[..., [1, 2, 4]]).max() > 0  # not the same in every direction
+
+
+def test_rival_poses_come_from_the_modes_beside_a_motion(folder):
+    motion = load_motion(folder / "motion.npz")
+    t, j = motion.joints.shape[:2]
+    joints = np.repeat(motion.joints[:, None], 9, 1) + np.arange(9)[:, None, None]
+    joints[3, 2:] = np.nan
+    weights = np.full((t, 9), 1 / 9)
+    np.savez(folder / "modes.npz", joints=joints, weights=weights)
+    found = read_bundle(view_bundle(load_view(folder)))[1]
+    assert found["rival_joints"].shape == (t, MOST_RIVALS, j, 3) and found["rival_weights"].shape == (
+        t,
+        1 + MOST_RIVALS,
+    )
+    np.testing.assert_allclose(found["rival_joints"][4, 1], motion.joints[4] + 2, rtol=1e-6)
+    assert np.isnan(found["rival_joints"][3, 1:]).all()
+
+
+@pytest.mark.parametrize("shape", [(8, 1), (5, 3)])
+def test_modes_that_are_alone_or_of_another_motion_are_no_rivals(folder, shape):
+    np.savez(folder / "modes.npz", joints=np.zeros((*shape, 19, 3)), weights=np.ones(shape))
+    assert "rival_joints" not in read_bundle(view_bundle(load_view(folder)))[1]
+
+
+def test_damaged_modes_are_told(folder):
     (folder / "modes.npz").write_bytes(b"no archive")
-    assert any("as spheres" in n for n in load_view(folder).notes)
+    assert any("Other poses are not shown" in note for note in load_view(folder).notes)
 
 
 def test_a_block_holds_what_the_result_holds(folder):
@@ -93,8 +111,8 @@ def test_flags_gaps_and_missing_parts_are_told(folder):
     n = np.arange(len(motion))
     poses = motion.poses.copy()
     poses[2] = np.nan
-    sd = np.full_like(motion.joint_sd, np.nan)
-    bad = replace(motion, poses=poses, joint_sd=sd, lost=n >= 6, extrapolated=n >= 5)
+    unknown = np.full_like(motion.joint_covariance, np.nan)
+    bad = replace(motion, poses=poses, joint_covariance=unknown, lost=n >= 6, extrapolated=n >= 5)
     result = replace(load_view(folder), motion=bad, truth=None, rig=None, pictures=(), body=None)
     header, arrays = read_bundle(view_bundle(result))
     assert arrays["flags"].tolist() == [0, 0, 0, 0, 0, 2, 1, 1]

@@ -31,7 +31,7 @@ def flagged(source, target):
 def ten_minutes(source, target):
     """15 000 frames: the run forth and back again and again."""
     motion = load_motion(source / "motion.npz")
-    names = ("poses", "joints", "joint_sd", "lost", "extrapolated", "n_views", "cost")
+    names = ("poses", "joints", "joint_covariance", "lost", "extrapolated", "n_views", "cost")
     there_and_back = {n: np.concatenate([getattr(motion, n), getattr(motion, n)[::-1]]) for n in names}
     times = 15_000 // (2 * len(motion)) + 1
     series = {n: np.concatenate([a] * times)[:15_000] for n, a in there_and_back.items()}

@@ -53,6 +53,14 @@ export interface MeshData {
   skinWeight: Float32Array;
 }
 
+/** Other poses that explain the same frame, of a track with one camera: joints (T, count, J, 3) m, best first; weights
+ * (T, 1 + count), first that of the pose shown. NaN where a frame has fewer. */
+export interface Rivals {
+  count: number;
+  joints: Float32Array;
+  weights: Float32Array;
+}
+
 export interface ViewData {
   header: Header;
   /** T: number of frames; J: of joints. */
@@ -63,10 +71,11 @@ export interface ViewData {
   positions: Float32Array;
   /** (T, J, 4) x y z w, world from joint; null when only positions are known. */
   rotations: Float32Array | null;
-  /** (T, J) m, NaN where not known. */
+  /** (T, J) m per axis, NaN where not known. */
   sd: Float32Array;
-  /** (T, J, 6) xx xy xz yy yz zz, m^2: where more is known than sd. */
-  covariance: Float32Array | null;
+  /** (T, J, 6) xx xy xz yy yz zz, m^2, world, NaN where not known. */
+  covariance: Float32Array;
+  rivals: Rivals | null;
   /** (T) 1 = lost, 2 = extrapolated, 3 = doubtful. */
   flags: Uint8Array;
   views: Uint8Array;
@@ -120,15 +129,19 @@ export function readBundle(buffer: ArrayBuffer): ViewData {
           skinWeight: need(`${level}_skin_weight`),
         }
       : null;
+  const covariance = need<Float32Array>("joint_covariance");
+  const joints = header.joint_names.length;
+  const rivals = get<Float32Array>("rival_joints");
   return {
     header,
     frames: header.frames,
-    joints: header.joint_names.length,
+    joints,
     times: need("times"),
     positions: need("joints"),
     rotations: get("rotations"),
-    sd: need("joint_sd"),
-    covariance: get("joint_covariance"),
+    sd: perAxis(covariance),
+    covariance,
+    rivals: rivals && { count: rivals.length / (3 * joints * header.frames), joints: rivals, weights: need("rival_weights") },
     flags: need("flags"),
     views: need("n_views"),
     cost: need("cost"),
@@ -139,6 +152,14 @@ export function readBundle(buffer: ArrayBuffer): ViewData {
     truth: get("truth_joints"),
     truthDistances: get("truth_distances"),
   };
+}
+
+/** Root mean square over the axes of covariances (N, 6), xx xy xz yy yz zz. */
+function perAxis(covariance: Float32Array): Float32Array {
+  const at = (k: number) => covariance[k]!;
+  return Float32Array.from({ length: covariance.length / 6 }, (_, i) =>
+    Math.sqrt((at(6 * i) + at(6 * i + 3) + at(6 * i + 5)) / 3),
+  );
 }
 
 /** Stretches of frames [first, last] with the same flag other than 0. */

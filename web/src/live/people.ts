@@ -14,7 +14,7 @@ interface Figure {
   joints: Float32Array;
 }
 
-/** Everybody who is seen just now, with spheres of two standard deviations around the joints. */
+/** Everybody who is seen just now, with the regions around the joints that hold them with 90 %. */
 export class People {
   readonly stage: Stage;
   drawn = 0;

@@ -10,6 +10,7 @@ const PATHS = {
   body: '<circle cx="10" cy="4" r="2"/><path d="M5 8.5c3 .8 7 .8 10 0M10 9v4M10 13l-2.6 5M10 13l2.6 5"/>',
   skeleton: '<circle cx="10" cy="4" r="1.6"/><circle cx="10" cy="11" r="1.6"/><circle cx="5.5" cy="17" r="1.6"/><circle cx="14.5" cy="17" r="1.6"/><path d="M10 5.6v3.8M9 12.3l-2.6 3.4M11 12.3l2.6 3.4"/>',
   spread: '<ellipse cx="10" cy="10" rx="7.5" ry="4.5" transform="rotate(-30 10 10)"/><circle cx="10" cy="10" r="1.6" fill="currentColor"/>',
+  rivals: '<circle cx="10" cy="3.8" r="1.7"/><path d="M10 5.500v6M10 11.500l-2.500 6M10 11.500l2.500 6"/><path d="M10 7.500l-6 3M10 7.500l-4.500 6M10 7.500l6 3M10 7.500l4.500 6" stroke-dasharray="1.8 1.400"/>',
   trail: '<path d="M3 15c3-8 5 3 8-3s2-7 6-8"/><circle cx="17" cy="4" r="1.4" fill="currentColor"/>',
   camera: '<path d="M3 6.5h8.5v7H3zM11.5 9.2L17 6.5v7l-5.5-2.7z" stroke-linejoin="round"/>',
   picture: '<rect x="3" y="4" width="14" height="12" rx="1.5"/><path d="M4 14l4-4.5 3 3 2-2 3.5 3.5"/>',

@@ -231,5 +231,5 @@ function gaps(values: ArrayLike<number>): (number | null)[] | ArrayLike<number> 
 }
 
 function digits(unit: string): number {
-  return unit === "m" ? 3 : unit === "IoU" ? 2 : unit === "views" ? 0 : 1;
+  return unit === "m" ? 3 : unit === "IoU" || unit === "of 1" ? 2 : unit === "views" ? 0 : 1;
 }

@@ -186,6 +186,11 @@ function quality(data: ViewData): Panel[] {
     });
     panels.push({ title: "Joint sd", unit: "mm", range: [0, 1], series });
   }
+  if (data.rivals) {
+    const each = data.rivals.count + 1;
+    const values = Float32Array.from({ length: frames }, (_, t) => data.rivals!.weights[t * each]!);
+    panels.push({ title: "Weight of the pose shown", unit: "of 1", range: [0, 1], series: [{ label: "", colour: "accent", values }] });
+  }
   const names = data.header.truth?.names ?? [];
   if (data.truthDistances) {
     const values = mean(data.truthDistances, names.map((_, i) => i), names.length);

@@ -1,6 +1,7 @@
 import { DOUBTFUL, type ViewData } from "../lib/bundle";
 import { button, select, tabs, toggle, type Toggle } from "../ui/buttons";
 import { h, onResize } from "../ui/dom";
+import type { IconName } from "../ui/icons";
 import { bindKeys } from "../ui/keyboard";
 import { splitter } from "../ui/split";
 import { clock, Timeline } from "../ui/timeline";
@@ -12,6 +13,7 @@ import { measure } from "./measure";
 import { Player, SPEEDS } from "./player";
 import { PlotPane, type Beside } from "./plots";
 import type { Source } from "./source";
+import { openness } from "./rivals";
 import { Space, type Direction, type Layer } from "./space";
 
 export interface ResultOptions {
@@ -28,10 +30,11 @@ export interface ResultOptions {
   rested?: (row: number) => void;
 }
 
-const LAYER_BUTTONS: readonly [Layer, string, "body" | "skeleton" | "spread" | "trail" | "camera" | "other", string][] = [
+const LAYER_BUTTONS: readonly [Layer, string, IconName, string][] = [
   ["body", "Body", "body", "b"],
   ["skeleton", "Skeleton", "skeleton", "s"],
   ["spread", "Uncertainty", "spread", "u"],
+  ["rivals", "Other poses", "rivals", "o"],
   ["trails", "Trails", "trail", "t"],
   ["cameras", "Cameras", "camera", "c"],
   ["truth", "Truth", "other", "g"],
@@ -51,6 +54,7 @@ export class ResultView {
   private readonly layers = new Map<Layer, Toggle>();
   private readonly follow: Toggle;
   private readonly legend = h("div", { class: "legend" });
+  private readonly open = h("output", { class: "openness number", "aria-live": "off" });
   private readonly stop: (() => void)[] = [];
   private readonly measured = measure();
   private pending = false;
@@ -76,7 +80,7 @@ export class ResultView {
       this.space.show(this.player.row);
       this.schedule();
     }, { icon: "follow", title: "Keep the person in the middle" });
-    const holder = h("div", { class: "space-canvas" }, this.space.stage.canvas, this.legend);
+    const holder = h("div", { class: "space-canvas" }, this.space.stage.canvas, this.legend, this.open);
     this.stop.push(onResize(holder, (w, height) => this.space.resize(w, height)));
     this.space.stage.canvas.setAttribute("aria-label", "The person in three dimensions; drag to turn, wheel to come closer");
     const space = h(
@@ -217,6 +221,7 @@ export class ResultView {
     this.plots.show(row);
     this.timeline.show(row);
     this.where.textContent = this.place(row);
+    if (this.data.rivals) this.open.textContent = openness(this.data.rivals, row);
     this.measured.changed();
     clearTimeout(this.rest);
     if (this.options.rested) this.rest = window.setTimeout(() => this.options.rested?.(row), 400);
@@ -240,6 +245,7 @@ export class ResultView {
     return LAYER_BUTTONS.flatMap(([layer, label, icon, key]) => {
       if (layer === "body" && !this.space.hasBody) return [];
       if (layer === "truth" && !this.space.hasTruth) return [];
+      if (layer === "rivals" && !this.data.rivals) return [];
       if (layer === "cameras" && !this.data.header.cameras.length) return [];
       if (layer === "spread" && !this.data.sd.some(Number.isFinite)) return [];
       const one = toggle(label, this.space.on[layer], (on) => {
@@ -281,7 +287,8 @@ export class ResultView {
 const TITLES: Record<Layer, string> = {
   body: "The body",
   skeleton: "Joints and bones; the left side orange, the right side blue",
-  spread: "Two standard deviations around every joint",
+  spread: "Where every joint lies with 90 %",
+  rivals: "Other poses that explain the pictures as well",
   trails: "Where pelvis, hands and feet went in the last two seconds",
   cameras: "The cameras",
   truth: "The truth of this made-up recording",

@@ -6,9 +6,10 @@ import { onTheme } from "../ui/theme";
 import { SkinnedBody, Spread, Sticks, Trails } from "./figure";
 import { Frusta } from "./frusta";
 import type { Beside } from "./plots";
+import { RivalPoses } from "./rivals";
 import { Stage } from "./stage";
 
-export const LAYERS = ["body", "skeleton", "spread", "trails", "cameras", "truth"] as const;
+export const LAYERS = ["body", "skeleton", "spread", "rivals", "trails", "cameras", "truth"] as const;
 export type Layer = (typeof LAYERS)[number];
 export type Direction = "fit" | "front" | "side" | "top" | number;
 
@@ -20,6 +21,7 @@ export class Space {
   private readonly sticks: Sticks;
   private readonly body: SkinnedBody | null;
   private readonly spread: Spread;
+  private readonly rivals: RivalPoses | null;
   private readonly trails: Trails;
   private readonly frusta: Frusta;
   private readonly truth: Sticks | null;
@@ -40,6 +42,7 @@ export class Space {
       body: true,
       skeleton: true,
       spread: false,
+      rivals: true,
       trails: true,
       cameras: true,
       truth: true,
@@ -48,6 +51,7 @@ export class Space {
     this.sticks = new Sticks(header.parents, header.joint_names, null);
     this.body = data.fine && data.rotations ? new SkinnedBody(data) : null;
     this.spread = new Spread(data);
+    this.rivals = data.rivals ? new RivalPoses(data, data.rivals) : null;
     this.trails = new Trails(data);
     const ring = Math.max(0, ...header.cameras.map((c) => Math.hypot(...new Projector(c).position)));
     this.frusta = new Frusta(header.cameras, Math.min(0.6, Math.max(0.2, 0.09 * ring)));
@@ -55,7 +59,7 @@ export class Space {
     this.stage.scene.add(this.trails.group, this.frusta.group);
     if (this.body) this.stage.scene.add(this.body.group);
     this.stage.over.add(this.spread.mesh, this.sticks.group, this.otherBox);
-    if (this.truth) this.stage.over.add(this.truth.group);
+    for (const part of [this.rivals, this.truth]) if (part) this.stage.over.add(part.group);
     this.reach = reach(data);
     const cameras = header.cameras.map((c) => new Vector3(...new Projector(c).position).distanceTo(this.reach.centre));
     const radius = Math.min(30, Math.max(2.5, this.reach.radius + 1, 1.05 * Math.max(0, ...cameras)));
@@ -63,7 +67,7 @@ export class Space {
     this.stage.layFloor(header.floor, x, y, radius);
     this.stop = onTheme(() => {
       this.stage.layFloor(header.floor, x, y, radius);
-      for (const part of [this.sticks, this.body, this.spread, this.trails, this.frusta, this.truth, this.other?.sticks]) {
+      for (const part of [this.sticks, this.body, this.spread, this.rivals, this.trails, this.frusta, this.truth, this.other?.sticks]) {
         part?.recolour();
       }
     });
@@ -92,6 +96,7 @@ export class Space {
     if (this.on.skeleton || !this.body) this.sticks.place(this.data.positions, 3 * row * this.data.joints);
     if (this.on.body) this.body?.place(row);
     if (this.on.spread) this.spread.place(row);
+    if (this.on.rivals) this.rivals?.place(row);
     if (this.on.trails) this.trails.place(row);
     if (this.truth && this.on.truth) {
       const joints = this.data.header.truth!.parents.length;
@@ -161,6 +166,7 @@ export class Space {
     if (this.body) this.body.group.visible = this.on.body;
     this.sticks.group.visible = this.on.skeleton || !this.body;
     this.spread.mesh.visible = this.on.spread;
+    if (this.rivals) this.rivals.group.visible = this.on.rivals;
     this.trails.group.visible = this.on.trails;
     this.frusta.group.visible = this.on.cameras;
     if (this.truth) this.truth.group.visible = this.on.truth;
