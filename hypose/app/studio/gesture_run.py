@@ -45,6 +45,8 @@ class Run:
         self._commands: list[Command] = []
         self._controls = Controls()
         self._changed, self._save, self._stop = False, False, False
+        self._newcomer = False  # a page has come that has no picture yet
+        self._packed_ms = 0.0  # that the last pictures took to pack
         self._thread = threading.Thread(target=self._work, daemon=True)
 
     def begin(self) -> None:
@@ -85,7 +87,7 @@ class Run:
     def again(self) -> None:
         """Show the last picture once more, to a page that has just come."""
         with self._news:
-            self._changed = True
+            self._changed = self._newcomer = True
             self._news.notify()
 
     def stop(self) -> None:
@@ -157,14 +159,18 @@ class Run:
         a = self._activity
         shown = a.frame(taken, self._controls, commands, fresh)
         m = shown.message
-        began = clock.perf_counter()
-        self._show(depth_picture(taken.depth, seq, taken.time))
         if fresh:
             self._history.append([m["time"], m["score"], m["high"], m["low"], m["threshold"], m["phase"]])
+        m["ms"]["depth"] = self._packed_ms
+        self._say({**m, "seq": seq})  # before the pictures, whose packing takes longer: it is the answer to a click
+        began = clock.perf_counter()
+        with self._news:
+            newcomer, self._newcomer = self._newcomer, False
+        if fresh or newcomer:
+            self._show(depth_picture(taken.depth, seq, taken.time))
         if shown.density is not None:
             self._show(map_picture(shown.density, seq, taken.time, _FULL))
-        m["ms"]["depth"] = round(1e3 * (clock.perf_counter() - began), 2)
-        self._say({**m, "seq": seq})
+        self._packed_ms = round(1e3 * (clock.perf_counter() - began), 2)
         judged = a.judged(taken.time, self._controls)
         if judged is not None:
             self._say(judged)

@@ -74,7 +74,8 @@ class Studio:
             *clicks.routes(self.catalog, self.recordings),
             *gesture_socket.routes(self.gestures, self.sockets),
             *fuse_socket.routes(self.fusion, self.sockets),
-            Mount("/static", StaticFiles(directory=STATIC, check_dir=False)),
+            # an installation without the page has nothing there
+            *([Mount("/static", StaticFiles(directory=STATIC))] if STATIC.is_dir() else []),
         ]
 
     async def _state(self, request: Request) -> Response:

@@ -167,10 +167,12 @@ def test_others_than_this_computer_need_the_token(served):
             assert json.loads(ws.recv(30))["t"] == "jobs"
 
 
-def test_without_a_page_the_server_says_what_to_do(studio, monkeypatch, tmp_path):
-    monkeypatch.setattr(studio_server, "STATIC", tmp_path)
-    status, _, body = studio.ask("/")
-    assert status == 503 and b"hatch_build.py" in body
+def test_without_a_page_the_server_says_what_to_do(served, monkeypatch, tmp_path):
+    monkeypatch.setattr(studio_server, "STATIC", tmp_path / "none")
+    with serving(served) as client:
+        status, _, body = client.ask("/")
+        assert status == 503 and b"hatch_build.py" in body
+        assert client.ask("/static/studio.js")[0] == 404
 
 
 def test_view_says_why_it_cannot_start(hypose, monkeypatch, served, tmp_path):
