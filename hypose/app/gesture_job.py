@@ -22,6 +22,7 @@ from hypose.gestures.localise import Found, LocaliseSettings, Scratch, localise
 from hypose.gestures.model import GestureModel
 from hypose.gestures.offline import OfflineSettings, collect, train
 from hypose.gestures.online import Learner
+from hypose.gestures.pictures import surface_depth
 from hypose.gestures.pixels import LearnSettings
 from hypose.gestures.session import Command, Instruction, SessionSettings
 from hypose.gestures.trainer import Feedback, Trainer, half_way
@@ -310,13 +311,15 @@ def evaluate(model: GestureModel, recording: GestureRecording) -> dict[str, floa
     if len(model.names) > 1:
         raise InputError("A model of several gestures cannot be judged here; give a model of one gesture.")
     number, forest = recording.number(name), finished([model])[0]
-    scratch = Scratch()
-    scores, px, metres = [], [], []
+    scratch, plan = Scratch(), model.settings.plan
+    scores, px, metres, measured = [], [], [], 0
     for f in recording.learned():
         depth = recording.picture(f)
         found = localise(depth, recording.lens, [forest], model.settings, scratch)[0]
         shown = f.phase == "positive" and f.gesture == number
         error = float(np.hypot(found.x - f.x, found.y - f.y)) if shown else np.inf
+        surface = surface_depth(depth, f.x, f.y) if shown else None
+        measured += surface is not None and plan.near_mm <= surface <= plan.far_mm
         z = found.position[2] if found.position is not None else np.inf
         scores.append(found.score)
         px.append(error)
@@ -325,6 +328,8 @@ def evaluate(model: GestureModel, recording: GestureRecording) -> dict[str, floa
         raise InputError(f"{recording.folder} has no labelled frames; record a session with prompts.")
     s, e, m = np.array(scores), np.array(px), np.array(metres)
     shown = np.isfinite(e)
+    if shown.any() and not measured:
+        raise InputError(_NOTHING.format(gesture=name, where=_range(plan)))
     out = {
         "frames": float(len(s)),
         "positives": float(shown.sum()),

@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from hypose.compute.forests import Depth
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, row
 from hypose.evaluation.gesture_data import seeds_of
+from hypose.evaluation.gesture_live import live_person
 from hypose.evaluation.gesture_people import Puppet, load_people
 from hypose.evaluation.gesture_poses import GESTURES, continuous
 from hypose.evaluation.gesture_scenes import Setting, make_room, make_view, moment
@@ -20,17 +22,21 @@ from hypose.gestures.forest import Forest
 from hypose.gestures.localise import LocaliseSettings, Scratch, densities, localise, settle
 from hypose.gestures.online import Learner
 from hypose.gestures.pictures import KINECT
-from hypose.gestures.trainer import Trainer
+from hypose.gestures.pixels import Example
+from hypose.gestures.trainer import Trainer, half_way
 
 WATCHED_FPS = 5.0
 """Of the free movement."""
+HELD_S, TRIES = 2.5, 6
+"""A gesture is asked for so long (getting there takes some 0.7 s), in so many other rooms."""
 _MODES = ("random", "hard")
+_MEMORIES = {"no_recursion": 1.0, "recursion": 0.8}
 
 
 @dataclass(frozen=True)
 class _Learned:
-    """What the sessions of one person left: forests by kind of negatives; by case (the published threshold is one more)
-    the thresholds of every gesture, and the share of its pictures that each lets through."""
+    """What the sessions of one person left: forests by kind of negatives; by case (the kinds, and the other ways to
+    find a threshold) the thresholds of every gesture, and the share of its pictures that each lets through."""
 
     forests: dict[str, list[Forest]]
     thresholds: dict[str, list[float]]
@@ -51,7 +57,8 @@ def _learn_all(names: Sequence[str], person: int, frames: int, seed: int, rng: n
             out.forests[mode].append(forest)
             limits = {mode: trainer.final_threshold()}
             if mode == "hard":
-                limits["hard_published"] = trainer.threshold
+                limits["hard/published_threshold"] = trainer.threshold
+                limits["hard/half_way"] = _half_way(forest, shown)
             found = np.array([localise(f.depth, KINECT, [forest])[0].score for f in test])
             for case, limit in limits.items():
                 threshold = max(limit or 0.0, 1e-3)
@@ -60,58 +67,112 @@ def _learn_all(names: Sequence[str], person: int, frames: int, seed: int, rng: n
     return out
 
 
-def _count_starts(
-    learned: _Learned, person: int, seconds: float, rng: np.random.Generator, options: BenchOptions
+def _half_way(forest: Forest, shown: Sequence[Example]) -> float:
+    """Of twelve frames of each kind that were learned: the simplest threshold, to compare with."""
+    kinds = [[e for e in shown if bool(e.gesture) == wanted] for wanted in (True, False)]
+    kept = [several[:: max(1, len(several) // 12)][:12] for several in kinds]
+    gestures, others = ([localise(e.depth, e.lens, [forest])[0].score for e in several] for several in kept)
+    return half_way(gestures, others)
+
+
+class _Watcher:
+    """Looks with all forests in every way at once; forgets what it saw with `rest`."""
+
+    def __init__(self, learned: _Learned) -> None:
+        self._learned = learned
+        self._limits = {case: [EventSettings(t) for t in values] for case, values in learned.thresholds.items()}
+        self.cases = [f"{case}/{memory}" for case in learned.thresholds for memory in _MEMORIES]
+        self.rest()
+
+    def rest(self) -> None:
+        """Begin a new stream."""
+        self._looking = {mode: Scratch() for mode in self._learned.forests}
+        self._kept = {(mode, memory): Scratch() for mode in self._learned.forests for memory in _MEMORIES}
+        self._states = dict.fromkeys(self.cases, EventState())
+
+    def started(self, depth: Depth, seconds: float) -> dict[str, list[int]]:
+        """The gestures (from 1 on) that start in a frame, by case."""
+        found = {}
+        for mode, forests in self._learned.forests.items():
+            maps = densities(depth, KINECT, forests, LocaliseSettings(), self._looking[mode])
+            for memory, share in _MEMORIES.items():
+                look = LocaliseSettings(memory=share)
+                found[mode, memory] = settle(maps, depth, KINECT, look, self._kept[mode, memory])
+        out = {}
+        for case in self.cases:
+            limit, _, memory = case.rpartition("/")
+            seen = found[limit.partition("/")[0], memory]
+            self._states[case], events = step(self._states[case], seen, seconds, self._limits[limit])
+            out[case] = [e.gesture for e in events if e.kind == "start"]
+        return out
+
+
+def _count_alarms(
+    watcher: _Watcher, person: int, seconds: float, rng: np.random.Generator, options: BenchOptions
 ) -> dict[str, int]:
-    """Events that start while the person moves freely, by case, with and without temporal recursion."""
+    """Events that start while the person moves freely, by case."""
     setting = Setting.new(make_room(rng, "furnished"), make_view(rng, 2.0))
-    puppet = Puppet(load_people()[person])
-    cases = {
-        f"{case}/{name}": (case.removesuffix("_published"), LocaliseSettings(memory=memory), Scratch())
-        for case in learned.thresholds
-        for name, memory in (("no_recursion", 1.0), ("recursion", 0.8))
-    }
-    limits = {case: [EventSettings(t) for t in values] for case, values in learned.thresholds.items()}
-    looking = {mode: Scratch() for mode in learned.forests}
-    states, starts = dict.fromkeys(cases, EventState()), dict.fromkeys(cases, 0)
+    puppet, out = Puppet(load_people()[person]), dict.fromkeys(watcher.cases, 0)
+    watcher.rest()
     for k, pose in enumerate(continuous(puppet, rng, seconds, WATCHED_FPS)):
-        depth = moment(puppet, pose, setting, rng)
-        maps = {m: densities(depth, KINECT, f, LocaliseSettings(), looking[m]) for m, f in learned.forests.items()}
-        for case, (mode, look, scratch) in cases.items():
-            found = settle(maps[mode], depth, KINECT, look, scratch)
-            states[case], events = step(states[case], found, k / WATCHED_FPS, limits[case.partition("/")[0]])
-            starts[case] += sum(e.kind == "start" for e in events)
+        for case, started in watcher.started(moment(puppet, pose, setting, rng), k / WATCHED_FPS).items():
+            out[case] += len(started)
         options.progress("watch", k + 1, round(seconds * WATCHED_FPS))
-    return starts
+    return out
+
+
+def _share_of_holds(
+    watcher: _Watcher, person: int, names: Sequence[str], tries: int, rng: np.random.Generator
+) -> dict[str, float]:
+    """Share of the gestures, each held for HELD_S in other rooms, that start an event of theirs, by case."""
+    out = dict.fromkeys(watcher.cases, 0.0)
+    for number, name in enumerate(names, 1):
+        for _ in range(tries):
+            watcher.rest()
+            live = live_person(person, name, rng, WATCHED_FPS)
+            next(live)
+            hit = set[str]()
+            for k in range(round(HELD_S * WATCHED_FPS)):
+                started = watcher.started(live.send(True).depth, k / WATCHED_FPS)
+                hit |= {case for case, several in started.items() if number in several}
+            for case in hit:
+                out[case] += 1 / (tries * len(names))
+    return out
 
 
 def false_alarms(options: BenchOptions) -> BenchReport:
     """Events per minute and gesture of free movement without gestures, with the automatic threshold: after random and
-    after hard negatives (and there with the threshold as published), with and without temporal recursion; and the share
-    of pictures of the gesture, in other rooms, that the threshold lets through."""
-    minutes, frames = (0.5, 60) if options.quick else (10.0, 300)
+    after hard negatives (and there with other thresholds), with and without temporal recursion; and in other rooms, the
+    share of pictures of the gesture that the threshold lets through, and of gestures held that start an event."""
+    minutes, frames, tries = (0.5, 60, 1) if options.quick else (10.0, 300, TRIES)
     names = PUBLISHED[:1] if options.quick else (*PUBLISHED, "pause")
     seeds = seeds_of(options)
     alarms: dict[str, list[float]] = {}
     passed: dict[str, list[float]] = {}
+    held: dict[str, list[float]] = {}
     for done, seed in enumerate(seeds):
-        measure = partial(_one_person, names, seed, frames, minutes, options)
+        measure = partial(_one_person, names, seed, (frames, tries, minutes), options)
         part = options.part(f"gesture-false-alarms.{seed}", measure)
         for case, shares in part["passed"].items():
             passed.setdefault(case, []).append(float(np.mean(shares)))
         for case, starts in part["starts"].items():
             alarms.setdefault(case, []).append(starts / minutes / len(names))
+            held.setdefault(case, []).append(part["held"][case])
         options.progress("person", done + 1, len(seeds))
     rows = [row("false_alarms_per_minute", case, v, "1/min") for case, v in alarms.items()]
     rows += [row("let_through", case, v, "1") for case, v in passed.items()]
+    rows += [row("holds_found", case, v, "1") for case, v in held.items()]
     settings = {"minutes": minutes, "frames_per_second": WATCHED_FPS, "gestures": names, "seeds": list(seeds)}
-    return BenchReport(tuple(rows), settings | {"session_frames": frames})
+    return BenchReport(tuple(rows), settings | {"session_frames": frames, "holds_of_each_gesture": tries})
 
 
 def _one_person(
-    names: Sequence[str], seed: int, frames: int, minutes: float, options: BenchOptions
+    names: Sequence[str], seed: int, size: tuple[int, int, float], options: BenchOptions
 ) -> dict[str, dict[str, Any]]:
+    frames, tries, minutes = size
     rng, person = np.random.default_rng([89, seed]), (7 * seed + 1) % 18
     learned = _learn_all(names, person, frames, seed, rng)
-    starts = _count_starts(learned, person, 60 * minutes, rng, options)
-    return {"starts": starts, "passed": learned.passed, "thresholds": learned.thresholds}
+    watcher = _Watcher(learned)
+    starts = _count_alarms(watcher, person, 60 * minutes, rng, options)
+    held = _share_of_holds(watcher, person, names, tries, rng)
+    return {"starts": starts, "held": held, "passed": learned.passed, "thresholds": learned.thresholds}

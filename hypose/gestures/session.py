@@ -20,7 +20,6 @@ _AFTER: dict[Phase, Phase] = {
     "do_gesture": "positive",
     "positive": "release",
     "release": "negative",
-    "negative": "do_gesture",
     "test": "test",
 }
 _PROMPTS: dict[Phase, str] = {
@@ -111,9 +110,9 @@ def step(
         if c == "pause" and s.paused is None:
             s = replace(s, paused=time)
         elif c == "continue" and s.paused is not None:
-            s = replace(s, entered=s.entered + time - s.paused, paused=None)
+            s = replace(s, entered=s.entered + time - max(s.paused, s.entered), paused=None)
         elif c == "next" and s.phase != "test":
-            s = _enter(s, _AFTER[s.phase], time)
+            s = _follow(s, settings, time)
         elif c == "again":
             s = _enter(s, "do_gesture", time)
         elif c == "test":
@@ -128,18 +127,14 @@ def step(
         for _ in range(4):
             if time - s.entered < settings.seconds(s.phase):
                 break
-            s = _enter(s, _AFTER[s.phase], s.entered + settings.seconds(s.phase))
-            if s.phase == "do_gesture" and s.round + 1 >= settings.rounds:
-                s = _enter(s, "test", time)
-            elif s.phase == "do_gesture":
-                s = replace(s, round=s.round + 1)
+            s = _follow(s, settings, s.entered + settings.seconds(s.phase))
             if s.phase in ("positive", "negative"):
                 s = replace(s, entered=time)
                 break
     learns: dict[str, Literal["gesture", "negative"]] = {"positive": "gesture", "negative": "negative"}
     learn = learns.get(s.phase) if s.paused is None else None
     prompt = "Paused" if s.paused is not None else _PROMPTS[s.phase]
-    left = settings.seconds(s.phase) - ((time if s.paused is None else s.paused) - s.entered)
+    left = settings.seconds(s.phase) - ((time if s.paused is None else max(s.paused, s.entered)) - s.entered)
     return s, Instruction(s.phase, prompt, max(0.0, left), learn, s.segment if learn else 0, restart)
 
 
@@ -151,6 +146,15 @@ def observe(session: Session, settings: SessionSettings, maximum: float) -> Sess
     old = getattr(session, name)
     new = maximum if old is None else settings.sigma * maximum + (1 - settings.sigma) * old
     return replace(session, high=new) if name == "high" else replace(session, low=new)
+
+
+def _follow(s: Session, settings: SessionSettings, time: float) -> Session:
+    """The phase after this one; after the negatives another round, or the test when that was the last."""
+    if s.phase != "negative":
+        return _enter(s, _AFTER[s.phase], time)
+    if s.round + 1 >= settings.rounds:
+        return _enter(s, "test", time)
+    return replace(_enter(s, "do_gesture", time), round=s.round + 1)
 
 
 def _enter(s: Session, phase: Phase, time: float) -> Session:

@@ -37,8 +37,22 @@ def half_way(gestures: Sequence[float], others: Sequence[float]) -> float:
     return 0.5 * (float(np.quantile(gestures, 0.25)) + max(others, default=0.0))
 
 
-KEPT = 12
-"""Frames of each kind that are kept to find the threshold in the end."""
+def balanced(gestures: Sequence[float], others: Sequence[float]) -> float:
+    """A threshold (cm^2) 0.3 of the way, on a logarithmic scale, from what every tenth frame of other movement reaches
+    to what the gesture usually (median) scores.
+
+    What every tenth frame reaches is read off an exponential tail above the median of the others' scores: all frames
+    have a say in it, where the strongest one alone is chance. At least a tenth of the usual score, because movement
+    that never scored says nothing about movement to come."""
+    usual, middle = float(np.median(gestures)), float(np.median(others))
+    above = [v - middle for v in others if v > middle]
+    level = middle + (float(np.mean(above)) * np.log(0.5 * _ONE_IN) if above else 0.0)
+    return float(max(level, _LEAST * usual) ** (1 - _TOWARDS) * usual**_TOWARDS)
+
+
+_ONE_IN, _TOWARDS, _LEAST = 10, 0.3, 0.1
+KEPT = 16
+"""Frames that show the gesture that are kept to find the threshold in the end."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +60,10 @@ class _Snapshot:
     arrays: tuple[NDArray[Any], ...]
     random: Mapping[str, Any]
     strength: dict[int, float]
+    kept: list[tuple[Depth, Lens]]
+    movement: list[float]
+    shown: int
+    keep: Mapping[str, Any]
 
 
 class Trainer:
@@ -56,9 +74,10 @@ class Trainer:
         self.session = Session()
         self._before: _Snapshot | None = None
         self._segment = 0
-        # every frame has the same chance of being kept; drawn apart from what is learned, so that it changes nothing
-        self._keep, self._seen = np.random.default_rng(0), {"gesture": 0, "negative": 0}
-        self._kept: dict[str, list[tuple[Depth, Lens, int]]] = {"gesture": [], "negative": []}
+        # frames that show the gesture; every one has the same chance of being kept; drawn apart from what is learned
+        self._keep, self._shown = np.random.default_rng(0), 0
+        self._kept: list[tuple[Depth, Lens]] = []
+        self._movement: list[float] = []  # what the forest scored in frames of other movement before it learned them
 
     @property
     def threshold(self) -> float | None:
@@ -100,45 +119,47 @@ class Trainer:
         *,
         mine: bool = True,
     ) -> Taught | None:
-        """Learn a frame outside the state machine's order (from a recording): the forest, the moving averages and the
-        kept frames change as in a live session. None when no usable surface is at the pixel `at`."""
-        learner = self.learner
-        shows = kind == "gesture"
+        """Learn a frame outside the state machine's order (from a recording): the forest, the moving averages and what
+        the threshold is found from change as in a live session. None when no usable surface is at the pixel `at`."""
+        learner, shows = self.learner, kind == "gesture"
+        look = learner.settings.look
+        found = () if mine else localise(depth, lens, [learner.forest], look, learner.scratch)
         taught = learner.show(depth, lens, 1, *at, mine=mine) if shows else learner.reject(depth, lens, mine=mine)
         if taught is not None:
+            score = (taught.maxima or found)[0].score
             session = replace(self.session, phase="positive" if shows else "negative")
-            if taught.maxima:
-                session = observe(session, self.settings, taught.maxima[0].score)
-            self.session = session
-            self._remember(kind, (depth, lens, session.segment))
+            self.session = observe(session, self.settings, score)
+            if shows:
+                self._remember(depth, lens)
+            else:
+                self._movement.append(score)
         return taught
 
     def final_threshold(self, look: LocaliseSettings | None = None) -> float | None:
-        """The threshold (cm^2) of the forest as it is now, from the kept frames that were not taken back (`half_way`).
+        """The threshold (cm^2) of the forest as it is now (`balanced`): the gesture's scores in the kept frames, and
+        those of movement before it was learned, since what was learned scores less than what comes new.
 
         Deviation: the published moving averages follow a forest that goes on changing, and what a gesture scores in the
-        end differs; they are shown while training and used when one kind has not been kept."""
-        forest = self.learner.forest.freeze()
-        scores = {
-            kind: [localise(d, lens, [forest], look)[0].score for d, lens, s in kept if s not in self.session.undone]
-            for kind, kept in self._kept.items()
-        }
-        if not scores["gesture"] or not scores["negative"]:
+        end differs; they are shown while training and used when one kind has not been seen."""
+        if not self._kept or not self._movement:
             return self.threshold
-        return half_way(scores["gesture"], scores["negative"])
+        forest = self.learner.forest.freeze()
+        scores = [localise(depth, lens, [forest], look)[0].score for depth, lens in self._kept]
+        return balanced(scores, self._movement) or None
 
-    def _remember(self, kind: str, frame: tuple[Depth, Lens, int]) -> None:
-        kept = self._kept[kind]
-        self._seen[kind] += 1
-        if len(kept) < KEPT:
-            kept.append(frame)
-        elif (place := int(self._keep.integers(self._seen[kind]))) < KEPT:
-            kept[place] = frame
+    def _remember(self, depth: Depth, lens: Lens) -> None:
+        self._shown += 1
+        if len(self._kept) < KEPT:
+            self._kept.append((depth, lens))
+        elif (place := int(self._keep.integers(self._shown))) < KEPT:
+            self._kept[place] = depth, lens
 
     def _snapshot(self) -> _Snapshot:
         a = self.learner
         arrays = tuple(x.copy() for x in a.forest.arrays)
-        return _Snapshot(arrays, a.rng.bit_generator.state, dict(a.strength))
+        keep = self._keep.bit_generator.state
+        kept, movement = self._kept.copy(), self._movement.copy()
+        return _Snapshot(arrays, a.rng.bit_generator.state, dict(a.strength), kept, movement, self._shown, keep)
 
     def _restore(self, s: _Snapshot) -> None:
         forest = self.learner.forest
@@ -146,3 +167,5 @@ class Trainer:
         self.learner.forest = GrowingForest(forest.settings, arrays)
         self.learner.rng.bit_generator.state = s.random
         self.learner.strength = dict(s.strength)
+        self._kept, self._movement, self._shown = s.kept.copy(), s.movement.copy(), s.shown
+        self._keep.bit_generator.state = s.keep

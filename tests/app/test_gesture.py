@@ -189,6 +189,10 @@ def test_recordings_without_a_usable_gesture_are_refused(tmp_path, capsys):
     for more in ([], ["--offline"]):
         assert "no frame of 'tee' with depth between 0.5 and 4 m" in refused(capsys, *arguments, *more)
     assert not (tmp_path / "m.npz").exists()
+    learner = Learner.new(np.random.default_rng(0), ForestSettings())
+    save_model(GestureModel(("tee",), learner.forest, (1.0,), LocaliseSettings(), learner), tmp_path / "tee.npz")
+    refusal = refused(capsys, "gesture", "eval", tmp_path / "tee.npz", tmp_path / "far")
+    assert "no frame of 'tee' with depth between 0.5 and 4 m" in refusal
 
 
 def test_who_knows_the_gesture_may_learn_what_it_is_not(folder, tmp_path):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import localise
 from hypose.gestures.online import Learner, teach
 from hypose.gestures.pixels import Chooser, Example, LearnSettings
 from hypose.gestures.session import SessionSettings
-from hypose.gestures.trainer import Trainer
+from hypose.gestures.trainer import Trainer, balanced
 
 from .test_model import toy_examples
 from .toys import LENS
@@ -59,6 +60,41 @@ def test_undo_brings_the_forest_back_to_where_the_segment_began():
     for a, b in zip(before, trainer.learner.forest.arrays, strict=True):
         np.testing.assert_array_equal(a, b)
     assert trainer.session.undone == (1,)
+
+
+def test_what_was_taken_back_has_no_say_in_the_threshold():
+    examples = toy_examples(40, 6)
+    whole, without = new_trainer(), new_trainer()
+    for k, e in enumerate(examples):
+        whole.frame(0.01 * k, e.depth, LENS, (e.x, e.y), ["next"] if k in (0, 30) else [])  # positive, release
+        if k < 30:
+            without.learn("gesture", e.depth, LENS, (e.x, e.y))
+    for k, e in enumerate(toy_examples(40, 7)):
+        whole.frame(1 + 0.01 * k, e.depth, LENS, (e.x, e.y), ["next"] if k in (0, 20) else [])  # negative, do_gesture
+        if k < 20:
+            without.learn("negative", e.depth, LENS, (0, 0))
+    before = whole.final_threshold()
+    for k, e in enumerate(examples):  # another positive segment, taken back at its end
+        command = {0: ["next"], 39: ["undo"]}.get(k, [])
+        whole.frame(2 + 0.01 * k, e.depth, LENS, (e.x, e.y), command)  # type: ignore[arg-type]
+    assert whole.session.undone == (3,)
+    assert whole.final_threshold() == before == without.final_threshold()
+
+
+def test_the_threshold_lies_between_movement_and_the_gesture():
+    rng = np.random.default_rng(0)
+    movement = np.where(rng.random(200) < 0.6, 0.0, rng.exponential(1.0, 200)).tolist()
+    gestures = rng.normal(9, 1, 20).tolist()
+    limit = balanced(gestures, movement)
+    assert np.quantile(movement, 0.9) < limit < min(gestures)
+    assert balanced([3 * g for g in gestures], [3 * m for m in movement]) == pytest.approx(3 * limit)
+    assert balanced(gestures, [2 * m for m in movement]) > limit
+    # one strong frame of two hundred hardly matters
+    assert balanced(gestures, [*movement, 9.0]) < 1.1 * limit
+
+
+def test_movement_that_never_scored_does_not_make_everything_pass():
+    assert 0.1 * 8 < balanced([8.0, 8.0, 9.0], [0.0] * 50) < 0.3 * 8
 
 
 def test_nothing_is_learned_outside_the_learning_phases():
