@@ -96,6 +96,27 @@ def test_the_job_script_of_slurm():
     assert "--mem=6G" in script and "--cpus-per-task=1" in script and "--nthreads 1" in script
 
 
+@pytest.mark.slow
+def test_jobs_of_slurm_do_the_work(hypose, tmp_path, monkeypatch):
+    pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed (pip install 'hypose[slurm]')")
+    for name, text in {
+        "sbatch": 'for job; do :; done; bash "$job" > /dev/null 2>&1 & echo "Submitted batch job $!"',
+        "scancel": 'kill "$@"',
+    }.items():  # stand in for SLURM: a job begins at once, on this computer
+        (tmp_path / name).write_text(f"#!/bin/bash\n{text}\n")
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    for seed in (0, 1):
+        write_masks(small_scene(seed, 6), tmp_path / "study" / f"r{seed}")
+    save_body(human(), tmp_path / "subject" / "body.npz")
+    (tmp_path / "sweep.toml").write_text(
+        'recordings = ["study/*"]\n[settings]\nsubject = "subject"\n[slurm]\n'
+        f'memory = "2GB"\nlocal_directory = "{tmp_path}"\nscheduler_options = {{ host = "127.0.0.1" }}\n'
+    )
+    code, out, err = hypose("batch", tmp_path / "sweep.toml", "--slurm", "--workers", "2", "--threads", "1")
+    assert code == 0 and "2 of 2 done" in out, err
+
+
 def test_the_snakefile_calls_what_exists(hypose):
     text = (ROOT / "examples/cluster/Snakefile").read_text()
     _, said, _ = hypose("track", "--help")
