@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hypose.compute.forests import ScanPlan
 from hypose.evaluation.gesture_scenes import GestureFrame
 from hypose.geometry import Array
 from hypose.gestures.forest import Forest, GrowingForest
@@ -19,6 +20,9 @@ RADIUS_PX = 10.0
 """Of a correct localization in the thesis' tables."""
 RADIUS_M = 0.05
 """Of a correct localization that does not depend on the distance, in the picture plane at the gesture's depth."""
+
+THOROUGH = LocaliseSettings(ScanPlan(first=0, coarse=0))
+"""Looks at every place with all trees: what early rejection is compared with."""
 
 
 @dataclass(frozen=True)

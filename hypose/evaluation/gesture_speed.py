@@ -11,21 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from hypose.compute.forests import ScanPlan
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row, row
 from hypose.evaluation.gesture_data import Size, examples, for_gesture, test_set, thinned, training_set
-from hypose.evaluation.gesture_metrics import judge
+from hypose.evaluation.gesture_metrics import THOROUGH, judge
 from hypose.evaluation.gesture_poses import GESTURES
 from hypose.evaluation.gesture_scenes import GestureFrame
 from hypose.evaluation.timing import best
 from hypose.gestures.forest import Forest, ForestSettings
-from hypose.gestures.localise import LocaliseSettings, Scratch, localise, pad
+from hypose.gestures.localise import Scratch, localise, pad
 from hypose.gestures.offline import OfflineSettings, Pool, collect, train
 from hypose.gestures.online import Learner, teach
 from hypose.gestures.pictures import KINECT
 from hypose.gestures.pixels import Example, LearnSettings
-
-THOROUGH = LocaliseSettings(ScanPlan(first=0, coarse=0))
 
 
 @dataclass(frozen=True)
@@ -59,7 +56,7 @@ def _grow(shot: list[GestureFrame], test: list[GestureFrame], options: BenchOpti
 
 def speed(options: BenchOptions) -> BenchReport:
     """Milliseconds per 640 x 480 picture for one and for six gestures; learning steps per second; megabytes."""
-    size = Size(12, 48, 8) if options.quick else Size(24, 96, 10)
+    size = Size(12, 48, 8) if options.quick else Size(24, 96, 24)
     rng = np.random.default_rng([91, 0])
     shot = training_set(size, rng, tick=lambda k, n: options.progress("render", k, n))
     test = test_set(size, rng)
