@@ -82,10 +82,11 @@ def _library() -> Any:
 
 def _opened(library: Any, config: Any, what: str, recorded: bool) -> RealSenseDepth:
     pipeline = library.pipeline()
+    if recorded:  # said before it starts, else frames are dropped when reading is slower than recording was
+        playback = config.resolve(library.pipeline_wrapper(pipeline)).get_device().as_playback()
+        playback.set_real_time(False)
     profile = pipeline.start(config)
     device = profile.get_device()
-    if recorded:
-        device.as_playback().set_real_time(False)  # else frames are dropped when reading is slower than recording was
     try:
         lens = profile.get_stream(library.stream.depth).as_video_stream_profile().get_intrinsics()
         scale = float(device.first_depth_sensor().get_depth_scale())
