@@ -65,16 +65,25 @@ def synth(
     keypoints: Annotated[
         bool, typer.Option("--keypoints", help="Write 2D key points (OpenPose JSON) as well.")
     ] = False,
+    raw: Annotated[
+        bool,
+        typer.Option(
+            "--raw", help="As it is filmed: videos of a board, the empty room and the person, to practise on."
+        ),
+    ] = False,
     seed: Seed = 0,
     threads: Threads = None,
 ) -> None:
     """Make a synthetic recording with known truth: videos, background clips, calibration, recording.toml, truth.npz."""
     set_threads(threads)
+    from hypose.evaluation.film_session import BOARD, write_session
     from hypose.evaluation.scenes import make_scene
     from hypose.evaluation.write_recording import check_folder, write_scene
 
     if not 0 < seconds <= 3600:
         raise InputError(f"--seconds {seconds:g} is not possible; give more than 0 and at most 3600.")
+    if raw and keypoints:
+        raise InputError("--raw writes what cameras give, and key points are not; leave one of the two out.")
     check_folder(folder)
     scene = make_scene(
         motion,
@@ -89,13 +98,20 @@ def synth(
     )
     try:
         with Stages() as progress:
-            path = write_scene(
-                scene, folder, keypoints=keypoints, progress=lambda done, total: progress("render", done, total)
-            )
+
+            def shown(done: int, total: int) -> None:
+                progress("render", done, total)
+
+            if raw:
+                path = write_session(scene, folder, progress=shown)
+            else:
+                path = write_scene(scene, folder, keypoints=keypoints, progress=shown)
     except KeyboardInterrupt:
         say(f"Stopped; {folder} is not complete. Start again with the same command.")
         raise typer.Exit(130) from None
     say(f"{path}: {scene.name}, {len(scene)} frames, {len(scene.rig)} cameras")
+    if raw:
+        say(f"The board has {BOARD.columns} x {BOARD.rows} inner corners and squares of {1000 * BOARD.square:g} mm.")
 
 
 def _subject_name(text: str) -> str:

@@ -8,7 +8,7 @@ model). The same seed gives the same scene, picture for picture, in whatever ord
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -187,10 +187,17 @@ class Scene:
     def background_frames(self, view: int, n: int = 25) -> list[Image]:
         """n pictures of the empty room, taken during the 10 s before the recording; black ones from no
         camera."""
-        return [
-            self._develop(self._backdrop(view).image.copy(), view, -11.0 + 10.0 * k / max(n - 1, 1), -1 - k)
-            for k in range(n)
-        ]
+        return [self.room_frame(view, -11.0 + 10.0 * k / max(n - 1, 1), -1 - k) for k in range(n)]
+
+    def room_frame(
+        self, view: int, time: float, index: int, paint: Callable[[NDArray[np.float32]], None] | None = None
+    ) -> Image:
+        """A picture of the room without people, in the light of `time` (s); index: of its noise, negative. paint: puts
+        something into the picture (h, w, 3)."""
+        picture = self._backdrop(view).image.copy()
+        if paint is not None:
+            paint(picture)
+        return self._develop(picture, view, time, index)
 
     def _develop(self, picture: NDArray[np.float32], view: int, time: float, index: int) -> Image:
         phase = np.random.default_rng([self.seed, _PHASE, view]).uniform(0, 2 * np.pi, 5)

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from hypose.calibration.boards import Board
+from hypose.evaluation.board_pictures import board_from_sheet, board_sheet
 from hypose.evaluation.calibration_boards import film_board, ring_of_cameras
 from hypose.evaluation.rigs import rig
 from hypose.evaluation.scenes import Scene, make_scene
@@ -19,7 +20,6 @@ from hypose.io.results import atomic_path
 from hypose.io.skeleton_folder import write_folder
 from hypose.io.skeletons import SensorStream, SkeletonRecording
 
-_SQUARE_PX = 40
 BOARD = Board("chessboard", 6, 5, 0.12)
 """The board of `write_board_pictures`."""
 
@@ -55,31 +55,17 @@ def write_board_pictures(folder: Path, seed: int = 0, frames: int = 10, cameras:
     lenses = ring_of_cameras(rng, 6).pinhole()
     chosen = lenses.select(lenses.names[:cameras])
     world = film_board(chosen, BOARD, rng, 8 * frames, lying=1).boards
-    sheet = _board_sheet()
+    sheet, to_board = board_sheet(BOARD), board_from_sheet(BOARD)
     for camera in chosen:
         (folder / "boards" / camera.name).mkdir(parents=True, exist_ok=True)
         for f, world_from_board in enumerate(world[:: max(1, len(world) // frames)][:frames]):
             camera_from_board = camera.camera_from_world @ world_from_board
-            homography = camera.K @ camera_from_board[:3, [0, 1, 3]] @ _board_from_sheet()
+            homography = camera.K @ camera_from_board[:3, [0, 1, 3]] @ to_board
             picture = cv2.warpPerspective(sheet, homography, camera.size, borderValue=110.0, flags=cv2.INTER_AREA)
             picture = np.clip(picture + rng.normal(0, 2, picture.shape), 0, 255).astype(np.uint8)
             _write_png(folder / "boards" / camera.name / f"{f:03d}.png", picture)
     write_calibration(chosen, folder / "lenses.toml")
     return folder
-
-
-def _board_sheet() -> np.ndarray:
-    """The printed board with a white rim of one square."""
-    cells = (np.indices((BOARD.rows + 1, BOARD.columns + 1)).sum(0) % 2) * 210.0 + 20
-    inner = np.kron(cells, np.ones((_SQUARE_PX, _SQUARE_PX)))
-    return np.pad(inner, _SQUARE_PX, constant_values=235.0).astype(np.float32)
-
-
-def _board_from_sheet() -> np.ndarray:
-    """(3, 3) from the sheet's pixels to the board's metres; the origin is the first inner corner."""
-    scale = BOARD.square / _SQUARE_PX
-    shift = -2 * BOARD.square + 0.5 * scale
-    return np.array([[scale, 0, shift], [0, scale, shift], [0, 0, 1]])
 
 
 def write_skeletons(folder: Path, seed: int = 0, seconds: float = 8.0) -> Path:

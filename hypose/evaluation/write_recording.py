@@ -32,6 +32,20 @@ def check_folder(folder: Path) -> None:
             raise InputError(f"The folder {folder} holds other files; give an empty or new folder.")
 
 
+def write_truth(scene: Scene, folder: Path) -> None:
+    """truth.npz: times (T,), joints (T, 19, 3) m, rotations (T, 19, 3, 3), joint_names, stature m. To be written first,
+    for a folder that is not finished is known by it (`check_folder`)."""
+    with atomic_path(folder / "truth.npz") as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(
+            file,
+            times=scene.times,
+            joints=scene.joints,
+            rotations=scene.rotations,
+            joint_names=np.array(JOINT_NAMES),
+            stature=np.array(scene.subject.stature),
+        )
+
+
 def write_scene(
     scene: Scene,
     folder: str | Path,
@@ -45,22 +59,11 @@ def write_scene(
 
     videos/NAME.mp4 and background/NAME.mp4 per camera (their width and height even, the calibration to
     match), calibration.toml with the rig the user was given, recording.toml, with keypoints=True
-    pose/NAME_json/ with one OpenPose BODY_25 file per frame, and truth.npz: times (T,), joints (T, 19, 3) m,
-    rotations (T, 19, 3, 3), joint_names, stature m. progress(done, total) is called after every picture.
+    pose/NAME_json/ with one OpenPose BODY_25 file per frame, and truth.npz (`write_truth`). progress(done, total) is
+    called after every picture.
     """
     folder = Path(folder)
-    # first, so that a folder that was not finished is known for what it is (`check_folder`)
-    folder.mkdir(parents=True, exist_ok=True)
-    with atomic_path(folder / "truth.npz") as temporary:
-        with open(temporary, "wb") as file:
-            np.savez_compressed(
-                file,
-                times=scene.times,
-                joints=scene.joints,
-                rotations=scene.rotations,
-                joint_names=np.array(JOINT_NAMES),
-                stature=np.array(scene.subject.stature),
-            )
+    write_truth(scene, folder)
     for sub in ("videos", "background"):
         (folder / sub).mkdir(exist_ok=True)
     rig = CameraRig(tuple(_even(c) for c in scene.given_rig))
