@@ -49,7 +49,7 @@ def calibrate(
         int | None, typer.Option(help="Frame in which the board lies on the floor. [default: where it lies still]")
     ] = None,
     lag: Annotated[
-        list[str] | None, typer.Option(help="CAMERA=FRAMES: its video is so many frames late. May be repeated.")
+        list[str] | None, typer.Option(help="CAMERA=FRAMES: its video is so many frames late (may be repeated).")
     ] = None,
     frames: Annotated[int, typer.Option(help="Pictures looked at per camera.")] = 120,
     points: Annotated[

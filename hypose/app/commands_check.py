@@ -39,7 +39,7 @@ def check(
     focal: Annotated[bool, typer.Option("--focal", help="Focal lengths too.", rich_help_panel=_REFINE)] = False,
     keep: Annotated[
         list[str] | None,
-        typer.Option(help="Camera that stays as it is; may be given several times.", rich_help_panel=_REFINE),
+        typer.Option(help="Camera that stays as it is (may be repeated).", rich_help_panel=_REFINE),
     ] = None,
     height: Annotated[
         float | None, typer.Option(help="The person's height in metres: sets the scale.", rich_help_panel=_REFINE)

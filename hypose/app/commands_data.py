@@ -58,7 +58,7 @@ def synth(
     frame_rate: Annotated[float, typer.Option(help="Frames per second.")] = 25.0,
     corruption: Annotated[
         list[str] | None,
-        typer.Option(help="What goes wrong; may be given several times (level-1, shadow, desync, ...)."),
+        typer.Option(help="What goes wrong: level-1, shadow, desync, ... (may be repeated)."),
     ] = None,
     clothing: Annotated[float, typer.Option(help="Thickness of the clothes in metres, 0 to 0.04.")] = 0.02,
     distorted: Annotated[bool, typer.Option(help="Lenses with distortion.")] = True,

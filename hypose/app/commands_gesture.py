@@ -29,7 +29,7 @@ _LETTERS = "Commands (letter and Enter): n next, u undo, p pause, c continue, a 
 Frames = Annotated[int, typer.Option(help="Stop after so many frames; 0 = never.")]
 
 
-@app.command()
+@app.command(short_help="Record a session with its prompts, to train from later.")
 def record(
     out: Annotated[Path, typer.Argument(help="New folder to record to.")],
     gesture: Gesture,
@@ -48,12 +48,12 @@ def record(
     say(f"Recorded: {out}")
 
 
-@app.command()
+@app.command(short_help="Teach a gesture, live or from recorded sessions.")
 def train(
     out: Annotated[Path, typer.Argument(help="Model file to write (.npz).")],
     gesture: Gesture,
     recording: Annotated[
-        list[Path] | None, typer.Option(help="Recorded session to learn from (again: several); else live.")
+        list[Path] | None, typer.Option(help="Recorded session to learn from (may be repeated); else live.")
     ] = None,
     source: SourceOption = "simulated",
     rounds: Rounds = 3,
@@ -122,7 +122,7 @@ def _session(
     )
 
 
-@app.command()
+@app.command(short_help="Watch for gestures: events as JSON lines, OSC, MIDI, keys.")
 def run(
     models: Annotated[list[Path], typer.Argument(help="Model files, one per gesture.")],
     source: SourceOption = "simulated",
@@ -132,7 +132,7 @@ def run(
         str | None, typer.Option(help="MIDI port (part of its name, or virtual) for notes and controllers.")
     ] = None,
     key: Annotated[
-        list[str] | None, typer.Option(help="GESTURE=KEY: hold a key down while the gesture is on (again: several).")
+        list[str] | None, typer.Option(help="GESTURE=KEY: hold a key down while the gesture is on (may be repeated).")
     ] = None,
     command: Annotated[
         str | None, typer.Option(help="Program to run at each start, {gesture} replaced; with {event}, at ends too.")
@@ -192,7 +192,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-@app.command()
+@app.command(short_help="Try a model: what it finds in every frame.")
 def test(
     model: Annotated[Path, typer.Argument(help="Model file.")],
     source: SourceOption = "simulated",
@@ -226,7 +226,7 @@ def test(
             break
 
 
-@app.command()
+@app.command(short_help="Write a forest as files that need no hypose.")
 def export(
     model: Annotated[Path, typer.Argument(help="Model file.")],
     out: Annotated[Path, typer.Argument(help="Folder to write to.")],
@@ -238,7 +238,7 @@ def export(
         say(str(path))
 
 
-@app.command("eval")
+@app.command("eval", short_help="Judge a model on a recorded session.")
 def evaluate(
     model: Annotated[Path, typer.Argument(help="Model file.")],
     recording: Annotated[Path, typer.Argument(help="Recorded session that was not learned.")],
@@ -257,9 +257,11 @@ def evaluate(
     print(json.dumps({k: round(v, 4) for k, v in values.items()}, indent=2))
 
 
-@app.command("studio")
+@app.command("studio", short_help="Teach gestures in the browser.")
 def studio(
-    folder: Annotated[Path, typer.Argument(help="Folder for sessions and models. [default: this folder]")] = Path(),
+    folder: Annotated[
+        Path, typer.Argument(help="Folder for sessions and models.", show_default="this folder")
+    ] = Path(),
     port: Annotated[int, typer.Option(help="Port of this computer; 0 takes any free one.")] = 8765,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
 ) -> None:

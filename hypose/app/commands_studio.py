@@ -16,7 +16,7 @@ _NETWORK = "Network"
 
 def view(
     what: Annotated[
-        Path, typer.Argument(help="Results folder, recording, or a folder that holds such. [default: this folder]")
+        Path, typer.Argument(help="Results folder, recording, or a folder that holds such.", show_default="this folder")
     ] = Path(),
     port: Annotated[
         int, typer.Option(help="Port to listen on; 0 takes any free one.", rich_help_panel=_NETWORK)

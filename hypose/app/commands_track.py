@@ -27,7 +27,7 @@ Compute = Annotated[
     str,
     typer.Option(help="auto, cpu, cuda (silhouettes scored on an NVIDIA device) or reference (slow, for comparison)."),
 ]
-Seed = Annotated[int, typer.Option(help="Of every random draw; the same seed gives the same motion.")]
+Seed = Annotated[int, typer.Option(help="Of every random draw; the same seed gives the same result.")]
 
 
 def track(
