@@ -206,3 +206,34 @@ def sphere_terms(model, spheres, ws, hessian, gradient):
         m = climb(tree, model.slot, ws.twists, ws.wrench, ws.marked, columns, entries)
         spread(m, columns, entries, -spheres.weight * short, spheres.weight, hessian, gradient)
     return cost
+
+
+@njit(**OPTIONS)
+def floor_terms(q, model, floor, second_order, ws, hessian, gradient):
+    """The lowest point of the soles stands on the floor, and none lies under it: cost as of a 2D point (a Lorentzian
+    with its tail from 2 sd on, so that a jump costs little more than a step)."""
+    if not floor.weight > 0:
+        return 0.0
+    columns, entries = np.empty(gradient.shape[0], np.int64), np.empty(gradient.shape[0])
+    at = np.empty((floor.joint.shape[0], 3))
+    lowest = 0
+    for i in range(at.shape[0]):
+        o, r = floor.offset[i], ws.rotations[floor.joint[i]]
+        for k in range(3):
+            at[i, k] = ws.centres[floor.joint[i], k] + r[k, 0] * o[0] + r[k, 1] * o[1] + r[k, 2] * o[2]
+        if at[i, 2] < at[lowest, 2]:
+            lowest = i
+    cost, sigma2, w = 0.0, 4 * floor.scale * floor.scale, 4 * floor.weight
+    for i in range(at.shape[0]):
+        above = at[i, 2] + q[2] - floor.height
+        if i != lowest and above >= 0:
+            continue
+        value, first, second = robust(LORENTZIAN, above * above, sigma2)
+        cost += 0.5 * w * value
+        wrench = ws.wrench[floor.joint[i]]
+        wrench[0], wrench[1], wrench[5] = at[i, 1], -at[i, 0], 1.0
+        ws.marked[floor.joint[i]] = 1
+        m = climb(model.tree, model.slot, ws.twists, ws.wrench, ws.marked, columns, entries)
+        bend = w * curvature(first, second, above * above, second_order)
+        spread(m, columns, entries, w * first * above, bend, hessian, gradient)
+    return cost

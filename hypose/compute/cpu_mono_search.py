@@ -10,7 +10,7 @@ from numba import njit
 from hypose.compute.cpu_kinematics import OPTIONS
 from hypose.compute.cpu_mono_cues import edge_terms, flow_terms, mask_terms
 from hypose.compute.cpu_mono_nodes import contour_nodes, draw_still, fill_depth, inner_nodes, pose_mesh
-from hypose.compute.cpu_mono_rows import mark_terms, sphere_terms, sum_vertex_rows
+from hypose.compute.cpu_mono_rows import floor_terms, mark_terms, sphere_terms, sum_vertex_rows
 from hypose.compute.cpu_solver import bounded_step
 
 GAIN = 0.02
@@ -45,6 +45,7 @@ def image_cost(q, problem, sigma, n_flow, want, ws, hessian, gradient):
         sum_vertex_rows(n_rows, model, ws, hessian, gradient)
     cost += mark_terms(q, model, problem.marks, problem.second_order, ws, hessian, gradient)
     cost += sphere_terms(model, problem.spheres, ws, hessian, gradient)
+    cost += floor_terms(q, model, problem.floor, problem.second_order, ws, hessian, gradient)
     for i in range(a):
         for k in range(i):
             s = hessian[i, k] + hessian[k, i]

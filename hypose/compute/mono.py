@@ -16,6 +16,7 @@ from hypose.compute.mono_terms import (
     LECLERC,
     LORENTZIAN,
     EdgeArrays,
+    FloorArrays,
     FlowArrays,
     MarkArrays,
     MaskArrays,
@@ -199,6 +200,7 @@ def warm_up(tree: TreeArrays, mesh: MeshArrays, pose: Array, projection: Array) 
         MaskArrays(error, pixels.astype(np.float32), 1.0, 1.0, LORENTZIAN, 4.0, 8.0),
         MarkArrays(pixels, np.ones(1), joint[:1], places[:1], np.ones(1), LORENTZIAN),
         SphereArrays(joint, places, np.array([[0, 1]]), np.ones(1), 1.0),
+        FloorArrays(joint, places, 0.0, 1.0, 1.0),
         MonoPriors(np.zeros((2, d)), np.ones((2, d)), -bounds, bounds, np.ones(d)),
         True,
     )

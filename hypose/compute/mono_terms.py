@@ -114,6 +114,21 @@ class SphereArrays(NamedTuple):
     """1 / m^2"""
 
 
+class FloorArrays(NamedTuple):
+    """Points of the soles against a level floor."""
+
+    joint: NDArray[np.int64]
+    """(F,)"""
+    offset: NDArray[np.float64]
+    """(F, 3) m"""
+    height: float
+    """m, in the world"""
+    scale: float
+    """m, 1 sd"""
+    weight: float
+    """0: there is no floor"""
+
+
 class MonoPriors(NamedTuple):
     """Quadratics 1/2 weight (q - centre)^2 over the active dof, and the limits."""
 
@@ -138,6 +153,7 @@ class MonoProblem(NamedTuple):
     mask: MaskArrays
     marks: MarkArrays
     spheres: SphereArrays
+    floor: FloorArrays
     priors: MonoPriors
     second_order: bool
 

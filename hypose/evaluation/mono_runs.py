@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
 
-from hypose.evaluation.mono_scenes import MonoScene
+from hypose.evaluation.mono_scenes import FRAME_RATE, MonoScene
 from hypose.evaluation.render_rgb import Image
 from hypose.geometry import Array
+from hypose.monocular.clip import Modes, WholeClip, backwards, information, together
 from hypose.monocular.settings import MonoSettings
 from hypose.monocular.tracker import MonoTracker
-from hypose.monocular.types import MonoEstimate, MonoFrame, MonoHypotheses, StageTimes, points_from_keypoints
+from hypose.monocular.types import (
+    MonoEstimate,
+    MonoFrame,
+    MonoHypotheses,
+    StageTimes,
+    points_from_keypoints,
+    posterior_arrays,
+)
+from hypose.tracking.smoothing import smooth_poses
 
 LEVEL = 0.9
 DEFINITION_SD_M = 0.008
@@ -71,48 +80,97 @@ def track_scene(
     *,
     keypoints: bool = False,
 ) -> MonoRun:
-    """Follows the scene from its measured first pose through images; keypoints: with the detector's points
-    besides. The truth is used for measuring only."""
+    """Follows the scene from its measured first pose through images, frame after frame; keypoints: with the detector's
+    points besides. The truth is used for measuring only."""
+    tracker, frames = _tracker_and_frames(scene, settings, images, keypoints)
+    return _frame_after_frame(scene, list(_follow(scene, tracker, frames)))
+
+
+def solve_scene(
+    scene: MonoScene,
+    settings: MonoSettings,
+    images: Sequence[Image],
+    *,
+    keypoints: bool = False,
+) -> tuple[MonoRun, MonoRun]:
+    """The same, and the clip solved as a whole (hypose.monocular.clip), whose seconds are those of both passes."""
+    tracker, frames = _tracker_and_frames(scene, settings, images, keypoints)
+    there = list(_follow(scene, tracker, frames))
+    n = len(there)
+    way_back = backwards(
+        tracker,
+        there[-1].posterior,
+        n,
+        lambda k: frames[k + 1],
+        lambda k: np.random.default_rng([scene.seed, 3000 + k]),
+    )
+    back = [*reversed(list(way_back)), there[-1]]
+    poses, covariances = together(_modes(scene, there), _modes(scene, back), FRAME_RATE)
+    poses = smooth_poses(scene.body, poses, information(covariances, scene.active), FRAME_RATE, WholeClip().motion)
+    rows = []
+    for i in range(n):
+        apart, depth, shown = _errors(scene, poses[i : i + 1], 1 + i)
+        inside = _inside(scene, poses[i], covariances[i], apart[0])
+        seconds = np.array(there[i].seconds) + np.array(back[i].seconds)
+        distance = np.linalg.norm(apart[0], axis=-1)
+        rows.append((distance, depth, shown, distance.mean(), inside, inside, 1, seconds))
+    return _frame_after_frame(scene, there), _run(scene, rows)
+
+
+def _tracker_and_frames(
+    scene: MonoScene, settings: MonoSettings, images: Sequence[Image], keypoints: bool
+) -> tuple[MonoTracker, list[MonoFrame]]:
+    frames = []
+    for i, image in enumerate(images):
+        points = points_from_keypoints(scene.body, scene.keypoint_names, scene.keypoints[i]) if keypoints else None
+        frames.append(MonoFrame(i, float(scene.performance.times[i]), image, None, points))
     tracker = MonoTracker(scene.body, scene.camera, settings, scene.active, threads=1, clock=time.process_time)
+    return tracker, frames
 
-    def frame(i: int) -> MonoFrame:
-        points = None
-        if keypoints:
-            points = points_from_keypoints(scene.body, scene.keypoint_names, scene.keypoints[i])
-        return MonoFrame(i, float(scene.performance.times[i]), images[i], None, points)
 
-    state = tracker.start(MonoHypotheses.at(scene.start), frame(0))
-    truth, rows = scene.true_marks(), []
-    for i in range(1, len(images)):
-        rng = np.random.default_rng([scene.seed, 1000 + i])
-        state, estimate = tracker.step(state, frame(i), rng)
-        rows.append(_measure(scene, estimate, truth[i], scene.performance.joints[i, 0]))
+def _follow(scene: MonoScene, tracker: MonoTracker, frames: Sequence[MonoFrame]) -> Iterator[MonoEstimate]:
+    """Estimates of all frames but the first, whose pose is given."""
+    state = tracker.start(MonoHypotheses.at(scene.start), frames[0])
+    for i, frame in enumerate(frames[1:], 1):
+        state, estimate = tracker.step(state, frame, np.random.default_rng([scene.seed, 1000 + i]))
+        yield estimate
+
+
+def _frame_after_frame(scene: MonoScene, estimates: Sequence[MonoEstimate]) -> MonoRun:
+    rows = []
+    for i, estimate in enumerate(estimates, 1):
+        modes = estimate.posterior
+        apart, depth, shown = _errors(scene, modes.poses, i)
+        distance = np.linalg.norm(apart, axis=-1)
+        inside = np.stack([_inside(scene, *pair) for pair in zip(modes.poses, modes.covariances, apart, strict=True)])
+        oracle = distance.mean(1).min()
+        anywhere = np.asarray(inside.any(0))
+        rows.append((distance[0], depth, shown, oracle, anywhere, inside[0], estimate.alive, estimate.seconds))
+    return _run(scene, rows)
+
+
+def _run(scene: MonoScene, rows: Sequence[tuple[object, ...]]) -> MonoRun:
     columns = [np.array(c) for c in zip(*rows, strict=True)]
     return MonoRun(scene.name, "body" if scene.root_aligned else "arm", *columns)
 
 
-def _measure(scene: MonoScene, estimate: MonoEstimate, truth: Array, root: Array) -> tuple[np.ndarray, ...]:
-    """One row of a MonoRun."""
-    modes = estimate.posterior
-    marks = scene.estimated_marks(modes.poses)
+def _modes(scene: MonoScene, estimates: Sequence[MonoEstimate]) -> Modes:
+    arrays = posterior_arrays(scene.body, estimates)
+    return Modes(*(arrays[f"mode_{name}"] for name in Modes._fields))
+
+
+def _errors(scene: MonoScene, poses: Array, index: int) -> tuple[Array, Array, Array]:
+    """Of poses (K, D) in frame index: errors (K, M, 3) m of the marks; of the first pose their length along the line of
+    sight (M,) m, and in the picture (M,) px."""
+    truth = scene.true_marks()[index]
+    marks = scene.estimated_marks(poses)
     shown = scene.camera.project_pinhole(marks[0]) - scene.camera.project_pinhole(truth)
     if scene.root_aligned:
-        marks = marks - (scene.body.joints(modes.poses)[:, :1] - root)
+        marks = marks - (scene.body.joints(poses)[:, :1] - scene.performance.joints[index, 0])
     apart = marks - truth
     sight = truth - scene.camera.position
     sight /= np.linalg.norm(sight, axis=1, keepdims=True)
-    distance = np.linalg.norm(apart, axis=-1)
-    inside = np.stack([_inside(scene, *pair) for pair in zip(modes.poses, modes.covariances, apart, strict=True)])
-    return (
-        distance[0],
-        np.abs((apart[0] * sight).sum(1)),
-        np.linalg.norm(shown, axis=1),
-        distance.mean(1).min(),
-        np.asarray(inside.any(0)),
-        inside[0],
-        np.array(estimate.alive),
-        np.array(estimate.seconds),
-    )
+    return apart, np.abs((apart[0] * sight).sum(1)), np.linalg.norm(shown, axis=1)
 
 
 def _inside(scene: MonoScene, pose: Array, covariance: Array, apart: Array) -> Array:

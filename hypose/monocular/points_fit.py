@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.cameras.camera import Camera
+from hypose.compute.mono_terms import FloorArrays
 from hypose.geometry import Array
 from hypose.inference.newton import minimise
 from hypose.inference.robust import Lorentzian
@@ -31,8 +32,7 @@ _STEP = 0.01
 
 def points_on_body(body: Body, pose: Array, points: MonoPoints) -> Array:
     """(P, 3) m: the points on the body at a pose (D,), world."""
-    rotations, centres = body.skeleton.forward(pose)
-    return centres[points.joint] + np.einsum("pab,pb->pa", rotations[points.joint], points.offset)
+    return _places(body, pose, points.joint, points.offset)
 
 
 def fit_proportions(
@@ -43,9 +43,11 @@ def fit_proportions(
     factors: Array,
     prior: Proportions,
     active: NDArray[np.int64],
+    floor: FloorArrays | None = None,
 ) -> tuple[Array, Array, float]:
     """Poses (M, D) and factors (K,), one body for all M pictures, and their cost: bounded Newton from the given ones,
-    over the active dof (A,) of every pose and the factors that move joints."""
+    over the active dof (A,) of every pose and the factors that move joints. floor: what the person stands on; without
+    it one view cannot tell long legs that point away from shorter ones that do not."""
     bare, pull = skeleton_only(template), anatomical_prior(template.skeleton)
     m, a = len(pictures), len(active)
 
@@ -65,10 +67,16 @@ def fit_proportions(
             by_pose = image_jacobian(body, camera, points, q[k])[:, :, active] / points.scale_px[:, None, None]
             by_factor = [(_residuals(b, camera, points_on(b), q[k]) - r) / _STEP for b in moved]
             rows = np.concatenate([by_pose, np.stack(by_factor, axis=-1)], axis=2)
-            length = np.linalg.norm(r, axis=1)
-            weight = points.confidence * _LOSS.weight(length)
+            length, confidence = np.linalg.norm(r, axis=1), points.confidence
+            if floor is not None:
+                above, of_floor = _above_floor(body, moved, q[k], floor, active)
+                length = np.append(length, np.abs(above))
+                confidence = np.append(confidence, np.full(len(above), floor.weight))
+                r = np.concatenate([r, np.column_stack([above, np.zeros(len(above))])])
+                rows = np.concatenate([rows, np.stack([of_floor, np.zeros_like(of_floor)], axis=1)])
+            weight = confidence * _LOSS.weight(length)
             at = np.concatenate([np.arange(k * a, (k + 1) * a), np.arange(m * a, len(x))])
-            value += float((points.confidence * _LOSS.rho(length)).sum())
+            value += float((confidence * _LOSS.rho(length)).sum())
             gradient[at] += np.einsum("p,pxd,px->d", weight, rows, r)
             hessian[np.ix_(at, at)] += np.einsum("p,pxd,pxe->de", weight, rows, rows)
         away = x - centre
@@ -98,12 +106,37 @@ def _residuals(body: Body, camera: Camera, points: MonoPoints, pose: Array) -> A
 
 def image_jacobian(body: Body, camera: Camera, points: MonoPoints, pose: Array) -> Array:
     """(P, 2, D) px: derivative of the points' pixels by the pose (D,)."""
-    world = points_on_body(body, pose, points)
-    twists = body.skeleton.world_twists(pose)
-    by_pose = np.cross(twists[None, :, :3], world[:, None]) + twists[None, :, 3:]
-    by_pose[~body.skeleton.moves.T[points.joint]] = 0.0
+    world, by_pose = points_on_body(body, pose, points), _jacobian(body, pose, points.joint, points.offset)
     p = camera.projection
     h = world @ p[:, :3].T + p[:, 3]
     shown = h[:, :2] / h[:, 2:]
     by_point = (p[None, :2, :3] - shown[..., None] * p[None, None, 2, :3]) / h[:, 2, None, None]
-    return np.einsum("pxa,pda->pxd", by_point, by_pose)
+    return np.einsum("pxa,pad->pxd", by_point, by_pose)
+
+
+def _above_floor(
+    body: Body, moved: Sequence[Body], pose: Array, floor: FloorArrays, active: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """(F,) heights of the lowest point of the soles and of those under the floor, in standard deviations, and their
+    derivatives (F, A + K) by the active dof and by the factors, from the bodies `moved` by one step each."""
+    height = _places(body, pose, floor.joint, floor.offset)[:, 2] - floor.height
+    on = np.flatnonzero((height < 0) | (np.arange(len(height)) == height.argmin()))
+    joint, offset = floor.joint[on], floor.offset[on]
+    by_pose = _jacobian(body, pose, joint, offset)[:, 2, active]
+    by_factor = [(_places(b, pose, joint, offset)[:, 2] - floor.height - height[on]) / _STEP for b in moved]
+    return height[on] / floor.scale, np.concatenate([by_pose, np.stack(by_factor, axis=1)], axis=1) / floor.scale
+
+
+def _places(body: Body, pose: Array, joint: NDArray[np.int64], offset: Array) -> Array:
+    """(P, 3) m: points on joints (P,) at offsets (P, 3), world."""
+    rotations, centres = body.skeleton.forward(pose)
+    return centres[joint] + np.einsum("pab,pb->pa", rotations[joint], offset)
+
+
+def _jacobian(body: Body, pose: Array, joint: NDArray[np.int64], offset: Array) -> Array:
+    """(P, 3, D): derivative of such points by the pose."""
+    twists = body.skeleton.world_twists(pose)
+    world = _places(body, pose, joint, offset)
+    out = np.cross(twists[None, :, :3], world[:, None]) + twists[None, :, 3:]
+    out[~body.skeleton.moves.T[joint]] = 0.0
+    return np.swapaxes(out, 1, 2)

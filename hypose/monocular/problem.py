@@ -11,15 +11,16 @@ from hypose.body.body import Body, Mesh
 from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import Camera
 from hypose.compute import mono
-from hypose.compute.mono_terms import MonoModel, MonoPriors, MonoProblem, SphereArrays
+from hypose.compute.mono_terms import FloorArrays, MonoModel, MonoPriors, MonoProblem, SphereArrays
 from hypose.errors import InputError
 from hypose.evidence.edges import edge_field
 from hypose.evidence.flow import Flow
 from hypose.geometry import Array
 from hypose.monocular.evidence import edge_arrays, flow_arrays, mark_arrays, mask_arrays
 from hypose.monocular.interpenetration import part_spheres
-from hypose.monocular.settings import MonoSettings
+from hypose.monocular.settings import CueSettings, MonoSettings
 from hypose.monocular.types import MonoFrame
+from hypose.tracking.contacts import soles_of
 
 LONGEST_STEP = 2.0
 """times the expected error of a prediction: the longest Newton step"""
@@ -27,18 +28,27 @@ LONGEST_STEP = 2.0
 
 @dataclass(frozen=True)
 class Fixed:
-    """What does not change from frame to frame: the model, the spheres, limits (A,), and how far each active dof
-    usually is from its prediction (A,)."""
+    """What does not change from frame to frame: the model, the spheres, the floor, limits (A,), and how far each active
+    dof usually is from its prediction (A,)."""
 
     model: MonoModel
     spheres: SphereArrays
+    floor: FloorArrays
     lower: Array
     upper: Array
     spread: Array
 
 
-def fixed_parts(body: Body, mesh: Mesh, camera: Camera, active: NDArray[np.int64], settings: MonoSettings) -> Fixed:
-    """The parts of the problem that do not change; an InputError when the active dof are not dof of the body."""
+def fixed_parts(
+    body: Body,
+    mesh: Mesh,
+    camera: Camera,
+    active: NDArray[np.int64],
+    settings: MonoSettings,
+    floor: float | None = None,
+) -> Fixed:
+    """The parts of the problem that do not change; floor: its height in the world, m, None where there is none or it is
+    not known. An InputError when the active dof are not dof of the body."""
     s = body.skeleton
     if active.ndim != 1 or len(active) == 0 or (np.diff(active) <= 0).any() or active[0] < 0 or active[-1] >= s.dof:
         raise InputError(f"The dof to estimate must be ascending indices between 0 and {s.dof - 1}, got {active}.")
@@ -46,10 +56,19 @@ def fixed_parts(body: Body, mesh: Mesh, camera: Camera, active: NDArray[np.int64
     return Fixed(
         mono.model(s.tree, mesh.arrays, s.moves, active, camera.projection),
         part_spheres(body, settings.interpenetration),
+        floor_arrays(body, floor, settings.cues),
         np.array(s.lower[active]) if settings.limits else -unbounded,
         np.array(s.upper[active]) if settings.limits else unbounded,
         prediction_spread(s, settings)[active],
     )
+
+
+def floor_arrays(body: Body, height: float | None, settings: CueSettings) -> FloorArrays:
+    """The soles of a body on a floor at a height in the world, m; None: the term is left out."""
+    if height is None:
+        return FloorArrays(np.zeros(0, np.int64), np.zeros((0, 3)), 0.0, 1.0, 0.0)
+    soles = soles_of(body)
+    return FloorArrays(soles.joint, soles.offset, float(height), float(settings.floor_sd_m), 1.0)
 
 
 def prediction_spread(skeleton: Skeleton, settings: MonoSettings) -> Array:
@@ -80,6 +99,7 @@ def frame_problem(
         mask_arrays(frame.mask, settings.cues, edge.sample_px),
         mark_arrays(frame.points, settings.cues),
         fixed.spheres,
+        fixed.floor,
         priors,
         settings.second_order,
     )

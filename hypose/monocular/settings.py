@@ -56,15 +56,16 @@ class FlowSettings:
 
 @dataclass(frozen=True)
 class CueSettings:
-    """Silhouettes and 2D points (key points, clicked joints). silhouette_height, silhouette_form, silhouette_sigma_px
-    as for edges (height 0: not used); point_weight on all points (0: not used), whose scales come with them;
-    point_form."""
+    """Silhouettes, 2D points (key points, clicked joints) and the floor. silhouette_height, silhouette_form,
+    silhouette_sigma_px as for edges (height 0: not used); point_weight on all points (0: not used), whose scales come
+    with them; point_form; floor_sd_m: how far from a known floor the lower sole usually is, m."""
 
     silhouette_height: float = 2.0
     silhouette_form: str = "lorentzian"
     silhouette_sigma_px: float = 4.0
     point_weight: float = 1.0
     point_form: str = "lorentzian"
+    floor_sd_m: float = 0.05
 
 
 @dataclass(frozen=True)

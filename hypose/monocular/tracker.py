@@ -49,15 +49,17 @@ LOST_SHARE = 0.2
 @dataclass(frozen=True)
 class MonoTracker:
     """A body, whose coarse mesh is compared with the picture, the camera (lens distortion is ignored: give undistorted
-    pictures), settings, the dof to estimate (default `body_dofs`: 30; the others keep their start values), and how many
-    threads share the hypotheses (default: the machine's; any number gives the same results). clock: what the stages'
-    seconds are read from (time.process_time: the processor's)."""
+    pictures), settings, the dof to estimate (default `body_dofs`: 30; the others keep their start values), how many
+    threads share the hypotheses (default: the machine's; any number gives the same results), and the height in the
+    world of the floor that the person stands on, m (default: not known). clock: what the stages' seconds are read from
+    (time.process_time: the processor's)."""
 
     body: Body
     camera: Camera
     settings: MonoSettings = MonoSettings()
     active: NDArray[np.int64] | None = None
     threads: int | None = None
+    floor: float | None = None
     clock: Callable[[], float] = time.perf_counter
 
     def start(self, hypotheses: MonoHypotheses, frame: MonoFrame | None = None) -> MonoState:
@@ -135,7 +137,7 @@ class MonoTracker:
     @cached_property
     def _fixed(self) -> Fixed:
         active = body_dofs(self.body.skeleton) if self.active is None else np.asarray(self.active, dtype=np.int64)
-        return fixed_parts(self.body, self.body.coarse, self.camera, active, self.settings)
+        return fixed_parts(self.body, self.body.coarse, self.camera, active, self.settings, self.floor)
 
     @cached_property
     def _workspaces(self) -> list[MonoWorkspace]:

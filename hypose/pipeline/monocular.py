@@ -20,7 +20,7 @@ from hypose.io.results import Checkpoint, ResultsFolder, save_motion
 from hypose.monocular.settings import MonoSettings
 from hypose.monocular.tracker import MonoTracker
 from hypose.monocular.types import MonoEstimate, MonoHypotheses, MonoState, posterior_arrays
-from hypose.pipeline.mono_start import Clicks, find_start, keypoints_on, load_clicks
+from hypose.pipeline.mono_start import AUTO, Clicks, Floor, find_start, keypoints_on, load_clicks
 from hypose.pipeline.mono_stream import MonoStream
 from hypose.pipeline.track_loop import Progress
 
@@ -38,12 +38,13 @@ _STATE = ("poses", "velocities", "covariances", "weights", "costs", "evidence", 
 @dataclass(frozen=True)
 class MonoOptions:
     """What a user chooses. evidence: one of mono_stream.CUES; start: 'auto' or 'keypoints' (a detector's), or the path
-    of a file of clicks; height m; hypotheses: how many are followed; subject: where the given body comes from;
-    checkpoint_every: frames."""
+    of a file of clicks; height m; floor: see mono_start.find_start; hypotheses: how many are followed; subject: where
+    the given body comes from; checkpoint_every: frames."""
 
     evidence: str = "auto"
     start: str = "auto"
     height: float | None = None
+    floor: Floor = AUTO
     hypotheses: int = 7
     seed: int = 0
     subject: str | None = None
@@ -78,10 +79,9 @@ class MonoResult:
 
 @dataclass(frozen=True)
 class _Rows:
-    """Of T finished frames: all modes, and of the best mode joint_sd (T, J) m and lost (T,)."""
+    """Of T finished frames: all modes, and lost (T,) of the best mode."""
 
     modes: Modes
-    joint_sd: np.ndarray
     lost: np.ndarray
 
     def __len__(self) -> int:
@@ -114,14 +114,14 @@ def track_stream(
     total, recording = len(stream), stream.recording
     settings = options.tracker_settings(recording.frame_rate, keypoints=len(stream.keypoint_names) > 0)
     key = identity(record or {})
-    body, state, done, notes = _begin(stream, options, settings, body, results, resume, key, report)
-    tracker = MonoTracker(body, stream.camera, settings)
+    body, floor, state, done, notes = _begin(stream, options, settings, body, results, resume, key, report)
+    tracker = MonoTracker(body, stream.camera, settings, floor=floor)
     parts = [] if done is None else [done]
     count, interrupted = 0 if done is None else len(done), False
 
     def keep() -> None:
         if results is not None and parts:
-            _save_checkpoint(results, state, _join(parts), key, notes)
+            _save_checkpoint(results, state, _join(parts), key, {"notes": list(notes), "floor": floor})
 
     try:
         for index in range(count, total):
@@ -166,19 +166,21 @@ def _begin(
     resume: bool,
     key: Mapping[str, Any],
     report: Progress,
-) -> tuple[Body, MonoState, _Rows | None, tuple[str, ...]]:
-    """Body, first state, what is already tracked, and notes: from a checkpoint, or from the start's points."""
+) -> tuple[Body, float | None, MonoState, _Rows | None, tuple[str, ...]]:
+    """Body, floor, first state, what is already tracked, and notes: from a checkpoint, or from the start's points."""
     if resume and results is not None and results.checkpoint.exists():
         saved = Checkpoint.load(results.checkpoint, key)
         state, rows = _from_checkpoint(saved, str(results.checkpoint))
-        return load_body(results.file(_BODY)), state, rows, tuple(saved.meta["notes"])
+        return load_body(results.file(_BODY)), saved.meta["floor"], state, rows, tuple(saved.meta["notes"])
     report("subject", 0, 1)
     clicks = clicks_of(options, stream.recording)
-    fit, notes = find_start(stream, clicks=clicks, body=given, height=options.height, settings=settings)
+    fit, notes = find_start(
+        stream, clicks=clicks, body=given, height=options.height, floor=options.floor, settings=settings
+    )
     report("subject", 1, 1)
     if results is not None:
         save_body(fit.body, results.file(_BODY))
-    return fit.body, MonoState(0, fit.hypotheses, None), None, (*stream.notes, *notes)
+    return fit.body, fit.floor, MonoState(0, fit.hypotheses, None), None, (*stream.notes, *notes)
 
 
 def depth_note(motion: Motion, modes: Modes, body: Body) -> str:
@@ -202,12 +204,12 @@ def depth_note(motion: Motion, modes: Modes, body: Body) -> str:
 def _rows(body: Body, estimate: MonoEstimate) -> _Rows:
     arrays = {k.removeprefix("mode_"): v for k, v in posterior_arrays(body, [estimate]).items()}
     arrays["covariances"] = arrays["covariances"].astype(np.float32)
-    return _Rows(Modes(**arrays), estimate.joint_sd[None], np.array([estimate.lost]))
+    return _Rows(Modes(**arrays), np.array([estimate.lost]))
 
 
 def _join(parts: list[_Rows]) -> _Rows:
     modes = joined([p.modes for p in parts])
-    return _Rows(modes, np.concatenate([p.joint_sd for p in parts]), np.concatenate([p.lost for p in parts]))
+    return _Rows(modes, np.concatenate([p.lost for p in parts]))
 
 
 def _result(
@@ -225,7 +227,7 @@ def _result(
         np.arange(t) / recording.frame_rate,
         body.joints(poses),
         poses,
-        rows.joint_sd,
+        rows.modes.joint_covariance.astype(np.float32),
         rows.lost,
         np.zeros(t, dtype=bool),
         np.ones(t, dtype=np.int64),
@@ -241,14 +243,14 @@ def _save(found: MonoResult, results: ResultsFolder) -> None:
 
 
 def _save_checkpoint(
-    results: ResultsFolder, state: MonoState, rows: _Rows, key: Mapping[str, Any], notes: tuple[str, ...]
+    results: ResultsFolder, state: MonoState, rows: _Rows, key: Mapping[str, Any], meta: dict[str, Any]
 ) -> None:
     arrays = {f"h_{name}": np.asarray(getattr(state.hypotheses, name)) for name in _STATE}
     assert state.grey is not None
     arrays |= {"grey": state.grey, "frames": np.array(state.frames)}
     arrays |= {f"done_{k}": v for k, v in to_arrays(rows.modes).items()}
-    arrays |= {"joint_sd": rows.joint_sd, "lost": rows.lost}
-    Checkpoint(len(rows), arrays, {"notes": list(notes)}, key).save(results.checkpoint)
+    arrays["lost"] = rows.lost
+    Checkpoint(len(rows), arrays, meta, key).save(results.checkpoint)
 
 
 def _from_checkpoint(saved: Checkpoint, source: str) -> tuple[MonoState, _Rows]:
@@ -258,6 +260,6 @@ def _from_checkpoint(saved: Checkpoint, source: str) -> tuple[MonoState, _Rows]:
         hypotheses = MonoHypotheses(*values, labels=np.asarray(a["h_labels"], dtype=np.int8))
         state = MonoState(int(a["frames"]), hypotheses, np.asarray(a["grey"], dtype=np.uint8))
         done = {k.removeprefix("done_"): np.asarray(v) for k, v in a.items() if k.startswith("done_")}
-        return state, _Rows(from_arrays(done, source), a["joint_sd"], np.asarray(a["lost"], dtype=bool))
+        return state, _Rows(from_arrays(done, source), np.asarray(a["lost"], dtype=bool))
     except KeyError as missing:
         raise InputError(f"{source} is no checkpoint of a monocular track ({missing} is missing); run again.") from None

@@ -15,6 +15,7 @@ from hypose.monocular.models import arm_dofs, body_dofs, with_hand
 from hypose.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction
 from hypose.monocular.settings import MonoSettings
 from hypose.monocular.types import MonoFrame, clicked_joints
+from hypose.tracking.contacts import soles_of
 from tests.monocular.pictures import SIZE, camera, picture, wall
 
 ONLY_POINTS = MonoSettings(edges=False, second_order=False)
@@ -25,9 +26,9 @@ def pose_of(body, seed=0, spread=0.1):
     return s.clamp(s.rest_pose() + np.random.default_rng(seed).normal(0, spread, s.dof))
 
 
-def problem_of(body, active, settings=ONLY_POINTS, points=None, image=None, distance=3.5):
+def problem_of(body, active, settings=ONLY_POINTS, points=None, image=None, distance=3.5, floor=None):
     view = camera(body, distance=distance)
-    fixed = fixed_parts(body, body.coarse, view, active, settings)
+    fixed = fixed_parts(body, body.coarse, view, active, settings, floor)
     blank = np.full((SIZE[1], SIZE[0], 3), 120, np.uint8) if image is None else image
     frame = MonoFrame(0, 0.0, blank, None, points)
     problem = frame_problem(fixed, frame, field_of(frame, settings), None, settings)
@@ -71,6 +72,24 @@ def test_spheres_push_an_arm_out_of_the_trunk():
     assert found.cost - mono.evaluate(pose, without, ws).cost > 20
     numeric = numeric_gradient(lambda q: mono.evaluate(q, problem, ws).cost, pose, problem.model.active)
     np.testing.assert_allclose(found.gradient, numeric, atol=1e-4 * np.abs(numeric).max())
+
+
+@pytest.mark.parametrize("above", [0.04, -0.3])
+def test_the_lower_sole_is_pulled_onto_the_floor_and_none_sinks(above):
+    body = human()
+    pose = body.skeleton.rest_pose()
+    pose[body.skeleton.dofs_of("left_ankle")[0]] += 0.4  # heel and ball at different heights, under the right foot
+    heights = soles_of(body).positions(body, pose[None])[0, :, 2]
+    problem, ws = problem_of(body, body_dofs(body.skeleton), floor=float(heights.min()) - above)
+    found = mono.evaluate(pose, problem, ws)
+    sd = MonoSettings().cues.floor_sd_m
+    under = heights[heights < heights.min() - above] if above < 0 else heights.min()
+    expected = 2 * np.log(1 + (under - heights.min() + above) ** 2 / (4 * sd**2)).sum()
+    nowhere = problem._replace(floor=problem.floor._replace(weight=0.0))
+    assert found.cost - mono.evaluate(pose, nowhere, ws).cost == pytest.approx(expected, abs=1e-6)
+    numeric = numeric_gradient(lambda q: mono.evaluate(q, problem, ws).cost, pose, problem.model.active)
+    np.testing.assert_allclose(found.gradient, numeric, atol=1e-4 * np.abs(numeric).max())
+    assert np.sign(found.gradient[2]) == np.sign(above)
 
 
 def flow_problem(body, active, pose, shift=(3.0, -2.0), second_order=False):

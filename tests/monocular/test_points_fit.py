@@ -6,8 +6,11 @@ from hypose.body.models import human
 from hypose.evaluation.rigs import look_at
 from hypose.monocular.models import body_dofs
 from hypose.monocular.points_fit import fit_proportions, image_jacobian, points_on_body
+from hypose.monocular.problem import floor_arrays
 from hypose.monocular.proportions import NAMES, proportions, shaped
+from hypose.monocular.settings import MonoSettings
 from hypose.monocular.types import clicked_joints
+from hypose.tracking.contacts import soles_of
 
 POINTS = tuple(
     [f"{side}_{part}" for side in ("left", "right") for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")]
@@ -69,3 +72,22 @@ def test_more_pictures_measure_lengths_better() -> None:
         np.testing.assert_array_equal(found[:, held], np.array(begin[:n])[:, held])
         errors.append(np.abs(factors - truth)[wanted].mean())
     assert errors[1] < 0.6 * errors[0]
+
+
+def test_who_stands_on_a_known_floor_is_measured_better() -> None:
+    template = human()
+    prior, active = proportions(template, template.stature), body_dofs(template.skeleton)
+    wanted = [NAMES.index(n) for n in ("thigh", "shank")]
+    truth = prior.centre.copy()
+    truth[wanted] -= 0.06
+    person = shaped(template, truth)
+    poses = [stance(person, seed) for seed in range(3)]
+    for q in poses:
+        q[2] -= soles_of(person).positions(person, q[None])[0, :, 2].min()
+    pictures = [points_of(person, q) for q in poses]
+    soles = floor_arrays(template, 0.0, MonoSettings().cues)
+    errors = [
+        np.abs(fit_proportions(template, CAMERA, pictures, poses, prior.centre, prior, active, f)[1] - truth)[wanted]
+        for f in (None, soles)
+    ]
+    assert errors[1].mean() < 0.75 * errors[0].mean()
