@@ -66,6 +66,7 @@ def one_camera(
         hypotheses=hypotheses,
         seed=given.seed,
         subject=given.subject,
+        smooth=given.smooth,
     )
     return one_view(recording, camera), options
 

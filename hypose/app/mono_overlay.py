@@ -57,14 +57,16 @@ def write_mono_overlay(
             recorded = images.read(recording.frames[i])
             if recorded is not None:
                 shown = np.asarray(cv2.resize(recorded, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-                draw_body(shown, view, camera, body.skin(modes.poses[i, 0], body.fine), body.fine.faces)
+                draw_body(shown, view, camera, body.skin(motion.poses[i], body.fine), body.fine.faces)
                 faint = shown.copy()
-                for k in range(int(modes.alive[i]) - 1, 0, -1):
+                for k in range(int(modes.alive[i]) - 1, -1, -1):
                     draw_skeleton(faint, view, camera, body, modes.joints[i, k])
                 shown = np.asarray(cv2.addWeighted(faint, _FAINT, shown, 1 - _FAINT, 0), dtype=np.uint8)
-                draw_skeleton(shown, view, camera, body, modes.joints[i, 0])
+                draw_skeleton(shown, view, camera, body, motion.joints[i])
                 picture[_BAR : _BAR + size[1], : size[0]] = shown[: whole[1] - _BAR]
-            picture[_BAR : _BAR + size[1], size[0] : size[0] + size[1]] = side_view(camera, body, modes, i, size[1])
+            picture[_BAR : _BAR + size[1], size[0] : size[0] + size[1]] = side_view(
+                camera, body, motion.joints[i], modes.joints[i, : modes.alive[i]], size[1]
+            )
             write_text(picture, _title(recording, motion, modes, i), 8, 18)
             if motion.lost[i]:
                 write_text(picture, "LOST", 8, _BAR + 22, (60, 60, 255))
@@ -85,19 +87,19 @@ def _title(recording: Recording, motion: Motion, modes: Modes, row: int) -> str:
     )
 
 
-def side_view(camera: Camera, body: Body, modes: Modes, row: int, side: int) -> Image:
-    """(side, side, 3): all modes of a frame seen from the camera's right, the camera to the left, each as it stands
-    relative to the best one's pelvis; the best is drawn last and in full colour."""
+def side_view(camera: Camera, body: Body, joints: Array, modes: Array, side: int) -> Image:
+    """(side, side, 3): a pose's joints (J, 3) m and all modes' (K, J, 3) of a frame seen from the camera's right, the
+    camera to the left, each as it stands relative to the pose's pelvis; the pose is drawn last and in full colour."""
     picture = np.full((side, side, 3), 245, np.uint8)
-    origin = modes.joints[row, 0, 0]
-    for k in range(int(modes.alive[row]) - 1, -1, -1):
-        uv = _from_the_side(camera, modes.joints[row, k] - origin, side)
-        layer = picture if k == 0 else picture.copy()
+    drawn = [*modes[::-1], joints]
+    for k, points in enumerate(drawn):
+        uv, best = _from_the_side(camera, points - joints[0], side), k == len(drawn) - 1
+        layer = picture if best else picture.copy()
         for a, b, colour in bones(body):
             if np.isfinite(uv[[a, b]]).all():
                 first, last = (tuple(int(x) for x in p) for p in np.rint(uv[[a, b]]))
                 cv2.line(layer, first, last, colour if colour != (235, 235, 235) else (90, 90, 90), 2, cv2.LINE_AA)
-        if k > 0:
+        if not best:
             picture = np.asarray(cv2.addWeighted(layer, _FAINT, picture, 1 - _FAINT, 0), dtype=np.uint8)
     write_text(picture, "from the side: camera <- -> away", 8, side - 10)
     metre = side / _REACH_M

@@ -109,10 +109,10 @@ def information(covariances: ArrayLike, active: NDArray[np.int64], settings: Who
     return out
 
 
-def joint_spread(body: Body, poses: Array, covariances: Array) -> Array:
-    """(T, J) m, 1 sd per axis of the joint centres at poses (T, D) with covariances (T, D, D)."""
-    out = np.empty((len(poses), len(body.skeleton.joint_names)))
+def joint_covariances(body: Body, poses: Array, covariances: Array) -> Array:
+    """(T, J, 3, 3) m^2 of the joint centres at poses (T, D) with covariances (T, D, D)."""
+    out = np.empty((len(poses), len(body.skeleton.joint_names), 3, 3))
     for t, (pose, covariance) in enumerate(zip(poses, covariances, strict=True)):
         jacobian = body.skeleton.joint_jacobians(pose)
-        out[t] = np.sqrt(np.einsum("jad,de,jae->j", jacobian, covariance, jacobian, optimize=True) / 3)
+        out[t] = np.einsum("jad,de,jbe->jab", jacobian, covariance, jacobian, optimize=True)
     return out

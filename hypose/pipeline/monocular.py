@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,8 @@ from hypose.io.recording import Recording
 from hypose.io.results import Checkpoint, ResultsFolder, save_motion
 from hypose.monocular.settings import MonoSettings
 from hypose.monocular.tracker import MonoTracker
-from hypose.monocular.types import MonoEstimate, MonoHypotheses, MonoState, posterior_arrays
+from hypose.monocular.types import MonoEstimate, MonoFrame, MonoHypotheses, MonoState
+from hypose.pipeline.mono_clip import modes_of, solve_clip
 from hypose.pipeline.mono_start import AUTO, Clicks, Floor, find_start, keypoints_on, load_clicks
 from hypose.pipeline.mono_stream import MonoStream
 from hypose.pipeline.track_loop import Progress
@@ -39,7 +41,8 @@ _STATE = ("poses", "velocities", "covariances", "weights", "costs", "evidence", 
 class MonoOptions:
     """What a user chooses. evidence: one of mono_stream.CUES; start: 'auto' or 'keypoints' (a detector's), or the path
     of a file of clicks; height m; floor: see mono_start.find_start; hypotheses: how many are followed; subject: where
-    the given body comes from; checkpoint_every: frames."""
+    the given body comes from; smooth: solve the whole clip at the end (mono_clip.solve_clip); checkpoint_every:
+    frames."""
 
     evidence: str = "auto"
     start: str = "auto"
@@ -48,6 +51,7 @@ class MonoOptions:
     hypotheses: int = 7
     seed: int = 0
     subject: str | None = None
+    smooth: bool = True
     checkpoint_every: int = 50
 
     @property
@@ -68,7 +72,8 @@ class MonoOptions:
 
 @dataclass(frozen=True)
 class MonoResult:
-    """motion of the best hypotheses; all modes; the subject's body; complete: every frame was tracked; notes."""
+    """motion of the best hypotheses, or of the whole clip when it was solved; all modes; the subject's body; complete:
+    every frame was tracked and the clip solved; notes."""
 
     motion: Motion
     modes: Modes
@@ -117,7 +122,7 @@ def track_stream(
     body, floor, state, done, notes = _begin(stream, options, settings, body, results, resume, key, report)
     tracker = MonoTracker(body, stream.camera, settings, floor=floor)
     parts = [] if done is None else [done]
-    count, interrupted = 0 if done is None else len(done), False
+    count = 0 if done is None else len(done)
 
     def keep() -> None:
         if results is not None and parts:
@@ -126,22 +131,24 @@ def track_stream(
     try:
         for index in range(count, total):
             report("track", index, total)
-            frame = stream.frame(index)
-            seen = stream.keypoints(index)
-            if seen is not None:
-                frame = replace(frame, points=keypoints_on(body, stream.keypoint_names, seen))
-            rng = np.random.default_rng([options.seed, frame.index])
-            state, estimate = tracker.step(state, frame, rng)
+            seen = _frame(stream, body, index)
+            state, estimate = tracker.step(state, seen, np.random.default_rng([options.seed, seen.index]))
             parts.append(_rows(body, estimate))
             count += 1
             if count % options.checkpoint_every == 0 and count < total:
                 keep()
         report("track", total, total)
+        found = _result(body, _join(parts), recording, record, True, notes)
+        if options.smooth:
+            keep()
+            read = partial(_frame, stream, body)
+            solved = solve_clip(tracker, found.motion, found.modes, state.hypotheses, read, options.seed, report)
+            found = replace(found, motion=solved.motion, notes=(*found.notes, *solved.notes))
     except KeyboardInterrupt:
         if not parts:
             raise
-        interrupted = True
         keep()
+        found = _result(body, _join(parts), recording, record, False, notes)
     except HyposeError as error:
         if not parts or results is None:
             raise
@@ -149,12 +156,16 @@ def track_stream(
             keep()
             _save(_result(body, _join(parts), recording, record, False, notes), results)
         raise type(error)(f"{error} The {count} frames before are kept in {results.path}; see --resume.") from error
-    found = _result(body, _join(parts), recording, record, not interrupted, notes)
     if results is not None:
         _save(found, results)
-        if not interrupted:
+        if found.complete:
             results.checkpoint.unlink(missing_ok=True)
     return found
+
+
+def _frame(stream: MonoStream, body: Body, index: int) -> MonoFrame:
+    frame, seen = stream.frame(index), stream.keypoints(index)
+    return frame if seen is None else replace(frame, points=keypoints_on(body, stream.keypoint_names, seen))
 
 
 def _begin(
@@ -202,9 +213,7 @@ def depth_note(motion: Motion, modes: Modes, body: Body) -> str:
 
 
 def _rows(body: Body, estimate: MonoEstimate) -> _Rows:
-    arrays = {k.removeprefix("mode_"): v for k, v in posterior_arrays(body, [estimate]).items()}
-    arrays["covariances"] = arrays["covariances"].astype(np.float32)
-    return _Rows(Modes(**arrays), np.array([estimate.lost]))
+    return _Rows(modes_of(body, estimate), np.array([estimate.lost]))
 
 
 def _join(parts: list[_Rows]) -> _Rows:

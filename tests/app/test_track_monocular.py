@@ -54,7 +54,8 @@ def test_every_file_is_written(one_camera) -> None:
 def test_the_modes_can_be_read(one_camera) -> None:
     motion, modes = load_motion(one_camera / "motion.npz"), load_modes(one_camera / "modes.npz")
     assert len(motion) == len(modes) == 8
-    np.testing.assert_allclose(modes.joints[:, 0], motion.joints, atol=1e-6)
+    apart = np.linalg.norm(modes.joints[:, 0] - motion.joints, axis=-1)
+    assert 1e-4 < apart.mean() < 0.1  # the clip was solved as a whole
     assert ((modes.alive >= 1) & (modes.alive <= 2)).all()
     np.testing.assert_allclose(np.nansum(modes.weights, 1), 1.0, atol=1e-6)
     assert (modes.depth_sd > 0).any()
@@ -74,27 +75,38 @@ def test_the_report_says_how_uncertain_depth_is(one_camera) -> None:
     assert "monocular" in page
 
 
-def test_interrupted_and_resumed_is_the_same(tiny, clicks, tracked, one_camera, tmp_path, hypose, monkeypatch) -> None:
+@pytest.mark.parametrize(("stage", "kept"), [("track", 5), ("smooth", 8)])
+def test_interrupted_and_resumed_is_the_same(
+    tiny, clicks, tracked, one_camera, tmp_path, hypose, monkeypatch, stage, kept
+) -> None:
     out = tmp_path / "results"
     arguments = ("track", tiny, *MONO, "--start", clicks, "--subject", tracked, "--out", out, "--no-overlay")
     shown = console.Stages.__call__
 
     def call(self, now, count, total):
-        if (now, count) == ("track", 5):
+        if (now, count) == (stage, 5):
             raise KeyboardInterrupt
         shown(self, now, count, total)
 
     monkeypatch.setattr(console.Stages, "__call__", call)
     code, printed, _ = hypose(*arguments, "--formats", "trc")
     assert code == 130
-    assert "5 of 8 frames" in printed
-    assert len(load_modes(out / "modes.npz")) == 5
+    assert f"{kept} of 8 frames" in printed
+    assert len(load_modes(out / "modes.npz")) == kept
     monkeypatch.setattr(console.Stages, "__call__", shown)
     code, _, _ = hypose(*arguments, "--formats", "trc", "--resume")
     assert code == 0
     whole, again = load_motion(one_camera / "motion.npz"), load_motion(out / "motion.npz")
     np.testing.assert_array_equal(whole.poses, again.poses)
     assert not (out / "checkpoint.npz").exists()
+
+
+def test_without_smoothing_the_motion_is_the_best_mode(tiny, clicks, tracked, tmp_path, hypose) -> None:
+    out = tmp_path / "results"
+    arguments = ("track", tiny, *MONO, "--start", clicks, "--subject", tracked, "--out", out, "--no-overlay")
+    assert hypose(*arguments, "--formats", "trc", "--no-smooth", "--floor", "none")[0] == 0
+    motion, modes = load_motion(out / "motion.npz"), load_modes(out / "modes.npz")
+    np.testing.assert_allclose(modes.joints[:, 0], motion.joints, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -108,6 +120,7 @@ def test_interrupted_and_resumed_is_the_same(tiny, clicks, tracked, one_camera, 
         (MONO, "has no key points and no clicks were given"),
         ((*MONO, "--start", "t"), "--start t is no file of clicked joints"),
         ((*MONO, "--evidence", "keypoints"), "has no key points; add keypoints"),
+        ((*MONO, "--floor", "low"), "There is no --floor low; give auto, none or its height"),
     ],
 )
 def test_what_does_not_go_is_said_in_a_sentence(tiny, tmp_path, hypose, arguments, sentence) -> None:

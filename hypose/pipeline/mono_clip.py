@@ -1,0 +1,81 @@
+"""The last step of a monocular track of a recording: the clip tracked backwards as well, and solved as a whole."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from hypose.body.body import Body
+from hypose.body.motion import Motion
+from hypose.io import modes as stored
+from hypose.monocular.clip import Modes, WholeClip, backwards, information, joint_covariances, together
+from hypose.monocular.models import body_dofs
+from hypose.monocular.tracker import MonoTracker
+from hypose.monocular.types import MonoEstimate, MonoFrame, MonoHypotheses, posterior_arrays
+from hypose.pipeline.track_loop import Progress
+from hypose.tracking.smooth_motion import Smoothed, smooth_motion
+from hypose.tracking.uncertainty import packed
+
+_AHEAD = 100
+"""Frames that are read forwards and kept, so that no video is decoded backwards."""
+_BACK = 1
+"""Beside the seed: the stream of random numbers of the way back."""
+
+
+def solve_clip(
+    tracker: MonoTracker,
+    motion: Motion,
+    modes: stored.Modes,
+    last: MonoHypotheses,
+    frame: Callable[[int], MonoFrame],
+    seed: int,
+    progress: Progress,
+) -> Smoothed:
+    """The motion of a clip's best modes, solved as a whole: from all modes, the tracker's last hypotheses, and frames
+    by index."""
+    total, back = len(motion), modes
+    if total > 2:
+        way = backwards(tracker, last, total, _read_ahead(frame), lambda i: np.random.default_rng([seed, i, _BACK]))
+        found: list[stored.Modes] = []
+        for estimate in way:
+            progress("smooth", len(found), total - 1)
+            found.append(modes_of(tracker.body, estimate))
+        back = stored.joined([*reversed(found), _last_of(modes)])
+        progress("smooth", total - 1, total - 1)
+    poses, covariances = together(_arrays(modes), _arrays(back), motion.frame_rate)
+    body = tracker.body
+    active = body_dofs(body.skeleton) if tracker.active is None else tracker.active
+    known = np.stack([packed(i) for i in information(covariances, active)])
+    around = joint_covariances(body, poses, covariances).astype(np.float32)
+    both = replace(motion, poses=poses, joints=body.joints(poses), joint_covariance=around)
+    return smooth_motion(body, both, known, WholeClip().motion)
+
+
+def modes_of(body: Body, estimate: MonoEstimate) -> stored.Modes:
+    """The modes of one frame, covariances in 32 bit."""
+    arrays = {k.removeprefix("mode_"): v for k, v in posterior_arrays(body, [estimate]).items()}
+    arrays["covariances"] = arrays["covariances"].astype(np.float32)
+    return stored.Modes(**arrays)
+
+
+def _last_of(modes: stored.Modes) -> stored.Modes:
+    return stored.Modes(**{k: v[-1:] for k, v in stored.to_arrays(modes).items()})
+
+
+def _arrays(modes: stored.Modes) -> Modes:
+    return Modes(*(getattr(modes, name) for name in Modes._fields))
+
+
+def _read_ahead(frame: Callable[[int], MonoFrame]) -> Callable[[int], MonoFrame]:
+    """frame(index) for falling indices."""
+    kept: dict[int, MonoFrame] = {}
+
+    def at(index: int) -> MonoFrame:
+        if index not in kept:
+            kept.clear()
+            kept.update({i: frame(i) for i in range(max(0, index - _AHEAD + 1), index + 1)})
+        return kept[index]
+
+    return at

@@ -1,0 +1,94 @@
+"""Two passes over a clip put together."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.body.models import human
+from hypose.monocular.clip import Modes, WholeClip, backwards, information, joint_covariances, summed_up, together
+from hypose.monocular.models import body_dofs
+from hypose.monocular.settings import MonoSettings
+from hypose.monocular.tracker import MonoTracker
+from hypose.monocular.types import MonoFrame, MonoHypotheses
+from tests.monocular.pictures import camera, picture, wall
+
+RATE = 25.0
+
+
+def modes(poses, costs=None, spread=0.1):
+    """Modes (T, K) of poses (T, K, D), equally likely where there are any."""
+    there = np.isfinite(poses[..., 0])
+    weights = np.where(there, 1 / there.sum(1, keepdims=True), np.nan)
+    d = poses.shape[2]
+    covariances = np.where(there[..., None, None], spread**2 * np.eye(d), np.nan)
+    return Modes(poses, weights, np.where(there, 0.0 if costs is None else costs, np.nan), covariances)
+
+
+def test_modes_are_summed_up_by_mean_and_spread():
+    poses = np.zeros((2, 3, 8))
+    poses[0, :, 7] = (0.0, 0.3, 0.6)
+    poses[1, 1:] = np.nan
+    mean, covariance = summed_up(modes(poses))
+    assert mean[0, 7] == pytest.approx(0.3)
+    assert covariance[0, 7, 7] == pytest.approx(0.01 + 0.06)
+    np.testing.assert_allclose(covariance[1], 0.01 * np.eye(8), atol=1e-12)
+
+
+def test_a_turned_root_is_averaged_on_one_branch():
+    poses = np.zeros((1, 2, 8))
+    poses[0, 0, 5], poses[0, 1, 5] = np.pi - 0.1, -np.pi + 0.1  # 0.2 rad apart
+    mean, covariance = summed_up(modes(poses))
+    assert mean[0, 5] == pytest.approx(np.pi)
+    assert covariance[0, 5, 5] == pytest.approx(0.01 + 0.01)
+
+
+def test_the_start_trusts_the_way_there_and_a_better_fit_wins():
+    t = 200
+    there, back = np.zeros((t, 1, 8)), np.zeros((t, 1, 8))
+    back[..., 7] = 1.0
+    poses, covariances = together(modes(there), modes(back), RATE)
+    assert poses[0, 7] < 0.05  # the start is known
+    assert poses[150, 7] == pytest.approx(0.5, abs=0.05)
+    assert poses[-1, 7] == 0  # no way back from the last frame
+    assert covariances[150, 7, 7] == pytest.approx(0.01 + 0.25, rel=0.02)
+    costs = np.where(np.arange(t)[:, None] == 150, 40.0, 0.0)
+    poses, covariances = together(modes(there, costs), modes(back), RATE)
+    assert poses[150, 7] > 0.99
+    assert covariances[150, 7, 7] < 0.02
+
+
+def test_only_what_is_estimated_is_known_from_the_frames():
+    covariance = np.zeros((1, 4, 4))
+    covariance[0, 1:3, 1:3] = [[0.04, 0.01], [0.01, 0.09]]
+    known = information(covariance, np.array([1, 2]))[0]
+    widened = WholeClip().widening * covariance[0, 1:3, 1:3]
+    np.testing.assert_allclose(known[1:3, 1:3] @ widened, np.eye(2), atol=1e-12)
+    assert known[0, 0] == known[3, 3] > 1e6
+    assert not known[0, 1:].any()
+    assert not known[3, :3].any()
+
+
+def test_spread_of_the_joints_is_that_of_the_pose():
+    body = human()
+    covariance = np.zeros((1, body.skeleton.dof, body.skeleton.dof))
+    covariance[0, :3, :3] = 0.02**2 * np.eye(3)
+    found = joint_covariances(body, body.skeleton.rest_pose()[None], covariance)[0]
+    np.testing.assert_allclose(found, np.tile(0.02**2 * np.eye(3), (len(found), 1, 1)), atol=1e-12)
+
+
+def test_the_way_back_finds_the_way_back():
+    body = human()
+    view, s = camera(body), body.skeleton
+    poses = np.tile(s.rest_pose(), (5, 1))
+    poses[:, s.dofs_of("left_elbow")] += 0.08 * np.arange(5)[:, None]
+    poses[:, s.dofs_of("left_shoulder")[1]] -= 0.06 * np.arange(5)
+    background = wall(clutter=12)
+    frames = [MonoFrame(i, i / RATE, picture(body, q, view, background, seed=7)) for i, q in enumerate(poses)]
+    usual = MonoSettings()
+    settings = replace(usual, search=replace(usual.search, hypotheses=2, directions=1))
+    tracker = MonoTracker(body, view, settings, body_dofs(s), threads=1)
+    last = replace(MonoHypotheses.at(poses[-1]), velocities=poses[-1:] - poses[-2:-1])
+    found = list(backwards(tracker, last, 5, frames.__getitem__, np.random.default_rng))
+    joints = body.joints(np.stack([e.pose for e in found]))
+    assert np.linalg.norm(joints - body.joints(poses[3::-1]), axis=-1).mean() < 0.02
