@@ -1,0 +1,46 @@
+"""docs/first-recording.md as a newcomer follows it: every command as it stands there, on the recording made up."""
+
+import re
+import shlex
+
+import numpy as np
+import pytest
+
+from hypose.app.cli import main
+from hypose.app.truth import compare
+from hypose.io.results import load_motion
+from tests.conftest import ROOT
+
+PAGE = (ROOT / "docs/first-recording.md").read_text()
+
+
+def blocks(kind):
+    return re.findall(rf"```{kind}\n(.*?)```", PAGE, re.DOTALL)
+
+
+def test_the_page_is_complete():
+    commands = [shlex.split(b)[:2] for b in blocks("sh")]
+    assert commands == [["hypose", c] for c in ("synth", "calibrate", "check", "track")]
+    assert len(blocks("toml")) == 1 and blocks("toml")[0].count("[[view]]") == 4
+
+
+@pytest.mark.slow
+def test_from_four_videos_and_a_board_to_opensim(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for block in blocks("sh"):
+        words = shlex.split(block)
+        with pytest.raises(SystemExit) as stopped:
+            main(words[1:])
+        assert stopped.value.code in (None, 0), f"{block}: {capsys.readouterr().err}"
+        if words[1] == "calibrate":
+            (tmp_path / "session/recording.toml").write_text(blocks("toml")[0])
+    results = tmp_path / "session/results/default"
+    motion = load_motion(results / "motion.npz")
+    assert not motion.lost.any()
+    # the board's place on the floor is the origin of the truth as well
+    assert np.median(compare(tmp_path / "session/truth.npz", motion, 0).distances) < 0.03
+    opensim = pytest.importorskip("opensim", reason="opensim is not installed")
+    angles = opensim.TimeSeriesTable(str(results / "motion.mot"))
+    markers = opensim.TimeSeriesTableVec3(str(results / "motion.trc"))
+    assert angles.getNumRows() == markers.getNumRows() == len(motion)
+    assert "knee_angle_r" in angles.getColumnLabels() and "left_knee" in markers.getColumnLabels()
