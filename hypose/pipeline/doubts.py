@@ -24,8 +24,9 @@ from hypose.geometry import Array
 from hypose.pipeline.strangers import strangers_share
 from hypose.tracking.tracker import FrameEstimate
 
-JUMP, LEAST_JUMP = 1.8, 0.12
-"""A mask jumps when it changes by more than this many times the usual within a second, and by this much more."""
+JUMP, LEAST_JUMP, SUDDEN = 1.8, 0.12, 1.3
+"""A mask jumps when it changes by more than this many times the usual within a second, and by this much more, and by this
+many times what it changed in the frame before."""
 WORSE, SPREAD = 0.15, 4.0
 """A view disagrees when its overlap, over half a second, lies this far below its usual one, and so many times its usual
 spread, and that of the other views is not half as far below theirs. Chosen on clean walks (seeds 0 and 3)."""
@@ -124,9 +125,12 @@ def _repeats(change: Array, frame_rate: float) -> NDArray[np.bool_]:
 
 
 def _jumps(change: Array, frame_rate: float) -> NDArray[np.bool_]:
-    """(T, C): the mask changes far more than within a second around."""
+    """(T, C): the mask changes far more than within a second around, and all at once: who turns from a camera's line of
+    sight moves more and more in it."""
     usual = _local(np.where(change > 0, change, np.nan), frame_rate)
-    return (change > JUMP * usual) & (change > usual + LEAST_JUMP)
+    before = np.concatenate([change[:1], change[:-1]])
+    sudden = ~(change < SUDDEN * before)  # the frame before may not be known
+    return (change > JUMP * usual) & (change > usual + LEAST_JUMP) & sudden
 
 
 def _local(values: Array, frame_rate: float) -> Array:

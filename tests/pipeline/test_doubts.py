@@ -60,6 +60,13 @@ def test_a_gap_in_the_recording(clean):
     assert np.flatnonzero(found["time jumps"]).tolist() == list(range(70, 81))
 
 
+def test_who_turns_from_the_line_of_sight_does_not_jump(clean):
+    overlap, change = clean
+    change[1:100] = 0.08
+    change[100:] = 0.08 + 0.01 * np.arange(50)[:, None]
+    assert find(overlap, change) == {}
+
+
 def test_a_camera_that_lags_is_named(clean):
     overlap, change = clean
     for t in range(40, 90):
