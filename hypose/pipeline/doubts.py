@@ -25,7 +25,7 @@ from hypose.pipeline.strangers import strangers_share
 from hypose.tracking.tracker import FrameEstimate
 
 JUMP, LEAST_JUMP, SUDDEN = 1.8, 0.12, 1.3
-"""A mask jumps when it changes by more than this many times the usual within a second, and by this much more, and by this
+"""A mask jumps when it changes by more than this many times the usual within a second, by this much more, and by this
 many times what it changed in the frame before."""
 WORSE, SPREAD = 0.15, 4.0
 """A view disagrees when its overlap, over half a second, lies this far below its usual one, and so many times its usual
