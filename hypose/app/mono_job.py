@@ -160,6 +160,7 @@ def _draw(
     from hypose.app.drawing import draw
     from hypose.app.mono_overlay import write_mono_overlay
     from hypose.app.report import ReportInput
+    from hypose.app.view_bundle import Rivals
 
     recording, motion, body = job.recording, tracked.motion, tracked.body
     about = ReportInput(
@@ -172,6 +173,7 @@ def _draw(
         seconds=dict(seconds),
         recording=recording,
         first_frame=recording.frames.start,
+        rivals=Rivals.of(tracked.modes.joints, tracked.modes.weights),
     )
 
     def overlay(path: Path, rows: Sequence[int]) -> Mapping[int, Image]:
