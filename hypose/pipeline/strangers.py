@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import label
 
 from hypose.body.skeleton import Skeleton
 from hypose.evidence.frame import Silhouettes
@@ -13,6 +13,7 @@ from hypose.geometry import Array
 _LOOKED_AT = 160
 """px: of the longer side of the thinned masks in which parts are counted; a limb stays two or three pixels wide."""
 _ALONG = (0.25, 0.5, 0.75)
+_TOUCHING = np.ones((3, 3))
 
 
 def strangers_share(now: Silhouettes, before: Silhouettes, skeleton: Skeleton, joints: Array) -> NDArray[np.float32]:
@@ -27,11 +28,12 @@ def strangers_share(now: Silhouettes, before: Silhouettes, skeleton: Skeleton, j
     for c in np.flatnonzero(now.usable & before.usable):
         w, h = (int(n) for n in cameras.sizes[c])
         thin = now.masks[c, :h:step, :w:step] & before.masks[c, :h:step, :w:step]
-        count, labels, stats, _ = cv2.connectedComponentsWithStats(thin)
-        own = np.zeros(count, dtype=bool)
+        labels = np.zeros(thin.shape, dtype=np.int32)
+        label(thin, _TOUCHING, output=labels)  # OpenCV would wake its threads for so small a picture
+        area = np.bincount(labels.ravel())
+        own = np.zeros(len(area), dtype=bool)
         u, v = np.rint(_inside(cameras[c].project_pinhole(points), (w, h)) / step).astype(int).T
         own[labels[np.minimum(v, thin.shape[0] - 1), np.minimum(u, thin.shape[1] - 1)]] = True
-        area = stats[:, cv2.CC_STAT_AREA]
         own[0], area[0] = False, 0  # the background
         if own.any():
             out[c] = area[~own].max() / area[own].sum()
