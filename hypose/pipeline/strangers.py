@@ -25,7 +25,7 @@ def strangers_share(now: Silhouettes, before: Silhouettes, skeleton: Skeleton, j
     cameras = now.rig
     step = max(1, round(int(cameras.sizes.max()) / _LOOKED_AT))
     out = np.full(len(cameras), np.nan, np.float32)
-    for c in np.flatnonzero(now.usable & before.usable):
+    for c in np.flatnonzero(now.usable & before.usable).tolist():
         w, h = (int(n) for n in cameras.sizes[c])
         thin = now.masks[c, :h:step, :w:step] & before.masks[c, :h:step, :w:step]
         labels = np.zeros(thin.shape, dtype=np.int32)
