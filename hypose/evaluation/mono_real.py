@@ -18,6 +18,17 @@ from hypose.pipeline.subject import Subject, SubjectOptions, find_subject
 
 CAMERA = "cam03"
 _HIPS = tuple(LIMBS.index(BODY_25B.index(f"{side}_hip")) for side in ("left", "right"))
+CASES = (
+    "keypoints",
+    "keypoints/live",
+    "both",
+    "edges",
+    "edges/live",
+    "silhouettes",
+    "keypoints/one_view",
+    "keypoints/one_view/live",
+    "both/one_view",
+)
 _DRIFT_S = (0.0, 0.5, 1.0, 1.5)
 """When the drift is read, s."""
 
@@ -30,8 +41,9 @@ def mono_real(options: BenchOptions) -> BenchReport:
 
     keypoints, both (with silhouettes): start and every frame from this view's own key points, which took part in the
     reference; edges, silhouettes: only the start from key points, then edges and flow, and masks besides. The body is
-    the one of all four views, or, in '/one_view', found from this view alone and the height. quick: 15 frames
-    of the first case, with the girths of the template, so that no video but that one is read.
+    the one of all four views, or, in '/one_view', found from this view alone and the height. '/live': frame after
+    frame, where the others solve the whole clip. quick: 15 frames of the first case, with the girths of the template,
+    so that no video but that one is read.
     """
     folder = options.folder("pose2sim_balancing")
     reference = np.load(folder / "kp3d_refined_m.npy")
@@ -42,19 +54,21 @@ def mono_real(options: BenchOptions) -> BenchReport:
     with FrameStream(whole, FrameOptions(silhouettes=None) if options.quick else None) as stream:
         subject = find_subject(stream.frame, len(stream), subject_options)
     recording = replace(one_view(whole, CAMERA), frame_range=(1, n))  # key points begin with video frame 1
-    cases = [("keypoints", True), ("both", True), ("edges", True), ("silhouettes", True), ("both/one_view", False)]
     rows: list[Row] = []
-    for k, (case, known) in enumerate(cases[:1] if options.quick else cases):
+    cases = CASES[:1] if options.quick else CASES
+    for k, case in enumerate(cases):
         options.progress(case, k, len(cases))
-        found = _track(recording, case.split("/")[0], subject, known)
+        found = _track(recording, case, subject)
         rows += _rows(case, found, subject, recording, reference)
     return BenchReport(tuple(rows), {"frames": n - 1, "camera": CAMERA, "joints": len(LIMBS), "frame_rate": 60})
 
 
-def _track(recording: Recording, evidence: str, subject: Subject, known: bool) -> MonoResult:
+def _track(recording: Recording, case: str, subject: Subject) -> MonoResult:
+    evidence, known = case.split("/")[0], "/one_view" not in case
     height = None if known else subject.body.stature
+    options = MonoOptions(evidence=evidence, height=height, smooth=not case.endswith("/live"))
     with MonoStream(recording, evidence) as stream:
-        return track_stream(stream, MonoOptions(evidence=evidence, height=height), body=subject.body if known else None)
+        return track_stream(stream, options, body=subject.body if known else None)
 
 
 def _rows(case: str, found: MonoResult, subject: Subject, recording: Recording, reference: Array) -> list[Row]:
