@@ -16,10 +16,23 @@ export function count(screen: string, more: Record<string, unknown> = {}): Count
   return counters;
 }
 
-/** Notes how long ago `since` (performance.now()) was, once the next frame has been handed to the screen. */
+let touched = 0;
+for (const kind of ["pointerdown", "pointerup", "keydown", "input"]) {
+  document.addEventListener(kind, (event) => (touched = event.timeStamp), { capture: true });
+}
+
+/** When the hand last did something, as performance.now(): earlier than its handler runs, when the page is busy. */
+export function touchedAt(): number {
+  return touched;
+}
+
+/** Notes how long ago `since` (performance.now()) was, once what is drawn now has been handed to the screen: that is
+ * after the next frame, when the one after it begins. */
 export function answered(counters: Counters, since: number): void {
-  requestAnimationFrame(() => {
-    counters.latency.push(performance.now() - since);
-    if (counters.latency.length > KEPT) counters.latency.shift();
-  });
+  requestAnimationFrame(() =>
+    requestAnimationFrame(() => {
+      counters.latency.push(performance.now() - since);
+      if (counters.latency.length > KEPT) counters.latency.shift();
+    }),
+  );
 }

@@ -112,6 +112,19 @@ await walk(
     await page.mouse.click(...(await place("head_top")));
     await settled();
     assert.match(await fact("Off the clicks"), /px$/);
+
+    // of any frame, in any view
+    for (const frame of [1, 2, 3]) {
+      await page.keyboard.press(".");
+      await page.waitForFunction((n) => location.hash.split("/")[3] === n && window.__app.pictures > 0, String(frame));
+    }
+    await page.keyboard.press("3");
+    await page.waitForFunction(() => document.querySelector("[data-camera=cam3]").getAttribute("aria-checked") === "true");
+    await page.mouse.click(...(await place("right_wrist")));
+    await page.waitForFunction(() => Object.keys(window.__app.clicks.cam3 ?? {}).length === 1);
+    await settled();
+    assert.equal(await fact("Clicked"), "1 joint");
+    await page.getByRole("button", { name: "Track again from here" }).waitFor();
   },
   { at: "#/click" },
 );

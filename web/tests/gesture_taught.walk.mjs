@@ -8,7 +8,7 @@ import { walk } from "./harness.mjs";
 const rounds = process.env.ROUNDS ?? "6";
 
 await walk(
-  async ({ page, browser, address, folder, picture }) => {
+  async ({ page, open, folder, picture }) => {
     // as long as the session's own clock goes on, a slow machine is given its time
     const PATIENCE = { timeout: 1_500_000 };
     const prompt = (state, on = page) => on.locator(`.prompt[data-state=${state}]`).waitFor(PATIENCE);
@@ -48,11 +48,10 @@ await walk(
     // a closed tab loses nothing: the session waits until somebody comes back
     await page.waitForFunction(() => window.__app.live.step.counts.negative > 20, undefined, PATIENCE);
     const before = await step();
-    const again = await browser.newPage({ viewport: { width: 1280, height: 800 } });
-    again.setDefaultTimeout(PATIENCE.timeout);
     await page.close();
     await new Promise((done) => setTimeout(done, 6500));
-    await again.goto(`${address}#/gesture`, { waitUntil: "commit" });
+    const again = await open("#/gesture");
+    again.setDefaultTimeout(PATIENCE.timeout);
     await prompt("paused", again);
     await again.waitForFunction(() => window.__app.pictures > 0);
     const found = await step(again);

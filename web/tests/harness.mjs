@@ -31,34 +31,40 @@ const flags = [
   "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1",
 ];
 
-/** Opens a page and goes the path; the process fails when the path does, when the page reports an error, or when it
- * asks for anything that is not the server's. options: of Playwright's page (viewport, colorScheme); `at`: the screen
- * to open, e.g. "#/gesture"; `expected`: a RegExp of console errors that belong to the path. */
+/** Opens a page and goes the path; the process fails when the path does, when the page, or one that the path opens with
+ * `open`, reports an error, or when it asks for anything that is not the server's. options: of Playwright's page
+ * (viewport, colorScheme); `at`: the screen to open, e.g. "#/gesture"; `expected`: a RegExp of console errors that belong
+ * to the path. */
 export async function walk(path, { at = "", expected, ...options } = {}) {
   const browser = await chromium.launch({ executablePath: program, args: flags, timeout: 240_000 });
-  const page = await browser.newPage({ viewport: { width: 1280, height: 800 }, ...options });
-  page.setDefaultTimeout(60_000);
   const foreign = [];
   const errors = [];
   const own = new URL(address).host;
   const asked = (url) => /^(data|blob):/.test(url) || new URL(url).host === own || foreign.push(url);
-  page.on("request", (request) => asked(request.url()));
-  page.on("websocket", (socket) => asked(socket.url()));
-  page.on("pageerror", (error) => errors.push(String(error.stack ?? error)));
-  page.on("console", (message) => {
-    if (message.type() === "error" && !expected?.test(message.text())) errors.push(message.text());
-  });
-  const picture = (name) => page.screenshot({ path: join(pictures, `${name}.png`) });
+  const open = async (at) => {
+    const page = await browser.newPage({ viewport: { width: 1280, height: 800 }, ...options });
+    page.setDefaultTimeout(60_000);
+    page.on("request", (request) => asked(request.url()));
+    page.on("websocket", (socket) => asked(socket.url()));
+    page.on("pageerror", (error) => errors.push(String(error.stack ?? error)));
+    page.on("console", (message) => {
+      if (message.type() === "error" && !expected?.test(message.text())) errors.push(message.text());
+    });
+    await page.goto(new URL(address).href + at, { waitUntil: "commit" });
+    return page;
+  };
+  let page;
+  const picture = (name) => page?.screenshot({ path: join(pictures, `${name}.png`) });
   let failed;
   try {
-    await page.goto(new URL(address).href + at, { waitUntil: "commit" });
-    await path({ page, browser, address, folder, picture });
+    page = await open(at);
+    await path({ page, open, browser, address, folder, picture });
     assert.deepEqual(foreign, [], "requests that leave the server");
     assert.deepEqual(errors, [], "errors in the page");
   } catch (error) {
     failed = error;
     console.error(errors.join("\n"));
-    await picture("failed").catch(() => undefined);
+    await picture("failed")?.catch(() => undefined);
   }
   await browser.close();
   if (failed) throw failed;

@@ -14,8 +14,14 @@ await walk(async ({ page, address, picture }) => {
   await page.waitForFunction(() => window.hypose.pictureRow() === 7);
   await page.getByRole("tab", { name: "Trunk" }).click();
   await page.getByText("Neck (°)").waitFor();
+  await page.getByRole("button", { name: "Uncertainty" }).click();
   await page.waitForTimeout(800);
   await picture("report");
+  const longest = await page.evaluate(() => {
+    const m = window.hypose.view.space.spread.mesh.instanceMatrix.array;
+    return [0, 1, 2].map((k) => Math.hypot(m[4 * k], m[4 * k + 1], m[4 * k + 2]));
+  });
+  assert.ok(Math.max(...longest) > 1.05 * Math.min(...longest), "a ball, where the result knows an ellipsoid");
   // the text below can be read and printed without the viewer
   for (const title of ["How well the body fits the images", "Joint angles", "Subject", "Files", "How this was made"]) {
     await page.locator(".report").getByRole("heading", { name: title }).first().waitFor();

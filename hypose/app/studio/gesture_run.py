@@ -162,7 +162,8 @@ class Run:
         if fresh:
             self._history.append([m["time"], m["score"], m["high"], m["low"], m["threshold"], m["phase"]])
         m["ms"]["depth"] = self._packed_ms
-        self._say({**m, "seq": seq})  # before the pictures, whose packing takes longer: it is the answer to a click
+        if commands:  # the answer to a click does not wait until pictures are packed
+            self._say({**m, "seq": seq})
         began = clock.perf_counter()
         with self._news:
             newcomer, self._newcomer = self._newcomer, False
@@ -171,6 +172,8 @@ class Run:
         if shown.density is not None:
             self._show(map_picture(shown.density, seq, taken.time, _FULL))
         self._packed_ms = round(1e3 * (clock.perf_counter() - began), 2)
+        if not commands:
+            self._say({**m, "seq": seq})
         judged = a.judged(taken.time, self._controls)
         if judged is not None:
             self._say(judged)

@@ -219,7 +219,7 @@ def draw(image: Image, mask: Mask, shown: Shown) -> Image:
     if shown == "fill":
         out[whole > 0] = (0.5 * out[whole > 0] + 0.5 * np.array(_EDGE)).astype(np.uint8)
     outlines: Sequence[NDArray[Any]] = cv2.findContours(whole, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0]
-    cv2.drawContours(out, outlines, -1, _EDGE, max(1, w // 400), cv2.LINE_AA)
+    cv2.drawContours(out, outlines, -1, _EDGE, max(2, w // 240), cv2.LINE_AA)
     return out
 
 

@@ -17,11 +17,12 @@ from tests.app.studio.browser import WEB, go
 from tests.app.studio.conftest import serving
 from tests.app.studio.test_view_browser import ten_minutes
 
-TAUGHT, FRAMES = 60, 1500
+TAUGHT, SESSION_S, RATE = 60, 900, 30
 
 
 def taught(folder):
-    """A model that has seen a little of a simulated person, and a session of that person, over and over again."""
+    """A model that has seen a little of a simulated person, and a session of that person, whose few pictures come again
+    and again for longer than any browser takes."""
     frames = live_person(0, "tee", np.random.default_rng(5), PERSON_RATE)
     learner, shown = new_learner(0), []
     for k in range(TAUGHT):
@@ -34,9 +35,13 @@ def taught(folder):
     folder.mkdir()
     save_model(GestureModel(("tee",), learner.forest, (4.0,), LocaliseSettings(), learner), folder / "tee.npz")
     writer = SessionWriter(folder / "tee", ["tee"], KINECT, (640, 480))
-    for k in range(FRAMES):
-        writer.add(k / 30, shown[k % len(shown)], "free")
+    for k, depth in enumerate(shown):
+        writer.add(k / RATE, depth, "free")
     writer.close()
+    head, *rows = (folder / "tee" / "frames.csv").read_text().splitlines()
+    cells = [r.split(",") for r in rows]
+    again = (",".join([str(k), f"{k / RATE:.6f}", *cells[k % len(cells)][2:]]) for k in range(SESSION_S * RATE))
+    (folder / "tee" / "frames.csv").write_text("\n".join([head, *again]) + "\n")
 
 
 @pytest.mark.slow
@@ -46,7 +51,7 @@ def test_depth_with_a_body_and_plots_beside_it(served, page, tmp_path):
     taught(root / "gestures")
     ten_minutes(served / "walk" / "results" / "default", root / "long")
     with serving(root) as client:
-        said = go(WEB / "tests" / "gesture_speed.walk.mjs", client.address, root, tmp_path, 1800)
+        said = go(WEB / "tests" / "gesture_speed.walk.mjs", client.address, root, tmp_path, 540)
     measured = json.loads(said.strip().splitlines()[-1])
     sys.stdout.write(f"\nGesture screen: {measured}\n")
-    assert measured["alone"]["pictures_per_s"] > 0
+    assert min(measured[m]["pictures_per_s"] for m in ("bare", "alone", "with_body_and_plots")) > 0

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from hypose.app import report_viewer
 from hypose.app.pictures import image_points
@@ -40,15 +41,28 @@ def ten_minutes(source, target):
     shutil.copy(source / "body.npz", target)
 
 
+def one_camera(source, target):
+    """The run with modes beside it, as a track with one camera has them: three poses, in the last frame only one."""
+    motion = load_motion(source / "motion.npz")
+    shutil.copytree(source, target)
+    joints = motion.joints[:, None] + np.array([0.0, 0.25, -0.3])[:, None, None]
+    joints[-1, 1:] = np.nan
+    weights = np.tile([0.62, 0.3, 0.08], (len(motion), 1))
+    weights[-1] = 1, np.nan, np.nan
+    np.savez(target / "modes.npz", joints=joints, weights=weights)
+
+
 def expected(recording, results, row=5):
-    """What skinning and projection give in Python."""
+    """What skinning and projection give in Python, and the regions that hold a joint with 90 %."""
     body, motion = load_body(results / "body.npz"), load_motion(results / "motion.npz")
     vertices = body.skin(motion.poses[row])
     cameras = []
     for view, camera in zip(recording.views, recording.rig, strict=True):
         pixels = image_points(view, camera, vertices, camera.size)
         cameras.append({"points": vertices.ravel().tolist(), "pixels": pixels.ravel().tolist()})
-    return {"row": row, "vertices": vertices.ravel().tolist(), "cameras": cameras}
+    regions = chi2.ppf(0.9, 3) * motion.joint_covariance[row].astype(float)
+    spread = {"joints": motion.joints[row].tolist(), "regions": regions.tolist()}
+    return {"row": row, "vertices": vertices.ravel().tolist(), "cameras": cameras, **spread}
 
 
 @pytest.mark.slow
@@ -56,10 +70,11 @@ def test_flags_comparison_and_ten_minutes(served, page, tmp_path):
     root = shutil.copytree(served, tmp_path / "root")
     default = root / "walk" / "results" / "default"
     flagged(default, default.with_name("flagged"))
+    one_camera(default, default.with_name("monocular"))
     ten_minutes(default, root / "long")
     (root / "expected.json").write_text(json.dumps(expected(load_recording(root / "walk"), default)))
     with serving(root) as client:
-        said = go(WEB / "tests" / "view_own.walk.mjs", client.address, root, tmp_path, 900)
+        said = go(WEB / "tests" / "view_own.walk.mjs", client.address, root, tmp_path, 1500)
     measured = json.loads(said.strip().splitlines()[-1])
     sys.stdout.write(f"\nView: {measured}\n")
     assert all(np.isfinite(v) for v in measured.values())

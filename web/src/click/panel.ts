@@ -84,7 +84,7 @@ export class FitFacts {
     this.shown = key;
     const sd = fit ? Math.max(...fit.joint_sd) : 0;
     const rows: [string, string][] = [
-      ["Clicked", `${clicked} joints`],
+      ["Clicked", `${clicked} ${clicked === 1 ? "joint" : "joints"}`],
       ["Off the clicks", fit ? `${fit.rms_px.toFixed(1)} px` : "–"],
       ["Farthest", fit?.worst ? `${titles[fit.worst.joint] ?? fit.worst.joint}, ${fit.worst.px.toFixed(1)} px` : "–"],
       ["Joints are sure to", fit ? `${centimetres(median(fit.joint_sd))}, worst ${centimetres(sd)}` : "–"],

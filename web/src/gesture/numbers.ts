@@ -1,4 +1,4 @@
-import { h, sharpCanvas } from "../ui/dom";
+import { h, setText, sharpCanvas } from "../ui/dom";
 import { colour } from "../ui/theme";
 import type { Live } from "./live";
 
@@ -113,7 +113,7 @@ function facts(list: HTMLElement, rows: [string, string, string?][]): void {
   }
   rows.forEach(([, value, kind], k) => {
     const cell = list.children[2 * k + 1] as HTMLElement;
-    if (cell.textContent !== value) cell.textContent = value;
+    setText(cell, value);
     cell.className = `number ${kind ?? ""}`;
   });
 }

@@ -1,5 +1,5 @@
 import type { Phase } from "../protocol";
-import { h } from "../ui/dom";
+import { h, setText } from "../ui/dom";
 import { play } from "../ui/sounds";
 import { PHASES, type Live } from "./live";
 
@@ -33,13 +33,14 @@ export class Prompt {
     const state = live.ended !== null ? "ended" : !step ? "wait" : step.paused ? "paused" : step.phase;
     const found = step?.found?.filter((f) => f.threshold !== null && f.score >= f.threshold).map((f) => f.gesture);
     const sees = !!step && state === "test" && (found ? found.length > 0 : step.detected);
-    this.element.dataset["state"] = sees ? "sees" : state;
+    const shown = sees ? "sees" : state;
+    if (this.element.dataset["state"] !== shown) this.element.dataset["state"] = shown;
     const name = session?.gesture ?? "";
-    set(this.words, words(state, sees ? (found ?? [name]).join(", ") : "", step?.prompt ?? "", session?.mode === "run"));
-    set(this.hint, hint(state, session?.gestures ?? []));
+    setText(this.words, words(state, sees ? (found ?? [name]).join(", ") : "", step?.prompt ?? "", session?.mode === "run"));
+    setText(this.hint, hint(state, session?.gestures ?? []));
     const left = state === "ended" || state === "test" ? null : (step?.left_s ?? null);
-    set(this.count, left === null ? "" : String(Math.ceil(left)));
-    set(this.round, !session || session.mode === "run" || !step ? "" : `round ${Math.min(step.round, session.rounds)} of ${session.rounds}`);
+    setText(this.count, left === null ? "" : String(Math.ceil(left)));
+    setText(this.round, !session || session.mode === "run" || !step ? "" : `round ${Math.min(step.round, session.rounds)} of ${session.rounds}`);
     this.fill(live);
     if (step && state !== "paused" && state !== "ended") this.sound(step.phase, left);
   }
@@ -68,10 +69,6 @@ export class Prompt {
     if (phase === "do_gesture" && second !== this.second && second >= 1 && second <= 3) play("tick");
     this.second = second;
   }
-}
-
-function set(element: HTMLElement, text: string): void {
-  if (element.textContent !== text) element.textContent = text;
 }
 
 function words(state: string, seen: string, prompt: string, run: boolean): string {

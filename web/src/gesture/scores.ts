@@ -12,9 +12,9 @@ export class ScorePlot {
   readonly element: HTMLElement;
   private rows: readonly HistoryRow[] = [];
   private top = 1;
+  private height = 1; // CSS pixels; asking the canvas for it would lay out the page for every point
   private threshold: number | null = null;
   private dragging = false;
-  private waiting = 0;
   private readonly redraw: () => void;
   private readonly stop: () => void;
   private readonly canvas: HTMLCanvasElement;
@@ -46,10 +46,7 @@ export class ScorePlot {
   show(rows: readonly HistoryRow[], threshold: number | null): void {
     this.rows = rows;
     this.threshold = threshold;
-    this.waiting ||= requestAnimationFrame(() => {
-      this.waiting = 0;
-      this.redraw();
-    });
+    this.redraw();
   }
 
   /** Upper end of the axis, cm². */
@@ -58,12 +55,11 @@ export class ScorePlot {
   }
 
   close(): void {
-    cancelAnimationFrame(this.waiting);
     this.stop();
   }
 
   private plotHeight(): number {
-    return this.canvas.clientHeight - BOTTOM - 6;
+    return this.height - BOTTOM - 6;
   }
 
   private toY(value: number): number {
@@ -86,6 +82,7 @@ export class ScorePlot {
   }
 
   private draw(g: CanvasRenderingContext2D, width: number, height: number): void {
+    this.height = height;
     g.clearRect(0, 0, width, height);
     const end = Math.max(SHOWN_S, this.rows.at(-1)?.[0] ?? 0);
     const begin = end - SHOWN_S;

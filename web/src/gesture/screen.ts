@@ -38,7 +38,7 @@ export const gesture: OpenScreen = (root) => {
   const show = (): void => {
     box.removeAttribute("aria-busy");
     if (!live.session) return void home();
-    if (live.ended !== null && trainer) return trainer.show();
+    if (live.ended !== null && trainer) return trainer.later();
     trainer?.close();
     trainer = new Trainer(live, socket, counters, (next) => {
       if (next) begin(next);
@@ -58,7 +58,7 @@ export const gesture: OpenScreen = (root) => {
     }
     else if (take(live, message)) show();
     else if (message.t === "step") trainer?.takeStep(message);
-    else trainer?.show();
+    else trainer?.later();
   };
   const socket = new Socket(
     "/ws/gesture",

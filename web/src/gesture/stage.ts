@@ -1,6 +1,6 @@
 import { DEPTH, MAP, type GestureStep, type Picture } from "../protocol";
+import { drawnBySoftware } from "../lib/software";
 import { h, onResize } from "../ui/dom";
-import { colour } from "../ui/theme";
 
 const SHOWN_MS = 400;
 
@@ -14,8 +14,11 @@ interface Learned {
 
 /** The depth picture with what the session says about it: the box with its cross, what is learned, where votes lie. */
 export class DepthStage {
-  readonly canvas: HTMLCanvasElement;
+  readonly element: HTMLElement;
+  private readonly canvas: HTMLCanvasElement;
+  /** Depth pictures that were on the screen. */
   drawn = 0;
+  private undrawn = false;
   private readonly context: CanvasRenderingContext2D;
   private depth: ImageBitmap | null = null;
   private map: ImageBitmap | null = null;
@@ -23,27 +26,30 @@ export class DepthStage {
   private learned: Learned[] = [];
   private size: [number, number] = [640, 480];
   private box: [number, number] = [0, 0];
-  private waiting = 0;
+  /** CSS pixels per pixel of the picture, and pixels that are drawn for one. */
+  private scale = 1;
+  private fine = 1;
+  private decoding = 0;
   private readonly acknowledge: number[] = [];
   private readonly stopResize: () => void;
   showMap = false;
 
-  /** clicked: with the pixel of the picture; answered: when a picture with this number is on the screen. */
+  /** clicked: with the pixel of the picture; answered: when a picture with this number is on the screen; changed: draw()
+   * is wanted. */
   constructor(
     clicked: (x: number, y: number) => void,
     private readonly answered: (seq: number) => void,
+    private readonly changed: () => void,
   ) {
     this.canvas = h("canvas", { class: "depth", role: "img", "aria-label": "Depth picture" });
     const context = this.canvas.getContext("2d", { alpha: false, willReadFrequently: true });
     if (!context) throw new Error("This browser draws no pictures.");
     this.context = context;
-    this.canvas.addEventListener("pointerdown", (event) => {
-      const { scale, left, top } = this.fit();
-      clicked((event.offsetX - left) / scale, (event.offsetY - top) / scale);
-    });
-    this.stopResize = onResize(this.canvas, (width, height) => {
+    this.canvas.addEventListener("pointerdown", (event) => clicked(event.offsetX / this.scale, event.offsetY / this.scale));
+    this.element = h("div", { class: "depth-box" }, this.canvas);
+    this.stopResize = onResize(this.element, (width, height) => {
       this.box = [width, height];
-      this.changed();
+      this.fit();
     });
   }
 
@@ -51,21 +57,30 @@ export class DepthStage {
     this.size = size;
     this.depth = this.map = this.step = null;
     this.learned = [];
-    this.changed();
+    this.fit();
+  }
+
+  /** Whether a picture is on its way, which will ask for draw() anyway. */
+  get expects(): boolean {
+    return this.decoding > 0;
   }
 
   async takePicture(picture: Picture): Promise<void> {
+    this.decoding++;
     const type = picture.type === MAP ? "image/png" : "image/jpeg";
     const bitmap = await createImageBitmap(new Blob([picture.data], { type })).catch(() => null);
     if (bitmap && picture.type === DEPTH) {
       this.depth?.close();
       this.depth = bitmap;
+      this.undrawn = true;
     } else if (bitmap && picture.type === MAP) {
       this.map?.close();
       this.map = bitmap;
     }
     this.acknowledge.push(picture.seq);
-    this.changed();
+    this.decoding--;
+    // a depth picture and its map are drawn together, unless they keep coming faster than they can be unpacked
+    if (!this.decoding || this.acknowledge.length > 1) this.changed();
   }
 
   takeStep(step: GestureStep): void {
@@ -77,48 +92,47 @@ export class DepthStage {
       this.learned.push({ at: now, x: step.box[0], y: step.box[1], half: 0.5 * half, good: true });
     }
     for (const [x, y] of step.mined) this.learned.push({ at: now, x, y, half: 0.5 * half, good: false });
-    this.changed();
   }
 
   close(): void {
-    cancelAnimationFrame(this.waiting);
     this.stopResize();
     this.depth?.close();
     this.map?.close();
   }
 
-  private changed(): void {
-    this.waiting ||= requestAnimationFrame(() => {
-      this.waiting = 0;
-      this.draw();
-      for (const seq of this.acknowledge.splice(0)) this.answered(seq);
-    });
+  /** The canvas as large as it fits. Where the processor draws, its pixels are the picture's, and the browser enlarges
+   * them with the rest of the page. */
+  private fit(): void {
+    const [width, height] = this.size;
+    const [w, h] = this.box;
+    if (!w || !h) return;
+    this.scale = Math.min(w / width, h / height);
+    this.fine = drawnBySoftware() ? 1 : this.scale * (window.devicePixelRatio || 1);
+    this.canvas.width = Math.round(width * this.fine);
+    this.canvas.height = Math.round(height * this.fine);
+    const { style } = this.canvas;
+    style.width = `${width * this.scale}px`;
+    style.height = `${height * this.scale}px`;
+    style.left = `${(w - width * this.scale) / 2}px`;
+    style.top = `${(h - height * this.scale) / 2}px`;
+    this.changed();
   }
 
-  private fit(): { scale: number; left: number; top: number } {
-    const scale = Math.min(this.box[0] / this.size[0], this.box[1] / this.size[1]);
-    return { scale, left: (this.box[0] - scale * this.size[0]) / 2, top: (this.box[1] - scale * this.size[1]) / 2 };
-  }
-
-  private draw(): void {
-    const [width, height] = this.box;
-    if (!width || !height) return;
-    const ratio = window.devicePixelRatio || 1;
-    const pixels = [Math.round(width * ratio), Math.round(height * ratio)] as const;
-    if (this.canvas.width !== pixels[0] || this.canvas.height !== pixels[1]) [this.canvas.width, this.canvas.height] = pixels;
-    const g = this.context;
-    g.setTransform(ratio, 0, 0, ratio, 0, 0);
-    g.fillStyle = colour("bg");
-    g.fillRect(0, 0, width, height);
-    const { scale, left, top } = this.fit();
+  draw(): void {
+    for (const seq of this.acknowledge.splice(0)) this.answered(seq);
+    if (!this.box[0] || !this.box[1]) return;
     const [w, h] = this.size;
-    g.fillStyle = "#0c0f16";
-    g.fillRect(left, top, w * scale, h * scale);
-    if (this.depth) g.drawImage(this.depth, left, top, w * scale, h * scale);
-    if (this.map && this.showMap) g.drawImage(this.map, left, top, w * scale, h * scale);
-    g.setTransform(ratio * scale, 0, 0, ratio * scale, ratio * left, ratio * top);
-    if (this.step) this.drawStep(this.step, 1 / scale);
-    this.drawn++;
+    const g = this.context;
+    g.setTransform(this.fine, 0, 0, this.fine, 0, 0);
+    if (this.depth) g.drawImage(this.depth, 0, 0, w, h);
+    else {
+      g.fillStyle = "#0c0f16";
+      g.fillRect(0, 0, w, h);
+    }
+    if (this.map && this.showMap) g.drawImage(this.map, 0, 0, w, h);
+    if (this.step) this.drawStep(this.step, 1 / this.scale);
+    if (this.undrawn) this.drawn++;
+    this.undrawn = false;
   }
 
   /** one: a CSS pixel in pixels of the picture. */

@@ -1,8 +1,8 @@
 import type { Socket } from "../api";
-import { answered, type Counters } from "../counters";
+import { answered, touchedAt, type Counters } from "../counters";
 import type { GestureCommand, GestureRequest, GestureStep, Picture } from "../protocol";
 import { button, toggle, type Toggle } from "../ui/buttons";
-import { h, memory } from "../ui/dom";
+import { h, memory, setText } from "../ui/dom";
 import { bindKeys, type Key } from "../ui/keyboard";
 import { play, setMuted } from "../ui/sounds";
 import { onTheme } from "../ui/theme";
@@ -34,6 +34,7 @@ export class Trainer {
   private sliding = 0;
   private shownBeside = 0;
   private besideLater = 0;
+  private waiting = 0;
 
   constructor(
     private readonly live: Live,
@@ -42,10 +43,11 @@ export class Trainer {
     private readonly leave: (next: GestureRequest | null) => void,
   ) {
     const teaches = live.session?.mode === "train";
-    this.stage = new DepthStage((x, y) => teaches && this.live.session?.source === "realsense" && socket.send({ t: "box", x, y }), (seq) => {
-      socket.send({ t: "ack", seq });
-      counters.pictures++;
-    });
+    this.stage = new DepthStage(
+      (x, y) => teaches && this.live.session?.source === "realsense" && socket.send({ t: "box", x, y }),
+      (seq) => void socket.send({ t: "ack", seq }),
+      () => this.later(),
+    );
     this.scores = new ScorePlot((value) => this.threshold(value));
     const keys = this.keys(teaches);
     this.pause = button("Pause", () => this.flipPause(), { icon: "pause", key: "Space" });
@@ -54,14 +56,25 @@ export class Trainer {
     const bound = bindKeys("Gestures", keys);
     this.slider.addEventListener("input", () => this.threshold((Number(this.slider.value) / 1000) * this.scores.highest));
     this.element = this.layout(teaches, bound.help);
+    this.stage.element.append(this.after);
     this.stops = [bound.stop, onTheme(() => this.numbers.recolour())];
     setMuted(memory.get("mute") === "on");
     if (live.session) this.stage.setSize(live.session.size);
     this.show();
   }
 
-  /** Shows the state as it is now. */
-  show(): void {
+  /** Shows the state as it is, in the next frame: text, picture and plot at once, since every frame in which anything
+   * changes costs a browser without a graphics card the whole page. */
+  later(): void {
+    this.waiting ||= requestAnimationFrame(() => {
+      this.waiting = 0;
+      this.show();
+      this.stage.draw();
+      this.counters.pictures = this.stage.drawn;
+    });
+  }
+
+  private show(): void {
     const { live } = this;
     this.prompt.show(live);
     const over = live.ended !== null;
@@ -76,7 +89,7 @@ export class Trainer {
     const test = live.step?.phase === "test";
     for (const name of ["next", "test"] as const) this.commands.get(name)!.disabled = over || test;
     this.showBeside();
-    this.saved.textContent = live.saved ? `Saved: ${live.saved.path}` : live.session?.mode === "train" ? "Recording" : "";
+    setText(this.saved, live.saved ? `Saved: ${live.saved.path}` : live.session?.mode === "train" ? "Recording" : "");
     if (over && this.after.hidden) this.showAfter(live.ended!);
   }
 
@@ -85,7 +98,7 @@ export class Trainer {
     const wait = SIDE_MS - (performance.now() - this.shownBeside);
     clearTimeout(this.besideLater);
     if (wait > 0) {
-      this.besideLater = window.setTimeout(() => this.showBeside(), wait);
+      this.besideLater = window.setTimeout(() => this.later(), wait);
       return;
     }
     this.shownBeside = performance.now();
@@ -96,7 +109,7 @@ export class Trainer {
 
   takeStep(step: GestureStep): void {
     this.stage.takeStep(step);
-    this.show();
+    if (!this.stage.expects || this.asked.length) this.later();
     const now = signature(step);
     this.asked = this.asked.filter(({ at, before }) => {
       if (now === before) return true;
@@ -112,6 +125,7 @@ export class Trainer {
 
   close(): void {
     clearTimeout(this.besideLater);
+    cancelAnimationFrame(this.waiting);
     this.stage.close();
     this.scores.close();
     this.numbers.close();
@@ -119,7 +133,7 @@ export class Trainer {
   }
 
   private command(command: GestureCommand): void {
-    this.asked.push({ at: performance.now(), before: signature(this.live.step) });
+    this.asked.push({ at: touchedAt(), before: signature(this.live.step) });
     this.socket.send({ t: "command", command });
   }
 
@@ -128,7 +142,7 @@ export class Trainer {
   }
 
   private threshold(value: number | null): void {
-    this.asked.push({ at: performance.now(), before: signature(this.live.step) });
+    this.asked.push({ at: touchedAt(), before: signature(this.live.step) });
     this.sliding = value === null ? 0 : performance.now();
     this.socket.send({ t: "threshold", value: value === null ? null : Math.max(0.05, value) });
   }
@@ -137,7 +151,7 @@ export class Trainer {
     const t = step?.threshold ?? null;
     this.slider.disabled = t === null;
     this.automatic.disabled = !step?.manual;
-    this.sliderValue.textContent = t === null ? "–" : `${t.toFixed(1)} cm²${step?.manual ? "" : ", automatic"}`;
+    setText(this.sliderValue, t === null ? "–" : `${t.toFixed(1)} cm²${step?.manual ? "" : ", automatic"}`);
     if (t !== null && performance.now() - this.sliding > 500) this.slider.value = String(Math.round((1000 * t) / this.scores.highest));
   }
 
@@ -212,7 +226,7 @@ export class Trainer {
         "div",
         { class: "gesture-main" },
         this.prompt.element,
-        h("div", { class: "depth-box" }, this.stage.canvas, this.after),
+        this.stage.element,
         h(
           "div",
           { class: "gesture-tools", role: "toolbar", "aria-label": "Session" },

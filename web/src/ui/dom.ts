@@ -28,6 +28,11 @@ export function put(parent: Element, ...children: Child[]): void {
   }
 }
 
+/** Changes a text only where it is another one: even the same text laid out again costs a frame. */
+export function setText(element: Element, text: string): void {
+  if (element.textContent !== text) element.textContent = text;
+}
+
 /** Calls `changed` with the size of an element in CSS pixels now and whenever it changes; returns how to stop. */
 export function onResize(element: Element, changed: (width: number, height: number) => void): () => void {
   const observer = new ResizeObserver(([entry]) => {

@@ -1,7 +1,7 @@
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import { flagName, type Stretch } from "../lib/bundle";
-import { h, onResize } from "./dom";
+import { h, onResize, setText } from "./dom";
 import { colour, onTheme } from "./theme";
 import { clock } from "./timeline";
 
@@ -72,11 +72,14 @@ export class Plot {
     if (!this.chart) return;
     this.turn();
     this.line.style.transform = `translateX(${this.chart.valToPos(this.times[index] ?? 0, "x")}px)`;
+  }
+
+  /** Says the values there in the title. */
+  tell(): void {
     this.series.forEach((s, i) => {
-      const value = s.values[index];
+      const value = s.values[this.at];
       const text = value === undefined || !Number.isFinite(value) ? "–" : value.toFixed(digits(this.options.unit));
-      const figure = this.figures[i];
-      if (figure && figure.textContent !== text) figure.textContent = text;
+      setText(this.figures[i]!, text);
     });
   }
 

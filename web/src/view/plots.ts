@@ -79,9 +79,14 @@ export class PlotPane {
     this.showTab(this.groups.some((g) => g.name === before) ? before : this.groups[0]!.name);
   }
 
+  /** Moves to a frame; tell() says the values there. */
   show(row: number): void {
     this.row = row;
     for (const plot of this.plots) plot.show(row);
+  }
+
+  tell(): void {
+    for (const plot of this.plots) plot.tell();
   }
 
   compare(beside: Beside | null): void {
@@ -106,6 +111,7 @@ export class PlotPane {
     });
     this.element.replaceChildren(...this.plots.map((p) => p.element));
     this.show(this.row);
+    this.tell();
   }
 }
 

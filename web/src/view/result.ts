@@ -1,6 +1,6 @@
 import { DOUBTFUL, type ViewData } from "../lib/bundle";
 import { button, select, tabs, toggle, type Toggle } from "../ui/buttons";
-import { h, onResize } from "../ui/dom";
+import { h, onResize, setText } from "../ui/dom";
 import type { IconName } from "../ui/icons";
 import { bindKeys } from "../ui/keyboard";
 import { splitter } from "../ui/split";
@@ -30,6 +30,7 @@ export interface ResultOptions {
   rested?: (row: number) => void;
 }
 
+const TELL_MS = 120;
 const LAYER_BUTTONS: readonly [Layer, string, IconName, string][] = [
   ["body", "Body", "body", "b"],
   ["skeleton", "Skeleton", "skeleton", "s"],
@@ -58,6 +59,11 @@ export class ResultView {
   private readonly stop: (() => void)[] = [];
   private readonly measured = measure();
   private pending = false;
+  private dirty = false;
+  private told = -1;
+  private toldAt = 0;
+  private drawnAt = 0;
+  private passed: number | undefined;
   private shown = -1;
   private rest = 0;
 
@@ -196,7 +202,13 @@ export class ResultView {
     this.timeline.close();
   }
 
+  /** Something is to be shown anew. */
   private schedule(): void {
+    this.dirty = true;
+    this.request();
+  }
+
+  private request(): void {
     if (this.pending) return;
     this.pending = true;
     requestAnimationFrame((now) => this.frame(now));
@@ -205,13 +217,20 @@ export class ResultView {
   private frame(now: number): void {
     this.pending = false;
     if (!this.element.isConnected && this.shown >= 0) return;
-    this.player.tick(now);
-    const row = this.player.row;
-    if (row !== this.shown) this.showRow(row);
-    this.controls();
-    this.space.draw();
-    this.measured.drawn();
-    if (this.player.playing) this.schedule();
+    const moved = this.player.tick(now);
+    if (this.drawnAt) this.passed = now - this.drawnAt;
+    this.drawnAt = 0;
+    // a screen has more frames than a recording: what shows the same again would only cost time
+    if (moved || this.dirty) {
+      this.dirty = false;
+      if (this.player.row !== this.shown) this.showRow(this.player.row);
+      this.tell(now);
+      this.controls();
+      this.space.draw(this.passed);
+      this.measured.drawn();
+      this.drawnAt = now;
+    }
+    if (this.player.playing) this.request();
   }
 
   private showRow(row: number): void {
@@ -220,11 +239,19 @@ export class ResultView {
     this.cameras.show(row);
     this.plots.show(row);
     this.timeline.show(row);
-    this.where.textContent = this.place(row);
-    if (this.data.rivals) this.open.textContent = openness(this.data.rivals, row);
     this.measured.changed();
     clearTimeout(this.rest);
     if (this.options.rested) this.rest = window.setTimeout(() => this.options.rested?.(row), 400);
+  }
+
+  /** The figures of the frame shown. While it plays nobody reads each of them, and text is dear to draw. */
+  private tell(now: number): void {
+    if (this.told === this.shown || (this.player.playing && now - this.toldAt < TELL_MS)) return;
+    this.told = this.shown;
+    this.toldAt = now;
+    setText(this.where, this.place(this.shown));
+    if (this.data.rivals) setText(this.open, openness(this.data.rivals, this.shown));
+    this.plots.tell();
   }
 
   private place(row: number): string {

@@ -118,9 +118,10 @@ export class Space {
     this.stage.resize(width, height);
   }
 
-  draw(): void {
+  /** passed: ms that the frame drawn before took until the next could begin, where that is known. */
+  draw(passed?: number): void {
     if (this.on.cameras) this.frusta.label(this.stage.camera, this.height);
-    this.stage.draw();
+    this.stage.draw(passed);
   }
 
   /** Another run in one colour beside the one shown; null takes it away. */

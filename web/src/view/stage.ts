@@ -133,17 +133,18 @@ export class Stage {
     this.dirty();
   }
 
-  draw(): void {
+  /** passed: ms from the frame drawn before to the next one; by default to now. */
+  draw(passed?: number): void {
     if (!this.software) return this.drawAt(Math.min(2, window.devicePixelRatio));
-    this.drawAt(this.movingRatio());
+    this.drawAt(this.movingRatio(passed));
     clearTimeout(this.settle);
     this.settle = window.setTimeout(() => this.drawAt(SETTLED), SETTLE_MS);
   }
 
   /** By the usual time from one frame to the next; what comes after a pause says nothing about that. */
-  private movingRatio(): number {
+  private movingRatio(given?: number): number {
     const now = performance.now();
-    const passed = now - this.drawn;
+    const passed = given ?? now - this.drawn;
     this.drawn = now;
     if (passed > 400) return MOVING[this.coarse]!;
     this.usual += 0.2 * (passed - this.usual);
