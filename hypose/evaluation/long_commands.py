@@ -16,7 +16,7 @@ import numpy as np
 from hypose.body.models import JOINT_NAMES
 from hypose.evaluation.programs import run
 from hypose.evaluation.rigs import rig
-from hypose.evaluation.scenes import Scene, make_scene
+from hypose.evaluation.scenes import make_scene
 from hypose.evaluation.small_recordings import small_scene, write_board_pictures, write_masks, write_skeletons
 from hypose.evaluation.write_recording import write_scene
 from hypose.io.files import write_text
@@ -60,19 +60,21 @@ def long_commands(folder: Path) -> list[LongCommand]:
     _run("gesture", "record", session, "--gesture", "pause", "--rounds", 1)
     light, known = ("--no-overlay", "--formats", "trc,c3d,csv"), ("--subject", body)
     one = ("--method", "monocular", "--camera", "cam2", "--hypotheses", "2", "--start", filmed / "clicks.json")
-    chunked = ("batch", _slow_walk(folder / "slow"), "--chunk", "10", "--workers", "1")
+    _slow_walk(folder / "slow")
+    chunked = ("batch", _sweep(folder, body, "slow", "0"), "--chunk", "10", "--workers", "1")
+    sweep = ("batch", _sweep(folder, body, "few", "0, 1"), "--workers", "1")
     boards = ("calibrate", folder / "boards", "--chessboard", "6x5", "--square", "12cm", "--floor", "0")
     short = ("--seconds", "0.2")
     go_on = ("--resume",)
     return [
-        LongCommand("track", ("track", masks, *known, *light), 0.16, again=go_on),
-        LongCommand("track, one camera", ("track", filmed, *one, *known, *light), 0.1, again=go_on),
+        LongCommand("track", ("track", masks, *known, *light), 0.18, again=go_on),
+        LongCommand("track, one camera", ("track", filmed, *one, *known, *light), 0.06, again=go_on),
         LongCommand("track, key points", ("track", filmed, "--evidence", "keypoints", *light), 0.04, again=go_on),
         LongCommand("correct", ("correct", done, _corrected(done, folder), "--formats", "trc"), 0.06),
         LongCommand("subject", ("subject", few, "--poses", "1", "--frames", "0:6"), 0.03),
-        LongCommand("fuse", ("fuse", folder / "sensors"), 0.14, again=go_on),
-        LongCommand("batch", ("batch", _sweep(folder, body), "--workers", "1"), 0.04),
-        LongCommand("batch, chunks", chunked, 0.08),
+        LongCommand("fuse", ("fuse", folder / "sensors"), 0.18, again=go_on),
+        LongCommand("batch", sweep, 0.04),
+        LongCommand("batch, chunks", chunked, 0.06),
         LongCommand(
             "gesture train",
             ("gesture", "train", "--gesture", "pause", "--recording", session),
@@ -107,11 +109,11 @@ def _filmed(folder: Path) -> Path:
     return folder
 
 
-def _slow_walk(folder: Path) -> Path:
+def _slow_walk(folder: Path) -> None:
     """22 s at five frames a second: long enough for two chunks."""
     cameras = rig("humaneva-4").scaled(0.25)
-    scene: Scene = make_scene("walk", "neutral", cameras, seconds=22.0, frame_rate=5.0, seed=2, speed=0.2)
-    return write_masks(scene, folder)
+    scene = make_scene("walk", "neutral", cameras, seconds=22.0, frame_rate=5.0, seed=2, speed=0.2)
+    write_masks(scene, folder)
 
 
 def _corrected(done: Path, folder: Path) -> Path:
@@ -123,10 +125,8 @@ def _corrected(done: Path, folder: Path) -> Path:
     return path
 
 
-def _sweep(folder: Path, body: Path) -> Path:
-    path = folder / "sweep.toml"
-    write_text(
-        path,
-        f'recordings = ["few"]\nresults = "out"\n[settings]\nsubject = "{body}"\n[[set]]\nname = "s"\nseed = [0, 1]\n',
-    )
+def _sweep(folder: Path, body: Path, recording: str, seeds: str) -> Path:
+    path = folder / f"sweep-{recording}.toml"
+    settings = f'[settings]\nsubject = "{body}"\n[[set]]\nname = "s"\nseed = [{seeds}]\n'
+    write_text(path, f'recordings = ["{recording}"]\n{settings}')
     return path
