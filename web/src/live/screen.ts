@@ -3,7 +3,7 @@ import { Socket } from "../api";
 import { count } from "../counters";
 import type { OpenScreen } from "../screen";
 import { button } from "../ui/buttons";
-import { h } from "../ui/dom";
+import { h, setText } from "../ui/dom";
 import { shell } from "../ui/shell";
 import { toast } from "../ui/toast";
 import type { LiveMessage, SensorStatus } from "./messages";
@@ -15,6 +15,8 @@ const TELL_MS = 250;
 export const live: OpenScreen = (root) => {
   const box = shell(root, "live");
   const space = h("div", { class: "live-space", role: "img", "aria-label": "The fused skeletons in 3D" });
+  const nobody = h("p", { class: "live-nobody" });
+  space.append(nobody);
   const side = h("aside", { class: "pane live-side" });
   const sensors = h("tbody", {});
   const said = {
@@ -52,6 +54,8 @@ export const live: OpenScreen = (root) => {
     said.state.textContent = running
       ? `Skeletons are awaited at UDP 127.0.0.1:${running.udp} and ws://127.0.0.1:${running.ws}/in.`
       : "Not running. Start it, then let each sensor's program send its skeletons as lines of JSON (docs/live.md).";
+    setText(nobody, running ? "Nobody is seen yet" : "Press Start to see who the sensors see");
+    nobody.hidden = false;
     sensors.replaceChildren(h("tr", {}, h("td", { class: "dim", colspan: 3 }, "No sensor has sent anything yet.")));
     if (running) return;
     people?.show([]);
@@ -68,6 +72,7 @@ export const live: OpenScreen = (root) => {
       counters["people"] = message.people.length;
       counters.pictures = people?.drawn ?? 0;
       people?.show(message.people);
+      nobody.hidden = message.people.length > 0;
       if (now - told < TELL_MS) return;
       told = now;
       said.people.textContent = String(message.people.length);

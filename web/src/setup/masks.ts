@@ -65,7 +65,7 @@ export class MaskStep {
       "div",
       { class: "step" },
       h("h2", {}, "Masks"),
-      h("p", { class: "dim" }, "The person should be cut out whole, and nothing else. Move the sliders until that is so in several frames; usually the settings are right as they are."),
+      h("p", { class: "dim" }, "In every frame the person should be cut out whole, and nothing else; usually the settings are right as they are."),
       h(
         "div",
         { class: "row" },

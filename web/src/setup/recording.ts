@@ -122,13 +122,13 @@ export class RecordingPage {
       : this.step === "masks" ? this.masks!.element
       : this.step === "person" ? personStep(recording)
       : trackStep(recording, (id) => names.get(id) ?? id),
-      this.onward(),
+      ...this.onward(),
     );
   }
 
-  private onward(): HTMLElement {
+  private onward(): HTMLElement[] {
     const next = STEPS[STEPS.indexOf(this.step) + 1];
-    return h("div", { class: "row step-next" }, next ? button(`Next: ${TITLES[next]}`, () => this.go(next), { icon: "next" }) : null);
+    return next ? [h("div", { class: "row step-next" }, button(`Next: ${TITLES[next]}`, () => this.go(next), { icon: "next" }))] : [];
   }
 
   private drawNav(): void {
