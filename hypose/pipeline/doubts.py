@@ -32,7 +32,7 @@ WORSE, SPREAD = 0.15, 4.0
 spread, and that of the other views is not half as far below theirs. Chosen on clean walks (seeds 0 and 3)."""
 STRANGER = 0.15
 """Somebody else is there when a part of so much of the body's area lies apart from it in two views, and in half of
-them."""
+them. Chosen, as LESS, on walks with and without somebody else (seeds 10 to 13)."""
 LESS = 0.06
 """After something doubtful tracking is not back while the mean overlap lies so far below that before it."""
 _STILL = 0.02
@@ -167,20 +167,18 @@ def _not_back(
     overlap: Array, doubted: NDArray[np.bool_], known: NDArray[np.bool_], frame_rate: float
 ) -> NDArray[np.bool_]:
     """(T,): from the end of each stretch of doubtful frames as long as the overlap, over half a second, lies below that
-    of the frames before all of them: whatever it was may have turned the body around, or taken an arm away."""
+    of the good frames before it: whatever it was may have turned the body around, or taken an arm away."""
     out = np.zeros(len(known), dtype=bool)
-    before = np.arange(len(known)) < np.argmax(doubted)
     half = max(3, round(0.5 * frame_rate))
-    if not doubted.any() or (before & known).sum() < half:
-        return out
-    with np.errstate(all="ignore"):
-        mean = np.array(
-            [np.nanmean(v) if np.isfinite(v).any() else np.nan for v in np.where(known[:, None], overlap, np.nan)]
-        )
-    limit = np.nanmedian(mean[before]) - LESS
-    low = median_filter(np.nan_to_num(mean, nan=0.0), half, mode="nearest") < limit
+    seen = known & np.isfinite(overlap).any(1)
+    mean = np.zeros(len(known))
+    mean[seen] = np.nanmean(overlap[seen], 1)
+    smooth, limit = median_filter(mean, half, mode="nearest"), float("nan")
     for t in range(1, len(out)):
-        out[t] = low[t] and not doubted[t] and (doubted[t - 1] or out[t - 1])
+        if doubted[t] and not (doubted[t - 1] or out[t - 1]):
+            good = seen[:t] & ~doubted[:t] & ~out[:t]
+            limit = float(np.median(mean[:t][good])) - LESS if good.sum() >= half else float("nan")
+        out[t] = smooth[t] < limit and not doubted[t] and (doubted[t - 1] or out[t - 1])
     return out
 
 
