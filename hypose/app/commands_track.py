@@ -73,12 +73,9 @@ def track(
     camera: Annotated[str | None, typer.Option(help="The camera of --method monocular.")] = None,
     hypotheses: Annotated[int, typer.Option(min=1, max=100, help="Hypotheses of --method monocular.")] = 7,
     floor: Annotated[
-        str,
-        typer.Option(
-            help="What the person of --method monocular stands on: none, its height in the world in metres, or auto: 0 "
-            "if the person seems to stand near it."
-        ),
-    ] = "auto",
+        float | None,
+        typer.Option(min=-100, max=100, help="Height in the world, in metres, of the floor of --method monocular."),
+    ] = None,
 ) -> None:
     """Track the person in a recording: poses with their uncertainty, motion files, overlay video, report."""
     set_threads(threads)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from hypose import compute
 from hypose.app.console import ProgressCall, ignore
 from hypose.app.job import (
@@ -24,7 +22,7 @@ from hypose.io.modes import load_modes
 from hypose.io.provenance import file_identity
 from hypose.io.recording import Recording
 from hypose.pipeline.anthropometry import load_subject
-from hypose.pipeline.mono_start import AUTO, Floor, side_to_work_on
+from hypose.pipeline.mono_start import side_to_work_on
 from hypose.pipeline.mono_stream import MonoStream, one_view
 from hypose.pipeline.monocular import (
     CITATION,
@@ -46,7 +44,7 @@ def one_camera(
     given: TrackOptions,
     hypotheses: int,
     evidence: str,
-    floor: str,
+    floor: float | None,
 ) -> tuple[Recording, MonoOptions]:
     """The recording of one camera and the options of a monocular track, from what `hypose track` was given; an
     InputError when the method does not exist or something does not go together."""
@@ -62,27 +60,13 @@ def one_camera(
         evidence=evidence,
         start=given.start,
         height=given.height,
-        floor=_floor(floor),
+        floor=floor,
         hypotheses=hypotheses,
         seed=given.seed,
         subject=given.subject,
         smooth=given.smooth,
     )
     return one_view(recording, camera), options
-
-
-def _floor(text: str) -> Floor:
-    if text == AUTO:
-        return AUTO
-    if text == "none":
-        return None
-    try:
-        height = float(text)
-    except ValueError:
-        height = float("nan")
-    if not np.isfinite(height):
-        raise InputError(f"There is no --floor {text}; give auto, none or its height in the world in metres.")
-    return height
 
 
 def run_mono_job(

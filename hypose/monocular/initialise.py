@@ -29,7 +29,6 @@ from hypose.monocular.proportions import VOLUMETRIC, proportions, search_factors
 from hypose.monocular.settings import MonoSettings
 from hypose.monocular.tracker import MonoTracker
 from hypose.monocular.types import MonoFrame, MonoHypotheses, MonoPoints
-from hypose.tracking.contacts import soles_of
 from hypose.tracking.initialise import known_pose
 from hypose.tracking.refinement import anatomical_prior
 
@@ -47,13 +46,12 @@ _HELD = 1e6
 class InitialFit:
     """body: the template with the person's proportions; hypotheses: the rivals with covariances, best first; factors
     (K,): logarithms of the proportions (proportions.NAMES); residual_px: root mean square distance of the best rival to
-    the points, px; floor: its height in the world, m, None when there is none to be believed."""
+    the points, px."""
 
     body: Body
     hypotheses: MonoHypotheses
     factors: Array
     residual_px: float
-    floor: float | None
 
 
 def initialise(
@@ -69,15 +67,14 @@ def initialise(
     active: NDArray[np.int64] | None = None,
     rivals: int = 8,
     floor: float | None = None,
-    floor_reach: float = np.inf,
 ) -> InitialFit:
     """The first hypotheses of a picture (frame; its points are not used) of a pinhole camera.
 
     later: the points of further pictures of the same camera; lengths are those that suit all of them. height in m: of
     the person, None if not known: then the distance to the camera stays as uncertain as people's heights. fixed_body:
     the template is the person's own body; only poses are looked for. active: dof to estimate (by default the body's
-    30). floor: height of the floor in the world, m; it is believed when the person seems to stand within floor_reach m
-    of it. An EvidenceError when fewer than 6 points are seen.
+    30). floor: height in the world of the floor that the person stands on, m. An EvidenceError when fewer than 6 points
+    are seen.
     """
     chosen = body_dofs(template.skeleton) if active is None else np.asarray(active, dtype=np.int64)
     seen = int((points_on(template).confidence > 0).sum())
@@ -91,8 +88,6 @@ def initialise(
     body = template if fixed_body else shaped(template, factors)
     poses = rival_poses(body, camera, points_on(body), chosen, rivals)
     settings = settings or MonoSettings()
-    if floor is not None and abs(soles_of(body).positions(body, poses[:1])[0, :, 2].min() - floor) > floor_reach:
-        floor = None
     if not fixed_body:
         ground = None if floor is None else floor_arrays(body, floor, settings.cues)
         pictures = [points_on, *later]
@@ -118,7 +113,7 @@ def initialise(
             tracker = replace(tracker, body=body)
             found = tracker.optimise(found, still)
     keep = _distinct_indices(body.joints(found.poses), rivals)
-    return InitialFit(body, _subset(found, keep), factors, _residual(body, camera, still, found.poses[0]), floor)
+    return InitialFit(body, _subset(found, keep), factors, _residual(body, camera, still, found.poses[0]))
 
 
 def rival_poses(body: Body, camera: Camera, points: MonoPoints, active: NDArray[np.int64], count: int) -> Array:

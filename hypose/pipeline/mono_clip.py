@@ -15,8 +15,7 @@ from hypose.monocular.models import body_dofs
 from hypose.monocular.tracker import MonoTracker
 from hypose.monocular.types import MonoEstimate, MonoFrame, MonoHypotheses, posterior_arrays
 from hypose.pipeline.track_loop import Progress
-from hypose.tracking.smooth_motion import Smoothed, smooth_motion
-from hypose.tracking.uncertainty import packed
+from hypose.tracking.smoothing import smooth_poses
 
 _AHEAD = 100
 """Frames that are read forwards and kept, so that no video is decoded backwards."""
@@ -32,9 +31,10 @@ def solve_clip(
     frame: Callable[[int], MonoFrame],
     seed: int,
     progress: Progress,
-) -> Smoothed:
+) -> Motion:
     """The motion of a clip's best modes, solved as a whole: from all modes, the tracker's last hypotheses, and frames
-    by index."""
+    by index. Frames in which the person was lost are bridged. Feet are not held where they seem to stand, as they are
+    with several cameras: their depth is known far too badly to tell."""
     total, back = len(motion), modes
     if total > 2:
         way = backwards(tracker, last, total, _read_ahead(frame), lambda i: np.random.default_rng([seed, i, _BACK]))
@@ -47,10 +47,11 @@ def solve_clip(
     poses, covariances = together(_arrays(modes), _arrays(back), motion.frame_rate)
     body = tracker.body
     active = body_dofs(body.skeleton) if tracker.active is None else tracker.active
-    known = np.stack([packed(i) for i in information(covariances, active)])
+    known = information(covariances, active) * ~motion.lost[:, None, None]
+    if total > 2 and not motion.lost.all():
+        poses = smooth_poses(body, poses, known, motion.frame_rate, WholeClip().motion)
     around = joint_covariances(body, poses, covariances).astype(np.float32)
-    both = replace(motion, poses=poses, joints=body.joints(poses), joint_covariance=around)
-    return smooth_motion(body, both, known, WholeClip().motion)
+    return replace(motion, poses=poses, joints=body.joints(poses), joint_covariance=around)
 
 
 def modes_of(body: Body, estimate: MonoEstimate) -> stored.Modes:

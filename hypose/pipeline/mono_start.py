@@ -14,7 +14,7 @@ import json
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -38,12 +38,7 @@ CLICK_SHARE, KEYPOINT_SHARE = 0.010, 0.016
 FEWEST_PX = 1.0
 LENGTH_FRAMES = 10
 """So many further frames with key points decide the lengths of somebody whose body is not known."""
-AUTO = "auto"
-FLOOR_REACH = 0.35
-"""m: a person whose soles seem to be nearer to z = 0 stands on it. Worlds that are not calibrated on the floor seldom
-have it there by chance, and the distance of somebody of unknown size is good to about this."""
 
-Floor = float | Literal["auto"] | None
 Clicks = Mapping[str, tuple[float, float]]
 """Joints clicked in a recorded picture: name -> (u, v) px."""
 
@@ -134,11 +129,11 @@ def find_start(
     clicks: Clicks | None = None,
     body: Body | None = None,
     height: float | None = None,
-    floor: Floor = AUTO,
+    floor: float | None = None,
     settings: MonoSettings | None = None,
 ) -> tuple[InitialFit, tuple[str, ...]]:
     """The first hypotheses and sentences about them. body: the person's own (then only poses are looked for); floor:
-    its height in the world, m, AUTO (0, if the person seems to stand near it) or None."""
+    height of the floor in the world, m, None when it is not known."""
     recording = stream.recording
     template = body or human()
     if clicks is not None:
@@ -166,15 +161,14 @@ def find_start(
         settings=settings,
         height=height,
         fixed_body=body is not None,
-        floor=0.0 if floor == AUTO else floor,
-        floor_reach=FLOOR_REACH if floor == AUTO else np.inf,
+        floor=floor,
     )
     notes = [f"start from {source}: {len(fit.hypotheses)} rival poses, the best {fit.residual_px:.1f} px off"]
     if body is None:
         further = f", the key points of {len(later)} further frames" if later else ""
         notes.append(f"body of {fit.body.stature:.2f} m from {source}{further} and the picture's contours")
-    if fit.floor is not None:
-        notes.append(f"the person stands on a floor at z = {fit.floor:g} m (--floor)")
+    if floor is not None:
+        notes.append(f"the lower foot is taken to stand on a floor at z = {floor:g} m (--floor)")
     if body is not None and height is not None:
         notes.append("the given height is not used: the body is given")
     if body is None and height is None:

@@ -22,7 +22,7 @@ from hypose.monocular.settings import MonoSettings
 from hypose.monocular.tracker import MonoTracker
 from hypose.monocular.types import MonoEstimate, MonoFrame, MonoHypotheses, MonoState
 from hypose.pipeline.mono_clip import modes_of, solve_clip
-from hypose.pipeline.mono_start import AUTO, Clicks, Floor, find_start, keypoints_on, load_clicks
+from hypose.pipeline.mono_start import Clicks, find_start, keypoints_on, load_clicks
 from hypose.pipeline.mono_stream import MonoStream
 from hypose.pipeline.track_loop import Progress
 
@@ -40,14 +40,14 @@ _STATE = ("poses", "velocities", "covariances", "weights", "costs", "evidence", 
 @dataclass(frozen=True)
 class MonoOptions:
     """What a user chooses. evidence: one of mono_stream.CUES; start: 'auto' or 'keypoints' (a detector's), or the path
-    of a file of clicks; height m; floor: see mono_start.find_start; hypotheses: how many are followed; subject: where
-    the given body comes from; smooth: solve the whole clip at the end (mono_clip.solve_clip); checkpoint_every:
-    frames."""
+    of a file of clicks; height m; floor: its height in the world, m, None when it is not known; hypotheses: how many
+    are followed; subject: where the given body comes from; smooth: solve the whole clip at the end
+    (mono_clip.solve_clip); checkpoint_every: frames."""
 
     evidence: str = "auto"
     start: str = "auto"
     height: float | None = None
-    floor: Floor = AUTO
+    floor: float | None = None
     hypotheses: int = 7
     seed: int = 0
     subject: str | None = None
@@ -119,14 +119,14 @@ def track_stream(
     total, recording = len(stream), stream.recording
     settings = options.tracker_settings(recording.frame_rate, keypoints=len(stream.keypoint_names) > 0)
     key = identity(record or {})
-    body, floor, state, done, notes = _begin(stream, options, settings, body, results, resume, key, report)
-    tracker = MonoTracker(body, stream.camera, settings, floor=floor)
+    body, state, done, notes = _begin(stream, options, settings, body, results, resume, key, report)
+    tracker = MonoTracker(body, stream.camera, settings, floor=options.floor)
     parts = [] if done is None else [done]
     count = 0 if done is None else len(done)
 
     def keep() -> None:
         if results is not None and parts:
-            _save_checkpoint(results, state, _join(parts), key, {"notes": list(notes), "floor": floor})
+            _save_checkpoint(results, state, _join(parts), key, notes)
 
     try:
         for index in range(count, total):
@@ -142,8 +142,8 @@ def track_stream(
         if options.smooth:
             keep()
             read = partial(_frame, stream, body)
-            solved = solve_clip(tracker, found.motion, found.modes, state.hypotheses, read, options.seed, report)
-            found = replace(found, motion=solved.motion, notes=(*found.notes, *solved.notes))
+            motion = solve_clip(tracker, found.motion, found.modes, state.hypotheses, read, options.seed, report)
+            found = replace(found, motion=motion)
     except KeyboardInterrupt:
         if not parts:
             raise
@@ -177,12 +177,12 @@ def _begin(
     resume: bool,
     key: Mapping[str, Any],
     report: Progress,
-) -> tuple[Body, float | None, MonoState, _Rows | None, tuple[str, ...]]:
-    """Body, floor, first state, what is already tracked, and notes: from a checkpoint, or from the start's points."""
+) -> tuple[Body, MonoState, _Rows | None, tuple[str, ...]]:
+    """Body, first state, what is already tracked, and notes: from a checkpoint, or from the start's points."""
     if resume and results is not None and results.checkpoint.exists():
         saved = Checkpoint.load(results.checkpoint, key)
         state, rows = _from_checkpoint(saved, str(results.checkpoint))
-        return load_body(results.file(_BODY)), saved.meta["floor"], state, rows, tuple(saved.meta["notes"])
+        return load_body(results.file(_BODY)), state, rows, tuple(saved.meta["notes"])
     report("subject", 0, 1)
     clicks = clicks_of(options, stream.recording)
     fit, notes = find_start(
@@ -191,7 +191,7 @@ def _begin(
     report("subject", 1, 1)
     if results is not None:
         save_body(fit.body, results.file(_BODY))
-    return fit.body, fit.floor, MonoState(0, fit.hypotheses, None), None, (*stream.notes, *notes)
+    return fit.body, MonoState(0, fit.hypotheses, None), None, (*stream.notes, *notes)
 
 
 def depth_note(motion: Motion, modes: Modes, body: Body) -> str:
@@ -252,14 +252,14 @@ def _save(found: MonoResult, results: ResultsFolder) -> None:
 
 
 def _save_checkpoint(
-    results: ResultsFolder, state: MonoState, rows: _Rows, key: Mapping[str, Any], meta: dict[str, Any]
+    results: ResultsFolder, state: MonoState, rows: _Rows, key: Mapping[str, Any], notes: tuple[str, ...]
 ) -> None:
     arrays = {f"h_{name}": np.asarray(getattr(state.hypotheses, name)) for name in _STATE}
     assert state.grey is not None
     arrays |= {"grey": state.grey, "frames": np.array(state.frames)}
     arrays |= {f"done_{k}": v for k, v in to_arrays(rows.modes).items()}
     arrays["lost"] = rows.lost
-    Checkpoint(len(rows), arrays, meta, key).save(results.checkpoint)
+    Checkpoint(len(rows), arrays, {"notes": list(notes)}, key).save(results.checkpoint)
 
 
 def _from_checkpoint(saved: Checkpoint, source: str) -> tuple[MonoState, _Rows]:

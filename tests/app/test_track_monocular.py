@@ -104,7 +104,8 @@ def test_interrupted_and_resumed_is_the_same(
 def test_without_smoothing_the_motion_is_the_best_mode(tiny, clicks, tracked, tmp_path, hypose) -> None:
     out = tmp_path / "results"
     arguments = ("track", tiny, *MONO, "--start", clicks, "--subject", tracked, "--out", out, "--no-overlay")
-    assert hypose(*arguments, "--formats", "trc", "--no-smooth", "--floor", "none")[0] == 0
+    assert hypose(*arguments, "--formats", "trc", "--no-smooth", "--floor", "0")[0] == 0
+    assert "stand on a floor at z = 0 m" in (out / "report.html").read_text()
     motion, modes = load_motion(out / "motion.npz"), load_modes(out / "modes.npz")
     np.testing.assert_allclose(modes.joints[:, 0], motion.joints, atol=1e-6)
 
@@ -120,7 +121,7 @@ def test_without_smoothing_the_motion_is_the_best_mode(tiny, clicks, tracked, tm
         (MONO, "has no key points and no clicks were given"),
         ((*MONO, "--start", "t"), "--start t is no file of clicked joints"),
         ((*MONO, "--evidence", "keypoints"), "has no key points; add keypoints"),
-        ((*MONO, "--floor", "low"), "There is no --floor low; give auto, none or its height"),
+        ((*MONO, "--floor", "low"), "'low' is not a valid float"),
     ],
 )
 def test_what_does_not_go_is_said_in_a_sentence(tiny, tmp_path, hypose, arguments, sentence) -> None:
