@@ -42,6 +42,7 @@ def write_mono_overlay(
 ) -> dict[int, Image]:
     """Draw the motion and its modes over the one camera's pictures; returns the pictures of the rows in `stills`. With
     video=False only those are drawn and no file is written."""
+    assert motion.poses is not None
     view, camera = recording.views[0], recording.rig[0]
     rows = range(len(motion)) if video else sorted(set(stills))
     kept: dict[int, Image] = {}

@@ -43,6 +43,8 @@ def solve_clip(
             progress("smooth", len(found), total - 1)
             found.append(modes_of(tracker.body, estimate))
         back = stored.joined([*reversed(found), _last_of(modes)])
+        # the way there saw the first picture without flow, so its costs are of another kind
+        back.costs[0] = modes.costs[0, 0]
         progress("smooth", total - 1, total - 1)
     poses, covariances = together(_arrays(modes), _arrays(back), motion.frame_rate)
     body = tracker.body

@@ -121,7 +121,7 @@ def test_without_smoothing_the_motion_is_the_best_mode(tiny, clicks, tracked, tm
         (MONO, "has no key points and no clicks were given"),
         ((*MONO, "--start", "t"), "--start t is no file of clicked joints"),
         ((*MONO, "--evidence", "keypoints"), "has no key points; add keypoints"),
-        ((*MONO, "--floor", "low"), "'low' is not a valid float"),
+        ((*MONO, "--floor", "low"), "Invalid value for '--floor'"),
     ],
 )
 def test_what_does_not_go_is_said_in_a_sentence(tiny, tmp_path, hypose, arguments, sentence) -> None:
