@@ -156,10 +156,11 @@ export function readBundle(buffer: ArrayBuffer): ViewData {
 
 /** Root mean square over the axes of covariances (N, 6), xx xy xz yy yz zz. */
 function perAxis(covariance: Float32Array): Float32Array {
-  const at = (k: number) => covariance[k]!;
-  return Float32Array.from({ length: covariance.length / 6 }, (_, i) =>
-    Math.sqrt((at(6 * i) + at(6 * i + 3) + at(6 * i + 5)) / 3),
-  );
+  const sd = new Float32Array(covariance.length / 6);
+  for (let i = 0; i < sd.length; i++) {
+    sd[i] = Math.sqrt((covariance[6 * i]! + covariance[6 * i + 3]! + covariance[6 * i + 5]!) / 3);
+  }
+  return sd;
 }
 
 /** Stretches of frames [first, last] with the same flag other than 0. */
