@@ -167,7 +167,7 @@ export class Plot {
           },
         },
         axes: [
-          { ...axis, size: 20, gap: 2, space: 60, values: (_, at, __, ___, step) => at.map((t) => this.timeText(t, step)) },
+          { ...axis, size: 22, gap: 5, space: 60, values: (_, at, __, ___, step) => at.map((t) => this.timeText(t, step)) },
           { ...axis, size: 40, gap: 4, space: 22 },
         ],
         series: [
