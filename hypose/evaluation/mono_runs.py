@@ -86,15 +86,10 @@ def track_scene(
     return _frame_after_frame(scene, list(_follow(scene, tracker, frames)))
 
 
-def solve_scene(
-    scene: MonoScene,
-    settings: MonoSettings,
-    images: Sequence[Image],
-    *,
-    keypoints: bool = False,
-) -> tuple[MonoRun, MonoRun]:
-    """The same, and the clip solved as a whole (hypose.monocular.clip), whose seconds are those of both passes."""
-    tracker, frames = _tracker_and_frames(scene, settings, images, keypoints)
+def solve_scene(scene: MonoScene, settings: MonoSettings, images: Sequence[Image]) -> tuple[MonoRun, MonoRun]:
+    """The same without points, and the clip solved as a whole (hypose.monocular.clip), whose seconds are those of both
+    passes."""
+    tracker, frames = _tracker_and_frames(scene, settings, images)
     there = list(_follow(scene, tracker, frames))
     n = len(there)
     way_back = backwards(
@@ -118,7 +113,7 @@ def solve_scene(
 
 
 def _tracker_and_frames(
-    scene: MonoScene, settings: MonoSettings, images: Sequence[Image], keypoints: bool
+    scene: MonoScene, settings: MonoSettings, images: Sequence[Image], keypoints: bool = False
 ) -> tuple[MonoTracker, list[MonoFrame]]:
     frames = []
     for i, image in enumerate(images):

@@ -5,7 +5,7 @@ import pytest
 
 from hypose.evaluation.benchmarks import BenchOptions
 from hypose.evaluation.mono_benchmarks import ABLATIONS, ARM, BODY, mono_arm
-from hypose.evaluation.mono_runs import KEPT_FRAMES, MonoRun, pictures, track_scene
+from hypose.evaluation.mono_runs import KEPT_FRAMES, MonoRun, pictures, solve_scene, track_scene
 from hypose.evaluation.mono_scenes import arm_scene
 
 
@@ -45,11 +45,19 @@ def test_an_arm_is_followed_for_a_moment() -> None:
     assert got.mean < 0.08
     assert got.inside.shape == got.errors.shape
     assert (got.oracle <= got.errors.mean(1) + 1e-9).all()
-    again = track_scene(scene, ARM, pictures(scene, 0.4))
+    again, whole = solve_scene(scene, ARM, pictures(scene, 0.4))
     np.testing.assert_array_equal(got.errors, again.errors)
+    assert whole.errors.shape == got.errors.shape
+    assert whole.mean < 0.08
 
 
 @pytest.mark.slow
 def test_the_arm_benchmark_names_its_rows() -> None:
     rows = mono_arm(BenchOptions(quick=True, seeds=1, first_seed=101)).rows
-    assert {r.case for r in rows if r.metric == "kept_track"} == {"robust_3", "robust_1", "gaussian_1"}
+    assert {r.case for r in rows if r.metric == "kept_track"} == {
+        "robust_3",
+        "robust_1",
+        "gaussian_1",
+        "robust_3/whole_clip",
+        "robust_1/whole_clip",
+    }
