@@ -17,15 +17,14 @@ import { chromium } from "playwright-core";
 const address = process.env.STUDIO ?? "http://127.0.0.1:8765/";
 const folder = process.env.FOLDER ?? "";
 const pictures = process.env.PICTURES ?? ".";
-// The wrapper in /usr/bin of Debian prints warnings; software drawing, because a test machine has no display. Every
+// The wrapper in /usr/bin of Debian prints warnings. As a browser is on a computer without a graphics card: it composes
+// pages itself, and draws WebGL with SwiftShader, which has to be allowed. (SwiftShader passed off as a graphics card,
+// --use-gl=angle --ignore-gpu-blocklist, would also have to compose every page, at ten times the cost of a picture.) Every
 // host but this one is unknown to the browser.
 const program = process.env.CHROMIUM ?? "/usr/lib/chromium/chromium";
 const flags = [
   "--no-sandbox",
-  "--use-gl=angle",
-  "--use-angle=swiftshader",
   "--enable-unsafe-swiftshader",
-  "--ignore-gpu-blocklist",
   "--disable-background-networking",
   "--autoplay-policy=no-user-gesture-required",
   "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1",
