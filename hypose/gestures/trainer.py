@@ -50,7 +50,7 @@ def balanced(gestures: Sequence[float], others: Sequence[float]) -> float:
     return float(max(level, _LEAST * usual) ** (1 - _TOWARDS) * usual**_TOWARDS)
 
 
-_ONE_IN, _TOWARDS, _LEAST = 10, 0.3, 0.1
+_ONE_IN, _TOWARDS, _LEAST = 10, 0.3, 0.1  # chosen on people of whom no figure is reported
 KEPT = 16
 """Frames that show the gesture that are kept to find the threshold in the end."""
 
@@ -123,10 +123,11 @@ class Trainer:
         the threshold is found from change as in a live session. None when no usable surface is at the pixel `at`."""
         learner, shows = self.learner, kind == "gesture"
         look = learner.settings.look
-        found = () if mine else localise(depth, lens, [learner.forest], look, learner.scratch)
+        # as hard negatives do, before it is learned
+        found = None if mine else localise(depth, lens, [learner.forest], look, learner.scratch)[0]
         taught = learner.show(depth, lens, 1, *at, mine=mine) if shows else learner.reject(depth, lens, mine=mine)
         if taught is not None:
-            score = (taught.maxima or found)[0].score
+            score = (found or taught.maxima[0]).score
             session = replace(self.session, phase="positive" if shows else "negative")
             self.session = observe(session, self.settings, score)
             if shows:
