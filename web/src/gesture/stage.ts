@@ -129,6 +129,8 @@ export class DepthStage {
       g.fillStyle = "#0c0f16";
       g.fillRect(0, 0, w, h);
     }
+    // its cells are larger than pixels, and to smooth them costs a processor more than all the rest
+    g.imageSmoothingEnabled = !drawnBySoftware();
     if (this.map && this.showMap) g.drawImage(this.map, 0, 0, w, h);
     if (this.step) this.drawStep(this.step, 1 / this.scale);
     if (this.undrawn) this.drawn++;
