@@ -64,8 +64,9 @@ export class Trainer {
   }
 
   /** Shows the state as it is, in the next frame: text, picture and plot at once, since every frame in which anything
-   * changes costs a browser without a graphics card the whole page. */
+   * changes has its price. A page that is hidden has no frames, but its tones go on. */
   later(): void {
+    if (document.hidden) return this.show();
     this.waiting ||= requestAnimationFrame(() => {
       this.waiting = 0;
       this.show();
