@@ -57,15 +57,17 @@ class BoardPainter:
         homography = self.camera.K @ camera_from_board[:3, [0, 1, 3]] @ board_from_sheet(self.board)
         fine = cv2.resize(self._ideal[y0:y1, x0:x1], None, fx=_FINE, fy=_FINE, interpolation=cv2.INTER_LINEAR)
         at = cv2.perspectiveTransform(np.asarray(fine), np.linalg.inv(homography))
-        covered = ((at > -0.5) & (at < (w - 0.5, h - 0.5))).all(-1).astype(np.float32)
+        covered = np.asarray(((at > -0.5) & (at < (w - 0.5, h - 0.5))).all(-1), dtype=np.float32)
         front = float(camera_from_board[:3, 2] @ camera_from_board[:3, 3]) > 0  # its z points into it
-        seen = cv2.remap(self._sheet, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        x, y = (np.ascontiguousarray(at[..., k], dtype=np.float32) for k in range(2))
+        seen = cv2.remap(self._sheet, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         normal = world_from_board[:3, 2] * (-1 if front else 1)
         light = 0.6 + 0.4 * max(0.0, float(normal @ LIGHT))
-        grey = light * (np.asarray(seen) if front else np.full_like(covered, 120.0))
+        grey = np.asarray(seen if front else np.full_like(covered, 120.0), dtype=np.float32)
+        lit = covered * grey * np.float32(light)
         size = (x1 - x0, y1 - y0)
         part = cv2.resize(covered, size, interpolation=cv2.INTER_AREA)[..., None]
-        tone = cv2.resize(covered * grey, size, interpolation=cv2.INTER_AREA)[..., None]
+        tone = cv2.resize(lit, size, interpolation=cv2.INTER_AREA)[..., None]
         picture[y0:y1, x0:x1] = (1 - part) * picture[y0:y1, x0:x1] + tone
 
     @cached_property
