@@ -23,6 +23,7 @@ from hypose import compute
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row
 from hypose.evaluation.long_commands import LongCommand, long_commands
 from hypose.evaluation.programs import fork
+from hypose.pipeline.chunked import FOLDER as CHUNKS
 
 _VARIES = {"provenance.json", "report.html", "task.json", "results.csv", "results.html"}
 """Files that tell of the run itself: times, attempts, the command."""
@@ -118,7 +119,9 @@ def kill_once(
         return  # always over before its time
     wanted = _contents(reference)
     tally.kills += 1
-    tally.begun += any(out.rglob("checkpoint.npz"))
+    tally.begun += any(
+        p.name == "checkpoint.npz" or (p.parent.name == CHUNKS and p.stem.isdigit()) for p in out.rglob("*.npz")
+    )
     after = _contents(out)
     damaged = [p for p in after if not _whole(out / p, after[p], wanted.get(p))]
     gone = [p for p in wanted if over_old and p not in after]

@@ -22,7 +22,7 @@ from hypose.evaluation.write_recording import write_scene
 from hypose.io.files import write_text
 from hypose.io.results import load_motion
 
-_FRAMES = 80  # track keeps its state every 25 frames, with one camera every 50
+_FRAMES, _FILMED = 240, 80  # track keeps its state every 25 frames, with one camera every 50
 _CLICKED = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 
 
@@ -100,7 +100,7 @@ def _run(*arguments: str | int | Path) -> None:
 def _filmed(folder: Path) -> Path:
     """A recording with videos and key points, and the true joints of its first picture of cam2 as clicks."""
     cameras = rig("humaneva-4", distorted=True).scaled(0.25)
-    scene = make_scene("walk", "neutral", cameras, seconds=_FRAMES / 25, seed=3)
+    scene = make_scene("walk", "neutral", cameras, seconds=_FILMED / 25, seed=3)
     write_scene(scene, folder, background_frames=10, keypoints=True)
     names = [*(f"{side}_{part}" for side in ("left", "right") for part in _CLICKED), "neck", "head"]
     at = cameras[1].project(scene.joints[0])
