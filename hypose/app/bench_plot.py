@@ -21,7 +21,8 @@ from hypose.io.results import atomic_path
 
 ENDINGS = (".png", ".svg", ".pdf")
 _WIDTH, _HEIGHT, _DPI = 4.6, 2.8, 90
-_MOST_CASES = 40
+_MOST_CASES = 90
+_MOST_LETTERS = 60  # of the names of groups that fit side by side
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,8 @@ def _bars(
     colours: Mapping[str, str],
     line: float | None,
 ) -> None:
-    rows = [r for r in rows[:_MOST_CASES] if np.isfinite(r["value"])]
+    known = [r for r in rows if np.isfinite(r["value"])]
+    rows = known[:_MOST_CASES]
     places = grouped([r["case"] for r in rows], plain)
     series = list(dict.fromkeys(s for s, _ in places.values()))
     groups = list(dict.fromkeys(g for _, g in places.values()))
@@ -117,7 +119,11 @@ def _bars(
     if line is not None:
         axis.axhline(line, color="#222222", lw=0.8, ls="--")
     axis.set_xticks(range(len(groups)), groups if len(groups) > 1 else [""])
+    if sum(map(len, groups)) > _MOST_LETTERS:
+        axis.tick_params(axis="x", labelrotation=90)
     axis.set_ylim(bottom=0)
     unit = rows[0]["unit"] if rows else ""
-    axis.set_title(metric if unit == "1" or metric.endswith(f"_{unit}") else f"{metric} ({unit})", fontsize=9)
+    title = metric if unit == "1" or metric.endswith(f"_{unit}") else f"{metric} ({unit})"
+    left_out = f", first {len(rows)} of {len(known)}" if len(rows) < len(known) else ""
+    axis.set_title(title + left_out, fontsize=9)
     axis.grid(axis="x", visible=False)
