@@ -202,6 +202,13 @@ class Skeleton:
         rows = np.cross(s[None, :, :3], centres[:, None]) + s[None, :, 3:]
         return np.swapaxes(np.where(self.moves.T[..., None], rows, 0.0), 1, 2)
 
+    def joint_covariances(self, pose: ArrayLike, covariance: ArrayLike) -> Array:
+        """(J, 3, 3) m^2 of the joint centres for a pose (D,) with covariance (D, D), to first order."""
+        jacobian = self.joint_jacobians(pose)
+        # einsum, not @: threaded BLAS costs more than matrices of this size
+        half = np.einsum("jad,de->jae", jacobian, np.asarray(covariance, dtype=np.float64))
+        return np.einsum("jae,jbe->jab", half, jacobian)
+
     def clamp(self, poses: ArrayLike) -> Array:
         """Poses (..., D) moved into the joint limits."""
         return np.clip(np.asarray(poses, dtype=np.float64), self.lower, self.upper)

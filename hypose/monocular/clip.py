@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.body.body import Body
 from hypose.geometry import Array, nearest_branch
 from hypose.monocular.evidence import grey
 from hypose.monocular.tracker import MonoTracker
@@ -92,9 +91,12 @@ def summed_up(modes: Modes, near: Array | None = None) -> tuple[Array, Array]:
     reference = poses[:, 0] if near is None else near
     poses[..., 3:6] = nearest_branch(poses[..., 3:6], np.repeat(reference[:, None, 3:6], poses.shape[1], axis=1))
     mean = np.einsum("tk,tkd->td", weights, poses)
-    off = poses - mean[:, None]
-    covariances = np.where(seen[..., None, None], modes.covariances, 0.0)
-    return mean, np.einsum("tk,tkde->tde", weights, covariances + off[..., :, None] * off[..., None, :])
+    whole = np.zeros((*mean.shape, mean.shape[1]))
+    for k in range(poses.shape[1]):  # mode by mode: all at once would take gigabytes for a long clip
+        off = poses[:, k] - mean
+        own = np.where(seen[:, k, None, None], modes.covariances[:, k], 0.0)
+        whole += weights[:, k, None, None] * (own + off[:, :, None] * off[:, None, :])
+    return mean, whole
 
 
 def information(covariances: ArrayLike, active: NDArray[np.int64], settings: WholeClip | None = None) -> Array:
@@ -106,13 +108,4 @@ def information(covariances: ArrayLike, active: NDArray[np.int64], settings: Who
     out[:, held, held] = _HELD
     rows, columns = np.ix_(active, active)
     out[:, rows, columns] = np.linalg.inv(o.widening * given[:, rows, columns])
-    return out
-
-
-def joint_covariances(body: Body, poses: Array, covariances: Array) -> Array:
-    """(T, J, 3, 3) m^2 of the joint centres at poses (T, D) with covariances (T, D, D)."""
-    out = np.empty((len(poses), len(body.skeleton.joint_names), 3, 3))
-    for t, (pose, covariance) in enumerate(zip(poses, covariances, strict=True)):
-        jacobian = body.skeleton.joint_jacobians(pose)
-        out[t] = np.einsum("jad,de,jbe->jab", jacobian, covariance, jacobian, optimize=True)
     return out

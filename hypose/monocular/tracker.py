@@ -105,7 +105,7 @@ class MonoTracker:
         posterior = self._with_covariances(modes)
         none = np.zeros((len(following), *posterior.covariances.shape[1:]))
         counts = solutions[best].counts if best < len(solutions) else solutions[0].counts
-        covariance = self.joint_covariances(posterior.poses[0], posterior.covariances[0])
+        covariance = self.body.skeleton.joint_covariances(posterior.poses[0], posterior.covariances[0])
         clock.append(self.clock())
         estimate = self._estimate(posterior, covariance, counts, StageTimes(*np.diff(clock).tolist()))
         return MonoState(state.frames + 1, as_hypotheses(following, none), now), estimate
@@ -125,14 +125,6 @@ class MonoTracker:
             for k, s in enumerate(solutions)
         ]
         return self._with_covariances(sorted(found, key=lambda c: c.cost))
-
-    def joint_covariances(self, pose: Array, covariance: Array) -> Array:
-        """(J, 3, 3) m^2 of the joint centres in the world for a pose (D,) with covariance (D, D)."""
-        jacobian = self.body.skeleton.joint_jacobians(pose)[:, :, self._fixed.model.active]
-        active = self._fixed.model.active
-        # einsum, not @: threaded BLAS costs more than matrices of this size
-        half = np.einsum("jad,de->jae", jacobian, covariance[np.ix_(active, active)])
-        return np.einsum("jae,jbe->jab", half, jacobian)
 
     @cached_property
     def _fixed(self) -> Fixed:

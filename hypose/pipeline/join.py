@@ -136,7 +136,7 @@ def _between(body: Body, a: FrameEstimate, b: FrameEstimate, share: float) -> Fr
     """The pose and what is known of it by shares (0: a, 1: b), everything else of the nearer one."""
     step = body.skeleton.on_branch(b.pose, a.pose) - a.pose
     u, v = a.uncertainty, b.uncertainty
-    around = (1 - share) * u.joint_covariance + share * v.joint_covariance
+    around = ((1 - share) * u.joint_covariance + share * v.joint_covariance).astype(np.float32)
     known = ((1 - share) * u.information + share * v.information).astype(np.float32)
     return replace(b if share > 0.5 else a, pose=a.pose + share * step, uncertainty=PoseUncertainty(around, known))
 

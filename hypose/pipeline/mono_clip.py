@@ -10,15 +10,15 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.io import modes as stored
-from hypose.monocular.clip import Modes, WholeClip, backwards, information, joint_covariances, together
+from hypose.monocular.clip import Modes, WholeClip, backwards, information, together
 from hypose.monocular.models import body_dofs
 from hypose.monocular.tracker import MonoTracker
 from hypose.monocular.types import MonoEstimate, MonoFrame, MonoHypotheses, posterior_arrays
 from hypose.pipeline.track_loop import Progress
 from hypose.tracking.smoothing import smooth_poses
 
-_AHEAD = 100
-"""Frames that are read forwards and kept, so that no video is decoded backwards."""
+_AHEAD_BYTES = 250_000_000
+"""Of pictures that are read forwards and kept, so that no video is decoded backwards."""
 _BACK = 1
 """Beside the seed: the stream of random numbers of the way back."""
 
@@ -52,8 +52,8 @@ def solve_clip(
     known = information(covariances, active) * ~motion.lost[:, None, None]
     if total > 2 and not motion.lost.all():
         poses = smooth_poses(body, poses, known, motion.frame_rate, WholeClip().motion)
-    around = joint_covariances(body, poses, covariances).astype(np.float32)
-    return replace(motion, poses=poses, joints=body.joints(poses), joint_covariance=around)
+    around = np.stack([body.skeleton.joint_covariances(q, c) for q, c in zip(poses, covariances, strict=True)])
+    return replace(motion, poses=poses, joints=body.joints(poses), joint_covariance=around.astype(np.float32))
 
 
 def modes_of(body: Body, estimate: MonoEstimate) -> stored.Modes:
@@ -77,8 +77,10 @@ def _read_ahead(frame: Callable[[int], MonoFrame]) -> Callable[[int], MonoFrame]
 
     def at(index: int) -> MonoFrame:
         if index not in kept:
+            size = next(iter(kept.values())).image.nbytes if kept else frame(index).image.nbytes
             kept.clear()
-            kept.update({i: frame(i) for i in range(max(0, index - _AHEAD + 1), index + 1)})
+            ahead = max(1, _AHEAD_BYTES // size)
+            kept.update({i: frame(i) for i in range(max(0, index - ahead + 1), index + 1)})
         return kept[index]
 
     return at

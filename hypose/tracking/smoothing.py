@@ -103,8 +103,7 @@ def gap_covariance(
         assert covariance is not None
         spread = np.zeros((n, *out.shape[1:]))
         for t in np.flatnonzero(blind[part]):
-            g = body.skeleton.joint_jacobians(poses[part.start + t])
-            spread[t] = g @ covariance[t] @ g.swapaxes(1, 2)
+            spread[t] = body.skeleton.joint_covariances(poses[part.start + t], covariance[t])
         return spread
 
     return in_windows(out, settings, solve)

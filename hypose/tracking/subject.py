@@ -8,6 +8,7 @@ Source: Alcoverro 2014, section 2.3 (entities, grouped symmetrically); the fitti
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -88,7 +89,8 @@ def subject_from_keypoints(
     for _ in range(rounds):
         _solve_frames(deformed, points_world, model, chosen, poses)
         local = _in_joint_frames(deformed, points_world, model, poses)
-        with np.errstate(all="ignore"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # a key point never seen: no median, no shift
             shift = np.nan_to_num(np.nanmedian(local[chosen], axis=0) - base)
         length = np.linalg.norm(shift, axis=1, keepdims=True)
         offset = base + shift * np.minimum(1, limit[:, None] / np.maximum(length, 1e-9))

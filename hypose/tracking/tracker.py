@@ -88,14 +88,14 @@ class FrameEstimate:
 @dataclass(frozen=True)
 class TrackerState:
     """What the next frame needs. frames: frames done; pose, previous (D,); joint_covariance (J, 3, 3) m^2;
-    usual_iou: running mean of
-    the IoU while not lost (NaN before the first); blind: frames since the last evidence; lost: in the last frame."""
+    usual_iou: running mean of the IoU while not lost (NaN before the first); blind: frames since the last evidence;
+    lost: in the last frame."""
 
     frames: int
     hypotheses: Hypotheses
     pose: Array
     previous: Array
-    joint_covariance: Array
+    joint_covariance: NDArray[np.float32]
     usual_iou: float
     blind: int
     lost: bool
@@ -148,7 +148,8 @@ class Tracker:
         rng = stream(self.settings.seed, 0, START)
         noise = rng.standard_normal((self.particles, s.dof)) * 0.5 * step_sigma(s, self.settings.frame_rate)
         h = Hypotheses.uniform(s.clamp(pose + noise))
-        return TrackerState(0, h, pose, pose, np.full((len(s.joint_names), 3, 3), np.nan), float("nan"), 0, False)
+        unknown = np.full((len(s.joint_names), 3, 3), np.nan, np.float32)
+        return TrackerState(0, h, pose, pose, unknown, float("nan"), 0, False)
 
     def step(self, state: TrackerState, frame: Frame) -> tuple[TrackerState, FrameEstimate]:
         """One frame: predict, search, judge, and recover when lost."""
@@ -250,8 +251,8 @@ class Tracker:
         s = self.body.skeleton
         blind = state.blind + 1
         # what moved on unseen may have moved by its usual step: the variance of a random walk
-        growth = _step_covariance(self.body, prediction, step_sigma(s, self.settings.frame_rate))
-        covariance = np.nan_to_num(state.joint_covariance, nan=0.0) + growth
+        growth = s.joint_covariances(prediction, np.diag(step_sigma(s, self.settings.frame_rate) ** 2))
+        covariance = (np.nan_to_num(state.joint_covariance, nan=0.0) + growth).astype(np.float32)
         lost = state.lost or blind > self.settings.extrapolate * self.settings.frame_rate
         h = replace(state.hypotheses, values=s.clamp(state.hypotheses.values + velocity))
         following = TrackerState(state.frames + 1, h, prediction, state.pose, covariance, state.usual_iou, blind, lost)
@@ -261,12 +262,6 @@ class Tracker:
         if (result.weighted.label == REFINED).any():
             return uncertainty_of_pose(self.body, pose, prepared)
         return uncertainty_of_set(self.body, result.weighted)
-
-
-def _step_covariance(body: Body, pose: Array, sigma: Array) -> Array:
-    """(J, 3, 3) m^2 at a pose (D,): covariance of each joint's motion when every coordinate moves by its sigma (D,)."""
-    steps = body.skeleton.joint_jacobians(pose) * sigma
-    return steps @ steps.swapaxes(1, 2)
 
 
 def _mean_iou(body: Body, pose: Array, prepared: PreparedFrame) -> float:

@@ -37,9 +37,9 @@ _SET_FLOOR = 0.02
 class PoseUncertainty:
     """joint_covariance (J, 3, 3) m^2 of the joint centres. information (D (D + 1) / 2,): what the frame by itself
     says of the pose, an inverse covariance (its lower triangle) without the pull to the prediction, for solving whole
-    clips; zero: nothing. In float32, since long recordings have many frames."""
+    clips; zero: nothing. Both in float32, since long recordings have many frames."""
 
-    joint_covariance: Array
+    joint_covariance: NDArray[np.float32]
     information: NDArray[np.float32]
 
 
@@ -57,13 +57,13 @@ def uncertainty_of_pose(body: Body, pose: Array, frame: PreparedFrame) -> PoseUn
     return PoseUncertainty(joint_covariance_of(body, pose, hessian, evidence), packed(information))
 
 
-def joint_covariance_of(body: Body, pose: Array, hessian: Array, evidence: str) -> Array:
+def joint_covariance_of(body: Body, pose: Array, hessian: Array, evidence: str) -> NDArray[np.float32]:
     """(J, 3, 3) m^2: covariances of the joint centres at a solved pose (D,) from the cost's Hessian (D, D) there;
     evidence: what the cost was made of, one of CURVATURE_FACTOR."""
     factors = CURVATURE_FACTOR[evidence]
     factor = np.array([factors[joint_group(name)] for name in body.skeleton.joint_names])
     curvature = compute.joint_covariances(pose, body.skeleton.tree, hessian)
-    return factor[:, None, None] ** 2 * curvature + FLOOR**2 * np.eye(3)
+    return (factor[:, None, None] ** 2 * curvature + FLOOR**2 * np.eye(3)).astype(np.float32)
 
 
 def joint_group(name: str) -> str:
@@ -83,10 +83,10 @@ def uncertainty_of_set(body: Body, h: Hypotheses) -> PoseUncertainty:
     around = np.einsum("n,nja,njb->jab", h.weights, apart, apart) + FLOOR**2 * np.eye(3)
     off = h.values - h.weights @ h.values
     covariance = np.einsum("n,nd,ne->de", h.weights, off, off) + _SET_FLOOR**2 * np.eye(off.shape[1])
-    return PoseUncertainty(around, packed(np.linalg.inv(covariance)))
+    return PoseUncertainty(around.astype(np.float32), packed(np.linalg.inv(covariance)))
 
 
-def nothing_known(joint_covariance: Array, dof: int) -> PoseUncertainty:
+def nothing_known(joint_covariance: NDArray[np.float32], dof: int) -> PoseUncertainty:
     """Of a frame without evidence, whose joints are known to joint_covariance (J, 3, 3) from the frames before."""
     return PoseUncertainty(joint_covariance, packed(np.zeros((dof, dof))))
 

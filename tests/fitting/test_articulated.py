@@ -305,7 +305,9 @@ def test_covariances_of_joints_are_those_of_the_pose(rng):
     found = compute.joint_covariances(pose, SKELETON.tree, hessian, 0.0)
     jacobians = SKELETON.joint_jacobians(pose)
     covariance = np.linalg.inv(hessian)
-    np.testing.assert_allclose(found, jacobians @ covariance @ jacobians.swapaxes(1, 2), rtol=1e-7, atol=1e-12)
+    wanted = jacobians @ covariance @ jacobians.swapaxes(1, 2)
+    np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-12)
+    np.testing.assert_allclose(SKELETON.joint_covariances(pose, covariance), wanted, rtol=1e-7, atol=1e-12)
 
 
 def test_evidence_for_tracking_gives_the_same_cost_near_the_person(rig):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hypose.body.models import human
-from hypose.monocular.clip import Modes, WholeClip, backwards, information, joint_covariances, summed_up, together
+from hypose.monocular.clip import Modes, WholeClip, backwards, information, summed_up, together
 from hypose.monocular.models import body_dofs
 from hypose.monocular.settings import MonoSettings
 from hypose.monocular.tracker import MonoTracker
@@ -67,14 +67,6 @@ def test_only_what_is_estimated_is_known_from_the_frames():
     assert known[0, 0] == known[3, 3] > 1e6
     assert not known[0, 1:].any()
     assert not known[3, :3].any()
-
-
-def test_spread_of_the_joints_is_that_of_the_pose():
-    body = human()
-    covariance = np.zeros((1, body.skeleton.dof, body.skeleton.dof))
-    covariance[0, :3, :3] = 0.02**2 * np.eye(3)
-    found = joint_covariances(body, body.skeleton.rest_pose()[None], covariance)[0]
-    np.testing.assert_allclose(found, np.tile(0.02**2 * np.eye(3), (len(found), 1, 1)), atol=1e-12)
 
 
 def test_the_way_back_finds_the_way_back():

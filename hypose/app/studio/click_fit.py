@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hypose import compute
 from hypose.body.body import Body
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import InputError
@@ -136,7 +137,7 @@ def fit_clicks(
     starts = [start] if start is not None else _starts(body, clicks, joint, offset, scale)
     fits = sorted((solve(q) for q in starts), key=lambda f: f.cost)
     best = fits[0]
-    covariance = _joint_covariance(body, best)
+    covariance = compute.joint_covariances(best.pose, body.skeleton.tree, best.hessian, 1e-6)
     rivals = tuple((f.pose, float(f.cost - best.cost)) for f in fits[1:]) if single and start is None else ()
     expected, residual = _residuals(body, best.pose, clicks, joint, offset)
     depth_sd = None
@@ -210,13 +211,6 @@ def _starts(body: Body, clicks: Clicks, joint: NDArray[np.int64], offset: Array,
     n = len(joint)
     points = MonoPoints(clicks.uv[most], clicks.weight[most], joint, offset, np.full(n, scale))
     return list(rival_poses(body, clicks.rig[most], points, body_dofs(body.skeleton), _RIVALS))
-
-
-def _joint_covariance(body: Body, fit: PoseFit) -> Array:
-    """(J, 3, 3) m^2 from the curvature of the cost at the solution."""
-    hessian = fit.hessian + 1e-6 * np.eye(len(fit.pose))
-    slopes = body.skeleton.joint_jacobians(fit.pose)
-    return slopes @ np.linalg.solve(hessian, np.swapaxes(slopes, 1, 2))
 
 
 def _residuals(body: Body, pose: Array, clicks: Clicks, joint: NDArray[np.int64], offset: Array) -> tuple[Array, Array]:
