@@ -25,6 +25,7 @@ TITLES = {
     "detect": "Key points",
     "subject": "Subject",
     "track": "Track",
+    "look behind": "Front and back",
     "smooth": "Smooth",
     "export": "Export",
     "overlay": "Overlay video",

@@ -24,6 +24,7 @@ from hypose.geometry import Array
 from hypose.io.bodies import load_body, save_body
 from hypose.io.files import write_text
 from hypose.pipeline.subject_checks import check_borders, check_named_pose, check_size, check_start
+from hypose.pipeline.turned_back import turn_back
 from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.evidence import PreparedFrame, prepare
 from hypose.tracking.initialise import KNOWN_POSES, hull_of, start_from_hull
@@ -31,7 +32,7 @@ from hypose.tracking.recipes import default
 from hypose.tracking.refinement import refine
 from hypose.tracking.shape_refinement import Known, ShapeOptions, refine_shape
 from hypose.tracking.subject import scaled_to_height
-from hypose.tracking.tracker import Tracker, TrackerSettings
+from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings
 
 FrameAt = Callable[[int], Frame]
 Progress = Callable[[int, int], None]
@@ -217,12 +218,14 @@ def _both_ways(
     options: AnthropometryOptions,
     tick: Callable[[], None],
 ) -> tuple[Array, Array]:
-    """`_follow` forwards and backwards from frame `at`, in the order of the frames."""
-    poses, iou = _follow(body, start, frames[at:], rate, options, tick)
-    if at == 0:
-        return poses, iou
-    earlier, earlier_iou = _follow(body, poses[0], frames[at - 1 :: -1], rate, options, tick)
-    return np.concatenate([earlier[::-1], poses]), np.concatenate([earlier_iou[::-1], iou])
+    """(T, D) poses and (T,) IoU of the frames, tracked with few particles forwards and backwards from frame `at`, in
+    the order of the frames; mended where the body was turned around."""
+    recipe, particles = default(body, particles=options.particles, frame_rate=rate)
+    tracker = Tracker(body, recipe, particles, TrackerSettings(seed=options.seed, frame_rate=rate))
+    later = _follow(tracker, start, frames[at:], tick)
+    earlier = _follow(tracker, later[0].pose, frames[at - 1 :: -1], tick) if at else []
+    tracked, _ = turn_back(tracker, [*earlier[::-1], *later], lambda numbers: (frames[t] for t in numbers))
+    return np.stack([e.pose for e in tracked]), np.array([1 - e.cost for e in tracked])
 
 
 def hull_start(
@@ -253,25 +256,14 @@ def hull_start(
     return best[1], best[2], best[0]
 
 
-def _follow(
-    body: Body,
-    start: Array,
-    frames: Sequence[Frame],
-    rate: float,
-    options: AnthropometryOptions,
-    tick: Callable[[], None],
-) -> tuple[Array, Array]:
-    """(T, D) poses and (T,) IoU of the frames, tracked with few particles."""
-    recipe, particles = default(body, particles=options.particles, frame_rate=rate)
-    tracker = Tracker(body, recipe, particles, TrackerSettings(seed=options.seed, frame_rate=rate))
-    state = tracker.start(start)
-    poses, iou = [], []
+def _follow(tracker: Tracker, start: Array, frames: Sequence[Frame], tick: Callable[[], None]) -> list[FrameEstimate]:
+    """The frames tracked one after the other, the first from a pose (D,)."""
+    state, found = tracker.start(start), []
     for frame in frames:
         state, estimate = tracker.step(state, frame)
-        poses.append(estimate.pose)
-        iou.append(1 - estimate.cost)
+        found.append(estimate)
         tick()
-    return np.stack(poses), np.array(iou)
+    return found
 
 
 def different_poses(body: Body, poses: Array, iou: Array, count: int) -> list[int]:

@@ -128,7 +128,7 @@ class ChunkRun:
 
         joined, seams = join(subject.body, chunks, follow, done)
         joined = replace(joined, complete=chunks[-1].complete and done == total)
-        out = finish(subject, joined, self.frame_rate, self.options, self.results, self.record, progress)
+        out = finish(self.source, subject, joined, self.frame_rate, self.options, self.results, self.record, progress)
         if out.complete:
             shutil.rmtree(self.results.path / FOLDER, ignore_errors=True)
         return replace(out, notes=(*out.notes, *seam_notes(seams)))

@@ -14,11 +14,13 @@ from hypose.body.motion import Motion
 from hypose.errors import HyposeError, InputError
 from hypose.io.provenance import identity
 from hypose.io.results import ResultsFolder, save_motion
+from hypose.pipeline.colour_detections import tracked_frames
 from hypose.pipeline.doubts import with_doubts
 from hypose.pipeline.kept import SUBJECT, keep_subject, kept_subject
 from hypose.pipeline.keypoint_track import track_keypoints
 from hypose.pipeline.subject import Subject, SubjectOptions, find_subject
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
+from hypose.pipeline.turned_back import turn_back, turned_notes
 from hypose.tracking.recipes import recipe
 from hypose.tracking.smooth_motion import smooth_motion
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings, motion_of
@@ -110,7 +112,7 @@ def track_source(
         raise type(done.error)(
             f"{done.error} The {len(done.estimates)} frames before are kept in {results.path}; see --resume."
         ) from done.error
-    return finish(subject, done, frame_rate, options, results, record, report)
+    return finish(source, subject, done, frame_rate, options, results, record, report)
 
 
 def subject_of(
@@ -134,6 +136,7 @@ def subject_of(
 
 
 def finish(
+    source: FrameSource,
     subject: Subject,
     done: Tracked,
     frame_rate: float,
@@ -142,14 +145,23 @@ def finish(
     record: Mapping[str, Any] | None,
     progress: Progress,
 ) -> TrackResult:
-    """The motion of what was tracked, smoothed and written."""
-    motion, notes = _motion(subject, done.estimates, frame_rate, record), subject.notes
+    """The motion of what was tracked, stretches that were turned around mended, smoothed and written."""
+    estimates, notes = done.estimates, subject.notes
+    if done.complete:
+        progress("look behind", 0, 1)
+        tracker = tracker_of(subject, options, frame_rate)
+        estimates, turned = turn_back(
+            tracker, estimates, lambda frames: tracked_frames(source, frames, options.recipe, subject)
+        )
+        notes = (*notes, *turned_notes(turned))
+        progress("look behind", 1, 1)
+    motion = _motion(subject, estimates, frame_rate, record)
     if options.smooth and done.complete:
         progress("smooth", 0, 1)
-        smoothed = smooth_motion(subject.body, motion, np.stack([e.uncertainty.information for e in done.estimates]))
+        smoothed = smooth_motion(subject.body, motion, np.stack([e.uncertainty.information for e in estimates]))
         motion, notes = smoothed.motion, (*notes, *smoothed.notes)
         progress("smooth", 1, 1)
-    motion, doubts = with_doubts(motion, [e.seen for e in done.estimates])
+    motion, doubts = with_doubts(motion, [e.seen for e in estimates])
     return _written(TrackResult(motion, subject.body, done.complete, (*notes, *doubts)), results)
 
 

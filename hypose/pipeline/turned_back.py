@@ -1,0 +1,140 @@
+"""Stretches of a tracked clip in which the body was turned around, tracked again the right way round.
+
+While a person is tracked, the body turned around is compared with the tracked one twice a second
+(`FrameEstimate.turned`). Where it is the better one, tracking begins anew from it, forwards and backwards in time, as
+long as that explains the evidence better than before; frame by frame the better one is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hypose.body.body import Body
+from hypose.evidence.frame import Frame
+from hypose.geometry import Array
+from hypose.pipeline.doubts import what_was_seen
+from hypose.tracking.tracker import FrameEstimate, Tracker
+
+FrameRange = Callable[[range], Iterable[Frame]]
+"""The frames of a range of numbers, one after the other."""
+
+_GIVE_UP = 0.3
+"""Sum over frames of 1 - IoU that tracking anew may lie above its best before it is broken off."""
+_LEAST = 0.15
+"""Sum over frames of IoU that has to be won, about two thirds of a second of a body the right way round."""
+_UNDECIDED = 50
+"""Frames after its best after which it is broken off as well."""
+_MET_M, _MET_FRAMES = 0.02, 8
+"""m, frames: both tracks are one where their joints lie so near for so long."""
+_BLOCK = 25
+"""Frames read at once to go backwards: videos are read forwards."""
+
+
+def turn_back(
+    tracker: Tracker, estimates: Sequence[FrameEstimate], frames: FrameRange
+) -> tuple[list[FrameEstimate], list[range]]:
+    """The estimates of frames 0, 1, ... with those replaced that were turned around, and which these are."""
+    out = list(estimates)
+    tried, replaced = set[int](), set[int]()
+    while (at := _most_suspicious(out, tried)) is not None:
+        anew = _tracked_anew(tracker, out, at, frames)
+        if anew.won < _LEAST:
+            tried.update(anew.compared)  # what fits as well both ways is gone through once
+            continue
+        tried.add(at)
+        out[anew.first : anew.first + len(anew.better)] = anew.better
+        replaced.update(range(anew.first, anew.first + len(anew.better)))
+    return out, _runs(replaced)
+
+
+def turned_notes(replaced: Sequence[range]) -> tuple[str, ...]:
+    """A sentence for the user; none where nothing was turned around."""
+    if not replaced:
+        return ()
+    spans = ", ".join(f"{r.start}-{r.stop - 1}" for r in replaced)
+    return (f"the body had been turned around in frames {spans}; they were tracked again the other way round",)
+
+
+def _runs(frames: set[int]) -> list[range]:
+    """Frame numbers as ranges."""
+    ordered = sorted(frames)
+    first = [t for t in ordered if t - 1 not in frames]
+    return [range(a, b + 1) for a, b in zip(first, [t for t in ordered if t + 1 not in frames], strict=True)]
+
+
+def _most_suspicious(estimates: Sequence[FrameEstimate], tried: set[int]) -> int | None:
+    """The frame in which the body turned around is better by most; None when there is none left."""
+    better = [(e.turned, t) for t, e in enumerate(estimates) if e.turned > 0 and t not in tried]
+    return max(better)[1] if better else None
+
+
+@dataclass(frozen=True)
+class _Anew:
+    """won: sum over frames of 1 - IoU by which the estimates `better`, from frame `first` on, lie below the old ones;
+    compared: all frames that were tracked for it."""
+
+    first: int
+    better: list[FrameEstimate]
+    won: float
+    compared: range
+
+
+def _tracked_anew(tracker: Tracker, old: Sequence[FrameEstimate], at: int, frames: FrameRange) -> _Anew:
+    """What is won over the old estimates around frame `at`, from the body turned around there."""
+    start = tracker.turned_around(old[at].pose, next(iter(frames(range(at, at + 1)))))
+    ahead, back = range(at, len(old)), range(at - 1, -1, -1)
+    later, won, after = _while_better(tracker, start, old, ahead, _forwards(frames, at, len(old)))
+    earlier, won_earlier, before = _while_better(tracker, start, old, back, _backwards(frames, at))
+    compared = range(at - before, at + after)
+    return _Anew(at - len(earlier), [*earlier[::-1], *later], won + won_earlier, compared)
+
+
+def _while_better(
+    tracker: Tracker,
+    start: Array,
+    old: Sequence[FrameEstimate],
+    numbers: range,
+    frames: Iterable[tuple[Frame, Frame | None]],
+) -> tuple[list[FrameEstimate], float, int]:
+    """Estimates from the pose `start` (D,) on, up to the frame where most is won over the old ones, how much that is,
+    and how many frames were tracked."""
+    state, new = tracker.start(start), list[FrameEstimate]()
+    won = best = 0.0
+    kept = met = 0
+    for t, (frame, before) in zip(numbers, frames, strict=False):
+        state, estimate = tracker.step(state, frame)
+        new.append(replace(estimate, seen=what_was_seen(estimate, tracker.body, frame, before)))
+        won += float(np.nan_to_num(old[t].cost - estimate.cost))
+        if won > best:
+            best, kept = won, len(new)
+        met = met + 1 if _apart(tracker.body, old[t], estimate) < _MET_M else 0
+        if won < best - _GIVE_UP or len(new) - kept > _UNDECIDED or met >= _MET_FRAMES:
+            break
+    return new[:kept], best, len(new)
+
+
+def _forwards(frames: FrameRange, first: int, stop: int) -> Iterator[tuple[Frame, Frame | None]]:
+    """The frames first, first + 1, ... with the one before each."""
+    begin = max(0, first - 1)
+    before: Frame | None = None
+    for t, frame in zip(range(begin, stop), frames(range(begin, stop)), strict=True):
+        if t >= first:
+            yield frame, before
+        before = frame
+
+
+def _backwards(frames: FrameRange, stop: int) -> Iterator[tuple[Frame, Frame | None]]:
+    """The frames stop - 1, stop - 2, ..., 0 with the one before each."""
+    while stop > 0:
+        begin = max(0, stop - _BLOCK)
+        yield from list(_forwards(frames, begin, stop))[::-1]
+        stop = begin
+
+
+def _apart(body: Body, a: FrameEstimate, b: FrameEstimate) -> float:
+    """m, mean over the joints."""
+    joints = body.joints(np.stack([a.pose, b.pose]))
+    return float(np.linalg.norm(joints[0] - joints[1], axis=-1).mean())

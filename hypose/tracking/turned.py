@@ -1,0 +1,52 @@
+"""The body turned around: seen from behind a person has nearly the outline of the same person seen from the front.
+
+A tracker that has the two mixed up goes on following, limb by limb, on the wrong side: knees that cannot bend that way,
+feet that point backwards. Nothing it tries from there is right, since all limbs have to change at once. So the whole
+body is turned around in one step now and then, its limbs put where the other side's were, solved, and compared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hypose.body.body import Body
+from hypose.fitting.articulated import PointTerm, SolveOptions, fit_pose
+from hypose.geometry import Array, so3_exp, so3_log
+from hypose.tracking.costs import silhouette_iou
+from hypose.tracking.evidence import PreparedFrame
+from hypose.tracking.refinement import anatomical_prior, refine
+
+_TO_JOINTS = SolveOptions(iterations=30, coarse_iterations=15)
+_TO_MASKS = SolveOptions(iterations=12, coarse_iterations=8)
+
+
+def turned_around(body: Body, pose: Array) -> Array:
+    """(D,) the pose in which the body stands back to front and its joints, left and right exchanged, lie where those of
+    `pose` (D,) lie, as far as anatomy allows."""
+    s = body.skeleton
+    joints = body.joints(pose[None])[0]
+    wanted = joints[[s.joint(_other_side(name)) for name in s.joint_names]]
+    start = pose.copy()
+    start[3:6] = so3_log(so3_exp([0, 0, np.pi]) @ so3_exp(pose[3:6]))
+    start = s.clamp(start)
+    start[:3] += wanted.mean(0) - body.joints(start[None])[0].mean(0)
+    count = len(wanted)
+    points = PointTerm(wanted, np.ones(count), np.arange(count), np.zeros((count, 3)), 0.03)
+    return fit_pose(body, start, points=points, priors=(anatomical_prior(s),), options=_TO_JOINTS).pose
+
+
+def look_behind(body: Body, pose: Array, frame: PreparedFrame) -> tuple[float, Array]:
+    """By how much the body turned around overlaps the masks better than in `pose` (D,), mean IoU over the views, and
+    that pose (D,), solved on the frame. Below zero: `pose` is the better one."""
+    turned = turned_around(body, pose)
+    found = refine(body, turned[None], replace(frame, prediction=turned), _TO_MASKS)[0].pose
+    gain = np.nanmean(silhouette_iou(body, found, frame)) - np.nanmean(silhouette_iou(body, pose, frame))
+    return float(gain), found
+
+
+def _other_side(name: str) -> str:
+    if name.startswith("left"):
+        return name.replace("left", "right", 1)
+    return name.replace("right", "left", 1) if name.startswith("right") else name

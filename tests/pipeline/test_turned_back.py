@@ -1,0 +1,112 @@
+"""Stretches in which the body was turned around are found and tracked again; nothing else is touched."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.body.models import human
+from hypose.evaluation.small_recordings import small_scene
+from hypose.pipeline.doubts import what_was_seen
+from hypose.pipeline.turned_back import turn_back, turned_notes
+from hypose.tracking.evidence import prepare
+from hypose.tracking.initialise import start_from_hull
+from hypose.tracking.recipes import default
+from hypose.tracking.subject import scaled_to_height
+from hypose.tracking.tracker import Tracker
+from hypose.tracking.turned import turned_around
+
+N = 45
+
+
+@pytest.fixture(scope="module")
+def clip():
+    """A walk's frames, its tracker, and its estimates from a start the right way round."""
+    scene = small_scene(1, N)
+    frames = list(scene.mask_frames())
+    body = scaled_to_height(human(), scene.subject.stature)
+    start = start_from_hull(body, prepare(frames[0], body, np.zeros(body.skeleton.dof))).pose
+    recipe, particles = default(body, particles=64)
+    tracker = Tracker(body, recipe, particles)
+    return scene, frames, tracker, tracked(tracker, start, frames)
+
+
+def tracked(tracker, start, frames):
+    state, out, last = tracker.start(start), [], None
+    for frame in frames:
+        state, estimate = tracker.step(state, frame)
+        out.append(replace(estimate, seen=what_was_seen(estimate, tracker.body, frame, last)))
+        last = frame
+    return out
+
+
+def reader(frames, read=None):
+    """Frames by range; each range that is asked for is noted in `read`."""
+
+    def of(numbers):
+        if read is not None:
+            read.append(numbers)
+        return (frames[t] for t in numbers)
+
+    return of
+
+
+def turned_share(scene, tracker, estimates):
+    """Share of the frames whose hips lie the other way round than the person's."""
+    s = tracker.body.skeleton
+    left, right = s.joint("left_hip"), s.joint("right_hip")
+    joints = tracker.body.joints(np.stack([e.pose for e in estimates]))
+    across, true = (j[:, left, :2] - j[:, right, :2] for j in (joints, scene.joints[: len(joints)]))
+    return float(((across * true).sum(1) < 0).mean())
+
+
+def test_what_is_the_right_way_round_stays_as_it_is(clip):
+    scene, frames, tracker, good = clip
+    read = []
+    same, replaced = turn_back(
+        tracker,
+        good,
+        reader(frames, read),
+    )
+    assert turned_share(scene, tracker, good) == 0
+    assert replaced == [] and all(a is b for a, b in zip(same, good, strict=True))
+    assert sum(len(r) for r in read) < N  # no more is read again than a look or two asks for
+
+
+@pytest.mark.parametrize("span", [(0, N), (0, 25), (20, N)], ids=["whole", "begin", "end"])
+def test_a_turned_stretch_is_tracked_again_and_only_that(clip, span):
+    scene, frames, tracker, good = clip
+    first, stop = span
+    start = turned_around(tracker.body, good[first].pose)
+    spoilt = [*good[:first], *tracked(tracker, start, frames[first:stop]), *good[stop:]]
+    before = turned_share(scene, tracker, spoilt)
+    assert before > 0.3, "the tracker finds the right way by itself: choose another scene"
+    mended, replaced = turn_back(tracker, spoilt, reader(frames))
+    assert turned_share(scene, tracker, mended) == 0
+    assert len(replaced) == 1
+    assert replaced[0].start >= first - 3 and replaced[0].stop <= stop + 3
+    costs = [np.mean([e.cost for e in clip_]) for clip_ in (good, spoilt, mended)]
+    assert costs[2] < costs[1] and costs[2] < costs[0] + 0.01
+    assert [e.seen.shape for e in mended] == [e.seen.shape for e in good]
+    assert f"{replaced[0].start}-{replaced[0].stop - 1}" in turned_notes(replaced)[0]
+
+
+def test_the_same_again_gives_the_same(clip):
+    _, frames, tracker, good = clip
+    spoilt = tracked(tracker, turned_around(tracker.body, good[0].pose), frames)
+    a, b = (turn_back(tracker, spoilt, reader(frames))[0] for _ in range(2))
+    assert all((x.pose == y.pose).all() for x, y in zip(a, b, strict=True))
+
+
+def test_a_promise_that_does_not_hold_changes_nothing(clip):
+    _, frames, tracker, good = clip
+    suspicious = [replace(e, turned=0.05 if t in (3, 4, 30) else float("nan")) for t, e in enumerate(good)]
+    read = []
+    same, replaced = turn_back(tracker, suspicious, reader(frames, read))
+    assert replaced == [] and all(a is b for a, b in zip(same, suspicious, strict=True))
+    alone = [r for r in read if len(r) == 1]
+    assert len(alone) <= 3  # looks that lie in what was compared are not tried again
+
+
+def test_no_note_without_a_turned_stretch():
+    assert turned_notes([]) == ()

@@ -1,0 +1,48 @@
+"""The body turned around: where its joints come to lie, and which of the two the silhouettes prefer."""
+
+import numpy as np
+import pytest
+
+from hypose.tracking.evidence import prepare
+from hypose.tracking.turned import look_behind, turned_around
+
+
+def striding(body, standing):
+    """A step with a bent knee and a raised forearm: neither can be had from behind."""
+    s, pose = body.skeleton, standing.copy()
+    pose[s.dofs_of("left_hip")[0]] -= 0.5
+    pose[s.dofs_of("right_knee")[0]] += 0.9
+    pose[s.dofs_of("left_elbow")[0]] += 1.2
+    return pose
+
+
+def facing(body, pose):
+    """(2,) the horizontal direction of the trunk's front."""
+    rotations, _ = body.skeleton.forward(pose[None])
+    ahead = -rotations[0, 0, :2, 1]
+    return ahead / np.linalg.norm(ahead)
+
+
+def test_turned_around_faces_the_other_way_with_sides_exchanged(body, standing):
+    pose = striding(body, standing)
+    turned = turned_around(body, pose)
+    assert facing(body, pose) @ facing(body, turned) < -0.9
+    joints, other = body.joints(np.stack([pose, turned]))
+    s = body.skeleton
+    for name in ("hip", "shoulder"):
+        for side, across in (("left", "right"), ("right", "left")):
+            apart = np.linalg.norm(joints[s.joint(f"{side}_{name}")] - other[s.joint(f"{across}_{name}")])
+            assert apart < 0.06, (side, name, apart)
+    np.testing.assert_allclose(s.clamp(turned), turned, atol=1e-9)
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.8, 2.5])
+def test_silhouettes_prefer_the_body_the_right_way_round(body, standing, frame_of, heading):
+    pose = striding(body, standing)
+    pose[5] += heading
+    frame = prepare(frame_of(body, pose, 0), body, pose)
+    gain, turned = look_behind(body, pose, frame)
+    assert gain < -0.01
+    back, found = look_behind(body, turned, frame)
+    assert back > 0.01
+    assert facing(body, found) @ facing(body, pose) > 0.9
