@@ -8,6 +8,8 @@ import pytest
 from hypose.body.models import human
 from hypose.evaluation.small_recordings import small_scene
 from hypose.pipeline.doubts import what_was_seen
+from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.subject import Subject
 from hypose.pipeline.turned_back import turn_back, turned_notes
 from hypose.tracking.evidence import prepare
 from hypose.tracking.initialise import start_from_hull
@@ -110,3 +112,23 @@ def test_a_promise_that_does_not_hold_changes_nothing(clip):
 
 def test_no_note_without_a_turned_stretch():
     assert turned_notes([]) == ()
+
+
+def test_a_recording_tracked_from_a_turned_start_comes_out_the_right_way_round(clip):
+    scene, frames, tracker, good = clip
+
+    class Source:
+        def __len__(self):
+            return len(frames)
+
+        def frame(self, index):
+            return frames[index]
+
+    start = turned_around(tracker.body, good[0].pose)
+    result = track_source(Source(), 25.0, TrackOptions(), subject=Subject(tracker.body, None, start, ("given",)))
+    s = tracker.body.skeleton
+    across = (result.motion.joints[:, s.joint(f"{side}_hip"), :2] for side in ("left", "right"))
+    true = scene.joints[:N, s.joint("left_hip"), :2] - scene.joints[:N, s.joint("right_hip"), :2]
+    left, right = across
+    assert (((left - right) * true).sum(1) > 0).all()
+    assert any("turned around in frames 0-" in note for note in result.notes)

@@ -1,0 +1,88 @@
+"""Front and back: how often silhouettes alone leave the body turned around, and what is left of it when stretches that
+were turned around are tracked again."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hypose.body.body import Body
+from hypose.body.models import human
+from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row, row
+from hypose.evaluation.metrics import joint_errors, population_offsets
+from hypose.evaluation.product import InMemory
+from hypose.evaluation.rigs import rig
+from hypose.evaluation.scenes import Scene, make_scene
+from hypose.geometry import Array
+from hypose.pipeline.run import TrackOptions, tracker_of
+from hypose.pipeline.subject import SubjectOptions, find_subject
+from hypose.pipeline.track_loop import track_frames
+from hypose.pipeline.turned_back import FrameRange, turn_back
+from hypose.tracking.tracker import FrameEstimate
+from hypose.tracking.turned import turned_around
+
+_MOTIONS = ("walk", "jog", "combo")
+
+
+def front_back(options: BenchOptions) -> BenchReport:
+    """turned: share of the frames in which the hips lie the other way round than the person's; error_mm: mean over
+    joints and frames; each `as tracked`, frame after frame, and `mended`. Cases: the start that the product finds by
+    itself; a start that is turned around on purpose.
+
+    Scenes: walk, jog and combo, 6 s, rig humaneva-4 at half size, masks with level-1 corruption, the subject's height
+    given and the body estimated from the same clip; seeds from 20 on. What is measured are the tracker's poses, not
+    smoothed."""
+    seeds = options.seeds or (1 if options.quick else 6)
+    first = options.first_seed if options.first_seed is not None else 20
+    motions = _MOTIONS[:1] if options.quick else _MOTIONS
+    seconds = 2.0 if options.quick else 6.0
+    found: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    touched = 0
+    for n, (seed, motion) in enumerate((s, m) for s in range(first, first + seeds) for m in motions):
+        options.progress("front and back", n, seeds * len(motions))
+        cameras = rig("humaneva-4").scaled(0.5)
+        scene = make_scene(motion, "", cameras, seconds=seconds, seed=seed, corruption=("level-1",))
+        source = InMemory(list(scene.mask_frames()))
+        wanted = SubjectOptions("hull", height=scene.subject.stature, frame_rate=scene.frame_rate)
+        subject = find_subject(source.frame, len(source), wanted)
+        tracker = tracker_of(subject, TrackOptions(seed=seed), scene.frame_rate)
+        for case, start in (("own start", subject.start), ("turned start", turned_around(subject.body, subject.start))):
+            numbers = range(len(source))
+            begin = tracker.start(start)
+            done = track_frames(source, numbers, tracker, begin, subject, progress=lambda stage, done, total: None)
+            mended, again = turn_back(tracker, done.estimates, _reader(source))
+            touched += bool(again) and case == "own start"
+            for how, estimates in (("as tracked", done.estimates), ("mended", mended)):
+                found.setdefault((case, how), []).append(_measured(scene, subject.body, estimates))
+    options.progress("front and back", seeds * len(motions), seeds * len(motions))
+    rows: list[Row] = []
+    for case in ("own start", "turned start"):
+        before, after = np.array(found[case, "as tracked"]), np.array(found[case, "mended"])
+        for k, (metric, unit) in enumerate((("turned", "1"), ("error_mm", "mm"))):
+            tracked = row(metric, f"{case}, as tracked", before[:, k], unit)
+            rows.append(tracked)
+            base = {"baseline": "as tracked", "baseline_value": tracked.value}
+            rows.append(row(metric, f"{case}, mended", after[:, k], unit, **base))
+            worse = float((after[:, k] > before[:, k] + (0.02 if k == 0 else 2.0)).sum())
+            rows.append(Row(f"{metric}_worse", case, worse, "clips", n=len(after)))
+    rows.append(Row("tracked_again", "own start", float(touched), "clips", n=len(found["own start", "mended"])))
+    return BenchReport(tuple(rows), {"seeds": seeds, "first_seed": first, "motions": motions, "seconds": seconds})
+
+
+def _reader(source: InMemory) -> FrameRange:
+    return lambda numbers: (source.frame(t) for t in numbers)
+
+
+def _measured(scene: Scene, body: Body, estimates: list[FrameEstimate]) -> tuple[float, float]:
+    """Share of turned frames; mm, mean over joints and frames."""
+    s = body.skeleton
+    poses = np.stack([e.pose for e in estimates])
+    rotations, joints = s.forward(poses)
+    left, right = s.joint("left_hip"), s.joint("right_hip")
+
+    def across(of: Array) -> Array:
+        return of[: len(poses), left, :2] - of[: len(poses), right, :2]
+
+    turned = (across(joints) * across(scene.joints)).sum(1) < 0
+    offsets = population_offsets(human()) * scene.subject.stature
+    error = joint_errors(joints, scene.joints[: len(poses)], offsets, rotations).distances.mean()
+    return float(turned.mean()), 1000 * float(error)
