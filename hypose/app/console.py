@@ -25,7 +25,7 @@ TITLES = {
     "detect": "Key points",
     "subject": "Subject",
     "track": "Track",
-    "look behind": "Front and back",
+    "sides": "Left and right",
     "smooth": "Smooth",
     "export": "Export",
     "overlay": "Overlay video",

@@ -13,12 +13,12 @@ from hypose.evaluation.product import InMemory
 from hypose.evaluation.rigs import rig
 from hypose.evaluation.scenes import Scene, make_scene
 from hypose.geometry import Array
+from hypose.pipeline.mend_sides import FrameRange, mend_sides
 from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.pipeline.subject import SubjectOptions, find_subject
 from hypose.pipeline.track_loop import track_frames
-from hypose.pipeline.turned_back import FrameRange, turn_back
+from hypose.tracking.exchanged_sides import turned_around
 from hypose.tracking.tracker import FrameEstimate
-from hypose.tracking.turned import turned_around
 
 _MOTIONS = ("walk", "jog", "combo")
 
@@ -49,7 +49,7 @@ def front_back(options: BenchOptions) -> BenchReport:
             numbers = range(len(source))
             begin = tracker.start(start)
             done = track_frames(source, numbers, tracker, begin, subject, progress=lambda stage, done, total: None)
-            mended, again = turn_back(tracker, done.estimates, _reader(source))
+            mended, again = mend_sides(tracker, done.estimates, _reader(source))
             touched += bool(again) and case == "own start"
             for how, estimates in (("as tracked", done.estimates), ("mended", mended)):
                 found.setdefault((case, how), []).append(_measured(scene, subject.body, estimates))

@@ -23,8 +23,8 @@ from hypose.fitting.articulated import ContourTerm, SolveOptions, contour_term
 from hypose.geometry import Array
 from hypose.io.bodies import load_body, save_body
 from hypose.io.files import write_text
+from hypose.pipeline.mend_sides import mend_sides
 from hypose.pipeline.subject_checks import check_borders, check_named_pose, check_size, check_start
-from hypose.pipeline.turned_back import turn_back
 from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.evidence import PreparedFrame, prepare
 from hypose.tracking.initialise import KNOWN_POSES, hull_of, start_from_hull
@@ -219,12 +219,12 @@ def _both_ways(
     tick: Callable[[], None],
 ) -> tuple[Array, Array]:
     """(T, D) poses and (T,) IoU of the frames, tracked with few particles forwards and backwards from frame `at`, in
-    the order of the frames; mended where the body was turned around."""
+    the order of the frames; mended where left and right were exchanged."""
     recipe, particles = default(body, particles=options.particles, frame_rate=rate)
     tracker = Tracker(body, recipe, particles, TrackerSettings(seed=options.seed, frame_rate=rate))
     later = _follow(tracker, start, frames[at:], tick)
     earlier = _follow(tracker, later[0].pose, frames[at - 1 :: -1], tick) if at else []
-    tracked, _ = turn_back(tracker, [*earlier[::-1], *later], lambda numbers: (frames[t] for t in numbers))
+    tracked, _ = mend_sides(tracker, [*earlier[::-1], *later], lambda numbers: (frames[t] for t in numbers))
     return np.stack([e.pose for e in tracked]), np.array([1 - e.cost for e in tracked])
 
 

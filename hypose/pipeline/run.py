@@ -18,9 +18,9 @@ from hypose.pipeline.colour_detections import tracked_frames
 from hypose.pipeline.doubts import with_doubts
 from hypose.pipeline.kept import SUBJECT, keep_subject, kept_subject
 from hypose.pipeline.keypoint_track import track_keypoints
+from hypose.pipeline.mend_sides import mend_sides, sides_notes
 from hypose.pipeline.subject import Subject, SubjectOptions, find_subject
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
-from hypose.pipeline.turned_back import turn_back, turned_notes
 from hypose.tracking.recipes import recipe
 from hypose.tracking.smooth_motion import smooth_motion
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings, motion_of
@@ -145,16 +145,16 @@ def finish(
     record: Mapping[str, Any] | None,
     progress: Progress,
 ) -> TrackResult:
-    """The motion of what was tracked, stretches that were turned around mended, smoothed and written."""
+    """The motion of what was tracked, stretches with exchanged sides mended, smoothed and written."""
     estimates, notes = done.estimates, subject.notes
     if done.complete:
-        progress("look behind", 0, 1)
+        progress("sides", 0, 1)
         tracker = tracker_of(subject, options, frame_rate)
-        estimates, turned = turn_back(
+        estimates, exchanged = mend_sides(
             tracker, estimates, lambda frames: tracked_frames(source, frames, options.recipe, subject)
         )
-        notes = (*notes, *turned_notes(turned))
-        progress("look behind", 1, 1)
+        notes = (*notes, *sides_notes(exchanged))
+        progress("sides", 1, 1)
     motion = _motion(subject, estimates, frame_rate, record)
     if options.smooth and done.complete:
         progress("smooth", 0, 1)

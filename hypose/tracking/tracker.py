@@ -24,11 +24,11 @@ from hypose.inference.layer import Recipe, SearchResult, search
 from hypose.inference.random_streams import stream
 from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.evidence import PreparedFrame, prepare, view_count
+from hypose.tracking.exchanged_sides import look_for_exchange
 from hypose.tracking.initialise import recover
 from hypose.tracking.keypoint_evidence import KeypointModel
 from hypose.tracking.recipes import step_sigma
 from hypose.tracking.refinement import REFINED, RefinedEstimate, refine
-from hypose.tracking.turned import look_behind
 from hypose.tracking.uncertainty import (
     PoseUncertainty,
     nothing_known,
@@ -51,7 +51,7 @@ class TrackerSettings:
     (it grows with the square of the frame rate, as the prediction's error shrinks). lost_share: lost when the mean IoU
     falls below this share of its usual value; lost_floor: or below this value. keypoint_scale_px: robust scale of key
     points in their pixels. extrapolate: seconds without evidence after which the person counts as lost.
-    look_behind: seconds between two looks at the body turned around."""
+    sides_every: seconds between two looks whether left and right have been exchanged."""
 
     evidence: str = "silhouettes"
     seed: int = 0
@@ -64,15 +64,15 @@ class TrackerSettings:
     contour_weight: float = 0.05
     keypoint_scale_px: float = 8.0
     extrapolate: float = 1.0
-    look_behind: float = 0.5
+    sides_every: float = 0.5
 
 
 @dataclass(frozen=True)
 class FrameEstimate:
     """pose (D,), its uncertainty, cost: 1 - mean IoU (NaN without silhouettes), flags, number of views. overlap (C,):
-    IoU of the body with each view's mask, NaN where that is not usable, empty when not looked at. turned: by how much
-    the body turned around overlaps the masks better (`look_behind`), NaN when not looked at. seen (C, 3): what
-    hypose.pipeline.doubts keeps of each view, (0, 3) when nothing."""
+    IoU of the body with each view's mask, NaN where that is not usable, empty when not looked at. exchanged: by
+    how much the body with its sides exchanged overlaps the masks better (`look_for_exchange`), NaN when not looked at.
+    seen (C, 3): what hypose.pipeline.doubts keeps of each view, (0, 3) when nothing."""
 
     pose: Array
     uncertainty: PoseUncertainty
@@ -81,7 +81,7 @@ class FrameEstimate:
     extrapolated: bool
     n_views: int
     overlap: Array = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
-    turned: float = float("nan")
+    exchanged: float = float("nan")
     seen: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
 
     @property
@@ -195,20 +195,20 @@ class Tracker:
         following = TrackerState(state.frames + 1, selected, pose, state.pose, known.joint_covariance, usual, 0, lost)
         cost = 1 - iou if np.isfinite(iou) else float("nan")
         overlap = silhouette_iou(self.body, pose, prepared)
-        turned = float("nan") if lost else self._turned(state, pose, prepared)
-        return following, FrameEstimate(pose, known, cost, lost, False, view_count(prepared), overlap, turned)
+        exchanged = float("nan") if lost else self._exchanged(state, pose, prepared)
+        return following, FrameEstimate(pose, known, cost, lost, False, view_count(prepared), overlap, exchanged)
 
-    def turned_around(self, pose: Array, frame: Frame) -> Array:
-        """The pose (D,) turned around and solved on the frame's evidence: where tracking may begin anew."""
-        return look_behind(self.body, pose, self._prepare(frame, pose, float("nan")))[1]
+    def exchanged(self, pose: Array, frame: Frame) -> Array:
+        """The pose (D,) with sides exchanged, solved on the frame's evidence: where tracking may begin anew."""
+        return look_for_exchange(self.body, pose, self._prepare(frame, pose, float("nan")))[1]
 
-    def _turned(self, state: TrackerState, pose: Array, prepared: PreparedFrame) -> float:
-        """`look_behind` now and then, where silhouettes alone tell front from back and poses are solved."""
-        every = max(1, round(self.settings.look_behind * self.settings.frame_rate))
+    def _exchanged(self, state: TrackerState, pose: Array, prepared: PreparedFrame) -> float:
+        """`look_for_exchange` now and then, where silhouettes alone tell left from right and poses are solved."""
+        every = max(1, round(self.settings.sides_every * self.settings.frame_rate))
         solved = isinstance(self.recipe.estimate, RefinedEstimate)
         if not solved or prepared.masks is None or prepared.keypoints is not None or state.frames % every:
             return float("nan")
-        return look_behind(self.body, pose, prepared)[0]
+        return look_for_exchange(self.body, pose, prepared)[0]
 
     def _gain(self, state: TrackerState) -> float:
         """Share of the last step that is expected again: none after a loss, and none for estimates that are means of
@@ -316,7 +316,7 @@ def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray
         "costs": np.array([e.cost for e in estimates]),
         "flags": np.array([[e.lost, e.extrapolated] for e in estimates]),
         "views": np.array([e.n_views for e in estimates]),
-        "turned": np.array([e.turned for e in estimates]),
+        "exchanged": np.array([e.exchanged for e in estimates]),
         "seen": np.stack([e.seen for e in estimates]),
     }
 
@@ -331,17 +331,17 @@ def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimat
             bool(flags[0]),
             bool(flags[1]),
             int(views),
-            turned=float(turned),
+            exchanged=float(exchanged),
             seen=seen,
         )
-        for pose, around, known, cost, flags, views, turned, seen in zip(
+        for pose, around, known, cost, flags, views, exchanged, seen in zip(
             arrays["poses"],
             arrays["joint_covariances"],
             arrays["information"],
             arrays["costs"],
             arrays["flags"],
             arrays["views"],
-            arrays["turned"],
+            arrays["exchanged"],
             arrays["seen"],
             strict=True,
         )

@@ -1,4 +1,4 @@
-"""Stretches in which the body was turned around are found and tracked again; nothing else is touched."""
+"""Stretches in which left and right were exchanged are found and tracked again; nothing else is touched."""
 
 from dataclasses import replace
 
@@ -8,15 +8,15 @@ import pytest
 from hypose.body.models import human
 from hypose.evaluation.small_recordings import small_scene
 from hypose.pipeline.doubts import what_was_seen
+from hypose.pipeline.mend_sides import mend_sides, sides_notes
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.subject import Subject
-from hypose.pipeline.turned_back import turn_back, turned_notes
 from hypose.tracking.evidence import prepare
+from hypose.tracking.exchanged_sides import turned_around
 from hypose.tracking.initialise import start_from_hull
 from hypose.tracking.recipes import default
 from hypose.tracking.subject import scaled_to_height
 from hypose.tracking.tracker import Tracker
-from hypose.tracking.turned import turned_around
 
 N = 45
 
@@ -65,7 +65,7 @@ def turned_share(scene, tracker, estimates):
 def test_what_is_the_right_way_round_stays_as_it_is(clip):
     scene, frames, tracker, good = clip
     read = []
-    same, replaced = turn_back(
+    same, replaced = mend_sides(
         tracker,
         good,
         reader(frames, read),
@@ -83,35 +83,35 @@ def test_a_turned_stretch_is_tracked_again_and_only_that(clip, span):
     spoilt = [*good[:first], *tracked(tracker, start, frames[first:stop]), *good[stop:]]
     before = turned_share(scene, tracker, spoilt)
     assert before > 0.3, "the tracker finds the right way by itself: choose another scene"
-    mended, replaced = turn_back(tracker, spoilt, reader(frames))
+    mended, replaced = mend_sides(tracker, spoilt, reader(frames))
     assert turned_share(scene, tracker, mended) == 0
     assert len(replaced) == 1
     assert replaced[0].start >= first - 3 and replaced[0].stop <= stop + 3
     costs = [np.mean([e.cost for e in clip_]) for clip_ in (good, spoilt, mended)]
     assert costs[2] < costs[1] and costs[2] < costs[0] + 0.01
     assert [e.seen.shape for e in mended] == [e.seen.shape for e in good]
-    assert f"{replaced[0].start}-{replaced[0].stop - 1}" in turned_notes(replaced)[0]
+    assert f"{replaced[0].start}-{replaced[0].stop - 1}" in sides_notes(replaced)[0]
 
 
 def test_the_same_again_gives_the_same(clip):
     _, frames, tracker, good = clip
     spoilt = tracked(tracker, turned_around(tracker.body, good[0].pose), frames)
-    a, b = (turn_back(tracker, spoilt, reader(frames))[0] for _ in range(2))
+    a, b = (mend_sides(tracker, spoilt, reader(frames))[0] for _ in range(2))
     assert all((x.pose == y.pose).all() for x, y in zip(a, b, strict=True))
 
 
 def test_a_promise_that_does_not_hold_changes_nothing(clip):
     _, frames, tracker, good = clip
-    suspicious = [replace(e, turned=0.05 if t in (3, 4, 30) else float("nan")) for t, e in enumerate(good)]
+    suspicious = [replace(e, exchanged=0.05 if t in (3, 4, 30) else float("nan")) for t, e in enumerate(good)]
     read = []
-    same, replaced = turn_back(tracker, suspicious, reader(frames, read))
+    same, replaced = mend_sides(tracker, suspicious, reader(frames, read))
     assert replaced == [] and all(a is b for a, b in zip(same, suspicious, strict=True))
     alone = [r for r in read if len(r) == 1]
     assert len(alone) <= 3  # looks that lie in what was compared are not tried again
 
 
 def test_no_note_without_a_turned_stretch():
-    assert turned_notes([]) == ()
+    assert sides_notes([]) == ()
 
 
 def test_a_recording_tracked_from_a_turned_start_comes_out_the_right_way_round(clip):
@@ -131,4 +131,4 @@ def test_a_recording_tracked_from_a_turned_start_comes_out_the_right_way_round(c
     true = scene.joints[:N, s.joint("left_hip"), :2] - scene.joints[:N, s.joint("right_hip"), :2]
     left, right = across
     assert (((left - right) * true).sum(1) > 0).all()
-    assert any("turned around in frames 0-" in note for note in result.notes)
+    assert any("exchanged in frames 0-" in note for note in result.notes)

@@ -1,10 +1,10 @@
-"""The body turned around: where its joints come to lie, and which of the two the silhouettes prefer."""
+"""Sides exchanged: where the joints come to lie, and which of the two the silhouettes prefer."""
 
 import numpy as np
 import pytest
 
 from hypose.tracking.evidence import prepare
-from hypose.tracking.turned import look_behind, turned_around
+from hypose.tracking.exchanged_sides import legs_exchanged, look_for_exchange, turned_around
 
 
 def striding(body, standing):
@@ -41,8 +41,31 @@ def test_silhouettes_prefer_the_body_the_right_way_round(body, standing, frame_o
     pose = striding(body, standing)
     pose[5] += heading
     frame = prepare(frame_of(body, pose, 0), body, pose)
-    gain, turned = look_behind(body, pose, frame)
+    gain, turned = look_for_exchange(body, pose, frame)
     assert gain < -0.01
-    back, found = look_behind(body, turned, frame)
+    back, found = look_for_exchange(body, turned, frame)
     assert back > 0.01
     assert facing(body, found) @ facing(body, pose) > 0.9
+
+
+def test_legs_exchanged_leaves_the_rest_in_place(body, standing):
+    pose = standing.copy()  # both knees bent by as much: the other leg can have each place
+    s = body.skeleton
+    pose[s.dofs_of("left_hip")[0]] -= 0.5
+    pose[s.dofs_of("right_hip")[0]] += 0.2
+    joints, other = body.joints(np.stack([pose, legs_exchanged(body, pose)]))
+    for side, across in (("left", "right"), ("right", "left")):
+        ankle, wrist = s.joint(f"{side}_ankle"), s.joint(f"{side}_wrist")
+        assert np.linalg.norm(joints[s.joint(f"{across}_ankle")] - other[ankle]) < 0.1
+        assert np.linalg.norm(joints[wrist] - other[wrist]) < 0.03
+
+
+def test_silhouettes_prefer_each_leg_in_its_place(body, standing, frame_of):
+    pose = striding(body, standing)
+    frame = prepare(frame_of(body, pose, 0), body, pose)
+    gain, found = look_for_exchange(body, legs_exchanged(body, pose), frame)
+    assert gain > 0.01
+    s = body.skeleton
+    joints, back = body.joints(np.stack([pose, found]))
+    for side in ("left", "right"):
+        assert np.linalg.norm((joints - back)[s.joint(f"{side}_ankle")]) < 0.06

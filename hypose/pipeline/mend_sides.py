@@ -1,8 +1,8 @@
-"""Stretches of a tracked clip in which the body was turned around, tracked again the right way round.
+"""Stretches of a tracked clip in which left and right had been exchanged, tracked again the right way round.
 
-While a person is tracked, the body turned around is compared with the tracked one twice a second
-(`FrameEstimate.turned`). Where it is the better one, tracking begins anew from it, forwards and backwards in time, as
-long as that explains the evidence better than before; frame by frame the better one is kept.
+While a person is tracked, the body turned around and the body with its legs exchanged are compared with the tracked one
+twice a second (`FrameEstimate.exchanged`). Where one of them is better, tracking begins anew from it, forwards and
+backwards in time, as long as that explains the evidence better than before; frame by frame the better one is kept.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ _BLOCK = 25
 """Frames read at once to go backwards: videos are read forwards."""
 
 
-def turn_back(
+def mend_sides(
     tracker: Tracker, estimates: Sequence[FrameEstimate], frames: FrameRange
 ) -> tuple[list[FrameEstimate], list[range]]:
-    """The estimates of frames 0, 1, ... with those replaced that were turned around, and which these are."""
+    """The estimates of frames 0, 1, ... with those replaced whose sides were exchanged, and which these are."""
     out = list(estimates)
     tried, replaced = set[int](), set[int]()
     while (at := _most_suspicious(out, tried)) is not None:
@@ -50,12 +50,12 @@ def turn_back(
     return out, _runs(replaced)
 
 
-def turned_notes(replaced: Sequence[range]) -> tuple[str, ...]:
-    """A sentence for the user; none where nothing was turned around."""
+def sides_notes(replaced: Sequence[range]) -> tuple[str, ...]:
+    """A sentence for the user; none where nothing was exchanged."""
     if not replaced:
         return ()
     spans = ", ".join(f"{r.start}-{r.stop - 1}" for r in replaced)
-    return (f"the body had been turned around in frames {spans}; they were tracked again the other way round",)
+    return (f"left and right had been exchanged in frames {spans}; they were tracked again the other way round",)
 
 
 def _runs(frames: set[int]) -> list[range]:
@@ -66,8 +66,8 @@ def _runs(frames: set[int]) -> list[range]:
 
 
 def _most_suspicious(estimates: Sequence[FrameEstimate], tried: set[int]) -> int | None:
-    """The frame in which the body turned around is better by most; None when there is none left."""
-    better = [(e.turned, t) for t, e in enumerate(estimates) if e.turned > 0 and t not in tried]
+    """The frame in which the body with its sides exchanged is better by most; None when there is none left."""
+    better = [(e.exchanged, t) for t, e in enumerate(estimates) if e.exchanged > 0 and t not in tried]
     return max(better)[1] if better else None
 
 
@@ -83,8 +83,8 @@ class _Anew:
 
 
 def _tracked_anew(tracker: Tracker, old: Sequence[FrameEstimate], at: int, frames: FrameRange) -> _Anew:
-    """What is won over the old estimates around frame `at`, from the body turned around there."""
-    start = tracker.turned_around(old[at].pose, next(iter(frames(range(at, at + 1)))))
+    """What is won over the old estimates around frame `at`, from the body with its sides exchanged there."""
+    start = tracker.exchanged(old[at].pose, next(iter(frames(range(at, at + 1)))))
     ahead, back = range(at, len(old)), range(at - 1, -1, -1)
     later, won, after = _while_better(tracker, start, old, ahead, _forwards(frames, at, len(old)))
     earlier, won_earlier, before = _while_better(tracker, start, old, back, _backwards(frames, at))

@@ -1,0 +1,77 @@
+"""Left and right exchanged: seen from behind, or with its legs taken for each other, a person has nearly the same
+outline.
+
+A tracker that has mixed them up goes on following, limb by limb, on the wrong side: knees that cannot bend that way,
+feet that point backwards. Nothing it tries from there is right, since several limbs have to change at once. So the
+whole body is turned around now and then, or both legs exchanged, the limbs put where the other side's were, solved, and
+compared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hypose.body.body import Body
+from hypose.fitting.articulated import PointTerm, SolveOptions, fit_pose
+from hypose.geometry import Array, so3_exp, so3_log
+from hypose.tracking.costs import silhouette_iou
+from hypose.tracking.evidence import PreparedFrame
+from hypose.tracking.refinement import anatomical_prior, refine
+
+_TO_JOINTS = SolveOptions(iterations=30, coarse_iterations=15)
+_TO_MASKS = SolveOptions(iterations=12, coarse_iterations=8)
+_BELOW_HIP = ("knee", "ankle")
+
+
+def turned_around(body: Body, pose: Array) -> Array:
+    """(D,) the pose in which the body stands back to front and its joints, left and right exchanged, lie where those of
+    `pose` (D,) lie, as far as anatomy allows."""
+    s = body.skeleton
+    joints = body.joints(pose[None])[0]
+    wanted = joints[[s.joint(_other_side(name)) for name in s.joint_names]]
+    start = pose.copy()
+    start[3:6] = so3_log(so3_exp([0, 0, np.pi]) @ so3_exp(pose[3:6]))
+    start = s.clamp(start)
+    start[:3] += wanted.mean(0) - body.joints(start[None])[0].mean(0)
+    return _with_joints_at(body, wanted, start)
+
+
+def legs_exchanged(body: Body, pose: Array) -> Array:
+    """(D,) the pose in which each knee and ankle lies where the other one lies in `pose` (D,), all else as it is, as
+    far as anatomy allows."""
+    s = body.skeleton
+    joints = body.joints(pose[None])[0]
+    wanted = joints[[s.joint(_other_side(n) if n.endswith(_BELOW_HIP) else n) for n in s.joint_names]]
+    start = pose.copy()
+    for part in ("hip", *_BELOW_HIP):
+        left, right = (s.dofs_of(f"{side}_{part}") for side in ("left", "right"))
+        start[left], start[right] = pose[right], pose[left]
+    return _with_joints_at(body, wanted, s.clamp(start))
+
+
+def look_for_exchange(body: Body, pose: Array, frame: PreparedFrame) -> tuple[float, Array]:
+    """By how much the body turned around, or with its legs exchanged, overlaps the masks better than in `pose` (D,),
+    mean IoU over the views, and that pose (D,), solved on the frame. Below zero: `pose` is the better one."""
+    now, best = float(np.nanmean(silhouette_iou(body, pose, frame))), (-1.0, pose)
+    for rival in (turned_around, legs_exchanged):
+        start = rival(body, pose)
+        found = refine(body, start[None], replace(frame, prediction=start), _TO_MASKS)[0].pose
+        gain = float(np.nanmean(silhouette_iou(body, found, frame))) - now
+        if gain > best[0]:
+            best = (gain, found)
+    return best
+
+
+def _with_joints_at(body: Body, wanted: Array, start: Array) -> Array:
+    """(D,) solved from a pose (D,) so that the joint centres lie at `wanted` (J, 3) m."""
+    count = len(wanted)
+    points = PointTerm(wanted, np.ones(count), np.arange(count), np.zeros((count, 3)), 0.03)
+    return fit_pose(body, start, points=points, priors=(anatomical_prior(body.skeleton),), options=_TO_JOINTS).pose
+
+
+def _other_side(name: str) -> str:
+    if name.startswith("left"):
+        return name.replace("left", "right", 1)
+    return name.replace("right", "left", 1) if name.startswith("right") else name
