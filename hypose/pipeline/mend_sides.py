@@ -21,10 +21,11 @@ from hypose.tracking.tracker import FrameEstimate, Tracker
 FrameRange = Callable[[range], Iterable[Frame]]
 """The frames of a range of numbers, one after the other."""
 
+# What follows counts frames at up to 25 frames/s; at more it grows with the frame rate.
 _GIVE_UP = 0.3
 """Sum over frames of 1 - IoU that tracking anew may lie above its best before it is broken off."""
 _LEAST = 0.15
-"""Sum over frames of IoU that has to be won, about two thirds of a second of a body the right way round."""
+"""Sum over frames of IoU that has to be won: a turned body costs 0.05 to 0.1 in each."""
 _UNDECIDED = 50
 """Frames after its best after which it is broken off as well."""
 _MET_M, _MET_FRAMES = 0.02, 8
@@ -41,7 +42,7 @@ def mend_sides(
     tried, replaced = set[int](), set[int]()
     while (at := _most_suspicious(out, tried)) is not None:
         anew = _tracked_anew(tracker, out, at, frames)
-        if anew.won < _LEAST:
+        if anew.won < _LEAST * _pace(tracker):
             tried.update(anew.compared)  # what fits as well both ways is gone through once
             continue
         tried.add(at)
@@ -104,6 +105,7 @@ def _while_better(
     state, new = tracker.start(start), list[FrameEstimate]()
     won = best = 0.0
     kept = met = 0
+    pace = _pace(tracker)
     for t, (frame, before) in zip(numbers, frames, strict=False):
         state, estimate = tracker.step(state, frame)
         new.append(replace(estimate, seen=what_was_seen(estimate, tracker.body, frame, before)))
@@ -111,9 +113,13 @@ def _while_better(
         if won > best:
             best, kept = won, len(new)
         met = met + 1 if _apart(tracker.body, old[t], estimate) < _MET_M else 0
-        if won < best - _GIVE_UP or len(new) - kept > _UNDECIDED or met >= _MET_FRAMES:
+        if won < best - _GIVE_UP * pace or len(new) - kept > _UNDECIDED * pace or met >= _MET_FRAMES * pace:
             break
     return new[:kept], best, len(new)
+
+
+def _pace(tracker: Tracker) -> float:
+    return max(1.0, tracker.settings.frame_rate / 25)
 
 
 def _forwards(frames: FrameRange, first: int, stop: int) -> Iterator[tuple[Frame, Frame | None]]:
