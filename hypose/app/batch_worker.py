@@ -6,7 +6,6 @@ dies leaves the tracker's checkpoint, and the next one goes on from there.
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 
 from hypose.app.sweep import Task
 from hypose.errors import HyposeError
+from hypose.json_text import parse_json
 
 Report = Callable[[Mapping[str, Any]], None]
 """Takes {"key", "chunk", "stage", "done", "total"}, at most about once a second."""
@@ -23,7 +23,7 @@ _REPORT_S = 1.0
 def finished(task: Task) -> dict[str, Any] | None:
     """The figures of a task that is done: same key, same files to write, motion present."""
     try:
-        found = json.loads(task.record.read_text(encoding="utf-8"))
+        found = parse_json(task.record.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
     wanted = (task.key, list(task.formats), task.overlay)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from hypose import __version__
 from hypose.errors import InputError
+from hypose.json_text import parse_json
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ def papers_of(name: str) -> tuple[Paper, ...]:
 
 def _method_of(path: Path) -> str:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))["recipe"]
+        found = parse_json(path.read_text(encoding="utf-8"))["recipe"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(
             f"{path} tells no method ({error}); give a folder that hypose track or fuse wrote, or a method's name."

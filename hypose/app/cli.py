@@ -5,6 +5,7 @@ The commands' work is imported when a command runs, so that `hypose --help` answ
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import traceback
@@ -102,6 +103,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         if isinstance(error, MemoryError):
             reason = "the memory is full; close other programs, or track fewer frames at a time with --frames"
+        elif isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
+            _fail(f"{str(error.filename)[:60]}... is too long for the name of a file; give another path.", debug)
+            sys.exit(2)
         else:
             reason = (
                 f"this should not have happened ({reason}); please report it with the output of the same command "

@@ -6,7 +6,6 @@ makes of the rest with the same body, recipe and evidence, started from the corr
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -29,6 +28,7 @@ from hypose.io.files import text_lines
 from hypose.io.frames import FrameOptions, FrameStream
 from hypose.io.recording import Recording
 from hypose.io.results import ResultsFolder, load_motion, save_motion
+from hypose.json_text import parse_json
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.subject import GIVEN, Subject, SubjectOptions, find_subject
 
@@ -48,7 +48,7 @@ class Correction:
 def read_correction(path: Path) -> Correction:
     """The clicks of a frame with their pose, as the studio saves them (starts/NAME.json)."""
     try:
-        value = json.loads("\n".join(text_lines(path, "saved clicks", _LARGEST_CLICKS)))
+        value = parse_json("\n".join(text_lines(path, "saved clicks", _LARGEST_CLICKS)))
         form, frame, pose = value["format"], value["frame"], np.array(value["pose"], dtype=np.float64)
     except (ValueError, TypeError, KeyError, RecursionError):
         form, frame, pose = None, -1, np.zeros(0)

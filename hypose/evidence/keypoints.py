@@ -6,7 +6,6 @@ Names are lower case with the side first (left_shoulder); left is the person's o
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -19,6 +18,7 @@ from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import InputError
 from hypose.evidence.frame import Keypoints
 from hypose.geometry import Array
+from hypose.json_text import parse_json
 
 _FACE = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
 _LIMBS = tuple(
@@ -126,7 +126,7 @@ def parse_openpose(
     """
     if isinstance(document, (str, bytes)):
         try:
-            document = json.loads(document)
+            document = parse_json(document)
         except (ValueError, RecursionError) as problem:
             raise InputError(f"{source} is not JSON ({problem}); export it from the detector again.") from None
     if not isinstance(document, Mapping) or not isinstance(document.get("people"), list):

@@ -285,12 +285,12 @@ def checked_camera(
         raise CalibrationError(
             f"{where}: focal lengths must be positive pixel numbers, got matrix {k.tolist()}; calibrate it again."
         )
-    if np.abs(rotation.T @ rotation - np.eye(3)).max() > 1e-2 or np.linalg.det(rotation) < 0:
+    if not np.abs(rotation.T @ rotation - np.eye(3)).max() <= 1e-2 or np.linalg.det(rotation) < 0:  # NaN as well
         raise CalibrationError(
             f"{where}: rotation is not a rotation matrix (its rows must be perpendicular unit vectors, "
             "right-handed); correct this entry or calibrate again."
         )
-    if np.abs(translation).max() > 1e7:
+    if not np.abs(translation).max() <= 1e7:
         raise CalibrationError(
             f"{where}: translation {translation.tolist()} is farther than any camera stands; calibrate it again."
         )

@@ -6,7 +6,6 @@ A depth map is (h, w) float32 in metres, 0 = hole, pixel centres at whole number
 from __future__ import annotations
 
 import importlib
-import json
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,7 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.files import readable_size, unreadable
+from hypose.io.png import SIGNATURE, is_cut_png
 from hypose.io.results import atomic_path
+from hypose.json_text import parse_json
 
 DepthMap = NDArray[np.float32]
 MAX_SIDE = 4096
@@ -52,7 +53,7 @@ def read_depth_png(path: str | Path) -> DepthMap:
         data = Path(path).read_bytes()
     except OSError as error:
         raise unreadable(path, error) from None
-    if data[:8] != b"\x89PNG\r\n\x1a\n" or data[12:16] != b"IHDR" or len(data) < 33:
+    if not data.startswith(SIGNATURE) or data[12:16] != b"IHDR" or len(data) < 33:
         raise InputError(f"{path} is not a PNG; depth maps are 16-bit PNG in millimetres.")
     width, height, bits, colour = struct.unpack(">IIBB", data[16:26])
     if bits != 16 or colour != 0 or not 1 <= width <= MAX_SIDE or not 1 <= height <= MAX_SIDE:
@@ -60,7 +61,8 @@ def read_depth_png(path: str | Path) -> DepthMap:
             f"{path} is a PNG of {width} x {height} with {bits} bits, colour type {colour}; depth maps are grey, 16 "
             f"bit and at most {MAX_SIDE} x {MAX_SIDE}."
         )
-    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    cut = is_cut_png(data)
+    image = None if cut else cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None or image.dtype != np.uint16 or image.shape != (height, width):
         raise InputError(f"{path} is a damaged PNG; write it again.")
     return image.astype(np.float32) / np.float32(1000)
@@ -127,7 +129,7 @@ def _calibration(container: Any) -> dict[str, Any]:
     for stream in container.streams:
         if stream.type == "attachment" and str(stream.metadata.get("filename", "")).endswith(".json"):
             try:
-                value = json.loads(bytes(stream.data)[: 1 << 20].rstrip(b"\0"))
+                value = parse_json(bytes(stream.data)[: 1 << 20].rstrip(b"\0"))
             except (ValueError, AttributeError, TypeError, RecursionError):
                 continue
             if isinstance(value, dict):

@@ -14,6 +14,7 @@ from typing import Any
 
 from hypose.errors import InputError
 from hypose.io.files import write_text
+from hypose.json_text import parse_json
 
 FOLDER = "keypoints"
 """In the recording's folder."""
@@ -51,7 +52,7 @@ def load_detected(folder: Path) -> DetectedKeypoints | None:
     if not path.is_file():
         return None
     try:
-        identity = dict(json.loads(path.read_bytes()[:_MAX_BYTES]))
+        identity = dict(parse_json(path.read_bytes()[:_MAX_BYTES]))
         points, complete = str(identity.pop("keypoint_set")), bool(identity.pop("complete"))
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         raise InputError(

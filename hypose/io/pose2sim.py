@@ -8,7 +8,6 @@ show the room with the cameras of the recording and so serve as background plate
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any, TypeGuard
 from hypose.errors import InputError
 from hypose.io.calibration import find_calibration, natural_key, parse_toml
 from hypose.io.video import IMAGE_ENDINGS, VIDEO_ENDINGS, frame_size, list_images
+from hypose.json_text import parse_json
 
 _LEVELS_ABOVE = 2
 _MAX_JSON_BYTES = 5_000_000
@@ -248,7 +248,7 @@ def _count_points(folder: Path) -> int | None:
         try:
             if path.stat().st_size > _MAX_JSON_BYTES:
                 raise ValueError("it is too large")
-            people = json.loads(path.read_text(encoding="utf-8"))["people"]
+            people = parse_json(path.read_text(encoding="utf-8"))["people"]
             if people and people[0]["pose_keypoints_2d"]:
                 return len(people[0]["pose_keypoints_2d"]) // 3
         except (ValueError, KeyError, TypeError, IndexError, RecursionError, OSError) as error:

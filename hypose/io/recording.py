@@ -289,6 +289,21 @@ def _optional(value: float | None) -> float | None:
     return None if value is None else float(value)
 
 
+def _named(folder: Path, where: str, key: str, name: str) -> Path:
+    """The path that a setting names; an InputError where no file system can have it."""
+    try:
+        path = folder / Path(name).expanduser()
+        path.exists()
+    except (OSError, RuntimeError) as problem:  # a name that is too long; a user (~name) who is not known
+        shown = name if len(name) <= 60 else f"{name[:60]}..."
+        raise InputError(f"{where}: the {key} {shown} is no path ({_reason(problem)}); correct it.") from None
+    return path
+
+
+def _reason(problem: Exception) -> str:
+    return problem.strerror if isinstance(problem, OSError) and problem.strerror else str(problem).rstrip(".")
+
+
 def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> View:
     name = table.get("name") or f"view{index + 1}"
     where = f"{where}, view {name}"
@@ -296,7 +311,7 @@ def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> Vie
     for key in PATH_KEYS:
         if key not in table:
             continue
-        path = folder / Path(table[key]).expanduser()
+        path = _named(folder, where, key, table[key])
         if not path.exists():
             raise InputError(f"{where}: the {key} {path} does not exist; correct the path or copy the file there.")
         if key in ("images", "keypoints") and not path.is_dir() or key == "video" and not path.is_file():
@@ -323,7 +338,7 @@ def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> Vie
 
 def _calibration(folder: Path, where: str, settings: Mapping[str, Any], notes: list[str]) -> tuple[Path, CameraRig]:
     if "calibration" in settings:
-        path: Path | None = folder / Path(settings["calibration"]).expanduser()
+        path: Path | None = _named(folder, where, "calibration", settings["calibration"])
     else:
         path = find_calibration(folder / "calibration") if not (folder / "calibration.toml").is_file() else None
         path = path or folder / "calibration.toml"

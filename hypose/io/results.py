@@ -25,6 +25,7 @@ from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
 from hypose.geometry import Array
+from hypose.json_text import parse_json
 
 _MAX_ARCHIVE_BYTES = 4 << 30
 _FORMAT = 1
@@ -292,7 +293,7 @@ def load_motion(path: str | Path) -> Motion:
     if (np.diff(arrays["times"]) <= 0).any():
         raise bad("times do not increase")
     try:
-        document = json.loads(str(arrays["provenance"]))
+        document = parse_json(str(arrays["provenance"]))
         provenance, version = document["provenance"], document["format"]
         if not isinstance(provenance, dict):
             raise ValueError
@@ -371,7 +372,7 @@ class Checkpoint:
         next_step = _AFRESH
         arrays = _load_arrays(path, "checkpoint", next_step)
         try:
-            document = json.loads(str(arrays.pop("checkpoint")))
+            document = parse_json(str(arrays.pop("checkpoint")))
             frame, meta, stored = document["frame"], document["meta"], document["identity"]
             version = document["format"]
         except (ValueError, KeyError, TypeError, RecursionError):

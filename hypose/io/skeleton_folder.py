@@ -12,7 +12,6 @@ skeleton.csv: sensor,frame,person,joint,x,y,z,state, one row per joint; rows or 
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -29,6 +28,7 @@ from hypose.io.files import RecordingFolder, text_lines
 from hypose.io.results import to_json
 from hypose.io.skeletons import MAX_JOINTS, MAX_SENSORS, SkeletonRecording, StreamRows, checked_recording
 from hypose.io.text_in import bounded_lines
+from hypose.json_text import parse_json
 
 FORMAT = "hypose-skeletons"
 _FRAMES = ["sensor", "frame", "time"]
@@ -76,7 +76,7 @@ def read_folder(folder: str | Path) -> SkeletonRecording:
 
 def _session(path: Path) -> dict[str, Any]:
     try:
-        value = json.loads("\n".join(text_lines(path, "a session.json", 1 << 20)))
+        value = parse_json("\n".join(text_lines(path, "a session.json", 1 << 20)))
     except (ValueError, RecursionError):
         raise InputError(f"{path} is no JSON; it must hold what hypose or docs/live.md wrote.") from None
     if not isinstance(value, dict) or value.get("format") != FORMAT or value.get("version") != 1:

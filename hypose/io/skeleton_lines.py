@@ -28,6 +28,7 @@ from hypose.evidence.frame import FARTHEST_M, MISSING_MARK
 from hypose.geometry import Array
 from hypose.io.skeletons import MAX_JOINTS, MAX_SENSORS, SkeletonRecording, StreamRows, checked_recording
 from hypose.io.text_in import bounded_lines
+from hypose.json_text import parse_json
 
 MAX_SKELETON_LINE = 16384
 """Bytes of one line; 32 joints with all digits take 3 KiB."""
@@ -61,7 +62,7 @@ def parse_line(data: bytes | str) -> SkeletonLine:
             f"the line has {len(data)} bytes, at most {MAX_SKELETON_LINE} are read; send one body per line"
         )
     try:
-        value = json.loads(data)
+        value = parse_json(data)
     except (ValueError, RecursionError):  # bad UTF-8 is a ValueError as well
         raise InputError("the line is no JSON; send one JSON object per line, in UTF-8") from None
     if not isinstance(value, dict):

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from hypose.errors import InputError
 from hypose.io.calibration import natural_key
+from hypose.io.png import is_cut_png
 from hypose.io.results import atomic_path
 
 Image = NDArray[np.uint8]
@@ -58,12 +59,13 @@ def read_image(path: str | Path) -> Image:
     """(h, w, 3) uint8 BGR of an image file; an InputError names a missing or damaged one."""
     path = Path(path)
     try:
-        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)  # cv2.imread fails on some names under Windows
+        data = path.read_bytes()  # cv2.imread fails on some names under Windows
     except OSError as error:
         raise InputError(f"The image {path} cannot be read ({error.strerror}); check the path.") from None
     with _quiet():
         try:
-            image = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
+            usable = len(data) > 0 and not is_cut_png(data)
+            image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR) if usable else None
         except cv2.error:
             image = None
     if image is None:

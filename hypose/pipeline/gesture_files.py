@@ -9,7 +9,6 @@ takes segment N back); depth/ with 16-bit PNG in millimetres. It can be learned 
 
 from __future__ import annotations
 
-import json
 import math
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,6 +28,7 @@ from hypose.gestures.pixels import Example
 from hypose.io.depth import read_depth_png, write_millimetres_png
 from hypose.io.files import RecordingFolder, text_lines
 from hypose.io.results import _load_arrays, _write_archive, to_json
+from hypose.json_text import parse_json
 
 FORMAT = "hypose-gesture-session"
 PHASES = ("do_gesture", "positive", "release", "negative", "test", "free")
@@ -128,7 +128,7 @@ def read_recording(folder: str | Path) -> GestureRecording:
         raise InputError(f"{folder} is not a folder; give the folder of a recorded gesture session.")
     path = folder / "session.json"
     try:
-        value = json.loads("\n".join(text_lines(path, "a session.json", 1 << 20)))
+        value = parse_json("\n".join(text_lines(path, "a session.json", 1 << 20)))
     except (ValueError, RecursionError):
         raise InputError(f"{path} is no JSON; it must hold what hypose wrote.") from None
     if not isinstance(value, dict) or value.get("format") != FORMAT or value.get("version") != 1:

@@ -27,6 +27,7 @@ from hypose.geometry import Array
 from hypose.io.frames import FrameOptions, load_keypoints
 from hypose.io.recording import Recording
 from hypose.io.video import open_video
+from hypose.json_text import parse_json
 from hypose.monocular.initialise import LEAST_POINTS, InitialFit, initialise
 from hypose.monocular.points_fit import PointsOn
 from hypose.monocular.settings import MonoSettings
@@ -48,7 +49,7 @@ def load_clicks(path: str | Path, recording: Recording) -> Clicks:
     path = Path(path)
     view = recording.views[0]
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = parse_json(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"The file of clicks {path} cannot be read ({error.strerror}); check --start.") from None
     except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:

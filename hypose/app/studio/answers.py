@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -12,6 +11,7 @@ from starlette.responses import JSONResponse, Response
 from hypose.app.studio.catalog import NotFound
 from hypose.app.view_bundle import plain
 from hypose.errors import HyposeError, InputError
+from hypose.json_text import parse_json
 
 MAX_JSON = 1 << 20
 Endpoint = Callable[[Request], Awaitable[Response]]
@@ -61,7 +61,7 @@ async def body_of(request: Request) -> dict[str, Any]:
         if len(data) > MAX_JSON:
             raise TooLarge(f"The request is larger than {MAX_JSON >> 20} MiB; send less at once.")
     try:
-        value = json.loads(data or b"{}")
+        value = parse_json(bytes(data) or b"{}")
     except (ValueError, RecursionError):
         raise InputError("The request is no JSON; send an object.") from None
     if not isinstance(value, dict):

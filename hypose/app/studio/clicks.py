@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -29,6 +28,7 @@ from hypose.io.files import text_lines
 from hypose.io.recording import Recording
 from hypose.io.results import ResultsFolder, load_motion
 from hypose.io.video import frame_size
+from hypose.json_text import parse_json
 from hypose.pipeline.mono_start import LEAST_POINTS
 
 _FORMAT = "hypose-clicks"
@@ -177,7 +177,7 @@ def _load(item: Item, name: str) -> dict[str, Any]:
         raise InputError(f"{name[:40]!r} is no name of a start.")
     path = item.path / "starts" / f"{name}.json"
     try:
-        value = json.loads("\n".join(text_lines(path, "a start", 1 << 20)))
+        value = parse_json("\n".join(text_lines(path, "a start", 1 << 20)))
     except (ValueError, RecursionError):
         value = None
     if not isinstance(value, dict) or value.get("format") != _FORMAT:

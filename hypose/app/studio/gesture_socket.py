@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from hypose.app.studio.sockets import Sockets
 from hypose.errors import HyposeError
 from hypose.evaluation.gesture_people import load_people
 from hypose.evaluation.gesture_poses import GESTURES
+from hypose.json_text import parse_json
 from hypose.pipeline.gesture_files import load_model
 
 FOLDER = "gestures"
@@ -93,7 +93,7 @@ def sources_shown(catalog: Catalog) -> list[dict[str, Any]]:
 def _brief(folder: Path) -> tuple[list[str], int]:
     """Names of the gestures and number of frames of a session."""
     try:
-        names = json.loads((folder / "session.json").read_text("utf-8")).get("gestures")
+        names = parse_json((folder / "session.json").read_text("utf-8")).get("gestures")
         with (folder / "frames.csv").open("rb") as file:
             frames = sum(1 for _ in file) - 1
     except (OSError, ValueError, AttributeError):

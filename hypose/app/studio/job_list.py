@@ -19,6 +19,7 @@ from hypose.app.studio.job_record import ENDED, Job, Stage
 from hypose.app.view_bundle import plain
 from hypose.errors import HyposeError
 from hypose.io.files import text_lines, write_text
+from hypose.json_text import parse_json
 
 NAME = ".studio-jobs.json"
 _LARGEST, _KEPT_LINES = 4 << 20, 40
@@ -31,7 +32,7 @@ def read_jobs(catalog: Catalog) -> list[Job]:
     if not path.is_file() or not catalog.contains(path):
         return []
     try:
-        records = json.loads("\n".join(text_lines(path, "a list of jobs", _LARGEST)))
+        records = parse_json("\n".join(text_lines(path, "a list of jobs", _LARGEST)))
     except (HyposeError, ValueError, RecursionError):
         return []
     found = []

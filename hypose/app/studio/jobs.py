@@ -6,7 +6,6 @@ computed, as the command line does, and `resume` goes on, with the next server t
 
 from __future__ import annotations
 
-import json
 import os
 import secrets
 import subprocess
@@ -23,6 +22,7 @@ from hypose.app.studio.catalog import Catalog, NotFound
 from hypose.app.studio.job_kinds import Plan, plan
 from hypose.app.studio.job_list import read_jobs, write_jobs
 from hypose.app.studio.job_record import ENDED, Job, Stage
+from hypose.json_text import parse_json
 
 _KEPT_JOBS, _MOST_WAITING = 100, 20
 _KILL_S = 20.0
@@ -226,7 +226,7 @@ class Jobs:
     @staticmethod
     def _progress(job: Job, text: str) -> bool:
         try:
-            value = json.loads(text)
+            value = parse_json(text)
             name, title, done, total = value["stage"], value["title"], int(value["done"]), int(value["total"])
         except (ValueError, KeyError, TypeError):
             return False

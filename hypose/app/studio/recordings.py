@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
@@ -25,6 +24,7 @@ from hypose.io.frames import build_backgrounds, working_rig
 from hypose.io.recording import Recording, load_recording, silhouette_lines
 from hypose.io.recording_keys import SILHOUETTE_KEYS, read_toml, silhouette_options
 from hypose.io.view_source import Preparer, ViewSource
+from hypose.json_text import parse_json
 
 Shown = Literal["none", "edge", "fill", "only"]
 _OPEN, _QUALITY = 3, 85
@@ -256,7 +256,7 @@ def without_table(text: str, name: str) -> str:
 def read_check(folder: Path) -> dict[str, Any] | None:
     """What `hypose check` found last time."""
     try:
-        value = json.loads((folder / "results" / "check.json").read_text("utf-8"))
+        value = parse_json((folder / "results" / "check.json").read_text("utf-8"))
     except (OSError, ValueError, RecursionError):
         return None
     return value if isinstance(value, dict) else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from collections.abc import Awaitable, Callable
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from hypose.errors import InputError
+from hypose.json_text import parse_json
 
 MAX_MESSAGE = 1 << 16
 """Bytes of a message from the page."""
@@ -49,7 +49,7 @@ def picture(kind: int, stream: int, seq: int, time: float, data: bytes) -> bytes
 def message_of(text: str) -> dict[str, Any]:
     """A message from the page; an InputError when it is none."""
     try:
-        value = json.loads(text)
+        value = parse_json(text)
     except (ValueError, RecursionError):
         raise InputError("The message is no JSON.") from None
     if not isinstance(value, dict) or not isinstance(value.get("t"), str):

@@ -1,0 +1,45 @@
+"""PNG files that claim more than they hold are refused before a decoder makes room for it."""
+
+import cv2
+import numpy as np
+import pytest
+
+from hypose.errors import InputError
+from hypose.io.depth import read_depth_png, write_depth_png
+from hypose.io.png import is_cut_png
+from hypose.io.video import read_image
+
+
+@pytest.fixture
+def png(tmp_path):
+    path = tmp_path / "depth.png"
+    write_depth_png(path, np.random.default_rng(0).uniform(0.5, 4.0, (24, 32)))
+    return path
+
+
+def test_a_whole_png_is_whole_also_with_something_behind_it(png):
+    data = png.read_bytes()
+    assert not is_cut_png(data) and not is_cut_png(data + b"more")
+    assert not is_cut_png(b"") and not is_cut_png(b"\xff\xd8 a JPEG")
+
+
+@pytest.mark.parametrize("left", [8, 9, 33, 40, -13, -1])
+def test_a_png_that_ends_early_is_cut(png, left):
+    assert is_cut_png(png.read_bytes()[:left])
+
+
+def test_a_piece_that_claims_half_a_gigabyte_is_refused(png, tmp_path):
+    data = bytearray(png.read_bytes())
+    data[33] = 0x20  # the length of the first piece after the header
+    png.write_bytes(data)
+    with pytest.raises(InputError, match="damaged"):
+        read_depth_png(png)
+    with pytest.raises(InputError, match="damaged"):
+        read_image(png)
+
+
+def test_pictures_are_read_as_before(tmp_path):
+    picture = np.random.default_rng(1).integers(0, 255, (20, 30, 3), dtype=np.uint8)
+    for name in ("a.png", "a.jpg", "a.bmp"):
+        cv2.imwrite(str(tmp_path / name), picture)
+        assert read_image(tmp_path / name).shape == picture.shape
