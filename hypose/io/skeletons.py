@@ -151,6 +151,8 @@ def build_stream(rows: StreamRows, where: str) -> tuple[SensorStream, tuple[str,
     arrival = np.array(rows.times)
     if not np.isfinite(arrival).all():
         raise InputError(f"{where}: a time of the sensor {rows.name} is not a number; times are seconds.")
+    if any(not -(2**63) <= person < 2**63 for person in rows.ids):
+        raise InputError(f"{where}: the sensor {rows.name} numbers a person beyond 64 bits; the file is damaged.")
     repaired, keep, clock_notes = repair_clock(arrival)
     notes += [f"{rows.name}: {text}" for text in clock_notes]
     order = np.flatnonzero(keep)[np.argsort(repaired[keep], kind="stable")]
