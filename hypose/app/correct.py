@@ -86,7 +86,9 @@ def correct(
     evidence = FrameOptions(silhouettes=None) if options.evidence == "keypoints" else None
     with FrameStream(part, evidence) as source:
         subject = _subject(source, part, options, body, correction.pose)
-        tracked = track_source(source, motion.frame_rate, options, subject=subject, progress=progress)
+        # who has corrected the frame has also said where left and right are
+        sure = replace(options, sure_start=True)
+        tracked = track_source(source, motion.frame_rate, sure, subject=subject, progress=progress)
     record = {"frame": correction.frame, "until": first + stop, "clicks": correction.name, "of": old.path.name}
     joined = join(motion, tracked.motion, row, record)
     save_body(body, out.file("body.npz"))

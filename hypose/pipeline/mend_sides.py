@@ -35,14 +35,15 @@ _BLOCK = 25
 
 
 def mend_sides(
-    tracker: Tracker, estimates: Sequence[FrameEstimate], frames: FrameRange
+    tracker: Tracker, estimates: Sequence[FrameEstimate], frames: FrameRange, *, sure_start: bool = False
 ) -> tuple[list[FrameEstimate], list[range]]:
-    """The estimates of frames 0, 1, ... with those replaced whose sides were exchanged, and which these are."""
+    """The estimates of frames 0, 1, ... with those replaced whose sides were exchanged, and which these are. With
+    sure_start frame 0 is the right way round, whatever the masks say, and so is what follows from it."""
     out = list(estimates)
     tried, replaced = set[int](), set[int]()
     while (at := _most_suspicious(out, tried)) is not None:
         anew = _tracked_anew(tracker, out, at, frames)
-        if anew.won < _LEAST * _pace(tracker):
+        if anew.won < _LEAST * _pace(tracker) or (sure_start and anew.first == 0):
             tried.update(anew.compared)  # what fits as well both ways is gone through once
             continue
         tried.add(at)

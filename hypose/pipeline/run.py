@@ -31,7 +31,7 @@ class TrackOptions:
     """What a user chooses. recipe: a preset's name; refine: contour refinement after a published recipe; evidence:
     'silhouettes', 'keypoints' or 'both'; start, height, girths: see SubjectOptions;
     subject: where the given body comes from (then `track_source` takes its body as it is); smooth: solve all frames
-    together at the end; checkpoint_every: frames."""
+    together at the end; checkpoint_every: frames; sure_start: a person says that the start is the right way round."""
 
     recipe: str = "default"
     refine: bool = False
@@ -43,6 +43,7 @@ class TrackOptions:
     subject: str | None = None
     smooth: bool = True
     checkpoint_every: int = 25
+    sure_start: bool = False
 
     def __post_init__(self) -> None:
         if self.evidence not in ("silhouettes", "keypoints", "both"):
@@ -55,7 +56,7 @@ class TrackOptions:
 
     def settings(self) -> dict[str, Any]:
         """The choices that decide the result."""
-        return {k: v for k, v in asdict(self).items() if k != "checkpoint_every"}
+        return {k: v for k, v in asdict(self).items() if k not in ("checkpoint_every", "sure_start")}
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,10 @@ def finish(
         progress("sides", 0, 1)
         tracker = tracker_of(subject, options, frame_rate)
         estimates, exchanged = mend_sides(
-            tracker, estimates, lambda frames: tracked_frames(source, frames, options.recipe, subject)
+            tracker,
+            estimates,
+            lambda frames: tracked_frames(source, frames, options.recipe, subject),
+            sure_start=options.sure_start,
         )
         notes = (*notes, *sides_notes(exchanged))
         progress("sides", 1, 1)

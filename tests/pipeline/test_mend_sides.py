@@ -100,6 +100,13 @@ def test_the_same_again_gives_the_same(clip):
     assert all((x.pose == y.pose).all() for x, y in zip(a, b, strict=True))
 
 
+def test_a_start_that_a_person_has_corrected_is_not_turned(clip):
+    _, frames, tracker, good = clip
+    spoilt = tracked(tracker, turned_around(tracker.body, good[0].pose), frames)
+    same, replaced = mend_sides(tracker, spoilt, reader(frames), sure_start=True)
+    assert same[0] is spoilt[0] and all(r.start > 0 for r in replaced)
+
+
 def test_a_promise_that_does_not_hold_changes_nothing(clip):
     _, frames, tracker, good = clip
     suspicious = [replace(e, exchanged=0.05 if t in (3, 4, 30) else float("nan")) for t, e in enumerate(good)]
