@@ -195,7 +195,10 @@ def test_unknown_commands_go_to_hypose_and_test_to_pytest():
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C reaches processes differently on Windows")
 def test_ctrl_c_leaves_the_program_time_to_save_its_work():
-    child = """
+    # a program that is started in the background may have been told to ignore Ctrl-C, and its children with it
+    heed = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    child = f"""
+{heed}
 import time
 try:
     print("ready", flush=True)
@@ -205,6 +208,7 @@ except KeyboardInterrupt:
     print("saved", flush=True)
 """
     parent = f"""
+{heed}
 import os, sys
 sys.path.insert(0, {str(ROOT / "scripts")!r})
 import bootstrap
