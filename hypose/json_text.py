@@ -6,7 +6,7 @@ import json
 from typing import Any
 
 
-def parse_json(text: str | bytes) -> Any:
+def parse_json(text: str | bytes | bytearray) -> Any:
     """What json.loads gives, but integers beyond 64 bits are floats, infinite beyond 1.8e308, as 1e999 is in JSON: a
     number nobody means must not overflow where it is counted with. ValueError or RecursionError, as json.loads."""
     return json.loads(text, parse_int=_integer)

@@ -71,7 +71,7 @@ def with_doubts(motion: Motion, seen: Sequence[NDArray[np.float32]]) -> tuple[Mo
     marked = np.zeros(len(motion), dtype=bool)
     for _, frames in found:
         marked |= frames
-    notes = [f"{what} in {_spans(frames)}" for what, frames in found]
+    notes = [f"{what} in {in_words(runs(frames))}" for what, frames in found]
     if found:
         notes.append(f"{int(marked.sum())} frames are marked as doubtful for that")
     return replace(motion, doubtful=marked), notes
@@ -195,9 +195,14 @@ def _worse(overlap: Array, known: NDArray[np.bool_], frame_rate: float) -> NDArr
     return (below > least) & (below - others > 0.5 * least)
 
 
-def _spans(frames: NDArray[np.bool_]) -> str:
-    """Runs of frames in words: 'frames 10-19 and 40' of the clip, the first five."""
+def runs(frames: NDArray[np.bool_]) -> list[range]:
+    """The frames (T,) that are marked, as ranges."""
     edges = np.flatnonzero(np.diff(np.r_[0, frames.astype(np.int8), 0]))
-    runs = [f"{a}-{b - 1}" if b - a > 1 else str(a) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    more = f" and {len(runs) - 5} more" if len(runs) > 5 else ""
-    return f"frame{'s' if int(frames.sum()) > 1 else ''} {', '.join(runs[:5])}{more}"
+    return [range(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def in_words(found: Sequence[range]) -> str:
+    """Runs of frames in words: 'frames 10-19, 40' of the clip, the first five."""
+    shown = [f"{r.start}-{r.stop - 1}" if len(r) > 1 else str(r.start) for r in found[:5]]
+    more = f" and {len(found) - 5} more" if len(found) > 5 else ""
+    return f"frame{'s' if sum(map(len, found)) > 1 else ''} {', '.join(shown)}{more}"

@@ -15,7 +15,7 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.pipeline.doubts import what_was_seen
+from hypose.pipeline.doubts import in_words, runs, what_was_seen
 from hypose.tracking.tracker import FrameEstimate, Tracker
 
 FrameRange = Callable[[range], Iterable[Frame]]
@@ -40,7 +40,7 @@ def mend_sides(
     """The estimates of frames 0, 1, ... with those replaced whose sides were exchanged, and which these are. With
     sure_start frame 0 is the right way round, whatever the masks say, and so is what follows from it."""
     out = list(estimates)
-    tried, replaced = set[int](), set[int]()
+    tried, replaced = set[int](), np.zeros(len(out), dtype=bool)
     while (at := _most_suspicious(out, tried)) is not None:
         anew = _tracked_anew(tracker, out, at, frames)
         if anew.won < _LEAST * _pace(tracker) or (sure_start and anew.first == 0):
@@ -48,23 +48,15 @@ def mend_sides(
             continue
         tried.add(at)
         out[anew.first : anew.first + len(anew.better)] = anew.better
-        replaced.update(range(anew.first, anew.first + len(anew.better)))
-    return out, _runs(replaced)
+        replaced[anew.first : anew.first + len(anew.better)] = True
+    return out, runs(replaced)
 
 
 def sides_notes(replaced: Sequence[range]) -> tuple[str, ...]:
     """A sentence for the user; none where nothing was exchanged."""
     if not replaced:
         return ()
-    spans = ", ".join(f"{r.start}-{r.stop - 1}" for r in replaced)
-    return (f"left and right had been exchanged in frames {spans}; they were tracked again the other way round",)
-
-
-def _runs(frames: set[int]) -> list[range]:
-    """Frame numbers as ranges."""
-    ordered = sorted(frames)
-    first = [t for t in ordered if t - 1 not in frames]
-    return [range(a, b + 1) for a, b in zip(first, [t for t in ordered if t + 1 not in frames], strict=True)]
+    return (f"left and right had been exchanged in {in_words(replaced)}; tracked again the other way round",)
 
 
 def _most_suspicious(estimates: Sequence[FrameEstimate], tried: set[int]) -> int | None:

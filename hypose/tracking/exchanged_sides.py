@@ -15,9 +15,10 @@ import numpy as np
 
 from hypose.body.body import Body
 from hypose.fitting.articulated import PointTerm, SolveOptions, fit_pose
-from hypose.geometry import Array, so3_exp, so3_log
+from hypose.geometry import Array
 from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.evidence import PreparedFrame
+from hypose.tracking.initialise import turned
 from hypose.tracking.refinement import anatomical_prior, refine
 
 _TO_JOINTS = SolveOptions(iterations=30, coarse_iterations=15)
@@ -31,9 +32,7 @@ def turned_around(body: Body, pose: Array) -> Array:
     s = body.skeleton
     joints = body.joints(pose[None])[0]
     wanted = joints[[s.joint(_other_side(name)) for name in s.joint_names]]
-    start = pose.copy()
-    start[3:6] = so3_log(so3_exp([0, 0, np.pi]) @ so3_exp(pose[3:6]))
-    start = s.clamp(start)
+    start = s.clamp(turned(pose, np.pi))
     start[:3] += wanted.mean(0) - body.joints(start[None])[0].mean(0)
     return _with_joints_at(body, wanted, start)
 

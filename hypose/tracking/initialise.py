@@ -122,7 +122,7 @@ def start_from_hull(
     if poses == KNOWN_POSES:
         bases += _everyday_poses(body)
     candidates = [
-        _centred(body, _turned(base, heading), hull)
+        _centred(body, turned(base, heading), hull)
         for base in bases
         for heading in np.arange(headings) * 2 * np.pi / headings
     ]
@@ -151,8 +151,8 @@ def _everyday_poses(body: Body) -> list[Array]:
     return out
 
 
-def _turned(pose: Array, heading: float) -> Array:
-    """The pose turned about the vertical through its root."""
+def turned(pose: Array, heading: float) -> Array:
+    """The pose (D,) turned about the vertical through its root by heading (rad)."""
     out = pose.copy()
     out[3:6] = so3_log(so3_exp([0, 0, heading]) @ so3_exp(pose[3:6]))
     return out
@@ -175,7 +175,7 @@ def recover(body: Body, frame: PreparedFrame, pose: Array, options: SolveOptions
     candidates = [pose]
     for base in (pose, known_pose(body, "standing"), known_pose(body, "a")):
         for heading in np.arange(8) * np.pi / 4:
-            candidates.append(_centred(body, _turned(base, heading), hull))
+            candidates.append(_centred(body, turned(base, heading), hull))
     found = _best_refined(body, np.stack(candidates), frame, options).pose
     return found if np.linalg.norm(found[:3] - pose[:3]) <= RECOVERY_REACH else pose
 

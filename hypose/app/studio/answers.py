@@ -61,7 +61,7 @@ async def body_of(request: Request) -> dict[str, Any]:
         if len(data) > MAX_JSON:
             raise TooLarge(f"The request is larger than {MAX_JSON >> 20} MiB; send less at once.")
     try:
-        value = parse_json(bytes(data) or b"{}")
+        value = parse_json(data or b"{}")
     except (ValueError, RecursionError):
         raise InputError("The request is no JSON; send an object.") from None
     if not isinstance(value, dict):
