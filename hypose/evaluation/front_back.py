@@ -3,6 +3,9 @@ were turned around are tracked again."""
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
+
 import numpy as np
 
 from hypose.body.body import Body
@@ -15,10 +18,10 @@ from hypose.evaluation.scenes import Scene, make_scene
 from hypose.geometry import Array
 from hypose.pipeline.mend_sides import FrameRange, mend_sides
 from hypose.pipeline.run import TrackOptions, tracker_of
-from hypose.pipeline.subject import SubjectOptions, find_subject
+from hypose.pipeline.subject import Subject, SubjectOptions, find_subject
 from hypose.pipeline.track_loop import track_frames
 from hypose.tracking.exchanged_sides import turned_around
-from hypose.tracking.tracker import FrameEstimate
+from hypose.tracking.tracker import FrameEstimate, Tracker
 
 _MOTIONS = ("walk", "jog", "combo")
 
@@ -26,7 +29,8 @@ _MOTIONS = ("walk", "jog", "combo")
 def front_back(options: BenchOptions) -> BenchReport:
     """turned: share of the frames in which the hips lie the other way round than the person's; error_mm: mean over
     joints and frames; each `as tracked`, frame after frame, and `mended`. Cases: the start that the product finds by
-    itself; a start that is turned around on purpose.
+    itself; a start that is turned around on purpose. seconds_per_frame: of tracking from the own start, against the
+    same without looking for exchanged sides, in the same run.
 
     Scenes: walk, jog and combo, 6 s, rig humaneva-4 at half size, masks with level-1 corruption, the subject's height
     given and the body estimated from the same clip; seeds from 20 on. What is measured are the tracker's poses, not
@@ -36,7 +40,7 @@ def front_back(options: BenchOptions) -> BenchReport:
     motions = _MOTIONS[:1] if options.quick else _MOTIONS
     seconds = 2.0 if options.quick else 6.0
     found: dict[tuple[str, str], list[tuple[float, float]]] = {}
-    touched = 0
+    touched, seconds_with, seconds_without = 0, list[float](), list[float]()
     for n, (seed, motion) in enumerate((s, m) for s in range(first, first + seeds) for m in motions):
         options.progress("front and back", n, seeds * len(motions))
         cameras = rig("humaneva-4").scaled(0.5)
@@ -45,13 +49,16 @@ def front_back(options: BenchOptions) -> BenchReport:
         wanted = SubjectOptions("hull", height=scene.subject.stature, frame_rate=scene.frame_rate)
         subject = find_subject(source.frame, len(source), wanted)
         tracker = tracker_of(subject, TrackOptions(seed=seed), scene.frame_rate)
+        alone = replace(tracker, settings=replace(tracker.settings, sides_every=1e6))
+        for of, times in ((alone, seconds_without), (tracker, seconds_with)):
+            clock = time.perf_counter()
+            _tracked(source, of, subject.start, subject)
+            times.append((time.perf_counter() - clock) / len(source))
         for case, start in (("own start", subject.start), ("turned start", turned_around(subject.body, subject.start))):
-            numbers = range(len(source))
-            begin = tracker.start(start)
-            done = track_frames(source, numbers, tracker, begin, subject, progress=lambda stage, done, total: None)
-            mended, again = mend_sides(tracker, done.estimates, _reader(source))
+            done = _tracked(source, tracker, start, subject)
+            mended, again = mend_sides(tracker, done, _reader(source))
             touched += bool(again) and case == "own start"
-            for how, estimates in (("as tracked", done.estimates), ("mended", mended)):
+            for how, estimates in (("as tracked", done), ("mended", mended)):
                 found.setdefault((case, how), []).append(_measured(scene, subject.body, estimates))
     options.progress("front and back", seeds * len(motions), seeds * len(motions))
     rows: list[Row] = []
@@ -65,7 +72,16 @@ def front_back(options: BenchOptions) -> BenchReport:
             worse = float((after[:, k] > before[:, k] + (0.02 if k == 0 else 2.0)).sum())
             rows.append(Row(f"{metric}_worse", case, worse, "clips", n=len(after)))
     rows.append(Row("tracked_again", "own start", float(touched), "clips", n=len(found["own start", "mended"])))
+    base = {"baseline": "no looks", "baseline_value": float(np.mean(seconds_without))}
+    rows.append(row("seconds_per_frame", "own start", seconds_with, "s", **base))
     return BenchReport(tuple(rows), {"seeds": seeds, "first_seed": first, "motions": motions, "seconds": seconds})
+
+
+def _tracked(source: InMemory, tracker: Tracker, start: Array, subject: Subject) -> list[FrameEstimate]:
+    def silent(stage: str, done: int, total: int) -> None:
+        pass
+
+    return track_frames(source, range(len(source)), tracker, tracker.start(start), subject, progress=silent).estimates
 
 
 def _reader(source: InMemory) -> FrameRange:
