@@ -29,7 +29,7 @@ MINIMUM = (3, 11)
 PIP_WITH_PYTHON_OPTION = (22, 3)  # the first pip that can install into another environment
 
 # What a command needs: `core` is hypose itself, `dev` adds the developers' tools, `oracles` adds, where they
-# can be had, the programs that tests compare with.
+# can be had, the programs that tests compare with and the extras that tests use.
 PROFILES = ("core", "dev", "oracles")
 PROFILE_OF_COMMAND = {"test": "oracles", "setup": "oracles", "lint": "dev"}
 
@@ -140,7 +140,7 @@ def contained(environment: Dict[str, str]) -> Dict[str, str]:
     inside = {
         "XDG_CACHE_HOME": ".",
         "TMPDIR": "tmp",
-        "NUMBA_CACHE_DIR": "numba",
+        "HYPOSE_CACHE_DIR": "hypose",
         "MPLCONFIGDIR": "matplotlib",
         "PIP_CACHE_DIR": "pip",
         "UV_CACHE_DIR": "uv-cache",
@@ -343,11 +343,18 @@ def prepare(machine: Machine, profile: str, again: bool = False) -> str:
     if missing and isinstance(missing, list) and profile == "oracles":
         names = ", ".join(map(str, missing))
         print(
-            f"hypose: NOTE {names} could not be installed (.cache/setup.log); the tests that compare with it "
+            f"hypose: NOTE {names} could not be installed (.cache/setup.log); the tests that need it "
             "will be SKIPPED. `make setup` tries again.",
             flush=True,
         )
     return folder
+
+
+def prepare_page(python: str) -> None:
+    """The studio's page and what its tests drive the browser with, where they can be had; nothing to do mostly."""
+    log = []  # type: List[str]
+    if not call([python, os.path.join(ROOT, "hatch_build.py"), "--tests"], log, False):
+        print(f"hypose: NOTE the studio's page will not be tested in a browser: {log[-1].strip()}", flush=True)
 
 
 def commands_of(name: str, arguments: List[str], folder: str, python: str) -> List[List[str]]:
@@ -407,6 +414,8 @@ def main(arguments: List[str]) -> int:
         python = program(folder, "python") if folder == OWN_ENVIRONMENT else machine.python
         # hypose's own commands get file names as the user typed them; the others work on the project.
         place = ROOT if name in PROFILE_OF_COMMAND else None
+        if PROFILE_OF_COMMAND.get(name) == "oracles":
+            prepare_page(python)
         worst = 0
         for command in commands_of(name, rest, folder, python):
             if name == "lint":

@@ -149,7 +149,7 @@ def test_caches_and_temporary_files_stay_in_the_folder():
     assert result.pop("HOME") == "/home/me"
     assert result.pop("PIP_RETRIES") == "2"
     assert "PYTHONHOME" not in result
-    assert {"TMPDIR", "NUMBA_CACHE_DIR", "MPLCONFIGDIR", "PIP_CACHE_DIR", "XDG_CACHE_HOME"} <= set(result)
+    assert {"TMPDIR", "HYPOSE_CACHE_DIR", "MPLCONFIGDIR", "PIP_CACHE_DIR", "XDG_CACHE_HOME"} <= set(result)
     assert all(Path(value).is_relative_to(ROOT / ".cache") for value in result.values())
 
 
@@ -291,7 +291,7 @@ def test_wheel_holds_code_assets_and_the_command(tmp_path):
     assert wanted <= names
     assert f"hypose-{PROJECT['version']}.dist-info/licenses/LICENSE" in names
     assert not any(name.startswith(("tests/", "scripts/")) for name in names)
-    assert "hypose = hypose.app.cli:main" in entry_points
+    assert "hypose = hypose.app.__main__:main" in entry_points
 
 
 # --- rules for every file ---

@@ -61,7 +61,6 @@ MOST_FOUND = 3072
 def _numba(name: str) -> ModuleType:
     import importlib
 
-    selection.drop_stale_kernels()
     return importlib.import_module(f"hypose.compute.cpu_{name}")
 
 

@@ -49,7 +49,6 @@ def signed_distance(masks: ArrayLike, sizes: ArrayLike, margin: int | None = Non
 
 
 def _kernels() -> ModuleType:
-    selection.drop_stale_kernels()
     return import_module("hypose.compute.cpu_images")
 
 

@@ -9,12 +9,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from hypose.compute.cpu_kinematics import OPTIONS
+from hypose.compute.kernels import kernel
 
 
-@njit(**OPTIONS)
+@kernel
 def fill(own, bands, a):
     """Writes the matrix of coupled frames, own (T, D, D) and bands (3, T, D), as rows a (T D, 2 D + 1)."""
     n_frames, d = own.shape[0], own.shape[1]
@@ -32,7 +31,7 @@ def fill(own, bands, a):
                 a[i, 0] = bands[2, t - 2, r]
 
 
-@njit(**OPTIONS)
+@kernel
 def factorise(a):
     """a becomes its lower Cholesky factor; False when it is not positive definite."""
     n, b = a.shape[0], a.shape[1] - 1
@@ -56,7 +55,7 @@ def factorise(a):
     return True
 
 
-@njit(**OPTIONS)
+@kernel
 def solve_factored(a, x):
     """x (n,) becomes the solution for the right side x, a being the factor."""
     n, b = a.shape[0], a.shape[1] - 1
@@ -71,7 +70,7 @@ def solve_factored(a, x):
             x[j] -= a[i, b - (i - j)] * x[i]
 
 
-@njit(**OPTIONS)
+@kernel
 def inverse_in_band(a, z):
     """z (n, b + 1): the inverse's entries inside the band, stored as a is, from the factor a.
 

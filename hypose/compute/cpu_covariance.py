@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from hypose.compute.cpu_kinematics import OPTIONS, joint_frames
+from hypose.compute.cpu_kinematics import joint_frames
+from hypose.compute.kernels import kernel
 
 
-@njit(**OPTIONS)
+@kernel
 def joint_covariances(q, tree, hessian, ridge, out):
     """out (J, 3, 3) = G H^-1 G^T, G (3, D) the derivative of the joint centre: X^T X with X = L^-1 G^T by forward
     substitution, H + ridge = L L^T. Plain loops: LAPACK's threads may change the last bits."""

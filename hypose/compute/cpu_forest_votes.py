@@ -6,16 +6,15 @@ A grid cell (i, j) of stride n stands for pixel (i n + n // 2, j n + n // 2); `r
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from hypose.compute.cpu_forests import f4, i4, response, u8
-from hypose.compute.cpu_kinematics import OPTIONS
+from hypose.compute.kernels import kernel
 
 PROBABILITY = 10000
 """Probabilities are whole ten-thousandths."""
 
 
-@njit(**OPTIONS)
+@kernel
 def pack(test, left, count, size, records, shares):
     """Scanning layout: records (trees, N, 8) i2 = test, left child, share of class 1, 0; shares (trees, N, C) u2: all
     classes. Ten-thousandths; a node that has seen nothing is background."""
@@ -34,7 +33,7 @@ def pack(test, left, count, size, records, shares):
             records[t, n, 6] = shares[t, n, 1]
 
 
-@njit(inline="always", **OPTIONS)
+@kernel(inline=True)
 def _leaf(flat, width, c, d, s, lo, hi, records, base):
     n = base
     while True:
@@ -47,7 +46,7 @@ def _leaf(flat, width, c, d, s, lo, hi, records, base):
         n = base + u8(child) + u8(0 if f < records[n, u8(4)] else 1)
 
 
-@njit(**OPTIONS)
+@kernel
 def leaves(flat, width, cells, focal, clip, records, trees, out):
     """out (S, trees) i4: the leaf that each cell of the padded picture reaches."""
     nodes = u8(records.shape[0] // trees)
@@ -60,7 +59,7 @@ def leaves(flat, width, cells, focal, clip, records, trees, out):
             out[i, t] = _leaf(flat, width, c, d, s, d - clip, d + clip, records, base) - base
 
 
-@njit(inline="always", **OPTIONS)
+@kernel(inline=True)
 def _place(raster, i, j, stride):
     """Where grid cell (i, j) lies in the flat picture; -1 when that is outside or its depth not within near..far."""
     y, x = i * stride + stride // 2, j * stride + stride // 2
@@ -71,7 +70,7 @@ def _place(raster, i, j, stride):
     return c if raster.near <= d <= raster.far else -1
 
 
-@njit(**OPTIONS)
+@kernel
 def coarse_pass(raster, records, table, first, least, stride, wanted):
     """wanted (ceil(rows / stride), ...) u4: bit g is set where the mean of forest g's first trees' shares, at the cell
     or at a neighbour, reaches `least`. records (R, 8) i2 of all forests; table (G, 4) i8: first record, nodes per tree,
@@ -102,7 +101,7 @@ def coarse_pass(raster, records, table, first, least, stride, wanted):
     return descents
 
 
-@njit(**OPTIONS)
+@kernel
 def scan(raster, records, table, first, least, stride, wanted, ratio, out):
     """out (G, ceil(rows / stride), ...) f4: mean share of class 1 of each forest on the grid; 0 where there is no
     depth, where its bit in wanted (coarse grid, `ratio` cells to one; used when ratio > 0) is 0, and where the mean
@@ -138,7 +137,7 @@ def scan(raster, records, table, first, least, stride, wanted, ratio, out):
     return descents
 
 
-@njit(**OPTIONS)
+@kernel
 def scan_classes(raster, records, shares, trees, clip, first, least, stride, out):
     """out (C - 1, rows, columns) f4: mean share of the winning class where a gesture wins over the background and the
     other gestures, else 0. Early rejection on the summed share of all gestures. Returns the number of descents."""
@@ -177,7 +176,7 @@ def scan_classes(raster, records, shares, trees, clip, first, least, stride, out
     return descents
 
 
-@njit(**OPTIONS)
+@kernel
 def parzen(raster, stride, scores, majority, sigma, sums, out):
     """Density of the votes on the grid: out (rows, columns) f4, m^2 of surface per grid cell around it.
 

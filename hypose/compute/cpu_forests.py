@@ -11,9 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from hypose.compute.cpu_kinematics import OPTIONS
+from hypose.compute.kernels import kernel
 
 FAR = 10000
 f4 = np.float32
@@ -23,7 +22,7 @@ _SHIFT = 4096  # makes the truncation of a negative number a floor
 _HALF = f4(4096.5)
 
 
-@njit(**OPTIONS)
+@kernel
 def pad(depth, border, out):
     """out (h + 2 border, w + 2 border) i2 = depth (h, w) u2 mm inside, holes and what is beyond FAR as FAR."""
     for y in range(depth.shape[0]):
@@ -33,7 +32,7 @@ def pad(depth, border, out):
             made[x + border] = FAR if v == 0 or v > FAR else v
 
 
-@njit(inline="always", **OPTIONS)
+@kernel(inline=True)
 def response(flat, width, c, d, s, lo, hi, uy, ux, vy, vx):
     """What the test of (uy, ux) against (vy, vx) mm reads at cell c of depth d, with s = focal length / d and depths
     clipped to lo..hi."""
@@ -50,7 +49,7 @@ def response(flat, width, c, d, s, lo, hi, uy, ux, vy, vx):
     return a - b
 
 
-@njit(inline="always", **OPTIONS)
+@kernel(inline=True)
 def _bits(state, t):
     """splitmix64 (Steele, Lea, Flood 2014): 64 random bits of tree t; its state is one word, saved with the forest."""
     state[t] = state[t] + u8(0x9E3779B97F4A7C15)
@@ -60,12 +59,12 @@ def _bits(state, t):
     return z ^ (z >> u8(31))
 
 
-@njit(inline="always", **OPTIONS)
+@kernel(inline=True)
 def _uniform(state, t):
     return np.float64(_bits(state, t) >> u8(11)) * (1.0 / 9007199254740992.0)
 
 
-@njit(**OPTIONS)
+@kernel
 def _poisson(state, t, rate):
     k, p = 0, math.exp(-rate)
     total, u = p, _uniform(state, t)
@@ -76,12 +75,12 @@ def _poisson(state, t, rate):
     return k
 
 
-@njit(inline="always", **OPTIONS)
+@kernel(inline=True)
 def _offset(state, t, half):
     return int(_uniform(state, t) * (2 * half + 1)) - half
 
 
-@njit(**OPTIONS)
+@kernel
 def draw_test(state, t, half, spread, test):
     """A random test (5,): offsets uniform in the square, half of them against the pixel itself; the threshold is a
     product of two uniform numbers, so that small differences are the most frequent."""
@@ -93,7 +92,7 @@ def draw_test(state, t, half, spread, test):
     test[4] = int((2 * _uniform(state, t) - 1) * spread * _uniform(state, t))
 
 
-@njit(**OPTIONS)
+@kernel
 def _entropy(counts, n):
     h = 0.0
     if n > 0:
@@ -104,7 +103,7 @@ def _entropy(counts, n):
     return h
 
 
-@njit(**OPTIONS)
+@kernel
 def _best_test(left, total, side_least, side):
     """(index, gain) of the candidate of largest information gain (eq. 3.2); left (T, C), total (C,), side (2, C)."""
     n = 0
@@ -125,7 +124,7 @@ def _best_test(left, total, side_least, side):
     return best, gain
 
 
-@njit(**OPTIONS)
+@kernel
 def _open(g, t, n, half, spread):
     """A free slot with fresh candidates for leaf n of tree t; -1 when the pool is empty."""
     if g.n_free[t] == 0:
@@ -141,14 +140,14 @@ def _open(g, t, n, half, spread):
     return slot
 
 
-@njit(**OPTIONS)
+@kernel
 def _close(g, t, n, slot):
     g.slot[t, n] = -1
     g.free[t, g.n_free[t]] = slot
     g.n_free[t] += 1
 
 
-@njit(**OPTIONS)
+@kernel
 def _split(g, t, n, slot, q):
     """Make the winning candidate the node's test; the children start with the class counts of their side."""
     a = g.size[t]
@@ -167,7 +166,7 @@ def _split(g, t, n, slot, q):
     g.tally[0] += 1
 
 
-@njit(**OPTIONS)
+@kernel
 def grow(flat, width, cells, labels, focal, near, clip, half, spread, rate, alpha, beta, deepest, g):
     """Algorithm 6 for samples: cells (S,) i8 of the flat padded picture, labels (S,) i4 class. g: GrowingArrays.
 
@@ -223,7 +222,7 @@ def grow(flat, width, cells, labels, focal, near, clip, half, spread, rate, alph
                 _close(g, t, n, slot)
 
 
-@njit(**OPTIONS)
+@kernel
 def cut_patches(flat, width, cells, focal, step, out):
     """out (S, P, P) i2: depth minus the centre's at multiples of `step` mm around each cell: what tests at those
     offsets would read."""
@@ -239,13 +238,13 @@ def cut_patches(flat, width, cells, focal, step, out):
                 out[i, a, b] = flat[c + y * width + x] - d
 
 
-@njit(**OPTIONS)
+@kernel
 def _patch_response(patch, clip, e):
     a = min(max(i4(patch[e[0], e[1]]), -clip), clip)
     return a - min(max(i4(patch[e[2], e[3]]), -clip), clip)
 
 
-@njit(**OPTIONS)
+@kernel
 def grow_tree(
     patches, labels, order, deepest, tests, thresholds, clip, sample, fewest, state, test, left, count, level
 ):
@@ -323,7 +322,7 @@ def grow_tree(
     return nodes
 
 
-@njit(**OPTIONS)
+@kernel
 def patch_leaves(patches, clip, test, left, out):
     """out (S,) i4: the leaf of a tree of `grow_tree` that each patch reaches."""
     for i in range(patches.shape[0]):

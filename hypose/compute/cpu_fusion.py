@@ -9,12 +9,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from hypose.compute.cpu_kinematics import OPTIONS
+from hypose.compute.kernels import kernel
 
 
-@njit(**OPTIONS)
+@kernel
 def mamdani(f, d, a, low_centre, high_centre, slope, medium_centre, medium_sd, sets, out):
     """The five rules of Asteriadis 2013 (defined by fusion.fuzzy.NoiseRules): inputs (N,), consequents sets (4, P) =
     output values, low, high, medium -> out (N,)."""
@@ -40,7 +39,7 @@ def mamdani(f, d, a, low_centre, high_centre, slope, medium_centre, medium_sd, s
         out[i] = moment / total if total > 1e-12 else 0.5
 
 
-@njit(**OPTIONS)
+@kernel
 def fluidity(activations, frames, out):
     """F (K, J): standard deviation of the activations (T, K, J), a ring in which `frames` entries are filled."""
     filled = min(frames, activations.shape[0])
@@ -55,7 +54,7 @@ def fluidity(activations, frames, out):
             out[k, j] = math.sqrt(square / filled)
 
 
-@njit(**OPTIONS)
+@kernel
 def _cholesky(a, n):
     """Lower factor of a (n, n) in place (its upper part is not touched); False when not positive definite."""
     for i in range(n):
@@ -72,7 +71,7 @@ def _cholesky(a, n):
     return True
 
 
-@njit(**OPTIONS)
+@kernel
 def _solve3(a, b, columns):
     """b (3, columns) <- a^-1 b for symmetric positive definite a (3, 3), by its Cholesky factor."""
     l00 = math.sqrt(a[0, 0])
@@ -91,7 +90,7 @@ def _solve3(a, b, columns):
         b[0, c] = (y0 - l10 * y1 - l20 * y2) / l00
 
 
-@njit(**OPTIONS)
+@kernel
 def fit_frame(
     points, weights, predicted, prior_weight, bones, lengths, bone_weight, leaves, core, data_weight, scale, coarse,
     iterations, x, share, variance, spread,
@@ -271,7 +270,7 @@ def fit_frame(
     return True
 
 
-@njit(**OPTIONS)
+@kernel
 def exchange_sides(positions, states, side, mirror, pairs, swapped):
     """Exchanges left and right, in place, of sensors whose sides contradict the others and the memory.
 
@@ -313,7 +312,7 @@ def exchange_sides(positions, states, side, mirror, pairs, swapped):
         side[a] = total[a] if fresh else 0.8 * side[a] + 0.2 * total[a]
 
 
-@njit(**OPTIONS)
+@kernel
 def weigh_joints(positions, states, inferred, weights, points, evidence):
     """Weights (K, J) of joints by state (2 tracked: 1, 1 inferred: `inferred`, else 0), their positions with 0 for
     missing, and evidence (J,): somebody sees the joint. Returns whether there is any."""

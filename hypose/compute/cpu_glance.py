@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from hypose.compute.cpu_kinematics import OPTIONS
+from hypose.compute.kernels import kernel
 
 u8 = np.uint64  # an index of this type needs no test for "counted from the end"
 
 
-@njit(**OPTIONS)
+@kernel
 def differ_sparsely(image, at, low, high, out):
     """out (m, n) u1: 1 where the mean of the 2 x 2 pixels of image (H, W, 3) u1 from pixel number at (m, n) i4 on lies
     in some channel outside low..high (m, n, 3) u1; 0 where at is negative."""

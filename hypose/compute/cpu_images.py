@@ -4,15 +4,14 @@ depends on it, so that the plain definitions in images.py give the same bytes.""
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from hypose.compute.cpu_kinematics import OPTIONS
+from hypose.compute.kernels import kernel
 
 f4 = np.float32
 u8 = np.uint64  # an index of this type needs no test for "counted from the end"
 
 
-@njit(**OPTIONS)
+@kernel
 def _sum_rows(source, row, weights, first, width, sums):
     """sums (width,) u2 = weighted rows of source (H, 3 W) u1 from `row` on, columns from `first`; the weights (L,) u2
     add up to at most 257. Four rows at a time: what limits is how often `sums` is read and written."""
@@ -34,7 +33,7 @@ def _sum_rows(source, row, weights, first, width, sums):
                 sums[i] += wa * a[i] + wb * b[i] + wc * c[i] + wd * d[i]
 
 
-@njit(**OPTIONS)
+@kernel
 def shrink_blocks(image, across, down, y0, y1, x0, x1, out):
     """out (h + 3, w + 3) u8 [1 + y, 1 + x] = average of the across x down pixels of image (H, W, 3) u1 that begin at
     (across x, down y), for y0 <= y < y1, x0 <= x < x1, packed: blue + green 2^21 + red 2^42."""
@@ -66,7 +65,7 @@ def shrink_blocks(image, across, down, y0, y1, x0, x1, out):
             made[x + 1] = blue | (green << u8(21)) | (red << u8(42))
 
 
-@njit(**OPTIONS)
+@kernel
 def shrink_weighted(image, columns, column_weights, rows, row_weights, y0, y1, x0, x1, out):
     """out (h + 3, w + 3) u8 [1 + y, 1 + x] = area average of image (H, W, 3) u1 for y0 <= y < y1, x0 <= x < x1, packed
     as in shrink_blocks.
@@ -95,7 +94,7 @@ def shrink_weighted(image, columns, column_weights, rows, row_weights, y0, y1, x
             made[x + 1] = (total >> u8(12)) & mask
 
 
-@njit(**OPTIONS)
+@kernel
 def unpack(small, y0, y1, x0, x1, out):
     """out (h, w, 3) u1 in the box = the packed pixels small (h + 3, w + 3) u8."""
     for y in range(y0, y1):
@@ -107,7 +106,7 @@ def unpack(small, y0, y1, x0, x1, out):
             made[i + u8(2)] = (p >> u8(42)) & u8(255)
 
 
-@njit(**OPTIONS)
+@kernel
 def remap(small, corner, parts, y0, y1, x0, x1, out):
     """out (h, w, 3) u1 in the box = the packed pixels small (h + 3, w + 3) u8 at corner (h, w) plus the parts
     (h, w, 2), in 32nds. Three colours are blended in one word."""
@@ -129,7 +128,7 @@ def remap(small, corner, parts, y0, y1, x0, x1, out):
             made[i + u8(2)] = (value >> u8(52)) & u8(255)
 
 
-@njit(**OPTIONS)
+@kernel
 def differ(image, low, high, mean, square, shadow, darkest, lightest, chroma, y0, y1, x0, x1, out):
     """out (h, w) u1 in the box: 0 = the room, 1 = something else, 2 = the room, darker. image (h, w, 3) u1 between
     low and high (same type) is the room. For the shadow test (if shadow): mean (h, w, 3) f4, square (h, w) f4."""
@@ -170,19 +169,19 @@ def differ(image, low, high, mean, square, shadow, darkest, lightest, chroma, y0
                     made[u8(x)] = 2
 
 
-@njit(**OPTIONS)
+@kernel
 def _all_of_three(a, b, c, out):
     for x in range(out.shape[0]):
         out[x] = a[x] & b[x] & c[x]
 
 
-@njit(**OPTIONS)
+@kernel
 def _any_of_three(a, b, c, out):
     for x in range(out.shape[0]):
         out[x] = a[x] | b[x] | c[x]
 
 
-@njit(**OPTIONS)
+@kernel
 def without_shadows(codes, out):
     """out (h, w) u1 = codes (h, w) > 0, less every 3 x 3 block of twos (as much of it as lies inside the picture)."""
     h, w = codes.shape
@@ -203,7 +202,7 @@ def without_shadows(codes, out):
             made[x] = np.uint8(row[x] > 0) & np.uint8((left[x] | middle[x] | right[x]) ^ np.uint8(1))
 
 
-@njit(**OPTIONS)
+@kernel
 def _root(parent, i):
     while parent[i] != i:
         parent[i] = parent[parent[i]]
@@ -211,7 +210,7 @@ def _root(parent, i):
     return i
 
 
-@njit(**OPTIONS)
+@kernel
 def _label(mask, value, reach, starts, ends, rows, parent):
     """Runs of `value` in mask (h, w), joined to regions (reach 1: also over corners); returns their number.
 
@@ -254,7 +253,7 @@ def _label(mask, value, reach, starts, ends, rows, parent):
     return n
 
 
-@njit(**OPTIONS)
+@kernel
 def clean_regions(mask, hole_px, keep_share, keep_gap, out):
     """Fill the holes of at most hole_px in mask (h, w) u1 (which is changed), keep the biggest region and what lies
     near it; out (h, w) u1, zero before. See images.clean_regions."""
@@ -305,7 +304,7 @@ def clean_regions(mask, hole_px, keep_share, keep_gap, out):
             line[x] = 1
 
 
-@njit(**OPTIONS)
+@kernel
 def spread_distance(outside, inside, x0, y0, own_x, own_y, filled, out):
     """out (h, w) f4 = signed distance from the chamfer distances to the mask, outside (bh, bw) f4 of the box at
     (x0, y0), and to the background, inside (ih, iw) f4 of the box at (own_x, own_y) in that box; filled > 0: the
@@ -339,7 +338,7 @@ def spread_distance(outside, inside, x0, y0, own_x, own_y, filled, out):
             made[x] = line[x] + f4(y - y0 - bh + 1)
 
 
-@njit(**OPTIONS)
+@kernel
 def order_statistic(stack, hidden, rank, out):
     """out (P, 3) u1 of stack (N, P, 3) u1: see images.order_statistic; hidden (N or 0, P) bool, rank (P,) u2.
 

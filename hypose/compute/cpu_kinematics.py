@@ -5,16 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from hypose.compute.arrays import BALL, HINGES
-
-# neither nnan nor ninf: with them the compiler removes the finiteness tests of the solver
-FAST = {"contract", "reassoc", "nsz", "arcp"}
-OPTIONS = dict(cache=True, fastmath=FAST, nogil=True, boundscheck=False, error_model="numpy")
+from hypose.compute.kernels import kernel
 
 
-@njit(**OPTIONS)
+@kernel
 def so3_exp_and_jacobian(x, y, z, rotation, jacobian):
     """Rodrigues' formula and the left Jacobian of the rotation vector (x, y, z), written into two (3, 3)."""
     t2 = x * x + y * y + z * z
@@ -45,7 +41,7 @@ def so3_exp_and_jacobian(x, y, z, rotation, jacobian):
         m[2, 1] = p * x + s * y * z
 
 
-@njit(**OPTIONS)
+@kernel
 def multiply(a, b, out):
     """out = a @ b for (3, 3); out must be another array."""
     for i in range(3):
@@ -53,7 +49,7 @@ def multiply(a, b, out):
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
 
 
-@njit(**OPTIONS)
+@kernel
 def joint_frames(q, tree, rotations, centres, twists):
     """Frames and twists of one pose q (D,), all about the root's position: rotations (J, 3, 3); centres (J, 3) minus
     q[0:3]; twists (D, 6) = (w, v), a point x (minus q[0:3]) moves with w x x + v per unit of the dof."""
@@ -112,7 +108,7 @@ def joint_frames(q, tree, rotations, centres, twists):
             s[5] = centres[j, 0] * s[1] - centres[j, 1] * s[0]
 
 
-@njit(**OPTIONS)
+@kernel
 def forward_kinematics(poses, tree, rotations, centres):
     """Batch of joint frames: poses (N, D) -> rotations (N, J, 3, 3), centres (N, J, 3) in the world."""
     twists = np.empty((poses.shape[1], 6))
@@ -123,7 +119,7 @@ def forward_kinematics(poses, tree, rotations, centres):
                 centres[n, j, i] += poses[n, i]
 
 
-@njit(**OPTIONS)
+@kernel
 def skin_batch(rotations, centres, tree, mesh, out):
     """Linear blend skinning in float64: (N, J, 3, 3), (N, J, 3) -> out (N, V, 3)."""
     for n in range(rotations.shape[0]):
@@ -143,7 +139,7 @@ def skin_batch(rotations, centres, tree, mesh, out):
             out[n, v, 0], out[n, v, 1], out[n, v, 2] = px, py, pz
 
 
-@njit(**OPTIONS)
+@kernel
 def skin_about_root(rotations, centres, tree, mesh, out):
     """Linear blend skinning of one pose in float32 about the root's position (float32 is then good to 1e-4 mm)."""
     n_joints = rotations.shape[0]
@@ -173,7 +169,7 @@ def skin_about_root(rotations, centres, tree, mesh, out):
         out[v, 2] = b[8] * x + b[9] * y + b[10] * z + b[11]
 
 
-@njit(**OPTIONS)
+@kernel
 def camera_about_root(projection, q, out):
     """Projection (3, 4) f8 for points in the world -> out (3, 4) f4 for points minus q[0:3]."""
     for r in range(3):

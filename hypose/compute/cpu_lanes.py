@@ -14,10 +14,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from hypose.compute.arrays import BALL, HINGES
-from hypose.compute.cpu_kinematics import OPTIONS
 from hypose.compute.cpu_silhouettes import (
     NEAR,
     contour_edges,
@@ -38,11 +36,12 @@ from hypose.compute.cpu_vectors import (
     skin_vertex,
     write_crossings,
 )
+from hypose.compute.kernels import kernel
 
 f4 = np.float32
 
 
-@njit(**OPTIONS)
+@kernel
 def turn_lanes(frame, axis, e, out):
     """out = frame @ exp of the rotation vectors axis (3, LANES), in every lane; frame, out, scratch e: (9, LANES)."""
     for k in range(LANES):
@@ -71,7 +70,7 @@ def turn_lanes(frame, axis, e, out):
                 )
 
 
-@njit(**OPTIONS)
+@kernel
 def copy_lanes(a, out):
     """out = a, (9, LANES): a loop compiles much faster than a slice."""
     for i in range(9):
@@ -79,7 +78,7 @@ def copy_lanes(a, out):
             out[i, k] = a[i, k]
 
 
-@njit(**OPTIONS)
+@kernel
 def bone_maps(poses, first, tree, needed, frames, centres, axis, scratch, maps):
     """Maps (J, 12, LANES) f4 of the needed joints from the model at rest to the world about each pose's root, rows of
     (3, 4), for the poses from first on (the last one repeated); kinematics in float64: frames (J + 1, 9, LANES),
@@ -134,7 +133,7 @@ def bone_maps(poses, first, tree, needed, frames, centres, axis, scratch, maps):
                 )
 
 
-@njit(**OPTIONS)
+@kernel
 def camera_lanes(projection, poses, first, p):
     """Projection (3, 4) f8 for points in the world -> p (12, LANES) f4 for points about each pose's root."""
     last = poses.shape[0] - 1
@@ -148,7 +147,7 @@ def camera_lanes(projection, poses, first, p):
             )
 
 
-@njit(**OPTIONS)
+@kernel
 def lane_windows(bounds, box, lanes, window, origin):
     """The image window of each lane: what of its silhouette's bounds lies in the box (x0, x1, y0, y1).
 
@@ -175,14 +174,14 @@ def lane_windows(bounds, box, lanes, window, origin):
     return some, near
 
 
-@njit(**OPTIONS)
+@kernel
 def row_stride(columns):
     """Bytes per row of the difference image of a window: whole strips, an odd number so that a column of them does
     not fall on few sets of the cache."""
     return STRIP * (((columns + STRIP - 1) // STRIP) | 1)
 
 
-@njit(**OPTIONS)
+@kernel
 def list_crossings(mesh, u, v, some, window, origin, front, union, edge, columns, lists, ends):
     """Pixels where the contours cross columns, per lane: lists (2 LANES, capacity) i4, up at 2 lane and down after it,
     ends (2 LANES,) how many. Returns the lanes whose lists are full (to be drawn otherwise)."""
@@ -224,7 +223,7 @@ def list_crossings(mesh, u, v, some, window, origin, front, union, edge, columns
     return full
 
 
-@njit(**OPTIONS)
+@kernel
 def draw_lists(up, down, difference):
     """Adds the two lists of pixels into difference (i1, flat). False when a pixel got more than it should hold."""
     seen = 0
@@ -241,7 +240,7 @@ def draw_lists(up, down, difference):
     return 0 <= seen < 2 * GUARD
 
 
-@njit(**OPTIONS)
+@kernel
 def score_safely(mesh, points, u, v, p, lane, near, mask, drawn, origin, first_column, safe, counts):
     """One lane drawn by the plain way in int16, for what the fast way cannot hold. counts (3,) model, hit."""
     vertices, single_u, single_v, camera, front, start, end, difference, running, model, hit = safe
@@ -266,7 +265,7 @@ def score_safely(mesh, points, u, v, p, lane, near, mask, drawn, origin, first_c
     count_window(mask, drawn, x0, y0, width, height, difference, running, model, hit, counts)
 
 
-@njit(**OPTIONS)
+@kernel
 def silhouette_xor(poses, first, last, tree, mesh, prepared, boxes, box_areas, drawn, drawn_counts, scratch, out):
     """Blocks first..last (of LANES poses) of out (N, C, 3) = (xor, model, intersection) pixels inside boxes (C, 4).
 

@@ -5,18 +5,17 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from hypose.compute.cpu_kinematics import OPTIONS
 from hypose.compute.cpu_mono_nodes import bilinear
 from hypose.compute.cpu_mono_rows import curvature, robust
+from hypose.compute.kernels import kernel
 
 f4 = np.float32
 MOST_EDGES = 16
 """most edges kept in one node's window"""
 
 
-@njit(**OPTIONS)
+@kernel
 def image_row(p, ws, r, u, v, depth, nx, ny, first, second):
     """Direction and derivatives of row r: along (nx, ny) in the image, for a point seen at (u, v)."""
     values = ws.row_values[r]
@@ -27,7 +26,7 @@ def image_row(p, ws, r, u, v, depth, nx, ny, first, second):
     values[6], values[7] = first, second
 
 
-@njit(**OPTIONS)
+@kernel
 def contour_row(p, ws, r, i, nx, ny, first, second):
     """Row r of contour node i along (nx, ny)."""
     node = ws.nodes[i]
@@ -38,7 +37,7 @@ def contour_row(p, ws, r, i, nx, ny, first, second):
     image_row(p, ws, r, node[1], node[2], depth, nx, ny, first, second)
 
 
-@njit(**OPTIONS)
+@kernel
 def line_search(field, x, y, nx, ny, window, threshold, energy, offset, strength):
     """All edges in the window along the normal: local maxima of the gradient's component along it, with sub-pixel
     offset and strength (at most 1). Returns their number. energy (2 window + 1,) is scratch."""
@@ -64,7 +63,7 @@ def line_search(field, x, y, nx, ny, window, threshold, energy, offset, strength
     return m
 
 
-@njit(**OPTIONS)
+@kernel
 def edge_terms(n_nodes, problem, sigma, want, ws, n_rows):
     """Cost of the contour nodes: equation (7), first sum, over all edges of each node's window; appends rows when
     derivatives are wanted. Returns cost and rows.
@@ -109,7 +108,7 @@ def edge_terms(n_nodes, problem, sigma, want, ws, n_rows):
     return cost, n_rows
 
 
-@njit(**OPTIONS)
+@kernel
 def flow_terms(q, n_flow, problem, want, ws, n_rows):
     """Cost of inner nodes against where flow has carried them: equation (7), second sum."""
     flow, p, second_order = problem.flow, problem.model.projection, problem.second_order
@@ -151,7 +150,7 @@ def flow_terms(q, n_flow, problem, want, ws, n_rows):
     return cost, n_rows
 
 
-@njit(**OPTIONS)
+@kernel
 def mask_terms(n_nodes, problem, want, ws, n_rows):
     """Cost of the outer contour against a silhouette: nodes against the distance to the mask's edge, and points of the
     mask's outline against the nearest node (along its normal), so that neither a small nor a large body wins."""

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from hypose.compute.cpu_kinematics import OPTIONS
+from hypose.compute.kernels import kernel
 
 f4 = np.float32
 
 
-@njit(**OPTIONS)
+@kernel
 def strongest_gradient(image, out, size):
     """Scharr gradient (per px) of that channel of image (h, w, C) in which it is largest: out (h, w, 2), its length
     size (h, w); 0 along the border."""
@@ -37,7 +36,7 @@ def strongest_gradient(image, out, size):
             size[y, x] = math.sqrt(best) * k
 
 
-@njit(**OPTIONS)
+@kernel
 def saturate(field, size, full):
     """field (h, w, 2) in units of a full edge, cut at 1, in place."""
     for y in range(size.shape[0]):
@@ -47,7 +46,7 @@ def saturate(field, size, full):
             field[y, x, 1] *= k
 
 
-@njit(**OPTIONS)
+@kernel
 def weigh(field, boundaries, x0, y0, floor, out):
     """out = field (h, w, 2) times floor + (1 - floor) boundaries, which cover the part from (x0, y0) on (0 outside)."""
     h, w = boundaries.shape
@@ -61,7 +60,7 @@ def weigh(field, boundaries, x0, y0, floor, out):
             out[y, x, 1] = k * field[y, x, 1]
 
 
-@njit(**OPTIONS)
+@kernel
 def flow_error(there, back, out):
     """Length of there(x) + back(x + there(x)), px: out (h, w); outside the picture the border's flow counts."""
     h, w = out.shape
@@ -80,7 +79,7 @@ def flow_error(there, back, out):
             out[y, x] = math.sqrt(s)
 
 
-@njit(**OPTIONS)
+@kernel
 def boundary_map(back, error, steep, wrong, out):
     """Motion boundaries (h, w): slope of the flow (Sobel sums over `steep`) plus its error over `wrong`, each cut
     at 1."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from hypose.compute.cpu_kinematics import OPTIONS, camera_about_root, joint_frames, skin_about_root
+from hypose.compute.cpu_kinematics import camera_about_root, joint_frames, skin_about_root
+from hypose.compute.kernels import kernel
 
 f4 = np.float32
 NEAR = f4(0.1)
@@ -21,7 +21,7 @@ INNER, OUTER = 1.5, 1.7
 """px from the contour at which these two are looked up"""
 
 
-@njit(**OPTIONS)
+@kernel
 def pose_mesh(q, model, ws):
     """Joint frames, vertices about the root, and their pixels and depths; which faces are seen from outside."""
     joint_frames(q, model.tree, ws.rotations, ws.centres, ws.twists)
@@ -44,7 +44,7 @@ def pose_mesh(q, model, ws):
         front[f] = 1 if area < f4(-1e-9) and not near else 0
 
 
-@njit(**OPTIONS)
+@kernel
 def draw(uvz, faces, chosen, front, depth):
     """Nearest depth of the chosen front faces into depth (h, w), row by row; the caller clears."""
     h, w = depth.shape
@@ -90,7 +90,7 @@ def draw(uvz, faces, chosen, front, depth):
                 row[i] = min(row[i], z + f4(i) * zx)
 
 
-@njit(**OPTIONS)
+@kernel
 def fill_depth(model, ws):
     """The z-buffer around the moving parts: still parts as they were drawn before, moving parts drawn now."""
     h, w = ws.depth.shape
@@ -113,7 +113,7 @@ def fill_depth(model, ws):
     draw(uvz, faces, model.moving_faces, ws.front, ws.depth)
 
 
-@njit(**OPTIONS)
+@kernel
 def draw_still(q, model, ws):
     """Before a search: the parts that no estimated dof moves, as seen at pose q (D,)."""
     for y in range(ws.still.shape[0]):
@@ -124,7 +124,7 @@ def draw_still(q, model, ws):
         draw(ws.uvz, model.mesh.faces, model.still_faces, ws.front, ws.still)
 
 
-@njit(**OPTIONS)
+@kernel
 def contour_nodes(model, spacing, ws):
     """Nodes on the occluding contour of the moving parts, `spacing` px apart: fills ws.node_ends and ws.nodes and
     returns their number.
@@ -182,7 +182,7 @@ def contour_nodes(model, spacing, ws):
     return n
 
 
-@njit(**OPTIONS)
+@kernel
 def bilinear(image, x, y):
     """image (h, w) at a pixel (x, y) well inside it."""
     i, j = int(x), int(y)
@@ -192,7 +192,7 @@ def bilinear(image, x, y):
     ) * b
 
 
-@njit(**OPTIONS)
+@kernel
 def inner_nodes(model, flow, ws):
     """Inner nodes of the previous pose (its mesh and z-buffer are in ws) on a grid of flow.spacing px, with the place
     where flow has carried them: fills ws.flow_faces and ws.flow_nodes and returns their number.

@@ -12,9 +12,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from hypose.compute.cpu_kinematics import OPTIONS
+from hypose.compute.kernels import kernel
 from hypose.compute.mono_terms import GAUSSIAN, LORENTZIAN
 
 f4 = np.float32
@@ -22,7 +21,7 @@ SHARE = 0.1
 """least second derivative along a residual, as a share of that without rho''"""
 
 
-@njit(**OPTIONS)
+@kernel
 def robust(form, s, sigma2):
     """rho(s) and its first and second derivative for height 1: equations (2) and (3) of Sminchisescu & Triggs 2001,
     and s / sigma^2 for the Gaussian."""
@@ -35,7 +34,7 @@ def robust(form, s, sigma2):
     return 1 - e, e / sigma2, -e / (sigma2 * sigma2)
 
 
-@njit(**OPTIONS)
+@kernel
 def curvature(first, second, s, second_order):
     """Second derivative of rho(s) / 2 along the residual, rho' + 2 rho'' s of equation (9), kept positive: far from
     the peak it is negative and a Newton step would climb."""
@@ -44,7 +43,7 @@ def curvature(first, second, s, second_order):
     return max(first + 2 * second * s, SHARE * first)
 
 
-@njit(**OPTIONS)
+@kernel
 def sum_vertex_rows(n, model, ws, hessian, gradient):
     """hessian (A, A), gradient (A,) += n rows of ws; of the hessian either [i, k] or [k, i] gets a pair's sum."""
     tree, mesh, slot = model.tree, model.mesh, model.slot
@@ -76,7 +75,7 @@ def sum_vertex_rows(n, model, ws, hessian, gradient):
         spread(m, columns, entries, values[r, 6], values[r, 7], hessian, gradient)
 
 
-@njit(**OPTIONS)
+@kernel
 def climb(tree, slot, twists, wrench, marked, columns, entries):
     """Wrenches at marked joints -> the m non-zero entries of a row over the active dof; wrench and marks are cleared.
     Returns m."""
@@ -106,7 +105,7 @@ def climb(tree, slot, twists, wrench, marked, columns, entries):
     return m
 
 
-@njit(**OPTIONS)
+@kernel
 def spread(m, columns, entries, first, second, hessian, gradient):
     """gradient += first J, hessian += second J^T J for a row of m entries."""
     for i in range(m):
@@ -118,7 +117,7 @@ def spread(m, columns, entries, first, second, hessian, gradient):
             h[columns[k]] += e * entries[k]
 
 
-@njit(**OPTIONS)
+@kernel
 def mark_terms(q, model, marks, second_order, ws, hessian, gradient):
     """2D points: cost 1/2 weight nu rho(|residual|^2) with nu = sigma^2, so that it is a squared residual in standard
     deviations near zero; a point behind the camera costs what 1000 px cost."""
@@ -170,7 +169,7 @@ def mark_terms(q, model, marks, second_order, ws, hessian, gradient):
     return cost
 
 
-@njit(**OPTIONS)
+@kernel
 def sphere_terms(model, spheres, ws, hessian, gradient):
     """Interpenetration: 1/2 weight (apart - distance)^2 for pairs of spheres that are too near."""
     tree = model.tree
@@ -208,7 +207,7 @@ def sphere_terms(model, spheres, ws, hessian, gradient):
     return cost
 
 
-@njit(**OPTIONS)
+@kernel
 def floor_terms(q, model, floor, second_order, ws, hessian, gradient):
     """The lowest point of the soles stands on the floor, and none lies under it: cost as of a 2D point (a Lorentzian
     with its tail from 2 sd on, so that a jump costs little more than a step)."""

@@ -5,19 +5,18 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from hypose.compute.cpu_kinematics import OPTIONS
 from hypose.compute.cpu_mono_cues import edge_terms, flow_terms, mask_terms
 from hypose.compute.cpu_mono_nodes import contour_nodes, draw_still, fill_depth, inner_nodes, pose_mesh
 from hypose.compute.cpu_mono_rows import floor_terms, mark_terms, sphere_terms, sum_vertex_rows
 from hypose.compute.cpu_solver import bounded_step
+from hypose.compute.kernels import kernel
 
 GAIN = 0.02
 """a search ends when no step promises to lower the cost by more"""
 
 
-@njit(**OPTIONS)
+@kernel
 def image_cost(q, problem, sigma, n_flow, want, ws, hessian, gradient):
     """Cost of all evidence at pose q (D,) with edges of scale sigma px and n_flow inner nodes (0: without flow); the
     derivatives over the active dof overwrite hessian (A, A) and gradient (A,) when wanted."""
@@ -57,7 +56,7 @@ def image_cost(q, problem, sigma, n_flow, want, ws, hessian, gradient):
     return cost
 
 
-@njit(**OPTIONS)
+@kernel
 def prior_cost(q, priors, active, hessian, gradient):
     """The prediction's and the rest posture's quadratics; hessian and gradient get theirs added."""
     cost = 0.0
@@ -72,14 +71,14 @@ def prior_cost(q, priors, active, hessian, gradient):
     return cost
 
 
-@njit(**OPTIONS)
+@kernel
 def full_cost(q, problem, sigma, n_flow, ws, hessian, gradient):
     """Evidence and priors: equations (6) and (10)."""
     cost = image_cost(q, problem, sigma, n_flow, True, ws, hessian, gradient)
     return cost + prior_cost(q, problem.priors, problem.model.active, hessian, gradient)
 
 
-@njit(**OPTIONS)
+@kernel
 def rank_cost(q, problem, ws, hessian, gradient):
     """What hypotheses are ranked by: all but flow, whose targets differ between hypotheses (section 4.2). The matrices
     are scratch."""
@@ -87,7 +86,7 @@ def rank_cost(q, problem, ws, hessian, gradient):
     return cost + prior_cost(q, problem.priors, problem.model.active, hessian, gradient)
 
 
-@njit(**OPTIONS)
+@kernel
 def expected_gain(hessian, gradient, step, scale):
     """Decrease of the quadratic model along scale * step."""
     slope, bend = 0.0, 0.0
@@ -100,7 +99,7 @@ def expected_gain(hessian, gradient, step, scale):
     return -scale * slope - 0.5 * scale * scale * bend
 
 
-@njit(**OPTIONS)
+@kernel
 def descend(q, problem, sigma, n_flow, iterations, ws, hessian, gradient):
     """Damped Newton within the limits from pose q (D,), which is overwritten, as hessian and gradient are; returns the
     cost.
@@ -150,7 +149,7 @@ def descend(q, problem, sigma, n_flow, iterations, ws, hessian, gradient):
     return cost
 
 
-@njit(**OPTIONS)
+@kernel
 def search(q, before, problem, coarse, iterations, ws, hessian, gradient, info):
     """One hypothesis in one frame: inner nodes from the pose `before` (D,) in the previous picture, then a coarse and a
     fine descent from q (D,), which is overwritten.
@@ -181,7 +180,7 @@ def search(q, before, problem, coarse, iterations, ws, hessian, gradient, info):
     return math.isfinite(cost)
 
 
-@njit(**OPTIONS)
+@kernel
 def score(poses, problem, ws, costs):
     """Costs (N,) without flow at poses (N, D): how samples are ranked."""
     a = problem.model.active.shape[0]
@@ -192,7 +191,7 @@ def score(poses, problem, ws, costs):
         costs[n] = rank_cost(poses[n], problem, ws, hessian, gradient)
 
 
-@njit(**OPTIONS)
+@kernel
 def symmetric_eigen(a, vectors):
     """Eigenvalues on the diagonal of a (N, N), which is overwritten, vectors (N, N) in columns: cyclic Jacobi. No BLAS,
     whose threads cost far more than so small a matrix."""

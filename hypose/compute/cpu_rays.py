@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
-from hypose.compute.cpu_kinematics import OPTIONS
+from hypose.compute.kernels import kernel
 
 FAR = 1e9
 """Distance along a ray that meets nothing."""
 
 
-@njit(**OPTIONS)
+@kernel
 def _capsule(origin, dx, dy, dz, capsule, c):
     """Distance along a unit ray to capsule c (a, b, radius), FAR when it misses. After I. Quilez's closed form."""
     ax, ay, az = capsule[c, 0], capsule[c, 1], capsule[c, 2]
@@ -46,7 +44,7 @@ def _capsule(origin, dx, dy, dz, capsule, c):
     return FAR
 
 
-@njit(**OPTIONS)
+@kernel
 def cast_rays(origin, directions, capsules, out):
     """Unit directions (N, 3) from origin (3,) against capsules (C, 7) = a, b, radius in m -> out (N,) distance along
     the ray to the first surface, FAR when there is none."""
@@ -59,7 +57,7 @@ def cast_rays(origin, directions, capsules, out):
         out[n] = nearest
 
 
-@njit(**OPTIONS)
+@kernel
 def seen_share(origin, joints, offsets, capsules, own, margin, out):
     """Share of the points joint + offset (offsets (Q, 3) m) that a sensor at origin sees: joints (J, 3), capsules
     (C, 7), own (J, C): capsules that hold the joint and never hide it -> out (J,)."""

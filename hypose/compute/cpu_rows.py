@@ -13,10 +13,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from hypose.compute.cpu_kinematics import OPTIONS
 from hypose.compute.cpu_silhouettes import NEAR, contour_edges, emit_contours, front_faces, project
+from hypose.compute.kernels import kernel
 
 f4, i4 = np.float32, np.int32
 BORDER = 3
@@ -25,7 +24,7 @@ RIM = 2032
 """most outline points of the body in one view (indices must fit 11 bits)"""
 
 
-@njit(**OPTIONS)
+@kernel
 def add_row(hessian, gradient, j, w, r, px, py, pz, gx, gy, gz):
     """hessian (J, 21), gradient (J, 6) += the wrench of one row on joint j."""
     a0, a1, a2 = py * gz - pz * gy, pz * gx - px * gz, px * gy - py * gx
@@ -60,7 +59,7 @@ def add_row(hessian, gradient, j, w, r, px, py, pz, gx, gy, gz):
     g[5] += b5 * r
 
 
-@njit(**OPTIONS)
+@kernel
 def sum_rows(n, rows, joints, lanes, place, hessian, gradient):
     """hessian (J, 21), gradient (J, 6) += n contour rows, all of a joint at once in vector lanes, which is
     faster than adding each to its joint; lanes (9, M) and place (J + 1,) are scratch."""
@@ -99,7 +98,7 @@ def sum_rows(n, rows, joints, lanes, place, hessian, gradient):
         first = last
 
 
-@njit(**OPTIONS)
+@kernel
 def form_rows(n, ends, found, n_rows, vertices, skin_index, skin_weight, skin_count, p, rows, joints):
     """Appends the rows of n points on mesh edges to rows (M, 8) = wrench, weight, residual, and joints (M,), from row
     n_rows on, one for each joint that moves the point; returns the number of rows then.
@@ -150,7 +149,7 @@ def form_rows(n, ends, found, n_rows, vertices, skin_index, skin_weight, skin_co
     return n_rows
 
 
-@njit(**OPTIONS)
+@kernel
 def nearest(rim_u, rim_v, blocks, x, y):
     """Index of the nearest of 16 * blocks points: squared distance in 1/64 px^2 and the index are packed into one
     integer, so that the minimum needs no branch and vectorises (a float arg-min does not). Casts keep it in 32 bits,
@@ -163,7 +162,7 @@ def nearest(rim_u, rim_v, blocks, x, y):
     return best & 2047
 
 
-@njit(**OPTIONS)
+@kernel
 def own_silhouette(x0, y0, width, height, difference, running, own):
     """own (h, w) u1 = the body's silhouette in the window, from its winding differences, which are cleared."""
     acc = running[:width]
@@ -177,7 +176,7 @@ def own_silhouette(x0, y0, width, height, difference, running, own):
     difference[height, :width] = 0
 
 
-@njit(**OPTIONS)
+@kernel
 def contour_rows(c, p, mesh, contours, scale, ws, kept, count):
     """Rows of view c under p (3, 4) f4 about the root, kept in ws.rows, kept[0] so far; count[0] forward and count[1]
     reverse rows are added; returns the view's cost.
@@ -300,7 +299,7 @@ def contour_rows(c, p, mesh, contours, scale, ws, kept, count):
     return 0.5 * (forward * cost_forward + reverse * cost_reverse)
 
 
-@njit(**OPTIONS)
+@kernel
 def keypoint_rows(q, keypoints, rotations, centres, hessian, gradient, count):
     """Rows of 2D key points; returns the cost, 1/2 w 4 log(1 + e^2 / 4) with e = distance / scale (Cauchy, 2 sd).
 
@@ -340,7 +339,7 @@ def keypoint_rows(q, keypoints, rotations, centres, hessian, gradient, count):
     return cost
 
 
-@njit(**OPTIONS)
+@kernel
 def point_rows(q, points, rotations, centres, hessian, gradient, count):
     """Rows of 3D points; returns the cost, 1/2 w 4 log(1 + e^2 / 4) with e = distance / scale (Cauchy, 2 sd)."""
     cost = 0.0
@@ -368,7 +367,7 @@ def point_rows(q, points, rotations, centres, hessian, gradient, count):
     return cost
 
 
-@njit(**OPTIONS)
+@kernel
 def _mark_edge(above, row, below, before, after, marked):
     """marked (n,) u1: 1 where row (n,) is negative and some neighbour positive; by itself it vectorises."""
     for i in range(row.shape[0]):
@@ -379,7 +378,7 @@ def _mark_edge(above, row, below, before, after, marked):
         marked[i] = (most if most < -row[i] else -row[i]) > f4(0)
 
 
-@njit(**OPTIONS)
+@kernel
 def outline_points(sdf, width, height, out):
     """Up to K points on the zero line of sdf (h, w), evenly taken in row order, BORDER px of the image border left
     out: inside pixels with an outside neighbour, moved by -sdf along its gradient. Fills out (K, 2) (repeating when

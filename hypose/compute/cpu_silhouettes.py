@@ -12,16 +12,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from hypose.compute.cpu_kinematics import OPTIONS
+from hypose.compute.kernels import kernel
 
 f4 = np.float32
 NEAR = 0.05
 """Near plane, m: what lies closer (or behind) is cut off."""
 
 
-@njit(**OPTIONS)
+@kernel
 def project(vertices, p, u, v, bounds):
     """Pixels of vertices (V, 3) under p (3, 4), all f4, into u, v (V,); bounds gets x0, x1, y0, y1, nearest depth."""
     x0, x1, y0, y1, z0 = f4(1e9), f4(-1e9), f4(1e9), f4(-1e9), f4(1e9)
@@ -36,7 +35,7 @@ def project(vertices, p, u, v, bounds):
     bounds[0], bounds[1], bounds[2], bounds[3], bounds[4] = x0, x1, y0, y1, z0
 
 
-@njit(**OPTIONS)
+@kernel
 def front_faces(faces, u, v, front):
     """front (F,) u1 = 1 where a face turns its outside to the camera (clockwise in an image with y down)."""
     for f in range(faces.shape[0]):
@@ -44,7 +43,7 @@ def front_faces(faces, u, v, front):
         front[f] = (u[b] - u[a]) * (v[c] - v[a]) < (u[c] - u[a]) * (v[b] - v[a])
 
 
-@njit(**OPTIONS)
+@kernel
 def contour_edges(edges, front, start, end):
     """Directed contour edges (start, end vertices as their front face holds them); returns how many."""
     n = 0
@@ -57,7 +56,7 @@ def contour_edges(edges, front, start, end):
     return n
 
 
-@njit(**OPTIONS)
+@kernel
 def cross_columns(xa, ya, xb, yb, sign, width, height, difference):
     """+-sign at the first row on or below the directed segment, for every column it crosses; x, y about the window."""
     s = np.int16(-sign)
@@ -74,7 +73,7 @@ def cross_columns(xa, ya, xb, yb, sign, width, height, difference):
             difference[np.uint32(np.ceil(y)), np.uint32(c)] += s  # unsigned: no test for indices from the end
 
 
-@njit(**OPTIONS)
+@kernel
 def emit_contours(n, start, end, u, v, x0, y0, width, height, difference):
     """Winding differences of n directed contour edges in the window with corner (x0, y0)."""
     fx, fy = f4(x0), f4(y0)
@@ -83,7 +82,7 @@ def emit_contours(n, start, end, u, v, x0, y0, width, height, difference):
         cross_columns(u[a] - fx, v[a] - fy, u[b] - fx, v[b] - fy, 1, width, height, difference)
 
 
-@njit(**OPTIONS)
+@kernel
 def emit_clipped_faces(vertices, faces, p, x0, y0, width, height, difference, one_sided):
     """The slow safe way when the body reaches the near plane: every face is cut at NEAR and drawn by itself, front or
     back (where the plane opens the body its inside is seen; not if one_sided)."""
@@ -136,7 +135,7 @@ def emit_clipped_faces(vertices, faces, p, x0, y0, width, height, difference, on
             )
 
 
-@njit(**OPTIONS)
+@kernel
 def count_window(mask, drawn, x0, y0, width, height, difference, running, model, hit, counts):
     """Running sums down the rows: counts[0] model pixels that are not set in drawn (h, B; packed, low bit first),
     counts[1] those inside the mask; clears the differences."""
@@ -165,7 +164,7 @@ def count_window(mask, drawn, x0, y0, width, height, difference, running, model,
     counts[1] = n_hit
 
 
-@njit(**OPTIONS)
+@kernel
 def areas_in_boxes(masks, boxes, out):
     """Foreground pixels of masks (C, h, w) inside boxes (C, 4)."""
     for c in range(masks.shape[0]):

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from hypose.compute.cpu_kinematics import OPTIONS, camera_about_root, joint_frames, skin_about_root
+from hypose.compute.cpu_kinematics import camera_about_root, joint_frames, skin_about_root
 from hypose.compute.cpu_rows import contour_rows, keypoint_rows, point_rows, sum_rows
+from hypose.compute.kernels import kernel
 
 LARGEST_TURN = 0.35
 """rad: steps that turn a joint further are shortened"""
@@ -16,7 +16,7 @@ ACCEPT = 1.002
 """a step may raise the cost by this factor: contour costs jump when the outline changes"""
 
 
-@njit(**OPTIONS)
+@kernel
 def fold(tree, twists, wrench_hessian, wrench_gradient, hessian, gradient):
     """Sums per joint -> gradient (D,) and Gauss-Newton matrix (D, D): sums are folded from child to parent, then
     H_de = S_d . B_j S_e for each dof d of joint j and each dof e of j and its ancestors."""
@@ -63,7 +63,7 @@ def fold(tree, twists, wrench_hessian, wrench_gradient, hessian, gradient):
             a = tree.parents[a]
 
 
-@njit(**OPTIONS)
+@kernel
 def solve_positive(a, n, b, x):
     """x = a^-1 b by Cholesky in place (lower triangle of a); False when a is not positive."""
     for i in range(n):
@@ -91,7 +91,7 @@ def solve_positive(a, n, b, x):
     return True
 
 
-@njit(**OPTIONS)
+@kernel
 def bounded_step(hessian, gradient, q, lower, upper, damping, step):
     """Minimum of 1/2 s'(H + damping D)s + g's subject to lower <= q + s <= upper, by an active set that only grows
     (at most six rounds; then what still sticks out is cut off). False when the matrix is not positive."""
@@ -139,7 +139,7 @@ def bounded_step(hessian, gradient, q, lower, upper, damping, step):
     return True
 
 
-@njit(**OPTIONS)
+@kernel
 def cost_at(q, tree, mesh, contours, scale, keypoints, points, priors, ws, counts):
     """Cost at pose q (D,), and how many contour rows wait in the workspace for `normal_equations`; counts (C + 2, 2):
     forward and reverse rows of each view, then the key points, then the points."""
@@ -172,7 +172,7 @@ def cost_at(q, tree, mesh, contours, scale, keypoints, points, priors, ws, count
     return cost, kept[0]
 
 
-@njit(**OPTIONS)
+@kernel
 def normal_equations(q, kept, tree, priors, ws, hessian, gradient):
     """hessian (D, D) and gradient (D,), overwritten, of the cost that `cost_at` has just found at q."""
     sum_rows(kept, ws.rows, ws.row_joints, ws.lanes, ws.place, ws.wrench_hessian, ws.wrench_gradient)
@@ -185,7 +185,7 @@ def normal_equations(q, kept, tree, priors, ws, hessian, gradient):
                 hessian[d, d] += w
 
 
-@njit(**OPTIONS)
+@kernel
 def evaluate(q, tree, mesh, contours, scale, keypoints, points, priors, ws, hessian, gradient, counts):
     """Cost, hessian, gradient and counts at pose q; see `cost_at` and `normal_equations`."""
     cost, kept = cost_at(q, tree, mesh, contours, scale, keypoints, points, priors, ws, counts)
@@ -193,7 +193,7 @@ def evaluate(q, tree, mesh, contours, scale, keypoints, points, priors, ws, hess
     return cost
 
 
-@njit(**OPTIONS)
+@kernel
 def solve(q, tree, mesh, contours, keypoints, points, priors, settings, ws, hessian, gradient, counts, info):
     """Bounded Levenberg-Marquardt from pose q (D,), which is overwritten; hessian and gradient are those at the result.
 

@@ -9,15 +9,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from hypose.compute.cpu_kinematics import OPTIONS, camera_about_root, joint_frames, skin_about_root
+from hypose.compute.cpu_kinematics import camera_about_root, joint_frames, skin_about_root
 from hypose.compute.cpu_silhouettes import NEAR, contour_edges, emit_clipped_faces, emit_contours, front_faces, project
+from hypose.compute.kernels import kernel
 
 f4 = np.float32
 
 
-@njit(**OPTIONS)
+@kernel
 def stamp(mask, x0, y0, width, height, difference, running, own, bits, counts):
     """Sets the bits (h, B) of the silhouette whose winding differences are given in the window with corner (x0, y0);
     counts (2,): pixels set, those of them in the mask (h, w)."""
@@ -41,7 +41,7 @@ def stamp(mask, x0, y0, width, height, difference, running, own, bits, counts):
     counts[1] = hit
 
 
-@njit(**OPTIONS)
+@kernel
 def draw_standing(pose, tree, mesh, faces, standing, prepared, boxes, bits, counts):
     """Silhouettes of the faces (K, 3) of the mesh at a pose (D,), inside boxes (C, 4): bits (C, h, B), counts (C, 2)
     model and intersection pixels; standing (F,) tells the same faces among all."""

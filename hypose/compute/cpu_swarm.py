@@ -8,15 +8,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from hypose.compute.cpu_kinematics import OPTIONS
+from hypose.compute.kernels import kernel
 
 NEGLIGIBLE = 7.0
 """Scales h beyond which exp(-d / h) < 0.001 is taken as 0."""
 
 
-@njit(**OPTIONS)
+@kernel
 def _decay(x):
     """exp(-x) for 0 <= x < 40, to 1e-8 of its value: a table of powers of two and a polynomial."""
     y = x * 1.4426950408889634
@@ -26,7 +25,7 @@ def _decay(x):
     return p / (1 << k)
 
 
-@njit(**OPTIONS)
+@kernel
 def place_candidates(bits, base, usable, renew, radius, values, log_weights, label):
     """Candidates uniform in balls of `radius` m around base (K, J, 3), spread evenly over the usable (K, J) sensors,
     for the joints with renew (J,): values (J, N, 3), log_weights (J, N), label (J, N) are written. bits (J, R) uint64:
@@ -72,7 +71,7 @@ def place_candidates(bits, base, usable, renew, radius, values, log_weights, lab
                 break
 
 
-@njit(**OPTIONS)
+@kernel
 def ride(values, label, moved, out):
     """Candidates (J, M, 3) moved by their sensor's movement (K, J, 3) of the joint, into the first M columns of out."""
     for j in range(values.shape[0]):
@@ -82,7 +81,7 @@ def ride(values, label, moved, out):
                 out[j, n, a] = values[j, n, a] + moved[k, j, a]
 
 
-@njit(**OPTIONS)
+@kernel
 def swarm_energy(values, label, log_weights, positions, weights, h, out):
     """log of E_jn = sum_k w_kj exp(-|s_kj - p_jn| / h): values (J, M, 3), label (J, M) (-1 = padding), positions
     (K, J, 3), weights (K, J) (0 = missing) -> out (J, M), -inf where E = 0. Joints of which no candidate with a weight
@@ -114,7 +113,7 @@ def swarm_energy(values, label, log_weights, positions, weights, h, out):
                 out[j, n] = -np.inf
 
 
-@njit(**OPTIONS)
+@kernel
 def shares_and_mean(log_weights, values, shares, mean):
     """Normalised weights (J, M) of log_weights (J, M) (all 0 where every one is -inf) and the weighted mean (J, 3)."""
     for j in range(log_weights.shape[0]):
@@ -139,7 +138,7 @@ def shares_and_mean(log_weights, values, shares, mean):
                 mean[j, a] /= total
 
 
-@njit(**OPTIONS)
+@kernel
 def wheel_counts(shares, spacings, counts):
     """N spins of a roulette wheel per row: shares (J, M) >= 0, spacings (J, N + 1) exponential variates -> counts
     (J, M) int64, how often each was drawn.
@@ -172,7 +171,7 @@ def wheel_counts(shares, spacings, counts):
         counts[j, final] += last - spin  # rounding of the sums
 
 
-@njit(**OPTIONS)
+@kernel
 def universal_counts(shares, start, total_count, counts):
     """Baker's stochastic universal sampling: shares (J, M), start (J,) in [0, 1), N -> counts (J, M) int64."""
     for j in range(shares.shape[0]):
@@ -194,7 +193,7 @@ def universal_counts(shares, start, total_count, counts):
         counts[j, final] += total_count - spin
 
 
-@njit(**OPTIONS)
+@kernel
 def keep_drawn(counts, values, label, count, new_values, new_log, new_label):
     """The candidates with counts (J, M) > 0, moved together: values (J, M, 3), label (J, M) -> new_values (J, W, 3),
     new_log (J, W) = log(copies / count), new_label (J, W); what is left over has weight 0 (log -inf) and label -1."""
@@ -214,7 +213,7 @@ def keep_drawn(counts, values, label, count, new_values, new_log, new_label):
             new_label[j, n] = -1
 
 
-@njit(**OPTIONS)
+@kernel
 def swarm_summary(values, log_weights, label, spread, shares, distinct):
     """Of a merged population (J, W) with log_weights that sum to 1 as weights: root mean square distance from its mean
     (J,), the shares by label (J, K) and the number of distinct candidates (J,)."""

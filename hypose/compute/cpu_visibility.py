@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from hypose.compute.cpu_kinematics import OPTIONS
+from hypose.compute.kernels import kernel
 
 TIE = 1.0001  # segments that share an end are equally far up to rounding
 LEAVE, ARRIVE = 1e-3, 1e-6  # shares of the way that are not tested: the vertex's own surface, the bone itself
 OUTWARD = 0.0  # largest cosine between the way to a bone and the outward normal
 
 
-@njit(**OPTIONS)
+@kernel
 def face_spheres(vertices, faces, centre, radius):
     """Centre (F, 3) and radius (F,) of a sphere around each face."""
     for f in range(len(faces)):
@@ -29,7 +28,7 @@ def face_spheres(vertices, faces, centre, radius):
         radius[f] = math.sqrt(largest)
 
 
-@njit(**OPTIONS)
+@kernel
 def blocked(origin, way, own, vertices, faces, centre, radius):
     """Whether a face that does not contain the vertex `own` lies across the path origin + t way, 0 < t < 1."""
     ox, oy, oz = origin[0], origin[1], origin[2]
@@ -71,7 +70,7 @@ def blocked(origin, way, own, vertices, faces, centre, radius):
     return False
 
 
-@njit(**OPTIONS)
+@kernel
 def nearest_visible(vertices, faces, normals, closest, distance, near):
     """Marks in near (V, B) the nearest visible segments of each vertex, ties included; see visibility.py."""
     centre, radius = np.empty((len(faces), 3)), np.empty(len(faces))

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
+
+from hypose.compute.kernels import kernel
 
 NEAR = 0.2
 """Triangles with a corner nearer than this (m) are not drawn."""
 TABLE = 16384
-_FLAGS = dict(cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, nogil=True, error_model="numpy")
 
 
-@njit(**_FLAGS)
+@kernel
 def _draw(points, faces, fx, fy, cx, cy, inverse):
     h, w = inverse.shape
     x, y = np.empty(3), np.empty(3)
@@ -74,7 +74,7 @@ def draw(
     _draw(p, np.ascontiguousarray(faces, dtype=np.int32), *(float(v) for v in lens), inverse)
 
 
-@njit(**_FLAGS)
+@kernel
 def _sense(inverse, fx, baseline, smooth, rows, normals, uniforms, out):
     h, w = inverse.shape
     for y in range(h):

@@ -18,8 +18,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.compute import selection
-
 Depth = NDArray[np.uint16]
 FAR_MM = 10000
 """What a hole, the outside of the picture and everything beyond counts as."""
@@ -110,13 +108,11 @@ class Raster(NamedTuple):
 
 @cache
 def _kernels() -> ModuleType:
-    selection.drop_stale_kernels()
     return importlib.import_module("hypose.compute.cpu_forests")
 
 
 @cache
 def _voting() -> ModuleType:
-    selection.drop_stale_kernels()
     return importlib.import_module("hypose.compute.cpu_forest_votes")
 
 

@@ -55,7 +55,6 @@ def differing_box(image: Image, at: NDArray[np.int32], glance: Glance, size: tup
     if selection.backend() == "numpy":
         found = _differ_sparsely(image, at, glance)
     else:
-        selection.drop_stale_kernels()
         found = np.empty(at.shape, np.uint8)
         kernels = import_module("hypose.compute.cpu_glance")
         kernels.differ_sparsely(np.require(image, np.uint8, ["C", "W"]), at, *glance, found)

@@ -155,7 +155,6 @@ def _scratch(h: int, w: int) -> NDArray[np.uint64]:
 
 
 def _kernels():  # noqa: ANN202 - a module
-    selection.drop_stale_kernels()
     return import_module("hypose.compute.cpu_images")
 
 

@@ -1,15 +1,13 @@
-"""Which back end the hot functions run on, how many threads they may use, and the hygiene of numba's cache on disk."""
+"""Which back end the hot functions run on, and how many threads they may use."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import re
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextvars import ContextVar
 from functools import cache
-from pathlib import Path
 
 from hypose.errors import InputError
 
@@ -95,26 +93,3 @@ def over_chunks(work: Callable[[int, int], None], n: int, threads: int | None, s
         wait(begun)
     for future in begun:
         future.result()
-
-
-@cache
-def drop_stale_kernels() -> None:
-    """Forget compiled kernels that are older than a source they are made from.
-
-    numba's disk cache watches only the file of the outermost function: after an edit of a kernel that another file
-    calls, the caller would go on running the old one.
-    """
-    room = Path(__file__).parent
-    with contextlib.suppress(OSError):
-        files = {p.stem: p for p in room.glob("*.py")}
-        imports = {name: set(_IMPORT.findall(p.read_text(encoding="utf-8"))) for name, p in files.items()}
-        for index in (room / "__pycache__").glob("*.nbi"):
-            made_from = {index.name.split(".")[0]} & files.keys()
-            while more := {m for name in made_from for m in imports[name] if m in files} - made_from:
-                made_from |= more
-            newest = max((files[name].stat().st_mtime for name in made_from), default=float("inf"))
-            if index.stat().st_mtime < newest:
-                index.unlink(missing_ok=True)
-
-
-_IMPORT = re.compile(r"^from hypose\.compute\.(\w+) import", re.MULTILINE)

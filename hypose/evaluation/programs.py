@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-HYPOSE = (sys.executable, "-m", "hypose.app.cli")
+HYPOSE = (sys.executable, "-m", "hypose.app")
 _TIMEOUT_S = 1800.0
 
 
@@ -116,7 +116,7 @@ def fork(arguments: Sequence[str | Path], log: Path) -> Forked:
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w")
         sys.argv = ["hypose", *map(str, arguments)]
-        runpy.run_module("hypose.app.cli", run_name="__main__")
+        runpy.run_module("hypose.app", run_name="__main__")
         code = 0
     except SystemExit as ended:
         code = ended.code if isinstance(ended.code, int) else int(ended.code is not None)

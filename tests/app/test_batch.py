@@ -212,7 +212,7 @@ def test_a_worker_that_the_cluster_gives_up_is_replaced(study, tmp_path, monkeyp
 @pytest.mark.slow
 def test_ctrl_c_keeps_what_was_tracked(study, tmp_path):
     path = sweep_file(study, tmp_path)
-    command = [sys.executable, "-m", "hypose.app.cli", "batch", str(path), "--workers", "1"]
+    command = [sys.executable, "-m", "hypose.app", "batch", str(path), "--workers", "1"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, process_group=0)
     deadline = time.monotonic() + 300
     while not any(tmp_path.glob("out/long/*/checkpoint.npz")):

@@ -22,7 +22,7 @@ def longer(tmp_path_factory):
 
 def command(recording, out, *more):
     return [
-        *(sys.executable, "-m", "hypose.app.cli", "track", str(recording), "--out", str(out)),
+        *(sys.executable, "-m", "hypose.app", "track", str(recording), "--out", str(out)),
         *("--no-overlay", "--formats", "trc", *more),
     ]
 

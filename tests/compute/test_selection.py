@@ -1,6 +1,5 @@
-"""Choosing the back end, spreading work over threads, and never running kernels older than their source."""
+"""Choosing the back end, and spreading work over threads."""
 
-import os
 import subprocess
 import sys
 
@@ -42,21 +41,3 @@ def test_an_error_in_any_chunk_is_raised():
 
     with pytest.raises(ValueError, match="last chunk"):
         selection.over_chunks(work, 6, 3)
-
-
-def test_kernels_older_than_a_source_they_are_made_from_are_forgotten(tmp_path, monkeypatch):
-    cache = tmp_path / "__pycache__"
-    cache.mkdir()
-    now = 1_700_000_000
-    sources = {"far": "", "near": "from hypose.compute.far import x\n", "own": "", "other": ""}
-    sources["own"] = "from hypose.compute.near import (\n    y,\n)\n"
-    for name, text in sources.items():
-        (tmp_path / f"{name}.py").write_text(text)
-        os.utime(tmp_path / f"{name}.py", (now + 10 * (name == "far"),) * 2)
-        for kernel, age in (("old", 5), ("new", 20)):
-            (cache / f"{name}.{kernel}-1.py311.nbi").write_text("")
-            os.utime(cache / f"{name}.{kernel}-1.py311.nbi", (now + age,) * 2)
-    monkeypatch.setattr(selection, "__file__", str(tmp_path / "selection.py"))
-    selection.drop_stale_kernels.__wrapped__()
-    left = sorted(p.name.split("-")[0] for p in cache.iterdir())
-    assert left == ["far.new", "near.new", "other.new", "other.old", "own.new"]

@@ -1,0 +1,78 @@
+"""Where hypose keeps what it can make again (compiled kernels, the list of fonts): one folder, chosen once per process.
+
+The order is: the folder named by HYPOSE_CACHE_DIR; the user's cache (XDG_CACHE_HOME or ~/.cache, on macOS
+~/Library/Caches, on Windows %LOCALAPPDATA%); a private folder among the temporary ones; none. Compiled code is run as
+it is read, so a folder that others may write to is not taken.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import stat
+import sys
+import tempfile
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+VARIABLE = "HYPOSE_CACHE_DIR"
+_log = logging.getLogger("hypose")
+
+
+@cache
+def note(text: str) -> None:
+    """Say something about the cache, each sentence once per process; without a handler it goes to stderr."""
+    _log.warning("%s", text)
+
+
+@cache
+def cache_folder() -> Path | None:
+    """The folder of this process, or None where no folder can be used; it may be read-only when it is filled."""
+    wanted = os.environ.get(VARIABLE, "")
+    for folder in _candidates():
+        problem = _problem(folder)
+        if not problem:
+            return folder
+        if wanted and folder == Path(wanted):
+            note(f"{VARIABLE}={wanted!r} cannot be used ({problem}); another place is taken for the cache.")
+    note(f"No folder can be written for the cache, so every start compiles again; name one with {VARIABLE}.")
+    return None
+
+
+def _candidates() -> Iterator[Path]:
+    if wanted := os.environ.get(VARIABLE):
+        yield Path(wanted)
+    home = os.path.expanduser("~")
+    if sys.platform == "win32":
+        user = os.environ.get("LOCALAPPDATA", "")
+    elif sys.platform == "darwin":
+        user = os.path.join(home, "Library", "Caches")
+    else:
+        user = os.environ.get("XDG_CACHE_HOME") or os.path.join(home, ".cache")
+    if os.path.isabs(user):
+        yield Path(user) / "hypose"
+    try:
+        temporary = tempfile.gettempdir()
+    except OSError:  # not even the working folder can be written
+        return
+    yield Path(temporary) / f"hypose-cache-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
+
+
+def _problem(folder: Path) -> str:
+    """Why a folder cannot be the cache; empty when it can."""
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        status = folder.stat()
+        if hasattr(os, "getuid"):
+            named = os.environ.get(VARIABLE) == str(folder)
+            if not named and status.st_uid not in (os.getuid(), 0):
+                return "it belongs to another user"
+            if status.st_mode & stat.S_IWOTH or (status.st_mode & stat.S_IWGRP and not named):
+                return "other users may write there"
+        if any(folder.iterdir()):  # filled: good for reading, if for nothing else
+            return ""
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        return (error.strerror or str(error)).lower()
+    return ""

@@ -1,0 +1,160 @@
+"""How a function becomes a kernel: numba with one set of options, and a cache on disk that may fail without harm.
+
+numba's own cache takes its files on trust: without a folder that can be written nothing runs at all, a damaged file
+ends the process, and after an edit of a kernel that another file calls the caller goes on running the old one. Here a
+cache that cannot be written, read or trusted costs time, never a run. The files are keyed by the sources of the kernel
+and of all it calls, by numba, Python and the processor, and are read only when their checksum holds.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import re
+import sys
+import time
+import uuid
+from collections.abc import Callable
+from functools import cache, partial
+from pathlib import Path
+from pickle import loads
+from typing import Any
+
+import llvmlite
+import numba
+from numba.core.caching import NullCache
+from numba.core.compiler import CompileResult
+from numba.core.serialize import dumps
+
+from hypose.compute.cache_place import cache_folder, note
+
+# neither nnan nor ninf: with them the compiler removes the finiteness tests of the solver
+FAST = {"contract", "reassoc", "nsz", "arcp"}
+
+_MAGIC = b"hypose kernel 1\n"
+_DIGEST = 32
+_UNUSED_DAYS = 60
+_IMPORT = re.compile(r"^from (hypose\.compute\.[\w.]+) import", re.MULTILINE)
+
+
+def kernel(function: Callable[..., Any] | None = None, *, inline: bool = False, fast: bool = True) -> Any:
+    """Compile a function with numba when it is first called, or take what an earlier process has compiled.
+
+    inline: put its code where it is called (small functions that are called in loops). fast: sums in any order and
+    fused multiply-adds; without, every processor gives the same bits.
+    """
+    if function is None:
+        return partial(kernel, inline=inline, fast=fast)
+    compiled = numba.njit(
+        fastmath=FAST if fast else False,
+        nogil=True,
+        boundscheck=False,
+        error_model="numpy",
+        inline="always" if inline else "never",
+    )(function)
+    compiled._cache = KernelCache(function)
+    return compiled
+
+
+class KernelCache(NullCache):
+    """numba's interface of a cache, for one kernel: one file per signature and processor.
+
+    Nothing here raises: what cannot be read is compiled, what cannot be written is compiled again the next time.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The kernel compiled for a signature, or None."""
+        target_context.refresh()
+        path = self._path(sig, target_context.codegen())
+        if path is None:
+            return None
+        try:
+            data = path.read_bytes()
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            note(f"Compiled code in {path.parent} cannot be read ({error.strerror}); it is compiled again.")
+            return None
+        payload = data[len(_MAGIC) + _DIGEST :]
+        if data != _sealed(payload):
+            return self._damaged(path)
+        try:
+            # numba keeps kernels in no other form than as pickles; a private folder and the checksum vouch for this one
+            found = CompileResult._rebuild(target_context, *loads(payload))  # noqa: S301
+        except Exception:  # sound, but not what this numba makes of it
+            return self._damaged(path)
+        with contextlib.suppress(OSError):
+            os.utime(path)
+        return found
+
+    def save_overload(self, sig: Any, cres: Any) -> None:
+        """Keep a compiled kernel, unless it holds what is true in this process only."""
+        path = self._path(sig, cres.codegen)
+        if path is None or cres.library.has_dynamic_globals or any(not lifted.can_cache for lifted in cres.lifted):
+            return
+        temporary = path.with_name(f"{uuid.uuid4().hex[:16]}.tmp")
+        try:
+            _folder_for_writing(path.parent)
+            temporary.write_bytes(_sealed(dumps(cres._reduce())))
+            os.replace(temporary, path)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            reason = (error.strerror or str(error)).lower()
+            note(f"Compiled code cannot be kept in {path.parent} ({reason}); the next start compiles it again.")
+
+    def _damaged(self, path: Path) -> None:
+        note(f"Damaged files of compiled code in {path.parent} are thrown away and compiled again.")
+        with contextlib.suppress(OSError):
+            path.unlink()
+
+    def _path(self, sig: Any, codegen: Any) -> Path | None:
+        place = cache_folder()
+        sources = _digest_of_sources(self._function.__module__)
+        if place is None or sources is None:
+            return None
+        name = f"{self._function.__module__.rpartition('.')[2]}.{self._function.__qualname__}"
+        line = self._function.__code__.co_firstlineno
+        key = repr((sources, name, line, sig, codegen.magic_tuple(), sys.byteorder, sys.maxsize))
+        return place / _VERSIONS / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:24]}.kernel"
+
+
+_VERSIONS = (
+    f"kernels-{sys.implementation.cache_tag}{getattr(sys, 'abiflags', '')}"
+    f"-numba{numba.__version__}-llvmlite{llvmlite.__version__}"
+)
+
+
+def _sealed(payload: bytes) -> bytes:
+    return _MAGIC + hashlib.sha256(payload).digest() + payload
+
+
+@cache
+def _folder_for_writing(folder: Path) -> None:
+    """Make the folder of these versions, and forget what nobody has used for long."""
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    oldest = time.time() - _UNUSED_DAYS * 86400
+    for path in folder.iterdir():
+        with contextlib.suppress(OSError):
+            if path.stat().st_mtime < oldest:
+                path.unlink()
+
+
+@cache
+def _digest_of_sources(module: str) -> str | None:
+    """Of a module of kernels and all modules of this room that it imports, directly or not; None without sources."""
+    root = Path(__file__).parents[2]
+    texts: dict[str, bytes] = {}
+    left = [module]
+    try:
+        while left:
+            name = left.pop()
+            texts[name] = (root / (name.replace(".", "/") + ".py")).read_bytes()
+            left += [m for m in _IMPORT.findall(texts[name].decode()) if m not in texts]
+    except (OSError, ValueError):
+        return None
+    return hashlib.sha256(b"\0".join(name.encode() + b"\0" + texts[name] for name in sorted(texts))).hexdigest()
