@@ -1,13 +1,30 @@
-"""What all tests share: real recordings when they are there, and a seeded source of randomness."""
+"""What all tests share: real recordings when they are there, a seeded source of randomness, and the rules of a run:
+nothing is left behind, the order does not matter, and what was not tested is said at the end."""
 
-from collections.abc import Callable
+import os
+import random
+import tempfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from scripts.bootstrap import contained
+from tests import missing
+
+# Before anything of hypose is imported, so that a bare `pytest` keeps its caches where `make test` keeps them.
+for name, place in contained({}).items():
+    if name != "TMPDIR":
+        os.environ.setdefault(name, place)
+
 ROOT = Path(__file__).resolve().parent.parent
 SHARED_DATA = ROOT.parent / "shared" / "data"
+
+# Caches, builds and environments of the checkout: made and used by what runs the tests, not by the tests.
+OF_THE_TOOLS = {".git", ".venv", ".cache", "__pycache__", "node_modules", "static"}
+# A person may add these to the checkout while the tests run; no test has a reason to.
+SOURCES = (".py", ".pyi", ".md", ".toml", ".ts", ".mjs", ".html", ".css", ".swp", "~")
 
 
 @pytest.fixture(scope="session")
@@ -17,7 +34,7 @@ def shared_data() -> Callable[[str], Path]:
     def find(name: str) -> Path:
         path = SHARED_DATA / name
         if not path.exists():
-            pytest.skip(f"real recording not found: {path}")
+            missing.skip(f"real recordings ({name.split('/')[0]})", "put them into ../shared/data beside the checkout")
         return path
 
     return find
@@ -27,3 +44,90 @@ def shared_data() -> Callable[[str], Path]:
 def rng() -> np.random.Generator:
     """A fresh generator with the same seed for every test, so that no test depends on which ran before it."""
     return np.random.default_rng(20240607)
+
+
+# ---- nothing is left behind ----
+
+
+def files_below(folder: Path) -> set[str]:
+    """Paths, relative to the folder, of all files below it and of empty folders, without those of the tools."""
+    found = set()
+    for place, folders, names in os.walk(folder):
+        inside = os.path.relpath(place, folder)
+        if not (folders or names):
+            found.add(inside)
+        folders[:] = [name for name in folders if name not in OF_THE_TOOLS]
+        found |= {os.path.normpath(os.path.join(inside, name)) for name in names if not name.endswith(SOURCES)}
+    return found
+
+
+@pytest.fixture(scope="session", autouse=True)
+def home() -> Iterator[Path | None]:
+    """The tests' own, empty home, in place of the user's, whose files nobody's tests may touch; where HOME is not set
+    it stays so. Caches go where they are told to by variables, which the home does not change."""
+    with tempfile.TemporaryDirectory(prefix="hypose-home-") as folder, pytest.MonkeyPatch.context() as patch:
+        if "HOME" not in os.environ:
+            yield None
+            return
+        patch.setenv("HOME", folder)
+        yield Path(folder)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def nothing_is_left_behind(home: Path | None) -> Iterator[None]:
+    """The tests of a module leave no file in the checkout, the home and the working folder, and stay in the folder."""
+    start = Path.cwd()
+
+    def look() -> set[str]:
+        beside = {start / name for name in os.listdir(start) if name not in OF_THE_TOOLS and not name.endswith(SOURCES)}
+        found = {place / name for place in (ROOT, home) if place for name in files_below(place)}
+        return {str(path) for path in beside | found}
+
+    before = look()
+    yield
+    moved = Path.cwd() != start
+    os.chdir(start)
+    assert not moved, "the tests of this module have changed the working folder"
+    new = sorted(look() - before)
+    assert not new, f"the tests of this module have left {', '.join(new[:10])}"
+
+
+# ---- any order ----
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """--order SEED."""
+    parser.addoption("--order", type=int, metavar="SEED", help="run the modules, and the tests of each, in an order")
+
+
+def shuffled(items: list[pytest.Item], seed: int) -> list[pytest.Item]:
+    """The modules in an order drawn by the seed, and in each its tests: what a module shares is made once all the
+    same."""
+    draw = random.Random(seed)
+    modules: dict[Path, list[pytest.Item]] = {}
+    for item in items:
+        modules.setdefault(item.path, []).append(item)
+    groups = list(modules.values())
+    draw.shuffle(groups)
+    for group in groups:
+        draw.shuffle(group)
+    return [item for group in groups for item in group]
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """The order that was asked for."""
+    if (seed := config.getoption("--order")) is not None:
+        items[:] = shuffled(items, seed)
+
+
+# ---- what was not tested ----
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> Iterator[None]:
+    """The line before pytest's own last one."""
+    yield
+    skipped = terminalreporter.stats.get("skipped", [])
+    reasons = [report.longrepr[2] for report in skipped if isinstance(report.longrepr, tuple)]
+    if line := missing.closing_line(reasons):
+        terminalreporter.write_line(line, yellow=True)

@@ -9,6 +9,7 @@ import pytest
 from hypose.app.cli import main
 from hypose.app.truth import compare
 from hypose.io.results import load_motion
+from tests import missing
 from tests.conftest import ROOT
 
 PAGE = (ROOT / "docs/first-recording.md").read_text()
@@ -39,7 +40,7 @@ def test_from_four_videos_and_a_board_to_opensim(tmp_path, monkeypatch, capsys):
     assert not motion.lost.any()
     # the board's place on the floor is the origin of the truth as well
     assert np.median(compare(tmp_path / "session/truth.npz", motion, 0).distances) < 0.03
-    opensim = pytest.importorskip("opensim", reason="opensim is not installed")
+    opensim = missing.module("opensim", "agreement with OpenSim", "pip install opensim")
     angles = opensim.TimeSeriesTable(str(results / "motion.mot"))
     markers = opensim.TimeSeriesTableVec3(str(results / "motion.trc"))
     assert angles.getNumRows() == markers.getNumRows() == len(motion)

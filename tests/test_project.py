@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import hypose
+from tests import missing
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "hypose"
@@ -229,7 +230,7 @@ print(bootstrap.run([sys.executable, "-c", {child!r}], None, dict(os.environ)))
 
 def test_version_is_the_same_everywhere():
     if hypose.__version__ == "0+unknown":
-        pytest.skip("hypose is not installed here (make setup installs it): its version cannot be compared")
+        missing.skip("the installed version", "make setup")
     assert hypose.__version__ == PROJECT["version"]
 
 
@@ -281,7 +282,7 @@ def test_every_imported_package_is_declared():
 
 
 def test_wheel_holds_code_assets_and_the_command(tmp_path):
-    builder = pytest.importorskip("hatchling.builders.wheel", reason="hatchling (extra dev) is not installed")
+    builder = missing.module("hatchling.builders.wheel", "what the wheel holds", "pip install hatchling")
     (wheel,) = builder.WheelBuilder(str(ROOT)).build(directory=str(tmp_path))
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
@@ -301,7 +302,7 @@ def test_no_large_file_is_tracked():
     try:
         listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):
-        pytest.skip("not a git checkout: there is no list of tracked files")
+        missing.skip("which files are tracked", "run the tests in a git checkout")
     files = [ROOT / name for name in listed.stdout.split("\0") if name]
     large = [p.relative_to(ROOT).as_posix() for p in files if p.is_file() and p.stat().st_size > 2**20]
     assert sorted(large) == sorted(LARGE_FILES)

@@ -17,6 +17,7 @@ from hypose.errors import InputError
 from hypose.evaluation.programs import workers_of
 from hypose.evaluation.small_recordings import small_scene, write_masks
 from hypose.io.bodies import save_body
+from tests import missing
 from tests.conftest import ROOT
 
 
@@ -86,7 +87,7 @@ def test_a_running_scheduler(long, tmp_path):
 
 
 def test_the_job_script_of_slurm():
-    pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed (pip install 'hypose[slurm]')")
+    missing.module("dask_jobqueue", "batches on SLURM", "pip install 'hypose[slurm]'")
     given = {"queue": "long", "memory": "6GB", "job_script_prologue": ["module load python"]}
     # the scheduler of this test listens on the loopback address only
     with slurm_cluster({**given, "scheduler_options": {"host": "127.0.0.1"}}, {"NUMBA_NUM_THREADS": "1"}) as cluster:
@@ -98,7 +99,7 @@ def test_the_job_script_of_slurm():
 
 @pytest.mark.slow
 def test_jobs_of_slurm_do_the_work(hypose, tmp_path, monkeypatch):
-    pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed (pip install 'hypose[slurm]')")
+    missing.module("dask_jobqueue", "batches on SLURM", "pip install 'hypose[slurm]'")
     for name, text in {
         "sbatch": 'for job; do :; done; bash "$job" > /dev/null 2>&1 & echo "Submitted batch job $!"',
         "scancel": 'kill "$@"',

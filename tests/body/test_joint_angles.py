@@ -1,7 +1,5 @@
 """Joint angles: zero in the neutral, known rotations give known angles with OpenSim's signs, no jumps."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -18,6 +16,7 @@ from hypose.body.joint_angles import (
 from hypose.body.models import JOINT_NAMES, human_skeleton
 from hypose.errors import InputError
 from hypose.geometry import so3_exp, so3_log
+from tests import missing
 
 LEFT = {
     "clavicle": (0.02, 0.00, 0.44),
@@ -257,14 +256,11 @@ def test_wrong_shape_is_one_sentence(skeleton):
         joint_angles(skeleton, np.zeros(36))
 
 
-def test_opensim_model_agrees_on_every_sign_and_order(skeleton, neutral, rng):
+def test_opensim_model_agrees_on_every_sign_and_order(skeleton, neutral, rng, shared_data):
     """Random coordinates posed by OpenSim's own full-body model: our angles of its body rotations are the
     same."""
-    osim = pytest.importorskip("opensim", reason="opensim is not installed: signs are NOT compared with its model")
-    shared = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "pose2sim_balancing"
-    path = shared / "opensim_v0.8.4" / "Model_Pose2Sim_body25b_scaled.osim"
-    if not path.exists():
-        pytest.skip(f"real OpenSim model not found: {path}")
+    osim = missing.module("opensim", "agreement with OpenSim", "pip install opensim")
+    path = shared_data("pose2sim_balancing/opensim_v0.8.4/Model_Pose2Sim_body25b_scaled.osim")
     osim.Logger.setLevelString("Off")
     model = osim.Model(str(path))
     state = model.initSystem()

@@ -5,6 +5,7 @@ import pytest
 
 from hypose import compute
 from hypose.geometry import se3_exp, so3_exp, so3_left_jacobian, so3_log, transform
+from tests import missing
 from tests.capsule_person import capsule_person, random_pose
 
 
@@ -71,9 +72,7 @@ def test_jacobian_by_finite_differences(body, poses, rng):
 
 def test_against_pinocchio(body, poses):
     """An independent rigid-body library: every hinge a revolute joint, every ball a spherical one (a quaternion)."""
-    pin = pytest.importorskip(
-        "pinocchio", reason="pinocchio (package pin) is not installed: no independent check of FK"
-    )
+    pin = missing.module("pinocchio", "kinematics against Pinocchio", "pip install pin")
     s = body.skeleton
     model = pin.Model()
     last, offset, order = {-1: 0}, {}, []

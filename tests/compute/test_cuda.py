@@ -10,6 +10,7 @@ import pytest
 
 from hypose import compute
 from hypose.errors import InputError
+from tests import missing
 from tests.capsule_person import capsule_person, random_pose, ring
 
 ROOT = Path(__file__).parents[2]
@@ -22,7 +23,7 @@ def simulated(tmp_path):
     code = f"from tests.compute.test_cuda import run; run({str(tmp_path / 'counts.npz')!r})"
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, cwd=ROOT)
     if "CudaSupportError" in done.stderr or "No module named 'numba.cuda'" in done.stderr:
-        pytest.skip("numba's CUDA simulator not found; install the cuda extra to run these tests")
+        missing.skip("the CUDA back end, in numba's simulator", "pip install numba-cuda")
     assert done.returncode == 0, done.stderr[-3000:]
     with np.load(tmp_path / "counts.npz") as counts:
         return {name: counts[name] for name in counts.files}

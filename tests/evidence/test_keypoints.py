@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hypose.body.models import human
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.frame import Keypoints
@@ -156,8 +157,7 @@ def test_triangulation_needs_frames():
 
 
 def test_landmarks_on_the_body():
-    models = pytest.importorskip("hypose.body.models")
-    body = models.human()
+    body = human()
     joint, offset, known = landmark_of(BODY_25, body)
     assert known.all()
     rest = body.skeleton.rest_joints

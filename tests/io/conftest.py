@@ -6,6 +6,7 @@ import pytest
 from hypose.body.body import Body, Landmarks, Mesh
 from hypose.body.models import JOINT_NAMES, PARENTS, human_skeleton
 from hypose.body.motion import Motion, isotropic
+from tests import missing
 
 # joint centres of a standing adult, arms 45 degrees out, elbows a little bent; x left, y backward, z up
 _LEFT = {
@@ -103,6 +104,6 @@ def small_motion(small_body):
 @pytest.fixture(scope="session")
 def opensim():
     """The OpenSim library; tests that compare with it are skipped, by name, where it is not installed."""
-    module = pytest.importorskip("opensim", reason="opensim is not installed: its reading is NOT checked")
+    module = missing.module("opensim", "agreement with OpenSim", "pip install opensim")
     module.Logger.setLevelString("Error")
     return module

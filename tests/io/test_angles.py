@@ -3,6 +3,7 @@
 import csv
 from dataclasses import replace
 
+import ezc3d
 import numpy as np
 import pytest
 
@@ -70,7 +71,6 @@ def test_export_writes_every_format(tmp_path, small_motion, small_body):
 
 
 def test_c3d_marks_lost_and_predicted_frames(tmp_path, small_motion, small_body):
-    ezc3d = pytest.importorskip("ezc3d", reason="ezc3d is not installed: residuals are NOT checked")
     (path,) = export_motion(small_motion, small_body, tmp_path, ["c3d"])
     residuals = ezc3d.c3d(str(path))["data"]["meta_points"]["residuals"][0].T
     computed = small_motion.lost | small_motion.extrapolated

@@ -9,6 +9,7 @@ from hypose.errors import InputError
 from hypose.geometry import so3_exp
 from hypose.io.animation import Y_UP
 from hypose.io.bvh import write_bvh
+from tests import missing
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +69,7 @@ def test_joints_are_where_the_motion_has_them(written, small_motion):
 
 
 def test_bvhio_agrees_to_a_tenth_of_a_millimetre(written, small_motion):
-    bvhio = pytest.importorskip("bvhio", reason="bvhio is not installed: its reading of our BVH is NOT checked")
+    bvhio = missing.module("bvhio", "agreement with bvhio", "pip install bvhio")
     root = bvhio.readAsHierarchy(str(written))
     for t in range(0, len(small_motion), 7):
         root.loadPose(t)

@@ -3,13 +3,12 @@ damaged ones."""
 
 import struct
 
+import ezc3d
 import numpy as np
 import pytest
 
 from hypose.errors import InputError
 from hypose.io.c3d import read_c3d, write_c3d
-
-ezc3d = pytest.importorskip("ezc3d", reason="ezc3d is not installed: C3D files are NOT checked")
 
 
 @pytest.fixture

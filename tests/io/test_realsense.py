@@ -9,13 +9,14 @@ import pytest
 
 from hypose.errors import InputError
 from hypose.io.realsense import open_realsense, read_realsense
+from tests import missing
 
 SIZE = (64, 48)
 
 
 @pytest.fixture
 def library():
-    return pytest.importorskip("pyrealsense2", reason="pyrealsense2 (extra realsense) is not installed")
+    return missing.module("pyrealsense2", "RealSense recordings", "pip install 'hypose[realsense]'")
 
 
 def record(rs, path, images, scale=0.001, kind="depth", rate=30):

@@ -257,7 +257,7 @@ def test_an_interrupted_write_leaves_the_old_file(tmp_path):
     assert (tmp_path / "a.txt").read_text() == "old" and len(list(tmp_path.iterdir())) == 1
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full: a full disk is NOT tried here")
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="NOT tested: a full disk; run the tests on Linux")
 def test_full_disk(tmp_path):
     (tmp_path / "a.txt").write_text("old")
     message = r"a\.txt cannot be written because the disk is full \(\d+ MB free\); what was written before is intact"

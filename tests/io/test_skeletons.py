@@ -23,6 +23,7 @@ from hypose.io.skeletons import (
     synchronise,
 )
 from hypose.io.text_in import bounded_lines
+from tests import missing
 
 JOINTS = ("head", "neck", "torso")
 
@@ -416,7 +417,7 @@ def test_other_files_are_named(tmp_path, name, sentence):
 
 
 def test_azure_recording(shared_data):
-    pytest.importorskip("av", reason="PyAV (extra azure) is not installed")
+    missing.module("av", "depth of Azure Kinect recordings", "pip install 'hypose[azure]'")
     calibration, frames = read_azure_mkv(shared_data("azure_kinect_mkv") / "recording.mkv")
     maps = list(frames)
     assert len(maps) == 1 and maps[0].depth.shape == (576, 640)
@@ -426,7 +427,7 @@ def test_azure_recording(shared_data):
 
 
 def test_azure_recording_that_is_none(tmp_path):
-    pytest.importorskip("av", reason="PyAV (extra azure) is not installed")
+    missing.module("av", "depth of Azure Kinect recordings", "pip install 'hypose[azure]'")
     (tmp_path / "a.mkv").write_bytes(b"nothing" * 100)
     with pytest.raises(InputError, match="not a video"):
         read_azure_mkv(tmp_path / "a.mkv")

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tests import missing
+
 ROOT = Path(__file__).resolve().parents[3]
 WEB = ROOT / "web"
 PATHS = sorted((WEB / "tests").glob("*.path.mjs"))
@@ -26,14 +28,14 @@ def chromium():
     for path in ("/usr/lib/chromium/chromium", shutil.which("chromium"), shutil.which("google-chrome")):
         if path and Path(path).exists():
             return path
-    pytest.skip("no Chromium found (Debian, Ubuntu: apt install chromium), so the page itself is NOT tested")
+    missing.skip("the studio's page", "install Chromium (Debian, Ubuntu: apt install chromium)")
 
 
 def go(path, address, folder, pictures, timeout=1800):
     """Go a path of web/tests; what the browser said is in the failure."""
     program, builder = chromium(), build()
     if not (WEB / "node_modules" / "playwright-core").is_dir():
-        pytest.skip("playwright-core not found (python hatch_build.py --dev), so the page itself is NOT tested")
+        missing.skip("the studio's page", "python hatch_build.py --tests, with a network")
     node, _ = builder.find_node()
     environment = {**os.environ, "STUDIO": address, "FOLDER": str(folder), "CHROMIUM": program}
     environment["PICTURES"] = str(pictures)

