@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from hypose.app.console import Stages, note, say
+from hypose.app.options import number
 from hypose.errors import InputError
 
 
@@ -24,9 +25,9 @@ def batch(
     ],
     workers: Annotated[
         int | None,
-        typer.Option(help="Processes of this computer, or jobs with --slurm. [default: the number of cores]"),
+        number("Processes of this computer, or jobs with --slurm. [default: the number of cores]", 1, 1024),
     ] = None,
-    threads: Annotated[int | None, typer.Option(help="Threads of each worker. [default: the cores shared]")] = None,
+    threads: Annotated[int | None, number("Threads of each worker. [default: the cores shared]", 1, 256)] = None,
     scheduler: Annotated[
         str | None, typer.Option(help="Address of a running Dask scheduler, tcp://HOST:8786, instead.")
     ] = None,
@@ -36,7 +37,12 @@ def batch(
     out: Annotated[Path | None, typer.Option(help="Results folder. [default: the sweep's]")] = None,
     chunk: Annotated[
         float | None,
-        typer.Option(help="Split recordings that are longer into chunks of so many seconds. [default: the sweep's]"),
+        number(
+            "Split recordings that are longer into chunks of so many seconds. [default: the sweep's]",
+            10,
+            1_000_000,
+            unit="seconds",
+        ),
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False,
 ) -> None:
@@ -95,9 +101,6 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _check(workers: int | None, threads: int | None, scheduler: str | None, slurm: bool) -> None:
-    for name, value in (("workers", workers), ("threads", threads)):
-        if value is not None and not 1 <= value <= 1024:
-            raise InputError(f"--{name} {value} is not possible; give 1 to 1024.")
     if scheduler is not None and slurm:
         raise InputError("--scheduler and --slurm exclude each other; give one of them.")
     if scheduler is not None and (workers is not None or threads is not None):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hypose.app.console import Stages, note, out, say
+from hypose.app.options import MOST_FRAMES, number
 from hypose.errors import CalibrationError, InputError
 
 if TYPE_CHECKING:
@@ -46,12 +47,13 @@ def calibrate(
     ] = False,
     fisheye: Annotated[bool, typer.Option("--fisheye", help="The lenses are fisheyes.")] = False,
     floor: Annotated[
-        int | None, typer.Option(help="Frame in which the board lies on the floor. [default: where it lies still]")
+        int | None,
+        number("Frame in which the board lies on the floor. [default: where it lies still]", 0, MOST_FRAMES),
     ] = None,
     lag: Annotated[
         list[str] | None, typer.Option(help="CAMERA=FRAMES: its video is so many frames late (may be repeated).")
     ] = None,
-    frames: Annotated[int, typer.Option(help="Pictures looked at per camera.")] = 120,
+    frames: Annotated[int, number("Pictures looked at per camera.", 1, 100_000)] = 120,
     points: Annotated[
         Path | None, typer.Option(help="Instead of a board: a TOML file of measured points and their clicks.")
     ] = None,
@@ -81,8 +83,6 @@ def calibrate(
         rig = _from_points(points, intrinsics)
     else:
         board = parse_board(chessboard, charuco, square, marker, dictionary, inverted, legacy)
-        if frames < 1:
-            raise InputError(f"--frames {frames} is not possible; give at least 1.")
         picture = sheet or target.with_suffix(".png")
         rig = _from_boards(
             list(sources or []), board, intrinsics, refine_lenses, fisheye, floor, lag or [], frames, picture

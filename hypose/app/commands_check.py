@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hypose.app.console import Stages, out, say
+from hypose.app.options import HEIGHT, number
 from hypose.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,8 +24,8 @@ def check(
     sheet: Annotated[
         Path | None, typer.Option("--out", help="Contact sheet to write. [default: results/check.png there]")
     ] = None,
-    samples: Annotated[int, typer.Option(help="Frames whose common volume is looked at.")] = 5,
-    frames: Annotated[int, typer.Option(help="Consecutive frames that the doctor looks at; 0: skip it.")] = 100,
+    samples: Annotated[int, number("Frames whose common volume is looked at.", 1, 10_000)] = 5,
+    frames: Annotated[int, number("Consecutive frames that the doctor looks at; 0: skip it.", 0, 100_000)] = 100,
     calibration: Annotated[
         Path | None, typer.Option(help="Use this calibration file instead of the recording's.")
     ] = None,
@@ -42,7 +43,8 @@ def check(
         typer.Option(help="Camera that stays as it is (may be repeated).", rich_help_panel=_REFINE),
     ] = None,
     height: Annotated[
-        float | None, typer.Option(help="The person's height in metres: sets the scale.", rich_help_panel=_REFINE)
+        float | None,
+        number("The person's height in metres: sets the scale.", *HEIGHT, unit="metres", rich_help_panel=_REFINE),
     ] = None,
     to: Annotated[
         Path | None,
@@ -60,8 +62,6 @@ def check(
 
     if using not in ("auto", "keypoints", "silhouettes", "both"):
         raise InputError(f"--from {using} is not possible; choose auto, keypoints, silhouettes or both.")
-    if height is not None and not 0.4 <= height <= 2.8:
-        raise InputError(f"--height {height:g} is not a person's height; give it in metres (0.4 to 2.8).")
     if to is not None and to.exists():
         raise InputError(f"{to} exists, and calibrations are never overwritten; give another name with --to.")
     loaded = load_recording(recording, calibration)
@@ -76,7 +76,7 @@ def check(
     path = sheet or loaded.folder / "results" / "check.png"
     report = cured = None
     with Stages() as progress:
-        found = check_recording(loaded, path, max(1, samples), progress)
+        found = check_recording(loaded, path, samples, progress)
         if frames > 0:
             report, cured = examine_recording(loaded, frames, path.with_suffix(".html"), path, found, progress)
     write_findings(path.with_suffix(".json"), found, report)

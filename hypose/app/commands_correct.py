@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from hypose.app.commands_track import Threads, set_threads, split_names
+from hypose.app.commands_track import set_threads, split_names
 from hypose.app.console import Stages, say
+from hypose.app.options import MOST_FRAMES, Threads, number
 from hypose.errors import InputError
 
 
@@ -16,7 +17,7 @@ def correct(
     results: Annotated[Path, typer.Argument(help="Results folder of hypose track.")],
     clicks: Annotated[Path, typer.Argument(help="The corrected pose: starts/NAME.json, saved in hypose view.")],
     until: Annotated[
-        int | None, typer.Option(help="Track again up to this frame of the recording. [default: to the end]")
+        int | None, number("Track again up to this frame of the recording. [default: to the end]", 1, MOST_FRAMES)
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Results folder. [default: RESULTS-corrected]")] = None,
     formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot",

@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from hypose.app.commands_track import Seed, Threads, set_threads
+from hypose.app.commands_track import set_threads
 from hypose.app.console import Stages, note, say
+from hypose.app.options import Seconds, Seed, Threads, number
 from hypose.errors import InputError
 
 
@@ -54,13 +55,13 @@ def synth(
     ] = "walk",
     subject: Annotated[str, typer.Option(help="Name or number of a subject. [default: chosen by the seed]")] = "",
     rig: Annotated[str, typer.Option(help="humaneva-4, humaneva-7, ixmas-5, court-4 or ring-N.")] = "humaneva-4",
-    seconds: Annotated[float, typer.Option(help="Length.")] = 4.0,
-    frame_rate: Annotated[float, typer.Option(help="Frames per second.")] = 25.0,
+    seconds: Seconds = 4.0,
+    frame_rate: Annotated[float, number("Frames per second.", 1, 1000)] = 25.0,
     corruption: Annotated[
         list[str] | None,
         typer.Option(help="What goes wrong: level-1, shadow, desync, ... (may be repeated)."),
     ] = None,
-    clothing: Annotated[float, typer.Option(help="Thickness of the clothes in metres, 0 to 0.04.")] = 0.02,
+    clothing: Annotated[float, number("Thickness of the clothes in metres.", 0, 0.04, unit="metres")] = 0.02,
     distorted: Annotated[bool, typer.Option(help="Lenses with distortion.")] = True,
     keypoints: Annotated[
         bool, typer.Option("--keypoints", help="Write 2D key points (OpenPose JSON) as well.")
@@ -80,8 +81,6 @@ def synth(
     from hypose.evaluation.scenes import make_scene
     from hypose.evaluation.write_recording import check_folder, write_scene
 
-    if not 0 < seconds <= 3600:
-        raise InputError(f"--seconds {seconds:g} is not possible; give more than 0 and at most 3600.")
     if raw and keypoints:
         raise InputError("--raw writes what cameras give, and key points are not; leave one of the two out.")
     check_folder(folder)

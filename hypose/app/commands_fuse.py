@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hypose.app.commands_track import Seed, Threads, set_threads, split_names
+from hypose.app.commands_track import set_threads, split_names
 from hypose.app.console import Stages, note, say
+from hypose.app.options import Seed, Threads, number
 from hypose.errors import InputError
 
 if TYPE_CHECKING:
@@ -53,18 +54,18 @@ def fuse(
         bool, typer.Option("--resume", help="Go on where an interrupted run stopped.", rich_help_panel=_RECORDED)
     ] = False,
     rate: Annotated[
-        float | None, typer.Option(help="Frames per second of the result. [default: the sensor's; live: 30]")
+        float | None, number("Frames per second of the result. [default: the sensor's; live: 30]", 1, 1000)
     ] = None,
     live: Annotated[
         bool,
         typer.Option("--live", help="Take skeletons from the network and send the fused ones.", rich_help_panel=_LIVE),
     ] = False,
     udp: Annotated[
-        int | None, typer.Option(help="UDP port for skeletons. [default: 9870]", rich_help_panel=_LIVE)
+        int | None, number("UDP port for skeletons. [default: 9870]", 0, 65535, rich_help_panel=_LIVE)
     ] = None,
     ws: Annotated[
         int | None,
-        typer.Option(help="WebSocket port: /in takes skeletons, /out sends. [default: 9871]", rich_help_panel=_LIVE),
+        number("WebSocket port: /in takes skeletons, /out sends. [default: 9871]", 0, 65535, rich_help_panel=_LIVE),
     ] = None,
     osc: Annotated[str | None, typer.Option(help="HOST:PORT to send OSC to.", rich_help_panel=_LIVE)] = None,
     host: Annotated[
@@ -75,7 +76,7 @@ def fuse(
         typer.Option(help="What senders must show. [default: none on this computer, else made]", rich_help_panel=_LIVE),
     ] = None,
     wait: Annotated[
-        float, typer.Option(help="Milliseconds that a frame waits for late sensors.", rich_help_panel=_LIVE)
+        float, number("Milliseconds that a frame waits for late sensors.", 0, 10_000, rich_help_panel=_LIVE)
     ] = 5.0,
     record: Annotated[
         Path | None, typer.Option(help="New folder to record the skeletons to.", rich_help_panel=_LIVE)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hypose.app.commands_track import Seed
 from hypose.app.console import Stages, note, say
+from hypose.app.options import MOST_FRAMES, Seed, number
 from hypose.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,9 +24,9 @@ SourceOption = Annotated[
     typer.Option(help="realsense, FILE.bag, .db3 or .mkv (Azure), the folder of a session, or simulated[:PERSON]."),
 ]
 Gesture = Annotated[str, typer.Option(help="Name of the gesture.")]
-Rounds = Annotated[int, typer.Option(help="Rounds of gesture and other movement.")]
+Rounds = Annotated[int, number("Rounds of gesture and other movement.", 1, 1000)]
 _LETTERS = "Commands (letter and Enter): n next, u undo, p pause, c continue, a again, t end with the test"
-Frames = Annotated[int, typer.Option(help="Stop after so many frames; 0 = never.")]
+Frames = Annotated[int, number("Stop after so many frames; 0 = never.", 0, MOST_FRAMES)]
 
 
 @app.command(short_help="Record a session with its prompts, to train from later.")
@@ -57,7 +57,7 @@ def train(
     ] = None,
     source: SourceOption = "simulated",
     rounds: Rounds = 3,
-    passes: Annotated[int, typer.Option(help="Over the recordings.")] = 1,
+    passes: Annotated[int, number("Over the recordings.", 1, 100)] = 1,
     offline: Annotated[bool, typer.Option("--offline", help="Boosted trees from all frames at once.")] = False,
     resume: Annotated[Path | None, typer.Option(help="Model whose trees go on growing.")] = None,
     record_to: Annotated[Path | None, typer.Option("--record", help="New folder to record a live session to.")] = None,
@@ -69,8 +69,6 @@ def train(
 
     if out.suffix != ".npz":
         raise InputError(f"{out} is no name for a model; give one that ends in .npz.")
-    if passes < 1 or passes > 100:
-        raise InputError(f"--passes {passes} is not possible; give 1 to 100.")
     if offline and not recording:
         raise InputError("--offline learns from recordings; name them with --recording.")
     if offline and resume is not None:
@@ -127,7 +125,7 @@ def run(
     models: Annotated[list[Path], typer.Argument(help="Model files, one per gesture.")],
     source: SourceOption = "simulated",
     osc: Annotated[str | None, typer.Option(help="HOST:PORT to send scores and events to by OSC.")] = None,
-    ws: Annotated[int | None, typer.Option(help="Port of this computer to serve them by WebSocket.")] = None,
+    ws: Annotated[int | None, number("Port of this computer to serve them by WebSocket.", 0, 65535)] = None,
     midi: Annotated[
         str | None, typer.Option(help="MIDI port (part of its name, or virtual) for notes and controllers.")
     ] = None,
@@ -137,12 +135,14 @@ def run(
     command: Annotated[
         str | None, typer.Option(help="Program to run at each start, {gesture} replaced; with {event}, at ends too.")
     ] = None,
-    threshold: Annotated[float | None, typer.Option(help="cm² instead of the models' own.")] = None,
+    threshold: Annotated[
+        float | None, number("cm² instead of the models' own.", 0, 1_000_000, above=True, unit="cm²")
+    ] = None,
     memory: Annotated[
-        float, typer.Option(help="Share of the new frame in the density (1: no temporal recursion).")
+        float, number("Share of the new frame in the density (1: no temporal recursion).", 0, 1, above=True)
     ] = 0.8,
-    hold: Annotated[float, typer.Option(help="Seconds a gesture must be held.")] = 0.15,
-    rest: Annotated[float, typer.Option(help="Seconds after its end in which it does not start again.")] = 0.5,
+    hold: Annotated[float, number("Seconds a gesture must be held.", 0, 3600)] = 0.15,
+    rest: Annotated[float, number("Seconds after its end in which it does not start again.", 0, 3600)] = 0.5,
     frames: Frames = 0,
     seed: Seed = 0,
 ) -> None:
@@ -154,8 +154,6 @@ def run(
     from hypose.gestures.events import EventSettings
     from hypose.pipeline.gesture_files import load_model
 
-    if not 0 < memory <= 1:
-        raise InputError(f"--memory {memory} is not possible; give more than 0 and at most 1.")
     loaded = [load_model(m) for m in models]
     limits = [EventSettings(t, hold_s=hold, refractory_s=rest) for t in thresholds(loaded, threshold)]
     names = [n for m in loaded for n in m.names]
@@ -262,7 +260,7 @@ def studio(
     folder: Annotated[
         Path, typer.Argument(help="Folder for sessions and models.", show_default="this folder")
     ] = Path(),
-    port: Annotated[int, typer.Option(help="Port of this computer; 0 takes any free one.")] = 8765,
+    port: Annotated[int, number("Port of this computer; 0 takes any free one.", 0, 65535)] = 8765,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
 ) -> None:
     """Teach gestures on a page: live picture, prompts, scores, undo, test (hypose view, opened at the trainer)."""

@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from hypose.app.commands_track import Threads, set_threads
+from hypose.app.commands_track import set_threads
 from hypose.app.console import Stages, note, say
+from hypose.app.options import Threads, number
 
 
 def keypoints(
@@ -17,7 +18,7 @@ def keypoints(
     folder: Annotated[
         Path | None, typer.Option("--out", help="Folder to write to. [default: keypoints in the recording's folder]")
     ] = None,
-    people: Annotated[int, typer.Option(help="Most people looked for in a picture; tracking follows one.")] = 3,
+    people: Annotated[int, number("Most people looked for in a picture; tracking follows one.", 1, 100)] = 3,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")] = False,
     threads: Threads = None,
 ) -> None:

@@ -7,8 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from hypose.app.commands_track import Threads, set_threads, split_names
+from hypose.app.commands_track import set_threads, split_names
 from hypose.app.console import Stages, note, say
+from hypose.app.options import Threads, number
 from hypose.errors import InputError
 
 
@@ -70,9 +71,10 @@ def report(
 def bench(
     name: Annotated[str, typer.Argument(help="Name of the benchmark; a wrong one lists them.")] = "",
     quick: Annotated[bool, typer.Option("--quick", help="At most a minute on two cores; small, and says so.")] = False,
-    seeds: Annotated[int, typer.Option(help="Repetitions; 0 = the benchmark's own number.")] = 0,
+    seeds: Annotated[int, number("Repetitions; 0 = the benchmark's own number.", 0, 100_000)] = 0,
     first_seed: Annotated[
-        int | None, typer.Option(help="First seed, where a benchmark has several. [default: the benchmark's own]")
+        int | None,
+        number("First seed, where a benchmark has several. [default: the benchmark's own]", 0, 10**9),
     ] = None,
     data: Annotated[Path | None, typer.Option(help="Folder with the real recordings, for real-* benchmarks.")] = None,
     json: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
@@ -88,10 +90,6 @@ def bench(
     from hypose.evaluation.benchmarks import run_benchmark
     from hypose.io.results import atomic_path, to_json
 
-    if seeds < 0:
-        raise InputError(f"--seeds {seeds} is not possible; give 0 (the benchmark's own number) or more.")
-    if first_seed is not None and first_seed < 0:
-        raise InputError(f"--first-seed {first_seed} is not possible; give 0 or more.")
     if plot is not None:
         from hypose.app.bench_plot import check_plot_path
 

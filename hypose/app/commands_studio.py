@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from hypose.app.commands_track import Threads, set_threads
+from hypose.app.commands_track import set_threads
 from hypose.app.console import note, say
+from hypose.app.options import Threads, number
 from hypose.errors import InputError
 
 _NETWORK = "Network"
@@ -18,9 +19,7 @@ def view(
     what: Annotated[
         Path, typer.Argument(help="Results folder, recording, or a folder that holds such.", show_default="this folder")
     ] = Path(),
-    port: Annotated[
-        int, typer.Option(help="Port to listen on; 0 takes any free one.", rich_help_panel=_NETWORK)
-    ] = 8765,
+    port: Annotated[int, number("Port to listen on; 0 takes any free one.", 0, 65535, rich_help_panel=_NETWORK)] = 8765,
     host: Annotated[
         str,
         typer.Option(help="Address to listen on; others than this computer need the token.", rich_help_panel=_NETWORK),
@@ -32,7 +31,10 @@ def view(
         ),
     ] = None,
     upload_limit: Annotated[
-        float, typer.Option(help="GiB that a file dropped onto the page may have.", rich_help_panel=_NETWORK)
+        float,
+        number(
+            "GiB that a file dropped onto the page may have.", 0, 1024, above=True, unit="GiB", rich_help_panel=_NETWORK
+        ),
     ] = 4.0,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
     threads: Threads = None,
@@ -57,10 +59,6 @@ def open_studio(
 
     if not what.exists():
         raise InputError(f"{what} does not exist; give a results folder, a recording, or a folder that holds such.")
-    if not 0 <= port <= 65535:
-        raise InputError(f"--port {port} is no port; give 0 (any free one) to 65535.")
-    if not 0 < upload_limit <= 1024:
-        raise InputError(f"--upload-limit {upload_limit:g} is not possible; give more than 0 and at most 1024 (GiB).")
     if not (STATIC / "index.html").is_file():
         raise InputError(NOT_BUILT)
     root, shown = _place(what)

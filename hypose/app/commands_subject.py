@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hypose.app.commands_track import Seed, Threads, set_threads
+from hypose.app.commands_track import set_threads
 from hypose.app.console import Stages, note, say
+from hypose.app.options import Seed, Threads, number
 from hypose.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,13 +25,17 @@ def subject(
         Path | None, typer.Option(help="A scan of the person instead of a recording: obj, ply, stl, off, glb or npz.")
     ] = None,
     unit: Annotated[str, typer.Option(help="The scan's unit: m, cm, mm or in.")] = "m",
-    height: Annotated[float | None, typer.Option(help="The person's height in metres, when known.")] = None,
-    mass: Annotated[float | None, typer.Option(help="The person's mass in kilograms, when known.")] = None,
+    height: Annotated[
+        float | None, number("The person's height in metres, when known.", 0.5, 2.5, unit="metres")
+    ] = None,
+    mass: Annotated[
+        float | None, number("The person's mass in kilograms, when known.", 8, 350, unit="kilograms")
+    ] = None,
     start: Annotated[
         str, typer.Option(help="The first frame's pose: hull (find out), a, t, standing, hands-up.")
     ] = "hull",
     frames: Annotated[str | None, typer.Option(help="first:stop, counted from 0. [default: all]")] = None,
-    poses: Annotated[int, typer.Option(help="How many different poses are fitted.")] = 10,
+    poses: Annotated[int, number("How many different poses are fitted.", 1, 60)] = 10,
     out: Annotated[
         Path | None, typer.Option(help="Folder to write. [default: subject in the recording's folder]")
     ] = None,
@@ -54,8 +59,6 @@ def subject(
 
     if start != "hull" and start not in KNOWN_POSES:
         raise InputError(f"There is no start {start!r}; the starts are hull, {', '.join(KNOWN_POSES)}.")
-    if not 1 <= poses <= 60:
-        raise InputError(f"--poses {poses} is not possible; give 1 to 60.")
     loaded = choose_frames(load_recording(recording), frames)
     options = AnthropometryOptions(
         frames=poses,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hypose.app.console import Stages, say
+from hypose.app.options import number
 from hypose.errors import EvidenceError, InputError
 
 if TYPE_CHECKING:
@@ -20,8 +21,10 @@ def sync(
     recording: Annotated[Path, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")],
     by: Annotated[str, typer.Option(help="motion, sound or flash.")] = "motion",
     offsets: Annotated[str | None, typer.Option(help="Known offsets in frames instead, one per view: 0,-2.5,1")] = None,
-    largest: Annotated[float, typer.Option(help="Largest offset that is looked for, in seconds.")] = 0.5,
-    frames: Annotated[int, typer.Option(help="Consecutive frames that motion is taken from.")] = 250,
+    largest: Annotated[
+        float, number("Largest offset that is looked for, in seconds.", 0, 600, above=True, unit="seconds")
+    ] = 0.5,
+    frames: Annotated[int, number("Consecutive frames that motion is taken from.", 24, 100_000)] = 250,
     to: Annotated[
         Path | None, typer.Option("--out", help="New folder for masks and key points that are in step.")
     ] = None,
@@ -31,8 +34,6 @@ def sync(
 
     if by not in ("motion", "sound", "flash"):
         raise InputError(f"--by {by} is not possible; choose motion, sound or flash.")
-    if not 0 < largest <= 600:
-        raise InputError(f"--largest {largest:g} is not possible; give seconds (more than 0, at most 600).")
     if to is not None and to.exists() and not _unfinished(to):
         raise InputError(f"{to} is not empty; give a new folder with --out.")
     loaded = load_recording(recording)
@@ -81,7 +82,7 @@ def _by_motion(
     from hypose.calibration.sync import offsets_from_motion
     from hypose.pipeline.doctor import observe
 
-    seen = observe(recording, max(frames, 24), progress)
+    seen = observe(recording, frames, progress)
     points = None if seen.keypoints is None else undistorted(seen.rig, seen.keypoints)
     found = offsets_from_motion(seen.rig.pinhole(), points, seen.silhouettes, largest=largest)
     if found.gain < 0:

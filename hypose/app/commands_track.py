@@ -14,20 +14,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hypose.app.console import Stages, note, say
+from hypose.app.options import HEIGHT, Seconds, Seed, Threads, number
 from hypose.errors import InputError
 
 if TYPE_CHECKING:
     from hypose.app.job import Job, Outcome
     from hypose.pipeline.monocular import MonoOptions
 
-Threads = Annotated[
-    int | None, typer.Option(help="Processor threads; the result does not depend on it. [default: all]")
-]
 Compute = Annotated[
     str,
     typer.Option(help="auto, cpu, cuda (silhouettes scored on an NVIDIA device) or reference (slow, for comparison)."),
 ]
-Seed = Annotated[int, typer.Option(help="Of every random draw; the same seed gives the same result.")]
 
 
 def track(
@@ -44,7 +41,8 @@ def track(
         ),
     ] = "auto",
     height: Annotated[
-        float | None, typer.Option(help="The subject's height in metres. [default: recording.toml's, else estimated]")
+        float | None,
+        number("The subject's height in metres. [default: recording.toml's, else estimated]", *HEIGHT, unit="metres"),
     ] = None,
     subject: Annotated[
         Path | None, typer.Option(help="The person's body: the folder or body.npz that hypose subject wrote.")
@@ -71,10 +69,10 @@ def track(
         str, typer.Option(help="multiview, or monocular: one camera, several hypotheses (docs/monocular.md).")
     ] = "multiview",
     camera: Annotated[str | None, typer.Option(help="The camera of --method monocular.")] = None,
-    hypotheses: Annotated[int, typer.Option(min=1, max=100, help="Hypotheses of --method monocular.")] = 7,
+    hypotheses: Annotated[int, number("Hypotheses of --method monocular.", 1, 100)] = 7,
     floor: Annotated[
         float | None,
-        typer.Option(min=-100, max=100, help="Height in the world, in metres, of the floor of --method monocular."),
+        number("Height in the world, in metres, of the floor of --method monocular.", -100, 100, unit="metres"),
     ] = None,
 ) -> None:
     """Track the person in a recording: poses with their uncertainty, motion files, overlay video, report."""
@@ -118,7 +116,7 @@ def track(
 def demo(
     context: typer.Context,
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("demo"),
-    seconds: Annotated[float, typer.Option(help="Length of the recording.")] = 4.0,
+    seconds: Seconds = 4.0,
     seed: Seed = 1,
     threads: Threads = None,
 ) -> None:
@@ -230,8 +228,6 @@ def set_threads(count: int | None) -> None:
     """Limit the threads of everything that uses threads; call it before numpy and OpenCV are imported."""
     if count is None:
         return
-    if not 1 <= count <= 256:
-        raise InputError(f"--threads {count} is not possible; give 1 to 256, or leave it out to use all cores.")
     for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = str(count)
     import cv2

@@ -195,7 +195,7 @@ def test_a_checkpoint_of_another_run_is_refused(hypose, rng, tmp_path):
         (("REC", "--rate", "0"), "not possible"),
         (("REC", "--up", "left"), "--up left"),
         (("REC", "--live"), "leave one of the two out"),
-        (("--live", "--udp", "99999"), "is no port"),
+        (("--live", "--udp", "99999"), "is not possible; give 0 to 65535"),
         (("--live", "--osc", "nowhere"), "HOST:PORT"),
         (("--live", "--token", "abc"), "8 to 128"),
     ],

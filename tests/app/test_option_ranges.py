@@ -1,0 +1,90 @@
+"""Every number that a command takes has a range, and what lies outside is refused in one sentence before any work."""
+
+import types
+import typing
+
+import pytest
+import typer
+
+from hypose.app import cli
+
+BUILT = typer.main.get_command(cli.app)
+"""Made once: that takes longer than all else that is done here."""
+_NOWHERE = {
+    "demo": ("--out", "FULL"),
+    "calibrate": ("--points", "nowhere"),
+    "keypoints": ("nowhere", "--model", "nowhere"),
+    "correct": ("nowhere", "nowhere"),
+    "synth": ("FULL",),
+    "bench": ("no-such-benchmark",),
+    "gesture record": ("FULL", "--gesture", "wave", "--source", "nowhere"),
+    "gesture train": ("FULL/model.npz", "--gesture", "wave", "--source", "nowhere"),
+    "gesture eval": ("nowhere", "nowhere"),
+    "gesture export": ("nowhere", "nowhere"),
+}
+"""Arguments with which a command ends before it works, where one name of nothing does not do."""
+VALUES = ("-3", "0", "nan", "inf", "-inf", "1e300", "-1e300", str(10**30), str(-(10**30)), "", "three", "٣", "1_0")
+
+
+def commands():
+    """(name, function) of every command."""
+    found = [(c.name, c.callback) for c in cli.app.registered_commands]
+    for group in cli.app.registered_groups:
+        inner = group.typer_instance.registered_commands
+        found += [(f"{group.name} {c.name or c.callback.__name__}", c.callback) for c in inner]
+    return found
+
+
+def numeric_options():
+    """(command, option, its declaration) of every option whose type is a number."""
+    for name, function in commands():
+        signature = typing.get_type_hints(function, include_extras=True)
+        for parameter, hint in signature.items():
+            if typing.get_origin(hint) is not typing.Annotated:
+                continue
+            plain, declared = hint.__origin__, hint.__metadata__[0]
+            kinds = typing.get_args(plain) if isinstance(plain, types.UnionType) else (plain,)
+            if {int, float} & set(kinds):
+                flag = next(iter(declared.param_decls or ()), "--" + parameter.replace("_", "-"))
+                yield name, flag, declared
+
+
+def test_there_are_numbers_to_try():
+    names = {(command, option) for command, option, _ in numeric_options()}
+    assert {("check", "--samples"), ("gesture run", "--threshold"), ("track", "--floor")} <= names
+    assert len(names) > 50
+
+
+@pytest.mark.parametrize(("command", "option", "declared"), list(numeric_options()))
+def test_a_number_out_of_range_is_one_sentence(hypose, tmp_path, monkeypatch, command, option, declared):
+    assert isinstance(declared, typer.models.OptionInfo) and declared.callback is not None, "declare it with number()"
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.txt").write_text("years of work")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cli, "app", BUILT)
+    rest = [a.replace("FULL", "full") for a in _NOWHERE.get(command, ("nowhere",))]
+    for value in VALUES:
+        code, _, err = hypose(*command.split(), *rest, option, value)
+        assert code == 2, (value, err)
+        assert "Traceback" not in err and "should not have happened" not in err, (value, err)
+        if value not in ("0", "1_0", "٣"):
+            assert option in err.splitlines()[-1] or option == "--floor" and value == "-3", (value, err)
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["full", "thesis.txt"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("check", "nowhere", "--samples", "-3"), "--samples -3 is not possible; give 1 to 10000."),
+        (("track", "nowhere", "--floor", "nan"), "--floor nan is not possible; give -100 to 100 metres."),
+        (("track", "nowhere", "--seed", "-1"), "--seed -1 is not possible; give 0 or more."),
+        (("demo", "--seconds", "0"), "--seconds 0 is not possible; give more than 0 and at most 3600 seconds."),
+        (
+            ("gesture", "run", "nowhere", "--threshold", "-1"),
+            "--threshold -1 is not possible; give more than 0 and at most 1000000 cm².",
+        ),
+    ],
+)
+def test_the_sentence_says_what_can_be_given(hypose, arguments, sentence):
+    code, _, err = hypose(*arguments)
+    assert code == 2 and err.strip() == f"error: {sentence}"
