@@ -63,10 +63,7 @@ def anthropometry(options: BenchOptions) -> BenchReport:
     height: 1 - error / error.
     """
     subjects = [s for k, s in load_subjects().items() if k != "neutral"]
-    if options.quick:
-        subjects = subjects[:2]
-    elif options.seeds:
-        subjects = subjects[: max(options.seeds, 1)]
+    subjects = subjects[: options.seeds or (2 if options.quick else len(subjects))]
     gain_seeds = 1 if options.quick else min(8, len(subjects))
     total = 2 * len(subjects) + gain_seeds
     found: dict[str, list[FitErrors]] = {"motion": [], "one_pose": []}

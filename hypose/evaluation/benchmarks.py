@@ -1,7 +1,8 @@
 """Benchmarks by name, and the document that each of them writes.
 
-A benchmark is a function from options to rows. Names, metrics and cases are fixed, so that figures of different
-versions can be compared; ratios are taken against a baseline of the same run, because machines are noisy.
+A benchmark is a function from options to rows; options that it would not use are refused. Names, metrics and cases are
+fixed, so that figures of different versions can be compared; ratios are taken against a baseline of the same run,
+because machines are noisy.
 """
 
 from __future__ import annotations
@@ -36,6 +37,12 @@ class BenchOptions:
     progress: Progress = field(default=lambda stage, done, total: None)
     first_seed: int | None = None
     parts: Path | None = None
+
+    def seed_range(self, usual: int, *, quick: int = 1, first: int = 0) -> range:
+        """The seeds to measure: as many as asked for (else `usual`, or `quick`), from the first one asked for (else
+        `first`). Long tables can so be measured seed by seed."""
+        start = first if self.first_seed is None else self.first_seed
+        return range(start, start + (self.seeds or (quick if self.quick else usual)))
 
     def part(self, name: str, measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """The figures of one part of a long benchmark (a seed, a gesture), as JSON has them: those kept in the folder
@@ -97,7 +104,26 @@ def row(metric: str, case: str, values: Any, unit: str, **more: Any) -> Row:
     return Row(metric, case, float(v.mean()), unit, sd, len(v), **more)
 
 
-def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
+class Benchmark:
+    """A benchmark, and which of "seeds", "first_seed", "data" and "parts" it takes; all take quick."""
+
+    def __init__(self, measure: Callable[[BenchOptions], BenchReport], *takes: str) -> None:
+        self.measure, self.takes = measure, frozenset(takes)
+
+    def check(self, name: str, options: BenchOptions) -> None:
+        """An InputError for an option that was given and would not be used."""
+        given = {"seeds": options.seeds or None, "first_seed": options.first_seed}
+        given |= {"data": options.data, "parts": options.parts}
+        for option, value in given.items():
+            if value is not None and option not in self.takes:
+                known = [f"--{o.replace('_', '-')}" for o in given if o in self.takes]
+                raise InputError(
+                    f"The benchmark {name} does not use --{option.replace('_', '-')}; leave it out (it takes "
+                    f"{' and '.join([', '.join(known), '--quick'] if known else ['--quick'])})."
+                )
+
+
+def benchmarks() -> dict[str, Benchmark]:
     """All benchmarks by name (imported when asked for, because they pull in the whole product)."""
     from hypose.evaluation import (
         anthropometry,
@@ -133,42 +159,42 @@ def benchmarks() -> dict[str, Callable[[BenchOptions], BenchReport]]:
     )
 
     return {
-        "table-2.3": published.table_2_3,
-        "table-2.4": table_2_4.table_2_4,
-        "court-4": court.court_4,
-        "uncertainty": uncertainty.uncertainty,
-        "real-balancing": real.real_balancing,
-        "real-uu4cam": real.real_uu4cam,
-        "calibration": calibration.boards,
-        "doctor": doctor.doctor,
-        "doctor-real": doctor_real.doctor_real,
-        "sync": sync.sync,
-        "silhouette-scorer": scorer_speed.silhouette_scorer,
-        "contour-solve": speed.contour_solve,
-        "multiview-speed": path_speed.multiview_speed,
-        "rigging": rigging.rigging,
-        "anthropometry": anthropometry.anthropometry,
-        "subject-balancing": anthropometry_real.subject_balancing,
-        "fusion-table-1": sensor_choice.table_1,
-        "fusion-departures": sensor_choice.departures,
-        "fusion-human4d": fusion_benchmarks.human4d,
-        "fusion-real": fusion_benchmarks.real,
-        "fusion-speed": fusion_speed.speed,
-        "gesture-table-3.1": gesture_benchmarks.table_3_1,
-        "gesture-table-3.2": gesture_benchmarks.table_3_2,
-        "gesture-sweeps": gesture_sweeps.sweeps,
-        "gesture-table-3.3": gesture_sessions.table_3_3,
-        "gesture-semi-synthetic": gesture_asl.semi_synthetic,
-        "gesture-speed": gesture_speed.speed,
-        "gesture-false-alarms": gesture_alarms.false_alarms,
-        "batch": batch_scale.batch,
-        "faults": faults.faults,
-        "front-back": front_back.front_back,
-        "kills": kills.kills,
-        "mono-arm": mono_benchmarks.mono_arm,
-        "mono-body": mono_benchmarks.mono_body,
-        "mono-speed": mono_benchmarks.mono_speed,
-        "mono-real": mono_real.mono_real,
+        "table-2.3": Benchmark(published.table_2_3, "seeds", "first_seed", "data"),
+        "table-2.4": Benchmark(table_2_4.table_2_4, "seeds", "first_seed"),
+        "court-4": Benchmark(court.court_4, "seeds", "first_seed"),
+        "uncertainty": Benchmark(uncertainty.uncertainty, "seeds", "first_seed", "data"),
+        "real-balancing": Benchmark(real.real_balancing, "data"),
+        "real-uu4cam": Benchmark(real.real_uu4cam, "data"),
+        "calibration": Benchmark(calibration.boards, "seeds", "first_seed", "data"),
+        "doctor": Benchmark(doctor.doctor, "seeds", "first_seed"),
+        "doctor-real": Benchmark(doctor_real.doctor_real, "data"),
+        "sync": Benchmark(sync.sync, "seeds", "first_seed"),
+        "silhouette-scorer": Benchmark(scorer_speed.silhouette_scorer, "data"),
+        "contour-solve": Benchmark(speed.contour_solve, "data"),
+        "multiview-speed": Benchmark(path_speed.multiview_speed, "data"),
+        "rigging": Benchmark(rigging.rigging, "seeds"),
+        "anthropometry": Benchmark(anthropometry.anthropometry, "seeds", "data"),
+        "subject-balancing": Benchmark(anthropometry_real.subject_balancing, "data"),
+        "fusion-table-1": Benchmark(sensor_choice.table_1, "seeds", "first_seed", "data"),
+        "fusion-departures": Benchmark(sensor_choice.departures, "seeds", "first_seed", "data"),
+        "fusion-human4d": Benchmark(fusion_benchmarks.human4d, "seeds", "first_seed", "data"),
+        "fusion-real": Benchmark(fusion_benchmarks.real, "data"),
+        "fusion-speed": Benchmark(fusion_speed.speed, "data"),
+        "gesture-table-3.1": Benchmark(gesture_benchmarks.table_3_1, "seeds", "first_seed", "parts"),
+        "gesture-table-3.2": Benchmark(gesture_benchmarks.table_3_2, "seeds", "first_seed", "parts"),
+        "gesture-sweeps": Benchmark(gesture_sweeps.sweeps, "seeds", "first_seed", "parts"),
+        "gesture-table-3.3": Benchmark(gesture_sessions.table_3_3, "seeds", "first_seed", "parts"),
+        "gesture-semi-synthetic": Benchmark(gesture_asl.semi_synthetic, "seeds", "first_seed", "data", "parts"),
+        "gesture-speed": Benchmark(gesture_speed.speed),
+        "gesture-false-alarms": Benchmark(gesture_alarms.false_alarms, "seeds", "first_seed", "parts"),
+        "batch": Benchmark(batch_scale.batch, "seeds", "first_seed"),
+        "faults": Benchmark(faults.faults, "seeds", "first_seed"),
+        "front-back": Benchmark(front_back.front_back, "seeds", "first_seed"),
+        "kills": Benchmark(kills.kills, "seeds", "first_seed"),
+        "mono-arm": Benchmark(mono_benchmarks.mono_arm, "seeds", "first_seed"),
+        "mono-body": Benchmark(mono_benchmarks.mono_body, "seeds", "first_seed", "data"),
+        "mono-speed": Benchmark(mono_benchmarks.mono_speed),
+        "mono-real": Benchmark(mono_real.mono_real, "data"),
     }
 
 
@@ -187,8 +213,9 @@ def run_benchmark(
     if name not in known:
         raise InputError(f"There is no benchmark {name!r}; the benchmarks are {', '.join(known)}.")
     options = BenchOptions(quick, seeds, data, progress or (lambda stage, done, total: None), first_seed, parts)
+    known[name].check(name, options)
     begin = time.perf_counter()
-    report = known[name](options)
+    report = known[name].measure(options)
     return {
         "name": name,
         "machine": machine(),

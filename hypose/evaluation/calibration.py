@@ -36,7 +36,7 @@ def boards(options: BenchOptions) -> BenchReport:
 
     Synthetic figures are the worst camera's per seed. Positions: after a rigid motion without scale onto the truth,
     and with the first camera laid on its truth. No setting was chosen on these seeds."""
-    seeds = range(options.seeds or (1 if options.quick else 5))
+    seeds = options.seed_range(5)
     rows: list[Row] = []
     cases = (
         ("9x6 board", Board("chessboard", 9, 6, 0.08), False),

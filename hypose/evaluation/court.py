@@ -55,21 +55,20 @@ def court_4(options: BenchOptions) -> BenchReport:
     of 0.6 s (recovery_s); subjects of another shape space, one per seed; height and start pose given. A frame is
     tracked when the mean error over 15 joints is at most 120 mm. Medians over the seeds.
     """
-    seeds = options.seeds or (1 if options.quick else 5)
-    first = options.first_seed or 0
+    seeds = options.seed_range(5)
     presets = PRESETS[1:3] if options.quick else PRESETS
     found: dict[tuple[str, int, str], CourtOutcome] = {}
-    for seed in range(first, first + seeds):
+    for k, seed in enumerate(seeds):
         for n, motion in enumerate(("serve", "away")):
-            options.progress(f"{motion} seed {seed}", 2 * (seed - first) + n, 2 * seeds)
+            options.progress(f"{motion} seed {seed}", 2 * k + n, 2 * len(seeds))
             seconds = 0.8 if options.quick and motion == "serve" else SECONDS[motion]
             chosen = tuple(p for p in presets if motion == "serve" or p in RETURNING)
             for preset, outcome in run_court(motion, seed, seconds, chosen).items():
                 found[motion, seed, preset] = outcome
-    options.progress("done", 2 * seeds, 2 * seeds)
+    options.progress("done", 2 * len(seeds), 2 * len(seeds))
     settings = {
-        "seeds": seeds,
-        "first_seed": first,
+        "seeds": len(seeds),
+        "first_seed": seeds.start,
         "seconds": SECONDS,
         "rig": "court-4",
         "desync_frames": 2,

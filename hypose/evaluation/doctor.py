@@ -375,10 +375,10 @@ def run_set(
 def doctor(options: BenchOptions) -> BenchReport:
     """Verdicts on planted faults and healthy recordings: precision = right findings / all findings, recall = faults
     found with their kind and camera / faults planted. Cases: all (key points and masks), silhouettes (masks alone)."""
-    count = options.seeds or (6 if options.quick else 50)
+    seeds = options.seed_range(50, quick=6, first=FIRST_SEED)
     rows: list[Row] = []
-    for case, keypoints, n in (("all", True, count), ("silhouettes", False, max(count // 3, 3))):
-        done = run_set(FIRST_SEED, n, keypoints=keypoints, progress=options.progress)
+    for case, keypoints, n in (("all", True, len(seeds)), ("silhouettes", False, max(len(seeds) // 3, 3))):
+        done = run_set(seeds.start, n, keypoints=keypoints, progress=options.progress)
         faults = [d for d in done if d[0] != "healthy"]
         healthy_ones = [d for d in done if d[0] == "healthy"]
         right = sum(d[2] for d in faults)
@@ -390,4 +390,4 @@ def doctor(options: BenchOptions) -> BenchReport:
         for kind in sorted({d[0] for d in faults}):
             of = [d for d in faults if d[0] == kind]
             rows.append(Row("recall", f"{case}, {kind}", float(np.mean([d[2] for d in of])), "1", n=len(of)))
-    return BenchReport(tuple(rows), {"first_seed": FIRST_SEED, "frames": _FRAMES})
+    return BenchReport(tuple(rows), {"first_seed": seeds.start, "frames": _FRAMES})

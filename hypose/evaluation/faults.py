@@ -252,21 +252,21 @@ def faults(options: BenchOptions) -> BenchReport:
     Scenes: walk, rig humaneva-4 at half size, 6 s, masks with level-1 corruption; the subject's height is given, the
     body is fitted to the scene without the fault; with "template" in the case it is the template at that height. The
     fault begins at 1.6 s and lasts 2 s (a stopped camera: to the end)."""
-    seeds = options.seeds or (1 if options.quick else 3)
-    first = options.first_seed or 0
+    seeds = options.seed_range(3)
     names = ("empty-masks", "clock-jump") if options.quick else tuple(FAULTS)
     cases = [(n, True) for n in names] + [(n, False) for n in WITH_TEMPLATE if n in names]
     found: dict[str, list[Aftermath]] = {}
-    for k, seed in enumerate(range(first, first + seeds)):
+    for k, seed in enumerate(seeds):
         cameras = rig("humaneva-4").scaled(0.5)
         scene = make_scene("walk", "", cameras, seconds=6.0, seed=seed, corruption=("level-1",))
         subjects = {fitted: subject_of(scene, fitted=fitted) for fitted in (True, False)}
         for n, (name, fitted) in enumerate(cases):
-            options.progress("faults", k * len(cases) + n, len(cases) * seeds)
+            options.progress("faults", k * len(cases) + n, len(cases) * len(seeds))
             case = name if fitted else f"{name}, template"
             found.setdefault(case, []).append(aftermath(scene, FAULTS[name](scene), subjects[fitted], seed))
-    options.progress("faults", len(cases) * seeds, len(cases) * seeds)
-    return BenchReport(tuple(_rows(found)), {"seeds": seeds, "first_seed": first, "scenes": "walk, humaneva-4 at 0.5"})
+    options.progress("faults", len(cases) * len(seeds), len(cases) * len(seeds))
+    settings = {"seeds": len(seeds), "first_seed": seeds.start, "scenes": "walk, humaneva-4 at 0.5"}
+    return BenchReport(tuple(_rows(found)), settings)
 
 
 def _rows(found: dict[str, list[Aftermath]]) -> list[Row]:

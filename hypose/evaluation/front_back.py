@@ -35,14 +35,13 @@ def front_back(options: BenchOptions) -> BenchReport:
     Scenes: walk, jog and combo, 6 s, rig humaneva-4 at half size, masks with level-1 corruption, the subject's height
     given and the body estimated from the same clip; seeds from 20 on. What is measured are the tracker's poses, not
     smoothed."""
-    seeds = options.seeds or (1 if options.quick else 6)
-    first = options.first_seed if options.first_seed is not None else 20
+    seeds = options.seed_range(6, first=20)
     motions = _MOTIONS[:1] if options.quick else _MOTIONS
     seconds = 2.0 if options.quick else 6.0
     found: dict[tuple[str, str], list[tuple[float, float]]] = {}
     touched, seconds_with, seconds_without = 0, list[float](), list[float]()
-    for n, (seed, motion) in enumerate((s, m) for s in range(first, first + seeds) for m in motions):
-        options.progress("front and back", n, seeds * len(motions))
+    for n, (seed, motion) in enumerate((s, m) for s in seeds for m in motions):
+        options.progress("front and back", n, len(seeds) * len(motions))
         cameras = rig("humaneva-4").scaled(0.5)
         scene = make_scene(motion, "", cameras, seconds=seconds, seed=seed, corruption=("level-1",))
         source = InMemory(list(scene.mask_frames()))
@@ -60,7 +59,7 @@ def front_back(options: BenchOptions) -> BenchReport:
             touched += bool(again) and case == "own start"
             for how, estimates in (("as tracked", done), ("mended", mended)):
                 found.setdefault((case, how), []).append(_measured(scene, subject.body, estimates))
-    options.progress("front and back", seeds * len(motions), seeds * len(motions))
+    options.progress("front and back", len(seeds) * len(motions), len(seeds) * len(motions))
     rows: list[Row] = []
     for case in ("own start", "turned start"):
         before, after = np.array(found[case, "as tracked"]), np.array(found[case, "mended"])
@@ -74,7 +73,8 @@ def front_back(options: BenchOptions) -> BenchReport:
     rows.append(Row("tracked_again", "own start", float(touched), "clips", n=len(found["own start", "mended"])))
     base = {"baseline": "no looks", "baseline_value": float(np.mean(seconds_without))}
     rows.append(row("seconds_per_frame", "own start", seconds_with, "s", **base))
-    return BenchReport(tuple(rows), {"seeds": seeds, "first_seed": first, "motions": motions, "seconds": seconds})
+    settings = {"seeds": len(seeds), "first_seed": seeds.start, "motions": motions, "seconds": seconds}
+    return BenchReport(tuple(rows), settings)
 
 
 def _tracked(source: InMemory, tracker: Tracker, start: Array, subject: Subject) -> list[FrameEstimate]:

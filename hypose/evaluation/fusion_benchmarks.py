@@ -10,7 +10,7 @@ import numpy as np
 
 from hypose.errors import InputError
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, row
-from hypose.evaluation.fusion_scenes import HANDS, first_seed, scene_recording, scene_settings
+from hypose.evaluation.fusion_scenes import FRESH_SEED, HANDS, scene_recording, scene_settings
 from hypose.evaluation.sensors import FRAME_RATE, SensorRecording
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import baselines
@@ -25,14 +25,14 @@ from hypose.io.skeleton_tables import read_kinect_csv
 def human4d(options: BenchOptions) -> BenchReport:
     """fusion-human4d: MPJPE of all methods on A, B (treadmill) and H (HUMAN4D's run from its four real camera
     poses)."""
-    seeds = options.seeds or (1 if options.quick else 10)
+    seeds = options.seed_range(10, first=FRESH_SEED)
     scenes = "ABH" if options.data is not None else "AB"
     found: dict[str, list[float]] = {}
     inside: dict[str, list[float]] = {}
-    for s in range(seeds):
+    for s, seed in enumerate(seeds):
         for scene in scenes:
-            options.progress(f"scene {scene}", s, seeds)
-            recording = scene_recording(scene, first_seed(options) + s, options)
+            options.progress(f"scene {scene}", s, len(seeds))
+            recording = scene_recording(scene, seed, options)
             frames, truth = recording.frames(), recording.truth_in(0)
             for method in ("fit", "swarm", "published", *BASELINES):
                 if method == "best_single":

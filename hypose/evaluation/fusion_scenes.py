@@ -16,11 +16,6 @@ FRESH_SEED = 2000
 HANDS = (jt.LEFT_HAND, jt.RIGHT_HAND)
 
 
-def first_seed(options: BenchOptions) -> int:
-    """The first seed of the run."""
-    return FRESH_SEED if options.first_seed is None else options.first_seed
-
-
 def scene_recording(scene: str, seed: int, options: BenchOptions) -> SensorRecording:
     """Scene A or B of the treadmill, or H: the run of HUMAN4D with its four cameras."""
     rng: np.random.Generator = np.random.default_rng([seed, ord(scene)])
@@ -29,12 +24,12 @@ def scene_recording(scene: str, seed: int, options: BenchOptions) -> SensorRecor
     return treadmill_recording(scene, rng, options.data, take=seed)
 
 
-def scene_settings(options: BenchOptions, seeds: int) -> dict[str, object]:
+def scene_settings(options: BenchOptions, seeds: range) -> dict[str, object]:
     """What a report says about its recordings."""
     model = SensorModel()
     return {
-        "seeds": seeds,
-        "first_seed": first_seed(options),
+        "seeds": len(seeds),
+        "first_seed": seeds.start,
         "motion": "real" if options.data is not None else "built-in",
         "sensor_model": {name: getattr(model, name) for name in model.__dataclass_fields__},
     }

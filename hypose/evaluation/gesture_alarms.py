@@ -11,7 +11,7 @@ import numpy as np
 
 from hypose.compute.forests import Depth
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, row
-from hypose.evaluation.gesture_data import seeds_of
+from hypose.evaluation.gesture_data import SEEDS
 from hypose.evaluation.gesture_live import live_person
 from hypose.evaluation.gesture_people import Puppet, load_people
 from hypose.evaluation.gesture_poses import GESTURES, continuous
@@ -146,7 +146,7 @@ def false_alarms(options: BenchOptions) -> BenchReport:
     share of pictures of the gesture that the threshold lets through, and of gestures held that start an event."""
     minutes, frames, tries = (0.5, 60, 1) if options.quick else (10.0, 300, TRIES)
     names = PUBLISHED[:1] if options.quick else (*PUBLISHED, "pause")
-    seeds = seeds_of(options)
+    seeds = options.seed_range(SEEDS)
     alarms: dict[str, list[float]] = {}
     passed: dict[str, list[float]] = {}
     held: dict[str, list[float]] = {}

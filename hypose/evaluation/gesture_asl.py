@@ -12,7 +12,7 @@ import numpy as np
 from hypose.compute.forests import Depth
 from hypose.errors import InputError
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row, row
-from hypose.evaluation.gesture_data import TESTED, TRAINED, seeds_of
+from hypose.evaluation.gesture_data import SEEDS, TESTED, TRAINED
 from hypose.evaluation.gesture_metrics import Judged, judge
 from hypose.evaluation.gesture_scenes import CLUTTERED, GestureFrame, picture
 from hypose.gestures.forest import ForestSettings
@@ -81,7 +81,7 @@ def semi_synthetic(options: BenchOptions) -> BenchReport:
     """AP of every letter against all others: real hands, one person, simulated rooms around them."""
     crops = load_letters(options.folder("asl_depth_crops"))
     chosen = "afl" if options.quick else LETTERS
-    seeds = seeds_of(options)
+    seeds = options.seed_range(SEEDS)
     values: dict[str, list[Judged]] = {}
     for repetition, seed in enumerate(seeds):
         rooms = cache(partial(_rooms, seed))

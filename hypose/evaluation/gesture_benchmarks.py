@@ -18,12 +18,12 @@ from hypose.evaluation.gesture_data import (
     CLUTTERED,
     FULL,
     QUICK,
+    SEEDS,
     SHARE,
     TRAINING,
     Size,
     examples,
     for_gesture,
-    seeds_of,
     test_set,
     thinned,
     training_set,
@@ -82,7 +82,7 @@ def learn_offline(pool: Pool, seed: int, settings: OfflineSettings | None = None
 def table_3_2(options: BenchOptions) -> BenchReport:
     """Offline boosted (as published, and with negatives around the place) against online learning with random and with
     hard negatives, on the same frames."""
-    seeds, size = seeds_of(options), QUICK if options.quick else FULL
+    seeds, size = options.seed_range(SEEDS), QUICK if options.quick else FULL
     names = GESTURES[:2] if options.quick else GESTURES
     values: dict[tuple[str, str], list[Judged]] = {}
     for done, seed in enumerate(seeds):
@@ -143,7 +143,7 @@ _CLIPS: dict[str, int | None] = {"clipped_15": 150, "clipped_30": 300, "clipped_
 
 def table_3_1(options: BenchOptions) -> BenchReport:
     """Clipping distances, trained in two fixed empty rooms, tested in clutter; and boosted sub-forests."""
-    seeds = seeds_of(options)
+    seeds = options.seed_range(SEEDS)
     size = QUICK if options.quick else Size(40, 160, 20)
     names = ("tee", "ok") if options.quick else GESTURES
     values: dict[tuple[str, str], list[Judged]] = {}

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hypose.evaluation.benchmarks import BenchOptions
 from hypose.evaluation.gesture_poses import GESTURES, UNSEEN
 from hypose.evaluation.gesture_scenes import (
     CLUTTERED,
@@ -43,13 +42,6 @@ class Size:
 FULL, QUICK = Size(80, 400, 24), Size(16, 64, 8)
 SEEDS = 3
 """Of every table, unless another number is asked for."""
-
-
-def seeds_of(options: BenchOptions, *, most: int = SEEDS) -> range:
-    """The seeds of a table: as many as asked for (else 1 when it must be quick, `most` when not), from the first one
-    asked for (else 0). Long tables can so be measured seed by seed."""
-    first, count = options.first_seed or 0, options.seeds or (1 if options.quick else most)
-    return range(first, first + count)
 
 
 Tick = Callable[[int, int], None]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row, row
-from hypose.evaluation.gesture_data import SHARE, seeds_of
+from hypose.evaluation.gesture_data import SEEDS, SHARE
 from hypose.evaluation.gesture_metrics import Judged, judge
 from hypose.evaluation.gesture_poses import GESTURES, UNSEEN
 from hypose.evaluation.gesture_scenes import GestureFrame, Setting, Stage, make_room, make_view, picture
@@ -67,7 +67,7 @@ def test_frames(person: int, name: str, shown: int, rng: np.random.Generator) ->
 def table_3_3(options: BenchOptions) -> BenchReport:
     """Three sessions of 3 minutes of one person; the forest is resumed; offline learning on the same frames beside."""
     size = _Size(60, 10) if options.quick else _Size(500, 40)
-    seeds, names = seeds_of(options), PUBLISHED[:1] if options.quick else PUBLISHED
+    seeds, names = options.seed_range(SEEDS), PUBLISHED[:1] if options.quick else PUBLISHED
     judged: dict[tuple[str, str], list[Judged]] = {}
     minutes: dict[str, list[float]] = {}
     busy: list[float] = []

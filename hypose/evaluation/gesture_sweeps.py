@@ -9,7 +9,7 @@ import numpy as np
 
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row, row
 from hypose.evaluation.gesture_benchmarks import learn_offline, learn_online, shoot
-from hypose.evaluation.gesture_data import FULL, QUICK, examples, for_gesture, seeds_of
+from hypose.evaluation.gesture_data import FULL, QUICK, SEEDS, examples, for_gesture
 from hypose.evaluation.gesture_metrics import Judged, judge
 from hypose.evaluation.gesture_poses import GESTURES
 from hypose.gestures.forest import Forest, ForestSettings
@@ -22,7 +22,7 @@ WIDEST = 10
 
 def sweeps(options: BenchOptions) -> BenchReport:
     """AP of one gesture over alpha (beta 0) and over beta (alpha 300), and the balance of online and offline trees."""
-    seeds = seeds_of(options)
+    seeds = options.seed_range(SEEDS)
     parts = []
     for done, seed in enumerate(seeds):
         parts.append(options.part(f"gesture-sweeps.{seed}", partial(_sweep, seed, options)))

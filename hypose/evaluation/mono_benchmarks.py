@@ -96,7 +96,7 @@ def mono_arm(options: BenchOptions) -> BenchReport:
     the seeds; kept_error_mm: over the seeds kept; at_most_80: number of seeds that are kept at no more than 80 mm;
     alive: hypotheses really alive. '/whole_clip': the clip solved as a whole (hypose.monocular.clip). quick: one seed,
     its first second, without the ablations."""
-    seeds = _seeds(options, 10, quick=1)
+    seeds = options.seed_range(10)
     seconds = 1.0 if options.quick else 8.0  # the first ones of the same motion
     variants: dict[str, MonoSettings] = {
         "robust_3": ARM,
@@ -119,7 +119,7 @@ def mono_body(options: BenchOptions) -> BenchReport:
     points besides. no_limits is compared on a motion near a straight knee. quick: half a second of one scene, and of
     the ablations the Gaussian only.
     """
-    seeds = _seeds(options, 8, quick=1)
+    seeds = options.seed_range(8)
     seconds = 0.5 if options.quick else 1.2
     mocap = _mocap(options)
     variants: dict[str, MonoSettings] = {"full": BODY}
@@ -212,11 +212,6 @@ def _rows(case: str, runs: Sequence[MonoRun], error: str) -> list[Row]:
     if kept:
         out.append(row("kept_error_mm", case, [1e3 * r.mean for r in kept], "mm"))
     return out
-
-
-def _seeds(options: BenchOptions, usual: int, quick: int) -> list[int]:
-    first = options.first_seed or 0
-    return list(range(first, first + (options.seeds or (quick if options.quick else usual))))
 
 
 def _mocap(options: BenchOptions) -> Path | None:

@@ -52,11 +52,10 @@ def table_2_3(options: BenchOptions) -> BenchReport:
     """
     from hypose.evaluation import product  # which is built on the scenes of this module
 
-    seeds = options.seeds or (1 if options.quick else 5)
+    seeds = options.seed_range(5)
     seconds = 0.6 if options.quick else 2.0
     actions = ("walk",) if options.quick else ACTIONS
-    first = options.first_seed or 0
-    jobs = [(a, s) for a in actions for s in range(first, first + seeds)]
+    jobs = [(a, s) for a in actions for s in seeds]
     found: dict[tuple[str, str], list[Outcome]] = {}
     bodies: dict[int, Body] = {}
     for n, (action, seed) in enumerate(jobs):
@@ -72,8 +71,8 @@ def table_2_3(options: BenchOptions) -> BenchReport:
             found.setdefault((preset, action), []).append(outcome)
     options.progress("done", len(jobs) * len(PRESETS), len(jobs) * len(PRESETS))
     rows = table_rows(found, actions)
-    settings = {"seeds": seeds, "seconds": seconds, "rig": "humaneva-4", "corruption": "level-1", "frame_rate": 25}
-    settings["first_seed"] = first
+    settings = {"seeds": len(seeds), "seconds": seconds, "rig": "humaneva-4", "corruption": "level-1", "frame_rate": 25}
+    settings["first_seed"] = seeds.start
     settings["motion"] = "captured" if _mocap(options) else "built-in"
     return BenchReport(tuple(rows), settings)
 

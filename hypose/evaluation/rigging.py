@@ -102,7 +102,7 @@ def rigging(options: BenchOptions) -> BenchReport:
         s = subjects[name]
         w = heat_weights(s.vertices, s.faces, _subject_bones(s), len(JOINT_NAMES))
         rows += weight_rows(f"subject {name}", w, s.dense_weights, s.vertices, s.joints, s.faces)
-    chosen = list(subjects)[: 2 if options.quick else options.seeds or 8]
+    chosen = list(subjects)[: options.seeds or (2 if options.quick else 8)]
     poses = SCAN_POSES[:3]
     for p, arms in enumerate(poses):
         mean, largest, seconds, girth = [], [], [], []

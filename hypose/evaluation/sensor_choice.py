@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row, row
-from hypose.evaluation.fusion_scenes import HANDS, first_seed, scene_recording, scene_settings
+from hypose.evaluation.fusion_scenes import FRESH_SEED, HANDS, scene_recording, scene_settings
 from hypose.evaluation.sensors import HIDDEN_BELOW, SensorRecording
 from hypose.fusion.confidence import confidence_step, normalised, start_confidence
 from hypose.fusion.register import heading, register, register_per_frame, upward
@@ -115,12 +115,12 @@ def registered(recording: SensorRecording, per_frame: bool) -> Array:
 
 def table_1(options: BenchOptions) -> BenchReport:
     """fusion-table-1: share of (hand, segment) cases in which the majority comes from a sensor that tracks the hand."""
-    seeds = options.seeds or (2 if options.quick else 10)
+    seeds = options.seed_range(10, quick=2, first=FRESH_SEED)
     found: dict[str, list[Case]] = {}
-    for s in range(seeds):
+    for s, seed in enumerate(seeds):
         for scene in "AB":
-            options.progress("sensor choice", 2 * s + (scene == "B"), 2 * seeds)
-            recording = scene_recording(scene, first_seed(options) + s, options)
+            options.progress("sensor choice", 2 * s + (scene == "B"), 2 * len(seeds))
+            recording = scene_recording(scene, seed, options)
             for name, settings, per_frame in (("published", PUBLISHED, True), ("swarm", IMPROVED, False)):
                 for cycle, got in _all_cycles(recording, settings, per_frame, s).items():
                     found.setdefault(f"{name}/{scene}/{cycle}", []).extend(got)
@@ -195,9 +195,9 @@ def departure_settings() -> dict[str, SwarmSettings]:
 
 def departures(options: BenchOptions) -> BenchReport:
     """fusion-departures: every departure from the paper, switched alone (registration is the robust one throughout)."""
-    seeds = options.seeds or (1 if options.quick else 4)
+    seeds = options.seed_range(4)
     rows: list[Row] = []
-    recordings = [(scene, scene_recording(scene, s, options), s) for s in range(seeds) for scene in "AB"]
+    recordings = [(scene, scene_recording(scene, s, options), s) for s in seeds for scene in "AB"]
     for n, (name, settings) in enumerate(departure_settings().items()):
         options.progress("departures", n, len(departure_settings()))
         found: dict[str, list[Case]] = {}

@@ -63,13 +63,12 @@ def seen_masks(scene: Scene, shown: Array, scale: float = 0.5) -> list[Silhouett
 def sync(options: BenchOptions) -> BenchReport:
     """Largest and mean error of offsets of -5.0 to +5.0 frames (all cameras, several scenes). Cases: walk and arms from
     key points, from silhouettes, and from both; sound (a clap in a noisy room); lamp (a light switched on)."""
-    seeds = options.seeds or (1 if options.quick else 4)
+    seeds = options.seed_range(4, first=FIRST_SEED)
     rows: list[Row] = []
     for done, (case, motion) in enumerate(MOTIONS.items()):
         errors: dict[str, list[float]] = {"keypoints": [], "silhouettes": [], "both": []}
-        for s in range(seeds):
-            options.progress(case, done * seeds + s, len(MOTIONS) * seeds)
-            seed = FIRST_SEED + s
+        for s, seed in enumerate(seeds):
+            options.progress(case, done * len(seeds) + s, len(MOTIONS) * len(seeds))
             late = _late(seed, 4)
             scene, shown = late_scene(motion, seed, late)
             points, masks = seen_points(scene, shown), seen_masks(scene, shown)
@@ -86,10 +85,11 @@ def sync(options: BenchOptions) -> BenchReport:
             rows.append(Row("sync_error_frames", f"{case}, {name}", float(np.mean(e)), "frames", n=len(e)))
             rows.append(Row("sync_error_largest_frames", f"{case}, {name}", float(np.max(e)), "frames", n=len(e)))
     for case, of in (("sound", _sound_errors), ("lamp", _lamp_errors)):
-        e = np.concatenate([of(FIRST_SEED + s) for s in range(4)])
+        e = np.concatenate([of(seeds.start + s) for s in range(4)])
         rows.append(Row("sync_error_frames", case, float(np.mean(e)), "frames", n=len(e)))
         rows.append(Row("sync_error_largest_frames", case, float(np.max(e)), "frames", n=len(e)))
-    return BenchReport(tuple(rows), {"seeds": seeds, "first_seed": FIRST_SEED, "frame_rate": _RATE, "seconds": 6.0})
+    settings = {"seeds": len(seeds), "first_seed": seeds.start, "frame_rate": _RATE, "seconds": 6.0}
+    return BenchReport(tuple(rows), settings)
 
 
 def _late(seed: int, n: int) -> Array:

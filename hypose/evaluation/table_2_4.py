@@ -65,11 +65,10 @@ def table_2_4(options: BenchOptions) -> BenchReport:
     own colours learnt in frame 0, where the pose is given. Evaluations per frame as published: 3500, 3500, 3500, 4000
     (dd-hpf+), 3000 (dd-hpf+5). Medians over the seeds. Baseline of every row: apf.
     """
-    seeds = options.seeds or (1 if options.quick else 5)
+    seeds = options.seed_range(5)
     seconds = 0.5 if options.quick else 1.2
     actions = ACTIONS[:1] if options.quick else ACTIONS
-    first = options.first_seed or 0
-    jobs = [(a, s) for a in actions for s in range(first, first + seeds)]
+    jobs = [(a, s) for a in actions for s in seeds]
     found: dict[tuple[str, str], dict[str, ExtremityOutcome]] = {}
     detected: dict[tuple[str, str], Detected] = {}
     for n, (action, seed) in enumerate(jobs):
@@ -77,8 +76,8 @@ def table_2_4(options: BenchOptions) -> BenchReport:
         found[action, str(seed)], detected[action, str(seed)] = run_scene(action, seed, seconds)
     options.progress("done", len(jobs), len(jobs))
     settings = {
-        "seeds": seeds,
-        "first_seed": first,
+        "seeds": len(seeds),
+        "first_seed": seeds.start,
         "seconds": seconds,
         "rig": "ixmas-5",
         "corruption": "level-1",

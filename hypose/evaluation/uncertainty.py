@@ -33,14 +33,12 @@ def uncertainty(options: BenchOptions) -> BenchReport:
     recipe with the body estimated from another clip, the clip solved at the end. Means over scenes with their sd. The
     factors of the product were measured on seeds 20 to 27 (key points: 20 to 25); the defaults here are seeds 0 to 4.
     """
-    seeds = options.seeds or (1 if options.quick else 5)
+    seeds = options.seed_range(5)
     seconds = 0.6 if options.quick else 2.0
     actions = ACTIONS[:1] if options.quick else ACTIONS
-    first = options.first_seed or 0
     found: dict[str, list[dict[str, Array]]] = {}
-    jobs = seeds * (len(actions) + 1)
-    for s in range(seeds):
-        seed = first + s
+    jobs = len(seeds) * (len(actions) + 1)
+    for s, seed in enumerate(seeds):
         options.progress(f"bodies of seed {seed}", s * (len(actions) + 1), jobs)
         body, by_points = estimated_body(seed, options), body_by_keypoints(seed, options)
         for k, action in enumerate(actions):
@@ -55,7 +53,7 @@ def uncertainty(options: BenchOptions) -> BenchReport:
                 shares = covered(aligned_joints(motion, scene), motion.joint_covariance, scene.joints)
                 found.setdefault(evidence, []).append(shares)
     options.progress("done", jobs, jobs)
-    settings = {"seeds": seeds, "first_seed": first, "seconds": seconds, "actions": list(actions)}
+    settings = {"seeds": len(seeds), "first_seed": seeds.start, "seconds": seconds, "actions": list(actions)}
     rows = [row for evidence, scenes in found.items() for row in rows_of(scenes, _PREFIX[evidence])]
     return BenchReport(tuple(rows), settings)
 
