@@ -43,7 +43,7 @@ def test_bad_input_of_sync_is_told_in_a_sentence(hypose, tiny, arguments, senten
     [
         (("--from", "tea"), "choose auto, keypoints, silhouettes or both"),
         (("--refine", "--from", "keypoints"), "has no key points"),
-        (("--height", "17"), "is not a person's height"),
+        (("--height", "17"), "give 0.4 to 2.8 metres"),
         (("--keep", "cam9"), "no camera cam9"),
     ],
 )

@@ -61,7 +61,7 @@ def test_a_recording_gives_sizes_a_body_and_a_picture(hypose, tiny, tmp_path):
         ((), "Give either a recording's folder or --mesh"),
         (("--start", "lying"), "There is no start 'lying'"),
         (("--poses", "0"), "--poses 0 is not possible"),
-        (("--height", "170"), "height of 170 is no person's"),
+        (("--height", "170"), "--height 170 is not possible; give 0.5 to 2.5 metres"),
     ],
 )
 def test_wrong_options(hypose, tiny, arguments, message):
