@@ -22,6 +22,7 @@ from hypose.app.batch_worker import Report, finished, run_chunk, run_task
 from hypose.app.console import ProgressCall, ignore
 from hypose.app.sweep import Task
 from hypose.errors import InputError
+from hypose.io.results import check_writable
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -92,10 +93,7 @@ def run_batch(
     left = [t for t in tasks if t.key not in out]
     if not left:
         return out
-    try:
-        results.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{results} cannot be made ({error.strerror}); choose another folder for results.") from None
+    check_writable(results)
     stop = results / f".stop-{os.getpid()}-{time.time_ns()}"
     heard = _Progress()
     try:

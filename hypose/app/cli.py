@@ -5,11 +5,14 @@ The commands' work is imported when a command runs, so that `hypose --help` answ
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import io
 import os
 import sys
 import traceback
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -88,6 +91,11 @@ def _global(
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point of the console script; arguments default to those of the process. Exits the process."""
+    if arguments is None:
+        _read_names_as_utf8()
+    for stream in (sys.stdout, sys.stderr):  # what the terminal has no letters for is no reason to fail
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     # threads that make the next frame hold the interpreter for less than a tenth of a frame's time
     sys.setswitchinterval(5e-4)
     given = list(sys.argv[1:] if arguments is None else arguments)
@@ -95,7 +103,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # accepted in any place: who needs it is in a hurry
     given = [a for a in given if a != "--debug"]
     try:
-        app(given, prog_name="hypose", obj=given)
+        try:
+            app(given, prog_name="hypose", obj=given)
+        finally:
+            sys.stdout.flush()  # a full disk shows here, while it can be told
     except HyposeError as error:
         _fail(str(error), debug)
         sys.exit(2)
@@ -103,8 +114,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         if isinstance(error, MemoryError):
             reason = "the memory is full; close other programs, or track fewer frames at a time with --frames"
-        elif isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
-            _fail(f"{str(error.filename)[:60]}... is too long for the name of a file; give another path.", debug)
+        elif isinstance(error, OSError):
+            _fail(_refused(error), debug)
             sys.exit(2)
         else:
             reason = (
@@ -115,13 +126,36 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit(1)
 
 
+def _refused(error: OSError) -> str:
+    """The sentence for what the system did not let us do."""
+    from hypose.io.results import FULL, cannot_write
+
+    if error.errno == errno.ENAMETOOLONG:
+        return f"{str(error.filename)[:60]}... is too long for the name of a file; give another path."
+    reason = (error.strerror or type(error).__name__).lower()
+    if error.filename is None and error.errno in (*FULL, errno.EFBIG):
+        with contextlib.suppress(OSError):  # what still waits to be printed would fail again at the end
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return f"The output cannot be written ({reason}); free some space and run the same command again."
+    what = "The system" if error.filename is None else os.fsdecode(error.filename)
+    if error.errno in (*FULL, errno.EFBIG, errno.EROFS):
+        return cannot_write(Path(what), error)
+    return (
+        f"{what}: {reason}; look whether it is there and you may read and write it, and run the same command again."
+    )
+
+
+def _read_names_as_utf8() -> None:
+    """Under a locale that knows ASCII only (LC_ALL=C PYTHONUTF8=0) Python cannot open a file whose name, read from
+    another file, has other letters: start again in its UTF-8 mode."""
+    if sys.getfilesystemencoding() == "ascii" and os.environ.get("PYTHONUTF8") != "1":
+        with contextlib.suppress(OSError):
+            os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], {**os.environ, "PYTHONUTF8": "1"})
+
+
 def _fail(sentence: str, debug: bool) -> None:
     from hypose.app import console
 
     if debug:
         traceback.print_exc()
     console.error(sentence)
-
-
-if __name__ == "__main__":
-    main()

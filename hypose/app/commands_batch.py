@@ -51,6 +51,7 @@ def batch(
     from hypose.app.batch import Place, run_batch
     from hypose.app.batch_worker import finished
     from hypose.app.sweep import is_recording, plan, read_sweep, sweep_of
+    from hypose.io.claims import claimed
 
     wanted = sweep_of(sweep) if is_recording(sweep) else read_sweep(sweep)
     if chunk is not None:
@@ -69,7 +70,8 @@ def batch(
                 for one in refused:
                     say(f"{one.recording}, {one.set_name}: {one.reason}")
                 return
-            figures = run_batch(tasks, place, wanted.results, progress, lambda link: note(f"Dashboard: {link}"))
+            with claimed(wanted.results):
+                figures = run_batch(tasks, place, wanted.results, progress, lambda link: note(f"Dashboard: {link}"))
     except KeyboardInterrupt:
         say("Stopped. Go on with the same command.")
         raise typer.Exit(130) from None

@@ -65,14 +65,16 @@ def calibrate(
     sheet: Annotated[Path | None, typer.Option(help="Picture of what was seen. [default: beside --out, .png]")] = None,
 ) -> None:
     """Calibrate cameras: lenses and places from a chessboard or ChArUco board, or from measured points; or convert."""
-    from hypose.io.calibration_formats import check_writable, write_any
+    from hypose.io.calibration_formats import check_format, write_any
+    from hypose.io.results import check_writable
 
-    check_writable(target)
+    check_format(target)
     given = [bool(sources), points is not None, convert is not None]
     if sum(given) != 1:
         raise InputError(
             "Give board videos (with --chessboard or --charuco and --square), or --points FILE, or --convert FILE."
         )
+    check_writable(target.parent)
     if convert is not None:
         from hypose.io.calibration_formats import read_any
 

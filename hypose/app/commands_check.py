@@ -59,6 +59,7 @@ def check(
     """
     from hypose.app.checking import camera_table, check_recording, examine_recording, write_findings
     from hypose.io.recording import load_recording
+    from hypose.io.results import check_writable
 
     if using not in ("auto", "keypoints", "silhouettes", "both"):
         raise InputError(f"--from {using} is not possible; choose auto, keypoints, silhouettes or both.")
@@ -74,6 +75,9 @@ def check(
     for text in loaded.notes:
         say(f"note: {text}")
     path = sheet or loaded.folder / "results" / "check.png"
+    check_writable(path.parent)
+    if refine:
+        check_writable((to or path).parent, "--to")
     report = cured = None
     with Stages() as progress:
         found = check_recording(loaded, path, samples, progress)

@@ -28,6 +28,7 @@ def correct(
     from hypose.app.correct import correct as track_again
     from hypose.app.correct import read_correction
     from hypose.app.view_result import find_recording
+    from hypose.io.claims import claimed
     from hypose.io.results import ResultsFolder
 
     recording = find_recording(results)
@@ -35,7 +36,7 @@ def correct(
         raise InputError(f"{results} lies in no recording; give the results folder inside the recording's folder.")
     folder = ResultsFolder(out or results.with_name(f"{results.name}-corrected"))
     correction = read_correction(clicks)
-    with Stages() as progress:
+    with claimed(folder.path), Stages() as progress:
         names = tuple(split_names(formats))
         motion = track_again(
             recording, ResultsFolder(results), correction, folder, until=until, formats=names, progress=progress

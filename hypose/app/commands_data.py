@@ -25,12 +25,13 @@ def silhouettes(
     """Write the masks of the person as PNG, one folder per view, and a contact sheet."""
     from hypose.app.checking import write_sheet
     from hypose.app.job import choose_frames
+    from hypose.io.claims import claimed
     from hypose.io.frames import FrameStream, write_masks
     from hypose.io.recording import load_recording
 
     loaded = choose_frames(load_recording(recording), frames)
     target = folder or loaded.folder / "results" / "silhouettes"
-    with Stages() as progress:
+    with claimed(target), Stages() as progress:
         progress("background", 0, 1)
         with FrameStream(loaded) as source:
             progress("background", 1, 1)
@@ -80,6 +81,7 @@ def synth(
     from hypose.evaluation.film_session import BOARD, write_session
     from hypose.evaluation.scenes import make_scene
     from hypose.evaluation.write_recording import check_folder, write_scene
+    from hypose.io.claims import claimed
 
     if raw and keypoints:
         raise InputError("--raw writes what cameras give, and key points are not; leave one of the two out.")
@@ -96,7 +98,7 @@ def synth(
         distorted=distorted,
     )
     try:
-        with Stages() as progress:
+        with claimed(folder, "OUT"), Stages() as progress:
 
             def shown(done: int, total: int) -> None:
                 progress("render", done, total)

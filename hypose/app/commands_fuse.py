@@ -93,12 +93,14 @@ def fuse(
     if recording is None:
         raise InputError("There is nothing to fuse; give a recording of skeletons, or --live.")
     from hypose.app.fuse_job import FuseJob, run_fuse
+    from hypose.io.claims import claimed
+    from hypose.io.file_names import file_name
     from hypose.io.results import ResultsFolder
     from hypose.io.skeletons import read_skeletons
 
     loaded = read_skeletons(recording)
     folder = recording if recording.is_dir() else recording.parent
-    name = f"fuse-{method}" if recording.is_dir() else f"{loaded.name}-fuse-{method}"
+    name = f"fuse-{method}" if recording.is_dir() else f"{file_name(loaded.name)}-fuse-{method}"
     results = ResultsFolder(out) if out is not None else ResultsFolder.of(folder, name)
     job = FuseJob(
         loaded,
@@ -115,7 +117,7 @@ def fuse(
     )
     previous = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        with Stages() as progress:
+        with claimed(results.path), Stages() as progress:
             outcome = run_fuse(job, progress)
     except KeyboardInterrupt:
         say("Stopped before anything was fused, so nothing was kept. Start again with the same command.")

@@ -65,6 +65,7 @@ def train(
 ) -> None:
     """Teach a gesture: a live session that learns while you watch, or recorded sessions again."""
     from hypose.app.gesture_job import growing_model, in_cm2, learn_offline, learn_recordings, new_learner
+    from hypose.io.results import check_writable
     from hypose.pipeline.gesture_files import read_recording, save_model
 
     if out.suffix != ".npz":
@@ -75,6 +76,7 @@ def train(
         raise InputError("--offline makes a new forest, which --resume cannot go on with; leave one of the two out.")
     if recording and record_to is not None:
         raise InputError("--record is for live sessions, and --recording learns from one that is there; give one.")
+    check_writable(out.parent)
     old = growing_model(resume, gesture) if resume is not None else None
     learner = old.learner if old is not None and old.learner is not None else new_learner(seed)
     if recording:

@@ -25,13 +25,14 @@ def keypoints(
     """Detect 2D key points in the videos, one OpenPose file per frame, for --evidence keypoints or both."""
     set_threads(threads)
     from hypose.io.blazepose import open_blazepose
+    from hypose.io.claims import claimed
     from hypose.io.detected_keypoints import FOLDER
     from hypose.io.recording import load_recording
     from hypose.pipeline.detect_keypoints import detect_keypoints
 
     loaded = load_recording(recording)
     target = folder or loaded.folder / FOLDER
-    with open_blazepose(model, people) as detector, Stages() as progress:
+    with claimed(target), open_blazepose(model, people) as detector, Stages() as progress:
         try:
             found = detect_keypoints(
                 loaded, detector, target, resume=resume, progress=lambda done, total: progress("detect", done, total)

@@ -20,6 +20,7 @@ def export(
 ) -> None:
     """Write motion files (TRC, C3D, BVH, GLB, CSV, MOT) from a tracked motion."""
     from hypose.io.bodies import load_body
+    from hypose.io.claims import claimed
     from hypose.io.export import export_motion
     from hypose.io.results import ResultsFolder, load_motion
 
@@ -33,7 +34,7 @@ def export(
             f"{folder.path}: body.npz and the motion belong to different bodies; track the recording again."
         )
     names = split_names(formats)
-    with Stages() as progress:
+    with claimed(out or folder.path), Stages() as progress:
         progress("export", 0, 1)
         written = export_motion(motion, body, out or folder.path, names)
         progress("export", 1, 1)
@@ -52,12 +53,15 @@ def report(
     set_threads(threads)
     from hypose.app.report import from_result, write_report
     from hypose.app.view_result import find_recording, load_view
+    from hypose.io.results import check_writable
 
     folder = results if results.is_dir() else results.parent
     target = out or folder / "report.html"
     if target.is_dir():
         raise InputError(f"{target} is a folder; name the file to write, for example {target / 'report.html'}.")
     recording = find_recording(folder) if results.exists() else None
+    if results.exists():
+        check_writable(target.parent)
     shown = load_view(results, recording)
     with Stages() as progress:
         progress("report", 0, 1)
@@ -88,12 +92,15 @@ def bench(
     """Measure accuracy and speed."""
     set_threads(threads)
     from hypose.evaluation.benchmarks import run_benchmark
-    from hypose.io.results import atomic_path, to_json
+    from hypose.io.results import atomic_path, check_writable, to_json
 
     if plot is not None:
         from hypose.app.bench_plot import check_plot_path
 
         check_plot_path(plot)
+    for file, option in ((json, "--json"), (plot, "--plot")):
+        if file is not None:
+            check_writable(file.parent, option)
     with Stages() as progress:
         report = run_benchmark(
             name, quick=quick, seeds=seeds, data=data, progress=progress, first_seed=first_seed, parts=parts

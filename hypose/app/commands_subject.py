@@ -52,6 +52,7 @@ def subject(
     assert recording is not None
     from hypose.app.job import choose_frames
     from hypose.body.models import human
+    from hypose.io.claims import claimed
     from hypose.io.frames import FrameStream
     from hypose.io.recording import load_recording
     from hypose.pipeline.anthropometry import AnthropometryOptions, estimate_subject, save_subject
@@ -69,7 +70,7 @@ def subject(
         seed=seed,
     )
     folder = out or loaded.folder / "subject"
-    with Stages() as progress:
+    with claimed(folder), Stages() as progress:
         progress("background", 0, 1)
         with FrameStream(loaded) as source:
             progress("background", 1, 1)
@@ -92,9 +93,11 @@ def subject(
 
 
 def _from_mesh(mesh: Path, unit: str, height: float | None, folder: Path) -> None:
+    from hypose.io.claims import claimed
     from hypose.pipeline.mesh_subject import MeshOptions, subject_from_mesh
 
-    made = subject_from_mesh(mesh, folder, MeshOptions(unit=unit, height=height))
+    with claimed(folder):
+        made = subject_from_mesh(mesh, folder, MeshOptions(unit=unit, height=height))
     for text in made.notes:
         note(f"note: {text}")
     say(f"Body: {folder / 'body.npz'}")

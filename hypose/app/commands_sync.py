@@ -30,7 +30,9 @@ def sync(
     ] = None,
 ) -> None:
     """How many frames each view is late. With --out, masks and key points are resampled in time and written."""
+    from hypose.io.claims import claimed
     from hypose.io.recording import load_recording
+    from hypose.io.results import check_writable
 
     if by not in ("motion", "sound", "flash"):
         raise InputError(f"--by {by} is not possible; choose motion, sound or flash.")
@@ -39,6 +41,8 @@ def sync(
     loaded = load_recording(recording)
     if len(loaded.views) < 2:
         raise InputError("One view needs no synchronisation; the recording has only one.")
+    if to is not None:
+        check_writable(to)
     with Stages() as progress:
         if offsets is not None:
             late, words = _given(offsets, len(loaded.views)), ["as given"] * len(loaded.views)
@@ -53,7 +57,7 @@ def sync(
     if to is None:
         say(f"To bring the evidence in step: hypose sync {recording} --out NEW_FOLDER")
         return
-    with Stages() as progress:
+    with claimed(to), Stages() as progress:
         path = _write(loaded, late, to, progress)
     say(f"Masks and key points in step: {path}", "green")
 
@@ -130,6 +134,7 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
     import numpy as np
 
     from hypose.calibration.sync import Resampled, points_at
+    from hypose.io.file_names import folder_for
     from hypose.io.files import write_text
     from hypose.io.frames import FrameStream
     from hypose.io.recording import write_recording
@@ -141,20 +146,17 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
     with FrameStream(recording) as stream:
         progress("background", 1, 1)
         source = Resampled(stream, late)
-        for view, camera in zip(recording.views, stream.rig, strict=True):
-            (folder / "masks" / view.name).mkdir(parents=True, exist_ok=True)
-            write_text(
-                folder / "masks" / view.name / SIDECAR,
-                json.dumps({"undistorted": True, "size": list(camera.size)}) + "\n",
-            )
+        masks = [folder_for(folder / "masks", view.name) for view in recording.views]
+        for path, camera in zip(masks, stream.rig, strict=True):
+            write_text(path / SIDECAR, json.dumps({"undistorted": True, "size": list(camera.size)}) + "\n")
         for i in range(len(source)):
             progress("masks", i, len(source))
             silhouettes = source.frame(i).silhouettes
             assert silhouettes is not None
-            for c, (view, camera) in enumerate(zip(recording.views, stream.rig, strict=True)):
+            for c, (path, camera) in enumerate(zip(masks, stream.rig, strict=True)):
                 w, h = camera.size
                 data = cv2.imencode(".png", silhouettes.masks[c, :h, :w] * np.uint8(255))[1]
-                with atomic_path(folder / "masks" / view.name / f"{i:06d}.png") as temporary:
+                with atomic_path(path / f"{i:06d}.png") as temporary:
                     temporary.write_bytes(data.tobytes())
         progress("masks", len(source), len(source))
     points, _ = raw_keypoints(recording)
@@ -162,19 +164,20 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
     for c, view in enumerate(recording.views):
         keypoints = None
         if points is not None and view.keypoints is not None:
-            keypoints = folder / "keypoints" / view.name
-            keypoints.mkdir(parents=True, exist_ok=True)
+            keypoints = folder_for(folder / "keypoints", view.name)
             for t, p in enumerate(points_at(points[c], late[c])):
                 person = {"pose_keypoints_2d": [round(float(x), 4) for x in p.ravel()]}
                 people = [person] if (p[:, 2] > 0).any() else []
-                write_text(keypoints / f"{view.name}_{t:012d}_keypoints.json", json.dumps({"people": people}) + "\n")
+                write_text(
+                    keypoints / f"{keypoints.name}_{t:012d}_keypoints.json", json.dumps({"people": people}) + "\n"
+                )
         views.append(
             replace(
                 view,
                 video=None,
                 images=None,
                 background=None,
-                masks=folder / "masks" / view.name,
+                masks=masks[c],
                 keypoints=keypoints,
                 image_shift=(0.0, 0.0),
                 accept_scaled=False,

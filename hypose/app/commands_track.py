@@ -126,6 +126,7 @@ def demo(
     from hypose.app.truth import compare_with
     from hypose.evaluation.scenes import make_scene
     from hypose.evaluation.write_recording import check_folder, write_scene
+    from hypose.io.claims import claimed
     from hypose.io.recording import load_recording
     from hypose.io.results import ResultsFolder
     from hypose.pipeline.run import TrackOptions
@@ -133,7 +134,7 @@ def demo(
     check_folder(out)
     say(f"Writing a synthetic recording of {seconds:g} s of walking, seen by four cameras, to {out}")
     scene = make_scene("walk", rig="humaneva-4", seconds=seconds, seed=seed, distorted=True)
-    with Stages() as progress:
+    with claimed(out), Stages() as progress:
         write_scene(scene, out, progress=lambda done, total: progress("render", done, total))
     say(f"Tracking it as `hypose track {shlex.quote(str(out))}` would")
     recording = load_recording(out)
@@ -145,10 +146,11 @@ def demo(
 def run_shown(job: Job, arguments: list[str]) -> tuple[Outcome, dict[str, float]]:
     """Run a job with progress; when it is interrupted, say what was kept and how to go on, and exit with code 130."""
     from hypose.app.job import run_job
+    from hypose.io.claims import claimed
 
     previous = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        with Stages() as progress:
+        with claimed(job.results.path), Stages() as progress:
             outcome = run_job(job, progress, progress.seconds)
     except KeyboardInterrupt:
         _stopped(job, arguments)

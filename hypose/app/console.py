@@ -9,12 +9,14 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
+
+from hypose.errors import visible
 
 if TYPE_CHECKING:  # rich takes a third of the time in which `hypose --help` should answer
-    from rich.console import Console
+    from rich.console import Console, ConsoleOptions, RenderableType
     from rich.progress import Progress, TaskID
 
 TITLES = {
@@ -49,16 +51,26 @@ JSON_PROGRESS = "HYPOSE_JSON_PROGRESS"
 
 def out() -> Console:
     """For results; made anew so that a redirected stdout is respected."""
-    from rich.console import Console
-
-    return Console(file=sys.stdout, highlight=False, soft_wrap=True)
+    return _console(sys.stdout)
 
 
 def err() -> Console:
     """For progress and errors."""
-    from rich.console import Console
+    return _console(sys.stderr)
 
-    return Console(file=sys.stderr, highlight=False, soft_wrap=True)
+
+def _console(file: TextIO) -> Console:
+    """A console that alone steers the terminal: names in what it prints cannot."""
+    from rich.console import Console
+    from rich.segment import Segment
+
+    class Careful(Console):
+        def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+            for segment in super().render(renderable, options):
+                text = segment.text if segment.control else visible(segment.text)
+                yield segment if text == segment.text else Segment(text, segment.style)
+
+    return Careful(file=file, highlight=False, soft_wrap=True)
 
 
 def say(text: str = "", style: str | None = None) -> None:

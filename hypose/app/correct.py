@@ -27,7 +27,7 @@ from hypose.io.export import export_motion
 from hypose.io.files import text_lines
 from hypose.io.frames import FrameOptions, FrameStream
 from hypose.io.recording import Recording
-from hypose.io.results import ResultsFolder, load_motion, save_motion
+from hypose.io.results import ResultsFolder, check_writable, load_motion, save_motion
 from hypose.json_text import parse_json
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.subject import GIVEN, Subject, SubjectOptions, find_subject
@@ -78,7 +78,7 @@ def correct(
     if out.path.resolve() == old.path.resolve():
         raise InputError("The corrected motion needs a folder of its own; choose another with --out.")
     check_formats(formats)
-    out.check_writable()
+    check_writable(out.path)
     progress("compile", 0, 1)
     compute.warm_up()
     progress("compile", 1, 1)

@@ -27,7 +27,7 @@ from hypose.geometry import Array, se3, transform
 from hypose.io.export import FORMATS, export_motion
 from hypose.io.files import write_text
 from hypose.io.provenance import identity, provenance
-from hypose.io.results import Checkpoint, ResultsFolder, save_motion
+from hypose.io.results import Checkpoint, ResultsFolder, check_writable, save_motion
 from hypose.io.skeletons import (
     SensorStream,
     SkeletonRecording,
@@ -103,7 +103,7 @@ class FuseOutcome:
 def run_fuse(job: FuseJob, progress: ProgressCall = ignore) -> FuseOutcome:
     """Synchronise, match persons, register, fuse, write. Each person's motion is on disk before the next is begun;
     Ctrl-C leaves a checkpoint of the one under way."""
-    job.results.check_writable()
+    check_writable(job.results.path)
     notes = list(job.recording.notes)
     progress("prepare", 0, 1)
     streams = _ordered(job)

@@ -25,7 +25,7 @@ from hypose.io.export import FORMATS, export_motion
 from hypose.io.frames import FrameOptions, FrameStream
 from hypose.io.provenance import identity, provenance
 from hypose.io.recording import Recording
-from hypose.io.results import ResultsFolder, load_motion, to_json
+from hypose.io.results import ResultsFolder, check_writable, load_motion, to_json
 from hypose.pipeline.anthropometry import load_subject, subject_file
 from hypose.pipeline.chunked import FOLDER as CHUNKS
 from hypose.pipeline.chunked import ChunkRun
@@ -97,7 +97,7 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
 
         return run_mono_job(job, options, progress, seconds)
     _check_choices(job, options)
-    results.check_writable()
+    check_writable(results.path)
     record = record_of(job)
     progress("compile", 0, 1)
     compute.warm_up()

@@ -21,6 +21,7 @@ from hypose.errors import InputError
 from hypose.io.modes import load_modes
 from hypose.io.provenance import file_identity
 from hypose.io.recording import Recording
+from hypose.io.results import check_writable
 from hypose.pipeline.anthropometry import load_subject
 from hypose.pipeline.mono_start import side_to_work_on
 from hypose.pipeline.mono_stream import MonoStream, one_view
@@ -79,7 +80,7 @@ def run_mono_job(
     """
     results = job.results
     _check(job, options)
-    results.check_writable()
+    check_writable(results.path)
     record = record_of(job)
     if options.start not in POINT_STARTS:
         record["inputs"]["clicks"] = file_identity(options.start)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.cameras.camera import Camera
 from hypose.compute.render import silhouette
-from hypose.errors import InputError
+from hypose.errors import InputError, visible
 from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array
 from hypose.io.recording import Recording, View
@@ -184,7 +184,7 @@ def draw_skeleton(image: Image, view: View, camera: Camera, body: Body, joints: 
 
 def write_text(image: Image, text: str, x: int, y: int, colour: tuple[int, int, int] = (255, 255, 255)) -> None:
     """White text with a dark rim; x, y: left end of the base line."""
-    font, size = cv2.FONT_HERSHEY_SIMPLEX, 0.5
+    font, size, text = cv2.FONT_HERSHEY_SIMPLEX, 0.5, visible(text)  # what is no UTF-8 would kill OpenCV
     for dx, dy in ((-1, 0), (1, 0), (0, -1), (0, 1)):  # a thicker stroke would be wider in OpenCV 5, hence no rim
         cv2.putText(image, text, (x + dx, y + dy), font, size, (0, 0, 0), 1, cv2.LINE_AA)
     cv2.putText(image, text, (x, y), font, size, colour, 1, cv2.LINE_AA)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -19,6 +18,7 @@ from hypose.app.job import Job, choose_frames, record_of
 from hypose.app.truth import compare_with
 from hypose.errors import HyposeError, InputError
 from hypose.io.export import FORMATS
+from hypose.io.file_names import file_name
 from hypose.io.pose2sim import is_project
 from hypose.io.provenance import identity
 from hypose.io.recording import load_recording
@@ -224,13 +224,8 @@ def _task(sweep: Sweep, path: Path, chosen: Mapping[str, Any]) -> Task:
         job = replace(job, chunk_s=sweep.chunk_s)
     who = to_json({"recording": job.recording.name, **identity(record_of(job))})
     key = hashlib.sha256(who.encode()).hexdigest()[:16]
-    folder = sweep.results / _plain(job.recording.name) / f"{_plain(chosen['name'])}-{key[:8]}"
+    folder = sweep.results / file_name(job.recording.name) / f"{file_name(chosen['name'])}-{key[:8]}"
     return replace(draft, key=key, recording=job.recording.name, frames=frames, results=str(folder))
-
-
-def _plain(name: str) -> str:
-    """A name as a folder's name on any system."""
-    return re.sub(r"[^\w.+-]+", "_", name).strip("._") or "unnamed"
 
 
 def job_of(task: Task) -> Job:

@@ -26,7 +26,7 @@ from hypose.body.joint_angles import ANGLE_NAMES, is_length, joint_angles
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import CameraRig
-from hypose.errors import InputError
+from hypose.errors import InputError, visible
 from hypose.geometry import Array
 from hypose.io.export import FORMATS
 
@@ -238,13 +238,13 @@ def _floor(motion: Motion, body: Body | None) -> float:
 
 
 def plain(value: Any) -> Any:
-    """Plain JSON values; what JSON cannot say (NaN, infinity) becomes null."""
+    """Plain JSON values; what JSON cannot say (NaN, infinity) becomes null, what is no text in a name an escape."""
     if isinstance(value, np.ndarray | np.generic):
         return plain(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
+        return {visible(str(k)): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [plain(v) for v in value]
-    return value if isinstance(value, str | int | bool) or value is None else str(value)
+    return value if isinstance(value, int | bool) or value is None else visible(str(value))

@@ -15,6 +15,7 @@ from hypose.calibration.boards import Board, Detector, Gray, Sighting, make_dete
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.calibration import natural_key
+from hypose.io.file_names import text_of
 from hypose.io.video import IMAGE_ENDINGS, VIDEO_ENDINGS, list_images, open_video
 
 Progress = Callable[[str, int, int], None]
@@ -110,9 +111,9 @@ def find_sources(paths: Sequence[Path], what: str = "board videos") -> list[Sour
     for path in found:
         if path.is_file() and path.suffix.lower() not in VIDEO_ENDINGS + IMAGE_ENDINGS:
             raise InputError(f"{path} is neither a video nor a picture; give the {what}.")
-    stems = [p.stem if p.is_file() else p.name for p in found]
+    stems = [text_of(p.stem if p.is_file() else p.name) for p in found]
     if len(set(stems)) < len(stems):
-        stems = [p.absolute().parent.name for p in found]
+        stems = [text_of(p.absolute().parent.name) for p in found]
     names = [re.sub(r"^(int|ext)_|_(img|ext|int|images|board|calib)$", "", s) for s in stems]
     if len(set(names)) < len(names):
         names = stems

@@ -15,6 +15,7 @@ from hypose.evaluation.board_pictures import BoardPainter
 from hypose.evaluation.scenes import Image, Scene
 from hypose.evaluation.write_recording import write_truth
 from hypose.geometry import Array, se3
+from hypose.io.file_names import file_name
 from hypose.io.video import VideoWriter
 
 BOARD = Board("chessboard", 9, 6, 0.08)
@@ -42,7 +43,7 @@ def write_session(scene: Scene, folder: str | Path, *, progress: Callable[[int, 
             ("walk", scene.rgb_frames(c)),
         ):
             (folder / name).mkdir(exist_ok=True)
-            with VideoWriter(folder / name / f"{camera.name}.mp4", scene.frame_rate, (w, h)) as writer:
+            with VideoWriter(folder / name / f"{file_name(camera.name)}.mp4", scene.frame_rate, (w, h)) as writer:
                 for picture in pictures:
                     writer.write(picture[:h, :w])
                     done += 1

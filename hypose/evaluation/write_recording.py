@@ -16,6 +16,7 @@ from hypose.errors import InputError
 from hypose.evaluation.detections import keypoint_detections
 from hypose.evaluation.scenes import Scene
 from hypose.evidence.detector import openpose_document
+from hypose.io.file_names import file_name
 from hypose.io.files import write_text
 from hypose.io.recording import Recording, View, write_recording
 from hypose.io.results import atomic_path
@@ -71,10 +72,8 @@ def write_scene(
     views = []
     for c, camera in enumerate(rig):
         size = camera.size
-        video, background = (
-            folder / "videos" / f"{camera.name}.mp4",
-            folder / "background" / f"{camera.name}.mp4",
-        )
+        name = file_name(camera.name)
+        video, background = folder / "videos" / f"{name}.mp4", folder / "background" / f"{name}.mp4"
         for path, pictures in (
             (background, iter(scene.background_frames(c, background_frames))),
             (video, scene.rgb_frames(c)),
@@ -87,12 +86,12 @@ def write_scene(
                         progress(done, total)
         pose = None
         if keypoints:
-            pose = folder / "pose" / f"{camera.name}_json"
+            pose = folder / "pose" / f"{name}_json"
             pose.mkdir(parents=True, exist_ok=True)
             points = keypoint_detections(scene, c, keypoint_noise_px)
             for t, people in enumerate(points):
                 document = openpose_document(people[None])
-                write_text(pose / f"{camera.name}_{t:012d}_keypoints.json", json.dumps(document))
+                write_text(pose / f"{name}_{t:012d}_keypoints.json", json.dumps(document))
         views.append(View(camera.name, video=video, background=background, keypoints=pose))
     recording = Recording(
         folder,

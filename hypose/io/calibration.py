@@ -34,7 +34,7 @@ import numpy as np
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError
 from hypose.geometry import Array, se3, so3_exp, so3_log
-from hypose.io.results import atomic_path
+from hypose.io.files import write_text
 
 MAX_FILE_BYTES = 5_000_000
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -106,8 +106,7 @@ def write_calibration(rig: CameraRig, path: str | Path, unit: str = "m") -> None
             "",
         ]
     lines += ["[metadata]", "adjusted = false", "error = 0.0", f'unit = "{unit}"', ""]
-    with atomic_path(path) as temporary:
-        temporary.write_text("\n".join(lines), encoding="utf-8", newline="\n")
+    write_text(path, "\n".join(lines))
 
 
 def toml_value(value: Any) -> str:

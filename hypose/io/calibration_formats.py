@@ -61,7 +61,7 @@ def read_other(path: Path, unit: str) -> tuple[CameraRig, tuple[str, ...]]:
     raise CalibrationError(f"{path}: calibrations are read from {_READ}; name the file by one of these endings.")
 
 
-def check_writable(path: Path) -> None:
+def check_format(path: Path) -> None:
     """An InputError when the file's ending tells no format."""
     if not path.name.lower().endswith((".toml", ".yml", ".yaml", ".qca.txt", ".xcp", ".pickle")):
         raise InputError(f"{path} cannot be written: name the calibration {_WRITTEN}.")
@@ -71,7 +71,7 @@ def write_any(rig: CameraRig, path: str | Path) -> list[Path]:
     """Write the rig in the format that the file's name tells; the files written. EasyMocap's and OpenCap's files go to
     the folder of the given name."""
     path = Path(path)
-    check_writable(path)
+    check_format(path)
     name = path.name.lower()
     if name.endswith((".yml", ".yaml")):
         return write_yml(rig, path.parent)

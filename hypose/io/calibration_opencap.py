@@ -20,6 +20,7 @@ from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError
 from hypose.geometry import Array, so3_log
 from hypose.io.calibration import checked_camera, natural_key, rig_of
+from hypose.io.file_names import file_name, text_of
 from hypose.io.files import readable_size, unreadable
 from hypose.io.results import atomic_path
 
@@ -65,7 +66,7 @@ def read_opencap(path: str | Path) -> tuple[CameraRig, tuple[str, ...]]:
         raise CalibrationError(f"{path} holds {len(files)} .pickle files; give the folder of the camera files only.")
     cameras = []
     for file in files:
-        name = file.parent.name if file.stem.lower() == "cameraintrinsicsextrinsics" else file.stem
+        name = text_of(file.parent.name if file.stem.lower() == "cameraintrinsicsextrinsics" else file.stem)
         cameras.append(_camera(file, name))
     return rig_of(path, cameras), ("OpenCap's world is turned so that z points up.",)
 
@@ -296,7 +297,7 @@ def write_opencap(rig: CameraRig, folder: str | Path) -> list[Path]:
             "translation": 1000 * camera.camera_from_world[:3, 3:],
             "rotation_EulerAngles": so3_log(rotation)[:, None],
         }
-        path = folder / f"{camera.name}.pickle"
+        path = folder / f"{file_name(camera.name)}.pickle"
         with atomic_path(path) as temporary:
             temporary.write_bytes(plain_pickle(content))
         out.append(path)

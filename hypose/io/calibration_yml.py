@@ -11,6 +11,7 @@ from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError
 from hypose.geometry import Array, so3_exp, so3_log
 from hypose.io.calibration import checked_camera, guess_unit, natural_key, rescaled, rig_of
+from hypose.io.file_names import text_of
 from hypose.io.files import text_lines, write_text
 from hypose.io.opencv_storage import parse_storage
 
@@ -139,9 +140,8 @@ def _single(path: Path) -> tuple[list, list[str]]:
     if w is None or h is None:
         w, h = round(2 * k[2]), round(2 * k[5])
         notes.append(f"{path.name} does not say how large its images are; twice the principal point is assumed.")
-    name = (
-        path.stem if path.stem.lower() not in ("config", "intrinsics", "calibration") else path.absolute().parent.name
-    )
+    told_by_folder = path.stem.lower() in ("config", "intrinsics", "calibration")
+    name = text_of(path.absolute().parent.name if told_by_folder else path.stem)
     rotation = so3_exp(turn) if turn.size == 3 else turn.reshape(3, 3)
     lens = np.zeros(5) if lens is None else lens
     camera = checked_camera(str(path), name, k.reshape(3, 3), lens, rotation, place, np.array([w, h]))

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from hypose.errors import InputError
+from hypose.io.file_names import file_name
 from hypose.io.files import write_text
 from hypose.json_text import parse_json
 
@@ -34,11 +35,11 @@ class DetectedKeypoints:
 
     def view(self, name: str) -> Path:
         """The folder of a view."""
-        return self.folder / name
+        return self.folder / file_name(name)
 
     def file(self, view: str, frame: int) -> Path:
         """The file of a frame."""
-        return self.view(view) / f"{view}_{frame:012d}_keypoints.json"
+        return self.view(view) / f"{file_name(view)}_{frame:012d}_keypoints.json"
 
     def save(self) -> None:
         """Write what says all this."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,9 +16,9 @@ MAX_TEXT_BYTES = 256 * 2**20
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write UTF-8 text atomically, with the same line ends on every system."""
+    """Write UTF-8 text atomically, with the same line ends on every system; names that are no UTF-8 as escapes."""
     with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8", newline="\n")
+        temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
 
 
 def readable_size(path: str | Path, kind: str, limit: int) -> int:
@@ -60,6 +61,7 @@ class RecordingFolder:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
+        self._tables: dict[str, os.stat_result] = {}
         if self.path.is_file() or (self.path.is_dir() and any(self.path.iterdir())):
             raise InputError(f"{self.path} is not empty; give a new folder to record to.")
         with self.writing():
@@ -79,4 +81,18 @@ class RecordingFolder:
         with self.writing():
             stream = (self.path / name).open("w", encoding="utf-8", newline="\n")
             stream.write(",".join(header) + "\n")
+            self._tables[name] = os.fstat(stream.fileno())
         return stream
+
+    def check(self) -> None:
+        """An InputError when a table was removed or replaced since it was opened, so that what is written is lost."""
+        for name, opened in self._tables.items():
+            try:
+                there = os.path.samestat(opened, os.stat(self.path / name))
+            except OSError:
+                there = False
+            if not there:
+                raise InputError(
+                    f"The recording is lost: {self.path / name} was removed or replaced while it was written; record "
+                    "again, to another folder."
+                )

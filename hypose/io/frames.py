@@ -42,6 +42,7 @@ from hypose.evidence.silhouettes import (
     make_silhouettes,
 )
 from hypose.geometry import Array
+from hypose.io.file_names import folder_for
 from hypose.io.files import atomic_path, write_text
 from hypose.io.recording import Recording
 from hypose.io.video import open_video
@@ -451,9 +452,8 @@ def write_masks(stream: FrameStream, folder: str | Path, progress: Callable[[int
     as `masks` reads them back exactly. progress(done, total) is called after every frame.
     """
     folder = Path(folder)
-    views = [folder / v.name for v in stream.recording.views]
+    views = [folder_for(folder, v.name) for v in stream.recording.views]
     for path, camera in zip(views, stream.rig, strict=True):
-        path.mkdir(parents=True, exist_ok=True)
         write_text(path / SIDECAR, json.dumps({"undistorted": True, "size": list(camera.size)}) + "\n")
     for done, frame in enumerate(stream, 1):
         if frame.silhouettes is None:

@@ -15,6 +15,7 @@ from typing import Any, TypeGuard
 
 from hypose.errors import InputError
 from hypose.io.calibration import find_calibration, natural_key, parse_toml
+from hypose.io.file_names import text_of
 from hypose.io.video import IMAGE_ENDINGS, VIDEO_ENDINGS, frame_size, list_images
 from hypose.json_text import parse_json
 
@@ -63,8 +64,8 @@ def read_project(folder: Path) -> tuple[dict[str, Any], list[str]]:
     notes: list[str] = []
     project = config.get("project")
     project = project if isinstance(project, Mapping) else {}
-    names = [p.stem if p.is_file() else p.name for p in clips]
-    settings: dict[str, Any] = {"name": folder.resolve().name, "calibration": str(calibration)}
+    names = [text_of(p.stem if p.is_file() else p.name) for p in clips]
+    settings: dict[str, Any] = {"name": text_of(folder.resolve().name), "calibration": str(calibration)}
     rate = project.get("frame_rate")
     if _is_number(rate):
         settings["frame_rate"] = float(rate)

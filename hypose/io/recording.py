@@ -29,6 +29,8 @@ from hypose.io.calibration import (
     write_calibration,
 )
 from hypose.io.detected_keypoints import with_detected
+from hypose.io.file_names import text_of
+from hypose.io.files import write_text
 from hypose.io.recording_keys import (
     PATH_KEYS,
     RECORDING_KEYS,
@@ -39,7 +41,6 @@ from hypose.io.recording_keys import (
     read_toml,
     silhouette_options,
 )
-from hypose.io.results import atomic_path
 from hypose.io.video import check_numbers, frame_size, open_video
 
 _UP = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
@@ -183,8 +184,7 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
         if view.accept_scaled:
             lines.append("accept_scaled = true")
     lines += silhouette_lines(recording.silhouettes)
-    with atomic_path(folder / "recording.toml") as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+    write_text(folder / "recording.toml", "\n".join(lines) + "\n")
     return folder / "recording.toml"
 
 
@@ -266,7 +266,7 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
     has_keypoints = any(v.keypoints is not None for v in views)
     return Recording(
         folder=folder,
-        name=settings.get("name", folder.resolve().name),
+        name=settings.get("name", text_of(folder.resolve().name)),
         rig=rig,
         views=tuple(views),
         frame_rate=frame_rate,

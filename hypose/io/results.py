@@ -27,6 +27,8 @@ from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.json_text import parse_json
 
+FULL = (errno.ENOSPC, errno.EDQUOT)
+"""The system's numbers for a disk that is full."""
 _MAX_ARCHIVE_BYTES = 4 << 30
 _FORMAT = 1
 # name: (kinds of dtype, stored dtype, number of dimensions); poses and doubtful may be absent
@@ -74,21 +76,41 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         yield temporary
         os.replace(temporary, path)
     except OSError as error:
-        raise InputError(_cannot_write(path, error)) from error
+        raise InputError(cannot_write(path, error)) from error
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
 
 
-def _cannot_write(path: Path, error: OSError) -> str:
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+def check_writable(folder: str | Path, option: str = "--out") -> None:
+    """Fail now, with one sentence that names the option for another place, instead of after the work is done; the
+    folder is made if needed."""
+    folder = Path(folder)
+    test = folder / f".write-test-{os.getpid()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        test.unlink(missing_ok=True)
+        test.touch(exist_ok=False)  # which does not follow a link
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise InputError(
+            f"{folder} cannot be written ({reason}); choose a folder that you may write to, with {option}."
+        ) from None
+    finally:
+        with contextlib.suppress(OSError):
+            test.unlink(missing_ok=True)
+
+
+def cannot_write(path: Path, error: OSError) -> str:
+    """The sentence for a file that the system does not let us write."""
+    if error.errno in FULL:
         try:
             free = f" ({shutil.disk_usage(path.parent).free / 1e6:.0f} MB free)"
         except OSError:
             free = ""
         return (
             f"{path} cannot be written because the disk is full{free}; what was written before is intact: "
-            "free some space and run the same command with --resume."
+            "free some space and run the same command again, with --resume where it knows that."
         )
     reason = (error.strerror or str(error)).lower()
     return (
@@ -98,7 +120,8 @@ def _cannot_write(path: Path, error: OSError) -> str:
 
 
 def to_json(value: Any) -> str:
-    """Readable JSON with sorted keys; numpy numbers, arrays and paths become plain values."""
+    """Readable JSON with sorted keys; numpy numbers, arrays and paths become plain values; what is no UTF-8 in names
+    becomes JSON's escapes."""
 
     def plain(v: Any) -> Any:
         if isinstance(v, np.ndarray | np.generic):
@@ -109,7 +132,8 @@ def to_json(value: Any) -> str:
             return os.fspath(v)
         raise TypeError(f"no JSON for {type(v).__name__}")
 
-    return json.dumps(value, indent=2, sort_keys=True, ensure_ascii=False, default=plain) + "\n"
+    text = json.dumps(value, indent=2, sort_keys=True, ensure_ascii=False, default=plain)
+    return text.encode("utf-8", "backslashreplace").decode() + "\n"
 
 
 @dataclass(frozen=True)
@@ -147,7 +171,7 @@ class ResultsFolder:
     def write_text(self, name: str, text: str) -> Path:
         """Write a text file (UTF-8, \\n line ends) whole or not at all; returns its path."""
         with self.atomic(name) as temporary:
-            temporary.write_text(text, encoding="utf-8", newline="\n")
+            temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
         return self.path / name
 
     def write_bytes(self, name: str, data: bytes) -> Path:
@@ -159,12 +183,6 @@ class ResultsFolder:
     def write_json(self, name: str, value: Any) -> Path:
         """Write a JSON file whole or not at all; returns its path."""
         return self.write_text(name, to_json(value))
-
-    def check_writable(self) -> None:
-        """Fail now, with one sentence, instead of after the work is done."""
-        self.write_bytes(".write-test", b"")
-        with contextlib.suppress(OSError):
-            (self.path / ".write-test").unlink()
 
 
 # ---- archives ----------------------------------------------------------------------------------------------

@@ -273,14 +273,19 @@ class FolderWriter:
         temporary.replace(path)
 
     def flush(self) -> None:
-        """Hand everything to the system."""
-        self._frames.flush()
-        self._skeleton.flush()
+        """Hand everything to the system; an InputError when it cannot be written or the recording was removed."""
+        with self._folder.writing():
+            self._frames.flush()
+            self._skeleton.flush()
+        self._folder.check()
 
     def close(self) -> None:
-        """Close the files; sensors that saw nobody are not in session.json, so their frames are taken out."""
-        for stream in (self._frames, self._skeleton):
-            stream.close()
+        """Close the files; sensors that saw nobody are not in session.json, so their frames are taken out. An
+        InputError when not all could be written, or the recording was removed meanwhile."""
+        with self._folder.writing():
+            for stream in (self._frames, self._skeleton):
+                stream.close()
+        self._folder.check()
         silent = set(self._frame) - set(self._joints)
         if silent:
             path = self.folder / "frames.csv"

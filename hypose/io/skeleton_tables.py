@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from hypose.errors import InputError
+from hypose.io.file_names import text_of
 from hypose.io.skeletons import MAX_JOINTS, SkeletonRecording, StreamRows, checked_recording
 from hypose.io.text_in import bounded_lines
 
@@ -105,7 +106,7 @@ def read_ntu(files: Sequence[str | Path]) -> SkeletonRecording:
     sensors = []
     for p in paths:
         m = _NTU_NAME.search(p.name)
-        sensors.append(_ntu_rows(p, f"C{m[2]}" if m else p.stem))
+        sensors.append(_ntu_rows(p, f"C{m[2]}" if m else text_of(p.stem)))
     filled = [s for s in sensors if s.times]
     notes = [f"{s.name}: nobody was seen, the camera is left out" for s in sensors if not s.times]
     title = actions.pop() if len(actions) == 1 else paths[0].stem

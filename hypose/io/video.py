@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from hypose.errors import InputError
 from hypose.io.calibration import natural_key
+from hypose.io.file_names import utf8_path
 from hypose.io.png import is_cut_png
 from hypose.io.results import atomic_path
 
@@ -129,7 +130,7 @@ class VideoReader:
             self.frame_rate: float | None = None
             self.n_frames = self.stated_frames = len(self._images)
         else:
-            self._capture = _open_capture(path)
+            self._capture = open_capture(path)
             rate = float(self._capture.get(cv2.CAP_PROP_FPS))
             self.frame_rate = rate if np.isfinite(rate) and 0 < rate < 100_000 else None
             self.stated_frames = max(0, int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
@@ -228,7 +229,7 @@ class VideoReader:
     def _restart(self) -> None:
         assert self._capture is not None
         self._capture.release()
-        self._capture = _open_capture(self.path)
+        self._capture = open_capture(self.path)
         self._next, self._first = 0, None
 
     def _broken(self) -> InputError:
@@ -253,7 +254,7 @@ def frame_size(path: str | Path) -> tuple[int, int]:
     path = Path(path)
     if path.is_dir() or path.suffix.lower() in IMAGE_ENDINGS:
         return open_video(path).size
-    capture = _open_capture(path)
+    capture = open_capture(path)
     try:
         ok, frame = capture.read()
     finally:
@@ -284,7 +285,7 @@ def _counted(path: Path, size: int, changed: int, number: int) -> int:
 
 
 def _count(path: Path) -> int:
-    capture = _open_capture(path)
+    capture = open_capture(path)
     try:
         stated = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         if stated > 0:
@@ -296,7 +297,7 @@ def _count(path: Path) -> int:
                 return stated
     finally:
         capture.release()
-    capture = _open_capture(path)
+    capture = open_capture(path)
     try:
         count = 0
         while capture.grab():
@@ -313,15 +314,18 @@ def _undecodable(path: Path) -> InputError:
     )
 
 
-def _open_capture(path: Path) -> cv2.VideoCapture:
-    """FFmpeg only: OpenCV's other back ends take numbers in file names for image sequences."""
+def open_capture(path: Path) -> cv2.VideoCapture:
+    """OpenCV's own reader of a video; an InputError when it cannot be opened.
+
+    FFmpeg only: OpenCV's other back ends take numbers in file names for image sequences.
+    """
     if not path.is_file():
         raise InputError(f"The video {path} does not exist; check the file name in recording.toml.")
     if path.stat().st_size == 0:
         raise InputError(f"The video {path} is empty (0 bytes); record or copy it again.")
-    with _quiet():
+    with _quiet(), utf8_path(path) as name:
         try:
-            capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+            capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG)
         except cv2.error:
             capture = None
     if capture is None or not capture.isOpened():
@@ -369,9 +373,9 @@ class VideoWriter:
     def _open(self) -> cv2.VideoWriter:
         self._temporary.touch()  # an unwritable folder shows here with its reason; OpenCV would give none
         for codec in self._codecs:
-            with _quiet():
+            with _quiet(), utf8_path(self._temporary) as name:
                 fourcc = cv2.VideoWriter.fourcc(*codec)
-                writer = cv2.VideoWriter(str(self._temporary), cv2.CAP_FFMPEG, fourcc, self.frame_rate, self.size)
+                writer = cv2.VideoWriter(name, cv2.CAP_FFMPEG, fourcc, self.frame_rate, self.size)
             if writer.isOpened():
                 return writer
         raise InputError(

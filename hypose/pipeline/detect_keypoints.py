@@ -14,6 +14,7 @@ from hypose.errors import InputError
 from hypose.evidence.detector import PoseDetector, openpose_document
 from hypose.geometry import Array
 from hypose.io.detected_keypoints import DetectedKeypoints, load_detected
+from hypose.io.file_names import folder_for
 from hypose.io.files import write_text
 from hypose.io.recording import Recording, View
 from hypose.io.video import open_video
@@ -45,7 +46,7 @@ def detect_keypoints(
     total, done = recording.n_frames * len(recording.views), 0
     for view, camera in zip(recording.views, recording.rig, strict=True):
         assert view.source is not None
-        work.view(view.name).mkdir(parents=True, exist_ok=True)
+        folder_for(folder, view.name)
         with open_video(view.source) as reader:
             for frame in range(recording.n_frames):
                 path = work.file(view.name, frame)
@@ -67,7 +68,7 @@ def _make_room(work: DetectedKeypoints, resume: bool) -> None:
     if work.folder.is_file():
         raise InputError(f"{work.folder} is a file; give a folder with --out.")
     before = load_detected(work.folder)
-    if before is None and work.folder.is_dir() and any(work.folder.iterdir()):
+    if before is None and work.folder.is_dir() and any(not p.name.startswith(".") for p in work.folder.iterdir()):
         raise InputError(f"The folder {work.folder} holds other files; give an empty or new folder with --out.")
     if before is not None and resume:
         if (before.keypoint_set, dict(before.identity)) != (work.keypoint_set, dict(work.identity)):

@@ -29,6 +29,7 @@ from hypose.errors import EvidenceError, InputError
 from hypose.fitting.articulated import PointTerm, SolveOptions, fit_pose
 from hypose.geometry import Array
 from hypose.io.bodies import save_body
+from hypose.io.file_names import text_of
 from hypose.io.meshes import PersonMesh, closed_surface, read_person
 from hypose.tracking.refinement import anatomical_prior
 
@@ -168,7 +169,7 @@ def _assembled(
         for k in range(4):
             np.add.at(dense, (np.arange(len(v)), index[:, k]), value[:, k])
         meshes.append(Mesh(unposed(frame, pose, v, dense), np.asarray(f, dtype=np.int32), index, value))
-    name = Path(person.source).stem if person.source != "The mesh" else "own body"
+    name = text_of(Path(person.source).stem) if person.source != "The mesh" else "own body"
     return Body(name, frame.skeleton, meshes[0], meshes[1], frame.landmarks)
 
 

@@ -19,6 +19,7 @@ from hypose.io.results import (
     Checkpoint,
     ResultsFolder,
     atomic_path,
+    check_writable,
     load_motion,
     save_motion,
     to_json,
@@ -241,7 +242,7 @@ def test_results_folder(tmp_path):
     results.write_text("a.txt", "ä\n")
     results.write_bytes("b.bin", b"\0")
     results.write_json("provenance.json", {"b": np.float64(1.5), "a": [np.int32(2), Path("x")]})
-    results.check_writable()
+    check_writable(results.path)
     assert results.file("a.txt").read_bytes() == "ä\n".encode()
     assert json.loads(results.file("provenance.json").read_text()) == {"a": [2, "x"], "b": 1.5}
     assert sorted(p.name for p in results.path.iterdir()) == ["a.txt", "b.bin", "provenance.json"]
@@ -283,15 +284,15 @@ def test_full_disk_while_saving_a_motion(small_motion, tmp_path, monkeypatch):
 
 def test_read_only_or_impossible_folder(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"cannot be written \(.*\); .* choose a folder that you may write to"):
-        ResultsFolder(tmp_path / "file" / "results").check_writable()
+    with pytest.raises(InputError, match=r"cannot be written \(.*\); choose a folder that you may write to"):
+        check_writable(tmp_path / "file" / "results")
 
     def refuse(*_, **__):
         raise PermissionError(errno.EROFS, "Read-only file system")
 
-    monkeypatch.setattr(Path, "write_bytes", refuse)
-    with pytest.raises(InputError, match=r"cannot be written \(read-only file system\); .* intact"):
-        ResultsFolder(tmp_path).check_writable()
+    monkeypatch.setattr(Path, "touch", refuse)
+    with pytest.raises(InputError, match=r"cannot be written \(read-only file system\); .* with --to\."):
+        check_writable(tmp_path, "--to")
 
 
 # ---- provenance --------------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ The page never names a path. It names an id, which is looked up here, and only w
 from __future__ import annotations
 
 import hashlib
+import os
 import threading
 import time
 import zipfile
@@ -17,6 +18,7 @@ from typing import Literal
 
 from hypose.errors import InputError
 from hypose.io import pose2sim
+from hypose.io.file_names import text_of
 
 Kind = Literal["recording", "result", "session", "model"]
 _DEPTH, _MOST, _MOST_FOLDERS = 5, 2000, 20_000
@@ -65,7 +67,7 @@ class Catalog:
     def id_of(self, kind: Kind, path: Path) -> str:
         """The id of a path inside the root, whether or not it is there yet."""
         text = f"{kind}:{path.resolve().relative_to(self.root).as_posix()}"
-        return hashlib.blake2b(text.encode(), digest_size=6).hexdigest()
+        return hashlib.blake2b(os.fsencode(text), digest_size=6).hexdigest()
 
     def contains(self, path: Path) -> bool:
         """Whether a path lies inside the root when all links are followed."""
@@ -77,7 +79,7 @@ class Catalog:
     def shown(self, path: Path) -> str:
         """A path as the page shows it: relative to the root, which itself goes by its name."""
         relative = path.resolve().relative_to(self.root).as_posix()
-        return self.root.name if relative == "." else relative
+        return text_of(self.root.name if relative == "." else relative)
 
     def recording_of(self, result: Path) -> Path | None:
         """The recording in whose folder results lie: results/RECIPE/ in it."""

@@ -127,6 +127,8 @@ def plan(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
     if kind == "correct":
         return _correct(catalog.find("result", _id(request, "result")), arguments, options, catalog)
     item = catalog.find("recording", _id(request, "recording"))
+    if not all(catalog.contains(item.path / f) for f in ("results", "results/silhouettes", "subject")):
+        raise InputError(f"The results of {item.path.name} lie outside the served folder; use the command line.")
     title = _TITLES[kind].format(item.path.name)
     if kind == "track":
         return _track(item.path, item.id, arguments, options, title, catalog)

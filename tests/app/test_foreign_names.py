@@ -1,0 +1,230 @@
+"""Names of views, cameras and files from elsewhere: nothing is written outside, nothing crashes, no terminal obeys."""
+
+import errno
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from hypose.app import console
+from hypose.app.pictures import write_text
+from hypose.app.studio.catalog import Catalog
+from hypose.app.studio.job_kinds import plan
+from hypose.app.studio.recordings import Recordings
+from hypose.app.view_bundle import plain
+from hypose.errors import InputError
+from hypose.evaluation.small_recordings import small_scene, write_masks
+from hypose.io.claims import claimed
+from hypose.io.file_names import file_name
+from hypose.io.recording import load_recording
+from hypose.io.video import VideoWriter, open_video
+from hypose.pipeline.detect_keypoints import detect_keypoints
+
+STRANGE = os.fsdecode(b"b\xff\x1b[31m")
+on_linux = pytest.mark.skipif(sys.platform != "linux", reason="NOT tested: names that are no UTF-8; run it on Linux")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    return write_masks(small_scene(1, 6), tmp_path_factory.mktemp("names") / "walk")
+
+
+@pytest.fixture
+def masks(made, tmp_path):
+    """Six frames of masks in tmp_path/a/b/walk, with names of views that a test may change."""
+    return shutil.copytree(made, tmp_path / "a" / "b" / "walk")
+
+
+def rename_views(recording, names):
+    """Give the views other names, written as TOML."""
+    toml = recording / "recording.toml"
+    text = toml.read_text(encoding="utf-8")
+    for k, name in enumerate(names, 1):
+        text = re.sub(rf'(\[\[view\]\]\nname = )"cam{k}"', lambda m, n=name: m[1] + json.dumps(n), text)
+    toml.write_text(text, encoding="utf-8")
+
+
+def hostile(recording, tmp_path):
+    """Names that lead out of every folder; returns the files that are there before."""
+    rename_views(recording, ["../../../../up", str(tmp_path / "absolute"), "x\x1b]0;t\x07", "cam4"])
+    return everything(tmp_path)
+
+
+def everything(folder):
+    return {p for p in folder.rglob("*") if not p.is_dir()}
+
+
+def test_masks_stay_in_the_folder(hypose, masks, tmp_path):
+    before = hostile(masks, tmp_path)
+    code, out, err = hypose("silhouettes", masks, "--out", tmp_path / "out" / "deep")
+    assert code == 0 and "\x1b" not in out + err
+    new = everything(tmp_path) - before
+    assert len(new) == 4 * 7 + 1 and all(p.is_relative_to(tmp_path / "out" / "deep") for p in new)
+    assert (tmp_path / "out" / "deep" / "cam4" / "000000.png").is_file()
+
+
+def test_masks_are_not_written_through_links_that_lead_out(hypose, masks, tmp_path):
+    (tmp_path / "precious").mkdir()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "cam2").symlink_to(tmp_path / "precious")
+    code, _, err = hypose("silhouettes", masks, "--out", tmp_path / "out")
+    assert code == 2 and "cam2 is a link that leads out of" in " ".join(err.split())
+    assert not list((tmp_path / "precious").iterdir())
+
+
+def test_what_is_in_step_stays_in_the_folder(hypose, masks, tmp_path):
+    before = hostile(masks, tmp_path)
+    assert hypose("sync", masks, "--offsets", "0,0,1,0", "--out", tmp_path / "out")[0] == 0
+    assert all(p.is_relative_to(tmp_path / "out") for p in everything(tmp_path) - before)
+    again = load_recording(tmp_path / "out")  # whose views have their names and find their masks
+    assert [v.name for v in again.views] == [v.name for v in load_recording(masks).views]
+
+
+def test_detected_key_points_stay_in_the_folder_and_are_found_again(tiny, tmp_path):
+    recording = shutil.copytree(tiny, tmp_path / "a" / "b" / "walk")
+    before = hostile(recording, tmp_path)
+
+    class Detector:
+        keypoint_set, identity = "BODY_25", {"model": "a"}
+
+        def detect(self, image):
+            return np.ones((1, 25, 3))
+
+    detect_keypoints(load_recording(recording), Detector(), recording / "keypoints")
+    new = everything(tmp_path) - before
+    assert len(new) == 1 + 4 * 8 and all(p.is_relative_to(recording / "keypoints") for p in new)
+    assert all(v.keypoints is not None for v in load_recording(recording).views)
+
+
+def test_converted_cameras_stay_in_the_folder(hypose, masks, tmp_path):
+    toml = masks / "calibration.toml"
+    toml.write_text(toml.read_text().replace('name = "cam2"', 'name = "../../escaped"'))
+    before = everything(tmp_path)
+    code, out, _ = hypose("calibrate", "--convert", toml, "--out", tmp_path / "c" / "d" / "x.pickle")
+    new = everything(tmp_path) - before
+    assert code == 0 and {p.parent for p in new} == {tmp_path / "c" / "d"}
+    assert sorted(p.stem for p in new) == sorted(["cam1", file_name("../../escaped"), "cam3", "cam4"])
+
+
+def test_the_studio_begins_no_job_that_writes_outside(masks, tmp_path):
+    catalog = Catalog(tmp_path / "a")
+    id = catalog.items("recording")[0].id
+    assert plan("silhouettes", {"recording": id}, catalog).arguments[0] == "silhouettes"
+    (tmp_path / "outside").mkdir()
+    (masks / "results").symlink_to(tmp_path / "outside")
+    for kind in ("silhouettes", "check", "track"):
+        with pytest.raises(InputError, match="outside the served folder"):
+            plan(kind, {"recording": id}, catalog)
+
+
+@on_linux
+def test_a_video_in_a_folder_that_is_no_utf8_is_read_and_written(tmp_path):
+    folder = tmp_path / STRANGE
+    images = np.random.default_rng(0).integers(0, 255, (5, 32, 48, 3)).astype(np.uint8)
+    with VideoWriter(folder / "a.mkv", 25.0, (48, 32)) as writer:
+        for image in images:
+            writer.write(image)
+    with open_video(folder / "a.mkv") as reader:
+        assert np.array_equal(np.stack(list(reader)), images)
+
+
+def test_a_name_that_is_no_text_is_drawn():
+    image = np.zeros((30, 300, 3), np.uint8)
+    write_text(image, "a\udcff\ud800", 5, 20)
+    assert image.any()
+
+
+@on_linux
+def test_a_recording_in_a_folder_that_is_no_utf8_is_worked_on(hypose, tiny, tmp_path):
+    recording = shutil.copytree(tiny, tmp_path / STRANGE)
+    toml = recording / "recording.toml"
+    toml.write_text(re.sub(r"^name = .*\n", "", toml.read_text(), count=1))  # then it goes by its folder's
+    arguments = ("--formats", "trc,csv", "--frames", "0:4", "--out", tmp_path / f"{STRANGE}-out")
+    code, out, err = hypose("track", recording, *arguments)
+    assert code == 0 and "\x1b" not in out + err and "b\\xff\\x1b[31m: 4 frames" in " ".join(out.split())
+    said = json.loads((tmp_path / f"{STRANGE}-out" / "provenance.json").read_text(encoding="utf-8"))
+    assert said["inputs"]["recording"]["name"] == "recording.toml"
+    code, out, _ = hypose("silhouettes", recording, "--out", tmp_path / f"{STRANGE}-masks")
+    assert code == 0 and "\x1b" not in out
+
+
+@on_linux
+def test_the_studio_lists_what_is_no_utf8(masks, tmp_path):
+    shutil.copytree(masks, tmp_path / "a" / STRANGE)
+    catalog = Catalog(tmp_path / "a")
+    items = catalog.items("recording")
+    shown = [plain(Recordings(catalog).shown(i, [])) for i in items]
+    assert sorted(s["path"] for s in shown) == ["b/walk", "b\\xff\\x1b[31m"]
+    assert json.dumps(shown, ensure_ascii=False).encode()
+
+
+@on_linux
+@pytest.mark.parametrize("name", ["Küche".encode(), b"K\xff"])
+def test_a_locale_that_knows_ascii_only(masks, tmp_path, name):
+    folder = tmp_path / os.fsdecode(name)
+    shutil.copytree(masks, folder)
+    rename_views(folder, ["Küche"])
+    (folder / "cam1").rename(folder / "Küche")
+    toml = folder / "recording.toml"
+    toml.write_text(toml.read_text(encoding="utf-8").replace('masks = "cam1"', 'masks = "Küche"'), encoding="utf-8")
+    command = [sys.executable, "-m", "hypose.app", "silhouettes", folder, "--out", tmp_path / "Maße"]
+    environment = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0"}
+    done = subprocess.run(command, env=environment, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert len(list((tmp_path / "Maße" / "Küche").glob("*.png"))) == 6
+
+
+def test_no_name_steers_the_terminal(hypose, tmp_path, capsys):
+    text = "a\x1b[2J\x1b]0;x\x07\x9b31m\r\u202eb\udcff"
+    console.say(text)
+    console.note(text)
+    console.error(text)
+    code, _, err = hypose("track", tmp_path / text)
+    printed = "".join(capsys.readouterr()) + err
+    assert code == 2 and not set(printed) & set("\x1b\x07\x9b\r\u202e\udcff") and "a\\x1b[2J" in printed
+
+
+@pytest.mark.parametrize("command", ["silhouettes", "subject", "track", "export", "check"])
+def test_a_folder_that_cannot_be_written_is_told_before_the_work(
+    hypose, masks, tracked, tmp_path, command, monkeypatch
+):
+    (tmp_path / "file").write_text("in the way")
+    out = tmp_path / "file" / ("x.png" if command == "check" else "x")
+    monkeypatch.setattr("hypose.io.frames.FrameStream.__init__", lambda *_: pytest.fail("work was begun"))
+    code, _, err = hypose(command, tracked if command == "export" else masks, "--out", out)
+    sentence = " ".join(err.split())
+    assert code == 2 and "cannot be written" in sentence and "with --out." in sentence
+
+
+@pytest.mark.parametrize("command", ["silhouettes", "subject", "track", "sync"])
+def test_two_runs_into_one_folder(hypose, masks, tmp_path, command):
+    more = ("--offsets", "0,0,0,0") if command == "sync" else ()
+    with claimed(tmp_path / "out"):
+        code, _, err = hypose(command, masks, *more, "--out", tmp_path / "out")
+    assert code == 2 and "is being written to by another run of hypose" in " ".join(err.split())
+
+
+@pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO])
+def test_whatever_the_system_refuses_is_one_sentence(hypose, masks, tmp_path, monkeypatch, number):
+    def refuse(*_, **__):
+        raise OSError(number, os.strerror(number), str(tmp_path / "some.file"))
+
+    monkeypatch.setattr("hypose.io.recording.load_recording", refuse)
+    code, _, err = hypose("silhouettes", masks)
+    sentence = " ".join(err.split())
+    assert code == 2 and "some.file" in sentence and "should not have happened" not in sentence
+
+
+@on_linux
+def test_output_to_a_full_disk_is_one_sentence():
+    with open("/dev/full", "w") as full:
+        command = [sys.executable, "-m", "hypose.app", "--version"]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: The output cannot be written (no space left on device)")
+    assert "Exception" not in done.stderr
