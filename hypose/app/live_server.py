@@ -103,6 +103,7 @@ class LiveServer:
         self._complained, self._silent = -math.inf, 0
         self._allowance, self._refilled = options.burst, -math.inf
         self._writer = FolderWriter(options.record) if options.record is not None else None
+        self.unrecorded = ""  # why there is no whole recording, when one was wanted
         self._timer: asyncio.TimerHandle | None = None
         self._datagrams: asyncio.DatagramTransport | None = None
         self._server: Server | None = None
@@ -164,9 +165,8 @@ class LiveServer:
                 await asyncio.wait_for(self._server.wait_closed(), 3)
         if self._osc is not None:
             self._osc[0].close()
-        if self._writer is not None:
-            self._writer.close()
-            self._writer = None
+        self._record(lambda writer: writer.close())
+        self._writer = None
 
     # ---- in ----
 
@@ -188,14 +188,21 @@ class LiveServer:
         except InputError as error:
             return self._ignore(str(error).rstrip("."), now)
         self.used += fresh
-        if self._writer is not None:
-            try:
-                self._writer.add(line.sensor, line.time, line.person, line.joint_names, line.positions, line.state)
-            except InputError as error:
-                self._note(f"Recording stops: {error}")
-                self._writer = None
+        self._record(
+            lambda w: w.add(line.sensor, line.time, line.person, line.joint_names, line.positions, line.state)
+        )
         self.tick()
         return None
+
+    def _record(self, write: Callable[[FolderWriter], None]) -> None:
+        """Do something with the recording, if there is one; its failure ends it."""
+        if self._writer is None:
+            return
+        try:
+            write(self._writer)
+        except InputError as error:
+            self.unrecorded, self._writer = str(error), None
+            self._note(f"Recording stops: {error}")
 
     def _allowed(self, now: float) -> bool:
         o = self.options
@@ -231,8 +238,7 @@ class LiveServer:
             self._status_at = now
             if self._outs:
                 self._post(self._status(now))
-            if self._writer is not None:
-                self._writer.flush()
+            self._record(lambda writer: writer.flush())
 
     def _send(self, frame: LiveFrame, now: float) -> None:
         latency = now - frame.time
@@ -443,8 +449,10 @@ async def run_live(options: LiveOptions, say: Say, note: Say) -> None:
         await server.stop()
         if server.frames:
             say(f"{server.frames} frames sent. {_summary(server)}")
-        if options.record is not None:
+        if options.record is not None and not server.unrecorded:
             say(f"Recorded: {options.record}")
+    if server.unrecorded:
+        raise InputError(server.unrecorded)
 
 
 def _summary(server: LiveServer) -> str:

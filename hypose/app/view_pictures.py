@@ -20,7 +20,7 @@ from hypose.app.pictures import Image, mask_outline
 from hypose.errors import InputError
 from hypose.io.frames import FrameStream
 from hypose.io.recording import Recording, View
-from hypose.io.video import VideoReader, open_video
+from hypose.io.video import VideoReader, open_capture, open_video
 
 _NEAR = 24  # frames ahead that are sooner decoded than jumped to
 _TRIAL = 10  # the frame at which jumps are tried
@@ -55,7 +55,7 @@ class AnyFrame:
             if self._reader.n_frames > _TRIAL + 1:
                 with open_video(self._path) as forward:
                     true = forward.read(_TRIAL)
-                self._jumps = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG)
+                self._jumps = open_capture(self._path)
                 self._jumps.set(cv2.CAP_PROP_POS_FRAMES, self._reader.n_frames - 1)  # somewhere else first
                 self._next = -1
                 tried = self._jump(_TRIAL)

@@ -269,13 +269,14 @@ class SessionWriter:
             self._actions.flush()
 
     def close(self) -> None:
-        """Write what waits, and close the files."""
+        """Write what waits, and close the files; an InputError when the recording was removed meanwhile."""
         try:
             self._settle(0)
         finally:
             self._thread.shutdown()
             self._frames.close()
             self._actions.close()
+        self._folder.check()
 
 
 def export_model(model: GestureModel, folder: str | Path) -> list[Path]:

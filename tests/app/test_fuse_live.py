@@ -2,8 +2,12 @@
 
 import asyncio
 import json
+import shutil
+import signal
 import socket
 import struct
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -249,6 +253,30 @@ def test_what_is_recorded_can_be_fused(hypose, tmp_path):
     made = read_skeletons(tmp_path / "rec")
     assert [s.name for s in made.streams] == ["s0", "s1", "s2"] and not made.common_clock
     assert all(len(s.times) >= 55 for s in made.streams)
+
+
+def test_a_recording_that_is_removed_meanwhile_is_said_to_be_lost(tmp_path):
+    async def play(server):
+        await feed(server, 0.5)
+        shutil.rmtree(tmp_path / "rec")
+        await feed(server, 1.5, start=0.5)
+
+    _, _, server, notes = live(play, record=tmp_path / "rec")
+    assert server.unrecorded.startswith("The recording is lost") and server.frames > 40
+    assert len([n for n in notes if n.startswith("Recording stops: The recording is lost")]) == 1
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="NOT tested: an open folder that is removed; run it on Linux")
+def test_the_command_does_not_end_well_when_its_recording_was_removed(tmp_path):
+    command = [sys.executable, "-m", "hypose.app", "fuse", "--live", "--udp", "0", "--record", tmp_path / "rec"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        while process.stdout.readline().strip() != "Stop with Ctrl-C.":
+            assert process.poll() is None
+        shutil.rmtree(tmp_path / "rec")
+        process.send_signal(signal.SIGTERM)
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 2 and "error: The recording is lost" in err and "Recorded" not in out
 
 
 # ---- OSC ----
