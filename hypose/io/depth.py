@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.errors import InputError
 from hypose.geometry import Array
+from hypose.io.file_names import utf8_path
 from hypose.io.files import readable_size, unreadable
 from hypose.io.png import SIGNATURE, is_cut_png
 from hypose.io.results import atomic_path
@@ -109,7 +110,8 @@ def read_azure_mkv(path: str | Path) -> tuple[dict[str, Any], Iterator[DepthFram
         ) from None
     readable_size(path, "an Azure Kinect recording (.mkv)", 64 * 2**30)
     try:
-        container = library.open(str(path), metadata_errors="replace")
+        with utf8_path(Path(path)) as name:
+            container = library.open(name, metadata_errors="replace")
     except (library.error.FFmpegError, OSError):
         raise InputError(f"{path} is not a video that can be opened; give an Azure Kinect recording (.mkv).") from None
     tracks = [s for s in container.streams.video if "DEPTH" in _title(s)]

@@ -12,6 +12,7 @@ import numpy as np
 
 from hypose.errors import InputError
 from hypose.io.depth import MAX_SIDE, DepthFrame
+from hypose.io.file_names import utf8_path
 from hypose.io.files import readable_size
 
 _MAX_BYTES = 256 * 2**30
@@ -39,8 +40,9 @@ def read_realsense(path: str | Path) -> RealSenseDepth:
     readable_size(path, "a RealSense recording (.bag or .db3)", _MAX_BYTES)
     config = library.config()
     try:
-        config.enable_device_from_file(str(path), repeat_playback=False)
-        return _opened(library, config, str(path), recorded=True)
+        with utf8_path(path) as name:
+            config.enable_device_from_file(name, repeat_playback=False)
+            return _opened(library, config, str(path), recorded=True)
     except RuntimeError as error:
         raise InputError(
             f"{path} cannot be played by pyrealsense2 {library.__version__} ({_short(error)}); give a recording "
