@@ -17,6 +17,7 @@ import importlib
 import importlib.util
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -122,6 +123,19 @@ def install_command(way: str, machine: Machine, python: str, borrowed_uv: Option
 def fingerprint(pyproject: bytes, version: Tuple[int, ...]) -> str:
     """Changes when an installation has to be repeated."""
     return hashlib.sha256(pyproject + repr(version[:2]).encode()).hexdigest()
+
+
+def requirements(extras: Dict[str, List[str]], name: str) -> List[str]:
+    """The requirements of an extra of hypose, with those of the extras that it names in the place of these: each can
+    then be tried by itself, and pip looks for no hypose in an index."""
+    lines = []  # type: List[str]
+    for line in extras[name]:
+        others = re.match(r"hypose\[([\w,]+)\]$", line)
+        if others:
+            lines += [one for other in others.group(1).split(",") for one in requirements(extras, other)]
+        else:
+            lines.append(line)
+    return lines
 
 
 def is_installed(stamp: Dict[str, object], wanted: str, profile: str) -> bool:
@@ -290,7 +304,7 @@ def install(machine: Machine, python: str, profile: str, log: List[str]) -> List
     oracles = []  # type: List[str]
     if profile == "oracles":
         with open(os.path.join(ROOT, "pyproject.toml"), "rb") as file:
-            oracles = tomllib.load(file)["project"]["optional-dependencies"]["oracles"]
+            oracles = requirements(tomllib.load(file)["project"]["optional-dependencies"], "oracles")
     wheels = ["--only-binary", ":all:"]  # building one of the oracles would take an hour and a compiler
     command = []  # type: List[str]
     start = len(log)

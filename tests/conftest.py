@@ -28,14 +28,24 @@ SOURCES = (".py", ".pyi", ".md", ".toml", ".ts", ".mjs", ".html", ".css", ".swp"
 
 
 @pytest.fixture(scope="session")
-def shared_data() -> Callable[[str], Path]:
-    """shared_data(name): path of one of the real recordings; without it the test is skipped, aloud."""
+def shared_data(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """shared_data(name): path of one of the real recordings, or of the like of it that tests/stand_ins.py makes; where
+    there is neither the test is skipped, aloud."""
+    made: dict[str, Path] = {}
 
     def find(name: str) -> Path:
-        path = SHARED_DATA / name
-        if not path.exists():
+        if (SHARED_DATA / name).exists():
+            return SHARED_DATA / name
+        from tests import stand_ins  # here, since it imports much of hypose
+
+        if name not in stand_ins.MAKERS:
             missing.skip(f"real recordings ({name.split('/')[0]})", "put them into ../shared/data beside the checkout")
-        return path
+        if name not in made:
+            folder = tmp_path_factory.mktemp("stand-in") / name
+            folder.mkdir(parents=True)
+            stand_ins.MAKERS[name](folder)
+            made[name] = folder
+        return made[name]
 
     return find
 

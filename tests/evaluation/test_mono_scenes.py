@@ -1,7 +1,5 @@
 """Scenes of one camera: reproducible, and the tracker's body is near the truth without being it."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,8 +9,6 @@ from hypose.evaluation.mono_motions import STRAIGHT_KNEE, body_motion
 from hypose.evaluation.mono_scenes import arm_scene, body_scene
 from hypose.evaluation.mono_subjects import MeasuringError, measured_body
 from hypose.evaluation.subjects import load_subjects
-
-MOCAP = Path(__file__).resolve().parents[3] / "shared" / "data" / "mocap"
 
 
 @pytest.fixture(scope="module")
@@ -82,10 +78,8 @@ def test_captured_motion_needs_its_folder() -> None:
         body_scene(100, motion="captured-walk")
 
 
-def test_captured_motion() -> None:
-    if not MOCAP.exists():
-        pytest.skip(f"{MOCAP} not found")
-    scene = body_scene(101, mocap=MOCAP)
+def test_captured_motion(shared_data) -> None:
+    scene = body_scene(101, mocap=shared_data("mocap"))
     assert len(scene.performance) == 30
     uv = scene.camera.project(scene.performance.joints)
     assert ((uv > 0) & (uv < scene.camera.size)).all()

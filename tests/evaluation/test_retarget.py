@@ -1,19 +1,13 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from hypose.errors import InputError
 from hypose.evaluation.retarget import retarget
 
-MOCAP = Path(__file__).parents[2] / "../shared/data/mocap"
-
 
 @pytest.fixture
-def mocap():
-    if not (MOCAP / "02.asf").is_file():
-        pytest.skip("../shared/data/mocap not found")
-    return MOCAP
+def mocap(shared_data):
+    return shared_data("mocap")
 
 
 @pytest.mark.parametrize(("clip", "speed", "flies"), [("02_01", 1.3, False), ("02_03", 3.0, True)])

@@ -79,7 +79,7 @@ def test_qualisys_keeps_distortion_undivided(tmp_path, rng):
 
 
 def test_real_single_camera_of_opencv(shared_data):
-    rig = read_calibration(shared_data("uu4cam") / "cam1" / "config.xml")
+    rig = read_calibration(shared_data("uu4cam/cam1") / "config.xml")
     assert rig.names == ("cam1",)
     assert rig[0].K[0, 0] == pytest.approx(486.52, abs=0.01)
     assert np.linalg.norm(rig[0].position) < 10  # millimetres were recognised

@@ -51,7 +51,7 @@ def test_real_files(shared_data):
 
 
 def test_pose2sim_file_has_fewer_rows_than_it_says(shared_data):
-    folder = shared_data("pose2sim_balancing") / "pose2sim_0.10.49_output"
+    folder = shared_data("pose2sim_balancing/pose2sim_0.10.49_output")
     m = read_trc(folder / "proj_0-99_filt_butterworth.trc")
     assert m.points.shape == (99, 22, 3)
 

@@ -1,0 +1,187 @@
+"""Small files in the shape of the real recordings (their names, sizes and peculiarities), made for whoever does not
+have these: what reads the real ones is then tried all the same, though not on what people and cameras really did."""
+
+import gzip
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import ezc3d
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hypose.evaluation.gait import jog, walk
+from hypose.evaluation.performance import Performance, soles
+from hypose.evaluation.subjects import Subject, procedural_subject
+from hypose.geometry import transform
+from hypose.io.skeleton_tables import KINECT_V2
+from hypose.io.trc import write_trc
+from tests import depth_sensors, missing
+
+UNIT = 0.0254 / 0.45  # metres per unit of length in CMU's files
+# their axes: y up, facing +z, x to the subject's left; those here: z up, facing -y
+FILE = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+_ARM = [("clavicle", "thorax", 0), ("humerus", "clavicle", 1), ("radius", "humerus", 2), ("wrist", "radius", None)]
+_HAND = [("hand", "wrist", None), ("fingers", "hand", None), ("thumb", "wrist", None)]
+_LEG = [("hipjoint", "root", None), ("femur", "hipjoint", 0), ("tibia", "femur", 1), ("foot", "tibia", 2)]
+
+
+def _bones(subject: Subject) -> list[tuple[str, str, int | None, np.ndarray]]:
+    """CMU's bones below the root, parents first: name, parent, the joint that turns it or None, and from the bone's
+    beginning to its end in the subject's rest (m, world)."""
+    j = subject.joints
+    head = np.array([0.0, 0.0, 0.1])
+    bones = [("lowerback", "root", 1, j[1] - j[0]), ("upperback", "lowerback", None, (j[2] - j[1]) / 2)]
+    bones += [("thorax", "upperback", 2, (j[2] - j[1]) / 2), ("lowerneck", "thorax", 3, j[3] - j[2])]
+    bones += [("upperneck", "lowerneck", None, j[4] - j[3]), ("head", "upperneck", 4, head)]
+    for side, arm, leg in (("l", 5, 13), ("r", 9, 16)):
+        tip = 0.08 * (j[arm + 3] - j[arm + 2]) / np.linalg.norm(j[arm + 3] - j[arm + 2])
+        ways = [j[arm + 1] - j[2], j[arm + 2] - j[arm + 1], j[arm + 3] - j[arm + 2], tip, tip, tip, tip]
+        for (name, parent, k), way in zip([*_ARM, *_HAND], ways, strict=True):
+            parent = parent if parent == "thorax" else side + parent
+            bones.append((side + name, parent, None if k is None else arm + k, way))
+        ball = np.array([0.0, -0.12, -0.04])
+        ways = [j[leg] - j[0], j[leg + 1] - j[leg], j[leg + 2] - j[leg + 1], ball]
+        for (name, parent, k), way in zip(_LEG, ways, strict=True):
+            bones.append(
+                (side + name, parent if parent == "root" else side + parent, None if k is None else leg + k, way)
+            )
+        bones.append((side + "toes", side + "foot", None, np.array([0.0, -0.06, 0.0])))
+    return bones
+
+
+def write_asf(path: Path, subject: Subject) -> None:
+    """The subject as a skeleton of CMU's: 30 bones, none of them with axes of its own."""
+    bones = _bones(subject)
+    lines = [":version 1.10", ":name VICON", ":units", "  mass 1.0", "  length 0.45", "  angle deg", ":root"]
+    lines += ["  order TX TY TZ RX RY RZ", "  axis XYZ", "  position 0 0 0", "  orientation 0 0 0", ":bonedata"]
+    for k, (name, _, turns, way) in enumerate(bones):
+        length = np.linalg.norm(way)
+        direction = " ".join(f"{v:.9f}" for v in FILE @ way / length)
+        lines += ["  begin", f"     id {k + 1}", f"     name {name}", f"     direction {direction}"]
+        lines += [f"     length {length / UNIT:.9f}", "     axis 0 0 0  XYZ"]
+        lines += ["    dof rx ry rz"] * (turns is not None) + ["  end"]
+    lines += [":hierarchy", "  begin"]
+    for parent in dict.fromkeys(parent for _, parent, _, _ in bones):
+        lines.append("    " + " ".join([parent, *(name for name, p, _, _ in bones if p == parent)]))
+    path.write_text("\n".join([*lines, "  end"]) + "\n")
+
+
+def write_amc(path: Path, subject: Subject, performance: Performance) -> None:
+    """The motion, on the skeleton that `write_asf` writes of the same subject."""
+    world = {"root": FILE @ performance.rotations[:, 0] @ FILE.T}
+    channels = {"root": np.hstack([performance.root @ FILE.T / UNIT, _angles(world["root"])])}
+    for name, parent, turns, _ in _bones(subject):
+        world[name] = world[parent] if turns is None else FILE @ performance.rotations[:, turns] @ FILE.T
+        if turns is not None:
+            channels[name] = _angles(np.swapaxes(world[parent], -1, -2) @ world[name])
+    lines = ["#!OML:ASF", ":FULLY-SPECIFIED", ":DEGREES"]
+    for t in range(len(performance)):
+        lines += [str(t + 1), *(" ".join([n, *(f"{v:.7g}" for v in values[t])]) for n, values in channels.items())]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def _angles(rotations: np.ndarray) -> np.ndarray:
+    return Rotation.from_matrix(rotations).as_euler("xyz", degrees=True)
+
+
+def mocap(folder: Path) -> None:
+    """A walk and a run as CMU's files, markers as OpenCap's, and C3D files, written by ezc3d."""
+    subject = procedural_subject(np.random.default_rng(7), 1.75)
+    write_asf(folder / "02.asf", subject)
+    straight = {"radius": 1e9}
+    write_amc(folder / "02_01.amc", subject, walk(subject, 343 / 120, 120.0, **straight))
+    run = jog(subject, 173 / 120, 120.0, None, 1.3, 1.2, **straight)
+    flight = np.maximum(soles(subject, run.rotations, run.joints)[0].min(1), 0)  # higher: a sprinter's
+    run = replace(run, root=run.root + 2 * flight[:, None] * [0, 0, 1])
+    write_amc(folder / "02_03.amc", subject, run)
+    names = ["C7", *(f"m{k}" for k in range(49)), "L_toe"]
+    place = np.linspace([0, 0, 1.5], [0, 0, 0.05], 51) + np.random.default_rng(0).normal(0, 0.01, (136, 51, 3))
+    write_trc(folder / "opencap_walking2.trc", names, place, 100, "m")
+    for name, unit in (("kinematics_tennis_serve", "mm"), ("kinematics_tennis_serve_nan", "mm"), ("walking2", "m")):
+        points = np.ones((4, 51, 136))
+        points[:3] = place.T * (1000 if unit == "mm" else 1)
+        if name.endswith("nan"):
+            points[:3, 4, 20:40] = np.nan
+        file = ezc3d.c3d()
+        file["parameters"]["POINT"]["RATE"]["value"] = [100.0]
+        file["parameters"]["POINT"]["LABELS"]["value"] = names
+        file["parameters"]["POINT"]["UNITS"]["value"] = [unit]
+        file["data"]["points"] = points
+        file.write(str(folder / f"{name}.c3d"))
+
+
+def kinect_multitrack(folder: Path) -> None:
+    """8 s of one person between two Kinects, as the tracker of that name writes it."""
+    order = sorted(KINECT_V2)
+    rng, shown = np.random.default_rng(0), [_KINECT[name] for name in order]
+    heads = ["Study_Id", "Tracker_Time", "Person_Id", "Skeleton_Id", "Skeleton_Time", "Kinect_Id"]
+    lines = ["\ufeff" + ", ".join(heads + [f"{name}_{x}" for name in order for x in "XYZ"])]
+    for n in range(240):
+        joints = depth_sensors.walker(n / 30)
+        for k, angle in enumerate((20, -50)):
+            seen = transform(depth_sensors.camera(angle), joints + rng.normal(0, 0.008, joints.shape))
+            values = (seen[shown] * [-1, -1, 1]).ravel()  # a Kinect's x is to its left, its y up
+            times = 63562192334118 + 33 * n, 170926075120 + 330000 * n
+            lines.append(f"2, {times[0]}, 0, {k}, {times[1]}, 10.0.0.{k}, " + ", ".join(f"{v:.5f}" for v in values))
+    text = "\r\n".join(lines) + "\r\n"
+    (folder / "Study_2_Kinect_2_Time_12_32_04_PM.csv.gz").write_bytes(gzip.compress(text.encode()))
+
+
+def azure_kinect_mkv(folder: Path) -> None:
+    """One depth map of 640 x 576 px of a floor and the calibration as an attachment, as k4arecorder writes them but
+    for the codec."""
+    av = missing.module("av", "depth of Azure Kinect recordings", "pip install 'hypose[azure]'")
+    depth = np.tile(np.linspace(3000, 1000, 576).astype(np.uint16)[:, None], (1, 640))
+    with av.open(str(folder / "recording.mkv"), "w") as container:
+        stream = container.add_stream("ffv1", rate=30, width=640, height=576, pix_fmt="gray16le")
+        stream.metadata["title"] = "DEPTH"
+        container.add_attachment("calibration.json", "application/octet-stream", b'{"CalibrationInformation": {}}')
+        container.mux([*stream.encode(av.VideoFrame.from_ndarray(depth, "gray16le")), *stream.encode()])
+
+
+def first_camera_of_uu4cam(folder: Path) -> None:
+    """A camera as OpenCV writes it, translation in mm, and a video whose header promises two frames too many."""
+    storage = cv2.FileStorage(str(folder / "config.xml"), cv2.FILE_STORAGE_WRITE)
+    storage.write("camera_matrix", np.array([[486.52, 0, 335.98], [0, 487.74, 228.67], [0, 0, 1]]))
+    storage.write("distortion_coefficients", np.array([[-0.365, 0.181, -6.7e-5, 4.9e-5, -0.049]]))
+    storage.write("rotation_vectors", np.array([[-0.67], [1.55], [1.87]], dtype=np.float32))
+    storage.write("translation_vectors", np.array([[781.8], [754.3], [3875.9]], dtype=np.float32))
+    storage.release()
+    path = folder / "background.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 50, (64, 48))
+    for k in range(132):
+        writer.write(np.full((48, 64, 3), k, np.uint8))
+    writer.release()
+    data = bytearray(path.read_bytes())
+    for head, offset in ((b"avih", 8 + 16), (b"strh", 8 + 32)):  # where the headers count the frames
+        at = data.index(head) + offset
+        assert struct.unpack_from("<I", data, at) == (132,)
+        struct.pack_into("<I", data, at, 134)
+    path.write_bytes(data)
+
+
+def pose2sim_output(folder: Path) -> None:
+    """Markers in a file of 99 rows that says 100."""
+    path = folder / "proj_0-99_filt_butterworth.trc"
+    write_trc(path, [f"m{k}" for k in range(22)], np.random.default_rng(0).normal(0, 1, (99, 22, 3)), 60, "m")
+    path.write_text(path.read_text().replace("60\t60\t99\t", "60\t60\t100\t").replace("\t99\n", "\t100\n", 1))
+
+
+_KINECT = {"Head": 0, "Neck": 1, "SpineShoulder": 1, "SpineMid": 8, "SpineBase": 8}  # of depth_sensors' joints
+for _side, _arm, _leg in (("Left", 2, 9), ("Right", 5, 12)):
+    _KINECT |= {f"{name}{_side}": _arm + k for k, name in enumerate(("Shoulder", "Elbow", "Wrist"))}
+    _KINECT |= {f"{name}{_side}": _arm + 2 for name in ("Hand", "HandTip", "Thumb")}
+    _KINECT |= {f"{name}{_side}": _leg + k for k, name in enumerate(("Hip", "Knee", "Ankle"))}
+    _KINECT[f"Foot{_side}"] = _leg + 2
+
+MAKERS: dict[str, Callable[[Path], None]] = {
+    "mocap": mocap,
+    "kinect_multitrack": kinect_multitrack,
+    "azure_kinect_mkv": azure_kinect_mkv,
+    "uu4cam/cam1": first_camera_of_uu4cam,
+    "pose2sim_balancing/pose2sim_0.10.49_output": pose2sim_output,
+}
+"""Folder or file of shared/data -> what makes the like of it in an empty folder."""
