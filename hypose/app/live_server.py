@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
-import hmac
 import ipaddress
 import json
 import math
@@ -24,13 +23,14 @@ from dataclasses import dataclass, field
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.datastructures import MultipleValuesError
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
+from hypose.app.door import Door, fold_logs, same_secret, shows_secret
 from hypose.app.osc import double, osc_bundles, osc_message
 from hypose.errors import InputError
 from hypose.fusion.joints import COMMON
@@ -41,6 +41,7 @@ from hypose.io.skeleton_lines import MAX_SKELETON_LINE, parse_line
 
 Say = Callable[[str], None]
 _LOCAL = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d{1,5})?")
+_TOKEN = re.compile(r"[A-Za-z0-9_.-]{8,128}")
 _COMPLAINT_S = 5.0
 _STATUS_S = 1.0
 _REPORT_S = 10.0
@@ -69,8 +70,8 @@ class LiveOptions:
         for name, port in (("--udp", self.udp), ("--ws", self.ws)):
             if port is not None and not 0 <= port <= 65535:
                 raise InputError(f"{name} {port} is no port; give 1 to 65535.")
-        if self.token is not None and not 8 <= len(self.token) <= 128:
-            raise InputError("A token must have 8 to 128 characters; leave it out to have one made.")
+        if self.token is not None and not _TOKEN.fullmatch(self.token):
+            raise InputError("A token must have 8 to 128 letters, digits, _ . and -; leave it out to have one made.")
 
 
 def is_loopback(host: str) -> bool:
@@ -109,6 +110,7 @@ class LiveServer:
         self._server: Server | None = None
         self._outs: set[asyncio.Queue[str]] = set()
         self._connections = 0
+        self._door = Door()
         self._osc: tuple[socket.socket, Any] | None = None
         self._status_at = 0.0
 
@@ -121,6 +123,7 @@ class LiveServer:
     async def start(self) -> None:
         """Open the ports; an InputError when one is taken."""
         o, loop = self.options, asyncio.get_running_loop()
+        fold_logs()
         if o.osc is not None:
             self._osc = _osc_target(o.osc)
         try:
@@ -136,6 +139,8 @@ class LiveServer:
                     o.host,
                     o.ws,
                     process_request=self._admit,
+                    create_connection=self._door.letting_in(ServerConnection),  # type: ignore[arg-type] - as any factory
+                    backlog=self._door.backlog,
                     # a web page of somebody else must not talk to this port behind the user's back
                     origins=None if self.token else [None, _LOCAL],
                     compression=None,
@@ -174,13 +179,15 @@ class LiveServer:
         """One line from outside; the reason when it is ignored."""
         now = self.now()
         self.received += 1
+        if self.token and not self._may_hold_token(data):  # costs next to nothing, so strangers use up no allowance
+            return self._ignore("the token is missing or wrong", now)
         if not self._allowed(now):
             return self._ignore("more lines arrive than are taken", now)
         try:
             if len(data) > MAX_SKELETON_LINE:
                 return self._ignore(f"a line has more than {MAX_SKELETON_LINE} bytes", now)
             line = parse_line(data)
-            if self.token and not hmac.compare_digest(line.token.encode(), self.token.encode()):
+            if self.token and not same_secret(line.token, self.token):
                 return self._ignore("the token is missing or wrong", now)
             fresh = self.fuser.push(
                 line.sensor, line.time, line.person, line.joint_names, line.positions, line.state, now
@@ -188,9 +195,7 @@ class LiveServer:
         except InputError as error:
             return self._ignore(str(error).rstrip("."), now)
         self.used += fresh
-        self._record(
-            lambda w: w.add(line.sensor, line.time, line.person, line.joint_names, line.positions, line.state)
-        )
+        self._record(lambda w: w.add(line.sensor, line.time, line.person, line.joint_names, line.positions, line.state))
         self.tick()
         return None
 
@@ -203,6 +208,9 @@ class LiveServer:
         except InputError as error:
             self.unrecorded, self._writer = str(error), None
             self._note(f"Recording stops: {error}")
+
+    def _may_hold_token(self, data: bytes | str) -> bool:
+        return self.token in data if isinstance(data, str) else self.token.encode() in data
 
     def _allowed(self, now: float) -> bool:
         o = self.options
@@ -291,23 +299,25 @@ class LiveServer:
     # ---- WebSocket ----
 
     def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
-        parts = urlsplit(request.path)
-        if parts.path not in ("/in", "/out"):
+        path, _, query = request.path.partition("?")
+        if path not in ("/in", "/out"):
             return connection.respond(HTTPStatus.NOT_FOUND, "the paths are /in and /out\n")
         if self._connections >= self.options.clients:
             return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections\n")
-        if self.token:
-            shown = parse_qs(parts.query).get("token", [""])[0]
-            bearer = request.headers.get("Authorization", "").removeprefix("Bearer ")
-            if not any(hmac.compare_digest(t.encode(), self.token.encode()) for t in (shown, bearer)):
-                return connection.respond(HTTPStatus.UNAUTHORIZED, "the token is missing or wrong\n")
+        try:
+            bearer = request.headers.get("Authorization", "")
+        except MultipleValuesError:
+            return connection.respond(HTTPStatus.BAD_REQUEST, "more than one Authorization\n")
+        if self.token and not shows_secret(query, bearer, self.token):
+            return connection.respond(HTTPStatus.UNAUTHORIZED, "the token is missing or wrong\n")
         return None
 
     async def _client(self, connection: ServerConnection) -> None:
         self._connections += 1
         try:
-            path = urlsplit(connection.request.path).path if connection.request is not None else ""
-            await (self._listen(connection) if path == "/in" else self._serve(connection))
+            path = connection.request.path.partition("?")[0] if connection.request is not None else ""
+            with self._door.answering(connection.remote_address, True):
+                await (self._listen(connection) if path == "/in" else self._serve(connection))
         except ConnectionClosed:
             pass
         finally:

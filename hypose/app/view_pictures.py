@@ -6,6 +6,7 @@ would take seconds. So a video is jumped in where its jumps have been found to l
 
 from __future__ import annotations
 
+import math
 import struct
 import threading
 from collections import OrderedDict
@@ -24,7 +25,9 @@ from hypose.io.video import VideoReader, open_capture, open_video
 
 _NEAR = 24  # frames ahead that are sooner decoded than jumped to
 _TRIAL = 10  # the frame at which jumps are tried
-_CACHE_BYTES = 48 << 20
+_CACHE_BYTES = 16 << 20
+_PER_PIXEL, _PER_WORKING_PIXEL = 40, 60
+"""Bytes that an open video holds per pixel of its frames, and a view's masks per pixel of the working size, about."""
 _QUALITY = 82
 
 
@@ -94,6 +97,13 @@ class ViewPictures:
         self._lock, self._mask_lock = threading.Lock(), threading.Lock()
         self._cache: OrderedDict[tuple[int, int], bytes] = OrderedDict()
         self._cached = 0
+
+    @property
+    def held(self) -> int:
+        """Bytes of memory that it holds, about."""
+        rig = self._recording.rig
+        working = 0 if self._stream is None else sum(math.prod(c.size) for c in self._stream.rig)
+        return self._cached + _PER_PIXEL * sum(math.prod(c.size) for c in rig) + _PER_WORKING_PIXEL * working
 
     def row(self, row: int, width: int) -> bytes:
         """JPEGs of all views at most `width` px wide: their number (uint32), the length of each (uint32, 0 = no

@@ -23,6 +23,18 @@ from hypose.evidence.background import BackgroundModel, Image
 from hypose.evidence.frame import Silhouettes
 
 Mask = NDArray[np.uint8]
+_RANGES = {
+    "threshold": (1e-3, 1e3),
+    "min_sd": (1e-3, 255.0),
+    "shadow_chroma": (0.0, 500.0),
+    "open_px": (0, 100),
+    "close_px": (0, 100),
+    "hole_px": (0, 10**6),
+    "keep_share": (0.0, 1.0),
+    "keep_gap": (0.0, 1e6),
+    "rim_px": (1, 100),
+}
+"""What numbers an option may have: beyond, nothing is left of a mask, or it takes minutes to make."""
 
 
 class Segmenter(Protocol):
@@ -70,21 +82,16 @@ class SilhouetteOptions:
     def __post_init__(self) -> None:
         if self.method not in ("gaussian", "mog2"):
             raise InputError(f"Silhouette method {self.method!r} does not exist; use 'gaussian' or 'mog2'.")
+        for name, (least, most) in _RANGES.items():
+            if not least <= getattr(self, name) <= most:
+                raise InputError(
+                    f"Silhouette option {name} = {getattr(self, name)} must lie between {least:g} and {most:g}."
+                )
         low, high = self.shadow_range
-        for name, right, rule in (
-            ("threshold", self.threshold > 0, "positive"),
-            ("min_sd", self.min_sd > 0, "positive"),
-            ("shadow_range", 0 < low < high <= 1, "0 < darkest < lightest <= 1"),
-            ("shadow_chroma", self.shadow_chroma >= 0, "0 or more"),
-            ("open_px", self.open_px >= 0, "0 or more"),
-            ("close_px", self.close_px >= 0, "0 or more"),
-            ("hole_px", self.hole_px >= 0, "0 or more"),
-            ("keep_share", 0 <= self.keep_share <= 1, "between 0 and 1"),
-            ("keep_gap", self.keep_gap >= 0, "0 or more"),
-            ("rim_px", self.rim_px >= 1, "1 or more"),
-        ):
-            if not right:
-                raise InputError(f"Silhouette option {name} = {getattr(self, name)} must be {rule}.")
+        if not 0 < low < high <= 1:
+            raise InputError(
+                f"Silhouette option shadow_range = {self.shadow_range} must be 0 < darkest < lightest <= 1."
+            )
 
 
 def make_segmenter(background: BackgroundModel, options: SilhouetteOptions | None = None) -> Segmenter:

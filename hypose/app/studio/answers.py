@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
+from hypose.app.studio.asked import object_of
 from hypose.app.studio.catalog import NotFound
 from hypose.app.view_bundle import plain
 from hypose.errors import HyposeError, InputError
-from hypose.json_text import parse_json
 
 MAX_JSON = 1 << 20
+_BODY_S = 30.0
+"""s that a request may take from one piece of its body to the next."""
 Endpoint = Callable[[Request], Awaitable[Response]]
 
 
@@ -23,6 +26,10 @@ class NotNow(InputError):
 
 class TooLarge(InputError):
     """More was sent than is taken."""
+
+
+class TooSlow(InputError):
+    """What was announced did not come."""
 
 
 def answer(value: Any, status: int = 200) -> JSONResponse:
@@ -45,6 +52,8 @@ def told(endpoint: Endpoint) -> Endpoint:
             return refusal(404, str(error))
         except NotNow as error:
             return refusal(409, str(error))
+        except TooSlow as error:
+            return refusal(408, str(error))
         except TooLarge as error:
             return refusal(413, str(error))
         except HyposeError as error:
@@ -56,21 +65,22 @@ def told(endpoint: Endpoint) -> Endpoint:
 async def body_of(request: Request) -> dict[str, Any]:
     """The JSON object of a request."""
     data = bytearray()
-    async for chunk in request.stream():
+    async for chunk in pieces_of(request):
         data += chunk
         if len(data) > MAX_JSON:
             raise TooLarge(f"The request is larger than {MAX_JSON >> 20} MiB; send less at once.")
-    try:
-        value = parse_json(data or b"{}")
-    except (ValueError, RecursionError):
-        raise InputError("The request is no JSON; send an object.") from None
-    if not isinstance(value, dict):
-        raise InputError("The request is no JSON object; send one.")
-    return value
+    return object_of(data or b"{}", "request")
 
 
-def whole(text: str, what: str) -> int:
-    """A whole number out of an address or a query."""
-    if not text.isascii() or not text.isdigit() or len(text) > 9:
-        raise InputError(f"{what} must be a whole number, {text[:20]!r} is none.")
-    return int(text)
+async def pieces_of(request: Request) -> AsyncIterator[bytes]:
+    """The body of a request, piece after piece; TooSlow when one does not come."""
+    pieces = aiter(request.stream())
+    while True:
+        try:
+            async with asyncio.timeout(_BODY_S):
+                piece = await anext(pieces)
+        except StopAsyncIteration:
+            return
+        except TimeoutError:
+            raise TooSlow(f"Nothing came of the request's body for {_BODY_S:.0f} s; send it again.") from None
+        yield piece

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose import compute
+from hypose.app.studio.asked import choice, number
 from hypose.body.body import Body
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import InputError
@@ -88,26 +89,19 @@ def clicks_of(views: Any, rig: CameraRig) -> Clicks:
     found: dict[str, dict[str, tuple[float, float, float]]] = {}
     for view in views:
         name, points = view.get("camera"), view.get("points")
-        if name not in rig.names or not isinstance(points, list):
-            raise InputError(f"There is no camera {str(name)[:40]!r}; there are {', '.join(rig.names)}.")
+        name = choice(name, "camera", rig.names)
+        if not isinstance(points, list) or not all(isinstance(p, dict) for p in points):
+            raise InputError(f"The clicks of {name} must be a list of points.")
         for p in points:
-            joint = p.get("joint") if isinstance(p, dict) else None
-            if not isinstance(joint, str) or joint not in CLICK_JOINTS:
-                raise InputError(f"There is no joint {str(joint)[:40]!r} to click.")
-            weight = _OCCLUDED if p.get("occluded") else 1.0
-            found.setdefault(name, {})[joint] = (_pixel(p.get("x"), joint), _pixel(p.get("y"), joint), weight)
+            joint = choice(p.get("joint"), "joint to click", tuple(CLICK_JOINTS))
+            x, y = (number(p.get(k), f"{k} of the click on {joint} (px)", -1e5, 1e5) for k in ("x", "y"))
+            found.setdefault(name, {})[joint] = (x, y, _OCCLUDED if p.get("occluded") else 1.0)
     cameras = [n for n in rig.names if n in found]
     if not cameras:
         raise InputError("Nothing is clicked yet.")
     names = tuple(n for n in CLICK_JOINTS if any(n in found[c] for c in cameras))
     table = np.array([[found[c].get(n, (0.0, 0.0, 0.0)) for n in names] for c in cameras])
     return Clicks(rig.select(cameras).pinhole(), names, table[..., :2], table[..., 2])
-
-
-def _pixel(value: Any, joint: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e5:
-        raise InputError(f"The click on {joint} has no position.")
-    return float(value)
 
 
 def fit_clicks(

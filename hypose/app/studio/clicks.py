@@ -14,6 +14,7 @@ from starlette.routing import Route
 
 from hypose.app.studio import click_fit
 from hypose.app.studio.answers import answer, body_of, told
+from hypose.app.studio.asked import number, whole
 from hypose.app.studio.catalog import Catalog, Item
 from hypose.app.studio.job_kinds import is_name
 from hypose.app.studio.recordings import Recordings
@@ -82,9 +83,7 @@ def _fitted(value: dict[str, Any], catalog: Catalog, recordings: Recordings) -> 
 def _height(value: Any, measured: bool, recording: Recording) -> float | None:
     """m; of a person who was not measured the recording may know it."""
     height = value or (None if measured else recording.subject_height)
-    if height is not None and (isinstance(height, bool) or not isinstance(height, int | float)):
-        raise InputError("The height must be a number of metres.")
-    return height
+    return None if height is None else number(height, "the height (m)", 0.4, 2.8)
 
 
 def _body_block(asked: dict[str, str], catalog: Catalog, recordings: Recordings) -> bytes:
@@ -117,9 +116,7 @@ def _recording(value: dict[str, Any], catalog: Catalog) -> Item:
 
 def _body(value: dict[str, Any], item: Item, catalog: Catalog) -> tuple[Body, Array | None, bool]:
     """The person's body; the pose that is corrected; whether the body was measured."""
-    frame = value.get("frame")
-    if isinstance(frame, bool) or not isinstance(frame, int) or frame < 0:
-        raise InputError("Say in which frame the joints were clicked.")
+    frame = whole(value.get("frame"), "the frame in which the joints were clicked", 0, 10**9)
     if isinstance(value.get("result"), str):
         folder = ResultsFolder(catalog.find("result", value["result"]).path)
         motion, body = load_motion(folder.motion), load_body(folder.file("body.npz"))
@@ -133,10 +130,9 @@ def _body(value: dict[str, Any], item: Item, catalog: Catalog) -> tuple[Body, Ar
 
 
 def _pose(value: Any, body: Body) -> Array:
-    numbers = isinstance(value, list) and all(isinstance(v, int | float) and abs(v) < 1e6 for v in value)
-    if not numbers or len(value) != body.skeleton.dof:
+    if not isinstance(value, list) or len(value) != body.skeleton.dof:
         raise InputError(f"A pose has {body.skeleton.dof} numbers.")
-    return body.skeleton.clamp(np.array(value, dtype=np.float64))
+    return body.skeleton.clamp(np.array([number(v, "a number of the pose", -1e6, 1e6) for v in value]))
 
 
 def _save(value: dict[str, Any], item: Item, catalog: Catalog, recordings: Recordings) -> dict[str, Any]:

@@ -11,7 +11,8 @@ from starlette.websockets import WebSocket
 
 from hypose.app.live_server import LiveOptions, LiveServer
 from hypose.app.studio.answers import NotNow
-from hypose.app.studio.sockets import Sockets, message_of
+from hypose.app.studio.asked import number, whole
+from hypose.app.studio.sockets import Sockets, hear
 from hypose.errors import HyposeError, InputError
 from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON, PARENT
@@ -26,6 +27,7 @@ class FuseHost:
 
     def __init__(self) -> None:
         self._server: LiveServer | None = None
+        self._changing = asyncio.Lock()  # of two pages that start at once the second finds it running
 
     def hello(self) -> dict[str, Any]:
         """What a page needs first."""
@@ -35,24 +37,21 @@ class FuseHost:
 
     async def start(self, message: dict[str, Any]) -> None:
         """Open the ports on this computer; an InputError when they are taken."""
-        if self._server is not None:
-            raise NotNow("The fusion is running already; stop it first.")
-        rate = message.get("rate", 30)
-        ports = [message.get(k, 0) for k in ("udp", "ws")]
-        if not all(isinstance(v, int) and not isinstance(v, bool) for v in ports):
-            raise InputError("The ports must be whole numbers; 0 takes any free one.")
-        if isinstance(rate, bool) or not isinstance(rate, int | float) or not 1 <= rate <= 240:
-            raise InputError("The rate must be 1 to 240 frames per second.")
-        settings = LiveSettings(AlignSettings(rate=float(rate)))
-        server = LiveServer(LiveOptions(udp=ports[0], ws=ports[1], settings=settings))
-        await server.start()
-        self._server = server
+        udp, ws = (whole(message.get(k, 0), f"the {k} port", 0, 65535) for k in ("udp", "ws"))
+        rate = number(message.get("rate", 30), "the rate", 1, 240)
+        async with self._changing:
+            if self._server is not None:
+                raise NotNow("The fusion is running already; stop it first.")
+            server = LiveServer(LiveOptions(udp=udp, ws=ws, settings=LiveSettings(AlignSettings(rate=rate))))
+            await server.start()
+            self._server = server
 
     async def stop(self) -> None:
         """Close the ports."""
-        server, self._server = self._server, None
-        if server is not None:
-            await server.stop()
+        async with self._changing:
+            server, self._server = self._server, None
+            if server is not None:
+                await server.stop()
 
     def listen(self, queue: asyncio.Queue[str]) -> None:
         """From now on a queue gets what is sent, while the fusion runs."""
@@ -86,7 +85,7 @@ def routes(host: FuseHost, sockets: Sockets) -> list[BaseRoute]:
     async def read(ws: WebSocket, queue: asyncio.Queue[str]) -> None:
         while True:
             try:
-                await heard(message_of(await ws.receive_text()))
+                await heard(await hear(ws))
             except HyposeError as error:
                 _put(queue, {"t": "error", "error": str(error)})
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, cast
 
+from hypose.app.studio.asked import choice, number, text, whole
 from hypose.errors import InputError
 from hypose.gestures.session import COMMANDS, Command, SessionSettings
 
@@ -41,68 +41,48 @@ class Controls:
 
 def read_start(message: Mapping[str, Any]) -> Start:
     """The start that a page asks for; an InputError says what cannot be."""
-    mode, source, seed = message.get("mode"), message.get("source"), message.get("seed", 0)
-    if mode not in ("train", "run"):
-        raise InputError(f"There is no mode {mode!r}; choose train or run.")
-    if not isinstance(source, str) or not source:
-        raise InputError("There is no source; choose the simulated person, a recorded session or a camera.")
-    if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed < 2**32:
-        raise InputError(f"The seed is {seed!r}; give a whole number from 0 on.")
+    mode = choice(message.get("mode"), "mode", ("train", "run"))
+    source = text(message.get("source"), "source", 80, "choose the simulated person, a recorded session or a camera")
+    seed = whole(message.get("seed", 0), "the seed", 0, 2**32 - 1)
     fast = message.get("fast", False) is True
     if mode == "run":
         models = message.get("models")
         if not isinstance(models, list) or not 1 <= len(models) <= 16 or not all(isinstance(m, str) for m in models):
             raise InputError("Choose 1 to 16 gestures to watch for; teach one first if there is none.")
         return Start("run", source, models=tuple(models), seed=seed, fast=fast)
-    gesture, resume = message.get("gesture"), message.get("resume")
-    if not isinstance(gesture, str) or not gesture.strip():
-        raise InputError("The gesture has no name; type one, for example tee.")
+    gesture = text(message.get("gesture"), "name of the gesture", 64, "type one, for example tee")
+    resume = message.get("resume")
     if resume is not None and not isinstance(resume, str):
         raise InputError("The gesture to go on with is not known; choose it from the list.")
     return Start("train", source, gesture.strip(), resume, _settings(message), seed=seed, fast=fast)
 
 
 def _settings(message: Mapping[str, Any]) -> SessionSettings:
-    seconds, rounds = message.get("seconds") or {}, message.get("rounds", 10)
-    if not isinstance(seconds, dict) or not isinstance(rounds, int) or isinstance(rounds, bool):
-        raise InputError("Rounds must be a whole number, and every phase a number of seconds.")
-    given = {f"{name}_s": number(seconds[name], f"the seconds of {name}") for name in PHASES if name in seconds}
+    seconds, rounds = message.get("seconds") or {}, whole(message.get("rounds", 10), "the number of rounds", 1, 1000)
+    if not isinstance(seconds, dict):
+        raise InputError("Every phase must be given a number of seconds.")
+    given = {f"{name}_s": number(seconds[name], f"the seconds of {name}", 0, 600) for name in PHASES if name in seconds}
     return SessionSettings(rounds=rounds, **given)
 
 
 def read_command(message: Mapping[str, Any]) -> Command:
     """The command of a message; an InputError lists the commands."""
-    command = message.get("command")
-    if command not in COMMANDS:
-        raise InputError(f"There is no command {command!r}; the commands are {', '.join(COMMANDS)}.")
-    return cast(Command, command)
+    return cast(Command, choice(message.get("command"), "command", COMMANDS))
 
 
 def change(controls: Controls, message: Mapping[str, Any], size: tuple[int, int]) -> bool:
     """Take a change of box, threshold, hold or map; False when the message is none of these."""
     kind = message.get("t")
     if kind == "box":
-        x, y = number(message.get("x"), "the box's x"), number(message.get("y"), "the box's y")
+        x, y = (number(message.get(k), f"the box's {k}", -1e9, 1e9) for k in ("x", "y"))
         controls.box = (min(max(x, 0.0), size[0] - 1.0), min(max(y, 0.0), size[1] - 1.0))
     elif kind == "threshold":
         value = message.get("value")
-        if value is not None and number(value, "the threshold") <= 0:
-            raise InputError("The threshold must be above 0 cm².")
-        controls.threshold = None if value is None else float(value)
+        controls.threshold = None if value is None else number(value, "the threshold (cm²)", 1e-3, 1e6)
     elif kind == "hold":
-        seconds = number(message.get("seconds"), "the time to hold")
-        if not 0 <= seconds <= 10:
-            raise InputError("A gesture can be held for 0 to 10 s before it counts.")
-        controls.hold_s = seconds
+        controls.hold_s = number(message.get("seconds"), "the time to hold (s)", 0, 10)
     elif kind == "map":
         controls.map = message.get("on") is True
     else:
         return False
     return True
-
-
-def number(value: Any, what: str) -> float:
-    """A finite number; an InputError names what it is for."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"There is no number for {what} in {str(value)[:40]!r}.")
-    return float(value)

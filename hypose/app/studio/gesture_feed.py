@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hypose.app.gesture_sources import Source, Taken, open_source
+from hypose.app.studio.asked import digits
 from hypose.errors import InputError
 
 PERSON_RATE = 15.0
@@ -50,9 +51,8 @@ def _person(who: str, gesture: str, seed: int) -> Feed:
     from hypose.evaluation.gesture_live import live_person
     from hypose.gestures.pictures import KINECT
 
-    if not who.isdigit():
-        raise InputError(f"There is no simulated person {who[:20]!r}; give simulated:0 to simulated:17.")
-    frames = live_person(int(who), gesture, np.random.default_rng([93, seed, int(who)]), PERSON_RATE)
+    number = digits(who, "the simulated person's number")
+    frames = live_person(number, gesture, np.random.default_rng([93, seed, number]), PERSON_RATE)
     count, clear = 0, False
 
     def take(phase: str) -> Taken | None:
@@ -64,8 +64,8 @@ def _person(who: str, gesture: str, seed: int) -> Feed:
         count, clear = count + 1, frame.clear
         return Taken((count - 1) / PERSON_RATE, frame.depth, frame.point)
 
-    source = Source(f"simulated:{who}", KINECT, (640, 480), take)
-    return Feed(source, f"Simulated person {int(who) + 1}", clear=lambda: clear)
+    source = Source(f"simulated:{number}", KINECT, (640, 480), take)
+    return Feed(source, f"Simulated person {number + 1}", clear=lambda: clear)
 
 
 def _from_zero(source: Source) -> Source:

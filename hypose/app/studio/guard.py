@@ -7,15 +7,15 @@ that was asked for must be one the server goes by, else a foreign name that was 
 
 from __future__ import annotations
 
-import hmac
 import secrets
 from dataclasses import dataclass
 from http import HTTPStatus
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from hypose.app.door import Door, shows_secret
 from hypose.app.studio.answers import refusal
 
 LOOPBACK = frozenset({"127.0.0.1", "localhost", "::1"})
@@ -50,16 +50,14 @@ class Access:
         foreign = origin is not None and urlsplit(origin).netloc.lower() != asked.lower()
         if changing and (foreign or headers.get("sec-fetch-site") in ("cross-site", "same-site")):
             return HTTPStatus.FORBIDDEN, "Pages of other sites may not talk to this server; open its own page."
-        talks = scope["path"].startswith(("/api/", "/ws/"))
-        if self.token is not None and talks and not self._shown(scope, headers):
+        if scope["path"].startswith(("/api/", "/ws/")) and not self.knows(scope):
             return HTTPStatus.UNAUTHORIZED, "The token is missing or wrong; use the address that `hypose view` printed."
         return None
 
-    def _shown(self, scope: Scope, headers: Headers) -> bool:
-        shown = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
-        bearer = headers.get("authorization", "").removeprefix("Bearer ")
-        token = (self.token or "").encode()
-        return any(hmac.compare_digest(t.encode(), token) for t in (shown, bearer))
+    def knows(self, scope: Scope) -> bool:
+        """Whether a request shows the token, if one is needed."""
+        query, bearer = scope["query_string"].decode("latin-1"), Headers(scope=scope).get("authorization", "")
+        return self.token is None or shows_secret(query, bearer, self.token)
 
 
 def _name(host: str) -> str:
@@ -68,10 +66,10 @@ def _name(host: str) -> str:
 
 
 class Guard:
-    """Refuses what Access does not allow, before anything else sees it."""
+    """Refuses what Access does not allow, before anything else sees it, and tells the door who is being answered."""
 
-    def __init__(self, app: ASGIApp, access: Access) -> None:
-        self._app, self._access = app, access
+    def __init__(self, app: ASGIApp, access: Access, door: Door) -> None:
+        self._app, self._access, self._door = app, access, door
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """One request or connection."""
@@ -82,13 +80,15 @@ class Guard:
             problem = self._access.problem(scope)
         except ValueError:  # an Origin or Host that is no address
             problem = HTTPStatus.BAD_REQUEST, "The request names no proper host."
-        if problem is None:
-            await self._app(scope, receive, self._hardened(scope, send))
-        elif scope["type"] == "http":
-            await refusal(problem[0].value, problem[1])(scope, receive, send)
-        else:
-            await receive()
-            await send({"type": "websocket.close", "code": 1008, "reason": problem[1][:120]})
+        known = problem is None and self._access.knows(scope)
+        with self._door.answering(scope.get("client"), known):
+            if problem is None:
+                await self._app(scope, receive, self._hardened(scope, send))
+            elif scope["type"] == "http":
+                await refusal(problem[0].value, problem[1])(scope, receive, send)
+            else:
+                await receive()
+                await send({"type": "websocket.close", "code": 1008, "reason": problem[1][:120]})
 
     def _hardened(self, scope: Scope, send: Send) -> Send:
         if scope["type"] != "http":

@@ -12,7 +12,8 @@ from typing import Any
 
 from starlette.websockets import WebSocket
 
-from hypose.app.studio.sockets import IN_FLIGHT, message_of
+from hypose.app.studio.asked import whole
+from hypose.app.studio.sockets import IN_FLIGHT, hear
 from hypose.app.view_bundle import plain
 from hypose.errors import HyposeError
 
@@ -87,9 +88,9 @@ class SocketOutlet:
     async def _read(self, handle: Callable[[dict[str, Any]], None]) -> None:
         while True:
             try:
-                message = message_of(await self._ws.receive_text())
+                message = await hear(self._ws)
                 if message["t"] == "ack":
-                    self._unanswered.discard(message.get("seq", -1))
+                    self._unanswered.discard(whole(message.get("seq"), "the picture's number", 0, 2**32 - 1))
                     self._awake.set()
                 else:
                     await asyncio.to_thread(handle, message)

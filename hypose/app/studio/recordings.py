@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import threading
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.app.studio.catalog import Catalog, Item, NotFound
+from hypose.app.studio.kept import Kept
 from hypose.app.view_pictures import AnyFrame
 from hypose.cameras.camera import Camera
 from hypose.errors import HyposeError, InputError
@@ -27,7 +29,10 @@ from hypose.io.view_source import Preparer, ViewSource
 from hypose.json_text import parse_json
 
 Shown = Literal["none", "edge", "fill", "only"]
-_OPEN, _QUALITY = 3, 85
+_OPEN, _LENSES, _QUALITY = 128 << 20, 32 << 20, 85
+"""Bytes of what is kept open of all recordings, and of the maps that undistort the pictures of one."""
+_PER_PIXEL, _PER_LENS_PIXEL, _PER_WORKING_PIXEL = 40, 8, 30
+"""Bytes that an open video, such a map and a background hold per pixel, about."""
 _EDGE = (70, 60, 255)  # BGR; the same pink as in the report
 
 
@@ -37,7 +42,6 @@ class _Open:
     undistorts, by (view, width)."""
 
     recording: Recording
-    stamp: float
     lock: threading.Lock = field(default_factory=threading.Lock)
     images: dict[int, AnyFrame] = field(default_factory=dict)
     masks: dict[int, ViewSource] = field(default_factory=dict)
@@ -50,7 +54,7 @@ class _Open:
         if view not in self.images:
             self.images[view] = AnyFrame(v)
         if key not in self.lenses:
-            while len(self.lenses) > 4 * len(self.recording.views):
+            while self.lenses and self._of_lenses + _PER_LENS_PIXEL * math.prod(small.size) > _LENSES:
                 del self.lenses[next(iter(self.lenses))]
             self.lenses[key] = Preparer(self.recording.rig[view], small, v.image_shift)
         stored = self.images[view].read(frame)
@@ -58,7 +62,21 @@ class _Open:
             raise InputError(f"{v.name} has no frame {frame}.")
         return self.lenses[key](stored)
 
+    @property
+    def held(self) -> int:
+        """Bytes of memory that it holds, about."""
+        r = self.recording
+        videos = sum(math.prod(r.rig[v].size) for v in (*self.images, *self.masks))
+        working = 0 if self.backgrounds is None else sum(math.prod(c.size) for c in working_rig(r.rig))
+        return self._of_lenses + _PER_PIXEL * videos + _PER_WORKING_PIXEL * working
+
+    @property
+    def _of_lenses(self) -> int:
+        sizes = [(w, self.recording.rig[v].size) for v, w in list(self.lenses)]
+        return sum(round(_PER_LENS_PIXEL * w * w * size[1] / size[0]) for w, size in sizes)
+
     def close(self) -> None:
+        """Release the files."""
         with self.lock:
             for source in (*self.images.values(), *self.masks.values()):
                 source.close()
@@ -71,12 +89,12 @@ class Recordings:
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
-        self._lock = threading.Lock()
-        self._open: OrderedDict[str, _Open] = OrderedDict()
+        self._open: Kept[_Open] = Kept(_OPEN, lambda o: o.held, _Open.close)
 
     def load(self, item: Item) -> Recording:
         """The recording of an item; an InputError says what is wrong with it."""
-        return self._opened(item).recording
+        with self._opened(item) as opened:
+            return opened.recording
 
     def shown(self, item: Item, results: Sequence[str]) -> dict[str, Any]:
         """All there is to say about a recording; results: ids."""
@@ -118,7 +136,12 @@ class Recordings:
         self, item: Item, camera: str, frame: int, width: int, shown: Shown, settings: Mapping[str, str]
     ) -> bytes:
         """An undistorted picture as JPEG; with the mask that `settings` (over the recording's own) would give."""
-        opened = self._opened(item)
+        with self._opened(item) as opened:
+            return self._picture(opened, camera, frame, width, shown, settings)
+
+    def _picture(
+        self, opened: _Open, camera: str, frame: int, width: int, shown: Shown, settings: Mapping[str, str]
+    ) -> bytes:
         r = opened.recording
         view = r.rig.names.index(camera) if camera in r.rig.names else -1
         if view < 0:
@@ -152,27 +175,10 @@ class Recordings:
 
     def close(self) -> None:
         """Release the files."""
-        with self._lock:
-            for one in self._open.values():
-                one.close()
-            self._open.clear()
+        self._open.close()
 
-    def _opened(self, item: Item) -> _Open:
-        stamp = _stamp(item.path)
-        with self._lock:
-            known = self._open.get(item.id)
-            if known is not None and known.stamp == stamp:
-                self._open.move_to_end(item.id)
-                return known
-        made = _Open(load_recording(item.path), stamp)
-        with self._lock:
-            old = self._open.pop(item.id, None)
-            self._open[item.id] = made
-            closing = [o for o in (old,) if o is not None]
-            closing += [self._open.popitem(last=False)[1] for _ in range(len(self._open) - _OPEN)]
-        for one in closing:
-            one.close()
-        return made
+    def _opened(self, item: Item) -> AbstractContextManager[_Open]:
+        return self._open.use((item.id, _stamp(item.path)), lambda: _Open(load_recording(item.path)))
 
     @staticmethod
     def _mask(opened: _Open, view: int, frame: int, options: SilhouetteOptions) -> Mask:

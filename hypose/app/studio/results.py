@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +11,11 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from starlette.routing import Route
 
-from hypose.app.studio.answers import answer, body_of, told, whole
+from hypose.app.studio.answers import answer, body_of, told
+from hypose.app.studio.asked import digits
 from hypose.app.studio.catalog import Catalog, Item, NotFound
 from hypose.app.studio.jobs import Jobs
+from hypose.app.studio.kept import Kept
 from hypose.app.summary import DESCRIPTIONS
 from hypose.app.view_bundle import view_bundle
 from hypose.app.view_pictures import ViewPictures
@@ -23,8 +24,8 @@ from hypose.errors import HyposeError, InputError
 from hypose.io.recording import load_recording
 from hypose.io.results import load_motion
 
-_OPEN = 3
-"""Results whose pictures are kept open."""
+_BLOCKS, _PICTURES = 64 << 20, 128 << 20
+"""Bytes of blocks, and of open pictures, that are kept."""
 _UNTRUSTED = (
     "sandbox allow-scripts; default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src "
     "'unsafe-inline'; media-src data: blob:; worker-src blob:"
@@ -37,50 +38,34 @@ class Results:
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
-        self._lock = threading.Lock()
-        self._blocks: OrderedDict[tuple[str, float], bytes] = OrderedDict()
-        self._pictures: OrderedDict[tuple[str, float], ViewPictures] = OrderedDict()
-        self._heads: dict[tuple[str, float], dict[str, Any]] = {}
+        self._blocks: Kept[bytes] = Kept(_BLOCKS, len)
+        self._pictures: Kept[ViewPictures] = Kept(_PICTURES, lambda p: p.held, ViewPictures.close)
+        self._heads: dict[str, tuple[float, dict[str, Any]]] = {}
 
     def block(self, item: Item) -> bytes:
         """The whole result; made again when its files have changed."""
-        key = (item.id, _stamp(item.path))
-        with self._lock:
-            known = self._blocks.get(key)
-        if known is not None:
-            return known
-        made = view_bundle(load_view(item.path))
-        with self._lock:
-            self._blocks[key] = made
-            while len(self._blocks) > _OPEN:
-                self._blocks.popitem(last=False)
-        return made
+        with self._blocks.use((item.id, _stamp(item.path)), lambda: view_bundle(load_view(item.path))) as block:
+            return block
 
-    def pictures(self, item: Item) -> ViewPictures:
-        """The pictures of a result's recording; NotFound when it has none."""
-        key = (item.id, _stamp(item.path))
-        with self._lock:
-            if key in self._pictures:
-                self._pictures.move_to_end(key)
-                return self._pictures[key]
+    def pictures(self, item: Item) -> AbstractContextManager[ViewPictures]:
+        """The pictures of a result's recording, while they are used; NotFound when it has none."""
+
+        def make() -> ViewPictures:
             folder = self._catalog.recording_of(item.path)
             if folder is None:
                 raise NotFound("The result has no recording beside it, so there are no pictures of it.")
             motion = load_motion(item.path / "motion.npz")
             frames = motion.provenance.get("settings", {}).get("frames")
-            opened = ViewPictures(load_recording(folder), int(frames[0]) if frames else 0, len(motion))
-            self._pictures[key] = opened
-            old = [self._pictures.popitem(last=False)[1] for _ in range(len(self._pictures) - _OPEN)]
-        for one in old:
-            one.close()
-        return opened
+            return ViewPictures(load_recording(folder), int(frames[0]) if frames else 0, len(motion))
+
+        return self._pictures.use((item.id, _stamp(item.path)), make)
 
     def head(self, item: Item) -> dict[str, Any]:
         """What a list says of a result."""
-        key = (item.id, _stamp(item.path))
-        if key not in self._heads:
-            self._heads[key] = self._read_head(item)
-        return self._heads[key]
+        stamp = _stamp(item.path)
+        if self._heads.get(item.id, (None,))[0] != stamp:
+            self._heads[item.id] = stamp, self._read_head(item)
+        return self._heads[item.id][1]
 
     def _read_head(self, item: Item) -> dict[str, Any]:
         folder = self._catalog.recording_of(item.path)
@@ -107,10 +92,8 @@ class Results:
 
     def close(self) -> None:
         """Release the files."""
-        with self._lock:
-            for one in self._pictures.values():
-                one.close()
-            self._pictures.clear()
+        self._pictures.close()
+        self._blocks.close()
 
 
 def _stamp(folder: Path) -> float:
@@ -142,15 +125,25 @@ def routes(catalog: Catalog, results: Results, jobs: Jobs) -> list[Route]:
         return Response(data, media_type="application/octet-stream", headers={"Cache-Control": "no-store"})
 
     async def pictures(request: Request) -> Response:
-        item, row = item_of(request), whole(request.path_params["row"], "The row")
-        width = whole(request.query_params.get("width", "640"), "The width")
-        data = await run_in_threadpool(lambda: results.pictures(item).row(row, width))
+        item, row = item_of(request), digits(request.path_params["row"], "The row")
+        width = digits(request.query_params.get("width", "640"), "The width")
+
+        def of_row() -> bytes:
+            with results.pictures(item) as opened:
+                return opened.row(row, width)
+
+        data = await run_in_threadpool(of_row)
         # the same row of the same result stays what it is while a page is open
         return Response(data, media_type="application/octet-stream", headers={"Cache-Control": "private, max-age=60"})
 
     async def outlines(request: Request) -> Response:
-        item, row = item_of(request), whole(request.path_params["row"], "The row")
-        return answer({"views": await run_in_threadpool(lambda: results.pictures(item).outlines(row))})
+        item, row = item_of(request), digits(request.path_params["row"], "The row")
+
+        def of_row() -> list[list[list[float]]]:
+            with results.pictures(item) as opened:
+                return opened.outlines(row)
+
+        return answer({"views": await run_in_threadpool(of_row)})
 
     async def file(request: Request) -> Response:
         name = request.path_params["name"]

@@ -12,7 +12,8 @@ from starlette.responses import Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
-from hypose.app.studio.answers import answer, body_of, told, whole
+from hypose.app.studio.answers import answer, body_of, pieces_of, told
+from hypose.app.studio.asked import digits
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.jobs import Job, Jobs
 from hypose.app.studio.progress_view import block_so_far
@@ -58,7 +59,7 @@ def routes(
     async def upload(request: Request) -> Response:
         stated = request.headers.get("content-length")
         size = None if stated is None else whole_size(stated)
-        path = await uploads.receive(request.path_params["name"], request.stream(), size)
+        path = await uploads.receive(request.path_params["name"], pieces_of(request), size)
         return answer(await run_in_threadpool(uploads.examine, path), 201)
 
     async def forget(request: Request) -> Response:
@@ -90,7 +91,7 @@ def routes(
 
 def whole_size(text: str) -> int:
     """The bytes that a request says it has."""
-    return whole(text[-9:], "The length") + 10**9 * (whole(text[:-9], "The length") if len(text) > 9 else 0)
+    return digits(text[-9:], "The length") + 10**9 * (digits(text[:-9], "The length") if len(text) > 9 else 0)
 
 
 async def _tell(ws: WebSocket, jobs: Jobs) -> None:

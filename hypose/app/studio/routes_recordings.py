@@ -9,7 +9,8 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from hypose.app.studio.answers import answer, body_of, told, whole
+from hypose.app.studio.answers import answer, body_of, told
+from hypose.app.studio.asked import digits
 from hypose.app.studio.catalog import Catalog, Item, NotFound
 from hypose.app.studio.recordings import Recordings, Shown
 from hypose.app.studio.results import file_answer
@@ -33,8 +34,8 @@ def routes(catalog: Catalog, recordings: Recordings) -> list[Route]:
     async def picture(request: Request) -> Response:
         item, query = item_of(request), dict(request.query_params)
         query.pop("token", None)
-        frame = whole(request.path_params["frame"], "The frame")
-        width = whole(query.pop("width", "640"), "The width")
+        frame = digits(request.path_params["frame"], "The frame")
+        width = digits(query.pop("width", "640"), "The width")
         shown = query.pop("mask", "none")
         if shown not in _SHOWN:
             raise InputError(f"A mask cannot be shown as {shown[:20]!r}; choose {', '.join(_SHOWN)}.")

@@ -15,8 +15,10 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from hypose import __version__
+from hypose.app.door import Door, fold_logs
 from hypose.app.studio import clicks, fuse_socket, gesture_socket, results, routes_jobs, routes_recordings
 from hypose.app.studio.answers import answer, refusal, told
 from hypose.app.studio.catalog import Catalog
@@ -25,6 +27,7 @@ from hypose.app.studio.gesture_room import GestureRoom
 from hypose.app.studio.gesture_socket import models_shown, places, sessions_shown, sources_shown
 from hypose.app.studio.guard import Access, Guard
 from hypose.app.studio.jobs import Jobs
+from hypose.app.studio.kept import give_back_large_blocks
 from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.results import Results
 from hypose.app.studio.sockets import MAX_MESSAGE, Sockets
@@ -62,7 +65,8 @@ class Studio:
         self._routed = Starlette(
             routes=self._routes(), lifespan=self._lifespan, exception_handlers={Exception: _bug, 404: _nothing}
         )
-        self.app = Guard(self._routed, self.access)
+        self.door = Door()
+        self.app = Guard(self._routed, self.access, self.door)
 
     def _routes(self) -> list[BaseRoute]:
         return [
@@ -141,9 +145,13 @@ async def _nothing(request: Request, error: Exception) -> Response:
 
 
 def config(studio: Studio, host: str, port: int) -> uvicorn.Config:
-    """How the application is served: small messages only, nothing compressed (pictures are), no signature."""
-    return uvicorn.Config(
+    """How the application is served: through the door, small messages only, nothing compressed (pictures are), no
+    signature, and who comes is told by the connection alone."""
+    made = uvicorn.Config(
         studio.app,
+        http=studio.door.letting_in(H11Protocol),  # type: ignore[arg-type] - a class is called, as any factory
+        backlog=studio.door.backlog,
+        proxy_headers=False,
         host=host,
         port=port,
         log_level="warning",
@@ -156,6 +164,8 @@ def config(studio: Studio, host: str, port: int) -> uvicorn.Config:
         ws_ping_timeout=60,  # a page on a busy machine may be silent for long
         timeout_graceful_shutdown=2,
     )
+    fold_logs()
+    return made
 
 
 class _Server(uvicorn.Server):
@@ -183,6 +193,7 @@ def run(options: StudioOptions, ready: Callable[[str], None]) -> None:
     """Serve until Ctrl-C or SIGTERM; ready(address) is called when the page can be opened."""
     import socket
 
+    give_back_large_blocks()
     studio = Studio(options)
     with socket.socket(socket.AF_INET6 if ":" in options.host else socket.AF_INET) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -8,8 +8,8 @@ from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from hypose.app.studio.asked import object_of
 from hypose.errors import InputError
-from hypose.json_text import parse_json
 
 MAX_MESSAGE = 1 << 16
 """Bytes of a message from the page."""
@@ -46,12 +46,15 @@ def picture(kind: int, stream: int, seq: int, time: float, data: bytes) -> bytes
     return struct.pack("<BBHId", kind, stream, 0, seq & 0xFFFFFFFF, time) + data
 
 
-def message_of(text: str) -> dict[str, Any]:
-    """A message from the page; an InputError when it is none."""
-    try:
-        value = parse_json(text)
-    except (ValueError, RecursionError):
-        raise InputError("The message is no JSON.") from None
-    if not isinstance(value, dict) or not isinstance(value.get("t"), str):
-        raise InputError('The message is no object with a "t".')
-    return value
+async def hear(ws: WebSocket) -> dict[str, Any]:
+    """The next message of the page, an object whose "t" is a text; an InputError when it is no such thing,
+    WebSocketDisconnect when the page has gone."""
+    received = await ws.receive()
+    if received["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(received.get("code", 1005))
+    if received.get("text") is None:
+        raise InputError("The message is binary; send JSON as text.")
+    message = object_of(received["text"], "message")
+    if not isinstance(message.get("t"), str):
+        raise InputError('The message has no "t" that says what it is; send one.')
+    return message

@@ -58,8 +58,11 @@ def test_false_alarms_count_events_not_frames_of_movement():
     [
         ({"mode": "dance"}, "choose train or run"),
         ({"mode": "train"}, "no source"),
-        ({"mode": "train", "source": "simulated:0", "gesture": " "}, "no name"),
-        ({"mode": "train", "source": "simulated:0", "gesture": "tee", "rounds": 0}, "1 to 1000 rounds"),
+        ({"mode": "train", "source": "simulated:0", "gesture": " "}, "no name of the gesture"),
+        (
+            {"mode": "train", "source": "simulated:0", "gesture": "tee", "rounds": 0},
+            "rounds cannot be 0; give a whole number from 1 to 1000",
+        ),
         ({"mode": "train", "source": "simulated:0", "gesture": "tee", "seconds": {"positive": "x"}}, "positive"),
         ({"mode": "train", "source": "simulated:0", "gesture": "tee", "seed": -1}, "whole number"),
         ({"mode": "run", "source": "simulated:0", "models": []}, "teach one first"),
@@ -84,7 +87,7 @@ def test_what_a_page_changes_is_kept_within_bounds():
     ):
         with pytest.raises(InputError):
             change(controls, message, (640, 480))
-    with pytest.raises(InputError, match="the commands are"):
+    with pytest.raises(InputError, match="no command .format.; choose next, undo"):
         read_command({"command": "format"})
 
 

@@ -1,0 +1,94 @@
+"""What the studio keeps because it is dear to make: bounded in bytes, not in number, and let go when nobody asks."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterator
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+IDLE_S = 300.0
+"""s after which what nobody has asked for is let go."""
+_MMAP_THRESHOLD = -3  # of glibc's mallopt
+V = TypeVar("V")
+
+
+@dataclass
+class _Entry(Generic[V]):
+    value: V
+    users: int = 0
+    used: float = 0.0
+
+
+class Kept(Generic[V]):
+    """Values by key, for several threads. most: bytes of all together, as weigh(value) tells them; beyond, those that
+    were not used for longest are let go, but never one that is being used. let_go(value) releases it; idle_s: after
+    this time without use it is called anyway."""
+
+    def __init__(
+        self,
+        most: int,
+        weigh: Callable[[V], int],
+        let_go: Callable[[V], None] = lambda value: None,
+        idle_s: float = IDLE_S,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._most, self._weigh, self._let_go, self._idle_s, self._clock = most, weigh, let_go, idle_s, clock
+        self._lock = threading.RLock()
+        self._entries: OrderedDict[Hashable, _Entry[V]] = OrderedDict()
+        self._timer: threading.Timer | None = None
+
+    @contextlib.contextmanager
+    def use(self, key: Hashable, make: Callable[[], V]) -> Iterator[V]:
+        """The value of a key, made when it is not there; it stays while the block runs."""
+        with self._lock:
+            entry = self._entries.get(key)
+            if entry is None:
+                entry = self._entries[key] = _Entry(make())
+            entry.users += 1
+            self._entries.move_to_end(key)
+        try:
+            yield entry.value
+        finally:
+            with self._lock:
+                entry.users -= 1
+                entry.used = self._clock()
+                self.tidy()
+
+    def tidy(self) -> None:
+        """Let go of what is too much, and of what has not been used for long."""
+        with self._lock:
+            total = sum(self._weigh(e.value) for e in self._entries.values())
+            for key, entry in [(k, e) for k, e in self._entries.items() if not e.users]:
+                if total > self._most or self._clock() - entry.used >= self._idle_s:
+                    total -= self._weigh(entry.value)
+                    self._let_go(self._entries.pop(key).value)
+            if self._entries and (self._timer is None or not self._timer.is_alive()):
+                self._timer = threading.Timer(self._idle_s, self._tidy_later)
+                self._timer.daemon = True
+                self._timer.start()
+
+    def close(self) -> None:
+        """Let go of everything."""
+        with self._lock:
+            if self._timer is not None:
+                self._timer.cancel()
+            while self._entries:
+                self._let_go(self._entries.popitem()[1].value)
+
+    def _tidy_later(self) -> None:
+        with self._lock:
+            self._timer = None
+            self.tidy()
+
+
+def give_back_large_blocks() -> None:
+    """From now on memory of 1 MB and more goes back to the system when it is freed. glibc otherwise comes to keep
+    blocks of up to 32 MB for reuse, in every thread's arena, which for a server that decodes a picture now and then is
+    several times what it needs. Elsewhere nothing changes."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL("libc.so.6").mallopt(_MMAP_THRESHOLD, 1 << 20)

@@ -1,0 +1,284 @@
+"""What somebody else's program may send to the studio: it is answered with a sentence, and no log grows."""
+
+import json
+import logging
+import socket
+import threading
+import tracemalloc
+
+import pytest
+from websockets.exceptions import ConnectionClosed
+
+from hypose.app.studio.asked import choice, digits, number, object_of, text, whole
+from hypose.app.studio.kept import Kept
+from hypose.errors import InputError
+from tests.app.studio.conftest import serving
+
+LOGGERS = ("asyncio", "uvicorn.error", "websockets.server")
+
+
+@pytest.fixture
+def log():
+    """The lines that the servers' libraries write."""
+    lines = []
+
+    class Keep(logging.Handler):
+        def emit(self, record):
+            lines.append(self.format(record))
+
+    keep = Keep()
+    for name in LOGGERS:
+        logging.getLogger(name).addHandler(keep)
+    yield lines
+    for name in LOGGERS:
+        logging.getLogger(name).removeHandler(keep)
+
+
+def raw(port, data, seconds=30):
+    """What the server answers to these bytes until it ends the connection or has said a whole head."""
+    with socket.create_connection(("127.0.0.1", port), timeout=seconds) as s:
+        s.sendall(data)
+        got = b""
+        while b"\r\n\r\n" not in got and (more := s.recv(65536)):
+            got += more
+    return got
+
+
+def test_silent_connections_of_others_keep_nobody_out(served, log):
+    with serving(served, host="0.0.0.0", token="secret-token") as client:
+        held = []
+        try:
+            for n in range(400):
+                s = socket.create_connection(("127.0.0.1", client.port), timeout=30)
+                s.sendall((b"", b"GET / HTT", b"GET /api/state HTTP/1.1\r\nHost: x\r\n")[n % 3])
+                held.append(s)
+                if n % 50 == 0:
+                    assert client.ask("/api/state?token=secret-token")[0] == 200
+            with client.socket("/ws/jobs?token=secret-token") as ws:
+                assert json.loads(ws.recv(30))["t"] == "jobs"
+                for _ in range(200):
+                    held.append(socket.create_connection(("127.0.0.1", client.port), timeout=30))
+                assert client.ask("/api/state?token=secret-token")[0] == 200
+                assert ws.ping().wait(30)  # the page stays though so many came after it
+            assert len(client.studio.door) <= 140
+        finally:
+            for s in held:
+                s.close()
+    assert log == []
+
+
+def test_requests_that_are_none_are_answered_and_logged_once(studio, log):
+    head = f"Host: 127.0.0.1:{studio.port}\r\nConnection: close\r\n\r\n".encode()
+    for target in (
+        b"//[/in",
+        b"/static/%00",
+        b"/%ff%fe",
+        b"/api/results/%00/view",
+        b"/api/jobs/\\",
+        b"*",
+        b"http://[/",
+    ):
+        status = int(raw(studio.port, b"GET " + target + b" HTTP/1.1\r\n" + head).split()[1])
+        assert 400 <= status < 500 or (status == 200 and target == b"*"), (target, status)
+    for data in (b"\x16\x03\x01\x02\x00\r\n\r\n", b"GET\r\n\r\n", b"A" * 70_000 + b"\r\n\r\n") * 20:
+        assert raw(studio.port, data).startswith(b"HTTP/1.1 400") or data.startswith(b"A")
+    assert not any("Traceback" in line for line in log) and len(log) <= 3
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        *(
+            "close_px=100000",
+            "open_px=99999",
+            "hole_px=99999999999999999999",
+            "rim_px=100000&grabcut=1",
+            "min_sd=1e308",
+        ),
+        *("threshold=nan", "threshold=1e308", "shadow_chroma=1e308", "keep_gap=inf", "shadow_range=0.1,1e308"),
+        *("method=mog2&threshold=1e200", "method=mog2&min_sd=1e300", "close_px=" + "9" * 5000, "width=99999999999"),
+        "keep_gap=1e308",
+    ],
+)
+def test_a_mask_setting_out_of_all_bounds_is_a_sentence(studio, query):
+    id = studio.get("/api/state")["recordings"][0]["id"]
+    answer = studio.get(f"/api/recordings/{id}/image/cam1/0.jpg?mask=edge&{query}", status=400)
+    assert answer["error"].endswith(".") and len(answer["error"]) < 400
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        '{"views": [{"camera": "cam1", "points": [{"joint": "neck", "x": 1e999, "y": 1}]}], "frame": 0}',
+        '{"views": [{"camera": ["cam1"], "points": []}], "frame": 0}',
+        '{"views": [{"camera": "cam1", "points": [[]]}], "frame": 0}',
+        '{"views": [], "frame": 1e999}',
+        '{"frame": ' + "9" * 400 + "}",
+        '{"views": [{"camera": "cam1", "points": [{"joint": "\\ud800", "x": 1, "y": 1}]}], "frame": 0}',
+        '{"height": NaN, "frame": 0, "views": ' + "[" * 30 + "]" * 30 + "}",
+        '{"a": ' * 900 + "1" + "}" * 900,
+        '{"start": [1e999], "frame": 0}',
+    ],
+)
+def test_a_body_that_means_nothing_is_a_sentence(studio, body):
+    id = studio.get("/api/state")["recordings"][0]["id"]
+    body = f'{{"recording": "{id}", ' + body[1:] if not body.startswith('{"a"') else body
+    got, _, answer = studio.ask("/api/fit-clicks", data=body.encode())
+    assert got == 400 and json.loads(answer)["error"].endswith(".")
+
+
+@pytest.mark.parametrize("path", ["/ws/gesture", "/ws/fuse", "/ws/jobs"])
+def test_any_frame_is_answered_or_ends_the_connection(studio, log, path):
+    with studio.socket(path) as ws:
+        ws.recv(30)
+        if path != "/ws/jobs":  # there a page has nothing to say, and nothing is listened to
+            for said in (
+                b"\x00\xff",
+                '{"t": "ack", "seq": [1]}' if "gesture" in path else '{"t": "start", "udp": [1]}',
+                '{"t": "start", "mode": "train", "source": "simulated:\u00b2", "gesture": "tee", "rate": 0}',
+                '{"t": "start", "mode": ["train"], "rate": 1e999}',
+                '{"t": "\\ud800"}',
+                '{"t": "box", "x": ' + "[" * 500 + "]" * 500 + "}",
+            ):
+                ws.send(said)
+                answer = json.loads(ws.recv(30))
+                assert answer["t"] == "error" and answer["error"].endswith("."), answer
+        ws.send([b"\x00", b"", b"\xff"])
+        ws.send(["half", " of ", "it"])
+    with studio.socket(path) as ws:
+        ws.recv(30)
+        with pytest.raises(ConnectionClosed) as closed:
+            ws.send(b"\xff\xfe", text=True)
+            while True:
+                ws.recv(30)
+        assert closed.value.rcvd.code == 1007
+    assert not any("Traceback" in line for line in log)
+
+
+def test_a_body_that_does_not_come_is_not_waited_for(studio, monkeypatch):
+    monkeypatch.setattr("hypose.app.studio.answers._BODY_S", 0.05)
+    head = f"POST /api/jobs HTTP/1.1\r\nHost: 127.0.0.1:{studio.port}\r\nContent-Length: 100\r\n\r\n{{".encode()
+    assert raw(studio.port, head).startswith(b"HTTP/1.1 408")
+
+
+def test_two_pages_that_start_the_fusion_at_once_start_one(own_studio):
+    with own_studio.socket("/ws/fuse") as one, own_studio.socket("/ws/fuse") as other:
+        for ws in (one, other):
+            ws.recv(30)
+        for ws in (one, other):
+            ws.send('{"t": "start", "udp": 0, "ws": 0}')
+        heard = [json.loads(ws.recv(60)) for ws in (one, other) for _ in range(1)]
+        assert sum(m["t"] == "error" for m in heard) <= 1
+        running = own_studio.studio.fusion.hello()["running"]
+        assert running and all(m["running"] == running for m in heard if m["t"] == "hello" and m["running"])
+        one.send('{"t": "stop"}')
+        while json.loads(one.recv(60)).get("running") is not False:
+            pass
+
+
+# ---- fields ----
+
+
+def test_fields_have_types_and_ranges():
+    assert number(3, "x", 0, 5) == 3.0 and whole(0, "n", 0, 1) == 0 and digits("007", "n") == 7
+    assert choice("b", "letter", ("a", "b")) == "b" and text(" x ", "name", 9, "give one") == " x "
+    for bad in (True, None, "3", [3], float("nan"), float("inf"), -1, 6, 1e308):
+        with pytest.raises(InputError, match=r"^[A-Z].*give .*\.$"):
+            number(bad, "the x", 0, 5)
+        with pytest.raises(InputError, match=r"^The n cannot be .*; give a whole number from 0 to 5\.$"):
+            whole(bad, "the n", 0, 5)
+    for bad in ("", "-1", "1.0", "²", "٣", "1" * 10, " 1"):
+        with pytest.raises(InputError, match="whole number"):
+            digits(bad, "the frame")
+    for bad in (None, "c", ["a"], "a" * 1000):
+        with pytest.raises(InputError, match=r"choose a or b\.$") as error:
+            choice(bad, "letter", ("a", "b"))
+        assert len(str(error.value)) < 100
+    for bad in (None, " ", 3, "x" * 10):
+        with pytest.raises(InputError):
+            text(bad, "name", 9, "give one")
+
+
+def test_objects_are_flat_and_their_texts_are_texts():
+    assert object_of('{"a": ["\\ud83d\\ude00", {"b": 1}]}', "message") == {"a": ["😀", {"b": 1}]}
+    for bad in (
+        "",
+        "[]",
+        '{"a": "\\udc80"}',
+        '{"\\ud800": 1}',
+        '{"a": ' + "[" * 20 + "]" * 20 + "}",
+        b"\xff",
+        "{" * 9999,
+    ):
+        with pytest.raises(InputError, match=r"^The message .*\.$"):
+            object_of(bad, "message")
+
+
+# ---- what is kept ----
+
+
+def test_what_is_kept_is_bounded_in_bytes():
+    gone, now = [], [0.0]
+    kept = Kept(100, len, gone.append, idle_s=60, clock=lambda: now[0])
+
+    def used(size):
+        with kept.use(size, lambda: bytes(size)) as value:
+            return value
+
+    first = used(60)
+    assert used(60) is first and gone == []
+    used(50)
+    assert gone == [first]  # 110 bytes are too many; what was used longest ago goes
+    with kept.use(30, lambda: bytes(30)):
+        used(90)
+        assert sorted(map(len, gone)) == [50, 60, 90]  # never what is in use, though it is too much
+    used(101)
+    assert sorted(map(len, gone)) == [30, 50, 60, 90, 101]
+    used(10)
+    now[0] = 59.0
+    used(20)
+    now[0] = 61.0
+    kept.tidy()
+    assert len(gone) == 6 and len(gone[-1]) == 10
+    kept.close()
+    assert len(gone[-1]) == 20
+
+
+def test_what_is_made_at_once_by_many_is_made_once():
+    made, kept = [], Kept(100, len)
+    barrier = threading.Barrier(8)
+
+    def ask():
+        barrier.wait()
+        with kept.use("block", lambda: made.append(1) or bytes(10)):
+            pass
+
+    threads = [threading.Thread(target=ask) for _ in range(8)]
+    for t in threads:
+        t.start()
+    for t in threads:
+        t.join()
+    assert len(made) == 1
+    kept.close()
+
+
+def test_looking_at_results_again_and_again_needs_no_more_memory(studio):
+    id = studio.get("/api/state")["results"][0]["id"]
+
+    def look():
+        assert studio.ask(f"/api/results/{id}/view")[0] == 200
+        for row in range(8):
+            for width in (320, 640):
+                assert studio.ask(f"/api/results/{id}/pictures/{row}?width={width}")[0] == 200
+        assert studio.ask(f"/api/results/{id}/outlines/3")[0] == 200
+
+    look()
+    tracemalloc.start()
+    try:
+        look()
+        before = tracemalloc.get_traced_memory()[0]
+        for _ in range(3):
+            look()
+        assert tracemalloc.get_traced_memory()[0] - before < 4 << 20
+    finally:
+        tracemalloc.stop()
