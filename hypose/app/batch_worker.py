@@ -37,7 +37,7 @@ def run_task(task: Task, stop: Path, report: Report) -> dict[str, Any]:
     An input that cannot be used gives state "failed", as a second attempt would; any other exception is the caller's.
     """
     from hypose.app.job import run_job
-    from hypose.app.report import summarize
+    from hypose.app.summary import require_found, summarize
     from hypose.app.sweep import job_of
 
     known = finished(task)
@@ -57,6 +57,10 @@ def run_task(task: Task, stop: Path, report: Report) -> dict[str, Any]:
     if not outcome.complete:
         kept = f"{len(outcome.motion)} of {task.frames} frames are kept"
         return {"key": task.key, "state": "stopped", "message": kept}
+    try:
+        require_found(outcome.motion, task.recording, job.results.path)
+    except HyposeError as error:
+        return {"key": task.key, "state": "failed", "message": str(error)}
     s = summarize(outcome.motion)
     figures = {
         "key": task.key,

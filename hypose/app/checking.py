@@ -14,7 +14,7 @@ from hypose.app.check_page import residual_picture, write_page
 from hypose.app.console import ProgressCall, ignore
 from hypose.app.pictures import Drawing, Image, draw_all, layout, open_images
 from hypose.calibration.doctor import Cured, Report, examine_and_cure
-from hypose.errors import EvidenceError
+from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.hull import hull_iou, visual_hull
 from hypose.io.files import write_text
@@ -90,7 +90,8 @@ def _stream_facts(view: View) -> tuple[str, str, str]:
 
 
 def check_recording(recording: Recording, sheet: Path, samples: int, progress: ProgressCall = ignore) -> Findings:
-    """Masks and visual hulls of `samples` frames spread over the recording; writes the contact sheet."""
+    """Masks and visual hulls of `samples` frames spread over the recording; writes the contact sheet. An EvidenceError
+    when nobody is in any of them."""
     facts: list[str] = []
     warnings: list[str] = []
     progress("background", 0, 1)
@@ -98,13 +99,17 @@ def check_recording(recording: Recording, sheet: Path, samples: int, progress: P
         progress("background", 1, 1)
         facts += [f"note: {text}" for text in source.notes]
         rows = np.unique(np.linspace(0, len(source) - 1, min(samples, len(source))).astype(int)).tolist()
-        ious, heights = [], []
+        ious, heights, shown, why = [], [], _points_seen(source), ""
         for done, row in enumerate(rows):
             progress("check", done, len(rows))
             frame = source.frame(row)
             if frame.silhouettes is None:
                 continue
+            shown = shown or bool(frame.silhouettes.usable.any())
+            why = why or next((r.rstrip(".") for r in frame.silhouettes.reasons if r), "")
             warnings += _mask_warnings(frame.silhouettes, frame.index)
+            if len(recording.views) == 1:
+                continue
             found = _hull_facts(frame.silhouettes, frame.index, facts, warnings)
             if found is not None:
                 heights.append(found[0])
@@ -114,6 +119,13 @@ def check_recording(recording: Recording, sheet: Path, samples: int, progress: P
             warnings += _hull_warnings(recording, np.array(heights), np.array(ious))
         facts += _keypoint_facts(source)
         write_sheet(recording, source, sheet, min(len(rows), 3))
+    if not shown:
+        raise EvidenceError(
+            f"{recording.name}: nobody is seen in any of {len(rows)} frames ({why or 'no evidence'}), so there "
+            f"is nothing to check; see whether masks and backgrounds belong to this recording (contact sheet: {sheet})."
+        )
+    if len(recording.views) == 1:
+        facts.append("There is one camera, so that no views can be compared; look at its masks in the contact sheet.")
     return Findings(tuple(facts), tuple(dict.fromkeys(warnings)))
 
 
@@ -214,6 +226,11 @@ def _hull_warnings(recording: Recording, heights: np.ndarray, ious: np.ndarray) 
     return out
 
 
+def _points_seen(source: FrameStream) -> bool:
+    """Whether any key point was found in any frame."""
+    return source.keypoints is not None and any(bool((k.points[..., 2] > 0).any()) for k in source.keypoints)
+
+
 def _keypoint_facts(source: FrameStream) -> list[str]:
     if source.keypoints is None:
         return []
@@ -249,8 +266,16 @@ def _stack(pictures: Sequence[Image]) -> Image:
     return np.asarray(picture, np.uint8)
 
 
+def check_picture(path: Path, option: str) -> None:
+    """An InputError when `path`, given with an option, cannot be the name of a picture; before any work."""
+    if path.is_dir():
+        raise InputError(f"{option} {path} is a folder; name the picture to write, for example {path / 'check.png'}.")
+    if path.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+        raise InputError(f"{option} {path} is no name for a picture; give one that ends in .png or .jpg.")
+
+
 def write_image(path: Path, image: Image) -> None:
-    """Write a PNG or JPEG whole or not at all."""
+    """Write a PNG or JPEG (`check_picture`) whole or not at all."""
     data = cv2.imencode(path.suffix, image)[1].tobytes()
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)

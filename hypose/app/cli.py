@@ -140,9 +140,7 @@ def _refused(error: OSError) -> str:
     what = "The system" if error.filename is None else os.fsdecode(error.filename)
     if error.errno in (*FULL, errno.EFBIG, errno.EROFS):
         return cannot_write(Path(what), error)
-    return (
-        f"{what}: {reason}; look whether it is there and you may read and write it, and run the same command again."
-    )
+    return f"{what}: {reason}; look whether it is there and you may read and write it, and run the same command again."
 
 
 def _read_names_as_utf8() -> None:

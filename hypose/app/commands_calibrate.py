@@ -84,8 +84,11 @@ def calibrate(
     elif points is not None:
         rig = _from_points(points, intrinsics)
     else:
+        from hypose.app.checking import check_picture
+
         board = parse_board(chessboard, charuco, square, marker, dictionary, inverted, legacy)
         picture = sheet or target.with_suffix(".png")
+        check_picture(picture, "--sheet")
         rig = _from_boards(
             list(sources or []), board, intrinsics, refine_lenses, fisheye, floor, lag or [], frames, picture
         )
@@ -257,7 +260,5 @@ def _write_sheet(views: Sequence[CameraViews], board: Board, result: BoardCalibr
     from hypose.app.calibration_sheet import draw_sheet
     from hypose.app.checking import write_image
 
-    if path.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-        raise InputError(f"The contact sheet {path} must end in .png or .jpg.")
     write_image(path, draw_sheet(views, board, result))
     return path

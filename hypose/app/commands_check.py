@@ -57,7 +57,7 @@ def check(
 
     Exit code 0: fine, or refined; 1: something is wrong.
     """
-    from hypose.app.checking import camera_table, check_recording, examine_recording, write_findings
+    from hypose.app.checking import camera_table, check_picture, check_recording, examine_recording, write_findings
     from hypose.io.recording import load_recording
     from hypose.io.results import check_writable
 
@@ -65,6 +65,8 @@ def check(
         raise InputError(f"--from {using} is not possible; choose auto, keypoints, silhouettes or both.")
     if to is not None and to.exists():
         raise InputError(f"{to} exists, and calibrations are never overwritten; give another name with --to.")
+    if sheet is not None:
+        check_picture(sheet, "--out")
     loaded = load_recording(recording, calibration)
     for name in keep or []:
         loaded.rig.select([name])

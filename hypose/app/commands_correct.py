@@ -27,6 +27,7 @@ def correct(
     set_threads(threads)
     from hypose.app.correct import correct as track_again
     from hypose.app.correct import read_correction
+    from hypose.app.summary import require_found
     from hypose.app.view_result import find_recording
     from hypose.io.claims import claimed
     from hypose.io.results import ResultsFolder
@@ -43,3 +44,4 @@ def correct(
         )
     say(f"Frames {correction.frame} and after tracked again, {int(motion.lost.sum())} of {len(motion)} frames lost.")
     say(f"Results: {folder.path}")
+    require_found(motion, recording.name, folder.path)

@@ -10,7 +10,7 @@ import typer
 from hypose.app.commands_track import set_threads
 from hypose.app.console import Stages, note, say
 from hypose.app.options import Seconds, Seed, Threads, number
-from hypose.errors import InputError
+from hypose.errors import EvidenceError, InputError
 
 
 def silhouettes(
@@ -36,7 +36,7 @@ def silhouettes(
         with FrameStream(loaded) as source:
             progress("background", 1, 1)
             try:
-                write_masks(source, target, lambda done, total: progress("masks", done, total))
+                shown = write_masks(source, target, lambda done, total: progress("masks", done, total))
             except KeyboardInterrupt:
                 say(f"Stopped; the masks written until then are in {target}.")
                 raise typer.Exit(130) from None
@@ -46,6 +46,11 @@ def silhouettes(
         note(f"note: {text}")
     say(f"Masks: {target} (0 and 255, undistorted, one folder per view)")
     say(f"Contact sheet: {target / 'sheet.jpg'}")
+    if not shown:
+        raise EvidenceError(
+            f"{loaded.name}: no picture shows anybody, so all masks are empty; look at notes and contact sheet, and "
+            "see whether the background of each view is the empty room from the same place."
+        )
     say('To use them, corrected by hand perhaps, give each view in recording.toml: masks = "FOLDER/VIEW"')
 
 

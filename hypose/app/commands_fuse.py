@@ -93,6 +93,7 @@ def fuse(
     if recording is None:
         raise InputError("There is nothing to fuse; give a recording of skeletons, or --live.")
     from hypose.app.fuse_job import FuseJob, run_fuse
+    from hypose.app.summary import require_found
     from hypose.io.claims import claimed
     from hypose.io.file_names import file_name
     from hypose.io.results import ResultsFolder
@@ -127,6 +128,8 @@ def fuse(
     _closing(outcome, loaded.name, len(loaded.streams), results.path)
     if not outcome.complete:
         raise typer.Exit(130)
+    if all(p.motion.lost.all() for p in outcome.people):
+        require_found(outcome.people[0].motion, loaded.name, results.path)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

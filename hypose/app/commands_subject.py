@@ -50,7 +50,7 @@ def subject(
         _from_mesh(mesh, unit, height, out or mesh.with_name("subject"))
         return
     assert recording is not None
-    from hypose.app.job import choose_frames
+    from hypose.app.job import check_views, choose_frames
     from hypose.body.models import human
     from hypose.io.claims import claimed
     from hypose.io.frames import FrameStream
@@ -61,6 +61,7 @@ def subject(
     if start != "hull" and start not in KNOWN_POSES:
         raise InputError(f"There is no start {start!r}; the starts are hull, {', '.join(KNOWN_POSES)}.")
     loaded = choose_frames(load_recording(recording), frames)
+    check_views(loaded)
     options = AnthropometryOptions(
         frames=poses,
         tracked=max(36, 3 * poses),

@@ -184,7 +184,7 @@ def _stopped(job: Job, arguments: list[str]) -> None:
 
 def report_outcome(job: Job, finished: tuple[Outcome, dict[str, float]]) -> None:
     """The closing lines."""
-    from hypose.app.summary import summarize
+    from hypose.app.summary import require_found, summarize
 
     outcome, seconds = finished
     s = summarize(outcome.motion)
@@ -202,6 +202,7 @@ def report_outcome(job: Job, finished: tuple[Outcome, dict[str, float]]) -> None
         say(f"Mean joint error: {outcome.truth.mean_mm:.1f} mm over {len(outcome.truth.names)} joints", "bold")
     say(f"Results: {job.results.path}")
     say(f"Report:  {job.results.file('report.html')}")
+    require_found(outcome.motion, job.recording.name, job.results.path)
 
 
 def split_names(text: str) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from hypose.app.gesture_sources import Source, Taken
 from hypose.compute.forests import ScanPlan
-from hypose.errors import InputError
+from hypose.errors import EvidenceError, InputError
 from hypose.evaluation.gesture_metrics import average_precision
 from hypose.gestures.events import Event, EventSettings, EventState, step
 from hypose.gestures.forest import Forest, ForestSettings, GrowingForest
@@ -255,18 +255,25 @@ def watch(
     limits: Sequence[EventSettings],
     say: Say = lambda text: None,
 ) -> Iterator[Watched]:
-    """Look for the gestures of all models in every frame of a source; say: takes a sentence when nothing is near."""
-    forests, plan, empty = finished(models), settings.plan, 0
+    """Look for the gestures of all models in every frame of a source; say: takes a sentence when nothing is near. An
+    EvidenceError at the end of a source in which nothing ever was."""
+    forests, plan, empty, near = finished(models), settings.plan, 0, False
     scratch, state = Scratch(), EventState()
     try:
         while (taken := source.take("free")) is not None:
             some = taken.depth[::8, ::8]
             empty = 0 if ((some >= plan.near_mm) & (some <= plan.far_mm)).any() else empty + 1
+            near = near or not empty
             if empty == EMPTY:
                 say(f"{source.name}: {EMPTY} frames have no depth {_range(plan)}, where gestures are looked for.")
             found = localise(taken.depth, source.lens, forests, settings, scratch)
             state, events = step(state, found, taken.time, limits)
             yield Watched(taken.time, found, events)
+        if not near:
+            raise EvidenceError(
+                f"{source.name}: no frame has depth {_range(plan)}, where gestures are looked for; come nearer, or see "
+                "whether its depth is in millimetres."
+            )
     finally:
         source.close()
 

@@ -85,6 +85,16 @@ def choose_frames(recording: Recording, text: str | None) -> Recording:
     return replace(recording, frame_range=(a, b))
 
 
+def check_views(recording: Recording) -> None:
+    """An InputError for a recording of one camera, which the methods for several can do nothing with."""
+    if len(recording.views) == 1:
+        name = recording.views[0].name
+        raise InputError(
+            f"{recording.name} has one camera, {name}, and this needs two or more; track one with --method monocular "
+            f"--camera {name}, or add the others as [[view]] in recording.toml."
+        )
+
+
 def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, float] | None = None) -> Outcome:
     """Track, export, draw and report. seconds: filled by the progress while this runs, read for the report.
 
@@ -96,6 +106,7 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
         from hypose.app.mono_job import run_mono_job
 
         return run_mono_job(job, options, progress, seconds)
+    check_views(recording)
     _check_choices(job, options)
     check_writable(results.path)
     record = record_of(job)

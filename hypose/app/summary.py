@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from hypose.body.body import Body
 from hypose.body.motion import Motion
+from hypose.errors import EvidenceError
 
 DESCRIPTIONS = {
     "motion.npz": "poses, joints, uncertainty and flags (numpy; metres, radians, seconds; world z up)",
@@ -52,6 +54,16 @@ def summarize(motion: Motion) -> Summary:
         float(iou.mean()) if len(iou) else float("nan"),
         float(iou.min()) if len(iou) else float("nan"),
         float(np.median(sd)) * 1000 if len(sd) else float("nan"),
+    )
+
+
+def require_found(motion: Motion, name: str, kept: Path) -> None:
+    """An EvidenceError when the person was found in no frame of a motion, whose files lie in `kept`."""
+    if not (motion.lost | motion.extrapolated).all():
+        return
+    raise EvidenceError(
+        f"{name}: the person was found in none of {len(motion)} frames; {kept} keeps what was guessed, every frame "
+        "marked. Look at the evidence (`hypose check` for cameras), and begin with frames that show the person."
     )
 
 

@@ -107,6 +107,11 @@ class Refused:
 
 def read_sweep(path: Path) -> Sweep:
     """The sweep of a TOML file; an InputError names the file, the key and what is allowed."""
+    if path.is_dir():
+        raise InputError(
+            f"{path} is a folder without a recording of its own; for all recordings in it write a file with the line "
+            f'recordings = ["{path.name or "."}/*"] beside it, and give that (docs/batch.md).'
+        )
     if not path.is_file():
         raise InputError(f"{path} does not exist; give a sweep file (TOML), see docs/batch.md.")
     table = read_toml(path)

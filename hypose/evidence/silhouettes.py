@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import cv2
 import numpy as np
@@ -35,6 +35,8 @@ _RANGES = {
     "rim_px": (1, 100),
 }
 """What numbers an option may have: beyond, nothing is left of a mask, or it takes minutes to make."""
+_TWO_VALUED, _LABELS = 48, 32
+"""Grey level from which the brighter of two values is no noise; the most labels that a picture of labels has."""
 
 
 class Segmenter(Protocol):
@@ -266,11 +268,11 @@ def refine_rim(image: Image, mask: Mask, rim_px: int = 3, band: Mask | None = No
 
 
 def as_mask(image: ArrayLike, source: str = "The mask image") -> Mask:
-    """Mask (h, w) of an image from elsewhere: grey, colour or with alpha, 0/1, 0-255 or 16 bit, cut at
-    half its range.
+    """Mask (h, w) of an image from elsewhere: grey, colour (by its brightest channel) or with alpha, 8 or 16 bit.
 
-    An image with two values is cut between them, so 0/1 masks work; a colour image counts by its brightest
-    channel.
+    Cut at half its range. Where nothing reaches that, zero and one other value (0/1, 0/127) are cut between them, as
+    are two values with little between (0/127 from a video); a few values are a picture of labels, an InputError unless
+    there is one.
     """
     a = np.asarray(image)
     if a.ndim == 3 and a.shape[2] in (1, 3, 4):
@@ -280,10 +282,27 @@ def as_mask(image: ArrayLike, source: str = "The mask image") -> Mask:
     if a.dtype == np.bool_:
         return a.astype(np.uint8)
     if not np.issubdtype(a.dtype, np.integer):
-        top = 1.0
-    else:
-        top = 1 if int(a.max(initial=0)) <= 1 else np.iinfo(a.dtype).max
-    return (a > 0.5 * top).astype(np.uint8)
+        return (a > 0.5).astype(np.uint8)
+    top, half = int(a.max(initial=0)), 0.5 * np.iinfo(a.dtype).max
+    return (a > (half if top > half else _dim_level(a, top, half, source))).astype(np.uint8)
+
+
+def _dim_level(a: NDArray[Any], top: int, half: float, source: str) -> float:
+    """Where to cut an image (h, w) with nothing above half its range."""
+    levels = np.unique(a[a > 0])
+    if len(levels) < 2:
+        return 0.5
+    bright = int((a > 0.25 * top).sum())
+    between = bright - int((a > 0.75 * top).sum())
+    if top >= _TWO_VALUED and between < 0.1 * bright:
+        return 0.5 * top
+    if len(levels) <= _LABELS:
+        shown = ", ".join(str(v) for v in levels[:4]) + (", ..." if len(levels) > 4 else "")
+        raise InputError(
+            f"{source} holds the labels {shown}, and which of them is the person is not known; write masks of the "
+            "person alone (0 and 255)."
+        )
+    return half  # faint grey, as of a picture in which nobody was found
 
 
 def flag_collapsed(

@@ -444,9 +444,9 @@ class FrameStream:
         return _PackedMask(np.packbits(mask, axis=1), mask.shape, cv2.countNonZero(mask), reason)
 
 
-def write_masks(stream: FrameStream, folder: str | Path, progress: Callable[[int, int], None] | None = None) -> Path:
+def write_masks(stream: FrameStream, folder: str | Path, progress: Callable[[int, int], None] | None = None) -> int:
     """Write the stream's masks as PNG (0/255), undistorted, at working size: folder/VIEW/FRAME.png;
-    returns folder.
+    returns how many of them show something.
 
     A note beside them says that they are undistorted, so that a recording whose view names such a folder
     as `masks` reads them back exactly. progress(done, total) is called after every frame.
@@ -455,6 +455,7 @@ def write_masks(stream: FrameStream, folder: str | Path, progress: Callable[[int
     views = [folder_for(folder, v.name) for v in stream.recording.views]
     for path, camera in zip(views, stream.rig, strict=True):
         write_text(path / SIDECAR, json.dumps({"undistorted": True, "size": list(camera.size)}) + "\n")
+    shown = 0
     for done, frame in enumerate(stream, 1):
         if frame.silhouettes is None:
             raise InputError("There are no silhouettes to write; open the stream with silhouettes.")
@@ -464,4 +465,5 @@ def write_masks(stream: FrameStream, folder: str | Path, progress: Callable[[int
                 temporary.write_bytes(data.tobytes() if ok else b"")
         if progress is not None:
             progress(done, len(stream))
-    return folder
+        shown += int((frame.silhouettes.areas > 0).sum())
+    return shown

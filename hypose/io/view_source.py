@@ -68,12 +68,12 @@ class _MaskSource:
         if self._numbered is not None:
             if frame not in self._numbered:
                 raise InputError(f"{self.path} holds no mask of frame {frame}.")
-            mask = as_mask(read_image(self._numbered[frame])) * np.uint8(255)
+            mask = as_mask(read_image(self._numbered[frame]), str(self._numbered[frame])) * np.uint8(255)
             if mask.shape[1::-1] != self._size:  # already undistorted, at another working size
                 mask = np.asarray(cv2.resize(mask, self._size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         else:
             assert self._reader is not None
-            whole = as_mask(self._reader.read(frame), str(self.path)) * np.uint8(255)
+            whole = as_mask(self._reader.read(frame), f"{self.path}, frame {frame},") * np.uint8(255)
             mask = self._prepare(np.repeat(whole[..., None], 3, 2), None)[..., 0]
         return (mask > 127).astype(np.uint8)
 

@@ -24,7 +24,7 @@ from hypose.geometry import Array
 from hypose.io.bodies import load_body, save_body
 from hypose.io.files import write_text
 from hypose.pipeline.mend_sides import mend_sides
-from hypose.pipeline.subject_checks import check_borders, check_named_pose, check_size, check_start
+from hypose.pipeline.subject_checks import check_borders, check_named_pose, check_size, check_start, no_two_views
 from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.evidence import PreparedFrame, prepare
 from hypose.tracking.initialise import KNOWN_POSES, hull_of, start_from_hull
@@ -126,10 +126,7 @@ def estimate_subject(
     seen = [f for f, ok in zip(frames, usable, strict=True) if ok]
     numbers = [i for i, ok in zip(indices, usable, strict=True) if ok]
     if not usable or not usable[0]:
-        raise EvidenceError(
-            "The subject's shape needs silhouettes in at least two views from the first frame on; check masks with "
-            "`hypose silhouettes`, or choose other frames."
-        )
+        raise EvidenceError(no_two_views(frames[0]))
     check_size(seen[0])
     border_notes = check_borders(seen, options.height)
     height, known = options.height, Known(options.height, options.mass)

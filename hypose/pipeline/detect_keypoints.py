@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hypose.cameras.camera import Camera
-from hypose.errors import InputError
+from hypose.errors import EvidenceError, InputError
 from hypose.evidence.detector import PoseDetector, openpose_document
 from hypose.geometry import Array
 from hypose.io.detected_keypoints import DetectedKeypoints, load_detected
@@ -33,7 +33,8 @@ def detect_keypoints(
 
     resume: frames that have a file are not looked at again. progress(done, total) is called after every picture;
     raising KeyboardInterrupt in it stops the run with its files kept. An InputError when a view has no pictures, or
-    the folder holds something else, or, with resume, another detector's points.
+    the folder holds something else, or, with resume, another detector's points; an EvidenceError when nobody was found
+    in any picture.
     """
     for view in recording.views:
         if view.source is None:
@@ -43,7 +44,7 @@ def detect_keypoints(
             )
     work = DetectedKeypoints(folder, detector.keypoint_set, detector.identity, False)
     _make_room(work, resume)
-    total, done = recording.n_frames * len(recording.views), 0
+    total, done, somebody = recording.n_frames * len(recording.views), 0, False
     for view, camera in zip(recording.views, recording.rig, strict=True):
         assert view.source is not None
         folder_for(folder, view.name)
@@ -55,11 +56,17 @@ def detect_keypoints(
                     image = next(iter(reader))
                     people = _calibrated(detector.detect(image), reader.size, camera, view)
                     write_text(path, json.dumps(openpose_document(people)) + "\n")
+                somebody = somebody or '"people": []' not in path.read_text(encoding="utf-8")
                 done += 1
                 if progress is not None:
                     progress(done, total)
     finished = replace(work, complete=True)
     finished.save()
+    if not somebody:
+        raise EvidenceError(
+            f"The detector found nobody in any picture of {recording.name}, so the files in {folder} are empty; see "
+            "whether the videos show the person upright and large enough, or use another model."
+        )
     return finished
 
 

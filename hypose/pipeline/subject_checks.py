@@ -19,6 +19,16 @@ _EDGES = ("left", "right", "top", "bottom")
 _UNITS = {"cm": 0.01, "mm": 0.001, "m": 1.0}
 
 
+def no_two_views(frame: Frame) -> str:
+    """Why a body cannot be measured in a frame with fewer than two usable views, and what to do."""
+    why = [] if frame.silhouettes is None else [r for r in frame.silhouettes.reasons if r]
+    first = f" ({why[0].rstrip('.')})" if why else ""
+    return (
+        f"The subject's shape needs silhouettes in at least two views from the first frame on{first}; check masks with "
+        "`hypose silhouettes`, or choose other frames."
+    )
+
+
 def check_size(frame: Frame) -> None:
     """An EvidenceError when the person of a frame is a giant or a dwarf, with the calibration's likely unit."""
     height = apparent_height(frame.silhouettes) if frame.silhouettes is not None else None

@@ -1,0 +1,141 @@
+"""A run in which nobody was found does not end well: one sentence, exit code 2, and what was computed stays on disk."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from hypose.app import fuse_job, job
+from hypose.errors import EvidenceError
+from hypose.evaluation.small_recordings import small_scene, write_masks, write_skeletons
+from hypose.io.recording import load_recording
+from hypose.io.results import load_motion
+from hypose.pipeline.detect_keypoints import detect_keypoints
+
+
+@pytest.fixture(scope="module")
+def masks(tmp_path_factory):
+    """A recording of masks alone, that no test changes."""
+    return write_masks(small_scene(0, 3), tmp_path_factory.mktemp("masks") / "walk")
+
+
+@pytest.fixture
+def spoilt(masks, tmp_path):
+    """spoilt(change) -> a copy of the recording, each mask (h, w) of 0 and 1 changed."""
+
+    def make(change):
+        folder = shutil.copytree(masks, tmp_path / "walk")
+        for path in folder.glob("cam*/*.png"):
+            cv2.imwrite(str(path), change((cv2.imread(str(path), 0) > 0).astype(np.uint8)))
+        return folder
+
+    return make
+
+
+def fails(result, *fragments):
+    code, _, err = result
+    assert code == 2, err
+    sentence = err[err.index("error: ") :].strip()
+    assert "\n" not in sentence and all(f in sentence for f in fragments), sentence
+
+
+def lost(result):
+    """A result whose person was found in no frame."""
+    motion = result.motion
+    return replace(result, motion=replace(motion, lost=np.ones(len(motion), dtype=bool)))
+
+
+def test_track_that_lost_all_frames(hypose, masks, tmp_path, monkeypatch):
+    whole = job.track_source
+    monkeypatch.setattr(job, "track_source", lambda *a, **k: lost(whole(*a, **k)))
+    ran = hypose("track", masks, "--out", tmp_path / "out", "--formats", "csv", "--no-overlay", "--no-smooth")
+    fails(ran, "walk: the person was found in none of 3 frames", str(tmp_path / "out"), "hypose check")
+    assert (tmp_path / "out" / "report.html").is_file() and (tmp_path / "out" / "joints.csv").is_file()
+
+
+def test_batch_says_that_a_task_found_nobody(masks, tmp_path, monkeypatch):
+    from hypose.app.batch_worker import run_task
+    from hypose.app.sweep import plan, sweep_of
+
+    whole = job.track_source
+    monkeypatch.setattr(job, "track_source", lambda *a, **k: lost(whole(*a, **k)))
+    tasks, _ = plan(replace(sweep_of(masks), results=tmp_path / "out"))
+    figures = run_task(tasks[0], tmp_path / "stop", lambda told: None)
+    assert figures["state"] == "failed" and "found in none of 3 frames" in figures["message"]
+
+
+def test_fuse_that_lost_all_frames(hypose, tmp_path, monkeypatch):
+    whole = fuse_job.fuse_clip
+    monkeypatch.setattr(fuse_job, "fuse_clip", lambda *a, **k: lost(whole(*a, **k)))
+    ran = hypose("fuse", write_skeletons(tmp_path / "rec", seconds=2.0), "--out", tmp_path / "out")
+    fails(ran, "rec: the person was found in none of 60 frames")
+    assert load_motion(tmp_path / "out" / "motion.npz").lost.all()
+
+
+def test_silhouettes_without_anybody(hypose, spoilt, tmp_path):
+    ran = hypose("silhouettes", spoilt(np.zeros_like), "--out", tmp_path / "out")
+    fails(ran, "walk: no picture shows anybody", "background of each view")
+    assert len(list((tmp_path / "out").glob("cam*/*.png"))) == 12 and (tmp_path / "out" / "sheet.jpg").is_file()
+
+
+def test_check_without_anybody(hypose, spoilt):
+    folder = spoilt(np.zeros_like)
+    fails(hypose("check", folder), "nobody is seen in any of 3 frames", "cam1, frame 0: the mask is empty")
+    assert (folder / "results" / "check.png").is_file()
+
+
+def test_a_detector_that_finds_nobody(tiny, tmp_path):
+    class Blind:
+        keypoint_set, identity = "body_25", {"model": "blind"}
+
+        def detect(self, image):
+            return np.zeros((0, 25, 3))
+
+    for resume in (False, True):
+        with pytest.raises(EvidenceError, match="found nobody in any picture of walk"):
+            detect_keypoints(load_recording(tiny), Blind(), tmp_path / "points", resume=resume)
+    assert json.loads(next((tmp_path / "points").glob("cam1/*.json")).read_text())["people"] == []
+
+
+@pytest.mark.parametrize("command", ["track", "subject"])
+def test_one_camera_is_named_and_what_can_be_done_with_it(hypose, masks, tmp_path, command):
+    folder = shutil.copytree(masks, tmp_path / "alone")
+    text = (folder / "recording.toml").read_text()
+    (folder / "recording.toml").write_text("[[view]]".join(text.split("[[view]]")[:2]))
+    fails(
+        hypose(command, folder), "has one camera, cam1, and this needs two or more", "--method monocular --camera cam1"
+    )
+    code, out, err = hypose("check", folder)
+    assert code == 0 and "There is one camera" in out and "visual hull" not in out + err
+
+
+@pytest.mark.parametrize("value", [1, 2, 127, 255])
+def test_any_one_value_is_the_person(hypose, masks, spoilt, tmp_path, value):
+    code, _, err = hypose("silhouettes", spoilt(lambda m: value * m), "--out", tmp_path / "out")
+    assert code == 0, err
+    for name in ("cam1/000000.png", "cam4/000002.png"):
+        was = cv2.imread(str(masks / name.replace("/0", "/")), 0) > 0
+        assert ((cv2.imread(str(tmp_path / "out" / name), 0) > 0) == was).all()
+
+
+def test_a_picture_of_labels_is_called_one(hypose, spoilt, tmp_path):
+    def labelled(mask):
+        mask[:20, :20] = 2
+        return mask
+
+    folder = spoilt(labelled)
+    fails(hypose("check", folder), "cam1, frame 0, holds the labels 1, 2", "the person alone (0 and 255)")
+    fails(hypose("track", folder, "--out", tmp_path / "out"), "holds the labels 1, 2")
+
+
+@pytest.mark.parametrize(("name", "said"), [("plots", "is a folder"), ("report.txt", "ends in .png or .jpg")])
+def test_where_check_cannot_write_its_sheet(hypose, masks, tmp_path, name, said):
+    (tmp_path / "plots").mkdir()
+    fails(hypose("check", masks, "--out", tmp_path / name), f"--out {tmp_path / name}", said)
+
+
+def test_batch_with_a_folder_of_recordings_says_what_to_write(hypose, masks):
+    fails(hypose("batch", masks.parent), "is a folder without a recording", f'recordings = ["{masks.parent.name}/*"]')
