@@ -93,14 +93,15 @@ def judge(target: Target, folder: Path, data: bytes, forbidden: list[str]) -> st
     except MemoryError:
         return "out of memory: " + _where(3)
     except Exception as error:
-        return f"{type(error).__name__}: {str(error)[:200]} at {_where(3)}"
+        where = _where(3)
+        return f"{type(error).__name__}: {str(error)[:600]}" + (f" at {where}" if where else "")
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
         file.write_bytes(whole)
     grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) << 10
     if grown > MEMORY // 2:
         return f"grew by {grown >> 20} MB"
-    return forbidden[0] if forbidden else ""
+    return next((f for f in forbidden if not f.startswith(target.allowed)), "")
 
 
 def _where(depth: int) -> str:

@@ -12,12 +12,14 @@ import numpy as np
 
 from hypose.evaluation.small_recordings import small_scene, write_masks, write_skeletons
 from hypose.fusion.joints import COMMON
+from scripts import fuzz_servers
 
 
 @dataclass(frozen=True)
 class Target:
     """file: what is spoilt, relative to the folder of good inputs; read: the reader; kind: of mutation; given: what the
-    reader gets ("" = that file; else its folder or another file); lines: the reader gets the bytes themselves."""
+    reader gets ("" = that file; else its folder or another file); lines: the reader gets the bytes themselves;
+    allowed: what it does that others may not (how it begins)."""
 
     name: str
     file: str
@@ -25,6 +27,7 @@ class Target:
     kind: str = "text"
     given: str = ""
     lines: bool = False
+    allowed: tuple[str, ...] = ()
 
 
 def targets() -> dict[str, Target]:
@@ -76,8 +79,23 @@ def targets() -> dict[str, Target]:
         Target("depth-png", "depth.png", read_depth_png, "binary"),
         Target("image-png", "walk/cam1/00000.png", video.read_image, "binary"),
         Target("video-avi", "clip.avi", _all_frames, "binary"),
+        *_of_servers(),
     ]
     return {t.name: t for t in found}
+
+
+def _of_servers() -> list[Target]:
+    reads = {
+        "requests": fuzz_servers.send_requests,
+        "gesture": fuzz_servers.send_frames("/ws/gesture"),
+        "fuse": fuzz_servers.send_frames("/ws/fuse"),
+        "datagrams": fuzz_servers.send_datagrams,
+        "live": fuzz_servers.send_live_request,
+    }
+    return [
+        Target(f"server-{n}", f"servers/{n}.txt", read, lines=True, allowed=fuzz_servers.ALLOWED)
+        for n, read in reads.items()
+    ]
 
 
 def _all_frames(path: Path) -> int:
@@ -161,6 +179,7 @@ def write_good(folder: Path) -> None:
     model = GestureModel(("wave",), learner.forest, (None,), LocaliseSettings(), learner)
     save_model(model, folder / "model.npz")
     _write_texts(folder)
+    fuzz_servers.write_good(folder)
 
 
 def _write_texts(folder: Path) -> None:

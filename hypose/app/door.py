@@ -25,7 +25,7 @@ _MOST = 128
 _FOLD_S, _KINDS = 60.0, 100
 _LOGGERS = ("asyncio", "uvicorn.error", "websockets.server")
 _NUMBER = re.compile(r"0x[0-9a-f]+|[0-9]+")
-_FOREIGN = ("Invalid ", "Unsupported upgrade", "opening handshake failed", "socket.accept()")
+FOREIGN = ("Invalid ", "Unsupported upgrade", "opening handshake failed", "socket.accept()", "socket.send() raised")
 """How complaints begin that are about what somebody has sent, not about this program."""
 
 
@@ -171,17 +171,17 @@ class Folded(logging.Filter):
         if len(self._kinds) >= _KINDS:
             self._kinds.clear()
         self._kinds[kind] = (now, 0)
-        if text.startswith(_FOREIGN):
+        if text.startswith(FOREIGN):
             text = text.split("\n")[0] + (f" ({type(error).__name__}: {error})"[:200] if error is not None else "")
             record.exc_info = record.exc_text = None
         record.msg, record.args = text + (f" ({more} more like it)" if more else ""), ()
         return True
 
 
-_folded = Folded()
+folded = Folded()
 
 
 def fold_logs() -> None:
     """From now on the libraries that the servers use say the same thing once a minute."""
     for name in _LOGGERS:
-        logging.getLogger(name).addFilter(_folded)  # once: a filter that is there already is not added
+        logging.getLogger(name).addFilter(folded)  # once: a filter that is there already is not added

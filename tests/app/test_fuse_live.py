@@ -346,3 +346,67 @@ def test_the_latency_is_measured_through_sockets():
     run = measure_live_latency(4.0, people=2, dead=(1.5, 2.5))
     assert len(run.latency) >= 60 and np.isfinite(run.latency).all() and (run.latency > 0).all()
     assert run.missing == 0 and run.people == 2 and run.returns == 1
+
+
+# ---- what strangers send ----
+
+
+def test_strangers_with_odd_tokens_use_up_nobodys_lines():
+    async def play(server):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
+            odd = [
+                b'{"sensor": "s0", "time": 1, "token": "\\ud800", "joints": null}',
+                b"\xff\xfe" * 50,
+                b'{"token": 1}',
+            ]
+            for n in range(60):
+                s.sendto(odd[n % 3], ("127.0.0.1", server.udp_port))
+            await until(lambda: server.ignored == 60)
+            # a token of half a character beside the right one reaches the comparison
+            s.sendto(b'{"sensor": "a-good-token", "time": 1, "token": "\\ud800", "joints": null}', s_address(server))
+            await until(lambda: server.ignored == 61)
+            for line in lines_at(0.0, token="a-good-token"):
+                s.sendto(line, s_address(server))
+            await until(lambda: server.used == 3)
+
+    _, _, server, notes = live(play, token="a-good-token", lines_per_s=0.001, burst=4.0)
+    assert server.ignored == 61 and "token" in notes[0]
+
+
+def s_address(server):
+    return "127.0.0.1", server.udp_port
+
+
+@pytest.mark.parametrize("target", ["//[/in", "/in?token=%ff%00\\ud800", "/out?" + "token=x&" * 500, "/in\\", "*"])
+def test_any_request_is_answered_without_a_traceback(target, caplog):
+    async def play(server):
+        for headers in ("", "Authorization: a\r\nAuthorization: b\r\n", "Authorization: \xff\r\n"):
+            reader, writer = await asyncio.open_connection("127.0.0.1", server.ws_port)
+            upgrade = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
+            key = "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+            writer.write(f"GET {target} HTTP/1.1\r\nHost: x\r\n{upgrade}{key}{headers}\r\n".encode("latin-1"))
+            status = int((await reader.readline()).split()[1])
+            assert 400 <= status < 500, (target, headers, status)
+            writer.close()
+
+    live(play, token="a-good-token")
+    assert "Traceback" not in caplog.text
+
+
+def test_silent_connections_keep_no_listener_out():
+    async def play(server):
+        held = [await asyncio.open_connection("127.0.0.1", server.ws_port) for _ in range(300)]
+        async with connect(f"ws://127.0.0.1:{server.ws_port}/out") as listener:
+            assert json.loads(await listener.recv())["type"] == "hello"
+        await feed(server, 0.3)
+        for _, writer in held:
+            writer.close()
+
+    _, out, server, _ = live(play)
+    assert len(server._door) <= 130 and any(m["type"] == "frame" for m in out)
+
+
+@pytest.mark.parametrize("token", ["short", "x" * 129, 'with"quote', "with space", "ünïcödé-token"])
+def test_a_token_is_letters_that_mean_nothing_to_anybody(token):
+    with pytest.raises(InputError, match="A token must have 8 to 128 letters"):
+        LiveOptions(token=token)

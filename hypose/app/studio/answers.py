@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 
 from hypose.app.studio.asked import object_of
@@ -73,7 +73,7 @@ async def body_of(request: Request) -> dict[str, Any]:
 
 
 async def pieces_of(request: Request) -> AsyncIterator[bytes]:
-    """The body of a request, piece after piece; TooSlow when one does not come."""
+    """The body of a request, piece after piece; TooSlow when one does not come, InputError when it breaks off."""
     pieces = aiter(request.stream())
     while True:
         try:
@@ -81,6 +81,8 @@ async def pieces_of(request: Request) -> AsyncIterator[bytes]:
                 piece = await anext(pieces)
         except StopAsyncIteration:
             return
+        except ClientDisconnect:
+            raise InputError("The request broke off; send it again.") from None
         except TimeoutError:
             raise TooSlow(f"Nothing came of the request's body for {_BODY_S:.0f} s; send it again.") from None
         yield piece

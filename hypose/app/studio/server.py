@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import uvicorn
 from starlette.applications import Starlette
@@ -206,7 +207,7 @@ def run(options: StudioOptions, ready: Callable[[str], None]) -> None:
                 f"Port {options.port} on {options.host} cannot be used ({reason.lower()}); choose another with --port, "
                 "0 takes any free one."
             ) from None
-    token = f"?token={studio.access.token}" if studio.access.token else ""
+    token = f"?token={quote(studio.access.token)}" if studio.access.token else ""
     host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(options.host, options.host)
     server = make_server(studio, options.host, options.port, lambda port: ready(f"http://{host}:{port}/{token}"))
     with contextlib.suppress(KeyboardInterrupt):

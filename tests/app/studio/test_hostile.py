@@ -161,6 +161,17 @@ def test_a_body_that_does_not_come_is_not_waited_for(studio, monkeypatch):
     assert raw(studio.port, head).startswith(b"HTTP/1.1 408")
 
 
+def test_who_leaves_in_the_middle_of_a_body_is_no_bug(studio, log):
+    head = f"POST /api/jobs HTTP/1.1\r\nHost: 127.0.0.1:{studio.port}\r\nContent-Length: 100\r\n\r\n{{".encode()
+    for path in (b"/api/jobs", b"/api/uploads/a.mp4"):
+        with socket.create_connection(("127.0.0.1", studio.port), timeout=30) as s:
+            s.sendall(head.replace(b"/api/jobs", path).replace(b"POST", b"PUT" if b"uploads" in path else b"POST"))
+            assert studio.ask("/api/click-joints")[0] == 200  # it has come there
+    while len(studio.studio.door):
+        assert studio.ask("/api/click-joints")[0] == 200
+    assert log == []
+
+
 def test_two_pages_that_start_the_fusion_at_once_start_one(own_studio):
     with own_studio.socket("/ws/fuse") as one, own_studio.socket("/ws/fuse") as other:
         for ws in (one, other):
