@@ -15,11 +15,13 @@ _FORM = re.compile(r"NOT tested: (?P<what>.+?); (?P<remedy>[^;]+)$")
 
 def skip(what: str, remedy: str) -> NoReturn:
     """Skip: `what` (a noun) is not tested here; `remedy` (what to do, without a semicolon) would bring it."""
+    __tracebackhide__ = True  # the list of skipped tests names the test's line
     pytest.skip(f"NOT tested: {what}; {remedy}")
 
 
 def module(name: str, what: str, remedy: str) -> ModuleType:
     """The module called `name`, or a skip as by `skip`."""
+    __tracebackhide__ = True
     try:
         return importlib.import_module(name)
     except ImportError:

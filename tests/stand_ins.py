@@ -91,9 +91,8 @@ def mocap(folder: Path) -> None:
     """A walk and a run as CMU's files, markers as OpenCap's, and C3D files, written by ezc3d."""
     subject = procedural_subject(np.random.default_rng(7), 1.75)
     write_asf(folder / "02.asf", subject)
-    straight = {"radius": 1e9}
-    write_amc(folder / "02_01.amc", subject, walk(subject, 343 / 120, 120.0, **straight))
-    run = jog(subject, 173 / 120, 120.0, None, 1.3, 1.2, **straight)
+    write_amc(folder / "02_01.amc", subject, walk(subject, 343 / 120, 120.0, radius=np.inf))
+    run = jog(subject, 173 / 120, 120.0, None, 1.3, 1.2, np.inf)
     flight = np.maximum(soles(subject, run.rotations, run.joints)[0].min(1), 0)  # higher: a sprinter's
     run = replace(run, root=run.root + 2 * flight[:, None] * [0, 0, 1])
     write_amc(folder / "02_03.amc", subject, run)

@@ -4,6 +4,7 @@ import importlib.util
 import os
 import shutil
 import subprocess
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -39,7 +40,10 @@ def go(path, address, folder, pictures, timeout=1800):
     node, _ = builder.find_node()
     environment = {**os.environ, "STUDIO": address, "FOLDER": str(folder), "CHROMIUM": program}
     environment["PICTURES"] = str(pictures)
-    done = subprocess.run([node, str(path)], cwd=WEB, env=environment, capture_output=True, text=True, timeout=timeout)
+    with tempfile.TemporaryDirectory() as home:  # where Chromium keeps what it keeps, crash reports for one
+        environment["HOME"] = home
+        command = [node, str(path)]
+        done = subprocess.run(command, cwd=WEB, env=environment, capture_output=True, text=True, timeout=timeout)
     if done.returncode:
         pytest.fail(f"{path.name} (pictures in {pictures}):\n{done.stdout[-4000:]}\n{done.stderr[-6000:]}", False)
     return done.stdout

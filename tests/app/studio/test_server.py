@@ -144,8 +144,8 @@ def test_nonsense_on_a_socket_is_answered_with_a_sentence(studio):
                 assert answer["t"] == "error" and answer["error"].endswith(".")
 
 
-def test_too_many_connections_are_refused(studio):
-    with contextlib.ExitStack() as stack:
+def test_too_many_connections_are_refused(served):
+    with serving(served) as studio, contextlib.ExitStack() as stack:  # its own: places are free again after a moment
         with pytest.raises(ConnectionClosed) as closed:
             for _ in range(17):
                 stack.enter_context(studio.socket("/ws/jobs")).recv(30)
