@@ -40,8 +40,10 @@ def record(
     """Record a session with its prompts without learning; train from it later."""
     from hypose.app.gesture_job import record_session, typed_commands
     from hypose.app.gesture_sources import open_source
+    from hypose.gestures.model import check_gesture_name
     from hypose.gestures.session import SessionSettings
 
+    check_gesture_name(gesture)
     settings, opened = SessionSettings(rounds=rounds), open_source(source, gesture, seed)
     note(_LETTERS)
     record_session(opened, gesture, settings, record=out, commands=typed_commands(), say=note)
@@ -65,6 +67,7 @@ def train(
 ) -> None:
     """Teach a gesture: a live session that learns while you watch, or recorded sessions again."""
     from hypose.app.gesture_job import growing_model, in_cm2, learn_offline, learn_recordings, new_learner
+    from hypose.gestures.model import check_gesture_name
     from hypose.io.results import check_writable
     from hypose.pipeline.gesture_files import read_recording, save_model
 
@@ -77,6 +80,7 @@ def train(
     if recording and record_to is not None:
         raise InputError("--record is for live sessions, and --recording learns from one that is there; give one.")
     check_writable(out.parent)
+    check_gesture_name(gesture)
     old = growing_model(resume, gesture) if resume is not None else None
     learner = old.learner if old is not None and old.learner is not None else new_learner(seed)
     if recording:

@@ -28,6 +28,8 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
         raise InputError(f"{path} does not exist; give the results folder that hypose track wrote.")
     folder = ResultsFolder(path if path.is_dir() else path.parent)
     motion = load_motion(folder.motion if path.is_dir() else path)
+    if len(motion) == 0:
+        raise InputError(f"{path} holds a motion of no frames, so there is nothing to show; track the recording again.")
     notes: list[str] = []
     body = _body(folder, motion, notes)
     if recording is None:

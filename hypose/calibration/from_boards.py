@@ -21,6 +21,7 @@ from hypose.geometry import Array
 from hypose.io.video import open_video
 
 _GOOD_PX = 1.0  # rms above this is worth a warning
+_TWO_SIDED = "a board printed on both sides, of which cameras see different ones (cover the back)"
 
 
 @dataclass(frozen=True)
@@ -217,7 +218,7 @@ def _warnings(fit: RigCalibration, lenses: Sequence[Lens], views: Sequence[Camer
         if fit.camera_rms[c] > _GOOD_PX:
             out.append(
                 f"{name}: the boards fit only to {fit.camera_rms[c]:.2f} px; look for a bent board, blurred pictures, "
-                "or videos that are not synchronous."
+                f"videos that are not synchronous, or {_TWO_SIDED}."
             )
         own = lenses[c].rms_px
         if lenses[c].given and own > 2 * _GOOD_PX:
@@ -240,6 +241,6 @@ def _warnings(fit: RigCalibration, lenses: Sequence[Lens], views: Sequence[Camer
         if n > 0.3 * (n + kept):
             out.append(
                 f"{names[c]}: {n} of {n + kept} boards contradict the others and were left out; its video may not be "
-                "synchronous, or the board bent."
+                f"synchronous, the board bent, or {_TWO_SIDED}."
             )
     return out

@@ -253,7 +253,8 @@ def _tree(
             k = max(disagreeing, key=lambda k: k.shared)
             why = (
                 f"{names[k.c]} and {names[k.d]} saw the board together in {k.shared} pictures but these contradict "
-                "each other: the videos are probably not synchronous (give --lag CAMERA=FRAMES, or hypose sync)"
+                "each other: the videos are probably not synchronous (give --lag CAMERA=FRAMES, or hypose sync), or "
+                "the board is printed on both sides (cover the back)"
             )
         raise CalibrationError(
             f"The cameras cannot be joined: {said}; {why}. Film the board where cameras of both parts see it."

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
@@ -22,6 +22,10 @@ Progress = Callable[[str, int, int], None]
 
 BLURRED_PX = 5.0
 """Edges wider than this make corners too uncertain to be used."""
+_COLOURS = {
+    False: "the board is printed white on black: give --inverted",
+    True: "the board is printed black on white: leave --inverted out",
+}
 _COARSE = 4  # every 4th frame is looked at first, the others only beside a frame that shows the board
 _STILL = 3.0  # mean difference in grey levels between two pictures of a scene in which nothing moves
 _STILL_FRAMES = 60
@@ -282,6 +286,9 @@ def _chessboard_seen(grays: Sequence[Gray], board: Board) -> tuple[int, int] | N
 
 
 def _diagnose_chessboard(grays: Sequence[Gray], board: Board) -> str:
+    other_way = make_detector(replace(board, inverted=not board.inverted))
+    if any(other_way(g) is not None for g in grays):
+        return _COLOURS[board.inverted]
     seen = _chessboard_seen(grays, board)
     if seen is not None:
         if set(seen) == set(board.size):
@@ -331,7 +338,7 @@ def _diagnose_markers(grays: Sequence[Gray], board: Board) -> str:
                 return f"the board is found with {what}"
         return "its markers were seen, but not its corners: check the numbers of columns and rows"
     if _markers(grays, board.dictionary, not board.inverted) >= 4:
-        return f"the board is printed {'black on white' if board.inverted else 'white on black (inverted)'}"
+        return _COLOURS[board.inverted]
     if _markers([np.ascontiguousarray(g[:, ::-1]) for g in grays], board.dictionary, board.inverted) >= 4:
         return "its markers are seen in the mirrored picture: the camera stores mirrored images; switch that off"
     for name in ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_APRILTAG_36H11"):

@@ -25,6 +25,15 @@ _KINDS = {
 }  # fmt: skip
 
 
+def check_gesture_name(name: str) -> None:
+    """An InputError for what is no name: names go into files and, as words, to commands, which must not take one for
+    an option of theirs."""
+    if not 1 <= len(name) <= 64 or not all(c.isalnum() or c in "_-" for c in name) or name.startswith("-"):
+        raise InputError(
+            f"{name[:80]!r} is no name for a gesture; use up to 64 letters, digits, - and _, and no - in front."
+        )
+
+
 @dataclass(frozen=True)
 class GestureModel:
     """names: of gesture 1, 2, ...; forest: finished or still growing; thresholds: per gesture (cm^2), None = not known
@@ -45,8 +54,7 @@ class GestureModel:
                 "thresholds; it needs one of each per gesture."
             )
         for name in self.names:
-            if not 1 <= len(name) <= 64 or not all(c.isalnum() or c in "_-" for c in name):
-                raise InputError(f"{name!r} is no name for a gesture; use up to 64 letters, digits, - and _.")
+            check_gesture_name(name)
 
     def with_thresholds(self, *thresholds: float | None) -> GestureModel:
         """The model with other thresholds."""

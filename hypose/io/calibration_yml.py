@@ -120,7 +120,7 @@ def _easymocap(intrinsics: Path, extrinsics: Path) -> tuple[list, list[str]]:
     if guessed:
         notes.append(
             f"{intrinsics.name} does not say how large the images of {', '.join(guessed)} are; twice the principal "
-            "point is assumed. Correct size in the calibration file."
+            f"point is assumed. If that is wrong, add W_{guessed[0]} and H_{guessed[0]} to the file, and so for each."
         )
     return cameras, notes
 
@@ -139,7 +139,10 @@ def _single(path: Path) -> tuple[list, list[str]]:
     w, h = file.number(_WIDTH), file.number(_HEIGHT)
     if w is None or h is None:
         w, h = round(2 * k[2]), round(2 * k[5])
-        notes.append(f"{path.name} does not say how large its images are; twice the principal point is assumed.")
+        notes.append(
+            f"{path.name} does not say how large its images are; {w} x {h} px, twice the principal point, is assumed. "
+            "If that is wrong, add image_width and image_height to the file."
+        )
     told_by_folder = path.stem.lower() in ("config", "intrinsics", "calibration")
     name = text_of(path.absolute().parent.name if told_by_folder else path.stem)
     rotation = so3_exp(turn) if turn.size == 3 else turn.reshape(3, 3)

@@ -23,6 +23,7 @@ MAX_PEOPLE = 16
 """Most persons that one sensor may report at a time."""
 MAX_JOINTS = 64
 REORDER_S = 0.2
+_SLOWEST_S = 5.0  # between the frames of a sensor: milliseconds taken for seconds lie further apart
 """A time that lies further back than this is a clock that was set back, less is a row that came late."""
 
 
@@ -151,6 +152,13 @@ def build_stream(rows: StreamRows, where: str) -> tuple[SensorStream, tuple[str,
     arrival = np.array(rows.times)
     if not np.isfinite(arrival).all():
         raise InputError(f"{where}: a time of the sensor {rows.name} is not a number; times are seconds.")
+    forward = np.diff(np.unique(arrival))
+    usual = float(np.median(forward)) if len(forward) else 0.0
+    if usual > _SLOWEST_S:
+        raise InputError(
+            f"{where}: the frames of the sensor {rows.name} lie {usual:g} s apart, and times are seconds; divide "
+            "milliseconds by 1000."
+        )
     if any(not -(2**63) <= person < 2**63 for person in rows.ids):
         raise InputError(f"{where}: the sensor {rows.name} numbers a person beyond 64 bits; the file is damaged.")
     repaired, keep, clock_notes = repair_clock(arrival)

@@ -18,6 +18,7 @@ from hypose.app.studio.gesture_run import Run
 from hypose.app.studio.gesture_train import Training
 from hypose.app.studio.gesture_watch import Watching
 from hypose.errors import InputError
+from hypose.gestures.model import check_gesture_name
 from hypose.pipeline.gesture_files import load_model
 
 ALONE_S = 5.0
@@ -144,6 +145,5 @@ def _free(folder: Path, gesture: str) -> tuple[Path, Path]:
         names = (f"{gesture}{'' if n == 1 else f'-{n}'}{ending}" for n in range(1, 10_000))
         return next(p for name in names if not (p := folder / name).exists())
 
-    if not 1 <= len(gesture) <= 64 or not all(c.isalnum() or c in "_-" for c in gesture):
-        raise InputError(f"{gesture[:80]!r} is no name for a gesture; use up to 64 letters, digits, - and _.")
+    check_gesture_name(gesture)
     return first(""), first(".npz")

@@ -40,7 +40,7 @@ def _text(value: Any, name: str) -> str:
 def _number(value: Any, name: str) -> str:
     if isinstance(value, bool) or not isinstance(value, int | float) or value != value or abs(value) > 1e9:
         raise InputError(f"The option {name} must be a number, {str(value)[:40]!r} is none.")
-    return f"{value:g}"
+    return str(int(value)) if value == int(value) else repr(value)
 
 
 def _flag(value: Any, name: str) -> bool:

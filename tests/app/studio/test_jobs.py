@@ -45,6 +45,13 @@ def test_options_become_the_command(folder):
 
 
 @pytest.mark.parametrize(
+    ("value", "text"), [(1234567, "1234567"), (4.0, "4"), (123456.75, "123456.75"), (0.1, "0.1"), (-3, "-3")]
+)
+def test_numbers_reach_the_command_as_they_are(folder, value, text):
+    assert plan("demo", {"options": {"seed": value}}, Catalog(folder)).arguments[-2:] == ("--seed", text)
+
+
+@pytest.mark.parametrize(
     ("kind", "options"),
     [
         ("format-disk", {}),
