@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import re
 import socket
 import struct
 import tempfile
@@ -22,8 +23,9 @@ from typing import Any
 
 from hypose.fusion.joints import COMMON
 
-ALLOWED = ("socket.connect", "socket.bind", "wrote")
-"""What these targets may do that a reader of files may not: the studio keeps what is dropped onto its page."""
+ALLOWED = ("socket.connect", "socket.bind", "wrote", "pickle.find_class ('numba", "ctypes.dlopen")
+"""What these targets may do that a reader of files may not: the studio keeps what is dropped onto its page, and loads
+what it computes with when it is first asked."""
 _TOKEN = "a-good-token"
 _LOGGERS = ("asyncio", "uvicorn.error", "websockets.server")
 _KEY = "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
@@ -90,11 +92,8 @@ class _Servers:
 
 def _last_words(logged: str) -> str:
     """The error of a logged traceback, and the innermost line of the package in it."""
-    lines = logged.strip().splitlines()
-    places = [
-        n.split('"')[1].rsplit("/", 1)[-1] + n.partition('"')[2].partition('"')[2] for n in lines if "/hypose/" in n
-    ]
-    return f"{lines[-1][:300]}" + (f" at {places[-1]}" if places else "")
+    places = re.findall(r'File ".*/hypose/(.*)", (line \d+)', logged)
+    return logged.strip().rpartition("\n")[2][:300] + (f" at {' '.join(places[-1])}" if places else "")
 
 
 class _Keep(logging.Handler):

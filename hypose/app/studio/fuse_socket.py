@@ -12,7 +12,7 @@ from starlette.websockets import WebSocket
 from hypose.app.live_server import LiveOptions, LiveServer
 from hypose.app.studio.answers import NotNow
 from hypose.app.studio.asked import number, whole
-from hypose.app.studio.sockets import Sockets, hear
+from hypose.app.studio.sockets import Sockets, hear, tell
 from hypose.errors import HyposeError, InputError
 from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON, PARENT
@@ -103,11 +103,12 @@ def routes(host: FuseHost, sockets: Sockets) -> list[BaseRoute]:
                     waiting.cancel()
                     reading.result()
                     return
-                await ws.send_text(waiting.result().replace('"type":', '"t":', 1))
+                await tell(ws, waiting.result().replace('"type":', '"t":', 1))
         finally:
             pages.discard(queue)
             host.unlisten(queue)
             reading.cancel()
+            await asyncio.gather(reading, return_exceptions=True)
 
     async def socket(ws: WebSocket) -> None:
         await sockets.serve(ws, talk)

@@ -13,7 +13,7 @@ from typing import Any
 from starlette.websockets import WebSocket
 
 from hypose.app.studio.asked import whole
-from hypose.app.studio.sockets import IN_FLIGHT, hear
+from hypose.app.studio.sockets import IN_FLIGHT, hear, tell
 from hypose.app.view_bundle import plain
 from hypose.errors import HyposeError
 
@@ -55,12 +55,13 @@ class SocketOutlet:
                 woken.cancel()
                 self._awake.clear()
                 await self._send()
-            if self._full:
+            if reading.done():
+                reading.result()
+            else:
                 await self._ws.close(1013, "the page does not keep up")
         finally:
             reading.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await reading
+            await asyncio.gather(reading, return_exceptions=True)
 
     # ---- in the loop ----
 
@@ -79,11 +80,11 @@ class SocketOutlet:
 
     async def _send(self) -> None:
         while self._texts:
-            await self._ws.send_text(self._texts.popleft())
+            await tell(self._ws, self._texts.popleft())
         while self._pictures and len(self._unanswered) < IN_FLIGHT:
             message = self._pictures.pop(next(iter(self._pictures)))
             self._unanswered.add(struct.unpack_from("<I", message, 4)[0])
-            await self._ws.send_bytes(message)
+            await tell(self._ws, message)
 
     async def _read(self, handle: Callable[[dict[str, Any]], None]) -> None:
         while True:

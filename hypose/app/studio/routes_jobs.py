@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 from collections.abc import Sequence
 
 from starlette.concurrency import run_in_threadpool
@@ -18,7 +19,7 @@ from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.jobs import Job, Jobs
 from hypose.app.studio.progress_view import block_so_far
 from hypose.app.studio.recordings import Recordings
-from hypose.app.studio.sockets import Sockets
+from hypose.app.studio.sockets import Sockets, tell
 from hypose.app.studio.uploads import Uploads
 from hypose.errors import InputError
 
@@ -112,7 +113,7 @@ async def _tell(ws: WebSocket, jobs: Jobs) -> None:
     reading = asyncio.ensure_future(_drain(ws))
     states: dict[str, str] = {}
     try:
-        await ws.send_json({"t": "jobs", "jobs": [j.shown() for j in jobs.every()]})
+        await tell(ws, json.dumps({"t": "jobs", "jobs": [j.shown() for j in jobs.every()]}))
         while not reading.done():
             woken = asyncio.ensure_future(awake.wait())
             await asyncio.wait({woken, reading}, return_when=asyncio.FIRST_COMPLETED)
@@ -120,11 +121,11 @@ async def _tell(ws: WebSocket, jobs: Jobs) -> None:
             awake.clear()
             for job in [changed.pop(k) for k in list(changed)]:
                 value = job.shown()
-                await ws.send_json({"t": "job", "job": value})
+                await tell(ws, json.dumps({"t": "job", "job": value}))
                 if states.get(job.id) != value["state"] and value["state"] in ("done", "failed", "cancelled"):
-                    await ws.send_json({"t": "files"})
+                    await tell(ws, json.dumps({"t": "files"}))
                 states[job.id] = value["state"]
-            await asyncio.sleep(_TELL_S)
+            await asyncio.wait({reading}, timeout=_TELL_S)
     finally:
         stop()
         reading.cancel()

@@ -46,6 +46,14 @@ def picture(kind: int, stream: int, seq: int, time: float, data: bytes) -> bytes
     return struct.pack("<BBHId", kind, stream, 0, seq & 0xFFFFFFFF, time) + data
 
 
+async def tell(ws: WebSocket, message: str | bytes) -> None:
+    """Send a message; WebSocketDisconnect when the connection has ended, also by what the page sent meanwhile."""
+    try:
+        await (ws.send_text(message) if isinstance(message, str) else ws.send_bytes(message))
+    except RuntimeError:  # the server has closed it, which we have not heard of yet
+        raise WebSocketDisconnect(1006) from None
+
+
 async def hear(ws: WebSocket) -> dict[str, Any]:
     """The next message of the page, an object whose "t" is a text; an InputError when it is no such thing,
     WebSocketDisconnect when the page has gone."""

@@ -1,5 +1,6 @@
 """What somebody else's program may send to the studio: it is answered with a sentence, and no log grows."""
 
+import asyncio
 import json
 import logging
 import socket
@@ -7,10 +8,12 @@ import threading
 import tracemalloc
 
 import pytest
+from starlette.websockets import WebSocketDisconnect
 from websockets.exceptions import ConnectionClosed
 
 from hypose.app.studio.asked import choice, digits, number, object_of, text, whole
 from hypose.app.studio.kept import Kept
+from hypose.app.studio.sockets import tell
 from hypose.errors import InputError
 from tests.app.studio.conftest import serving
 
@@ -153,6 +156,35 @@ def test_any_frame_is_answered_or_ends_the_connection(studio, log, path):
                 ws.recv(30)
         assert closed.value.rcvd.code == 1007
     assert not any("Traceback" in line for line in log)
+
+
+@pytest.mark.parametrize("path", ["/ws/gesture", "/ws/fuse", "/ws/jobs"])
+def test_answers_to_a_page_that_has_broken_the_rules_go_nowhere(studio, log, path):
+    for _ in range(5):
+        with studio.socket(path) as ws:
+            ws.recv(30)
+            # sentences are on their way when the server ends the connection for a frame that is none
+            ws.protocol.writes.extend(b"\x81\x81\0\0\0\0{" for _ in range(30))
+            ws.protocol.writes.append(b"\xff\xff")
+            with pytest.raises(ConnectionClosed):
+                ws.send("{}")
+                while True:
+                    ws.recv(30)
+    while len(studio.studio.door):
+        assert studio.ask("/api/click-joints")[0] == 200
+    assert log == []
+
+
+def test_what_is_told_to_a_closed_connection_ends_it():
+    class Closed:
+        async def send_text(self, message):
+            raise RuntimeError("Unexpected ASGI message 'websocket.send', after sending 'websocket.close'.")
+
+        send_bytes = send_text
+
+    for message in ("text", b"bytes"):
+        with pytest.raises(WebSocketDisconnect):
+            asyncio.run(tell(Closed(), message))
 
 
 def test_a_body_that_does_not_come_is_not_waited_for(studio, monkeypatch):
