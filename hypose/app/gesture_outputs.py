@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
-import queue
 import re
 import socket
 import threading
-from collections.abc import Sequence
+from collections.abc import Coroutine, Sequence
 from contextlib import suppress
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
+from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
-from websockets.sync.server import Server, ServerConnection, serve
 
+from hypose.app.door import Door, fold_logs
 from hypose.app.gesture_job import Watched
 from hypose.app.osc import osc_bundles, osc_message
 from hypose.errors import InputError
 from hypose.gestures.events import Event
 
+T = TypeVar("T")
 MAX_LISTENERS = 16
 WAITING = 256
 """Texts that wait for a slow listener."""
@@ -94,36 +96,21 @@ class WebSocketOut:
     def __init__(self, port: int, names: Sequence[str]) -> None:
         if not 0 <= port < 65536:
             raise InputError(f"--ws {port} is no port; give 0 (any free one) to 65535.")
-        self._names, self._waiting = list(names), set[queue.Queue[str | None]]()
-        self._lock = threading.Lock()
+        self._names, self._waiting = list(names), set[asyncio.Queue[str | None]]()
+        self._door, self._loop = Door(), asyncio.new_event_loop()
+        fold_logs()
+        self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
+        self._thread.start()
         try:
-            self._server: Server = serve(self._listen, "127.0.0.1", port, origins=[None, _LOCAL], compression=None)
+            self._server = self._in_loop(self._open(port))
         except OSError as error:
+            self._end_loop()
             raise InputError(f"Port {port} cannot be used ({(error.strerror or str(error)).lower()}).") from None
-        threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
     @property
     def port(self) -> int:
         """The port that is listened on."""
-        return int(self._server.socket.getsockname()[1])
-
-    def _listen(self, connection: ServerConnection) -> None:
-        texts: queue.Queue[str | None] = queue.Queue(WAITING)
-        with self._lock:
-            full = len(self._waiting) >= MAX_LISTENERS
-            if not full:
-                self._waiting.add(texts)
-        if full:
-            connection.close(1013, "too many listeners")
-            return
-        try:
-            while (text := texts.get()) is not None:
-                connection.send(text)
-        except (ConnectionClosed, OSError):
-            pass
-        finally:
-            with self._lock:
-                self._waiting.discard(texts)
+        return int(next(iter(self._server.sockets)).getsockname()[1])
 
     def send(self, watched: Watched) -> None:
         """One frame. A listener that is too slow loses the oldest texts; nobody is waited for."""
@@ -132,17 +119,62 @@ class WebSocketOut:
         for e in watched.events:
             self._post(event_line(e, self._names))
 
-    def _post(self, text: str | None) -> None:
-        with self._lock:
-            listeners = list(self._waiting)
-        for texts in listeners:
-            with suppress(queue.Empty):
-                if texts.full():
-                    texts.get_nowait()
-            with suppress(queue.Full):
-                texts.put_nowait(text)
-
     def close(self) -> None:
-        """Stop listening."""
+        """Stop listening, after what was sent."""
         self._post(None)
-        self._server.shutdown()
+        self._in_loop(self._close())
+        self._end_loop()
+
+    def _in_loop(self, work: Coroutine[Any, Any, T]) -> T:
+        return asyncio.run_coroutine_threadsafe(work, self._loop).result()
+
+    def _end_loop(self) -> None:
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+
+    def _post(self, text: str | None) -> None:
+        self._loop.call_soon_threadsafe(self._put, text)
+
+    # ---- in the loop ----
+
+    async def _open(self, port: int) -> Server:
+        return await serve(
+            self._listen,
+            "127.0.0.1",
+            port,
+            origins=[None, _LOCAL],
+            compression=None,
+            max_size=1 << 16,
+            open_timeout=5,
+            close_timeout=1,
+            create_connection=self._door.letting_in(ServerConnection),  # type: ignore[arg-type] - as any factory
+            backlog=self._door.backlog,
+        )
+
+    async def _close(self) -> None:
+        for _ in range(100):  # listeners take what waits for them, if they take anything
+            if not self._waiting:
+                break
+            await asyncio.sleep(0.02)
+        self._server.close()
+        await self._server.wait_closed()
+
+    async def _listen(self, connection: ServerConnection) -> None:
+        if len(self._waiting) >= MAX_LISTENERS:
+            await connection.close(1013, "too many listeners")
+            return
+        texts: asyncio.Queue[str | None] = asyncio.Queue(WAITING)
+        self._waiting.add(texts)
+        try:
+            with self._door.answering(connection.remote_address, True), suppress(ConnectionClosed):
+                while (text := await texts.get()) is not None:
+                    await connection.send(text)
+        finally:
+            self._waiting.discard(texts)
+
+    def _put(self, text: str | None) -> None:
+        for texts in self._waiting:
+            if texts.full():
+                texts.get_nowait()
+            texts.put_nowait(text)

@@ -1,7 +1,9 @@
 """`hypose gesture`: a session of the simulated person, learned, watched, exported; what is wrong is named."""
 
+import contextlib
 import json
 import socket
+import threading
 
 import numpy as np
 import pytest
@@ -275,6 +277,19 @@ def test_websocket_listeners_get_scores_and_events():
         assert json.loads(texts[0]) == {"time": 1.5, "scores": {"tee": 12.0}}
         assert json.loads(texts[1])["event"] == "start"
     out.send(frame)  # the listener has left
+    held = [socket.create_connection(("127.0.0.1", out.port), timeout=30) for _ in range(300)]
+    threads = threading.active_count()
+    with connect(f"ws://127.0.0.1:{out.port}") as listener:  # silent connections keep nobody out, and cost no threads
+        assert threading.active_count() - threads <= 2
+        for _ in range(200):
+            out.send(frame)
+            with contextlib.suppress(TimeoutError):
+                assert json.loads(listener.recv(timeout=0.05))["time"] == 1.5
+                break
+        else:
+            raise AssertionError("the listener hears nothing")
+    for s in held:
+        s.close()
     with pytest.raises(Exception, match="403|rejected"):
         connect(f"ws://127.0.0.1:{out.port}", origin="https://example.org")
     out.close()
