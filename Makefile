@@ -1,6 +1,6 @@
 # Needs only Python 3.11+ and pip (or uv, or python3-venv): everything goes into this folder, see scripts/bootstrap.py.
 #   make demo                        a synthetic four-camera recording, tracked and compared with the truth, in demo/
-#   make test [ARGS="-k camera"]     the fast test suite;  make test ARGS="-m slow": the slow one
+#   make test [ARGS="-k camera"]     the fast test suite;  ARGS="-m slow": the slow one;  ARGS="--order 3": another order
 #   make lint                        format, lint, types, import contracts
 #   make bench [ARGS=table-2.3]      the benchmarks
 #   make setup                       install everything again

@@ -144,6 +144,20 @@ def test_extras_that_an_extra_names_are_in_its_place():
     assert set(extras["azure"] + extras["realsense"]) < set(bootstrap.requirements(extras, "oracles"))
 
 
+@pytest.mark.parametrize("works", [True, False])
+def test_without_a_network_the_tests_run_and_the_page_is_named(works, monkeypatch, capsys):
+    def call(command, log, show):
+        assert command[1:] == [str(ROOT / "hatch_build.py"), "--tests"] and not show
+        log += [] if works else ["$ python\n", "error: `npm ci` failed: ENOTFOUND\n"]
+        return works
+
+    monkeypatch.setattr(bootstrap, "call", call)
+    bootstrap.prepare_page("python")
+    said = capsys.readouterr().out
+    note = "hypose: NOTE the studio's page will not be tested in a browser: error: `npm ci` failed: ENOTFOUND\n"
+    assert said == ("" if works else note)
+
+
 def test_damaged_stamp_counts_as_none(tmp_path):
     stamp = tmp_path / "stamp.json"
     for content in ("", "[1]", "{"):

@@ -1,6 +1,7 @@
 """The build of the page: what it does where something is missing. That it works is seen by every installation."""
 
 import importlib.util
+import json
 import sys
 
 import pytest
@@ -31,6 +32,24 @@ def test_it_is_built_again_only_when_a_source_has_changed(builder, monkeypatch):
     assert "--ignore-scripts" in ran[0] and not builder.build_page()
     (builder.WEB / "src" / "new.ts").write_text("export {}")
     assert builder.build_page()
+
+
+def test_tests_need_the_browsers_driver_once(builder, monkeypatch):
+    ran = []
+
+    def npm(command, node):
+        ran.append(command)
+        described = json.loads((WEB / "package.json").read_text("utf-8"))
+        for name, version in {**described["dependencies"], **described["devDependencies"]}.items():
+            path = builder.WEB / "node_modules" / name / "package.json"
+            path.parent.mkdir(parents=True)
+            path.write_text(json.dumps({"version": version}))
+
+    monkeypatch.setattr(builder, "_run", npm)
+    monkeypatch.setattr(builder, "find_node", lambda: ("node", ["npm"]))
+    builder.install_for_tests()
+    builder.install_for_tests()
+    assert [command[:3] for command in ran] == [["npm", "ci", "--include=dev"]]
 
 
 def test_without_node_or_network_the_installation_goes_on_and_says_so(builder, monkeypatch, capsys):
