@@ -91,7 +91,16 @@ def _by_motion(
     found = offsets_from_motion(seen.rig.pinhole(), points, seen.silhouettes, largest=largest)
     if found.gain < 0:
         raise EvidenceError("The motion does not tell the offsets; use --by sound or --by flash.")
-    words = [f"sd {s:.2f}" if s < 1e3 else "no motion in common with the others" for s in found.sd]
+    told = [s < largest for s in found.sd]  # what is less sure than all that was looked for is not known
+    if not any(told):
+        raise EvidenceError(
+            f"{recording.name}: the views have no motion in common that tells how late they are; film somebody who "
+            "walks or waves, or use --by sound or --by flash."
+        )
+    words = [
+        f"sd {s:.2f}" if known else "no motion in common with the others"
+        for s, known in zip(found.sd, told, strict=True)
+    ]
     return [float(x) for x in found.frames], words
 
 

@@ -57,8 +57,9 @@ class AnthropometryOptions:
 
     def __post_init__(self) -> None:
         for name, value, low, high in (("height", self.height, 0.5, 2.5), ("mass", self.mass, 8.0, 350.0)):
-            if value is not None and not low < value < high:
-                raise InputError(f"A {name} of {value:g} is no person's; give metres and kilograms.")
+            if value is not None and not low <= value <= high:
+                unit = "m" if name == "height" else "kg"
+                raise InputError(f"A {name} of {value:g} {unit} is no person's; give {low:g} to {high:g} {unit}.")
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import pytest
 
 from hypose.app.cli import main
 from hypose.app.gesture_sources import azure_lens, open_source
-from hypose.errors import InputError
+from hypose.errors import EvidenceError, InputError
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import LocaliseSettings
 from hypose.gestures.model import GestureModel
@@ -174,7 +174,10 @@ def test_nothing_within_reach_is_said(depth_mm):
         run_session(blank(depth_mm), "tee", new_learner(0), settings, record=None, say=lambda text: None)
     learner, said = new_learner(0), []
     model = GestureModel(("tee",), learner.forest, (1.0,), LocaliseSettings(), learner)
-    seen = list(watch(blank(depth_mm), [model], LocaliseSettings(), [EventSettings(1.0)], said.append))
+    seen = []
+    with pytest.raises(EvidenceError, match="blank: no frame has depth between 0.5 and 4 m"):
+        for watched in watch(blank(depth_mm), [model], LocaliseSettings(), [EventSettings(1.0)], said.append):
+            seen.append(watched)
     assert len(seen) == 60 and not any(w.events for w in seen)
     assert len(said) == 1 and "between 0.5 and 4 m" in said[0]
 

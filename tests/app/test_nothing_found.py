@@ -87,6 +87,14 @@ def test_check_without_anybody(hypose, spoilt):
     assert (folder / "results" / "check.png").is_file()
 
 
+def test_sync_of_somebody_who_stands_still(hypose, tmp_path):
+    folder = write_masks(small_scene(0, 30), tmp_path / "still")
+    for view in folder.glob("cam*"):
+        for path in sorted(view.glob("*.png"))[1:]:
+            shutil.copy(view / "00000.png", path)
+    fails(hypose("sync", folder), "no motion in common", "--by sound")
+
+
 def test_a_detector_that_finds_nobody(tiny, tmp_path):
     class Blind:
         keypoint_set, identity = "body_25", {"model": "blind"}
