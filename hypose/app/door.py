@@ -25,8 +25,16 @@ _MOST = 128
 _FOLD_S, _KINDS = 60.0, 100
 _LOGGERS = ("asyncio", "uvicorn.error", "websockets.server")
 _NUMBER = re.compile(r"0x[0-9a-f]+|[0-9]+")
-FOREIGN = ("Invalid ", "Unsupported upgrade", "opening handshake failed", "socket.accept()", "socket.send() raised")
-"""How complaints begin that are about what somebody has sent, not about this program."""
+FOREIGN = (
+    "Invalid ",
+    "Unsupported upgrade",
+    "opening handshake failed",
+    "socket.accept()",
+    "socket.send() raised",
+    "unexpected internal",
+)
+"""How complaints begin that are about what somebody has sent, not about this program. websockets says the last one when
+frames come with a request that it refuses."""
 
 
 def same_secret(shown: str, secret: str) -> bool:

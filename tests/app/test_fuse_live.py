@@ -388,6 +388,10 @@ def test_any_request_is_answered_without_a_traceback(target, caplog):
             status = int((await reader.readline()).split()[1])
             assert 400 <= status < 500, (target, headers, status)
             writer.close()
+        reader, writer = await asyncio.open_connection("127.0.0.1", server.ws_port)
+        writer.write(f"GET {target} HTTP/1.1\r\nHost: x\r\n\r\n".encode() + b"\x81\xfe\x02\x8b frames too early")
+        await reader.read()  # until it is ended
+        writer.close()
 
     live(play, token="a-good-token")
     assert "Traceback" not in caplog.text
