@@ -2,8 +2,7 @@
 vectorize them reliably (LLVM intermediate code, so for any processor: AVX-512, AVX2, SSE, NEON).
 
 A block holds LANES particles; an array of per-vertex values is (V, LANES), so one load fetches the value of one vertex
-for all particles. No fast-math: every lane computes the same bits. Only skinning and projection may differ between
-processors, in the last bit, where one has fused multiply-add and the other has not.
+for all particles. Every lane computes the same bits, on every processor.
 """
 
 from __future__ import annotations

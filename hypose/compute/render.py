@@ -17,7 +17,7 @@ NEAR = 0.05
 """Triangles with a corner nearer than this (m) are not drawn."""
 
 
-@kernel(fast=False)
+@kernel
 def _raster(uv, z, faces, cull, depth, face_id, bary):
     """Draw faces into depth/face_id/bary (h, w[, 2]); perspective-correct barycentrics of corners 1 and 2."""
     h, w = depth.shape
@@ -60,7 +60,7 @@ def _raster(uv, z, faces, cull, depth, face_id, bary):
                 kc += dc_dx
 
 
-@kernel(fast=False)
+@kernel
 def _fill(uv, z, faces, mask):
     """Set mask (h, w) to 1 where any face (either orientation) covers the pixel centre, row by row."""
     h, w = mask.shape
@@ -124,7 +124,7 @@ def rasterize(
     return depth, face_id, bary
 
 
-@kernel(fast=False)
+@kernel
 def _interpolate(face, b1, b2, faces, values, out):
     for i in range(face.shape[0]):
         a, b, c = faces[face[i], 0], faces[face[i], 1], faces[face[i], 2]
@@ -166,7 +166,7 @@ def silhouette(
     return cv2.resize(mask.astype(np.float32), (w, h), interpolation=cv2.INTER_AREA)
 
 
-@kernel(fast=False)
+@kernel
 def _blend(picture, face, bary, faces, values, s, ambient, direct, sky):
     h, w = picture.shape[0], picture.shape[1]
     share = np.float32(1.0 / (s * s))
@@ -216,7 +216,7 @@ def blend_shaded(
     _blend(picture, face, bary, np.ascontiguousarray(faces, dtype=np.int32), v, int(samples), a, d, s)
 
 
-@kernel(fast=False)
+@kernel
 def _darken(picture, shade, floor, depth):
     for y in range(picture.shape[0]):
         for x in range(picture.shape[1]):
@@ -231,7 +231,7 @@ def darken(picture: NDArray[np.float32], shade: NDArray[np.float32], where: NDAr
     _darken(picture, shade, where, np.float32(depth))
 
 
-@kernel(fast=False)
+@kernel
 def _expose(picture, gain, noise, out):
     for y in range(picture.shape[0]):
         for x in range(picture.shape[1]):

@@ -30,6 +30,7 @@ _UNDECIDED = 50
 """Frames after its best after which it is broken off as well."""
 _MET_M, _MET_FRAMES = 0.02, 8
 """m, frames: both tracks are one where their joints lie so near for so long."""
+_LEG = ("hip", "knee", "ankle")
 _BLOCK = 25
 """Frames read at once to go backwards: videos are read forwards."""
 
@@ -93,8 +94,8 @@ def _while_better(
     numbers: range,
     frames: Iterable[tuple[Frame, Frame | None]],
 ) -> tuple[list[FrameEstimate], float, int]:
-    """Estimates from the pose `start` (D,) on, up to the frame where most is won over the old ones, how much that is,
-    and how many frames were tracked."""
+    """Estimates from the pose `start` (D,) on, up to the frame where most is won over the old ones, without those at
+    their end that change no sides; how much is won, and how many frames were tracked."""
     state, new = tracker.start(start), list[FrameEstimate]()
     won = best = 0.0
     kept = met = 0
@@ -108,6 +109,8 @@ def _while_better(
         met = met + 1 if _apart(tracker.body, old[t], estimate) < _MET_M else 0
         if won < best - _GIVE_UP * pace or len(new) - kept > _UNDECIDED * pace or met >= _MET_FRAMES * pace:
             break
+    while kept and _same_sides(tracker.body, old[numbers[kept - 1]], new[kept - 1]):
+        kept -= 1
     return new[:kept], best, len(new)
 
 
@@ -131,6 +134,15 @@ def _backwards(frames: FrameRange, stop: int) -> Iterator[tuple[Frame, Frame | N
         begin = max(0, stop - _BLOCK)
         yield from list(_forwards(frames, begin, stop))[::-1]
         stop = begin
+
+
+def _same_sides(body: Body, a: FrameEstimate, b: FrameEstimate) -> bool:
+    """Do hips, knees and ankles lie on the same sides of each other in both?"""
+    s = body.skeleton
+    joints = body.joints(np.stack([a.pose, b.pose]))
+    left, right = (joints[:, [s.joint(f"{side}_{name}") for name in _LEG]] for side in ("left", "right"))
+    across = left - right
+    return bool(((across[0] * across[1]).sum(-1) > 0).all())
 
 
 def _apart(body: Body, a: FrameEstimate, b: FrameEstimate) -> float:

@@ -162,14 +162,15 @@ RECOVERY_REACH = 1.3
 """m: how far from the last pose a lost person is looked for; whoever is farther away is somebody else."""
 
 
-def recover(body: Body, frame: PreparedFrame, pose: Array, options: SolveOptions) -> Array:
-    """The best pose (D,) after a loss: the last pose carried to the hull and turned, and known poses; refined.
+def recover(body: Body, frame: PreparedFrame, pose: Array, last: Array, options: SolveOptions) -> Array:
+    """The best pose (D,) after a loss: the given one, carried to the hull and turned, and known poses; refined.
 
-    Only the space within RECOVERY_REACH of the last pose is looked at, and who is solved to stand further away was only
-    reached into: with nobody there the pose stays, so that another person in view is not taken for the one who left.
+    Only the space within RECOVERY_REACH of the last pose (D,) in which the person was seen is looked at, and who is
+    solved to stand further away was only reached into: with nobody there the pose stays, so that another person in
+    view is not taken for the one who left.
     """
     try:
-        hull = hull_of(frame, np.stack([pose[:3] - RECOVERY_REACH, pose[:3] + RECOVERY_REACH]))
+        hull = hull_of(frame, np.stack([last[:3] - RECOVERY_REACH, last[:3] + RECOVERY_REACH]))
     except EvidenceError:
         return pose
     candidates = [pose]
@@ -177,7 +178,7 @@ def recover(body: Body, frame: PreparedFrame, pose: Array, options: SolveOptions
         for heading in np.arange(8) * np.pi / 4:
             candidates.append(_centred(body, turned(base, heading), hull))
     found = _best_refined(body, np.stack(candidates), frame, options).pose
-    return found if np.linalg.norm(found[:3] - pose[:3]) <= RECOVERY_REACH else pose
+    return found if np.linalg.norm(found[:3] - last[:3]) <= RECOVERY_REACH else pose
 
 
 def hull_of(frame: PreparedFrame, bounds: Array | None = None) -> Hull:

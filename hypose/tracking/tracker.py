@@ -38,8 +38,8 @@ from hypose.tracking.uncertainty import (
 
 BETWEEN_FRAMES, RECOVERY, START = -1, -2, -3
 """Layer numbers of the random streams used outside a recipe's layers."""
-NOBODY = 0.1
-"""Mean IoU below which the masks hold nobody where the body is."""
+NOBODY = 0.3
+"""Share of the usual mean IoU below which the masks hold nobody where the body is, or the rim of somebody else."""
 
 
 @dataclass(frozen=True)
@@ -174,10 +174,10 @@ class Tracker:
         iou = _mean_iou(self.body, pose, prepared)
         lost = self._is_lost(iou, state.usual_iou)
         if settings.recover and prepared.masks is not None and (lost or state.lost or state.blind > 2):
-            found = recover(self.body, prepared, pose, self._settle_options())
+            found = recover(self.body, prepared, pose, state.pose, self._settle_options())
             found_iou = _mean_iou(self.body, found, prepared)
             # from nowhere only to a whole person: the rim of somebody else's hull is no find
-            cut_off = iou < NOBODY and self._is_lost(found_iou, state.usual_iou)
+            cut_off = self._is_nobody(iou, state.usual_iou) and self._is_lost(found_iou, state.usual_iou)
             if found_iou > iou + 0.02 and not cut_off:
                 pose, iou = found, found_iou
                 rng = stream(settings.seed, frame.index, RECOVERY)
@@ -185,7 +185,7 @@ class Tracker:
                 selected = Hypotheses.uniform(s.clamp(pose + noise))
                 lost = self._is_lost(iou, state.usual_iou)
                 state = replace(state, pose=pose)  # the step back is no velocity
-        if lost and iou < NOBODY:
+        if lost and self._is_nobody(iou, state.usual_iou):
             # stay where the person was last seen: a solve would drift to whatever else is in the masks
             pose, selected = state.pose, state.hypotheses
         known = self._uncertainty(pose, result, prepared)
@@ -262,6 +262,9 @@ class Tracker:
             else max(self.settings.lost_floor, self.settings.lost_share * usual)
         )
         return bool(iou < floor)
+
+    def _is_nobody(self, iou: float, usual: float) -> bool:
+        return bool(iou < NOBODY * (1.0 if np.isnan(usual) else usual))
 
     def _extrapolate(
         self, state: TrackerState, prediction: Array, velocity: Array

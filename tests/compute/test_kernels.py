@@ -1,11 +1,15 @@
 """The cache of compiled kernels: found again, never trusted blindly, and never the end of a run."""
 
+import importlib
 import logging
 import os
+import pkgutil
 
 import numpy as np
 import pytest
+from numba.core.dispatcher import Dispatcher
 
+from hypose import compute
 from hypose.compute import cache_place, kernels
 
 
@@ -140,3 +144,12 @@ def test_a_kernel_is_made_from_all_that_it_imports_of_the_room(tmp_path, monkeyp
     kernels._digest_of_sources.cache_clear()
     assert kernels._digest_of_sources("hypose.compute.absent") is None
     kernels._digest_of_sources.cache_clear()
+
+
+def test_no_kernel_lets_the_processor_choose_the_order_of_sums():
+    names = [m.name for m in pkgutil.walk_packages(compute.__path__, "hypose.compute.") if not m.name.endswith("cuda")]
+    found = {v for name in names for v in vars(importlib.import_module(name)).values() if isinstance(v, Dispatcher)}
+    assert len(found) > 100
+    for kernel in found:
+        assert not kernel.targetoptions.get("fastmath"), kernel
+        assert isinstance(kernel._cache, kernels.KernelCache), kernel

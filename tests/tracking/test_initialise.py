@@ -62,6 +62,6 @@ def test_recover_brings_back_a_lost_body(body, standing, frame_of):
     lost = standing.copy()
     lost[:2] += [0.8, -0.6]
     lost[5] += 1.2
-    found = recover(body, prepared, lost, SolveOptions(24, 12))
+    found = recover(body, prepared, lost, lost, SolveOptions(24, 12))
     assert xor_energy(body, found[None], prepared)[0] < 0.25 * xor_energy(body, lost[None], prepared)[0]
     assert joint_error(body, found, standing) < 0.06

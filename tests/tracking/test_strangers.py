@@ -26,7 +26,10 @@ def stranger(standing):
     return pose
 
 
-def test_silhouettes_of_somebody_else_are_not_followed(body, standing, stranger, frame_of):
+@pytest.mark.parametrize(("x", "y", "turn"), [(1.4, -0.8, -1), (1.2, 0.8, 1), (0, 1.5, 2)])
+def test_silhouettes_of_somebody_else_are_not_followed(body, standing, frame_of, x, y, turn):
+    stranger = standing.copy()
+    stranger[[0, 1, 5]] += x, y, turn
     made, _ = recipe("default", body)
     tracker = Tracker(body, made, 16)
     state, estimates = tracker.start(standing), []
