@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
+from hypose.app.figures import Figure
 from hypose.app.plots import INK, RIGHT, svg
 from hypose.app.report import page
 from hypose.app.sweep import Refused, Task

@@ -7,14 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.patches import Patch
 
+from hypose.app.figures import Axes, Patch, plt
 from hypose.app.plots import STYLE
 from hypose.errors import InputError
 from hypose.io.results import atomic_path

@@ -7,14 +7,9 @@ import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
+from hypose.app.figures import Axes, Figure, plt
 from hypose.app.truth import Truth
 from hypose.body.joint_angles import joint_angles
 from hypose.body.motion import Motion

@@ -1,0 +1,22 @@
+"""matplotlib as hypose uses it: without a window, its list of fonts where hypose keeps what it can make again."""
+
+from __future__ import annotations
+
+import logging
+import os
+
+from hypose.compute.cache_place import cache_folder
+
+if "MPLCONFIGDIR" not in os.environ and (_folder := cache_folder()) is not None:
+    os.environ["MPLCONFIGDIR"] = str(_folder / "matplotlib")
+logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its fonts is nothing to warn of
+
+import matplotlib  # noqa: E402
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt  # noqa: E402
+from matplotlib.axes import Axes  # noqa: E402
+from matplotlib.figure import Figure  # noqa: E402
+from matplotlib.patches import Patch  # noqa: E402
+
+__all__ = ["Axes", "Figure", "Patch", "plt"]
