@@ -24,8 +24,10 @@ def module(name: str, what: str, remedy: str) -> ModuleType:
     __tracebackhide__ = True
     try:
         return importlib.import_module(name)
-    except ImportError:
+    except ModuleNotFoundError:
         skip(what, remedy)
+    except ImportError as error:  # it is there, but a library of the system's that it calls is not
+        skip(what, f"mend {name}, which cannot be loaded ({str(error).replace(';', ',')})")
 
 
 def closing_line(reasons: Iterable[str]) -> str:

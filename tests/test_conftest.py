@@ -25,10 +25,18 @@ from tests import missing
 def test_a(): missing.skip("the page", "apt install chromium")
 def test_b(): missing.module("no_such_module", "depth", "make setup")
 def test_c(): pass
+def test_d(tmp_path, monkeypatch):
+    (tmp_path / "hurt.py").write_text("raise ImportError('libx.so; not found')")
+    monkeypatch.syspath_prepend(tmp_path)
+    missing.module("hurt", "x", "pip install hurt")
 """
     code, lines = run_of_tests(tmp_path, text)
-    assert code == 0 and "1 passed, 2 skipped" in lines[-1]
-    assert lines[-2] == "Not tested: the page (1 test: apt install chromium); depth (1 test: make setup)."
+    assert code == 0 and "1 passed, 3 skipped" in lines[-1]
+    assert lines[-2] == (
+        "Not tested: the page (1 test: apt install chromium); depth (1 test: make setup); "
+        "x (1 test: mend hurt, which cannot be loaded (libx.so, not found))."
+    )
+    assert sum("test_it.py:" in line for line in lines if line.startswith("SKIPPED")) == 3
     assert "Not tested" not in "".join(lines[:-2])
 
 

@@ -75,10 +75,14 @@ def open_realsense(serial: str | None = None) -> RealSenseDepth:
 def _library() -> Any:
     try:
         return importlib.import_module("pyrealsense2")  # an extra: not there for everyone, type checkers included
-    except ImportError:
+    except ModuleNotFoundError:
         raise InputError(
             "RealSense cameras and their recordings need pyrealsense2, which is not installed; run: pip install "
             "hypose[realsense]."
+        ) from None
+    except ImportError as error:  # a library of the system's is not there
+        raise InputError(
+            f"pyrealsense2 cannot be loaded ({error}); install what it names (Debian: apt install libusb-1.0-0)."
         ) from None
 
 

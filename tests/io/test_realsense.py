@@ -96,3 +96,11 @@ def test_without_the_library_the_next_step_is_named(monkeypatch, tmp_path):
     for call in (lambda: read_realsense(tmp_path / "a.db3"), open_realsense):
         with pytest.raises(InputError, match=r"pip install hypose\[realsense\]"):
             call()
+
+
+def test_a_library_that_lacks_one_of_the_systems_says_which(monkeypatch, tmp_path):
+    (tmp_path / "pyrealsense2.py").write_text("raise ImportError('libusb-1.0.so.0: cannot open shared object file')")
+    monkeypatch.delitem(sys.modules, "pyrealsense2", raising=False)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(InputError, match=r"cannot be loaded \(libusb.*apt install libusb-1.0-0"):
+        open_realsense()
