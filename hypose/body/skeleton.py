@@ -21,6 +21,9 @@ from hypose.compute.arrays import BALL, FIXED, HINGES, TreeArrays
 from hypose.errors import InputError
 from hypose.geometry import Array, nearest_branch, rotation_mean, so3_exp, so3_left_jacobian, so3_log
 
+GRID = 2.0**20
+"""Steps per metre and radian of the poses that a tracker goes on from (a micrometre, a fifth of an arc second)."""
+
 
 @dataclass(frozen=True)
 class Skeleton:
@@ -210,8 +213,9 @@ class Skeleton:
         return np.einsum("jae,jbe->jab", half, jacobian)
 
     def clamp(self, poses: ArrayLike) -> Array:
-        """Poses (..., D) moved into the joint limits."""
-        return np.clip(np.asarray(poses, dtype=np.float64), self.lower, self.upper)
+        """Poses (..., D) moved into the joint limits, and onto a grid of 2^-20 m and rad: the last digits, in which
+        numerical libraries differ between processors, must not grow from frame to frame until another arm is found."""
+        return np.clip(np.round(np.asarray(poses, dtype=np.float64) * GRID) / GRID, self.lower, self.upper)
 
     def on_branch(self, poses: ArrayLike, reference: ArrayLike) -> Array:
         """Poses (..., D) with every ball's rotation vector on the branch nearest to the reference pose's (D,)."""

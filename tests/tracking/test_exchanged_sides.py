@@ -33,7 +33,7 @@ def test_turned_around_faces_the_other_way_with_sides_exchanged(body, standing):
         for side, across in (("left", "right"), ("right", "left")):
             apart = np.linalg.norm(joints[s.joint(f"{side}_{name}")] - other[s.joint(f"{across}_{name}")])
             assert apart < 0.06, (side, name, apart)
-    np.testing.assert_allclose(s.clamp(turned), turned, atol=1e-9)
+    assert (turned > s.lower - 1e-9).all() and (turned < s.upper + 1e-9).all()
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.8, 2.5])
