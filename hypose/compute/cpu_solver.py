@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from hypose.compute.cpu_kinematics import camera_about_root, joint_frames, skin_about_root
-from hypose.compute.cpu_rows import contour_rows, keypoint_rows, point_rows, sum_rows
+from hypose.compute.cpu_rows import contour_rows, dot, keypoint_rows, point_rows, sum_rows
 from hypose.compute.kernels import kernel
 
 LARGEST_TURN = 0.35
@@ -68,21 +68,13 @@ def solve_positive(a, n, b, x):
     """x = a^-1 b by Cholesky in place (lower triangle of a); False when a is not positive."""
     for i in range(n):
         for j in range(i):
-            s = a[i, j]
-            for k in range(j):
-                s -= a[i, k] * a[j, k]
-            a[i, j] = s / a[j, j]
-        s = a[i, i]
-        for k in range(i):
-            s -= a[i, k] * a[i, k]
+            a[i, j] = (a[i, j] - dot(a[i], a[j], j)) / a[j, j]
+        s = a[i, i] - dot(a[i], a[i], i)
         if not s > 0:
             return False
         a[i, i] = math.sqrt(s)
     for i in range(n):
-        s = b[i]
-        for k in range(i):
-            s -= a[i, k] * x[k]
-        x[i] = s / a[i, i]
+        x[i] = (b[i] - dot(a[i], x, i)) / a[i, i]
     for i in range(n - 1, -1, -1):
         s = x[i]
         for k in range(i + 1, n):

@@ -42,7 +42,7 @@ def kernel(function: Callable[..., Any] | None = None, *, inline: bool = False) 
     """Compile a function with numba when it is first called, or take what an earlier process has compiled.
 
     Without fast-math: sums keep their order and products are not fused with them, whatever the width of the
-    processor's vectors, so that every processor finds the same pose, bit by bit. It costs a fifth of a solve.
+    processor's vectors, so that every processor finds the same pose, bit by bit.
     inline: put its code where it is called (small functions that are called in loops).
     """
     if function is None:
