@@ -11,8 +11,9 @@ from hypose.errors import InputError, visible
 from hypose.io.file_names import file_name, folder_for, text_of, utf8_path
 
 HOSTILE = (
-    "", ".", "..", "../../x", "/etc/passwd", "C:\\x", "a/b", "a\\b", "-rf", "--flag", ".hidden", "~root", "a\nb", "a\0b",
-    "\x1b[31m", "con", "COM1.txt", "lpt9", "a.", "a ", " a", "x" * 300, "ü" * 90, "a\udcff", "\u202egpj.exe", 'a"b', "a|b",
+    "", ".", "..", "../../x", "/etc/passwd", "C:\\x", "a/b", "a\\b", "-rf", "--flag", ".hidden", "~root", "a\nb",
+    "a\0b", "\x1b[31m", "con", "COM1.txt", "lpt9", "a.", "a ", " a", "x" * 300, "ü" * 90, "a\udcff", "\u202egpj.exe",
+    'a"b', "a|b",
 )  # fmt: skip
 
 
