@@ -74,7 +74,7 @@ def apf(
     particles: int = 240,
     layers: int = 15,
     survival: float = 0.30,
-    scale: float = 0.7,
+    scale: float = 0.5,
     frame_rate: float = 25.0,
 ) -> Recipe:
     """Annealed particle filter with adaptive diffusion: the first layer moves all coordinates by the motion of a frame,

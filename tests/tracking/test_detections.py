@@ -160,7 +160,7 @@ def test_a_jumping_arm_is_found_again_by_its_detection(body, standing, frame_of,
     ends = ends_of(body)
     tracker = Tracker(body, recipe(name, body, particles=150), TrackerSettings(seed=2))
     state, estimate = tracker.start(standing), None
-    for n, pose in enumerate([standing, raised, raised]):
+    for n, pose in enumerate([standing, raised, raised, raised]):
         hands = ends.positions(body, pose[None])[0, :3]
         frame = with_detections(frame_of, body, pose, hands, ("left_hand", "right_hand", "head"), n)
         state, estimate = tracker.step(state, frame)
