@@ -57,7 +57,8 @@ class TrackOptions:
     @property
     def whole_clip(self) -> bool:
         """All frames are solved on their key points together, instead of one after the other and then together."""
-        return self.evidence == "keypoints" and self.smooth and RECIPES[self.recipe].whole_clip
+        preset = RECIPES.get(self.recipe)
+        return self.evidence == "keypoints" and self.smooth and preset is not None and preset.whole_clip
 
     def settings(self) -> dict[str, Any]:
         """The choices that decide the result."""
