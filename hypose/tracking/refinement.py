@@ -155,7 +155,7 @@ class RefineComposite:
 
 def member(h: Hypotheses, role: str) -> Array:
     """(D,) the value of the hypothesis in a role that one of h has."""
-    return h.values[np.argmax(h.has(role))]
+    return h.values[np.flatnonzero(h.has(role))[0]]
 
 
 def _all_at(pose: Array, h: Hypotheses) -> Hypotheses:
