@@ -131,9 +131,11 @@ class Bench:
         else:
             return  # always over before its time
         tally.kills += 1
-        tally.said += ended is not None and ended.in_one_sentence
-        if kind == "disk full" and not (ended is not None and ended.in_one_sentence):
-            tally.found.append(f"{command.name}: on a full disk {ended}")
+        if kind == "disk full":
+            told = ended is not None and _told(command, ended)
+            tally.said += told
+            if not told:
+                tally.found.append(f"{command.name}: on a full disk {ended}")
         self._go_on(command, kind, over_old, circumstances, tally)
 
     def _go_on(
@@ -216,6 +218,12 @@ def damage(folder: Path, rng: np.random.Generator, files: int = 4) -> None:
             path.unlink()
             if how == 4:
                 path.mkdir()
+
+
+def _told(command: LongCommand, ended: Ended) -> bool:
+    """Whether a run that could not write said so, and not as if it were a bug."""
+    failed = ended.code == command.failed and "cannot be written" in ended.out + ended.err
+    return ended.in_one_sentence or failed
 
 
 def _contents(folder: Path) -> dict[str, bytes]:
