@@ -57,7 +57,7 @@ _PLACES = {
     "SilhouetteXor": "hypose.tracking.costs",
     "pose_mean": "hypose.tracking.refinement",
     # depth sensors
-    "read_skeletons": "hypose.io.skeletons",
+    "read_skeletons": "hypose.io.skeleton_formats",
     "fuse_clip": "hypose.fusion.fuse",
     "LiveFuser": "hypose.fusion.live",
     "load_gesture_model": "hypose.pipeline.gesture_files:load_model",

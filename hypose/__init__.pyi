@@ -33,7 +33,7 @@ from hypose.io.recording import Recording as Recording
 from hypose.io.recording import load_recording as load_recording
 from hypose.io.results import load_motion as load_motion
 from hypose.io.results import save_motion as save_motion
-from hypose.io.skeletons import read_skeletons as read_skeletons
+from hypose.io.skeleton_formats import read_skeletons as read_skeletons
 from hypose.pipeline.gesture_files import load_model as load_gesture_model
 from hypose.pipeline.run import TrackOptions as TrackOptions
 from hypose.pipeline.run import TrackResult as TrackResult

@@ -11,6 +11,7 @@ import tomllib
 import zipfile
 from pathlib import Path
 
+import grimp
 import pytest
 
 import hypose
@@ -285,6 +286,15 @@ def test_every_folder_of_code_is_a_package():
     # Without __init__.py a folder imports all the same, but the import contracts do not see it.
     bare = {path.parent for path in SOURCES if not (path.parent / "__init__.py").exists()}
     assert sorted(folder.relative_to(ROOT).as_posix() for folder in bare) == []
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    graph = grimp.build_graph("hypose", cache_dir=None)
+    left = {m: set(graph.find_modules_directly_imported_by(m)) for m in graph.modules}
+    while free := [m for m, imported in left.items() if not imported & left.keys()]:
+        for m in free:
+            del left[m]
+    assert not left, f"these, or some of them, import each other: {sorted(left)}"
 
 
 def test_every_imported_package_is_declared():

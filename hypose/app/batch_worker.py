@@ -36,7 +36,7 @@ def run_task(task: Task, stop: Path, report: Report) -> dict[str, Any]:
 
     An input that cannot be used gives state "failed", as a second attempt would; any other exception is the caller's.
     """
-    from hypose.app.job import run_job
+    from hypose.app.run_job import run_job
     from hypose.app.summary import require_found, summarize
     from hypose.app.sweep import job_of
 

@@ -97,7 +97,7 @@ def fuse(
     from hypose.io.claims import claimed
     from hypose.io.file_names import file_name
     from hypose.io.results import ResultsFolder
-    from hypose.io.skeletons import read_skeletons
+    from hypose.io.skeleton_formats import read_skeletons
 
     loaded = read_skeletons(recording)
     folder = recording if recording.is_dir() else recording.parent

@@ -91,7 +91,7 @@ def bench(
 ) -> None:
     """Measure accuracy and speed."""
     set_threads(threads)
-    from hypose.evaluation.benchmarks import run_benchmark
+    from hypose.evaluation.bench_list import run_benchmark
     from hypose.io.results import atomic_path, check_writable, to_json
 
     if plot is not None:

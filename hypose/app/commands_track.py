@@ -145,7 +145,7 @@ def demo(
 
 def run_shown(job: Job, arguments: list[str]) -> tuple[Outcome, dict[str, float]]:
     """Run a job with progress; when it is interrupted, say what was kept and how to go on, and exit with code 130."""
-    from hypose.app.job import run_job
+    from hypose.app.run_job import run_job
     from hypose.io.claims import claimed
 
     previous = signal.signal(signal.SIGTERM, _interrupt)

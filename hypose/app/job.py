@@ -95,17 +95,15 @@ def check_views(recording: Recording) -> None:
         )
 
 
-def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, float] | None = None) -> Outcome:
+def run_multiview_job(
+    job: Job, options: TrackOptions, progress: ProgressCall = ignore, seconds: Mapping[str, float] | None = None
+) -> Outcome:
     """Track, export, draw and report. seconds: filled by the progress while this runs, read for the report.
 
     KeyboardInterrupt while tracking gives an Outcome with complete=False (checkpoint and partial motion are on disk);
     in any other stage it is passed on.
     """
-    recording, options, results = job.recording, job.options, job.results
-    if isinstance(options, MonoOptions):
-        from hypose.app.mono_job import run_mono_job
-
-        return run_mono_job(job, options, progress, seconds)
+    recording, results = job.recording, job.results
     check_views(recording)
     _check_choices(job, options)
     check_writable(results.path)

@@ -14,9 +14,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hypose.calibration.doctor_extrinsics import Extrinsics, judge_extrinsics
+from hypose.calibration.doctor_findings import Clip, Finding, Limits
 from hypose.calibration.doctor_masks import Alignment, align, tangency, tangency_by_view, view_masks
 from hypose.calibration.doctor_points import best_trial, disagreement, sizes, undistorted
-from hypose.calibration.doctor_report import Finding, Limits, Report, ViewReport, clip_findings, person_findings
+from hypose.calibration.doctor_report import Report, ViewReport, clip_findings, person_findings
 from hypose.calibration.doctor_silhouettes import examine_silhouettes
 from hypose.calibration.refine_points import left_out_residual, point_residual
 from hypose.calibration.sync import point_sd, points_at
@@ -25,15 +26,6 @@ from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array
-
-
-@dataclass(frozen=True)
-class Clip:
-    """What one view's file says: size (w, h) px of the stored images, frames/s, number of frames; None = unknown."""
-
-    size: tuple[int, int] | None = None
-    frame_rate: float | None = None
-    frames: int | None = None
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hypose.calibration.doctor_findings import Finding, Limits
 from hypose.calibration.doctor_points import sizes, undistorted
-from hypose.calibration.doctor_report import Finding, Limits
 from hypose.calibration.refine_camera import CameraChange, changes, gauge, in_world
 from hypose.calibration.refine_points import PointAdjustment, PointOptions, adjust, point_residual
 from hypose.cameras.camera import Camera, CameraRig

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
+from hypose.calibration.doctor_findings import Finding, Limits
 from hypose.calibration.doctor_masks import tangency, tangency_by_view
-from hypose.calibration.doctor_report import Finding, Limits, ViewReport, height_findings
+from hypose.calibration.doctor_report import ViewReport, height_findings
 from hypose.calibration.refine_camera import changed, changes
 from hypose.calibration.sync_motion import MaskTrack, mask_tracks, silhouette_curves, solve_offsets
 from hypose.cameras.camera import CameraRig

@@ -7,17 +7,17 @@ definitions are in reference.py (numpy), the fast versions in cpu_*.py (numba, i
 from __future__ import annotations
 
 import time
-from functools import cache, lru_cache
-from types import ModuleType
-from typing import NamedTuple, TypeVar
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.compute import glance, images, lane_mesh, reference, selection
+from hypose.compute import glance, images, lane_mesh, mono, reference, selection
 from hypose.compute.arrays import BALL, FIXED, MeshArrays, TreeArrays
 from hypose.compute.contours import signed_distance
 from hypose.compute.lane_scratch import lane_scratch
+from hypose.compute.native import native, plain, tidy
 from hypose.compute.selection import default_threads, over_chunks, use
 from hypose.compute.terms import (
     ContourArrays,
@@ -50,49 +50,30 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-_Arrays = TypeVar("_Arrays", bound=NamedTuple)
 
 
 MOST_FOUND = 3072
 """contour rows of one view, at most: the body's outline has up to 2032, a mask's up to 1000"""
 
 
-@cache
-def _numba(name: str) -> ModuleType:
-    import importlib
-
-    return importlib.import_module(f"hypose.compute.cpu_{name}")
-
-
-def _plain(a: ArrayLike, dtype: type) -> NDArray:
-    # numba compiles a kernel again for every layout and for read-only arrays
-    return np.require(a, dtype, ["C", "W", "A"])
-
-
-def _tidy(arrays: _Arrays) -> _Arrays:
-    if all(not isinstance(a, np.ndarray) or (a.flags.c_contiguous and a.flags.writeable) for a in arrays):
-        return arrays
-    return type(arrays)(*(np.require(a, None, ["C", "W", "A"]) if isinstance(a, np.ndarray) else a for a in arrays))
-
-
 def forward_kinematics(poses: ArrayLike, tree: TreeArrays) -> tuple[Array, Array]:
     """Poses (N, D) -> rotations world_from_joint (N, J, 3, 3) and joint centres (N, J, 3) m."""
-    q = _plain(poses, np.float64)
+    q = plain(poses, np.float64)
     if selection.backend() == "numpy":
         return reference.forward_kinematics(q, tree)
     n, j = len(q), len(tree.parents)
     rotations, centres = np.empty((n, j, 3, 3)), np.empty((n, j, 3))
-    _numba("kinematics").forward_kinematics(q, _tidy(tree), rotations, centres)
+    native("kinematics").forward_kinematics(q, tidy(tree), rotations, centres)
     return rotations, centres
 
 
 def skin(rotations: ArrayLike, centres: ArrayLike, tree: TreeArrays, mesh: MeshArrays) -> Array:
     """Linear blend skinning: rotations (N, J, 3, 3), centres (N, J, 3) -> vertices (N, V, 3) m."""
-    r, c = _plain(rotations, np.float64), _plain(centres, np.float64)
+    r, c = plain(rotations, np.float64), plain(centres, np.float64)
     if selection.backend() == "numpy":
         return reference.skin(r, c, tree, mesh)
     out = np.empty((len(r), len(mesh.vertices), 3))
-    _numba("kinematics").skin_batch(r, c, _tidy(tree), _tidy(mesh), out)
+    native("kinematics").skin_batch(r, c, tidy(tree), tidy(mesh), out)
     return out
 
 
@@ -106,7 +87,7 @@ def prepare_masks(masks: ArrayLike, usable: ArrayLike, sizes: ArrayLike, project
     bits[:, :, : packed.shape[2]] = packed
     areas = np.array([np.count_nonzero(view) for view in m], dtype=np.int64)
     return PreparedMasks(
-        m, areas, _plain(usable, np.bool_), _plain(sizes, np.int64), _plain(projections, np.float64), bits
+        m, areas, plain(usable, np.bool_), plain(sizes, np.int64), plain(projections, np.float64), bits
     )
 
 
@@ -130,7 +111,7 @@ def silhouette_xor(
     Parts nearer than 0.05 m to a camera's plane, or behind it, are cut off. A SolverError for poses that are not
     finite.
     """
-    q = _plain(poses, np.float64)
+    q = plain(poses, np.float64)
     if q.size and not np.abs(q).max() < 1e6:
         bad = int(np.argmax(~(np.abs(q).max(1) < 1e6)))
         raise SolverError(f"Pose {bad} of {len(q)} is not finite; check the motion model that made it.")
@@ -143,19 +124,19 @@ def silhouette_xor(
         raise InputError(f"boxes needs one row x0, x1, y0, y1 per view: shape {(c, 4)}, got {b.shape}.")
     b = np.ascontiguousarray(np.clip(b, 0, whole[:, [1, 1, 3, 3]]))
     b[:, 1::2] = np.maximum(b[:, 1::2], b[:, ::2])
-    wanted = None if faces is None else _plain(faces, np.bool_)
+    wanted = None if faces is None else plain(faces, np.bool_)
     if wanted is not None and wanted.shape != (len(mesh.faces),):
         raise InputError(f"faces needs a truth value per face: shape {(len(mesh.faces),)}, got {wanted.shape}.")
-    turning = None if moving is None else _plain(moving, np.bool_)
+    turning = None if moving is None else plain(moving, np.bool_)
     if turning is not None:
         q = np.where(turning[tree.joint_of_dof], q, q[-1:])
     if selection.backend() == "numpy":
         return reference.silhouette_xor(q, tree, mesh, prepared, b, wanted)
-    t, prepared = _tidy(tree), _tidy(prepared)
+    t, prepared = tidy(tree), tidy(prepared)
     areas = prepared.areas
     if boxes is not None:
         areas = np.empty(c, dtype=np.int64)
-        _numba("silhouettes").areas_in_boxes(prepared.masks, b, areas)
+        native("silhouettes").areas_in_boxes(prepared.masks, b, areas)
     if selection.backend() == "cuda":
         from hypose.compute import cuda
 
@@ -164,9 +145,9 @@ def silhouette_xor(
     if turning is not None and n:
         wanted, standing, corners = lane_mesh.moving_parts(mesh, tree, turning, wanted)
         drawn = np.zeros_like(prepared.bits)
-        _numba("standing").draw_standing(q[-1], t, _tidy(mesh), corners, standing, prepared, b, drawn, drawn_counts)
+        native("standing").draw_standing(q[-1], t, tidy(mesh), corners, standing, prepared, b, drawn, drawn_counts)
     m = lane_mesh.prepare(mesh, tree, wanted)
-    kernels = _numba("lanes")
+    kernels = native("lanes")
     out = np.zeros((n, c, 3), dtype=np.int64)
 
     def score(first: int, last: int) -> None:
@@ -189,7 +170,7 @@ def outline_points(sdf: NDArray[np.float32], size: tuple[int, int], k: int) -> t
     outline pixels. Three pixels along the image border are left out: there the image cuts the person, not an outline.
     """
     out = np.empty((k, 2), dtype=np.float32)
-    n = _numba("rows").outline_points(_plain(sdf, np.float32), int(size[0]), int(size[1]), out)
+    n = native("rows").outline_points(plain(sdf, np.float32), int(size[0]), int(size[1]), out)
     return out, int(n)
 
 
@@ -252,8 +233,8 @@ def evaluate(
     gradient, hessian = np.empty(d), np.empty((d, d))
     counts = np.zeros((len(contours.sdf) + 2, 2), dtype=np.int64)
     scale = float(contours.coarse_scale if coarse else contours.scale)
-    cost = _numba("solver").evaluate(
-        _plain(pose, np.float64), tree, mesh, contours, scale, keypoints, points, priors, ws, hessian, gradient, counts
+    cost = native("solver").evaluate(
+        plain(pose, np.float64), tree, mesh, contours, scale, keypoints, points, priors, ws, hessian, gradient, counts
     )
     return Evaluation(float(cost), gradient, hessian, counts)
 
@@ -284,7 +265,7 @@ def solve(
     d = len(q)
     gradient, hessian, info = np.zeros(d), np.zeros((d, d)), np.zeros(4)
     counts = np.zeros((len(contours.sdf) + 2, 2), dtype=np.int64)
-    ok = _numba("solver").solve(
+    ok = native("solver").solve(
         q, tree, mesh, contours, keypoints, points, priors, settings, ws, hessian, gradient, counts, info
     )
     if not ok:
@@ -299,8 +280,8 @@ def joint_covariances(pose: Array, tree: TreeArrays, hessian: Array, ridge: floa
     """(J, 3, 3) m^2: covariances of the joint centres when the pose (D,) has the covariance C = (hessian + ridge)^-1:
     G C G^T with G (3, D) the derivative of the centre; the numba kernel, on either back end."""
     out = np.empty((len(tree.parents), 3, 3))
-    q, h = _plain(pose, np.float64), _plain(hessian, np.float64)
-    _numba("covariance").joint_covariances(q, _tidy(tree), h, float(ridge), out)
+    q, h = plain(pose, np.float64), plain(hessian, np.float64)
+    native("covariance").joint_covariances(q, tidy(tree), h, float(ridge), out)
     return out
 
 
@@ -357,7 +338,5 @@ def warm_up(*, monocular: bool = False) -> float:
     solve(q, tree, mesh, contours, keypoints, points, priors, SolveSettings(1, 0, 1e-3, 1e-2), ws)
     joint_covariances(q, tree, np.eye(6))
     if monocular:
-        from hypose.compute import mono  # which imports this module
-
         mono.warm_up(tree, mesh, q, projection[0])
     return time.perf_counter() - began

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose import compute
 from hypose.compute import selection
+from hypose.compute.native import native
 
 Array = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ def solve_coupled(own: ArrayLike, bands: ArrayLike, right: ArrayLike) -> Array |
         except np.linalg.LinAlgError:
             return None
         return np.linalg.solve(_dense(o, w), b.ravel()).reshape(b.shape)
-    kernels = compute._numba("banded")
+    kernels = native("banded")
     a = np.empty((b.size, 2 * o.shape[1] + 1))
     kernels.fill(o, w, a)
     if not kernels.factorise(a):
@@ -43,7 +43,7 @@ def frame_covariances(own: ArrayLike, bands: ArrayLike) -> Array | None:
     if selection.backend() == "numpy":
         inverse = np.linalg.inv(_dense(o, w)).reshape(t, d, t, d)
         return np.ascontiguousarray(np.einsum("tdte->tde", inverse))
-    kernels = compute._numba("banded")
+    kernels = native("banded")
     a = np.empty((t * d, 2 * d + 1))
     kernels.fill(o, w, a)
     if not kernels.factorise(a):

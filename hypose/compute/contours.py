@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from types import ModuleType
-
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute import selection
+from hypose.compute.native import native
 
 
 def signed_distance(masks: ArrayLike, sizes: ArrayLike, margin: int | None = None) -> NDArray[np.float32]:
@@ -43,13 +41,9 @@ def signed_distance(masks: ArrayLike, sizes: ArrayLike, margin: int | None = Non
         if selection.backend() == "numpy":
             out[c, :h, :w] = _spread(outside, inside, (x0, y0), (own_x, own_y), filled, (w, h))
         else:
-            kernels = _kernels()
+            kernels = native("images")
             kernels.spread_distance(outside, inside, x0, y0, own_x, own_y, filled, out[c, :h, :w])
     return out
-
-
-def _kernels() -> ModuleType:
-    return import_module("hypose.compute.cpu_images")
 
 
 def _spread(

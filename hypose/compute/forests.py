@@ -7,16 +7,15 @@ same picture gives the same answer everywhere. A hole counts as far away (10 m),
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
-from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from hypose.compute.native import native
 
 Depth = NDArray[np.uint16]
 FAR_MM = 10000
@@ -106,16 +105,6 @@ class Raster(NamedTuple):
     focal: float
 
 
-@cache
-def _kernels() -> ModuleType:
-    return importlib.import_module("hypose.compute.cpu_forests")
-
-
-@cache
-def _voting() -> ModuleType:
-    return importlib.import_module("hypose.compute.cpu_forest_votes")
-
-
 def pad_depth(depth: Depth, focal: float, near_mm: int, reach_mm: int, reuse: PaddedDepth | None = None) -> PaddedDepth:
     """The padded picture; written into `reuse` when that has the same shape and border."""
     border = math.ceil(reach_mm * focal / near_mm) + 2
@@ -125,7 +114,7 @@ def pad_depth(depth: Depth, focal: float, near_mm: int, reach_mm: int, reuse: Pa
         values = reuse.values
     else:
         values = np.full(shape, FAR_MM, np.int16)
-    _kernels().pad(np.require(depth, np.uint16, ["C", "W", "A"]), border, values)
+    native("forests").pad(np.require(depth, np.uint16, ["C", "W", "A"]), border, values)
     return PaddedDepth(values, border, float(focal), int(near_mm), int(reach_mm))
 
 
@@ -143,7 +132,7 @@ def grow(
     deepest: int,
 ) -> None:
     """Update a growing forest, in place, with the samples at `cells` (S,) of classes `labels` (S,), in their order."""
-    _kernels().grow(
+    native("forests").grow(
         picture.flat,
         picture.width,
         cells,
@@ -168,7 +157,7 @@ def pack(
     n = int(size.max())
     records = np.zeros((len(left), n, 8), np.int16)
     shares = np.zeros((len(left), n, count.shape[2]), np.uint16)
-    _voting().pack(test, left, count, size, records, shares)
+    native("forest_votes").pack(test, left, count, size, records, shares)
     return Packed(records, shares)
 
 
@@ -176,7 +165,9 @@ def leaves(picture: PaddedDepth, cells: NDArray[np.int64], packed: Packed, clip_
     """(S, nt) the leaf that each cell reaches in each tree."""
     out = np.empty((len(cells), len(packed.records)), np.int32)
     records = packed.records.reshape(-1, 8)
-    _voting().leaves(picture.flat, picture.width, cells, picture.focal, clip_mm, records, len(packed.records), out)
+    native("forest_votes").leaves(
+        picture.flat, picture.width, cells, picture.focal, clip_mm, records, len(packed.records), out
+    )
     return out
 
 
@@ -224,10 +215,11 @@ def scan(
     shape = grid_shape(picture.shape, plan.stride)
     out, wanted, spent = np.empty((len(packed), *shape), np.float32), np.zeros((1, 1), np.uint32), 0
     wide = plan.coarse if plan.first else 0
+    votes = native("forest_votes")
     if wide:
         wanted = np.empty(grid_shape(picture.shape, plan.stride * wide), np.uint32)
-        spent = _voting().coarse_pass(raster, joined, table, plan.first, plan.least, plan.stride * wide, wanted)
-    spent += _voting().scan(raster, joined, table, plan.first, plan.least, plan.stride, wanted, wide, out)
+        spent = votes.coarse_pass(raster, joined, table, plan.first, plan.least, plan.stride * wide, wanted)
+    spent += votes.scan(raster, joined, table, plan.first, plan.least, plan.stride, wanted, wide, out)
     return out, int(spent)
 
 
@@ -237,7 +229,9 @@ def scan_classes(picture: PaddedDepth, packed: Packed, clip_mm: int, plan: ScanP
     shares = packed.shares.reshape(-1, packed.shares.shape[2])
     out = np.empty((shares.shape[1] - 1, *grid_shape(picture.shape, plan.stride)), np.float32)
     records, trees = packed.records.reshape(-1, 8), len(packed.records)
-    spent = _voting().scan_classes(raster, records, shares, trees, clip_mm, plan.first, plan.least, plan.stride, out)
+    spent = native("forest_votes").scan_classes(
+        raster, records, shares, trees, clip_mm, plan.first, plan.least, plan.stride, out
+    )
     return out, int(spent)
 
 
@@ -247,14 +241,14 @@ def parzen(
     """Density (rows, columns) of the votes: m^2 of voting surface per cell; and the index of its largest value."""
     sums, out = np.empty_like(scores), np.empty_like(scores)
     raster = _raster(picture, 0, FAR_MM)
-    return out, int(_voting().parzen(raster, stride, scores, majority, sigma_px / stride, sums, out))
+    return out, int(native("forest_votes").parzen(raster, stride, scores, majority, sigma_px / stride, sums, out))
 
 
 def cut_patches(picture: PaddedDepth, cells: NDArray[np.int64], step_mm: int) -> NDArray[np.int16]:
     """(S, P, P) depth relative to the centre's, mm, every step_mm over the square that tests may reach."""
     side = 2 * (picture.reach_mm // step_mm) + 1
     out = np.empty((len(cells), side, side), np.int16)
-    _kernels().cut_patches(picture.flat, picture.width, cells, picture.focal, step_mm, out)
+    native("forests").cut_patches(picture.flat, picture.width, cells, picture.focal, step_mm, out)
     return out
 
 
@@ -291,7 +285,7 @@ def grow_tree(
         np.zeros(room, np.uint8),
     )
     state = rng.integers(0, 2**63, 1).astype(np.uint64)
-    n = _kernels().grow_tree(
+    n = native("forests").grow_tree(
         patches,
         labels,
         order.copy(),
@@ -310,5 +304,5 @@ def grow_tree(
 def patch_leaves(patches: NDArray[np.int16], tree: TreeArraysOffline, clip_mm: int) -> NDArray[np.int32]:
     """(S,) the leaf that each patch reaches."""
     out = np.empty(len(patches), np.int32)
-    _kernels().patch_leaves(patches, clip_mm, tree.test, tree.left, out)
+    native("forests").patch_leaves(patches, clip_mm, tree.test, tree.left, out)
     return out

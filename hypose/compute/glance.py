@@ -4,7 +4,6 @@ any of it is shrunk and undistorted: the person is a small part of most pictures
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import NamedTuple
 
 import cv2
@@ -13,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute import selection
 from hypose.compute.images import Box, Image, Room
+from hypose.compute.native import native
 
 STEP = 4
 """px of the working size between the pixels looked at"""
@@ -56,8 +56,7 @@ def differing_box(image: Image, at: NDArray[np.int32], glance: Glance, size: tup
         found = _differ_sparsely(image, at, glance)
     else:
         found = np.empty(at.shape, np.uint8)
-        kernels = import_module("hypose.compute.cpu_glance")
-        kernels.differ_sparsely(np.require(image, np.uint8, ["C", "W"]), at, *glance, found)
+        native("glance").differ_sparsely(np.require(image, np.uint8, ["C", "W"]), at, *glance, found)
     company = cv2.boxFilter(found, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
     x, y, w, h = (STEP * k for k in cv2.boundingRect((found & (company >= AMONG)).astype(np.uint8)))
     if w == 0:

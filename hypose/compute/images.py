@@ -8,7 +8,6 @@ camera can have its own thread.
 from __future__ import annotations
 
 import threading
-from importlib import import_module
 from typing import NamedTuple
 
 import cv2
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute import selection
+from hypose.compute.native import native
 from hypose.errors import InputError
 
 Image = NDArray[np.uint8]
@@ -126,7 +126,7 @@ def shrink_undistort(image: Image, lens: Lens, box: Box | None = None) -> Image:
         small = np.zeros((h + 3, w + 3, 3), np.uint8)
         small[1 : h + 1, 1 : w + 1] = _shrink(image, lens)
         return small[1 : h + 1, 1 : w + 1].copy() if lens.straight else _remap(small, lens)
-    kernels, image = _kernels(), np.require(image, np.uint8, ["C", "W"])
+    kernels, image = native("images"), np.require(image, np.uint8, ["C", "W"])
     packed = _scratch(h + 3, w + 3)
     a0, a1, b0, b1 = (y0, y1, x0, x1) if lens.straight else _needed(lens, box)
     if a1 > a0 and b1 > b0:
@@ -152,10 +152,6 @@ def _scratch(h: int, w: int) -> NDArray[np.uint64]:
     if known is None or known.shape != (h, w):
         known = _OWN.packed = np.zeros((h, w), np.uint64)
     return known
-
-
-def _kernels():  # noqa: ANN202 - a module
-    return import_module("hypose.compute.cpu_images")
 
 
 def _needed(lens: Lens, box: Box | None) -> Box:
@@ -207,7 +203,7 @@ def differences(image: Image, room: Room, box: Box | None = None) -> Mask:
     limits = (np.float32(room.darkest), np.float32(room.lightest), np.float32(room.chroma))
     if selection.backend() != "numpy":
         image = np.require(image, np.uint8, ["C", "W"])
-        _kernels().differ(image, *room[:4], bool(room.shadow), *limits, y0, y1, x0, x1, out)
+        native("images").differ(image, *room[:4], bool(room.shadow), *limits, y0, y1, x0, x1, out)
         return out
     s = np.s_[y0:y1, x0:x1]
     part = image[s]
@@ -227,7 +223,7 @@ def without_shadows(codes: Mask) -> Mask:
     single twos along the edge of dark clothing before a bright wall are mixed pixels, so twos are opened 3 x 3."""
     if selection.backend() != "numpy":
         out = np.empty(codes.shape, np.uint8)
-        _kernels().without_shadows(np.require(codes, np.uint8, ["C", "W"]), out)
+        native("images").without_shadows(np.require(codes, np.uint8, ["C", "W"]), out)
         return out
     shadow = cv2.morphologyEx((codes == 2).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     return np.asarray(np.minimum(codes, 1) & (1 - shadow), dtype=np.uint8)
@@ -240,7 +236,7 @@ def clean_regions(mask: Mask, hole_px: int, keep_share: float, keep_gap: float) 
     if selection.backend() != "numpy":
         out = np.zeros_like(mask)
         gap = float(min(keep_gap, 1e9))
-        _kernels().clean_regions(np.array(mask, dtype=np.uint8), int(hole_px), float(keep_share), gap, out)
+        native("images").clean_regions(np.array(mask, dtype=np.uint8), int(hole_px), float(keep_share), gap, out)
         return out
     part = mask.copy()
     if hole_px:
@@ -272,7 +268,7 @@ def order_statistic(stack: NDArray[np.uint8], hidden: NDArray[np.bool_] | None, 
         out = np.empty((p, 3), np.uint8)
         none = np.zeros((0, p), np.bool_)
         seen = none if hidden is None else np.require(hidden, np.bool_, ["C", "W"])
-        _kernels().order_statistic(np.require(stack, np.uint8, ["C", "W"]), seen, rank.astype(np.uint16), out)
+        native("images").order_statistic(np.require(stack, np.uint8, ["C", "W"]), seen, rank.astype(np.uint16), out)
         return out
     values = stack.astype(np.int16)
     if hidden is not None:

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.compute import _numba, _plain
 from hypose.compute.arrays import MeshArrays, TreeArrays
 from hypose.compute.mono_terms import (
     LECLERC,
@@ -26,6 +25,7 @@ from hypose.compute.mono_terms import (
     MonoWorkspace,
     SphereArrays,
 )
+from hypose.compute.native import native, plain
 from hypose.errors import SolverError
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ def model(
         np.flatnonzero(moving).astype(np.int32),
         np.flatnonzero(~moving).astype(np.int32),
         share > 0.5,
-        _plain(projection, np.float64),
+        plain(projection, np.float64),
     )
 
 
@@ -92,10 +92,10 @@ class MonoCost(NamedTuple):
 
 def evaluate(pose: ArrayLike, problem: MonoProblem, ws: MonoWorkspace, *, coarse: bool = False) -> MonoCost:
     """Cost of the evidence (without flow) and of the priors at one pose (D,), with derivatives."""
-    q, a = _plain(pose, np.float64), len(problem.model.active)
+    q, a = plain(pose, np.float64), len(problem.model.active)
     hessian, gradient = np.empty((a, a)), np.empty(a)
     sigma = problem.edges.coarse_sigma if coarse else problem.edges.sigma
-    kernels = _numba("mono_search")
+    kernels = native("mono_search")
     kernels.draw_still(q, problem.model, ws)
     cost = kernels.full_cost(q, problem, sigma, 0, ws, hessian, gradient)
     return MonoCost(float(cost), gradient, hessian, ws.counts.copy())
@@ -119,8 +119,8 @@ def search(
     """Damped Newton from pose start (D,); inner nodes come from pose before (D,). Releases the GIL."""
     q, a = np.array(start, dtype=np.float64), len(problem.model.active)
     hessian, gradient, info = np.empty((a, a)), np.empty(a), np.zeros(3)
-    ok = _numba("mono_search").search(
-        q, _plain(before, np.float64), problem, int(coarse), int(iterations), ws, hessian, gradient, info
+    ok = native("mono_search").search(
+        q, plain(before, np.float64), problem, int(coarse), int(iterations), ws, hessian, gradient, info
     )
     if not ok:
         raise SolverError("The cost at the start pose is not finite; check the start pose and the picture for NaN.")
@@ -131,9 +131,9 @@ def search(
 
 def score(poses: ArrayLike, problem: MonoProblem, ws: MonoWorkspace) -> Array:
     """Costs (N,) without flow at poses (N, D). Releases the GIL."""
-    q = _plain(poses, np.float64)
+    q = plain(poses, np.float64)
     costs = np.empty(len(q))
-    _numba("mono_search").score(q, problem, ws, costs)
+    native("mono_search").score(q, problem, ws, costs)
     return costs
 
 
@@ -141,7 +141,7 @@ def eigen(matrix: ArrayLike) -> tuple[Array, Array]:
     """Eigenvalues (N,), ascending, and eigenvectors (N, N) in columns of a symmetric matrix, without BLAS."""
     a = np.array(matrix, dtype=np.float64)
     vectors = np.empty_like(a)
-    _numba("mono_search").symmetric_eigen(a, vectors)
+    native("mono_search").symmetric_eigen(a, vectors)
     values = np.diagonal(a)
     order = np.argsort(values, kind="stable")
     return values[order], vectors[:, order]
@@ -149,36 +149,36 @@ def eigen(matrix: ArrayLike) -> tuple[Array, Array]:
 
 def strongest_gradient(image: ArrayLike) -> tuple[Floats, Floats]:
     """Scharr gradient (h, w, 2) per px of the channel of image (h, w, C) in which it is largest, and its length."""
-    i = _plain(image, np.float32)
+    i = plain(image, np.float32)
     field, size = np.empty((*i.shape[:2], 2), np.float32), np.empty(i.shape[:2], np.float32)
-    _numba("mono_images").strongest_gradient(i, field, size)
+    native("mono_images").strongest_gradient(i, field, size)
     return field, size
 
 
 def saturate(field: Floats, size: Floats, full: float) -> None:
     """Divide field (h, w, 2) by max(full, size (h, w)), in place."""
-    _numba("mono_images").saturate(field, size, np.float32(full))
+    native("mono_images").saturate(field, size, np.float32(full))
 
 
 def weigh(field: Floats, boundaries: Floats, corner: tuple[int, int], floor: float) -> Floats:
     """field (h, w, 2) times floor + (1 - floor) boundaries, which lie at corner (x, y) and count 0 elsewhere."""
     out = np.empty_like(field)
-    _numba("mono_images").weigh(field, boundaries, int(corner[0]), int(corner[1]), np.float32(floor), out)
+    native("mono_images").weigh(field, boundaries, int(corner[0]), int(corner[1]), np.float32(floor), out)
     return out
 
 
 def flow_error(there: Floats, back: Floats) -> Floats:
     """Forward-backward error (h, w) px of a flow (h, w, 2) and the flow back."""
     out = np.empty(there.shape[:2], np.float32)
-    _numba("mono_images").flow_error(_plain(there, np.float32), _plain(back, np.float32), out)
+    native("mono_images").flow_error(plain(there, np.float32), plain(back, np.float32), out)
     return out
 
 
 def boundary_map(back: Floats, error: Floats, steep: float, wrong: float) -> Floats:
     """Unsmoothed motion boundaries (h, w), 0 to 2: slope of the flow over `steep` and its error over `wrong`."""
     out = np.empty(error.shape, np.float32)
-    kernels = _numba("mono_images")
-    kernels.boundary_map(_plain(back, np.float32), error, np.float32(steep), np.float32(wrong), out)
+    kernels = native("mono_images")
+    kernels.boundary_map(plain(back, np.float32), error, np.float32(steep), np.float32(wrong), out)
     return out
 
 

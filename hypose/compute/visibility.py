@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose import compute
 from hypose.compute import selection
+from hypose.compute.native import native
 
 # the same constants as in cpu_visibility.py, which must not be imported without numba
 _TIE, _LEAVE, _ARRIVE, _OUTWARD = 1.0001, 1e-3, 1e-6, 0.0
@@ -29,7 +29,7 @@ def nearest_visible(
     if selection.backend() == "numpy":
         return _reference(v, f, n, c, d)
     near = np.zeros(d.shape, dtype=np.bool_)
-    compute._numba("visibility").nearest_visible(v, f, n, c, d, near)
+    native("visibility").nearest_visible(v, f, n, c, d, near)
     return near
 
 

@@ -12,9 +12,9 @@ from hypose.body.anthropometry import Sizes, measure, sizes_of
 from hypose.body.body import Body
 from hypose.body.models import human
 from hypose.compute.render import silhouette
+from hypose.evaluation.action_scenes import action_scene, subject_of_seed, track_scene
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row, row
 from hypose.evaluation.performance import Angles, Performance, Stance, perform
-from hypose.evaluation.published import action_scene, subject_of_seed, track_scene
 from hypose.evaluation.scenes import Scene, make_scene
 from hypose.evaluation.subjects import Subject, dress, load_subjects
 from hypose.geometry import Array

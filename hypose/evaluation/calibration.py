@@ -22,7 +22,7 @@ from hypose.evaluation.fusion_benchmarks import jitter
 from hypose.evaluation.real import uu4cam_recording
 from hypose.evidence.hull import hull_iou, visual_hull
 from hypose.geometry import Array, se3, se3_inverse, skew, so3_exp
-from hypose.io.calibration import read_calibration
+from hypose.io.calibration_formats import read_any
 from hypose.io.frames import FrameStream
 from hypose.io.recording import Recording
 from hypose.pipeline.run import TrackOptions, track_source
@@ -142,7 +142,7 @@ def _board_alone(rig: CameraRig, start: Array, board: Board, seen: dict[int, dic
 
 def _caliscope(folder: Path, options: BenchOptions) -> list[Row]:
     session = folder / "post_optimization"
-    given = read_calibration(session / "camera_array.toml")
+    given = read_any(session / "camera_array.toml")[0]
     sources = [Source(f"cam_{n}", session / f"calibration/extrinsic/cam_{n}.mp4") for n in range(4)]
     board = Board("charuco", 4, 5, 0.054, 0.75 * 0.054, "DICT_4X4_1000", inverted=True)
     rows = []

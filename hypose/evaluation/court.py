@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hypose.evaluation.action_scenes import median_row, subject_of_seed, track_scene
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row
 from hypose.evaluation.corruptions import Corruptions
 from hypose.evaluation.metrics import LOST_M
 from hypose.evaluation.performance import Performance
-from hypose.evaluation.published import median_row, subject_of_seed, track_scene
 from hypose.evaluation.scenes import Scene, make_scene
 from hypose.geometry import Array
 

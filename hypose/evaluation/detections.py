@@ -2,17 +2,52 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
 from hypose.body.models import JOINT_NAMES
+from hypose.cameras.camera import CameraRig
+from hypose.evaluation.performance import Performance
 from hypose.evaluation.subjects import Subject
 from hypose.evidence.keypoints import BODY_25
 from hypose.geometry import Array
 
-if TYPE_CHECKING:
-    from hypose.evaluation.scenes import Scene
+
+class Filmed(Protocol):
+    """What is filmed of a scene (`hypose.evaluation.scenes.Scene`)."""
+
+    @property
+    def subject(self) -> Subject:
+        """Who moves."""
+        ...
+
+    @property
+    def performance(self) -> Performance:
+        """How."""
+        ...
+
+    @property
+    def rig(self) -> CameraRig:
+        """What films it."""
+        ...
+
+    @property
+    def seed(self) -> int:
+        """Of the noise."""
+        ...
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        ...
+
+    def shown(self, view: int, index: int, /) -> int:
+        """The frame that a view shows at frame index."""
+        ...
+
+    def dead(self, view: int, index: int, /) -> bool:
+        """Does the view show nothing then?"""
+        ...
 
 
 def surface_landmarks(subject: Subject) -> dict[str, tuple[int, Array]]:
@@ -38,7 +73,7 @@ def surface_landmarks(subject: Subject) -> dict[str, tuple[int, Array]]:
     return out
 
 
-def keypoint_detections(scene: Scene, view: int, noise_px: float = 4.0) -> Array:
+def keypoint_detections(scene: Filmed, view: int, noise_px: float = 4.0) -> Array:
     """(T, 25, 3) = (u px, v px, confidence): BODY_25 detections of the subject in the camera's own
     (distorted) images.
 

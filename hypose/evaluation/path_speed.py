@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 
 from hypose.cameras.camera import CameraRig
+from hypose.evaluation.action_scenes import action_scene, known_subject
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row
 from hypose.evaluation.clip_speed import keypoint_clip_rows
-from hypose.evaluation.published import action_scene, known_subject
 from hypose.evaluation.real import balancing_recording
 from hypose.evaluation.scenes import Scene
 from hypose.evaluation.write_recording import write_scene

@@ -6,9 +6,9 @@ from __future__ import annotations
 from hypose.body.body import Body
 from hypose.body.models import human
 from hypose.body.motion import Motion
+from hypose.evaluation.action_scenes import action_scene, known_subject
 from hypose.evaluation.benchmarks import BenchOptions
 from hypose.evaluation.metrics import population_offsets, with_offsets
-from hypose.evaluation.published import action_scene, known_subject
 from hypose.evaluation.scenes import Scene
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array

@@ -9,8 +9,8 @@ from scipy.stats import spearmanr
 
 from hypose import compute
 from hypose.body.body import Body, Mesh
+from hypose.evaluation.action_scenes import action_scene, known_subject
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row
-from hypose.evaluation.published import action_scene, known_subject
 from hypose.evaluation.timing import best
 from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.frame import Frame

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hypose.body.body import Body
+from hypose.evaluation.action_scenes import action_scene, known_subject
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row, row
-from hypose.evaluation.published import action_scene, known_subject
 from hypose.evaluation.real import against_keypoints, balancing_recording
 from hypose.evaluation.timing import best
 from hypose.evidence.contours import WORKING_HEIGHT

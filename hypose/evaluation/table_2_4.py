@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hypose.body.body import Body
+from hypose.evaluation.action_scenes import known_subject, median_row, subject_of_seed
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row
-from hypose.evaluation.published import known_subject, median_row, subject_of_seed
 from hypose.evaluation.scenes import Scene, make_scene
 from hypose.evidence.body_parts import detect_ends, end_colors
 from hypose.evidence.frame import Frame

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hypose.body.models import JOINT_NAMES
+from hypose.evaluation.action_scenes import ACTIONS, action_scene
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row
 from hypose.evaluation.metrics import EVALUATED, coverage
 from hypose.evaluation.product import (
@@ -15,7 +16,6 @@ from hypose.evaluation.product import (
     keypoint_motions,
     product_motion,
 )
-from hypose.evaluation.published import ACTIONS, action_scene
 from hypose.geometry import Array
 from hypose.tracking.uncertainty import joint_group
 

@@ -1,4 +1,4 @@
-"""Camera calibration files: the Pose2Sim / anipose / FreeMoCap / Caliscope TOML family; others: `calibration_formats`.
+"""Camera calibration files of the TOML family (Pose2Sim, anipose, FreeMoCap, Caliscope); all: `calibration_formats`.
 
 The TOML family has one table per camera:
 
@@ -49,28 +49,6 @@ _KEYS = {
     "rotation": ("rotation", "R", "rvec"),
     "translation": ("translation", "T", "t", "tvec"),
 }
-
-
-def read_calibration(path: str | Path, unit: str = "auto") -> CameraRig:
-    """Rig of a calibration file (see `calibration_formats`), in the file's camera order, world in metres.
-
-    unit: 'auto' (see the module), 'm', 'cm' or 'mm', the unit of the file's translations. A CalibrationError
-    names the file, the camera and what is wrong.
-    """
-    return read_calibration_with_notes(path, unit)[0]
-
-
-def read_calibration_with_notes(path: str | Path, unit: str = "auto") -> tuple[CameraRig, tuple[str, ...]]:
-    """`read_calibration` with the sentences that a user should see about what was assumed."""
-    path = Path(path)
-    if unit != "auto" and unit not in UNITS:
-        raise CalibrationError(f"The calibration unit {unit!r} is not known; use auto, m, cm or mm.")
-    if path.suffix.lower() == ".toml":
-        return _read_toml(path, read_text(path), unit)
-    # here, because the other formats are built on this one
-    from hypose.io.calibration_formats import read_other
-
-    return read_other(path, unit)
 
 
 def find_calibration(folder: Path) -> Path | None:
@@ -168,7 +146,8 @@ def read_text(path: Path) -> str:
 # ---- TOML family -------------------------------------------------------------------------------------------
 
 
-def _read_toml(path: Path, text: str, unit: str) -> tuple[CameraRig, tuple[str, ...]]:
+def read_toml(path: Path, text: str, unit: str) -> tuple[CameraRig, tuple[str, ...]]:
+    """`calibration_formats.read_any` for the text of a TOML file."""
     try:
         document = parse_toml(path, text)
     except ValueError as error:

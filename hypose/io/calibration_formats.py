@@ -20,7 +20,7 @@ import numpy as np
 
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError, InputError
-from hypose.io.calibration import read_calibration_with_notes, toml_value, write_calibration
+from hypose.io.calibration import UNITS, read_text, read_toml, toml_value, write_calibration
 from hypose.io.calibration_opencap import read_opencap, write_opencap
 from hypose.io.calibration_xml import read_xml, write_qca, write_xcp
 from hypose.io.calibration_yml import read_yml, write_yml
@@ -31,22 +31,24 @@ _WRITTEN = ".toml, .yml, .qca.txt, .xcp or .pickle"
 
 
 def read_any(path: str | Path, unit: str = "auto") -> tuple[CameraRig, tuple[str, ...]]:
-    """Rig (metres) of a calibration file of any known program, and sentences on what was assumed."""
+    """Rig of a calibration of any known program, in the file's camera order, world in metres, and sentences on what was
+    assumed.
+
+    unit: 'auto' (see `hypose.io.calibration`), 'm', 'cm' or 'mm', the unit of the file's translations. A
+    CalibrationError names the file, the camera and what is wrong.
+    """
     path = Path(path)
+    name = path.name.lower()
+    if unit != "auto" and unit not in UNITS:
+        raise CalibrationError(f"The calibration unit {unit!r} is not known; use auto, m, cm or mm.")
     if path.is_dir():
         if any((path / n).is_file() for n in ("intri.yml", "Intrinsic.yml")):
             return read_yml(path, unit)
         if next(path.rglob("*.pickle"), None) is not None:
             return read_opencap(path)
         raise CalibrationError(f"The folder {path} holds no calibration; give a file or folder: {_READ}.")
-    return read_calibration_with_notes(path, unit)
-
-
-def read_other(path: Path, unit: str) -> tuple[CameraRig, tuple[str, ...]]:
-    """`read_any` for a file that is not TOML."""
-    name = path.name.lower()
-    if path.is_dir():
-        raise CalibrationError(f"{path} is a folder; name the calibration file in it.")
+    if name.endswith(".toml"):
+        return read_toml(path, read_text(path), unit)
     if not path.is_file():
         raise CalibrationError(f"The calibration file {path} does not exist; check the path, or run hypose calibrate.")
     if name.endswith((".qca.txt", ".qca", ".xcp")):

@@ -24,10 +24,10 @@ from hypose.io import pose2sim
 from hypose.io.calibration import (
     UNITS,
     find_calibration,
-    read_calibration_with_notes,
     toml_value,
     write_calibration,
 )
+from hypose.io.calibration_formats import read_any
 from hypose.io.detected_keypoints import with_detected
 from hypose.io.file_names import text_of
 from hypose.io.files import write_text
@@ -349,7 +349,7 @@ def _calibration(folder: Path, where: str, settings: Mapping[str, Any], notes: l
             'calibration = "...".'
         )
     unit = choice(where, "calibration_unit", settings.get("calibration_unit", "auto"), ("auto", *UNITS))
-    rig, found = read_calibration_with_notes(path, unit)
+    rig, found = read_any(path, unit)
     notes += found
     up = choice(where, "world_up", settings.get("world_up", "z"), tuple(_UP))
     if up != "z":

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hypose.geometry import so3_exp, so3_log
-from hypose.io.calibration import read_calibration
+from hypose.io.calibration_formats import read_any
 
 
 def test_the_command_writes_evidence_in_step(hypose, tiny, tmp_path):
@@ -68,7 +68,7 @@ def test_the_page_tells_what_was_found(hypose, recording):
 
 def test_check_writes_a_refined_calibration_and_says_how_to_use_it(hypose, keypoint_recording):
     path = keypoint_recording / "calibration.toml"
-    true = read_calibration(path)
+    true = read_any(path)[0]
     text = path.read_text()
     block = next(p for p in re.split(r"(?=\[cam\d\])", text) if p.startswith("[cam2]"))
     rotation, translation = (
@@ -82,7 +82,7 @@ def test_check_writes_a_refined_calibration_and_says_how_to_use_it(hypose, keypo
     assert code == 1 and "fault: cam2:" in out and "hypose check --refine" in out, out + err
     code, out, err = hypose("check", keypoint_recording, "--frames", "30", "--samples", "1", "--refine")
     assert code == 0, out + err
-    new = read_calibration(keypoint_recording / "results" / "calibration_refined.toml")
+    new = read_any(keypoint_recording / "results" / "calibration_refined.toml")[0]
     assert "hypose track" in out and "frames not used" in out
     off = [
         np.degrees(np.linalg.norm(so3_log(a.camera_from_world[:3, :3] @ b.camera_from_world[:3, :3].T)))

@@ -7,7 +7,7 @@ import pytest
 from hypose.app.cli import main
 from hypose.app.commands_calibrate import parse_length
 from hypose.errors import InputError
-from hypose.io.calibration import read_calibration, write_calibration
+from hypose.io.calibration import write_calibration
 from hypose.io.calibration_formats import read_any
 from tests.calibration.painted_boards import paint
 from tests.calibration.test_from_boards import BOARD, board_poses, make_rig
@@ -39,7 +39,7 @@ def test_boards(pictures, tmp_path, capsys):
     )  # fmt: skip
     assert code == 0
     assert "Joint fit of all boards" in said and str(out) in said
-    assert read_calibration(out).names == ("cam1", "cam2", "cam3")
+    assert read_any(out)[0].names == ("cam1", "cam2", "cam3")
     sheet = cv2.imread(str(tmp_path / "rig.png"))
     assert sheet is not None and sheet.shape[1] == 1560 and sheet.std() > 10
 
@@ -71,7 +71,7 @@ def test_points(pictures, tmp_path, capsys):
         capsys, "--points", tmp_path / "p.toml", "--intrinsics", pictures / "lenses.toml", "--out", tmp_path / "o.toml"
     )
     assert code == 0 and "Fit of the points: 0.00 px rms" in said
-    np.testing.assert_allclose(read_calibration(tmp_path / "o.toml").positions, rig.positions, atol=1e-4)
+    np.testing.assert_allclose(read_any(tmp_path / "o.toml")[0].positions, rig.positions, atol=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -22,8 +22,8 @@ from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON
 from hypose.fusion.live import LiveSettings
 from hypose.geometry import transform
+from hypose.io.skeleton_formats import read_skeletons
 from hypose.io.skeleton_lines import SkeletonLine, format_line
-from hypose.io.skeletons import read_skeletons
 from tests.depth_sensors import camera, places, walker
 
 ANGLES = (0, 60, -60)

@@ -7,7 +7,8 @@ import textwrap
 import pytest
 
 from hypose.errors import InputError
-from hypose.evaluation.benchmarks import BenchOptions, benchmarks, run_benchmark
+from hypose.evaluation.bench_list import benchmarks, run_benchmark
+from hypose.evaluation.benchmarks import BenchOptions
 
 _MEANS = {"seed_range": {"seeds", "first_seed"}, "folder": {"data"}, "part": {"parts"}}
 FIELDS = {"seeds", "first_seed", "data", "parts"}

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from hypose.evaluation import court, table_2_4
+from hypose.evaluation.action_scenes import Outcome, median_row
 from hypose.evaluation.metrics import EVALUATED_JOINTS, JointErrors
-from hypose.evaluation.published import Outcome, median_row, table_rows
+from hypose.evaluation.table_2_3 import table_rows
 
 
 def rows_by_name(rows):
@@ -72,7 +73,7 @@ def test_ixmas_people_leave_hands_and_face_bare_in_other_colours_than_their_clot
 
 def test_the_annotated_ends_of_body_and_subject_agree():
     """The tracker's body at the given start: hands, head and feet within 5 cm of the truth, by the same definition."""
-    from hypose.evaluation.published import known_subject
+    from hypose.evaluation.action_scenes import known_subject
 
     scene = table_2_4.ixmas_scene("punch", 0, 0.2)
     start = known_subject(scene)

@@ -13,11 +13,10 @@ from hypose.geometry import so3_exp
 from hypose.io.calibration import (
     find_calibration,
     natural_key,
-    read_calibration,
-    read_calibration_with_notes,
     toml_value,
     write_calibration,
 )
+from hypose.io.calibration_formats import read_any
 from tests.io.recordings import make_camera, make_rig
 
 POINTS = np.random.default_rng(3).uniform(-0.5, 0.5, (20, 3))
@@ -34,10 +33,10 @@ def assert_same(a, b, tolerance=1e-9):
 def test_round_trip(tmp_path):
     rig = CameraRig((make_camera("cam 1.a"), make_camera('ü"\\#', 2.0, fisheye=True), make_camera("3", -1.0)))
     write_calibration(rig, tmp_path / "calibration.toml")
-    assert_same(rig, read_calibration(tmp_path / "calibration.toml"))
+    assert_same(rig, read_any(tmp_path / "calibration.toml")[0])
     first = (tmp_path / "calibration.toml").read_bytes()
-    write_calibration(read_calibration(tmp_path / "calibration.toml"), tmp_path / "again.toml")
-    again = read_calibration(tmp_path / "again.toml")
+    write_calibration(read_any(tmp_path / "calibration.toml")[0], tmp_path / "again.toml")
+    again = read_any(tmp_path / "again.toml")[0]
     assert_same(rig, again)
     assert first.startswith(b'["cam 1.a"]')
 
@@ -91,7 +90,7 @@ def family(rotation, scale=1.0, keys=None, nested=False, extra=""):
 )  # fmt: skip
 def test_family_members_give_the_same_rig(tmp_path, text, expected_notes):
     (tmp_path / "c.toml").write_text(text)
-    rig, notes = read_calibration_with_notes(tmp_path / "c.toml")
+    rig, notes = read_any(tmp_path / "c.toml")
     assert_same(make_rig(), rig, 1e-8)
     assert len(notes) == expected_notes
     if expected_notes:
@@ -100,26 +99,26 @@ def test_family_members_give_the_same_rig(tmp_path, text, expected_notes):
 
 def test_unit_can_be_forced(tmp_path):
     (tmp_path / "c.toml").write_text(family("vector", 100))
-    assert_same(make_rig(), read_calibration(tmp_path / "c.toml", "cm"), 1e-8)
+    assert_same(make_rig(), read_any(tmp_path / "c.toml", "cm")[0], 1e-8)
     with pytest.raises(CalibrationError, match="unit 'inch' is not known; use auto, m, cm or mm"):
-        read_calibration(tmp_path / "c.toml", "inch")
+        read_any(tmp_path / "c.toml", "inch")[0]
 
 
 def test_names_follow_the_tables_and_rounded_rotations_become_exact(tmp_path):
     (tmp_path / "c.toml").write_text(family("matrix", keys={"name": ""}, nested=True))
-    rig = read_calibration(tmp_path / "c.toml")
+    rig = read_any(tmp_path / "c.toml")[0]
     assert rig.names == ("cam_0", "cam_1")
     coarse = so3_exp([0.1, 0.2, 0.3]).round(4)
     text = family("matrix").replace(toml_value(make_rig()[0].camera_from_world[:3, :3]), toml_value(coarse))
     (tmp_path / "c.toml").write_text(text)
-    r = read_calibration(tmp_path / "c.toml")[0].camera_from_world[:3, :3]
+    r = read_any(tmp_path / "c.toml")[0][0].camera_from_world[:3, :3]
     assert np.abs(r @ r.T - np.eye(3)).max() < 1e-14 and np.abs(r - coarse).max() < 1e-4
 
 
 def test_cameras_without_pose_that_are_ignored(tmp_path):
     extra = "[cam_9]\nsize = [64, 48]\nmatrix = [[1,0,0],[0,1,0],[0,0,1]]\nignore = true\n"
     (tmp_path / "c.toml").write_text(extra + family("matrix"))
-    rig, notes = read_calibration_with_notes(tmp_path / "c.toml")
+    rig, notes = read_any(tmp_path / "c.toml")
     assert rig.names == ("cam_1", "cam_2") and "cam_9" in notes[0]
 
 
@@ -147,8 +146,8 @@ def test_qualisys_agrees_with_pose2sims_conversion(shared_data):
     """Pose and K equal Pose2Sim's conversion of the same file; the distortion differs by its division by
     64."""
     folder = shared_data("pose2sim_balancing") / "calibration"
-    qca, notes = read_calibration_with_notes(folder / "Calib.qca.txt")
-    toml = read_calibration(folder / "Calib_qualisys.toml")
+    qca, notes = read_any(folder / "Calib.qca.txt")
+    toml = read_any(folder / "Calib_qualisys.toml")[0]
     assert qca.names == toml.names and notes == ()
     for a, b in zip(qca, toml, strict=True):
         assert a.size == b.size == (1088, 1920)
@@ -162,8 +161,8 @@ def test_qualisys_agrees_with_pose2sims_conversion(shared_data):
 def test_caliscope(shared_data):
     """Both generations of the file give one rig, whose projections meet the tracked corners."""
     folder = shared_data("caliscope_charuco") / "post_optimization"
-    new, notes = read_calibration_with_notes(folder / "camera_array.toml")
-    old = read_calibration(folder / "config.toml")
+    new, notes = read_any(folder / "camera_array.toml")
+    old = read_any(folder / "config.toml")[0]
     assert new.names == old.names == ("cam_0", "cam_1", "cam_2", "cam_3") and notes == ()
     assert np.allclose(new.projections, old.projections, atol=1e-9)
     found = np.genfromtxt(folder / "calibration/extrinsic/CHARUCO/xy_CHARUCO.csv", delimiter=",", names=True)
@@ -242,16 +241,16 @@ LENS = toml_value(FIRST.distortion)
 def test_bad_toml(tmp_path, text, message):
     (tmp_path / "c.toml").write_text(text)
     with pytest.raises(CalibrationError, match=message):
-        read_calibration(tmp_path / "c.toml")
+        read_any(tmp_path / "c.toml")[0]
 
 
 def test_bad_files(tmp_path):
     def refuses(name, message):
         with pytest.raises(CalibrationError, match=message):
-            read_calibration(tmp_path / name)
+            read_any(tmp_path / name)[0]
 
     refuses("none.toml", r"calibration file .*none\.toml does not exist; check the path, or run hypose calibrate")
-    refuses(".", r"is a folder; name the calibration file in it")
+    refuses(".", r"holds no calibration; give a file or folder")
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00\x81" * 100)
     refuses("binary.toml", r"is not a text file; name a calibration")
     with (tmp_path / "huge.toml").open("wb") as stream:
@@ -278,7 +277,7 @@ def qca(tmp_path, **changes):
 
 
 def test_qualisys_units_and_axes(tmp_path):
-    camera = read_calibration(qca(tmp_path))[0]
+    camera = read_any(qca(tmp_path))[0][0]
     assert camera.name == "7" and camera.size == (64, 48)
     assert np.allclose(camera.K, [[62.5, 0, 31.25], [0, 63, 23.4375], [0, 0, 1]])
     assert np.allclose(camera.distortion, [-0.1, 0.2, 0.001, 0.002, 0])
@@ -301,17 +300,17 @@ def test_qualisys_units_and_axes(tmp_path):
 )
 def test_bad_qualisys(tmp_path, changes, message):
     with pytest.raises(CalibrationError, match=message):
-        read_calibration(qca(tmp_path, **changes))
+        read_any(qca(tmp_path, **changes))[0]
 
 
 def test_qualisys_without_cameras_or_with_entities(tmp_path):
     path = tmp_path / "a.qca.txt"
     path.write_text("<calibration/>")
     with pytest.raises(CalibrationError, match="holds no cameras; export"):
-        read_calibration(path)
+        read_any(path)[0]
     path.write_text('<!DOCTYPE a [<!ENTITY b "' + "c" * 1000 + '">]><a>' + "&b;" * 1000 + "</a>")
     with pytest.raises(CalibrationError, match="is not a Qualisys or Vicon calibration"):
-        read_calibration(path)
+        read_any(path)[0]
 
 
 def test_qualisys_marker_cameras_are_left_out(tmp_path):
@@ -323,5 +322,5 @@ def test_qualisys_marker_cameras_are_left_out(tmp_path):
         .split("</cameras>")[0]
     )
     (tmp_path / "a.qca.txt").write_text(text.replace("</cameras>", other + "</cameras>"))
-    rig, notes = read_calibration_with_notes(tmp_path / "a.qca.txt")
+    rig, notes = read_any(tmp_path / "a.qca.txt")
     assert rig.names == ("7",) and "1 video cameras; the 1 others are left out" in notes[0]

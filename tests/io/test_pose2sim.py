@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from hypose.errors import CalibrationError, InputError
-from hypose.io.calibration import read_calibration, write_calibration
+from hypose.io.calibration import write_calibration
+from hypose.io.calibration_formats import read_any
 from hypose.io.pose2sim import match_names
 from hypose.io.recording import load_recording, write_recording
 from tests.io.recordings import frame, make_rig, make_video
@@ -127,7 +128,7 @@ def test_a_real_project(shared_data, tmp_path):
     scaled = [n for n in recording.notes if "taken as scaled" in n]
     assert len(scaled) == 2 and "cam01.mp4 is 1080 x 1920 px, the calibration 1088 x 1920 px" in scaled[0]
     write_recording(recording, tmp_path)
-    rig = read_calibration(tmp_path / "calibration.toml")
+    rig = read_any(tmp_path / "calibration.toml")[0]
     assert np.allclose(rig.projections, recording.rig.projections, atol=1e-8)
 
 

@@ -11,13 +11,13 @@ import pytest
 from hypose.errors import InputError
 from hypose.io.depth import depth_at_joints, read_azure_mkv, read_depth_png, write_depth_png
 from hypose.io.skeleton_folder import FolderWriter, write_folder
+from hypose.io.skeleton_formats import read_skeletons
 from hypose.io.skeleton_tables import KINECT_V2, read_kinect_csv, read_ntu
 from hypose.io.skeletons import (
     SkeletonRecording,
     StreamRows,
     build_stream,
     common_times,
-    read_skeletons,
     repair_clock,
     resample,
     synchronise,

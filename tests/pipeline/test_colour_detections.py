@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.evaluation.published import known_subject
+from hypose.evaluation.action_scenes import known_subject
 from hypose.evaluation.rigs import rig
 from hypose.evaluation.scenes import make_scene
 from hypose.evaluation.write_recording import write_scene

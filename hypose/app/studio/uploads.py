@@ -19,7 +19,8 @@ from hypose.app.studio.answers import NotNow, TooLarge
 from hypose.app.studio.catalog import Catalog, NotFound
 from hypose.app.studio.job_kinds import free_folder, is_name
 from hypose.errors import HyposeError, InputError
-from hypose.io.calibration import read_calibration, toml_value
+from hypose.io.calibration import toml_value
+from hypose.io.calibration_formats import read_any
 from hypose.io.files import write_text
 from hypose.io.recording import load_recording
 from hypose.io.video import IMAGE_ENDINGS, VIDEO_ENDINGS, open_video
@@ -186,7 +187,7 @@ def facts_of(path: Path) -> dict[str, Any]:
                 facts = {"size": list(reader.size), "frames": reader.n_frames, "frame_rate": reader.frame_rate}
             return {"kind": "video" if ending in VIDEO_ENDINGS else "image", **facts}
         if path.stat().st_size <= _LARGEST_CALIBRATION:
-            return {"kind": "calibration", "cameras": list(read_calibration(path).names)}
+            return {"kind": "calibration", "cameras": list(read_any(path)[0].names)}
     except HyposeError as error:
         return {"kind": "other", "problem": str(error).replace(f"{path.parent}/", "")}
     return {"kind": "other"}

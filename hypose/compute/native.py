@@ -1,0 +1,31 @@
+"""The way into the compiled kernels: a module of them by name, and arrays as they take them."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import import_module
+from types import ModuleType
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+_Arrays = TypeVar("_Arrays", bound=NamedTuple)
+
+
+@cache
+def native(name: str) -> ModuleType:
+    """The module cpu_NAME; numba is imported with the first of them."""
+    return import_module(f"hypose.compute.cpu_{name}")
+
+
+def plain(a: ArrayLike, dtype: type) -> NDArray:
+    """The array, contiguous and writable: numba compiles a kernel again for every layout and for read-only arrays."""
+    return np.require(a, dtype, ["C", "W", "A"])
+
+
+def tidy(arrays: _Arrays) -> _Arrays:
+    """The same for all arrays of a tuple."""
+    if all(not isinstance(a, np.ndarray) or (a.flags.c_contiguous and a.flags.writeable) for a in arrays):
+        return arrays
+    return type(arrays)(*(np.require(a, None, ["C", "W", "A"]) if isinstance(a, np.ndarray) else a for a in arrays))
