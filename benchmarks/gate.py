@@ -15,8 +15,8 @@ import sys
 from pathlib import Path
 
 from hypose.compute import warm_up
+from hypose.evaluation.action_scenes import action_scene, known_subject
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, machine
-from hypose.evaluation.published import action_scene, known_subject
 from hypose.evaluation.scorer_speed import opencv_unit, silhouette_scorer
 from hypose.evaluation.speed import contour_solve
 
