@@ -53,7 +53,12 @@ def noise_of(recording: SensorRecording, settings: SwarmSettings) -> Array:
     inputs = np.empty((len(recording), 3, sensors, 15))
     for t in range(len(recording)):
         memory, raw = confidence_step(
-            memory, recording.positions[t], recording.state[t], recording.joint_depth[t], settings.confidence
+            memory,
+            recording.positions[t],
+            recording.state[t],
+            recording.joint_depth[t],
+            np.full(sensors, recording.times[t]),
+            settings.confidence,
         )
         inputs[t] = normalised(raw, settings.confidence)
     return settings.rules.noise_fast(np.moveaxis(inputs, 0, 1))
