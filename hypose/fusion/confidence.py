@@ -53,7 +53,8 @@ CURED_CONFIDENCE = ConfidenceSettings(
 @dataclass(frozen=True)
 class ConfidenceState:
     """Memory of a stream: last positions (K, 15, 3) and their times (K,) s, the last `window` speeds and activations
-    (window, K, 15) m/s, frames seen, the held depth error (K, 15), usual bone lengths (15,) m of the limbs with their number of samples."""
+    (window, K, 15) m/s, frames seen, the held depth error (K, 15), usual bone lengths (15,) m of the limbs with their
+    number of samples."""
 
     last: Array
     times: Array
@@ -89,8 +90,8 @@ def confidence_step(
     settings: ConfidenceSettings,
 ) -> tuple[ConfidenceState, Array]:
     """One frame: positions (K, 15, 3) m in the sensors' frames, state (K, 15), depth (K, 15) m at the joints' pixels (0
-    = hole) or None, times (K,) s of the reports -> the new memory and the raw inputs (3, K, 15) = F (m/s, eq. 5), D (m),
-    A, before normalisation. A joint that was missing, or a report without a new time, has speed 0."""
+    = hole) or None, times (K,) s of the reports -> the new memory and the raw inputs (3, K, 15) = F (m/s, eq. 5), D
+    (m), A, before normalisation. A joint that was missing, or a report without a new time, has speed 0."""
     t, n = memory.frames, settings.window
     passed = (times - memory.times)[:, None]
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -129,7 +130,10 @@ def inverse_fluidity(speeds: ArrayLike, window: int) -> Array:
 
 
 def depth_error(z: Array, depth: Array, held: Array, settings: ConfidenceSettings) -> tuple[Array, Array]:
-    """D (K, 15) m = |z of the joint - depth map at its pixel|, and the errors to hold for the next frame."""
+    """D (K, 15) m = |z of the joint - depth map at its pixel| (section 2.3.2), and the errors to hold for the next
+    frame.
+
+    Deviation: a hole of the depth map reads as a depth of 0, and D is at most 4 m; the paper is silent about both."""
     with np.errstate(invalid="ignore"):
         error = np.abs(z - depth - (THICKNESS_M if settings.thickness else 0.0))
     if settings.hold:

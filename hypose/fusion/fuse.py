@@ -159,9 +159,10 @@ def fuse_clip(
 
     joints: one per frame, all of the same sensors and joint set (`register.combine` brings different sets together).
     The registration is robust over the whole clip and all joints unless it is given, but for "published", which
-    registers every frame by its triangle and returns the last one's; bone lengths are medians over the clip. watch: called after every frame with what is fused so far; what its `arrays` gave is taken as `done` to go on
-    there, which gives the same numbers (the baselines, which take no time, do neither). InputErrors name frames whose
-    sensors or joints differ, and sensors that see different people."""
+    registers every frame by its triangle and returns the last one's; bone lengths are medians over the clip. watch:
+    called after every frame with what is fused so far; what its `arrays` gave is taken as `done` to go on there, which
+    gives the same numbers (the baselines, which take no time, do neither). InputErrors name frames whose sensors or
+    joints differ, and sensors that see different people."""
     if not len(joints):
         raise InputError("There are no frames to fuse; give at least one.")
     s = replace(settings or FusionSettings(), method=method)

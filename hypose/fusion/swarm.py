@@ -9,7 +9,8 @@ leaves a handful of distinct candidates.
 Deviations, each a setting with the paper's behaviour as its value in PUBLISHED: the length scale h of eq. 7, which is
 printed without one (in millimetres only the nearest few of 2100 candidates would carry weight); the power of the noise;
 immigrants, because a sensor that blinks for one frame otherwise loses all its candidates for good; Baker's universal
-sampling; jitter, for roulette alone adds nothing new; the estimate read before the wheel, weighted by energy. The swarm chooses sensors well; it is a mediocre estimator, because it ends on one sensor and keeps its bias.
+sampling; jitter, for roulette alone adds nothing new; the estimate read before the wheel, weighted by energy. The swarm
+chooses sensors well; it is a mediocre estimator, because it ends on one sensor and keeps its bias.
 """
 
 from __future__ import annotations
@@ -109,8 +110,10 @@ def ride(h: Hypotheses, frame: SwarmFrame, rng: np.random.Generator, /) -> Hypot
 
 
 def energy(h: Hypotheses, frame: SwarmFrame, /) -> Array:
-    """pressure * log E (J, N), eq. 7: E = sum_k lambda_k^-power exp(-|s_k - p| / h). A joint that no candidate can
-    explain this frame keeps its population (0 everywhere)."""
+    """pressure * log E (J, N), eq. 7: E = sum_k lambda_k^-power exp(-|s_k - p| / h).
+
+    Deviation: a length scale h, which is printed without one. Deviation: exp(-|s - p| / h) below 0.001 counts as 0. A
+    joint that no candidate can explain this frame keeps its population (0 everywhere)."""
     out = np.empty(h.log_weights.shape)
     cpu_swarm.swarm_energy(h.values, h.label, h.log_weights, frame.positions, frame.weights, frame.settings.h_m, out)
     if frame.settings.pressure != 1:
@@ -119,7 +122,9 @@ def energy(h: Hypotheses, frame: SwarmFrame, /) -> Array:
 
 
 def mean_position(h: Hypotheses, /) -> Array:
-    """(J, 3) m weighted mean of the candidates."""
+    """(J, 3) m weighted mean of the candidates.
+
+    Deviation: eq. 1 is printed as the best candidate; section 2.5 says averaging, and so it is done."""
     shares, mean = np.empty(h.log_weights.shape), np.empty((len(h.values), 3))
     cpu_swarm.shares_and_mean(h.log_weights, h.values, shares, mean)
     return mean
