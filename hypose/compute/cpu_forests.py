@@ -174,9 +174,9 @@ def _split(g, t, n, slot, q):
 def grow(flat, width, cells, labels, focal, near, clip, half, spread, rate, alpha, beta, deepest, g):
     """Algorithm 6 for samples: cells (S,) i8 of the flat padded picture, labels (S,) i4 class. g: GrowingArrays.
 
-    Deviation: a leaf gets candidates only once it has seen two samples of two classes, and counts |S_j| from there on.
-    Deviation: a slot that has seen 3 alpha samples without a gainful test is given back and drawn anew. Deviation: the
-    Poisson number of repeats is added at once, so that a split waits for all of them.
+    Deviation: a leaf gets candidates only once it has seen two samples of each of two classes, and counts |S_j| from
+    then on. Deviation: a slot that has seen 3 alpha samples without a gainful test is given back and drawn anew.
+    Deviation: the Poisson number of repeats is added at once, so that a split waits for all of them.
     """
     trees, classes = g.left.shape[0], g.seen.shape[2]
     side = np.empty((2, classes), np.int64)

@@ -141,7 +141,7 @@ def settle(
 ) -> list[Found]:
     """The best place of every gesture, from the densities of this picture and the memory of the last ones (eq. 3.4).
 
-    Deviation: alpha is 1, no memory, unless it is set; 0.8 is printed."""
+    Deviation: alpha is 1, no memory, unless it is set; `hypose gesture` sets the printed 0.8."""
     s, out = settings.at(lens), []
     for gesture, (density, at) in enumerate(maps, 1):
         if s.memory < 1:
