@@ -9,7 +9,6 @@ The names below are the public interface; each is imported when it is first used
 Everything else is reached by its module and may change between minor versions.
 """
 
-import importlib
 from typing import Any
 
 _PLACES = {
@@ -37,11 +36,30 @@ _PLACES = {
     "write_calibration": "hypose.io.calibration_formats:write_any",
     # frame by frame, with evidence of one's own
     "Frame": "hypose.evidence.frame",
+    "Silhouettes": "hypose.evidence.frame",
+    "FrameList": "hypose.pipeline.track_loop",
+    "OwnEvidence": "hypose.tracking.evidence",
+    "PointTerm": "hypose.fitting.articulated",
     "Tracker": "hypose.tracking.tracker",
+    "TrackerSettings": "hypose.tracking.tracker",
+    # a method of one's own
     "recipe": "hypose.tracking.recipes",
+    "Recipe": "hypose.inference.layer",
+    "Layer": "hypose.inference.layer",
+    "Hypotheses": "hypose.inference.hypotheses",
+    "search": "hypose.inference.layer",
+    "stream": "hypose.inference.random_streams",
+    "kernels": "hypose.inference",
+    "selectors": "hypose.inference",
+    "Annealed": "hypose.inference.selectivity",
+    "SurvivalRate": "hypose.inference.selectivity",
+    "FixedSelectivity": "hypose.inference.selectivity",
+    "SilhouetteXor": "hypose.tracking.costs",
+    "pose_mean": "hypose.tracking.refinement",
     # depth sensors
     "read_skeletons": "hypose.io.skeletons",
     "fuse_clip": "hypose.fusion.fuse",
+    "LiveFuser": "hypose.fusion.live",
     "load_gesture_model": "hypose.pipeline.gesture_files:load_model",
     # scenes with known truth
     "make_scene": "hypose.evaluation.scenes",
@@ -58,7 +76,8 @@ def __getattr__(name: str) -> Any:
         value = _version()
     elif name in _PLACES:
         module, _, other = _PLACES[name].partition(":")
-        value = getattr(importlib.import_module(module), other or name)
+        # as `from module import name` does, for a name may be a module itself
+        value = getattr(__import__(module, fromlist=[other or name]), other or name)
     else:
         raise AttributeError(f"module 'hypose' has no attribute {name!r}")
     globals()[name] = value

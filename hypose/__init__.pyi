@@ -10,7 +10,20 @@ from hypose.errors import HyposeError as HyposeError
 from hypose.errors import InputError as InputError
 from hypose.evaluation.scenes import make_scene as make_scene
 from hypose.evidence.frame import Frame as Frame
+from hypose.evidence.frame import Silhouettes as Silhouettes
+from hypose.fitting.articulated import PointTerm as PointTerm
 from hypose.fusion.fuse import fuse_clip as fuse_clip
+from hypose.fusion.live import LiveFuser as LiveFuser
+from hypose.inference import kernels as kernels
+from hypose.inference import selectors as selectors
+from hypose.inference.hypotheses import Hypotheses as Hypotheses
+from hypose.inference.layer import Layer as Layer
+from hypose.inference.layer import Recipe as Recipe
+from hypose.inference.layer import search as search
+from hypose.inference.random_streams import stream as stream
+from hypose.inference.selectivity import Annealed as Annealed
+from hypose.inference.selectivity import FixedSelectivity as FixedSelectivity
+from hypose.inference.selectivity import SurvivalRate as SurvivalRate
 from hypose.io.bodies import load_body as load_body
 from hypose.io.bodies import save_body as save_body
 from hypose.io.calibration_formats import read_any as read_calibration
@@ -25,8 +38,13 @@ from hypose.pipeline.gesture_files import load_model as load_gesture_model
 from hypose.pipeline.run import TrackOptions as TrackOptions
 from hypose.pipeline.run import TrackResult as TrackResult
 from hypose.pipeline.track import track as track
+from hypose.pipeline.track_loop import FrameList as FrameList
+from hypose.tracking.costs import SilhouetteXor as SilhouetteXor
+from hypose.tracking.evidence import OwnEvidence as OwnEvidence
 from hypose.tracking.recipes import recipe as recipe
+from hypose.tracking.refinement import pose_mean as pose_mean
 from hypose.tracking.tracker import Tracker as Tracker
+from hypose.tracking.tracker import TrackerSettings as TrackerSettings
 
 __version__: str
 __all__: list[str]

@@ -19,6 +19,7 @@ _TITLES = {
     "Body": "Bodies",
     "Camera": "Cameras",
     "Frame": "Frame by frame, with evidence of one's own",
+    "recipe": "A method of one's own",
     "read_skeletons": "Depth sensors",
     "make_scene": "Scenes with known truth",
     "HyposeError": "What goes wrong",
@@ -39,13 +40,15 @@ def api_page() -> str:
         value = getattr(hypose, name)
         parts.append(f"### {name}\n\n```python\n{_signature(name, value)}\n```")
         parts.append(_plain(inspect.getdoc(value) or ""))
-        if inspect.isclass(value) and not issubclass(value, Exception):
+        if inspect.ismodule(value) or (inspect.isclass(value) and not issubclass(value, Exception)):
             rows = [f"- `{n}`: {_first(inspect.getdoc(m) or '')}" for n, m in _members(value)]
             parts += ["\n".join(rows)] if rows else []
     return "\n\n".join(parts) + "\n"
 
 
 def _signature(name: str, value: Any) -> str:
+    if inspect.ismodule(value):
+        return f"from hypose import {name}"
     if inspect.isclass(value) and issubclass(value, Exception):
         return f"class {name}({value.__bases__[0].__name__})"
     if inspect.isclass(value) and dataclasses.is_dataclass(value):
@@ -59,8 +62,11 @@ def _type(annotation: Any) -> str:
     return annotation if isinstance(annotation, str) else getattr(annotation, "__name__", str(annotation))
 
 
-def _members(value: type) -> list[tuple[str, Any]]:
-    """Public methods and properties that the class itself defines."""
+def _members(value: Any) -> list[tuple[str, Any]]:
+    """Public methods and properties that the class itself defines, or what the module does."""
+    if inspect.ismodule(value):
+        own = {n: m for n, m in vars(value).items() if getattr(m, "__module__", "") == value.__name__}
+        return [(n, m) for n, m in own.items() if not n.startswith("_")]
     return [
         (n, m.__func__ if isinstance(m, staticmethod | classmethod) else m)
         for n, m in vars(value).items()

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from hypose.evaluation.small_recordings import small_scene, write_masks, write_skeletons
+from hypose.evaluation.small_recordings import small_scene, write_gesture_session, write_masks, write_skeletons
 from hypose.fusion.joints import COMMON
-from scripts import fuzz_servers
+from scripts import fuzz_names, fuzz_servers
 
 
 @dataclass(frozen=True)
@@ -80,6 +80,7 @@ def targets() -> dict[str, Target]:
         Target("image-png", "walk/cam1/00000.png", video.read_image, "binary"),
         Target("video-avi", "clip.avi", _all_frames, "binary"),
         *_of_servers(),
+        *_of_names(),
     ]
     return {t.name: t for t in found}
 
@@ -95,6 +96,13 @@ def _of_servers() -> list[Target]:
     return [
         Target(f"server-{n}", f"servers/{n}.txt", read, lines=True, allowed=fuzz_servers.ALLOWED)
         for n, read in reads.items()
+    ]
+
+
+def _of_names() -> list[Target]:
+    return [
+        Target(name, file, read, "binary" if name.startswith("cache") else "text", given, allowed=fuzz_names.ALLOWED)
+        for name, (file, given, read) in fuzz_names.READS.items()
     ]
 
 
@@ -137,14 +145,13 @@ def write_good(folder: Path) -> None:
     from hypose.gestures.localise import LocaliseSettings
     from hypose.gestures.model import GestureModel
     from hypose.gestures.online import Learner
-    from hypose.gestures.pictures import KINECT
     from hypose.io.bodies import save_body
     from hypose.io.calibration_formats import write_any
     from hypose.io.depth import write_depth_png
     from hypose.io.export import export_motion
     from hypose.io.results import Checkpoint, save_motion
     from hypose.io.video import VideoWriter
-    from hypose.pipeline.gesture_files import SessionWriter, save_model
+    from hypose.pipeline.gesture_files import save_model
 
     rng = np.random.default_rng(5)
     cameras = CameraRig(rig("humaneva-4", distorted=True).scaled(0.25).cameras[:2])
@@ -171,15 +178,13 @@ def write_good(folder: Path) -> None:
     with VideoWriter(folder / "clip.avi", 25.0, (32, 24)) as writer:
         for _ in range(4):
             writer.write(rng.integers(0, 255, (24, 32, 3), dtype=np.uint8))
-    session = SessionWriter(folder / "session", ["wave"], KINECT, (32, 24))
-    for n in range(3):
-        session.add(n / 10, rng.integers(500, 4000, (24, 32)).astype(np.uint16), "positive", 0, 1, (16.0, 12.0))
-    session.close()
+    write_gesture_session(folder / "session", "wave")
     learner = Learner.new(np.random.default_rng(0), ForestSettings())
     model = GestureModel(("wave",), learner.forest, (None,), LocaliseSettings(), learner)
     save_model(model, folder / "model.npz")
     _write_texts(folder)
     fuzz_servers.write_good(folder)
+    fuzz_names.write_good(folder)
 
 
 def _write_texts(folder: Path) -> None:

@@ -27,11 +27,13 @@ def report() -> Mapping[str, Any]:
         site, elsewhere = Path(temporary) / "site", Path(temporary) / "elsewhere"
         elsewhere.mkdir()  # else the sources at hand would hide the package
         shutil.copytree(PACKAGE, site / PACKAGE.name, ignore=shutil.ignore_patterns("__pycache__", "assets"))
-        command = [sys.executable, "-m", "pyright", "--pythonpath", sys.executable, "--outputjson"]
+        command = [sys.executable, "-m", "pyright", "--outputjson"]
+        # for this report pyright asks the first `python` of PATH where packages are, whatever --pythonpath says
+        path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)])
         done = subprocess.run(
             [*command, "--verifytypes", PACKAGE.name, "--ignoreexternal"],
             cwd=elsewhere,
-            env={**os.environ, "PYTHONPATH": str(site)},
+            env={**os.environ, "PATH": path, "PYTHONPATH": str(site)},
             capture_output=True,
             text=True,
         )

@@ -15,8 +15,10 @@ from hypose.app.cli import app
 from hypose.app.sweep import read_sweep
 from hypose.evaluation.small_recordings import small_scene, write_masks
 from hypose.io.calibration import write_calibration
+from hypose.io.skeleton_lines import SkeletonLine, format_line
 from scripts.api_page import api_page
 from tests.conftest import ROOT
+from tests.depth_sensors import reports
 
 PAGES = sorted([*ROOT.glob("docs/*.md"), ROOT / "README.md"])
 
@@ -27,8 +29,50 @@ def run(path, *arguments):
     return done.stdout
 
 
-def test_own_evidence():
-    assert run(ROOT / "examples/python/own_evidence.py").count("right wrist at") == 5
+def example(name):
+    """Where an example is, and how many lines it has that are neither empty nor its first words."""
+    path = ROOT / "examples/python" / name
+    code = path.read_text().split('"""', 2)[2]
+    return path, sum(bool(line.strip()) for line in code.splitlines())
+
+
+def test_own_masks():
+    assert run(ROOT / "examples/python/own_masks.py").count("right wrist at") == 5
+
+
+def test_own_evidence_improves_a_scene():
+    path, lines = example("own_evidence.py")
+    without, with_it = (float(x) for x in re.findall(r"arms (\d+) mm", run(path)))
+    assert with_it < 0.4 * without and lines <= 40
+
+
+def test_own_recipe(tmp_path):
+    path, lines = example("own_recipe.py")
+    write_masks(small_scene(1, 3), tmp_path / "walk")
+    said = run(path, tmp_path / "walk")
+    assert said.startswith("3 frames") and float(said.split()[-1]) > 0.7 and lines <= 12
+
+
+def test_bearings_only():
+    path, lines = example("bearings_only.py")
+    off = [float(x) for x in re.findall(r": (\d+) m off", run(path))]
+    assert len(off) == 90 and off[0] > 1000 > 250 > max(off[-10:]) and lines <= 30
+
+
+def test_live_fusion(tmp_path, rng):
+    path, lines = example("live_fusion.py")
+    told = reports(rng, 1.5, epochs={k: [(0.0, 0.0)] for k in range(3)})
+    written = [SkeletonLine(r.sensor, r.time, r.person, r.joint_names, r.positions, r.state) for r in told]
+    (tmp_path / "s.jsonl").write_text("\n".join(format_line(line) for line in written))
+    said = run(path, tmp_path / "s.jsonl")
+    assert said.count(" s:") > 20 and "by 3" in said and lines <= 10
+
+
+def test_examples_use_public_names_only():
+    for path in ROOT.glob("examples/python/*.py"):
+        text = path.read_text()
+        assert "import hypose" in text or "from hypose import" in text, path.name
+        assert not re.search(r"hypose\.\w+\.\w+ import|import hypose\.", text), path.name
 
 
 def test_convert_calibration(tmp_path):

@@ -11,6 +11,7 @@ import contextlib
 import importlib.util
 import os
 import signal
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -231,15 +232,20 @@ def _client(place: Place) -> Iterator[Client]:
 
     threads = place.threads or max(1, (os.cpu_count() or 1) // place.workers)
     environment = {name: str(threads) for name in _THREADS}
-    with config.set(
-        {
-            "distributed.scheduler.allowed-failures": place.retries,
-            # no task waits at a worker: a death counts against the task that ran, and costs that one only
-            "distributed.scheduler.worker-saturation": 1.0,
-            "distributed.nanny.pre-spawn-environ": environment,
-            "distributed.comm.timeouts.connect": _START,
-            "distributed.deploy.lost-worker-timeout": _GONE,
-        }
+    with (
+        tempfile.TemporaryDirectory(prefix="hypose-batch-", ignore_cleanup_errors=True) as scratch,
+        config.set(
+            {
+                # by itself Dask makes a folder among the temporary ones, and leaves it there
+                "temporary-directory": scratch,
+                "distributed.scheduler.allowed-failures": place.retries,
+                # no task waits at a worker: a death counts against the task that ran, and costs that one only
+                "distributed.scheduler.worker-saturation": 1.0,
+                "distributed.nanny.pre-spawn-environ": environment,
+                "distributed.comm.timeouts.connect": _START,
+                "distributed.deploy.lost-worker-timeout": _GONE,
+            }
+        ),
     ):
         if place.scheduler is not None:
             try:
@@ -264,15 +270,21 @@ def _cluster(place: Place, environment: Mapping[str, str]) -> Any:
         return cluster
     from distributed import LocalCluster
 
-    return LocalCluster(
-        n_workers=place.workers,
-        threads_per_worker=1,  # tracking threads by itself, by numba
-        host="127.0.0.1",
-        dashboard_address="127.0.0.1:0",
-        memory_limit=0,  # how much is free is known to the system only
-        silence_logs=50,
-        preload=[__name__],  # for dask_setup
-    )
+    try:
+        return LocalCluster(
+            n_workers=place.workers,
+            threads_per_worker=1,  # tracking threads by itself, by numba
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            memory_limit=0,  # how much is free is known to the system only
+            silence_logs=50,
+            preload=[__name__],  # for dask_setup
+        )
+    except (RuntimeError, OSError) as error:
+        raise InputError(
+            f"The worker processes cannot be started ({str(error).rstrip('.').lower()}); look whether the disk is full "
+            "and temporary files (TMPDIR) can be written, and run the same command again."
+        ) from error
 
 
 def slurm_cluster(keywords: Mapping[str, Any], environment: Mapping[str, str]) -> Any:

@@ -136,7 +136,7 @@ def _options(motion: Motion, old: ResultsFolder) -> tuple[TrackOptions, int]:
             f"{old.path} was not tracked by `hypose track` with several cameras, so it cannot be tracked on from a "
             "corrected frame; with one camera start it again: hypose track --method monocular --start CLICKS."
         )
-    return TrackOptions(**{k: v for k, v in settings.items() if k in known}, subject="given"), int(frames[0])
+    return TrackOptions(**{k: v for k, v in settings.items() if k in known}), int(frames[0])
 
 
 def _rows(motion: Motion, correction: Correction, first: int, until: int | None) -> tuple[int, int]:

@@ -33,7 +33,7 @@ from hypose.pipeline.kept import kept_backgrounds
 from hypose.pipeline.monocular import MonoOptions
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.subject import SubjectOptions
-from hypose.tracking.recipes import RECIPES, recipe
+from hypose.tracking.recipes import RECIPES, citation_of
 
 
 @dataclass(frozen=True)
@@ -257,14 +257,13 @@ def _draw(
     from hypose.app.report import ReportInput
 
     recording, motion, body = job.recording, tracked.motion, tracked.body
-    made, _ = recipe(options.recipe, body, frame_rate=recording.frame_rate, refine=options.refine)
     about = ReportInput(
         title=recording.name,
         motion=motion,
         body=body,
         rig=recording.rig,
         notes=notes,
-        citation=made.citation,
+        citation=citation_of(options.recipe, options.refine),
         seconds=dict(seconds),
         truth=truth,
         complete=tracked.complete,

@@ -14,7 +14,7 @@ from hypose.io.bodies import load_body
 from hypose.io.modes import load_joints_of_modes
 from hypose.io.recording import Recording, load_recording
 from hypose.io.results import ResultsFolder, load_motion
-from hypose.tracking.recipes import RECIPES, recipe
+from hypose.tracking.recipes import citation_of
 
 
 def load_view(results: str | Path, recording: Recording | None = None) -> ViewResult:
@@ -49,7 +49,7 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
         first_frame=first,
         files=[(n, w, p.stat().st_size) for n, w in DESCRIPTIONS.items() if (p := folder.file(n)).is_file()],
         notes=notes,
-        citation=_citation(motion, body),
+        citation=_citation(motion),
         truth=truth,
         complete=not folder.checkpoint.exists(),
         rivals=_rivals(folder.file("modes.npz"), motion, notes),
@@ -69,13 +69,10 @@ def find_recording(results: Path, notes: list[str] | None = None) -> Recording |
     return None
 
 
-def _citation(motion: Motion, body: Body | None) -> str:
+def _citation(motion: Motion) -> str:
     """Where the method of a motion comes from, "" for one that is not known."""
-    name = str(motion.provenance.get("recipe"))
-    if name not in RECIPES or body is None:
-        return ""
     settings = motion.provenance.get("settings", {})
-    return recipe(name, body, frame_rate=motion.frame_rate, refine=bool(settings.get("refine")))[0].citation
+    return citation_of(str(motion.provenance.get("recipe")), bool(settings.get("refine")))
 
 
 def _body(folder: ResultsFolder, motion: Motion, notes: list[str]) -> Body | None:

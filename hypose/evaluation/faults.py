@@ -21,6 +21,7 @@ from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.subject import Subject, SubjectOptions, find_subject
+from hypose.pipeline.track_loop import FrameList
 
 _RATE = 25.0
 _FROM_S, _FOR_S = 1.6, 2.0
@@ -35,20 +36,6 @@ class Spoilt:
     first: int
     stop: int
     evidence: str = "silhouettes"
-
-
-@dataclass(frozen=True)
-class ListSource:
-    """Frames at hand, numbered anew."""
-
-    frames: Sequence[Frame]
-
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    def frame(self, index: int, /) -> Frame:
-        """Frame number index."""
-        return replace(self.frames[index], index=index, time=index / _RATE)
 
 
 def _span() -> tuple[int, int]:
@@ -201,7 +188,7 @@ class Aftermath:
 def subject_of(scene: Scene, *, fitted: bool = True) -> Subject:
     """The subject's body as `hypose track` fits it, from the scene without its fault; or the template at the subject's
     height."""
-    frames = ListSource(list(scene.mask_frames()))
+    frames = FrameList(list(scene.mask_frames()))
     wanted = SubjectOptions("hull", height=scene.subject.stature, frame_rate=_RATE, girths=fitted)
     return find_subject(frames.frame, len(frames), wanted)
 
@@ -209,7 +196,12 @@ def subject_of(scene: Scene, *, fitted: bool = True) -> Subject:
 def aftermath(scene: Scene, spoilt: Spoilt, subject: Subject, seed: int) -> Aftermath:
     """Track the spoilt frames with a subject that is known, and measure."""
     options = TrackOptions(evidence=spoilt.evidence, seed=seed)
-    motion = track_source(ListSource(spoilt.frames), _RATE, options, subject=subject).motion
+    motion = track_source(
+        FrameList([replace(f, index=i, time=i / _RATE) for i, f in enumerate(spoilt.frames)]),
+        _RATE,
+        options,
+        subject=subject,
+    ).motion
     error = _errors(scene, motion, spoilt.truth) * 1000
     before = float(np.median(error[5 : spoilt.first]))
     limit = 1.5 * before + 20

@@ -12,14 +12,13 @@ from hypose.body.body import Body
 from hypose.body.models import human
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row, row
 from hypose.evaluation.metrics import joint_errors, population_offsets
-from hypose.evaluation.product import InMemory
 from hypose.evaluation.rigs import rig
 from hypose.evaluation.scenes import Scene, make_scene
 from hypose.geometry import Array
 from hypose.pipeline.mend_sides import FrameRange, mend_sides
 from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.pipeline.subject import Subject, SubjectOptions, find_subject
-from hypose.pipeline.track_loop import track_frames
+from hypose.pipeline.track_loop import FrameList, track_frames
 from hypose.tracking.exchanged_sides import turned_around
 from hypose.tracking.tracker import FrameEstimate, Tracker
 
@@ -44,11 +43,11 @@ def front_back(options: BenchOptions) -> BenchReport:
         options.progress("front and back", n, len(seeds) * len(motions))
         cameras = rig("humaneva-4").scaled(0.5)
         scene = make_scene(motion, "", cameras, seconds=seconds, seed=seed, corruption=("level-1",))
-        source = InMemory(list(scene.mask_frames()))
+        source = FrameList(list(scene.mask_frames()), scene.frame_rate)
         wanted = SubjectOptions("hull", height=scene.subject.stature, frame_rate=scene.frame_rate)
         subject = find_subject(source.frame, len(source), wanted)
         tracker = tracker_of(subject, TrackOptions(seed=seed), scene.frame_rate)
-        alone = replace(tracker, settings=replace(tracker.settings, sides_every=1e6))
+        alone = replace(tracker, settings=replace(tracker.settings, rival_every=1e6))
         for of, times in ((alone, seconds_without), (tracker, seconds_with)):
             clock = time.perf_counter()
             _tracked(source, of, subject.start, subject)
@@ -77,14 +76,14 @@ def front_back(options: BenchOptions) -> BenchReport:
     return BenchReport(tuple(rows), settings)
 
 
-def _tracked(source: InMemory, tracker: Tracker, start: Array, subject: Subject) -> list[FrameEstimate]:
+def _tracked(source: FrameList, tracker: Tracker, start: Array, subject: Subject) -> list[FrameEstimate]:
     def silent(stage: str, done: int, total: int) -> None:
         pass
 
     return track_frames(source, range(len(source)), tracker, tracker.start(start), subject, progress=silent).estimates
 
 
-def _reader(source: InMemory) -> FrameRange:
+def _reader(source: FrameList) -> FrameRange:
     return lambda numbers: (source.frame(t) for t in numbers)
 
 

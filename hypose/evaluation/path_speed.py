@@ -124,13 +124,10 @@ def _two_views(frame: Frame) -> Frame:
 
 
 def _track(frames: Iterable[Frame], subject: Subject, rate: float, preset: str, particles: int = 1) -> int:
-    made, n = recipe(preset, subject.body, frame_rate=rate)
-    tracker = Tracker(subject.body, made, particles * n, TrackerSettings(frame_rate=rate), subject.keypoints)
-    state, done = tracker.start(subject.start), 0
-    for frame in frames:
-        state, _ = tracker.step(state, frame)
-        done += 1
-    return done
+    made = recipe(preset, subject.body, frame_rate=rate)
+    made = replace(made, particles=particles * made.particles)
+    tracker = Tracker(subject.body, made, TrackerSettings(frame_rate=rate), subject.keypoints)
+    return sum(1 for _ in tracker.follow(tracker.start(subject.start), frames))
 
 
 def _videos_in(case: str, recording: Recording, subject: Subject, repeats: int) -> list[Row]:

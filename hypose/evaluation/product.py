@@ -3,8 +3,6 @@ solved at the end."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from hypose.body.body import Body
 from hypose.body.models import human
 from hypose.body.motion import Motion
@@ -17,23 +15,10 @@ from hypose.geometry import Array
 from hypose.pipeline.anthropometry import AnthropometryOptions, estimate_subject
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.subject import SubjectOptions, find_subject
+from hypose.pipeline.track_loop import FrameList
 
 BODY_SECONDS = 3.0
 """Length of the clip (combo) from which the body is estimated."""
-
-
-@dataclass(frozen=True)
-class InMemory:
-    """Frames as a source for the pipeline."""
-
-    frames: list[Frame]
-
-    def __len__(self) -> int:
-        return len(self.frames)
-
-    def frame(self, index: int, /) -> Frame:
-        """Frame number index."""
-        return self.frames[index]
 
 
 def estimated_body(seed: int, options: BenchOptions) -> Body:
@@ -47,7 +32,7 @@ def estimated_body(seed: int, options: BenchOptions) -> Body:
 def product_motion(scene: Scene, frames: list[Frame], body: Body, seed: int) -> Motion:
     """The default recipe with a body, from the true pose of frame 0 (definitions aligned), solved as one clip."""
     options = TrackOptions(seed=seed)
-    return track_source(InMemory(frames), scene.frame_rate, options, subject=known_subject(scene, body)).motion
+    return track_source(FrameList(frames), scene.frame_rate, options, subject=known_subject(scene, body)).motion
 
 
 def body_by_keypoints(seed: int, options: BenchOptions) -> Body:
@@ -65,7 +50,7 @@ def keypoint_motions(scene: Scene, frames: list[Frame], body: Body, seed: int) -
     subject = find_subject(lambda i: frames[i], len(frames), how)
     return {
         evidence: track_source(
-            InMemory(frames), scene.frame_rate, TrackOptions(seed=seed, evidence=evidence), subject=subject
+            FrameList(frames), scene.frame_rate, TrackOptions(seed=seed, evidence=evidence), subject=subject
         ).motion
         for evidence in ("keypoints", "both")
     }

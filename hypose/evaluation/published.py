@@ -147,14 +147,10 @@ def known_subject(scene: Scene, body: Body | None = None) -> TrackedSubject:
 def track_scene(scene: Scene, frames: list[Frame], preset: str, seed: int, body: Body | None = None) -> Outcome:
     """One preset on one scene from the given subject and start; body as for `known_subject`."""
     subject = known_subject(scene, body)
-    made, particles = recipe(preset, subject.body, frame_rate=scene.frame_rate)
-    settings = TrackerSettings(seed=seed, frame_rate=scene.frame_rate)
-    tracker = Tracker(subject.body, made, particles, settings)
-    state, estimates = tracker.start(subject.start), []
+    made = recipe(preset, subject.body, frame_rate=scene.frame_rate)
+    tracker = Tracker(subject.body, made, TrackerSettings(seed=seed, frame_rate=scene.frame_rate))
     begin = time.perf_counter()
-    for frame in frames:
-        state, estimate = tracker.step(state, frame)
-        estimates.append(estimate)
+    estimates = [estimate for _, estimate in tracker.follow(tracker.start(subject.start), frames)]
     seconds = (time.perf_counter() - begin) / len(frames)
     motion = motion_of(subject.body, scene.times[: len(frames)], estimates)
     assert motion.poses is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,6 @@ from hypose.body.models import human
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.evaluation.benchmarks import BenchOptions, BenchReport, Row
 from hypose.evaluation.leave_one_out import agreement_with_the_tool, leave_one_out, pose2sim_of, rows_of
-from hypose.evaluation.product import InMemory
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.hull import hull_iou, visual_hull
 from hypose.evidence.keypoints import BODY_25B
@@ -25,6 +25,7 @@ from hypose.io.recording import Recording, View, load_recording
 from hypose.io.video import open_video
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.subject import SubjectOptions, find_subject
+from hypose.pipeline.track_loop import FrameList
 from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.evidence import prepare
 from hypose.tracking.keypoint_evidence import KeypointModel
@@ -101,12 +102,12 @@ def real_balancing(options: BenchOptions) -> BenchReport:
     )
 
 
-def _in_memory(recording: Recording, n: int) -> InMemory:
+def _in_memory(recording: Recording, n: int) -> FrameList:
     with FrameStream(recording) as stream:
-        return InMemory([stream.frame(i) for i in range(n)])
+        return FrameList([stream.frame(i) for i in range(n)], recording.frame_rate)
 
 
-def _overlap(case: str, body: Body, poses: Array, source: InMemory) -> list[Row]:
+def _overlap(case: str, body: Body, poses: Array, source: FrameList) -> list[Row]:
     """IoU of body and masks, mean over the frames, in each view and over all."""
     by_view = [
         silhouette_iou(body, pose, prepare(frame, body, pose))
@@ -118,7 +119,7 @@ def _overlap(case: str, body: Body, poses: Array, source: InMemory) -> list[Row]
     return [*rows, Row("iou", case, float(mean.mean()), "1", n=len(by_view))]
 
 
-def _pose2sim(folder: Path, recording: Recording, frames: list[Frame], reference: Array) -> list[Row]:
+def _pose2sim(folder: Path, recording: Recording, frames: Sequence[Frame], reference: Array) -> list[Row]:
     """The same figures for points made by Pose2Sim's method, and how near that is to the tool's own result."""
     own = pose2sim_of(frames, recording.rig, recording.frame_rate)
     distance = np.linalg.norm(own - reference[: len(own)], axis=-1)[:, LIMBS] * 1e3

@@ -1,4 +1,5 @@
-"""Recordings small enough to run whole commands on hundreds of times: masks, board pictures, skeletons."""
+"""Recordings small enough to run whole commands on hundreds of times: masks, board pictures, skeletons, depth
+pictures."""
 
 from __future__ import annotations
 
@@ -14,11 +15,13 @@ from hypose.evaluation.rigs import rig
 from hypose.evaluation.scenes import Scene, make_scene
 from hypose.evaluation.sensors import SensorModel, builtin_joints, on_treadmill, ring_sensors, simulate
 from hypose.fusion.joints import COMMON
+from hypose.gestures.pictures import KINECT
 from hypose.io.calibration import write_calibration
 from hypose.io.recording import Recording, View, write_recording
 from hypose.io.results import atomic_path
 from hypose.io.skeleton_folder import write_folder
 from hypose.io.skeletons import SensorStream, SkeletonRecording
+from hypose.pipeline.gesture_files import SessionWriter
 
 BOARD = Board("chessboard", 6, 5, 0.12)
 """The board of `write_board_pictures`."""
@@ -86,4 +89,15 @@ def write_skeletons(folder: Path, seed: int = 0, seconds: float = 8.0) -> Path:
         for k, name in enumerate(seen.sensor_names)
     )
     write_folder(SkeletonRecording(folder.name, streams, streams[0].name, {}, common_clock=True), folder)
+    return folder
+
+
+def write_gesture_session(folder: Path, gesture: str = "pause", seed: int = 5) -> Path:
+    """A recorded session of three small depth pictures of noise, each with the gesture: enough for a forest to grow
+    from, not for one that finds anything."""
+    rng = np.random.default_rng(seed)
+    session = SessionWriter(folder, [gesture], KINECT, (32, 24))
+    for n in range(3):
+        session.add(n / 10, rng.integers(500, 4000, (24, 32)).astype(np.uint16), "positive", 0, 1, (16.0, 12.0))
+    session.close()
     return folder

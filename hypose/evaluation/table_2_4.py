@@ -17,8 +17,7 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.skin import skin_map
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
-from hypose.tracking.published_recipes import dd_hpf, dd_hpf_plus, dd_hpf_plus_5
-from hypose.tracking.recipes import apf, hpf
+from hypose.tracking.published_recipes import apf, dd_hpf, dd_hpf_plus, dd_hpf_plus_5, hpf
 from hypose.tracking.tracker import Tracker, TrackerSettings
 
 ACTIONS = ("cross_arms", "wave", "punch")
@@ -26,7 +25,7 @@ PARTS = ("left_wrist", "right_wrist", "head", "left_ankle", "right_ankle")
 """The joints whose parts are the annotated extremities: hands, head, feet."""
 FRAME_RATE = 23.0
 
-Make = Callable[..., tuple[Recipe, int]]
+Make = Callable[..., Recipe]
 PRESETS: dict[str, Make] = {
     "apf": lambda body, frame_rate: apf(body, 250, 14, frame_rate=frame_rate),
     "hpf": lambda body, frame_rate: hpf(body, 500, frame_rate=frame_rate),
@@ -154,13 +153,10 @@ def detected_frames(scene: Scene) -> Detected:
 def track_ends(scene: Scene, frames: list[Frame], make: Make, seed: int) -> ExtremityOutcome:
     """One preset on one scene from the given subject and start."""
     subject = known_subject(scene)
-    made, particles = make(subject.body, frame_rate=scene.frame_rate)
-    tracker = Tracker(subject.body, made, particles, TrackerSettings(seed=seed, frame_rate=scene.frame_rate))
-    state, poses = tracker.start(subject.start), []
+    settings = TrackerSettings(seed=seed, frame_rate=scene.frame_rate)
+    tracker = Tracker(subject.body, make(subject.body, frame_rate=scene.frame_rate), settings)
     begin = time.perf_counter()
-    for frame in frames:
-        state, estimate = tracker.step(state, frame)
-        poses.append(estimate.pose)
+    poses = [estimate.pose for _, estimate in tracker.follow(tracker.start(subject.start), frames)]
     seconds = (time.perf_counter() - begin) / len(frames)
     distance = [
         np.linalg.norm(estimated_ends(subject.body, pose) - true_ends(scene, t), axis=1) for t, pose in enumerate(poses)

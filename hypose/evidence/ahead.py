@@ -6,7 +6,6 @@ does so for the frames to come, and `outlines` and `prepared_masks` take it from
 
 from __future__ import annotations
 
-import weakref
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -36,17 +35,11 @@ class _Made:
     masks: compute.PreparedMasks | None = None
 
 
-_AHEAD: dict[int, tuple[weakref.ref[Silhouettes], _Made]] = {}  # by identity, as long as the silhouettes live
-
-
-def _known(silhouettes: Silhouettes) -> _Made:
-    found = _AHEAD.get(id(silhouettes))
-    return _Made() if found is None or found[0]() is not silhouettes else found[1]
+_NOTHING = _Made()
 
 
 def _keep(silhouettes: Silhouettes, made: _Made) -> None:
-    key = id(silhouettes)
-    _AHEAD[key] = weakref.ref(silhouettes, lambda _: _AHEAD.pop(key, None)), made
+    object.__setattr__(silhouettes, "ahead", made)  # a value with a memory, as with a cached property
 
 
 def make_ahead(silhouettes: Silhouettes, views: Views) -> None:
@@ -80,7 +73,7 @@ def _next(source: Iterator[Frame]) -> Frame | None:
 
 def outlines(silhouettes: Silhouettes, count: int = OUTLINE_POINTS, working_height: int | None = None) -> Outlines:
     """The outlines of a frame's usable views, with `count` points each; working_height as for `view_outline`."""
-    known = _known(silhouettes)
+    known: _Made = silhouettes.ahead or _NOTHING
     tracking = (count, working_height) == (OUTLINE_POINTS, WORKING_HEIGHT)
     if tracking and known.stacked is not None:
         return known.stacked
@@ -99,9 +92,9 @@ def prepared_masks(silhouettes: Silhouettes) -> compute.PreparedMasks:
 
     A view without foreground is left out, never divided by zero (Alcoverro 2014, after eq. 2.8, says nothing of it).
     """
-    known = _known(silhouettes).masks
-    if known is not None:
-        return known
+    known: _Made = silhouettes.ahead or _NOTHING
+    if known.masks is not None:
+        return known.masks
     rig = silhouettes.rig
     made = compute.prepare_masks(silhouettes.masks, silhouettes.usable, rig.sizes, rig.projections)
     return made._replace(usable=made.usable & (made.areas > 0))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,8 @@ class Silhouettes:
     rig: CameraRig
     usable: NDArray[np.bool_]
     reasons: tuple[str, ...]
+    ahead: Any = field(default=None, init=False, compare=False, repr=False)
+    """what hypose.evidence.ahead keeps of these very masks, so that it is made once; a copy begins without"""
 
     @property
     def areas(self) -> NDArray[np.int64]:

@@ -36,7 +36,7 @@ class ClipSoFar:
             for f in fields(value) if value is not None else ():
                 inner = getattr(value, f.name)
                 if isinstance(inner, Hypotheses):
-                    for name in ("values", "log_weights", "label"):
+                    for name in ("values", "log_weights", "origin"):
                         _put(out, f"{part}.{f.name}.{name}", getattr(inner, name))
                 else:
                     _put(out, f"{part}.{f.name}", inner)
@@ -93,9 +93,8 @@ def _part(arrays: Mapping[str, np.ndarray], part: str, kind: type) -> dict[str, 
 def _swarm(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
     out = _part(arrays, "swarm", SwarmState)
     if "swarm.candidates.values" in arrays:
-        out["candidates"] = Hypotheses(
-            *(arrays[f"swarm.candidates.{name}"] for name in ("values", "log_weights", "label"))
-        )
+        values, log_weights, origin = (arrays[f"swarm.candidates.{n}"] for n in ("values", "log_weights", "origin"))
+        out["candidates"] = Hypotheses(values, log_weights, origin)
     return out
 
 

@@ -2,7 +2,7 @@
 wheel.
 
 Source: Asteriadis et al. 2013, sections 2.2, 2.5 and 2.6. One layer of the common spine per frame: ride (propose),
-energy (weigh), roulette wheel (select). Populations are the joints, labels the sensors of birth. Equal candidates are
+energy (weigh), roulette wheel (select). Populations are the joints, origins the sensors of birth. Equal candidates are
 kept once with their number as weight, which changes nothing in distribution and most of the cost: roulette alone soon
 leaves a handful of distinct candidates.
 
@@ -87,26 +87,26 @@ class SwarmFrame:
 def ride(h: Hypotheses, frame: SwarmFrame, rng: np.random.Generator, /) -> Hypotheses:
     """Candidates move with the joint of their sensor; immigrants join around every sensor that sees the joint."""
     s = frame.settings
-    old_values, log_weights, label = h.values, h.log_weights, h.label
+    old_values, log_weights, origin = h.values, h.log_weights, h.origin
     if s.jitter_m > 0:
-        old_values, log_weights, label = _singly(h.values, h.log_weights, h.label, s.count)
+        old_values, log_weights, origin = _singly(h.values, h.log_weights, h.origin, s.count)
         old_values = old_values + rng.normal(0, s.jitter_m, old_values.shape)
-    joints, old = label.shape
+    joints, old = origin.shape
     extra = s.immigrants * len(frame.positions)
     values = np.empty((joints, old + extra, 3))
-    cpu_swarm.ride(old_values, label, frame.moved, values)
+    cpu_swarm.ride(old_values, origin, frame.moved, values)
     if extra:
         new_log = np.empty((joints, old + extra))
-        new_label = np.empty((joints, old + extra), dtype=np.int32)
-        new_log[:, :old], new_label[:, :old] = log_weights, label
-        fresh, fresh_log, fresh_label = _placed(
+        new_origin = np.empty((joints, old + extra), dtype=np.int32)
+        new_log[:, :old], new_origin[:, :old] = log_weights, origin
+        fresh, fresh_log, fresh_origin = _placed(
             frame.positions, frame.weights > 0, np.ones(joints, dtype=np.bool_), extra, s.radius_m, rng
         )
-        values[:, old:], new_label[:, old:] = fresh, fresh_label
+        values[:, old:], new_origin[:, old:] = fresh, fresh_origin
         # each counts as one candidate of the population
         new_log[:, old:] = fresh_log + np.log(extra / s.count)
-        log_weights, label = new_log, new_label
-    return Hypotheses(values, log_weights, label)
+        log_weights, origin = new_log, new_origin
+    return Hypotheses(values, log_weights, origin)
 
 
 def energy(h: Hypotheses, frame: SwarmFrame, /) -> Array:
@@ -115,7 +115,7 @@ def energy(h: Hypotheses, frame: SwarmFrame, /) -> Array:
     Deviation: a length scale h, which is printed without one. Deviation: exp(-|s - p| / h) below 0.001 counts as 0. A
     joint that no candidate can explain this frame keeps its population (0 everywhere)."""
     out = np.empty(h.log_weights.shape)
-    cpu_swarm.swarm_energy(h.values, h.label, h.log_weights, frame.positions, frame.weights, frame.settings.h_m, out)
+    cpu_swarm.swarm_energy(h.values, h.origin, h.log_weights, frame.positions, frame.weights, frame.settings.h_m, out)
     if frame.settings.pressure != 1:
         out *= frame.settings.pressure
     return out
@@ -158,15 +158,15 @@ class MergedWheel:
         if width == 0:
             return h
         values, log_weights = np.empty((len(counts), width, 3)), np.empty((len(counts), width))
-        label = np.empty((len(counts), width), dtype=np.int32)
-        cpu_swarm.keep_drawn(counts, h.values, h.label, self.count, values, log_weights, label)
-        return Hypotheses(values, log_weights, label)
+        origin = np.empty((len(counts), width), dtype=np.int32)
+        cpu_swarm.keep_drawn(counts, h.values, h.origin, self.count, values, log_weights, origin)
+        return Hypotheses(values, log_weights, origin)
 
 
 def recipe(settings: SwarmSettings) -> Recipe:
     """The swarm as data for the common loop."""
     layer = Layer(ride, energy, MergedWheel(settings.count, settings.universal), "swarm")
-    return Recipe("swarm", (layer,), mean_position, citation="Asteriadis et al. 2013")
+    return Recipe("swarm", (layer,), settings.count, estimate=mean_position, citation="Asteriadis et al. 2013")
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,7 @@ def swarm_step(
     chosen = result.selected
     mean, joints = result.estimate if settings.weighted else mean_position(chosen), positions.shape[1]
     spread, shares, distinct = np.empty(joints), np.empty((joints, len(positions))), np.empty(joints, dtype=np.int64)
-    cpu_swarm.swarm_summary(chosen.values, chosen.log_weights, chosen.label, spread, shares, distinct)
+    cpu_swarm.swarm_summary(chosen.values, chosen.log_weights, chosen.origin, spread, shares, distinct)
     known = distinct > 0
     estimate = SwarmEstimate(
         np.where(known[:, None], mean, np.nan), np.where(known, spread, np.nan), shares, due, distinct
@@ -234,7 +234,7 @@ def _candidates(
     seen = np.asarray(frame.weights > 0)
     if old is None:
         old = Hypotheses(np.zeros((joints, 1, 3)), np.zeros((joints, 1)), np.full((joints, 1), -1))
-    renew = np.asarray((due & np.isfinite(last[..., 0]).any(0)) | ((old.label < 0).all(1) & seen.any(0)))
+    renew = np.asarray((due & np.isfinite(last[..., 0]).any(0)) | ((old.origin < 0).all(1) & seen.any(0)))
     if not renew.any():
         return old
     # a joint that nobody sees at a restart starts around where it was seen last; ride() has yet to add this frame's
@@ -245,12 +245,12 @@ def _candidates(
         return Hypotheses(*placed)
     width, keep = max(s.count, old.count), ~renew
     values, log_weights = np.zeros((joints, width, 3)), np.full((joints, width), -np.inf)
-    label = np.full((joints, width), -1, dtype=np.int32)
+    origin = np.full((joints, width), -1, dtype=np.int32)
     values[keep, : old.count] = old.values[keep]
     log_weights[keep, : old.count] = old.log_weights[keep]
-    label[keep, : old.count] = old.label[keep]
-    values[renew, : s.count], log_weights[renew, : s.count], label[renew, : s.count] = (a[renew] for a in placed)
-    return Hypotheses(values, log_weights, label)
+    origin[keep, : old.count] = old.origin[keep]
+    values[renew, : s.count], log_weights[renew, : s.count], origin[renew, : s.count] = (a[renew] for a in placed)
+    return Hypotheses(values, log_weights, origin)
 
 
 def _placed(
@@ -262,16 +262,16 @@ def _placed(
     rng: np.random.Generator,
 ) -> tuple[Array, Array, NDArray[np.int32]]:
     """Fresh candidates of the joints with renew (J,), in balls around base (K, J, 3): values (J, count, 3), log-weights
-    (each 1 / count), labels."""
+    (each 1 / count), origins."""
     joints = base.shape[1]
     bits = rng.integers(0, 2**64, (joints, int(2.2 * count) + 60), dtype=np.uint64)
     values, log_weights = np.empty((joints, count, 3)), np.empty((joints, count))
-    label = np.empty((joints, count), dtype=np.int32)
-    cpu_swarm.place_candidates(bits, base, usable, renew, radius, values, log_weights, label)
-    return values, log_weights, label
+    origin = np.empty((joints, count), dtype=np.int32)
+    cpu_swarm.place_candidates(bits, base, usable, renew, radius, values, log_weights, origin)
+    return values, log_weights, origin
 
 
-def _singly(values: Array, log_weights: Array, label: NDArray[np.int32], count: int) -> tuple[Array, Array, NDArray]:
+def _singly(values: Array, log_weights: Array, origin: NDArray[np.int32], count: int) -> tuple[Array, Array, NDArray]:
     """Merged candidates written out one by one again, so that each can take its own step."""
     copies = np.rint(np.exp(log_weights) * count).astype(np.int64)
     width = int(copies.sum(1).max())
@@ -281,5 +281,5 @@ def _singly(values: Array, log_weights: Array, label: NDArray[np.int32], count: 
         each = np.repeat(np.arange(len(c)), c)
         index[j, : len(each)], used[j, : len(each)] = each, True
     flat = np.take_along_axis(values, index[..., None], 1)
-    labels = np.where(used, np.take_along_axis(label, index, 1), -1).astype(np.int32)
-    return flat, np.where(used, -np.log(count), -np.inf), labels
+    origin = np.where(used, np.take_along_axis(origin, index, 1), -1).astype(np.int32)
+    return flat, np.where(used, -np.log(count), -np.inf), origin

@@ -1,21 +1,27 @@
 """A weighted set of hypotheses: the one value that every tracker proposes, weighs, selects and reads.
 
 Weights live in the log domain and are only defined up to a common factor per population, so adding evidence
-never under- or overflows. ``label`` is inherited by selection: it carries the sensor of birth, the kind of
-proposal or the parent, so that a survival rate is a histogram of labels and no method needs hidden state.
+never under- or overflows. Two columns are inherited by selection: ``origin``, where a hypothesis comes from, and
+``role``, what it is. A survival rate is therefore a histogram of a column, and no method needs hidden state or a
+particular row.
 Source: Alcoverro 2014, section 2.2.1 (weighted particle set, eq. 2.5); batch axes for the swarm of
 Asteriadis et al. 2013.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int32]
+
+
+def _none() -> IntArray:
+    return np.zeros((), np.int32)
 
 
 @dataclass(frozen=True)
@@ -23,30 +29,39 @@ class Hypotheses:
     """N states per population with their log-weights. Never mutated: every operation returns a new set.
 
     values (*B, N, D) float64, in the units of the caller; log_weights (*B, N) float64, up to a constant per
-    population, NaN and +inf count as no evidence for that hypothesis (weight 0); label (*B, N) int32;
-    covariance (*B, N, D, D) float64 of each single hypothesis, or None. Raises ValueError when the shapes
+    population, NaN and +inf count as no evidence for that hypothesis (weight 0). origin (*B, N) int32: the number of
+    the sensor, kernel or parent that it comes from. role (*B, N) int32: any number of roles, bit k stands for
+    role_names[k]; read it with ``has`` and write it with ``marked``. One number for a column stands for all
+    hypotheses. covariance (*B, N, D, D) float64 of each single hypothesis, or None. Raises ValueError when the shapes
     do not agree or a population is empty.
     """
 
     values: FloatArray
     log_weights: FloatArray
-    label: NDArray[np.int32]
+    origin: IntArray = field(default_factory=_none)
+    role: IntArray = field(default_factory=_none)
+    role_names: tuple[str, ...] = ()
     covariance: FloatArray | None = None
 
     def __post_init__(self) -> None:
         values = np.asarray(self.values, dtype=np.float64)
         log_weights = np.asarray(self.log_weights, dtype=np.float64)
-        label = np.asarray(self.label, dtype=np.int32)
         if values.ndim < 2 or values.shape[-2] == 0:
             raise ValueError(f"hypotheses need values of shape (..., N, D) with N >= 1, got {values.shape}")
-        if log_weights.shape != values.shape[:-1] or label.shape != values.shape[:-1]:
+        if log_weights.shape != values.shape[:-1]:
             raise ValueError(
-                f"log_weights {log_weights.shape} and label {label.shape} must be {values.shape[:-1]}, "
-                f"the shape {values.shape} of the values without the last axis"
+                f"log_weights {log_weights.shape} must be {values.shape[:-1]}, the shape {values.shape} of the values "
+                "without the last axis"
             )
         object.__setattr__(self, "values", values)
         object.__setattr__(self, "log_weights", log_weights)
-        object.__setattr__(self, "label", label)
+        for name in ("origin", "role"):
+            column = np.asarray(getattr(self, name), dtype=np.int32)
+            if column.ndim == 0:
+                column = np.broadcast_to(column, log_weights.shape)
+            if column.shape != log_weights.shape:
+                raise ValueError(f"{name} {column.shape} must be {log_weights.shape}, one number per hypothesis")
+            object.__setattr__(self, name, column)
         if self.covariance is not None:
             covariance = np.asarray(self.covariance, dtype=np.float64)
             if covariance.shape != (*values.shape, values.shape[-1]):
@@ -54,16 +69,34 @@ class Hypotheses:
             object.__setattr__(self, "covariance", covariance)
 
     @staticmethod
-    def uniform(values: ArrayLike, label: ArrayLike | None = None, covariance: ArrayLike | None = None) -> Hypotheses:
-        """Equal weights 1/N for values (*B, N, D); label (*B, N) defaults to 0."""
+    def uniform(values: ArrayLike, origin: ArrayLike = 0) -> Hypotheses:
+        """Equal weights 1/N for values (*B, N, D), which come from origin (*B, N)."""
         states = np.asarray(values, dtype=np.float64)
-        shape = states.shape[:-1]
-        return Hypotheses(
-            states,
-            np.full(shape, -np.log(max(shape[-1], 1)) if shape else 0.0),
-            np.zeros(shape, np.int32) if label is None else np.asarray(label, np.int32),
-            None if covariance is None else np.asarray(covariance, np.float64),
-        )
+        return Hypotheses(states, _equal_log_weights(states), np.asarray(origin, np.int32))
+
+    def equal(self, values: FloatArray | None = None) -> Hypotheses:
+        """The same hypotheses, or other values (*B, N, D) for them, with equal weights 1/N."""
+        states = self.values if values is None else values
+        return replace(self, values=states, log_weights=_equal_log_weights(states))
+
+    def has(self, role: str) -> NDArray[np.bool_]:
+        """(*B, N) True for the hypotheses in this role; a role that nobody has been given is nobody's."""
+        if role not in self.role_names:
+            return np.zeros(self.role.shape, np.bool_)
+        return (self.role >> self.role_names.index(role) & 1).astype(np.bool_)
+
+    def marked(self, role: str, members: ArrayLike) -> Hypotheses:
+        """The same set with this role given to the members (*B, N) bool, or their indices, and taken from all others.
+
+        A set knows at most 31 roles; ValueError at the next one.
+        """
+        names = self.role_names if role in self.role_names else (*self.role_names, role)
+        if len(names) > 31:
+            raise ValueError(f"a set of hypotheses knows at most 31 roles, '{role}' is one more")
+        chosen = np.zeros(self.role.shape, np.bool_)
+        chosen[np.asarray(members)] = True
+        bit = np.int32(1 << names.index(role))
+        return replace(self, role=np.where(chosen, self.role | bit, self.role & ~bit), role_names=names)
 
     @property
     def count(self) -> int:
@@ -114,7 +147,7 @@ class Hypotheses:
         if extra.shape != self.log_weights.shape:
             raise ValueError(f"log-likelihoods must have the shape {self.log_weights.shape}, got {extra.shape}")
         usable = np.where(_usable(extra), extra, -np.inf)
-        return Hypotheses(self.values, self.relative_log_weights + usable, self.label, self.covariance)
+        return replace(self, log_weights=self.relative_log_weights + usable)
 
     def mean(self) -> FloatArray:
         """(*B, D) weighted Euclidean mean. For coordinates that are rotations use
@@ -138,15 +171,23 @@ class Hypotheses:
         return np.sqrt(np.einsum("...n,...nd->...d", self.weights, np.square(deviation)))
 
     def take(self, index: ArrayLike) -> Hypotheses:
-        """The hypotheses at index (*B, M), with their log-weights, labels and covariances."""
+        """The hypotheses at index (*B, M), with their log-weights, origins, roles and covariances."""
         chosen = np.asarray(index, dtype=np.intp)
         axis = self.log_weights.ndim - 1
-        return Hypotheses(
-            np.take_along_axis(self.values, chosen[..., None], axis),
-            np.take_along_axis(self.log_weights, chosen, axis),
-            np.take_along_axis(self.label, chosen, axis),
-            None if self.covariance is None else np.take_along_axis(self.covariance, chosen[..., None, None], axis),
+        c = self.covariance
+        return replace(
+            self,
+            values=np.take_along_axis(self.values, chosen[..., None], axis),
+            log_weights=np.take_along_axis(self.log_weights, chosen, axis),
+            origin=np.take_along_axis(self.origin, chosen, axis),
+            role=np.take_along_axis(self.role, chosen, axis),
+            covariance=None if c is None else np.take_along_axis(c, chosen[..., None, None], axis),
         )
+
+
+def _equal_log_weights(values: FloatArray) -> FloatArray:
+    shape = values.shape[:-1]
+    return np.full(shape, -np.log(max(shape[-1], 1)) if shape else 0.0)
 
 
 def _usable(log_weights: FloatArray) -> NDArray[np.bool_]:

@@ -1,5 +1,5 @@
-"""Kernels: how hypotheses move. Values (*B, N, D) in, new values of the same shape out; labels stay unless
-a mixture sets them.
+"""Kernels: how hypotheses move. Values (*B, N, D) in, new values of the same shape out; origins and roles stay unless
+a mixture sets the origins.
 
 Every kernel draws its numbers as one block with a row per hypothesis (and a column per coordinate that it moves),
 filled in row order, and hypothesis i reads row i (see ``random_streams``). Products are formed with einsum and plain
@@ -198,18 +198,17 @@ class UniformShare:
 
 
 @dataclass(frozen=True)
-class KeepFirst:
-    """A kernel that leaves the first `count` hypotheses where they are: a search never loses its start."""
+class Except:
+    """A kernel that leaves the hypotheses in some roles where they are: a search never loses its start."""
 
     kernel: Kernel
-    count: int = 1
+    roles: tuple[str, ...]
 
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
-        """The moved set with its first rows as they were."""
+        """The moved set with those as they were."""
         moved = self.kernel(h, frame, rng)
-        values = moved.values.copy()
-        values[..., : self.count, :] = h.values[..., : self.count, :]
-        return replace(moved, values=values)
+        staying = np.any([h.has(role) for role in self.roles], axis=0)
+        return replace(moved, values=np.where(staying[..., None], h.values, moved.values))
 
 
 @dataclass(frozen=True)
@@ -247,10 +246,10 @@ class RejectionSampling:
 
 @dataclass(frozen=True)
 class Mixture:
-    """Each hypothesis moves by one of several kernels; its label becomes the number of that kernel.
+    """Each hypothesis moves by one of several kernels, whose number becomes its origin.
 
     shares are the proportions of the set, met to within one hypothesis; which hypothesis goes where is
-    drawn at random. After selection the histogram of labels is the survival rate of each kind of proposal.
+    drawn at random. After selection the histogram of origins is the survival rate of each kind of proposal.
     Every kernel sees the whole set and must keep its size. Source: Alcoverro 2014, section 2.5.2
     (inverse-kinematics and Gaussian particles).
     """
@@ -266,7 +265,7 @@ class Mixture:
             raise ValueError(f"the shares of a mixture must add up to 1, got {self.shares}")
 
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
-        """The set with each hypothesis moved by its own kernel, labelled with its number."""
+        """The set with each hypothesis moved by its own kernel."""
         limits = np.round(np.cumsum(self.shares) * h.count)[:-1]
         in_order = np.searchsorted(limits, np.arange(h.count), side="right")
         kind = rng.permuted(np.broadcast_to(in_order, h.log_weights.shape), axis=-1)
@@ -277,7 +276,7 @@ class Mixture:
             values = np.where(chosen[..., None], moved.values, values)
             if covariance is not None and moved.covariance is not None:
                 covariance = np.where(chosen[..., None, None], moved.covariance, covariance)
-        return replace(h, values=values, label=kind.astype(np.int32), covariance=covariance)
+        return replace(h, values=values, origin=kind.astype(np.int32), covariance=covariance)
 
 
 def layered_sigma(sigma: ArrayLike, partitions: Sequence[ArrayLike], decay: float, layer: int) -> FloatArray:

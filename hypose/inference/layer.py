@@ -1,4 +1,4 @@
-"""The spine: a recipe is a list of layers, and one loop runs them all.
+"""The spine: a recipe is a whole method as one value, and one loop runs the layers of them all.
 
 propose -> weigh -> (estimate) -> select. Methods differ only in what they put into the layers: the
 annealed, partitioned, layered and detector-driven particle filters, the swarm over depth sensors and the
@@ -9,7 +9,7 @@ with its own estimate.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -70,19 +70,69 @@ class Layer:
     needed: Callable[[Hypotheses, Any], bool] | None = None
 
 
+def as_given(pose: FloatArray, frame: Any, /) -> FloatArray:
+    """Start: the pose that the caller gives."""
+    return pose
+
+
+def stand_still(step: FloatArray, blind: int, /) -> FloatArray:
+    """Prediction: the next pose is the last one."""
+    return np.zeros_like(step)
+
+
+@dataclass(frozen=True)
+class GoOn:
+    """Prediction: the share `gain` of the last step is expected again, less after every frame without evidence.
+
+    For poses that are solved: the step between two means of a set is mostly noise, which it would feed back."""
+
+    gain: float = 0.8
+
+    def __call__(self, step: FloatArray, blind: int, /) -> FloatArray:
+        """The step (D,) that is expected."""
+        return self.gain ** (1 + blind) * step
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recovery:
+    """What a recipe does when it may be wrong. find(pose, last, frame): the pose (D,) to go on from when the person is
+    lost, out of the estimate and the last pose. rival(pose, frame): by how much another pose, that the evidence may
+    mean as well, is better, and that pose (None: none is looked for)."""
+
+    find: Callable[[FloatArray, FloatArray, Any], FloatArray]
+    rival: Callable[[FloatArray, Any], tuple[float, FloatArray]] | None = None
+
+
 @dataclass(frozen=True)
 class Recipe:
-    """A tracker as data. Raises ValueError when it has no layer."""
+    """A method as one value. What is not said is that of a plain particle filter. Raises ValueError without layers.
+
+    layers: one turn of propose, weigh, select after the other. particles: how many hypotheses. needs: kinds of evidence
+    that the layers look at ('silhouettes', 'keypoints', 'detections'). start(pose, frame): where the first frame's
+    search begins, from the pose that is given. predict(step, blind): the step expected of the next frame after the last
+    step and so many frames without evidence. estimate(h): the state that a weighted set stands for.
+    uncertainty(pose, h, frame): what is known of it; None: the spread of the set. recover: None: it does not. smooth:
+    at the end all frames are solved together. citation: where the method comes from.
+    """
 
     name: str
-    layers: tuple[Layer, ...]
+    layers: Sequence[Layer]
+    particles: int = 500
+    needs: tuple[str, ...] = ()
+    start: Callable[[FloatArray, Any], FloatArray] = as_given
+    predict: Callable[[FloatArray, int], FloatArray] = stand_still
     estimate: Estimate = Hypotheses.mean
+    uncertainty: Callable[[FloatArray, Hypotheses, Any], Any] | None = None
+    recover: Recovery | None = None
+    smooth: bool = False
     citation: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "layers", tuple(self.layers))
         if not self.layers:
             raise ValueError(f"recipe '{self.name}' has no layers; give it at least one")
+        if self.particles < 1:
+            raise ValueError(f"recipe '{self.name}' needs at least one particle, got {self.particles}")
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Selection: who goes on. Every selector but ``keep`` returns equal weights; labels and covariances are
+"""Selection: who goes on. Every selector but ``keep`` returns equal weights; origins, roles and covariances are
 inherited.
 
 Sources: Alcoverro 2014, Algorithms 1 and 4; systematic resampling after Kitagawa 1996; roulette wheel:
@@ -55,12 +55,12 @@ def roulette_indices(weights: FloatArray, rng: np.random.Generator) -> IndexArra
 
 def systematic(h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
     """Systematic resampling: one random number per population, low variance."""
-    return _equal(h.take(systematic_indices(h.weights, rng.random(h.values.shape[:-2]))))
+    return h.take(systematic_indices(h.weights, rng.random(h.values.shape[:-2]))).equal()
 
 
 def roulette(h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
     """Roulette wheel: independent draws."""
-    return _equal(h.take(roulette_indices(h.weights, rng)))
+    return h.take(roulette_indices(h.weights, rng)).equal()
 
 
 def keep(h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
@@ -90,7 +90,7 @@ class LayeredSystematic:
     def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
         """The set with its filtered coordinates resampled."""
         drawn = h.take(systematic_indices(h.weights, rng.random(h.values.shape[:-2])))
-        return Hypotheses.uniform(np.where(self.filtered, drawn.values, h.values), drawn.label, drawn.covariance)
+        return drawn.equal(np.where(self.filtered, drawn.values, h.values))
 
 
 @dataclass(frozen=True)
@@ -106,20 +106,20 @@ class Prune:
     def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
         """The k best, equally weighted."""
         order = np.argsort(-h.relative_log_weights, axis=-1, kind="stable")
-        return _equal(h.take(order[..., : self.k]))
+        return h.take(order[..., : self.k]).equal()
 
 
 @dataclass(frozen=True)
 class Elite:
-    """The chosen coordinates are copied from the k best hypotheses in turn; other coordinates and labels stay.
+    """The chosen coordinates are copied from the k best hypotheses in turn; other coordinates and roles stay.
 
     A greedy step of a coordinate search: with a budget of tens of hypotheses, resampling would leave most of them on
-    values that are known to be worse. coordinates (D,) bool; the first `keep` hypotheses stay as they are.
+    values that are known to be worse. coordinates (D,) bool; the hypotheses in the role `but` stay as they are.
     """
 
     k: int
     coordinates: NDArray[np.bool_]
-    keep: int = 0
+    but: str | None = None
 
     def __post_init__(self) -> None:
         if self.k < 1:
@@ -132,12 +132,11 @@ class Elite:
             order = weights.argmax(axis=-1)[..., None]
         else:
             order = np.argsort(-weights, axis=-1, kind="stable")[..., : self.k]
-        own, taken = np.flatnonzero(self.coordinates), np.arange(h.count - self.keep) + self.keep
-        best = np.take_along_axis(h.values[..., own], order[..., None], axis=-2)
+        own = np.flatnonzero(self.coordinates)
+        staying = np.zeros(weights.shape, np.bool_) if self.but is None else h.has(self.but)
+        turn = np.maximum(np.cumsum(~staying, axis=-1) - 1, 0) % order.shape[-1]
+        source = np.take_along_axis(order, turn, axis=-1)[..., None]
+        best = np.take_along_axis(h.values[..., own], source, axis=-2)
         values = h.values.copy()
-        values[..., self.keep :, own] = best[..., taken % order.shape[-1], :]
-        return Hypotheses.uniform(values, h.label, h.covariance)
-
-
-def _equal(h: Hypotheses) -> Hypotheses:
-    return Hypotheses.uniform(h.values, h.label, h.covariance)
+        values[..., own] = np.where(staying[..., None], values[..., own], best)
+        return h.equal(values)

@@ -218,8 +218,8 @@ def _both_ways(
 ) -> tuple[Array, Array]:
     """(T, D) poses and (T,) IoU of the frames, tracked with few particles forwards and backwards from frame `at`, in
     the order of the frames; mended where left and right were exchanged."""
-    recipe, particles = default(body, particles=options.particles, frame_rate=rate)
-    tracker = Tracker(body, recipe, particles, TrackerSettings(seed=options.seed, frame_rate=rate))
+    recipe = default(body, particles=options.particles, frame_rate=rate)
+    tracker = Tracker(body, recipe, TrackerSettings(seed=options.seed, frame_rate=rate))
     later = _follow(tracker, start, frames[at:], tick)
     earlier = _follow(tracker, later[0].pose, frames[at - 1 :: -1], tick) if at else []
     tracked, _ = mend_sides(tracker, [*earlier[::-1], *later], lambda numbers: (frames[t] for t in numbers))
@@ -256,9 +256,8 @@ def hull_start(
 
 def _follow(tracker: Tracker, start: Array, frames: Sequence[Frame], tick: Callable[[], None]) -> list[FrameEstimate]:
     """The frames tracked one after the other, the first from a pose (D,)."""
-    state, found = tracker.start(start), []
-    for frame in frames:
-        state, estimate = tracker.step(state, frame)
+    found: list[FrameEstimate] = []
+    for _, estimate in tracker.follow(tracker.start(start), frames):
         found.append(estimate)
         tick()
     return found

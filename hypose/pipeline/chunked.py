@@ -53,7 +53,7 @@ def chunk_ranges(total: int, frame_rate: float, chunk_s: float) -> tuple[range, 
 
 @dataclass(frozen=True)
 class ChunkRun:
-    """One recording tracked in chunks. body: the template, or the subject's own (then options.subject says so). Of what
+    """One recording tracked in chunks. body: the subject's own, or None. Of what
     is kept in `results` only that of the same run (`record`) is used."""
 
     source: FrameSource
@@ -121,14 +121,14 @@ class ChunkRun:
 
         def follow(state: TrackerState, frames: range) -> Iterator[tuple[TrackerState, FrameEstimate]]:
             last = None
-            for frame in tracked_frames(self.source, frames, self.options.recipe, subject):
+            for frame in tracked_frames(self.source, frames, tracker.recipe.needs, subject):
                 state, estimate = tracker.step(state, frame)
                 yield state, replace(estimate, seen=what_was_seen(estimate, tracker.body, frame, last))
                 last = frame
 
         joined, seams = join(subject.body, chunks, follow, done)
         joined = replace(joined, complete=chunks[-1].complete and done == total)
-        out = finish(self.source, subject, joined, self.frame_rate, self.options, self.results, self.record, progress)
+        out = finish(self.source, subject, tracker, joined, self.options, self.results, self.record, progress)
         if out.complete:
             shutil.rmtree(self.results.path / FOLDER, ignore_errors=True)
         return replace(out, notes=(*out.notes, *seam_notes(seams)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -30,11 +30,13 @@ class FrameSource(Protocol):
         ...
 
 
-def tracked_frames(source: FrameSource, indices: Iterable[int], recipe: str, subject: Subject) -> Iterator[Frame]:
-    """The frames that a recipe is to track, with detections by colour where it is driven by detections and the
-    recording has neither key points nor anything else that detects ends, but pictures."""
+def tracked_frames(
+    source: FrameSource, indices: Iterable[int], needs: Sequence[str], subject: Subject
+) -> Iterator[Frame]:
+    """The frames that a recipe is to track, with detections by colour where it needs detections and the recording has
+    neither key points nor anything else that detects ends, but pictures."""
     if not (
-        recipe.startswith("dd-")
+        "detections" in needs
         and isinstance(source, FrameStream)
         and source.keypoints is None
         and all(view.source is not None for view in source.recording.views)

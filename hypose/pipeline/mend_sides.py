@@ -79,7 +79,7 @@ class _Anew:
 
 def _tracked_anew(tracker: Tracker, old: Sequence[FrameEstimate], at: int, frames: FrameRange) -> _Anew:
     """What is won over the old estimates around frame `at`, from the body with its sides exchanged there."""
-    start = tracker.exchanged(old[at].pose, next(iter(frames(range(at, at + 1)))))
+    start = tracker.rival(old[at].pose, next(iter(frames(range(at, at + 1)))))
     ahead, back = range(at, len(old)), range(at - 1, -1, -1)
     later, won, after = _while_better(tracker, start, old, ahead, _forwards(frames, at, len(old)))
     earlier, won_earlier, before = _while_better(tracker, start, old, back, _backwards(frames, at))

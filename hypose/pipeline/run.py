@@ -12,6 +12,7 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import HyposeError, InputError
+from hypose.inference.layer import Recipe
 from hypose.io.provenance import identity
 from hypose.io.results import ResultsFolder, save_motion
 from hypose.pipeline.colour_detections import tracked_frames
@@ -21,7 +22,8 @@ from hypose.pipeline.keypoint_track import track_keypoints
 from hypose.pipeline.mend_sides import mend_sides, sides_notes
 from hypose.pipeline.subject import Subject, SubjectOptions, find_subject
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
-from hypose.tracking.recipes import recipe
+from hypose.tracking.evidence import OwnEvidence
+from hypose.tracking.recipes import RECIPES, recipe
 from hypose.tracking.smooth_motion import smooth_motion
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings, motion_of
 
@@ -29,9 +31,9 @@ from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings, mot
 @dataclass(frozen=True)
 class TrackOptions:
     """What a user chooses. recipe: a preset's name; refine: contour refinement after a published recipe; evidence:
-    'silhouettes', 'keypoints' or 'both'; start, height, girths: see SubjectOptions;
-    subject: where the given body comes from (then `track_source` takes its body as it is); smooth: solve all frames
-    together at the end; checkpoint_every: frames; sure_start: a person says that the start is the right way round."""
+    'silhouettes', 'keypoints' or 'both'; start, height, girths: see SubjectOptions; subject: the file of a given body;
+    smooth: solve all frames together at the end, if the recipe does; checkpoint_every: frames; sure_start: a person
+    says that the start is the right way round."""
 
     recipe: str = "default"
     refine: bool = False
@@ -48,11 +50,15 @@ class TrackOptions:
     def __post_init__(self) -> None:
         if self.evidence not in ("silhouettes", "keypoints", "both"):
             raise InputError(f"There is no evidence {self.evidence!r}; choose silhouettes, keypoints or both.")
+        preset = RECIPES.get(self.recipe)
+        if preset is not None and self.evidence == "keypoints" and not preset.whole_clip:
+            raise InputError(f"The recipe {self.recipe!r} needs silhouettes; choose the evidence silhouettes or both.")
 
     @property
     def whole_clip(self) -> bool:
         """All frames are solved on their key points together, instead of one after the other and then together."""
-        return self.evidence == "keypoints" and self.smooth and self.recipe == "default"
+        preset = RECIPES.get(self.recipe)
+        return self.evidence == "keypoints" and self.smooth and preset is not None and preset.whole_clip
 
     def settings(self) -> dict[str, Any]:
         """The choices that decide the result."""
@@ -80,13 +86,16 @@ def track_source(
     record: Mapping[str, Any] | None = None,
     resume: bool = False,
     progress: Progress | None = None,
+    method: Recipe | None = None,
+    own: Sequence[OwnEvidence] = (),
 ) -> TrackResult:
     """Tracks the frames of a source.
 
-    body: the template to fit (default: the human template); subject: a known subject and start, which skips the
-    fitting. With `results` a checkpoint is written every `checkpoint_every` frames (later every twentieth of what is
-    done), and motion.npz at the end or when interrupted. `record` is the provenance; its identity must match for
-    `resume`.
+    body: the subject's own, of which only the start is looked for (default: the human template, fitted); subject: a
+    known subject and start, which skips both. method: a recipe of the caller's own instead of the options'; own:
+    evidence beside that of the frames. With `results` a checkpoint is written every `checkpoint_every` frames (later
+    every twentieth of what is done), and motion.npz at the end or when interrupted. `record` is the provenance; its
+    identity must match for `resume`.
     """
     report = progress or (lambda stage, done, total: None)
     total = len(source)
@@ -99,11 +108,11 @@ def track_source(
     if results is not None:  # before the motion, so that what is kept of an interrupted run can be looked at
         keep_subject(subject, results, key)
         keep = Keep(results.checkpoint, key, options.checkpoint_every)
-    if options.whole_clip:
+    tracker = tracker_of(subject, options, frame_rate, method, own)
+    if options.whole_clip and method is None and not own:
         solved = track_keypoints(source, frame_rate, subject, report)
         motion = replace(solved.motion, provenance=record or {})
         return _written(TrackResult(motion, subject.body, True, (*subject.notes, *solved.notes)), results)
-    tracker = tracker_of(subject, options, frame_rate)
     before = tracked_before(results.checkpoint, key, total) if resume and results is not None else None
     begin = tracker.start(subject.start)
     done = track_frames(source, range(total), tracker, begin, subject, keep=keep, before=before, progress=report)
@@ -113,7 +122,7 @@ def track_source(
         raise type(done.error)(
             f"{done.error} The {len(done.estimates)} frames before are kept in {results.path}; see --resume."
         ) from done.error
-    return finish(source, subject, done, frame_rate, options, results, record, report)
+    return finish(source, subject, tracker, done, options, results, record, report)
 
 
 def subject_of(
@@ -129,7 +138,7 @@ def subject_of(
     progress("subject", 0, 1)
     subject = None if results is None else kept_subject(results, key)
     if subject is None:
-        known = options.subject is not None
+        known = body is not None
         wanted = SubjectOptions(options.start, options.height, options.girths, body, frame_rate, options.seed, known)
         subject = find_subject(source.frame, len(source), wanted)
     progress("subject", 1, 1)
@@ -139,28 +148,27 @@ def subject_of(
 def finish(
     source: FrameSource,
     subject: Subject,
+    tracker: Tracker,
     done: Tracked,
-    frame_rate: float,
     options: TrackOptions,
     results: ResultsFolder | None,
     record: Mapping[str, Any] | None,
     progress: Progress,
 ) -> TrackResult:
     """The motion of what was tracked, stretches with exchanged sides mended, smoothed and written."""
-    estimates, notes = done.estimates, subject.notes
+    estimates, notes, recipe = done.estimates, subject.notes, tracker.recipe
     if done.complete:
         progress("sides", 0, 1)
-        tracker = tracker_of(subject, options, frame_rate)
         estimates, exchanged = mend_sides(
             tracker,
             estimates,
-            lambda frames: tracked_frames(source, frames, options.recipe, subject),
+            lambda frames: tracked_frames(source, frames, recipe.needs, subject),
             sure_start=options.sure_start,
         )
         notes = (*notes, *sides_notes(exchanged))
         progress("sides", 1, 1)
-    motion = _motion(subject, estimates, frame_rate, record)
-    if options.smooth and done.complete:
+    motion = _motion(subject, estimates, tracker.settings.frame_rate, record)
+    if options.smooth and recipe.smooth and done.complete:
         progress("smooth", 0, 1)
         smoothed = smooth_motion(subject.body, motion, np.stack([e.uncertainty.information for e in estimates]))
         motion, notes = smoothed.motion, (*notes, *smoothed.notes)
@@ -186,8 +194,14 @@ def _motion(
     return motion_of(subject.body, np.arange(len(estimates)) / frame_rate, estimates, record or {})
 
 
-def tracker_of(subject: Subject, options: TrackOptions, frame_rate: float) -> Tracker:
-    """The tracker of a run."""
-    made, particles = recipe(options.recipe, subject.body, frame_rate=frame_rate, refine=options.refine)
+def tracker_of(
+    subject: Subject,
+    options: TrackOptions,
+    frame_rate: float,
+    method: Recipe | None = None,
+    own: Sequence[OwnEvidence] = (),
+) -> Tracker:
+    """The tracker of a run; method, own: as for `track_source`."""
+    made = method or recipe(options.recipe, subject.body, frame_rate=frame_rate, refine=options.refine)
     settings = TrackerSettings(evidence=options.evidence, seed=options.seed, frame_rate=frame_rate)
-    return Tracker(subject.body, made, particles, settings, subject.keypoints)
+    return Tracker(subject.body, made, settings, subject.keypoints, own)

@@ -2,35 +2,46 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from hypose.body.body import Body
+from hypose.inference.layer import Recipe
 from hypose.io.frames import FrameOptions, FrameStream
 from hypose.io.recording import Recording, load_recording
 from hypose.pipeline.anthropometry import load_subject
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
-from hypose.pipeline.track_loop import Progress
+from hypose.pipeline.track_loop import FrameList, Progress
+from hypose.tracking.evidence import OwnEvidence
 
 
 def track(
-    recording: Recording | str | Path,
+    recording: Recording | FrameList | str | Path,
     options: TrackOptions | None = None,
     *,
+    recipe: str | Recipe | None = None,
+    own: Sequence[OwnEvidence] = (),
     body: Body | None = None,
     progress: Progress | None = None,
 ) -> TrackResult:
-    """The motion of the person in a recording (or the recording in a folder), and the body that was fitted.
+    """The motion of the person in a recording (or the recording in a folder, or frames in memory), and the body.
 
-    body: the subject's own, which is kept as it is (default: fitted to the recording). Nothing is written; `hypose
-    track` writes files and can be resumed. An InputError names what cannot be used.
+    recipe: a preset's name, or a recipe of your own for the joints of `human()` (default: the options'). own: evidence
+    of your own beside that of the recording. body: the subject's own, which is kept as it is (default: fitted to the
+    recording). Nothing is written; `hypose track` writes files and can be resumed. An InputError names what cannot be
+    used.
     """
-    loaded = recording if isinstance(recording, Recording) else load_recording(recording)
-    chosen = options or TrackOptions(height=loaded.subject_height)
-    if body is not None:
-        chosen = replace(chosen, subject=chosen.subject or "given")
-    elif chosen.subject is not None:
+    loaded = recording if isinstance(recording, Recording | FrameList) else load_recording(recording)
+    height = loaded.subject_height if isinstance(loaded, Recording) else None
+    chosen = options or TrackOptions(height=height)
+    method = recipe if isinstance(recipe, Recipe) else None
+    if isinstance(recipe, str):
+        chosen = replace(chosen, recipe=recipe)
+    if body is None and chosen.subject is not None:
         body = load_subject(chosen.subject)
     evidence = FrameOptions(silhouettes=None) if chosen.evidence == "keypoints" else None
-    with FrameStream(loaded, evidence) as source:
-        return track_source(source, loaded.frame_rate, chosen, body=body, progress=progress)
+    frames = contextlib.nullcontext(loaded) if isinstance(loaded, FrameList) else FrameStream(loaded, evidence)
+    with frames as source:
+        return track_source(source, loaded.frame_rate, chosen, body=body, progress=progress, method=method, own=own)

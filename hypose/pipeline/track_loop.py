@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -32,6 +32,21 @@ class FrameSource(Protocol):
     def frame(self, index: int, /) -> Frame:
         """Frame number index, 0 <= index < len."""
         ...
+
+
+@dataclass(frozen=True)
+class FrameList:
+    """Frames in memory as a recording to be tracked, frame_rate Hz: of a scene, of cameras or masks of your own."""
+
+    frames: Sequence[Frame]
+    frame_rate: float = 25.0
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def frame(self, index: int, /) -> Frame:
+        """Frame number index, 0 <= index < len."""
+        return self.frames[index]
 
 
 Progress = Callable[[str, int, int], None]
@@ -83,7 +98,7 @@ def track_frames(
     try:
         rest = frames[saved:]
         last = source.frame(rest[0] - 1) if rest and rest[0] > 0 else None
-        with contextlib.closing(look_ahead(tracked_frames(source, rest, tracker.recipe.name, subject))) as coming:
+        with contextlib.closing(look_ahead(tracked_frames(source, rest, tracker.recipe.needs, subject))) as coming:
             for done in range(saved, total):
                 progress("track", done, total)
                 frame = next(coming)

@@ -126,7 +126,7 @@ def shape_energy(template: Body, state: Array, frame: PreparedFrame) -> float:
 
 def anthropometry_recipe(
     template: Body, particles: int = 150, decay: float = 0.8, betas: Sequence[float] | None = None, step: float = 0.25
-) -> tuple[Recipe, int]:
+) -> Recipe:
     """The layers of Table 2.2 with the rejection-sampling kernel (tau = 0.7, ten trials).
 
     betas: fixed exponents as in the table (BETAS); by default the exponent is solved for a survival rate of 15 %,
@@ -151,7 +151,7 @@ def anthropometry_recipe(
         kernel = RejectionSampling(GaussianDiffusion(own, lower, upper), SizePrior(light), 0.7, 10)
         layers.append(Layer(kernel, Annealed(ShapeXor(light), selectivity), systematic, name))
     balls = tuple(int(K + b) for b in s.ball_starts)
-    return Recipe("anthropometry", tuple(layers), TangentMean(balls), THESIS), particles
+    return Recipe("anthropometry", layers, particles, ("silhouettes",), estimate=TangentMean(balls), citation=THESIS)
 
 
 def _coordinates(skeleton: Skeleton, entities: tuple[str, ...], joints: tuple[str, ...]) -> np.ndarray:
@@ -219,9 +219,9 @@ def estimate_by_filter(
     """Body, factors (K,) and pose (D,) from one frame in a known pose: Powell limb by limb, then the layered filter.
 
     The result is what explains the silhouettes best of the filter's mean, its best member and where it began."""
-    made, count = anthropometry_recipe(template, particles, betas=betas)
+    made = anthropometry_recipe(template, particles, betas=betas)
     first = powell_start(template, pose, frame)
-    h = Hypotheses.uniform(np.repeat(first[None], count, 0))
+    h = Hypotheses.uniform(np.repeat(first[None], made.particles, 0))
     result = search(h, made, frame, partial(stream, seed, 0))
     # the mean of a spread set may be worse than its best member, or than where it began
     light = without_display(template)

@@ -20,15 +20,20 @@ class SilhouetteXor:
 
     M_v: silhouette of the posed coarse mesh in view v, S_v: the mask, C: its foreground pixels. With no usable view
     every hypothesis costs the same (0). moving (J,) bool: the joints that differ in the set, for a search of one limb;
-    everything else stands as in the last hypothesis and is drawn once. Source: Alcoverro 2014, eq. 2.8.
+    everything else stands as in the last hypothesis and is drawn once. Source: Alcoverro 2014, eq. 2.8. What the user's
+    own evidence says, if there is any, is added.
     """
 
-    body: Body
     moving: NDArray[np.bool_] | None = None
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, /) -> Array:
         """(N,) energies of h.values (N, D)."""
-        return xor_energy(self.body, h.values, frame, self.moving)
+        return frame_energy(h.values, frame, self.moving)
+
+
+def frame_energy(poses: Array, frame: PreparedFrame, moving: NDArray[np.bool_] | None = None) -> Array:
+    """(N,) what poses (N, D) of the frame's body cost: eq. 2.8, and the user's own evidence."""
+    return xor_energy(frame.body, poses, frame, moving) + frame.own_energy(poses)
 
 
 def xor_energy(body: Body, poses: Array, frame: PreparedFrame, moving: NDArray[np.bool_] | None = None) -> Array:

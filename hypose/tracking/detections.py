@@ -1,7 +1,7 @@
 """Detections in the search: particles posed by inverse kinematics on a detected end, and a cost that knows the ends.
 
-Source: Alcoverro 2014, section 2.5.2. The set itself carries which of its members were posed on a detection (bits of
-their labels, inherited by selection), so the share of such proposals follows their survival without hidden state.
+Source: Alcoverro 2014, section 2.5.2. The set itself carries which of its members were posed on a detection (a role,
+inherited by selection), so the share of such proposals follows their survival without hidden state.
 """
 
 from __future__ import annotations
@@ -176,7 +176,7 @@ class DetectorDriven:
     that drives the layer; others, tried in turn where it is missing. noise: m, sd of a detection per axis. swivel:
     rad, sd of the turn about the line to the end, far_swivel: that of a third of the members. sigma (D,): usual steps
     of the coordinates that the layer may move, for the head. step: share mutated per layer; least: smallest share of
-    either kind. bit: number of this end's pair of bits.
+    either kind. limb: what is posed, which names its roles.
 
     For limbs the ball and the hinge are posed by analytic inverse kinematics. The head is the end of no limb: its
     members take the least step, in units of sigma, that brings it to the detection (the gain of a Kalman update). The
@@ -189,7 +189,7 @@ class DetectorDriven:
     base: Kernel
     end: tuple[int, ...]
     sigma: Array
-    bit: int
+    limb: str
     noise: float = 0.03
     swivel: float = 0.15
     far_swivel: float = 0.8
@@ -197,13 +197,13 @@ class DetectorDriven:
     least: float = 0.25
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """The moved set, its kinds in the labels."""
+        """The moved set, its kinds in the roles."""
         moved = self.base(h, frame, rng)
         found = found_ends(self.body, self.ends, frame)
         end = next((i for i in self.end if i in found), None)
         if end is None:
             return moved
-        driven = self._kinds(h.label, rng)
+        driven = self._kinds(h, rng)
         rows = np.flatnonzero(driven)
         values = moved.values.copy()
         targets = found[end] + self.noise * rng.standard_normal((h.count, 3))
@@ -215,24 +215,28 @@ class DetectorDriven:
             values[rows] = self._reach(moved.values[rows], targets[rows], end)
         else:
             values[rows] = pose_limb(self.body, limb, moved.values[rows], targets[rows], swivel[rows])
-        known, kind = self._bits()
-        label = (moved.label & ~(known | kind)) | known | np.where(driven, kind, 0)
-        return replace(moved, values=values, label=label.astype(np.int32))
+        moved = replace(moved, values=values).marked(self.sorted, np.ones(h.count, bool))
+        return moved.marked(self.posed, driven)
 
-    def _bits(self) -> tuple[int, int]:
-        # above the labels of the refinement, which are small numbers
-        return 1 << (8 + 2 * self.bit), 1 << (9 + 2 * self.bit)
+    @property
+    def posed(self) -> str:
+        """The role of the members that are posed on the detection."""
+        return f"{self.limb} posed"
 
-    def _kinds(self, label: NDArray[np.int32], rng: np.random.Generator) -> NDArray[np.bool_]:
+    @property
+    def sorted(self) -> str:
+        """The role of the members whose kind is known: all, after the first detection."""
+        return f"{self.limb} sorted"
+
+    def _kinds(self, h: Hypotheses, rng: np.random.Generator) -> NDArray[np.bool_]:
         """(N,) members of the detection's kind after mutation."""
-        known, kind = self._bits()
-        n = len(label)
+        n = h.count
         order = rng.permutation(n)
         driven = np.zeros(n, dtype=bool)
-        if not (label & known).all():
+        if not h.has(self.sorted).all():
             driven[order[: n // 2]] = True
             return driven
-        driven = (label & kind) > 0
+        driven = h.has(self.posed)
         share = driven.mean()
         wanted = round(
             n * float(np.clip(share + (self.step if share > 0.5 else -self.step), self.least, 1 - self.least))

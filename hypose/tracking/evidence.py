@@ -1,25 +1,43 @@
-"""What a recipe sees of one frame: masks and key points prepared for the hot functions, and the prediction."""
+"""What a recipe sees of one frame: masks and key points prepared for the hot functions, evidence of the user's own, and
+the prediction.
+"""
 
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose import compute
 from hypose.body.body import Body
-from hypose.errors import EvidenceError
+from hypose.errors import EvidenceError, InputError
 from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.contours import WORKING_HEIGHT
 from hypose.evidence.frame import Frame
-from hypose.fitting.articulated import ContourTerm, KeypointTerm, contour_term
+from hypose.fitting.articulated import ContourTerm, KeypointTerm, PointTerm, contour_term
 from hypose.geometry import Array
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term
 
 _Found = TypeVar("_Found")
+
+
+class OwnEvidence(Protocol):
+    """Evidence that the product does not know: what a sensor, a marker or a rule of yours says of the body.
+
+    Both see the frame, whose index and time tell which measurement belongs to it. All rows of a frame share one scale.
+    """
+
+    def rows(self, body: Body, frame: Frame, /) -> PointTerm | None:
+        """For the solver: where points of the body are, None when the frame says nothing."""
+        ...
+
+    def energy(self, body: Body, poses: Array, frame: Frame, /) -> Array:
+        """For the search: (N,) cost of poses (N, D), low is good; the silhouettes of one view cost between 0 and 2."""
+        ...
 
 
 class PoseMemory(Generic[_Found]):
@@ -42,26 +60,36 @@ class PoseMemory(Generic[_Found]):
 
 @dataclass(frozen=True)
 class PreparedFrame:
-    """One frame ready to be searched. masks and contours are None when no view has a usable silhouette, keypoints is
-    None when there are no key points. prediction (D,): the pose expected before looking at the evidence, and
-    prediction_weight: how strongly solves are pulled to it (1 / rad^2 in units of the robust rows' cost). usual_iou:
-    how well the body has overlapped the masks so far (NaN: not known). counts: of the silhouettes of single poses,
-    (C, 3); hessians: of their solves, (D, D)."""
+    """One frame ready to be searched for a body. masks and contours are None when no view has a usable silhouette,
+    keypoints is None when there are no key points; points: the rows of `own`, the user's evidence. prediction (D,): the
+    pose expected before looking at the evidence, and prediction_weight: how strongly solves are pulled to it (1 / rad^2
+    in units of the robust rows' cost). usual_iou: how well the body has overlapped the masks so far (NaN: not known).
+    counts: of the silhouettes of single poses, (C, 3); hessians: of their solves, (D, D)."""
 
     frame: Frame
+    body: Body
     prediction: Array
     masks: compute.PreparedMasks | None
     contours: ContourTerm | None
     keypoints: KeypointTerm | None
     prediction_weight: float = 0.1
     usual_iou: float = float("nan")
+    points: PointTerm | None = None
+    own: tuple[OwnEvidence, ...] = ()
     counts: PoseMemory[NDArray[np.int64]] = field(default_factory=PoseMemory, compare=False, repr=False)
     hessians: PoseMemory[Array] = field(default_factory=PoseMemory, compare=False, repr=False)
 
     @property
     def usable(self) -> bool:
         """True when some evidence is left."""
-        return self.masks is not None or self.keypoints is not None
+        return self.masks is not None or self.keypoints is not None or self.points is not None
+
+    def own_energy(self, poses: Array) -> Array:
+        """(N,) what poses (N, D) cost by the user's evidence."""
+        total = np.zeros(len(poses))
+        for one in self.own:
+            total += one.energy(self.body, poses, self.frame)
+        return total
 
 
 def prepare(
@@ -76,6 +104,7 @@ def prepare(
     keypoints_on_body: KeypointModel | None = None,
     prediction_weight: float = 0.1,
     usual_iou: float = float("nan"),
+    own: Sequence[OwnEvidence] = (),
 ) -> PreparedFrame:
     """Prepares a frame for `body`; see PreparedFrame. An EvidenceError when the frame has none of the wanted pieces."""
     silhouettes = frame.silhouettes if use_silhouettes else None
@@ -101,7 +130,27 @@ def prepare(
                 f"with ({len(model.names)}); fit the subject again from this recording."
             )
         term = keypoint_term(frame.keypoints, body, model, prediction, keypoint_scale_px)
-    return PreparedFrame(frame, prediction, masks, contours, term, prediction_weight, usual_iou)
+    rows = _joined([found for one in own if (found := one.rows(body, frame)) is not None], frame)
+    return PreparedFrame(frame, body, prediction, masks, contours, term, prediction_weight, usual_iou, rows, tuple(own))
+
+
+def _joined(terms: Sequence[PointTerm], frame: Frame) -> PointTerm | None:
+    """The rows of several pieces of evidence as one term."""
+    if len(terms) < 2:
+        return terms[0] if terms else None
+    scales = {term.scale_m for term in terms}
+    if len(scales) > 1:
+        raise InputError(
+            f"Evidence of your own has rows of {len(scales)} scales in frame {frame.index}; give all the same scale_m, "
+            "and weights that say which is surer."
+        )
+    return PointTerm(
+        np.concatenate([term.points_world for term in terms]),
+        np.concatenate([term.weight for term in terms]),
+        np.concatenate([term.joint for term in terms]),
+        np.concatenate([term.offset for term in terms]),
+        scales.pop(),
+    )
 
 
 def view_count(prepared: PreparedFrame) -> int:

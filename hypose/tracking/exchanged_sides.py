@@ -50,9 +50,10 @@ def legs_exchanged(body: Body, pose: Array) -> Array:
     return _with_joints_at(body, wanted, s.clamp(start))
 
 
-def look_for_exchange(body: Body, pose: Array, frame: PreparedFrame) -> tuple[float, Array]:
+def look_for_exchange(pose: Array, frame: PreparedFrame, /) -> tuple[float, Array]:
     """By how much the body turned around, or with its legs exchanged, overlaps the masks better than in `pose` (D,),
     mean IoU over the views, and that pose (D,), solved on the frame. Below zero: `pose` is the better one."""
+    body = frame.body
     now, best = float(np.nanmean(silhouette_iou(body, pose, frame))), (-1.0, pose)
     for rival in (turned_around, legs_exchanged):
         start = rival(body, pose)

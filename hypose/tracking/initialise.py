@@ -12,7 +12,7 @@ from hypose.fitting.articulated import PointTerm, PoseFit, SolveOptions, fit_pos
 from hypose.geometry import Array, procrustes, rotation_between, so3_exp, so3_log
 from hypose.tracking.costs import xor_energy
 from hypose.tracking.evidence import PreparedFrame
-from hypose.tracking.refinement import anatomical_prior, refine
+from hypose.tracking.refinement import SETTLING, anatomical_prior, refine
 
 # direction of the upper arm in each known pose, for the left side (x = the subject's left, y backward, z up)
 _ARM_DIRECTION = {
@@ -126,7 +126,7 @@ def start_from_hull(
         for base in bases
         for heading in np.arange(headings) * 2 * np.pi / headings
     ]
-    return _best_refined(body, np.stack(candidates), frame, options or SolveOptions(24, 12))
+    return _best_refined(body, np.stack(candidates), frame, options or SETTLING)
 
 
 def _everyday_poses(body: Body) -> list[Array]:
@@ -162,13 +162,14 @@ RECOVERY_REACH = 1.3
 """m: how far from the last pose a lost person is looked for; whoever is farther away is somebody else."""
 
 
-def recover(body: Body, frame: PreparedFrame, pose: Array, last: Array, options: SolveOptions) -> Array:
+def recover(pose: Array, last: Array, frame: PreparedFrame, /) -> Array:
     """The best pose (D,) after a loss: the given one, carried to the hull and turned, and known poses; refined.
 
     Only the space within RECOVERY_REACH of the last pose (D,) in which the person was seen is looked at, and who is
     solved to stand further away was only reached into: with nobody there the pose stays, so that another person in
     view is not taken for the one who left.
     """
+    body = frame.body
     try:
         hull = hull_of(frame, np.stack([last[:3] - RECOVERY_REACH, last[:3] + RECOVERY_REACH]))
     except EvidenceError:
@@ -177,7 +178,7 @@ def recover(body: Body, frame: PreparedFrame, pose: Array, last: Array, options:
     for base in (pose, known_pose(body, "standing"), known_pose(body, "a")):
         for heading in np.arange(8) * np.pi / 4:
             candidates.append(_centred(body, turned(base, heading), hull))
-    found = _best_refined(body, np.stack(candidates), frame, options).pose
+    found = _best_refined(body, np.stack(candidates), frame, SETTLING).pose
     return found if np.linalg.norm(found[:3] - last[:3]) <= RECOVERY_REACH else pose
 
 

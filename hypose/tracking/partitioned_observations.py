@@ -115,13 +115,13 @@ class PartitionedXor:
     faces: NDArray[np.bool_] | None = None
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, /) -> Array:
-        """(N,) energies of h.values (N, D)."""
+        """(N,) energies of h.values (N, D), with the user's own evidence added."""
         silhouettes = frame.frame.silhouettes
         if frame.masks is None or silhouettes is None:
-            return np.zeros(h.count)
+            return frame.own_energy(h.values)
         # a box needs no mean on SO(3): a set around one pose has its rotation vectors on one branch
         boxes = boxes_in_views(self.region.box(self.body, h.mean()), silhouettes.rig)
-        return partitioned_energy(self.body, h.values, frame, boxes, self.faces)
+        return partitioned_energy(self.body, h.values, frame, boxes, self.faces) + frame.own_energy(h.values)
 
 
 def partitioned_energy(

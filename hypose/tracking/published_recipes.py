@@ -1,4 +1,10 @@
-"""Presets of Alcoverro 2014, sections 2.4 and 2.5, as published, and what improves them, as presets of their own."""
+"""The published particle filters as data for the one search loop, and what improves them, as presets of their own.
+
+Every recipe is a function of the body and a few numbers. What is published starts from the pose that is given, neither
+predicts nor recovers, and states the spread of its set. Layer settings are the printed ones; the step sizes are half of
+what one would first guess (too large is worse than too small: limbs jump) and the selectivity is solved for a survival
+rate, because a fixed exponent <= 1 hardly selects on the flat energies of eq. 2.8.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
+from hypose.body.skeleton import Skeleton
 from hypose.geometry import Array
-from hypose.inference.kernels import HeavyTail, filtered_mask, layered_sigma, stay
+from hypose.inference.kernels import (
+    AdaptiveDiffusion,
+    GaussianDiffusion,
+    HeavyTail,
+    filtered_mask,
+    layered_sigma,
+    stay,
+)
 from hypose.inference.layer import Kernel, Layer, Recipe
-from hypose.inference.selectivity import Annealed
-from hypose.inference.selectors import LayeredSystematic
+from hypose.inference.selectivity import Annealed, FixedSelectivity, Selectivity, SurvivalRate
+from hypose.inference.selectors import LayeredSystematic, systematic
 from hypose.tracking.costs import SilhouetteXor
 from hypose.tracking.detections import DetectionCost, DetectorDriven, ends_of
 from hypose.tracking.limb_kernels import BallStep, LimbDiffusion, ball_step
@@ -23,8 +37,135 @@ from hypose.tracking.partitioned_observations import (
     chain_region,
     faces_of_parts,
 )
-from hypose.tracking.recipes import HPF_LAYERS, LIMB_LAYERS, THESIS, partitions_of, selectivity_of, step_sigma
 from hypose.tracking.refinement import pose_mean
+
+# the layers of the hierarchical filter (Alcoverro 2014, section 2.5.2): joints whose dof a layer filters first
+HPF_LAYERS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("torso", ("pelvis", "spine", "neck")),
+    ("left_leg", ("left_hip", "left_knee", "left_ankle")),
+    ("right_leg", ("right_hip", "right_knee", "right_ankle")),
+    ("left_shoulder", ("left_clavicle", "left_shoulder")),
+    ("right_shoulder", ("right_clavicle", "right_shoulder")),
+    ("left_elbow", ("left_elbow",)),
+    ("right_elbow", ("right_elbow",)),
+)
+# whole limbs, for filters with one layer per limb and for a search of one limb at a time
+LIMB_LAYERS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    *HPF_LAYERS[1:3],
+    ("left_arm", ("left_clavicle", "left_shoulder", "left_elbow")),
+    ("right_arm", ("right_clavicle", "right_shoulder", "right_elbow")),
+)
+
+
+def partitions_of(skeleton: Skeleton, layers: Sequence[tuple[str, tuple[str, ...]]]) -> list[NDArray[np.int64]]:
+    """The coordinate subset Psi_l of every layer."""
+    return [skeleton.dofs_of(*joints) for _, joints in layers]
+
+
+def sir(body: Body, particles: int = 4000, survival: float = 0.15, frame_rate: float = 25.0) -> Recipe:
+    """Plain particle filter: one layer over all coordinates. Source: Isard & Blake 1998 (Alcoverro 2014, Alg. 1)."""
+    s = body.skeleton
+    layer = Layer(diffusion(s, step_sigma(s, frame_rate)), _weigh(SurvivalRate(survival)), systematic, "all")
+    return _published("sir", (layer,), s, particles)
+
+
+def apf(
+    body: Body,
+    particles: int = 240,
+    layers: int = 15,
+    survival: float = 0.30,
+    scale: float = 0.5,
+    frame_rate: float = 25.0,
+) -> Recipe:
+    """Annealed particle filter with adaptive diffusion: the first layer moves all coordinates by the motion of a frame,
+    every further one by `scale` times the spread of the set that the layer before left.
+
+    Source: Deutscher & Reid 2005; 15 layers x 240 particles with adaptive diffusion as run by Alcoverro 2014, section
+    2.4, who gives neither the scale nor the survival rate.
+    """
+    s = body.skeleton
+    between_frames, between_layers = (
+        diffusion(s, step_sigma(s, frame_rate)),
+        AdaptiveDiffusion(scale, lower=s.lower, upper=s.upper),
+    )
+    rows = [
+        Layer(between_layers if n else between_frames, _weigh(SurvivalRate(survival)), systematic, f"annealing {n}")
+        for n in range(layers)
+    ]
+    return _published("apf", rows, s, particles)
+
+
+def partitioned(body: Body, particles: int = 572, survival: float = 0.15, frame_rate: float = 25.0) -> Recipe:
+    """Partitioned sampling: each layer moves only its own coordinates and resamples whole states.
+
+    Source: MacCormick & Isard 2000 (Alcoverro 2014, section 2.2.5).
+    """
+    s = body.skeleton
+    sigma = step_sigma(s, frame_rate)
+    rows = []
+    for (name, _), psi in zip(HPF_LAYERS, partitions_of(s, HPF_LAYERS), strict=True):
+        own = np.zeros(s.dof)
+        own[psi] = sigma[psi]
+        rows.append(Layer(diffusion(s, own), _weigh(SurvivalRate(survival)), systematic, name))
+    return _published("partitioned", rows, s, particles)
+
+
+def hpf(
+    body: Body,
+    particles: int = 572,
+    survival: float = 0.10,
+    decay: float = 0.8,
+    frame_rate: float = 25.0,
+    betas: Sequence[float] | None = None,
+) -> Recipe:
+    """Hierarchical (layered) particle filter: 7 layers x 572 particles as published.
+
+    Coordinates are first filtered in their own layer with full steps and go on moving with steps shrinking by `decay`
+    (Algorithm 3); only coordinates filtered so far are resampled (Algorithm 4). `betas` gives fixed exponents, one per
+    layer, as the thesis has them; by default the survival rate sets them.
+    Source: Alcoverro 2014, sections 2.2.6 and 2.4.
+    """
+    s = body.skeleton
+    sigma = step_sigma(s, frame_rate)
+    psi = partitions_of(s, HPF_LAYERS)
+    rows = []
+    for n, (name, _) in enumerate(HPF_LAYERS):
+        selectivity = selectivity_of(n, betas, survival)
+        rows.append(
+            Layer(
+                diffusion(s, layered_sigma(sigma, psi, decay, n)),
+                _weigh(selectivity),
+                LayeredSystematic(filtered_mask(psi, s.dof, n)),
+                name,
+            )
+        )
+    return _published("hpf", rows, s, particles)
+
+
+def step_sigma(skeleton: Skeleton, frame_rate: float) -> Array:
+    """(D,) usual motion per frame at this frame rate: proportional to the time between frames within limits."""
+    return skeleton.sigma * float(np.clip(25.0 / frame_rate, 0.4, 2.0))
+
+
+def diffusion(skeleton: Skeleton, sigma: Array, tail: HeavyTail | None = None) -> GaussianDiffusion:
+    """Steps of sigma (D,) inside the joint limits."""
+    return GaussianDiffusion(sigma, skeleton.lower, skeleton.upper, tail)
+
+
+def selectivity_of(layer: int, betas: Sequence[float] | None, survival: float) -> Selectivity:
+    """A fixed exponent per layer, as the thesis has them, or the exponent at which the share `survival` lives on."""
+    return SurvivalRate(survival) if betas is None else FixedSelectivity(betas[layer])
+
+
+def _weigh(selectivity: Selectivity) -> Annealed:
+    return Annealed(SilhouetteXor(), selectivity)
+
+
+def _published(
+    name: str, layers: Sequence[Layer], skeleton: Skeleton, particles: int, needs: tuple[str, ...] = ("silhouettes",)
+) -> Recipe:
+    return Recipe(name, layers, particles, needs, estimate=pose_mean(skeleton))
+
 
 # what a layer of the partitioned filter places: (points of its box: joints, landmarks), parts drawn first in it
 _SEEN: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
@@ -89,7 +230,7 @@ def hpf_apo(
     tails: bool = False,
     moving_end: bool = False,
     name: str = "hpf-apo",
-) -> tuple[Recipe, int]:
+) -> Recipe:
     """The hierarchical filter weighed by approximate partitions of the observations: 7 + 1 layers x 500 particles.
 
     As published: the layers and steps of `hpf`, eq. 2.15 in fixed boxes, and a last layer that weighs the set again in
@@ -121,7 +262,7 @@ def hpf_apo(
                 "whole body" if last else HPF_LAYERS[n][0],
             )
         )
-    return Recipe(name, tuple(rows), pose_mean(s), THESIS), particles
+    return _published(name, rows, s, particles)
 
 
 def _steps(
@@ -156,7 +297,7 @@ def _steps(
     return LimbDiffusion(s, sigma, balls, tail)
 
 
-def hpf_apo_plus(body: Body, particles: int = 500, frame_rate: float = 25.0) -> tuple[Recipe, int]:
+def hpf_apo_plus(body: Body, particles: int = 500, frame_rate: float = 25.0) -> Recipe:
     """The improved form of `hpf_apo`, at the same number of evaluations."""
     return hpf_apo(
         body,
@@ -172,8 +313,8 @@ def hpf_apo_plus(body: Body, particles: int = 500, frame_rate: float = 25.0) -> 
 
 # one layer per limb instead of two per arm: the (5+1) form
 FIVE_LAYERS = (HPF_LAYERS[0], *LIMB_LAYERS)
-# the end that drives each layer, in the order they are tried (END_NAMES), and its pair of bits
-_DRIVEN = {"torso": ((2,), 0), "left": ((0, 3), 1), "right": ((1, 4), 2), "left_leg": ((5,), 3), "right_leg": ((6,), 4)}
+# the ends that drive each limb's layers, in the order they are tried (END_NAMES)
+_DRIVEN = {"torso": (2,), "left": (0, 3), "right": (1, 4), "left_leg": (5,), "right_leg": (6,)}
 
 
 def dd_hpf(
@@ -189,7 +330,7 @@ def dd_hpf(
     kappa: float = 4.0,
     last_survival: float = 0.4,
     name: str = "dd-hpf",
-) -> tuple[Recipe, int]:
+) -> Recipe:
     """The detector-driven hierarchical filter: 7 layers x 500 particles, `hpf` with part of each layer's particles
     posed on the detected hand, head (or ankle); refinement: one more layer, without propagation, whose cost knows the
     detections (`dd-hpf+`).
@@ -204,38 +345,29 @@ def dd_hpf(
     for n, (layer, _) in enumerate(layers):
         selectivity = selectivity_of(n, betas, survival)
         step = layered_sigma(sigma, psi, decay, n)
-        driven, bit = _DRIVEN[layer if layer in _DRIVEN else layer.split("_")[0]]
+        limb = layer if layer in _DRIVEN else layer.split("_")[0]
         own = np.zeros(s.dof)
         own[psi[n]] = sigma[psi[n]]
-        kernel = DetectorDriven(body, ends, LimbDiffusion(s, step), driven, own, bit)
+        kernel = DetectorDriven(body, ends, LimbDiffusion(s, step), _DRIVEN[limb], own, limb)
         filtered = filtered_mask(psi, s.dof, n)
         if layer.endswith("shoulder"):
             filtered = filtered.copy()
             filtered[s.dofs_of(layer.replace("shoulder", "elbow"))] = True
-        weigh = Annealed(SilhouetteXor(body), selectivity)
+        weigh = _weigh(selectivity)
         rows.append(Layer(kernel, weigh, LayeredSystematic(filtered), layer))
     if refinement:
         last = selectivity_of(len(layers), betas, last_survival)
-        weigh = Annealed(DetectionCost(body, ends, SilhouetteXor(body), kappa), last)
+        weigh = Annealed(DetectionCost(body, ends, SilhouetteXor(), kappa), last)
         everything = filtered_mask(psi, s.dof, len(layers))
         rows.append(Layer(stay, weigh, LayeredSystematic(everything), "refinement"))
-    return Recipe(name, tuple(rows), pose_mean(s), THESIS), particles
+    return _published(name, rows, s, particles, ("silhouettes", "detections"))
 
 
-def dd_hpf_plus(body: Body, particles: int = 500, frame_rate: float = 25.0) -> tuple[Recipe, int]:
+def dd_hpf_plus(body: Body, particles: int = 500, frame_rate: float = 25.0) -> Recipe:
     """`dd_hpf` with the refinement layer: 7 + 1 layers x 500 particles. Source: Alcoverro 2014, section 2.5.2."""
     return dd_hpf(body, particles, frame_rate=frame_rate, refinement=True, name="dd-hpf+")
 
 
-def dd_hpf_plus_5(body: Body, particles: int = 500, frame_rate: float = 25.0) -> tuple[Recipe, int]:
+def dd_hpf_plus_5(body: Body, particles: int = 500, frame_rate: float = 25.0) -> Recipe:
     """`dd_hpf` with whole arms in one layer and the refinement layer: 5 + 1 layers x 500 particles."""
     return dd_hpf(body, particles, frame_rate=frame_rate, layers=FIVE_LAYERS, refinement=True, name="dd-hpf+5")
-
-
-PRESETS = {
-    "hpf-apo": hpf_apo,
-    "hpf-apo+": hpf_apo_plus,
-    "dd-hpf": dd_hpf,
-    "dd-hpf+": dd_hpf_plus,
-    "dd-hpf+5": dd_hpf_plus_5,
-}

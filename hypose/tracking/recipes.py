@@ -1,45 +1,41 @@
-"""Recipes: the published particle filters and the product's default, as named data for the one search loop.
+"""Recipes by name: the product's default, the published filters, and those with a contour refinement.
 
-Every recipe is a function of the body and a few numbers. Published layer settings are the presets; the step sizes are
-half of what one would first guess (too large is worse than too small: limbs jump) and the selectivity is solved for a
-survival rate, because a fixed exponent <= 1 hardly selects on the flat energies of eq. 2.8.
+What solves for the pose begins with a long solve, expects the last step again, knows its uncertainty from the curvature
+of the cost, and recovers; see `_solving`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
 from hypose.fitting.articulated import SolveOptions
 from hypose.geometry import Array
-from hypose.inference.kernels import (
-    Compose,
-    GaussianDiffusion,
-    HeavyTail,
-    KeepFirst,
-    UniformShare,
-    filtered_mask,
-    layered_sigma,
-)
-from hypose.inference.layer import Kernel, Layer, Recipe
-from hypose.inference.selectivity import Annealed, FixedSelectivity, Selectivity, SurvivalRate
-from hypose.inference.selectors import Elite, LayeredSystematic, keep, systematic
+from hypose.inference.kernels import Compose, Except, HeavyTail, UniformShare
+from hypose.inference.layer import GoOn, Kernel, Layer, Recipe, Recovery
+from hypose.inference.selectivity import Annealed, FixedSelectivity
+from hypose.inference.selectors import Elite, keep
+from hypose.tracking import published_recipes as published
 from hypose.tracking.costs import SilhouetteXor, no_evidence
+from hypose.tracking.exchanged_sides import look_for_exchange
+from hypose.tracking.initialise import recover
+from hypose.tracking.published_recipes import LIMB_LAYERS, diffusion, step_sigma
 from hypose.tracking.refinement import (
+    COMPOSITE,
+    SOLVED,
     ContourRefinement,
     InTurn,
     RefineComposite,
-    RefinedEstimate,
     SolvePrediction,
-    pose_mean,
+    settled,
+    solved,
 )
+from hypose.tracking.uncertainty import uncertainty_of_pose
 
 THESIS = "Alcoverro, M. (2014). Stochastic optimization and interactive machine learning for human motion analysis."
 DEUTSCHER = "Deutscher, J., Reid, I. (2005). Articulated body motion capture by stochastic search. IJCV 61(2)."
@@ -49,116 +45,12 @@ MACCORMICK = (
 ISARD = "Isard, M., Blake, A. (1998). CONDENSATION - conditional density propagation for visual tracking. IJCV 29(1)."
 CONTOURS = "Particles as proposals, bounded robust Gauss-Newton on two-way contours as the refinement (hypose)."
 
-# the layers of the hierarchical filter (Alcoverro 2014, section 2.5.2): joints whose dof a layer filters first
-HPF_LAYERS: tuple[tuple[str, tuple[str, ...]], ...] = (
-    ("torso", ("pelvis", "spine", "neck")),
-    ("left_leg", ("left_hip", "left_knee", "left_ankle")),
-    ("right_leg", ("right_hip", "right_knee", "right_ankle")),
-    ("left_shoulder", ("left_clavicle", "left_shoulder")),
-    ("right_shoulder", ("right_clavicle", "right_shoulder")),
-    ("left_elbow", ("left_elbow",)),
-    ("right_elbow", ("right_elbow",)),
-)
-# the limbs that the default recipe searches one at a time; the torso is where the contours are surest
-LIMB_LAYERS: tuple[tuple[str, tuple[str, ...]], ...] = (
-    *HPF_LAYERS[1:3],
-    ("left_arm", ("left_clavicle", "left_shoulder", "left_elbow")),
-    ("right_arm", ("right_clavicle", "right_shoulder", "right_elbow")),
-)
 _TURNS = (0, 1, 0, 1)
 """the frames (modulo 2) in which each of LIMB_LAYERS is searched: one leg and one arm in every frame; one limb per
 frame costs a tenth of the accuracy where the body is not the person's own"""
 
 
-def partitions_of(skeleton: Skeleton, layers: Sequence[tuple[str, tuple[str, ...]]]) -> list[NDArray[np.int64]]:
-    """The coordinate subset Psi_l of every layer."""
-    return [skeleton.dofs_of(*joints) for _, joints in layers]
-
-
-def sir(body: Body, particles: int = 4000, survival: float = 0.15, frame_rate: float = 25.0) -> tuple[Recipe, int]:
-    """Plain particle filter: one layer over all coordinates. Source: Isard & Blake 1998 (Alcoverro 2014, Alg. 1)."""
-    s = body.skeleton
-    layer = Layer(_diffusion(s, step_sigma(s, frame_rate)), _weigh(body, SurvivalRate(survival)), systematic, "all")
-    return Recipe("sir", (layer,), pose_mean(s), ISARD), particles
-
-
-def apf(
-    body: Body,
-    particles: int = 240,
-    layers: int = 15,
-    survival: float = 0.30,
-    decay: float = 0.8,
-    frame_rate: float = 25.0,
-) -> tuple[Recipe, int]:
-    """Annealed particle filter: every layer moves all coordinates, with steps shrinking by `decay` per layer.
-
-    Source: Deutscher & Reid 2005; 15 layers x 240 particles as run by Alcoverro 2014, section 2.4.
-    """
-    s = body.skeleton
-    sigma = step_sigma(s, frame_rate)
-    everything = [np.arange(s.dof)] * layers
-    rows = tuple(
-        Layer(
-            _diffusion(s, layered_sigma(sigma, everything, decay, n)),
-            _weigh(body, SurvivalRate(survival)),
-            systematic,
-            f"annealing {n}",
-        )
-        for n in range(layers)
-    )
-    return Recipe("apf", rows, pose_mean(s), DEUTSCHER), particles
-
-
-def partitioned(
-    body: Body, particles: int = 572, survival: float = 0.15, frame_rate: float = 25.0
-) -> tuple[Recipe, int]:
-    """Partitioned sampling: each layer moves only its own coordinates and resamples whole states.
-
-    Source: MacCormick & Isard 2000 (Alcoverro 2014, section 2.2.5).
-    """
-    s = body.skeleton
-    sigma = step_sigma(s, frame_rate)
-    rows = []
-    for (name, _), psi in zip(HPF_LAYERS, partitions_of(s, HPF_LAYERS), strict=True):
-        own = np.zeros(s.dof)
-        own[psi] = sigma[psi]
-        rows.append(Layer(_diffusion(s, own), _weigh(body, SurvivalRate(survival)), systematic, name))
-    return Recipe("partitioned", tuple(rows), pose_mean(s), MACCORMICK), particles
-
-
-def hpf(
-    body: Body,
-    particles: int = 572,
-    survival: float = 0.10,
-    decay: float = 0.8,
-    frame_rate: float = 25.0,
-    betas: Sequence[float] | None = None,
-) -> tuple[Recipe, int]:
-    """Hierarchical (layered) particle filter: 7 layers x 572 particles as published.
-
-    Coordinates are first filtered in their own layer with full steps and go on moving with steps shrinking by `decay`
-    (Algorithm 3); only coordinates filtered so far are resampled (Algorithm 4). `betas` gives fixed exponents, one per
-    layer, as the thesis has them; by default the survival rate sets them.
-    Source: Alcoverro 2014, sections 2.2.6 and 2.4.
-    """
-    s = body.skeleton
-    sigma = step_sigma(s, frame_rate)
-    psi = partitions_of(s, HPF_LAYERS)
-    rows = []
-    for n, (name, _) in enumerate(HPF_LAYERS):
-        selectivity = selectivity_of(n, betas, survival)
-        rows.append(
-            Layer(
-                _diffusion(s, layered_sigma(sigma, psi, decay, n)),
-                _weigh(body, selectivity),
-                LayeredSystematic(filtered_mask(psi, s.dof, n)),
-                name,
-            )
-        )
-    return Recipe("hpf", tuple(rows), pose_mean(s), THESIS), particles
-
-
-def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iterations: int = 8) -> tuple[Recipe, int]:
+def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iterations: int = 8) -> Recipe:
     """The product's default: a contour solve from the prediction, a greedy search of one limb at a time around it with
     long-tailed steps, and a solve of what the search put together.
 
@@ -174,76 +66,92 @@ def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iteratio
     options = SolveOptions(iterations=iterations, coarse_iterations=iterations // 2)
     turns = _TURNS if frame_rate >= 20 else (0,) * len(LIMB_LAYERS)
     period = 1 + max(turns)
-    rows = [Layer(SolvePrediction(body, options), no_evidence, keep, "contours")]
+    rows = [Layer(SolvePrediction(options), no_evidence, keep, "contours")]
     for (name, joints), turn in zip(LIMB_LAYERS, turns, strict=True):
         own = s.dofs_of(*joints)
         step = np.zeros(s.dof)
         step[own] = sigma[own]
         mask = np.zeros(s.dof, dtype=bool)
         mask[own] = True
-        # the first hypothesis stays the solved pose, the second what the search has put together so far
-        moves: list[Kernel] = [_diffusion(s, step, HeavyTail(0.3, 4.0, mask))]
+        moves: list[Kernel] = [diffusion(s, step, HeavyTail(0.3, 4.0, mask))]
         if name.endswith("arm"):
             moves.append(UniformShare(0.25, *_reach(s), mask))
-        kernel = KeepFirst(Compose(tuple(moves)), 2)
+        kernel = Except(Compose(tuple(moves)), (SOLVED, COMPOSITE))
         moving = np.isin(np.arange(len(s.joint_names)), [s.joint(j) for j in joints])
-        weigh = Annealed(SilhouetteXor(body, moving), FixedSelectivity(1.0))  # the best is best under any exponent
-        rows.append(Layer(kernel, weigh, Elite(1, mask, keep=1), name, InTurn(turn, period)))
-    rows.append(Layer(RefineComposite(body, options), no_evidence, keep, "refinement"))
-    return Recipe("default", tuple(rows), RefinedEstimate(s), CONTOURS), particles
+        weigh = Annealed(SilhouetteXor(moving), FixedSelectivity(1.0))  # the best is best under any exponent
+        rows.append(Layer(kernel, weigh, Elite(1, mask, but=SOLVED), name, InTurn(turn, period)))
+    rows.append(Layer(RefineComposite(options), no_evidence, keep, "refinement"))
+    return _solving(Recipe("default", rows, particles))
 
 
-def _published(name: str) -> Callable[..., tuple[Recipe, int]]:
-    def make(body: Body, **settings: Any) -> tuple[Recipe, int]:
-        from hypose.tracking import published_recipes  # which is built on this module
-
-        return published_recipes.PRESETS[name](body, **settings)
-
-    return make
+def refined(base: Recipe, name: str | None = None) -> Recipe:
+    """A recipe with contour refinement after its last layer, whose result is the estimate and moves the set."""
+    layer = Layer(ContourRefinement(), no_evidence, keep, "refinement")
+    return _solving(replace(base, name=name or f"{base.name}+refine", layers=(*base.layers, layer)))
 
 
-RECIPES: dict[str, Callable[..., tuple[Recipe, int]]] = {
-    "default": default,
-    "sir": sir,
-    "apf": apf,
-    "partitioned": partitioned,
-    "hpf": hpf,
-    **{name: _published(name) for name in ("hpf-apo", "hpf-apo+", "dd-hpf", "dd-hpf+", "dd-hpf+5")},
+def hpf_plus(body: Body, particles: int = 572, frame_rate: float = 25.0) -> Recipe:
+    """`published_recipes.hpf` with contour refinement, a solved start, prediction and recovery."""
+    return refined(published.hpf(body, particles, frame_rate=frame_rate), "hpf+")
+
+
+def _solving(base: Recipe) -> Recipe:
+    return replace(
+        base,
+        start=settled,
+        predict=GoOn(),
+        estimate=solved,
+        uncertainty=uncertainty_of_pose,
+        recover=Recovery(find=recover, rival=look_for_exchange),
+        smooth=True,
+    )
+
+
+@dataclass(frozen=True)
+class Preset:
+    """What is known of a recipe before there is a body. make(body, frame_rate=Hz): the recipe for a body; citation;
+    whole_clip: key points alone are enough, and are solved in all frames together instead of frame by frame."""
+
+    make: Callable[..., Recipe]
+    citation: str
+    whole_clip: bool = False
+
+
+RECIPES: dict[str, Preset] = {
+    "default": Preset(default, CONTOURS, whole_clip=True),
+    "sir": Preset(published.sir, ISARD),
+    "apf": Preset(published.apf, DEUTSCHER),
+    "partitioned": Preset(published.partitioned, MACCORMICK),
+    "hpf": Preset(published.hpf, THESIS),
+    "hpf+": Preset(hpf_plus, f"{THESIS} {CONTOURS}"),
+    "hpf-apo": Preset(published.hpf_apo, THESIS),
+    "hpf-apo+": Preset(published.hpf_apo_plus, THESIS),
+    "dd-hpf": Preset(published.dd_hpf, THESIS),
+    "dd-hpf+": Preset(published.dd_hpf_plus, THESIS),
+    "dd-hpf+5": Preset(published.dd_hpf_plus_5, THESIS),
 }
 
 
-def recipe(name: str, body: Body, *, frame_rate: float = 25.0, refine: bool = False) -> tuple[Recipe, int]:
-    """A preset by name with its number of particles; `refine` adds the contour refinement as a last layer.
+def recipe(
+    name: str, body: Body, *, frame_rate: float = 25.0, particles: int | None = None, refine: bool = False
+) -> Recipe:
+    """A preset by name for a body and a frame rate (Hz); particles: None = its own number; refine: with contour
+    refinement as a last layer, if it has none.
 
     An InputError lists the presets when the name is unknown.
     """
     if name not in RECIPES:
         raise InputError(f"There is no recipe {name!r}; the recipes are {', '.join(RECIPES)}.")
-    made, particles = RECIPES[name](body, frame_rate=frame_rate)
-    return (with_refinement(made, body), particles) if refine and name != "default" else (made, particles)
+    made = RECIPES[name].make(body, frame_rate=frame_rate)
+    if refine and not made.smooth:  # what is solved has been refined
+        made = refined(made)
+    return replace(made, particles=particles or made.particles, citation=citation_of(name, refine))
 
 
-def with_refinement(base: Recipe, body: Body, options: SolveOptions | None = None) -> Recipe:
-    """The recipe with contour refinement and feedback after its last layer."""
-    kernel = ContourRefinement(body, options or SolveOptions(), best=1, from_prediction=True)
-    layer = Layer(kernel, no_evidence, keep, "refinement")
-    return replace(
-        base,
-        name=f"{base.name}+refine",
-        layers=(*base.layers, layer),
-        estimate=RefinedEstimate(body.skeleton),
-        citation=f"{base.citation} {CONTOURS}",
-    )
-
-
-def selectivity_of(layer: int, betas: Sequence[float] | None, survival: float) -> Selectivity:
-    """A fixed exponent per layer, as the thesis has them, or the exponent at which the share `survival` lives on."""
-    return SurvivalRate(survival) if betas is None else FixedSelectivity(betas[layer])
-
-
-def step_sigma(skeleton: Skeleton, frame_rate: float) -> Array:
-    """(D,) usual motion per frame at this frame rate: proportional to the time between frames within limits."""
-    return skeleton.sigma * float(np.clip(25.0 / frame_rate, 0.4, 2.0))
+def citation_of(name: str, refine: bool = False) -> str:
+    """Where a preset comes from, \"\" for a name that is none; refine: as for `recipe`."""
+    cited = RECIPES[name].citation if name in RECIPES else ""
+    return f"{cited} {CONTOURS}" if cited and refine and CONTOURS not in cited else cited
 
 
 def _reach(skeleton: Skeleton) -> tuple[Array, Array]:
@@ -254,11 +162,3 @@ def _reach(skeleton: Skeleton) -> tuple[Array, Array]:
         lower[start : start + 3] *= 0.6
         upper[start : start + 3] *= 0.6
     return lower, upper
-
-
-def _diffusion(skeleton: Skeleton, sigma: Array, tail: HeavyTail | None = None) -> GaussianDiffusion:
-    return GaussianDiffusion(sigma, skeleton.lower, skeleton.upper, tail)
-
-
-def _weigh(body: Body, selectivity: Selectivity) -> Annealed:
-    return Annealed(SilhouetteXor(body), selectivity)

@@ -17,11 +17,13 @@ from hypose.fitting.articulated import PoseFit, Quadratic, SolveOptions, fit_pos
 from hypose.geometry import Array
 from hypose.inference.estimates import TangentMean
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.costs import silhouette_iou, xor_energy
+from hypose.tracking.costs import frame_energy, silhouette_iou
 from hypose.tracking.evidence import PreparedFrame
 
-REFINED, SETTLED = 1, 2
-"""Labels: REFINED is the hypothesis that a refinement put in; in a settled frame the others are SETTLED, else 0."""
+SOLVED, COMPOSITE = "solved", "composite"
+"""Roles: the hypothesis that a solve put in, and the one that a search of single limbs puts together."""
+SETTLING = SolveOptions(iterations=24, coarse_iterations=12)
+"""For a solve from far: of a start that may be centimetres off, and of where a lost person is found again."""
 
 
 def anatomical_prior(skeleton: Skeleton) -> Quadratic:
@@ -53,80 +55,55 @@ def prediction_prior(prediction: Array, weight: float) -> Quadratic:
     return Quadratic(prediction, np.full(len(prediction), weight))
 
 
+def settled(pose: Array, frame: PreparedFrame, /) -> Array:
+    """Start: the pose (D,) of a long solve from the one that is given, which may be centimetres off."""
+    return refine(frame.body, pose[None], frame, SETTLING)[0].pose
+
+
 @dataclass(frozen=True)
 class ContourRefinement:
     """Kernel: refines a few members of the set and shifts the whole set by the step of the best.
 
-    Members refined: the set's mean (`from_mean`), its `best` highest weighted hypotheses, and the prediction
-    (`from_prediction`). The winner has the least `mismatch`. All hypotheses move by its step from the mean and keep
-    their spread; the winner itself becomes the first hypothesis and carries the label REFINED. Without evidence the set
-    is left alone.
+    Members refined: the set's mean, its `best` hypotheses of least energy, and the prediction. The winner has the least
+    `mismatch`. All hypotheses move by its step from the mean and keep their spread; the winner itself becomes one of
+    them, in the role SOLVED.
     """
 
-    body: Body
     options: SolveOptions = SolveOptions()
-    best: int = 0
-    from_prediction: bool = False
-    from_mean: bool = True
+    best: int = 1
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """Moves h; see the class."""
-        labels = np.zeros_like(h.label)
-        if not frame.usable:
-            return replace(h, label=labels)
-        mean = pose_mean(self.body.skeleton)(h)
-        fits = refine(self.body, self._candidates(h, mean, frame), frame, self.options)
-        winner = best_fit(self.body, fits, frame).pose
-        values = self.body.skeleton.clamp(h.values + (winner - mean))
+        s = frame.body.skeleton
+        mean = pose_mean(s)(h)
+        order = np.argsort(frame_energy(h.values, frame), kind="stable")[: self.best]
+        candidates = s.on_branch(np.stack([mean, frame.prediction, *h.values[order]]), frame.prediction)
+        winner = best_fit(refine(frame.body, candidates, frame, self.options), frame).pose
+        values = s.clamp(h.values + (winner - mean))
         values[0] = winner
-        labels[0] = REFINED
-        return replace(h, values=values, label=labels)
-
-    def _candidates(self, h: Hypotheses, mean: Array, frame: PreparedFrame) -> Array:
-        rows = [mean] if self.from_mean else []
-        if self.from_prediction:
-            rows.append(frame.prediction)
-        if self.best:
-            energy = xor_energy(self.body, h.values, frame)
-            rows += list(h.values[np.argsort(energy, kind="stable")[: self.best]])
-        return self.body.skeleton.on_branch(np.stack(rows), frame.prediction)
+        return replace(h, values=values).marked(SOLVED, [0])
 
 
 @dataclass(frozen=True)
 class SolvePrediction:
     """Kernel: solves from the prediction and puts all hypotheses there: where a search of single limbs wants to start.
 
-    The first carries REFINED. The others carry SETTLED unless the solved body overlaps the masks clearly worse than
-    usual in this recording (1 - IoU above `unsettled` times its usual value).
+    One of them is in the role SOLVED, and one in the role COMPOSITE, to which the search adds limb by limb.
     """
 
-    body: Body
     options: SolveOptions = SolveOptions()
-    unsettled: float = 1.15
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """All hypotheses at the solution."""
-        labels = np.zeros_like(h.label)
-        if not frame.usable:
-            return replace(h, label=labels)
-        winner = refine(self.body, frame.prediction[None], frame, self.options)[0].pose
-        if self._is_settled(winner, frame):
-            labels[:] = SETTLED
-        labels[0] = REFINED
-        return replace(h, values=np.repeat(winner[None], h.count, 0), label=labels)
-
-    def _is_settled(self, pose: Array, frame: PreparedFrame) -> bool:
-        if frame.masks is None:
-            return True  # particles are weighed by silhouettes only
-        if not np.isfinite(frame.usual_iou):
-            return False
-        iou = float(np.nanmean(silhouette_iou(self.body, pose, frame)))
-        return 1 - iou <= self.unsettled * (1 - frame.usual_iou)
+        pose = refine(frame.body, frame.prediction[None], frame, self.options)[0].pose
+        return _all_at(pose, h).marked(COMPOSITE, [min(1, h.count - 1)])
 
 
 @dataclass(frozen=True)
 class InTurn:
-    """When a limb is searched: in the frames whose number modulo `period` is `turn`, and in unsettled ones.
+    """When a limb is searched: in the frames whose number modulo `period` is `turn`, and in unsettled ones, in which
+    the solved body overlaps the masks clearly worse than usual in this recording (1 - IoU above `unsettled` times its
+    usual value).
 
     A lost limb hardly changes the overlap with the masks: neither the overlap nor the cost of the solve tells the
     frames in which a search pays (area under the curve 0.6), so each limb has its turn, which also costs the same in
@@ -134,70 +111,89 @@ class InTurn:
 
     turn: int
     period: int
+    unsettled: float = 1.15
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame) -> bool:
         """True when the limb is to be searched in this frame."""
         if frame.masks is None:
+            return False  # particles are weighed by silhouettes only
+        return frame.frame.index % self.period == self.turn or not self._is_settled(member(h, SOLVED), frame)
+
+    def _is_settled(self, pose: Array, frame: PreparedFrame) -> bool:
+        if not np.isfinite(frame.usual_iou):
             return False
-        return h.label[-1] != SETTLED or frame.frame.index % self.period == self.turn
+        iou = float(np.nanmean(silhouette_iou(frame.body, pose, frame)))
+        return 1 - iou <= self.unsettled * (1 - frame.usual_iou)
 
 
 @dataclass(frozen=True)
 class RefineComposite:
-    """Kernel: refines the second hypothesis, which a limb search put together, and keeps it if it beats the first.
+    """Kernel: refines what a limb search put together, and keeps it if it beats the solved hypothesis.
 
-    All hypotheses become the winner; the first carries REFINED. Nothing is solved when the search lowered the energy by
-    less than the share `margin`, which chance alone does.
+    All hypotheses become the winner, one of them in the role SOLVED. Nothing is solved when the search lowered the
+    energy by less than the share `margin`, which chance alone does.
     """
 
-    body: Body
     options: SolveOptions = SolveOptions()
     margin: float = 0.02
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """The set at the winner."""
-        if not frame.usable:
-            return h
-        winner, composite = h.values[0], h.values[1]
+        winner, composite = member(h, SOLVED), member(h, COMPOSITE)
         if self._is_better(winner, composite, frame):
-            solved = refine(self.body, composite[None], frame, self.options)[0].pose
-            both = np.stack([winner, solved])
-            winner = both[int(np.argmin(mismatch(self.body, both, frame)))]
-        labels = np.zeros_like(h.label)
-        labels[0] = REFINED
-        return replace(h, values=np.repeat(winner[None], h.count, 0), label=labels)
+            found = refine(frame.body, composite[None], frame, self.options)[0].pose
+            both = np.stack([winner, found])
+            winner = both[int(np.argmin(mismatch(both, frame)))]
+        return _all_at(winner, h)
 
     def _is_better(self, winner: Array, composite: Array, frame: PreparedFrame) -> bool:
         if np.array_equal(winner, composite):
             return False
-        energy = xor_energy(self.body, np.stack([winner, composite]), frame)
+        energy = frame_energy(np.stack([winner, composite]), frame)
         return bool(energy[1] < (1 - self.margin) * energy[0])
 
 
-def mismatch(body: Body, poses: Array, frame: PreparedFrame, step_penalty: float = 0.002) -> Array:
-    """(N,) mean XOR share over the views (eq. 2.8 / views) + step_penalty x mean squared step from the prediction in
+def member(h: Hypotheses, role: str) -> Array:
+    """(D,) the value of the hypothesis in a role that one of h has."""
+    return h.values[np.flatnonzero(h.has(role))[0]]
+
+
+def _all_at(pose: Array, h: Hypotheses) -> Hypotheses:
+    return replace(h, values=np.repeat(pose[None], h.count, 0)).marked(SOLVED, [0])
+
+
+def mismatch(poses: Array, frame: PreparedFrame, step_penalty: float = 0.002) -> Array:
+    """(N,) mean energy over the views (eq. 2.8 / views) + step_penalty x mean squared step from the prediction in
     large steps (three usual motions): what chooses between solved poses. The penalty keeps equal silhouettes from
     flipping a limb."""
     assert frame.masks is not None
     views = max(int(frame.masks.usable.sum()), 1)
-    skeleton = body.skeleton
+    skeleton = frame.body.skeleton
     step = (skeleton.on_branch(poses, frame.prediction) - frame.prediction) / (3 * skeleton.sigma)
-    return xor_energy(body, poses, frame) / views + step_penalty * (step[:, 3:] ** 2).mean(1)
+    return frame_energy(poses, frame) / views + step_penalty * (step[:, 3:] ** 2).mean(1)
 
 
-def best_fit(body: Body, fits: list[PoseFit], frame: PreparedFrame) -> PoseFit:
+def best_fit(fits: list[PoseFit], frame: PreparedFrame) -> PoseFit:
     """The fit of least mismatch; of least cost when there are no silhouettes."""
     if len(fits) == 1:
         return fits[0]
     if frame.masks is None:
         return fits[int(np.argmin([f.cost for f in fits]))]
-    return fits[int(np.argmin(mismatch(body, np.stack([f.pose for f in fits]), frame)))]
+    return fits[int(np.argmin(mismatch(np.stack([f.pose for f in fits]), frame)))]
 
 
 def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveOptions) -> list[PoseFit]:
     """Independent robust solves from starts (N, D) on a frame's evidence, with anatomical and prediction priors."""
     priors = (anatomical_prior(body.skeleton), prediction_prior(frame.prediction, frame.prediction_weight))
-    fits = fit_poses(body, starts, contours=frame.contours, keypoints=frame.keypoints, priors=priors, options=options)
+    fits = fit_poses(
+        body,
+        starts,
+        contours=frame.contours,
+        keypoints=frame.keypoints,
+        points=frame.points,
+        priors=priors,
+        options=options,
+    )
     for fit in fits:
         frame.hessians.keep(body, fit.pose, fit.hessian)
     return fits
@@ -208,13 +204,6 @@ def pose_mean(skeleton: Skeleton) -> TangentMean:
     return TangentMean(tuple(int(s) for s in skeleton.ball_starts))
 
 
-@dataclass(frozen=True)
-class RefinedEstimate:
-    """Estimate: the refined hypothesis when the last layer made one, else the weighted mean."""
-
-    skeleton: Skeleton
-
-    def __call__(self, h: Hypotheses, /) -> Array:
-        """(D,) pose."""
-        refined = np.flatnonzero(h.label == REFINED)
-        return h.values[refined[0]].copy() if len(refined) else pose_mean(self.skeleton)(h)
+def solved(h: Hypotheses, /) -> Array:
+    """Estimate: (D,) the hypothesis in the role SOLVED."""
+    return member(h, SOLVED).copy()

@@ -6,7 +6,7 @@ saved, and resumed with the same numbers.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -16,25 +16,17 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.motion import Motion, sd_per_axis
+from hypose.errors import InputError
 from hypose.evidence.frame import Frame
-from hypose.fitting.articulated import SolveOptions
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
-from hypose.inference.layer import Recipe, SearchResult, search
+from hypose.inference.layer import Recipe, Recovery, search
 from hypose.inference.random_streams import stream
 from hypose.tracking.costs import silhouette_iou
-from hypose.tracking.evidence import PreparedFrame, prepare, view_count
-from hypose.tracking.exchanged_sides import look_for_exchange
-from hypose.tracking.initialise import recover
+from hypose.tracking.evidence import OwnEvidence, PreparedFrame, prepare, view_count
 from hypose.tracking.keypoint_evidence import KeypointModel
-from hypose.tracking.recipes import step_sigma
-from hypose.tracking.refinement import REFINED, RefinedEstimate, refine
-from hypose.tracking.uncertainty import (
-    PoseUncertainty,
-    nothing_known,
-    uncertainty_of_pose,
-    uncertainty_of_set,
-)
+from hypose.tracking.published_recipes import step_sigma
+from hypose.tracking.uncertainty import PoseUncertainty, nothing_known, uncertainty_of_set
 
 BETWEEN_FRAMES, RECOVERY, START = -1, -2, -3
 """Layer numbers of the random streams used outside a recipe's layers."""
@@ -46,32 +38,30 @@ NOBODY = 0.3
 class TrackerSettings:
     """What the tracker is told.
 
-    evidence: 'silhouettes', 'keypoints' or 'both'. seed: of every random draw. frame_rate: Hz. velocity_gain: share of
-    the last step expected again (0 = constant position). prediction_weight: pull of a solve to the prediction at 25 fps
-    (it grows with the square of the frame rate, as the prediction's error shrinks). lost_share: lost when the mean IoU
-    falls below this share of its usual value; lost_floor: or below this value. keypoint_scale_px: robust scale of key
-    points in their pixels. extrapolate: seconds without evidence after which the person counts as lost.
-    sides_every: seconds between two looks whether left and right have been exchanged."""
+    evidence: 'silhouettes', 'keypoints' or 'both'. seed: of every random draw. frame_rate: Hz. prediction_weight: pull
+    of a solve to the prediction at 25 fps (it grows with the square of the frame rate, as the prediction's error
+    shrinks). lost_share: lost when the mean IoU falls below this share of its usual value; lost_floor: or below this
+    value. keypoint_scale_px: robust scale of key points in their pixels. extrapolate: seconds without evidence after
+    which the person counts as lost. rival_every: seconds between two looks for a rival pose (left and right
+    exchanged)."""
 
     evidence: str = "silhouettes"
     seed: int = 0
     frame_rate: float = 25.0
-    velocity_gain: float = 0.8
     prediction_weight: float = 0.1
     lost_share: float = 0.6
     lost_floor: float = 0.25
-    recover: bool = True
     contour_weight: float = 0.05
     keypoint_scale_px: float = 8.0
     extrapolate: float = 1.0
-    sides_every: float = 0.5
+    rival_every: float = 0.5
 
 
 @dataclass(frozen=True)
 class FrameEstimate:
     """pose (D,), its uncertainty, cost: 1 - mean IoU (NaN without silhouettes), flags, number of views. overlap (C,):
     IoU of the body with each view's mask, NaN where that is not usable, empty when not looked at. exchanged: by
-    how much the body with its sides exchanged overlaps the masks better (`look_for_exchange`), NaN when not looked at.
+    how much a rival (the body with its sides exchanged) overlaps the masks better, NaN when not looked at.
     seen (C, 3): what hypose.pipeline.doubts keeps of each view, (0, 3) when nothing."""
 
     pose: Array
@@ -111,7 +101,9 @@ class TrackerState:
             "frames": np.array(self.frames),
             "values": self.hypotheses.values,
             "log_weights": self.hypotheses.log_weights,
-            "label": self.hypotheses.label,
+            "origin": self.hypotheses.origin,
+            "role": self.hypotheses.role,
+            "role_names": np.array(self.hypotheses.role_names, dtype=np.str_),
             "pose": self.pose,
             "previous": self.previous,
             "joint_covariance": self.joint_covariance,
@@ -123,7 +115,8 @@ class TrackerState:
     @staticmethod
     def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrackerState:
         """The state that `to_arrays` wrote."""
-        h = Hypotheses(arrays["values"], arrays["log_weights"], arrays["label"].astype(np.int32))
+        names = tuple(arrays["role_names"].tolist())
+        h = Hypotheses(arrays["values"], arrays["log_weights"], arrays["origin"], arrays["role"], names)
         return TrackerState(
             int(arrays["frames"]),
             h,
@@ -138,84 +131,107 @@ class TrackerState:
 
 @dataclass(frozen=True)
 class Tracker:
-    """A body, a recipe with its number of particles, settings, and where key points sit on the body."""
+    """A body, a recipe, settings, where key points sit on the body, and evidence of the user's own. An InputError when
+    the recipe needs evidence that the settings leave out."""
 
     body: Body
     recipe: Recipe
-    particles: int
     settings: TrackerSettings = TrackerSettings()
     keypoints_on_body: KeypointModel | None = None
+    own: Sequence[OwnEvidence] = ()
+
+    def __post_init__(self) -> None:
+        for kind in ("silhouettes", "keypoints"):
+            if kind in self.recipe.needs and self.settings.evidence not in (kind, "both"):
+                raise InputError(
+                    f"The recipe {self.recipe.name!r} needs {kind}; choose the evidence {kind!r} or 'both', or another "
+                    "recipe."
+                )
 
     def start(self, pose: Array) -> TrackerState:
         """State before the first frame, around a start pose (D,)."""
         s = self.body.skeleton
         pose = s.canonical(s.clamp(pose))
-        rng = stream(self.settings.seed, 0, START)
-        noise = rng.standard_normal((self.particles, s.dof)) * 0.5 * step_sigma(s, self.settings.frame_rate)
-        h = Hypotheses.uniform(s.clamp(pose + noise))
+        h = self._around(pose, 0.5, stream(self.settings.seed, 0, START))
         unknown = np.full((len(s.joint_names), 3, 3), np.nan, np.float32)
         return TrackerState(0, h, pose, pose, unknown, float("nan"), 0, False)
 
+    def follow(self, state: TrackerState, frames: Iterable[Frame]) -> Iterator[tuple[TrackerState, FrameEstimate]]:
+        """The state and the estimate after each of the frames."""
+        for frame in frames:
+            state, estimate = self.step(state, frame)
+            yield state, estimate
+
     def step(self, state: TrackerState, frame: Frame) -> tuple[TrackerState, FrameEstimate]:
         """One frame: predict, search, judge, and recover when lost."""
-        s, settings = self.body.skeleton, self.settings
+        s, recipe = self.body.skeleton, self.recipe
         state = self._on_canonical_branch(state)
-        velocity = self._gain(state) * (state.pose - s.on_branch(state.previous, state.pose))
-        prediction = s.clamp(state.pose + velocity)
+        last_step = state.pose - s.on_branch(state.previous, state.pose)
+        # after a loss the last step is none of the person's
+        step = recipe.predict(np.zeros_like(last_step) if state.lost else last_step, state.blind)
+        prediction = s.clamp(state.pose + step)
         prepared = self._prepare(frame, prediction, state.usual_iou)
         if not prepared.usable:
-            return self._extrapolate(state, prediction, velocity)
+            return self._extrapolate(state, prediction, step)
         if state.frames == 0:
-            prepared, state = self._settle(prepared, state)
-            velocity = np.zeros_like(velocity)
-        h = replace(state.hypotheses, values=s.clamp(state.hypotheses.values + velocity))
-        result = search(h, self.recipe, prepared, partial(stream, settings.seed, frame.index))
+            prepared, state = self._begin(prepared, state)
+            step = np.zeros_like(step)
+        h = replace(state.hypotheses, values=s.clamp(state.hypotheses.values + step))
+        result = search(h, recipe, prepared, partial(stream, self.settings.seed, frame.index))
         pose, selected = s.clamp(result.estimate), result.selected
         iou = _mean_iou(self.body, pose, prepared)
         lost = self._is_lost(iou, state.usual_iou)
-        if settings.recover and prepared.masks is not None and (lost or state.lost or state.blind > 2):
-            found = recover(self.body, prepared, pose, state.pose, self._settle_options())
-            found_iou = _mean_iou(self.body, found, prepared)
-            # from nowhere only to a whole person: the rim of somebody else's hull is no find
-            cut_off = self._is_nobody(iou, state.usual_iou) and self._is_lost(found_iou, state.usual_iou)
-            if found_iou > iou + 0.02 and not cut_off:
-                pose, iou = found, found_iou
-                rng = stream(settings.seed, frame.index, RECOVERY)
-                noise = rng.standard_normal(selected.values.shape) * step_sigma(s, settings.frame_rate)
-                selected = Hypotheses.uniform(s.clamp(pose + noise))
-                lost = self._is_lost(iou, state.usual_iou)
-                state = replace(state, pose=pose)  # the step back is no velocity
-        if lost and self._is_nobody(iou, state.usual_iou):
-            # stay where the person was last seen: a solve would drift to whatever else is in the masks
-            pose, selected = state.pose, state.hypotheses
-        known = self._uncertainty(pose, result, prepared)
+        if recipe.recover is not None and prepared.masks is not None:
+            state, pose, selected, iou, lost = self._recover(recipe.recover, state, pose, selected, iou, prepared)
+        known = (recipe.uncertainty or uncertainty_of_set)(pose, result.weighted, prepared)
         usual = state.usual_iou
         if not lost and np.isfinite(iou):
             usual = iou if np.isnan(usual) else usual + 0.1 * (iou - usual)
         following = TrackerState(state.frames + 1, selected, pose, state.pose, known.joint_covariance, usual, 0, lost)
         cost = 1 - iou if np.isfinite(iou) else float("nan")
         overlap = silhouette_iou(self.body, pose, prepared)
-        exchanged = float("nan") if lost else self._exchanged(state, pose, prepared)
-        return following, FrameEstimate(pose, known, cost, lost, False, view_count(prepared), overlap, exchanged)
+        gain = float("nan") if lost else self._rival_gain(state, pose, prepared)
+        return following, FrameEstimate(pose, known, cost, lost, False, view_count(prepared), overlap, gain)
 
-    def exchanged(self, pose: Array, frame: Frame) -> Array:
-        """The pose (D,) with sides exchanged, solved on the frame's evidence: where tracking may begin anew."""
-        return look_for_exchange(self.body, pose, self._prepare(frame, pose, float("nan")))[1]
+    def _recover(
+        self, how: Recovery, state: TrackerState, pose: Array, selected: Hypotheses, iou: float, prepared: PreparedFrame
+    ) -> tuple[TrackerState, Array, Hypotheses, float, bool]:
+        """The state before the frame, the pose (D,) in it, the set to go on with, the pose's IoU, and whether it is
+        lost, when a lost person has been looked for."""
+        lost = self._is_lost(iou, state.usual_iou)
+        if lost or state.lost or state.blind > 2:
+            found = how.find(pose, state.pose, prepared)
+            found_iou = _mean_iou(self.body, found, prepared)
+            # from nowhere only to a whole person: the rim of somebody else's hull is no find
+            cut_off = self._is_nobody(iou, state.usual_iou) and self._is_lost(found_iou, state.usual_iou)
+            if found_iou > iou + 0.02 and not cut_off:
+                pose, iou = found, found_iou
+                selected = self._around(pose, 1.0, stream(self.settings.seed, prepared.frame.index, RECOVERY))
+                lost = self._is_lost(iou, state.usual_iou)
+                state = replace(state, pose=pose)  # the step back is no velocity
+        if lost and self._is_nobody(iou, state.usual_iou):
+            # stay where the person was last seen: a solve would drift to whatever else is in the masks
+            pose, selected = state.pose, state.hypotheses
+        return state, pose, selected, iou, lost
 
-    def _exchanged(self, state: TrackerState, pose: Array, prepared: PreparedFrame) -> float:
-        """`look_for_exchange` now and then, where silhouettes alone tell left from right and poses are solved."""
-        every = max(1, round(self.settings.sides_every * self.settings.frame_rate))
-        solved = isinstance(self.recipe.estimate, RefinedEstimate)
-        if not solved or prepared.masks is None or prepared.keypoints is not None or state.frames % every:
+    def rival(self, pose: Array, frame: Frame) -> Array:
+        """The rival of a pose (D,) on a frame's evidence, where tracking may begin anew; the pose if there is none."""
+        look = self.recipe.recover.rival if self.recipe.recover is not None else None
+        return pose if look is None else look(pose, self._prepare(frame, pose, float("nan")))[1]
+
+    def _rival_gain(self, state: TrackerState, pose: Array, prepared: PreparedFrame) -> float:
+        """Looked for now and then, where silhouettes alone tell left from right."""
+        every = max(1, round(self.settings.rival_every * self.settings.frame_rate))
+        look = self.recipe.recover.rival if self.recipe.recover is not None else None
+        if look is None or prepared.masks is None or prepared.keypoints is not None or state.frames % every:
             return float("nan")
-        return look_for_exchange(self.body, pose, prepared)[0]
+        return look(pose, prepared)[0]
 
-    def _gain(self, state: TrackerState) -> float:
-        """Share of the last step that is expected again: none after a loss, and none for estimates that are means of
-        a set, whose noise a velocity would feed back."""
-        if state.lost or not isinstance(self.recipe.estimate, RefinedEstimate):
-            return 0.0
-        return self.settings.velocity_gain ** (1 + state.blind)
+    def _around(self, pose: Array, steps: float, rng: np.random.Generator) -> Hypotheses:
+        """The recipe's number of hypotheses scattered about a pose (D,), by so many usual steps."""
+        s = self.body.skeleton
+        noise = rng.standard_normal((self.recipe.particles, s.dof)) * steps
+        return Hypotheses.uniform(s.clamp(pose + noise * step_sigma(s, self.settings.frame_rate)))
 
     def _on_canonical_branch(self, state: TrackerState) -> TrackerState:
         s = self.body.skeleton
@@ -241,17 +257,15 @@ class Tracker:
             keypoints_on_body=self.keypoints_on_body,
             prediction_weight=self.settings.prediction_weight * (self.settings.frame_rate / 25) ** 2,
             usual_iou=usual_iou,
+            own=self.own,
         )
 
-    def _settle_options(self) -> SolveOptions:
-        return SolveOptions(iterations=24, coarse_iterations=12)
-
-    def _settle(self, prepared: PreparedFrame, state: TrackerState) -> tuple[PreparedFrame, TrackerState]:
-        """Before the first search: a long solve from the given start, which may be centimetres off."""
-        fit = refine(self.body, prepared.prediction[None], prepared, self._settle_options())[0]
-        shifted = self.body.skeleton.clamp(state.hypotheses.values + (fit.pose - prepared.prediction))
+    def _begin(self, prepared: PreparedFrame, state: TrackerState) -> tuple[PreparedFrame, TrackerState]:
+        """Before the first search: the set moved to where the recipe starts."""
+        start = self.recipe.start(prepared.prediction, prepared)
+        shifted = self.body.skeleton.clamp(state.hypotheses.values + (start - prepared.prediction))
         h = replace(state.hypotheses, values=shifted)
-        return replace(prepared, prediction=fit.pose), replace(state, pose=fit.pose, previous=fit.pose, hypotheses=h)
+        return replace(prepared, prediction=start), replace(state, pose=start, previous=start, hypotheses=h)
 
     def _is_lost(self, iou: float, usual: float) -> bool:
         if not np.isfinite(iou):
@@ -278,11 +292,6 @@ class Tracker:
         h = replace(state.hypotheses, values=s.clamp(state.hypotheses.values + velocity))
         following = TrackerState(state.frames + 1, h, prediction, state.pose, covariance, state.usual_iou, blind, lost)
         return following, FrameEstimate(prediction, nothing_known(covariance, s.dof), float("nan"), lost, True, 0)
-
-    def _uncertainty(self, pose: Array, result: SearchResult, prepared: PreparedFrame) -> PoseUncertainty:
-        if (result.weighted.label == REFINED).any():
-            return uncertainty_of_pose(self.body, pose, prepared)
-        return uncertainty_of_set(self.body, result.weighted)
 
 
 def _mean_iou(body: Body, pose: Array, prepared: PreparedFrame) -> float:

@@ -43,12 +43,13 @@ class PoseUncertainty:
     information: NDArray[np.float32]
 
 
-def uncertainty_of_pose(body: Body, pose: Array, frame: PreparedFrame) -> PoseUncertainty:
+def uncertainty_of_pose(pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> PoseUncertainty:
     """Of a solved pose (D,), from the inverse of the cost's Hessian.
 
     Covariance of the joints = factor^2 H^-1 (CURVATURE_FACTOR) with the priors in H, so a joint that no view sees keeps
     the prior's spread.
     """
+    body = frame.body
     hessian = frame.hessians.get(body, pose)
     if hessian is None:
         hessian = refine(body, pose[None], frame, SolveOptions(iterations=0, coarse_iterations=0))[0].hessian
@@ -76,9 +77,9 @@ def joint_group(name: str) -> str:
     return "head" if name == "head" else "torso"
 
 
-def uncertainty_of_set(body: Body, h: Hypotheses) -> PoseUncertainty:
-    """Of a weighted set (N, D)."""
-    joints = body.joints(h.values)
+def uncertainty_of_set(pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> PoseUncertainty:
+    """Of a weighted set (N, D): its spread."""
+    joints = frame.body.joints(h.values)
     apart = joints - np.einsum("n,nja->ja", h.weights, joints)
     around = np.einsum("n,nja,njb->jab", h.weights, apart, apart) + FLOOR**2 * np.eye(3)
     off = h.values - h.weights @ h.values

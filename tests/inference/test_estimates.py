@@ -53,5 +53,5 @@ def test_batches():
     h = weighted(values)
     together = TangentMean((0,))(h)
     for b in range(2):
-        alone = Hypotheses(h.values[b], h.log_weights[b], h.label[b])
+        alone = Hypotheses(h.values[b], h.log_weights[b], h.origin[b])
         np.testing.assert_allclose(together[b], TangentMean((0,))(alone), atol=1e-9)

@@ -45,7 +45,7 @@ KERNELS = {
         kernels.Compose(()),
     ],
     "UniformShare": [kernels.UniformShare(s, -np.ones(D), np.ones(D), SOME) for s in (0.3, 0.0)],
-    "KeepFirst": [kernels.KeepFirst(gaussian()), kernels.KeepFirst(kernels.stay)],
+    "Except": [kernels.Except(gaussian(), ("start", "nobody's")), kernels.Except(kernels.stay, ("start",))],
     "RejectionSampling": [
         kernels.RejectionSampling(gaussian(), lambda x: -np.square(x).sum(-1), tau=0.7, trials=5),
         kernels.RejectionSampling(gaussian(), lambda x: np.full(x.shape[:-1], -np.inf), trials=2),
@@ -62,7 +62,7 @@ SELECTORS = {
     "keep": [selectors.keep],
     "LayeredSystematic": [selectors.LayeredSystematic(SOME), selectors.LayeredSystematic(np.zeros(D, bool))],
     "Prune": [selectors.Prune(3), selectors.Prune(1000)],
-    "Elite": [selectors.Elite(1, SOME), selectors.Elite(1000, SOME)],
+    "Elite": [selectors.Elite(1, SOME, but="start"), selectors.Elite(1000, SOME)],
 }
 SELECTIVITIES = {
     "FixedSelectivity": [selectivity.FixedSelectivity(0.5), selectivity.FixedSelectivity(0.0)],
@@ -114,7 +114,7 @@ def population(shape: tuple[int, ...], lost: bool = False, covariance: bool = Fa
     values = np.clip(rng.normal(size=(*shape, D)), LOWER, UPPER)
     log_weights = np.full(shape, -np.inf) if lost else rng.normal(size=shape) * 3 - 1000
     spread = np.broadcast_to(np.eye(D), (*shape, D, D)) * rng.random((*shape, 1, 1)) if covariance else None
-    return Hypotheses(values, log_weights, rng.integers(0, 3, shape, dtype=np.int32), spread)
+    return Hypotheses(values, log_weights, rng.integers(0, 3, shape), rng.integers(0, 2, shape), ("start",), spread)
 
 
 POPULATIONS = {
@@ -127,12 +127,12 @@ POPULATIONS = {
 
 
 def snapshot(h: Hypotheses) -> list[bytes]:
-    return [b"" if getattr(h, f.name) is None else getattr(h, f.name).tobytes() for f in fields(h)]
+    return [np.asarray(getattr(h, f.name), dtype=None).tobytes() for f in fields(h) if getattr(h, f.name) is not None]
 
 
 def well_formed(h: Hypotheses, like: Hypotheses) -> None:
     assert h.values.shape[:-2] == like.values.shape[:-2] and h.dimension == like.dimension
-    assert h.label.dtype == np.int32 and h.values.dtype == np.float64
+    assert h.origin.dtype == h.role.dtype == np.int32 and h.values.dtype == np.float64
     assert np.isfinite(h.values).all()
     weights = h.weights
     assert np.isfinite(weights).all() and (weights >= 0).all()
@@ -165,7 +165,7 @@ def test_selectors(selector, h):
     well_formed(chosen, h)
     assert snapshot(chosen) == snapshot(selector(h, np.random.default_rng(3)))
     if selector is not selectors.keep:
-        np.testing.assert_array_equal(chosen.log_weights, np.full(chosen.label.shape, -np.log(chosen.count)))
+        np.testing.assert_array_equal(chosen.log_weights, np.full(chosen.origin.shape, -np.log(chosen.count)))
     for d in range(D):  # nothing is invented: each coordinate comes from the set
         assert np.isin(chosen.values[..., d], h.values[..., d]).all()
 

@@ -10,13 +10,13 @@ from hypose.inference.random_streams import stream
 def make(log_weights, values=None):
     lw = np.asarray(log_weights, float)
     v = np.arange(lw.size * 2.0).reshape(*lw.shape, 2) if values is None else values
-    return Hypotheses(v, lw, np.zeros(lw.shape, np.int32))
+    return Hypotheses(v, lw)
 
 
 def test_uniform():
     h = Hypotheses.uniform(np.zeros((3, 5, 2)))
     np.testing.assert_allclose(h.weights, 0.2)
-    assert (h.count, h.dimension, h.label.dtype) == (5, 2, np.int32)
+    assert (h.count, h.dimension, h.origin.dtype) == (5, 2, np.int32)
     np.testing.assert_allclose(h.ess, [5, 5, 5])
     assert not h.evidence_lost.any()
 
@@ -72,15 +72,16 @@ def test_take_carries_everything():
         rng.normal(size=(2, 4, 3)),
         rng.normal(size=(2, 4)),
         rng.integers(0, 9, (2, 4)),
-        rng.normal(size=(2, 4, 3, 3)),
-    )
+        covariance=rng.normal(size=(2, 4, 3, 3)),
+    ).marked("solved", rng.random((2, 4)) < 0.5)
     index = np.array([[3, 3, 0], [1, 2, 1]])
     t = h.take(index)
     assert t.covariance is not None and h.covariance is not None
     for b in range(2):
         np.testing.assert_array_equal(t.values[b], h.values[b, index[b]])
         np.testing.assert_array_equal(t.log_weights[b], h.log_weights[b, index[b]])
-        np.testing.assert_array_equal(t.label[b], h.label[b, index[b]])
+        np.testing.assert_array_equal(t.origin[b], h.origin[b, index[b]])
+        np.testing.assert_array_equal(t.has("solved")[b], h.has("solved")[b, index[b]])
         np.testing.assert_array_equal(t.covariance[b], h.covariance[b, index[b]])
 
 
@@ -91,12 +92,30 @@ def test_take_carries_everything():
         (np.zeros((0, 2)), np.zeros(0), np.zeros(0)),
         (np.zeros((4, 2)), np.zeros(3), np.zeros(4)),
         (np.zeros((4, 2)), np.zeros(4), np.zeros(3)),
-        (np.zeros((4, 2)), np.zeros(4), np.zeros(4), np.zeros((4, 2))),
+        (np.zeros((4, 2)), np.zeros(4), np.zeros(4), np.zeros(3)),
+        (np.zeros((4, 2)), np.zeros(4), np.zeros(4), np.zeros(4), (), np.zeros((4, 2))),
     ],
 )
 def test_shapes_are_checked(arguments):
     with pytest.raises(ValueError, match=r"\("):
         Hypotheses(*arguments)
+
+
+def test_roles_have_names_and_exclude_nothing():
+    h = Hypotheses.uniform(np.arange(4.0)[:, None])
+    assert not h.has("solved").any()
+    both = h.marked("solved", [0]).marked("composite", [False, True, True, False])
+    assert both.has("solved").tolist() == [True, False, False, False]
+    assert both.has("composite").tolist() == [False, True, True, False]
+    again = both.marked("solved", [1, 3])  # taken from all others, and from no other role
+    assert again.has("solved").tolist() == [False, True, False, True]
+    assert again.has("composite").tolist() == both.has("composite").tolist()
+    assert both.has("solved").tolist() == [True, False, False, False]  # the old set is as it was
+    for n in range(29):
+        h = h.marked(f"role {n}", [n % 4])
+    with pytest.raises(ValueError, match="31 roles"):
+        h.marked("a", [0]).marked("b", [0]).marked("c", [0])
+    assert h.has("role 28").tolist() == [True, False, False, False]
 
 
 def test_streams_depend_on_their_address_only():

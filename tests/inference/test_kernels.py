@@ -121,9 +121,9 @@ def test_rejection_refuses_what_the_prior_dislikes():
 def test_mixture_shares_labels_and_numbers():
     kinds = (stay, ConstantVelocity(np.full(3, 10.0)), ConstantVelocity(np.full(3, 20.0)))
     moved = Mixture(kinds, (0.25, 0.5, 0.25))(zeros(40), None, np.random.default_rng(0))
-    np.testing.assert_array_equal(np.bincount(moved.label), [10, 20, 10])
-    np.testing.assert_array_equal(moved.values, np.repeat(10.0 * moved.label[:, None], 3, axis=1))
-    assert (np.diff(moved.label) != 0).sum() > 10  # drawn, not in blocks
+    np.testing.assert_array_equal(np.bincount(moved.origin), [10, 20, 10])
+    np.testing.assert_array_equal(moved.values, np.repeat(10.0 * moved.origin[:, None], 3, axis=1))
+    assert (np.diff(moved.origin) != 0).sum() > 10  # drawn, not in blocks
     with pytest.raises(ValueError, match="add up to 1"):
         Mixture((stay, stay), (0.5, 0.6))
     with pytest.raises(ValueError, match="one share"):

@@ -1,5 +1,6 @@
 """The loop against filters written out step by step, and against the Kalman filter."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -164,17 +165,17 @@ def test_weigh_sees_the_population_and_the_estimate_comes_before_selection():
     result = search(Hypotheses.uniform(START), recipe, None, partial(stream, 0, 0))
     assert result.selected.count == 1 and result.weighted.count == N
     np.testing.assert_allclose(result.estimate, result.weighted.mean())
-    best = search(Hypotheses.uniform(START), Recipe("b", recipe.layers, Hypotheses.best), None, partial(stream, 0, 0))
+    best = search(Hypotheses.uniform(START), replace(recipe, estimate=Hypotheses.best), None, partial(stream, 0, 0))
     np.testing.assert_array_equal(best.estimate, result.selected.values[0])
 
 
-def test_labels_tell_which_proposal_survived():
+def test_origins_tell_which_proposal_survived():
     towards_truth = ConstantVelocity(np.full(D, 3.0))
     layer = Layer(Mixture((stay, towards_truth), (0.5, 0.5)), Annealed(energy, SurvivalRate(0.2)), systematic)
     far = Hypotheses.uniform(START - 3.0)
     result = search(far, Recipe("driven", (layer,)), np.zeros(D), partial(stream, 0, 0))
-    assert result.weighted.label.sum() == N // 2
-    assert result.selected.label.mean() > 0.99
+    assert result.weighted.origin.sum() == N // 2
+    assert result.selected.origin.mean() > 0.99
 
 
 def test_reports_tell_beta_and_effective_number():
@@ -209,7 +210,7 @@ def test_same_seed_is_bit_identical_and_a_resumed_run_too():
     middle = Hypotheses.uniform(START)
     for t in range(3):
         middle = search(middle, recipe, TRUTH[t], partial(stream, 3, t)).selected
-    resumed = Hypotheses(middle.values.copy(), middle.log_weights.copy(), middle.label.copy())
+    resumed = Hypotheses(middle.values.copy(), middle.log_weights.copy(), middle.origin.copy())
     for t in range(3, FRAMES):
         resumed = search(resumed, recipe, TRUTH[t], partial(stream, 3, t)).selected
     assert resumed.values.tobytes() == h.values.tobytes()
@@ -256,7 +257,7 @@ def test_particle_filter_converges_to_the_kalman_filter():
         mean, covariance = mean + gain @ (z - c @ mean), (np.eye(2) - gain @ c) @ covariance
 
     def dynamics(h, z, rng):
-        return Hypotheses(h.values @ a.T, h.log_weights, h.label)
+        return Hypotheses(h.values @ a.T, h.log_weights, h.origin)
 
     def likelihood(h, z):
         return -0.5 * np.square(z[0] - h.values @ c[0]) / r[0, 0]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hypose.inference.hypotheses import Hypotheses
-from hypose.inference.kernels import GaussianDiffusion, KeepFirst
+from hypose.inference.kernels import Except, GaussianDiffusion
 from hypose.inference.selectors import (
     Elite,
     LayeredSystematic,
@@ -83,7 +83,7 @@ def test_layered_copies_only_filtered_coordinates():
     some = LayeredSystematic(np.array([True, False, True]))(h, np.random.default_rng(9))
     np.testing.assert_array_equal(some.values[:, [0, 2]], all_of_it.values[:, [0, 2]])
     np.testing.assert_array_equal(some.values[:, 1], h.values[:, 1])
-    np.testing.assert_array_equal(some.label, all_of_it.label)
+    np.testing.assert_array_equal(some.origin, all_of_it.origin)
     full = LayeredSystematic(np.ones(3, bool))(h, np.random.default_rng(9))
     np.testing.assert_array_equal(full.values, all_of_it.values)
     with pytest.raises(ValueError, match="mask of bools"):
@@ -93,7 +93,7 @@ def test_layered_copies_only_filtered_coordinates():
 def test_prune_keeps_the_best_first():
     h = Hypotheses(np.arange(5.0)[:, None], np.array([-1.0, np.nan, 3.0, -np.inf, 3.0]), np.arange(5, dtype=np.int32))
     best = Prune(3)(h, np.random.default_rng(0))
-    np.testing.assert_array_equal(best.label, [2, 4, 0])
+    np.testing.assert_array_equal(best.origin, [2, 4, 0])
     np.testing.assert_allclose(best.weights, 1 / 3)
     with pytest.raises(ValueError, match="at least one"):
         Prune(0)
@@ -105,12 +105,12 @@ def test_elite_copies_the_best_coordinates_in_turn():
     out = Elite(2, np.array([True, False]))(h, np.random.default_rng(0))
     assert out.values[:, 0].tolist() == [2.0, 6.0, 2.0, 6.0, 2.0, 6.0]
     assert out.values[:, 1].tolist() == values[:, 1].tolist()
-    assert np.ptp(out.log_weights) == 0 and out.label.tolist() == list(range(6))
-    kept = Elite(1, np.array([True, False]), keep=2)(h, np.random.default_rng(0))
-    assert kept.values[:, 0].tolist() == [0.0, 2.0, 2.0, 2.0, 2.0, 2.0]
+    assert np.ptp(out.log_weights) == 0 and out.origin.tolist() == list(range(6))
+    kept = Elite(1, np.array([True, False]), but="start")(h.marked("start", [0, 4]), np.random.default_rng(0))
+    assert kept.values[:, 0].tolist() == [0.0, 2.0, 2.0, 2.0, 8.0, 2.0]
 
 
-def test_keep_first_never_moves_the_first():
-    h = Hypotheses.uniform(np.zeros((5, 3)))
-    moved = KeepFirst(GaussianDiffusion(np.ones(3)))(h, None, np.random.default_rng(0))
-    assert (moved.values[0] == 0).all() and (moved.values[1:] != 0).all()
+def test_who_is_excepted_never_moves():
+    h = Hypotheses.uniform(np.zeros((5, 3))).marked("start", [0]).marked("found", [3])
+    moved = Except(GaussianDiffusion(np.ones(3)), ("start", "found"))(h, None, np.random.default_rng(0))
+    assert (moved.values[[0, 3]] == 0).all() and (moved.values[[1, 2, 4]] != 0).all()

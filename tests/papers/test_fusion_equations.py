@@ -234,7 +234,7 @@ def test_the_merged_wheel_draws_like_n_independent_spins(rng, candidates):
     for _ in range(400):
         drawn = wheel(h, rng)
         copies = np.zeros(candidates)
-        used = drawn.label[0] >= 0
+        used = drawn.origin[0] >= 0
         copies[(drawn.values[0, used, 0] / 3).round().astype(int)] = np.exp(drawn.log_weights[0, used]) * 300
         assert copies.sum() == pytest.approx(300)
         total += copies
@@ -267,24 +267,24 @@ def test_section_2_2_candidates_start_in_balls_of_100_mm_and_ride_with_their_sen
     assert first.restarted
     h = state.candidates
     joint = np.arange(15)[:, None]
-    used = h.label >= 0
-    away = np.linalg.norm(h.values - positions[np.maximum(h.label, 0), joint], axis=-1)[used]
+    used = h.origin >= 0
+    away = np.linalg.norm(h.values - positions[np.maximum(h.origin, 0), joint], axis=-1)[used]
     assert away.max() <= 0.1 + 1e-6
     assert away.max() > 0.09
     shift = rng.normal(0, 0.1, (3, 15, 3))
     frame = SwarmFrame(positions + shift, shift, np.ones((3, 15)), PUBLISHED)
     moved = ride(h, frame, rng)
-    np.testing.assert_allclose((moved.values - h.values)[used], shift[np.maximum(h.label, 0), joint][used], atol=1e-12)
+    np.testing.assert_allclose((moved.values - h.values)[used], shift[np.maximum(h.origin, 0), joint][used], atol=1e-12)
 
 
 def test_section_2_2_the_ball_is_filled_uniformly(rng):
     positions = np.zeros((1, 15, 3))
     state, _ = swarm_step(start_swarm(1), positions, np.full((1, 15), 0.5), 0.0, SwarmSettings(h_m=1e6), 3)
     h = state.candidates
-    r = np.linalg.norm(h.values[h.label >= 0], axis=-1) / 0.1
+    r = np.linalg.norm(h.values[h.origin >= 0], axis=-1) / 0.1
     # with an endless h all energies are equal: what is left is uniform, so r^3 is uniform in [0, 1]
     assert np.mean(r**3) == pytest.approx(0.5, abs=0.01)
-    assert np.mean(h.values[h.label >= 0], axis=0) == pytest.approx(np.zeros(3), abs=0.002)
+    assert np.mean(h.values[h.origin >= 0], axis=0) == pytest.approx(np.zeros(3), abs=0.002)
 
 
 def test_section_2_6_restarts_every_t_frames_or_after_a_turn():

@@ -185,7 +185,7 @@ def test_rejection_sampling_compares_candidate_with_current():
         return -0.5 * np.square(x[..., 0])
 
     def jump(h, frame, rng):
-        return Hypotheses(np.full_like(h.values, 2.0), h.log_weights, h.label)
+        return Hypotheses(np.full_like(h.values, 2.0), h.log_weights, h.origin)
 
     kernel = RejectionSampling(jump, log_prior, tau=0.7, trials=3)
     limit = np.sqrt(4 + 2 * np.log(0.7))  # P(2) = 0.7 P(x)

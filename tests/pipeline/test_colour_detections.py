@@ -38,11 +38,11 @@ def silent(recording):
 def test_hands_and_head_are_found_in_videos(scene, silent):
     subject = known_subject(scene)
     with FrameStream(silent) as stream:
-        frames = list(tracked_frames(stream, range(len(stream)), "dd-hpf+", subject))
+        frames = list(tracked_frames(stream, range(len(stream)), ("silhouettes", "detections"), subject))
         alone = ColourDetections(stream, subject.body, subject.start)
         last = alone.frame(len(stream) - 1)
         alone.close()
-        plain = next(iter(tracked_frames(stream, range(1), "hpf", subject)))
+        plain = next(iter(tracked_frames(stream, range(1), ("silhouettes",), subject)))
     assert plain.detections is None
     found = 0
     for t, frame in enumerate(frames):

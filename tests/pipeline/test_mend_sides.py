@@ -28,8 +28,7 @@ def clip():
     frames = list(scene.mask_frames())
     body = scaled_to_height(human(), scene.subject.stature)
     start = start_from_hull(body, prepare(frames[0], body, np.zeros(body.skeleton.dof))).pose
-    recipe, particles = default(body, particles=64)
-    tracker = Tracker(body, recipe, particles)
+    tracker = Tracker(body, default(body, particles=64))
     return scene, frames, tracker, tracked(tracker, start, frames)
 
 

@@ -1,5 +1,7 @@
 """One recording from start to end: subject, start, tracking, interruption, resume, the same bytes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,9 @@ from hypose.evidence.frame import Frame
 from hypose.io.results import ResultsFolder, load_motion
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.subject import SubjectOptions, find_subject
+from hypose.pipeline.track import track
+from hypose.pipeline.track_loop import FrameList
+from hypose.tracking.recipes import recipe
 
 
 class Frames:
@@ -61,6 +66,23 @@ def test_a_given_height_is_used(scene, frames):
     options = SubjectOptions("hull", height=scene.subject.stature, girths=False)
     found = find_subject(lambda i: silent[i], len(silent), options)
     assert found.body.stature == pytest.approx(scene.subject.stature, abs=1e-6)
+
+
+def test_one_call_tracks_frames_by_a_name_or_a_recipe(frames, subject):
+    """A published filter is not smoothed at the end, and a given body is kept as it is."""
+    few, body = FrameList(frames[:3]), subject.body
+    named = track(few, TrackOptions(start="keypoints"), recipe="hpf", body=body)
+    made = track(few, TrackOptions(start="keypoints"), recipe=replace(recipe("hpf", body), name="mine"), body=body)
+    assert named.motion.poses.tobytes() == made.motion.poses.tobytes()
+    assert named.body is body and len(named.motion) == 3
+    rough = track(few, TrackOptions(start="keypoints", smooth=False), recipe="hpf", body=body)
+    assert rough.motion.poses.tobytes() == named.motion.poses.tobytes()
+
+
+def test_key_points_alone_are_not_enough_for_a_search_in_masks():
+    with pytest.raises(InputError, match="'hpf' needs silhouettes"):
+        TrackOptions(recipe="hpf", evidence="keypoints")
+    assert TrackOptions(evidence="keypoints").whole_clip
 
 
 def test_tracking_follows_the_truth(scene, frames, subject):

@@ -198,13 +198,13 @@ def test_size_prior_agrees_with_the_mesh(body, rng):
 
 
 def test_recipe_has_the_layers_of_table_2_2(body):
-    recipe, _ = anthropometry_recipe(body, betas=BETAS)
+    recipe = anthropometry_recipe(body, betas=BETAS)
     assert len(recipe.layers) == 10 == len(TABLE_2_2) and BETAS[:4] == (0.1, 0.3, 0.8, 1.0)
     assert [layer.name for layer in recipe.layers] == [n for n, _, _ in TABLE_2_2]
 
 
 def test_layers_move_their_own_coordinates_within_the_prior(body, standing, frame_of, rng):
-    recipe, _ = anthropometry_recipe(body)
+    recipe = anthropometry_recipe(body)
     frame = prepare(frame_of(body, standing), body, standing)
     state = np.concatenate([np.zeros(K), standing])
     h = Hypotheses.uniform(np.repeat(state[None], 12, 0))

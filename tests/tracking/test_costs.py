@@ -44,7 +44,7 @@ def test_no_usable_view_costs_the_same_for_all(body, standing, frame_of):
     blind = prepare(frame_of(body, standing, dead=(0, 1, 2, 3)), body, standing)
     assert not blind.usable
     h = Hypotheses.uniform(np.stack([standing, standing + 0.1]))
-    assert (SilhouetteXor(body)(h, blind) == 0).all()
+    assert (SilhouetteXor()(h, blind) == 0).all()
 
 
 def test_iou_is_one_at_the_truth_and_nan_for_a_dead_view(body, standing, frame_of):

@@ -20,8 +20,8 @@ from hypose.tracking.detections import (
     pose_limb,
 )
 from hypose.tracking.evidence import prepare
-from hypose.tracking.published_recipes import PRESETS
-from hypose.tracking.recipes import step_sigma
+from hypose.tracking.published_recipes import step_sigma
+from hypose.tracking.recipes import recipe
 from hypose.tracking.tracker import Tracker, TrackerSettings
 
 HAND, HEAD, ANKLE = END_NAMES.index("left_hand"), END_NAMES.index("head"), END_NAMES.index("right_ankle")
@@ -87,7 +87,7 @@ def test_named_detections_are_taken_as_they_are(body, standing, frame_of):
 def driven(body, end, **settings):
     own = np.zeros(body.skeleton.dof)
     own[:12] = step_sigma(body.skeleton, 25.0)[:12]
-    return DetectorDriven(body, ends_of(body), stay, (end,), own, 1, **settings)
+    return DetectorDriven(body, ends_of(body), stay, (end,), own, "left", **settings)
 
 
 def test_half_of_the_particles_are_posed_on_the_detection(body, standing, frame_of):
@@ -101,7 +101,7 @@ def test_half_of_the_particles_are_posed_on_the_detection(body, standing, frame_
     untouched = (moved.values == h.values).all(1)
     assert (untouched | near).all()
     again = driven(body, HAND, noise=0.01)(h, frame, np.random.default_rng(0))
-    assert np.array_equal(again.values, moved.values) and np.array_equal(again.label, moved.label)
+    assert np.array_equal(again.values, moved.values) and np.array_equal(again.role, moved.role)
 
 
 @pytest.mark.parametrize("survivors, expected", [(1.0, 0.75), (0.6, 0.65), (0.4, 0.35), (0.0, 0.25)])
@@ -110,19 +110,19 @@ def test_the_share_follows_survival_and_keeps_a_quarter_of_each_kind(body, stand
     target = ends.positions(body, standing[None])[0, HAND] + [0.05, -0.1, 0.1]
     frame = prepare(with_detections(frame_of, body, standing, [target]), body, standing)
     kernel = driven(body, HAND)
-    known, kind = kernel._bits()
     n = 400
-    label = np.where(np.arange(n) < survivors * n, known | kind, known)
-    h = Hypotheses.uniform(np.repeat(standing[None], n, 0), label)
+    h = Hypotheses.uniform(np.repeat(standing[None], n, 0)).marked(kernel.sorted, np.ones(n, bool))
+    h = h.marked(kernel.posed, np.arange(n) < survivors * n)
     moved = kernel(h, frame, np.random.default_rng(1))
-    assert ((moved.label & kind) > 0).mean() == pytest.approx(expected, abs=1e-9)
+    assert moved.has(kernel.posed).mean() == pytest.approx(expected, abs=1e-9)
 
 
 def test_without_a_detection_only_the_base_kernel_moves(body, standing, frame_of):
     frame = prepare(frame_of(body, standing), body, standing)
-    h = Hypotheses.uniform(np.repeat(standing[None], 10, 0), np.arange(10))
-    moved = driven(body, HAND)(h, frame, np.random.default_rng(1))
-    assert np.array_equal(moved.values, h.values) and np.array_equal(moved.label, h.label)
+    kernel = driven(body, HAND)
+    h = Hypotheses.uniform(np.repeat(standing[None], 10, 0)).marked(kernel.posed, [1, 4])
+    moved = kernel(h, frame, np.random.default_rng(1))
+    assert np.array_equal(moved.values, h.values) and np.flatnonzero(moved.has(kernel.posed)).tolist() == [1, 4]
 
 
 def test_the_head_is_reached_by_a_step_of_the_trunk(body, standing, frame_of):
@@ -142,7 +142,7 @@ def test_the_refinement_cost_adds_the_mean_distance_to_the_nearest_end(body, sta
     now = ends.positions(body, standing[None])[0]
     points = [now[0] + [0.03, 0, 0], now[2] + [0, 0.05, 0]]
     frame = prepare(with_detections(frame_of, body, standing, points), body, standing)
-    plain = SilhouetteXor(body)
+    plain = SilhouetteXor()
     h = Hypotheses.uniform(standing[None])
     cost = DetectionCost(body, ends, plain, 4.0)(h, frame)
     assert cost[0] == pytest.approx(plain(h, frame)[0] + 4.0 * (0.03 + 0.05) / 2, abs=1e-9)
@@ -153,15 +153,14 @@ def test_the_refinement_cost_adds_the_mean_distance_to_the_nearest_end(body, sta
 @pytest.mark.parametrize("name, layers", [("dd-hpf", 7), ("dd-hpf+", 8), ("dd-hpf+5", 6)])
 def test_a_jumping_arm_is_found_again_by_its_detection(body, standing, frame_of, name, layers):
     """A forearm that turns by 70 degrees in one frame is out of reach of the diffusion."""
-    recipe, particles = PRESETS[name](body)
-    assert (len(recipe.layers), particles) == (layers, 500)
+    made = recipe(name, body)
+    assert (len(made.layers), made.particles) == (layers, 500)
     raised = standing.copy()
     raised[body.skeleton.dofs_of("left_elbow")] += 1.2
     ends = ends_of(body)
-    recipe, _ = PRESETS[name](body, 150)
-    tracker = Tracker(body, recipe, 150, TrackerSettings(seed=2))
+    tracker = Tracker(body, recipe(name, body, particles=150), TrackerSettings(seed=2))
     state, estimate = tracker.start(standing), None
-    for n, pose in enumerate([standing, raised, raised]):
+    for n, pose in enumerate([standing, raised, raised, raised]):
         hands = ends.positions(body, pose[None])[0, :3]
         frame = with_detections(frame_of, body, pose, hands, ("left_hand", "right_hand", "head"), n)
         state, estimate = tracker.step(state, frame)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from hypose.errors import EvidenceError, InputError
-from hypose.fitting.articulated import SolveOptions
 from hypose.tracking.costs import xor_energy
 from hypose.tracking.evidence import prepare
 from hypose.tracking.initialise import known_pose, recover, start_from_hull, start_from_keypoints
@@ -62,6 +61,6 @@ def test_recover_brings_back_a_lost_body(body, standing, frame_of):
     lost = standing.copy()
     lost[:2] += [0.8, -0.6]
     lost[5] += 1.2
-    found = recover(body, prepared, lost, lost, SolveOptions(24, 12))
+    found = recover(lost, lost, prepared)
     assert xor_energy(body, found[None], prepared)[0] < 0.25 * xor_energy(body, lost[None], prepared)[0]
     assert joint_error(body, found, standing) < 0.06

@@ -30,8 +30,7 @@ def within(body, poses):
 
 @pytest.mark.parametrize("name", ["default", "hpf", "hpf-apo"])
 def test_limits_hold_while_tracking_silhouettes_and_in_the_clip(body, standing, broken, frame_of, name):
-    made, _ = recipe(name, body)
-    tracker = Tracker(body, made, 24)
+    tracker = Tracker(body, recipe(name, body, particles=24))
     state, estimates = tracker.start(standing), []
     for t, pose in enumerate(broken):
         state, estimate = tracker.step(state, frame_of(body, pose, t))

@@ -16,8 +16,7 @@ from hypose.tracking.partitioned_observations import (
     chain_region,
     partitioned_energy,
 )
-from hypose.tracking.published_recipes import hpf_apo, hpf_apo_plus, layer_regions
-from hypose.tracking.recipes import HPF_LAYERS
+from hypose.tracking.published_recipes import HPF_LAYERS, hpf_apo, hpf_apo_plus, layer_regions
 from hypose.tracking.tracker import Tracker, TrackerSettings
 from tests.tracking.measures import joint_error
 
@@ -141,9 +140,9 @@ def test_swing_leaves_the_twist_and_twist_the_bone(body, standing):
 
 def test_the_presets_have_the_published_numbers(body):
     for make in (hpf_apo, hpf_apo_plus):
-        recipe, particles = make(body)
-        assert (len(recipe.layers), particles) == (8, 500)
-    fixed, _ = hpf_apo(body, betas=[0.5] * 8)
+        recipe = make(body)
+        assert (len(recipe.layers), recipe.particles) == (8, 500)
+    fixed = hpf_apo(body, betas=[0.5] * 8)
     assert all(layer.weigh.selectivity.beta == 0.5 for layer in fixed.layers)  # type: ignore[attr-defined]
 
 
@@ -152,8 +151,7 @@ def test_a_moving_arm_is_followed(body, standing, frame_of, make):
     poses = np.repeat(standing[None], 4, 0)
     poses[:, body.skeleton.dofs_of("left_elbow")] += np.arange(4)[:, None] * 0.12
     poses[:, 0] += 0.015 * np.arange(4)
-    recipe, _ = make(body, 150)
-    tracker = Tracker(body, recipe, 150, TrackerSettings(seed=1))
+    tracker = Tracker(body, make(body, 150), TrackerSettings(seed=1))
     state, estimate = tracker.start(standing), None
     for n, pose in enumerate(poses):
         state, estimate = tracker.step(state, frame_of(body, pose, n))

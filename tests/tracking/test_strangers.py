@@ -30,8 +30,7 @@ def stranger(standing):
 def test_silhouettes_of_somebody_else_are_not_followed(body, standing, frame_of, x, y, turn):
     stranger = standing.copy()
     stranger[[0, 1, 5]] += x, y, turn
-    made, _ = recipe("default", body)
-    tracker = Tracker(body, made, 16)
+    tracker = Tracker(body, recipe("default", body, particles=16))
     state, estimates = tracker.start(standing), []
     for t in range(FRAMES):
         state, estimate = tracker.step(state, frame_of(body, stranger if t in AWAY else standing, t))

@@ -1,5 +1,7 @@
 """The tracker: follows, reports what it does not know, recovers, and goes on from a saved state alike."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,6 @@ from hypose.errors import InputError
 from hypose.tracking.recipes import RECIPES, recipe
 from hypose.tracking.tracker import (
     Tracker,
-    TrackerSettings,
     TrackerState,
     estimates_from_arrays,
     estimates_to_arrays,
@@ -27,8 +28,7 @@ def moving(body, standing, n):
 
 
 def small(body, name, particles, **options):
-    made, _ = recipe(name, body, **options)
-    return Tracker(body, made, particles)
+    return Tracker(body, recipe(name, body, particles=particles, **options))
 
 
 def run(tracker, poses, frame_of, dead=lambda t: ()):
@@ -96,8 +96,7 @@ def test_a_jump_is_noticed_and_recovered(body, standing, frame_of):
 def test_without_recovery_a_jump_is_flagged_as_lost(body, standing, frame_of):
     jumped = standing.copy()
     jumped[:2] += [-0.9, 0.7]
-    made, _ = recipe("default", body)
-    tracker = Tracker(body, made, 16, TrackerSettings(recover=False))
+    tracker = Tracker(body, replace(recipe("default", body, particles=16), recover=None))
     _, estimates = run(tracker, np.stack([standing] * 3 + [jumped]), frame_of)
     assert [e.lost for e in estimates] == [False, False, False, True]
 
@@ -144,5 +143,5 @@ def test_unknown_recipe_lists_the_presets(body):
 
 @pytest.mark.parametrize("name", list(RECIPES))
 def test_every_preset_cites_its_source(body, name):
-    made, particles = recipe(name, body)
-    assert made.name == name and made.citation and particles > 0
+    made = recipe(name, body)
+    assert made.name == name and made.citation

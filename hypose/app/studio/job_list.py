@@ -43,11 +43,11 @@ def read_jobs(catalog: Catalog) -> list[Job]:
 
 
 def write_jobs(catalog: Catalog, jobs: Iterable[Job]) -> None:
-    """Keep the list. A folder that may not be written to keeps none."""
+    """Keep the list. A folder that may not be written to keeps none, nor does one in which nothing was ever started."""
     path = catalog.root / NAME
+    shown = [j.shown() for j in jobs]
     with contextlib.suppress(OSError, HyposeError):
-        if not path.is_symlink():
-            shown = [j.shown() for j in jobs]
+        if not path.is_symlink() and (shown or path.exists()):
             write_text(path, json.dumps(plain([{**s, "lines": s["lines"][-_KEPT_LINES:]} for s in shown])))
 
 
