@@ -112,8 +112,8 @@ def ride(h: Hypotheses, frame: SwarmFrame, rng: np.random.Generator, /) -> Hypot
 def energy(h: Hypotheses, frame: SwarmFrame, /) -> Array:
     """pressure * log E (J, N), eq. 7: E = sum_k lambda_k^-power exp(-|s_k - p| / h).
 
-    Deviation: a length scale h, which is printed without one. Deviation: exp(-|s - p| / h) below 0.001 counts as 0. A
-    joint that no candidate can explain this frame keeps its population (0 everywhere)."""
+    Deviation: a length scale h, which is printed without one. Deviation: a term below 0.001 of its weight counts as 0.
+    A joint that no candidate can explain this frame keeps its population (0 everywhere)."""
     out = np.empty(h.log_weights.shape)
     cpu_swarm.swarm_energy(h.values, h.origin, h.log_weights, frame.positions, frame.weights, frame.settings.h_m, out)
     if frame.settings.pressure != 1:

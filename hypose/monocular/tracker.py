@@ -48,8 +48,8 @@ LOST_SHARE = 0.2
 
 @dataclass(frozen=True)
 class MonoTracker:
-    """The tracker of figure 4. Deviation: a constant-velocity prediction comes before the optimisation (without it
-    nothing keeps track).
+    """The tracker of figure 4. Deviation: a constant-velocity prediction comes before the optimisation; without it
+    nothing keeps track.
 
     A body, whose coarse mesh is compared with the picture, the camera (lens distortion is ignored: give undistorted
     pictures), settings, the dof to estimate (default `body_dofs`: 30; the others keep their start values), how many

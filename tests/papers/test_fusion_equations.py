@@ -1,11 +1,13 @@
 """Asteriadis et al. 2013, equation by equation, with the misprints and gaps found on the way."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 from hypose.compute import cpu_swarm
+from hypose.evaluation.sensor_choice import Choice, cases
+from hypose.evaluation.sensors import treadmill_recording
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
 from hypose.fusion.confidence import (
@@ -342,3 +344,24 @@ def test_pressure_lets_one_of_two_sensors_that_agree_take_the_population():
             state, found = swarm_step(state, positions, noise, 0.0, settings, 1)
         share[pressure] = np.median(found.shares.max(1))
     assert share[1.0] < 0.8 and share[4.0] > 0.9
+
+
+def test_table_1_counts_the_hands_whose_majority_comes_from_a_right_sensor():
+    # two segments of 40 frames, three sensors; the first alone is right about the left hand, all about the right one
+    recording = treadmill_recording("A", np.random.default_rng(3))
+    t = 80
+    visible, error = np.ones((t, 3, 15)), np.full((t, 3, 15), 0.02)
+    visible[:, 1, jt.LEFT_HAND] = 0.0
+    error[:, 2, jt.LEFT_HAND] = 0.3
+    cut = {
+        f.name: getattr(recording, f.name)[:t] for f in fields(recording) if f.name not in ("camera_from_world", "bars")
+    }
+    recording = replace(recording, **(cut | {"visible": visible, "error": error}))
+    shares = np.full((t, 2, 3), 1 / 3)
+    shares[39, 0], shares[79, 0] = (0.6, 0.2, 0.2), (0.4, 0.5, 0.1)
+    restarts = np.zeros(t, bool)
+    restarts[[0, 40]] = True
+    found = cases(recording, Choice(shares, restarts, np.zeros((t, 2)), np.zeros((t, 2))))
+    assert [c.success for c in found] == [True, False]
+    assert [c.chance for c in found] == pytest.approx([1 / 3, 1 / 3])
+    assert [c.majority for c in found][0] == 40

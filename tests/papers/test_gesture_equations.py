@@ -1,5 +1,6 @@
 """Alcoverro 2014, chapter 3, equation by equation against plain Python."""
 
+import itertools
 import math
 
 import numpy as np
@@ -9,6 +10,7 @@ from hypose.compute import cpu_forests, forests
 from hypose.compute.forests import UNCLIPPED_MM
 from hypose.gestures.forest import ForestSettings, GrowingForest
 from hypose.gestures.localise import LocaliseSettings, Scratch, pad, settle
+from hypose.gestures.offline import OfflineSettings, Pool, train
 from hypose.gestures.session import Session, SessionSettings, observe, step
 from tests.gestures.toys import LENS, grown, samples, toy
 
@@ -189,6 +191,37 @@ def test_algorithm_6_an_online_forest_grows_as_printed(rng):
                 u, v, threshold = node["test"]
                 assert frozen.test[k, n].tolist() == [*u, *v, threshold]
             assert np.abs(frozen.seen[k, n].astype(int) - node["seen"]).sum() <= 2  # single precision, as above
+
+
+def test_section_3_2_3_a_tree_learns_from_the_errors_of_the_one_before(monkeypatch, rng):
+    # a pool on which a shallow tree errs: the class hangs on two of the patch's depths at once
+    patches = rng.integers(-200, 200, (600, 7, 7)).astype(np.int16)
+    labels = ((patches[:, 1, 2] > 0) ^ (patches[:, 5, 4] > 0)).astype(np.int8)
+    drawn, grow_tree = [], forests.grow_tree
+
+    def noted(patches, labels, order, *rest, **settings):
+        tree = grow_tree(patches, labels, order.copy(), *rest, **settings)
+        drawn.append((order.copy(), tree))
+        return tree
+
+    monkeypatch.setattr(forests, "grow_tree", noted)
+    settings = OfflineSettings(ForestSettings(trees=4, deepest=3), per_class=220, tests=20)
+    train(Pool(patches, labels), rng, settings)
+    assert np.bincount(labels[drawn[0][0]]).tolist() == [220, 220]  # the first draw is balanced
+    clip = settings.forest.clip
+    for (order, tree), (following, _) in itertools.pairwise(drawn):
+        said = []
+        for patch in patches.astype(int):
+            n = 0
+            while tree.left[n] >= 0:
+                a, b, c, d, threshold = tree.test[n].tolist()
+                read = np.clip(patch[a, b], -clip, clip) - np.clip(patch[c, d], -clip, clip)
+                n = tree.left[n] + int(read >= threshold)
+            said.append(tree.seen[n].argmax())
+        wrong = np.setdiff1d(np.flatnonzero(np.array(said) != labels), order)  # out of the bag
+        assert 20 < len(wrong) < 220
+        assert np.isin(wrong, following).all()  # all of them, not balanced; the rest is filled up until it is
+        assert np.bincount(labels[following]).tolist() == [220, 220]
 
 
 def test_section_3_2_4_the_density_is_a_parzen_estimate_of_the_votes(rng):

@@ -2,13 +2,17 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
+from scipy.ndimage import correlate, gaussian_filter
 
 from hypose.body.models import human
 from hypose.body.superquadrics import grid, nodes, superquadric_body
 from hypose.compute import cpu_mono_cues, cpu_mono_rows, cpu_mono_search, cpu_solver, mono
 from hypose.compute.mono_terms import GAUSSIAN, LECLERC, LORENTZIAN
+from hypose.evidence.edges import edge_field
+from hypose.evidence.flow import optical_flow
 from hypose.monocular.models import body_dofs
 from hypose.monocular.pool import Candidate, as_hypotheses, prune, uncertain_samples
 from hypose.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction
@@ -122,6 +126,35 @@ def test_equations_5_and_6_assigned_nodes_cost_half_rho_and_occluded_ones_k_nu(s
         expected += 0.5 * share * ((w * rho).sum() + (1 - w.sum()) * most)
     assert total == pytest.approx(expected, rel=1e-6)
     assert 0.4 < counts[4] / len(problem.model.mesh.faces) < 0.6  # N_bf of a closed surface
+
+
+def test_section_3_2_edges_are_gradients_of_the_smoothed_picture(rng):
+    image = cv2.GaussianBlur(rng.integers(0, 256, (60, 80)).astype(np.uint8), (0, 0), 1.5)
+    field = edge_field(image, 1.2, 0.93)
+    smooth = gaussian_filter(image.astype(np.float64), 1.2, truncate=4.0)
+    scharr = np.array([[-3, 0, 3], [-10, 0, 10], [-3, 0, 3]]) / 32
+    gradient = np.stack([correlate(smooth, scharr), correlate(smooth, scharr.T)], -1)
+    size = np.linalg.norm(gradient, axis=-1, keepdims=True)
+    full = np.quantile(size[1:-1:2, 1:-1:2], 0.93)
+    inner = (slice(8, -8), slice(8, -8))
+    np.testing.assert_allclose(field[inner], (gradient / np.maximum(size, full))[inner], atol=0.03)
+
+
+def test_section_3_2_flow_has_outliers_and_boundaries_where_motion_ends(rng):
+    # a textured square moves over a still textured wall
+    wall_, square = (
+        cv2.GaussianBlur(rng.integers(0, 256, s).astype(np.uint8), (0, 0), 1.2) for s in ((120, 160), (50, 50))
+    )
+    pictures = []
+    for x in (50, 54):
+        picture_ = wall_.copy()
+        picture_[35:85, x : x + 50] = square
+        pictures.append(picture_)
+    found = optical_flow(*pictures)
+    np.testing.assert_allclose(np.median(found.flow[45:75, 60:90], axis=(0, 1)), [4, 0], atol=0.2)
+    np.testing.assert_allclose(np.median(found.flow[:20], axis=(0, 1)), [0, 0], atol=0.2)
+    assert np.median(found.error[45:75, 60:90]) < 0.3 < 0.6 < np.median(found.error[45:75, 101:103])  # covered next
+    assert found.boundaries[45:75, 54].mean() > 0.5 > 0.1 > found.boundaries[55:65, 75:83].mean()
 
 
 def test_equation_7_all_edges_in_the_window_are_assigned_by_strength():
