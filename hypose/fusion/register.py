@@ -114,10 +114,11 @@ def triangle_transform(reference: ArrayLike, moving: ArrayLike) -> Array:
 def by_triangles(last: Registration, positions: ArrayLike) -> Registration:
     """The published registration of one frame: positions (K, 15, 3) m in the sensors' frames.
 
-    Every sensor is aligned on the reference by the triangle of shoulders and torso of this frame alone; one whose
-    triangle, or the reference's, is not complete keeps its last transform, and is missing before its first."""
+    Every sensor is aligned on the reference by the triangle of shoulders and torso of this frame alone. Deviation: a
+    sensor whose triangle is not complete keeps its last transform, and is missing before its first (so do all when the
+    reference's is not), of which the paper says nothing."""
     triangles = np.asarray(positions, dtype=np.float64)[:, list(jt.TRIANGLE)]
-    complete = np.isfinite(triangles).all((1, 2))
+    complete = np.isfinite(triangles).all(-1).all(-1)
     transforms, residual = last.common_from_sensor.copy(), last.residual.copy()
     target = triangles[last.reference]
     new = complete & complete[last.reference] & (np.arange(len(triangles)) != last.reference)
