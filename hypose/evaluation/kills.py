@@ -131,9 +131,11 @@ class Bench:
         else:
             return  # always over before its time
         tally.kills += 1
-        tally.said += ended is not None and ended.in_one_sentence
-        if kind == "disk full" and not (ended is not None and ended.in_one_sentence):
-            tally.found.append(f"{command.name}: on a full disk {ended}")
+        if kind == "disk full":
+            told = ended is not None and _told(command, ended)
+            tally.said += told
+            if not told:
+                tally.found.append(f"{command.name}: on a full disk {ended}")
         self._go_on(command, kind, over_old, circumstances, tally)
 
     def _go_on(
@@ -198,24 +200,30 @@ class Bench:
 def damage(folder: Path, rng: np.random.Generator, files: int = 4) -> None:
     """Spoil up to so many of the files below a folder: emptied, cut, bytes turned, replaced by another file, removed,
     a folder in their place."""
-    every = sorted(p for p in folder.rglob("*") if p.is_file())
-    for k in rng.permutation(len(every))[: int(rng.integers(1, files + 1))]:
-        path, data = every[k], bytearray(every[k].read_bytes())
+    whole = [(p, p.read_bytes()) for p in sorted(folder.rglob("*")) if p.is_file() and p.stat().st_size]
+    for k in rng.permutation(len(whole))[: int(rng.integers(1, files + 1))]:
+        path, data = whole[k][0], bytearray(whole[k][1])
         how = int(rng.integers(6))
         if how == 0:
-            path.write_bytes(data[: int(rng.integers(len(data) + 1))])
+            path.write_bytes(data[: int(rng.integers(len(data)))])
         elif how == 1:
-            for at in rng.integers(0, max(len(data), 1), 5):
-                data[at : at + 1] = rng.bytes(1)
+            for at in rng.choice(len(data), 5):
+                data[at] ^= 1 << int(rng.integers(8))
             path.write_bytes(data)
         elif how == 2:
             path.write_bytes(rng.bytes(len(data)))
         elif how == 3:
-            path.write_bytes(every[int(rng.integers(len(every)))].read_bytes() if path != every[0] else b"")
+            path.write_bytes(whole[k - 1][1])
         else:
             path.unlink()
             if how == 4:
                 path.mkdir()
+
+
+def _told(command: LongCommand, ended: Ended) -> bool:
+    """Whether a run that could not write said so, and not as if it were a bug."""
+    failed = ended.code == command.failed and "cannot be written" in ended.out + ended.err
+    return ended.in_one_sentence or failed
 
 
 def _contents(folder: Path) -> dict[str, bytes]:

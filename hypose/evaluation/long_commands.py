@@ -39,6 +39,7 @@ class LongCommand:
     file: str | None = None
     again: tuple[str, ...] = ()
     refuses: bool = False
+    failed: int = 2
 
     def to(self, folder: Path, again: bool = False) -> list[str | Path]:
         """The command line that writes to a folder."""
@@ -73,8 +74,8 @@ def long_commands(folder: Path) -> list[LongCommand]:
         LongCommand("correct", ("correct", done, _corrected(done, folder), "--formats", "trc"), 0.06),
         LongCommand("subject", ("subject", few, "--poses", "1", "--frames", "0:6"), 0.03),
         LongCommand("fuse", ("fuse", folder / "sensors"), 0.18, again=go_on),
-        LongCommand("batch", sweep, 0.04),
-        LongCommand("batch, chunks", chunked, 0.06),
+        LongCommand("batch", sweep, 0.04, failed=1),
+        LongCommand("batch, chunks", chunked, 0.06, failed=1),
         LongCommand(
             "gesture train",
             ("gesture", "train", "--gesture", "pause", "--recording", session),

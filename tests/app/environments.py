@@ -112,7 +112,7 @@ class Box:
             self.cache.mkdir()
         self.cache.chmod(0o700)
         self.environment["HYPOSE_CACHE_DIR"] = str(self.cache)
-        self.own_places.append(self.cache)
+        self.own_places += [self.cache, self.root / "home" / ".cache"]  # the next place, where this one is not taken
         return self.cache
 
 
@@ -264,7 +264,6 @@ def _cache_is_a_file(box: Box) -> None:
 
 def _cache_of_everybody(box: Box) -> None:
     box.own_cache().chmod(0o777)
-    box.own_places += [box.root / "home" / ".cache"]
 
 
 def _cache_nowhere(box: Box) -> None:

@@ -9,6 +9,7 @@ from hypose.errors import InputError
 from hypose.tracking.recipes import RECIPES, recipe
 from hypose.tracking.tracker import (
     Tracker,
+    TrackerSettings,
     TrackerState,
     estimates_from_arrays,
     estimates_to_arrays,
@@ -39,9 +40,12 @@ def run(tracker, poses, frame_of, dead=lambda t: ()):
     return state, estimates
 
 
-def test_default_recipe_follows_within_a_centimetre(body, standing, frame_of):
+@pytest.mark.parametrize("seed", range(3))
+def test_default_recipe_follows_within_a_centimetre(body, standing, frame_of, seed):
     poses = moving(body, standing, 10)
-    _, estimates = run(small(body, "default", 64), poses, frame_of)
+    # with a third of its particles one draw in six loses an arm here
+    tracker = Tracker(body, recipe("default", body), TrackerSettings(seed=seed))
+    _, estimates = run(tracker, poses, frame_of)
     errors = [joint_error(body, e.pose, p) for e, p in zip(estimates, poses, strict=True)]
     assert np.mean(errors) < 0.010
     assert not any(e.lost or e.extrapolated for e in estimates)
@@ -123,7 +127,7 @@ def test_root_turning_through_a_whole_circle_is_followed(body, standing, frame_o
     n = 26
     poses = np.repeat(standing[None], n, 0)
     poses[:, 5] = np.linspace(0.5, 0.5 + 2 * np.pi, n)
-    _, estimates = run(small(body, "default", 16), poses, frame_of)
+    _, estimates = run(Tracker(body, recipe("default", body)), poses, frame_of)
     assert joint_error(body, estimates[-1].pose, poses[-1]) < 0.04
     assert max(np.linalg.norm(e.pose[3:6]) for e in estimates) < np.pi + 0.5
 
