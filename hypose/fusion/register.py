@@ -118,7 +118,7 @@ def by_triangles(last: Registration, positions: ArrayLike) -> Registration:
     sensor whose triangle is not complete keeps its last transform, and is missing before its first (so do all when the
     reference's is not), of which the paper says nothing."""
     triangles = np.asarray(positions, dtype=np.float64)[:, list(jt.TRIANGLE)]
-    complete = np.isfinite(triangles).all(-1).all(-1)
+    complete = np.asarray(np.isfinite(triangles).all(axis=(1, 2)))
     transforms, residual = last.common_from_sensor.copy(), last.residual.copy()
     target = triangles[last.reference]
     new = complete & complete[last.reference] & (np.arange(len(triangles)) != last.reference)

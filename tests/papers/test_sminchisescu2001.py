@@ -10,7 +10,7 @@ from scipy.ndimage import correlate, gaussian_filter
 from hypose.body.models import human
 from hypose.body.superquadrics import grid, nodes, superquadric_body
 from hypose.compute import cpu_mono_cues, cpu_mono_rows, cpu_mono_search, cpu_solver, mono
-from hypose.compute.mono_terms import GAUSSIAN, LECLERC, LORENTZIAN
+from hypose.compute.mono_terms import GAUSSIAN, LECLERC, LORENTZIAN, FlowArrays
 from hypose.evidence.edges import edge_field
 from hypose.evidence.flow import optical_flow
 from hypose.monocular.models import body_dofs
@@ -253,6 +253,31 @@ def test_equation_10_priors_add_their_gradient_and_curvature(scene):
     np.testing.assert_allclose(pulled.hessian - plain.hessian, np.diag(1 / spread**2), atol=1e-6)
     np.testing.assert_allclose(pulled.gradient - plain.gradient, -0.02 / spread**2, atol=1e-6)
     assert pulled.cost - plain.cost == pytest.approx(30 * 0.5 * (0.02 / 0.25) ** 2, rel=1e-6)
+
+
+def test_section_3_2_samples_are_ranked_by_edges_and_priors_and_not_by_flow(scene):
+    problem, ws = problem_of(scene, NO_BACKGROUND)
+    pose, a = scene[1], len(problem.model.active)
+    problem = with_prediction(problem, pose + 0.02, np.full(a, 0.25))
+    hessian, gradient = np.empty((a, a)), np.empty(a)
+    edges = cpu_mono_search.image_cost(pose, problem, problem.edges.sigma, 0, False, ws, hessian, gradient)
+    p = problem.priors
+    priors = 0.5 * (p.weight * (pose[problem.model.active] - p.centre) ** 2).sum()
+    h, w = problem.edges.field.shape[:2]
+    flow = FlowArrays(
+        np.full((h, w, 2), 5, np.float32),
+        np.zeros((h, w), np.float32),
+        np.zeros(2, np.int64),
+        1,
+        4.0,
+        1.0,
+        14.0,
+        6.0,
+        1.0,
+    )
+    for with_flow in (problem, problem._replace(flow=flow)):
+        assert cpu_mono_search.rank_cost(pose, with_flow, ws, hessian, gradient) == pytest.approx(edges + priors)
+    assert priors > 0.05
 
 
 def test_equation_11_the_damped_step_and_the_active_limits(rng):
