@@ -176,7 +176,8 @@ def grow(flat, width, cells, labels, focal, near, clip, half, spread, rate, alph
 
     Deviation: a leaf gets candidates only once it has seen two samples of each of two classes, and counts |S_j| from
     then on. Deviation: a slot that has seen 3 alpha samples without a gainful test is given back and drawn anew.
-    Deviation: the Poisson number of repeats is added at once, so that a split waits for all of them.
+    Deviation: the Poisson number of repeats is added at once, so that a split waits for all of them. Deviation: the
+    numbers of nodes and of leaves with candidates are bounded, which bounds the memory.
     """
     trees, classes = g.left.shape[0], g.seen.shape[2]
     side = np.empty((2, classes), np.int64)

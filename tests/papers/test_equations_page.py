@@ -118,5 +118,5 @@ def test_sections_of_the_thesis_that_are_cited_exist():
         text = " ".join(file.read_text().split())
         for cited in re.findall(r"Alcoverro 2014,? (?:sections? )?([\d., and()-]*\d)", text):
             parts = re.findall(r"\d(?:\.\d)+", re.sub(r"\(.*?\)", "", cited))
-            wrong += [f"{file.name}: {p}" for p in parts if p.count(".") == 2 and p not in SECTIONS]
+            wrong += [f"{file.name}: {p}" for p in parts if p not in SECTIONS]
     assert wrong == []
