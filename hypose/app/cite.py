@@ -113,6 +113,7 @@ PAPERS: dict[str, tuple[Paper, ...]] = {
     "fusion-fit": (SWARM,),
     "fusion-swarm": (SWARM,),
     "fusion-published": (SWARM,),
+    "fusion-published-window": (SWARM,),
     "gesture": (THESIS, FORESTS),
 }
 """Works behind each method; hypose itself comes on top."""

@@ -138,7 +138,7 @@ class Body:
     def skin(self, poses: ArrayLike, mesh: Mesh | None = None) -> Array:
         """Linear blend skinning: vertices (..., V, 3) m in the world for poses (..., D); the coarse mesh by default.
 
-        Source: Alcoverro 2014, eq. 2.12.
+        Source: Alcoverro 2014, eq. 2.12. Deviation: a vertex follows four joints at most.
         """
         q = np.asarray(poses, dtype=np.float64)
         m = mesh or self.coarse
@@ -184,9 +184,12 @@ def deform(body: Body, shape: Shape, name: str | None = None) -> Body:
     """The body with other bone lengths and girths.
 
     Every vertex is moved by the blend of its joints' deformations, so segments stay joined. Limb bones stretch along
-    the bone and widen across it; the other joints (pelvis, spine, chest, neck, head, hands, feet) stretch along
-    model z and widen along x and y.
-    Source: Alcoverro 2014, section 2.3.2. Deviation: factors instead of additive amounts.
+    the bone and widen across it; the other joints (pelvis, spine, chest, neck, head, hands, feet) stretch along model z
+    and widen along x and y. Source: Alcoverro 2014, section 2.3.2. Deviation: the skin of a bone is stretched along it
+    by the factor of its length, where the thesis shifts it by the bone's gain in length. Deviation: the radial
+    direction is that away from the bone's infinite axis, not from the closest point of the bone, so that a girth
+    changes no length at the bone's ends. Deviation: the distance from the axis is multiplied, where the thesis adds a
+    multiple of it (beta = girth - 1).
     """
     s = body.skeleton
     names, parents = s.joint_names, s.parents

@@ -6,7 +6,7 @@ pose, carried by one joint.
 | OPENNI_15 | the joints of OpenNI/NiTE's skeleton | head = middle of the skull, hand = middle of the palm |
 | BODY_25 | OpenPose's body model | neck = middle of the shoulders, mid_hip = middle of the hips |
 | HUMANEVA_15 | the virtual markers over which HumanEva averages | ends of limbs, pelvis, thorax, head |
-| IXMAS_5 | hands, head and feet, as annotated by hand | Alcoverro 2014, section 2.5.3 |
+| IXMAS_5 | hands, head and feet, as annotated by hand | Alcoverro 2014, section 2.5.2 |
 
 OpenNI, HumanEva and IXMAS print no offsets; those here are ours, chosen from what annotators and sensors point at.
 """

@@ -3,9 +3,7 @@
 Poses: q (..., D). q[0:3] is the root's position in the world (m), q[3:6] its rotation vector; every other joint is
 fixed, a ball (rotation vector in its parent's frame: the exponential map, which does not lock inside +-2 pi) or one or
 two hinges. At q = 0 the body is in its rest pose and all joint frames are parallel to the model frame.
-Source: Alcoverro 2014, eq. 2.11 (product of exponentials). Deviations: the root's translation and rotation are kept
-apart (position, rotation vector) instead of one twist, and ball joints use one exponential of a rotation vector instead
-of three successive axes, which has no gimbal lock.
+Source: Alcoverro 2014, eq. 2.11 (product of exponentials); see `Skeleton.forward`.
 """
 
 from __future__ import annotations
@@ -144,7 +142,9 @@ class Skeleton:
     def forward(self, poses: ArrayLike) -> tuple[Array, Array]:
         """Forward kinematics: q (..., D) -> world_from_joint rotations (..., J, 3, 3) and joint centres (..., J, 3) m.
 
-        Source: Alcoverro 2014, eq. 2.11.
+        Source: Alcoverro 2014, eq. 2.11, the product of exponentials along the chain. Deviation: the root's translation
+        and rotation are kept apart, instead of one twist. Deviation: a ball joint is one exponential of a rotation
+        vector, instead of three successive axes, and has no gimbal lock.
         """
         q = np.asarray(poses, dtype=np.float64)
         if q.shape[-1] != self.dof:

@@ -51,7 +51,7 @@ def grid(rings: int = RINGS, sectors: int = SECTORS) -> tuple[Array, NDArray[np.
 
 def nodes(parameters: ArrayLike, angles: Array) -> tuple[Array, Array]:
     """Nodes (N, 3) m of a part in its own frame (origin at its middle, third axis along the bone) and their derivatives
-    (N, 3, 9) with respect to the parameters (9,), at angles (N, 2) of `grid`."""
+    (N, 3, 9) with respect to the parameters (9,), at angles (N, 2) of `grid`: D of equation (1)."""
     x_d = np.asarray(parameters, dtype=np.float64)
     if x_d.shape != (9,) or not (x_d[:5] > 0).all():
         raise InputError(f"A part has nine parameters {', '.join(PARAMETERS)}, the first five above 0, got {x_d}.")
@@ -172,7 +172,9 @@ def _fit(points: Array, half: Array) -> Array:
 
 def superquadric_body(body: Body, rings: int = RINGS, sectors: int = SECTORS) -> Body:
     """The body with superquadric parts instead of skin: the same skeleton and landmarks, meshes of separate closed
-    parts whose nodes follow one joint each."""
+    parts whose nodes follow one joint each, as in equation (1).
+
+    Deviation: tracking takes the skinned body unless it is given this one."""
     parts = fit_parts(body)
     angles, faces = grid(rings, sectors)
     n = len(angles)

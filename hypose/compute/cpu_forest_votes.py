@@ -180,10 +180,11 @@ def scan_classes(raster, records, shares, trees, clip, first, least, stride, out
 def parzen(raster, stride, scores, majority, sigma, sums, out):
     """Density of the votes on the grid: out (rows, columns) f4, m^2 of surface per grid cell around it.
 
-    A cell votes where scores > majority; its weight is score^3 x (z stride / focal)^2: the surface it stands for, so
-    that the sum over a gesture does not depend on its distance. The cube lets the confident middle of a gesture's place
-    decide where it is, not the half-hearted votes along a limb. Gaussian kernel of unit sum, sigma in cells, cut at 3
-    sigma; sums (rows, columns) is scratch. Returns the index of the largest value."""
+    A cell votes where scores > majority. Deviation: its weight is score^3 x (z stride / focal)^2, where the thesis
+    counts votes: the surface it stands for, so that the sum over a gesture does not depend on its distance; the cube
+    lets the confident middle of a gesture's place decide where it is, not the half-hearted votes along a limb. Gaussian
+    kernel of unit sum, sigma in cells, cut at 3 sigma; sums (rows, columns) is scratch. Returns the index of the
+    largest value."""
     rows, columns = scores.shape
     r = int(3 * sigma + 0.5)
     kernel = np.exp(-0.5 * (np.arange(-r, r + 1) / sigma) ** 2)

@@ -104,8 +104,12 @@ def _entropy(counts, n):
 
 
 @kernel
-def _best_test(left, total, side_least, side):
-    """(index, gain) of the candidate of largest information gain (eq. 3.2); left (T, C), total (C,), side (2, C)."""
+def best_test(left, total, side):
+    """(index, gain) of the candidate of largest information gain (eq. 3.2), in bits; -1 where none gains anything. left
+    (T, C): counts of the left side per candidate; total (C,); side (2, C) is scratch.
+
+    Deviation: the entropy before the split is added, which eq. 3.2 leaves out, so that beta of Algorithm 6 is a
+    gain."""
     n = 0
     for c in range(total.shape[0]):
         n += total[c]
@@ -116,7 +120,7 @@ def _best_test(left, total, side_least, side):
         for c in range(total.shape[0]):
             side[0, c], side[1, c] = left[q, c], total[c] - left[q, c]
             nl += left[q, c]
-        if nl < side_least or n - nl < side_least:
+        if nl == 0 or nl == n:
             continue
         g = whole - (nl * _entropy(side[0], nl) + (n - nl) * _entropy(side[1], n - nl)) / n
         if g > gain:
@@ -170,8 +174,10 @@ def _split(g, t, n, slot, q):
 def grow(flat, width, cells, labels, focal, near, clip, half, spread, rate, alpha, beta, deepest, g):
     """Algorithm 6 for samples: cells (S,) i8 of the flat padded picture, labels (S,) i4 class. g: GrowingArrays.
 
-    A leaf gets candidates only once it has seen two samples of two classes. The Poisson number of repeats is added at
-    once. A slot that has seen 3 alpha samples without a gainful test is given back and drawn anew.
+    Deviation: a leaf gets candidates only once it has seen two samples of each of two classes, and counts |S_j| from
+    then on. Deviation: a slot that has seen 3 alpha samples without a gainful test is given back and drawn anew.
+    Deviation: the Poisson number of repeats is added at once, so that a split waits for all of them. Deviation: the
+    numbers of nodes and of leaves with candidates are bounded, which bounds the memory.
     """
     trees, classes = g.left.shape[0], g.seen.shape[2]
     side = np.empty((2, classes), np.int64)
@@ -215,7 +221,7 @@ def grow(flat, width, cells, labels, focal, near, clip, half, spread, rate, alph
                 if seen > 3 * alpha:
                     _close(g, t, n, slot)
                 continue
-            best, gain = _best_test(g.left_count[t, slot], g.total[t, slot], 5, side)
+            best, gain = best_test(g.left_count[t, slot], g.total[t, slot], side)
             if best >= 0 and gain > beta:
                 _split(g, t, n, slot, best)
             elif seen > 3 * alpha:
@@ -295,7 +301,7 @@ def grow_tree(
                 cuts[q, k] = low + 1 + int(_uniform(state, 0) * (high - low))
                 for i in range(m):
                     lefts[q * thresholds + k, who[i]] += 1 if read[q, i] < cuts[q, k] else 0
-        best, gain = _best_test(lefts, total, 1, sides)
+        best, gain = best_test(lefts, total, sides)
         if best < 0 or gain < 1e-6:
             continue
         q, cut = best // thresholds, cuts[best // thresholds, best % thresholds]

@@ -68,9 +68,12 @@ def edge_terms(n_nodes, problem, sigma, want, ws, n_rows):
     """Cost of the contour nodes: equation (7), first sum, over all edges of each node's window; appends rows when
     derivatives are wanted. Returns cost and rows.
 
-    A node's edges share the weight 1 (less when they are weak in sum; what is left counts as unassigned, at the cost of
-    the window's end), an occluded node costs k nu (equation (5)), and every node is credited with the expected cost of
-    a place without a body."""
+    Deviation: a node's edges share the weight 1, less when they are weak in sum; what is left counts as unassigned, at
+    the cost of the window's end. Deviation: an occluded node costs k nu / 2, so that k is its share of what a node
+    costs that finds no edge. Deviation: a node stands for its length of contour, and the sum is not divided by N nu of
+    equation (6), so that it is a log-likelihood to which priors can be added. Deviation: back-facing nodes cost
+    nothing, because their share of a closed surface hardly changes. Deviation: every node is credited with the expected
+    cost of a place without a body, else limbs would hide."""
     edges, p = problem.edges, problem.model.projection
     window, sigma2 = edges.window, sigma * sigma
     energy, offset, strength = np.empty(2 * window + 1), np.empty(MOST_EDGES), np.empty(MOST_EDGES)
@@ -110,7 +113,8 @@ def edge_terms(n_nodes, problem, sigma, want, ws, n_rows):
 
 @kernel
 def flow_terms(q, n_flow, problem, want, ws, n_rows):
-    """Cost of inner nodes against where flow has carried them: equation (7), second sum."""
+    """Cost of inner nodes against where flow has carried them: equation (7), second sum; outliers of the flow weigh
+    0."""
     flow, p, second_order = problem.flow, problem.model.projection, problem.second_order
     sigma2 = flow.sigma * flow.sigma
     x, cost = ws.vertices, 0.0

@@ -73,7 +73,9 @@ def prior_cost(q, priors, active, hessian, gradient):
 
 @kernel
 def full_cost(q, problem, sigma, n_flow, ws, hessian, gradient):
-    """Evidence and priors: equations (6) and (10)."""
+    """Evidence and priors: equations (6) and (10).
+
+    Deviation: the evidence is not divided by N nu; masks, 2D points, interpenetration and the floor join it."""
     cost = image_cost(q, problem, sigma, n_flow, True, ws, hessian, gradient)
     return cost + prior_cost(q, problem.priors, problem.model.active, hessian, gradient)
 
@@ -81,7 +83,10 @@ def full_cost(q, problem, sigma, n_flow, ws, hessian, gradient):
 @kernel
 def rank_cost(q, problem, ws, hessian, gradient):
     """What hypotheses are ranked by: all but flow, whose targets differ between hypotheses (section 4.2). The matrices
-    are scratch."""
+    are scratch.
+
+    Deviation: printed is the edge term alone; priors, interpenetration and, where they are given, masks, 2D points and
+    the floor are ranked by as well."""
     cost = image_cost(q, problem, problem.edges.sigma, 0, False, ws, hessian, gradient)
     return cost + prior_cost(q, problem.priors, problem.model.active, hessian, gradient)
 
@@ -104,9 +109,10 @@ def descend(q, problem, sigma, n_flow, iterations, ws, hessian, gradient):
     """Damped Newton within the limits from pose q (D,), which is overwritten, as hessian and gradient are; returns the
     cost.
 
-    (H + lambda W) step = -g, W the diagonal of H, with an active set of limits (section 4.1). A step is cut to the
-    trusted reach (1: priors.longest); one that does not lower the cost is tried again, shorter and with more damping,
-    at most four times. The search ends when no step promises to lower the cost by GAIN."""
+    Equation (11), (H + lambda W) step = -g, W the diagonal of H (at least 1), with an active set of limits (section
+    4.1). A step is cut to the trusted reach (1: priors.longest); one that does not lower the cost is tried again,
+    shorter and with more damping, at most four times. The search ends when no step promises to lower the cost by
+    GAIN."""
     priors, active = problem.priors, problem.model.active
     n, dof = active.shape[0], q.shape[0]
     new_hessian, new_gradient = np.empty((n, n)), np.empty(n)

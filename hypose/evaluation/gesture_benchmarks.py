@@ -81,7 +81,9 @@ def learn_offline(pool: Pool, seed: int, settings: OfflineSettings | None = None
 
 def table_3_2(options: BenchOptions) -> BenchReport:
     """Offline boosted (as published, and with negatives around the place) against online learning with random and with
-    hard negatives, on the same frames."""
+    hard negatives, on the same frames.
+
+    Deviation: drawn people in drawn rooms in place of the thesis' recordings."""
     seeds, size = options.seed_range(SEEDS), QUICK if options.quick else FULL
     names = GESTURES[:2] if options.quick else GESTURES
     values: dict[tuple[str, str], list[Judged]] = {}
@@ -142,7 +144,9 @@ _CLIPS: dict[str, int | None] = {"clipped_15": 150, "clipped_30": 300, "clipped_
 
 
 def table_3_1(options: BenchOptions) -> BenchReport:
-    """Clipping distances, trained in two fixed empty rooms, tested in clutter; and boosted sub-forests."""
+    """Clipping distances, trained in two fixed empty rooms, tested in clutter; and boosted sub-forests.
+
+    Deviation: drawn people in drawn rooms in place of the thesis' recordings."""
     seeds = options.seed_range(SEEDS)
     size = QUICK if options.quick else Size(40, 160, 20)
     names = ("tee", "ok") if options.quick else GESTURES

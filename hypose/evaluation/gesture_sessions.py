@@ -65,7 +65,9 @@ def test_frames(person: int, name: str, shown: int, rng: np.random.Generator) ->
 
 
 def table_3_3(options: BenchOptions) -> BenchReport:
-    """Three sessions of 3 minutes of one person; the forest is resumed; offline learning on the same frames beside."""
+    """Three sessions of 3 minutes of one person; the forest is resumed; offline learning on the same frames beside.
+
+    Deviation: drawn people in drawn rooms in place of the thesis' recordings."""
     size = _Size(60, 10) if options.quick else _Size(500, 40)
     seeds, names = options.seed_range(SEEDS), PUBLISHED[:1] if options.quick else PUBLISHED
     judged: dict[tuple[str, str], list[Judged]] = {}

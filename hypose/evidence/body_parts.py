@@ -63,8 +63,8 @@ def visibility(surface: Surface, rig: CameraRig, usable: NDArray[np.bool_] | Non
     where no camera sees the point.
 
     Seen: nothing on the surface lies before it (z-buffer whose cells are two spacings wide, so that the points leave no
-    holes) and it faces the camera; z_c is the camera's optical axis. Source: Alcoverro 2014, eq. 2.16, normalised as
-    after eq. 2.17.
+    holes) and it faces the camera (else the factor would be negative); z_c is the camera's optical axis. Source:
+    Alcoverro 2014, eq. 2.16, normalised as after eq. 2.17.
     """
     out = np.zeros((len(rig), len(surface.points)))
     for c, camera in enumerate(rig):
@@ -152,7 +152,8 @@ def assign_ends(points: ArrayLike, ends: ArrayLike, limits: ArrayLike) -> NDArra
     total distance.
 
     points (E, 3) m, ends (I, 3) m: end-effectors of the previous pose, limits (I,) m (Upsilon). Each end gets at most
-    one point. Source: Alcoverro 2014, eq. 2.19; solved exactly instead of greedily.
+    one point. Source: Alcoverro 2014, eq. 2.19. Deviation: printed is the least mean distance of an assignment, which
+    one close pair alone would have; taken is what the text says of it. Deviation: solved exactly instead of greedily.
     """
     p, q = np.asarray(points, dtype=np.float64).reshape(-1, 3), np.asarray(ends, dtype=np.float64).reshape(-1, 3)
     limit = np.asarray(limits, dtype=np.float64)

@@ -104,8 +104,8 @@ def visual_hull(
     m: the space searched (default: the cameras' common view). voxel: edge, m. largest: keep only the
     biggest connected body. Works coarse to fine: a cell is refined unless more than `miss` views are free
     of person all over the circle around its image. Raises EvidenceError when fewer than min_views views
-    are usable or nothing is left. Source: Alcoverro 2014, section 2.6 (space carving with v_miss missing
-    views).
+    are usable or nothing is left. Source: shape from inconsistent silhouettes, Landabaso, Pardas & Casas
+    2008; Alcoverro 2014, section 2.3.4, places the body by such a hull.
     """
     views = np.flatnonzero(silhouettes.usable)
     if min_views is None:

@@ -144,7 +144,7 @@ def _room(background: BackgroundModel, options: SilhouetteOptions) -> images.Roo
 
     Foreground: some channel more than `threshold` sd from the mean. Shadow: the pixel's colour a seen as s
     b + rest, b the background; darkened (s in shadow_range) with a small rest. Source: Xu, Landabaso &
-    Pardas 2005 (as used by Alcoverro 2014, section 2.6); the brightness and colour distortions are those
+    Pardas 2005 (as used by Alcoverro 2014, section 2.4); the brightness and colour distortions are those
     of Horprasert et al. 1999. Deviation: the colour distortion is in grey levels, not in sd: with the sd
     of clean video a soft shadow never passes.
     """

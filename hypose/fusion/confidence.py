@@ -52,10 +52,12 @@ CURED_CONFIDENCE = ConfidenceSettings(
 
 @dataclass(frozen=True)
 class ConfidenceState:
-    """Memory of a stream: last positions (K, 15, 3), the last `window` speeds and activations (window, K, 15), frames
-    seen, the held depth error (K, 15), usual bone lengths (15,) m of the limbs with their number of samples."""
+    """Memory of a stream: last positions (K, 15, 3) and their times (K,) s, the last `window` speeds and activations
+    (window, K, 15) m/s, frames seen, the held depth error (K, 15), usual bone lengths (15,) m of the limbs with their
+    number of samples."""
 
     last: Array
+    times: Array
     speeds: Array
     activations: Array
     frames: int
@@ -69,6 +71,7 @@ def start_confidence(sensors: int, settings: ConfidenceSettings) -> ConfidenceSt
     shape = (settings.window, sensors, 15)
     return ConfidenceState(
         np.full((sensors, 15, 3), np.nan),
+        np.full(sensors, np.nan),
         np.zeros(shape),
         np.zeros(shape),
         0,
@@ -83,12 +86,16 @@ def confidence_step(
     positions: Array,
     state: NDArray[np.uint8],
     depth: Array | None,
+    times: Array,
     settings: ConfidenceSettings,
 ) -> tuple[ConfidenceState, Array]:
     """One frame: positions (K, 15, 3) m in the sensors' frames, state (K, 15), depth (K, 15) m at the joints' pixels (0
-    = hole) or None -> the new memory and the raw inputs (3, K, 15) = F (m), D (m), A, before normalisation."""
+    = hole) or None, times (K,) s of the reports -> the new memory and the raw inputs (3, K, 15) = F (m/s, eq. 5), D
+    (m), A, before normalisation. A joint that was missing, or a report without a new time, has speed 0."""
     t, n = memory.frames, settings.window
-    speed = np.linalg.norm(positions - memory.last, axis=-1)
+    passed = (times - memory.times)[:, None]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        speed = np.where(passed > 0, np.linalg.norm(positions - memory.last, axis=-1) / passed, 0.0)
     speeds, activations = memory.speeds.copy(), memory.activations.copy()
     speeds[t % n] = np.where(np.isfinite(speed), speed, 0.0)
     activations[t % n] = speeds.sum(0)  # the ring is zero before it is full, so this is the sum of what there is
@@ -108,20 +115,25 @@ def confidence_step(
             inputs[1] = np.maximum(inputs[1], np.where(state < TRACKED, _INFERRED_M, 0.0))
     if settings.use_a:
         inputs[2] = unnatural(positions)
-    new = ConfidenceState(positions, speeds, activations, t + 1, held, lengths, samples)
+    new = ConfidenceState(
+        positions, np.asarray(times, dtype=np.float64), speeds, activations, t + 1, held, lengths, samples
+    )
     return new, inputs
 
 
 def inverse_fluidity(speeds: ArrayLike, window: int) -> Array:
-    """F (T, ...) by its definition, eq. 5: the standard deviation over the last `window` frames of the overall
-    activation, itself the sum of the last `window` speeds (T, ...)."""
+    """F (T, ...) m/s by its definition, eq. 5: the standard deviation over the last `window` frames of the overall
+    activation, itself the sum of the last `window` speeds (T, ...) m/s."""
     v = np.asarray(speeds, dtype=np.float64)
     activation = np.stack([v[max(0, t + 1 - window) : t + 1].sum(0) for t in range(len(v))])
     return np.stack([activation[max(0, t + 1 - window) : t + 1].std(0) for t in range(len(v))])
 
 
 def depth_error(z: Array, depth: Array, held: Array, settings: ConfidenceSettings) -> tuple[Array, Array]:
-    """D (K, 15) m = |z of the joint - depth map at its pixel|, and the errors to hold for the next frame."""
+    """D (K, 15) m = |z of the joint - depth map at its pixel| (section 2.3.2), and the errors to hold for the next
+    frame.
+
+    Deviation: a hole of the depth map reads as a depth of 0, and D is at most 4 m; the paper is silent about both."""
     with np.errstate(invalid="ignore"):
         error = np.abs(z - depth - (THICKNESS_M if settings.thickness else 0.0))
     if settings.hold:
@@ -132,9 +144,10 @@ def depth_error(z: Array, depth: Array, held: Array, settings: ConfidenceSetting
 
 def unnatural(positions: ArrayLike) -> Array:
     """A (..., 15) = 1 - P(angle), eq. 6: the inner angle of elbows and knees against a normal distribution of mean pi/2
-    and sd pi/6, scaled to 1 at its mean; 0 for all other joints, 1 where a neighbour is missing.
+    and sd pi/6; 0 for all other joints, 1 where a neighbour is missing.
 
-    The inner product that the paper takes cannot see angles beyond pi; see `signed_knees`."""
+    Deviation: the density is scaled to 1 at its mean, so that 1 - P is 0 there. The inner product that the paper takes
+    cannot see its "unnatural" angles beyond pi; see `signed_knees`."""
     s = np.asarray(positions, dtype=np.float64)
     out = np.zeros(s.shape[:-1])
     j, a, b = _ANGLES

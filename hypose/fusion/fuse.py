@@ -25,6 +25,8 @@ from hypose.fusion.fit import clip_lengths, fit_step, start_fit
 from hypose.fusion.points import anchors_of, points_motion
 from hypose.fusion.register import (
     Registration,
+    alone,
+    by_triangles,
     check_same_person,
     common_joints,
     confidence_of,
@@ -32,7 +34,6 @@ from hypose.fusion.register import (
     horizontal_axes,
     identity,
     register,
-    register_per_frame,
     upward,
 )
 from hypose.fusion.saved import ClipSoFar, restored
@@ -81,7 +82,7 @@ def start(
 ) -> FusionState:
     """A stream's state before its first frame; the sensors and joint set are those of `first` from here on.
 
-    registration, lengths (18,) m: known ones, which are then kept."""
+    registration, lengths (18,) m: known ones, which are then kept (but "published" registers every frame anew)."""
     s = settings or FusionSettings()
     if s.method in BASELINES:
         raise InputError(
@@ -93,10 +94,9 @@ def start(
     swarms = s.method != FIT or s.diagnose
     known_set = jt.joint_set(first.joint_names)
     rest = np.setdiff1d(np.arange(len(first.joint_names)), known_set.common)
-    alone = Registration(
-        np.tile(np.eye(4), (sensors, 1, 1)), np.full(sensors, np.nan), np.arange(sensors) == s.reference, s.reference
-    )
-    known = registration or (identity(sensors, s.reference) if s.registered else alone)
+    known = None if s.per_frame else registration
+    if known is None:
+        known = identity(sensors, s.reference) if s.registered else alone(sensors, s.reference)
     return FusionState(
         s,
         first.sensor_names,
@@ -124,8 +124,6 @@ def step(state: FusionState, frame: SensorJoints) -> tuple[FusionState, FusedFra
     time = latest if latest == latest else 0.0
     state = _refit(state, raw, time)
     world = state.registration.apply(raw.positions)
-    if s.per_frame:
-        world = register_per_frame(raw.positions[None], s.reference)[0]
     state, noise, heading = _noise(state, raw, world)
     choice, restarted, estimate = None, False, None
     swarm = state.swarm
@@ -160,10 +158,11 @@ def fuse_clip(
     """Fuses the skeletons of one person from a recorded clip.
 
     joints: one per frame, all of the same sensors and joint set (`register.combine` brings different sets together).
-    The registration is robust over the whole clip and all joints unless it is given; bone lengths are medians over the
-    clip. watch: called after every frame with what is fused so far; what its `arrays` gave is taken as `done` to go on
-    there, which gives the same numbers (the baselines, which take no time, do neither). InputErrors name frames whose
-    sensors or joints differ, and sensors that see different people."""
+    The registration is robust over the whole clip and all joints unless it is given, but for "published", which
+    registers every frame by its triangle and returns the last one's; bone lengths are medians over the clip. watch:
+    called after every frame with what is fused so far; what its `arrays` gave is taken as `done` to go on there, which
+    gives the same numbers (the baselines, which take no time, do neither). InputErrors name frames whose sensors or
+    joints differ, and sensors that see different people."""
     if not len(joints):
         raise InputError("There are no frames to fuse; give at least one.")
     s = replace(settings or FusionSettings(), method=method)
@@ -181,10 +180,7 @@ def fuse_clip(
         if s.check:
             check_same_person(positions, registration, joints[0].sensor_names)
     lengths = clip_lengths(positions, states)
-    if s.per_frame:
-        world = register_per_frame(positions, s.reference)
-    else:
-        world = registration.apply(positions)
+    world = registration.apply(positions)
     times = _clip_times(joints)
     if method in BASELINES:
         return _baseline(method, world, states, times, registration, lengths, joints[0].sensor_names)
@@ -210,7 +206,7 @@ def fuse_clip(
         motion,
         np.stack([f.shares for f in frames]),
         choice,
-        registration,
+        state.registration,
         lengths,
         np.stack([f.swapped for f in frames]),
         np.array([f.restarted for f in frames]),
@@ -235,9 +231,11 @@ def _check_alike(
 
 
 def _refit(state: FusionState, raw: SensorJoints, time: float) -> FusionState:
-    """The window with this frame, and a registration refitted to it when that is due."""
+    """The window with this frame, and a registration refitted to it when that is due; "published": this frame's."""
     s = state.settings
-    if state.fixed_registration or s.per_frame:
+    if s.per_frame:
+        return replace(state, registration=by_triangles(state.registration, raw.positions))
+    if state.fixed_registration:
         return state
     window = state.window
     # on all joints: the trunk alone is so small that its joints' constant errors turn into degrees (scene A of the
@@ -266,7 +264,9 @@ def _noise(state: FusionState, raw: SensorJoints, world: Array) -> tuple[FusionS
     if state.confidence is None:
         return state, None, 0.0
     s = state.settings.swarm_settings
-    memory, inputs = confidence_step(state.confidence, raw.positions, raw.state, depth_at_joints(raw), s.confidence)
+    memory, inputs = confidence_step(
+        state.confidence, raw.positions, raw.state, depth_at_joints(raw), raw.times, s.confidence
+    )
     noise = s.rules.noise_fast(normalised(inputs, s.confidence))
     up = state.up if state.up is not None else upward(world)
     x, y = _axes(*up.tolist())

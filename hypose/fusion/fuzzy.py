@@ -42,7 +42,9 @@ class NoiseRules:
         return 1 / (1 + np.exp(sign * self.slope * (v - centre)))
 
     def firing(self, f: ArrayLike, d: ArrayLike, a: ArrayLike) -> Array:
-        """Strengths (5, ...) of the rules for normalised inverse fluidity f, depth error d and posture a (...)."""
+        """Strengths (5, ...) of the rules for normalised inverse fluidity f, depth error d and posture a (...).
+
+        Deviation: rule 2 is printed without precedence; AND binds tighter than OR here."""
         v = np.stack(np.broadcast_arrays(np.asarray(f, np.float64), d, a))
         (fl, dl, al), (fm, dm, am), (fh, dh, ah) = (self.membership(v, n) for n in (LOW, MEDIUM, HIGH))
         both_low = np.minimum(fl, al)
@@ -72,7 +74,9 @@ class NoiseRules:
         return 1 - rest
 
     def noise(self, f: ArrayLike, d: ArrayLike, a: ArrayLike) -> Array:
-        """lambda (...) in (0, 1): centre of gravity of the aggregate; 0.5 where no rule fires at all."""
+        """lambda (...) in (0, 1): centre of gravity of the aggregate; 0.5 where no rule fires at all.
+
+        Deviation: the sigmoids' centres and slopes, which the paper does not give, are chosen."""
         g = self.aggregate(f, d, a)
         total = g.sum(-1)
         return np.where(total > 1e-12, g @ self._consequents[0] / np.maximum(total, 1e-12), 0.5)

@@ -3,8 +3,9 @@
 Source: Asteriadis et al. 2013, section 2.1, eq. 2-4 (per frame, on the triangle of shoulders and torso). Printed there
 is R = V U^T for H = sum reference . moving^T, which is the rotation the other way round; moving to reference is U V^T.
 Three points make H of rank 2, so that the sign of one singular vector is arbitrary and half of all unguarded solutions
-are reflections: the determinant is guarded (geometry.procrustes). Deviation, the default: one transform per sensor
-from a window of frames, robustly, on more joints; per-frame registration multiplies the jitter.
+are reflections: the determinant is guarded (geometry.procrustes). The method "published" registers so (`by_triangles`);
+all others take one transform per sensor from a window of frames, robustly, on all joints (`register`), because
+registering every frame multiplies the jitter.
 """
 
 from __future__ import annotations
@@ -102,27 +103,38 @@ def depth_at_joints(frame: SensorJoints) -> Array | None:
 
 
 def triangle_transform(reference: ArrayLike, moving: ArrayLike) -> Array:
-    """reference_from_moving (4, 4) that aligns two triangles (3, 3), eq. 2-4 with the direction derived and guarded."""
+    """reference_from_moving (4, 4) that aligns two triangles (3, 3) of points, eq. 2-4.
+
+    Deviation: (3) and (4) are printed as the transform from the reference to the moving skeleton; this is its inverse,
+    with a guarded determinant.
+    """
     return procrustes(moving, reference)[0]
 
 
-def register_per_frame(positions: ArrayLike, reference: int = 0, joints: Sequence[int] = jt.TRIANGLE) -> Array:
-    """The published mode: positions (T, K, J, 3) m, every frame registered by itself; a frame whose triangle is not
-    complete keeps the sensor's last transform, and the sensor is missing before its first."""
+def by_triangles(last: Registration, positions: ArrayLike) -> Registration:
+    """The published registration of one frame: positions (K, 15, 3) m in the sensors' frames.
+
+    Every sensor is aligned on the reference by the triangle of shoulders and torso of this frame alone. Deviation: a
+    sensor whose triangle is not complete keeps its last transform, and is missing before its first (so do all when the
+    reference's is not), of which the paper says nothing."""
+    triangles = np.asarray(positions, dtype=np.float64)[:, list(jt.TRIANGLE)]
+    complete = np.asarray(np.isfinite(triangles).all(axis=(1, 2)))
+    transforms, residual = last.common_from_sensor.copy(), last.residual.copy()
+    target = triangles[last.reference]
+    new = complete & complete[last.reference] & (np.arange(len(triangles)) != last.reference)
+    for k in np.flatnonzero(new):
+        transforms[k] = triangle_transform(target, triangles[k])
+        residual[k] = np.median(np.linalg.norm(transform(transforms[k], triangles[k]) - target, axis=1))
+    return Registration(transforms, residual, last.registered | new, last.reference)
+
+
+def register_per_frame(positions: ArrayLike, reference: int = 0) -> Array:
+    """Positions (T, K, 15, 3) m of a clip in the common frame, every frame registered by itself (`by_triangles`)."""
     s = np.asarray(positions, dtype=np.float64)
-    out = np.full_like(s, np.nan)
-    out[:, reference] = s[:, reference]
-    pick = list(joints)
-    for k in range(s.shape[1]):
-        if k == reference:
-            continue
-        last: Array | None = None
-        for t in range(len(s)):
-            a, b = s[t, reference, pick], s[t, k, pick]
-            if np.isfinite(a).all() and np.isfinite(b).all():
-                last = triangle_transform(a, b)
-            if last is not None:
-                out[t, k] = transform(last, s[t, k])
+    found, out = alone(s.shape[1], reference), np.empty_like(s)
+    for t in range(len(s)):
+        found = by_triangles(found, s[t])
+        out[t] = found.apply(s[t])
     return out
 
 
@@ -268,6 +280,16 @@ def upward(positions: ArrayLike) -> Array:
         return np.array([0.0, -1.0, 0.0])
     up = np.median(trunk, axis=0)
     return up / np.linalg.norm(up)
+
+
+def alone(sensors: int, reference: int = 0) -> Registration:
+    """Before anything was seen: only the reference is registered."""
+    return Registration(
+        np.tile(np.eye(4), (sensors, 1, 1)),
+        np.where(np.arange(sensors) == reference, 0.0, np.nan),
+        np.arange(sensors) == reference,
+        reference,
+    )
 
 
 def identity(sensors: int, reference: int = 0) -> Registration:

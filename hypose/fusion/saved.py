@@ -11,6 +11,7 @@ import numpy as np
 from hypose.errors import InputError
 from hypose.fusion.confidence import ConfidenceState
 from hypose.fusion.fit import FitState
+from hypose.fusion.register import Registration
 from hypose.fusion.state import FusedFrame, FusionState
 from hypose.fusion.swarm import SwarmState
 from hypose.inference.hypotheses import Hypotheses
@@ -30,7 +31,7 @@ class ClipSoFar:
         state, out = self.state, {}
         for name in ("up", "heading", "frames"):
             _put(out, name, getattr(state, name))
-        for part in ("fit", "confidence", "swarm"):
+        for part in ("registration", "fit", "confidence", "swarm"):
             value = getattr(state, part)
             for f in fields(value) if value is not None else ():
                 inner = getattr(value, f.name)
@@ -55,6 +56,7 @@ def restored(arrays: Mapping[str, np.ndarray], begun: FusionState) -> ClipSoFar:
             up=_get(arrays, "up"),
             heading=_get(arrays, "heading"),
             frames=int(arrays["frames"]),
+            registration=Registration(**_part(arrays, "registration", Registration)),
             fit=FitState(**_part(arrays, "fit", FitState)),
             confidence=None
             if begun.confidence is None
@@ -98,7 +100,7 @@ def _swarm(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
 
 def _check(state: FusionState, begun: FusionState) -> None:
     """Arrays of other sensors would only fail far inside."""
-    for part in ("fit", "confidence", "swarm"):
+    for part in ("registration", "fit", "confidence", "swarm"):
         new, old = getattr(state, part), getattr(begun, part)
         for f in fields(old) if old is not None else ():
             a, b = getattr(new, f.name), getattr(old, f.name)

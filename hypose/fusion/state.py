@@ -15,23 +15,23 @@ from hypose.fusion.register import Registration
 from hypose.fusion.swarm import IMPROVED, PUBLISHED, SwarmSettings, SwarmState
 from hypose.geometry import Array
 
-FIT, SWARM, PUBLISHED_SWARM = "fit", "swarm", "published"
+FIT, SWARM, PUBLISHED_SWARM, PUBLISHED_WINDOW = "fit", "swarm", "published", "published-window"
 BASELINES = ("best_single", "weighted_mean", "median", "kalman", "dbscan_kalman")
-METHODS = (FIT, SWARM, PUBLISHED_SWARM, *BASELINES)
+METHODS = (FIT, SWARM, PUBLISHED_SWARM, PUBLISHED_WINDOW, *BASELINES)
 
 
 @dataclass(frozen=True)
 class FusionSettings:
-    """method: one of METHODS ("swarm" is the improved one, "published" the paper's); reference: the sensor whose frame
-    is the common one; registered: positions come in a common frame already; per_frame: register every frame by the
-    paper's triangle; window_s, refit_s: a stream's registration uses the last window_s and is refitted every refit_s;
+    """method: one of METHODS ("swarm" is the improved one; "published" is Asteriadis et al. 2013 with their
+    registration, by the triangle of every frame; "published-window" the same swarm, registered as the other methods
+    are); reference: the sensor whose frame is the common one; registered: positions come in a common frame already;
+    window_s, refit_s: a stream's registration uses the last window_s and is refitted every refit_s;
     diagnose: run the swarm beside the fit and report its choice of sensors; up (3,): direction of up in the common
     frame, default from the person; seed: of the swarm; check: refuse sensors that see different people."""
 
     method: str = FIT
     reference: int = 0
     registered: bool = False
-    per_frame: bool = False
     window_s: float = 5.0
     refit_s: float = 1.0
     diagnose: bool = False
@@ -48,7 +48,12 @@ class FusionSettings:
     @property
     def swarm_settings(self) -> SwarmSettings:
         """The swarm's settings: given ones, else those of the method."""
-        return self.swarm or (PUBLISHED if self.method == PUBLISHED_SWARM else IMPROVED)
+        return self.swarm or (PUBLISHED if self.method in (PUBLISHED_SWARM, PUBLISHED_WINDOW) else IMPROVED)
+
+    @property
+    def per_frame(self) -> bool:
+        """Every frame is registered by its own triangle."""
+        return self.method == PUBLISHED_SWARM and not self.registered
 
 
 @dataclass(frozen=True)

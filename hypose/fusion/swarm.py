@@ -9,8 +9,8 @@ leaves a handful of distinct candidates.
 Deviations, each a setting with the paper's behaviour as its value in PUBLISHED: the length scale h of eq. 7, which is
 printed without one (in millimetres only the nearest few of 2100 candidates would carry weight); the power of the noise;
 immigrants, because a sensor that blinks for one frame otherwise loses all its candidates for good; Baker's universal
-sampling; jitter, for roulette alone adds nothing new. The estimate is the mean weighted by energy, read before the
-wheel. The swarm chooses sensors well; it is a mediocre estimator, because it ends on one sensor and keeps its bias.
+sampling; jitter, for roulette alone adds nothing new; the estimate read before the wheel, weighted by energy. The swarm
+chooses sensors well; it is a mediocre estimator, because it ends on one sensor and keeps its bias.
 """
 
 from __future__ import annotations
@@ -38,8 +38,9 @@ class SwarmSettings:
     """count: candidates per joint; radius_m: of the ball they start in; h_m: length scale of the energy; power: the
     energy's weights are lambda^-power; pressure: the wheel's shares are E^pressure (fitness scaling); immigrants: fresh
     candidates per sensor and frame (within count); jitter_m: sd of a random step per frame; universal: Baker's sampling
-    instead of independent spins; restart_every: frames (0 = never); restart_turn: rad of turning since the last restart
-    (0 = never)."""
+    instead of independent spins; weighted: the joint is the mean weighted by energy, before the wheel adds its noise,
+    instead of the plain mean of the candidates that the wheel leaves; restart_every: frames (0 = never); restart_turn:
+    rad of turning since the last restart (0 = never)."""
 
     count: int = 2100
     radius_m: float = 0.1
@@ -49,6 +50,7 @@ class SwarmSettings:
     immigrants: int = 0
     jitter_m: float = 0.0
     universal: bool = False
+    weighted: bool = False
     restart_every: int = 50
     restart_turn: float = 0.0
     confidence: ConfidenceSettings = PUBLISHED_CONFIDENCE
@@ -62,6 +64,7 @@ IMPROVED = SwarmSettings(
     pressure=4.0,
     immigrants=3,
     universal=True,
+    weighted=True,
     confidence=CURED_CONFIDENCE,
     rules=SHARP_RULES,
 )
@@ -107,8 +110,10 @@ def ride(h: Hypotheses, frame: SwarmFrame, rng: np.random.Generator, /) -> Hypot
 
 
 def energy(h: Hypotheses, frame: SwarmFrame, /) -> Array:
-    """pressure * log E (J, N), eq. 7: E = sum_k lambda_k^-power exp(-|s_k - p| / h). A joint that no candidate can
-    explain this frame keeps its population (0 everywhere)."""
+    """pressure * log E (J, N), eq. 7: E = sum_k lambda_k^-power exp(-|s_k - p| / h).
+
+    Deviation: a length scale h, which is printed without one. Deviation: a term below 0.001 of its weight counts as 0.
+    A joint that no candidate can explain this frame keeps its population (0 everywhere)."""
     out = np.empty(h.log_weights.shape)
     cpu_swarm.swarm_energy(h.values, h.origin, h.log_weights, frame.positions, frame.weights, frame.settings.h_m, out)
     if frame.settings.pressure != 1:
@@ -117,7 +122,9 @@ def energy(h: Hypotheses, frame: SwarmFrame, /) -> Array:
 
 
 def mean_position(h: Hypotheses, /) -> Array:
-    """(J, 3) m weighted mean of the candidates."""
+    """(J, 3) m weighted mean of the candidates.
+
+    Deviation: eq. 1 is printed as the best candidate; section 2.5 says averaging, and so it is done."""
     shares, mean = np.empty(h.log_weights.shape), np.empty((len(h.values), 3))
     cpu_swarm.shares_and_mean(h.log_weights, h.values, shares, mean)
     return mean
@@ -207,7 +214,7 @@ def swarm_step(
     candidates = _candidates(state.candidates, due, frame, last, seed, state.frame)
     result = search(candidates, recipe(settings), frame, partial(stream, seed, state.frame))
     chosen = result.selected
-    mean, joints = result.estimate, positions.shape[1]
+    mean, joints = result.estimate if settings.weighted else mean_position(chosen), positions.shape[1]
     spread, shares, distinct = np.empty(joints), np.empty((joints, len(positions))), np.empty(joints, dtype=np.int64)
     cpu_swarm.swarm_summary(chosen.values, chosen.log_weights, chosen.origin, spread, shares, distinct)
     known = distinct > 0

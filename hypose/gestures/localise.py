@@ -139,7 +139,9 @@ def densities(
 def settle(
     maps: Sequence[Density], depth: Depth, lens: Lens, settings: LocaliseSettings, scratch: Scratch
 ) -> list[Found]:
-    """The best place of every gesture, from the densities of this picture and the memory of the last ones (eq. 3.4)."""
+    """The best place of every gesture, from the densities of this picture and the memory of the last ones (eq. 3.4).
+
+    Deviation: alpha is 1, no memory, unless it is set; `hypose gesture` sets the printed 0.8."""
     s, out = settings.at(lens), []
     for gesture, (density, at) in enumerate(maps, 1):
         if s.memory < 1:
@@ -154,7 +156,9 @@ def settle(
 
 
 def peak(gesture: int, density: NDArray[np.float32], at: int, depth: Depth, lens: Lens, s: LocaliseSettings) -> Found:
-    """The maximum of a density with its volume (eq. 3.5) and position; sub-cell by a parabola per axis."""
+    """The maximum of a density with its volume (eq. 3.5) and position; sub-cell by a parabola per axis.
+
+    Deviation: V is an area, the cm^2 of surface that vote within the disc, so that it does not depend on distance."""
     i, j = divmod(at, density.shape[1])
     stride = s.plan.stride
     if density[i, j] <= 0:

@@ -58,7 +58,9 @@ def collect(
     reach_mm: int = 150,
 ) -> Pool:
     """Samples of every example: N+ around the marked point, N- at random outside it or anywhere in a negative frame,
-    and `around` in a ring around the place (0: as published)."""
+    and `around` in a ring around the place (0: as published).
+
+    Deviation: positives are pixels near the marked surface, not all that the box holds."""
     chooser = Chooser(rng, LearnSettings(around=around))
     patches, labels, picture = [], [], None
     near = chooser.settings.look.plan.near_mm
@@ -74,7 +76,10 @@ def collect(
 
 
 def train(pool: Pool, rng: np.random.Generator, settings: OfflineSettings | None = None) -> Forest:
-    """A forest from a pool of samples; InputError when a class has no samples."""
+    """A forest from a pool of samples; InputError when a class has no samples.
+
+    "trees" is the boosted learning of Alcoverro 2014, section 3.2.3: the first tree from a balanced draw, every further
+    one from the errors of the tree before on what that has not seen, filled up until balanced."""
     s = settings or OfflineSettings()
     f = s.forest
     classes = int(pool.labels.max()) + 1 if len(pool.labels) else 0

@@ -83,7 +83,10 @@ class Learner:
 
     def reject(self, depth: Depth, lens: Lens, *, mine: bool = True) -> Taught:
         """Learn a frame in which no gesture is done: hard negatives at every maximum and a few random ones, or only
-        random ones (mine = False)."""
+        random ones (mine = False).
+
+        Deviation: a few random negatives go with the hard ones. Deviation: the number of hard ones is proportional to
+        the maximum relative to what gestures reach."""
         counts = [0] * self.forest.classes
         maxima = self._take(depth, lens, mine)
         mined = tuple(f for f in maxima if self._mine(depth, lens, f, counts))

@@ -1,7 +1,7 @@
 """Which pixels of a frame are learned: the gesture's own surface, the ring around its place, anywhere else.
 
-Alcoverro 2014, 3.2.3 ("patch collection"). Deviations, from measurements: positives are pixels near the marked surface
-only (a box also holds what is behind the fingers), and the ring teaches where the place ends.
+Alcoverro 2014, 3.2.3 ("patch collection"). Deviations, from measurements: positives are pixels near the marked surface,
+not all that the box holds (behind the fingers there is something else), and the ring teaches where the place ends.
 """
 
 from __future__ import annotations

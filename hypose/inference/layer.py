@@ -3,8 +3,6 @@
 propose -> weigh -> (estimate) -> select. Methods differ only in what they put into the layers: the
 annealed, partitioned, layered and detector-driven particle filters, the swarm over depth sensors and the
 pruned multiple hypotheses are lists for this loop. Source: Alcoverro 2014, Algorithms 1, 2 and 5.
-Deviation: the thesis starts the cycle at the weighing; here it starts at the proposal, so that a frame ends
-with its own estimate.
 """
 
 from __future__ import annotations
@@ -168,8 +166,9 @@ def search(h: Hypotheses, recipe: Recipe, frame: Any, rng_of_layer: RngOfLayer) 
     """Runs the layers of a recipe on one frame.
 
     ``rng_of_layer(l)`` gives the generator of layer l, for example ``partial(stream, seed, frame.index)``.
-    Weighing adds to the log-weights, selectors reset them. The estimate is read after the last weighing and
-    before its selection, which would only add noise to it. A layer that is left out has no report.
+    Weighing adds to the log-weights, selectors reset them. Deviation: the thesis starts the cycle at the weighing; here
+    it starts at the proposal, so that a frame ends with its own estimate. The estimate is read after the last weighing
+    and before its selection, which would only add noise to it. A layer that is left out has no report.
     """
     weighted, reports = h, []
     for index, layer in enumerate(recipe.layers):

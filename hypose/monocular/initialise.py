@@ -3,9 +3,7 @@
 Three stages. (1) Pose and internal proportions from the points, with mirrored sides, prior intervals and hard joint
 limits; several headings are tried, mirrored limbs are optimised before they are ranked, rivals are kept. (2) The
 parts' volumes from contours, everything else held. (3) Everything. The rivals with the covariances of the last stage
-are the first hypotheses. Source: Sminchisescu & Triggs 2001, section 5. Deviations: headings and mirrored limbs are
-tried, where the paper has one start; in stages 2 and 3 the proportions are searched one after the other, because the
-contour's cost has jumps.
+are the first hypotheses. Source: Sminchisescu & Triggs 2001, section 5; see `initialise`.
 """
 
 from __future__ import annotations
@@ -69,6 +67,9 @@ def initialise(
     floor: float | None = None,
 ) -> InitialFit:
     """The first hypotheses of a picture (frame; its points are not used) of a pinhole camera.
+
+    Deviation: headings and mirrored limbs are tried, where the paper has one start. Deviation: in stages 2 and 3 the
+    proportions are searched one after the other, because the contour's cost has jumps.
 
     later: the points of further pictures of the same camera; lengths are those that suit all of them. height in m: of
     the person, None if not known: then the distance to the camera stays as uncertain as people's heights. fixed_body:

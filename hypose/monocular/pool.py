@@ -48,7 +48,9 @@ def uncertain_samples(
 ) -> Array:
     """Poses (S, D) along the n_s most uncertain free directions of an optimised candidate, on both sides.
 
-    spread (A,): the usual error of a prediction, the unit of each dof and the bound on a sample's length."""
+    Deviation: directions are those of the Hessian within the subspace that no limit holds, in units of the usual motion
+    of each dof. spread (A,): the usual error of a prediction, the unit of each dof and the bound on a sample's
+    length."""
     free = np.flatnonzero(candidate.free)
     if len(free) == 0:
         return np.zeros((0, len(candidate.pose)))
@@ -73,7 +75,10 @@ def uncertain_samples(
 
 def prune(pool: list[Candidate], body: Body, settings: SearchSettings) -> list[Candidate]:
     """The best distinct candidates, at most settings.hypotheses, best first; pool: the best optimised one comes
-    first and stays, the others are ranked by their accumulated evidence."""
+    first and stays, the others are ranked by their accumulated evidence.
+
+    Deviation: samples of all hypotheses are pooled before pruning, where the printed listing empties the pool for each.
+    Deviation: only poses that differ are kept."""
     ranked = pool[:1] + sorted(pool[1:], key=lambda c: c.evidence)
     places = landmark_places(body, np.stack([c.pose for c in ranked]))
     kept: list[int] = []
@@ -100,7 +105,9 @@ def pose_covariance(hessian: Array, spread: Array, active: NDArray[np.int64], do
 
 
 def as_hypotheses(candidates: list[Candidate], covariances: Array) -> MonoHypotheses:
-    """Candidates as a weighted set, weights exp(-evidence)."""
+    """Candidates as a weighted set, weights exp(-evidence): equation (4), whose Z is the sum over the set.
+
+    Deviation: the evidence is accumulated over frames with a memory."""
     evidence = np.array([c.evidence for c in candidates])
     evidence = evidence - evidence.min()
     weights = np.exp(-evidence)

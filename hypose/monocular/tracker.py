@@ -48,7 +48,10 @@ LOST_SHARE = 0.2
 
 @dataclass(frozen=True)
 class MonoTracker:
-    """A body, whose coarse mesh is compared with the picture, the camera (lens distortion is ignored: give undistorted
+    """The tracker of figure 4. Deviation: a constant-velocity prediction comes before the optimisation; without it
+    nothing keeps track.
+
+    A body, whose coarse mesh is compared with the picture, the camera (lens distortion is ignored: give undistorted
     pictures), settings, the dof to estimate (default `body_dofs`: 30; the others keep their start values), how many
     threads share the hypotheses (default: the machine's; any number gives the same results), and the height in the
     world of the floor that the person stands on, m (default: not known). clock: what the stages' seconds are read from

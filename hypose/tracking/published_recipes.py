@@ -98,7 +98,8 @@ def apf(
 def partitioned(body: Body, particles: int = 572, survival: float = 0.15, frame_rate: float = 25.0) -> Recipe:
     """Partitioned sampling: each layer moves only its own coordinates and resamples whole states.
 
-    Source: MacCormick & Isard 2000 (Alcoverro 2014, section 2.2.5).
+    Deviation: every partition is weighed by the whole silhouettes, with the exponent that a survival rate sets. Source:
+    MacCormick & Isard 2000 (Alcoverro 2014, section 2.2.3).
     """
     s = body.skeleton
     sigma = step_sigma(s, frame_rate)
@@ -123,7 +124,7 @@ def hpf(
     Coordinates are first filtered in their own layer with full steps and go on moving with steps shrinking by `decay`
     (Algorithm 3); only coordinates filtered so far are resampled (Algorithm 4). `betas` gives fixed exponents, one per
     layer, as the thesis has them; by default the survival rate sets them.
-    Source: Alcoverro 2014, sections 2.2.6 and 2.4.
+    Source: Alcoverro 2014, sections 2.2.4 and 2.4.
     """
     s = body.skeleton
     sigma = step_sigma(s, frame_rate)

@@ -14,7 +14,8 @@ def frames():
 
 
 @pytest.mark.parametrize(
-    ("method", "diagnose"), [("fit", False), ("fit", True), ("swarm", False), ("published", False)]
+    ("method", "diagnose"),
+    [("fit", False), ("fit", True), ("swarm", False), ("published", False), ("published-window", False)],
 )
 @pytest.mark.parametrize("after", [1, 33, 70])
 def test_a_clip_in_two_pieces_is_the_clip(frames, method, diagnose, after):

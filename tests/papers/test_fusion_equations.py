@@ -1,9 +1,14 @@
 """Asteriadis et al. 2013, equation by equation, with the misprints and gaps found on the way."""
 
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 
 from hypose.compute import cpu_swarm
+from hypose.evaluation.sensor_choice import Choice, cases
+from hypose.evaluation.sensors import treadmill_recording
+from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
 from hypose.fusion.confidence import (
     PUBLISHED_CONFIDENCE,
@@ -15,6 +20,7 @@ from hypose.fusion.confidence import (
     start_confidence,
     unnatural,
 )
+from hypose.fusion.fuse import FusionSettings, fuse_clip, start, step
 from hypose.fusion.fuzzy import HIGH, LOW, MEDIUM, PUBLISHED_RULES, NoiseRules
 from hypose.fusion.register import triangle_transform
 from hypose.fusion.swarm import PUBLISHED, MergedWheel, SwarmFrame, SwarmSettings, energy, ride, start_swarm, swarm_step
@@ -57,16 +63,61 @@ def test_equation_3_as_printed_is_the_inverse_and_without_guard_a_reflection_hal
     assert inverse == 400
 
 
+def test_published_registers_every_frame_by_its_triangle_alone(rng):
+    # a sensor that stands elsewhere in every frame: only the frame's own triangle tells where
+    truth = rng.normal(0, 0.3, (15, 3)) + [0, 0, 2.5]
+    frames, moved = [], None
+    for t in range(12):
+        r, shift = random_rotation(rng), rng.normal(0, 1, 3)
+        moved = truth @ r.T + shift
+        if t == 7:
+            moved[jt.TORSO] = np.nan  # no triangle: the transform of frame 6, which is wrong by now
+        both = np.stack([truth, moved])
+        state = np.where(np.isfinite(both[..., 0]), 2, 0).astype(np.uint8)
+        frames.append(SensorJoints(both, state, np.full(2, t / 30), jt.COMMON, ("a", "b")))
+    settings = FusionSettings(check=False, swarm=replace(PUBLISHED, radius_m=1e-6, restart_every=0))
+    clip = fuse_clip(frames, "published", settings)
+    state = start(frames[0], replace(settings, method="published"))
+    for t, frame in enumerate(frames):
+        state, found = step(state, frame)
+        # the candidates of both sensors ride on the same place, but for frame 7
+        spread = np.linalg.norm(found.joints - truth, axis=-1).max()
+        assert (spread < 1e-4) if t != 7 else (spread > 0.01), t
+        np.testing.assert_allclose(
+            clip.motion.joints[t][[clip.motion.skeleton.joint(n) for n in jt.COMMON]], found.joints
+        )
+    last = triangle_transform(truth[list(jt.TRIANGLE)], frames[-1].positions[1, list(jt.TRIANGLE)])
+    np.testing.assert_allclose(clip.registration.common_from_sensor[1], last, atol=1e-9)
+    window = fuse_clip(frames, "published-window", settings)
+    assert np.nanmean(np.linalg.norm(window.motion.joints[0] - clip.motion.joints[0], axis=-1)) > 0.01
+
+
+def test_section_2_5_the_joint_is_the_average_of_the_candidates_that_the_wheel_leaves(rng):
+    positions, noise = rng.normal(0, 0.02, (3, 15, 3)), np.full((3, 15), 0.5)
+    state, found = swarm_step(start_swarm(3), positions, noise, 0.0, PUBLISHED, 4)
+    h = state.candidates
+    copies = np.rint(np.exp(h.log_weights) * PUBLISHED.count)
+    plain = (copies[..., None] * h.values).sum(1) / copies.sum(1)[:, None]
+    np.testing.assert_allclose(found.joints, plain, atol=1e-9)
+    _, before = swarm_step(start_swarm(3), positions, noise, 0.0, replace(PUBLISHED, weighted=True), 4)
+    assert 1e-5 < np.abs(before.joints - found.joints).max() < 0.01  # the wheel's own noise
+
+
 def test_equation_5_inverse_fluidity_of_a_stream_equals_its_definition(rng):
     settings = ConfidenceSettings(window=5, use_d=False, use_a=False)
     positions = np.cumsum(rng.normal(0, 0.02, (23, 2, 15, 3)), axis=0)
-    speeds = np.zeros((23, 2, 15))
-    speeds[1:] = np.linalg.norm(np.diff(positions, axis=0), axis=-1)
-    expected = inverse_fluidity(speeds, 5)
-    memory = start_confidence(2, settings)
+    times = np.cumsum(rng.uniform(0.02, 0.05, (23, 2)), axis=0)  # ds/dt: clocks of their own, uneven
+    state, memory = np.full((2, 15), 2, np.uint8), start_confidence(2, settings)
+    speeds, activations = [np.zeros((2, 15))], []
+    for t in range(1, 23):
+        speeds.append(np.linalg.norm(positions[t] - positions[t - 1], axis=-1) / (times[t] - times[t - 1])[:, None])
+    definition = inverse_fluidity(np.array(speeds), 5)
     for t in range(23):
-        memory, raw = confidence_step(memory, positions[t], np.full((2, 15), 2, np.uint8), None, settings)
-        np.testing.assert_allclose(raw[0], expected[t], atol=1e-12)
+        memory, raw = confidence_step(memory, positions[t], state, None, times[t], settings)
+        activations.append(sum(speeds[max(0, t - 4) : t + 1]))
+        expected = np.sqrt(np.mean((activations[-5:] - np.mean(activations[-5:], axis=0)) ** 2, axis=0))
+        np.testing.assert_allclose(raw[0], expected, atol=1e-9)
+        np.testing.assert_allclose(definition[t], expected, atol=1e-9)
 
 
 def test_equation_5_a_steady_movement_is_fluid_and_a_jerky_one_is_not():
@@ -293,3 +344,24 @@ def test_pressure_lets_one_of_two_sensors_that_agree_take_the_population():
             state, found = swarm_step(state, positions, noise, 0.0, settings, 1)
         share[pressure] = np.median(found.shares.max(1))
     assert share[1.0] < 0.8 and share[4.0] > 0.9
+
+
+def test_table_1_counts_the_hands_whose_majority_comes_from_a_right_sensor():
+    # two segments of 40 frames, three sensors; the first alone is right about the left hand, all about the right one
+    recording = treadmill_recording("A", np.random.default_rng(3))
+    t = 80
+    visible, error = np.ones((t, 3, 15)), np.full((t, 3, 15), 0.02)
+    visible[:, 1, jt.LEFT_HAND] = 0.0
+    error[:, 2, jt.LEFT_HAND] = 0.3
+    cut = {
+        f.name: getattr(recording, f.name)[:t] for f in fields(recording) if f.name not in ("camera_from_world", "bars")
+    }
+    recording = replace(recording, **(cut | {"visible": visible, "error": error}))
+    shares = np.full((t, 2, 3), 1 / 3)
+    shares[39, 0], shares[79, 0] = (0.6, 0.2, 0.2), (0.4, 0.5, 0.1)
+    restarts = np.zeros(t, bool)
+    restarts[[0, 40]] = True
+    found = cases(recording, Choice(shares, restarts, np.zeros((t, 2)), np.zeros((t, 2))))
+    assert [c.success for c in found] == [True, False]
+    assert [c.chance for c in found] == pytest.approx([1 / 3, 1 / 3])
+    assert [c.majority for c in found][0] == 40

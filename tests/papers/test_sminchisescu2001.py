@@ -2,18 +2,25 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
+from scipy.ndimage import correlate, gaussian_filter
 
 from hypose.body.models import human
-from hypose.compute import cpu_mono_cues, cpu_mono_rows, cpu_mono_search, mono
-from hypose.compute.mono_terms import GAUSSIAN, LECLERC, LORENTZIAN
+from hypose.body.superquadrics import grid, nodes, superquadric_body
+from hypose.compute import cpu_mono_cues, cpu_mono_rows, cpu_mono_search, cpu_solver, mono
+from hypose.compute.mono_terms import GAUSSIAN, LECLERC, LORENTZIAN, FlowArrays
+from hypose.evidence.edges import edge_field
+from hypose.evidence.flow import optical_flow
 from hypose.monocular.models import body_dofs
-from hypose.monocular.pool import Candidate, prune, uncertain_samples
+from hypose.monocular.pool import Candidate, as_hypotheses, prune, uncertain_samples
 from hypose.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction
 from hypose.monocular.settings import MonoSettings
 from hypose.monocular.types import MonoFrame
 from tests.monocular.pictures import SIZE, camera, picture, wall
+from tests.monocular.test_cost import flow_cost, flow_problem
+from tests.papers.test_body_equations import transforms
 
 NO_BACKGROUND = replace(
     MonoSettings(), edge=replace(MonoSettings().edge, background=0.0, form="leclerc"), interpenetration=0.0
@@ -35,6 +42,38 @@ def problem_of(scene, settings):
     return problem, mono.workspace(fixed.model, SIZE[1], SIZE[0])
 
 
+def superquadric(x_d, eta, omega):
+    """D of equation (1) at one node: a superellipsoid, tapered, then bent to a circle of curvature k."""
+    a1, a2, a3, e1, e2, t1, t2, k, alpha = x_d
+
+    def power(c, e):
+        return np.sign(c) * np.abs(c) ** e
+
+    x = a1 * power(np.cos(eta), e1) * power(np.cos(omega), e2)
+    y = a2 * power(np.cos(eta), e1) * power(np.sin(omega), e2)
+    z = a3 * power(np.sin(eta), e1)
+    x, y = x * (1 + t1 * z / a3), y * (1 + t2 * z / a3)
+    r = x * np.cos(alpha) + y * np.sin(alpha)
+    bent = 1 / k - (1 / k - r) * np.cos(k * z)
+    return np.array([x + (bent - r) * np.cos(alpha), y + (bent - r) * np.sin(alpha), (1 / k - r) * np.sin(k * z)])
+
+
+def test_equation_1_deformation_chain_and_projection(rng):
+    x_d = np.array([0.06, 0.05, 0.16, 0.7, 0.9, 0.2, -0.1, 1.5, 0.4])
+    angles, _ = grid()
+    expected = np.array([superquadric(x_d, eta, omega) for eta, omega in angles])
+    np.testing.assert_allclose(nodes(x_d, angles)[0], expected, atol=1e-12)
+    # A and P: every node follows its joint's chain, then the camera
+    body = human()
+    parts, s = superquadric_body(body), body.skeleton
+    pose = s.clamp(s.rest_pose() + rng.normal(0, 0.3, s.dof))
+    view, moved = camera(body), transforms(s, pose)
+    joint, still = parts.coarse.skin_index[:, 0], parts.coarse.vertices.astype(np.float64)
+    world = np.einsum("vab,vb->va", moved[joint][:, :3, :3], still) + moved[joint][:, :3, 3]
+    seen = (world @ view.camera_from_world[:3, :3].T + view.camera_from_world[:3, 3]) @ view.K.T
+    np.testing.assert_allclose(view.project(parts.skin(pose)), seen[:, :2] / seen[:, 2:], atol=2e-3)
+
+
 @pytest.mark.parametrize("sigma", [0.5, 3.0])
 def test_equations_2_and_3_robust_forms(sigma):
     s = np.array([0.0, 0.3, 4.0, 90.0])
@@ -51,6 +90,14 @@ def test_equations_2_and_3_robust_forms(sigma):
         for k in (0, 1):  # rho' and rho'' by central differences
             up, down = (np.array([cpu_mono_rows.robust(form, x + e, sigma**2)[k] for x in s]) for e in (h, -h))
             np.testing.assert_allclose(found[:, k + 1], (up - down) / (2 * h), atol=1e-8 / sigma**4)
+
+
+def test_equation_4_weights_are_exp_of_minus_the_cost_over_their_sum(scene):
+    pose = scene[1]
+    costs = np.array([3.0, 4.5, 3.2])
+    pool = [Candidate(pose, 0 * pose, pose, np.eye(30), np.ones(30, bool), c, c, 0) for c in costs]
+    found = as_hypotheses(pool, np.zeros((3, len(pose), len(pose))))
+    np.testing.assert_allclose(found.weights, np.exp(-costs) / np.exp(-costs).sum(), rtol=1e-12)
 
 
 def test_equations_5_and_6_assigned_nodes_cost_half_rho_and_occluded_ones_k_nu(scene):
@@ -81,6 +128,35 @@ def test_equations_5_and_6_assigned_nodes_cost_half_rho_and_occluded_ones_k_nu(s
     assert 0.4 < counts[4] / len(problem.model.mesh.faces) < 0.6  # N_bf of a closed surface
 
 
+def test_section_3_2_edges_are_gradients_of_the_smoothed_picture(rng):
+    image = cv2.GaussianBlur(rng.integers(0, 256, (60, 80)).astype(np.uint8), (0, 0), 1.5)
+    field = edge_field(image, 1.2, 0.93)
+    smooth = gaussian_filter(image.astype(np.float64), 1.2, truncate=4.0)
+    scharr = np.array([[-3, 0, 3], [-10, 0, 10], [-3, 0, 3]]) / 32
+    gradient = np.stack([correlate(smooth, scharr), correlate(smooth, scharr.T)], -1)
+    size = np.linalg.norm(gradient, axis=-1, keepdims=True)
+    full = np.quantile(size[1:-1:2, 1:-1:2], 0.93)
+    inner = (slice(8, -8), slice(8, -8))
+    np.testing.assert_allclose(field[inner], (gradient / np.maximum(size, full))[inner], atol=0.03)
+
+
+def test_section_3_2_flow_has_outliers_and_boundaries_where_motion_ends(rng):
+    # a textured square moves over a still textured wall
+    wall_, square = (
+        cv2.GaussianBlur(rng.integers(0, 256, s).astype(np.uint8), (0, 0), 1.2) for s in ((120, 160), (50, 50))
+    )
+    pictures = []
+    for x in (50, 54):
+        picture_ = wall_.copy()
+        picture_[35:85, x : x + 50] = square
+        pictures.append(picture_)
+    found = optical_flow(*pictures)
+    np.testing.assert_allclose(np.median(found.flow[45:75, 60:90], axis=(0, 1)), [4, 0], atol=0.2)
+    np.testing.assert_allclose(np.median(found.flow[:20], axis=(0, 1)), [0, 0], atol=0.2)
+    assert np.median(found.error[45:75, 60:90]) < 0.3 < 0.6 < np.median(found.error[45:75, 101:103])  # covered next
+    assert found.boundaries[45:75, 54].mean() > 0.5 > 0.1 > found.boundaries[55:65, 75:83].mean()
+
+
 def test_equation_7_all_edges_in_the_window_are_assigned_by_strength():
     # three vertical edges: the search along x keeps all three, at sub-pixel places, the weak one with its strength
     h, w = 40, 80
@@ -104,6 +180,27 @@ def test_equation_7_motion_boundaries_weigh_the_edges():
     out = mono.weigh(field, boundaries, (2, 1), 0.1)
     assert out[2, 4, 0] == pytest.approx(1.0)  # a full boundary keeps the edge
     assert out[0, 0, 1] == pytest.approx(0.1)  # where nothing moves it is worth the floor
+
+
+@pytest.mark.parametrize("form", ["lorentzian", "leclerc"])
+def test_equation_7_inner_nodes_are_compared_with_where_flow_carries_them(form):
+    body, active = human(), body_dofs(human().skeleton)
+    pose = body.skeleton.rest_pose()
+    problem, ws, n = flow_problem(body, active, pose)
+    problem = problem._replace(flow=problem.flow._replace(form={"lorentzian": LORENTZIAN, "leclerc": LECLERC}[form]))
+    at = pose + 0.01
+    total = flow_cost(problem, ws, n, at)[0]
+    v, view = body.skin(at), camera(body, distance=1.7)
+    sigma2, height = problem.flow.sigma**2, problem.flow.height
+    expected = 0.0
+    for face, (w1, w2, u, y, weight) in zip(ws.flow_faces[:n], ws.flow_nodes[:n, :5], strict=True):
+        place = (1 - w1 - w2) * v[face[0]] + w1 * v[face[1]] + w2 * v[face[2]]
+        s = ((view.project(place[None])[0] - [u, y]) ** 2).sum()
+        rho = np.log1p(s / sigma2) if form == "lorentzian" else 1 - np.exp(-s / sigma2)
+        expected += 0.5 * height * weight * rho
+    p = problem.priors
+    expected += 0.5 * (p.weight * (at[problem.model.active] - p.centre) ** 2).sum()  # equation (10)
+    assert n > 50 and total == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.parametrize("second_order", [False, True])
@@ -156,6 +253,51 @@ def test_equation_10_priors_add_their_gradient_and_curvature(scene):
     np.testing.assert_allclose(pulled.hessian - plain.hessian, np.diag(1 / spread**2), atol=1e-6)
     np.testing.assert_allclose(pulled.gradient - plain.gradient, -0.02 / spread**2, atol=1e-6)
     assert pulled.cost - plain.cost == pytest.approx(30 * 0.5 * (0.02 / 0.25) ** 2, rel=1e-6)
+
+
+def test_section_3_2_samples_are_ranked_by_edges_and_priors_and_not_by_flow(scene):
+    problem, ws = problem_of(scene, NO_BACKGROUND)
+    pose, a = scene[1], len(problem.model.active)
+    problem = with_prediction(problem, pose + 0.02, np.full(a, 0.25))
+    hessian, gradient = np.empty((a, a)), np.empty(a)
+    edges = cpu_mono_search.image_cost(pose, problem, problem.edges.sigma, 0, False, ws, hessian, gradient)
+    p = problem.priors
+    priors = 0.5 * (p.weight * (pose[problem.model.active] - p.centre) ** 2).sum()
+    h, w = problem.edges.field.shape[:2]
+    flow = FlowArrays(
+        np.full((h, w, 2), 5, np.float32),
+        np.zeros((h, w), np.float32),
+        np.zeros(2, np.int64),
+        1,
+        4.0,
+        1.0,
+        14.0,
+        6.0,
+        1.0,
+    )
+    for with_flow in (problem, problem._replace(flow=flow)):
+        assert cpu_mono_search.rank_cost(pose, with_flow, ws, hessian, gradient) == pytest.approx(edges + priors)
+    assert priors > 0.05
+
+
+def test_equation_11_the_damped_step_and_the_active_limits(rng):
+    for _ in range(30):
+        a = rng.normal(size=(9, 6))
+        hessian, g, q = a.T @ a, rng.normal(size=6), np.zeros(6)
+        w = np.diag(np.maximum(np.diag(hessian), 1.0))
+        step, endless = np.empty(6), np.full(6, np.inf)
+        assert cpu_solver.bounded_step(hessian, g, q, -endless, endless, 0.3, step)
+        np.testing.assert_allclose((hessian + 0.3 * w) @ step, -g, atol=1e-9)
+        # a limit that the descent direction leaves is active: its coordinate stays, the others solve their own system
+        lower, upper = -endless.copy(), endless.copy()
+        held = int(np.abs(g).argmax())
+        (lower if g[held] > 0 else upper)[held] = 0.0
+        assert cpu_solver.bounded_step(hessian, g, q, lower, upper, 0.3, step)
+        free = np.arange(6) != held
+        assert step[held] == 0
+        np.testing.assert_allclose(
+            step[free], np.linalg.solve((hessian + 0.3 * w)[np.ix_(free, free)], -g[free]), atol=1e-9
+        )
 
 
 def test_figure_4_samples_lie_along_the_most_uncertain_free_directions():

@@ -1,0 +1,122 @@
+"""docs/equations.md: every number of the papers has a row, and what the rows say of code and tests is so."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import re
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+NUMBERS = {
+    "Alcoverro 2014, chapter 2": [
+        *(f"2.{n}" for n in range(1, 22)),
+        *(f"Algorithm {n}" for n in range(1, 6)),
+        *(f"Table 2.{n}" for n in range(1, 5)),
+    ],
+    "Alcoverro 2014, chapter 3": [
+        *(f"3.{n}" for n in range(1, 7)),
+        "Algorithm 6",
+        *(f"Table 3.{n}" for n in range(1, 4)),
+    ],
+    "Asteriadis et al. 2013": [*(str(n) for n in range(1, 9)), "Table 1"],
+    "Sminchisescu and Triggs 2001": [*(str(n) for n in range(1, 12)), "Figure 4"],
+}
+SECTIONS = """2 2.1 2.1.1 2.1.2 2.2 2.2.1 2.2.2 2.2.3 2.2.4 2.3 2.3.1 2.3.2 2.3.3 2.3.4 2.4 2.4.1 2.4.2 2.5 2.5.1 2.5.2
+3 3.1 3.1.1 3.1.2 3.1.3 3.2 3.2.1 3.2.2 3.2.3 3.2.4 3.2.5 3.2.6 3.3 3.3.1 3.3.2 3.3.3 3.4 3.4.1 3.4.2""".split()
+"""Of the thesis, but for conclusions."""
+
+
+class Row(NamedTuple):
+    """One row of the page. paper: its heading; code: module:name, empty where nothing is built."""
+
+    paper: str
+    number: str
+    code: tuple[str, ...]
+    test: str
+    deviations: tuple[str, ...]
+
+
+@cache
+def rows() -> tuple[Row, ...]:
+    out, paper = [], ""
+    for line in (ROOT / "docs/equations.md").read_text().splitlines():
+        if line.startswith("## "):
+            paper = line[3:].partition(":")[0]
+        if not line.startswith("| ") or line.startswith(("| no.", "| ---")):
+            continue
+        cells = [c.strip() for c in line.strip("|").split("|")]
+        assert len(cells) == 5, line
+        number, _, code, test, deviation = cells
+        names = tuple(re.findall(r"`(hypose[\w.]*:[\w.]+)`", code))
+        assert names or code.startswith("not built: "), line
+        said = () if deviation == "none" else tuple(deviation.split("<br>"))
+        out.append(Row(paper, number, names, test.strip("`"), said))
+    return tuple(out)
+
+
+def named(row: Row) -> str:
+    return f"{row.paper} {row.number}"
+
+
+def found(name: str) -> object:
+    module, _, path = name.partition(":")
+    out: object = importlib.import_module(module)
+    for part in path.split("."):
+        out = getattr(out, part)
+    return out
+
+
+@cache
+def written_tests(path: str) -> set[str]:
+    tree = ast.parse((ROOT / path).read_text())
+    return {n.name for n in tree.body if isinstance(n, ast.FunctionDef)}
+
+
+@pytest.mark.parametrize("paper", NUMBERS)
+def test_every_number_of_the_paper_has_a_row(paper):
+    listed = [r.number for r in rows() if r.paper == paper and not r.number.startswith(("§", "Figure"))]
+    assert [n for n in NUMBERS[paper] if n not in {r.number for r in rows() if r.paper == paper}] == []
+    assert len(listed) == len(set(listed))
+    assert set(listed) <= set(NUMBERS[paper])
+    sections = [r.number[2:] for r in rows() if r.paper == paper and r.number.startswith("§")]
+    if paper.startswith("Alcoverro"):
+        assert set(sections) <= set(SECTIONS)
+
+
+@pytest.mark.parametrize("row", rows(), ids=named)
+def test_what_a_row_names_exists_and_its_docstring_tells_the_deviation(row: Row):
+    path, _, test = row.test.partition("::")
+    assert test in written_tests(path), row.test
+    text = " ".join(" ".join(found(name).__doc__ or "" for name in row.code).split())
+    assert text or not row.code
+    for sentence in row.deviations:
+        assert sentence in text, sentence
+    if not row.code:
+        assert not row.deviations
+
+
+def test_deviations_that_docstrings_tell_are_on_the_page():
+    # by the word "Deviation:" in what a row names; the sentence up to its first comma or stop is looked for
+    page = " ".join((ROOT / "docs/equations.md").read_text().split())
+    missing = set()
+    for name in {n for r in rows() for n in r.code}:
+        text = " ".join((found(name).__doc__ or "").split())
+        for sentence in re.findall(r"Deviation: ([^.,;:]+)", text):
+            if sentence.strip() not in page:
+                missing.add(f"{name}: {sentence}")
+    assert missing == set()
+
+
+def test_sections_of_the_thesis_that_are_cited_exist():
+    wrong = []
+    for file in sorted((ROOT / "hypose").rglob("*.py")):
+        text = " ".join(file.read_text().split())
+        for cited in re.findall(r"Alcoverro 2014,? (?:sections? )?([\d., and()-]*\d)", text):
+            parts = re.findall(r"\d(?:\.\d)+", re.sub(r"\(.*?\)", "", cited))
+            wrong += [f"{file.name}: {p}" for p in parts if p not in SECTIONS]
+    assert wrong == []
