@@ -147,7 +147,7 @@ def read_view(folder: Path) -> None:
 def read_sensor(folder: Path) -> None:
     """A sensor has the name; its skeletons are read, written again and read again."""
     from hypose.io.skeleton_folder import write_folder
-    from hypose.io.skeletons import read_skeletons
+    from hypose.io.skeleton_formats import read_skeletons
 
     skeletons = read_skeletons(_renamed(folder, "sensors", _texts(folder, "sensor")[0]))
     write_folder(skeletons, folder / "work" / "again")

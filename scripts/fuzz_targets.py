@@ -37,8 +37,8 @@ def targets() -> dict[str, Target]:
     from hypose.evidence.keypoints import BODY_25, parse_openpose
     from hypose.io import asf, bodies, c3d, calibration_formats, meshes, recording, results, trc, video
     from hypose.io.depth import read_depth_png
+    from hypose.io.skeleton_formats import read_skeletons
     from hypose.io.skeleton_lines import parse_line
-    from hypose.io.skeletons import read_skeletons
     from hypose.pipeline.gesture_files import load_model, read_recording
 
     cameras = calibration_formats.read_any
