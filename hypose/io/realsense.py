@@ -82,7 +82,8 @@ def _library() -> Any:
         ) from None
     except ImportError as error:  # a library of the system's is not there
         raise InputError(
-            f"pyrealsense2 cannot be loaded ({error}); install what it names (Debian: apt install libusb-1.0-0)."
+            f"RealSense cameras and their recordings need pyrealsense2, which cannot be loaded ({error}); install what "
+            "it names (Debian: apt install libusb-1.0-0)."
         ) from None
 
 
