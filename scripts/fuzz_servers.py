@@ -23,7 +23,8 @@ from typing import Any
 
 from hypose.fusion.joints import COMMON
 
-ALLOWED = ("socket.connect", "socket.bind", "wrote", "pickle.find_class ('numba", "ctypes.dlopen")
+_KERNELS = ("pickle.find_class ('numba", "pickle.find_class ('copyreg")
+ALLOWED = ("socket.connect", "socket.bind", "wrote", *_KERNELS, "ctypes.dlopen")
 """What these targets may do that a reader of files may not: the studio keeps what is dropped onto its page, and loads
 what it computes with when it is first asked."""
 _TOKEN = "a-good-token"

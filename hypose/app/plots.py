@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -14,6 +15,7 @@ from hypose.app.truth import Truth
 from hypose.body.joint_angles import joint_angles
 from hypose.body.motion import Motion
 from hypose.cameras.camera import Camera, CameraRig
+from hypose.errors import visible
 
 LEFT, RIGHT, MIDDLE, INK = "#d9731a", "#2679c0", "#444444", "#222222"
 LOST, EXTRAPOLATED = "#d62f2f", "#e0a800"
@@ -39,8 +41,10 @@ STYLE: dict[Any, Any] = {
 
 
 def svg(draw: Callable[[Figure], None], size: tuple[float, float]) -> str:
-    """What `draw` puts on an empty figure of `size` inches, as SVG text that loads nothing."""
-    with plt.rc_context(STYLE):
+    """What `draw` puts on an empty figure of `size` inches, as SVG text that loads nothing and steers nothing."""
+    with plt.rc_context(STYLE), warnings.catch_warnings():
+        # a name may have letters that matplotlib's font lacks; a browser takes them from another
+        warnings.filterwarnings("ignore", r"Glyph \d+", UserWarning)
         figure = plt.figure(figsize=size, layout="constrained")
         try:
             draw(figure)
@@ -50,7 +54,7 @@ def svg(draw: Callable[[Figure], None], size: tuple[float, float]) -> str:
             plt.close(figure)
     text = buffer.getvalue()
     # the block of metadata names web addresses; nothing else in the file would be fetched, so nothing shall look so
-    return re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
+    return visible(re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL))
 
 
 def _thin(n: int) -> slice:

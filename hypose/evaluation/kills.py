@@ -130,13 +130,13 @@ class Bench:
                 tally.found.append(f"{command.name}: ended with {ended.code} by itself: {ended.err[-300:]}")
         else:
             return  # always over before its time
-        tally.kills += 1
         if kind == "disk full":
             told = ended is not None and _told(command, ended)
             tally.said += told
             if not told:
                 tally.found.append(f"{command.name}: on a full disk {ended}")
         self._go_on(command, kind, over_old, circumstances, tally)
+        tally.kills += 1  # not one that Ctrl-C has cut short
 
     def _go_on(
         self, command: LongCommand, kind: str, over_old: bool, circumstances: Circumstances, tally: Tally

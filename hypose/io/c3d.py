@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from hypose.errors import InputError
 from hypose.geometry import Array
+from hypose.io.file_names import utf8_path
 from hypose.io.files import readable_size, unreadable
 from hypose.io.markers import Markers, checked, metres_per_unit
 from hypose.io.results import atomic_path
@@ -71,7 +72,9 @@ def write_c3d(
     file["data"]["meta_points"]["residuals"] = residuals.T[None]
     file["data"]["meta_points"]["camera_masks"] = np.zeros((7, m, t), dtype=bool)
     with atomic_path(path) as temporary:
-        file.write(str(temporary))
+        temporary.touch()
+        with utf8_path(temporary) as name:
+            file.write(name)
 
 
 def read_c3d(path: str | Path) -> Markers:
