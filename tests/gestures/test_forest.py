@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hypose.compute import forests
+from hypose.compute.native import native
 from hypose.errors import InputError
 from hypose.gestures import runtime
 from hypose.gestures.forest import ForestSettings, GrowingForest
@@ -158,7 +158,7 @@ def test_a_picture_padded_for_another_reach_is_refused():
 
 
 def test_random_numbers_are_uniform():
-    kernels = forests._kernels()
+    kernels = native("forests")
     state = np.array([7], np.uint64)
     test = np.zeros(5, np.int16)
     drawn = []
