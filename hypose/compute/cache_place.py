@@ -50,7 +50,8 @@ def _candidates() -> Iterator[Path]:
         user = os.path.join(home, "Library", "Caches")
     else:
         user = os.environ.get("XDG_CACHE_HOME") or os.path.join(home, ".cache")
-    if os.path.isabs(user):
+    # a home that is not there (/nonexistent) is not made, even by who may
+    if os.path.isabs(user) and (os.path.isdir(home) or not user.startswith(home)):
         yield Path(user) / "hypose"
     try:
         temporary = tempfile.gettempdir()
