@@ -20,8 +20,8 @@ from tests.app.environments import COMMANDS, ENVIRONMENTS, Box, complaint, write
 
 PATIENCE_S = 600.0
 DEAR = ("demo", "subject", "batch")
-QUICK_TO_START = ("view", "export", "check", "calibrate", "synth", "fuse")
-QUICK_ONCE_STARTED = ("silhouettes", "track", "gesture", "bench", "fuse", "check")
+QUICK_TO_START = ("export", "fuse", "export", "view")
+QUICK_ONCE_STARTED = ("silhouettes", "track", "gesture", "check", "synth")
 NOTHING_CAN_BE_WRITTEN = (
     *("full: files of 0 bytes", "full: files of 1 bytes", "read-only: where results go by themselves"),
     *("read-only: the results' folder", "read-only: above the results' folder"),
@@ -34,7 +34,7 @@ def some_cells():
     cold = [e for e, what in ENVIRONMENTS.items() if what.cold]
     young = [e for e, what in ENVIRONMENTS.items() if what.young and not what.cold]
     later = [e for e, what in ENVIRONMENTS.items() if not what.young and e not in NOTHING_CAN_BE_WRITTEN]
-    cells = [(e, ("view", "calibrate")[k % 2]) for k, e in enumerate(cold)]
+    cells = [(e, ("export", "view")[k % 2]) for k, e in enumerate(cold)]
     cells += zip(young, itertools.cycle(QUICK_TO_START))
     cells += itertools.product(NOTHING_CAN_BE_WRITTEN, DEAR)
     cells += zip(later, itertools.cycle(QUICK_ONCE_STARTED))
