@@ -32,7 +32,9 @@ def track(
     recording: Annotated[Path, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")],
     recipe: Annotated[str, typer.Option(help="default, hpf, apf, sir or partitioned.")] = "default",
     refine: Annotated[bool, typer.Option("--refine", help="Contour refinement after a published recipe.")] = False,
-    evidence: Annotated[str, typer.Option(help="silhouettes, keypoints or both.")] = "silhouettes",
+    evidence: Annotated[
+        str, typer.Option(help="silhouettes, keypoints or both. [default where there are no pictures: keypoints]")
+    ] = "silhouettes",
     start: Annotated[
         str,
         typer.Option(
@@ -83,6 +85,10 @@ def track(
     from hypose.pipeline.run import TrackOptions
 
     loaded = choose_frames(load_recording(recording, calibration), frames)
+    source = context.get_parameter_source("evidence")
+    given = source is not None and source.name != "DEFAULT"
+    if not given and not loaded.has_pictures:  # key points are all that there is
+        evidence = "keypoints"
     options: TrackOptions | MonoOptions = TrackOptions(
         recipe=recipe,
         refine=refine,
@@ -96,8 +102,6 @@ def track(
     if method != "multiview" or camera is not None:
         from hypose.app.jobs.mono_job import one_camera
 
-        source = context.get_parameter_source("evidence")
-        given = source is not None and source.name != "DEFAULT"
         loaded, options = one_camera(loaded, method, camera, options, hypotheses, evidence if given else "auto", floor)
     results = ResultsFolder(out) if out is not None else ResultsFolder.of(loaded.folder, options.recipe)
     job = Job(

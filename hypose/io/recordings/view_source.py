@@ -14,7 +14,7 @@ from hypose.compute.silhouettes.glance import Glance, differing_box, stored_pixe
 from hypose.errors import InputError
 from hypose.evidence.background import Image
 from hypose.evidence.silhouettes import Mask, Segmenter, as_mask, bounding_box
-from hypose.io.recordings.recording import SIDECAR, View
+from hypose.io.recordings.recording_views import SIDECAR, View
 from hypose.io.videos.video import VideoReader, list_images, open_video, read_image
 
 
@@ -113,7 +113,8 @@ class ViewSource:
             if self._masks is not None:
                 mask = self._masks.read(frame)
                 return (mask if band is None else mask & band), ""
-            assert self.segment is not None
+            if self.segment is None:
+                return None, f"{self.view.name}, frame {frame}: it has no pictures"
             image, box = self._stored(frame), None
             if self.segment.glance is not None:  # then nothing outside the person's box is looked at
                 glance = self.segment.glance
