@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.robustness.keypoint_layouts import LAYOUTS, detections, write_keypoints
 from benchmarks.robustness.small_recordings import small_scene, write_gesture_session, write_masks, write_skeletons
 from hypose.fusion.joints import COMMON
 from scripts import fuzz_names, fuzz_servers
@@ -56,6 +57,7 @@ def targets() -> dict[str, Target]:
         Target("calibration-points", "points.toml", read_scene_points),
         Target("recording-toml", "walk/recording.toml", recording.load_recording, given="walk"),
         Target("sweep-toml", "sweep.toml", read_sweep),
+        *_of_keypoints(),
         Target("openpose-json", "pose.json", lambda b: parse_openpose(b, BODY_25, "pose.json"), lines=True),
         Target("trc", "motion/motion.trc", trc.read_trc),
         Target("c3d", "motion/motion.c3d", c3d.read_c3d, "binary"),
@@ -86,6 +88,46 @@ def targets() -> dict[str, Target]:
         *_of_names(),
     ]
     return {t.name: t for t in found}
+
+
+_KEYPOINTS = {
+    "openpose": ("openpose/cam1_json/cam1_000000.json", "openpose/cam1_json"),
+    "mmpose-results": ("mmpose-results/results_cam1.json", ""),
+    "mmpose-predictions": ("mmpose-predictions/cam1.json", ""),
+    "coco-results": ("coco-results/cam1_results.json", ""),
+    "alphapose": ("alphapose/cam1/alphapose-results.json", ""),
+    "easymocap": ("easymocap/annots/cam1/000000.json", "easymocap/annots/cam1"),
+    "ultralytics": ("ultralytics/cam1/labels/cam1_1.txt", "ultralytics/cam1/labels"),
+    "deeplabcut-csv": ("deeplabcut-csv/cam1DLC_resnet50_humanMay1shuffle1_100000.csv", ""),
+    "sleap-csv": ("sleap-csv/cam1.analysis.csv", ""),
+    "caliscope": ("caliscope/POSE/xy_POSE.csv", ""),
+    "freemocap": ("freemocap/mediapipe_2dData_numCams_numFrames_numTrackedPoints_pixelXY.npy", ""),
+}
+"""Layout -> the file that is spoilt, and what is read instead of it."""
+
+
+def _of_keypoints() -> list[Target]:
+    return [
+        Target(
+            f"keypoints-{name}",
+            f"keypoints/{file}",
+            _keypoints,
+            "binary" if file.endswith(".npy") else "text",
+            f"keypoints/{given}" if given else "",
+        )
+        for name, (file, given) in _KEYPOINTS.items()
+    ]
+
+
+def _keypoints(path: Path) -> None:
+    """A view's key points, from their set to every frame."""
+    from hypose.io.keypoints.read_keypoints import keypoints_of_views, read_keypoints
+
+    cameras = list(read_keypoints(path))
+    for view in keypoints_of_views([path] * len(cameras), cameras, cameras)[0]:
+        for number in range(0 if view is None else min(view.last + 1, 50)):
+            assert view is not None
+            view.frame(number, (160, 120))
 
 
 def _of_servers() -> list[Target]:
@@ -185,6 +227,9 @@ def write_good(folder: Path) -> None:
     learner = Learner.new(np.random.default_rng(0), ForestSettings())
     model = GestureModel(("wave",), learner.forest, (None,), LocaliseSettings(), learner)
     save_model(model, folder / "model.npz")
+    for layout in _KEYPOINTS:
+        kind = LAYOUTS[layout][0]
+        write_keypoints(layout, folder / "keypoints" / layout, detections(kind, cameras, 4), cameras, kind)
     _write_texts(folder)
     fuzz_servers.write_good(folder)
     fuzz_names.write_good(folder)
