@@ -6,6 +6,7 @@ people have and not to what it expects.
 
 from __future__ import annotations
 
+import importlib
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -197,7 +198,7 @@ def _deeplabcut(folder: Path, points: Array, rig: CameraRig, names: tuple[str, .
 
 
 def _deeplabcut_h5(folder: Path, points: Array, rig: CameraRig, names: tuple[str, ...]) -> list[Path]:
-    import h5py  # an extra
+    h5py = importlib.import_module("h5py")  # an extra
 
     out = []
     for camera, frames in zip(rig, points, strict=True):
@@ -221,7 +222,7 @@ def pickled_columns(columns: list[tuple[str, ...]]) -> bytes:
 
 
 def _sleap_h5(folder: Path, points: Array, rig: CameraRig, names: tuple[str, ...]) -> list[Path]:
-    import h5py  # an extra
+    h5py = importlib.import_module("h5py")  # an extra
 
     out = []
     for camera, frames in zip(rig, points, strict=True):

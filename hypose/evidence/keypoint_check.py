@@ -17,7 +17,26 @@ from hypose.geometry import Array
 
 _FRAMES = 24
 _FINE = 0.06  # median distance from the other views' triangulation, in sizes of the person in that picture
-_BAD = 0.2
+_DOUBTFUL = 0.025  # from which other readings are tried
+_BETTER = 0.35  # share of the plain reading's distance that another one may leave to be believed
+_NO_BODY = 0.3
+# m, of an adult
+_LENGTHS = (
+    *(
+        (f"{side}_{a}", f"{side}_{b}", length)
+        for side in ("left", "right")
+        for a, b, length in (
+            ("shoulder", "elbow", 0.30),
+            ("elbow", "wrist", 0.26),
+            ("hip", "knee", 0.42),
+            ("knee", "ankle", 0.42),
+            ("shoulder", "hip", 0.52),
+        )
+    ),
+    ("left_shoulder", "right_shoulder", 0.36),
+    ("left_hip", "right_hip", 0.24),
+    ("left_ear", "right_ear", 0.15),
+)
 _SCALES = (0.25, 1 / 3, 0.375, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 8 / 3, 3.0, 4.0)
 
 
@@ -30,9 +49,10 @@ def misread(people: Sequence[Sequence[Array | None]], names: Sequence[str], rig:
     plain = _residual(points, rig)
     if not np.isfinite(plain):
         return None
-    if plain > _BAD:
+    if plain > _DOUBTFUL:
+        limit = min(_FINE, _BETTER * plain)
         found = min(((_residual(change(points), rig), what) for what, change in _readings(rig)), default=None)
-        if found is not None and found[0] < _FINE:
+        if found is not None and found[0] < limit:
             return found[1]
         # one view alone?
         for c, name in enumerate(rig.names):
@@ -42,11 +62,13 @@ def misread(people: Sequence[Sequence[Array | None]], names: Sequence[str], rig:
             for what, change in _readings(rig):
                 one = points.copy()
                 one[c] = change(points)[c]
-                if _residual(one, rig) < _FINE:
+                if _residual(one, rig) < limit:
                     return f"in view {name} {what}"
-        return None
-    mirrored = _mirrored(_triangulated(points, rig)[0], names)
-    if mirrored:
+    world = _triangulated(points, rig)[0]
+    if plain < 2 * _FINE and _disproportion(world, names) > _NO_BODY:
+        return "the bones between them have lengths that no body has, so that their order must be another"
+    mirrored = _mirrored(world, names)
+    if mirrored and plain < 2 * _FINE:
         return "the person is mirrored: their y counts upwards, or left and right are exchanged in their names"
     return None
 
@@ -121,6 +143,21 @@ def _residual(points: Array, rig: CameraRig) -> float:
         distance = np.nan_to_num(np.linalg.norm(again - uv[c][used[c]], axis=1), nan=1e6)
         found.append(float(np.median(distance)) / float(np.median(sizes)))
     return max(found) if len(found) > 1 else float("nan")
+
+
+def _disproportion(world: Array, names: Sequence[str]) -> float:
+    """How far bones (medians over frames of points (T, K, 3)) are from an adult's proportions: the mean of what their
+    logarithms differ from the usual difference; 0 when too few are seen."""
+    at = {n: i for i, n in enumerate(names)}
+    found = []
+    for a, b, length in _LENGTHS:
+        if a in at and b in at:
+            d = np.linalg.norm(world[:, at[a]] - world[:, at[b]], axis=-1)
+            if np.isfinite(d).sum() >= 3:
+                found.append(np.log(max(1e-6, float(np.nanmedian(d))) / length))
+    if len(found) < 6:
+        return 0.0
+    return float(np.mean(np.abs(np.array(found) - np.median(found))))
 
 
 def _mirrored(world: Array, names: Sequence[str]) -> bool:

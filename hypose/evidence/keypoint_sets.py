@@ -31,8 +31,7 @@ _WORDS = {
 _SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
 _MIDDLE = ("mid", "middle", "center", "centre")
 
-# Longest that a bone appears, in shares of the whole person's extent in the picture. An upright adult has the first
-# number; someone who crouches, or whose feet are out of the picture, twice as much.
+# Longest that a bone of an upright adult appears, in shares of the whole person's extent in the picture.
 _BONES: tuple[tuple[str, str, float], ...] = (
     *(
         (f"{side}_{a}", f"{side}_{b}", longest)
@@ -55,7 +54,9 @@ _BONES: tuple[tuple[str, str, float], ...] = (
     ("nose", "right_eye", 0.07),
     ("nose", "neck", 0.20),
 )
-_IMPLAUSIBLE = 0.35  # mean excess of bones over their longest (in units of it) from which a set cannot be meant
+IMPLAUSIBLE = 0.25
+"""Mean excess of bones over their longest, in units of it, from which a set cannot be meant."""
+_SCATTER = 1.3  # of the bones' ratios to their longest around the usual one, by posture and perspective
 _ENOUGH = 30  # seen bones that the judgement needs
 
 
@@ -115,29 +116,33 @@ def bone_excess(points: ArrayLike, keypoint_set: str) -> float:
         enough = seen.sum(1) >= 6
         far, seen = far[enough], seen[enough]
         extent = np.nanmax(np.nanmax(far, 1) - np.nanmin(far, 1), 1) if len(far) else np.zeros(0)
-    excess, bones = [], 0
+    ratios, bones = [], 0
     for a, b, longest in _BONES:
         if a not in names or b not in names:
             continue
         i, j = names.index(a), names.index(b)
-        both = seen[:, i] & seen[:, j] & (extent > 1)
+        both = seen[:, i] & seen[:, j] & (extent > 1e-6)
         if not both.any():
             continue
         share = np.linalg.norm(far[both, i] - far[both, j], axis=1) / extent[both]
         bones += int(both.sum())
-        excess.append(min(3.0, max(0.0, float(np.median(share)) / longest - 1)))
-    return float(np.mean(excess)) if bones >= _ENOUGH and len(excess) >= 5 else float("nan")
+        ratios.append(float(np.median(share)) / longest)
+    if bones < _ENOUGH or len(ratios) < 5:
+        return float("nan")
+    # where only a part of the person is in the picture all bones are long alike
+    alike = max(1.0, float(np.median(ratios)))
+    return float(np.mean(np.clip(np.array(ratios) / alike - _SCATTER, 0.0, 3.0)))
 
 
-def set_of_points(points: ArrayLike, stated: str | None, usual: Sequence[str]) -> tuple[str, str]:
-    """The set of people (N, K, 3), and how it is known: "stated", "by their number", "by the lengths of bones".
+def set_of_points(views: Sequence[Array], stated: str | None, usual: Sequence[str]) -> tuple[str, str]:
+    """The set of people (N, K, 3), per view, and how it is known: "stated", "by their number", "by the lengths of
+    bones".
 
     stated: what the user or the file says; usual: sets to think of first where several have that many points. An
     InputError (without the file's name) when the bones of the stated set are impossible and those of another are not,
     or when no set has that many points or fits.
     """
-    p = np.asarray(points, dtype=np.float64)
-    count = p.shape[1]
+    count = views[0].shape[1]
     fitting = [s for s in [*usual, *KEYPOINT_SETS] if s in KEYPOINT_SETS and len(KEYPOINT_SETS[s]) == count]
     fitting = list(dict.fromkeys(fitting))
     if stated is not None:
@@ -150,18 +155,24 @@ def set_of_points(points: ArrayLike, stated: str | None, usual: Sequence[str]) -
     if not fitting:
         known = ", ".join(f"{s} ({len(n)})" for s, n in KEYPOINT_SETS.items())
         raise InputError(f"there are {count} points per person, which no set has; known are {known}.")
-    excess = {s: bone_excess(p, s) for s in fitting}
+    excess = {s: _mean([bone_excess(p, s) for p in views]) for s in fitting}
     first = excess[fitting[0]]
     better = min((s for s in fitting if excess[s] == excess[s]), key=lambda s: excess[s], default=fitting[0])
     if stated is not None:
-        if first > _IMPLAUSIBLE and excess[better] < 0.5 * _IMPLAUSIBLE:
+        if first > IMPLAUSIBLE and excess[better] < 0.5 * IMPLAUSIBLE:
             raise InputError(f"the bones do not fit {stated} but {better}; correct keypoint_set.")
         return stated, "stated"
-    if excess[better] > _IMPLAUSIBLE:
+    if excess[better] > IMPLAUSIBLE:
         raise InputError(
             f"there are {count} points per person, but as {better} their bones have impossible lengths, so their order "
             "is another; export one of the sets " + ", ".join(KEYPOINT_SETS) + "."
         )
-    if len(fitting) > 1 and excess[better] == excess[better]:
+    others = [excess[s] for s in fitting if s != better and excess[s] == excess[s]]
+    if others and min(others) - excess[better] > 0.4 * IMPLAUSIBLE:
         return better, "by the lengths of bones"
     return fitting[0], "by their number"
+
+
+def _mean(values: Sequence[float]) -> float:
+    known = [v for v in values if v == v]
+    return float(np.mean(known)) if known else float("nan")

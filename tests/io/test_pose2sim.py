@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.robustness.keypoint_layouts import detections
 from hypose.errors import CalibrationError, InputError
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.calibrations.calibration_toml import write_calibration
@@ -175,6 +176,11 @@ def test_without_videos(tmp_path):
     folder = make_project(tmp_path / "a")
     shutil.rmtree(folder / "videos")
     (folder / "calibration").rename(folder / "my_calib_of_may")
+    seen = detections("HALPE_26", make_rig(("cam_01", "cam_02")), 12)
+    for name, frames in zip(NAMES, seen, strict=True):
+        for i, points in enumerate(frames[1:], start=1):
+            people = [{"pose_keypoints_2d": points.ravel().tolist()}]
+            (folder / "pose" / f"{name}_json" / f"{name}.{i:04d}.json").write_text(json.dumps({"people": people}))
     (folder / "pose" / "cam01_json" / "cam01.0003.json").write_text('{"people": {}}')
     (folder / "pose" / "cam01_json" / "cam01.0004.json").write_text('{"people": [{}]}')
     recording = load_recording(folder)
@@ -182,7 +188,8 @@ def test_without_videos(tmp_path):
     assert recording.n_frames == 12 and recording.frame_rate == 25 and recording.keypoint_set == "HALPE_26"
     assert any("There are no videos in" in n for n in recording.notes)
     points = np.stack([k.points for k in load_keypoints(recording)])
-    assert (points[1:, 1, :, 2] > 0).all() and not points[[0, 3, 4], 0, :, 2].any()
+    assert ((points[1:, 1, :, 2] > 0) == (seen[1, 1:, :, 2] > 0)).all() and (points[1:, 1, :, 2] > 0).any()
+    assert not points[[0, 3, 4], 0, :, 2].any()
     (folder / "Config.toml").write_text("")
     with pytest.raises(InputError, match=r"key points carry no frame rate; add frame_rate = \.\.\."):
         load_recording(folder)

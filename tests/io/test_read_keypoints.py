@@ -105,7 +105,7 @@ def test_every_set_fits_itself_alone():
         assert bone_excess(points, kind) < 0.1, kind
         for other, names in KEYPOINT_SETS.items():
             if other != kind and len(names) == points.shape[1]:
-                assert bone_excess(points, other) > 0.5, (kind, other)
+                assert bone_excess(points, other) > 0.4, (kind, other)
 
 
 def test_scores_beyond_one_are_scaled(tmp_path):

@@ -22,7 +22,7 @@ import numpy as np
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.keypoint_check import misread
-from hypose.evidence.keypoint_sets import arranged, set_of_points
+from hypose.evidence.keypoint_sets import IMPLAUSIBLE, arranged, bone_excess, set_of_points
 from hypose.evidence.keypoints import KEYPOINT_SETS, keypoint_names
 from hypose.geometry import Array
 from hypose.io.keypoints.keypoint_arrays import read_keypoint_h5, read_keypoint_npy
@@ -120,15 +120,20 @@ def keypoints_of_views(
     out: list[ViewKeypoints | None] = []
     tables = [None if p is None else _of_view(p, i, names, cameras, paths) for i, p in enumerate(paths)]
     unknown = [min(t.people) for t in tables if t is not None and t.first is None and len(t.people)]
+    samples = [None if t is None else t.sample() for t in tables]
+    alike: dict[int, list[Array]] = {}  # views with as many points have one set
+    for s, t in zip(samples, tables, strict=True):
+        if s is not None and t is not None and t.names is None and len(s):
+            alike.setdefault(s.shape[1], []).append(s)
     sets: dict[str, str] = {}
     found: list[str] = []
-    for path, name, table in zip(paths, names, tables, strict=True):
-        if path is None or table is None:
+    for path, name, table, sample in zip(paths, names, tables, samples, strict=True):
+        if path is None or table is None or sample is None:
             out.append(None)
             continue
         first = table.first if table.first is not None else min(unknown, default=0)
         try:
-            view, how = _told(path, table, first, stated, usual)
+            view, how = _told(path, table, first, sample, alike.get(sample.shape[1], []), stated, usual)
         except InputError as problem:
             raise InputError(f"View {name}, key points {path}: {problem}") from None
         out.append(view)
@@ -170,18 +175,28 @@ def _of_view(
 
 
 def _told(
-    path: Path, table: KeypointTable, first: int, stated: str | None, usual: Sequence[str]
+    path: Path,
+    table: KeypointTable,
+    first: int,
+    sample: Array,
+    alike: Sequence[Array],
+    stated: str | None,
+    usual: Sequence[str],
 ) -> tuple[ViewKeypoints | None, str]:
-    sample = table.sample()
     if len(sample) == 0:
         return None, ""
     if table.names is not None:
         kind, sample, left = arranged(table.names, sample)
         how = "by their names" + (f", without {', '.join(left[:6])}{', ...' if len(left) > 6 else ''}" if left else "")
+        if bone_excess(sample, kind) > IMPLAUSIBLE:
+            raise InputError(
+                f"named as they are ({kind}), their bones have impossible lengths; the names belong to other points, "
+                "or the positions were changed: export them again."
+            )
         if stated is not None and keypoint_names(stated) != KEYPOINT_SETS[kind]:
             raise InputError(f"their names are those of {kind}, not of {stated}; correct or remove keypoint_set.")
     else:
-        kind, how = set_of_points(sample, stated or table.stated, usual)
+        kind, how = set_of_points(alike, stated or table.stated, usual)
     scores = sample[..., 2][sample[..., 2] > 0]
     high = float(np.quantile(scores, 0.995)) if len(scores) else 1.0
     # RTMPose's and AlphaPose's scores are heights of maps and may exceed 1, others are percent

@@ -246,7 +246,7 @@ def _keypoint_set(model: Any, folders: Sequence[Path], notes: list[str]) -> str 
     if sample is None:
         return None
     try:
-        found, _ = set_of_points(sample, None, ("BODY_25B",))
+        found, _ = set_of_points([sample], None, ("BODY_25B",))
     except InputError as problem:
         raise InputError(f"The key points in {folders[0]}: {problem}") from None
     said = f"Config.toml says {stated}" if stated else "Config.toml does not say which set"
