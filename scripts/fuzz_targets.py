@@ -12,6 +12,7 @@ import numpy as np
 
 from benchmarks.robustness.keypoint_layouts import LAYOUTS, detections, write_keypoints
 from benchmarks.robustness.small_recordings import small_scene, write_gesture_session, write_masks, write_skeletons
+from hypose.cameras.camera import CameraRig
 from hypose.fusion.joints import COMMON
 from scripts import fuzz_names, fuzz_servers
 
@@ -37,7 +38,7 @@ def targets() -> dict[str, Target]:
     from hypose.calibration.from_points import read_scene_points
     from hypose.evidence.keypoints import BODY_25, parse_openpose
     from hypose.io.calibrations import calibration_formats
-    from hypose.io.motions import asf, bodies, c3d, meshes, results, trc
+    from hypose.io.motions import asf, bodies, c3d, meshes, opensim, results, trc
     from hypose.io.recordings import recording
     from hypose.io.sensors.depth import read_depth_png
     from hypose.io.sensors.skeleton_formats import read_skeletons
@@ -54,6 +55,11 @@ def targets() -> dict[str, Target]:
         Target("calibration-qca", "rig/rig.qca.txt", cameras),
         Target("calibration-xcp", "rig/rig.xcp", cameras),
         Target("calibration-opencap", "rig/opencap/cam1.pickle", cameras, "binary"),
+        Target("calibration-json", "rig/rig.json", cameras),
+        Target("calibration-mcal", "rig/rig.mcal", cameras),
+        Target("calibration-projections", "rig/projections.txt", cameras),
+        Target("calibration-biocv", "rig/biocv.calib", cameras),
+        Target("mot", "motion/motion.mot", opensim.read_mot),
         Target("calibration-points", "points.toml", read_scene_points),
         Target("recording-toml", "walk/recording.toml", recording.load_recording, given="walk"),
         Target("sweep-toml", "sweep.toml", read_sweep),
@@ -184,7 +190,6 @@ def write_good(folder: Path) -> None:
 
     from hypose.body.motion import Motion, isotropic
     from hypose.body.ready_bodies import human
-    from hypose.cameras.camera import CameraRig
     from hypose.gestures.forest import ForestSettings
     from hypose.gestures.localise import LocaliseSettings
     from hypose.gestures.model import GestureModel
@@ -204,6 +209,7 @@ def write_good(folder: Path) -> None:
         write_any(cameras, folder / "rig" / name)
     write_any(cameras.pinhole(), folder / "rig" / "rig.xcp")
     write_any(cameras, folder / "rig" / "opencap" / "cam1.pickle")
+    _write_calibrations(cameras, folder / "rig")
     write_masks(small_scene(1, 2), folder / "walk")
     write_skeletons(folder / "sensors", seconds=0.5)
     body = human()
@@ -215,7 +221,7 @@ def write_good(folder: Path) -> None:
     save_motion(motion, folder / "motion" / "motion.npz")
     save_body(body, folder / "motion" / "body.npz")
     Checkpoint(2, {"pose": poses[0], "done_poses": poses}, {"a": 1}, {}).save(folder / "motion" / "checkpoint.npz")
-    export_motion(motion, body, folder / "motion", ("trc", "c3d", "glb"))
+    export_motion(motion, body, folder / "motion", ("trc", "c3d", "glb", "mot"))
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.8)
     for ending in ("obj", "ply", "stl"):
         ball.export(folder / f"person.{ending}")
@@ -233,6 +239,29 @@ def write_good(folder: Path) -> None:
     _write_texts(folder)
     fuzz_servers.write_good(folder)
     fuzz_names.write_good(folder)
+
+
+def _write_calibrations(cameras: CameraRig, folder: Path) -> None:
+    """Calibrations that the package reads and does not write."""
+    tables, lines, mcal = [], [], []
+    for c in cameras:
+        pose = c.camera_from_world
+        tables.append({"name": c.name, "resolution": list(c.size), "K": c.K.tolist(), "R": pose[:3, :3].tolist(),
+                       "distCoef": c.distortion.tolist(), "t": pose[:3, 3:].tolist()})  # fmt: skip
+        lines += [" ".join(map(repr, row)) for row in c.projection.tolist()]
+        axes = " ".join(f'OrientMatrix{i}="{v!r}"' for i, v in enumerate(pose[:3, :3].ravel().tolist()))
+        mcal.append(
+            f'<Camera Serial="{c.name}"><Attributes ImagerPixelWidth="{c.size[0]}" ImagerPixelHeight="{c.size[1]}"/>'
+            '<IntrinsicStandardCameraModel LensCenterX="80" LensCenterY="60" HorizontalFocalLength="150" '
+            'VerticalFocalLength="150" k1="0" k2="0" k3="0" TangentialX="0" TangentialY="0"/>'
+            f'<Extrinsic X="1" Y="2" Z="3" {axes}/></Camera>'
+        )
+    (folder / "rig.json").write_text(json.dumps({"cameras": tables}))
+    (folder / "projections.txt").write_text("\n".join(lines) + "\n")
+    (folder / "rig.mcal").write_text(f"<calibrationProfile>{''.join(mcal)}</calibrationProfile>")
+    k = [" ".join(map(repr, row)) for row in cameras[0].K.tolist()]
+    pose = [" ".join(map(repr, row)) for row in cameras[0].camera_from_world.tolist()]
+    (folder / "biocv.calib").write_text("\n".join(["160", "120", *k, "", *pose, "", "0.1 0 0 0 0", ""]))
 
 
 def _write_texts(folder: Path) -> None:

@@ -147,6 +147,10 @@ def _caliscope(path: Path, header: list[str], rows: Iterator[list[str]]) -> dict
     seen: dict[str, dict[int, dict[int, tuple[float, float]]]] = {}
     ids: set[int] = set()
     for count, row in enumerate(rows):
+        if len(row) != len(header):
+            raise InputError(
+                f"{where}, row {count + 2}: {len(row)} cells, the header has {len(header)}; export it again."
+            )
         try:
             name = str(whole_number(float(row[camera]), where, "cam_id"))
             number = whole_number(float(row[at["sync_index"]]), where, "sync_index")
@@ -199,7 +203,7 @@ def _clock(path: Path) -> tuple[list[int], float | None]:
     lines = bounded_lines(table, "Caliscope's table of times", MAX_BYTES)
     header = _cells(next(lines, ""))
     if not {"sync_index", "frame_time"} <= set(header):
-        return [], None
+        raise InputError(f"{table} has no columns sync_index and frame_time; copy it again, or remove it.")
     times: dict[int, list[float]] = {}
     for line in lines:
         row = _cells(line)
@@ -208,6 +212,8 @@ def _clock(path: Path) -> tuple[list[int], float | None]:
         except (ValueError, IndexError):
             raise InputError(f"{table}: the line {line[:40]!r} is damaged; copy the file again.") from None
     numbers = sorted(times)
+    if len(numbers) > 1 and np.diff(numbers).max() > 10 + len(numbers) // 10:
+        raise InputError(f"{table}: its sync_index jumps from one frame to another; copy the file again.")
     steps = np.diff([np.mean(times[n]) for n in numbers]) / np.maximum(np.diff(numbers), 1)
     rate = float(1 / np.median(steps)) if len(steps) and np.median(steps) > 0 else None
     return numbers, rate
