@@ -28,8 +28,8 @@ from hypose.evaluation.mono_runs import (
 )
 from hypose.evaluation.mono_scenes import MonoScene, arm_scene, body_scene
 from hypose.evaluation.render_rgb import Image
-from hypose.monocular.evidence import grey
-from hypose.monocular.settings import MonoSettings
+from hypose.tracking.monocular.evidence import grey
+from hypose.tracking.monocular.settings import MonoSettings
 
 Ablation = Callable[[MonoSettings], MonoSettings]
 
@@ -94,7 +94,7 @@ def mono_arm(options: BenchOptions) -> BenchReport:
     """A 7-dof arm for 8 s. kept_track: number of seeds in which it was kept to the end (mono_runs.MonoRun.kept);
     mean_error_mm, depth_mm, image_error_px: means over elbow, wrist and knuckles, in the world, over all seeds, sd over
     the seeds; kept_error_mm: over the seeds kept; at_most_80: number of seeds that are kept at no more than 80 mm;
-    alive: hypotheses really alive. '/whole_clip': the clip solved as a whole (hypose.monocular.clip). quick: one seed,
+    alive: hypotheses really alive. '/whole_clip': the clip solved as a whole (hypose.tracking.monocular.clip). quick: one seed,
     its first second, without the ablations."""
     seeds = options.seed_range(10)
     seconds = 1.0 if options.quick else 8.0  # the first ones of the same motion

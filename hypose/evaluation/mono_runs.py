@@ -12,10 +12,10 @@ from scipy.stats import chi2
 from hypose.evaluation.mono_scenes import FRAME_RATE, MonoScene
 from hypose.evaluation.render_rgb import Image
 from hypose.geometry import Array
-from hypose.monocular.clip import Modes, WholeClip, backwards, information, together
-from hypose.monocular.settings import MonoSettings
-from hypose.monocular.tracker import MonoTracker
-from hypose.monocular.types import (
+from hypose.tracking.monocular.clip import Modes, WholeClip, backwards, information, together
+from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.monocular.tracker import MonoTracker
+from hypose.tracking.monocular.types import (
     MonoEstimate,
     MonoFrame,
     MonoHypotheses,
@@ -87,7 +87,7 @@ def track_scene(
 
 
 def solve_scene(scene: MonoScene, settings: MonoSettings, images: Sequence[Image]) -> tuple[MonoRun, MonoRun]:
-    """The same without points, and the clip solved as a whole (hypose.monocular.clip), whose seconds are those of both
+    """The same without points, and the clip solved as a whole (hypose.tracking.monocular.clip), whose seconds are those of both
     passes."""
     tracker, frames = _tracker_and_frames(scene, settings, images)
     there = list(_follow(scene, tracker, frames))

@@ -30,7 +30,7 @@ from hypose.evaluation.scenes import Scene, make_scene
 from hypose.evaluation.subjects import Subject, dress, load_subjects
 from hypose.evidence.keypoints import BODY_25
 from hypose.geometry import Array
-from hypose.monocular.models import arm_dofs, body_dofs, with_hand
+from hypose.tracking.monocular.models import arm_dofs, body_dofs, with_hand
 
 SIZE = (384, 288)
 FRAME_RATE = 25.0

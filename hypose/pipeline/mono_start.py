@@ -28,10 +28,10 @@ from hypose.io.frames import FrameOptions, load_keypoints
 from hypose.io.recording import Recording
 from hypose.io.video import open_video
 from hypose.json_text import parse_json
-from hypose.monocular.initialise import LEAST_POINTS, InitialFit, initialise
-from hypose.monocular.points_fit import PointsOn
-from hypose.monocular.settings import MonoSettings
-from hypose.monocular.types import MonoPoints, clicked_joints, points_from_keypoints
+from hypose.tracking.monocular.initialise import LEAST_POINTS, InitialFit, initialise
+from hypose.tracking.monocular.points_fit import PointsOn
+from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.monocular.types import MonoPoints, clicked_joints, points_from_keypoints
 from hypose.pipeline.mono_stream import MonoStream, working_side
 
 CLICK_SHARE, KEYPOINT_SHARE = 0.010, 0.016

@@ -13,8 +13,8 @@ from hypose.geometry import Array
 from hypose.io.frames import FrameOptions, FrameStream
 from hypose.io.recording import Recording
 from hypose.io.view_source import ViewSource
-from hypose.monocular.evidence import SMALLEST_MASK
-from hypose.monocular.types import MonoFrame
+from hypose.tracking.monocular.evidence import SMALLEST_MASK
+from hypose.tracking.monocular.types import MonoFrame
 
 CUES = ("auto", "edges", "silhouettes", "keypoints", "both")
 """What is used besides edges and flow: all there is, nothing, masks, key points, or both."""

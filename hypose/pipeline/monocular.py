@@ -18,9 +18,9 @@ from hypose.io.modes import Modes, from_arrays, joined, save_modes, to_arrays
 from hypose.io.provenance import identity
 from hypose.io.recording import Recording
 from hypose.io.results import Checkpoint, ResultsFolder, save_motion
-from hypose.monocular.settings import MonoSettings
-from hypose.monocular.tracker import MonoTracker
-from hypose.monocular.types import MonoEstimate, MonoFrame, MonoHypotheses, MonoState
+from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.monocular.tracker import MonoTracker
+from hypose.tracking.monocular.types import MonoEstimate, MonoFrame, MonoHypotheses, MonoState
 from hypose.pipeline.mono_clip import modes_of, solve_clip
 from hypose.pipeline.mono_start import Clicks, find_start, keypoints_on, load_clicks
 from hypose.pipeline.mono_stream import MonoStream

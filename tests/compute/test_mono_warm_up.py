@@ -8,8 +8,8 @@ import pytest
 from hypose import compute
 from hypose.body.models import human
 from hypose.evidence.flow import optical_flow
-from hypose.monocular.tracker import MonoTracker
-from hypose.monocular.types import MonoFrame, MonoHypotheses, clicked_joints
+from hypose.tracking.monocular.tracker import MonoTracker
+from hypose.tracking.monocular.types import MonoFrame, MonoHypotheses, clicked_joints
 from tests.monocular.pictures import camera, mask, picture, wall
 
 KERNELS = {

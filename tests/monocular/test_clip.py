@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from hypose.body.models import human
-from hypose.monocular.clip import Modes, WholeClip, backwards, information, summed_up, together
-from hypose.monocular.models import body_dofs
-from hypose.monocular.settings import MonoSettings
-from hypose.monocular.tracker import MonoTracker
-from hypose.monocular.types import MonoFrame, MonoHypotheses
+from hypose.tracking.monocular.clip import Modes, WholeClip, backwards, information, summed_up, together
+from hypose.tracking.monocular.models import body_dofs
+from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.monocular.tracker import MonoTracker
+from hypose.tracking.monocular.types import MonoFrame, MonoHypotheses
 from tests.monocular.pictures import camera, picture, wall
 
 RATE = 25.0

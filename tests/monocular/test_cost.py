@@ -11,10 +11,10 @@ from hypose.body.superquadrics import superquadric_body
 from hypose.compute import cpu_mono_cues, cpu_mono_nodes, cpu_mono_rows, cpu_mono_search, mono
 from hypose.compute.mono_terms import FlowArrays
 from hypose.inference.newton import minimise
-from hypose.monocular.models import arm_dofs, body_dofs, with_hand
-from hypose.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction
-from hypose.monocular.settings import MonoSettings
-from hypose.monocular.types import MonoFrame, clicked_joints
+from hypose.tracking.monocular.models import arm_dofs, body_dofs, with_hand
+from hypose.tracking.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction
+from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.monocular.types import MonoFrame, clicked_joints
 from hypose.tracking.contacts import soles_of
 from tests.monocular.pictures import SIZE, camera, picture, wall
 

@@ -8,10 +8,10 @@ from hypose.body.models import human
 from hypose.errors import EvidenceError, InputError
 from hypose.evaluation.mono_scenes import body_scene
 from hypose.evaluation.rigs import look_at
-from hypose.monocular.initialise import initialise, rival_poses
-from hypose.monocular.models import body_dofs
-from hypose.monocular.proportions import NAMES, proportions, search_factors, shaped
-from hypose.monocular.types import MonoFrame, clicked_joints
+from hypose.tracking.monocular.initialise import initialise, rival_poses
+from hypose.tracking.monocular.models import body_dofs
+from hypose.tracking.monocular.proportions import NAMES, proportions, search_factors, shaped
+from hypose.tracking.monocular.types import MonoFrame, clicked_joints
 
 CLICKED = tuple(
     [f"{side}_{part}" for side in ("left", "right") for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")]

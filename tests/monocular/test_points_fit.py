@@ -4,12 +4,12 @@ import numpy as np
 
 from hypose.body.models import human
 from hypose.evaluation.rigs import look_at
-from hypose.monocular.models import body_dofs
-from hypose.monocular.points_fit import fit_proportions, image_jacobian, points_on_body
-from hypose.monocular.problem import floor_arrays
-from hypose.monocular.proportions import NAMES, proportions, shaped
-from hypose.monocular.settings import MonoSettings
-from hypose.monocular.types import clicked_joints
+from hypose.tracking.monocular.models import body_dofs
+from hypose.tracking.monocular.points_fit import fit_proportions, image_jacobian, points_on_body
+from hypose.tracking.monocular.problem import floor_arrays
+from hypose.tracking.monocular.proportions import NAMES, proportions, shaped
+from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.monocular.types import clicked_joints
 from hypose.tracking.contacts import soles_of
 
 POINTS = tuple(

@@ -8,11 +8,11 @@ import pytest
 from hypose.body.models import human
 from hypose.body.superquadrics import superquadric_body
 from hypose.errors import EvidenceError, InputError
-from hypose.monocular.flips import mirrored
-from hypose.monocular.models import body_dofs
-from hypose.monocular.settings import MonoSettings
-from hypose.monocular.tracker import MonoTracker
-from hypose.monocular.types import (
+from hypose.tracking.monocular.flips import mirrored
+from hypose.tracking.monocular.models import body_dofs
+from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.monocular.tracker import MonoTracker
+from hypose.tracking.monocular.types import (
     MonoFrame,
     MonoHypotheses,
     MonoPoints,

@@ -13,11 +13,11 @@ from hypose.compute import cpu_mono_cues, cpu_mono_rows, cpu_mono_search, cpu_so
 from hypose.compute.mono_terms import GAUSSIAN, LECLERC, LORENTZIAN, FlowArrays
 from hypose.evidence.edges import edge_field
 from hypose.evidence.flow import optical_flow
-from hypose.monocular.models import body_dofs
-from hypose.monocular.pool import Candidate, as_hypotheses, prune, uncertain_samples
-from hypose.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction
-from hypose.monocular.settings import MonoSettings
-from hypose.monocular.types import MonoFrame
+from hypose.tracking.monocular.models import body_dofs
+from hypose.tracking.monocular.pool import Candidate, as_hypotheses, prune, uncertain_samples
+from hypose.tracking.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction
+from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.monocular.types import MonoFrame
 from tests.monocular.pictures import SIZE, camera, picture, wall
 from tests.monocular.test_cost import flow_cost, flow_problem
 from tests.papers.test_body_equations import transforms

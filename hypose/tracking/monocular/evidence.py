@@ -20,8 +20,8 @@ from hypose.compute.mono_terms import (
 )
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.flow import Flow
-from hypose.monocular.settings import CueSettings, EdgeSettings, FlowSettings
-from hypose.monocular.types import MonoFrame, MonoPoints
+from hypose.tracking.monocular.settings import CueSettings, EdgeSettings, FlowSettings
+from hypose.tracking.monocular.types import MonoFrame, MonoPoints
 
 FORMS = {"gaussian": GAUSSIAN, "lorentzian": LORENTZIAN, "leclerc": LECLERC}
 SMALLEST_MASK = 50

@@ -22,13 +22,13 @@ from hypose.compute.selection import default_threads, over_chunks
 from hypose.errors import InputError
 from hypose.evidence.flow import Flow, optical_flow
 from hypose.geometry import Array
-from hypose.monocular.evidence import check_frame, grey
-from hypose.monocular.flips import mirrored
-from hypose.monocular.models import body_dofs
-from hypose.monocular.pool import Candidate, as_hypotheses, pose_covariance, prune, uncertain_samples
-from hypose.monocular.problem import Fixed, field_of, fixed_parts, frame_problem, with_prediction
-from hypose.monocular.settings import MonoSettings
-from hypose.monocular.types import (
+from hypose.tracking.monocular.evidence import check_frame, grey
+from hypose.tracking.monocular.flips import mirrored
+from hypose.tracking.monocular.models import body_dofs
+from hypose.tracking.monocular.pool import Candidate, as_hypotheses, pose_covariance, prune, uncertain_samples
+from hypose.tracking.monocular.problem import Fixed, field_of, fixed_parts, frame_problem, with_prediction
+from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.monocular.types import (
     FLIPPED,
     OPTIMISED,
     SAMPLED,

@@ -18,8 +18,8 @@ from hypose.compute.mono_terms import FloorArrays
 from hypose.geometry import Array
 from hypose.inference.newton import minimise
 from hypose.inference.robust import Lorentzian
-from hypose.monocular.proportions import INTERNAL, Proportions, shaped, skeleton_only
-from hypose.monocular.types import MonoPoints
+from hypose.tracking.monocular.proportions import INTERNAL, Proportions, shaped, skeleton_only
+from hypose.tracking.monocular.types import MonoPoints
 from hypose.tracking.refinement import anatomical_prior
 
 PointsOn = Callable[[Body], MonoPoints]

@@ -19,14 +19,14 @@ from hypose.cameras.camera import Camera
 from hypose.errors import EvidenceError
 from hypose.fitting.articulated import KeypointTerm, Quadratic, SolveOptions, fit_pose
 from hypose.geometry import Array, so3_exp, so3_log
-from hypose.monocular.flips import mirrored
-from hypose.monocular.models import body_dofs
-from hypose.monocular.points_fit import PointsOn, fit_proportions, points_on_body
-from hypose.monocular.problem import floor_arrays
-from hypose.monocular.proportions import VOLUMETRIC, proportions, search_factors, shaped, without_display
-from hypose.monocular.settings import MonoSettings
-from hypose.monocular.tracker import MonoTracker
-from hypose.monocular.types import MonoFrame, MonoHypotheses, MonoPoints
+from hypose.tracking.monocular.flips import mirrored
+from hypose.tracking.monocular.models import body_dofs
+from hypose.tracking.monocular.points_fit import PointsOn, fit_proportions, points_on_body
+from hypose.tracking.monocular.problem import floor_arrays
+from hypose.tracking.monocular.proportions import VOLUMETRIC, proportions, search_factors, shaped, without_display
+from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.monocular.tracker import MonoTracker
+from hypose.tracking.monocular.types import MonoFrame, MonoHypotheses, MonoPoints
 from hypose.tracking.initialise import known_pose
 from hypose.tracking.refinement import anatomical_prior
 

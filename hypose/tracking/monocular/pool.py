@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.compute import mono
 from hypose.geometry import Array
-from hypose.monocular.settings import SearchSettings
-from hypose.monocular.types import MonoHypotheses
+from hypose.tracking.monocular.settings import SearchSettings
+from hypose.tracking.monocular.types import MonoHypotheses
 
 LEAST_CURVATURE = 1e-6
 """of the Hessian in units of the usual motion: directions without any evidence"""

@@ -16,10 +16,10 @@ from hypose.errors import InputError
 from hypose.evidence.edges import edge_field
 from hypose.evidence.flow import Flow
 from hypose.geometry import Array
-from hypose.monocular.evidence import edge_arrays, flow_arrays, mark_arrays, mask_arrays
-from hypose.monocular.interpenetration import part_spheres
-from hypose.monocular.settings import CueSettings, MonoSettings
-from hypose.monocular.types import MonoFrame
+from hypose.tracking.monocular.evidence import edge_arrays, flow_arrays, mark_arrays, mask_arrays
+from hypose.tracking.monocular.interpenetration import part_spheres
+from hypose.tracking.monocular.settings import CueSettings, MonoSettings
+from hypose.tracking.monocular.types import MonoFrame
 from hypose.tracking.contacts import soles_of
 
 LONGEST_STEP = 2.0

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.geometry import Array, nearest_branch
-from hypose.monocular.evidence import grey
-from hypose.monocular.tracker import MonoTracker
-from hypose.monocular.types import OPTIMISED, MonoEstimate, MonoFrame, MonoHypotheses, MonoState
+from hypose.tracking.monocular.evidence import grey
+from hypose.tracking.monocular.tracker import MonoTracker
+from hypose.tracking.monocular.types import OPTIMISED, MonoEstimate, MonoFrame, MonoHypotheses, MonoState
 from hypose.tracking.smoothing import ClipSettings
 
 _HELD = 1e8
