@@ -121,7 +121,10 @@ class Modes:
     def rows(self) -> list[Modes]:
         """Each frame by itself, with as many modes as it has."""
         single = [{k: v[t : t + 1] for k, v in modes_arrays(self).items()} for t in range(len(self))]
-        return [Modes(**{k: v[:, :n] if k in _PER_MODE else v for k, v in one.items()}) for one, n in zip(single, self.alive, strict=True)]
+        return [
+            Modes(**{k: v[:, :n] if k in _PER_MODE else v for k, v in one.items()})
+            for one, n in zip(single, self.alive, strict=True)
+        ]
 
 
 def modes_arrays(modes: Modes) -> dict[str, np.ndarray]:

@@ -9,12 +9,12 @@ import numpy as np
 
 from hypose.body.body import Body
 from hypose.body.motion import Motion
-from hypose.io import modes as stored
+from hypose.io.motions import modes as stored
+from hypose.pipeline.track_loop import Progress
 from hypose.tracking.monocular.clip import Modes, WholeClip, backwards, information, together
 from hypose.tracking.monocular.models import body_dofs
 from hypose.tracking.monocular.tracker import MonoTracker
 from hypose.tracking.monocular.types import MonoEstimate, MonoFrame, MonoHypotheses, posterior_arrays
-from hypose.pipeline.track_loop import Progress
 from hypose.tracking.smoothing import smooth_poses
 
 _AHEAD_BYTES = 250_000_000

@@ -13,18 +13,18 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import HyposeError, InputError
-from hypose.io.bodies import load_body, save_body
-from hypose.io.modes import Modes, from_arrays, joined, save_modes, to_arrays
-from hypose.io.provenance import identity
-from hypose.io.recording import Recording
-from hypose.io.results import Checkpoint, ResultsFolder, save_motion
-from hypose.tracking.monocular.settings import MonoSettings
-from hypose.tracking.monocular.tracker import MonoTracker
-from hypose.tracking.monocular.types import MonoEstimate, MonoFrame, MonoHypotheses, MonoState
+from hypose.io.motions.bodies import load_body, save_body
+from hypose.io.motions.modes import Modes, from_arrays, joined, save_modes, to_arrays
+from hypose.io.motions.results import Checkpoint, ResultsFolder, save_motion
+from hypose.io.recordings.provenance import identity
+from hypose.io.recordings.recording import Recording
 from hypose.pipeline.mono_clip import modes_of, solve_clip
 from hypose.pipeline.mono_start import Clicks, find_start, keypoints_on, load_clicks
 from hypose.pipeline.mono_stream import MonoStream
 from hypose.pipeline.track_loop import Progress
+from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.monocular.tracker import MonoTracker
+from hypose.tracking.monocular.types import MonoEstimate, MonoFrame, MonoHypotheses, MonoState
 
 CITATION = (
     "Sminchisescu & Triggs 2001, A robust multiple hypothesis approach to monocular human motion tracking, with a "

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypose.tracking.monocular.tracker import MonoTracker
+from hypose.tracking.monocular.types import MonoFrame, MonoHypotheses
 
-from hypose.body.models import human
+from hypose.body.ready_bodies import human
 from hypose.tracking.monocular.clip import Modes, WholeClip, backwards, information, summed_up, together
 from hypose.tracking.monocular.models import body_dofs
 from hypose.tracking.monocular.settings import MonoSettings
-from hypose.tracking.monocular.tracker import MonoTracker
-from hypose.tracking.monocular.types import MonoFrame, MonoHypotheses
 from tests.monocular.pictures import camera, picture, wall
 
 RATE = 25.0

@@ -4,18 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypose.tracking.monocular.types import MonoFrame, clicked_joints
 from scipy.optimize import minimize
 
-from hypose.body.models import human
+from hypose.body.ready_bodies import human
 from hypose.body.superquadrics import superquadric_body
-from hypose.compute import cpu_mono_cues, cpu_mono_nodes, cpu_mono_rows, cpu_mono_search, mono
-from hypose.compute.mono_terms import FlowArrays
+from hypose.compute.monocular import cpu_mono_cues, cpu_mono_nodes, cpu_mono_rows, cpu_mono_search, mono
+from hypose.compute.monocular.mono_terms import FlowArrays
 from hypose.inference.newton import minimise
+from hypose.tracking.contacts import soles_of
 from hypose.tracking.monocular.models import arm_dofs, body_dofs, with_hand
 from hypose.tracking.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction
 from hypose.tracking.monocular.settings import MonoSettings
-from hypose.tracking.monocular.types import MonoFrame, clicked_joints
-from hypose.tracking.contacts import soles_of
 from tests.monocular.pictures import SIZE, camera, picture, wall
 
 ONLY_POINTS = MonoSettings(edges=False, second_order=False)

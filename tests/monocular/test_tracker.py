@@ -4,13 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
-from hypose.body.models import human
-from hypose.body.superquadrics import superquadric_body
-from hypose.errors import EvidenceError, InputError
-from hypose.tracking.monocular.flips import mirrored
-from hypose.tracking.monocular.models import body_dofs
-from hypose.tracking.monocular.settings import MonoSettings
 from hypose.tracking.monocular.tracker import MonoTracker
 from hypose.tracking.monocular.types import (
     MonoFrame,
@@ -20,6 +13,13 @@ from hypose.tracking.monocular.types import (
     points_from_keypoints,
     posterior_arrays,
 )
+
+from hypose.body.ready_bodies import human
+from hypose.body.superquadrics import superquadric_body
+from hypose.errors import EvidenceError, InputError
+from hypose.tracking.monocular.flips import mirrored
+from hypose.tracking.monocular.models import body_dofs
+from hypose.tracking.monocular.settings import MonoSettings
 from tests.monocular.pictures import SIZE, camera, mask, picture, wall
 
 SETTINGS = replace(MonoSettings(), search=replace(MonoSettings().search, hypotheses=3, directions=1))

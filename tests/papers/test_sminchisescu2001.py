@@ -5,19 +5,20 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from hypose.tracking.monocular.types import MonoFrame
 from scipy.ndimage import correlate, gaussian_filter
 
-from hypose.body.models import human
+from hypose.body.ready_bodies import human
 from hypose.body.superquadrics import grid, nodes, superquadric_body
-from hypose.compute import cpu_mono_cues, cpu_mono_rows, cpu_mono_search, cpu_solver, mono
-from hypose.compute.mono_terms import GAUSSIAN, LECLERC, LORENTZIAN, FlowArrays
+from hypose.compute.monocular import cpu_mono_cues, cpu_mono_rows, cpu_mono_search, mono
+from hypose.compute.monocular.mono_terms import GAUSSIAN, LECLERC, LORENTZIAN, FlowArrays
+from hypose.compute.solver import cpu_solver
 from hypose.evidence.edges import edge_field
 from hypose.evidence.flow import optical_flow
 from hypose.tracking.monocular.models import body_dofs
 from hypose.tracking.monocular.pool import Candidate, as_hypotheses, prune, uncertain_samples
 from hypose.tracking.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction
 from hypose.tracking.monocular.settings import MonoSettings
-from hypose.tracking.monocular.types import MonoFrame
 from tests.monocular.pictures import SIZE, camera, picture, wall
 from tests.monocular.test_cost import flow_cost, flow_problem
 from tests.papers.test_body_equations import transforms

@@ -27,8 +27,8 @@ from hypose.tracking.monocular.proportions import VOLUMETRIC, proportions, searc
 from hypose.tracking.monocular.settings import MonoSettings
 from hypose.tracking.monocular.tracker import MonoTracker
 from hypose.tracking.monocular.types import MonoFrame, MonoHypotheses, MonoPoints
-from hypose.tracking.initialise import known_pose
 from hypose.tracking.refinement import anatomical_prior
+from hypose.tracking.starts import known_pose
 
 LEAST_POINTS = 6
 HEADINGS = 8

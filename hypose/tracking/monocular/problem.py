@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 from hypose.body.body import Body, Mesh
 from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import Camera
-from hypose.compute import mono
-from hypose.compute.mono_terms import FloorArrays, MonoModel, MonoPriors, MonoProblem, SphereArrays
+from hypose.compute.monocular import mono
+from hypose.compute.monocular.mono_terms import FloorArrays, MonoModel, MonoPriors, MonoProblem, SphereArrays
 from hypose.errors import InputError
 from hypose.evidence.edges import edge_field
 from hypose.evidence.flow import Flow
 from hypose.geometry import Array
+from hypose.tracking.contacts import soles_of
 from hypose.tracking.monocular.evidence import edge_arrays, flow_arrays, mark_arrays, mask_arrays
 from hypose.tracking.monocular.interpenetration import part_spheres
 from hypose.tracking.monocular.settings import CueSettings, MonoSettings
 from hypose.tracking.monocular.types import MonoFrame
-from hypose.tracking.contacts import soles_of
 
 LONGEST_STEP = 2.0
 """times the expected error of a prediction: the longest Newton step"""
