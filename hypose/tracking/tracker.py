@@ -159,6 +159,9 @@ class Tracker:
     def start(self, begin: Array | Hypotheses) -> TrackerState:
         """State before the first frame, around a start pose (D,), or with these rival starts."""
         s = self.body.skeleton
+        given = begin.values if isinstance(begin, Hypotheses) else begin
+        if np.shape(given)[-1:] != (s.dof,) or not np.isfinite(given).all():
+            raise InputError(f"A start needs {s.dof} finite numbers per pose, got {np.shape(given)}; fit it again.")
         if isinstance(begin, Hypotheses):
             h, pose = begin, begin.best()
         else:

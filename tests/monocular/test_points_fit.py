@@ -1,12 +1,12 @@
 """Poses and proportions together from points: derivatives, and what more than one picture is worth."""
 
 import numpy as np
-from hypose.tracking.monocular.types import clicked_joints
 
 from hypose.body.ready_bodies import human
 from hypose.synthetic.rigs import look_at
 from hypose.tracking.contacts import soles_of
 from hypose.tracking.monocular.models import body_dofs
+from hypose.tracking.monocular.points import clicked_joints
 from hypose.tracking.monocular.points_fit import fit_proportions, image_jacobian, points_on_body
 from hypose.tracking.monocular.problem import floor_arrays
 from hypose.tracking.monocular.proportions import NAMES, proportions, shaped

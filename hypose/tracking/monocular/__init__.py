@@ -1,5 +1,5 @@
-"""Monocular 3D tracking of a person with several hypotheses (Sminchisescu & Triggs 2001).
+"""Monocular 3D tracking of a person with several hypotheses (Sminchisescu & Triggs 2001), as a recipe of the tracker.
 
-types.py says what goes in and comes out, settings.py what can be chosen, tracker.py follows a person from frame to
-frame, clip.py puts the frames of a whole clip together, models.py has the degrees of freedom that are estimated.
+recipe.py puts the layers together, picture_search.py has them, pool.py their candidates, clip.py solves a whole clip,
+initialise.py finds the first hypotheses, settings.py says what can be chosen, models.py which dof are estimated.
 """
