@@ -60,10 +60,10 @@ def solve_clip(clip: Clip, active: NDArray[np.int64]) -> tuple[Motion, tuple[str
         the_way.costs[0] = modes.costs[0, 0]
         back = the_way
         clip.progress(total - 1, total - 1)
-    poses, covariances = together(modes, back, tracker.settings.frame_rate)
+    poses, covariances = together(modes, back, motion.frame_rate)
     known = information(covariances, active) * ~motion.lost[:, None, None]
     if total > 2 and not motion.lost.all():
-        poses = smooth_poses(body, poses, known, tracker.settings.frame_rate, WholeClip().motion)
+        poses = smooth_poses(body, poses, known, motion.frame_rate, WholeClip().motion)
     around = np.stack([body.skeleton.joint_covariances(q, c) for q, c in zip(poses, covariances, strict=True)])
     solved = replace(motion, poses=poses, joints=body.joints(poses), joint_covariance=around.astype(np.float32))
     return solved, ()
