@@ -127,7 +127,8 @@ class Preset:
     def check(self, name: str, evidence: str, options: Iterable[str]) -> None:
         """An InputError that names what the recipe of this name does not know."""
         if evidence not in self.evidence:
-            raise InputError(f"There is no evidence {evidence!r} for {name!r}; choose {' or '.join(self.evidence)}.")
+            choices = f"{', '.join(self.evidence[:-1])} or {self.evidence[-1]}"
+            raise InputError(f"The recipe {name!r} knows no evidence {evidence!r}; choose {choices}.")
         if evidence == "keypoints" and self.evidence == Preset.evidence and not self.whole_clip:
             raise InputError(f"The recipe {name!r} needs silhouettes; choose the evidence silhouettes or both.")
         known = inspect.signature(self.make).parameters

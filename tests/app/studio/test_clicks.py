@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pytest
-from hypose.pipeline.mono_start import clicked_pixels, load_clicks
-from hypose.pipeline.mono_stream import one_view
+from hypose.pipeline.picture_start import clicked_pixels, load_clicks
+from hypose.pipeline.pictures import one_view
 
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.clicks import _for_one_camera
