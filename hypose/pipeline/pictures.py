@@ -79,12 +79,12 @@ def masks_of(recording: Recording, evidence: str) -> SilhouetteOptions | None:
 
 
 class FrameSource(Protocol):
-    """Frames by number."""
+    """Frames by number: hypose.io.recordings.frames.FrameStream, or any synthetic scene."""
 
     def __len__(self) -> int: ...
 
     def frame(self, index: int, /) -> Frame:
-        """Frame number index."""
+        """Frame number index, 0 <= index < len."""
         ...
 
 

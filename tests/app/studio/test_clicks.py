@@ -4,8 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from hypose.pipeline.picture_start import clicked_pixels, load_clicks
-from hypose.pipeline.pictures import one_view
 
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.clicks import _for_one_camera
@@ -13,6 +11,8 @@ from hypose.app.studio.job_kinds import plan
 from hypose.app.studio.view_bundle import read_bundle
 from hypose.errors import InputError
 from hypose.io.recordings.recording import load_recording
+from hypose.pipeline.picture_start import clicked_pixels, load_clicks
+from hypose.pipeline.pictures import one_view
 
 PIXELS = {
     "neck": (75, 30), "left_shoulder": (82.62, 32.5), "left_elbow": (85, 45), "left_wrist": (86.25, 55),
