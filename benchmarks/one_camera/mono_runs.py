@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -117,44 +118,42 @@ Rows = list[tuple[FrameEstimate, Array]]
 
 @dataclass(frozen=True)
 class _Clocked:
-    """A tracker whose layers are timed, by the processor."""
+    """A tracker whose layers are timed, by the processor: marks are the times at which each of STAGES began."""
 
     tracker: Tracker
-    spent: dict[str, float]
+    marks: dict[str, float]
 
     @staticmethod
     def of(body: Body, recipe: Recipe) -> _Clocked:
-        spent: dict[str, float] = {}
+        marks: dict[str, float] = {}
 
-        def timed(call: Callable[..., Any], name: str) -> Callable[..., Any]:
+        def marked(call: Callable[..., Any], name: str) -> Callable[..., Any]:
             def run(*arguments: Any) -> Any:
-                begin = time.process_time()
-                out = call(*arguments)
-                spent[name] = spent.get(name, 0.0) + time.process_time() - begin
-                return out
+                marks[name] = time.process_time()
+                return call(*arguments)
 
             return run
 
-        layers = [
-            replace(
-                la, propose=timed(la.propose, la.name), weigh=timed(la.weigh, la.name), select=timed(la.select, la.name)
-            )
-            for la in recipe.layers
-        ]
-        tracker = Tracker(body, replace(recipe, layers=layers), TrackerSettings("both", frame_rate=FRAME_RATE))
-        return _Clocked(tracker, spent)
+        assert recipe.uncertainty is not None
+        layers = [replace(layer, propose=marked(layer.propose, layer.name)) for layer in recipe.layers]
+        timed = replace(recipe, layers=layers, uncertainty=marked(recipe.uncertainty, STAGES[-1]))
+        return _Clocked(Tracker(body, timed, TrackerSettings("both", frame_rate=FRAME_RATE)), marks)
 
     def timed(self, estimates: Iterable[FrameEstimate]) -> Rows:
-        """All of the estimates; what is not spent in a layer is the posterior's."""
-        rows, source = [], iter(estimates)
+        """All of the estimates; what is not spent in a layer is the posterior's. Reading the clock takes a while, so it
+        is read once per stage."""
+        rows: Rows = []
+        source = iter(estimates)
         while True:
-            self.spent.clear()
+            self.marks.clear()
             begin = time.process_time()
             estimate = next(source, None)
             if estimate is None:
                 return rows
             whole = time.process_time() - begin
-            stages = [self.spent.get(name, 0.0) for name in STAGES[:-1]]
+            run = [name for name in STAGES if name in self.marks]
+            spent = {a: self.marks[b] - self.marks[a] for a, b in pairwise(run)}
+            stages = [spent.get(name, 0.0) for name in STAGES[:-1]]
             rows.append((estimate, np.array([*stages, whole - sum(stages)])))
 
 
