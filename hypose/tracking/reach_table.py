@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from hypose import compute
 from hypose.body.body import Body
-from hypose.compute import reach
+from hypose.compute.silhouettes import reach
 from hypose.geometry import Array
-from hypose.tracking.evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PreparedFrame
 
 POSES = 4096
 """of an arm; twice as many find nothing more"""

@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hypose.compute import reach
 from hypose.compute.selection import over_chunks
+from hypose.compute.silhouettes import reach
 from hypose.fitting.articulated import SolveOptions
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.costs import frame_energy
-from hypose.tracking.evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.reach_table import ArmReach, ends
 from hypose.tracking.refinement import COMPOSITE, SOLVED, member, mismatch, refine
 
