@@ -42,6 +42,7 @@ from benchmarks.multiview import (
 from benchmarks.multiview import (
     court,
     front_back,
+    lost_arms,
     path_speed,
     rigging,
     scorer_speed,
@@ -85,6 +86,7 @@ def benchmarks() -> dict[str, Benchmark]:
         "table-2.3": Benchmark(table_2_3.table_2_3, "seeds", "first_seed", "data"),
         "table-2.4": Benchmark(table_2_4.table_2_4, "seeds", "first_seed"),
         "court-4": Benchmark(court.court_4, "seeds", "first_seed"),
+        "arms": Benchmark(lost_arms.arms, "seeds", "first_seed", "data", "parts"),
         "uncertainty": Benchmark(uncertainty.uncertainty, "seeds", "first_seed", "data"),
         "real-balancing": Benchmark(real.real_balancing, "data"),
         "real-uu4cam": Benchmark(real.real_uu4cam, "data"),

@@ -36,7 +36,7 @@ class LookedUp:
     Chosen on scenes (walk, box, run, combo) of the seeds 500 to 507; 520 to 525 gave the same."""
 
     cutoff: float = 0.1
-    pool: int = 48
+    pool: int = 192
     far: float = 0.1
     ratio: float = 1.04
     most: int = 2
