@@ -62,7 +62,8 @@ class FrameEstimate:
     """pose (D,), its uncertainty, cost: 1 - mean IoU (NaN without silhouettes), flags, number of views. overlap (C,):
     IoU of the body with each view's mask, NaN where that is not usable, empty when not looked at. exchanged: by
     how much a rival (the body with its sides exchanged) overlaps the masks better, NaN when not looked at.
-    seen (C, 3): what hypose.pipeline.doubts keeps of each view, (0, 3) when nothing."""
+    seen (C, 3): what hypose.pipeline.doubts keeps of each view, (0, 3) when nothing. rivals (K, D), rival_weights
+    (K,): other poses that the evidence allows, as in `Motion`."""
 
     pose: Array
     uncertainty: PoseUncertainty
@@ -73,6 +74,8 @@ class FrameEstimate:
     overlap: Array = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
     exchanged: float = float("nan")
     seen: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
+    rivals: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    rival_weights: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
 
     @property
     def joint_sd(self) -> Array:
@@ -197,7 +200,11 @@ class Tracker:
         cost = 1 - iou if np.isfinite(iou) else float("nan")
         overlap = silhouette_iou(self.body, pose, prepared)
         gain = float("nan") if lost else self._rival_gain(state, pose, prepared)
-        return following, FrameEstimate(pose, known, cost, lost, False, view_count(prepared), overlap, gain)
+        rivals, weights = self._rivals(None if lost else selected)
+        views = view_count(prepared)
+        return following, FrameEstimate(
+            pose, known, cost, lost, False, views, overlap, gain, rivals=rivals, rival_weights=weights
+        )
 
     def _recover(
         self, how: Recovery, state: TrackerState, pose: Array, selected: Hypotheses, iou: float, prepared: PreparedFrame
@@ -238,6 +245,16 @@ class Tracker:
         s = self.body.skeleton
         noise = rng.standard_normal((self.recipe.particles, s.dof)) * steps
         return Hypotheses.uniform(s.clamp(pose + noise * step_sigma(s, self.settings.frame_rate)))
+
+    def _rivals(self, h: Hypotheses | None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The hypotheses beside the best, and their weights, as an estimate has them."""
+        count = max(self.recipe.rivals - 1, 0)
+        poses = np.full((count, self.body.skeleton.dof), np.nan, np.float32)
+        weights = np.zeros(count, np.float32)
+        if h is not None and h.before is not None:
+            order = np.argsort(-h.weights, kind="stable")[1 : 1 + count]
+            poses[: len(order)], weights[: len(order)] = h.values[order], h.weights[order]
+        return poses, weights
 
     def _expected(self, state: TrackerState, step: Array) -> Hypotheses:
         """The hypotheses where they are expected after a usual step (D,), or each after its own."""
@@ -309,7 +326,11 @@ class Tracker:
         following = TrackerState(
             state.frames + 1, expected, prediction, state.pose, covariance, state.usual_iou, blind, lost
         )
-        return following, FrameEstimate(prediction, nothing_known(covariance, s.dof), float("nan"), lost, True, 0)
+        rivals, weights = self._rivals(None)
+        nothing = nothing_known(covariance, s.dof)
+        return following, FrameEstimate(
+            prediction, nothing, float("nan"), lost, True, 0, rivals=rivals, rival_weights=weights
+        )
 
 
 def _mean_iou(body: Body, pose: Array, prepared: PreparedFrame) -> float:
@@ -334,7 +355,14 @@ def motion_of(
         np.array([e.n_views for e in estimates], dtype=np.int64),
         np.array([e.cost for e in estimates], dtype=np.float64),
         provenance or {},
+        rivals=_stacked([e.rivals for e in estimates]),
+        rival_weights=_stacked([e.rival_weights for e in estimates]),
     )
+
+
+def _stacked(of_frames: Sequence[NDArray[np.float32]]) -> NDArray[np.float32] | None:
+    """(T, K, ...) of the frames; None when the method keeps no rivals."""
+    return np.stack(of_frames) if of_frames[0].size else None
 
 
 def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray[Any]]:
@@ -348,6 +376,8 @@ def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray
         "views": np.array([e.n_views for e in estimates]),
         "exchanged": np.array([e.exchanged for e in estimates]),
         "seen": np.stack([e.seen for e in estimates]),
+        "rivals": np.stack([e.rivals for e in estimates]),
+        "rival_weights": np.stack([e.rival_weights for e in estimates]),
     }
 
 
@@ -363,8 +393,10 @@ def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimat
             int(views),
             exchanged=float(exchanged),
             seen=seen,
+            rivals=rivals,
+            rival_weights=rival_weights,
         )
-        for pose, around, known, cost, flags, views, exchanged, seen in zip(
+        for pose, around, known, cost, flags, views, exchanged, seen, rivals, rival_weights in zip(
             arrays["poses"],
             arrays["joint_covariances"],
             arrays["information"],
@@ -373,6 +405,8 @@ def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimat
             arrays["views"],
             arrays["exchanged"],
             arrays["seen"],
+            arrays["rivals"],
+            arrays["rival_weights"],
             strict=True,
         )
     ]
