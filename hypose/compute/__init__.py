@@ -17,7 +17,7 @@ from hypose.compute import reference, selection
 from hypose.compute.arrays import BALL, FIXED, MeshArrays, TreeArrays
 from hypose.compute.monocular import mono
 from hypose.compute.native import native, plain, tidy
-from hypose.compute.pictures import picture_to_mask as images
+from hypose.compute.pictures import picture_to_mask
 from hypose.compute.selection import default_threads, over_chunks, use
 from hypose.compute.silhouettes import glance, lane_mesh, reach
 from hypose.compute.silhouettes.lane_scratch import lane_scratch
@@ -337,7 +337,7 @@ def warm_up(*, monocular: bool = False) -> float:
         silhouette_xor(q[None], tree, mesh, prepared, np.array([[0, 32, 0, 32]]), moving=limb)
         rest = reach.standing(q, tree, mesh, prepared, limb)
         reach.score_points(np.zeros((1, 1, 3)), np.ones(1), np.eye(3), q[:3], prepared, rest)
-        images.warm_up()
+        picture_to_mask.warm_up()
         glance.warm_up()
     sdf = signed_distance(mask, sizes)
     outline = outline_points(sdf[0], (32, 32), 16)[0]
