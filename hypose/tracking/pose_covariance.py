@@ -61,7 +61,16 @@ def uncertainty_of_pose(pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> 
         joints = body.joints(np.concatenate([pose[None], h.values[rivals]]))
         apart = joints[1:] - joints[0]
         around = around + np.einsum("n,nja,njb->jab", h.weights[rivals], apart, apart).astype(np.float32)
+        for weight, other in zip(h.weights[rivals], h.values[rivals], strict=True):
+            information = _less_sure(information, body.skeleton.on_branch(other, pose) - pose, float(weight))
     return PoseUncertainty(around, packed(information))
+
+
+def _less_sure(information: Array, step: Array, weight: float) -> Array:
+    """(D, D): the information when the covariance grows by weight x step step^T, step (D,) to another pose.
+    Source: Sherman & Morrison 1950."""
+    seen = information @ step
+    return information - np.outer(seen, seen) * (weight / (1 + weight * (seen @ step)))
 
 
 def joint_covariance_of(body: Body, pose: Array, hessian: Array, evidence: str) -> NDArray[np.float32]:

@@ -51,7 +51,7 @@ class Contest:
     doubt: float = 0.02
     apart: float = 0.08
     behind: float = 0.15
-    softness: float = 0.01
+    softness: float = 0.005
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class RefineRivals:
 
     def _composite(self, h: Hypotheses, winner: Array, frame: PreparedFrame) -> list[Array]:
         """The pose (D,) that the search put together, when it has won anything."""
-        composite = member(h, COMPOSITE)
+        composite = member(h, COMPOSITE) if h.has(COMPOSITE).any() else winner
         if np.array_equal(winner, composite):
             return []
         energy = frame_energy(np.stack([winner, composite]), frame)

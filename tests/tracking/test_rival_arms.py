@@ -8,12 +8,20 @@ from scipy.stats import qmc
 
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.pose_covariance import uncertainty_of_pose
 from hypose.tracking.published_recipes import LIMB_LAYERS
 from hypose.tracking.reach_table import arm_reach, ends
 from hypose.tracking.recipes import default
-from hypose.tracking.refinement import COMPOSITE, SOLVED
-from hypose.tracking.rival_arms import RIVAL, LookedUp, RefineRivals, rival_arms
-from hypose.tracking.tracker import Tracker, TrackerSettings, TrackerState
+from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED
+from hypose.tracking.rival_arms import LookedUp, RefineRivals, rival_arms
+from hypose.tracking.tracker import (
+    Tracker,
+    TrackerSettings,
+    TrackerState,
+    estimates_from_arrays,
+    estimates_to_arrays,
+    motion_of,
+)
 
 FACING = (1, 3)
 """the views that are taken away: the two that are left look at each other, and see nearly the same outline"""
@@ -196,3 +204,38 @@ def test_no_rivals_are_a_recipe_too(body, standing, raised, frame_of):
     state = follow(tracker, tracker.start(standing), [raised] * 3, frame_of)
     assert state.hypotheses.count == 1 and not state.hypotheses.has(RIVAL).any()
     assert wrist_error(body, state.pose, raised) < 0.05
+
+
+def test_the_covariance_is_that_of_the_mixture(body, standing, raised, frame_of):
+    frame = prepare(frame_of(body, standing), body, standing)
+    alone = Hypotheses(standing[None], np.zeros(1)).marked(SOLVED, [0])
+    two = Hypotheses(np.stack([standing, raised]), np.log([0.8, 0.2])).marked(SOLVED, [0]).marked(RIVAL, [1])
+    before, after = (uncertainty_of_pose(standing, h, frame) for h in (alone, two))
+    apart = body.joints(raised) - body.joints(standing)
+    wanted = before.joint_covariance + 0.2 * np.einsum("ja,jb->jab", apart, apart)
+    np.testing.assert_allclose(after.joint_covariance, wanted, atol=1e-6)
+    wrist, knee = (body.skeleton.joint(name) for name in ("left_wrist", "left_knee"))
+    assert np.trace(after.joint_covariance[wrist]) > 5 * np.trace(before.joint_covariance[wrist])
+    np.testing.assert_allclose(after.joint_covariance[knee], before.joint_covariance[knee], atol=1e-9)
+
+
+def test_a_motion_has_the_rivals_of_its_frames(body, hidden, frame_of):
+    tracker = Tracker(body, default(body, particles=32))
+    state, estimates, living = tracker.start(hidden[0]), [], []
+    for t, pose in enumerate(hidden[:6]):
+        state, estimate = tracker.step(state, frame_of(body, pose, t, (0, 1, 2, 3) if t == 3 else FACING))
+        estimates.append(estimate)
+        living.append(0 if t == 3 else state.hypotheses.count - 1)
+    estimates = estimates_from_arrays(estimates_to_arrays(estimates))
+    motion = motion_of(body, np.arange(6) / 25, estimates)
+    assert motion.rivals.shape == (6, 2, body.skeleton.dof) and max(living) > 0
+    np.testing.assert_array_equal(np.isfinite(motion.rivals).all(-1).sum(-1), living)
+    np.testing.assert_array_equal((motion.rival_weights > 0).sum(-1), living)
+    assert (motion.rival_weights.sum(-1) < 2 / 3 + 1e-6).all()  # no rival has more than the pose
+    arm = np.isin(np.arange(body.skeleton.dof), body.skeleton.dofs_of(*LEFT, *RIGHT))
+    t = int(np.argmax(living))
+    apart = np.abs(motion.rivals[t, 0] - motion.poses[t])
+    assert apart[arm].max() > 2 * apart[~arm].max()
+    alone = Tracker(body, default(body, particles=32, rivals=1))
+    _, estimate = alone.step(alone.start(hidden[0]), frame_of(body, hidden[0]))
+    assert motion_of(body, np.zeros(1), [estimate]).rivals is None
