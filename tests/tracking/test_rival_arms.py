@@ -125,6 +125,27 @@ def test_a_found_arm_stands_still_and_the_body_goes_on(body, arms, standing, rai
     assert (out.origin == 0).all()
 
 
+def test_what_is_right_in_one_rival_and_wrong_in_the_other_is_crossed(body, arms, standing, raised, frame_of, rng):
+    """Nothing is looked up: the estimate has one arm of the two, and a rival has the other."""
+    s = body.skeleton
+    truth, right = raised.copy(), s.dofs_of(*RIGHT)
+    truth[right] = s.clamp(raised)[right] + [*[0.0] * (len(right) - 4), 1.3, 0.0, -0.3, 0.9][-len(right) :]
+    truth = s.clamp(truth)
+    other = standing.copy()
+    other[right] = truth[right]
+    before = np.stack([standing, other])
+    before[1, right[-1]] -= 0.2
+    rivals = Hypotheses(np.stack([raised, other]), np.array([0.0, -1.0]), before=before)
+    frame = replace(prepare(frame_of(body, truth), body, raised), rivals=rivals)
+    never = ((arms["l"], lambda h, frame: False), (arms["r"], lambda h, frame: False))
+    out = RefineRivals(never)(off_guard(body, raised), frame, rng)
+    best = int(out.relative_log_weights.argmax())
+    assert wrist_error(body, out.values[best], truth) < 0.05
+    assert wrist_error(body, out.values[best], truth, "right") < 0.05
+    np.testing.assert_array_equal(out.before[best, right], before[1, right])  # the arm brings its history along
+    assert out.origin[best] == 0
+
+
 def test_without_masks_the_estimate_lives_alone(body, arms, standing, frame_of, rng):
     rivals = Hypotheses(np.stack([standing + 0.1, standing]), np.array([-1.0, 0.0]), before=np.stack([standing] * 2))
     frame = replace(prepare(frame_of(body, standing), body, standing), masks=None, rivals=rivals)
