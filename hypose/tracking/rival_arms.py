@@ -18,7 +18,7 @@ from hypose.compute.selection import over_chunks
 from hypose.compute.silhouettes import reach
 from hypose.fitting.articulated import SolveOptions
 from hypose.geometry import Array
-from hypose.inference.hypotheses import Hypotheses
+from hypose.inference.hypotheses import BEFORE, Hypotheses
 from hypose.tracking.costs import frame_energy
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.reach_table import ArmReach, ends
@@ -79,7 +79,7 @@ class RefineRivals:
         s, c = frame.body.skeleton, self.contest
         winner, alive, last = member(h, SOLVED), *_best_first(frame)
         if frame.masks is None:  # nothing to compare them by
-            return _roles(Hypotheses(s.clamp(winner[None]), np.zeros(1), before=last[:1]))
+            return _roles(Hypotheses(s.clamp(winner[None]), np.zeros(1), columns={BEFORE: last[:1]}))
         old = s.on_branch(alive.values[1:], frame.prediction)
         elsewhere = self._elsewhere(winner, old)
         crossed, whose = self._crossed(winner, old, elsewhere, frame)
@@ -103,7 +103,7 @@ class RefineRivals:
             before[np.ix_(jumped, arm.own)] = poses[np.ix_(jumped, arm.own)]
         for row, (k, n) in enumerate(whose, start=1 + len(composite) + len(looked_up)):
             before[row, self.arms[n][0].own] = last[1 + k, self.arms[n][0].own]
-        found = Hypotheses(s.clamp(poses), -scores / c.softness, parents, before=before)
+        found = Hypotheses(s.clamp(poses), -scores / c.softness, parents, columns={BEFORE: before})
         return _roles(found.take(self._living(scores, costs, at.reshape(len(poses), -1, 3))))
 
     def _ends(self, poses: Array) -> Array:
@@ -210,10 +210,9 @@ def _farthest(ends: Array, other: Array) -> Array:
 
 def _best_first(frame: PreparedFrame) -> tuple[Hypotheses, Array]:
     """The hypotheses of the last frame, expected in this one, and what they were (N, D)."""
-    assert frame.rivals is not None and frame.rivals.before is not None, "the recipe does not say how many rivals"
+    assert frame.rivals is not None, "the recipe does not say how many rivals"
     h = frame.rivals.take(np.argsort(-frame.rivals.relative_log_weights, kind="stable"))
-    assert h.before is not None
-    return h, h.before
+    return h, h.columns[BEFORE]
 
 
 def _roles(h: Hypotheses) -> Hypotheses:
