@@ -21,7 +21,7 @@ from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, Hypotheses
 from hypose.tracking.costs import frame_energy
 from hypose.tracking.frame_evidence import PreparedFrame
-from hypose.tracking.reach_table import ArmReach, ends
+from hypose.tracking.reach_table import ArmReach, ends, ends_of
 from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, member, mismatch, refine
 
 
@@ -96,7 +96,7 @@ class RefineRivals:
         expected = np.stack([*[frame.prediction] * (1 + len(starts)), *old])
         costs = mismatch(poses, frame, expected=expected)
         scores = costs + c.doubt * costs[0] * fresh - c.memory * c.softness * alive.relative_log_weights[parents]
-        at = self._ends(poses)
+        at = ends_of([arm for arm, _ in self.arms], poses)
         before = last[parents]
         for k, (arm, _) in enumerate(self.arms):
             jumped = fresh & (_farthest(at[:, k], at[0, k]) > self.look.far)
@@ -105,12 +105,6 @@ class RefineRivals:
             before[row, self.arms[n][0].own] = last[1 + k, self.arms[n][0].own]
         found = Hypotheses(s.clamp(poses), -scores / c.softness, parents, columns={BEFORE: before})
         return _roles(found.take(self._living(scores, costs, at.reshape(len(poses), -1, 3))))
-
-    def _ends(self, poses: Array) -> Array:
-        """(N, A, 3, 3) m: elbow, wrist and hand of each arm in poses (N, D), as the chest sees them."""
-        if not self.arms:
-            return np.zeros((len(poses), 0, 3, 3))
-        return np.stack([ends(arm.here(poses)) for arm, _ in self.arms], 1)
 
     def _composite(self, h: Hypotheses, winner: Array, frame: PreparedFrame) -> list[Array]:
         """The pose (D,) that the search put together, when it has won anything."""
@@ -146,7 +140,9 @@ class RefineRivals:
 
     def _elsewhere(self, winner: Array, old: Array) -> NDArray[np.bool_]:
         """(K, A) which arms of rivals (K, D) are far from the winner's."""
-        at = self._ends(np.concatenate([winner[None], old]))
+        if not len(old):
+            return np.zeros((0, len(self.arms)), np.bool_)
+        at = ends_of([arm for arm, _ in self.arms], np.concatenate([winner[None], old]))
         return np.linalg.norm(at[1:] - at[0], axis=-1).max(-1, initial=0.0) > self.look.far
 
     def _solved(self, starts: list[Array], old: Array, frame: PreparedFrame) -> list[Array]:

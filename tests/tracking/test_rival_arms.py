@@ -10,7 +10,7 @@ from hypose.inference.hypotheses import BEFORE, Hypotheses
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.pose_covariance import uncertainty_of_pose
 from hypose.tracking.published_recipes import LIMB_LAYERS
-from hypose.tracking.reach_table import arm_reach, ends
+from hypose.tracking.reach_table import arm_reach, ends, ends_of
 from hypose.tracking.recipes import default
 from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED
 from hypose.tracking.rival_arms import LookedUp, RefineRivals, rival_arms
@@ -61,6 +61,9 @@ def off_guard(body, pose):
 def test_points_lie_on_the_arm_wherever_the_body_is(body, arms, raised, rng):
     s = body.skeleton
     pose = s.clamp(raised + rng.normal(0, 0.2, s.dof))
+    together = ends_of([arms["l"], arms["r"]], np.stack([raised, pose]))[1]
+    for side, at in zip("lr", together, strict=True):
+        np.testing.assert_allclose(at, ends(arms[side].here(pose[None]))[0], atol=1e-12)
     r, p = s.forward(pose)
     for side, arm in (("left", arms["l"]), ("right", arms["r"])):
         chest = s.joint("chest")
