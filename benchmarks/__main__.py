@@ -29,7 +29,7 @@ def bench(
     plot: Annotated[Path | None, typer.Option(help="Draw the figures to this file (.png, .svg or .pdf).")] = None,
     parts: Annotated[
         Path | None,
-        typer.Option(help="Keep the figures of each part here, and go on from those kept (gesture tables)."),
+        typer.Option(help="Keep the figures of each part of a long table here, and go on from those kept."),
     ] = None,
     threads: Threads = None,
 ) -> None:

@@ -97,7 +97,7 @@ def _bars(
     colours: Mapping[str, str],
     line: float | None,
 ) -> None:
-    known = [r for r in rows if np.isfinite(r["value"])]
+    known = [r for r in rows if r["value"] is not None and np.isfinite(r["value"])]
     rows = known[:_MOST_CASES]
     places = grouped([r["case"] for r in rows], plain)
     series = list(dict.fromkeys(s for s, _ in places.values()))
