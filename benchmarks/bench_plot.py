@@ -17,6 +17,7 @@ from hypose.io.motions.results import atomic_path
 ENDINGS = (".png", ".svg", ".pdf")
 _WIDTH, _HEIGHT, _DPI = 4.6, 2.8, 90
 _MOST_CASES = 90
+_MOST_LINES = 16
 _MOST_LETTERS = 60  # of the names of groups that fit side by side
 
 
@@ -30,50 +31,42 @@ class Panels:
     lines: Mapping[str, float] | None = None
 
 
-PANELS = {
-    "table-2.3": Panels(("mean_error_mm", "sd_error_mm", "lost_share")),
-    "table-2.4": Panels(("extremity_error_mm", "hand_error_mm"), lines={"extremity_error_mm": 40.0}),
-    "court-4": Panels(("tracked_share", "mean_error_mm", "recovery_s"), lines={"recovery_s": 1.0}),
-    "real-balancing": Panels(("median_mm", "p95_mm", "iou", "loco_px"), lines={"iou": 0.83}),
-    "uncertainty": Panels(
-        ("coverage_50", "coverage_90", "coverage_95"),
-        "silhouettes",
-        {"coverage_50": 0.5, "coverage_90": 0.9, "coverage_95": 0.95},
-    ),
-}
-"""What is drawn of a benchmark; of others the first three metrics."""
-
-
 def check_plot_path(path: Path) -> None:
     """An InputError when no picture can be written under that name."""
     if path.suffix.lower() not in ENDINGS:
         raise InputError(f"--plot {path} has no ending that says what to draw; use one of {', '.join(ENDINGS)}.")
 
 
-def plot_report(report: Mapping[str, Any], path: Path) -> None:
-    """Draw a benchmark's document (`benchmarks.bench_report.run_benchmark`) to a PNG, SVG or PDF file."""
+def plot_report(report: Mapping[str, Any], path: Path, panels: Panels | None = None) -> None:
+    """Draw a benchmark's document (`benchmarks.bench_list.run_benchmark`) to a PNG, SVG or PDF file; without panels the
+    first three metrics."""
     check_plot_path(path)
     rows: list[Mapping[str, Any]] = list(report["results"])
-    known = PANELS.get(str(report["name"])) or Panels(tuple(dict.fromkeys(r["metric"] for r in rows))[:3])
-    panels = [(m, chosen) for m in known.metrics if (chosen := [r for r in rows if r["metric"] == m])]
-    if not panels:
+    known = panels or Panels(tuple(dict.fromkeys(r["metric"] for r in rows))[:3])
+    drawn = [(m, chosen) for m in known.metrics if (chosen := [r for r in rows if r["metric"] == m])]
+    if not drawn:
         raise InputError(f"The benchmark {report['name']} gave no figures that can be drawn; leave out --plot.")
-    places = [grouped([r["case"] for r in chosen], known.plain) for _, chosen in panels]
+    places = [grouped([r["case"] for r in chosen], known.plain) for _, chosen in drawn]
     names = dict.fromkeys(series for found in places for series, _ in found.values())
+    in_groups = any(len({group for _, group in found.values()}) > 1 for found in places)
     colours = {name: f"C{k % 10}" for k, name in enumerate(names)}
-    columns = min(2, len(panels))
-    lines = -(-len(panels) // columns)
+    columns = min(2, len(drawn))
+    lines = -(-len(drawn) // columns)
     with plt.rc_context(STYLE):
         figure, axes = plt.subplots(
             lines, columns, figsize=(_WIDTH * columns, _HEIGHT * lines), squeeze=False, layout="constrained"
         )
         try:
-            for axis in axes.flat[len(panels) :]:
+            for axis in axes.flat[len(drawn) :]:
                 axis.set_visible(False)
-            for axis, (metric, chosen) in zip(axes.flat, panels, strict=False):
-                _bars(axis, metric, chosen, known.plain, colours, (known.lines or {}).get(metric))
+            for axis, (metric, chosen) in zip(axes.flat, drawn, strict=False):
+                line = (known.lines or {}).get(metric)
+                if in_groups:
+                    _bars(axis, metric, chosen, known.plain, colours, line)
+                else:
+                    _list(axis, metric, chosen, line)
             handles = [Patch(color=colour, label=name) for name, colour in colours.items()]
-            if len(handles) > 1:
+            if in_groups and len(handles) > 1:
                 figure.legend(handles=handles, loc="outside lower center", ncols=min(5, len(handles)), fontsize=8)
             with atomic_path(path) as temporary:
                 figure.savefig(temporary, format=path.suffix[1:].lower(), dpi=_DPI)
@@ -117,8 +110,26 @@ def _bars(
     if sum(map(len, groups)) > _MOST_LETTERS:
         axis.tick_params(axis="x", labelrotation=90)
     axis.set_ylim(bottom=0)
+    _title(axis, metric, rows, len(known))
+    axis.grid(axis="x", visible=False)
+
+
+def _list(axis: Axes, metric: str, rows: Sequence[Mapping[str, Any]], line: float | None) -> None:
+    """Lying bars with their names beside them: for cases that are no series."""
+    known = [r for r in rows if r["value"] is not None and np.isfinite(r["value"])]
+    rows = known[:_MOST_LINES]
+    at = np.arange(len(rows))[::-1]
+    spread = [min(r.get("sd") or 0.0, r["value"]) for r in rows]
+    axis.barh(at, [r["value"] for r in rows], 0.7, xerr=spread, color="C0", error_kw={"lw": 0.8})
+    if line is not None:
+        axis.axvline(line, color="#222222", lw=0.8, ls="--")
+    axis.set_yticks(at, [r["case"] for r in rows], fontsize=8)
+    axis.set_xlim(left=0)
+    _title(axis, metric, rows, len(known))
+    axis.grid(axis="y", visible=False)
+
+
+def _title(axis: Axes, metric: str, rows: Sequence[Mapping[str, Any]], known: int) -> None:
     unit = rows[0]["unit"] if rows else ""
     title = metric if unit == "1" or metric.endswith(f"_{unit}") else f"{metric} ({unit})"
-    left_out = f", first {len(rows)} of {len(known)}" if len(rows) < len(known) else ""
-    axis.set_title(title + left_out, fontsize=9)
-    axis.grid(axis="x", visible=False)
+    axis.set_title(title + (f", first {len(rows)} of {known}" if len(rows) < known else ""), fontsize=9)
