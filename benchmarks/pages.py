@@ -99,10 +99,11 @@ def _origin(document: Document) -> str:
     plain = {k: v for k, v in sorted(settings.items()) if _is_short(v) and k != "quick"}
     said = "; ".join(f"{k} {', '.join(map(str, v)) if isinstance(v, list) else v}" for k, v in plain.items())
     seconds = document["seconds"]
-    took = f"{seconds / 60:.0f} min" if seconds > 100 else f"{seconds:.0f} s"
+    took = f", {seconds / 60:.0f} min" if seconds > 100 else f", {seconds:.0f} s"
+    took = "" if "--parts" in document["command"] else took  # what was kept before took time as well
     return (
         f"`{document['command']}`{', QUICK FORM' if settings['quick'] else ''}; commit {document['commit']}, "
-        f"{document['date'][:10]}; {m['processor']}, {m['cores']} cores, load {m['load']:.0f}, {took}. {said}."
+        f"{document['date'][:10]}; {m['processor']}, {m['cores']} cores, load {m['load']:.0f}{took}. {said}."
     )
 
 

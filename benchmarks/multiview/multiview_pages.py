@@ -172,7 +172,7 @@ _SCORER = Page(
         Line("the same, walking", "walking", (least(0.999),), "spearman_to_fine", digits=4),
     ),
     notebook="speed.md#silhouettes",
-    picture=Panels(("us_per_silhouette", "max_count_difference_px")),
+    picture=Panels(("us_per_silhouette",)),
 )
 
 _SOLVE = Page(
