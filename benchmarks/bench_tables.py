@@ -94,6 +94,8 @@ def figure(column: Column, line: Line, rows: Rows) -> Mapping[str, Any] | None:
 
 def number(value: float, digits: int = 3) -> str:
     """So many figures, without an exponent."""
+    if abs(value) < 1e-4:  # of rounding only, or a share too small to read
+        return "0" if abs(value) < 1e-9 else f"{value:.{digits + 3}f}".rstrip("0")
     return f"{value:.0f}" if abs(value) >= 10**digits else f"{value:.{digits}g}"
 
 

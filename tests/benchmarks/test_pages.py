@@ -121,7 +121,10 @@ def test_a_speed_stands_with_its_ratio_and_what_never_came_is_missed():
     assert [met for line in page.lines for _, met in verdicts(page, line, ROWS)] == [True, False]
 
 
-@pytest.mark.parametrize(("value", "shown"), [(1234.5, "1234"), (0.00028, "0.00028"), (99.96, "100"), (0.99966, "1")])
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [(1234.5, "1234"), (0.00028, "0.00028"), (99.96, "100"), (0.99966, "1"), (1.3e-13, "0"), (2.5e-5, "0.000025")],
+)
 def test_numbers_have_three_figures_and_no_exponent(value, shown):
     assert number(value) == shown
     assert number(0.99966, 4) == "0.9997"
