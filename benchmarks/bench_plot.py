@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.app.reports.figures import Axes, Patch, plt
 from hypose.app.reports.plots import STYLE
@@ -99,11 +100,8 @@ def _bars(
     for k, name in enumerate(series):
         mine = [r for r in rows if places[r["case"]][0] == name]
         at = [groups.index(places[r["case"]][1]) + (k - (len(series) - 1) / 2) * width for r in mine]
-        value = np.array([r["value"] for r in mine])
-        spread = np.array([r.get("sd") or 0.0 for r in mine])
-        most = 1.0 if mine[0]["unit"] == "1" and value.max() <= 1 else np.inf  # a share
-        ends = np.stack([np.minimum(spread, value), np.clip(np.minimum(spread, most - value), 0, None)])
-        axis.bar(at, value, 0.92 * width, yerr=np.maximum(ends, 0), color=colours[name], error_kw={"lw": 0.8})
+        value = [r["value"] for r in mine]
+        axis.bar(at, value, 0.92 * width, yerr=_ends(mine), color=colours[name], error_kw={"lw": 0.8})
     if line is not None:
         axis.axhline(line, color="#222222", lw=0.8, ls="--")
     axis.set_xticks(range(len(groups)), groups if len(groups) > 1 else [""])
@@ -119,14 +117,21 @@ def _list(axis: Axes, metric: str, rows: Sequence[Mapping[str, Any]], line: floa
     known = [r for r in rows if r["value"] is not None and np.isfinite(r["value"])]
     rows = known[:_MOST_LINES]
     at = np.arange(len(rows))[::-1]
-    spread = [min(r.get("sd") or 0.0, r["value"]) for r in rows]
-    axis.barh(at, [r["value"] for r in rows], 0.7, xerr=spread, color="C0", error_kw={"lw": 0.8})
+    axis.barh(at, [r["value"] for r in rows], 0.7, xerr=_ends(rows) if rows else None, color="C0", error_kw={"lw": 0.8})
     if line is not None:
         axis.axvline(line, color="#222222", lw=0.8, ls="--")
     axis.set_yticks(at, [r["case"] for r in rows], fontsize=8)
     axis.set_xlim(left=0)
     _title(axis, metric, rows, len(known))
     axis.grid(axis="y", visible=False)
+
+
+def _ends(rows: Sequence[Mapping[str, Any]]) -> NDArray[np.float64]:
+    """(2, n): how far the whiskers go down and up: the sd, but not below 0, and for shares not above 1."""
+    value = np.array([r["value"] for r in rows], dtype=np.float64)
+    spread = np.array([r.get("sd") or 0.0 for r in rows], dtype=np.float64)
+    most = 1.0 if rows[0]["unit"] in ("1", "share") and value.max() <= 1 else np.inf
+    return np.clip(np.stack([np.minimum(spread, value), np.minimum(spread, most - value)]), 0, None)
 
 
 def _title(axis: Axes, metric: str, rows: Sequence[Mapping[str, Any]], known: int) -> None:
