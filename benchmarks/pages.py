@@ -103,7 +103,8 @@ def _origin(document: Document) -> str:
     took = "" if "--parts" in document["command"] else took  # what was kept before took time as well
     return (
         f"`{document['command']}`{', QUICK FORM' if settings['quick'] else ''}; commit {document['commit']}, "
-        f"{document['date'][:10]}; {m['processor']}, {m['cores']} cores, load {m['load']:.0f}{took}. {said}."
+        f"{document['date'][:10]}; {m['processor']}, {m['cores']} cores, load {m['load']:.0f}{took}."
+        + (f" {said}." if said else "")
     )
 
 
