@@ -6,8 +6,10 @@ of the cost, and recovers; see `_solving`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import inspect
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -23,18 +25,21 @@ from hypose.inference.selectors import Elite, keep
 from hypose.tracking import published_recipes as published
 from hypose.tracking.costs import SilhouetteXor, no_evidence
 from hypose.tracking.exchanged_sides import look_for_exchange
+from hypose.tracking.monocular.recipe import PICTURE_CUES, TRIGGS, monocular
 from hypose.tracking.pose_covariance import uncertainty_of_pose
 from hypose.tracking.published_recipes import LIMB_LAYERS, diffusion, step_sigma
+from hypose.tracking.reach_table import arm_reach
 from hypose.tracking.refinement import (
     COMPOSITE,
     SOLVED,
     ContourRefinement,
     InTurn,
-    RefineComposite,
     SolvePrediction,
     settled,
     solved,
 )
+from hypose.tracking.rival_arms import RefineRivals
+from hypose.tracking.smooth_motion import smooth_clip
 from hypose.tracking.starts import recover
 
 THESIS = "Alcoverro, M. (2014). Stochastic optimization and interactive machine learning for human motion analysis."
@@ -50,21 +55,22 @@ _TURNS = (0, 1, 0, 1)
 frame costs a tenth of the accuracy where the body is not the person's own"""
 
 
-def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iterations: int = 8) -> Recipe:
+def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iterations: int = 8, rivals: int = 3) -> Recipe:
     """The product's default: a contour solve from the prediction, a greedy search of one limb at a time around it with
-    long-tailed steps, and a solve of what the search put together.
+    long-tailed steps, a solve of what the search put together, and of the arms that could be elsewhere instead.
 
     The first solve puts the body within centimetres; the particles find limbs that went elsewhere (a local solve cannot
     pull in what lies beyond about 10 cm); the silhouettes choose between the first solve and the second. Each limb's
     best is kept (`Elite`) instead of resampled: with 200 particles the mean of survivors mixes a found arm with a
     lost one. A quarter of an arm's particles are drawn anew over its whole reach, for a punch is faster than any
     diffusion. One leg and one arm are searched per frame, in turn; all four when the first solve overlaps the masks
-    worse than usual, and below 20 frames per second, where more happens between two frames.
+    worse than usual, and below 20 frames per second, where more happens between two frames. In the same frames an arm's
+    whole reach is looked up; of what is found there the best live on beside the estimate, `rivals` poses in all.
     """
     s = body.skeleton
     sigma = 2.0 * step_sigma(s, frame_rate)
     options = SolveOptions(iterations=iterations, coarse_iterations=iterations // 2)
-    turns = _TURNS if frame_rate >= 20 else (0,) * len(LIMB_LAYERS)
+    turns = _turns(frame_rate)
     period = 1 + max(turns)
     rows = [Layer(SolvePrediction(options), no_evidence, keep, "contours")]
     for (name, joints), turn in zip(LIMB_LAYERS, turns, strict=True):
@@ -80,8 +86,23 @@ def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iteratio
         moving = np.isin(np.arange(len(s.joint_names)), [s.joint(j) for j in joints])
         weigh = Annealed(SilhouetteXor(moving), FixedSelectivity(1.0))  # the best is best under any exponent
         rows.append(Layer(kernel, weigh, Elite(1, mask, but=SOLVED), name, InTurn(turn, period)))
-    rows.append(Layer(RefineComposite(options), no_evidence, keep, "refinement"))
-    return _solving(Recipe("default", rows, particles))
+    rows.append(_rivals(body, turns, rivals, options))
+    return _solving(Recipe("default", rows, particles, rivals=rivals))
+
+
+def _rivals(body: Body, turns: Sequence[int], rivals: int, options: SolveOptions) -> Layer:
+    """The layer that looks arms up in their turns (one for each of LIMB_LAYERS) and hands on so many hypotheses."""
+    lower, upper = _reach(body.skeleton)
+    arms = [
+        (arm_reach(body, joints, lower, upper), InTurn(turn, 1 + max(turns)))
+        for (name, joints), turn in zip(LIMB_LAYERS, turns, strict=True)
+        if name.endswith("arm")
+    ]
+    return Layer(RefineRivals(tuple(arms), rivals, options), no_evidence, keep, "rivals")
+
+
+def _turns(frame_rate: float) -> tuple[int, ...]:
+    return _TURNS if frame_rate >= 20 else (0,) * len(LIMB_LAYERS)
 
 
 def refined(base: Recipe, name: str | None = None) -> Recipe:
@@ -95,6 +116,18 @@ def hpf_plus(body: Body, particles: int = 572, frame_rate: float = 25.0) -> Reci
     return refined(published.hpf(body, particles, frame_rate=frame_rate), "hpf+")
 
 
+def dd_hpf_rivals(body: Body, particles: int = 500, frame_rate: float = 25.0, rivals: int = 3) -> Recipe:
+    """`published_recipes.dd_hpf_plus` with contour refinement and rival arms, a solved start, prediction and recovery:
+    its particles find what the detections show, the rivals what they leave uncovered."""
+    base = published.dd_hpf_plus(body, particles, frame_rate=frame_rate)
+    layers = (
+        *base.layers,
+        Layer(ContourRefinement(), no_evidence, keep, "refinement"),
+        _rivals(body, _turns(frame_rate), rivals, SolveOptions()),
+    )
+    return _solving(replace(base, name="dd-hpf+rivals", layers=layers, rivals=rivals))
+
+
 def _solving(base: Recipe) -> Recipe:
     return replace(
         base,
@@ -103,18 +136,38 @@ def _solving(base: Recipe) -> Recipe:
         estimate=solved,
         uncertainty=uncertainty_of_pose,
         recover=Recovery(find=recover, rival=look_for_exchange),
-        smooth=True,
+        smooth=smooth_clip,
     )
 
 
 @dataclass(frozen=True)
 class Preset:
-    """What is known of a recipe before there is a body. make(body, frame_rate=Hz): the recipe for a body; citation;
-    whole_clip: key points alone are enough, and are solved in all frames together instead of frame by frame."""
+    """What is known of a recipe before there is a body. make(body, frame_rate=Hz): the recipe for a body, whose other
+    parameters are the options that only this method has; citation; whole_clip: key points alone are enough, and are
+    solved in all frames together instead of frame by frame; needs: as those of the recipe, as far as they decide which
+    recordings it can be used on; evidence: the choices, the usual one first."""
 
     make: Callable[..., Recipe]
     citation: str
     whole_clip: bool = False
+    needs: tuple[str, ...] = ()
+    evidence: tuple[str, ...] = ("silhouettes", "keypoints", "both")
+
+    def check(self, name: str, evidence: str, options: Iterable[str]) -> None:
+        """An InputError that names what the recipe of this name does not know."""
+        if evidence not in self.evidence:
+            choices = f"{', '.join(self.evidence[:-1])} or {self.evidence[-1]}"
+            raise InputError(f"The recipe {name!r} knows no evidence {evidence!r}; choose {choices}.")
+        if evidence == "keypoints" and self.evidence == Preset.evidence and not self.whole_clip:
+            raise InputError(f"The recipe {name!r} needs silhouettes; choose the evidence silhouettes or both.")
+        known = inspect.signature(self.make).parameters
+        for option in options:
+            if option not in known:
+                having = [n for n, p in RECIPES.items() if option in inspect.signature(p.make).parameters]
+                raise InputError(
+                    f"The recipe {name!r} has no option {option!r}; leave it out, or choose the recipe "
+                    f"{' or '.join(having) or 'that has it'}."
+                )
 
 
 RECIPES: dict[str, Preset] = {
@@ -129,23 +182,32 @@ RECIPES: dict[str, Preset] = {
     "dd-hpf": Preset(published.dd_hpf, THESIS),
     "dd-hpf+": Preset(published.dd_hpf_plus, THESIS),
     "dd-hpf+5": Preset(published.dd_hpf_plus_5, THESIS),
+    "dd-hpf+rivals": Preset(dd_hpf_rivals, f"{THESIS} {CONTOURS}"),
+    "monocular": Preset(monocular, TRIGGS, needs=("picture",), evidence=PICTURE_CUES),
 }
 
 
 def recipe(
-    name: str, body: Body, *, frame_rate: float = 25.0, particles: int | None = None, refine: bool = False
+    name: str,
+    body: Body,
+    *,
+    frame_rate: float = 25.0,
+    particles: int | None = None,
+    refine: bool = False,
+    **own: Any,
 ) -> Recipe:
     """A preset by name for a body and a frame rate (Hz); particles: None = its own number; refine: with contour
-    refinement as a last layer, if it has none.
+    refinement as a last layer, if it has none; own: options that only this method has.
 
     An InputError lists the presets when the name is unknown.
     """
     if name not in RECIPES:
         raise InputError(f"There is no recipe {name!r}; the recipes are {', '.join(RECIPES)}.")
-    made = RECIPES[name].make(body, frame_rate=frame_rate)
-    if refine and not made.smooth:  # what is solved has been refined
+    count = {} if particles is None else {"particles": particles}
+    made = RECIPES[name].make(body, frame_rate=frame_rate, **count, **own)
+    if refine and made.smooth is None:  # what is solved has been refined
         made = refined(made)
-    return replace(made, particles=particles or made.particles, citation=citation_of(name, refine))
+    return replace(made, citation=citation_of(name, refine))
 
 
 def citation_of(name: str, refine: bool = False) -> str:

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
-from hypose.body.motion import Motion, sd_per_axis
+from hypose.body.motion import Modes, Motion, joined_modes, modes_arrays, sd_per_axis
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.inference.hypotheses import Hypotheses
-from hypose.inference.layer import Recipe, Recovery, search
+from hypose.inference.hypotheses import BEFORE, Hypotheses
+from hypose.inference.layer import Recipe, Recovery, search, stand_still
 from hypose.inference.random_streams import stream
 from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.frame_evidence import OwnEvidence, PreparedFrame, prepare, view_count
@@ -32,13 +32,15 @@ BETWEEN_FRAMES, RECOVERY, START = -1, -2, -3
 """Layer numbers of the random streams used outside a recipe's layers."""
 NOBODY = 0.3
 """Share of the usual mean IoU below which the masks hold nobody where the body is, or the rim of somebody else."""
+_COLUMN, _MODES = "column_", "modes_"
 
 
 @dataclass(frozen=True)
 class TrackerSettings:
     """What the tracker is told.
 
-    evidence: 'silhouettes', 'keypoints' or 'both'. seed: of every random draw. frame_rate: Hz. prediction_weight: pull
+    evidence: 'silhouettes', 'keypoints' or 'both'; with the picture of one camera also 'edges', nothing else, and
+    'auto', all there is. seed: of every random draw. frame_rate: Hz. prediction_weight: pull
     of a solve to the prediction at 25 fps (it grows with the square of the frame rate, as the prediction's error
     shrinks). lost_share: lost when the mean IoU falls below this share of its usual value; lost_floor: or below this
     value. keypoint_scale_px: robust scale of key points in their pixels. extrapolate: seconds without evidence after
@@ -62,7 +64,8 @@ class FrameEstimate:
     """pose (D,), its uncertainty, cost: 1 - mean IoU (NaN without silhouettes), flags, number of views. overlap (C,):
     IoU of the body with each view's mask, NaN where that is not usable, empty when not looked at. exchanged: by
     how much a rival (the body with its sides exchanged) overlaps the masks better, NaN when not looked at.
-    seen (C, 3): what hypose.pipeline.doubts keeps of each view, (0, 3) when nothing."""
+    seen (C, 3): what hypose.pipeline.doubts keeps of each view, (0, 3) when nothing. rivals (K, D), rival_weights
+    (K,): other poses that the evidence allows, as in `Motion`."""
 
     pose: Array
     uncertainty: PoseUncertainty
@@ -73,6 +76,8 @@ class FrameEstimate:
     overlap: Array = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
     exchanged: float = float("nan")
     seen: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
+    rivals: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    rival_weights: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
 
     @property
     def joint_sd(self) -> Array:
@@ -110,13 +115,17 @@ class TrackerState:
             "usual_iou": np.array(self.usual_iou),
             "blind": np.array(self.blind),
             "lost": np.array(self.lost),
+            **{f"{_COLUMN}{name}": column for name, column in self.hypotheses.columns.items()},
         }
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrackerState:
         """The state that `to_arrays` wrote."""
         names = tuple(arrays["role_names"].tolist())
-        h = Hypotheses(arrays["values"], arrays["log_weights"], arrays["origin"], arrays["role"], names)
+        columns = {k.removeprefix(_COLUMN): v for k, v in arrays.items() if k.startswith(_COLUMN)}
+        h = Hypotheses(
+            arrays["values"], arrays["log_weights"], arrays["origin"], arrays["role"], names, columns=columns
+        )
         return TrackerState(
             int(arrays["frames"]),
             h,
@@ -147,12 +156,20 @@ class Tracker:
                     f"The recipe {self.recipe.name!r} needs {kind}; choose the evidence {kind!r} or 'both', or another "
                     "recipe."
                 )
+        if "picture" in self.recipe.needs and self.own:
+            raise InputError(f"The recipe {self.recipe.name!r} looks at one picture, and not at evidence of your own.")
 
-    def start(self, pose: Array) -> TrackerState:
-        """State before the first frame, around a start pose (D,)."""
+    def start(self, begin: Array | Hypotheses) -> TrackerState:
+        """State before the first frame, around a start pose (D,), or with these rival starts."""
         s = self.body.skeleton
-        pose = s.canonical(s.clamp(pose))
-        h = self._around(pose, 0.5, stream(self.settings.seed, 0, START))
+        given = begin.values if isinstance(begin, Hypotheses) else begin
+        if np.shape(given)[-1:] != (s.dof,) or not np.isfinite(given).all():
+            raise InputError(f"A start needs {s.dof} finite numbers per pose, got {np.shape(given)}; fit it again.")
+        if isinstance(begin, Hypotheses):
+            h, pose = begin, begin.best()
+        else:
+            pose = s.canonical(s.clamp(begin))
+            h = self._around(pose, 0.5, stream(self.settings.seed, 0, START))
         unknown = np.full((len(s.joint_names), 3, 3), np.nan, np.float32)
         return TrackerState(0, h, pose, pose, unknown, float("nan"), 0, False)
 
@@ -168,30 +185,42 @@ class Tracker:
         state = self._on_canonical_branch(state)
         last_step = state.pose - s.on_branch(state.previous, state.pose)
         # after a loss the last step is none of the person's
-        step = recipe.predict(np.zeros_like(last_step) if state.lost else last_step, state.blind)
-        prediction = s.clamp(state.pose + step)
-        prepared = self._prepare(frame, prediction, state.usual_iou)
+        alone = np.zeros_like(last_step)
+        step = alone if recipe.predict is None else recipe.predict(alone if state.lost else last_step, state.blind)
+        prediction = self._within(state.pose + step)
+        prepared = self._prepare(frame, prediction, state)
         if not prepared.usable:
-            return self._extrapolate(state, prediction, step)
+            return self._extrapolate(state, prediction, self._expected(state, step))
         if state.frames == 0:
             prepared, state = self._begin(prepared, state)
             step = np.zeros_like(step)
-        h = replace(state.hypotheses, values=s.clamp(state.hypotheses.values + step))
+        h = self._expected(state, step)
+        if recipe.rivals:  # particles are drawn about the best of them
+            best = h.take(np.repeat(h.relative_log_weights.argmax(), recipe.particles)).equal()
+            h, prepared = replace(best, columns={}), replace(prepared, rivals=h)
         result = search(h, recipe, prepared, partial(stream, self.settings.seed, frame.index))
-        pose, selected = s.clamp(result.estimate), result.selected
+        pose, selected = self._within(result.estimate), result.selected
         iou = _mean_iou(self.body, pose, prepared)
         lost = self._is_lost(iou, state.usual_iou)
+        if recipe.lost is not None:
+            lost = recipe.lost(pose, result.weighted, prepared)
         if recipe.recover is not None and prepared.masks is not None:
             state, pose, selected, iou, lost = self._recover(recipe.recover, state, pose, selected, iou, prepared)
         known = (recipe.uncertainty or uncertainty_of_set)(pose, result.weighted, prepared)
         usual = state.usual_iou
         if not lost and np.isfinite(iou):
             usual = iou if np.isnan(usual) else usual + 0.1 * (iou - usual)
-        following = TrackerState(state.frames + 1, selected, pose, state.pose, known.joint_covariance, usual, 0, lost)
+        before = selected.columns.get(BEFORE)
+        last = state.pose if before is None else before[selected.relative_log_weights.argmax()]
+        following = TrackerState(state.frames + 1, selected, pose, last, known.joint_covariance, usual, 0, lost)
         cost = 1 - iou if np.isfinite(iou) else float("nan")
         overlap = silhouette_iou(self.body, pose, prepared)
         gain = float("nan") if lost else self._rival_gain(state, pose, prepared)
-        return following, FrameEstimate(pose, known, cost, lost, False, view_count(prepared), overlap, gain)
+        rivals, weights = self._rivals(None if lost else selected)
+        views = view_count(prepared)
+        return following, FrameEstimate(
+            pose, known, cost, lost, False, views, overlap, gain, rivals=rivals, rival_weights=weights
+        )
 
     def _recover(
         self, how: Recovery, state: TrackerState, pose: Array, selected: Hypotheses, iou: float, prepared: PreparedFrame
@@ -217,7 +246,7 @@ class Tracker:
     def rival(self, pose: Array, frame: Frame) -> Array:
         """The rival of a pose (D,) on a frame's evidence, where tracking may begin anew; the pose if there is none."""
         look = self.recipe.recover.rival if self.recipe.recover is not None else None
-        return pose if look is None else look(pose, self._prepare(frame, pose, float("nan")))[1]
+        return pose if look is None else look(pose, self._prepare(frame, pose))[1]
 
     def _rival_gain(self, state: TrackerState, pose: Array, prepared: PreparedFrame) -> float:
         """Looked for now and then, where silhouettes alone tell left from right."""
@@ -233,8 +262,36 @@ class Tracker:
         noise = rng.standard_normal((self.recipe.particles, s.dof)) * steps
         return Hypotheses.uniform(s.clamp(pose + noise * step_sigma(s, self.settings.frame_rate)))
 
+    def _rivals(self, h: Hypotheses | None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The hypotheses beside the best, and their weights, as an estimate has them."""
+        count = max(self.recipe.rivals - 1, 0)
+        poses = np.full((count, self.body.skeleton.dof), np.nan, np.float32)
+        weights = np.zeros(count, np.float32)
+        if h is not None and BEFORE in h.columns:
+            order = np.argsort(-h.weights, kind="stable")[1 : 1 + count]
+            poses[: len(order)], weights[: len(order)] = h.values[order], h.weights[order]
+        return poses, weights
+
+    def _expected(self, state: TrackerState, step: Array) -> Hypotheses:
+        """The hypotheses where they are expected after a usual step (D,), or each after its own."""
+        s, h = self.body.skeleton, state.hypotheses
+        if not self.recipe.rivals:
+            return replace(h, values=self._within(h.values + step))
+        before = h.columns.get(BEFORE)
+        if before is None:  # scattered about the pose, which is all there is
+            h, before = Hypotheses(state.pose[None], np.zeros(1)), state.previous[None]
+        steps = np.zeros_like(before) if state.lost else h.values - s.on_branch(before, h.values)
+        ahead = h.values + (self.recipe.predict or stand_still)(steps, state.blind)
+        return replace(h, values=self._within(ahead), columns={BEFORE: h.values})
+
+    def _within(self, poses: Array) -> Array:
+        """Poses (..., D) within the limits, unless the recipe's layers see to that."""
+        return poses if self.recipe.predict is None else self.body.skeleton.clamp(poses)
+
     def _on_canonical_branch(self, state: TrackerState) -> TrackerState:
         s = self.body.skeleton
+        if self.recipe.predict is None:
+            return state  # a velocity belongs to the branch that it was seen on
         pose = s.canonical(state.pose)
         values = s.on_branch(state.hypotheses.values, pose)
         return replace(
@@ -244,26 +301,27 @@ class Tracker:
             hypotheses=replace(state.hypotheses, values=values),
         )
 
-    def _prepare(self, frame: Frame, prediction: Array, usual_iou: float) -> PreparedFrame:
+    def _prepare(self, frame: Frame, prediction: Array, state: TrackerState | None = None) -> PreparedFrame:
         wanted = self.settings.evidence
         return prepare(
             frame,
             self.body,
             prediction,
-            use_silhouettes=wanted in ("silhouettes", "both"),
-            use_keypoints=wanted in ("keypoints", "both"),
+            use_silhouettes=wanted in ("silhouettes", "both", "auto"),
+            use_keypoints=wanted in ("keypoints", "both", "auto"),
             contour_weight=self.settings.contour_weight,
             keypoint_scale_px=self.settings.keypoint_scale_px,
             keypoints_on_body=self.keypoints_on_body,
             prediction_weight=self.settings.prediction_weight * (self.settings.frame_rate / 25) ** 2,
-            usual_iou=usual_iou,
+            usual_iou=float("nan") if state is None else state.usual_iou,
             own=self.own,
+            done=0 if state is None else state.frames,
         )
 
     def _begin(self, prepared: PreparedFrame, state: TrackerState) -> tuple[PreparedFrame, TrackerState]:
         """Before the first search: the set moved to where the recipe starts."""
         start = self.recipe.start(prepared.prediction, prepared)
-        shifted = self.body.skeleton.clamp(state.hypotheses.values + (start - prepared.prediction))
+        shifted = self._within(state.hypotheses.values + (start - prepared.prediction))
         h = replace(state.hypotheses, values=shifted)
         return replace(prepared, prediction=start), replace(state, pose=start, previous=start, hypotheses=h)
 
@@ -281,7 +339,7 @@ class Tracker:
         return bool(iou < NOBODY * (1.0 if np.isnan(usual) else usual))
 
     def _extrapolate(
-        self, state: TrackerState, prediction: Array, velocity: Array
+        self, state: TrackerState, prediction: Array, expected: Hypotheses
     ) -> tuple[TrackerState, FrameEstimate]:
         s = self.body.skeleton
         blind = state.blind + 1
@@ -289,9 +347,14 @@ class Tracker:
         growth = s.joint_covariances(prediction, np.diag(step_sigma(s, self.settings.frame_rate) ** 2))
         covariance = (np.nan_to_num(state.joint_covariance, nan=0.0) + growth).astype(np.float32)
         lost = state.lost or blind > self.settings.extrapolate * self.settings.frame_rate
-        h = replace(state.hypotheses, values=s.clamp(state.hypotheses.values + velocity))
-        following = TrackerState(state.frames + 1, h, prediction, state.pose, covariance, state.usual_iou, blind, lost)
-        return following, FrameEstimate(prediction, nothing_known(covariance, s.dof), float("nan"), lost, True, 0)
+        following = TrackerState(
+            state.frames + 1, expected, prediction, state.pose, covariance, state.usual_iou, blind, lost
+        )
+        rivals, weights = self._rivals(None)
+        nothing = nothing_known(covariance, s.dof)
+        return following, FrameEstimate(
+            prediction, nothing, float("nan"), lost, True, 0, rivals=rivals, rival_weights=weights
+        )
 
 
 def _mean_iou(body: Body, pose: Array, prepared: PreparedFrame) -> float:
@@ -316,12 +379,27 @@ def motion_of(
         np.array([e.n_views for e in estimates], dtype=np.int64),
         np.array([e.cost for e in estimates], dtype=np.float64),
         provenance or {},
+        rivals=_stacked([e.rivals for e in estimates]),
+        rival_weights=_stacked([e.rival_weights for e in estimates]),
     )
+
+
+def _stacked(of_frames: Sequence[NDArray[np.float32]]) -> NDArray[np.float32] | None:
+    """(T, K, ...) of the frames; None when the method keeps no rivals."""
+    return np.stack(of_frames) if of_frames[0].size else None
+
+
+def modes_of(estimates: Sequence[FrameEstimate]) -> Modes | None:
+    """The poses that each of the frames allows, where the method tells them."""
+    told = [e.uncertainty.modes for e in estimates if e.uncertainty.modes is not None]
+    return joined_modes(told) if told and len(told) == len(estimates) else None
 
 
 def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray[Any]]:
     """Plain arrays of the finished frames for a checkpoint."""
+    modes = modes_of(estimates)
     return {
+        **({} if modes is None else {f"{_MODES}{k}": v for k, v in modes_arrays(modes).items()}),
         "poses": np.stack([e.pose for e in estimates]),
         "joint_covariances": np.stack([e.uncertainty.joint_covariance for e in estimates]),
         "information": np.stack([e.uncertainty.information for e in estimates]),
@@ -330,23 +408,30 @@ def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray
         "views": np.array([e.n_views for e in estimates]),
         "exchanged": np.array([e.exchanged for e in estimates]),
         "seen": np.stack([e.seen for e in estimates]),
+        "rivals": np.stack([e.rivals for e in estimates]),
+        "rival_weights": np.stack([e.rival_weights for e in estimates]),
     }
 
 
 def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimate]:
     """The estimates that `estimates_to_arrays` wrote."""
+    told = {k.removeprefix(_MODES): v for k, v in arrays.items() if k.startswith(_MODES)}
+    modes = Modes(**told).rows() if told else [None] * len(arrays["poses"])
     return [
         FrameEstimate(
             pose,
-            PoseUncertainty(around, known),
+            PoseUncertainty(around, known, allowed),
             float(cost),
             bool(flags[0]),
             bool(flags[1]),
             int(views),
             exchanged=float(exchanged),
             seen=seen,
+            rivals=rivals,
+            rival_weights=rival_weights,
         )
-        for pose, around, known, cost, flags, views, exchanged, seen in zip(
+        for allowed, pose, around, known, cost, flags, views, exchanged, seen, rivals, rival_weights in zip(
+            modes,
             arrays["poses"],
             arrays["joint_covariances"],
             arrays["information"],
@@ -355,6 +440,8 @@ def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimat
             arrays["views"],
             arrays["exchanged"],
             arrays["seen"],
+            arrays["rivals"],
+            arrays["rival_weights"],
             strict=True,
         )
     ]
