@@ -20,7 +20,7 @@ def gait(
     from hypose.io.claims import claimed
     from hypose.io.motions.bodies import load_body
     from hypose.io.motions.compared_files import load_result
-    from hypose.pipeline.gait import gait_of
+    from hypose.pipeline.gait_events import gait_of
 
     motion = load_result(results)
     source = results if results.is_dir() else results.parent

@@ -36,8 +36,8 @@ def track(
     evidence: Annotated[
         str | None,
         typer.Option(
-            help="silhouettes, keypoints or both; with monocular also auto or edges. [default: silhouettes, where there "
-            "are no pictures keypoints; with monocular all there is]"
+            help="silhouettes, keypoints or both; with monocular also auto or edges. [default: silhouettes; without "
+            "pictures keypoints; with monocular all there is]"
         ),
     ] = None,
     start: Annotated[

@@ -11,7 +11,7 @@ import numpy as np
 from hypose.body.motion import Motion
 from hypose.io.files import write_text
 from hypose.io.motions.c3d import write_c3d
-from hypose.pipeline.gait import Gait
+from hypose.pipeline.gait_events import Gait
 
 _LABELS = {"strike": "Foot Strike", "off": "Foot Off"}
 
