@@ -87,8 +87,8 @@ _COURT = Page(
 
 _ARMS = Page(
     "arms",
-    """How often the product has an elbow or a wrist (whose joint is the hand's) farther off than 100 or 150 mm: body from
-    another clip, default recipe, clip solved at the end, two draws of the particles; on held-out seeds from 600 on
+    """How often the product has an elbow or a wrist (whose joint is the hand's) farther off than 100 or 150 mm: body
+    from another clip, default recipe, clip solved at the end, two draws of the particles; on held-out seeds from 600 on
     (settings were chosen on 500 to 507), on other motions and rigs, and on the recording of `hypose demo`.""",
     (
         Column("> 100 mm, %", "wrong_100", scale=100),
