@@ -265,6 +265,7 @@ SEVERAL_CAMERAS = (
     _TABLE_2_3,
     _TABLE_2_4,
     _COURT,
+    _ARMS,
     _UNCERTAINTY,
     _BALANCING,
     _UU4CAM,
