@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from hypose.compute.cpu_cholesky import backward, factorise, forward
 from hypose.compute.cpu_kinematics import camera_about_root, joint_frames, skin_about_root
-from hypose.compute.cpu_rows import contour_rows, dot, keypoint_rows, point_rows, sum_rows
+from hypose.compute.cpu_rows import contour_rows, keypoint_rows, point_rows, sum_rows
 from hypose.compute.kernels import kernel
 
 LARGEST_TURN = 0.35
@@ -64,32 +65,12 @@ def fold(tree, twists, wrench_hessian, wrench_gradient, hessian, gradient):
 
 
 @kernel
-def solve_positive(a, n, b, x):
-    """x = a^-1 b by Cholesky in place (lower triangle of a); False when a is not positive."""
-    for i in range(n):
-        for j in range(i):
-            a[i, j] = (a[i, j] - dot(a[i], a[j], j)) / a[j, j]
-        s = a[i, i] - dot(a[i], a[i], i)
-        if not s > 0:
-            return False
-        a[i, i] = math.sqrt(s)
-    for i in range(n):
-        x[i] = (b[i] - dot(a[i], x, i)) / a[i, i]
-    for i in range(n - 1, -1, -1):
-        s = x[i]
-        for k in range(i + 1, n):
-            s -= a[k, i] * x[k]
-        x[i] = s / a[i, i]
-    return True
-
-
-@kernel
 def bounded_step(hessian, gradient, q, lower, upper, damping, step):
     """Minimum of 1/2 s'(H + damping D)s + g's subject to lower <= q + s <= upper, by an active set that only grows
     (at most six rounds; then what still sticks out is cut off). False when the matrix is not positive."""
     n_dof = q.shape[0]
     a = np.empty((n_dof, n_dof))
-    rhs, x = np.empty(n_dof), np.empty(n_dof)
+    x = np.empty(n_dof)
     free = np.empty(n_dof, np.int64)
     fixed = np.zeros(n_dof, np.uint8)
     for d in range(n_dof):
@@ -108,12 +89,14 @@ def bounded_step(hessian, gradient, q, lower, upper, damping, step):
             for e in range(n_dof):
                 if fixed[e]:
                     s -= hessian[d, e] * step[e]
-            rhs[i] = s
+            x[i] = s
             for j in range(i):
                 a[i, j] = hessian[d, free[j]]
             a[i, i] = hessian[d, d] + damping * max(hessian[d, d], 1.0)
-        if not solve_positive(a, n, rhs, x):
+        if not factorise(a, n, 0.0):
             return False
+        forward(a, n, x)
+        backward(a, n, x)
         outside = 0
         for i in range(n):
             d = free[i]
