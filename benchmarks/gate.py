@@ -4,8 +4,8 @@ Every speed is divided by the time OpenCV needs for one silhouette (project, fil
 run, so that another machine, or a busy one, moves both. A figure that seems too slow is measured again, up to three
 times, before it fails; margins are wide because machines are shared: the gate is for changes that cost a factor.
 
-    python benchmarks/gate.py             exit status 1 when something got slower; under a minute
-    python benchmarks/gate.py --update    write the ratios of this run as the new baseline (say why in the commit)
+    python -m benchmarks.gate             exit status 1 when something got slower; under a minute
+    python -m benchmarks.gate --update    write the ratios of this run as the new baseline (say why in the commit)
 """
 
 import argparse
@@ -14,11 +14,11 @@ import os
 import sys
 from pathlib import Path
 
+from benchmarks.bench_report import BenchOptions, BenchReport, machine
+from benchmarks.multiview.action_scenes import action_scene, known_subject
+from benchmarks.multiview.scorer_speed import opencv_unit, silhouette_scorer
+from benchmarks.multiview.solve_speed import contour_solve
 from hypose.compute import warm_up
-from hypose.evaluation.action_scenes import action_scene, known_subject
-from hypose.evaluation.benchmarks import BenchOptions, BenchReport, machine
-from hypose.evaluation.scorer_speed import opencv_unit, silhouette_scorer
-from hypose.evaluation.speed import contour_solve
 
 BASELINE = Path(__file__).with_name("baseline.json")
 ATTEMPTS = 3
@@ -51,7 +51,7 @@ def solve() -> dict[str, float]:
 
 def main() -> int:
     """Measure, compare, print; the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description="Speed gate.")
     parser.add_argument("--update", action="store_true", help="write this run's ratios as the baseline")
     update = parser.parse_args().update
     os.environ.setdefault("NUMBA_NUM_THREADS", "1")

@@ -12,12 +12,12 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from hypose.evaluation.fusion_scenes import FRESH_SEED
-from hypose.evaluation.sensor_choice import choose, noise_of
-from hypose.evaluation.sensors import HIDDEN_BELOW, treadmill_recording
+from benchmarks.depth_sensors.fusion_scenes import FRESH_SEED
+from benchmarks.depth_sensors.sensor_choice import choose, noise_of
 from hypose.fusion import joints as jt
 from hypose.fusion.register import heading, register, register_per_frame, upward
 from hypose.fusion.swarm import IMPROVED, PUBLISHED
+from hypose.synthetic.sensors import HIDDEN_BELOW, treadmill_recording
 
 FRAMES = slice(250, 550)
 

@@ -1,7 +1,7 @@
 """Draws the pictures of docs/gestures.md and docs/benchmarks.md: what the simulated sensor delivers; curves of recall
 over 1 - precision (mean over seeds); alpha, beta and the trees' balance; sessions.
 
-python docs/plot_gestures.py [FILE.json ...]     (of `hypose bench gesture-table-3.1`, `-3.2`, `-3.3`, `gesture-sweeps`;
+python docs/plot_gestures.py [FILE.json ...]     (of `./run bench gesture-table-3.1`, `-3.2`, `-3.3`, `gesture-sweeps`;
                                                   without files: the sensor)
 """
 
@@ -15,8 +15,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from hypose.evaluation.gesture_poses import GESTURES
-from hypose.evaluation.gesture_scenes import CLUTTERED, TRAINING, picture
+from hypose.synthetic.gesture_poses import GESTURES
+from hypose.synthetic.gesture_scenes import CLUTTERED, TRAINING, picture
 
 IMAGES = Path(__file__).parent / "images"
 STYLE = {

@@ -1,6 +1,6 @@
 """Draws docs/images/presets.png: the published filters on table-2.3 and table-2.4 beside the published figures.
 
-python docs/plot_presets.py TABLE_2_3.json TABLE_2_4.json   (written by `hypose bench table-2.3 --json ...` and so on)
+python docs/plot_presets.py TABLE_2_3.json TABLE_2_4.json   (written by `./run bench table-2.3 --json ...` and so on)
 """
 
 import json

@@ -13,32 +13,32 @@ from typing import Any
 
 _PLACES = {
     # a recording becomes a motion
-    "load_recording": "hypose.io.recording",
-    "Recording": "hypose.io.recording",
+    "load_recording": "hypose.io.recordings.recording",
+    "Recording": "hypose.io.recordings.recording",
     "track": "hypose.pipeline.track",
     "TrackOptions": "hypose.pipeline.run",
     "TrackResult": "hypose.pipeline.run",
     # a motion and what is made of it
     "Motion": "hypose.body.motion",
-    "load_motion": "hypose.io.results",
-    "save_motion": "hypose.io.results",
-    "export_motion": "hypose.io.export",
+    "load_motion": "hypose.io.motions.results",
+    "save_motion": "hypose.io.motions.results",
+    "export_motion": "hypose.io.motions.export",
     "joint_angles": "hypose.body.joint_angles",
     # bodies
     "Body": "hypose.body.body",
-    "human": "hypose.body.models",
-    "load_body": "hypose.io.bodies",
-    "save_body": "hypose.io.bodies",
+    "human": "hypose.body.ready_bodies",
+    "load_body": "hypose.io.motions.bodies",
+    "save_body": "hypose.io.motions.bodies",
     # cameras
     "Camera": "hypose.cameras.camera",
     "CameraRig": "hypose.cameras.camera",
-    "read_calibration": "hypose.io.calibration_formats:read_any",
-    "write_calibration": "hypose.io.calibration_formats:write_any",
+    "read_calibration": "hypose.io.calibrations.calibration_formats:read_any",
+    "write_calibration": "hypose.io.calibrations.calibration_formats:write_any",
     # frame by frame, with evidence of one's own
     "Frame": "hypose.evidence.frame",
     "Silhouettes": "hypose.evidence.frame",
     "FrameList": "hypose.pipeline.track_loop",
-    "OwnEvidence": "hypose.tracking.evidence",
+    "OwnEvidence": "hypose.tracking.frame_evidence",
     "PointTerm": "hypose.fitting.articulated",
     "Tracker": "hypose.tracking.tracker",
     "TrackerSettings": "hypose.tracking.tracker",
@@ -57,12 +57,12 @@ _PLACES = {
     "SilhouetteXor": "hypose.tracking.costs",
     "pose_mean": "hypose.tracking.refinement",
     # depth sensors
-    "read_skeletons": "hypose.io.skeleton_formats",
+    "read_skeletons": "hypose.io.sensors.skeleton_formats",
     "fuse_clip": "hypose.fusion.fuse",
     "LiveFuser": "hypose.fusion.live",
     "load_gesture_model": "hypose.pipeline.gesture_files:load_model",
     # scenes with known truth
-    "make_scene": "hypose.evaluation.scenes",
+    "make_scene": "hypose.synthetic.scenes",
     # what goes wrong
     "HyposeError": "hypose.errors",
     "InputError": "hypose.errors",

@@ -384,6 +384,8 @@ def commands_of(name: str, arguments: List[str], folder: str, python: str) -> Li
             [program(folder, "pyright"), "--pythonpath", python],
             [program(folder, "lint-imports"), "--cache-dir", os.path.join(CACHE, "import-linter")],
         ]
+    if name == "bench":
+        return [[python, "-m", "benchmarks"] + arguments]
     return [[program(folder, "hypose"), name] + arguments]
 
 

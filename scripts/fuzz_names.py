@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.robustness.small_recordings import small_scene, write_gesture_session, write_masks, write_skeletons
 from hypose.compute.cache_place import VARIABLE, cache_folder
-from hypose.compute.kernels import KernelCache, kernel
+from hypose.compute.compiled import KernelCache, kernel
 from hypose.errors import InputError
-from hypose.evaluation.small_recordings import small_scene, write_gesture_session, write_masks, write_skeletons
 from hypose.io.file_names import file_name, folder_for, text_of
 
 _NAMES = ("cam 1", "Mädchen 走る", "../../x", "a\nb", "-rf", "C:\\con", "\x1b]0;t\x07", "n" * 120, 'it\'s "so" $(y)')
@@ -130,8 +130,8 @@ def _renamed(folder: Path, what: str, text: str) -> Path:
 
 def read_view(folder: Path) -> None:
     """A view and its camera have the name; the recording is read, written again, and its masks have their folders."""
-    from hypose.io.calibration_formats import write_any
-    from hypose.io.recording import load_recording, write_recording
+    from hypose.io.calibrations.calibration_formats import write_any
+    from hypose.io.recordings.recording import load_recording, write_recording
 
     copy = _renamed(folder, "walk", _texts(folder, "view")[0])
     recording = load_recording(copy)
@@ -146,8 +146,8 @@ def read_view(folder: Path) -> None:
 
 def read_sensor(folder: Path) -> None:
     """A sensor has the name; its skeletons are read, written again and read again."""
-    from hypose.io.skeleton_folder import write_folder
-    from hypose.io.skeleton_formats import read_skeletons
+    from hypose.io.sensors.skeleton_folder import write_folder
+    from hypose.io.sensors.skeleton_formats import read_skeletons
 
     skeletons = read_skeletons(_renamed(folder, "sensors", _texts(folder, "sensor")[0]))
     write_folder(skeletons, folder / "work" / "again")
@@ -169,8 +169,8 @@ def read_gesture(folder: Path) -> None:
 
 def read_recording_folder(folder: Path) -> None:
     """A recording lies in a folder of the name, and a picture in it has the name; both are read."""
-    from hypose.io.recording import load_recording
-    from hypose.io.video import read_image
+    from hypose.io.recordings.recording import load_recording
+    from hypose.io.videos.video import read_image
 
     name = _texts(folder, "recording")[0].replace("/", "_").replace("\0", "_")
     place = _work(folder) / f"x{name}"

@@ -41,8 +41,8 @@ class _Servers:
     """Both servers in one loop of a thread of its own. Made once per process."""
 
     def __init__(self) -> None:
-        from hypose.app.door import FOREIGN, fold_logs, folded
-        from hypose.app.live_server import LiveOptions, LiveServer
+        from hypose.app.live.door import FOREIGN, fold_logs, folded
+        from hypose.app.live.live_server import LiveOptions, LiveServer
         from hypose.app.studio.answers import NotNow
         from hypose.app.studio.server import Studio, StudioOptions, make_server
 
@@ -119,11 +119,11 @@ def _recording(root: Path) -> None:
     """A recording with a result, as the studio serves them."""
     import numpy as np
 
-    from hypose.body.models import human
+    from benchmarks.robustness.small_recordings import small_scene, write_masks
     from hypose.body.motion import Motion, isotropic
-    from hypose.evaluation.small_recordings import small_scene, write_masks
-    from hypose.io.bodies import save_body
-    from hypose.io.results import save_motion
+    from hypose.body.ready_bodies import human
+    from hypose.io.motions.bodies import save_body
+    from hypose.io.motions.results import save_motion
 
     write_masks(small_scene(1, 2), root / "walk")
     body, folder = human(), root / "walk" / "results" / "default"

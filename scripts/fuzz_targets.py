@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hypose.evaluation.small_recordings import small_scene, write_gesture_session, write_masks, write_skeletons
+from benchmarks.robustness.small_recordings import small_scene, write_gesture_session, write_masks, write_skeletons
 from hypose.fusion.joints import COMMON
 from scripts import fuzz_names, fuzz_servers
 
@@ -32,13 +32,16 @@ class Target:
 
 def targets() -> dict[str, Target]:
     """All targets by name."""
-    from hypose.app.sweep import read_sweep
-    from hypose.calibration.points import read_scene_points
+    from hypose.app.sweeps.sweep import read_sweep
+    from hypose.calibration.from_points import read_scene_points
     from hypose.evidence.keypoints import BODY_25, parse_openpose
-    from hypose.io import asf, bodies, c3d, calibration_formats, meshes, recording, results, trc, video
-    from hypose.io.depth import read_depth_png
-    from hypose.io.skeleton_formats import read_skeletons
-    from hypose.io.skeleton_lines import parse_line
+    from hypose.io.calibrations import calibration_formats
+    from hypose.io.motions import asf, bodies, c3d, meshes, results, trc
+    from hypose.io.recordings import recording
+    from hypose.io.sensors.depth import read_depth_png
+    from hypose.io.sensors.skeleton_formats import read_skeletons
+    from hypose.io.sensors.skeleton_lines import parse_line
+    from hypose.io.videos import video
     from hypose.pipeline.gesture_files import load_model, read_recording
 
     cameras = calibration_formats.read_any
@@ -107,7 +110,7 @@ def _of_names() -> list[Target]:
 
 
 def _all_frames(path: Path) -> int:
-    from hypose.io.video import open_video
+    from hypose.io.videos.video import open_video
 
     with open_video(path) as reader:
         return sum(1 for _ in reader)
@@ -117,7 +120,7 @@ def _live() -> Callable[[bytes], Any]:
     """A live server that takes line after line, as from UDP; its clock goes on by 10 ms per line."""
     import asyncio
 
-    from hypose.app.live_server import LiveOptions, LiveServer
+    from hypose.app.live.live_server import LiveOptions, LiveServer
 
     loop = asyncio.new_event_loop()
     now = [0.0]
@@ -137,21 +140,21 @@ def write_good(folder: Path) -> None:
     """The good inputs of all targets, written by the package's own writers where it has them."""
     import trimesh
 
-    from hypose.body.models import human
     from hypose.body.motion import Motion, isotropic
+    from hypose.body.ready_bodies import human
     from hypose.cameras.camera import CameraRig
-    from hypose.evaluation.rigs import rig
     from hypose.gestures.forest import ForestSettings
     from hypose.gestures.localise import LocaliseSettings
     from hypose.gestures.model import GestureModel
     from hypose.gestures.online import Learner
-    from hypose.io.bodies import save_body
-    from hypose.io.calibration_formats import write_any
-    from hypose.io.depth import write_depth_png
-    from hypose.io.export import export_motion
-    from hypose.io.results import Checkpoint, save_motion
-    from hypose.io.video import VideoWriter
+    from hypose.io.calibrations.calibration_formats import write_any
+    from hypose.io.motions.bodies import save_body
+    from hypose.io.motions.export import export_motion
+    from hypose.io.motions.results import Checkpoint, save_motion
+    from hypose.io.sensors.depth import write_depth_png
+    from hypose.io.videos.video import VideoWriter
     from hypose.pipeline.gesture_files import save_model
+    from hypose.synthetic.rigs import rig
 
     rng = np.random.default_rng(5)
     cameras = CameraRig(rig("humaneva-4", distorted=True).scaled(0.25).cameras[:2])

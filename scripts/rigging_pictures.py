@@ -14,12 +14,12 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
+from benchmarks.multiview.rigging import scan_of
 from hypose.body.body import Body
-from hypose.body.models import JOINT_NAMES
-from hypose.evaluation.rigging import scan_of
-from hypose.evaluation.subjects import load_subjects
-from hypose.io.meshes import PersonMesh
+from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.io.motions.meshes import PersonMesh
 from hypose.pipeline.mesh_subject import MeshSubject, rig_mesh
+from hypose.synthetic.subjects import load_subjects
 
 mpl.use("Agg")
 OUT = Path(__file__).resolve().parent.parent / "docs/images"

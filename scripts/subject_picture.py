@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 from PIL import Image as Pillow
 
+from benchmarks.multiview.body_measures import fit_scene
 from hypose.body.body import Body
-from hypose.compute.render import silhouette
-from hypose.evaluation.anthropometry import fit_scene
-from hypose.evaluation.scenes import Scene, make_scene
-from hypose.evaluation.subjects import load_subjects
+from hypose.compute.pictures.render import silhouette
 from hypose.geometry import Array
+from hypose.synthetic.scenes import Scene, make_scene
+from hypose.synthetic.subjects import load_subjects
 
 OUT = Path(__file__).resolve().parent.parent / "docs/images/subject-fit.png"
 BODY, OUTLINE = (60, 190, 250), (255, 60, 200)

@@ -12,12 +12,12 @@ import ezc3d
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hypose.evaluation.gait import jog, walk
-from hypose.evaluation.performance import Performance, soles
-from hypose.evaluation.subjects import Subject, procedural_subject
 from hypose.geometry import transform
-from hypose.io.skeleton_tables import KINECT_V2
-from hypose.io.trc import write_trc
+from hypose.io.motions.trc import write_trc
+from hypose.io.sensors.skeleton_tables import KINECT_V2
+from hypose.synthetic.gait import jog, walk
+from hypose.synthetic.performance import Performance, soles
+from hypose.synthetic.subjects import Subject, procedural_subject
 from tests import depth_sensors, missing
 
 UNIT = 0.0254 / 0.45  # metres per unit of length in CMU's files

@@ -11,11 +11,11 @@ import pytest
 import typer
 
 import hypose
+from benchmarks.robustness.small_recordings import small_scene, write_masks
 from hypose.app.cli import app
-from hypose.app.sweep import read_sweep
-from hypose.evaluation.small_recordings import small_scene, write_masks
-from hypose.io.calibration import write_calibration
-from hypose.io.skeleton_lines import SkeletonLine, format_line
+from hypose.app.sweeps.sweep import read_sweep
+from hypose.io.calibrations.calibration_toml import write_calibration
+from hypose.io.sensors.skeleton_lines import SkeletonLine, format_line
 from scripts.api_page import api_page
 from tests.conftest import ROOT
 from tests.depth_sensors import reports

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from hypose.app.cli import main
-from hypose.app.truth import compare
-from hypose.io.results import load_motion
+from hypose.app.jobs.truth import compare
+from hypose.io.motions.results import load_motion
 from tests import missing
 from tests.conftest import ROOT
 

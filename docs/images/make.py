@@ -13,12 +13,12 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from hypose.app.overlay import write_overlay
+from hypose.app.reports.overlay import write_overlay
 from hypose.body.joint_angles import joint_angles
-from hypose.io.bodies import load_body
-from hypose.io.frames import FrameStream
-from hypose.io.recording import load_recording
-from hypose.io.results import load_motion
+from hypose.io.motions.bodies import load_body
+from hypose.io.motions.results import load_motion
+from hypose.io.recordings.frames import FrameStream
+from hypose.io.recordings.recording import load_recording
 
 HERE = Path(__file__).parent
 

@@ -17,7 +17,7 @@ from typing import Annotated
 
 import typer
 
-from hypose.app import (
+from hypose.app.commands import (
     commands_batch,
     commands_calibrate,
     commands_check,
@@ -62,7 +62,6 @@ _COMMANDS = (
     ("report", commands_results.report, "Write the report of a result again."),
     ("synth", commands_data.synth, "Make a synthetic recording with known truth."),
     ("cite", commands_cite.cite, "Print the papers behind the method that gave a result."),
-    ("bench", commands_results.bench, "Measure accuracy and speed."),
 )
 for _name, _command, _line in _COMMANDS:
     app.command(_name, short_help=_line)(_command)
@@ -89,8 +88,9 @@ def _global(
     pass
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point of the console script; arguments default to those of the process. Exits the process."""
+def main(arguments: Sequence[str] | None = None, command: typer.Typer = app, name: str = "hypose") -> None:
+    """Entry point of the console script, or of another command line that shall end as this one does; arguments default
+    to those of the process. Exits the process."""
     if arguments is None:
         _read_names_as_utf8()
     for stream in (sys.stdout, sys.stderr):  # what the terminal has no letters for is no reason to fail
@@ -104,7 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = [a for a in given if a != "--debug"]
     try:
         try:
-            app(given, prog_name="hypose", obj=given)
+            command(given, prog_name=name, obj=given)
         finally:
             sys.stdout.flush()  # a full disk shows here, while it can be told
     except HyposeError as error:
@@ -128,7 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _refused(error: OSError) -> str:
     """The sentence for what the system did not let us do."""
-    from hypose.io.results import FULL, cannot_write
+    from hypose.io.motions.results import FULL, cannot_write
 
     if error.errno == errno.ENAMETOOLONG:
         return f"{str(error.filename)[:60]}... is too long for the name of a file; give another path."
@@ -152,7 +152,7 @@ def _read_names_as_utf8() -> None:
 
 
 def _fail(sentence: str, debug: bool) -> None:
-    from hypose.app import console
+    from hypose.app.commands import console
 
     if debug:
         traceback.print_exc()

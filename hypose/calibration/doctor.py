@@ -19,8 +19,8 @@ from hypose.calibration.doctor_masks import Alignment, align, tangency, tangency
 from hypose.calibration.doctor_points import best_trial, disagreement, sizes, undistorted
 from hypose.calibration.doctor_report import Report, ViewReport, clip_findings, person_findings
 from hypose.calibration.doctor_silhouettes import examine_silhouettes
+from hypose.calibration.in_step import point_sd, points_at
 from hypose.calibration.refine_points import left_out_residual, point_residual
-from hypose.calibration.sync import point_sd, points_at
 from hypose.calibration.sync_motion import Offsets, keypoint_curves, mask_tracks, solve_offsets
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError

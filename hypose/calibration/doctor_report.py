@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hypose.body.models import human
+from hypose.body.ready_bodies import human
 from hypose.calibration.doctor_extrinsics import Extrinsics
 from hypose.calibration.doctor_findings import Clip, Finding, Limits
 from hypose.calibration.doctor_masks import Alignment

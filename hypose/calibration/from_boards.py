@@ -18,7 +18,7 @@ from hypose.calibration.views import CameraViews, LookOptions, Progress, Source,
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError
 from hypose.geometry import Array
-from hypose.io.video import open_video
+from hypose.io.videos.video import open_video
 
 _GOOD_PX = 1.0  # rms above this is worth a warning
 _TWO_SIDED = "a board printed on both sides, of which cameras see different ones (cover the back)"

@@ -14,10 +14,10 @@ from itertools import combinations
 
 import numpy as np
 
+from hypose.calibration.board_timing import motion_noise
 from hypose.calibration.boards import Board, IntArray, Sighting
 from hypose.calibration.bundle import NOISE_PX, LensPrior, Observations, Refined, refine
 from hypose.calibration.intrinsics import Lens, board_poses, observe, spread_out
-from hypose.calibration.timing import motion_noise
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError
 from hypose.geometry import Array, se3_inverse, so3_log, transform

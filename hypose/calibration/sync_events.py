@@ -25,7 +25,7 @@ _LEAST_PEAK = 6.0  # a peak of the correlation in its own sd, below which there 
 
 
 class Sound(Protocol):
-    """One camera's sound: samples (N,) at rate Hz; sample 0 belongs to the start of frame 0 (hypose.io.sound)."""
+    """One camera's sound: samples (N,) at rate Hz; sample 0 belongs to the start of frame 0 (hypose.io.videos)."""
 
     @property
     def rate(self) -> int:

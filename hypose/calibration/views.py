@@ -14,9 +14,9 @@ import numpy as np
 from hypose.calibration.boards import Board, Detector, Gray, Sighting, make_detector, sheet_views
 from hypose.errors import InputError
 from hypose.geometry import Array
-from hypose.io.calibration import natural_key
+from hypose.io.calibrations.calibration_toml import natural_key
 from hypose.io.file_names import text_of
-from hypose.io.video import IMAGE_ENDINGS, VIDEO_ENDINGS, list_images, open_video
+from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, list_images, open_video
 
 Progress = Callable[[str, int, int], None]
 

@@ -13,13 +13,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.compute import glance, images, lane_mesh, mono, reference, selection
+from hypose.compute import reference, selection
 from hypose.compute.arrays import BALL, FIXED, MeshArrays, TreeArrays
-from hypose.compute.contours import signed_distance
-from hypose.compute.lane_scratch import lane_scratch
+from hypose.compute.monocular import mono
 from hypose.compute.native import native, plain, tidy
+from hypose.compute.pictures import picture_to_mask as images
 from hypose.compute.selection import default_threads, over_chunks, use
-from hypose.compute.terms import (
+from hypose.compute.silhouettes import glance, lane_mesh
+from hypose.compute.silhouettes.lane_scratch import lane_scratch
+from hypose.compute.silhouettes.mask_distance import signed_distance
+from hypose.compute.solver.terms import (
     ContourArrays,
     KeypointArrays,
     PointArrays,
@@ -136,18 +139,20 @@ def silhouette_xor(
     areas = prepared.areas
     if boxes is not None:
         areas = np.empty(c, dtype=np.int64)
-        native("silhouettes").areas_in_boxes(prepared.masks, b, areas)
+        native("silhouettes.silhouettes").areas_in_boxes(prepared.masks, b, areas)
     if selection.backend() == "cuda":
-        from hypose.compute import cuda
+        from hypose.compute.silhouettes import cuda
 
         return cuda.silhouette_xor(q, t, lane_mesh.prepare(mesh, tree, wanted), prepared, b, areas)
     drawn, drawn_counts = _nothing(prepared.bits.shape), np.zeros((c, 2), dtype=np.int64)
     if turning is not None and n:
         wanted, standing, corners = lane_mesh.moving_parts(mesh, tree, turning, wanted)
         drawn = np.zeros_like(prepared.bits)
-        native("standing").draw_standing(q[-1], t, tidy(mesh), corners, standing, prepared, b, drawn, drawn_counts)
+        native("silhouettes.standing").draw_standing(
+            q[-1], t, tidy(mesh), corners, standing, prepared, b, drawn, drawn_counts
+        )
     m = lane_mesh.prepare(mesh, tree, wanted)
-    kernels = native("lanes")
+    kernels = native("silhouettes.lanes")
     out = np.zeros((n, c, 3), dtype=np.int64)
 
     def score(first: int, last: int) -> None:
@@ -170,7 +175,7 @@ def outline_points(sdf: NDArray[np.float32], size: tuple[int, int], k: int) -> t
     outline pixels. Three pixels along the image border are left out: there the image cuts the person, not an outline.
     """
     out = np.empty((k, 2), dtype=np.float32)
-    n = native("rows").outline_points(plain(sdf, np.float32), int(size[0]), int(size[1]), out)
+    n = native("solver.rows").outline_points(plain(sdf, np.float32), int(size[0]), int(size[1]), out)
     return out, int(n)
 
 
@@ -233,7 +238,7 @@ def evaluate(
     gradient, hessian = np.empty(d), np.empty((d, d))
     counts = np.zeros((len(contours.sdf) + 2, 2), dtype=np.int64)
     scale = float(contours.coarse_scale if coarse else contours.scale)
-    cost = native("solver").evaluate(
+    cost = native("solver.solver").evaluate(
         plain(pose, np.float64), tree, mesh, contours, scale, keypoints, points, priors, ws, hessian, gradient, counts
     )
     return Evaluation(float(cost), gradient, hessian, counts)
@@ -265,7 +270,7 @@ def solve(
     d = len(q)
     gradient, hessian, info = np.zeros(d), np.zeros((d, d)), np.zeros(4)
     counts = np.zeros((len(contours.sdf) + 2, 2), dtype=np.int64)
-    ok = native("solver").solve(
+    ok = native("solver.solver").solve(
         q, tree, mesh, contours, keypoints, points, priors, settings, ws, hessian, gradient, counts, info
     )
     if not ok:
@@ -281,7 +286,7 @@ def joint_covariances(pose: Array, tree: TreeArrays, hessian: Array, ridge: floa
     G C G^T with G (3, D) the derivative of the centre; the numba kernel, on either back end."""
     out = np.empty((len(tree.parents), 3, 3))
     q, h = plain(pose, np.float64), plain(hessian, np.float64)
-    native("covariance").joint_covariances(q, tidy(tree), h, float(ridge), out)
+    native("solver.covariance").joint_covariances(q, tidy(tree), h, float(ridge), out)
     return out
 
 

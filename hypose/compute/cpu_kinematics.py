@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from hypose.compute.arrays import BALL, HINGES
-from hypose.compute.kernels import kernel
+from hypose.compute.compiled import kernel
 
 
 @kernel

@@ -15,8 +15,9 @@ _Arrays = TypeVar("_Arrays", bound=NamedTuple)
 
 @cache
 def native(name: str) -> ModuleType:
-    """The module cpu_NAME; numba is imported with the first of them."""
-    return import_module(f"hypose.compute.cpu_{name}")
+    """The module of kernels called name: "solver.rows" is solver/cpu_rows.py; the first of them imports numba."""
+    room, _, stem = f"compute.{name}".rpartition(".")
+    return import_module(f"hypose.{room}.cpu_{stem}")
 
 
 def plain(a: ArrayLike, dtype: type) -> NDArray:

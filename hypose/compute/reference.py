@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.compute.arrays import BALL, HINGES, MeshArrays, TreeArrays
-from hypose.compute.terms import PreparedMasks
+from hypose.compute.solver.terms import PreparedMasks
 from hypose.geometry import Array, so3_exp
 
 NEAR = 0.05

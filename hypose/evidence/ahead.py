@@ -13,7 +13,8 @@ from contextvars import copy_context
 from dataclasses import dataclass
 
 from hypose import compute
-from hypose.evidence.contours import (
+from hypose.evidence.frame import Frame, Silhouettes
+from hypose.evidence.outlines import (
     OUTLINE_POINTS,
     WORKING_HEIGHT,
     Outlines,
@@ -21,7 +22,6 @@ from hypose.evidence.contours import (
     stack_outlines,
     view_outline,
 )
-from hypose.evidence.frame import Frame, Silhouettes
 
 Views = Callable[[], list[ViewOutline | None] | None]
 

@@ -12,7 +12,7 @@ from hypose.fitting.articulated import (
     fit_poses,
     workspace_for,
 )
-from hypose.fitting.clip import Coupling, Gaussian, fit_clip
+from hypose.fitting.clip_solve import Coupling, Gaussian, fit_clip
 
 __all__ = [
     "ContourTerm",

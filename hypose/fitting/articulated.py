@@ -1,7 +1,7 @@
 """Fitting a pose to contours, key points and 3D points: bounded damped Gauss-Newton on robust rows.
 
 Every cue is a sum of rows (point, direction, residual, weight, joint); rows become 6 x 6 sums per joint that are folded
-up the joint tree (hypose.compute.cpu_rows, cpu_solver), so a whole solve is one compiled call without the GIL.
+up the joint tree (hypose.compute.solver.cpu_rows, cpu_solver), so a whole solve is one compiled call without the GIL.
 The cost is F(q) = 1/2 sum of weighted robust squares + 1/2 sum of the priors' quadratics; gradient and (Gauss-Newton)
 Hessian of the result are those of F. With weights that are inverse variances its inverse is the pose's covariance.
 
@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from hypose import compute
 from hypose.body.body import Body
 from hypose.compute.selection import over_chunks
-from hypose.compute.terms import (
+from hypose.compute.solver.terms import (
     ContourArrays,
     KeypointArrays,
     PointArrays,
@@ -32,9 +32,9 @@ from hypose.compute.terms import (
 )
 from hypose.errors import EvidenceError, InputError, SolverError
 from hypose.evidence.ahead import outlines
-from hypose.evidence.contours import OUTLINE_POINTS as REFERENCE_OUTLINE
-from hypose.evidence.contours import SMALLEST, shrunk_projection
 from hypose.evidence.frame import Silhouettes
+from hypose.evidence.outlines import OUTLINE_POINTS as REFERENCE_OUTLINE
+from hypose.evidence.outlines import SMALLEST, shrunk_projection
 from hypose.geometry import Array, nearest_branch
 
 # Reference density of the contour rows, for a person `height` px tall: weights are per arc length, so changing the

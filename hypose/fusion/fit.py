@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.compute import cpu_fusion
+from hypose.compute.swarm import cpu_fusion
 from hypose.evidence.frame import TRACKED
 from hypose.fusion import joints as jt
 from hypose.geometry import Array

@@ -22,7 +22,7 @@ from hypose.fusion import baselines
 from hypose.fusion import joints as jt
 from hypose.fusion.confidence import confidence_step, normalised, start_confidence
 from hypose.fusion.fit import clip_lengths, fit_step, start_fit
-from hypose.fusion.points import anchors_of, points_motion
+from hypose.fusion.point_motion import anchors_of, points_motion
 from hypose.fusion.register import (
     Registration,
     alone,

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hypose.compute import cpu_fusion
+from hypose.compute.swarm import cpu_fusion
 from hypose.geometry import Array
 
 LOW, MEDIUM, HIGH = "low", "medium", "high"

@@ -21,7 +21,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import cpu_swarm
+from hypose.compute.swarm import cpu_swarm
 from hypose.fusion.confidence import CURED_CONFIDENCE, PUBLISHED_CONFIDENCE, ConfidenceSettings
 from hypose.fusion.fuzzy import PUBLISHED_RULES, SHARP_RULES, NoiseRules
 from hypose.geometry import Array

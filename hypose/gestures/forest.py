@@ -11,8 +11,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import forests
-from hypose.compute.forests import GrowingArrays, Packed, PaddedDepth
+from hypose.compute.depth_forests import forest_arrays as forests
+from hypose.compute.depth_forests.forest_arrays import GrowingArrays, Packed, PaddedDepth
 from hypose.errors import InputError
 from hypose.gestures.bounds import check
 

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import forests
-from hypose.compute.forests import Depth, PaddedDepth, ScanPlan
+from hypose.compute.depth_forests import forest_arrays as forests
+from hypose.compute.depth_forests.forest_arrays import Depth, PaddedDepth, ScanPlan
 from hypose.errors import InputError
 from hypose.gestures.bounds import check
+from hypose.gestures.depth_pictures import KINECT, Lens, surface_depth
 from hypose.gestures.forest import Forest, GrowingForest
-from hypose.gestures.pictures import KINECT, Lens, surface_depth
 
 
 @dataclass(frozen=True)

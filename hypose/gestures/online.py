@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hypose.compute.forests import Depth
+from hypose.compute.depth_forests.forest_arrays import Depth
 from hypose.errors import InputError
+from hypose.gestures.depth_pictures import Lens, surface_depth
 from hypose.gestures.forest import ForestSettings, GrowingForest
 from hypose.gestures.localise import Found, Scratch, localise, pad
-from hypose.gestures.pictures import Lens, surface_depth
 from hypose.gestures.pixels import BACKGROUND, Chooser, Example, LearnSettings, Pixels
 
 

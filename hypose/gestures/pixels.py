@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute.forests import Depth, ScanPlan
+from hypose.compute.depth_forests.forest_arrays import Depth, ScanPlan
 from hypose.gestures.bounds import check
+from hypose.gestures.depth_pictures import Lens, surface_depth
 from hypose.gestures.localise import LocaliseSettings
-from hypose.gestures.pictures import Lens, surface_depth
 
 BACKGROUND = 0
 Pixels = tuple[NDArray[np.int64], NDArray[np.int64]]

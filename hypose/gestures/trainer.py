@@ -12,11 +12,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute.forests import Depth
+from hypose.compute.depth_forests.forest_arrays import Depth
+from hypose.gestures.depth_pictures import Lens
 from hypose.gestures.forest import GrowingForest
 from hypose.gestures.localise import Found, LocaliseSettings, localise
 from hypose.gestures.online import Learner, Taught
-from hypose.gestures.pictures import Lens
 from hypose.gestures.session import Command, Instruction, Session, SessionSettings, observe, step
 
 

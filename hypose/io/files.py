@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import IO
 
 from hypose.errors import InputError
-from hypose.io.results import atomic_path
+from hypose.io.motions.results import atomic_path
 
 # Half an hour at 100 Hz with 60 markers as text; longer recordings come in pieces or as C3D.
 MAX_TEXT_BYTES = 256 * 2**20

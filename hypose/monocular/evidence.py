@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from hypose import compute
 from hypose.cameras.camera import Camera
-from hypose.compute import mono
-from hypose.compute.mono_terms import (
+from hypose.compute.monocular import mono
+from hypose.compute.monocular.mono_terms import (
     GAUSSIAN,
     LECLERC,
     LORENTZIAN,

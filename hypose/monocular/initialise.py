@@ -27,8 +27,8 @@ from hypose.monocular.proportions import VOLUMETRIC, proportions, search_factors
 from hypose.monocular.settings import MonoSettings
 from hypose.monocular.tracker import MonoTracker
 from hypose.monocular.types import MonoFrame, MonoHypotheses, MonoPoints
-from hypose.tracking.initialise import known_pose
 from hypose.tracking.refinement import anatomical_prior
+from hypose.tracking.starts import known_pose
 
 LEAST_POINTS = 6
 HEADINGS = 8

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.cameras.camera import Camera
-from hypose.compute.mono_terms import FloorArrays
+from hypose.compute.monocular.mono_terms import FloorArrays
 from hypose.geometry import Array
 from hypose.inference.newton import minimise
 from hypose.inference.robust import Lorentzian

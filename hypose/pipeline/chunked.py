@@ -18,18 +18,18 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.errors import EvidenceError, InputError
 from hypose.geometry import Array
-from hypose.io.provenance import identity
-from hypose.io.results import ResultsFolder
+from hypose.io.motions.results import ResultsFolder
+from hypose.io.recordings.provenance import identity
 from hypose.pipeline.colour_detections import tracked_frames
 from hypose.pipeline.doubts import what_was_seen
+from hypose.pipeline.first_frame import Subject, first_start
 from hypose.pipeline.join import join, seam_notes
-from hypose.pipeline.kept import keep_subject, kept_subject
+from hypose.pipeline.kept_findings import keep_subject, kept_subject
 from hypose.pipeline.run import TrackOptions, TrackResult, finish, subject_of, tracker_of
-from hypose.pipeline.subject import Subject, first_start
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
 from hypose.tracking.costs import silhouette_iou
-from hypose.tracking.evidence import prepare
-from hypose.tracking.initialise import KNOWN_POSES, start_from_hull
+from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.starts import KNOWN_POSES, start_from_hull
 from hypose.tracking.tracker import FrameEstimate, TrackerState
 
 FOLDER = "chunks"

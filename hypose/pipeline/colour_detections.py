@@ -17,9 +17,9 @@ from hypose.evidence.body_parts import detect_ends, end_colors
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.skin import skin_map
 from hypose.geometry import Array
-from hypose.io.frames import FrameStream
-from hypose.io.view_source import ViewSource
-from hypose.pipeline.subject import Subject
+from hypose.io.recordings.frames import FrameStream
+from hypose.io.recordings.view_source import ViewSource
+from hypose.pipeline.first_frame import Subject
 
 
 class FrameSource(Protocol):

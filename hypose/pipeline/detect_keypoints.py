@@ -13,11 +13,11 @@ from hypose.cameras.camera import Camera
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.detector import PoseDetector, openpose_document
 from hypose.geometry import Array
-from hypose.io.detected_keypoints import DetectedKeypoints, load_detected
 from hypose.io.file_names import folder_for
 from hypose.io.files import write_text
-from hypose.io.recording import Recording, View
-from hypose.io.video import open_video
+from hypose.io.keypoints.detected_keypoints import DetectedKeypoints, load_detected
+from hypose.io.recordings.recording import Recording, View
+from hypose.io.videos.video import open_video
 
 
 def detect_keypoints(

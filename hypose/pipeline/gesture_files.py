@@ -19,15 +19,15 @@ from typing import Any
 
 import numpy as np
 
-from hypose.compute.forests import Depth
+from hypose.compute.depth_forests.forest_arrays import Depth
 from hypose.errors import InputError
 from hypose.gestures import model as model_arrays
+from hypose.gestures.depth_pictures import Lens, millimetres
 from hypose.gestures.model import GestureModel
-from hypose.gestures.pictures import Lens, millimetres
 from hypose.gestures.pixels import Example
-from hypose.io.depth import read_depth_png, write_millimetres_png
 from hypose.io.files import RecordingFolder, text_lines
-from hypose.io.results import _load_arrays, _write_archive, to_json
+from hypose.io.motions.results import _load_arrays, _write_archive, to_json
+from hypose.io.sensors.depth import read_depth_png, write_millimetres_png
 from hypose.json_text import parse_json
 
 FORMAT = "hypose-gesture-session"

@@ -15,8 +15,8 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.geometry import Array
 from hypose.pipeline.track_loop import Tracked
+from hypose.tracking.pose_covariance import PoseUncertainty
 from hypose.tracking.tracker import FrameEstimate, TrackerState
-from hypose.tracking.uncertainty import PoseUncertainty
 
 AGREE_M = 0.02
 """m: chunks agree where the mean distance of their joints is smaller, in all frames of the fade."""

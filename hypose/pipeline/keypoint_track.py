@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hypose.errors import EvidenceError
-from hypose.pipeline.subject import Subject
+from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.track_loop import FrameSource, Progress
 from hypose.tracking.keypoint_clip import track_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model

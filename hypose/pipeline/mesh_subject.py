@@ -23,14 +23,14 @@ from hypose.body.fit_skeleton import (
     unposed,
 )
 from hypose.body.joint_names import match_rig
-from hypose.body.models import human
+from hypose.body.ready_bodies import human
 from hypose.body.skin_weights import body_bones, carried_weights, heat_weights, influences, vertex_normals
 from hypose.errors import EvidenceError, InputError
 from hypose.fitting.articulated import PointTerm, SolveOptions, fit_pose
 from hypose.geometry import Array
-from hypose.io.bodies import save_body
 from hypose.io.file_names import text_of
-from hypose.io.meshes import PersonMesh, closed_surface, read_person
+from hypose.io.motions.bodies import save_body
+from hypose.io.motions.meshes import PersonMesh, closed_surface, read_person
 from hypose.tracking.refinement import anatomical_prior
 
 UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}

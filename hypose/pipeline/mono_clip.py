@@ -9,7 +9,7 @@ import numpy as np
 
 from hypose.body.body import Body
 from hypose.body.motion import Motion
-from hypose.io import modes as stored
+from hypose.io.motions import modes as stored
 from hypose.monocular.clip import Modes, WholeClip, backwards, information, together
 from hypose.monocular.models import body_dofs
 from hypose.monocular.tracker import MonoTracker

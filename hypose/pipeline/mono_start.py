@@ -19,14 +19,14 @@ from typing import Any
 import numpy as np
 
 from hypose.body.body import Body
-from hypose.body.models import JOINT_NAMES, human
+from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.cameras.camera import Camera
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.keypoints import person_size
 from hypose.geometry import Array
-from hypose.io.frames import FrameOptions, load_keypoints
-from hypose.io.recording import Recording
-from hypose.io.video import open_video
+from hypose.io.recordings.frames import FrameOptions, load_keypoints
+from hypose.io.recordings.recording import Recording
+from hypose.io.videos.video import open_video
 from hypose.json_text import parse_json
 from hypose.monocular.initialise import LEAST_POINTS, InitialFit, initialise
 from hypose.monocular.points_fit import PointsOn

@@ -10,9 +10,9 @@ from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import InputError
 from hypose.evidence.silhouettes import SilhouetteOptions
 from hypose.geometry import Array
-from hypose.io.frames import FrameOptions, FrameStream
-from hypose.io.recording import Recording
-from hypose.io.view_source import ViewSource
+from hypose.io.recordings.frames import FrameOptions, FrameStream
+from hypose.io.recordings.recording import Recording
+from hypose.io.recordings.view_source import ViewSource
 from hypose.monocular.evidence import SMALLEST_MASK
 from hypose.monocular.types import MonoFrame
 

@@ -13,11 +13,11 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import HyposeError, InputError
-from hypose.io.bodies import load_body, save_body
-from hypose.io.modes import Modes, from_arrays, joined, save_modes, to_arrays
-from hypose.io.provenance import identity
-from hypose.io.recording import Recording
-from hypose.io.results import Checkpoint, ResultsFolder, save_motion
+from hypose.io.motions.bodies import load_body, save_body
+from hypose.io.motions.modes import Modes, from_arrays, joined, save_modes, to_arrays
+from hypose.io.motions.results import Checkpoint, ResultsFolder, save_motion
+from hypose.io.recordings.provenance import identity
+from hypose.io.recordings.recording import Recording
 from hypose.monocular.settings import MonoSettings
 from hypose.monocular.tracker import MonoTracker
 from hypose.monocular.types import MonoEstimate, MonoFrame, MonoHypotheses, MonoState

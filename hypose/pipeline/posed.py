@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from hypose.body.body import Body
-from hypose.body.models import human
 from hypose.body.motion import Motion
+from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 from hypose.fitting import PointTerm, fit_clip
-from hypose.fusion.points import common_positions
+from hypose.fusion.point_motion import common_positions
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.subject import subject_from_keypoints
 

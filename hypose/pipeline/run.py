@@ -13,16 +13,16 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import HyposeError, InputError
 from hypose.inference.layer import Recipe
-from hypose.io.provenance import identity
-from hypose.io.results import ResultsFolder, save_motion
+from hypose.io.motions.results import ResultsFolder, save_motion
+from hypose.io.recordings.provenance import identity
 from hypose.pipeline.colour_detections import tracked_frames
 from hypose.pipeline.doubts import with_doubts
-from hypose.pipeline.kept import SUBJECT, keep_subject, kept_subject
+from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
+from hypose.pipeline.kept_findings import SUBJECT, keep_subject, kept_subject
 from hypose.pipeline.keypoint_track import track_keypoints
 from hypose.pipeline.mend_sides import mend_sides, sides_notes
-from hypose.pipeline.subject import Subject, SubjectOptions, find_subject
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
-from hypose.tracking.evidence import OwnEvidence
+from hypose.tracking.frame_evidence import OwnEvidence
 from hypose.tracking.recipes import RECIPES, recipe
 from hypose.tracking.smooth_motion import smooth_motion
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings, motion_of

@@ -9,12 +9,12 @@ from pathlib import Path
 
 from hypose.body.body import Body
 from hypose.inference.layer import Recipe
-from hypose.io.frames import FrameOptions, FrameStream
-from hypose.io.recording import Recording, load_recording
-from hypose.pipeline.anthropometry import load_subject
+from hypose.io.recordings.frames import FrameOptions, FrameStream
+from hypose.io.recordings.recording import Recording, load_recording
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
+from hypose.pipeline.subject_from_motion import load_subject
 from hypose.pipeline.track_loop import FrameList, Progress
-from hypose.tracking.evidence import OwnEvidence
+from hypose.tracking.frame_evidence import OwnEvidence
 
 
 def track(

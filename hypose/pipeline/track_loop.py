@@ -11,10 +11,10 @@ from typing import Any, Protocol
 from hypose.errors import HyposeError
 from hypose.evidence.ahead import look_ahead
 from hypose.evidence.frame import Frame
-from hypose.io.results import Checkpoint
+from hypose.io.motions.results import Checkpoint
 from hypose.pipeline.colour_detections import tracked_frames
 from hypose.pipeline.doubts import what_was_seen
-from hypose.pipeline.subject import Subject
+from hypose.pipeline.first_frame import Subject
 from hypose.tracking.tracker import (
     FrameEstimate,
     Tracker,
@@ -25,7 +25,7 @@ from hypose.tracking.tracker import (
 
 
 class FrameSource(Protocol):
-    """Frames by number: hypose.io.frames.FrameStream, or any synthetic scene."""
+    """Frames by number: hypose.io.recordings.frames.FrameStream, or any synthetic scene."""
 
     def __len__(self) -> int: ...
 

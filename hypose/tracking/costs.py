@@ -11,7 +11,7 @@ from hypose import compute
 from hypose.body.body import Body
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PreparedFrame
 
 
 @dataclass(frozen=True)

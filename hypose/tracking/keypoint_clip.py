@@ -19,12 +19,12 @@ from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.fitting import KeypointTerm, PointTerm, SolveOptions, fit_clip, fit_pose
 from hypose.geometry import Array
-from hypose.tracking.initialise import start_from_keypoints
 from hypose.tracking.keypoint_evidence import STRANGER_M, KeypointModel, keypoint_term, shows_somebody_else
+from hypose.tracking.pose_covariance import joint_covariance_of
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.smooth_motion import Smoothed, with_feet
 from hypose.tracking.smoothing import ClipSettings, acceleration_weight, bridged, in_windows, speed_weight
-from hypose.tracking.uncertainty import joint_covariance_of
+from hypose.tracking.starts import start_from_keypoints
 
 VELOCITY_GAIN = 0.8
 """Share of the last step that is expected again."""

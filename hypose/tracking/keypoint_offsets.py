@@ -18,9 +18,9 @@ from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.fitting.articulated import SolveOptions, fit_pose
 from hypose.geometry import Array
-from hypose.tracking.initialise import start_from_keypoints
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_term, pixels_per_metre
 from hypose.tracking.refinement import anatomical_prior
+from hypose.tracking.starts import start_from_keypoints
 
 LEAST_SD, LARGEST_SD = 0.008, 0.08
 """m: bounds of the measured noise."""

@@ -15,7 +15,7 @@ from hypose.body.skeleton import Skeleton
 from hypose.geometry import Array, nearest_branch, so3_exp, so3_log
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import HeavyTail, reflect
-from hypose.tracking.evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PreparedFrame
 
 
 @dataclass(frozen=True)

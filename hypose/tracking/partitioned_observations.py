@@ -17,7 +17,7 @@ from hypose.body.body import Body
 from hypose.cameras.camera import CameraRig
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PreparedFrame
 
 _NEAREST = 0.05
 """m; a box that reaches nearer to a camera's plane fills its image."""

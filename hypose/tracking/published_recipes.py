@@ -28,7 +28,7 @@ from hypose.inference.layer import Kernel, Layer, Recipe
 from hypose.inference.selectivity import Annealed, FixedSelectivity, Selectivity, SurvivalRate
 from hypose.inference.selectors import LayeredSystematic, systematic
 from hypose.tracking.costs import SilhouetteXor
-from hypose.tracking.detections import DetectionCost, DetectorDriven, ends_of
+from hypose.tracking.detection_kernels import DetectionCost, DetectorDriven, ends_of
 from hypose.tracking.limb_kernels import BallStep, LimbDiffusion, ball_step
 from hypose.tracking.partitioned_observations import (
     PartitionedXor,

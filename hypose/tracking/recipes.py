@@ -23,7 +23,7 @@ from hypose.inference.selectors import Elite, keep
 from hypose.tracking import published_recipes as published
 from hypose.tracking.costs import SilhouetteXor, no_evidence
 from hypose.tracking.exchanged_sides import look_for_exchange
-from hypose.tracking.initialise import recover
+from hypose.tracking.pose_covariance import uncertainty_of_pose
 from hypose.tracking.published_recipes import LIMB_LAYERS, diffusion, step_sigma
 from hypose.tracking.refinement import (
     COMPOSITE,
@@ -35,7 +35,7 @@ from hypose.tracking.refinement import (
     settled,
     solved,
 )
-from hypose.tracking.uncertainty import uncertainty_of_pose
+from hypose.tracking.starts import recover
 
 THESIS = "Alcoverro, M. (2014). Stochastic optimization and interactive machine learning for human motion analysis."
 DEUTSCHER = "Deutscher, J., Reid, I. (2005). Articulated body motion capture by stochastic search. IJCV 61(2)."

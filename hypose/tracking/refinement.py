@@ -18,7 +18,7 @@ from hypose.geometry import Array
 from hypose.inference.estimates import TangentMean
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.costs import frame_energy, silhouette_iou
-from hypose.tracking.evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PreparedFrame
 
 SOLVED, COMPOSITE = "solved", "composite"
 """Roles: the hypothesis that a solve put in, and the one that a search of single limbs puts together."""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from hypose.body.anthropometry import body_of, length_rows, prior_covariance, prior_mean
 from hypose.body.body import Body, Landmarks, Mesh
-from hypose.compute.render import silhouette
+from hypose.compute.pictures.render import silhouette
 from hypose.errors import EvidenceError
 from hypose.fitting.articulated import ContourTerm
 from hypose.geometry import Array

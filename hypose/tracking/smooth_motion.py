@@ -13,8 +13,8 @@ from hypose.body.motion import Motion
 from hypose.fitting import PointTerm
 from hypose.geometry import Array
 from hypose.tracking.contacts import FootMotion, contact_terms, find_contacts, foot_motion, soles_of
+from hypose.tracking.pose_covariance import unpacked
 from hypose.tracking.smoothing import ClipSettings, gap_covariance, smooth_poses
-from hypose.tracking.uncertainty import unpacked
 
 
 @dataclass(frozen=True)

@@ -19,11 +19,11 @@ from hypose.errors import EvidenceError
 from hypose.fitting.articulated import PointTerm, SolveOptions, fit_pose
 from hypose.geometry import Array
 from hypose.tracking.costs import xor_energy
-from hypose.tracking.evidence import PreparedFrame
-from hypose.tracking.initialise import start_from_keypoints
+from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model
 from hypose.tracking.keypoint_offsets import offset_limits
 from hypose.tracking.refinement import anatomical_prior
+from hypose.tracking.starts import start_from_keypoints
 
 PAIRED = {
     "upper_arm": ("shoulder", "elbow"),

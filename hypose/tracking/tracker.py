@@ -23,10 +23,10 @@ from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Recipe, Recovery, search
 from hypose.inference.random_streams import stream
 from hypose.tracking.costs import silhouette_iou
-from hypose.tracking.evidence import OwnEvidence, PreparedFrame, prepare, view_count
+from hypose.tracking.frame_evidence import OwnEvidence, PreparedFrame, prepare, view_count
 from hypose.tracking.keypoint_evidence import KeypointModel
+from hypose.tracking.pose_covariance import PoseUncertainty, nothing_known, uncertainty_of_set
 from hypose.tracking.published_recipes import step_sigma
-from hypose.tracking.uncertainty import PoseUncertainty, nothing_known, uncertainty_of_set
 
 BETWEEN_FRAMES, RECOVERY, START = -1, -2, -3
 """Layer numbers of the random streams used outside a recipe's layers."""

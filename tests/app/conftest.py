@@ -5,9 +5,9 @@ import shutil
 import pytest
 
 from hypose.app.cli import main
-from hypose.evaluation.rigs import rig
-from hypose.evaluation.scenes import make_scene
-from hypose.evaluation.write_recording import write_scene
+from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import make_scene
+from hypose.synthetic.write_recording import write_scene
 
 
 def write_tiny(folder, seconds):

@@ -16,20 +16,20 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hypose.body.models import human
-from hypose.evaluation.circumstances import Circumstances
-from hypose.evaluation.programs import Ended, run
-from hypose.evaluation.rigs import rig
-from hypose.evaluation.scenes import make_scene
-from hypose.evaluation.small_recordings import (
+from benchmarks.robustness.circumstances import Circumstances
+from benchmarks.robustness.programs import Ended, run
+from benchmarks.robustness.small_recordings import (
     small_scene,
     write_board_pictures,
     write_gesture_session,
     write_masks,
     write_skeletons,
 )
-from hypose.evaluation.write_recording import write_scene
-from hypose.io.bodies import save_body
+from hypose.body.ready_bodies import human
+from hypose.io.motions.bodies import save_body
+from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import make_scene
+from hypose.synthetic.write_recording import write_scene
 
 VARIABLES = ("HOME", "TMPDIR", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "LANG", "LC_ALL", "LC_CTYPE", "PYTHONIOENCODING")
 
@@ -191,7 +191,6 @@ COMMANDS: dict[str, Command] = {
     "synth": Command(
         lambda box: ("synth", "--rig", "ring-2", "--seconds", "0.1"), "recording.toml", option=None, spare=False
     ),
-    "bench": Command(lambda box: ("bench", "contour-solve", "--quick"), "figures.json", "--json", "figures.json"),
     "batch": Command(lambda box: ("batch", box.inputs / "sweep.toml", "--workers", "1"), "results.csv", judges=True),
 }
 

@@ -9,8 +9,8 @@ import zipfile
 import numpy as np
 import pytest
 
-from hypose.app import commands_data
-from hypose.io.video import VideoWriter, open_video
+from hypose.app.commands import commands_data
+from hypose.io.videos.video import VideoWriter, open_video
 
 
 def fails(result, *fragments):
@@ -171,10 +171,6 @@ def test_results_without_a_body(hypose, tracked, tmp_path):
 
 def test_results_that_do_not_exist(hypose, tmp_path):
     fails(hypose("export", tmp_path / "nowhere"), "nowhere does not exist")
-
-
-def test_unknown_benchmark_lists_the_names(hypose):
-    fails(hypose("bench", "speed-of-light"), "There is no benchmark 'speed-of-light'", "table-2.3")
 
 
 @pytest.mark.parametrize(

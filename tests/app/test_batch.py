@@ -13,15 +13,15 @@ import time
 import numpy as np
 import pytest
 
-from hypose.app import batch
-from hypose.app.batch import Place, run_batch
-from hypose.app.batch_table import COLUMNS, rows_of, write_table
-from hypose.app.batch_worker import finished, run_task
-from hypose.app.sweep import Refused, plan, read_sweep
+from benchmarks.robustness.programs import workers_of
+from benchmarks.robustness.small_recordings import small_scene, write_masks
+from hypose.app.sweeps import cluster as batch
+from hypose.app.sweeps.batch_table import COLUMNS, rows_of, write_table
+from hypose.app.sweeps.batch_worker import finished, run_task
+from hypose.app.sweeps.cluster import Place, run_batch
+from hypose.app.sweeps.sweep import Refused, plan, read_sweep
 from hypose.errors import InputError
-from hypose.evaluation.programs import workers_of
-from hypose.evaluation.small_recordings import small_scene, write_masks
-from hypose.io.results import load_motion
+from hypose.io.motions.results import load_motion
 
 
 @pytest.fixture(scope="module")

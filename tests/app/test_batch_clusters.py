@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from hypose.app.batch import Place, run_batch, slurm_cluster
-from hypose.app.batch_worker import run_chunk, run_task
-from hypose.app.sweep import is_recording, plan, read_sweep, sweep_of
-from hypose.body.models import human
+from benchmarks.robustness.programs import workers_of
+from benchmarks.robustness.small_recordings import small_scene, write_masks
+from hypose.app.sweeps.batch_worker import run_chunk, run_task
+from hypose.app.sweeps.cluster import Place, run_batch, slurm_cluster
+from hypose.app.sweeps.sweep import is_recording, plan, read_sweep, sweep_of
+from hypose.body.ready_bodies import human
 from hypose.errors import InputError
-from hypose.evaluation.programs import workers_of
-from hypose.evaluation.small_recordings import small_scene, write_masks
-from hypose.io.bodies import save_body
+from hypose.io.motions.bodies import save_body
 from tests import missing
 from tests.conftest import ROOT
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hypose.geometry import so3_exp, so3_log
-from hypose.io.calibration_formats import read_any
+from hypose.io.calibrations.calibration_formats import read_any
 
 
 def test_the_command_writes_evidence_in_step(hypose, tiny, tmp_path):

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from hypose.app.cli import main
-from hypose.app.commands_calibrate import parse_length
+from hypose.app.commands.commands_calibrate import parse_length
 from hypose.errors import InputError
-from hypose.io.calibration import write_calibration
-from hypose.io.calibration_formats import read_any
+from hypose.io.calibrations.calibration_formats import read_any
+from hypose.io.calibrations.calibration_toml import write_calibration
 from tests.calibration.painted_boards import paint
 from tests.calibration.test_from_boards import BOARD, board_poses, make_rig
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.app.correct import join, read_correction
-from hypose.app.truth import compare
+from hypose.app.jobs.correct import join, read_correction
+from hypose.app.jobs.truth import compare
 from hypose.errors import InputError
-from hypose.io.bodies import load_body
-from hypose.io.results import load_motion
+from hypose.io.motions.bodies import load_body
+from hypose.io.motions.results import load_motion
 
 FRAME = 3
 

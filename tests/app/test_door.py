@@ -6,7 +6,7 @@ import socket
 
 import pytest
 
-from hypose.app.door import Door, Folded, same_secret, shows_secret
+from hypose.app.live.door import Door, Folded, same_secret, shows_secret
 
 
 class Echo(asyncio.Protocol):

@@ -10,11 +10,11 @@ import urllib.request
 
 import pytest
 
+from benchmarks.robustness.circumstances import Circumstances, possible
+from benchmarks.robustness.fork_server import ForkServer
+from benchmarks.robustness.programs import Ended, Program
 from hypose import compute
 from hypose.compute.cache_place import cache_folder
-from hypose.evaluation.circumstances import Circumstances, possible
-from hypose.evaluation.fork_server import ForkServer
-from hypose.evaluation.programs import Ended, Program
 from tests import missing
 from tests.app.environments import COMMANDS, ENVIRONMENTS, Box, complaint, write_inputs
 

@@ -7,10 +7,10 @@ import resource
 import numpy as np
 import pytest
 
-from hypose.body.models import human
-from hypose.evaluation.small_recordings import small_scene, write_masks, write_skeletons
-from hypose.io.bodies import save_body
-from hypose.io.results import load_motion
+from benchmarks.robustness.small_recordings import small_scene, write_masks, write_skeletons
+from hypose.body.ready_bodies import human
+from hypose.io.motions.bodies import save_body
+from hypose.io.motions.results import load_motion
 from tests import missing
 
 LIGHT = ("--no-overlay", "--formats", "trc")

@@ -11,18 +11,18 @@ import sys
 import numpy as np
 import pytest
 
-from hypose.app import console
-from hypose.app.pictures import write_text
+from benchmarks.robustness.small_recordings import small_scene, write_masks
+from hypose.app.commands import console
+from hypose.app.reports.result_pictures import write_text
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.job_kinds import plan
 from hypose.app.studio.recordings import Recordings
-from hypose.app.view_bundle import plain
+from hypose.app.studio.view_bundle import plain
 from hypose.errors import InputError
-from hypose.evaluation.small_recordings import small_scene, write_masks
 from hypose.io.claims import claimed
 from hypose.io.file_names import file_name
-from hypose.io.recording import load_recording
-from hypose.io.video import VideoWriter, open_video
+from hypose.io.recordings.recording import load_recording
+from hypose.io.videos.video import VideoWriter, open_video
 from hypose.pipeline.detect_keypoints import detect_keypoints
 
 STRANGE = os.fsdecode(b"b\xff\x1b[31m")
@@ -195,7 +195,7 @@ def test_a_folder_that_cannot_be_written_is_told_before_the_work(
 ):
     (tmp_path / "file").write_text("in the way")
     out = tmp_path / "file" / ("x.png" if command == "check" else "x")
-    monkeypatch.setattr("hypose.io.frames.FrameStream.__init__", lambda *_: pytest.fail("work was begun"))
+    monkeypatch.setattr("hypose.io.recordings.frames.FrameStream.__init__", lambda *_: pytest.fail("work was begun"))
     code, _, err = hypose(command, tracked if command == "export" else masks, "--out", out)
     sentence = " ".join(err.split())
     assert code == 2 and "cannot be written" in sentence and "with --out." in sentence
@@ -214,7 +214,7 @@ def test_whatever_the_system_refuses_is_one_sentence(hypose, masks, tmp_path, mo
     def refuse(*_, **__):
         raise OSError(number, os.strerror(number), str(tmp_path / "some.file"))
 
-    monkeypatch.setattr("hypose.io.recording.load_recording", refuse)
+    monkeypatch.setattr("hypose.io.recordings.recording.load_recording", refuse)
     code, _, err = hypose("silhouettes", masks)
     sentence = " ".join(err.split())
     assert code == 2 and "some.file" in sentence and "should not have happened" not in sentence

@@ -7,10 +7,10 @@ import pytest
 
 from hypose.fusion.joints import COMMON, joint_sets
 from hypose.geometry import transform
-from hypose.io.results import load_motion
-from hypose.io.skeleton_folder import write_folder
-from hypose.io.skeletons import SkeletonRecording, StreamRows, build_stream
-from hypose.io.trc import read_trc
+from hypose.io.motions.results import load_motion
+from hypose.io.motions.trc import read_trc
+from hypose.io.sensors.skeleton_folder import write_folder
+from hypose.io.sensors.skeleton_streams import SkeletonRecording, StreamRows, build_stream
 from tests.depth_sensors import camera, places, walker
 
 ANGLES = (0, 60, -60)
@@ -128,7 +128,7 @@ def test_a_real_recording(hypose, shared_data, tmp_path):
 
 
 def test_ctrl_c_keeps_what_is_done(hypose, rng, tmp_path, monkeypatch):
-    from hypose.app import console
+    from hypose.app.commands import console
 
     shown = console.Stages.__call__
 
@@ -146,7 +146,7 @@ def test_ctrl_c_keeps_what_is_done(hypose, rng, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(("people", "more"), [(1, ("--diagnose",)), (2, ())])
 def test_ctrl_c_within_a_clip_and_resume_give_the_same_bytes(hypose, rng, tmp_path, monkeypatch, people, more):
-    from hypose.app import console
+    from hypose.app.commands import console
 
     write_folder(recorded(rng, people=people, seconds=4), tmp_path / "rec")
     whole, broken = tmp_path / "whole", tmp_path / "broken"

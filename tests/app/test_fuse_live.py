@@ -14,16 +14,16 @@ import pytest
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
-from hypose.app.live_latency import measure_live_latency
-from hypose.app.live_server import LiveOptions, LiveServer, is_loopback
-from hypose.app.osc import MAX_BUNDLE, double, osc_bundles, osc_message
+from hypose.app.live.live_latency import measure_live_latency
+from hypose.app.live.live_server import LiveOptions, LiveServer, is_loopback
+from hypose.app.live.osc import MAX_BUNDLE, double, osc_bundles, osc_message
 from hypose.errors import InputError
 from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON
 from hypose.fusion.live import LiveSettings
 from hypose.geometry import transform
-from hypose.io.skeleton_formats import read_skeletons
-from hypose.io.skeleton_lines import SkeletonLine, format_line
+from hypose.io.sensors.skeleton_formats import read_skeletons
+from hypose.io.sensors.skeleton_lines import SkeletonLine, format_line
 from tests.depth_sensors import camera, places, walker
 
 ANGLES = (0, 60, -60)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hypose.app.cli import main
-from hypose.app.gesture_sources import azure_lens, open_source
+from hypose.app.live.gesture_sources import azure_lens, open_source
 from hypose.errors import EvidenceError, InputError
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import LocaliseSettings
@@ -27,7 +27,7 @@ def hypose(*arguments):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A session of a few frames (phases shortened) recorded and learned once."""
-    from hypose.app.gesture_job import new_learner, run_session
+    from hypose.app.jobs.gesture_job import new_learner, run_session
     from hypose.gestures.session import SessionSettings
 
     root = tmp_path_factory.mktemp("gesture")
@@ -138,7 +138,7 @@ def test_bad_input_ends_in_a_sentence(folder, tmp_path, capsys):
 
 
 def test_a_session_in_metres_is_named(tmp_path, capsys):
-    from hypose.gestures.pictures import Lens
+    from hypose.gestures.depth_pictures import Lens
 
     learner = Learner.new(np.random.default_rng(0), ForestSettings())
     save_model(GestureModel(("tee",), learner.forest, (1.0,), LocaliseSettings(), learner), tmp_path / "m.npz")
@@ -150,8 +150,8 @@ def test_a_session_in_metres_is_named(tmp_path, capsys):
 
 def blank(depth_mm, frames=60):
     """A camera that sees one depth everywhere."""
-    from hypose.app.gesture_sources import Source, Taken
-    from hypose.gestures.pictures import Lens
+    from hypose.app.live.gesture_sources import Source, Taken
+    from hypose.gestures.depth_pictures import Lens
 
     times = iter(range(frames))
     picture = np.full((64, 64), depth_mm, np.uint16)
@@ -165,7 +165,7 @@ def blank(depth_mm, frames=60):
 
 @pytest.mark.parametrize("depth_mm", [0, 8000])
 def test_nothing_within_reach_is_said(depth_mm):
-    from hypose.app.gesture_job import new_learner, run_session, watch
+    from hypose.app.jobs.gesture_job import new_learner, run_session, watch
     from hypose.gestures.events import EventSettings
     from hypose.gestures.session import SessionSettings
 
@@ -183,7 +183,7 @@ def test_nothing_within_reach_is_said(depth_mm):
 
 
 def test_recordings_without_a_usable_gesture_are_refused(tmp_path, capsys):
-    from hypose.gestures.pictures import Lens
+    from hypose.gestures.depth_pictures import Lens
 
     writer = SessionWriter(tmp_path / "far", ["tee"], Lens(100, 100, 31.5, 31.5), (64, 64))
     for k in range(6):
@@ -201,7 +201,7 @@ def test_recordings_without_a_usable_gesture_are_refused(tmp_path, capsys):
 
 
 def test_who_knows_the_gesture_may_learn_what_it_is_not(folder, tmp_path):
-    from hypose.gestures.pictures import KINECT
+    from hypose.gestures.depth_pictures import KINECT
     from hypose.pipeline.gesture_files import load_model
 
     shown = next(f for f in read_recording(folder / "session").frames if f.phase == "negative")
@@ -216,7 +216,7 @@ def test_who_knows_the_gesture_may_learn_what_it_is_not(folder, tmp_path):
 
 
 def test_recording_learns_nothing(tmp_path, monkeypatch):
-    from hypose.app.gesture_job import record_session
+    from hypose.app.jobs.gesture_job import record_session
     from hypose.gestures.online import Learner as Watched
     from hypose.gestures.session import SessionSettings
 
@@ -228,13 +228,13 @@ def test_recording_learns_nothing(tmp_path, monkeypatch):
 
 
 def test_thresholds_are_shown_with_the_digits_that_count():
-    from hypose.app.gesture_job import in_cm2
+    from hypose.app.jobs.gesture_job import in_cm2
 
     assert [in_cm2(t) for t in (None, 0.004321, 4.321)] == ["not known yet", "0.00432 cm²", "4.32 cm²"]
 
 
 def test_models_that_look_differently_are_not_mixed():
-    from hypose.app.gesture_job import looking
+    from hypose.app.jobs.gesture_job import looking
 
     learner = Learner.new(np.random.default_rng(0), ForestSettings())
     one, other = (
@@ -262,8 +262,8 @@ def test_azure_lenses_of_the_narrow_and_wide_modes(tmp_path):
 def test_websocket_listeners_get_scores_and_events():
     from websockets.sync.client import connect
 
-    from hypose.app.gesture_job import Watched
-    from hypose.app.gesture_outputs import WebSocketOut
+    from hypose.app.jobs.gesture_job import Watched
+    from hypose.app.live.gesture_outputs import WebSocketOut
     from hypose.gestures.events import Event
     from hypose.gestures.localise import Found
 

@@ -5,8 +5,8 @@ import types
 
 import pytest
 
-from hypose.app import gesture_actions as actions
-from hypose.app.gesture_job import Watched
+from hypose.app.jobs.gesture_job import Watched
+from hypose.app.live import gesture_actions as actions
 from hypose.errors import InputError
 from hypose.gestures.events import Event
 from hypose.gestures.localise import Found

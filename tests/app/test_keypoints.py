@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from hypose.evidence.keypoints import BLAZEPOSE_33, BODY_25, parse_openpose
-from hypose.io.frames import load_keypoints
-from hypose.io.recording import load_recording
+from hypose.io.recordings.frames import load_keypoints
+from hypose.io.recordings.recording import load_recording
 
 
 class Detector:
@@ -51,7 +51,7 @@ def prepared(keypoint_recording, monkeypatch):
         def opened(model, people):
             yield detector
 
-        monkeypatch.setattr("hypose.io.blazepose.open_blazepose", opened)
+        monkeypatch.setattr("hypose.io.keypoints.blazepose.open_blazepose", opened)
         return detector
 
     return keypoint_recording, put
@@ -70,7 +70,7 @@ def test_detected_key_points_are_tracked(hypose, prepared, tmp_path):
         "track", recording, "--evidence", "both", "--out", tmp_path / "r", "--formats", "trc", "--no-overlay"
     )
     assert code == 0, err
-    from hypose.io.results import load_motion
+    from hypose.io.motions.results import load_motion
 
     motion = load_motion(tmp_path / "r" / "motion.npz")
     names = motion.skeleton.joint_names

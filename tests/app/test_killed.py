@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from hypose.io.results import load_motion
+from hypose.io.motions.results import load_motion
 from tests.app.conftest import write_tiny
 
 pytestmark = pytest.mark.slow

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 from hypose.app import __main__ as module_entry
-from hypose.app.pictures import Drawing, draw_all, draw_view, image_points, layout, mask_outline
-from hypose.app.report import ReportInput, report_html
-from hypose.app.summary import summarize
-from hypose.body.models import human
+from hypose.app.reports.report import ReportInput, report_html
+from hypose.app.reports.result_pictures import Drawing, draw_all, draw_view, image_points, layout, mask_outline
+from hypose.app.reports.summary import summarize
+from hypose.body.ready_bodies import human
 from hypose.cameras.camera import Camera
-from hypose.compute.render import silhouette
-from hypose.evaluation.rigs import rig
+from hypose.compute.pictures.render import silhouette
 from hypose.geometry import se3, so3_exp
-from hypose.io.bodies import load_body
-from hypose.io.recording import View, load_recording
-from hypose.io.results import load_motion
-from hypose.io.video import open_video
+from hypose.io.motions.bodies import load_body
+from hypose.io.motions.results import load_motion
+from hypose.io.recordings.recording import View, load_recording
+from hypose.io.videos.video import open_video
+from hypose.synthetic.rigs import rig
 
 
 def test_check_shows_every_camera_and_finds_nothing_wrong(hypose, tiny, tmp_path):
@@ -83,7 +83,7 @@ def test_demo_tracks_its_recording_and_names_the_error(hypose, tmp_path):
 def test_help_and_version(hypose):
     code, out, _ = hypose("--help")
     assert code == 0
-    for command in ("demo", "check", "silhouettes", "track", "export", "synth", "bench"):
+    for command in ("demo", "check", "silhouettes", "track", "export", "synth"):
         assert command in out
     assert re.match(r"hypose \S+", hypose("--version")[1])
     assert callable(module_entry.main)

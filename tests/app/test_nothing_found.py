@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose.app import fuse_job, job
+from benchmarks.robustness.small_recordings import small_scene, write_masks, write_skeletons
+from hypose.app.jobs import fuse_job, job
 from hypose.errors import EvidenceError
-from hypose.evaluation.small_recordings import small_scene, write_masks, write_skeletons
-from hypose.io.recording import load_recording
-from hypose.io.results import load_motion
+from hypose.io.motions.results import load_motion
+from hypose.io.recordings.recording import load_recording
 from hypose.pipeline.detect_keypoints import detect_keypoints
 
 
@@ -57,8 +57,8 @@ def test_track_that_lost_all_frames(hypose, masks, tmp_path, monkeypatch):
 
 
 def test_batch_says_that_a_task_found_nobody(masks, tmp_path, monkeypatch):
-    from hypose.app.batch_worker import run_task
-    from hypose.app.sweep import plan, sweep_of
+    from hypose.app.sweeps.batch_worker import run_task
+    from hypose.app.sweeps.sweep import plan, sweep_of
 
     whole = job.track_source
     monkeypatch.setattr(job, "track_source", lambda *a, **k: lost(whole(*a, **k)))

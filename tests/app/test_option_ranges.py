@@ -16,7 +16,6 @@ _NOWHERE = {
     "keypoints": ("nowhere", "--model", "nowhere"),
     "correct": ("nowhere", "nowhere"),
     "synth": ("FULL",),
-    "bench": ("no-such-benchmark",),
     "gesture record": ("FULL", "--gesture", "wave", "--source", "nowhere"),
     "gesture train": ("FULL/model.npz", "--gesture", "wave", "--source", "nowhere"),
     "gesture eval": ("nowhere", "nowhere"),

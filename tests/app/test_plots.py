@@ -2,7 +2,7 @@
 
 from xml.etree import ElementTree
 
-from hypose.app.plots import svg
+from hypose.app.reports.plots import svg
 
 
 def test_any_name_may_stand_in_a_plot(recwarn):

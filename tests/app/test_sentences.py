@@ -5,13 +5,13 @@ from dataclasses import replace
 import cv2
 import pytest
 
+from benchmarks.robustness.small_recordings import write_skeletons
 from hypose.calibration.boards import Board
 from hypose.calibration.views import LookOptions, Source, diagnose, look_for_board
 from hypose.errors import InputError
-from hypose.evaluation.small_recordings import write_skeletons
 from hypose.gestures.model import check_gesture_name
-from hypose.io.calibration_formats import read_any
-from hypose.io.results import load_motion, save_motion
+from hypose.io.calibrations.calibration_formats import read_any
+from hypose.io.motions.results import load_motion, save_motion
 
 
 def said(result):

@@ -6,10 +6,10 @@ import tomllib
 import numpy as np
 import pytest
 
-from hypose.evaluation.rigging import scan_of
-from hypose.evaluation.subjects import load_subjects
-from hypose.io.bodies import load_body
-from hypose.io.results import load_motion
+from benchmarks.multiview.rigging import scan_of
+from hypose.io.motions.bodies import load_body
+from hypose.io.motions.results import load_motion
+from hypose.synthetic.subjects import load_subjects
 
 
 def write_ply(path, vertices, faces):

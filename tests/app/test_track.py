@@ -6,13 +6,13 @@ import ezc3d
 import numpy as np
 import pytest
 
-from hypose.app import console
-from hypose.app.job import DESCRIPTIONS
-from hypose.evaluation.metrics import joint_errors
-from hypose.io.bodies import load_body
-from hypose.io.results import load_motion
-from hypose.io.trc import read_trc
-from hypose.io.video import open_video
+from hypose.app.commands import console
+from hypose.app.jobs.job import DESCRIPTIONS
+from hypose.io.motions.bodies import load_body
+from hypose.io.motions.results import load_motion
+from hypose.io.motions.trc import read_trc
+from hypose.io.videos.video import open_video
+from hypose.synthetic.metrics import joint_errors
 
 LIGHT = ("--no-overlay", "--formats", "trc")
 

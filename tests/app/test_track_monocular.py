@@ -5,15 +5,15 @@ import json
 import numpy as np
 import pytest
 
-from hypose.app import console
 from hypose.app.cli import main
-from hypose.app.job import DESCRIPTIONS
-from hypose.body.models import JOINT_NAMES
-from hypose.evaluation.rigs import rig
-from hypose.io.modes import load_modes
-from hypose.io.results import load_motion
-from hypose.io.video import open_video
+from hypose.app.commands import console
+from hypose.app.jobs.job import DESCRIPTIONS
+from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.io.motions.modes import load_modes
+from hypose.io.motions.results import load_motion
+from hypose.io.videos.video import open_video
 from hypose.pipeline.monocular import MonoOptions
+from hypose.synthetic.rigs import rig
 
 CLICKED = [
     *(f"{s}_{p}" for s in ("left", "right") for p in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")),

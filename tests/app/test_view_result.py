@@ -12,16 +12,16 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose.app import report_viewer
-from hypose.app.report import from_result, report_html
-from hypose.app.view_bundle import MOST_RIVALS, read_bundle, view_bundle
-from hypose.app.view_pictures import ViewPictures
-from hypose.app.view_result import find_recording, load_view
+from hypose.app.reports import report_viewer
+from hypose.app.reports.report import from_result, report_html
+from hypose.app.studio.view_bundle import MOST_RIVALS, read_bundle, view_bundle
+from hypose.app.studio.view_pictures import ViewPictures
+from hypose.app.studio.view_result import find_recording, load_view
 from hypose.errors import InputError
 from hypose.geometry import so3_exp
-from hypose.io.recording import load_recording
-from hypose.io.results import load_motion, save_motion
-from hypose.io.video import VideoWriter, open_video
+from hypose.io.motions.results import load_motion, save_motion
+from hypose.io.recordings.recording import load_recording
+from hypose.io.videos.video import VideoWriter, open_video
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from hypose.body.anthropometry import (
     sizes_2_1,
     sizes_of,
 )
-from hypose.body.models import human
+from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 
 

@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial import KDTree
 
 from hypose.body.body import Body, Mesh
-from hypose.body.models import JOINT_NAMES, PARENTS, human, human_skeleton
 from hypose.body.procedural import Proportions, procedural_body
+from hypose.body.ready_bodies import JOINT_NAMES, PARENTS, human, human_skeleton
 from hypose.errors import InputError
 
 MIRROR = [

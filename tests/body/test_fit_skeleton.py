@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.multiview.rigging import scan_of
 from hypose.body.body import Shape, deform
 from hypose.body.fit_skeleton import (
     FACTORS,
@@ -16,11 +17,10 @@ from hypose.body.fit_skeleton import (
     surface_samples,
     unposed,
 )
-from hypose.body.models import human
+from hypose.body.ready_bodies import human
 from hypose.errors import InputError
-from hypose.evaluation.rigging import scan_of
-from hypose.evaluation.subjects import load_subjects
 from hypose.geometry import so3_exp
+from hypose.synthetic.subjects import load_subjects
 
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 

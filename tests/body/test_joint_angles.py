@@ -13,7 +13,7 @@ from hypose.body.joint_angles import (
     neutral_frames,
     straight_offset,
 )
-from hypose.body.models import JOINT_NAMES, human_skeleton
+from hypose.body.ready_bodies import JOINT_NAMES, human_skeleton
 from hypose.errors import InputError
 from hypose.geometry import so3_exp, so3_log
 from tests import missing

@@ -10,7 +10,7 @@ import pytest
 from hypose.body.body import Body, Shape, deform
 from hypose.body.joint_names import MIXAMO, OPENSIM_BODIES, OPENSIM_JOINTS, match_rig, renamed_body
 from hypose.body.landmark_sets import LANDMARK_SETS, landmark_set
-from hypose.body.models import JOINT_NAMES, PARENTS, human
+from hypose.body.ready_bodies import JOINT_NAMES, PARENTS, human
 from hypose.errors import InputError
 from hypose.evidence.keypoints import BODY_25, landmark_of
 from hypose.fusion.joints import COMMON

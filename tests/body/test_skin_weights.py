@@ -9,8 +9,8 @@ from hypose import compute
 from hypose.body.body import Body, Mesh
 from hypose.body.coarse_mesh import coarse_mesh, decimated, enclosed_volume, is_closed
 from hypose.body.fit_skeleton import scan_pose
-from hypose.body.models import JOINT_NAMES, human
 from hypose.body.procedural import procedural_body
+from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.body.skin_weights import (
     Bones,
     body_bones,
@@ -20,7 +20,7 @@ from hypose.body.skin_weights import (
     influences,
     vertex_normals,
 )
-from hypose.compute.visibility import nearest_visible
+from hypose.compute.pictures.visibility import nearest_visible
 from hypose.errors import InputError
 
 LEFT_LEG, RIGHT_LEG = [13, 14, 15], [16, 17, 18]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.body.models import human
+from hypose.body.ready_bodies import human
 from hypose.body.superquadrics import PARAMETERS, fit_parts, grid, nodes, superquadric_body
 from hypose.errors import InputError
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.cameras.planted_faults import FAULTS, healthy, judged, planted
 from hypose.calibration.doctor import Clip, Observed, examine, examine_and_cure
 from hypose.calibration.doctor_masks import align
 from hypose.calibration.doctor_points import disagreement, mirrored_names
 from hypose.errors import EvidenceError
-from hypose.evaluation.doctor import FAULTS, healthy, judged, planted
-from hypose.evaluation.rigs import rig as named_rig
 from hypose.evidence.keypoints import BODY_25
+from hypose.synthetic.rigs import rig as named_rig
 
 SEED = 7  # walks before humaneva-4
 

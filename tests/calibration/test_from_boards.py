@@ -9,8 +9,8 @@ from hypose.calibration.from_boards import BoardsNotFound, CalibrateOptions, cal
 from hypose.calibration.views import LookOptions, Source, diagnose, find_sources, look_for_board
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError, InputError
-from hypose.evaluation.calibration_boards import compare_rigs
 from hypose.geometry import se3, so3_exp
+from hypose.synthetic.calibration_boards import compare_rigs
 from tests.calibration.painted_boards import paint
 
 BOARD = Board("chessboard", 6, 5, 0.06)
@@ -147,8 +147,8 @@ def test_sources(folder, tmp_path):
 
 def test_real_floor_board(shared_data):
     """Four cameras, one lying board of 20 x 10 px per square, overexposed, the same turned by 180 degrees."""
-    from hypose.evaluation.calibration import fit_of_poses
-    from hypose.evaluation.real import uu4cam_recording
+    from benchmarks.cameras.board_accuracy import fit_of_poses
+    from benchmarks.multiview.real_recordings import uu4cam_recording
 
     data = shared_data("uu4cam")
     given = uu4cam_recording(data).rig

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.body.models import human
+from hypose.body.ready_bodies import human
 from hypose.calibration.refine_body import BodyOptions, adjust_with_body
 from hypose.calibration.refine_camera import (
     by_camera,
@@ -21,13 +21,13 @@ from hypose.calibration.refine_camera import (
 )
 from hypose.calibration.refine_points import PointOptions, adjust, left_out_residual, point_residual
 from hypose.cameras.camera import CameraRig
-from hypose.compute.render import silhouette
+from hypose.compute.pictures.render import silhouette
 from hypose.errors import CalibrationError, EvidenceError
-from hypose.evaluation.rigs import rig as named_rig
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.fitting.articulated import contour_term
 from hypose.geometry import se3, se3_exp, so3_exp, transform
-from hypose.tracking.initialise import known_pose
+from hypose.synthetic.rigs import rig as named_rig
+from hypose.tracking.starts import known_pose
 
 
 def turned(rig, c, degrees, move):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.cameras.board_accuracy import solve_scene
 from hypose.calibration.boards import Board, Sighting
 from hypose.calibration.floor import floor_frame, place_on_floor
 from hypose.calibration.intrinsics import Lens, calibrate_lens, spread_out
@@ -12,9 +13,8 @@ from hypose.calibration.lags import estimate_lags
 from hypose.calibration.rig import RigOptions, calibrate_rig
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError
-from hypose.evaluation.calibration import solve_scene
-from hypose.evaluation.calibration_boards import compare_rigs, film_board, ring_of_cameras
 from hypose.geometry import se3, so3_exp
+from hypose.synthetic.calibration_boards import compare_rigs, film_board, ring_of_cameras
 
 EVEN = Board("chessboard", 8, 6, 0.08)
 

@@ -7,15 +7,15 @@ import wave
 import numpy as np
 import pytest
 
-from hypose.calibration.sync import Resampled, mask_between, offsets_from_motion, points_at
+from benchmarks.cameras.sync_accuracy import late_scene, seen_masks, seen_points
+from hypose.calibration.in_step import Resampled, mask_between, offsets_from_motion, points_at
 from hypose.calibration.sync_events import light_event, offsets_from_light, offsets_from_sound
 from hypose.calibration.sync_motion import Curves, fundamental, solve_offsets
 from hypose.errors import EvidenceError, InputError
-from hypose.evaluation.rigs import rig as named_rig
-from hypose.evaluation.sync import late_scene, seen_masks, seen_points
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.silhouettes import make_silhouettes
-from hypose.io.sound import Sound, read_sound
+from hypose.io.videos.sound import Sound, read_sound
+from hypose.synthetic.rigs import rig as named_rig
 
 
 def test_fundamental_matrix_puts_points_on_their_epipolar_lines(rng):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hypose import compute
-from hypose.compute.banded import frame_covariances, solve_coupled
+from hypose.compute.solver.banded import frame_covariances, solve_coupled
 
 
 @pytest.fixture(params=[1, 2, 5, 8])

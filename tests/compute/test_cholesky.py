@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.compute import cpu_cholesky as kernels
+from hypose.compute.solver import cpu_cholesky as kernels
 
 
 @pytest.mark.parametrize("n", [1, 3, 8, 36, 41])

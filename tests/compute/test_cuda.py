@@ -30,7 +30,7 @@ def simulated(tmp_path):
 
 
 def run(path):
-    from hypose.compute import cuda
+    from hypose.compute.silhouettes import cuda
 
     cuda.THREADS = 4  # a Python thread each
     body, rig = capsule_person(0.12), ring(2, f=80.0, size=(40, 48))
@@ -79,7 +79,7 @@ def test_simulated_device_counts_what_the_reference_counts(counts, case):
 
 
 def test_without_a_device_the_back_end_says_what_to_do():
-    from hypose.compute import cuda
+    from hypose.compute.silhouettes import cuda
 
     if cuda.available():
         pytest.skip("a CUDA device is here")

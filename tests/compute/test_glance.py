@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hypose import compute
-from hypose.compute.glance import MARGIN, STEP, differing_box, glance_at, stored_pixels
-from hypose.compute.images import Room, make_lens, shrink_undistort
+from hypose.compute.pictures.picture_to_mask import Room, make_lens, shrink_undistort
+from hypose.compute.silhouettes.glance import MARGIN, STEP, differing_box, glance_at, stored_pixels
 
 SIZE = (160, 120)
 

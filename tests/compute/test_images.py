@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hypose import compute
-from hypose.compute import images
+from hypose.compute.pictures import picture_to_mask as images
 from hypose.errors import InputError
 
 

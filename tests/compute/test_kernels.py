@@ -10,7 +10,8 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 
 from hypose import compute
-from hypose.compute import cache_place, kernels
+from hypose.compute import cache_place
+from hypose.compute import compiled as kernels
 
 
 def add(a, b):

@@ -5,7 +5,7 @@ import inspect
 import numpy as np
 import pytest
 
-from hypose.compute import cpu_losses, losses
+from hypose.compute.solver import cpu_losses, losses
 
 S = np.geomspace(1e-6, 50, 41)
 SQUARE_NEAR_ZERO = [losses.quadratic, losses.lorentzian, losses.leclerc, losses.geman_mcclure, losses.huber]

@@ -1,20 +1,19 @@
 """What `warm_up` compiles for one camera is what a tracker uses: nothing is compiled again at the first picture."""
 
-import importlib
-
 import numpy as np
 import pytest
 
 from hypose import compute
-from hypose.body.models import human
+from hypose.body.ready_bodies import human
+from hypose.compute.native import native
 from hypose.evidence.flow import optical_flow
 from hypose.monocular.tracker import MonoTracker
 from hypose.monocular.types import MonoFrame, MonoHypotheses, clicked_joints
 from tests.monocular.pictures import camera, mask, picture, wall
 
 KERNELS = {
-    "mono_search": ("search", "score", "full_cost", "draw_still", "symmetric_eigen"),
-    "mono_images": ("strongest_gradient", "saturate", "weigh", "flow_error", "boundary_map"),
+    "monocular.mono_search": ("search", "score", "full_cost", "draw_still", "symmetric_eigen"),
+    "monocular.mono_images": ("strongest_gradient", "saturate", "weigh", "flow_error", "boundary_map"),
 }
 
 
@@ -32,6 +31,6 @@ def test_nothing_is_compiled_again() -> None:
     tracker.optimise(MonoHypotheses.at(pose), MonoFrame(0, 0.0, image), iterations=1)
     optical_flow(image[..., 0].copy(), image[..., 1].copy())
     for room, names in KERNELS.items():
-        kernels = importlib.import_module(f"hypose.compute.cpu_{room}")
+        kernels = native(room)
         for name in names:
             assert len(getattr(kernels, name).signatures) == 1, name

@@ -5,8 +5,9 @@ import pytest
 from scipy.stats import spearmanr
 
 from hypose import compute
-from hypose.body.models import human
-from hypose.compute import lane_mesh, reference
+from hypose.body.ready_bodies import human
+from hypose.compute import reference
+from hypose.compute.silhouettes import lane_mesh
 from hypose.errors import InputError
 from tests.capsule_person import capsule_person, random_pose, ring
 
@@ -65,7 +66,7 @@ def test_a_pose_counts_the_same_alone_and_in_any_place_of_a_block(body, scene, o
 
 def test_crossings_of_parts_add_up_to_those_of_the_whole(body, scene, rig, rng):
     """Exactly: every pixel's difference is the sum of the parts' differences, whatever the parts."""
-    from hypose.compute import cpu_lanes as kernels
+    from hypose.compute.silhouettes import cpu_lanes as kernels
 
     poses = scene[0][: kernels.LANES]
     homogeneous = body.skin(poses) @ rig[0].projection[:, :3].T + rig[0].projection[:, 3]
@@ -178,7 +179,7 @@ def test_images_of_any_size(body, rng, size):
 
 
 def test_the_coarse_mesh_ranks_poses_as_the_fine_one():
-    """500 poses 2 degrees and 1 cm around a standing pose; `hypose bench silhouette-scorer` measures more (0.999)."""
+    """500 poses 2 degrees and 1 cm around a standing pose; `./run bench silhouette-scorer` measures more (0.999)."""
     body, rng = human(), np.random.default_rng(3)
     rig = ring(4, f=640.0, size=(640, 480))
     pose = body.skeleton.rest_pose()

@@ -5,7 +5,6 @@ import pytest
 
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
-from hypose.evaluation.rigs import look_at
 from hypose.evidence.body_parts import (
     ClusterSettings,
     Surface,
@@ -20,6 +19,7 @@ from hypose.evidence.frame import Silhouettes
 from hypose.evidence.hull import Hull
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.evidence.skin import learned_table, skin_map, skin_posterior, skin_table
+from hypose.synthetic.rigs import look_at
 
 SIZE = (200, 160)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hypose.evidence.ahead import look_ahead, outlines
-from hypose.evidence.contours import WORKING_HEIGHT
 from hypose.evidence.frame import Frame, Silhouettes
+from hypose.evidence.outlines import WORKING_HEIGHT
 from tests.capsule_person import ring
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from hypose import compute, fitting
 from hypose.compute import reference
-from hypose.compute.terms import PriorArrays
+from hypose.compute.solver.terms import PriorArrays
 from hypose.errors import EvidenceError, InputError, SolverError
 from hypose.evidence.frame import Silhouettes
 from hypose.fitting.articulated import contour_arrays, keypoint_arrays, point_arrays

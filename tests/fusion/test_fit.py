@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from hypose.compute import cpu_fusion
+from hypose.compute.swarm import cpu_fusion
 from hypose.fusion import baselines
 from hypose.fusion import joints as jt
 from hypose.fusion.fit import FitSettings, adapt_lengths, clip_lengths, fit_step, start_fit, unswap
 from hypose.fusion.fuse import BASELINES, METHODS, FusionSettings, fuse_clip
-from hypose.fusion.points import common_positions
+from hypose.fusion.point_motion import common_positions
 from tests.fusion.people import moving_person, seen, sensor_poses
 
 TRUE_LENGTHS = np.linalg.norm(np.diff(moving_person(2)[0][jt.BONES], axis=1)[:, 0], axis=-1)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.evaluation.sensors import treadmill_recording
 from hypose.fusion.fuse import FusionSettings, fuse_clip
+from hypose.synthetic.sensors import treadmill_recording
 
 
 @pytest.fixture(scope="module")

@@ -158,7 +158,7 @@ def test_a_picture_padded_for_another_reach_is_refused():
 
 
 def test_random_numbers_are_uniform():
-    kernels = native("forests")
+    kernels = native("depth_forests.forests")
     state = np.array([7], np.uint64)
     test = np.zeros(5, np.int16)
     drawn = []

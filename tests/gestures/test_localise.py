@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.compute import forests
-from hypose.compute.forests import ScanPlan
+from hypose.compute.depth_forests import forest_arrays as forests
+from hypose.compute.depth_forests.forest_arrays import ScanPlan
 from hypose.errors import InputError
 from hypose.gestures import runtime
+from hypose.gestures.depth_pictures import Lens, millimetres
 from hypose.gestures.forest import Forest, ForestSettings
 from hypose.gestures.localise import LocaliseSettings, Scratch, localise, pad
 from hypose.gestures.online import Learner
-from hypose.gestures.pictures import Lens, millimetres
 
 from .test_forest import exported
 from .toys import LENS, SHAPE, grown, toy

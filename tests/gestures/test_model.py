@@ -167,7 +167,7 @@ def test_offline_patches_read_what_scanning_reads():
     pool = collect(examples, rng)
     forest = train(pool, rng, OfflineSettings(ForestSettings(trees=3), per_class=400))
     # the training samples' own shares, walked on the picture, are those of the leaves they made
-    from hypose.compute import forests as kernels
+    from hypose.compute.depth_forests import forest_arrays as kernels
     from hypose.gestures.localise import pad
 
     e = examples[0]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from hypose.gestures.depth_pictures import Lens
 from hypose.gestures.forest import ForestSettings, GrowingForest
 from hypose.gestures.localise import pad
-from hypose.gestures.pictures import Lens
 
 LENS = Lens(200.0, 200.0, 99.5, 74.5)
 SHAPE = (150, 200)

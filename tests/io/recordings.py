@@ -4,8 +4,8 @@ import numpy as np
 
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.geometry import se3, so3_exp
-from hypose.io.calibration import toml_value, write_calibration
-from hypose.io.video import VideoWriter
+from hypose.io.calibrations.calibration_toml import toml_value, write_calibration
+from hypose.io.videos.video import VideoWriter
 
 SIZE = (64, 48)
 

@@ -9,10 +9,10 @@ import pytest
 
 from hypose.body.joint_angles import ANGLE_NAMES, joint_angles
 from hypose.errors import InputError
-from hypose.io.angles import write_angles_csv, write_joints_csv
-from hypose.io.c3d import read_c3d
-from hypose.io.export import FORMATS, export_motion
-from hypose.io.trc import read_trc
+from hypose.io.motions.angles import write_angles_csv, write_joints_csv
+from hypose.io.motions.c3d import read_c3d
+from hypose.io.motions.export import FORMATS, export_motion
+from hypose.io.motions.trc import read_trc
 
 
 def _table(path):

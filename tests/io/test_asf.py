@@ -5,7 +5,7 @@ import pytest
 
 from hypose.errors import InputError
 from hypose.geometry import so3_exp
-from hypose.io.asf import bone_ends, global_rotations, read_amc, read_asf
+from hypose.io.motions.asf import bone_ends, global_rotations, read_amc, read_asf
 
 ASF = """# made by hand
 :version 1.10

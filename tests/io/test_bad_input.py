@@ -6,7 +6,7 @@ import cv2
 import pytest
 
 from hypose.errors import CalibrationError, HyposeError, InputError
-from hypose.io.recording import load_recording
+from hypose.io.recordings.recording import load_recording
 from tests.io.recordings import frame, make_recording, make_video
 
 VIEWS = [{"name": n, "video": f"{n}.avi"} for n in ("cam_1", "cam_2")]

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.body.models import human
+from hypose.body.ready_bodies import human
 from hypose.errors import InputError
-from hypose.io.bodies import _ARRAYS, load_body, save_body
+from hypose.io.motions.bodies import _ARRAYS, load_body, save_body
 
 
 @pytest.fixture(scope="module")

@@ -10,13 +10,13 @@ import pytest
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError
 from hypose.geometry import so3_exp
-from hypose.io.calibration import (
+from hypose.io.calibrations.calibration_formats import read_any
+from hypose.io.calibrations.calibration_toml import (
     find_calibration,
     natural_key,
     toml_value,
     write_calibration,
 )
-from hypose.io.calibration_formats import read_any
 from tests.io.recordings import make_camera, make_rig
 
 POINTS = np.random.default_rng(3).uniform(-0.5, 0.5, (20, 3))

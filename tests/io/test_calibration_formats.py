@@ -10,8 +10,8 @@ import pytest
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError, InputError
 from hypose.geometry import se3, so3_exp
-from hypose.io.calibration_formats import read_any, write_any
-from hypose.io.calibration_opencap import plain_pickle, read_plain_pickle
+from hypose.io.calibrations.calibration_formats import read_any, write_any
+from hypose.io.calibrations.calibration_opencap import plain_pickle, read_plain_pickle
 
 
 def make_rig(rng, tangential=True):

@@ -14,8 +14,8 @@ from hypose.evidence.hull import hull_iou, visual_hull
 from hypose.evidence.keypoints import BODY_25B, triangulate_keypoints
 from hypose.evidence.silhouettes import SilhouetteOptions, as_mask, biggest_parts
 from hypose.geometry import se3, so3_exp
-from hypose.io.frames import FrameOptions, FrameStream, build_backgrounds, working_rig, write_masks
-from hypose.io.recording import Recording, View
+from hypose.io.recordings.frames import FrameOptions, FrameStream, build_backgrounds, working_rig, write_masks
+from hypose.io.recordings.recording import Recording, View
 from tests.evidence.scenes import ellipse, iou, picture, ring, room
 
 SHAPE, COUNT = (240, 320), 14

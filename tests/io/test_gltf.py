@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from hypose.body.models import human_skeleton
+from hypose.body.ready_bodies import human_skeleton
 from hypose.errors import InputError
-from hypose.io.animation import Y_UP
-from hypose.io.gltf import write_glb
+from hypose.io.motions.animation import Y_UP
+from hypose.io.motions.gltf import write_glb
 
 
 @pytest.fixture(scope="module")

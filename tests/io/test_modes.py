@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.io.modes import Modes, joined, load_joints_of_modes, load_modes, save_modes
+from hypose.io.motions.modes import Modes, joined, load_joints_of_modes, load_modes, save_modes
 
 
 def some(t, k, seed=0, d=5, j=3):

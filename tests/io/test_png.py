@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.io.depth import read_depth_png, write_depth_png
-from hypose.io.png import is_cut_png
-from hypose.io.video import read_image
+from hypose.io.sensors.depth import read_depth_png, write_depth_png
+from hypose.io.videos.png import is_cut_png
+from hypose.io.videos.video import read_image
 
 
 @pytest.fixture

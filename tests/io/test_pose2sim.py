@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from hypose.errors import CalibrationError, InputError
-from hypose.io.calibration import write_calibration
-from hypose.io.calibration_formats import read_any
-from hypose.io.pose2sim import match_names
-from hypose.io.recording import load_recording, write_recording
+from hypose.io.calibrations.calibration_formats import read_any
+from hypose.io.calibrations.calibration_toml import write_calibration
+from hypose.io.recordings.pose2sim import match_names
+from hypose.io.recordings.recording import load_recording, write_recording
 from tests.io.recordings import frame, make_rig, make_video
 
 NAMES = ("cam01", "cam02")

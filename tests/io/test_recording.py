@@ -8,10 +8,10 @@ import pytest
 
 from hypose.errors import InputError
 from hypose.evidence.silhouettes import SilhouetteOptions
-from hypose.io import video
-from hypose.io.calibration import write_calibration
-from hypose.io.frames import FrameOptions, FrameStream
-from hypose.io.recording import Recording, View, load_recording, write_recording
+from hypose.io.calibrations.calibration_toml import write_calibration
+from hypose.io.recordings.frames import FrameOptions, FrameStream
+from hypose.io.recordings.recording import Recording, View, load_recording, write_recording
+from hypose.io.videos import video
 from tests.io.recordings import SIZE, frame, make_recording, make_rig, make_video
 
 

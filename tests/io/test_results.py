@@ -14,8 +14,7 @@ import pytest
 
 from hypose.body.motion import Motion
 from hypose.errors import InputError
-from hypose.io.provenance import file_identity, identity, provenance
-from hypose.io.results import (
+from hypose.io.motions.results import (
     Checkpoint,
     ResultsFolder,
     atomic_path,
@@ -24,6 +23,7 @@ from hypose.io.results import (
     save_motion,
     to_json,
 )
+from hypose.io.recordings.provenance import file_identity, identity, provenance
 
 
 def assert_same(a: Motion, b: Motion):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.io.skeleton_formats import read_skeletons
-from hypose.io.skeleton_lines import MAX_SKELETON_LINE, SkeletonLine, format_line, parse_line, read_lines
+from hypose.io.sensors.skeleton_formats import read_skeletons
+from hypose.io.sensors.skeleton_lines import MAX_SKELETON_LINE, SkeletonLine, format_line, parse_line, read_lines
 
 JOINTS = ("head", "neck", "torso")
 

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.io.depth import depth_at_joints, read_azure_mkv, read_depth_png, write_depth_png
-from hypose.io.skeleton_folder import FolderWriter, write_folder
-from hypose.io.skeleton_formats import read_skeletons
-from hypose.io.skeleton_tables import KINECT_V2, read_kinect_csv, read_ntu
-from hypose.io.skeletons import (
+from hypose.io.sensors.depth import depth_at_joints, read_azure_mkv, read_depth_png, write_depth_png
+from hypose.io.sensors.skeleton_folder import FolderWriter, write_folder
+from hypose.io.sensors.skeleton_formats import read_skeletons
+from hypose.io.sensors.skeleton_streams import (
     SkeletonRecording,
     StreamRows,
     build_stream,
@@ -22,6 +21,7 @@ from hypose.io.skeletons import (
     resample,
     synchronise,
 )
+from hypose.io.sensors.skeleton_tables import KINECT_V2, read_kinect_csv, read_ntu
 from hypose.io.text_in import bounded_lines
 from tests import missing
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.io.video import VideoWriter, check_numbers, count_frames, frame_size, open_video, read_image
+from hypose.io.videos.video import VideoWriter, check_numbers, count_frames, frame_size, open_video, read_image
 from tests.io.recordings import SIZE, frame, frame_number, make_video
 
 
@@ -185,7 +185,7 @@ def test_writer_refuses(tmp_path):
 
 
 def test_a_video_that_did_not_reach_the_disk(tmp_path, monkeypatch):
-    monkeypatch.setattr("hypose.io.video.count_frames", lambda _: 3)
+    monkeypatch.setattr("hypose.io.videos.video.count_frames", lambda _: 3)
     with pytest.raises(InputError, match="3 of 5 frames arrived on the disk, which may be full"):
         make_video(tmp_path / "a.avi", 5)
     assert list(tmp_path.iterdir()) == []

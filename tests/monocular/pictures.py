@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 
 from hypose.cameras.camera import Camera
-from hypose.compute.render import interpolate, rasterize
-from hypose.evaluation.rigs import look_at
+from hypose.compute.pictures.render import interpolate, rasterize
+from hypose.synthetic.rigs import look_at
 
 SIZE = (240, 200)
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.body.models import human
+from hypose.body.ready_bodies import human
 from hypose.monocular.clip import Modes, WholeClip, backwards, information, summed_up, together
 from hypose.monocular.models import body_dofs
 from hypose.monocular.settings import MonoSettings

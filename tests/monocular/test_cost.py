@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from hypose.body.models import human
+from hypose.body.ready_bodies import human
 from hypose.body.superquadrics import superquadric_body
-from hypose.compute import cpu_mono_cues, cpu_mono_nodes, cpu_mono_rows, cpu_mono_search, mono
-from hypose.compute.mono_terms import FlowArrays
+from hypose.compute.monocular import cpu_mono_cues, cpu_mono_nodes, cpu_mono_rows, cpu_mono_search, mono
+from hypose.compute.monocular.mono_terms import FlowArrays
 from hypose.inference.newton import minimise
 from hypose.monocular.models import arm_dofs, body_dofs, with_hand
 from hypose.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from hypose.body.fit_skeleton import FACTORS
-from hypose.body.models import human
+from hypose.body.ready_bodies import human
 from hypose.errors import EvidenceError, InputError
-from hypose.evaluation.mono_scenes import body_scene
-from hypose.evaluation.rigs import look_at
 from hypose.monocular.initialise import initialise, rival_poses
 from hypose.monocular.models import body_dofs
 from hypose.monocular.proportions import NAMES, proportions, search_factors, shaped
 from hypose.monocular.types import MonoFrame, clicked_joints
+from hypose.synthetic.mono_scenes import body_scene
+from hypose.synthetic.rigs import look_at
 
 CLICKED = tuple(
     [f"{side}_{part}" for side in ("left", "right") for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")]

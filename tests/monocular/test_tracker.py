@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.body.models import human
+from hypose.body.ready_bodies import human
 from hypose.body.superquadrics import superquadric_body
 from hypose.errors import EvidenceError, InputError
 from hypose.monocular.flips import mirrored

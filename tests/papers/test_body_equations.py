@@ -8,18 +8,18 @@ from scipy.linalg import expm
 
 from hypose.body.anthropometry import ENTITIES, TABLE_2_1, body_of, entity, sizes_2_1
 from hypose.body.body import Shape, deform
-from hypose.body.models import human
+from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
-from hypose.compute.render import silhouette
-from hypose.evaluation.rigs import rig
+from hypose.compute.pictures.render import silhouette
 from hypose.evidence.body_parts import assign_ends
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.anthropometry import BETAS, TABLE_2_2, SizePrior
-from hypose.tracking.evidence import prepare
-from hypose.tracking.initialise import known_pose
+from hypose.synthetic.rigs import rig
+from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.layered_anthropometry import BETAS, TABLE_2_2, SizePrior
 from hypose.tracking.partitioned_observations import PartitionedXor, chain_region
+from hypose.tracking.starts import known_pose
 
 
 @pytest.fixture(scope="module")

@@ -52,7 +52,7 @@ def rows() -> tuple[Row, ...]:
         cells = [c.strip() for c in line.strip("|").split("|")]
         assert len(cells) == 5, line
         number, _, code, test, deviation = cells
-        names = tuple(re.findall(r"`(hypose[\w.]*:[\w.]+)`", code))
+        names = tuple(re.findall(r"`((?:hypose|benchmarks)[\w.]*:[\w.]+)`", code))
         assert names or code.startswith("not built: "), line
         said = () if deviation == "none" else tuple(deviation.split("<br>"))
         out.append(Row(paper, number, names, test.strip("`"), said))

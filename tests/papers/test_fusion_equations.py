@@ -5,9 +5,8 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from hypose.compute import cpu_swarm
-from hypose.evaluation.sensor_choice import Choice, cases
-from hypose.evaluation.sensors import treadmill_recording
+from benchmarks.depth_sensors.sensor_choice import Choice, cases
+from hypose.compute.swarm import cpu_swarm
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
 from hypose.fusion.confidence import (
@@ -27,6 +26,7 @@ from hypose.fusion.swarm import PUBLISHED, MergedWheel, SwarmFrame, SwarmSetting
 from hypose.geometry import so3_exp, transform
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.selectors import roulette
+from hypose.synthetic.sensors import treadmill_recording
 
 
 def random_rotation(rng):

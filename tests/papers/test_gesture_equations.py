@@ -6,8 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from hypose.compute import cpu_forests, forests
-from hypose.compute.forests import UNCLIPPED_MM
+from hypose.compute.depth_forests import cpu_forests
+from hypose.compute.depth_forests import forest_arrays as forests
+from hypose.compute.depth_forests.forest_arrays import UNCLIPPED_MM
 from hypose.gestures.forest import ForestSettings, GrowingForest
 from hypose.gestures.localise import LocaliseSettings, Scratch, pad, settle
 from hypose.gestures.offline import OfflineSettings, Pool, train

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import correlate, gaussian_filter
 
-from hypose.body.models import human
+from hypose.body.ready_bodies import human
 from hypose.body.superquadrics import grid, nodes, superquadric_body
-from hypose.compute import cpu_mono_cues, cpu_mono_rows, cpu_mono_search, cpu_solver, mono
-from hypose.compute.mono_terms import GAUSSIAN, LECLERC, LORENTZIAN, FlowArrays
+from hypose.compute.monocular import cpu_mono_cues, cpu_mono_rows, cpu_mono_search, mono
+from hypose.compute.monocular.mono_terms import GAUSSIAN, LECLERC, LORENTZIAN, FlowArrays
+from hypose.compute.solver import cpu_solver
 from hypose.evidence.edges import edge_field
 from hypose.evidence.flow import optical_flow
 from hypose.monocular.models import body_dofs

@@ -6,23 +6,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.robustness.small_recordings import small_scene
 from hypose.body.body import Body
-from hypose.body.models import human
+from hypose.body.ready_bodies import human
 from hypose.errors import InputError
-from hypose.evaluation.small_recordings import small_scene
 from hypose.inference.hypotheses import Hypotheses
-from hypose.io.results import ResultsFolder, load_motion
+from hypose.io.motions.results import ResultsFolder, load_motion
 from hypose.pipeline import run
 from hypose.pipeline.chunked import ChunkRun, chunk_ranges
+from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.join import AGREE_M, FADE, join, seam_notes
 from hypose.pipeline.run import TrackOptions, track_source
-from hypose.pipeline.subject import Subject
 from hypose.pipeline.track_loop import Tracked
-from hypose.tracking.evidence import prepare
-from hypose.tracking.initialise import start_from_hull
+from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.pose_covariance import nothing_known
+from hypose.tracking.starts import start_from_hull
 from hypose.tracking.subject import scaled_to_height
 from hypose.tracking.tracker import FrameEstimate, TrackerState
-from hypose.tracking.uncertainty import nothing_known
 from tests.capsule_person import capsule_person
 
 BODY: Body = capsule_person(0.09)

@@ -5,16 +5,16 @@ import dataclasses
 import numpy as np
 import pytest
 
+from benchmarks.multiview.action_scenes import known_subject
 from hypose.errors import InputError
-from hypose.evaluation.action_scenes import known_subject
-from hypose.evaluation.rigs import rig
-from hypose.evaluation.scenes import make_scene
-from hypose.evaluation.write_recording import write_scene
 from hypose.evidence.body_parts import UNNAMED
-from hypose.io.frames import FrameStream
-from hypose.io.recording import load_recording
+from hypose.io.recordings.frames import FrameStream
+from hypose.io.recordings.recording import load_recording
 from hypose.pipeline.colour_detections import ColourDetections, centre_of, tracked_frames
 from hypose.pipeline.run import TrackOptions, track_source
+from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import make_scene
+from hypose.synthetic.write_recording import write_scene
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.body.models import human
-from hypose.evaluation.small_recordings import small_scene
+from benchmarks.robustness.small_recordings import small_scene
+from hypose.body.ready_bodies import human
 from hypose.pipeline.doubts import find_doubts
 from hypose.pipeline.strangers import strangers_share
 

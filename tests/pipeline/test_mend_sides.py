@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.body.models import human
-from hypose.evaluation.small_recordings import small_scene
+from benchmarks.robustness.small_recordings import small_scene
+from hypose.body.ready_bodies import human
 from hypose.pipeline.doubts import what_was_seen
+from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.mend_sides import mend_sides, sides_notes
 from hypose.pipeline.run import TrackOptions, track_source
-from hypose.pipeline.subject import Subject
-from hypose.tracking.evidence import prepare
 from hypose.tracking.exchanged_sides import turned_around
-from hypose.tracking.initialise import start_from_hull
+from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.recipes import default
+from hypose.tracking.starts import start_from_hull
 from hypose.tracking.subject import scaled_to_height
 from hypose.tracking.tracker import Tracker
 

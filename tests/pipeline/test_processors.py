@@ -10,7 +10,7 @@ import pytest
 PROGRAM = """
 import sys
 import numpy as np
-from hypose.evaluation.small_recordings import small_scene
+from benchmarks.robustness.small_recordings import small_scene
 from hypose.pipeline.run import TrackOptions, track_source
 
 class Frames:

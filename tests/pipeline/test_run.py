@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from hypose.errors import EvidenceError, InputError
-from hypose.evaluation.rigs import rig
-from hypose.evaluation.scenes import make_scene
 from hypose.evidence.frame import Frame
-from hypose.io.results import ResultsFolder, load_motion
+from hypose.io.motions.results import ResultsFolder, load_motion
+from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.run import TrackOptions, track_source
-from hypose.pipeline.subject import SubjectOptions, find_subject
 from hypose.pipeline.track import track
 from hypose.pipeline.track_loop import FrameList
+from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import make_scene
 from hypose.tracking.recipes import recipe
 
 

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.body.models import human
+from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
-from hypose.compute.render import silhouette
+from hypose.compute.pictures.render import silhouette
 from hypose.errors import EvidenceError
-from hypose.evaluation.rigs import rig
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
-from hypose.pipeline.anthropometry import AnthropometryOptions, estimate_subject
 from hypose.pipeline.subject_checks import apparent_height, check_borders, check_start, cut_edges
-from hypose.tracking.initialise import known_pose
+from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
+from hypose.synthetic.rigs import rig
+from hypose.tracking.starts import known_pose
 
 
 @pytest.fixture(scope="module")

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from hypose.body.body import Body
-from hypose.body.models import human
+from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
-from hypose.compute.render import silhouette
-from hypose.evaluation.rigs import rig
+from hypose.compute.pictures.render import silhouette
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import Array
-from hypose.tracking.initialise import known_pose
+from hypose.synthetic.rigs import rig
+from hypose.tracking.starts import known_pose
 
 FrameOf = Callable[..., Frame]
 

@@ -11,15 +11,16 @@ from hypose.body.anthropometry import ENTITIES, body_of, entity, prior_mean, siz
 from hypose.errors import EvidenceError, InputError
 from hypose.fitting.articulated import contour_term
 from hypose.inference.hypotheses import Hypotheses
-from hypose.pipeline.anthropometry import (
+from hypose.pipeline.first_frame import SubjectOptions, find_subject
+from hypose.pipeline.subject_from_motion import (
     AnthropometryOptions,
     different_poses,
     estimate_subject,
     load_subject,
     save_subject,
 )
-from hypose.pipeline.subject import SubjectOptions, find_subject
-from hypose.tracking.anthropometry import (
+from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.layered_anthropometry import (
     BETAS,
     TABLE_2_2,
     K,
@@ -29,7 +30,6 @@ from hypose.tracking.anthropometry import (
     powell_start,
     shape_energy,
 )
-from hypose.tracking.evidence import prepare
 from hypose.tracking.shape_refinement import Known, ShapeOptions, outline_rows, refine_shape
 
 
@@ -239,7 +239,7 @@ def test_powell_lowers_the_energy(body, standing, frame_of):
 
 @pytest.mark.slow
 def test_filter_finds_a_held_pose(body, standing, frame_of):
-    from hypose.tracking.anthropometry import estimate_by_filter
+    from hypose.tracking.layered_anthropometry import estimate_by_filter
 
     person = body_of(body, shape(scale=0.04, thigh_girth=0.1))
     frame = prepare(frame_of(person, standing), body, standing)

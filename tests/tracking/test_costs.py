@@ -6,7 +6,7 @@ import pytest
 from hypose.body.body import Shape, deform
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.costs import SilhouetteXor, silhouette_iou, xor_energy
-from hypose.tracking.evidence import prepare, view_count
+from hypose.tracking.frame_evidence import prepare, view_count
 
 
 def test_energy_is_zero_at_the_truth_and_grows_with_distance(body, standing, frame_of):

@@ -9,7 +9,7 @@ from hypose.evidence.frame import Detections
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import stay
 from hypose.tracking.costs import SilhouetteXor
-from hypose.tracking.detections import (
+from hypose.tracking.detection_kernels import (
     END_NAMES,
     DetectionCost,
     DetectorDriven,
@@ -19,7 +19,7 @@ from hypose.tracking.detections import (
     limb_to,
     pose_limb,
 )
-from hypose.tracking.evidence import prepare
+from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.published_recipes import step_sigma
 from hypose.tracking.recipes import recipe
 from hypose.tracking.tracker import Tracker, TrackerSettings

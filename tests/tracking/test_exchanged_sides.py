@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hypose.tracking.evidence import prepare
 from hypose.tracking.exchanged_sides import legs_exchanged, look_for_exchange, turned_around
+from hypose.tracking.frame_evidence import prepare
 
 
 def striding(body, standing):

@@ -9,7 +9,7 @@ from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import BODY_25B
 from hypose.fitting.articulated import fit_pose
-from hypose.tracking.evidence import prepare
+from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_evidence import checked, keypoint_model, keypoint_term, pixels_per_metre
 from hypose.tracking.keypoint_offsets import calibrate_keypoints, offset_limits
 from hypose.tracking.refinement import anatomical_prior

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from hypose.cameras.camera import CameraRig
-from hypose.evaluation.rigs import look_at
 from hypose.inference.hypotheses import Hypotheses
+from hypose.synthetic.rigs import look_at
 from hypose.tracking.costs import xor_energy
-from hypose.tracking.evidence import prepare
+from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.limb_kernels import LimbDiffusion, ball_step
 from hypose.tracking.partitioned_observations import (
     PartitionedXor,

@@ -14,7 +14,7 @@ from hypose.inference.selectivity import Annealed, SurvivalRate
 from hypose.inference.selectors import systematic
 from hypose.tracking import published_recipes, refinement
 from hypose.tracking.costs import SilhouetteXor
-from hypose.tracking.evidence import prepare
+from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.recipes import RECIPES, citation_of, recipe
 from hypose.tracking.refinement import COMPOSITE, SOLVED, ContourRefinement, SolvePrediction, pose_mean
 from hypose.tracking.tracker import Tracker, TrackerSettings

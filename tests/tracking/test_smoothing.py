@@ -10,9 +10,9 @@ from hypose.errors import EvidenceError
 from hypose.evidence.keypoints import BODY_25B
 from hypose.tracking.keypoint_clip import solve_keypoint_clip, track_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
+from hypose.tracking.pose_covariance import packed, unpacked
 from hypose.tracking.smooth_motion import smooth_motion
 from hypose.tracking.smoothing import ClipSettings, smooth_poses
-from hypose.tracking.uncertainty import packed, unpacked
 from tests.tracking.test_keypoint_evidence import exchanged, seen_by
 
 RATE = 25.0

@@ -6,7 +6,7 @@ import pytest
 from hypose.body.body import Shape, deform
 from hypose.errors import EvidenceError
 from hypose.evidence.keypoints import keypoint_names
-from hypose.tracking.evidence import prepare
+from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.subject import fit_girths, scaled_to_height, subject_from_keypoints
 

@@ -1,4 +1,4 @@
-/** The viewer inside a report: one file, opened from disk, with everything in it. hypose/app/report_viewer.py fills it. */
+/** The viewer inside a report: one file, opened from disk, with everything in it. hypose/app/reports/report_viewer.py fills it. */
 import { readBundle, type ViewData } from "./lib/bundle";
 import { suitCanvases } from "./lib/software";
 import { button } from "./ui/buttons";

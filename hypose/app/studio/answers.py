@@ -11,7 +11,7 @@ from starlette.responses import JSONResponse, Response
 
 from hypose.app.studio.asked import object_of
 from hypose.app.studio.catalog import NotFound
-from hypose.app.view_bundle import plain
+from hypose.app.studio.view_bundle import plain
 from hypose.errors import HyposeError, InputError
 
 MAX_JSON = 1 << 20

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Literal
 
 from hypose.errors import InputError
-from hypose.io import pose2sim
 from hypose.io.file_names import text_of
+from hypose.io.recordings import pose2sim
 
 Kind = Literal["recording", "result", "session", "model"]
 _DEPTH, _MOST, _MOST_FOLDERS = 5, 2000, 20_000

@@ -23,8 +23,8 @@ from hypose.monocular.flips import CHAINS
 from hypose.monocular.initialise import rival_poses
 from hypose.monocular.models import body_dofs
 from hypose.monocular.types import MonoPoints
-from hypose.tracking.initialise import start_from_keypoints
 from hypose.tracking.refinement import anatomical_prior
+from hypose.tracking.starts import start_from_keypoints
 from hypose.tracking.subject import scaled_to_height
 
 CLICK_JOINTS: Mapping[str, str] = {

@@ -18,17 +18,17 @@ from hypose.app.studio.asked import number, whole
 from hypose.app.studio.catalog import Catalog, Item
 from hypose.app.studio.job_kinds import is_name
 from hypose.app.studio.recordings import Recordings
-from hypose.app.view_bundle import ViewResult, view_bundle
+from hypose.app.studio.view_bundle import ViewResult, view_bundle
 from hypose.body.body import Body
-from hypose.body.models import JOINT_NAMES, human
 from hypose.body.motion import Motion, isotropic
+from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.errors import InputError
 from hypose.geometry import Array
-from hypose.io.bodies import load_body
 from hypose.io.files import text_lines
-from hypose.io.recording import Recording
-from hypose.io.results import ResultsFolder, load_motion
-from hypose.io.video import frame_size
+from hypose.io.motions.bodies import load_body
+from hypose.io.motions.results import ResultsFolder, load_motion
+from hypose.io.recordings.recording import Recording
+from hypose.io.videos.video import frame_size
 from hypose.json_text import parse_json
 from hypose.pipeline.mono_start import LEAST_POINTS
 

@@ -9,7 +9,7 @@ from typing import Any
 from starlette.routing import BaseRoute, WebSocketRoute
 from starlette.websockets import WebSocket
 
-from hypose.app.live_server import LiveOptions, LiveServer
+from hypose.app.live.live_server import LiveOptions, LiveServer
 from hypose.app.studio.answers import NotNow
 from hypose.app.studio.asked import number, whole
 from hypose.app.studio.sockets import Sockets, hear, tell

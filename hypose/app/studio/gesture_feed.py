@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hypose.app.gesture_sources import Source, Taken, open_source
+from hypose.app.live.gesture_sources import Source, Taken, open_source
 from hypose.app.studio.asked import digits
 from hypose.errors import InputError
 
@@ -48,8 +48,8 @@ def open_feed(value: str, gesture: str, seed: int, session: Callable[[str], Path
 
 
 def _person(who: str, gesture: str, seed: int) -> Feed:
-    from hypose.evaluation.gesture_live import live_person
-    from hypose.gestures.pictures import KINECT
+    from hypose.gestures.depth_pictures import KINECT
+    from hypose.synthetic.gesture_live import live_person
 
     number = digits(who, "the simulated person's number")
     frames = live_person(number, gesture, np.random.default_rng([93, seed, number]), PERSON_RATE)

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from hypose.compute.forests import Depth
-from hypose.evaluation.gesture_metrics import RADIUS_M, average_precision, precision_recall
+from hypose.compute.depth_forests.forest_arrays import Depth
+from hypose.gestures.depth_pictures import Lens, surface_depth
 from hypose.gestures.events import EventSettings, EventState, step
 from hypose.gestures.forest import Forest
 from hypose.gestures.localise import Found, Scratch, localise
-from hypose.gestures.pictures import Lens, surface_depth
+from hypose.synthetic.gesture_metrics import RADIUS_M, average_precision, precision_recall
 
 KEPT = 40
 """Frames of each kind that are kept; every frame has the same chance."""

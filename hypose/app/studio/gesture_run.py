@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from hypose.app.gesture_sources import Taken
+from hypose.app.live.gesture_sources import Taken
 from hypose.app.studio.gesture_controls import Controls, Start, change, read_command
 from hypose.app.studio.gesture_feed import shut
 from hypose.app.studio.gesture_pictures import depth_picture, map_picture

@@ -14,10 +14,10 @@ from hypose.app.studio.gesture_room import GestureRoom, Places
 from hypose.app.studio.outlet import SocketOutlet
 from hypose.app.studio.sockets import Sockets
 from hypose.errors import HyposeError
-from hypose.evaluation.gesture_people import load_people
-from hypose.evaluation.gesture_poses import GESTURES
 from hypose.json_text import parse_json
 from hypose.pipeline.gesture_files import load_model
+from hypose.synthetic.gesture_people import load_people
+from hypose.synthetic.gesture_poses import GESTURES
 
 FOLDER = "gestures"
 """Where sessions and models go, in the served folder."""

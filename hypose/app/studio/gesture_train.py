@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.app.gesture_job import growing_model, new_learner
-from hypose.app.gesture_sources import Taken
+from hypose.app.jobs.gesture_job import growing_model, new_learner
+from hypose.app.live.gesture_sources import Taken
 from hypose.app.studio.gesture_controls import Controls, Start
 from hypose.app.studio.gesture_feed import Feed
 from hypose.app.studio.gesture_judge import FalseAlarms, HeldBack
+from hypose.gestures.depth_pictures import surface_depth
 from hypose.gestures.events import Event, EventSettings, EventState, step
 from hypose.gestures.localise import Found, LocaliseSettings, Scratch, densities, settle
 from hypose.gestures.model import GestureModel
-from hypose.gestures.pictures import surface_depth
 from hypose.gestures.session import Command, Instruction
 from hypose.gestures.session import step as peek
 from hypose.gestures.trainer import Feedback, Trainer

@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hypose.app.gesture_job import finished, thresholds
-from hypose.app.gesture_sources import Taken
+from hypose.app.jobs.gesture_job import finished, thresholds
+from hypose.app.live.gesture_sources import Taken
 from hypose.app.studio.gesture_controls import Controls
 from hypose.app.studio.gesture_feed import Feed
 from hypose.app.studio.gesture_train import Shown, event_message, position, rounded

@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from hypose.app.door import Door, shows_secret
+from hypose.app.live.door import Door, shows_secret
 from hypose.app.studio.answers import refusal
 
 LOOPBACK = frozenset({"127.0.0.1", "localhost", "::1"})

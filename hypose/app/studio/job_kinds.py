@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hypose.app.correct import read_correction
+from hypose.app.jobs.correct import read_correction
 from hypose.app.studio.catalog import Catalog, Item
 from hypose.errors import InputError
 

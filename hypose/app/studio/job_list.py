@@ -16,7 +16,7 @@ from typing import Any
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.job_kinds import KINDS, Plan, plan
 from hypose.app.studio.job_record import ENDED, Job, Stage
-from hypose.app.view_bundle import plain
+from hypose.app.studio.view_bundle import plain
 from hypose.errors import HyposeError
 from hypose.io.files import text_lines, write_text
 from hypose.json_text import parse_json

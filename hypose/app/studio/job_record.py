@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from hypose.app.console import COUNTED_IN_FRAMES
+from hypose.app.commands.console import COUNTED_IN_FRAMES
 from hypose.app.studio.job_kinds import Plan
 
 JobState = Literal["queued", "running", "done", "failed", "cancelled"]

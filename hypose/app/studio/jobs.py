@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from hypose.app.console import JSON_PROGRESS
+from hypose.app.commands.console import JSON_PROGRESS
 from hypose.app.studio.answers import NotNow
 from hypose.app.studio.catalog import Catalog, NotFound
 from hypose.app.studio.job_kinds import Plan, plan

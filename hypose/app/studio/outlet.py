@@ -14,7 +14,7 @@ from starlette.websockets import WebSocket
 
 from hypose.app.studio.asked import whole
 from hypose.app.studio.sockets import IN_FLIGHT, hear, tell
-from hypose.app.view_bundle import plain
+from hypose.app.studio.view_bundle import plain
 from hypose.errors import HyposeError
 
 _MOST_WAITING = 512

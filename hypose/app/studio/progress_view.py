@@ -7,10 +7,10 @@ import numpy as np
 from hypose.app.studio.catalog import Catalog, NotFound
 from hypose.app.studio.job_kinds import Plan
 from hypose.app.studio.recordings import Recordings
-from hypose.app.view_bundle import ViewResult, view_bundle
-from hypose.app.view_result import load_view
-from hypose.io.bodies import load_body
-from hypose.io.results import Checkpoint
+from hypose.app.studio.view_bundle import ViewResult, view_bundle
+from hypose.app.studio.view_result import load_view
+from hypose.io.motions.bodies import load_body
+from hypose.io.motions.results import Checkpoint
 from hypose.tracking.tracker import estimates_from_arrays, motion_of
 
 

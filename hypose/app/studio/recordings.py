@@ -15,17 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.app.studio.catalog import Catalog, Item, NotFound
-from hypose.app.studio.kept import Kept
-from hypose.app.view_pictures import AnyFrame
+from hypose.app.studio.memory_cache import Kept
+from hypose.app.studio.view_pictures import AnyFrame
 from hypose.cameras.camera import Camera
 from hypose.errors import HyposeError, InputError
 from hypose.evidence.background import BackgroundModel, Image
 from hypose.evidence.silhouettes import Mask, SilhouetteOptions, make_segmenter
 from hypose.io.files import write_text
-from hypose.io.frames import build_backgrounds, working_rig
-from hypose.io.recording import Recording, load_recording, silhouette_lines
-from hypose.io.recording_keys import SILHOUETTE_KEYS, read_toml, silhouette_options
-from hypose.io.view_source import Preparer, ViewSource
+from hypose.io.recordings.frames import build_backgrounds, working_rig
+from hypose.io.recordings.recording import Recording, load_recording, silhouette_lines
+from hypose.io.recordings.recording_keys import SILHOUETTE_KEYS, read_toml, silhouette_options
+from hypose.io.recordings.view_source import Preparer, ViewSource
 from hypose.json_text import parse_json
 
 Shown = Literal["none", "edge", "fill", "only"]

@@ -13,7 +13,7 @@ from hypose.app.studio.answers import answer, body_of, told
 from hypose.app.studio.asked import digits
 from hypose.app.studio.catalog import Catalog, Item, NotFound
 from hypose.app.studio.recordings import Recordings, Shown
-from hypose.app.studio.results import file_answer
+from hypose.app.studio.view_answers import file_answer
 from hypose.errors import InputError
 
 _FILES = ("check.html", "check.png", "silhouettes/sheet.jpg")

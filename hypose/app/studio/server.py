@@ -19,8 +19,15 @@ from starlette.staticfiles import StaticFiles
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from hypose import __version__
-from hypose.app.door import Door, fold_logs
-from hypose.app.studio import clicks, fuse_socket, gesture_socket, results, routes_jobs, routes_recordings
+from hypose.app.live.door import Door, fold_logs
+from hypose.app.studio import (
+    clicks,
+    fuse_socket,
+    gesture_socket,
+    routes_jobs,
+    routes_recordings,
+)
+from hypose.app.studio import view_answers as results
 from hypose.app.studio.answers import answer, refusal, told
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.fuse_socket import FuseHost
@@ -28,11 +35,11 @@ from hypose.app.studio.gesture_room import GestureRoom
 from hypose.app.studio.gesture_socket import models_shown, places, sessions_shown, sources_shown
 from hypose.app.studio.guard import Access, Guard
 from hypose.app.studio.jobs import Jobs
-from hypose.app.studio.kept import give_back_large_blocks
+from hypose.app.studio.memory_cache import give_back_large_blocks
 from hypose.app.studio.recordings import Recordings
-from hypose.app.studio.results import Results
 from hypose.app.studio.sockets import MAX_MESSAGE, Sockets
 from hypose.app.studio.uploads import Uploads
+from hypose.app.studio.view_answers import Results
 from hypose.errors import InputError
 
 STATIC = Path(__file__).parent / "static"

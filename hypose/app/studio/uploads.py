@@ -19,11 +19,11 @@ from hypose.app.studio.answers import NotNow, TooLarge
 from hypose.app.studio.catalog import Catalog, NotFound
 from hypose.app.studio.job_kinds import free_folder, is_name
 from hypose.errors import HyposeError, InputError
-from hypose.io.calibration import toml_value
-from hypose.io.calibration_formats import read_any
+from hypose.io.calibrations.calibration_formats import read_any
+from hypose.io.calibrations.calibration_toml import toml_value
 from hypose.io.files import write_text
-from hypose.io.recording import load_recording
-from hypose.io.video import IMAGE_ENDINGS, VIDEO_ENDINGS, open_video
+from hypose.io.recordings.recording import load_recording
+from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, open_video
 
 FOLDER = ".studio-uploads"
 _LARGEST_CALIBRATION = 20 << 20

@@ -8,9 +8,9 @@ import pytest
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.clicks import _for_one_camera
 from hypose.app.studio.job_kinds import plan
-from hypose.app.view_bundle import read_bundle
+from hypose.app.studio.view_bundle import read_bundle
 from hypose.errors import InputError
-from hypose.io.recording import load_recording
+from hypose.io.recordings.recording import load_recording
 from hypose.pipeline.mono_start import clicked_pixels, load_clicks
 from hypose.pipeline.mono_stream import one_view
 

@@ -7,8 +7,8 @@ from hypose.app.studio.gesture_controls import Controls, change, read_command, r
 from hypose.app.studio.gesture_judge import KEPT, FalseAlarms, HeldBack
 from hypose.app.studio.gesture_pictures import depth_picture, map_picture
 from hypose.errors import InputError
+from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.localise import Found
-from hypose.gestures.pictures import KINECT
 
 DEPTH = np.full((480, 640), 2000, np.uint16)
 

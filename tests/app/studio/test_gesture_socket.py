@@ -6,11 +6,11 @@ import struct
 import numpy as np
 import pytest
 
-from hypose.app.gesture_job import evaluate
+from hypose.app.jobs.gesture_job import evaluate
 from hypose.app.studio.sockets import IN_FLIGHT
-from hypose.evaluation.gesture_live import live_person
-from hypose.gestures.pictures import KINECT
+from hypose.gestures.depth_pictures import KINECT
 from hypose.pipeline.gesture_files import SessionWriter, load_model, read_recording
+from hypose.synthetic.gesture_live import live_person
 from tests.app.studio.conftest import serving
 
 SHORT = {"do_gesture": 0.4, "positive": 0.8, "release": 0.2, "negative": 0.8}

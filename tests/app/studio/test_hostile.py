@@ -12,7 +12,7 @@ from starlette.websockets import WebSocketDisconnect
 from websockets.exceptions import ConnectionClosed
 
 from hypose.app.studio.asked import choice, digits, number, object_of, text, whole
-from hypose.app.studio.kept import Kept
+from hypose.app.studio.memory_cache import Kept
 from hypose.app.studio.sockets import tell
 from hypose.errors import InputError
 from tests.app.studio.conftest import serving

@@ -6,13 +6,13 @@ import time
 import numpy as np
 import pytest
 
-from hypose.app.console import JSON_PROGRESS, Stages
+from hypose.app.commands.console import JSON_PROGRESS, Stages
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.job_kinds import KINDS, plan
 from hypose.app.studio.job_list import NAME, read_jobs, write_jobs
-from hypose.app.view_bundle import read_bundle
+from hypose.app.studio.view_bundle import read_bundle
 from hypose.errors import InputError
-from hypose.io.results import load_motion
+from hypose.io.motions.results import load_motion
 from tests.app.studio.conftest import serving
 
 

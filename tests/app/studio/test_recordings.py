@@ -9,9 +9,9 @@ import pytest
 
 from hypose.app.studio.recordings import without_table
 from hypose.app.studio.uploads import harmless
-from hypose.io.bodies import load_body
-from hypose.io.recording import load_recording
-from hypose.io.results import load_motion
+from hypose.io.motions.bodies import load_body
+from hypose.io.motions.results import load_motion
+from hypose.io.recordings.recording import load_recording
 from tests.app.studio.conftest import serving
 
 

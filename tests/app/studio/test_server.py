@@ -10,7 +10,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from hypose.app.studio import server as studio_server
 from hypose.app.studio.guard import Access
-from hypose.app.view_bundle import read_bundle
+from hypose.app.studio.view_bundle import read_bundle
 from tests.app.studio.conftest import serving
 
 

@@ -6,13 +6,13 @@ import sys
 import numpy as np
 import pytest
 
-from hypose.app.gesture_job import new_learner
+from hypose.app.jobs.gesture_job import new_learner
 from hypose.app.studio.gesture_feed import PERSON_RATE
-from hypose.evaluation.gesture_live import live_person
+from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.localise import LocaliseSettings
 from hypose.gestures.model import GestureModel
-from hypose.gestures.pictures import KINECT
 from hypose.pipeline.gesture_files import SessionWriter, save_model
+from hypose.synthetic.gesture_live import live_person
 from tests.app.studio.browser import WEB, go
 from tests.app.studio.conftest import serving
 from tests.app.studio.test_view_browser import ten_minutes

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from hypose.app import report_viewer
-from hypose.app.pictures import image_points
-from hypose.app.report import from_result, report_html
-from hypose.app.view_result import load_view
-from hypose.io.bodies import load_body
-from hypose.io.recording import load_recording
-from hypose.io.results import load_motion, save_motion
+from hypose.app.reports import report_viewer
+from hypose.app.reports.report import from_result, report_html
+from hypose.app.reports.result_pictures import image_points
+from hypose.app.studio.view_result import load_view
+from hypose.io.motions.bodies import load_body
+from hypose.io.motions.results import load_motion, save_motion
+from hypose.io.recordings.recording import load_recording
 from tests.app.studio.browser import WEB, go
 from tests.app.studio.conftest import serving
 

@@ -1,4 +1,4 @@
-/** The joints of a fitted pose, in the server's order, and the joint before each (hypose.body.models). */
+/** The joints of a fitted pose, in the server's order, and the joint before each (hypose.body.ready_bodies). */
 const JOINTS: readonly (readonly [string, number])[] = [
   ["pelvis", -1], ["spine", 0], ["chest", 1], ["neck", 2], ["head", 3],
   ["left_clavicle", 2], ["left_shoulder", 5], ["left_elbow", 6], ["left_wrist", 7],

@@ -1,4 +1,4 @@
-/** The block of bytes that holds one result; hypose/app/view_bundle.py writes it and says what is where. */
+/** The block of bytes that holds one result; hypose/app/studio/view_bundle.py writes it and says what is where. */
 
 export type Numbers = Float32Array | Float64Array | Uint8Array | Uint16Array | Uint32Array;
 

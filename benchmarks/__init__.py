@@ -1,0 +1,1 @@
+"""What measures hypose: accuracy, speed, robustness. `python -m benchmarks NAME`, or `make bench ARGS=NAME`."""

@@ -1,0 +1,96 @@
+"""`python -m benchmarks NAME` (`make bench ARGS=NAME`, `./run bench NAME`): what measures hypose, by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hypose.app.cli import main
+from hypose.app.commands.commands_track import set_threads
+from hypose.app.commands.console import Stages, say
+from hypose.app.commands.options import Threads, number
+
+app = typer.Typer(name="benchmarks", add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+
+
+@app.command()
+def bench(
+    name: Annotated[str, typer.Argument(help="Name of the benchmark; a wrong one lists them.")] = "",
+    quick: Annotated[bool, typer.Option("--quick", help="At most a minute on two cores; small, and says so.")] = False,
+    seeds: Annotated[int, number("Repetitions; 0 = the benchmark's own number.", 0, 100_000)] = 0,
+    first_seed: Annotated[
+        int | None,
+        number("First seed, where a benchmark has several. [default: the benchmark's own]", 0, 10**9),
+    ] = None,
+    data: Annotated[Path | None, typer.Option(help="Folder with the real recordings, for real-* benchmarks.")] = None,
+    json: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw the figures to this file (.png, .svg or .pdf).")] = None,
+    parts: Annotated[
+        Path | None,
+        typer.Option(help="Keep the figures of each part here, and go on from those kept (gesture tables)."),
+    ] = None,
+    threads: Threads = None,
+) -> None:
+    """Measure accuracy and speed."""
+    set_threads(threads)
+    from benchmarks.bench_list import run_benchmark
+    from hypose.io.motions.results import atomic_path, check_writable, to_json
+
+    if plot is not None:
+        from benchmarks.bench_plot import check_plot_path
+
+        check_plot_path(plot)
+    for file, option in ((json, "--json"), (plot, "--plot")):
+        if file is not None:
+            check_writable(file.parent, option)
+    with Stages() as progress:
+        report = run_benchmark(
+            name, quick=quick, seeds=seeds, data=data, progress=progress, first_seed=first_seed, parts=parts
+        )
+    _show(report)
+    if json is not None:
+        with atomic_path(json) as temporary:
+            temporary.write_text(to_json(report), encoding="utf-8", newline="\n")
+        say(f"Written: {json}")
+    if plot is not None:
+        from benchmarks.bench_plot import plot_report
+
+        plot_report(report, plot)
+        say(f"Drawn: {plot}")
+
+
+def _show(report: dict[str, Any]) -> None:
+    from rich.table import Table
+
+    from hypose.app.commands.console import out
+
+    table = Table(title=f"{report.get('name', '')}: {report.get('seconds', 0):.0f} s", title_justify="left")
+    for column in ("metric", "case", "value", "sd", "n", "baseline", "ratio"):
+        table.add_column(column, justify="left" if column in ("metric", "case", "baseline") else "right")
+    for row in report.get("results", []):
+        baseline = f"{row['baseline']} {_number(row.get('baseline_value'))}" if row.get("baseline") else ""
+        table.add_row(
+            str(row["metric"]),
+            str(row["case"]),
+            f"{_number(row['value'])} {row.get('unit') or ''}".strip(),
+            _number(row.get("sd")),
+            _number(row.get("n")),
+            baseline,
+            _number(row.get("ratio")),
+        )
+    console = out()
+    if not console.is_terminal:
+        console.width = 160  # a pipe has no width; wrapped tables are hard to read
+    console.print(table)
+
+
+def _number(value: Any) -> str:
+    if value is None:
+        return ""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+if __name__ == "__main__":
+    main(command=app, name="benchmarks")

@@ -1,0 +1,148 @@
+"""Benchmarks by name, and the document that each of them writes; options that it would not use are refused.
+
+This module pulls in the whole product: it is imported when a benchmark is asked for.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from benchmarks.bench_report import BenchOptions, BenchReport, Progress, machine
+from benchmarks.cameras import (
+    board_accuracy as calibration,
+)
+from benchmarks.cameras import (
+    doctor_real,
+)
+from benchmarks.cameras import (
+    planted_faults as doctor,
+)
+from benchmarks.cameras import (
+    sync_accuracy as sync,
+)
+from benchmarks.depth_gestures import (
+    gesture_alarms,
+    gesture_asl,
+    gesture_benchmarks,
+    gesture_sessions,
+    gesture_speed,
+    gesture_sweeps,
+)
+from benchmarks.depth_sensors import fusion_benchmarks, fusion_speed, sensor_choice
+from benchmarks.multiview import (
+    body_measures as anthropometry,
+)
+from benchmarks.multiview import (
+    body_measures_real as anthropometry_real,
+)
+from benchmarks.multiview import (
+    court,
+    front_back,
+    path_speed,
+    rigging,
+    scorer_speed,
+    table_2_3,
+    table_2_4,
+    uncertainty,
+)
+from benchmarks.multiview import (
+    real_recordings as real,
+)
+from benchmarks.multiview import (
+    solve_speed as speed,
+)
+from benchmarks.one_camera import mono_benchmarks, mono_real
+from benchmarks.robustness import batch_scale, faults, kills
+from hypose.errors import InputError
+
+
+class Benchmark:
+    """A benchmark, and which of "seeds", "first_seed", "data" and "parts" it takes; all take quick."""
+
+    def __init__(self, measure: Callable[[BenchOptions], BenchReport], *takes: str) -> None:
+        self.measure, self.takes = measure, frozenset(takes)
+
+    def check(self, name: str, options: BenchOptions) -> None:
+        """An InputError for an option that was given and would not be used."""
+        given = {"seeds": options.seeds or None, "first_seed": options.first_seed}
+        given |= {"data": options.data, "parts": options.parts}
+        for option, value in given.items():
+            if value is not None and option not in self.takes:
+                known = [f"--{o.replace('_', '-')}" for o in given if o in self.takes]
+                raise InputError(
+                    f"The benchmark {name} does not use --{option.replace('_', '-')}; leave it out (it takes "
+                    f"{' and '.join([', '.join(known), '--quick'] if known else ['--quick'])})."
+                )
+
+
+def benchmarks() -> dict[str, Benchmark]:
+    """All benchmarks by name."""
+    return {
+        "table-2.3": Benchmark(table_2_3.table_2_3, "seeds", "first_seed", "data"),
+        "table-2.4": Benchmark(table_2_4.table_2_4, "seeds", "first_seed"),
+        "court-4": Benchmark(court.court_4, "seeds", "first_seed"),
+        "uncertainty": Benchmark(uncertainty.uncertainty, "seeds", "first_seed", "data"),
+        "real-balancing": Benchmark(real.real_balancing, "data"),
+        "real-uu4cam": Benchmark(real.real_uu4cam, "data"),
+        "calibration": Benchmark(calibration.boards, "seeds", "first_seed", "data"),
+        "doctor": Benchmark(doctor.doctor, "seeds", "first_seed"),
+        "doctor-real": Benchmark(doctor_real.doctor_real, "data"),
+        "sync": Benchmark(sync.sync, "seeds", "first_seed"),
+        "silhouette-scorer": Benchmark(scorer_speed.silhouette_scorer, "data"),
+        "contour-solve": Benchmark(speed.contour_solve, "data"),
+        "multiview-speed": Benchmark(path_speed.multiview_speed, "data"),
+        "rigging": Benchmark(rigging.rigging, "seeds"),
+        "anthropometry": Benchmark(anthropometry.anthropometry, "seeds", "data"),
+        "subject-balancing": Benchmark(anthropometry_real.subject_balancing, "data"),
+        "fusion-table-1": Benchmark(sensor_choice.table_1, "seeds", "first_seed", "data"),
+        "fusion-departures": Benchmark(sensor_choice.departures, "seeds", "first_seed", "data"),
+        "fusion-human4d": Benchmark(fusion_benchmarks.human4d, "seeds", "first_seed", "data"),
+        "fusion-real": Benchmark(fusion_benchmarks.real, "data"),
+        "fusion-speed": Benchmark(fusion_speed.speed, "data"),
+        "gesture-table-3.1": Benchmark(gesture_benchmarks.table_3_1, "seeds", "first_seed", "parts"),
+        "gesture-table-3.2": Benchmark(gesture_benchmarks.table_3_2, "seeds", "first_seed", "parts"),
+        "gesture-sweeps": Benchmark(gesture_sweeps.sweeps, "seeds", "first_seed", "parts"),
+        "gesture-table-3.3": Benchmark(gesture_sessions.table_3_3, "seeds", "first_seed", "parts"),
+        "gesture-semi-synthetic": Benchmark(gesture_asl.semi_synthetic, "seeds", "first_seed", "data", "parts"),
+        "gesture-speed": Benchmark(gesture_speed.speed),
+        "gesture-false-alarms": Benchmark(gesture_alarms.false_alarms, "seeds", "first_seed", "parts"),
+        "batch": Benchmark(batch_scale.batch, "seeds", "first_seed"),
+        "faults": Benchmark(faults.faults, "seeds", "first_seed"),
+        "front-back": Benchmark(front_back.front_back, "seeds", "first_seed"),
+        "kills": Benchmark(kills.kills, "seeds", "first_seed"),
+        "mono-arm": Benchmark(mono_benchmarks.mono_arm, "seeds", "first_seed"),
+        "mono-body": Benchmark(mono_benchmarks.mono_body, "seeds", "first_seed", "data"),
+        "mono-speed": Benchmark(mono_benchmarks.mono_speed),
+        "mono-real": Benchmark(mono_real.mono_real, "data"),
+    }
+
+
+def run_benchmark(
+    name: str,
+    *,
+    quick: bool = False,
+    seeds: int = 0,
+    data: Path | None = None,
+    progress: Progress | None = None,
+    first_seed: int | None = None,
+    parts: Path | None = None,
+) -> dict[str, Any]:
+    """Runs one benchmark and returns its JSON document; an InputError lists the names when it is unknown."""
+    known = benchmarks()
+    if name not in known:
+        raise InputError(f"There is no benchmark {name!r}; the benchmarks are {', '.join(known)}.")
+    options = BenchOptions(quick, seeds, data, progress or (lambda stage, done, total: None), first_seed, parts)
+    known[name].check(name, options)
+    begin = time.perf_counter()
+    report = known[name].measure(options)
+    return {
+        "name": name,
+        "machine": machine(),
+        "settings": {**report.settings, "quick": quick},
+        "results": [{**asdict(r), "ratio": r.ratio} for r in report.rows],
+        "seconds": time.perf_counter() - begin,
+    }

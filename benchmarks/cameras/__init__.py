@@ -1,0 +1,1 @@
+"""Benchmarks of calibration, its doctor, and clocks."""

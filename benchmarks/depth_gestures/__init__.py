@@ -1,0 +1,1 @@
+"""Benchmarks of gestures in depth pictures."""

@@ -1,0 +1,214 @@
+"""Benchmarks of skeleton fusion: errors against a known truth, and what two real sensors agree on."""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.bench_report import BenchOptions, BenchReport, row
+from benchmarks.depth_sensors.fusion_scenes import FRESH_SEED, HANDS, scene_recording, scene_settings
+from hypose.errors import InputError
+from hypose.evidence.frame import SensorJoints
+from hypose.fusion import baselines
+from hypose.fusion import joints as jt
+from hypose.fusion.fuse import BASELINES, FusionSettings, fuse_clip, start, step
+from hypose.fusion.point_motion import common_positions
+from hypose.fusion.register import common_joints, register, register_per_frame
+from hypose.geometry import Array
+from hypose.io.sensors.skeleton_tables import read_kinect_csv
+from hypose.synthetic.sensors import FRAME_RATE, SensorRecording
+
+
+def human4d(options: BenchOptions) -> BenchReport:
+    """fusion-human4d: MPJPE of all methods on A, B (treadmill) and H (HUMAN4D's run from its four real camera
+    poses)."""
+    seeds = options.seed_range(10, first=FRESH_SEED)
+    scenes = "ABH" if options.data is not None else "AB"
+    found: dict[str, list[float]] = {}
+    inside: dict[str, list[float]] = {}
+    for s, seed in enumerate(seeds):
+        for scene in scenes:
+            options.progress(f"scene {scene}", s, len(seeds))
+            recording = scene_recording(scene, seed, options)
+            frames, truth = recording.frames(), recording.truth_in(0)
+            # "published-window" tells what is due to the swarm and what to registering every frame on three joints
+            for method in ("fit", "swarm", "published", "published-window", *BASELINES):
+                if method == "best_single":
+                    value = _best_single(recording)
+                else:
+                    fused = fuse_clip(frames, method, FusionSettings(seed=s))
+                    error = np.linalg.norm(common_positions(fused.motion) - truth, axis=-1)
+                    value = float(np.nanmean(error))
+                    found.setdefault(f"hands/{scene}/{method}", []).append(
+                        1e3 * float(np.nanmean(error[:, list(HANDS)]))
+                    )
+                    if method == "fit":
+                        sd = fused.motion.joint_sd[:, [fused.motion.skeleton.joint(n) for n in jt.COMMON]]
+                        inside.setdefault(scene, []).append(float((error < 2.5003 * sd).mean()))
+                        causal = _causal(frames, truth)
+                        found.setdefault(f"{scene}/fit/causal", []).append(1e3 * causal)
+                found.setdefault(f"{scene}/{method}", []).append(1e3 * value)
+    rows = [row("mpjpe_mm", case, values, "mm") for case, values in found.items()]
+    # 90 % of an isotropic normal error in 3D lie within 2.5003 sd per axis
+    rows += [row("coverage_90", scene, values, "share") for scene, values in inside.items()]
+    return BenchReport(tuple(rows), scene_settings(options, seeds))
+
+
+def _causal(frames: Sequence[SensorJoints], truth: Array) -> float:
+    """Mean error m of the stream: registration and bone lengths learned as frames come in; the first 5 s not
+    counted."""
+    state = start(frames[0])
+    errors = []
+    for t, frame in enumerate(frames):
+        state, fused = step(state, frame)
+        if t >= min(5 * FRAME_RATE, len(frames) // 2):
+            errors.append(np.linalg.norm(fused.joints - truth[t], axis=-1))
+    return float(np.mean(errors))
+
+
+def _best_single(recording: SensorRecording) -> float:
+    """m: the best sensor in hindsight, in its own frame, so without any error of registration."""
+    errors = [
+        np.linalg.norm(baselines.single_sensor(recording.positions, k) - recording.truth_in(k), axis=-1).mean()
+        for k in range(recording.positions.shape[1])
+    ]
+    return float(min(errors))
+
+
+# ---- two real sensors ----
+
+CONFIGURATIONS = {"0": "parallel", "1": "45", "2": "90"}
+SCENARIOS = {"occlusion": {"6"}, "two_persons": {"4", "5", "8"}}
+
+
+def real(options: BenchOptions) -> BenchReport:
+    """fusion-real: two Kinect v2 on one person, no truth: agreement between the sensors after registration, bone
+    lengths and jitter after fusion, leaving one sensor out. Three recordings per configuration, their first 400 common
+    frames; with "/all" every recording, whole."""
+    folder = options.folder("kinect_multitrack")
+    found: dict[tuple[str, str, str], list[float]] = {}
+    used: dict[str, int] = {}
+    files = sorted(folder.glob("Study_*_Kinect_[012]_*.gz"))
+    for n, file in enumerate(files):
+        options.progress("recordings", n, len(files))
+        configuration = file.name.partition("_Kinect_")[2][0]
+        if used.get(configuration, 0) >= 3 and options.quick:
+            continue
+        try:
+            frames = _main_person(file)
+        except InputError:
+            continue
+        name = CONFIGURATIONS[configuration]
+        if not options.quick:
+            scenario = _scenarios(file)
+            for label, wanted in SCENARIOS.items():
+                part = [f for f in frames if scenario.get(round(1e3 * float(f.times[0]))) in wanted]
+                if len(part) >= 100:
+                    _measure_pair(part, name, f"/{label}", found)
+        if len(frames) < 300:
+            continue
+        used[configuration] = used.get(configuration, 0) + 1
+        if used[configuration] <= 3:
+            _measure_pair(frames[:400], name, "", found)
+        if not options.quick:
+            _measure_pair(frames, name, "/all", found)
+    rows = [row(metric, case, values, unit) for (metric, case, unit), values in found.items()]
+    return BenchReport(tuple(rows), {"recordings": {CONFIGURATIONS[c]: n for c, n in used.items()}})
+
+
+def _main_person(file: Path) -> list[SensorJoints]:
+    """Instants in which both sensors report the person that is seen most, common joints."""
+    recording = read_kinect_csv(file)
+    if len(recording.streams) < 2:
+        raise InputError(f"{file} holds one sensor; two are compared here.")
+    a, b = recording.streams[:2]
+    ids, counts = np.unique(a.person_ids[a.person_ids >= 0], return_counts=True)
+    person = int(ids[counts.argmax()])
+    # the logger writes both sensors under one time
+    seen = {round(float(t), 4): i for i, t in enumerate(b.times)}
+    out = []
+    for i, t in enumerate(a.times):
+        k = seen.get(round(float(t), 4))
+        if k is None or not (person in a.person_ids[i] and person in b.person_ids[k]):
+            continue
+        ca, cb = int((a.person_ids[i] == person).argmax()), int((b.person_ids[k] == person).argmax())
+        frame = SensorJoints(
+            np.stack([a.positions[i, ca], b.positions[k, cb]]),
+            np.stack([a.state[i, ca], b.state[k, cb]]),
+            np.full(2, t),
+            a.joint_names,
+            (a.name, b.name),
+        )
+        out.append(common_joints(frame))
+    return out
+
+
+def _scenarios(file: Path) -> dict[int, str]:
+    """Scenario_Id by ms since the first row."""
+    with gzip.open(file, "rt", encoding="utf-8-sig") as f:
+        table = [[c.strip() for c in line.split(",", 5)] for line in f]
+    time_column, scenario_column = table[0].index("Tracker_Time"), table[0].index("Scenario_Id")
+    rows = [(float(r[time_column]), r[scenario_column]) for r in table[1:] if len(r) > time_column]
+    first = min(t for t, _ in rows)
+    return {round(t - first): scenario for t, scenario in rows}
+
+
+def _measure_pair(
+    frames: list[SensorJoints], name: str, suffix: str, found: dict[tuple[str, str, str], list[float]]
+) -> None:
+    positions, states = np.stack([f.positions for f in frames]), np.stack([f.state for f in frames])
+
+    def add(metric: str, case: str, value: float) -> None:
+        found.setdefault((metric, case + suffix, "mm"), []).append(1e3 * value)
+
+    def agreement(world: Array) -> float:
+        return float(np.nanmedian(np.linalg.norm(world[:, 0] - world[:, 1], axis=-1)))
+
+    registration = register(positions, states)
+    world = registration.apply(positions)
+    add("agreement_mm", name, agreement(world))
+    add("agreement_mm", f"{name}/causal", agreement(_causal_world(frames)))
+    methods = ("fit", "weighted_mean") if suffix else ("fit", "swarm", "weighted_mean")
+    fused = {m: fuse_clip(frames, m, FusionSettings(check=False), registration) for m in methods}
+    for method, result in fused.items():
+        label = "mean" if method == "weighted_mean" else method
+        joints = common_positions(result.motion)
+        for metric, value in (("bone_sd_mm", bone_sd(joints)), ("jitter_mm", jitter(joints))):
+            add(metric, f"{label}/{name}", value)
+            if not suffix:
+                add(metric, label, value)
+    if suffix:
+        return
+    add("agreement_mm", f"{name}/per_frame", agreement(register_per_frame(positions)))
+    add("agreement_mm", f"{name}/raw", agreement(positions))
+    # leave one out: what the other sensor alone says, seen from here
+    for left, kept in ((0, 1), (1, 0)):
+        alone = np.where(np.arange(2)[:, None, None] == kept, world, np.nan)
+        one = [SensorJoints(alone[t], f.state, f.times, jt.COMMON, f.sensor_names) for t, f in enumerate(frames)]
+        result = fuse_clip(one, "fit", FusionSettings(registered=True, check=False))
+        distance = np.linalg.norm(common_positions(result.motion) - world[:, left], axis=-1)
+        add("leave_one_out_mm", name, float(np.nanmedian(distance)))
+
+
+def _causal_world(frames: list[SensorJoints]) -> Array:
+    """Both sensors as a stream registers them (T, 2, 15, 3)."""
+    state = start(frames[0])
+    out = []
+    for frame in frames:
+        state, _ = step(state, frame)
+        out.append(state.registration.apply(frame.positions))
+    return np.array(out)
+
+
+def bone_sd(joints: Array) -> float:
+    """m: sd over time of the length of arms' and legs' bones and of the shoulders', mean over the bones."""
+    limbs = [b for b in jt.BONES[2:14].tolist() if jt.TORSO not in b]
+    return float(np.mean([np.nanstd(np.linalg.norm(joints[:, a] - joints[:, b], axis=-1)) for a, b in limbs]))
+
+
+def jitter(joints: Array) -> float:
+    """m: median over joints and frames of the second difference."""
+    return float(np.nanmedian(np.linalg.norm(joints[2:] - 2 * joints[1:-1] + joints[:-2], axis=-1)))

@@ -1,0 +1,215 @@
+"""Which sensors a swarm chooses for the hands: Table 1 of the paper, and every departure from it switched alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
+from benchmarks.depth_sensors.fusion_scenes import FRESH_SEED, HANDS, scene_recording, scene_settings
+from hypose.fusion.confidence import confidence_step, normalised, start_confidence
+from hypose.fusion.register import heading, register, register_per_frame, upward
+from hypose.fusion.swarm import IMPROVED, PUBLISHED, SwarmSettings, start_swarm, swarm_step
+from hypose.geometry import Array
+from hypose.synthetic.sensors import HIDDEN_BELOW, SensorRecording
+
+CYCLES = {"t50": (50, 0.0), "t100": (100, 0.0), "adaptive": (100, np.pi / 3)}
+"""Re-initialisation every so many frames, and beyond so much turning. A turn of pi/3 alone gives about one case per
+sequence, too few for a share, so the adaptive mode has a largest age."""
+PAPER = {"A/t50": 0.875, "A/t100": 0.833, "B/t50": 0.917, "B/t100": 0.95}
+GOOD_ERROR_M = 0.09
+GOOD_SHARE = 0.6
+FEWEST_FRAMES = 30
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What a swarm chose for both hands: shares (T, 2, K) of the sensors, restarts (T,), spread (T, 2) m, distinct
+    candidates (T, 2)."""
+
+    shares: Array
+    restarts: np.ndarray
+    spread: Array
+    distinct: np.ndarray
+
+
+@dataclass(frozen=True)
+class Case:
+    """One (hand, segment): success; chance: share of the sensors that are right; majority, ninety: iterations until
+    that much of the population comes from one sensor (NaN: never)."""
+
+    success: bool
+    chance: float
+    majority: float
+    ninety: float
+
+
+def noise_of(recording: SensorRecording, settings: SwarmSettings) -> Array:
+    """Lambda (T, K, 15) of every frame."""
+    sensors = recording.positions.shape[1]
+    memory = start_confidence(sensors, settings.confidence)
+    inputs = np.empty((len(recording), 3, sensors, 15))
+    for t in range(len(recording)):
+        memory, raw = confidence_step(
+            memory,
+            recording.positions[t],
+            recording.state[t],
+            recording.joint_depth[t],
+            np.full(sensors, recording.times[t]),
+            settings.confidence,
+        )
+        inputs[t] = normalised(raw, settings.confidence)
+    return settings.rules.noise_fast(np.moveaxis(inputs, 0, 1))
+
+
+def choose(
+    world: Array, noise: Array, turn: Array, settings: SwarmSettings, seed: int, joints: Sequence[int] = HANDS
+) -> Choice:
+    """Runs the swarm of some joints over registered positions (T, K, 15, 3)."""
+    pick = list(joints)
+    state = start_swarm(world.shape[1], len(pick))
+    shares, restarts, spread, distinct = [], [], [], []
+    for t in range(len(world)):
+        state, found = swarm_step(state, world[t][:, pick], noise[t][:, pick], float(turn[t]), settings, seed)
+        shares.append(found.shares)
+        restarts.append(found.restarted)
+        spread.append(found.spread)
+        distinct.append(found.distinct)
+    return Choice(np.array(shares), np.array(restarts), np.array(spread), np.array(distinct))
+
+
+def cases(recording: SensorRecording, choice: Choice) -> list[Case]:
+    """The scorable (hand, segment) cases: those in which some sensors are right and some wrong. A sensor is right when
+    it sees the hand in 60 % of the segment's frames and is off by less than 9 cm on average. Success as in the paper:
+    at the segment's end most of the population comes from sensors that are right."""
+    edges = [*np.flatnonzero(choice.restarts).tolist(), len(recording)]
+    out = []
+    for a, b in zip(edges[:-1], edges[1:], strict=True):
+        if b - a < FEWEST_FRAMES:
+            continue
+        for i, j in enumerate(HANDS):
+            error = np.nan_to_num(recording.error[a:b, :, j], nan=0.4).mean(0)
+            good = ((recording.visible[a:b, :, j] >= HIDDEN_BELOW).mean(0) >= GOOD_SHARE) & (error < GOOD_ERROR_M)
+            if not good.any() or good.all():
+                continue
+            top = choice.shares[a:b, i].max(1)
+            out.append(
+                Case(
+                    bool(choice.shares[b - 1, i][good].sum() > 0.5),
+                    float(good.mean()),
+                    _first(top, 0.5),
+                    _first(top, 0.9),
+                )
+            )
+    return out
+
+
+def _first(values: Array, limit: float) -> float:
+    above = np.flatnonzero(values > limit)
+    return float(above[0] + 1) if len(above) else np.nan
+
+
+def registered(recording: SensorRecording, per_frame: bool) -> Array:
+    """(T, K, 15, 3) m in the reference sensor's frame: by the paper's triangle in every frame, or over the clip."""
+    if per_frame:
+        return register_per_frame(recording.positions)
+    return register(recording.positions, recording.state).apply(recording.positions)
+
+
+def table_1(options: BenchOptions) -> BenchReport:
+    """fusion-table-1: share of (hand, segment) cases in which the majority comes from a sensor that tracks the hand.
+
+    Deviation: simulated people and sensors in place of the paper's recordings."""
+    seeds = options.seed_range(10, quick=2, first=FRESH_SEED)
+    found: dict[str, list[Case]] = {}
+    for s, seed in enumerate(seeds):
+        for scene in "AB":
+            options.progress("sensor choice", 2 * s + (scene == "B"), 2 * len(seeds))
+            recording = scene_recording(scene, seed, options)
+            for name, settings, per_frame in (("published", PUBLISHED, True), ("swarm", IMPROVED, False)):
+                for cycle, got in _all_cycles(recording, settings, per_frame, s).items():
+                    found.setdefault(f"{name}/{scene}/{cycle}", []).extend(got)
+    rows: list[Row] = []
+    for case, got in found.items():
+        paper = PAPER.get(case.partition("/")[2])
+        more = {"baseline": "paper", "baseline_value": paper} if paper and case.startswith("published") else {}
+        rows.append(row("success", case, [c.success for c in got], "share", **more))
+    for scene in "AB":
+        every = [c for case, got in found.items() if f"/{scene}/" in case for c in got]
+        rows.append(row("chance", scene, [c.chance for c in every], "share"))
+    for name in ("published", "swarm"):
+        every = [c for case, got in found.items() if case.startswith(name) for c in got]
+        for metric in ("majority", "ninety"):
+            values = np.array([getattr(c, metric) for c in every])
+            never = float(np.isnan(values).mean())
+            case = metric if name == "published" else f"{metric}/{name}"
+            rows.append(row("iterations", case, np.nanmedian(values), "frames"))
+            rows.append(row("never_share", case, never, "share"))
+            limit = 10 if metric == "majority" else 30
+            within = (values <= limit).astype(np.float64)  # never counts as no
+            rows.append(row("within_share", f"{case}_{limit}", within, "share"))
+    return BenchReport(tuple(rows), scene_settings(options, seeds))
+
+
+def _all_cycles(
+    recording: SensorRecording, settings: SwarmSettings, per_frame: bool, seed: int
+) -> dict[str, list[Case]]:
+    noise, world = noise_of(recording, settings), registered(recording, per_frame)
+    turn = heading(world, upward(world))
+    out = {}
+    for cycle, (every, angle) in CYCLES.items():
+        s = replace(settings, restart_every=every, restart_turn=angle)
+        out[cycle] = cases(recording, choose(world, noise, turn, s, seed))
+    return out
+
+
+def _cured(**changes: object) -> SwarmSettings:
+    confidence = replace(PUBLISHED.confidence, thickness=True, hold=True, clip_m=0.3, floor_m=0.15)
+    return replace(PUBLISHED, confidence=confidence, **changes)  # type: ignore[arg-type]
+
+
+def departure_settings() -> dict[str, SwarmSettings]:
+    """The published settings with one departure each, and the improved ones with one taken back each."""
+
+    def inputs(base: SwarmSettings, **changes: object) -> SwarmSettings:
+        return replace(base, confidence=replace(base.confidence, **changes))  # type: ignore[arg-type]
+
+    return {
+        "published": PUBLISHED,
+        "h=0.02": replace(PUBLISHED, h_m=0.02),
+        "h=0.1": replace(PUBLISHED, h_m=0.1),
+        "h=0.2": replace(PUBLISHED, h_m=0.2),
+        "pressure=4": replace(PUBLISHED, pressure=4.0),
+        "immigrants=7": replace(PUBLISHED, immigrants=7),
+        "power=2": replace(PUBLISHED, power=2.0),
+        "jitter=5mm": replace(PUBLISHED, jitter_m=0.005),
+        "universal": replace(PUBLISHED, universal=True),
+        "depth: thickness, hold, floor": _cured(),
+        "without F": inputs(PUBLISHED, use_f=False),
+        "without D": inputs(PUBLISHED, use_d=False),
+        "without A": inputs(PUBLISHED, use_a=False),
+        "improved": IMPROVED,
+        "improved, h=0.05": replace(IMPROVED, h_m=0.05),
+        "improved, power=1": replace(IMPROVED, power=1.0),
+        "improved, independent spins": replace(IMPROVED, universal=False),
+        "improved, pressure=1, 7 immigrants": replace(IMPROVED, pressure=1.0, immigrants=7),
+        "improved, no immigrants": replace(IMPROVED, immigrants=0),
+        "improved, no merged evidence": inputs(IMPROVED, merge_bones=False, merge_state=False),
+    }
+
+
+def departures(options: BenchOptions) -> BenchReport:
+    """fusion-departures: every departure from the paper, switched alone (registration is the robust one throughout)."""
+    seeds = options.seed_range(4)
+    rows: list[Row] = []
+    recordings = [(scene, scene_recording(scene, s, options), s) for s in seeds for scene in "AB"]
+    for n, (name, settings) in enumerate(departure_settings().items()):
+        options.progress("departures", n, len(departure_settings()))
+        found: dict[str, list[Case]] = {}
+        for scene, recording, s in recordings:
+            for cycle, got in _all_cycles(recording, settings, False, s).items():
+                found.setdefault(f"{name}/{scene}/{cycle}", []).extend(got)
+        rows += [row("success", case, [c.success for c in got], "share") for case, got in found.items() if got]
+    return BenchReport(tuple(rows), scene_settings(options, seeds))

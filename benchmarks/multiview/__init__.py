@@ -1,0 +1,1 @@
+"""Benchmarks of tracking with several cameras, and of the bodies it tracks with."""

@@ -1,0 +1,238 @@
+"""Speed of the whole path, masks or video files in and poses out, against merely decoding the videos."""
+
+from __future__ import annotations
+
+import gc
+import resource
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from benchmarks.bench_report import BenchOptions, BenchReport, Row
+from benchmarks.multiview.action_scenes import action_scene, known_subject
+from benchmarks.multiview.clip_speed import keypoint_clip_rows
+from benchmarks.multiview.real_recordings import balancing_recording
+from hypose.cameras.camera import CameraRig
+from hypose.evidence.ahead import look_ahead
+from hypose.evidence.background import BackgroundModel
+from hypose.evidence.frame import Frame
+from hypose.evidence.outlines import WORKING_HEIGHT
+from hypose.evidence.silhouettes import make_silhouettes
+from hypose.fitting.articulated import contour_term
+from hypose.io.recordings.frames import FrameOptions, FrameStream, build_backgrounds
+from hypose.io.recordings.recording import Recording, load_recording
+from hypose.io.videos.video import VideoWriter, open_video
+from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
+from hypose.synthetic.scenes import Scene
+from hypose.synthetic.write_recording import write_scene
+from hypose.tracking.recipes import recipe
+from hypose.tracking.tracker import Tracker, TrackerSettings
+
+_PRESETS = ("default", "hpf", "apf")
+
+
+@dataclass(frozen=True)
+class _Cost:
+    """Seconds per frame: by the clock, and of processor time over all threads."""
+
+    wall: float
+    cpu: float
+
+
+def _cost(call: Callable[[], int], repeats: int) -> _Cost:
+    """Least cost per frame of some calls that return how many frames they did: what other load disturbs least."""
+    walls, cpus = [], []
+    for _ in range(repeats):
+        gc.collect()
+        wall, cpu = time.perf_counter(), time.process_time()
+        n = call()
+        walls.append((time.perf_counter() - wall) / n)
+        cpus.append((time.process_time() - cpu) / n)
+    return _Cost(min(walls), min(cpus))
+
+
+def multiview_speed(options: BenchOptions) -> BenchReport:
+    """Frames per second of whole tracking (masks in, or video files in) per preset, the share of each stage of the
+    processor time, decode_ratio and growth.
+
+    decode_ratio CASE: processor time from video files to prepared evidence (masks, distances, outlines) over that of
+    decoding alone. decode_ratio CASE, poses: time by the clock from video files to poses over that of decoding alone.
+    growth: time per frame with twice the particles, views, or frames, over that without; peak_memory_growth_mib: how
+    much higher the peak is after a clip of twice the length.
+    With --data also the balancing clip, whose videos are 1080p.
+    """
+    seconds = 0.6 if options.quick else 4.0
+    repeats = 2 if options.quick else 3
+    scene = action_scene("walk", 0, seconds, options)
+    known = known_subject(scene)
+    frames = list(scene.mask_frames(1.0))
+    rows = _masks_in(options, scene, known, frames, repeats)
+    rows += keypoint_clip_rows(scene, known, repeats)
+    with tempfile.TemporaryDirectory() as folder:
+        options.progress("videos", 0, 1)
+        small = load_recording(write_scene(scene, Path(folder) / "480p").parent)
+        # first: peaks are those of the process, and larger pictures would hide any growth
+        rows += _twice_as_long(small, Path(folder) / "long", known)
+        rows += _videos_in("480p", small, known, repeats)
+        rows += _videos_in("1080p", _enlarged(small, Path(folder) / "1080p", 2.25), known, repeats)
+    if options.data is not None and (options.data / "pose2sim_balancing").exists():
+        options.progress("balancing", 0, 1)
+        real = balancing_recording(options.folder("pose2sim_balancing"))
+        with FrameStream(real, FrameOptions(silhouettes=None)) as points:
+            chosen = SubjectOptions("keypoints", frame_rate=real.frame_rate, girths=False)
+            person = find_subject(points.frame, len(points), chosen)
+        without = balancing_recording(options.folder("pose2sim_balancing"), keypoints=False)
+        rows += _videos_in("balancing 1080p", without, person, repeats)
+    rows.append(Row("peak_memory_mib", "all", _peak_mib(), "MiB"))
+    return BenchReport(tuple(rows), {"views": 4, "seconds": seconds, "repeats": repeats})
+
+
+def _masks_in(options: BenchOptions, scene: Scene, subject: Subject, frames: list[Frame], repeats: int) -> list[Row]:
+    rows = []
+    for preset in _PRESETS[:1] if options.quick else _PRESETS:
+        options.progress(preset, 0, 1)
+        cost = _cost(lambda p=preset: _track(look_ahead(_anew(frames)), subject, scene.frame_rate, p), repeats)
+        rows.append(Row("frames_per_second", f"masks:{preset}/4", 1 / cost.wall, "1/s", n=len(frames)))
+        rows.append(Row("cpu_ms_per_frame", f"masks:{preset}/4", 1e3 * cost.cpu, "ms", n=len(frames)))
+    few = frames[: 10 if options.quick else 25]
+    one = _cost(lambda: _track(few, subject, scene.frame_rate, "hpf"), 2)
+    more = _cost(lambda: _track(few, subject, scene.frame_rate, "hpf", particles=2), 2)
+    fewer = _cost(lambda: _track([_two_views(f) for f in few], subject, scene.frame_rate, "hpf"), 2)
+    rows.append(Row("growth", "particles x 2", more.cpu / one.cpu, "1", n=len(few)))
+    rows.append(Row("growth", "views x 2", one.cpu / fewer.cpu, "1", n=len(few)))
+    return rows
+
+
+def _anew(frames: Iterable[Frame]) -> Iterator[Frame]:
+    """The same frames as new objects: what is made ahead is kept with the silhouettes."""
+    for frame in frames:
+        assert frame.silhouettes is not None
+        yield replace(frame, silhouettes=replace(frame.silhouettes))
+
+
+def _two_views(frame: Frame) -> Frame:
+    assert frame.silhouettes is not None
+    rig = CameraRig(frame.silhouettes.rig.cameras[:2])
+    masks = [m[: c.size[1], : c.size[0]] for m, c in zip(frame.silhouettes.masks, rig, strict=False)]
+    return replace(frame, silhouettes=make_silhouettes(masks, rig))
+
+
+def _track(frames: Iterable[Frame], subject: Subject, rate: float, preset: str, particles: int = 1) -> int:
+    made = recipe(preset, subject.body, frame_rate=rate)
+    made = replace(made, particles=particles * made.particles)
+    tracker = Tracker(subject.body, made, TrackerSettings(frame_rate=rate), subject.keypoints)
+    return sum(1 for _ in tracker.follow(tracker.start(subject.start), frames))
+
+
+def _videos_in(case: str, recording: Recording, subject: Subject, repeats: int) -> list[Row]:
+    """Rows of one recording: opening, decoding, evidence, and all of it with the tracker."""
+    begin = time.perf_counter(), time.process_time()
+    backgrounds = build_backgrounds(recording)
+    opening = time.perf_counter() - begin[0], time.process_time() - begin[1]
+    with FrameStream(recording, None, backgrounds) as warm:
+        first = warm.frame(0)
+        assert first.silhouettes is not None
+        contour_term(first.silhouettes)
+    decoding = _cost(lambda: _decode(recording), repeats)
+    evidence = _cost(lambda: _prepare(recording, backgrounds), repeats)
+    rate = recording.frame_rate
+    whole = _cost(lambda: _track(look_ahead(_frames(recording, backgrounds)), subject, rate, "default"), repeats)
+    n = len(recording.frames)
+    against = {"baseline": "decoding the videos alone", "baseline_value": 1 / decoding.wall}
+    rows = [
+        Row("frames_per_second", f"{case}:default/4", 1 / whole.wall, "1/s", n=n, **against),
+        Row("frames_per_second", f"{case}:evidence/4", 1 / evidence.wall, "1/s", n=n, **against),
+        Row("cpu_ms_per_frame", f"{case}:decoding", 1e3 * decoding.cpu, "ms", n=n),
+        Row("cpu_ms_per_frame", f"{case}:evidence", 1e3 * evidence.cpu, "ms", n=n),
+        Row("decode_ratio", case, evidence.cpu / decoding.cpu, "1", n=n),
+        Row("decode_ratio", f"{case}, poses", whole.wall / decoding.wall, "1", n=n),
+        Row("opening_seconds", case, opening[0], "s"),
+        Row("opening_cpu_seconds", case, opening[1], "s"),
+    ]
+    parts = (decoding.cpu, evidence.cpu - decoding.cpu, whole.cpu - evidence.cpu)
+    for stage, value in zip(("decoding", "evidence", "tracking"), parts, strict=True):
+        rows.append(Row("stage_share", f"{case}:{stage}", value / whole.cpu, "1"))
+    return rows
+
+
+def _decode(recording: Recording) -> int:
+    """Every view in its own thread, as in the stream of frames."""
+
+    def read(path: Path) -> None:
+        with open_video(path) as reader:
+            for i in recording.frames:
+                reader.read(i)
+
+    with ThreadPoolExecutor(len(recording.views)) as pool:
+        list(pool.map(read, [v.source for v in recording.views if v.source is not None]))
+    return len(recording.frames)
+
+
+def _frames(recording: Recording, backgrounds: tuple[BackgroundModel | None, ...]) -> Iterator[Frame]:
+    with FrameStream(recording, None, backgrounds) as stream:
+        yield from stream
+
+
+def _prepare(recording: Recording, backgrounds: tuple[BackgroundModel | None, ...]) -> int:
+    for frame in _frames(recording, backgrounds):
+        if frame.silhouettes is not None and frame.silhouettes.usable.any():
+            contour_term(frame.silhouettes, working_height=WORKING_HEIGHT)
+    return len(recording.frames)
+
+
+def _enlarged(recording: Recording, folder: Path, factor: float) -> Recording:
+    """The same recording with videos enlarged by a factor."""
+    folder.mkdir(parents=True)
+    views = []
+    for view in recording.views:
+        made = {}
+        for kind, path in (("video", view.video), ("background", view.background)):
+            assert path is not None
+            made[kind] = folder / f"{view.name}-{kind}.mp4"
+            with open_video(path) as reader:
+                size = (round(reader.size[0] * factor) // 2 * 2, round(reader.size[1] * factor) // 2 * 2)
+                with VideoWriter(made[kind], recording.frame_rate, size) as writer:
+                    for picture in reader:
+                        writer.write(np.asarray(cv2.resize(picture, size), dtype=np.uint8))
+        views.append(replace(view, **made))
+    return replace(recording, views=tuple(views))
+
+
+def _twice_as_long(recording: Recording, folder: Path, subject: Subject) -> list[Row]:
+    """The clip forth and back and forth, and that again: time per frame and peak memory must not grow."""
+    backgrounds = build_backgrounds(recording)
+    costs, peaks = [], []
+    for rounds in (1, 2):
+        clip = _repeated(recording, folder / str(rounds), rounds)
+        costs.append(_cost(lambda c=clip: _track(_frames(c, backgrounds), subject, c.frame_rate, "default"), 1))
+        peaks.append(_peak_mib())
+    frames = len(recording.frames)
+    return [
+        Row("growth", "frames x 2", costs[1].cpu / costs[0].cpu, "1", n=2 * frames),
+        Row("peak_memory_growth_mib", "frames x 2", peaks[1] - peaks[0], "MiB", n=2 * frames),
+    ]
+
+
+def _repeated(recording: Recording, folder: Path, rounds: int) -> Recording:
+    folder.mkdir(parents=True)
+    views = []
+    for view in recording.views:
+        assert view.video is not None
+        with open_video(view.video) as reader:
+            pictures, size = list(reader), reader.size
+        with VideoWriter(folder / view.video.name, recording.frame_rate, size) as writer:
+            for _ in range(rounds):
+                for picture in [*pictures, *pictures[::-1]]:
+                    writer.write(picture)
+        views.append(replace(view, video=folder / view.video.name))
+    return replace(recording, views=tuple(views), n_frames=2 * rounds * len(recording.frames))
+
+
+def _peak_mib() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

@@ -1,0 +1,223 @@
+"""Benchmarks of the monocular tracker on scenes with known truth: mono-arm, mono-body, mono-speed.
+
+Seeds 0 to 9 (arm) and 0 to 7 (body) are reported; settings, inflation included, were chosen on seeds from 100 on.
+Ablations are settings of the same tracker.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
+from benchmarks.one_camera.mono_runs import (
+    KEPT_MEDIAN_M,
+    KEPT_PX,
+    STAGES,
+    MonoRun,
+    pictures,
+    solve_scene,
+    track_scene,
+)
+from hypose.monocular.evidence import grey
+from hypose.monocular.settings import MonoSettings
+from hypose.synthetic.mono_motions import STRAIGHT_KNEE
+from hypose.synthetic.mono_scenes import MonoScene, arm_scene, body_scene
+from hypose.synthetic.render_rgb import Image
+
+Ablation = Callable[[MonoSettings], MonoSettings]
+
+
+def hypotheses(count: int, directions: int) -> Ablation:
+    """So many hypotheses from so many uncertain directions."""
+    return lambda s: replace(s, search=replace(s.search, hypotheses=count, directions=directions))
+
+
+def _single(s: MonoSettings) -> MonoSettings:
+    return hypotheses(1, 0)(s)
+
+
+def _gaussian(s: MonoSettings) -> MonoSettings:
+    return s.robust("gaussian")
+
+
+def _no_flow(s: MonoSettings) -> MonoSettings:
+    return replace(s, flow=replace(s.flow, use=False))
+
+
+def _no_boundaries(s: MonoSettings) -> MonoSettings:
+    return replace(s, edge=replace(s.edge, motion_boundaries=False))
+
+
+def _isotropic(s: MonoSettings) -> MonoSettings:
+    return replace(s, search=replace(s.search, isotropic=True))
+
+
+def _no_velocity(s: MonoSettings) -> MonoSettings:
+    return replace(s, velocity=0.0)
+
+
+def _no_limits(s: MonoSettings) -> MonoSettings:
+    return replace(s, limits=False)
+
+
+ABLATIONS: Mapping[str, Ablation] = {
+    "single": _single,
+    "gaussian": _gaussian,
+    "no_flow": _no_flow,
+    "no_boundaries": _no_boundaries,
+    "isotropic": _isotropic,
+    "no_velocity": _no_velocity,
+}
+"""Each leaves out one part of the method."""
+
+GOOD_ARM_M = 0.080
+"""Mean error that is asked of the arm."""
+ARM = hypotheses(3, 1)(MonoSettings())
+"""The published arm experiment: 3 hypotheses, one uncertain direction."""
+BODY = hypotheses(7, 3)(MonoSettings())
+"""The published body experiment: 7 hypotheses, three uncertain directions."""
+
+KEYPOINTS = "keypoints"
+"""The variant that sees a detector's points too."""
+WHOLE = ("robust_3", "robust_1", "full", "full/8s")
+"""The variants whose clips are also solved as a whole."""
+
+
+def mono_arm(options: BenchOptions) -> BenchReport:
+    """A 7-dof arm for 8 s. kept_track: number of seeds in which it was kept to the end (mono_runs.MonoRun.kept);
+    mean_error_mm, depth_mm, image_error_px: means over elbow, wrist and knuckles, in the world, over all seeds, sd over
+    the seeds; kept_error_mm: over the seeds kept; at_most_80: number of seeds that are kept at no more than 80 mm;
+    alive: hypotheses really alive. '/whole_clip': the clip solved as a whole (hypose.monocular.clip). quick: one seed,
+    its first second, without the ablations."""
+    seeds = options.seed_range(10)
+    seconds = 1.0 if options.quick else 8.0  # the first ones of the same motion
+    variants: dict[str, MonoSettings] = {
+        "robust_3": ARM,
+        "robust_1": _single(ARM),
+        "gaussian_1": _gaussian(_single(ARM)),
+    }
+    if not options.quick:
+        variants |= {f"robust_3/{n}": ABLATIONS[n](ARM) for n in ABLATIONS if n not in ("single", "gaussian")}
+    scenes = (arm_scene(s) for s in seeds)
+    rows = _table(scenes, variants, options, len(seeds), "mean_error_mm", seconds)
+    return BenchReport(tuple(rows), _settings(seeds, seconds))
+
+
+def mono_body(options: BenchOptions) -> BenchReport:
+    """A 30-dof body for 1.2 s (and, without --quick, for 8 s), 7 hypotheses, and what each part of the method is worth.
+
+    root_aligned_mm, depth_mm: 14 joints, pelves made to coincide; image_error_px; oracle_mm: the best of all modes;
+    '/whole_clip' as in mono_arm; coverage_90: share of joints and frames whose truth lies in the 90 % region of any
+    mode, coverage_90_best in that of the best hypothesis; kept_track: number of scenes. keypoints: with a detector's
+    points besides. no_limits is compared on a motion near a straight knee. quick: half a second of one scene, and of
+    the ablations the Gaussian only.
+    """
+    seeds = options.seed_range(8)
+    seconds = 0.5 if options.quick else 1.2
+    mocap = _mocap(options)
+    variants: dict[str, MonoSettings] = {"full": BODY}
+    variants |= {n: ABLATIONS[n](BODY) for n in (("gaussian",) if options.quick else ABLATIONS)}
+    variants[KEYPOINTS] = BODY
+    scenes = (body_scene(s, 1.2, mocap=mocap) for s in seeds)
+    rows = _table(scenes, variants, options, len(seeds), "root_aligned_mm", seconds)
+    if not options.quick:
+        knees = [body_scene(s, 1.2, motion=STRAIGHT_KNEE) for s in seeds[:4]]
+        pair = {"straight_knee": BODY, "straight_knee/no_limits": _no_limits(BODY)}
+        rows += _table(knees, pair, options, len(knees), "root_aligned_mm")
+        longer = (body_scene(s, 8.0, mocap=mocap) for s in seeds[:4])
+        pair = {"full/8s": BODY, "single/8s": _single(BODY), "gaussian/8s": _gaussian(BODY)}
+        rows += _table(longer, pair, options, len(seeds[:4]), "root_aligned_mm")
+    return BenchReport(tuple(rows), {**_settings(seeds, seconds), "captured_motion": mocap is not None})
+
+
+def mono_speed(options: BenchOptions) -> BenchReport:
+    """Seconds of the processor per frame of 384 x 288 px on one core (median over the frames), beside those of OpenCV's
+    optical flow of the whole picture in the same run, and the share of each stage."""
+    frames = 15 if options.quick else 50
+    rows: list[Row] = []
+    for case, scene, settings in (
+        ("arm", arm_scene(0), ARM),
+        ("body", body_scene(0, frames / 25.0, motion="box"), BODY),
+    ):
+        images = pictures(scene, frames / 25.0)
+        flow = _flow_seconds(images)
+        seconds = track_scene(scene, settings, images).seconds[2:]  # the first ones compile
+        total = seconds.sum(1)
+        value, sd = float(np.median(total)), float(total.std())
+        rows.append(Row("seconds_per_frame", case, value, "s", sd, len(total), "optical flow", flow))
+        for name, part in zip(STAGES, seconds.T, strict=True):
+            rows.append(Row("stage_share", f"{case}:{name}", float(part.sum() / total.sum()), "1", n=len(total)))
+    return BenchReport(tuple(rows), {"frames": frames, "size": [384, 288]})
+
+
+def _flow_seconds(images: Sequence[Image]) -> float:
+    """Seconds of the processor that OpenCV's DIS flow takes from one picture to the next, one way (median)."""
+    solver = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    greys, out = [grey(image) for image in images], []
+    for before, after in pairwise(greys):
+        begin = time.process_time()
+        solver.calc(before, after, None)  # type: ignore[call-overload]
+        out.append(time.process_time() - begin)
+    return float(np.median(out))
+
+
+def _table(
+    scenes: Iterable[MonoScene],
+    variants: Mapping[str, MonoSettings],
+    options: BenchOptions,
+    count: int,
+    error: str,
+    seconds: float | None = None,
+) -> list[Row]:
+    """Every variant on (the first seconds of) every scene, one scene's pictures at a time, and the rows."""
+    runs: dict[str, list[MonoRun]] = {name: [] for name in variants}
+    whole: dict[str, list[MonoRun]] = {name: [] for name in WHOLE if name in variants}
+    for k, scene in enumerate(scenes):
+        images = pictures(scene, seconds)
+        for n, (name, settings) in enumerate(variants.items()):
+            options.progress(f"{scene.name}: {name}", k * len(variants) + n, count * len(variants))
+            if name in whole:
+                run, solved = solve_scene(scene, settings, images)
+                whole[name].append(solved)
+            else:
+                run = track_scene(scene, settings, images, keypoints=name == KEYPOINTS)
+            runs[name].append(run)
+    cases = runs | {f"{name}/whole_clip": solved for name, solved in whole.items()}
+    return [r for name, found in cases.items() for r in _rows(name, found, error)]
+
+
+def _rows(case: str, runs: Sequence[MonoRun], error: str) -> list[Row]:
+    kept = [r for r in runs if r.kept]
+    out = [
+        Row("kept_track", case, float(len(kept)), "runs", n=len(runs)),
+        row(error, case, [1e3 * r.mean for r in runs], "mm"),
+        row("median_error_mm", case, [1e3 * np.median(r.errors) for r in runs], "mm"),
+        row("depth_mm", case, [1e3 * r.depth.mean() for r in runs], "mm"),
+        row("image_error_px", case, [r.pixels.mean() for r in runs], "px"),
+        row("oracle_mm", case, [1e3 * r.oracle.mean() for r in runs], "mm"),
+        row("coverage_90", case, [r.inside.mean() for r in runs], "1"),
+        row("coverage_90_best", case, [r.inside_best.mean() for r in runs], "1"),
+        row("alive", case, [r.mode_count.mean() for r in runs], "1"),
+    ]
+    if runs[0].kind == "arm":
+        near = sum(r.kept and r.mean <= GOOD_ARM_M for r in runs)
+        out.insert(1, Row("at_most_80", case, float(near), "runs", n=len(runs)))
+    if kept:
+        out.append(row("kept_error_mm", case, [1e3 * r.mean for r in kept], "mm"))
+    return out
+
+
+def _mocap(options: BenchOptions) -> Path | None:
+    folder = options.data / "mocap" if options.data is not None else None
+    return folder if folder is not None and (folder / "02.asf").is_file() else None
+
+
+def _settings(seeds: Sequence[int], seconds: float) -> dict[str, object]:
+    return {"seeds": list(seeds), "seconds": seconds, "kept_median_m": KEPT_MEDIAN_M, "kept_px": KEPT_PX}

@@ -1,0 +1,1 @@
+"""Benchmarks of what goes wrong: kills, faults, full disks, many recordings."""

@@ -1,0 +1,191 @@
+"""`hypose fuse`: the skeletons of several depth sensors into one, recorded or live."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hypose.app.commands.commands_track import set_threads, split_names
+from hypose.app.commands.console import Stages, note, say
+from hypose.app.commands.options import Seed, Threads, number
+from hypose.errors import InputError
+
+if TYPE_CHECKING:
+    from hypose.app.jobs.fuse_job import FuseOutcome
+
+_RECORDED, _LIVE = "Recorded", "Live"
+
+
+def fuse(
+    recording: Annotated[
+        Path | None,
+        typer.Argument(help="Folder with session.json, a .csv, .skeleton or .jsonl file; nothing with --live."),
+    ] = None,
+    method: Annotated[
+        str,
+        typer.Option(
+            help="fit, swarm, published, published-window, best_single, weighted_mean, median, kalman, dbscan_kalman.",
+            rich_help_panel=_RECORDED,
+        ),
+    ] = "fit",
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Results folder. [default: results/fuse-METHOD beside it]", rich_help_panel=_RECORDED),
+    ] = None,
+    formats: Annotated[str, typer.Option(help="Motion files to write.", rich_help_panel=_RECORDED)] = "trc,c3d,csv",
+    reference: Annotated[
+        str | None,
+        typer.Option(help="Sensor that the others are registered to. [default: the first]", rich_help_panel=_RECORDED),
+    ] = None,
+    up: Annotated[
+        str,
+        typer.Option(help="What is up: the person on average, or the sensor's y axis.", rich_help_panel=_RECORDED),
+    ] = "person",
+    diagnose: Annotated[
+        bool,
+        typer.Option("--diagnose", help="Add the swarm's choice of sensors to sensors.csv.", rich_help_panel=_RECORDED),
+    ] = False,
+    seed: Seed = 0,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on where an interrupted run stopped.", rich_help_panel=_RECORDED)
+    ] = False,
+    rate: Annotated[
+        float | None, number("Frames per second of the result. [default: the sensor's; live: 30]", 1, 1000)
+    ] = None,
+    live: Annotated[
+        bool,
+        typer.Option("--live", help="Take skeletons from the network and send the fused ones.", rich_help_panel=_LIVE),
+    ] = False,
+    udp: Annotated[
+        int | None, number("UDP port for skeletons. [default: 9870]", 0, 65535, rich_help_panel=_LIVE)
+    ] = None,
+    ws: Annotated[
+        int | None,
+        number("WebSocket port: /in takes skeletons, /out sends. [default: 9871]", 0, 65535, rich_help_panel=_LIVE),
+    ] = None,
+    osc: Annotated[str | None, typer.Option(help="HOST:PORT to send OSC to.", rich_help_panel=_LIVE)] = None,
+    host: Annotated[
+        str, typer.Option(help="Address to listen on; others than this computer need the token.", rich_help_panel=_LIVE)
+    ] = "127.0.0.1",
+    token: Annotated[
+        str | None,
+        typer.Option(help="What senders must show. [default: none on this computer, else made]", rich_help_panel=_LIVE),
+    ] = None,
+    wait: Annotated[
+        float, number("Milliseconds that a frame waits for late sensors.", 0, 10_000, rich_help_panel=_LIVE)
+    ] = 5.0,
+    record: Annotated[
+        Path | None, typer.Option(help="New folder to record the skeletons to.", rich_help_panel=_LIVE)
+    ] = None,
+    threads: Threads = None,
+) -> None:
+    """Fuse the skeletons of several depth sensors: one skeleton per person with its uncertainty. See docs/live.md."""
+    set_threads(threads)
+    if live:
+        if recording is not None:
+            raise InputError("--live takes no recording; leave one of the two out.")
+        _live(udp, ws, osc, host, token, wait, record, rate)
+        return
+    if recording is None:
+        raise InputError("There is nothing to fuse; give a recording of skeletons, or --live.")
+    from hypose.app.jobs.fuse_job import FuseJob, run_fuse
+    from hypose.app.reports.summary import require_found
+    from hypose.io.claims import claimed
+    from hypose.io.file_names import file_name
+    from hypose.io.motions.results import ResultsFolder
+    from hypose.io.sensors.skeleton_formats import read_skeletons
+
+    loaded = read_skeletons(recording)
+    folder = recording if recording.is_dir() else recording.parent
+    name = f"fuse-{method}" if recording.is_dir() else f"{file_name(loaded.name)}-fuse-{method}"
+    results = ResultsFolder(out) if out is not None else ResultsFolder.of(folder, name)
+    job = FuseJob(
+        loaded,
+        results,
+        method=method,
+        rate=rate,
+        reference=reference,
+        formats=split_names(formats),
+        up=up,
+        diagnose=diagnose,
+        seed=seed,
+        resume=resume,
+        run={"threads": threads},
+    )
+    previous = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        with claimed(results.path), Stages() as progress:
+            outcome = run_fuse(job, progress)
+    except KeyboardInterrupt:
+        say("Stopped before anything was fused, so nothing was kept. Start again with the same command.")
+        raise typer.Exit(130) from None
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+    _closing(outcome, loaded.name, len(loaded.streams), results.path)
+    if not outcome.complete:
+        raise typer.Exit(130)
+    if all(p.motion.lost.all() for p in outcome.people):
+        require_found(outcome.people[0].motion, loaded.name, results.path)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def _closing(outcome: FuseOutcome, name: str, sensors: int, folder: Path) -> None:
+    import numpy as np
+
+    for text in outcome.notes:
+        note(f"note: {text}")
+    if not outcome.complete:
+        kept = [str(f) for p in outcome.people for f in p.files]
+        if outcome.resumable:
+            kept.append("what was fused of the rest")
+        again = "Go on with the same command and --resume" if outcome.resumable else "Start again with the same command"
+        say(f"Stopped. Kept: {', '.join(kept) if kept else 'nothing'}. {again}.")
+        return
+    for n, p in enumerate(outcome.people):
+        m = p.motion
+        who = f"{name}, person {n + 1}" if len(outcome.people) > 1 else name
+        parts = [
+            f"{len(m)} frames of {sensors} sensors at {m.frame_rate:g} Hz",
+            f"{int(m.lost.sum())} lost",
+            f"{float(m.n_views.mean()):.1f} sensors on average",
+        ]
+        if np.isfinite(m.joint_sd).any():
+            parts.append(f"median joint sd {1000 * float(np.nanmedian(m.joint_sd)):.1f} mm")
+        say(f"{who}: " + ", ".join(parts))
+    say(f"Results: {folder}")
+
+
+def _live(
+    udp: int | None,
+    ws: int | None,
+    osc: str | None,
+    host: str,
+    token: str | None,
+    wait: float,
+    record: Path | None,
+    rate: float | None,
+) -> None:
+    import asyncio
+
+    from hypose.app.live.live_server import LiveOptions, run_live
+    from hypose.fusion.align import AlignSettings
+    from hypose.fusion.live import LiveSettings
+
+    chosen = udp is not None or ws is not None
+    options = LiveOptions(
+        host=host,
+        udp=udp if chosen else 9870,
+        ws=ws if chosen else 9871,
+        osc=osc,
+        token=token,
+        record=record,
+        settings=LiveSettings(AlignSettings(rate=30.0 if rate is None else rate, wait=wait / 1000)),
+    )
+    asyncio.run(run_live(options, say, note))

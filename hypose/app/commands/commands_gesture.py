@@ -1,0 +1,275 @@
+"""`hypose gesture`: record, train, test, run, export and evaluate detectors of still gestures in depth."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hypose.app.commands.console import Stages, note, say
+from hypose.app.commands.options import MOST_FRAMES, Seed, number
+from hypose.errors import InputError
+
+if TYPE_CHECKING:
+    from hypose.gestures.model import GestureModel
+    from hypose.gestures.online import Learner
+
+app = typer.Typer(no_args_is_help=True, help="Learn still gestures from a depth camera in minutes, and watch for them.")
+
+SourceOption = Annotated[
+    str,
+    typer.Option(help="realsense, FILE.bag, .db3 or .mkv (Azure), the folder of a session, or simulated[:PERSON]."),
+]
+Gesture = Annotated[str, typer.Option(help="Name of the gesture.")]
+Rounds = Annotated[int, number("Rounds of gesture and other movement.", 1, 1000)]
+_LETTERS = "Commands (letter and Enter): n next, u undo, p pause, c continue, a again, t end with the test"
+Frames = Annotated[int, number("Stop after so many frames; 0 = never.", 0, MOST_FRAMES)]
+
+
+@app.command(short_help="Record a session with its prompts, to train from later.")
+def record(
+    out: Annotated[Path, typer.Argument(help="New folder to record to.")],
+    gesture: Gesture,
+    source: SourceOption = "simulated",
+    rounds: Rounds = 3,
+    seed: Seed = 0,
+) -> None:
+    """Record a session with its prompts without learning; train from it later."""
+    from hypose.app.jobs.gesture_job import record_session, typed_commands
+    from hypose.app.live.gesture_sources import open_source
+    from hypose.gestures.model import check_gesture_name
+    from hypose.gestures.session import SessionSettings
+
+    check_gesture_name(gesture)
+    settings, opened = SessionSettings(rounds=rounds), open_source(source, gesture, seed)
+    note(_LETTERS)
+    record_session(opened, gesture, settings, record=out, commands=typed_commands(), say=note)
+    say(f"Recorded: {out}")
+
+
+@app.command(short_help="Teach a gesture, live or from recorded sessions.")
+def train(
+    out: Annotated[Path, typer.Argument(help="Model file to write (.npz).")],
+    gesture: Gesture,
+    recording: Annotated[
+        list[Path] | None, typer.Option(help="Recorded session to learn from (may be repeated); else live.")
+    ] = None,
+    source: SourceOption = "simulated",
+    rounds: Rounds = 3,
+    passes: Annotated[int, number("Over the recordings.", 1, 100)] = 1,
+    offline: Annotated[bool, typer.Option("--offline", help="Boosted trees from all frames at once.")] = False,
+    resume: Annotated[Path | None, typer.Option(help="Model whose trees go on growing.")] = None,
+    record_to: Annotated[Path | None, typer.Option("--record", help="New folder to record a live session to.")] = None,
+    seed: Seed = 0,
+) -> None:
+    """Teach a gesture: a live session that learns while you watch, or recorded sessions again."""
+    from hypose.app.jobs.gesture_job import growing_model, in_cm2, learn_offline, learn_recordings, new_learner
+    from hypose.gestures.model import check_gesture_name
+    from hypose.io.motions.results import check_writable
+    from hypose.pipeline.gesture_files import read_recording, save_model
+
+    if out.suffix != ".npz":
+        raise InputError(f"{out} is no name for a model; give one that ends in .npz.")
+    if offline and not recording:
+        raise InputError("--offline learns from recordings; name them with --recording.")
+    if offline and resume is not None:
+        raise InputError("--offline makes a new forest, which --resume cannot go on with; leave one of the two out.")
+    if recording and record_to is not None:
+        raise InputError("--record is for live sessions, and --recording learns from one that is there; give one.")
+    check_writable(out.parent)
+    check_gesture_name(gesture)
+    old = growing_model(resume, gesture) if resume is not None else None
+    learner = old.learner if old is not None and old.learner is not None else new_learner(seed)
+    if recording:
+        loaded = [read_recording(r) for r in recording]
+        if offline:
+            model = learn_offline(loaded, gesture, seed)
+        else:
+            model = learn_recordings(loaded, gesture, learner, passes, note)
+    else:
+        model = _session(source, gesture, record_to, rounds, learner, seed, old)
+    if old is not None and model.thresholds == (None,):  # only the gesture, or only movement, was seen this time
+        model = model.with_thresholds(*old.thresholds)
+    save_model(model, out)
+    nodes = int(model.forest.size.sum())
+    say(f"{gesture}: {nodes} nodes, threshold {in_cm2(model.thresholds[0])}")
+    say(f"Model: {out}")
+
+
+def _session(
+    source: str,
+    gesture: str,
+    record_to: Path | None,
+    rounds: int,
+    learner: Learner,
+    seed: int,
+    old: GestureModel | None,
+) -> GestureModel:
+    from hypose.app.jobs.gesture_job import run_session, typed_commands
+    from hypose.app.live.gesture_sources import open_source
+    from hypose.gestures.session import SessionSettings
+
+    settings, opened = SessionSettings(rounds=rounds), open_source(source, gesture, seed)
+    note(_LETTERS)
+    return run_session(
+        opened,
+        gesture,
+        learner,
+        settings,
+        record=record_to,
+        commands=typed_commands(),
+        say=note,
+        model=old,
+    )
+
+
+@app.command(short_help="Watch for gestures: events as JSON lines, OSC, MIDI, keys.")
+def run(
+    models: Annotated[list[Path], typer.Argument(help="Model files, one per gesture.")],
+    source: SourceOption = "simulated",
+    osc: Annotated[str | None, typer.Option(help="HOST:PORT to send scores and events to by OSC.")] = None,
+    ws: Annotated[int | None, number("Port of this computer to serve them by WebSocket.", 0, 65535)] = None,
+    midi: Annotated[
+        str | None, typer.Option(help="MIDI port (part of its name, or virtual) for notes and controllers.")
+    ] = None,
+    key: Annotated[
+        list[str] | None, typer.Option(help="GESTURE=KEY: hold a key down while the gesture is on (may be repeated).")
+    ] = None,
+    command: Annotated[
+        str | None, typer.Option(help="Program to run at each start, {gesture} replaced; with {event}, at ends too.")
+    ] = None,
+    threshold: Annotated[
+        float | None, number("cm² instead of the models' own.", 0, 1_000_000, above=True, unit="cm²")
+    ] = None,
+    memory: Annotated[
+        float, number("Share of the new frame in the density (1: no temporal recursion).", 0, 1, above=True)
+    ] = 0.8,
+    hold: Annotated[float, number("Seconds a gesture must be held.", 0, 3600)] = 0.15,
+    rest: Annotated[float, number("Seconds after its end in which it does not start again.", 0, 3600)] = 0.5,
+    frames: Frames = 0,
+    seed: Seed = 0,
+) -> None:
+    """Watch for gestures without a screen: events as JSON lines on stdout, and wherever the options say."""
+    from hypose.app.jobs.gesture_job import looking, thresholds, watch
+    from hypose.app.live import gesture_actions as actions
+    from hypose.app.live.gesture_outputs import OscOut, Out, WebSocketOut, event_line
+    from hypose.app.live.gesture_sources import open_source
+    from hypose.gestures.events import EventSettings
+    from hypose.pipeline.gesture_files import load_model
+
+    loaded = [load_model(m) for m in models]
+    limits = [EventSettings(t, hold_s=hold, refractory_s=rest) for t in thresholds(loaded, threshold)]
+    names = [n for m in loaded for n in m.names]
+    outs: list[Out] = []
+    previous = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        if osc is not None:
+            outs.append(OscOut(osc, names, [s.threshold for s in limits]))
+        if ws is not None:
+            outs.append(WebSocketOut(ws, names))
+        if midi is not None:
+            outs.append(actions.MidiOut(actions.open_midi(midi), [s.threshold for s in limits]))
+        if key:
+            outs.append(actions.open_keys(actions.keys_of(key, names)))
+        if command is not None:
+            outs.append(actions.CommandOut(command, names))
+        opened = open_source(source, names[0], seed)
+        for k, watched in enumerate(watch(opened, loaded, looking(loaded, memory), limits, note), 1):
+            for event in watched.events:
+                print(event_line(event, names), flush=True)
+            for out in outs:
+                out.send(watched)
+            if frames and k >= frames:
+                break
+    except KeyboardInterrupt:
+        raise typer.Exit(130) from None
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+        for out in outs:
+            out.close()
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+@app.command(short_help="Try a model: what it finds in every frame.")
+def test(
+    model: Annotated[Path, typer.Argument(help="Model file.")],
+    source: SourceOption = "simulated",
+    frames: Frames = 40,
+    seed: Seed = 0,
+) -> None:
+    """Try a model: what it finds in every frame, as JSON lines."""
+    import json
+
+    from hypose.app.jobs.gesture_job import looking, watch
+    from hypose.app.live.gesture_sources import open_source
+    from hypose.gestures.events import EventSettings
+    from hypose.pipeline.gesture_files import load_model
+
+    loaded = load_model(model)
+    limits = [EventSettings(t or float("inf")) for t in loaded.thresholds]
+    opened = open_source(source, loaded.names[0], seed)
+    for k, watched in enumerate(watch(opened, [loaded], looking([loaded]), limits, note), 1):
+        for f in watched.found:
+            value = {
+                "time": round(watched.time, 4),
+                "gesture": loaded.names[f.gesture - 1],
+                "score": round(f.score, 3),
+                "accepted": f.score >= limits[f.gesture - 1].threshold,
+                "x": round(f.x, 1),
+                "y": round(f.y, 1),
+                "position": None if f.position is None else [round(float(v), 4) for v in f.position],
+            }
+            print(json.dumps(value))
+        if frames and k >= frames:
+            break
+
+
+@app.command(short_help="Write a forest as files that need no hypose.")
+def export(
+    model: Annotated[Path, typer.Argument(help="Model file.")],
+    out: Annotated[Path, typer.Argument(help="Folder to write to.")],
+) -> None:
+    """Write forest.npz, forest.json and a plain numpy program that runs them without hypose."""
+    from hypose.pipeline.gesture_files import export_model, load_model
+
+    for path in export_model(load_model(model), out):
+        say(str(path))
+
+
+@app.command("eval", short_help="Judge a model on a recorded session.")
+def evaluate(
+    model: Annotated[Path, typer.Argument(help="Model file.")],
+    recording: Annotated[Path, typer.Argument(help="Recorded session that was not learned.")],
+) -> None:
+    """Judge a model on a recorded session: average precision, and what its threshold lets through."""
+    import json
+
+    from hypose.app.jobs import gesture_job
+    from hypose.pipeline.gesture_files import load_model, read_recording
+
+    loaded, session = load_model(model), read_recording(recording)
+    with Stages() as progress:
+        progress("check", 0, 1)
+        values = gesture_job.evaluate(loaded, session)
+        progress("check", 1, 1)
+    print(json.dumps({k: round(v, 4) for k, v in values.items()}, indent=2))
+
+
+@app.command("studio", short_help="Teach gestures in the browser.")
+def studio(
+    folder: Annotated[
+        Path, typer.Argument(help="Folder for sessions and models.", show_default="this folder")
+    ] = Path(),
+    port: Annotated[int, number("Port of this computer; 0 takes any free one.", 0, 65535)] = 8765,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
+) -> None:
+    """Teach gestures on a page: live picture, prompts, scores, undo, test (hypose view, opened at the trainer)."""
+    from hypose.app.commands.commands_studio import open_studio
+
+    open_studio(folder, "gesture", port=port, browser=not no_browser)

@@ -1,0 +1,72 @@
+"""`hypose export` and `hypose report`: work on results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hypose.app.commands.commands_track import set_threads, split_names
+from hypose.app.commands.console import Stages, note, say
+from hypose.app.commands.options import Threads
+from hypose.errors import InputError
+
+
+def export(
+    results: Annotated[Path, typer.Argument(help="Results folder of hypose track, or its motion.npz.")],
+    formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot",
+    out: Annotated[Path | None, typer.Option(help="Folder to write to. [default: the results folder]")] = None,
+) -> None:
+    """Write motion files (TRC, C3D, BVH, GLB, CSV, MOT) from a tracked motion."""
+    from hypose.io.claims import claimed
+    from hypose.io.motions.bodies import load_body
+    from hypose.io.motions.export import export_motion
+    from hypose.io.motions.results import ResultsFolder, load_motion
+
+    if not results.exists():
+        raise InputError(f"{results} does not exist; give the results folder that hypose track wrote.")
+    folder = ResultsFolder(results if results.is_dir() else results.parent)
+    motion = load_motion(folder.motion if results.is_dir() else results)
+    body = load_body(folder.file("body.npz"))
+    if body.skeleton.joint_names != motion.skeleton.joint_names:
+        raise InputError(
+            f"{folder.path}: body.npz and the motion belong to different bodies; track the recording again."
+        )
+    names = split_names(formats)
+    with claimed(out or folder.path), Stages() as progress:
+        progress("export", 0, 1)
+        written = export_motion(motion, body, out or folder.path, names)
+        progress("export", 1, 1)
+    for path in written:
+        say(str(path))
+
+
+def report(
+    results: Annotated[Path, typer.Argument(help="Results folder of hypose track or hypose fuse, or its motion.npz.")],
+    out: Annotated[
+        Path | None, typer.Option(help="File to write. [default: report.html in the results folder]")
+    ] = None,
+    threads: Threads = None,
+) -> None:
+    """Write the report of a result again: one file that opens from disk and loads nothing."""
+    set_threads(threads)
+    from hypose.app.reports.report import from_result, write_report
+    from hypose.app.studio.view_result import find_recording, load_view
+    from hypose.io.motions.results import check_writable
+
+    folder = results if results.is_dir() else results.parent
+    target = out or folder / "report.html"
+    if target.is_dir():
+        raise InputError(f"{target} is a folder; name the file to write, for example {target / 'report.html'}.")
+    recording = find_recording(folder) if results.exists() else None
+    if results.exists():
+        check_writable(target.parent)
+    shown = load_view(results, recording)
+    with Stages() as progress:
+        progress("report", 0, 1)
+        written = write_report(target, from_result(shown, recording))
+        progress("report", 1, 1)
+    for text in shown.notes:
+        note(f"note: {text}")
+    say(f"Report: {written}")

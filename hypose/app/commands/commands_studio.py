@@ -1,0 +1,89 @@
+"""`hypose view`: the studio, a page on this computer for results, clicked joints, gestures and new recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hypose.app.commands.commands_track import set_threads
+from hypose.app.commands.console import note, say
+from hypose.app.commands.options import Threads, number
+from hypose.errors import InputError
+
+_NETWORK = "Network"
+
+
+def view(
+    what: Annotated[
+        Path, typer.Argument(help="Results folder, recording, or a folder that holds such.", show_default="this folder")
+    ] = Path(),
+    port: Annotated[int, number("Port to listen on; 0 takes any free one.", 0, 65535, rich_help_panel=_NETWORK)] = 8765,
+    host: Annotated[
+        str,
+        typer.Option(help="Address to listen on; others than this computer need the token.", rich_help_panel=_NETWORK),
+    ] = "127.0.0.1",
+    token: Annotated[
+        str | None,
+        typer.Option(
+            help="What pages must show. [default: none on this computer, else made]", rich_help_panel=_NETWORK
+        ),
+    ] = None,
+    upload_limit: Annotated[
+        float,
+        number(
+            "GiB that a file dropped onto the page may have.", 0, 1024, above=True, unit="GiB", rich_help_panel=_NETWORK
+        ),
+    ] = 4.0,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
+    threads: Threads = None,
+) -> None:
+    """Open the studio: results in 3D with their pictures, corrections by clicks, gestures, new recordings."""
+    set_threads(threads)
+    open_studio(what, "", host=host, port=port, token=token, upload_limit=upload_limit, browser=not no_browser)
+
+
+def open_studio(
+    what: Path,
+    screen: str,
+    *,
+    port: int,
+    browser: bool,
+    host: str = "127.0.0.1",
+    token: str | None = None,
+    upload_limit: float = 4.0,
+) -> None:
+    """Serve the folder of `what` until Ctrl-C; screen: what the page shows first, by default what fits `what`."""
+    from hypose.app.studio.server import NOT_BUILT, STATIC, StudioOptions, run
+
+    if not what.exists():
+        raise InputError(f"{what} does not exist; give a results folder, a recording, or a folder that holds such.")
+    if not (STATIC / "index.html").is_file():
+        raise InputError(NOT_BUILT)
+    root, shown = _place(what)
+
+    def ready(address: str) -> None:
+        page = address + (f"#/{screen or shown}" if screen or shown else "")
+        say(f"Studio: {page}")
+        note(f"Shows {root}. Stop with Ctrl-C.")
+        if browser:
+            import webbrowser
+
+            webbrowser.open(page)
+
+    run(StudioOptions(root, host, port, token, round(upload_limit * 2**30)), ready)
+
+
+def _place(what: Path) -> tuple[Path, str]:
+    """The folder to serve, and the screen that shows `what` in it."""
+    from hypose.app.studio.catalog import Catalog, is_recording
+
+    folder = (what if what.is_dir() else what.parent).resolve()
+    if (folder / "motion.npz").is_file():
+        above = [p for p in list(folder.parents)[:3] if is_recording(p)]
+        root = above[0] if above else folder
+        return root, f"view/{Catalog(root).id_of('result', folder)}"
+    if is_recording(folder):
+        return folder, f"setup/{Catalog(folder).id_of('recording', folder)}"
+    return folder, ""

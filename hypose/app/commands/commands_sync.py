@@ -1,0 +1,204 @@
+"""`hypose sync`: how late is each camera, and a copy of the recording's evidence that is in step."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hypose.app.commands.console import Stages, say
+from hypose.app.commands.options import number
+from hypose.errors import EvidenceError, InputError
+
+if TYPE_CHECKING:
+    from hypose.app.commands.console import ProgressCall
+    from hypose.io.recordings.recording import Recording
+
+
+def sync(
+    recording: Annotated[Path, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")],
+    by: Annotated[str, typer.Option(help="motion, sound or flash.")] = "motion",
+    offsets: Annotated[str | None, typer.Option(help="Known offsets in frames instead, one per view: 0,-2.5,1")] = None,
+    largest: Annotated[
+        float, number("Largest offset that is looked for, in seconds.", 0, 600, above=True, unit="seconds")
+    ] = 0.5,
+    frames: Annotated[int, number("Consecutive frames that motion is taken from.", 24, 100_000)] = 250,
+    to: Annotated[
+        Path | None, typer.Option("--out", help="New folder for masks and key points that are in step.")
+    ] = None,
+) -> None:
+    """How many frames each view is late. With --out, masks and key points are resampled in time and written."""
+    from hypose.io.claims import claimed
+    from hypose.io.motions.results import check_writable
+    from hypose.io.recordings.recording import load_recording
+
+    if by not in ("motion", "sound", "flash"):
+        raise InputError(f"--by {by} is not possible; choose motion, sound or flash.")
+    if to is not None and to.exists() and not _unfinished(to):
+        raise InputError(f"{to} is not empty; give a new folder with --out.")
+    loaded = load_recording(recording)
+    if len(loaded.views) < 2:
+        raise InputError("One view needs no synchronisation; the recording has only one.")
+    if to is not None:
+        check_writable(to)
+    with Stages() as progress:
+        if offsets is not None:
+            late, words = _given(offsets, len(loaded.views)), ["as given"] * len(loaded.views)
+        elif by == "motion":
+            late, words = _by_motion(loaded, largest * loaded.frame_rate, frames, progress)
+        elif by == "sound":
+            late, words = _by_sound(loaded, largest)
+        else:
+            late, words = _by_light(loaded, progress)
+    for view, x, word in zip(loaded.views, late, words, strict=True):
+        say(f"{view.name}: {abs(x):.2f} frames {'late' if x >= 0 else 'early'} ({word})")
+    if to is None:
+        say(f"To bring the evidence in step: hypose sync {recording} --out NEW_FOLDER")
+        return
+    with claimed(to), Stages() as progress:
+        path = _write(loaded, late, to, progress)
+    say(f"Masks and key points in step: {path}", "green")
+
+
+def _unfinished(folder: Path) -> bool:
+    """True for an empty folder, and for one that this command has begun and not finished."""
+    return folder.is_dir() and all(p.name in ("masks", "keypoints") or p.name[0] == "." for p in folder.iterdir())
+
+
+def _given(text: str, count: int) -> list[float]:
+    try:
+        out = [float(x) for x in text.split(",")]
+    except ValueError:
+        raise InputError(
+            f"--offsets {text} are no numbers; write frames separated by commas, for example 0,-2.5,1."
+        ) from None
+    if len(out) != count or any(abs(x) > 1e5 or x != x for x in out):
+        raise InputError(f"--offsets {text}: {count} numbers of frames are needed, one per view.")
+    return out
+
+
+def _by_motion(
+    recording: Recording, largest: float, frames: int, progress: ProgressCall
+) -> tuple[list[float], list[str]]:
+    from hypose.calibration.doctor_points import undistorted
+    from hypose.calibration.in_step import offsets_from_motion
+    from hypose.pipeline.examine import observe
+
+    seen = observe(recording, frames, progress)
+    points = None if seen.keypoints is None else undistorted(seen.rig, seen.keypoints)
+    found = offsets_from_motion(seen.rig.pinhole(), points, seen.silhouettes, largest=largest)
+    if found.gain < 0:
+        raise EvidenceError("The motion does not tell the offsets; use --by sound or --by flash.")
+    told = [s < largest for s in found.sd]  # what is less sure than all that was looked for is not known
+    if not any(told):
+        raise EvidenceError(
+            f"{recording.name}: the views have no motion in common that tells how late they are; film somebody who "
+            "walks or waves, or use --by sound or --by flash."
+        )
+    words = [
+        f"sd {s:.2f}" if known else "no motion in common with the others"
+        for s, known in zip(found.sd, told, strict=True)
+    ]
+    return [float(x) for x in found.frames], words
+
+
+def _by_sound(recording: Recording, largest: float) -> tuple[list[float], list[str]]:
+    from hypose.calibration.sync_events import offsets_from_sound
+    from hypose.io.videos.sound import read_sound
+
+    sounds = []
+    for view in recording.views:
+        if view.video is None:
+            raise InputError(f"View {view.name} has no video and so no sound; use --by motion.")
+        sounds.append(read_sound(view.video))
+    seconds, peaks = offsets_from_sound(sounds, [v.name for v in recording.views], largest)
+    return [float(x) * recording.frame_rate for x in seconds], [f"peak {p:.0f} sd" for p in peaks]
+
+
+def _by_light(recording: Recording, progress: ProgressCall) -> tuple[list[float], list[str]]:
+    import numpy as np
+
+    from hypose.calibration.sync_events import offsets_from_light
+    from hypose.io.videos.video import open_video
+
+    levels = []
+    for n, view in enumerate(recording.views):
+        if view.source is None:
+            raise InputError(f"View {view.name} has only masks, in which no light is seen; use --by motion.")
+        progress("sync", n, len(recording.views))
+        with open_video(view.source) as reader:
+            levels.append(np.array([float(image[::8, ::8].mean()) for image in reader]))
+    progress("sync", len(recording.views), len(recording.views))
+    late, kinds = offsets_from_light(levels, [v.name for v in recording.views])
+    return [float(x) for x in late], list(kinds)
+
+
+def _write(recording: Recording, late: list[float], folder: Path, progress: ProgressCall) -> Path:
+    """Masks (PNG, undistorted) and key points (OpenPose JSON) on the common clock, and a recording.toml."""
+    from dataclasses import replace
+
+    import cv2
+    import numpy as np
+
+    from hypose.calibration.in_step import Resampled, points_at
+    from hypose.io.file_names import folder_for
+    from hypose.io.files import write_text
+    from hypose.io.motions.results import atomic_path
+    from hypose.io.recordings.frames import FrameStream
+    from hypose.io.recordings.recording import write_recording
+    from hypose.io.recordings.view_source import SIDECAR
+    from hypose.pipeline.examine import raw_keypoints
+
+    progress("background", 0, 1)
+    with FrameStream(recording) as stream:
+        progress("background", 1, 1)
+        source = Resampled(stream, late)
+        masks = [folder_for(folder / "masks", view.name) for view in recording.views]
+        for path, camera in zip(masks, stream.rig, strict=True):
+            write_text(path / SIDECAR, json.dumps({"undistorted": True, "size": list(camera.size)}) + "\n")
+        for i in range(len(source)):
+            progress("masks", i, len(source))
+            silhouettes = source.frame(i).silhouettes
+            assert silhouettes is not None
+            for c, (path, camera) in enumerate(zip(masks, stream.rig, strict=True)):
+                w, h = camera.size
+                data = cv2.imencode(".png", silhouettes.masks[c, :h, :w] * np.uint8(255))[1]
+                with atomic_path(path / f"{i:06d}.png") as temporary:
+                    temporary.write_bytes(data.tobytes())
+        progress("masks", len(source), len(source))
+    points, _ = raw_keypoints(recording)
+    views = []
+    for c, view in enumerate(recording.views):
+        keypoints = None
+        if points is not None and view.keypoints is not None:
+            keypoints = folder_for(folder / "keypoints", view.name)
+            for t, p in enumerate(points_at(points[c], late[c])):
+                person = {"pose_keypoints_2d": [round(float(x), 4) for x in p.ravel()]}
+                people = [person] if (p[:, 2] > 0).any() else []
+                write_text(
+                    keypoints / f"{keypoints.name}_{t:012d}_keypoints.json", json.dumps({"people": people}) + "\n"
+                )
+        views.append(
+            replace(
+                view,
+                video=None,
+                images=None,
+                background=None,
+                masks=masks[c],
+                keypoints=keypoints,
+                image_shift=(0.0, 0.0),
+                accept_scaled=False,
+            )
+        )
+    made = replace(
+        recording,
+        views=tuple(views),
+        frame_range=None,
+        n_frames=len(recording.frames),
+        keypoint_lag=0,
+        keypoint_pixels="calibration",
+        name=f"{recording.name} in step",
+    )
+    return write_recording(made, folder)

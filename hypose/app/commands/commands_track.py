@@ -1,0 +1,238 @@
+"""`hypose track` and `hypose demo`."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shlex
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hypose.app.commands.console import Stages, note, say
+from hypose.app.commands.options import HEIGHT, Seconds, Seed, Threads, number
+from hypose.errors import InputError
+
+if TYPE_CHECKING:
+    from hypose.app.jobs.job import Job, Outcome
+    from hypose.pipeline.monocular import MonoOptions
+
+Compute = Annotated[
+    str,
+    typer.Option(help="auto, cpu, cuda (silhouettes scored on an NVIDIA device) or reference (slow, for comparison)."),
+]
+
+
+def track(
+    context: typer.Context,
+    recording: Annotated[Path, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")],
+    recipe: Annotated[str, typer.Option(help="default, hpf, apf, sir or partitioned.")] = "default",
+    refine: Annotated[bool, typer.Option("--refine", help="Contour refinement after a published recipe.")] = False,
+    evidence: Annotated[str, typer.Option(help="silhouettes, keypoints or both.")] = "silhouettes",
+    start: Annotated[
+        str,
+        typer.Option(
+            help="auto, keypoints, hull, or the first frame's pose: a, t, standing, hands-up; with one camera "
+            "keypoints or a file of clicked joints."
+        ),
+    ] = "auto",
+    height: Annotated[
+        float | None,
+        number("The subject's height in metres. [default: recording.toml's, else estimated]", *HEIGHT, unit="metres"),
+    ] = None,
+    subject: Annotated[
+        Path | None, typer.Option(help="The person's body: the folder or body.npz that hypose subject wrote.")
+    ] = None,
+    no_smooth: Annotated[
+        bool, typer.Option("--no-smooth", help="Each frame as it was tracked, without solving all together at the end.")
+    ] = False,
+    seed: Seed = 0,
+    frames: Annotated[
+        str | None, typer.Option(help="first:stop, counted from 0. [default: recording.toml's, else all]")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Results folder. [default: results/RECIPE in the recording's folder]")
+    ] = None,
+    formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot",
+    no_overlay: Annotated[bool, typer.Option("--no-overlay", help="Do not write overlay.mp4.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")] = False,
+    threads: Threads = None,
+    compute: Compute = "auto",
+    calibration: Annotated[
+        Path | None, typer.Option(help="Use this calibration file instead of the recording's.")
+    ] = None,
+    method: Annotated[
+        str, typer.Option(help="multiview, or monocular: one camera, several hypotheses (docs/monocular.md).")
+    ] = "multiview",
+    camera: Annotated[str | None, typer.Option(help="The camera of --method monocular.")] = None,
+    hypotheses: Annotated[int, number("Hypotheses of --method monocular.", 1, 100)] = 7,
+    floor: Annotated[
+        float | None,
+        number("Height in the world, in metres, of the floor of --method monocular.", -100, 100, unit="metres"),
+    ] = None,
+) -> None:
+    """Track the person in a recording: poses with their uncertainty, motion files, overlay video, report."""
+    set_threads(threads)
+    from hypose.app.jobs.job import Job, choose_frames
+    from hypose.io.motions.results import ResultsFolder
+    from hypose.io.recordings.recording import load_recording
+    from hypose.pipeline.run import TrackOptions
+
+    loaded = choose_frames(load_recording(recording, calibration), frames)
+    options: TrackOptions | MonoOptions = TrackOptions(
+        recipe=recipe,
+        refine=refine,
+        evidence=evidence,
+        seed=seed,
+        start=start,
+        height=height if height is not None else loaded.subject_height,
+        subject=str(subject) if subject is not None else None,
+        smooth=not no_smooth,
+    )
+    if method != "multiview" or camera is not None:
+        from hypose.app.jobs.mono_job import one_camera
+
+        source = context.get_parameter_source("evidence")
+        given = source is not None and source.name != "DEFAULT"
+        loaded, options = one_camera(loaded, method, camera, options, hypotheses, evidence if given else "auto", floor)
+    results = ResultsFolder(out) if out is not None else ResultsFolder.of(loaded.folder, options.recipe)
+    job = Job(
+        loaded,
+        options,
+        results,
+        formats=split_names(formats),
+        overlay=not no_overlay,
+        resume=resume,
+        run={"threads": threads, "compute": compute},
+    )
+    with back_end(compute):
+        report_outcome(job, run_shown(job, list(context.find_root().obj or [])))
+
+
+def demo(
+    context: typer.Context,
+    out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("demo"),
+    seconds: Seconds = 4.0,
+    seed: Seed = 1,
+    threads: Threads = None,
+) -> None:
+    """Make a synthetic four-camera recording, track it as `hypose track` would, and compare with the truth."""
+    set_threads(threads)
+    from hypose.app.jobs.job import Job
+    from hypose.app.jobs.truth import compare_with
+    from hypose.io.claims import claimed
+    from hypose.io.motions.results import ResultsFolder
+    from hypose.io.recordings.recording import load_recording
+    from hypose.pipeline.run import TrackOptions
+    from hypose.synthetic.scenes import make_scene
+    from hypose.synthetic.write_recording import check_folder, write_scene
+
+    check_folder(out)
+    say(f"Writing a synthetic recording of {seconds:g} s of walking, seen by four cameras, to {out}")
+    scene = make_scene("walk", rig="humaneva-4", seconds=seconds, seed=seed, distorted=True)
+    with claimed(out), Stages() as progress:
+        write_scene(scene, out, progress=lambda done, total: progress("render", done, total))
+    say(f"Tracking it as `hypose track {shlex.quote(str(out))}` would")
+    recording = load_recording(out)
+    results = ResultsFolder.of(recording.folder, "default")
+    job = Job(recording, TrackOptions(), results, run={"threads": threads}, truth=compare_with(out / "truth.npz"))
+    report_outcome(job, run_shown(job, list(context.find_root().obj or [])))
+
+
+def run_shown(job: Job, arguments: list[str]) -> tuple[Outcome, dict[str, float]]:
+    """Run a job with progress; when it is interrupted, say what was kept and how to go on, and exit with code 130."""
+    from hypose.app.jobs.run_job import run_job
+    from hypose.io.claims import claimed
+
+    previous = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        with claimed(job.results.path), Stages() as progress:
+            outcome = run_job(job, progress, progress.seconds)
+    except KeyboardInterrupt:
+        _stopped(job, arguments)
+        raise typer.Exit(130) from None
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+    if not outcome.complete:
+        _stopped(job, arguments)
+        raise typer.Exit(130)
+    return outcome, progress.seconds
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def _stopped(job: Job, arguments: list[str]) -> None:
+    from hypose.io.motions.results import load_motion
+
+    results, total = job.results, len(job.recording.frames)
+    again = [a for a in arguments if a != "--resume"]
+    command = f"hypose {shlex.join([*again, '--resume'])}" if again[:1] == ["track"] else "the same command"
+    if results.checkpoint.exists():
+        done = f"{len(load_motion(results.motion))} of {total} frames" if results.motion.exists() else "tracked frames"
+        say(f"Stopped. Kept: {done} in {results.motion}, and the state of the tracker. Go on with: {command}")
+    elif results.motion.exists():
+        say(f"Stopped. The motion is complete in {results.motion}. Write the other files with: {command}")
+    else:
+        say(f"Stopped before the first frame was tracked, so nothing was kept. Start again with: {command}")
+
+
+def report_outcome(job: Job, finished: tuple[Outcome, dict[str, float]]) -> None:
+    """The closing lines."""
+    from hypose.app.reports.summary import require_found, summarize
+
+    outcome, seconds = finished
+    s = summarize(outcome.motion)
+    for text in outcome.notes:
+        note(f"note: {text}")
+    parts = [f"{s.frames} frames in {len(job.recording.rig)} views", f"{s.lost} lost", f"{s.extrapolated} extrapolated"]
+    if s.iou == s.iou:
+        parts.append(f"mean IoU {s.iou:.3f}")
+    if s.sd_mm == s.sd_mm:
+        parts.append(f"median joint sd {s.sd_mm:.1f} mm")
+    if seconds.get("track"):
+        parts.append(f"{s.frames / seconds['track']:.1f} frames/s")
+    say(f"{job.recording.name}: " + ", ".join(parts))
+    if outcome.truth is not None:
+        say(f"Mean joint error: {outcome.truth.mean_mm:.1f} mm over {len(outcome.truth.names)} joints", "bold")
+    say(f"Results: {job.results.path}")
+    say(f"Report:  {job.results.file('report.html')}")
+    require_found(outcome.motion, job.recording.name, job.results.path)
+
+
+def split_names(text: str) -> tuple[str, ...]:
+    """The names of a comma-separated list; an InputError when there is none."""
+    names = tuple(dict.fromkeys(n.strip().lower().lstrip(".") for n in text.split(",") if n.strip()))
+    if not names:
+        raise InputError("The list of formats is empty; give at least one, for example --formats trc,c3d.")
+    return names
+
+
+@contextlib.contextmanager
+def back_end(name: str) -> Iterator[None]:
+    """Run the block on a back end of --compute; an InputError when there is none of that name or no such device."""
+    from hypose import compute
+    from hypose.compute import selection
+
+    if name not in ("auto", "cpu", "cuda", "reference"):
+        raise InputError(f"There is no --compute {name}; choose auto, cpu, cuda or reference.")
+    if name == "cuda":
+        selection.require_cuda()
+    with compute.use(name):
+        yield
+
+
+def set_threads(count: int | None) -> None:
+    """Limit the threads of everything that uses threads; call it before numpy and OpenCV are imported."""
+    if count is None:
+        return
+    for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = str(count)
+    import cv2
+
+    cv2.setNumThreads(count)

@@ -1,0 +1,281 @@
+"""A look at a recording before it is tracked: a table of the cameras, a contact sheet, and whether the views agree."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from rich.table import Table
+
+from hypose.app.commands.console import ProgressCall, ignore
+from hypose.app.reports.check_page import residual_picture, write_page
+from hypose.app.reports.result_pictures import Drawing, Image, draw_all, layout, open_images
+from hypose.calibration.doctor import Cured, Report, examine_and_cure
+from hypose.errors import EvidenceError, InputError
+from hypose.evidence.frame import Silhouettes
+from hypose.evidence.hull import hull_iou, visual_hull
+from hypose.io.files import write_text
+from hypose.io.motions.results import atomic_path, to_json
+from hypose.io.recordings.frames import FrameStream
+from hypose.io.recordings.recording import Recording, View
+from hypose.io.videos.video import open_video
+from hypose.pipeline.examine import observe
+
+_LOW_IOU = 0.6  # hull against mask: below this a view contradicts the others
+_HEIGHTS = (0.5, 2.6)  # m: what a person's hull can measure
+_FIGURES = ("name", "residual_px", "left_out_px", "tangency_px")
+_LARGE, _SMALL = 0.5, 0.001  # share of the picture that a mask of one person covers at most and at least
+
+
+@dataclass(frozen=True)
+class Findings:
+    """facts and warnings, each a sentence."""
+
+    facts: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def camera_table(recording: Recording) -> Table:
+    """One row per camera: files, sizes, frame rate, frames, background, key points, place."""
+    title = f"{recording.name}: {len(recording.views)} views, {recording.n_frames} frames, "
+    title += f"{recording.frame_rate:g} frames/s"
+    table = Table(title=title, title_justify="left")
+    for column in (
+        "view",
+        "camera",
+        "images",
+        "size",
+        "calibrated",
+        "fps",
+        "frames",
+        "masks",
+        "background",
+        "key points",
+    ):
+        table.add_column(column)
+    table.add_column("position (m)")
+    for view, camera in zip(recording.views, recording.rig, strict=True):
+        size, rate, frames = _stream_facts(view)
+        x, y, z = camera.position
+        table.add_row(
+            view.name,
+            camera.name,
+            _name(view.source),
+            size,
+            f"{camera.size[0]}x{camera.size[1]}",
+            rate,
+            frames,
+            _name(view.masks),
+            _name(view.background) if view.background else "from the recording" if not view.masks else "-",
+            f"{_name(view.keypoints)} ({recording.keypoint_set})" if view.keypoints else "-",
+            f"{x:.2f} {y:.2f} {z:.2f}",
+        )
+    return table
+
+
+def _name(path: Path | None) -> str:
+    return "-" if path is None else path.name
+
+
+def _stream_facts(view: View) -> tuple[str, str, str]:
+    source = view.source or view.masks
+    if source is None:
+        return "-", "-", "-"
+    with open_video(source) as reader:
+        rate = "-" if reader.frame_rate is None else f"{reader.frame_rate:g}"
+        return f"{reader.size[0]}x{reader.size[1]}", rate, str(reader.n_frames)
+
+
+def check_recording(recording: Recording, sheet: Path, samples: int, progress: ProgressCall = ignore) -> Findings:
+    """Masks and visual hulls of `samples` frames spread over the recording; writes the contact sheet. An EvidenceError
+    when nobody is in any of them."""
+    facts: list[str] = []
+    warnings: list[str] = []
+    progress("background", 0, 1)
+    with FrameStream(recording) as source:
+        progress("background", 1, 1)
+        facts += [f"note: {text}" for text in source.notes]
+        rows = np.unique(np.linspace(0, len(source) - 1, min(samples, len(source))).astype(int)).tolist()
+        ious, heights, shown, why = [], [], _points_seen(source), ""
+        for done, row in enumerate(rows):
+            progress("check", done, len(rows))
+            frame = source.frame(row)
+            if frame.silhouettes is None:
+                continue
+            shown = shown or bool(frame.silhouettes.usable.any())
+            why = why or next((r.rstrip(".") for r in frame.silhouettes.reasons if r), "")
+            warnings += _mask_warnings(frame.silhouettes, frame.index)
+            if len(recording.views) == 1:
+                continue
+            found = _hull_facts(frame.silhouettes, frame.index, facts, warnings)
+            if found is not None:
+                heights.append(found[0])
+                ious.append(found[1])
+        progress("check", len(rows), len(rows))
+        if ious:
+            warnings += _hull_warnings(recording, np.array(heights), np.array(ious))
+        facts += _keypoint_facts(source)
+        write_sheet(recording, source, sheet, min(len(rows), 3))
+    if not shown:
+        raise EvidenceError(
+            f"{recording.name}: nobody is seen in any of {len(rows)} frames ({why or 'no evidence'}), so there "
+            f"is nothing to check; see whether masks and backgrounds belong to this recording (contact sheet: {sheet})."
+        )
+    if len(recording.views) == 1:
+        facts.append("There is one camera, so that no views can be compared; look at its masks in the contact sheet.")
+    return Findings(tuple(facts), tuple(dict.fromkeys(warnings)))
+
+
+def examine_recording(
+    recording: Recording,
+    frames: int,
+    page: Path,
+    sheet: Path,
+    found: Findings,
+    progress: ProgressCall = ignore,
+) -> tuple[Report | None, Cured | None]:
+    """The doctor on `frames` consecutive frames; writes the page. None when there is nothing to examine."""
+    if len(recording.views) < 2:
+        return None, None
+    observed = observe(recording, frames, progress)
+    progress("doctor", 0, 1)
+    try:
+        report, cured = examine_and_cure(observed)
+    except EvidenceError:  # no evidence at all: what can be said has been said
+        return None, None
+    finally:
+        progress("doctor", 1, 1)
+    picture = residual_picture(recording, observed, cured)
+    write_page(page, recording.name, report, sheet, picture, (*recording.notes, *found.facts), found.warnings)
+    return report, cured
+
+
+def write_findings(path: Path, found: Findings, report: Report | None) -> None:
+    """What was found as JSON, for the studio: facts, warnings, findings, figures per view, the page's name."""
+    value = {
+        "healthy": not found.warnings and (report is None or report.healthy),
+        "facts": found.facts,
+        "warnings": found.warnings,
+        "findings": [
+            {"fault": f.fault, "kind": f.kind, "views": f.views, "sentence": f.sentence}
+            for f in (report.findings if report is not None else ())
+        ],
+        "views": [
+            {k: None if isinstance(v := getattr(view, k), float) and not np.isfinite(v) else v for k in _FIGURES}
+            for view in (report.views if report is not None else ())
+        ],
+        "page": "check.html" if report is not None else None,
+    }
+    write_text(path, to_json(value))
+
+
+def _mask_warnings(silhouettes: Silhouettes, number: int) -> list[str]:
+    out = []
+    pixels = silhouettes.rig.sizes.prod(1)
+    for c, name in enumerate(silhouettes.rig.names):
+        share = float(silhouettes.areas[c] / pixels[c])
+        if not silhouettes.usable[c]:
+            out.append(f"{silhouettes.reasons[c]}; this view is left out there.")
+        elif not _SMALL <= share <= _LARGE:
+            what = "hardly anything" if share < _SMALL else "most of the picture"
+            out.append(
+                f"{name}, frame {number}: the mask covers {what} ({100 * share:.1f} %); look at the contact sheet, and "
+                "give a background clip or masks of your own."
+            )
+    return out
+
+
+def _hull_facts(
+    silhouettes: Silhouettes, number: int, facts: list[str], warnings: list[str]
+) -> tuple[float, np.ndarray] | None:
+    """Height (m) of the visual hull and its IoU with each view's mask (C,)."""
+    try:
+        hull = visual_hull(silhouettes)
+    except EvidenceError as error:
+        warnings.append(str(error) if str(number) in str(error) else f"frame {number}: {error}")
+        return None
+    iou = hull_iou(hull, silhouettes)
+    height = float(np.ptp(hull.points[:, 2])) + hull.voxel
+    x, y = hull.points[:, :2].mean(0)
+    worst = float(np.nanmin(iou))
+    facts.append(
+        f"Frame {number}: the common volume of the views is {hull.volume * 1000:.0f} litres, {height:.2f} m high, at "
+        f"({x:.2f}, {y:.2f}) m; its overlap with the masks is {np.nanmean(iou):.2f} on average, {worst:.2f} at worst."
+    )
+    return height, iou
+
+
+def _hull_warnings(recording: Recording, heights: np.ndarray, ious: np.ndarray) -> list[str]:
+    out = []
+    for c, view in enumerate(recording.views):
+        known = ious[:, c][np.isfinite(ious[:, c])]
+        if len(known) and np.median(known) < _LOW_IOU:
+            out.append(
+                f"View {view.name}: its masks agree badly with the other views (IoU {np.median(known):.2f}); check its "
+                "calibration, its synchronisation and its mask."
+            )
+    height = float(np.median(heights))
+    if not _HEIGHTS[0] <= height <= _HEIGHTS[1]:
+        out.append(
+            f"The common volume is {height:.2f} m high, which no person is; check the unit of the calibration "
+            "(calibration_unit) and which of its axes points up (world_up)."
+        )
+    return out
+
+
+def _points_seen(source: FrameStream) -> bool:
+    """Whether any key point was found in any frame."""
+    return source.keypoints is not None and any(bool((k.points[..., 2] > 0).any()) for k in source.keypoints)
+
+
+def _keypoint_facts(source: FrameStream) -> list[str]:
+    if source.keypoints is None:
+        return []
+    confidence = np.stack([k.points[..., 2] for k in source.keypoints])
+    seen = (confidence > 0.3).mean((0, 2))
+    shares = ", ".join(f"{n} {100 * s:.0f} %" for n, s in zip(source.rig.names, seen, strict=True))
+    return [f"Key points seen with confidence above 0.3: {shares}."]
+
+
+def write_sheet(recording: Recording, source: FrameStream, path: Path, count: int) -> None:
+    """A picture of `count` frames, one below the other, each with all views and the masks' edges."""
+    rows = np.unique(np.linspace(0, len(source) - 1, min(count, len(source))).astype(int)).tolist()
+    numbers = recording.frames
+    images = open_images(recording)
+    try:
+        plan = layout([v.size for v in images])
+        pictures = []
+        for row in rows:
+            what = Drawing(None, None, source.frame(row).silhouettes, f"frame {numbers[row]}")
+            pictures.append(draw_all([v.read(numbers[row]) for v in images], recording, plan, None, what))
+    finally:
+        for view in images:
+            view.close()
+    write_image(path, _stack(pictures))
+
+
+def _stack(pictures: Sequence[Image]) -> Image:
+    picture = np.concatenate(pictures)
+    h, w = picture.shape[:2]
+    scale = min(1.0, 1600 / w)
+    if scale < 1:
+        picture = cv2.resize(picture, (round(w * scale), round(h * scale)), interpolation=cv2.INTER_AREA)
+    return np.asarray(picture, np.uint8)
+
+
+def check_picture(path: Path, option: str) -> None:
+    """An InputError when `path`, given with an option, cannot be the name of a picture; before any work."""
+    if path.is_dir():
+        raise InputError(f"{option} {path} is a folder; name the picture to write, for example {path / 'check.png'}.")
+    if path.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+        raise InputError(f"{option} {path} is no name for a picture; give one that ends in .png or .jpg.")
+
+
+def write_image(path: Path, image: Image) -> None:
+    """Write a PNG or JPEG (`check_picture`) whole or not at all."""
+    data = cv2.imencode(path.suffix, image)[1].tobytes()
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(data)

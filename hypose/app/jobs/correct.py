@@ -1,0 +1,159 @@
+"""A tracked motion corrected from one frame on: the clicked pose there is where tracking starts again.
+
+The result that is corrected stays as it is. The new one has its frames up to the correction, then what the tracker
+makes of the rest with the same body, recipe and evidence, started from the corrected pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hypose import compute
+from hypose.app.commands.console import ProgressCall, ignore
+from hypose.app.jobs.job import check_formats
+from hypose.app.reports.report import from_result, write_report
+from hypose.app.studio.view_result import load_view
+from hypose.body.body import Body
+from hypose.body.motion import Motion
+from hypose.errors import InputError
+from hypose.geometry import Array
+from hypose.io.files import text_lines
+from hypose.io.motions.bodies import load_body, save_body
+from hypose.io.motions.export import export_motion
+from hypose.io.motions.results import ResultsFolder, check_writable, load_motion, save_motion
+from hypose.io.recordings.frames import FrameOptions, FrameStream
+from hypose.io.recordings.recording import Recording
+from hypose.json_text import parse_json
+from hypose.pipeline.first_frame import GIVEN, Subject, SubjectOptions, find_subject
+from hypose.pipeline.run import TrackOptions, track_source
+
+_LARGEST_CLICKS = 1 << 20
+_FROM_HERE = "the start is the corrected pose"
+
+
+@dataclass(frozen=True)
+class Correction:
+    """A pose (D,) of a frame of the recording, and the name it goes by."""
+
+    frame: int
+    pose: Array
+    name: str
+
+
+def read_correction(path: Path) -> Correction:
+    """The clicks of a frame with their pose, as the studio saves them (starts/NAME.json)."""
+    try:
+        value = parse_json("\n".join(text_lines(path, "saved clicks", _LARGEST_CLICKS)))
+        form, frame, pose = value["format"], value["frame"], np.array(value["pose"], dtype=np.float64)
+    except (ValueError, TypeError, KeyError, RecursionError):
+        form, frame, pose = None, -1, np.zeros(0)
+    counted = isinstance(frame, int) and not isinstance(frame, bool) and frame >= 0
+    if form != "hypose-clicks" or not counted or pose.ndim != 1 or not np.isfinite(pose).all():
+        raise InputError(f"{path} holds no clicked pose; correct a frame in `hypose view` and save it there.")
+    return Correction(int(frame), pose, path.stem)
+
+
+def correct(
+    recording: Recording,
+    old: ResultsFolder,
+    correction: Correction,
+    out: ResultsFolder,
+    *,
+    until: int | None = None,
+    formats: tuple[str, ...] = (),
+    progress: ProgressCall = ignore,
+) -> Motion:
+    """Track a result again from the corrected frame to `until` (the recording's frame after the last; default: to its
+    end), and write the whole as a result of its own."""
+    motion, body = load_motion(old.motion), load_body(old.file("body.npz"))
+    options, first = _options(motion, old)
+    row, stop = _rows(motion, correction, first, until)
+    if len(correction.pose) != body.skeleton.dof:
+        raise InputError(f"{correction.name} is the pose of another body; correct a frame of {old.path} itself.")
+    if out.path.resolve() == old.path.resolve():
+        raise InputError("The corrected motion needs a folder of its own; choose another with --out.")
+    check_formats(formats)
+    check_writable(out.path)
+    progress("compile", 0, 1)
+    compute.warm_up()
+    progress("compile", 1, 1)
+    part = replace(recording, frame_range=(first + row, first + stop))
+    evidence = FrameOptions(silhouettes=None) if options.evidence == "keypoints" else None
+    with FrameStream(part, evidence) as source:
+        subject = _subject(source, part, options, body, correction.pose)
+        # who has corrected the frame has also said where left and right are
+        sure = replace(options, sure_start=True)
+        tracked = track_source(source, motion.frame_rate, sure, subject=subject, progress=progress)
+    record = {"frame": correction.frame, "until": first + stop, "clicks": correction.name, "of": old.path.name}
+    joined = join(motion, tracked.motion, row, record)
+    save_body(body, out.file("body.npz"))
+    save_motion(joined, out.motion)
+    out.write_json("provenance.json", joined.provenance)
+    progress("export", 0, 1)
+    export_motion(joined, body, out.path, formats)
+    progress("export", 1, 1)
+    progress("report", 0, 1)
+    write_report(out.file("report.html"), from_result(load_view(out.path, recording), recording))
+    progress("report", 1, 1)
+    return joined
+
+
+def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any]) -> Motion:
+    """The motion `old` with the rows from `row` on replaced by those of `new`, and `record` among its corrections."""
+    series = {}
+    for name in ("poses", "joints", "joint_covariance", "lost", "extrapolated", "n_views", "cost"):
+        values = getattr(old, name).copy()
+        values[row : row + len(new)] = getattr(new, name)
+        series[name] = values
+    if old.doubtful is not None or new.doubtful is not None:
+        series["doubtful"] = _marks(old)
+        series["doubtful"][row : row + len(new)] = _marks(new)
+    if row:  # one branch of the root's rotation, so that nothing between the two parts turns around
+        poses = series["poses"]
+        for t in range(row, row + len(new)):
+            poses[t] = old.skeleton.on_branch(poses[t], poses[t - 1])
+    corrections = [*old.provenance.get("corrections", []), dict(record)]
+    return replace(old, **series, provenance={**old.provenance, "corrections": corrections})
+
+
+def _marks(motion: Motion) -> np.ndarray:
+    """(T,) which frames are doubtful; a copy."""
+    return np.zeros(len(motion), dtype=bool) if motion.doubtful is None else motion.doubtful.copy()
+
+
+def _options(motion: Motion, old: ResultsFolder) -> tuple[TrackOptions, int]:
+    """How the result was tracked, and its first frame."""
+    settings = motion.provenance.get("settings", {})
+    known = {f.name for f in fields(TrackOptions)} - {"start", "subject", "height"}
+    frames = settings.get("frames")
+    if motion.poses is None or not frames or "recipe" not in settings:
+        raise InputError(
+            f"{old.path} was not tracked by `hypose track` with several cameras, so it cannot be tracked on from a "
+            "corrected frame; with one camera start it again: hypose track --method monocular --start CLICKS."
+        )
+    return TrackOptions(**{k: v for k, v in settings.items() if k in known}), int(frames[0])
+
+
+def _rows(motion: Motion, correction: Correction, first: int, until: int | None) -> tuple[int, int]:
+    """The rows to track again."""
+    last = first + len(motion)
+    stop = last if until is None else until
+    if not first <= correction.frame < stop <= last:
+        raise InputError(
+            f"The frames {correction.frame} to {stop} are not part of this result, which has the frames {first} to "
+            f"{last - 1}; correct one of these, and end at most at {last}."
+        )
+    return correction.frame - first, stop - first
+
+
+def _subject(source: FrameStream, part: Recording, options: TrackOptions, body: Body, pose: Array) -> Subject:
+    """The body as it is, at the corrected pose; where key points sit on it when they are evidence."""
+    if options.evidence == "silhouettes":
+        return Subject(body, None, pose, (GIVEN, _FROM_HERE))
+    wanted = SubjectOptions("keypoints", None, False, body, part.frame_rate, options.seed, known=True)
+    return replace(find_subject(source.frame, len(source), wanted), start=pose, notes=(GIVEN, _FROM_HERE))

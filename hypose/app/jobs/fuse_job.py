@@ -1,0 +1,377 @@
+"""Fusing recorded skeletons: from the files of several sensors to one motion per person and its files."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.app.commands.console import ProgressCall, ignore
+from hypose.body.body import Body
+from hypose.body.motion import Motion
+from hypose.errors import InputError
+from hypose.evidence.frame import SensorJoints
+from hypose.fusion.align import Instant, SensorBody, SensorView
+from hypose.fusion.clocks import offset_by_movement
+from hypose.fusion.fuse import METHODS, Fused, FusionSettings, fuse_clip
+from hypose.fusion.joints import COMMON, joint_set
+from hypose.fusion.people import PeopleTracker
+from hypose.fusion.register import Registration, check_same_person, common_joints, register, upward
+from hypose.fusion.saved import ClipSoFar
+from hypose.geometry import Array, se3, transform
+from hypose.io.files import write_text
+from hypose.io.motions.export import FORMATS, export_motion
+from hypose.io.motions.results import Checkpoint, ResultsFolder, check_writable, save_motion
+from hypose.io.recordings.provenance import identity, provenance
+from hypose.io.sensors.skeleton_streams import (
+    SensorStream,
+    SkeletonRecording,
+    SyncedStream,
+    common_times,
+    one_person,
+    resample,
+    shifted,
+)
+
+POINT_FORMATS = ("trc", "c3d", "csv")
+"""Formats that need no poses."""
+_FOOT_HEIGHT_M = 0.08  # of the ankle, which stands for the foot, above the floor
+
+
+@dataclass(frozen=True)
+class FuseJob:
+    """recording; results; method: of fusion.fuse.METHODS; rate Hz of the result (None: the reference sensor's);
+    reference: name of a sensor (None: the recording's); formats: of POINT_FORMATS; up: "person" (the mean direction
+    from hips to neck) or "sensor" (the reference sensor's y axis); diagnose: the swarm's choice of sensors beside the
+    result; seed; resume: go on with the checkpoint of an interrupted run; checkpoint_s: seconds between checkpoints;
+    run: for the record only."""
+
+    recording: SkeletonRecording
+    results: ResultsFolder
+    method: str = "fit"
+    rate: float | None = None
+    reference: str | None = None
+    formats: Sequence[str] = POINT_FORMATS
+    up: str = "person"
+    diagnose: bool = False
+    seed: int = 0
+    resume: bool = False
+    checkpoint_s: float = 10.0
+    run: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise InputError(f"There is no fusion method {self.method!r}; choose one of {', '.join(METHODS)}.")
+        for name in self.formats:
+            if name not in FORMATS:
+                raise InputError(
+                    f"There is no export format {name!r}; fused skeletons give {', '.join(POINT_FORMATS)}."
+                )
+            if name not in POINT_FORMATS:
+                raise InputError(
+                    f"The format {name} needs poses, fused skeletons are points; choose {', '.join(POINT_FORMATS)}."
+                )
+        if self.up not in ("person", "sensor"):
+            raise InputError(f"--up {self.up} is not possible; choose person or sensor.")
+
+
+@dataclass(frozen=True)
+class PersonResult:
+    """One person: fused (in the reference sensor's frame), motion (world, z up), the written files."""
+
+    fused: Fused
+    motion: Motion
+    files: tuple[Path, ...]
+
+
+@dataclass(frozen=True)
+class FuseOutcome:
+    """people in the order of appearance; notes for the user; complete False after Ctrl-C; resumable: a
+    checkpoint is on disk."""
+
+    people: tuple[PersonResult, ...]
+    notes: tuple[str, ...]
+    complete: bool
+    resumable: bool = False
+
+
+def run_fuse(job: FuseJob, progress: ProgressCall = ignore) -> FuseOutcome:
+    """Synchronise, match persons, register, fuse, write. Each person's motion is on disk before the next is begun;
+    Ctrl-C leaves a checkpoint of the one under way."""
+    check_writable(job.results.path)
+    notes = list(job.recording.notes)
+    progress("prepare", 0, 1)
+    streams = _ordered(job)
+    if not job.recording.common_clock:
+        streams = _on_one_clock(streams, notes)
+    times = common_times(streams, job.rate)
+    synced = [resample(s, times) for s in streams]
+    people = _people(synced, times, notes)
+    progress("prepare", 1, 1)
+    registration = _registration(people, [s.name for s in streams])
+    for name, residual, known in zip(
+        [s.name for s in streams], registration.residual, registration.registered, strict=True
+    ):
+        if not known:
+            notes.append(f"{name}: it shares too little with the other sensors to be registered, so it is not used")
+        elif residual > 0:
+            notes.append(f"{name}: joints {1000 * residual:.0f} mm (median) from the reference sensor's")
+    alone = len(people) == 1
+    folders = [
+        job.results if alone else ResultsFolder(job.results.path / f"person-{n + 1}") for n in range(len(people))
+    ]
+    fused: list[Fused] = []
+    done: list[PersonResult] = []
+    world: Array | None = None
+    try:
+        for n, whole in enumerate(people):
+            clip, when = _while_seen(whole, times)
+            made = _fuse(
+                job,
+                clip,
+                registration,
+                folders[n].checkpoint,
+                _key(job, n),
+                len(people) > 1,
+                lambda k, n=n: progress("fuse", n * len(times) + k, len(people) * len(times)),
+            )
+            # instants at which no sensor saw the person have no time of their own
+            fused.append(replace(made, motion=replace(made.motion, times=when)))
+            if world is None:
+                world = world_from_sensor(fused[0].motion, job.up)
+            done.append(_write(job, fused[-1], world, folders[n], notes))
+        progress("fuse", len(people) * len(times), len(people) * len(times))
+        for n, person in enumerate(done):
+            files = list(person.files)
+            for k, name in enumerate(job.formats):
+                progress("export", n * len(job.formats) + k, len(done) * len(job.formats))
+                # the body is for formats with poses, which the job has refused
+                files += export_motion(person.motion, cast(Body, None), files[0].parent, (name,))
+            done[n] = replace(person, files=tuple(files))
+        for folder in folders:
+            folder.checkpoint.unlink(missing_ok=True)
+        progress("export", len(done) * len(job.formats), len(done) * len(job.formats))
+    except KeyboardInterrupt:
+        begun = sum(f.checkpoint.exists() for f in folders)
+        return FuseOutcome(tuple(done), tuple(notes), False, begun > 0)
+    return FuseOutcome(tuple(done), tuple(notes), True)
+
+
+# ---- streams -------------------------------------------------------------------------------------------------
+
+
+def _ordered(job: FuseJob) -> list[SensorStream]:
+    """The reference first; the common joints if the sensors report different sets."""
+    first = job.recording.stream(job.reference or job.recording.reference)
+    streams = [first, *(s for s in job.recording.streams if s is not first)]
+    for s in streams:
+        joint_set(s.joint_names)  # an InputError for an unknown set, which must name the sensor's file
+    if all(s.joint_names == first.joint_names for s in streams):
+        return streams
+    return [_common(s) for s in streams]
+
+
+def _common(stream: SensorStream) -> SensorStream:
+    pick = joint_set(stream.joint_names).common
+    depth = None if stream.joint_depth is None else stream.joint_depth[:, :, pick]
+    return replace(
+        stream,
+        positions=stream.positions[:, :, pick],
+        state=stream.state[:, :, pick],
+        joint_names=COMMON,
+        joint_depth=depth,
+    )
+
+
+def _on_one_clock(streams: Sequence[SensorStream], notes: list[str]) -> list[SensorStream]:
+    """Put the sensors' clocks forward so that all see the same movement."""
+    first = streams[0]
+    out = [first]
+    for s in streams[1:]:
+        begin = shifted(s, first.times[0] - s.times[0])
+        offset, likeness = offset_by_movement(first.times, first.positions[:, 0], begin.times, begin.positions[:, 0])
+        if likeness < 0.5:
+            raise InputError(
+                f"The clocks of the sensors {first.name} and {s.name} cannot be brought together, because their "
+                f'movements differ (correlation {likeness:.2f}); give recordings of one person, or "clock": "common".'
+            )
+        notes.append(f"{s.name}: its clock was set by the movement (correlation {likeness:.2f})")
+        out.append(shifted(begin, offset))
+    return out
+
+
+def _people(synced: Sequence[SyncedStream], times: Array, notes: list[str]) -> list[list[SensorJoints]]:
+    """One clip per person."""
+    if all(s.positions.shape[1] == 1 for s in synced):
+        return [one_person(synced, times, [np.where(s.person_ids[:, 0] >= 0, 0, -1) for s in synced])]
+    picks = [joint_set(s.joint_names).common for s in synced]
+    instants = [_instant(synced, picks, n, float(t)) for n, t in enumerate(times)]
+    tracker = PeopleTracker()
+    for instant in instants:
+        tracker.update(instant)
+    # again from the start, now that it is known where the sensors stand
+    tracker = PeopleTracker(transforms=tracker.transforms)
+    columns: dict[int, list[NDArray[np.int64]]] = {}
+    for n, instant in enumerate(instants):
+        for person in tracker.update(instant):
+            held = columns.setdefault(person.id, [np.full(len(times), -1) for _ in synced])
+            for k, s in enumerate(synced):
+                if s.name in person.bodies:
+                    held[k][n] = person.bodies[s.name].person
+    seen = {i: int((np.stack(c) >= 0).any(0).sum()) for i, c in columns.items()}
+    least = max(10, round(0.02 * len(times)))
+    kept = [columns[i] for i in columns if seen[i] >= least]
+    if not kept:
+        raise InputError("No person is seen long enough by any sensor to be followed; check the recording.")
+    if dropped := len(columns) - len(kept):
+        notes.append(f"{dropped} persons were seen for less than {least} frames and are left out")
+    return [one_person(synced, times, c) for c in kept]
+
+
+def _while_seen(clip: Sequence[SensorJoints], times: Array) -> tuple[Sequence[SensorJoints], Array]:
+    """From the first to the last frame in which some sensor sees the person."""
+    seen = np.flatnonzero([np.isfinite(f.times).any() for f in clip])
+    if not len(seen):
+        return clip, times
+    span = slice(int(seen[0]), int(seen[-1]) + 1)
+    return clip[span], times[span]
+
+
+def _instant(synced: Sequence[SyncedStream], picks: Sequence[NDArray[np.int64]], n: int, time: float) -> Instant:
+    """Persons are numbered by their column, which `one_person` wants."""
+    views = []
+    for s, pick in zip(synced, picks, strict=True):
+        columns = np.flatnonzero((s.person_ids[n] >= 0) & (s.state[n] > 0).any(1))
+        bodies = tuple(SensorBody(int(c), s.positions[n, c, pick], s.state[n, c, pick], 0.0) for c in columns)
+        views.append(SensorView(s.name, True, 0, bodies))
+    return Instant(n, time, tuple(views))
+
+
+def _registration(people: Sequence[Sequence[SensorJoints]], names: Sequence[str]) -> Registration:
+    """From all persons together, so that they share one frame."""
+    clips = [[common_joints(f) for f in clip] for clip in people]
+    positions = np.concatenate([np.stack([f.positions for f in clip]) for clip in clips])
+    states = np.concatenate([np.stack([f.state for f in clip]) for clip in clips])
+    if not np.isfinite(positions).any():
+        raise InputError("No sensor reports any joint in the whole recording; check that a person was tracked.")
+    found = register(positions, states, reference=0)
+    check_same_person(positions, found, names)
+    return found
+
+
+# ---- fusion and files ------------------------------------------------------------------------------------------
+
+
+def _fuse(
+    job: FuseJob,
+    clip: Sequence[SensorJoints],
+    registration: Registration,
+    checkpoint: Path,
+    key: Mapping[str, Any],
+    keep: bool,
+    tell: Callable[[int], None],
+) -> Fused:
+    """One person, with a checkpoint every few seconds and when interrupted; `keep` leaves one of the whole clip, for
+    the case that the job is interrupted at another person."""
+    settings = FusionSettings(method=job.method, diagnose=job.diagnose, seed=job.seed)
+    done = Checkpoint.load(checkpoint, key).arrays if job.resume and checkpoint.exists() else None
+    last, saved = None, time.monotonic()
+    tell(0 if done is None else int(done["frames"]))
+
+    def watch(so_far: ClipSoFar) -> None:
+        nonlocal last, saved
+        last = so_far
+        if len(so_far.frames) % 16 == 0:
+            tell(len(so_far.frames))
+            if time.monotonic() - saved > job.checkpoint_s:
+                _save(so_far, checkpoint, key)
+                saved = time.monotonic()
+
+    try:
+        fused = fuse_clip(clip, job.method, settings, registration, done=done, watch=watch)
+    except KeyboardInterrupt:
+        if last is not None:
+            _save(last, checkpoint, key)
+        raise
+    if keep and last is not None:
+        _save(last, checkpoint, key)
+    return fused
+
+
+def _save(so_far: ClipSoFar, checkpoint: Path, key: Mapping[str, Any]) -> None:
+    Checkpoint(len(so_far.frames), so_far.arrays(), {}, key).save(checkpoint)
+
+
+def _key(job: FuseJob, person: int) -> dict[str, Any]:
+    """What must be equal to go on with a checkpoint."""
+    settings = {
+        "method": job.method,
+        "rate": job.rate,
+        "reference": job.reference,
+        "diagnose": job.diagnose,
+        "person": person,
+    }
+    return identity(provenance(f"fusion-{job.method}", job.seed, settings, job.recording.inputs))
+
+
+def world_from_sensor(motion: Motion, up: str) -> Array:
+    """(4, 4) from the reference sensor's frame to the world: z up, y away from the sensor, the floor at z = 0 by the
+    lowest feet (2 % of the frames), below the sensor at x = y = 0."""
+    joints = motion.joints[:, [motion.skeleton.joint(n) for n in COMMON]]
+    person = upward(joints[~motion.lost] if (~motion.lost).any() else joints)
+    z = np.array([0.0, np.sign(person[1]) or -1.0, 0.0]) if up == "sensor" else person
+    away = np.array([0.0, 0.0, 1.0]) - z[2] * z
+    if np.linalg.norm(away) < 0.2:  # the sensor looks straight down
+        away = np.array([1.0, 0.0, 0.0]) - z[0] * z
+    y = away / np.linalg.norm(away)
+    rotation = np.stack([np.cross(y, z), y, z])
+    feet = joints[:, [COMMON.index("left_foot"), COMMON.index("right_foot")]] @ z
+    feet = feet[np.isfinite(feet)]
+    floor = float(np.percentile(feet, 2)) - _FOOT_HEIGHT_M if len(feet) else 0.0
+    return se3(rotation, np.array([0.0, 0.0, -floor]))
+
+
+def _write(job: FuseJob, fused: Fused, world: Array, folder: ResultsFolder, notes: Sequence[str]) -> PersonResult:
+    settings = {
+        "method": job.method,
+        "rate": fused.motion.frame_rate,
+        "reference": fused.sensor_names[fused.registration.reference],
+        "sensors": list(fused.sensor_names),
+        "up": job.up,
+        "world_from_reference": world,
+        "reference_from_sensor": fused.registration.common_from_sensor,
+        "notes": list(notes),
+    }
+    record = provenance(f"fusion-{job.method}", job.seed, settings, job.recording.inputs, job.run)
+    motion = replace(fused.motion, joints=transform(world, fused.motion.joints), provenance=_plain(record))
+    save_motion(motion, folder.motion)
+    files = [folder.motion, folder.write_json("provenance.json", record)]
+    path = folder.file("sensors.csv")
+    write_text(path, sensors_csv(fused))
+    return PersonResult(fused, motion, (*files, path))
+
+
+def _plain(value: Any) -> Any:
+    """Arrays as lists, so that the provenance is plain JSON values."""
+    if isinstance(value, Mapping):
+        return {k: _plain(v) for k, v in value.items()}
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def sensors_csv(fused: Fused) -> str:
+    """Which sensors carried which joint: a row per frame, a column joint:sensor with its share (0 to 1), and
+    swarm:joint:sensor with the swarm's choice when it ran as diagnosis."""
+    names = [f"{j}:{s}" for j in COMMON for s in fused.sensor_names]
+    header = ["time", *names]
+    table = [fused.motion.times[:, None], fused.shares.reshape(len(fused.shares), -1)]
+    if fused.choice is not None:
+        header += [f"swarm:{n}" for n in names]
+        table.append(fused.choice.reshape(len(fused.choice), -1))
+    rows = np.concatenate(table, 1)
+    lines = [",".join([f"{r[0]:.4f}", *(f"{v:.3f}" for v in r[1:])]) for r in rows.tolist()]
+    return "\n".join([",".join(header), *lines]) + "\n"

@@ -1,0 +1,351 @@
+"""What `hypose gesture` does: sessions, learning from recordings, watching for events, judging a model."""
+
+from __future__ import annotations
+
+import queue
+import sys
+import threading
+import time as clock
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from hypose.app.live.gesture_sources import Source, Taken
+from hypose.compute.depth_forests.forest_arrays import ScanPlan
+from hypose.errors import EvidenceError, InputError
+from hypose.gestures.depth_pictures import surface_depth
+from hypose.gestures.events import Event, EventSettings, EventState, step
+from hypose.gestures.forest import Forest, ForestSettings, GrowingForest
+from hypose.gestures.localise import Found, LocaliseSettings, Scratch, localise
+from hypose.gestures.model import GestureModel
+from hypose.gestures.offline import OfflineSettings, collect, train
+from hypose.gestures.online import Learner
+from hypose.gestures.pixels import LearnSettings
+from hypose.gestures.session import Command, Instruction, SessionSettings
+from hypose.gestures.trainer import Feedback, Trainer, half_way
+from hypose.pipeline.gesture_files import GestureRecording, SessionWriter, load_model
+from hypose.synthetic.gesture_metrics import average_precision
+
+Say = Callable[[str], None]
+KEYS: dict[str, Command] = {
+    "n": "next",
+    "u": "undo",
+    "p": "pause",
+    "c": "continue",
+    "a": "again",
+    "t": "test",
+}
+
+
+def typed_commands() -> Callable[[], list[Command]]:
+    """Commands typed as letters (n, u, p, c, a, t and Enter) since the last call; none when there is no terminal."""
+    lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+    if sys.stdin is not None and sys.stdin.isatty():
+
+        def listen() -> None:
+            for line in sys.stdin:
+                lines.put(line)
+
+        threading.Thread(target=listen, daemon=True).start()
+
+    def since() -> list[Command]:
+        out = []
+        while not lines.empty():
+            out += [KEYS[c] for c in lines.get().strip().lower() if c in KEYS]
+        return out
+
+    return since
+
+
+def new_learner(seed: int) -> Learner:
+    """A learner with the usual settings."""
+    return Learner.new(np.random.default_rng(seed), ForestSettings())
+
+
+def growing_model(path: Path, gesture: str) -> GestureModel:
+    """The model of a gesture, to go on teaching it; InputError when it is finished or another gesture's."""
+    model = load_model(path)
+    if model.learner is None:
+        raise InputError(f"{path} is a finished forest (trained offline); only a growing one can be resumed.")
+    if model.names != (gesture,):
+        raise InputError(f"{path} is of {', '.join(model.names)}, not of {gesture}; give the model of that gesture.")
+    return model
+
+
+def run_session(
+    source: Source,
+    gesture: str,
+    learner: Learner,
+    settings: SessionSettings,
+    *,
+    record: Path | None,
+    commands: Callable[[], list[Command]] = list,
+    say: Say,
+    model: GestureModel | None = None,
+) -> GestureModel:
+    """An interactive session until its test begins or the source ends; the model it leaves. Everything is recorded."""
+    trainer = Trainer(learner, settings)
+    counts = _follow(source, gesture, trainer, record=record, commands=commands, say=say, learn=True)
+    where = _range(learner.settings.look.plan)
+    if not counts.learned and (counts.asked or not learner.strength):  # who knows the gesture may learn what it is not
+        raise InputError(
+            f"Nothing was learned from {source.name}: {counts.asked} frames asked for the gesture, and none had depth "
+            f"{where} in the box; come nearer, and keep the gesture in the box."
+        )
+    if 2 * counts.learned < counts.asked:
+        say(f"Only {counts.learned} of {counts.asked} frames of the gesture had depth {where} in the box.")
+    entry = {"session": source.name, "frames_learned": counts.taught, "computing_s": round(counts.seconds, 3)}
+    history = (*(model.history if model is not None else ()), entry)
+    threshold = trainer.final_threshold()
+    return GestureModel((gesture,), trainer.learner.forest, (threshold,), LocaliseSettings(), trainer.learner, history)
+
+
+def record_session(
+    source: Source,
+    gesture: str,
+    settings: SessionSettings,
+    *,
+    record: Path,
+    commands: Callable[[], list[Command]] = list,
+    say: Say,
+) -> None:
+    """The same session with its prompts, recorded and not learned from."""
+    _follow(source, gesture, Trainer(new_learner(0), settings), record=record, commands=commands, say=say, learn=False)
+
+
+def _range(plan: ScanPlan) -> str:
+    return f"between {plan.near_mm / 1000:g} and {plan.far_mm / 1000:g} m"
+
+
+@dataclass(frozen=True)
+class _Counts:
+    """Frames: that asked for the gesture, that taught it, that taught anything; seconds of computing."""
+
+    asked: int
+    learned: int
+    taught: int
+    seconds: float
+
+
+def _follow(
+    source: Source,
+    gesture: str,
+    trainer: Trainer,
+    *,
+    record: Path | None,
+    commands: Callable[[], list[Command]],
+    say: Say,
+    learn: bool,
+) -> _Counts:
+    """Lead through a session until its test begins or the source ends."""
+    writer, rounds = None, trainer.settings.rounds
+    if record is not None:
+        writer = SessionWriter(record, [gesture], source.lens, source.size, {"rounds": rounds})
+    middle = (source.size[0] / 2, 0.45 * source.size[1])
+    shown, phase, asked, learned, taught, seconds = "", "do_gesture", 0, 0, 0, 0.0
+    try:
+        while trainer.session.phase != "test":
+            taken = source.take(phase)
+            if taken is None:
+                break
+            given, before = commands(), trainer.session
+            box, began = taken.box or middle, clock.perf_counter()
+            f = trainer.frame(taken.time, taken.depth, source.lens, box, given, learn=learn)
+            seconds += clock.perf_counter() - began
+            asked += f.instruction.learn == "gesture"
+            learned += f.instruction.learn == "gesture" and f.taught is not None
+            taught += f.taught is not None
+            phase = f.instruction.phase
+            if writer is not None:
+                _write(writer, taken, box, f.instruction)
+                for c in given:
+                    undone = trainer.session.undone[len(before.undone) :] if c == "undo" else ()
+                    writer.act(taken.time, c, str(undone[0]) if undone else "")
+            text = f"round {trainer.session.round + 1}/{rounds}: {f.instruction.prompt}"
+            if text != shown:
+                say(text + _detail(f))
+                shown = text
+    finally:
+        if writer is not None:
+            writer.close()
+        source.close()
+    return _Counts(asked, learned, taught, seconds)
+
+
+def _write(writer: SessionWriter, taken: Taken, box: tuple[float, float], asked: Instruction) -> None:
+    learning = asked.learn is not None
+    phase = asked.phase if learning or asked.phase not in ("positive", "negative") else "free"  # paused
+    writer.add(taken.time, taken.depth, phase, asked.segment, int(asked.learn == "gesture"), box)
+
+
+def in_cm2(threshold: float | None) -> str:
+    """A threshold to be read: three digits that count, because small gestures score less than 0.1 cm²."""
+    return "not known yet" if threshold is None else f"{threshold:.3g} cm²"
+
+
+def _detail(f: Feedback) -> str:
+    if f.instruction.phase == "test" or f.threshold is None:
+        return ""
+    return f" (threshold {in_cm2(f.threshold)})"
+
+
+def learn_recordings(
+    recordings: Sequence[GestureRecording], gesture: str, learner: Learner, passes: int, say: Say
+) -> GestureModel:
+    """A forest taught with recorded sessions in the order of time, as the live session would have."""
+    trainer, seen, asked, shown = Trainer(learner), 0, 0, 0
+    for k in range(passes):
+        for r in recordings:
+            number = r.number(gesture)
+            for f in r.learned():
+                shows = f.phase == "positive" and f.gesture == number
+                kind = "gesture" if shows else "negative"
+                taught = trainer.learn(kind, r.picture(f), r.lens, (f.x, f.y)) is not None
+                seen, asked, shown = seen + taught, asked + shows, shown + (taught and shows)
+        say(f"pass {k + 1} of {passes}: {seen} frames learned")
+    if not shown and (asked or not learner.strength):
+        raise InputError(_NOTHING.format(gesture=gesture, where=_range(learner.settings.look.plan)))
+    history = tuple({"recording": r.folder.name, "passes": passes} for r in recordings)
+    threshold = trainer.final_threshold()
+    return GestureModel((gesture,), learner.forest, (threshold,), LocaliseSettings(), learner, history)
+
+
+_NOTHING = (
+    "The recordings hold no frame of {gesture!r} with depth {where} at the marked place; record a session of it with "
+    "`hypose gesture record`."
+)
+
+
+def learn_offline(recordings: Sequence[GestureRecording], gesture: str, seed: int) -> GestureModel:
+    """Boosted trees from all frames at once. The threshold is found on the frames they were trained with, hence on the
+    high side for others."""
+    rng = np.random.default_rng(seed)
+    every = [e for r in recordings for e in r.examples(gesture)]
+    pool = collect(every, rng, positives=20, negatives=20)
+    if not pool.labels.any():
+        raise InputError(_NOTHING.format(gesture=gesture, where=_range(LearnSettings().look.plan)))
+    forest = train(pool, rng, OfflineSettings())
+    scores: tuple[list[float], list[float]] = ([], [])
+    for e in every:
+        scores[e.gesture].append(localise(e.depth, e.lens, [forest])[0].score)
+    history = tuple({"recording": r.folder.name, "learning": "offline boosted"} for r in recordings)
+    threshold = half_way(scores[1], scores[0])
+    return GestureModel((gesture,), forest, (threshold,), LocaliseSettings(), None, history)
+
+
+@dataclass(frozen=True)
+class Watched:
+    """A frame that was looked at: time (s), what was found, and the events in it."""
+
+    time: float
+    found: list[Found]
+    events: list[Event]
+
+
+EMPTY = 30
+"""Frames in a row without usable depth after which it is said that there is nothing to see."""
+
+
+def watch(
+    source: Source,
+    models: Sequence[GestureModel],
+    settings: LocaliseSettings,
+    limits: Sequence[EventSettings],
+    say: Say = lambda text: None,
+) -> Iterator[Watched]:
+    """Look for the gestures of all models in every frame of a source; say: takes a sentence when nothing is near. An
+    EvidenceError at the end of a source in which nothing ever was."""
+    forests, plan, empty, near = finished(models), settings.plan, 0, False
+    scratch, state = Scratch(), EventState()
+    try:
+        while (taken := source.take("free")) is not None:
+            some = taken.depth[::8, ::8]
+            empty = 0 if ((some >= plan.near_mm) & (some <= plan.far_mm)).any() else empty + 1
+            near = near or not empty
+            if empty == EMPTY:
+                say(f"{source.name}: {EMPTY} frames have no depth {_range(plan)}, where gestures are looked for.")
+            found = localise(taken.depth, source.lens, forests, settings, scratch)
+            state, events = step(state, found, taken.time, limits)
+            yield Watched(taken.time, found, events)
+        if not near:
+            raise EvidenceError(
+                f"{source.name}: no frame has depth {_range(plan)}, where gestures are looked for; come nearer, or see "
+                "whether its depth is in millimetres."
+            )
+    finally:
+        source.close()
+
+
+def finished(models: Sequence[GestureModel]) -> list[Forest]:
+    """The models' forests; InputError when they cannot look together."""
+    if len(models) > 1 and any(len(m.names) > 1 for m in models):
+        raise InputError("A model of several gestures is used alone; give one model per gesture, or that one.")
+    names = [n for m in models for n in m.names]
+    if len(set(names)) < len(names):
+        raise InputError(f"Two models are for the same gesture ({', '.join(names)}); give one of each.")
+    return [m.forest.freeze() if isinstance(m.forest, GrowingForest) else m.forest for m in models]
+
+
+def looking(models: Sequence[GestureModel], memory: float = 1.0) -> LocaliseSettings:
+    """How the models look, with a share of the new frame in the density; InputError when they look differently."""
+    settings = replace(models[0].settings, memory=memory)
+    if any(replace(m.settings, memory=memory) != settings for m in models):
+        names = ", ".join(n for m in models for n in m.names)
+        raise InputError(f"The models of {names} were made to look differently; run them one by one.")
+    return settings
+
+
+def thresholds(models: Sequence[GestureModel], given: float | None) -> list[float]:
+    """Of every gesture; InputError names the gesture that has none."""
+    out = []
+    for m in models:
+        for name, t in zip(m.names, m.thresholds, strict=True):
+            value = given if given is not None else t
+            if value is None or value <= 0:
+                raise InputError(
+                    f"The model of {name!r} has no threshold yet: its session ended before gesture and movement were "
+                    "seen; train on, or give --threshold."
+                )
+            out.append(float(value))
+    return out
+
+
+def evaluate(model: GestureModel, recording: GestureRecording) -> dict[str, float]:
+    """AP at 10 px and 5 cm, hits at the threshold, false alarms, over the labelled frames of a recording."""
+    name = model.names[0]
+    if len(model.names) > 1:
+        raise InputError("A model of several gestures cannot be judged here; give a model of one gesture.")
+    number, forest = recording.number(name), finished([model])[0]
+    scratch, plan = Scratch(), model.settings.plan
+    scores, px, metres, measured = [], [], [], 0
+    for f in recording.learned():
+        depth = recording.picture(f)
+        found = localise(depth, recording.lens, [forest], model.settings, scratch)[0]
+        shown = f.phase == "positive" and f.gesture == number
+        error = float(np.hypot(found.x - f.x, found.y - f.y)) if shown else np.inf
+        surface = surface_depth(depth, f.x, f.y) if shown else None
+        measured += surface is not None and plan.near_mm <= surface <= plan.far_mm
+        z = found.position[2] if found.position is not None else np.inf
+        scores.append(found.score)
+        px.append(error)
+        metres.append(error * z / recording.lens.fx if shown else np.inf)
+    if not scores:
+        raise InputError(f"{recording.folder} has no labelled frames; record a session with prompts.")
+    s, e, m = np.array(scores), np.array(px), np.array(metres)
+    shown = np.isfinite(e)
+    if shown.any() and not measured:
+        raise InputError(_NOTHING.format(gesture=name, where=_range(plan)))
+    out = {
+        "frames": float(len(s)),
+        "positives": float(shown.sum()),
+        "ap_10px": average_precision(s, e <= 10, int(shown.sum())),
+        "ap_5cm": average_precision(s, m <= 0.05, int(shown.sum())),
+    }
+    t = model.thresholds[0]
+    if t is not None:
+        out["threshold_cm2"] = t
+        out["found_share"] = float(((s >= t) & (m <= 0.05))[shown].mean()) if shown.any() else 0.0
+        out["false_share"] = float((s >= t)[~shown].mean()) if (~shown).any() else 0.0
+    return out

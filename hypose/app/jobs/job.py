@@ -1,0 +1,284 @@
+"""A tracking job: what `hypose track` and `hypose demo` do with one recording, from videos to the report.
+
+Each step writes its files before the next begins, so that whatever ends the job early leaves all earlier work.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from hypose import compute
+from hypose.app.commands.console import ProgressCall, ignore
+from hypose.app.jobs.truth import Truth
+from hypose.app.reports.result_pictures import Image
+from hypose.app.reports.summary import DESCRIPTIONS
+from hypose.body.body import Body
+from hypose.body.motion import Motion
+from hypose.errors import InputError
+from hypose.io.motions.bodies import load_body, save_body
+from hypose.io.motions.export import FORMATS, export_motion
+from hypose.io.motions.results import ResultsFolder, check_writable, load_motion, to_json
+from hypose.io.recordings.frames import FrameOptions, FrameStream
+from hypose.io.recordings.provenance import identity, provenance
+from hypose.io.recordings.recording import Recording
+from hypose.pipeline.chunked import FOLDER as CHUNKS
+from hypose.pipeline.chunked import ChunkRun
+from hypose.pipeline.first_frame import SubjectOptions
+from hypose.pipeline.kept_findings import kept_backgrounds
+from hypose.pipeline.monocular import MonoOptions
+from hypose.pipeline.run import TrackOptions, TrackResult, track_source
+from hypose.pipeline.subject_from_motion import load_subject, subject_file
+from hypose.tracking.recipes import RECIPES, citation_of
+
+
+@dataclass(frozen=True)
+class Job:
+    """recording: its frame_range is what is tracked. results: where files go. formats: of hypose.io.motions.export.
+    overlay: write overlay.mp4. resume: go on from a checkpoint, or fill in what is missing of a complete run. threads:
+    for the record only. truth: compares the motion with a known truth, for synthetic recordings. chunk_s: track in
+    overlapping chunks of about so many seconds and join them; what is kept of them in `results` is used."""
+
+    recording: Recording
+    options: TrackOptions | MonoOptions
+    results: ResultsFolder
+    formats: Sequence[str] = tuple(FORMATS)
+    overlay: bool = True
+    resume: bool = False
+    run: Mapping[str, Any] = field(default_factory=dict)
+    truth: Callable[[Motion, Body], Truth] | None = None
+    chunk_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came out. files: written paths in order; notes: for the user; truth: the comparison, if there was one."""
+
+    motion: Motion
+    body: Body
+    complete: bool
+    files: tuple[Path, ...]
+    notes: tuple[str, ...]
+    truth: Truth | None = None
+
+
+def choose_frames(recording: Recording, text: str | None) -> Recording:
+    """The recording limited to frames "A:B" (B is the one after the last; either may be left out)."""
+    if text is None:
+        return recording
+    first, colon, stop = text.partition(":")
+    try:
+        if not colon:
+            raise ValueError
+        a, b = int(first or 0), int(stop or recording.n_frames)
+    except ValueError:
+        raise InputError(f"--frames {text} is no range; write first:stop, for example 0:100.") from None
+    if not 0 <= a < b <= recording.n_frames:
+        raise InputError(
+            f"--frames {text} lies outside the recording, which has the frames 0 to {recording.n_frames - 1}; give the "
+            f"first frame and the one after the last, at most 0:{recording.n_frames}."
+        )
+    return replace(recording, frame_range=(a, b))
+
+
+def check_views(recording: Recording) -> None:
+    """An InputError for a recording of one camera, which the methods for several can do nothing with."""
+    if len(recording.views) == 1:
+        name = recording.views[0].name
+        raise InputError(
+            f"{recording.name} has one camera, {name}, and this needs two or more; track one with --method monocular "
+            f"--camera {name}, or add the others as [[view]] in recording.toml."
+        )
+
+
+def run_multiview_job(
+    job: Job, options: TrackOptions, progress: ProgressCall = ignore, seconds: Mapping[str, float] | None = None
+) -> Outcome:
+    """Track, export, draw and report. seconds: filled by the progress while this runs, read for the report.
+
+    KeyboardInterrupt while tracking gives an Outcome with complete=False (checkpoint and partial motion are on disk);
+    in any other stage it is passed on.
+    """
+    recording, results = job.recording, job.results
+    check_views(recording)
+    _check_choices(job, options)
+    check_writable(results.path)
+    record = record_of(job)
+    progress("compile", 0, 1)
+    compute.warm_up()
+    progress("compile", 1, 1)
+    finished = finished_before(job, record) if job.resume else None
+    progress("background", 0, 1)
+    with open_frames(job, record) as source:
+        progress("background", 1, 1)
+        if finished is None:
+            tracked = _track(job, options, source, record, progress)
+            save_body(tracked.body, results.file("body.npz"))
+            results.write_json("provenance.json", tracked.motion.provenance)
+        else:
+            tracked = finished
+        notes = (*recording.notes, *source.notes, *tracked.notes)
+        files = [results.motion, results.file("body.npz"), results.file("provenance.json")]
+        truth = job.truth(tracked.motion, tracked.body) if job.truth is not None else None
+        if not tracked.complete:
+            return Outcome(tracked.motion, tracked.body, False, tuple(files), notes, truth)
+        files += export_all(job, tracked.motion, tracked.body, progress)
+        files += _draw(job, options, tracked, source, notes, truth, files, progress, seconds or {})
+    remove_stale(results, files)
+    shutil.rmtree(results.path / CHUNKS, ignore_errors=True)  # of a run that was killed when they were joined
+    return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth)
+
+
+def open_frames(job: Job, record: Mapping[str, Any]) -> FrameStream:
+    """The frames of a job's recording; with the backgrounds that its chunks have kept."""
+    # key points alone need no image, so nothing is decoded
+    evidence = FrameOptions(silhouettes=None) if job.options.evidence == "keypoints" else None
+    kept = kept_backgrounds(backgrounds_file(job), identity(record)) if job.chunk_s is not None else None
+    return FrameStream(job.recording, evidence, kept)
+
+
+def backgrounds_file(job: Job) -> Path:
+    """Where the backgrounds are kept for all chunks."""
+    return job.results.path / CHUNKS / "backgrounds.npz"
+
+
+def _track(
+    job: Job, options: TrackOptions, source: FrameStream, record: Mapping[str, Any], progress: ProgressCall
+) -> TrackResult:
+    if job.chunk_s is not None:
+        return chunk_run(job, options, source, record, job.chunk_s).whole(progress)
+    return track_source(
+        source,
+        job.recording.frame_rate,
+        options,
+        body=load_subject(options.subject) if options.subject is not None else None,
+        results=job.results,
+        record=record,
+        resume=job.resume,
+        progress=progress,
+    )
+
+
+def chunk_run(
+    job: Job, options: TrackOptions, source: FrameStream, record: Mapping[str, Any], chunk_s: float
+) -> ChunkRun:
+    """A job in chunks."""
+    body = load_subject(options.subject) if options.subject is not None else None
+    return ChunkRun(source, job.recording.frame_rate, options, chunk_s, job.results, record, body)
+
+
+def _check_choices(job: Job, options: TrackOptions) -> None:
+    """Refuse now what would be refused only after minutes of work."""
+    check_formats(job.formats)
+    if options.recipe not in RECIPES:
+        raise InputError(f"There is no recipe {options.recipe!r}; the recipes are {', '.join(RECIPES)}.")
+    SubjectOptions(options.start)
+    if options.subject is not None:
+        load_subject(options.subject)
+    if options.height is not None and not 0.4 <= options.height <= 2.8:
+        raise InputError(f"A height of {options.height:g} m is implausible; give it in metres (0.4 to 2.8).")
+    if options.evidence == "keypoints" and job.recording.keypoint_set is None:
+        raise InputError(
+            "The evidence 'keypoints' needs key points, and this recording has none; add keypoints = ... to the views "
+            "in recording.toml, or use silhouettes."
+        )
+
+
+def check_formats(names: Sequence[str]) -> None:
+    """An InputError when there is no such motion format."""
+    unknown = [f for f in names if f not in FORMATS]
+    if unknown:
+        raise InputError(f"There is no export format {unknown[0]!r}; the formats are {', '.join(FORMATS)}.")
+
+
+def record_of(job: Job) -> dict[str, Any]:
+    """The provenance: everything that decides the result, and the run."""
+    recording, options = job.recording, job.options
+    frames = recording.frames
+    settings = {
+        **options.settings(),
+        "frames": [frames.start, frames.stop],
+        "frame_rate": recording.frame_rate,
+        "views": [v.name for v in recording.views],
+    }
+    if job.chunk_s is not None:
+        settings["chunk_s"] = job.chunk_s
+    inputs = dict(recording.inputs)
+    toml = recording.folder / "recording.toml"
+    if toml.is_file():
+        inputs["recording"] = toml
+    if options.subject is not None:
+        inputs["subject"] = subject_file(options.subject)
+    return provenance(options.recipe, options.seed, settings, inputs, job.run)
+
+
+def finished_before(job: Job, record: Mapping[str, Any]) -> TrackResult | None:
+    """The complete motion of an earlier run with the same inputs and settings, when only later files may be missing."""
+    results = job.results
+    body = results.file("body.npz")
+    if results.checkpoint.exists() or not results.motion.exists() or not body.exists():
+        return None
+    motion = load_motion(results.motion)
+    if to_json(identity(motion.provenance)) != to_json(identity(record)) or len(motion) != len(job.recording.frames):
+        return None
+    return TrackResult(motion, load_body(body), True, ("tracked in an earlier run with the same inputs and settings",))
+
+
+def export_all(job: Job, motion: Motion, body: Body, progress: ProgressCall) -> list[Path]:
+    """The motion in all the formats that are wanted."""
+    written: list[Path] = []
+    for done, name in enumerate(job.formats):
+        progress("export", done, len(job.formats))
+        written += export_motion(motion, body, job.results.path, (name,))
+    progress("export", len(job.formats), len(job.formats))
+    return written
+
+
+def _draw(
+    job: Job,
+    options: TrackOptions,
+    tracked: TrackResult,
+    source: FrameStream,
+    notes: Sequence[str],
+    truth: Truth | None,
+    files: Sequence[Path],
+    progress: ProgressCall,
+    seconds: Mapping[str, float],
+) -> list[Path]:
+    """Overlay and report."""
+    from hypose.app.reports.drawing import draw
+    from hypose.app.reports.overlay import write_overlay
+    from hypose.app.reports.report import ReportInput
+
+    recording, motion, body = job.recording, tracked.motion, tracked.body
+    about = ReportInput(
+        title=recording.name,
+        motion=motion,
+        body=body,
+        rig=recording.rig,
+        notes=notes,
+        citation=citation_of(options.recipe, options.refine),
+        seconds=dict(seconds),
+        truth=truth,
+        complete=tracked.complete,
+        recording=recording,
+        first_frame=recording.frames.start,
+    )
+
+    def overlay(path: Path, rows: Sequence[int]) -> Mapping[int, Image]:
+        return write_overlay(path, recording, source, motion, body, stills=rows, video=job.overlay, progress=progress)
+
+    return draw(job.results, about, overlay, files, video=job.overlay, progress=progress)
+
+
+def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:
+    """Files of an earlier run that this one did not write again would pass for results of this one."""
+    keep = {p.name for p in written}
+    for name in DESCRIPTIONS:
+        if name not in keep:
+            with contextlib.suppress(OSError):
+                results.file(name).unlink(missing_ok=True)

@@ -1,0 +1,1 @@
+"""Skeletons and gestures while they happen: sockets in and out."""

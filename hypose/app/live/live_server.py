@@ -1,0 +1,472 @@
+"""The live server: skeletons in by UDP and WebSocket, fused skeletons out by WebSocket and OSC (docs/live.md).
+
+Everything runs in one thread: a line that arrives is parsed and pushed, a timer asks for the frames that are due. What
+comes from outside is bounded: bytes and lines per second, sensors, persons, clients, and what waits for a slow client.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import ipaddress
+import json
+import math
+import re
+import secrets
+import signal
+import socket
+import sys
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from http import HTTPStatus
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.datastructures import MultipleValuesError
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from hypose.app.live.door import Door, fold_logs, same_secret, shows_secret
+from hypose.app.live.osc import double, osc_bundles, osc_message
+from hypose.errors import InputError
+from hypose.fusion.joints import COMMON
+from hypose.fusion.live import LiveFrame, LiveFuser, LiveSettings
+from hypose.geometry import Array
+from hypose.io.sensors.skeleton_folder import FolderWriter
+from hypose.io.sensors.skeleton_lines import MAX_SKELETON_LINE, parse_line
+
+Say = Callable[[str], None]
+_LOCAL = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d{1,5})?")
+_TOKEN = re.compile(r"[A-Za-z0-9_.-]{8,128}")
+_COMPLAINT_S = 5.0
+_STATUS_S = 1.0
+_REPORT_S = 10.0
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """host: address to listen on; udp, ws: ports (0 = any free one, None = none); osc: HOST:PORT or None; token: what
+    senders and listeners must show (made when the host is not this computer alone); record: a new folder; lines_per_s,
+    burst: what is taken from outside; clients: WebSocket connections; waiting: messages kept for a slow
+    listener."""
+
+    host: str = "127.0.0.1"
+    udp: int | None = 9870
+    ws: int | None = 9871
+    osc: str | None = None
+    token: str | None = None
+    record: Path | None = None
+    settings: LiveSettings = field(default_factory=LiveSettings)
+    lines_per_s: float = 5000.0
+    burst: float = 2000.0
+    clients: int = 32
+    waiting: int = 32
+
+    def __post_init__(self) -> None:
+        for name, port in (("--udp", self.udp), ("--ws", self.ws)):
+            if port is not None and not 0 <= port <= 65535:
+                raise InputError(f"{name} {port} is no port; give 1 to 65535.")
+        if self.token is not None and not _TOKEN.fullmatch(self.token):
+            raise InputError("A token must have 8 to 128 letters, digits, _ . and -; leave it out to have one made.")
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address is reached from this computer only."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+class LiveServer:
+    """`start`, then it runs in the loop until `stop`. Counters tell what happened.
+
+    clock: monotonic seconds of this computer; without one, those of the event loop.
+    """
+
+    def __init__(
+        self, options: LiveOptions, note: Say = lambda text: None, clock: Callable[[], float] | None = None
+    ) -> None:
+        self.options = options
+        self.token = options.token or ("" if is_loopback(options.host) else secrets.token_urlsafe(16))
+        self.fuser = LiveFuser(options.settings)
+        self.received = self.used = self.ignored = self.frames = self.dropped = 0
+        self.latencies: deque[float] = deque(maxlen=3000)
+        self.people = 0
+        self.udp_port = self.ws_port = 0
+        self._note, self.clock = note, clock
+        self._complained, self._silent = -math.inf, 0
+        self._allowance, self._refilled = options.burst, -math.inf
+        self._writer = FolderWriter(options.record) if options.record is not None else None
+        self.unrecorded = ""  # why there is no whole recording, when one was wanted
+        self._timer: asyncio.TimerHandle | None = None
+        self._datagrams: asyncio.DatagramTransport | None = None
+        self._server: Server | None = None
+        self._outs: set[asyncio.Queue[str]] = set()
+        self._connections = 0
+        self._door = Door()
+        self._osc: tuple[socket.socket, Any] | None = None
+        self._status_at = 0.0
+
+    def now(self) -> float:
+        """Seconds of the clock that reports and frames are timed by."""
+        return self.clock() if self.clock is not None else asyncio.get_running_loop().time()
+
+    # ---- life ----
+
+    async def start(self) -> None:
+        """Open the ports; an InputError when one is taken."""
+        o, loop = self.options, asyncio.get_running_loop()
+        fold_logs()
+        if o.osc is not None:
+            self._osc = _osc_target(o.osc)
+        try:
+            if o.udp is not None:
+                transport, _ = await loop.create_datagram_endpoint(lambda: _Datagrams(self), local_addr=(o.host, o.udp))
+                self._datagrams = transport
+                with contextlib.suppress(OSError):
+                    transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+                self.udp_port = transport.get_extra_info("sockname")[1]
+            if o.ws is not None:
+                self._server = await serve(
+                    self._client,
+                    o.host,
+                    o.ws,
+                    process_request=self._admit,
+                    create_connection=self._door.letting_in(ServerConnection),  # type: ignore[arg-type] - as any factory
+                    backlog=self._door.backlog,
+                    # a web page of somebody else must not talk to this port behind the user's back
+                    origins=None if self.token else [None, _LOCAL],
+                    compression=None,
+                    max_size=1 << 16,
+                    max_queue=16,
+                    open_timeout=5,
+                    close_timeout=1,
+                )
+                self.ws_port = next(iter(self._server.sockets)).getsockname()[1]
+        except (OSError, OverflowError) as error:
+            await self.stop()
+            reason = getattr(error, "strerror", None) or str(error)
+            raise InputError(
+                f"The ports {o.udp} (UDP) and {o.ws} (WebSocket) on {o.host} cannot be opened ({reason.lower()}); "
+                "choose others with --udp and --ws."
+            ) from None
+
+    async def stop(self) -> None:
+        """Close everything; the recording is complete afterwards."""
+        if self._timer is not None:
+            self._timer.cancel()
+        if self._datagrams is not None:
+            self._datagrams.close()
+        if self._server is not None:
+            self._server.close()
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._server.wait_closed(), 3)
+        if self._osc is not None:
+            self._osc[0].close()
+        self._record(lambda writer: writer.close())
+        self._writer = None
+
+    # ---- in ----
+
+    def take(self, data: bytes | str) -> str | None:
+        """One line from outside; the reason when it is ignored."""
+        now = self.now()
+        self.received += 1
+        if self.token and not self._may_hold_token(data):  # costs next to nothing, so strangers use up no allowance
+            return self._ignore("the token is missing or wrong", now)
+        if not self._allowed(now):
+            return self._ignore("more lines arrive than are taken", now)
+        try:
+            if len(data) > MAX_SKELETON_LINE:
+                return self._ignore(f"a line has more than {MAX_SKELETON_LINE} bytes", now)
+            line = parse_line(data)
+            if self.token and not same_secret(line.token, self.token):
+                return self._ignore("the token is missing or wrong", now)
+            fresh = self.fuser.push(
+                line.sensor, line.time, line.person, line.joint_names, line.positions, line.state, now
+            )
+        except InputError as error:
+            return self._ignore(str(error).rstrip("."), now)
+        self.used += fresh
+        self._record(lambda w: w.add(line.sensor, line.time, line.person, line.joint_names, line.positions, line.state))
+        self.tick()
+        return None
+
+    def _record(self, write: Callable[[FolderWriter], None]) -> None:
+        """Do something with the recording, if there is one; its failure ends it."""
+        if self._writer is None:
+            return
+        try:
+            write(self._writer)
+        except InputError as error:
+            self.unrecorded, self._writer = str(error), None
+            self._note(f"Recording stops: {error}")
+
+    def _may_hold_token(self, data: bytes | str) -> bool:
+        return self.token in data if isinstance(data, str) else self.token.encode() in data
+
+    def _allowed(self, now: float) -> bool:
+        o = self.options
+        if self._refilled > -math.inf:
+            self._allowance = min(o.burst, self._allowance + (now - self._refilled) * o.lines_per_s)
+        self._refilled = now
+        if self._allowance < 1:
+            return False
+        self._allowance -= 1
+        return True
+
+    def _ignore(self, reason: str, now: float) -> str:
+        self.ignored += 1
+        self._silent += 1
+        if now - self._complained >= _COMPLAINT_S:
+            more = f" ({self._silent} lines ignored)" if self._silent > 1 else ""
+            self._note(f"Ignored: {_printable(reason)}{more}")
+            self._complained, self._silent = now, 0
+        return reason
+
+    # ---- out ----
+
+    def tick(self) -> None:
+        """Send the frames that are ready, and come back when the next one is due."""
+        for frame in self.fuser.poll(self.now()):
+            self._send(frame, self.now())
+        if self._timer is not None:
+            self._timer.cancel()
+        due, now = self.fuser.due(), self.now()
+        loop = asyncio.get_running_loop()
+        self._timer = loop.call_later(max(0.0, due - now), self.tick) if due < math.inf else None
+        if now - self._status_at >= _STATUS_S:
+            self._status_at = now
+            if self._outs:
+                self._post(self._status(now))
+            self._record(lambda writer: writer.flush())
+
+    def _send(self, frame: LiveFrame, now: float) -> None:
+        latency = now - frame.time
+        self.frames += 1
+        self.latencies.append(latency)
+        self.people = len(frame.people)
+        if self._outs:
+            self._post(frame_json(frame, latency))
+        if self._osc is not None:
+            send, target = self._osc
+            for bundle in osc_bundles(frame_osc(frame, latency)):
+                with contextlib.suppress(OSError):  # nobody listens, or the buffer is full: the next frame counts
+                    send.sendto(bundle, target)
+
+    def listen(self, queue: asyncio.Queue[str]) -> None:
+        """From now on the queue gets every message, as text; when it is full, the newest take the oldest's places."""
+        self._outs.add(queue)
+
+    def unlisten(self, queue: asyncio.Queue[str]) -> None:
+        """No more of it."""
+        self._outs.discard(queue)
+
+    def _post(self, text: str) -> None:
+        for queue in self._outs:
+            if queue.full():  # a slow listener gets the newest
+                queue.get_nowait()
+                self.dropped += 1
+            queue.put_nowait(text)
+
+    def _status(self, now: float) -> str:
+        residuals = self.fuser.people.residuals
+        sensors = [
+            {
+                "name": s.name,
+                "alive": s.alive,
+                "rate": round(s.rate, 1),
+                "offset": _number(s.offset),
+                "jumps": s.jumps,
+                "returns": s.returns,
+                "used": s.used,
+                "refused": s.refused,
+                "registered": s.name in residuals,
+                "residual": _number(residuals.get(s.name, math.nan)),
+            }
+            for s in self.fuser.status(now)
+        ]
+        counts = {"received": self.received, "ignored": self.ignored, "frames": self.frames, "dropped": self.dropped}
+        return json.dumps({"type": "status", "sensors": sensors, **counts}, separators=(",", ":"))
+
+    # ---- WebSocket ----
+
+    def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
+        path, _, query = request.path.partition("?")
+        if path not in ("/in", "/out"):
+            return connection.respond(HTTPStatus.NOT_FOUND, "the paths are /in and /out\n")
+        if self._connections >= self.options.clients:
+            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections\n")
+        try:
+            bearer = request.headers.get("Authorization", "")
+        except MultipleValuesError:
+            return connection.respond(HTTPStatus.BAD_REQUEST, "more than one Authorization\n")
+        if self.token and not shows_secret(query, bearer, self.token):
+            return connection.respond(HTTPStatus.UNAUTHORIZED, "the token is missing or wrong\n")
+        return None
+
+    async def _client(self, connection: ServerConnection) -> None:
+        self._connections += 1
+        try:
+            path = connection.request.path.partition("?")[0] if connection.request is not None else ""
+            with self._door.answering(connection.remote_address, True):
+                await (self._listen(connection) if path == "/in" else self._serve(connection))
+        except ConnectionClosed:
+            pass
+        finally:
+            self._connections -= 1
+
+    async def _listen(self, connection: ServerConnection) -> None:
+        told = -math.inf
+        loop = asyncio.get_running_loop()
+        async for message in connection:
+            reasons = [r for ln in message.splitlines() if ln.strip() and (r := self.take(ln))]  # type: ignore[arg-type]
+            if reasons and loop.time() - told > 1:
+                told = loop.time()
+                await connection.send(json.dumps({"type": "error", "reason": reasons[0], "lines": len(reasons)}))
+
+    async def _serve(self, connection: ServerConnection) -> None:
+        queue: asyncio.Queue[str] = asyncio.Queue(maxsize=self.options.waiting)
+        hello = {"type": "hello", "version": 1, "joints": COMMON, "rate": self.options.settings.align.rate}
+        queue.put_nowait(json.dumps(hello))
+        self.listen(queue)  # who has the hello misses no frame from then on
+        reading = asyncio.ensure_future(_drain(connection))
+        try:
+            while not reading.done():
+                waiting = asyncio.ensure_future(queue.get())
+                done, _ = await asyncio.wait({waiting, reading}, return_when=asyncio.FIRST_COMPLETED)
+                if waiting not in done:
+                    waiting.cancel()
+                    break
+                await connection.send(waiting.result())
+        finally:
+            self.unlisten(queue)
+            reading.cancel()
+
+
+class _Datagrams(asyncio.DatagramProtocol):
+    def __init__(self, server: LiveServer) -> None:
+        self._server = server
+
+    def datagram_received(self, data: bytes, addr: Any) -> None:
+        for line in data.split(b"\n", 64)[:64]:
+            if line.strip():
+                self._server.take(line)
+
+    def error_received(self, exc: Exception) -> None:
+        """Somebody else's port was closed; nothing to do."""
+
+
+async def _drain(connection: ServerConnection) -> None:
+    """Listeners have nothing to say; reading notices when they leave."""
+    with contextlib.suppress(ConnectionClosed):
+        async for _ in connection:
+            pass
+
+
+def frame_json(frame: LiveFrame, latency: float) -> str:
+    """One frame as a line of JSON: joints (15) [x, y, z] m in the order of the hello message, sd (15) m."""
+    people = [
+        {
+            "id": p.id,
+            "seen": p.seen,
+            "sensors": p.sensors,
+            "joints": _rounded(p.joints),
+            "sd": _rounded(p.sd),
+        }
+        for p in frame.people
+    ]
+    head = {"type": "frame", "n": frame.index, "time": round(frame.time, 6), "latency_ms": round(1000 * latency, 3)}
+    return json.dumps({**head, "people": people}, separators=(",", ":"))
+
+
+def frame_osc(frame: LiveFrame, latency: float) -> list[bytes]:
+    """/hypose/frame n time latency_ms people, then /hypose/person/ID/JOINT x y z sd."""
+    head = osc_message(
+        "/hypose/frame", frame.index & 0x7FFFFFFF, double(frame.time), 1000.0 * latency, len(frame.people)
+    )
+    out = [head]
+    for p in frame.people:
+        for name, xyz, sd in zip(COMMON, p.joints.tolist(), p.sd.tolist(), strict=True):
+            out.append(osc_message(f"/hypose/person/{p.id}/{name}", *xyz, sd))
+    return out
+
+
+def _rounded(values: Array) -> Any:
+    """Nested lists of values to 0.01 mm, null where they are not known."""
+    if np.isfinite(values).all():
+        return values.round(5).tolist()
+    return [[_number(x) for x in v] if isinstance(v, list) else _number(v) for v in values.tolist()]
+
+
+def _number(x: float) -> float | None:
+    return round(x, 5) if math.isfinite(x) else None
+
+
+def _printable(text: str) -> str:
+    return "".join(c if c.isprintable() else "?" for c in text)[:200]
+
+
+def _osc_target(text: str) -> tuple[socket.socket, Any]:
+    host, colon, port = text.rpartition(":")
+    try:
+        if not colon or not 1 <= int(port) <= 65535:
+            raise ValueError
+        found = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_DGRAM)[0]
+    except (ValueError, OSError):
+        raise InputError(f"--osc {text} cannot be reached; give HOST:PORT, for example 127.0.0.1:9000.") from None
+    out = socket.socket(found[0], socket.SOCK_DGRAM)
+    out.setblocking(False)
+    return out, found[4]
+
+
+async def run_live(options: LiveOptions, say: Say, note: Say) -> None:
+    """Serve until Ctrl-C or SIGTERM, telling now and then how it goes."""
+    server = LiveServer(options, note)
+    await server.start()
+    ended = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    if sys.platform != "win32":
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, ended.set)
+    host = f"[{options.host}]" if ":" in options.host else options.host
+    if options.udp is not None:
+        say(f"Skeletons in:  udp {host}:{server.udp_port}")
+    if options.ws is not None:
+        say(f"Skeletons in:  ws://{host}:{server.ws_port}/in")
+        say(f"Fused out:     ws://{host}:{server.ws_port}/out")
+    if options.osc is not None:
+        say(f"Fused out:     osc {options.osc}")
+    if server.token:
+        say(f"Token:         {server.token}")
+    say("Stop with Ctrl-C.")
+    gc.collect()
+    gc.freeze()  # what is loaded now stays: a collection that walks it makes a frame late
+    try:
+        while not ended.is_set():
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(ended.wait(), _REPORT_S)
+            if server.frames:
+                note(_summary(server))
+    finally:
+        await server.stop()
+        if server.frames:
+            say(f"{server.frames} frames sent. {_summary(server)}")
+        if options.record is not None and not server.unrecorded:
+            say(f"Recorded: {options.record}")
+    if server.unrecorded:
+        raise InputError(server.unrecorded)
+
+
+def _summary(server: LiveServer) -> str:
+    ordered = sorted(server.latencies)
+    p99 = 1000 * ordered[min(len(ordered) - 1, int(0.99 * len(ordered)))]
+    alive = sum(s.alive for s in server.fuser.status(server.now()))
+    return f"{alive} sensors, {server.people} persons, latency p99 {p99:.1f} ms, {server.ignored} lines ignored."

@@ -1,0 +1,107 @@
+"""overlay.mp4: what was filmed and what was found in one picture, frame by frame; and stills of it for the report."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+
+from hypose.app.commands.console import ProgressCall, ignore
+from hypose.app.reports.result_pictures import Drawing, Image, draw_all, draw_close_ups, layout, open_images
+from hypose.body.body import Body
+from hypose.body.motion import Motion
+from hypose.compute import default_threads
+from hypose.errors import InputError
+from hypose.io.recordings.recording import Recording
+from hypose.io.videos.video import VideoWriter
+from hypose.pipeline.track_loop import FrameSource
+
+
+def write_overlay(
+    path: str | Path,
+    recording: Recording,
+    source: FrameSource,
+    motion: Motion,
+    body: Body,
+    *,
+    frames: range | None = None,
+    stills: Sequence[int] = (),
+    video: bool = True,
+    progress: ProgressCall = ignore,
+) -> dict[int, Image]:
+    """Draw the motion over the recording.
+
+    source: gives the silhouettes; motion row i belongs to frame frames[i] of the recording (default: recording.frames)
+    and to frame i of the source. Returns close-ups of the rows in `stills`; with video=False only those are drawn and
+    no file is written.
+    """
+    numbers = frames if frames is not None else recording.frames
+    rows = range(min(len(motion), len(numbers))) if video else sorted(set(stills))
+    if motion.poses is None:
+        raise InputError("The motion holds joint positions only, and the overlay needs poses; track again.")
+    plan = layout(_sizes(recording))
+    kept: dict[int, Image] = {}
+    with ExitStack() as stack:
+        images = open_images(recording)
+        for one in images:
+            stack.callback(one.close)
+        writer = None
+        if video:
+            writer = stack.enter_context(VideoWriter(path, motion.frame_rate if len(motion) > 1 else 25.0, plan.size))
+        threads = default_threads()
+        pool = stack.enter_context(ThreadPoolExecutor(threads))
+        drawn: deque[Future[Image]] = deque()
+        for done, i in enumerate(rows):
+            progress("overlay", done, len(rows))
+            what = _drawing(source, motion, body, i, numbers[i])
+            pictures = [v.read(numbers[i]) for v in images]
+            if i in stills:
+                kept[i] = draw_close_ups(pictures, recording, body, what)
+            if writer is not None:  # the coming frames are read and drawn while this one is written
+                drawn.append(pool.submit(draw_all, pictures, recording, plan, body, what))
+                if len(drawn) > threads:
+                    writer.write(drawn.popleft().result())
+        if writer is not None:
+            for picture in drawn:
+                writer.write(picture.result())
+        progress("overlay", len(rows), len(rows))
+    return kept
+
+
+def still_rows(motion: Motion, count: int = 4) -> list[int]:
+    """Rows worth looking at: evenly spread, and the one that fits worst."""
+    rows = set(np.linspace(0, len(motion) - 1, min(count, len(motion))).astype(int).tolist())
+    if np.isfinite(motion.cost).any():
+        rows.add(int(np.nanargmax(motion.cost)))
+    return sorted(rows)
+
+
+def _sizes(recording: Recording) -> list[tuple[int, int]]:
+    images = open_images(recording)
+    sizes = [v.size for v in images]
+    for v in images:
+        v.close()
+    return sizes
+
+
+def _drawing(source: FrameSource, motion: Motion, body: Body, row: int, number: int) -> Drawing:
+    assert motion.poses is not None
+    pose = motion.poses[row]
+    lost, extrapolated = bool(motion.lost[row]), bool(motion.extrapolated[row])
+    iou = 1 - float(motion.cost[row])
+    parts = [f"frame {number}", f"{motion.times[row]:.2f} s"]
+    parts += [f"IoU {iou:.2f}"] if np.isfinite(iou) else []
+    parts += ["LOST"] if lost else []
+    parts += ["extrapolated (no evidence)"] if extrapolated else []
+    finite = bool(np.isfinite(pose).all())
+    return Drawing(
+        vertices=body.skin(pose, body.fine) if finite else None,
+        joints=motion.joints[row] if finite else None,
+        silhouettes=source.frame(row).silhouettes,
+        title="   ".join(parts),
+        alarm=lost or extrapolated,
+    )

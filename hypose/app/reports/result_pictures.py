@@ -1,0 +1,278 @@
+"""Pictures of a result: the recorded images of all views with the body, its skeleton and the mask drawn on, tiled.
+
+Points are projected with the lens distortion of the calibration, and moved by the view's image_shift, onto the images
+as they were recorded; a body that lies off in the picture is off in the result.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.cameras.camera import Camera
+from hypose.compute.pictures.render import silhouette
+from hypose.errors import InputError, visible
+from hypose.evidence.frame import Silhouettes
+from hypose.geometry import Array
+from hypose.io.recordings.recording import Recording, View
+from hypose.io.videos.video import VideoReader, open_video
+
+Image = NDArray[np.uint8]
+
+# BGR, told apart also by people who see red and green alike
+LEFT, RIGHT, MIDDLE = (40, 130, 240), (225, 140, 40), (235, 235, 235)
+BODY, MASK, ALARM = (200, 190, 60), (190, 90, 230), (40, 40, 230)
+MAX_TILE, MAX_WIDTH = 960, 1920
+_BAR = 26
+
+
+@dataclass(frozen=True)
+class Tile:
+    """Where a view lies in the picture: its column and row, and the size (width, height) px it is shown at."""
+
+    column: int
+    row: int
+    size: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The tiles of all views and the size (width, height) px of the whole picture with a title bar at the top."""
+
+    tiles: tuple[Tile, ...]
+    cell: tuple[int, int]
+    size: tuple[int, int]
+
+    def origin(self, tile: Tile) -> tuple[int, int]:
+        """Top left corner (x, y) px of a tile, centred in its cell."""
+        (w, h), (tw, th) = self.cell, tile.size
+        return tile.column * w + (w - tw) // 2, _BAR + tile.row * h + (h - th) // 2
+
+
+def layout(sizes: Sequence[tuple[int, int]]) -> Layout:
+    """Tiles for views of the given sizes (width, height) px: at most 960 px wide each and 1920 px together."""
+    n = len(sizes)
+    columns = math.ceil(math.sqrt(n)) if n != 3 else 3
+    rows = math.ceil(n / columns)
+    width = min(MAX_TILE, MAX_WIDTH // columns)
+    shown = []
+    for w, h in sizes:
+        scale = min(1.0, width / w, MAX_TILE / h)
+        shown.append((max(2, round(w * scale)), max(2, round(h * scale))))
+    cell = (max(w for w, _ in shown), max(h for _, h in shown))
+    tiles = tuple(Tile(i % columns, i // columns, s) for i, s in enumerate(shown))
+    whole = (columns * cell[0] // 2 * 2, (_BAR + rows * cell[1]) // 2 * 2)
+    return Layout(tiles, cell, whole)
+
+
+class ViewImages:
+    """The recorded pictures of one view by frame number, read forwards. When only masks were given, a grey picture."""
+
+    def __init__(self, view: View, camera: Camera) -> None:
+        self.view, self.camera = view, camera
+        source = view.source or view.masks
+        self._reader: VideoReader | None = open_video(source) if source is not None else None
+        self.size: tuple[int, int] = self._reader.size if self._reader is not None else camera.size
+
+    def read(self, index: int) -> Image | None:
+        """Frame `index`, or None when the view ends before it or is damaged there."""
+        if self._reader is None or index >= self._reader.n_frames:
+            return None
+        try:
+            image = self._reader.read(index)
+        except InputError:  # tracking has left this frame of the view out, and says so
+            return None
+        return image if self.view.source is not None else (image // 3 + 40).astype(np.uint8)
+
+    def close(self) -> None:
+        """Release the file."""
+        if self._reader is not None:
+            self._reader.close()
+
+
+def open_images(recording: Recording) -> list[ViewImages]:
+    """The pictures of all views."""
+    return [ViewImages(v, c) for v, c in zip(recording.views, recording.rig, strict=True)]
+
+
+def image_points(view: View, camera: Camera, points_world: Array, size: tuple[int, int]) -> Array:
+    """Pixels (..., 2) of points (..., 3) m in the recorded image shown at `size`; NaN behind the camera."""
+    uv = camera.project(points_world) - np.asarray(view.image_shift)
+    scale = np.array([size[0] / camera.size[0], size[1] / camera.size[1]])
+    return (uv + 0.5) * scale - 0.5
+
+
+def mask_outline(
+    view: View, camera: Camera, working: Camera, mask: NDArray[np.uint8], size: tuple[int, int]
+) -> list[NDArray[np.int32]]:
+    """Outlines of an undistorted mask (h, w) of the camera `working` as polygons in the recorded image at `size`."""
+    w, h = working.size
+    found, _ = cv2.findContours(np.ascontiguousarray(mask[:h, :w]), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    out = []
+    for contour in found:
+        _, directions = working.rays(contour[:, 0].astype(np.float64))
+        # 10 m along the ray: the distance does not matter, only the direction is projected again
+        uv = image_points(view, camera, working.position + 10.0 * directions, size)
+        if len(uv) > 2 and np.isfinite(uv).all():
+            out.append(_fixed(uv))
+    return out
+
+
+_SHIFT = 4  # OpenCV draws at 1/16 px
+
+
+def _fixed(uv: Array) -> NDArray[np.int32]:
+    return np.clip(np.rint(uv * 2**_SHIFT), -(2**24), 2**24).astype(np.int32)[:, None]
+
+
+def draw_mask(image: Image, outlines: Sequence[NDArray[np.int32]]) -> None:
+    """The mask's edge as a thin line."""
+    cv2.polylines(image, list(outlines), True, MASK, 1, cv2.LINE_AA, _SHIFT)
+
+
+def draw_body(
+    image: Image,
+    view: View,
+    camera: Camera,
+    vertices: Array,
+    faces: NDArray[np.int32],
+    colour: tuple[int, int, int] = BODY,
+) -> None:
+    """The silhouette of vertices (V, 3) m, world, as a tint with a bright edge."""
+    h, w = image.shape[:2]
+    uv = image_points(view, camera, vertices, (w, h))
+    depth = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
+    if not np.isfinite(uv).all():
+        return  # the body reaches behind the camera: nothing sensible to draw
+    shape = np.ascontiguousarray(silhouette(uv, depth, faces, (w, h))).astype(np.uint8)
+    x, y, width, height = cv2.boundingRect(shape)
+    if not width:
+        return
+    window = np.s_[y : y + height, x : x + width]
+    tint = (0.65 * np.arange(256)[:, None] + 0.35 * np.array(colour)).astype(np.uint8)
+    np.copyto(image[window], cv2.LUT(image[window], tint[None]), where=shape[window][..., None] > 0)
+    outline, _ = cv2.findContours(shape, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(image, outline, -1, colour, 1, cv2.LINE_AA)
+
+
+def bones(body: Body) -> Iterator[tuple[int, int, tuple[int, int, int]]]:
+    """(parent, child, BGR colour) of every bone."""
+    for j, p in enumerate(body.skeleton.parents.tolist()):
+        if p >= 0:
+            name = body.skeleton.joint_names[j]
+            yield p, j, LEFT if name.startswith("left") else RIGHT if name.startswith("right") else MIDDLE
+
+
+def draw_skeleton(image: Image, view: View, camera: Camera, body: Body, joints: Array) -> None:
+    """Bones between joint centres (J, 3) m, world: the left side orange, the right side blue."""
+    h, w = image.shape[:2]
+    uv = image_points(view, camera, joints, (w, h))
+    width = 2 if max(w, h) > 480 else 1
+    for a, b, colour in bones(body):
+        if np.isfinite(uv[[a, b]]).all():
+            ends = np.rint(np.clip(uv[[a, b]], -1e5, 1e5) * 2**_SHIFT).astype(int)
+            first, last = (int(ends[0, 0]), int(ends[0, 1])), (int(ends[1, 0]), int(ends[1, 1]))
+            cv2.line(image, first, last, (20, 20, 20), width + 2, cv2.LINE_AA, _SHIFT)
+            cv2.line(image, first, last, colour, width, cv2.LINE_AA, _SHIFT)
+
+
+def write_text(image: Image, text: str, x: int, y: int, colour: tuple[int, int, int] = (255, 255, 255)) -> None:
+    """White text with a dark rim; x, y: left end of the base line."""
+    font, size, text = cv2.FONT_HERSHEY_SIMPLEX, 0.5, visible(text)  # what is no UTF-8 would kill OpenCV
+    for dx, dy in ((-1, 0), (1, 0), (0, -1), (0, 1)):  # a thicker stroke would be wider in OpenCV 5, hence no rim
+        cv2.putText(image, text, (x + dx, y + dy), font, size, (0, 0, 0), 1, cv2.LINE_AA)
+    cv2.putText(image, text, (x, y), font, size, colour, 1, cv2.LINE_AA)
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """What is drawn into one frame: the body's vertices (V, 3) and joints (J, 3) m, world; its silhouettes, if any;
+    what the title bar says, in alarming red when `alarm`."""
+
+    vertices: Array | None
+    joints: Array | None
+    silhouettes: Silhouettes | None
+    title: str
+    alarm: bool = False
+
+
+def draw_view(
+    image: Image | None, view: View, camera: Camera, index: int, size: tuple[int, int], body: Body | None, what: Drawing
+) -> Image:
+    """One view at `size` with everything drawn on."""
+    if image is None:
+        shown = np.full((size[1], size[0], 3), 40, np.uint8)
+        write_text(shown, "no image", 8, size[1] // 2)
+    elif (image.shape[1], image.shape[0]) == size:
+        shown = image.copy()
+    else:
+        smaller = size[0] < image.shape[1]
+        shown = np.asarray(
+            cv2.resize(image, size, interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR), np.uint8
+        )
+    if body is not None and what.vertices is not None:
+        draw_body(shown, view, camera, what.vertices, body.fine.faces, ALARM if what.alarm else BODY)
+    s = what.silhouettes
+    if s is not None:
+        draw_mask(shown, mask_outline(view, camera, s.rig[index], s.masks[index], size))
+    if body is not None and what.joints is not None:
+        draw_skeleton(shown, view, camera, body, what.joints)
+    return shown
+
+
+def _write_labels(shown: Image, view: View, index: int, what: Drawing) -> None:
+    write_text(shown, view.name, 6, 18)
+    s = what.silhouettes
+    if s is not None and not s.usable[index]:
+        reason = (s.reasons[index] or "no reason given").split(": ", 1)[-1].split(" (")[0]
+        write_text(shown, f"left out: {reason}"[:70], 6, shown.shape[0] - 8, (120, 140, 255))
+
+
+def draw_all(
+    images: Sequence[Image | None], recording: Recording, plan: Layout, body: Body | None, what: Drawing
+) -> Image:
+    """All views of one frame, tiled, under a title bar."""
+    picture = np.full((plan.size[1], plan.size[0], 3), 24, np.uint8)
+    for c, (image, tile) in enumerate(zip(images, plan.tiles, strict=True)):
+        x, y = plan.origin(tile)
+        shown = draw_view(image, recording.views[c], recording.rig[c], c, tile.size, body, what)
+        _write_labels(shown, recording.views[c], c, what)
+        bottom, right = min(y + tile.size[1], plan.size[1]), min(x + tile.size[0], plan.size[0])
+        picture[y:bottom, x:right] = shown[: bottom - y, : right - x]
+    if what.alarm:
+        picture[:_BAR] = (30, 30, 150)
+    write_text(picture, what.title, 8, 18)
+    return picture
+
+
+def draw_close_ups(
+    images: Sequence[Image | None], recording: Recording, body: Body, what: Drawing, side: int = 300, columns: int = 4
+) -> Image:
+    """Every view of one frame cut to a square of `side` px around the body, side by side."""
+    cells = []
+    for c, (image, view, camera) in enumerate(zip(images, recording.views, recording.rig, strict=True)):
+        cell = np.full((side, side, 3), 40, np.uint8)
+        if image is not None and what.vertices is not None:
+            full = (image.shape[1], image.shape[0])
+            uv = image_points(view, camera, what.vertices, full)
+            uv = uv[np.isfinite(uv).all(1)]
+            low, high = (uv.min(0), uv.max(0)) if len(uv) else (np.zeros(2), np.array(full, dtype=float))
+            reach = 1.2 * float((high - low).max())
+            scale = float(np.clip(side / max(reach, 1.0), 0.1, 2.5))
+            size = (max(2, round(full[0] * scale)), max(2, round(full[1] * scale)))
+            shown = draw_view(image, view, camera, c, size, body, what)
+            x, y = np.rint(scale * 0.5 * (low + high) - side / 2).astype(int).tolist()
+            x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + side, size[0]), min(y + side, size[1])
+            if x0 < x1 and y0 < y1:
+                cell[y0 - y : y1 - y, x0 - x : x1 - x] = shown[y0:y1, x0:x1]
+        _write_labels(cell, view, c, what)
+        cells.append(cell)
+    columns = min(columns, len(cells))
+    cells += [np.full_like(cells[0], 255)] * (-len(cells) % columns)
+    return np.concatenate([np.concatenate(cells[i : i + columns], 1) for i in range(0, len(cells), columns)])

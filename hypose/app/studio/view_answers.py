@@ -1,0 +1,168 @@
+"""Results as the View screen asks for them: one block of bytes, pictures and outlines of any frame, files, exports."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import FileResponse, Response
+from starlette.routing import Route
+
+from hypose.app.reports.summary import DESCRIPTIONS
+from hypose.app.studio.answers import answer, body_of, told
+from hypose.app.studio.asked import digits
+from hypose.app.studio.catalog import Catalog, Item, NotFound
+from hypose.app.studio.jobs import Jobs
+from hypose.app.studio.memory_cache import Kept
+from hypose.app.studio.view_bundle import view_bundle
+from hypose.app.studio.view_pictures import ViewPictures
+from hypose.app.studio.view_result import load_view
+from hypose.errors import HyposeError, InputError
+from hypose.io.motions.results import load_motion
+from hypose.io.recordings.recording import load_recording
+
+_BLOCKS, _PICTURES = 64 << 20, 128 << 20
+"""Bytes of blocks, and of open pictures, that are kept."""
+_UNTRUSTED = (
+    "sandbox allow-scripts; default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src "
+    "'unsafe-inline'; media-src data: blob:; worker-src blob:"
+)
+"""For pages that lie in the served folder: they may show themselves, and reach neither the server nor anything else."""
+
+
+class Results:
+    """What is open of results; used by several threads."""
+
+    def __init__(self, catalog: Catalog) -> None:
+        self._catalog = catalog
+        self._blocks: Kept[bytes] = Kept(_BLOCKS, len)
+        self._pictures: Kept[ViewPictures] = Kept(_PICTURES, lambda p: p.held, ViewPictures.close)
+        self._heads: dict[str, tuple[float, dict[str, Any]]] = {}
+
+    def block(self, item: Item) -> bytes:
+        """The whole result; made again when its files have changed."""
+        with self._blocks.use((item.id, _stamp(item.path)), lambda: view_bundle(load_view(item.path))) as block:
+            return block
+
+    def pictures(self, item: Item) -> AbstractContextManager[ViewPictures]:
+        """The pictures of a result's recording, while they are used; NotFound when it has none."""
+
+        def make() -> ViewPictures:
+            folder = self._catalog.recording_of(item.path)
+            if folder is None:
+                raise NotFound("The result has no recording beside it, so there are no pictures of it.")
+            motion = load_motion(item.path / "motion.npz")
+            frames = motion.provenance.get("settings", {}).get("frames")
+            return ViewPictures(load_recording(folder), int(frames[0]) if frames else 0, len(motion))
+
+        return self._pictures.use((item.id, _stamp(item.path)), make)
+
+    def head(self, item: Item) -> dict[str, Any]:
+        """What a list says of a result."""
+        stamp = _stamp(item.path)
+        if self._heads.get(item.id, (None,))[0] != stamp:
+            self._heads[item.id] = stamp, self._read_head(item)
+        return self._heads[item.id][1]
+
+    def _read_head(self, item: Item) -> dict[str, Any]:
+        folder = self._catalog.recording_of(item.path)
+        recipe = "unknown"
+        try:
+            motion = load_motion(item.path / "motion.npz")
+            frames, rate = len(motion), motion.frame_rate
+            recipe = str(motion.provenance.get("recipe", recipe))
+        except HyposeError:
+            frames, rate = 0, 0.0
+        return {
+            "id": item.id,
+            "title": f"{folder.name}: {item.path.name}" if folder is not None else item.path.name,
+            "name": item.path.name,
+            "path": self._catalog.shown(item.path),
+            "recording": self._catalog.id_of("recording", folder) if folder is not None else None,
+            "recipe": recipe,
+            "frames": frames,
+            "frame_rate": rate,
+            "seconds": frames / rate if rate else 0.0,
+            "complete": frames > 0 and not (item.path / "checkpoint.npz").exists(),
+            "changed": item.changed,
+        }
+
+    def close(self) -> None:
+        """Release the files."""
+        self._pictures.close()
+        self._blocks.close()
+
+
+def _stamp(folder: Path) -> float:
+    """Changes when a result is written again."""
+    return max((p.stat().st_mtime for p in (folder / "motion.npz", folder / "body.npz") if p.exists()), default=0.0)
+
+
+def file_answer(folder: Path, name: str, catalog: Catalog) -> Response:
+    """A file of a folder by its name, which the caller has found to be one that may be given away."""
+    path = folder / name
+    if not path.is_file() or not catalog.contains(path):
+        raise NotFound(f"There is no file {name[:80]!r} here.")
+    headers = {"Content-Security-Policy": _UNTRUSTED, "Cache-Control": "no-store"}
+    shown = path.suffix in (".html", ".png", ".jpg", ".mp4")
+    return FileResponse(path, headers=headers, filename=None if shown else path.name)
+
+
+def routes(catalog: Catalog, results: Results, jobs: Jobs) -> list[Route]:
+    """The routes below /api/results."""
+
+    def item_of(request: Request) -> Item:
+        return catalog.find("result", request.path_params["id"])
+
+    async def every(request: Request) -> Response:
+        return answer(await run_in_threadpool(lambda: [results.head(i) for i in catalog.items("result")]))
+
+    async def view(request: Request) -> Response:
+        data = await run_in_threadpool(results.block, item_of(request))
+        return Response(data, media_type="application/octet-stream", headers={"Cache-Control": "no-store"})
+
+    async def pictures(request: Request) -> Response:
+        item, row = item_of(request), digits(request.path_params["row"], "The row")
+        width = digits(request.query_params.get("width", "640"), "The width")
+
+        def of_row() -> bytes:
+            with results.pictures(item) as opened:
+                return opened.row(row, width)
+
+        data = await run_in_threadpool(of_row)
+        # the same row of the same result stays what it is while a page is open
+        return Response(data, media_type="application/octet-stream", headers={"Cache-Control": "private, max-age=60"})
+
+    async def outlines(request: Request) -> Response:
+        item, row = item_of(request), digits(request.path_params["row"], "The row")
+
+        def of_row() -> list[list[list[float]]]:
+            with results.pictures(item) as opened:
+                return opened.outlines(row)
+
+        return answer({"views": await run_in_threadpool(of_row)})
+
+    async def file(request: Request) -> Response:
+        name = request.path_params["name"]
+        if name not in DESCRIPTIONS:
+            raise NotFound(f"A result has no file {name[:80]!r}.")
+        return file_answer(item_of(request).path, name, catalog)
+
+    async def export(request: Request) -> Response:
+        formats = (await body_of(request)).get("formats")
+        if not isinstance(formats, list) or not formats:
+            raise InputError("Name the formats to export, for example trc.")
+        job = jobs.start("export", {"result": item_of(request).id, "options": {"formats": formats}})
+        return answer(job.shown(), 201)
+
+    return [
+        Route("/api/results", told(every)),
+        Route("/api/results/{id}/view", told(view)),
+        Route("/api/results/{id}/pictures/{row}", told(pictures)),
+        Route("/api/results/{id}/outlines/{row}", told(outlines)),
+        Route("/api/results/{id}/files/{name}", told(file)),
+        Route("/api/results/{id}/export", told(export), methods=["POST"]),
+    ]

@@ -1,0 +1,250 @@
+"""What the View screen shows of one result, as one block of bytes: the server sends it, the report carries it.
+
+Layout: the eight bytes "HYPOSEV1", the header's length (uint32), the header (JSON, UTF-8), zeros up to a multiple of 8,
+then the arrays one after the other, each at a multiple of 8 bytes from the end of that padding; all little-endian. The
+header's "arrays" says for each its dtype (f4, f8, u1, u2, u4), shape and offset, so that a browser reads it without a
+copy. Metres, seconds, radians (angles: degrees), world z up.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hypose import __version__
+from hypose.app.jobs.truth import Truth
+from hypose.app.reports.summary import subject_rows, summarize
+from hypose.body.body import Body, Mesh
+from hypose.body.joint_angles import ANGLE_NAMES, is_length, joint_angles
+from hypose.body.motion import Motion
+from hypose.body.skeleton import Skeleton
+from hypose.cameras.camera import CameraRig
+from hypose.errors import InputError, visible
+from hypose.geometry import Array
+from hypose.io.motions.export import FORMATS
+
+MAGIC = b"HYPOSEV1"
+LOST, EXTRAPOLATED, DOUBTFUL = 1, 2, 3
+MOST_RIVALS = 6
+_DTYPES = {"f4": "<f4", "f8": "<f8", "u1": "|u1", "u2": "<u2", "u4": "<u4"}
+
+
+@dataclass(frozen=True)
+class Rivals:
+    """Other poses that explain the pictures of a track with one camera: joints (T, R, J, 3) m, best first; weights
+    (T, 1 + R), first that of the motion's own pose. NaN where a frame has fewer."""
+
+    joints: Array
+    weights: Array
+
+    @classmethod
+    def of(cls, joints: Array, weights: Array) -> Rivals | None:
+        """From all modes, joints (T, K, J, 3) with weights (T, K), the motion's own first; None when there is no other.
+        MOST_RIVALS at most: what comes after them weighs next to nothing."""
+        if joints.shape[1] < 2:
+            return None
+        return cls(joints[:, 1 : 1 + MOST_RIVALS], weights[:, : 1 + MOST_RIVALS])
+
+
+@dataclass(frozen=True)
+class ViewResult:
+    """A result to look at. body, rig: None when not known (a fused skeleton has neither). image_shifts: (x, y) px per
+    camera, as in recording.toml. first_frame: the recording's frame of row 0. pictures: names of the cameras whose
+    pictures can be had. files: (name, what it is, bytes). rivals: of a track with one camera."""
+
+    title: str
+    motion: Motion
+    body: Body | None = None
+    rig: CameraRig | None = None
+    image_shifts: Sequence[tuple[float, float]] = ()
+    pictures: Sequence[str] = ()
+    first_frame: int = 0
+    files: Sequence[tuple[str, str, int]] = ()
+    notes: Sequence[str] = ()
+    citation: str = ""
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    truth: Truth | None = None
+    complete: bool = True
+    rivals: Rivals | None = None
+
+
+def view_bundle(result: ViewResult) -> bytes:
+    """The block of bytes."""
+    arrays = _arrays(result)
+    header = _header(result)
+    offset, index = 0, {}
+    for name, a in arrays.items():
+        index[name] = {"dtype": a.dtype.str[1:], "shape": list(a.shape), "offset": offset}
+        offset += -(-a.nbytes // 8) * 8
+    header["arrays"] = index
+    text = json.dumps(plain(header), ensure_ascii=False, separators=(",", ":")).encode()
+    parts = [MAGIC, struct.pack("<I", len(text)), text, b"\0" * (-(len(MAGIC) + 4 + len(text)) % 8)]
+    for a in arrays.values():
+        parts += [a.tobytes(), b"\0" * (-a.nbytes % 8)]
+    return b"".join(parts)
+
+
+def read_bundle(data: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Header and arrays of a block; an InputError when it is none."""
+    if data[:8] != MAGIC:
+        raise InputError("These bytes are no result of hypose's View; make them again with this version.")
+    (length,) = struct.unpack_from("<I", data, 8)
+    header = json.loads(data[12 : 12 + length])
+    start = -(-(12 + length) // 8) * 8
+    arrays = {}
+    for name, a in header["arrays"].items():
+        count = math.prod(a["shape"])
+        arrays[name] = np.frombuffer(data, _DTYPES[a["dtype"]], count, start + a["offset"]).reshape(a["shape"])
+    return header, arrays
+
+
+def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
+    m = result.motion
+    rows, columns = np.triu_indices(3)
+    out = {
+        "times": m.times.astype("<f8"),
+        "joints": m.joints.astype("<f4"),
+        "joint_covariance": m.joint_covariance[..., rows, columns].astype("<f4"),
+        "flags": _flags(m),
+        "n_views": np.clip(m.n_views, 0, 255).astype("u1"),
+        "cost": m.cost.astype("<f4"),
+    }
+    if m.poses is not None:
+        out["rotations"] = quaternions(m.skeleton, m.poses)
+        if angles_known(m.skeleton):
+            names, values = joint_angles(m.skeleton, m.poses)
+            shown = [v if is_length(n) else np.degrees(v) for n, v in zip(names, values.T, strict=True)]
+            out["angles"] = np.stack(shown).astype("<f4")
+        if result.body is not None:
+            out |= _mesh("fine", result.body.fine) | _mesh("coarse", result.body.coarse)
+            out["rest_joints"] = m.skeleton.rest_joints.astype("<f4")
+    if result.rivals is not None:
+        out["rival_joints"] = result.rivals.joints.astype("<f4")
+        out["rival_weights"] = result.rivals.weights.astype("<f4")
+    if result.truth is not None:
+        if result.truth.joints is not None:
+            out["truth_joints"] = result.truth.joints.astype("<f4")
+        out["truth_distances"] = result.truth.distances.astype("<f4")
+    return out
+
+
+def _flags(motion: Motion) -> np.ndarray:
+    """(T,) the gravest that is said of each frame; 0 = nothing."""
+    doubtful = np.zeros(len(motion), dtype=bool) if motion.doubtful is None else motion.doubtful
+    cases = [motion.lost.astype(bool), motion.extrapolated.astype(bool), doubtful]
+    return np.select(cases, [LOST, EXTRAPOLATED, DOUBTFUL], 0).astype("u1")
+
+
+def quaternions(skeleton: Skeleton, poses: Array) -> np.ndarray:
+    """World-from-joint rotations of poses (T, D) as float32 quaternions (T, J, 4) x y z w; NaN where the pose is."""
+    good = np.isfinite(poses).all(1)
+    rotations, _ = skeleton.forward(poses[good])
+    out = np.full((len(poses), len(skeleton.joint_names), 4), np.nan, "<f4")
+    out[good] = (
+        Rotation.from_matrix(rotations.reshape(-1, 3, 3), assume_valid=True).as_quat().reshape(*rotations.shape[:2], 4)
+    )
+    return out
+
+
+def _mesh(level: str, mesh: Mesh) -> dict[str, np.ndarray]:
+    index = "<u2" if len(mesh.vertices) < 2**16 else "<u4"
+    return {
+        f"{level}_vertices": mesh.vertices.astype("<f4"),
+        f"{level}_faces": mesh.faces.astype(index),
+        f"{level}_skin_index": mesh.skin_index.astype("u1"),
+        f"{level}_skin_weight": mesh.skin_weight.astype("<f4"),
+    }
+
+
+def angles_known(skeleton: Skeleton) -> bool:
+    """Anatomical angles are defined for skeletons with the human joints only."""
+    needed = {"pelvis", "chest", "head", "left_shoulder", "left_elbow", "left_hip", "left_knee", "left_ankle"}
+    return needed <= set(skeleton.joint_names)
+
+
+def _header(result: ViewResult) -> dict[str, Any]:
+    m, s = result.motion, result.motion.skeleton
+    truth = result.truth
+    return {
+        "version": __version__,
+        "title": result.title,
+        "recipe": str(m.provenance.get("recipe", "unknown")),
+        "frames": len(m),
+        "frame_rate": m.frame_rate,
+        "first_frame": result.first_frame,
+        "complete": result.complete,
+        "summary": asdict(summarize(m)),
+        "joint_names": list(s.joint_names),
+        "parents": s.parents,
+        "floor": _floor(m, result.body),
+        "formats": list(FORMATS) if m.poses is not None else ["trc", "c3d", "csv"],
+        "angles": [{"name": n, "unit": "m" if is_length(n) else "°"} for n in ANGLE_NAMES],
+        "cameras": _cameras(result),
+        "subject": subject_rows(result.body) if result.body is not None else [],
+        "files": [{"name": n, "what": w, "bytes": b} for n, w, b in result.files],
+        "notes": list(result.notes),
+        "citation": result.citation,
+        "seconds": dict(result.seconds),
+        "truth": truth
+        and {
+            "names": list(truth.names),
+            "parents": list(truth.parents),
+            "mean_mm": truth.mean_mm,
+            "note": truth.note,
+        },
+        "provenance": dict(m.provenance),
+    }
+
+
+def _cameras(result: ViewResult) -> list[dict[str, Any]]:
+    rig = result.rig
+    if rig is None:
+        return []
+    shifts = result.image_shifts or [(0.0, 0.0)] * len(rig)
+    return [
+        {
+            "name": c.name,
+            "K": c.K,
+            "distortion": c.distortion,
+            "fisheye": c.fisheye,
+            "camera_from_world": c.camera_from_world,
+            "size": list(c.size),
+            "image_shift": list(shift),
+            "pictures": c.name in result.pictures,
+        }
+        for c, shift in zip(rig, shifts, strict=True)
+    ]
+
+
+def _floor(motion: Motion, body: Body | None) -> float:
+    """Height of the floor (m): 0, the world's own, unless the feet say that it lies elsewhere."""
+    feet = [j for j, n in enumerate(motion.skeleton.joint_names) if n.endswith(("ankle", "foot"))]
+    low = motion.joints[:, feet, 2]
+    low = low[np.isfinite(low)]
+    if not len(low):
+        return 0.0
+    ankle = 0.08
+    if body is not None:
+        ankle = float(body.skeleton.rest_joints[feet, 2].min() - body.fine.vertices[:, 2].min())
+    standing = float(np.percentile(low, 5)) - ankle
+    return 0.0 if abs(standing) < 0.25 else standing
+
+
+def plain(value: Any) -> Any:
+    """Plain JSON values; what JSON cannot say (NaN, infinity) becomes null, what is no text in a name an escape."""
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {visible(str(k)): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    return value if isinstance(value, int | bool) or value is None else visible(str(value))

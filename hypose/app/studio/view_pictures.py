@@ -1,0 +1,178 @@
+"""The recorded pictures and masks of any frame of a result, for the View screen.
+
+A person who drags along the timeline asks for frames in any order, and decoding a long video from its start for each
+would take seconds. So a video is jumped in where its jumps have been found to land exactly, and read through otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import threading
+from collections import OrderedDict
+from dataclasses import replace
+from itertools import pairwise
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.app.reports.result_pictures import Image, mask_outline
+from hypose.errors import InputError
+from hypose.io.recordings.frames import FrameStream
+from hypose.io.recordings.recording import Recording, View
+from hypose.io.videos.video import VideoReader, open_capture, open_video
+
+_NEAR = 24  # frames ahead that are sooner decoded than jumped to
+_TRIAL = 10  # the frame at which jumps are tried
+_CACHE_BYTES = 16 << 20
+_PER_PIXEL, _PER_WORKING_PIXEL = 40, 60
+"""Bytes that an open video holds per pixel of its frames, and a view's masks per pixel of the working size, about."""
+_QUALITY = 82
+
+
+class AnyFrame:
+    """Frames of one view in any order. A folder of images is read directly."""
+
+    def __init__(self, view: View) -> None:
+        source = view.source or view.masks
+        assert source is not None
+        self.only_masks = view.source is None
+        self._reader: VideoReader = open_video(source)
+        self._jumps: cv2.VideoCapture | None = None
+        self._next = 0
+        self._exact: bool | None = None if source.is_file() else False
+        self._path = source
+
+    def read(self, index: int) -> Image | None:
+        """Frame `index` (BGR), None beyond the end."""
+        if not 0 <= index < self._reader.n_frames:
+            return None
+        if self._path.is_dir() or 0 <= index - self._reader.position <= _NEAR or not self._can_jump():
+            return self._reader.read(index)
+        return self._jump(index)
+
+    def _can_jump(self) -> bool:
+        if self._exact is None:
+            self._exact = False
+            if self._reader.n_frames > _TRIAL + 1:
+                with open_video(self._path) as forward:
+                    true = forward.read(_TRIAL)
+                self._jumps = open_capture(self._path)
+                self._jumps.set(cv2.CAP_PROP_POS_FRAMES, self._reader.n_frames - 1)  # somewhere else first
+                self._next = -1
+                tried = self._jump(_TRIAL)
+                self._exact = tried is not None and np.array_equal(tried, true)
+        return self._exact
+
+    def _jump(self, index: int) -> Image | None:
+        capture = self._jumps
+        assert capture is not None
+        if self._next < 0 or not 0 <= index - self._next <= _NEAR:
+            capture.set(cv2.CAP_PROP_POS_FRAMES, index)
+            self._next = index
+        while self._next < index:
+            capture.grab()
+            self._next += 1
+        ok, frame = capture.read()
+        self._next = index + 1 if ok else -1
+        return np.asarray(frame, np.uint8) if ok else None
+
+    def close(self) -> None:
+        """Release the file."""
+        self._reader.close()
+        if self._jumps is not None:
+            self._jumps.release()
+
+
+class ViewPictures:
+    """Pictures and masks of a recording by row of a motion whose row 0 is frame `first`. May be used by several
+    threads."""
+
+    def __init__(self, recording: Recording, first: int, rows: int) -> None:
+        self._recording = replace(recording, frame_range=(first, first + rows))
+        self._first, self._rows = first, rows
+        self._views = [AnyFrame(v) if v.source or v.masks else None for v in recording.views]
+        self._stream: FrameStream | None = None
+        self._lock, self._mask_lock = threading.Lock(), threading.Lock()
+        self._cache: OrderedDict[tuple[int, int], bytes] = OrderedDict()
+        self._cached = 0
+
+    @property
+    def held(self) -> int:
+        """Bytes of memory that it holds, about."""
+        rig = self._recording.rig
+        working = 0 if self._stream is None else sum(math.prod(c.size) for c in self._stream.rig)
+        return self._cached + _PER_PIXEL * sum(math.prod(c.size) for c in rig) + _PER_WORKING_PIXEL * working
+
+    def row(self, row: int, width: int) -> bytes:
+        """JPEGs of all views at most `width` px wide: their number (uint32), the length of each (uint32, 0 = no
+        picture), then the files; little-endian."""
+        self._check(row)
+        if not 32 <= width <= 4096:
+            raise InputError(f"Pictures cannot be {width} px wide; ask for 32 to 4096.")
+        with self._lock:
+            key = (row, width)
+            if key in self._cache:
+                self._cache.move_to_end(key)
+                return self._cache[key]
+            files = [self._jpeg(v, row, width) for v in self._views]
+            data = struct.pack(f"<{1 + len(files)}I", len(files), *map(len, files)) + b"".join(files)
+            self._cache[key] = data
+            self._cached += len(data)
+            while self._cached > _CACHE_BYTES and len(self._cache) > 1:
+                self._cached -= len(self._cache.popitem(last=False)[1])
+            return data
+
+    def files(self, row: int, width: int) -> list[bytes]:
+        """The JPEGs of `row`, one per view, b"" where there is none."""
+        data = self.row(row, width)
+        (count,) = struct.unpack_from("<I", data)
+        ends = (4 * (1 + count) + np.cumsum([0, *struct.unpack_from(f"<{count}I", data, 4)])).tolist()
+        return [data[a:b] for a, b in pairwise(ends)]
+
+    def outlines(self, row: int) -> list[list[list[float]]]:
+        """Edges of the masks that tracking uses: per view polygons [x0, y0, x1, y1, ...] in px of the calibrated
+        size, moved by image_shift as the picture is. The first call builds the background and takes seconds."""
+        self._check(row)
+        with self._mask_lock:
+            if self._stream is None:
+                self._stream = FrameStream(self._recording)
+            silhouettes = self._stream.frame(row).silhouettes
+        if silhouettes is None:
+            return [[] for _ in self._views]
+        found = []
+        for c, (view, camera) in enumerate(zip(self._recording.views, self._recording.rig, strict=True)):
+            lines = mask_outline(view, camera, silhouettes.rig[c], silhouettes.masks[c], camera.size)
+            found.append([_pixels(line) for line in lines])
+        return found
+
+    def close(self) -> None:
+        """Release the files."""
+        with self._lock, self._mask_lock:
+            for view in self._views:
+                if view is not None:
+                    view.close()
+            if self._stream is not None:
+                self._stream.close()
+
+    def _check(self, row: int) -> None:
+        if not 0 <= row < self._rows:
+            raise InputError(f"There is no frame {row} in this result; its frames are 0 to {self._rows - 1}.")
+
+    def _jpeg(self, view: AnyFrame | None, row: int, width: int) -> bytes:
+        image = view.read(self._first + row) if view is not None else None
+        if view is None or image is None:
+            return b""
+        if view.only_masks:
+            image = (image // 3 + 40).astype(np.uint8)
+        h, w = image.shape[:2]
+        if w > width:
+            image = cv2.resize(image, (width, max(1, round(h * width / w))), interpolation=cv2.INTER_AREA)
+        return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
+
+
+def _pixels(line: NDArray[np.int32]) -> list[float]:
+    """OpenCV's 1/16 px as plain numbers, every second point: a screen shows no more."""
+    step = 2 if len(line) > 60 else 1
+    return (np.round(line[::step, 0] / 16, 1)).ravel().tolist()

@@ -1,0 +1,112 @@
+"""A results folder as something to look at: the motion, and what lies around it (body, recording, truth)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hypose.app.jobs.truth import Truth, compare
+from hypose.app.reports.summary import DESCRIPTIONS
+from hypose.app.studio.view_bundle import Rivals, ViewResult
+from hypose.body.body import Body
+from hypose.body.motion import Motion
+from hypose.errors import HyposeError, InputError
+from hypose.io.motions.bodies import load_body
+from hypose.io.motions.modes import load_joints_of_modes
+from hypose.io.motions.results import ResultsFolder, load_motion
+from hypose.io.recordings.recording import Recording, load_recording
+from hypose.tracking.recipes import citation_of
+
+
+def load_view(results: str | Path, recording: Recording | None = None) -> ViewResult:
+    """What can be shown of a results folder, or of a motion.npz.
+
+    recording: by default that in whose folder the results lie. A body, recording or truth that is absent or cannot be
+    read leaves its part out, and a note says why; an InputError when there is no motion.
+    """
+    path = Path(results)
+    if not path.exists():
+        raise InputError(f"{path} does not exist; give the results folder that hypose track wrote.")
+    folder = ResultsFolder(path if path.is_dir() else path.parent)
+    motion = load_motion(folder.motion if path.is_dir() else path)
+    if len(motion) == 0:
+        raise InputError(f"{path} holds a motion of no frames, so there is nothing to show; track the recording again.")
+    notes: list[str] = []
+    body = _body(folder, motion, notes)
+    if recording is None:
+        recording = find_recording(folder.path, notes)
+    frames = motion.provenance.get("settings", {}).get("frames")
+    first = int(frames[0]) if frames else 0
+    truth = None
+    if recording is not None:
+        notes += recording.notes
+        truth = _truth(recording.folder / "truth.npz", motion, first, notes)
+    return ViewResult(
+        title=recording.name if recording is not None else folder.path.resolve().name,
+        motion=motion,
+        body=body,
+        rig=recording.rig if recording is not None else None,
+        pictures=[v.name for v in recording.views if v.source or v.masks] if recording is not None else (),
+        first_frame=first,
+        files=[(n, w, p.stat().st_size) for n, w in DESCRIPTIONS.items() if (p := folder.file(n)).is_file()],
+        notes=notes,
+        citation=_citation(motion),
+        truth=truth,
+        complete=not folder.checkpoint.exists(),
+        rivals=_rivals(folder.file("modes.npz"), motion, notes),
+    )
+
+
+def find_recording(results: Path, notes: list[str] | None = None) -> Recording | None:
+    """The recording whose folder holds the results (results/RECIPE/ in it), None when there is none that loads."""
+    for folder in list(results.resolve().parents)[:3]:
+        if (folder / "recording.toml").is_file():
+            try:
+                return load_recording(folder)
+            except HyposeError as error:
+                if notes is not None:
+                    notes.append(f"The recording {folder} cannot be shown: {error}")
+                return None
+    return None
+
+
+def _citation(motion: Motion) -> str:
+    """Where the method of a motion comes from, "" for one that is not known."""
+    settings = motion.provenance.get("settings", {})
+    return citation_of(str(motion.provenance.get("recipe")), bool(settings.get("refine")))
+
+
+def _body(folder: ResultsFolder, motion: Motion, notes: list[str]) -> Body | None:
+    path = folder.file("body.npz")
+    if motion.poses is None or not path.is_file():
+        return None
+    try:
+        body = load_body(path)
+    except HyposeError as error:
+        notes.append(f"The body is not shown: {error}")
+        return None
+    if body.skeleton.joint_names != motion.skeleton.joint_names:
+        notes.append("The body is not shown: body.npz and the motion belong to different bodies; track again.")
+        return None
+    return body
+
+
+def _rivals(path: Path, motion: Motion, notes: list[str]) -> Rivals | None:
+    """Where the modes of a track with one camera lie beside its motion, which is their first."""
+    if not path.is_file():
+        return None
+    try:
+        joints, weights = load_joints_of_modes(path)
+    except HyposeError as error:
+        notes.append(f"Other poses are not shown: {error}")
+        return None
+    return Rivals.of(joints, weights) if (len(joints), joints.shape[2]) == motion.joints.shape[:2] else None
+
+
+def _truth(path: Path, motion: Motion, first: int, notes: list[str]) -> Truth | None:
+    if not path.is_file() or motion.poses is None:
+        return None
+    try:
+        return compare(path, motion, first)
+    except HyposeError as error:
+        notes.append(f"The truth is not shown: {error}")
+        return None

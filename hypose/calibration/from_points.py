@@ -1,0 +1,207 @@
+"""Cameras from points of the scene whose places were measured, and clicked in every camera's picture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from hypose.calibration.bundle import LensPrior, Observations, refine
+from hypose.cameras.camera import Camera, CameraRig
+from hypose.errors import CalibrationError, InputError
+from hypose.geometry import Array, se3
+from hypose.io.calibrations.calibration_toml import UNITS, as_numbers, parse_toml
+from hypose.io.files import text_lines
+
+_LEAST_KNOWN, _LEAST_UNKNOWN = 4, 6  # points for a camera with a known and with an unknown lens
+_CLICK_PX = 1.0
+# few points cannot tell a lens from a place: little distortion is assumed, and square pixels
+_PRIOR = LensPrior(centre=0.02, aspect=0.003, radial=0.1, tangential=0.001, k3=0.02)
+
+
+@dataclass(frozen=True)
+class ScenePoints:
+    """points: (3,) m by name, world z up; clicks: by camera and point, (2,) px; sizes: of the pictures, where given."""
+
+    points: Mapping[str, Array]
+    clicks: Mapping[str, Mapping[str, Array]]
+    sizes: Mapping[str, tuple[int, int]]
+
+
+@dataclass(frozen=True)
+class PointCalibration:
+    """rig; errors: px by camera and point; rms_px per coordinate; position_sd (C,) m for clicks of 1 px; notes and
+    warnings: sentences."""
+
+    rig: CameraRig
+    errors: Mapping[str, Mapping[str, float]]
+    rms_px: float
+    position_sd: Array
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def read_scene_points(path: str | Path) -> ScenePoints:
+    """Points and clicks of a TOML file (paths.toml in docs/calibration.md):
+
+    unit = "m"                      # of the points: m, cm or mm
+    [points]
+    corner_a = [0.0, 0.0, 0.0]      # x, y, z; z up
+    [clicks.cam01]
+    size = [1920, 1080]             # width, height of the picture; not needed with a calibration file
+    corner_a = [512.3, 830.0]       # px, the middle of the first pixel is 0, 0
+    """
+    path = Path(path)
+    try:
+        document = parse_toml(path, "\n".join(text_lines(path, "a TOML file of scene points", 5_000_000)))
+    except ValueError as error:
+        raise InputError(f"{path} is not valid TOML: {error}; correct it.") from None
+    unknown = set(document) - {"unit", "points", "clicks"}
+    if unknown:
+        raise InputError(f"{path}: {', '.join(sorted(unknown))} is unknown; known are unit, [points], [clicks.CAMERA].")
+    unit = document.get("unit", "m")
+    if unit not in UNITS:
+        raise InputError(f"{path}: unit must be m, cm or mm, got {unit!r}; correct it.")
+    points = {n: UNITS[unit] * v for n, v in _vectors(path, "points", document.get("points"), 3).items()}
+    tables = document.get("clicks")
+    if not isinstance(tables, dict) or not tables:
+        raise InputError(f"{path}: no clicks; add a table [clicks.CAMERA] per camera with POINT = [x, y].")
+    clicks, sizes = {}, {}
+    for camera, table in tables.items():
+        entries = dict(table) if isinstance(table, dict) else {}
+        size = entries.pop("size", None)
+        if size is not None:
+            given = as_numbers(size)
+            if given is None or given.shape != (2,) or (given < 1).any() or (given % 1).any():
+                raise InputError(f"{path}, camera {camera}: size must be [width, height] in px, got {size!r}.")
+            sizes[camera] = (int(given[0]), int(given[1]))
+        clicks[camera] = _vectors(path, f"clicks.{camera}", entries, 2)
+        stray = [n for n in clicks[camera] if n not in points]
+        if stray:
+            raise InputError(
+                f"{path}, camera {camera}: the point {stray[0]} has no place in [points], which has "
+                f"{', '.join(points)}; correct the name."
+            )
+    return ScenePoints(points, clicks, sizes)
+
+
+def _vectors(path: Path, table: str, entries: Any, length: int) -> dict[str, Array]:
+    if not isinstance(entries, dict) or not entries:
+        raise InputError(f"{path}: the table [{table}] is missing or empty; list NAME = [..] with {length} numbers.")
+    out = {}
+    for name, value in entries.items():
+        numbers = as_numbers(value)
+        if numbers is None or numbers.shape != (length,) or not np.isfinite(numbers).all():
+            raise InputError(f"{path}, [{table}]: {name} must be {length} finite numbers, got {value!r}; correct it.")
+        out[str(name)] = numbers
+    return out
+
+
+def calibrate_from_points(scene: ScenePoints, lenses: CameraRig | None = None) -> PointCalibration:
+    """Cameras in the world of the measured points. lenses: K and distortion by camera name, kept; without one a camera
+    needs six points that are not in one plane, and its lens is assumed to have square pixels and little distortion."""
+    names = list(scene.points)
+    world = np.stack([scene.points[n] for n in names])
+    cameras, errors, sds, notes, warnings = [], {}, [], [], []
+    for name, clicks in scene.clicks.items():
+        index = np.array([names.index(n) for n in clicks])
+        pixels = np.stack(list(clicks.values()))
+        lens = lenses.select([name])[0] if lenses is not None else None
+        camera = _start(name, world[index], pixels, lens, scene.sizes.get(name))
+        obs = Observations(np.zeros(len(index), np.int64), np.zeros(len(index), np.int64), index, pixels)
+        found = refine(
+            [camera],
+            np.eye(4)[None],
+            world,
+            obs,
+            free_intrinsics=lens is None,
+            fixed_frames=np.array([True]),
+            prior=_PRIOR,
+            noise_px=_CLICK_PX,
+            robust_px=3.0,
+        )
+        camera = found.cameras[0]
+        distance = np.linalg.norm(found.residuals, axis=1)
+        errors[name] = dict(zip(clicks, distance.tolist(), strict=True))
+        worst = list(clicks)[int(distance.argmax())]
+        if distance.max() > max(5.0, 4 * float(np.median(distance))):
+            warnings.append(
+                f"{name}: the point {worst} lies {distance.max():.0f} px from where it should be (median "
+                f"{np.median(distance):.1f} px); check its click and its measured place."
+            )
+        if lens is None:
+            share = float(found.focal_sd[0]) / camera.K[0, 0]
+            notes.append(f"{name}: focal length {camera.K[0, 0]:.0f} px, uncertain by {100 * share:.1f} %.")
+        cameras.append(camera)
+        sds.append(float(found.position_sd[0]))
+    every = np.concatenate([list(e.values()) for e in errors.values()])
+    rms = float(np.sqrt(np.mean(every**2) / 2))
+    return PointCalibration(CameraRig(tuple(cameras)), errors, rms, np.array(sds), tuple(notes), tuple(warnings))
+
+
+def _start(name: str, world: Array, pixels: Array, lens: Camera | None, size: tuple[int, int] | None) -> Camera:
+    least = _LEAST_UNKNOWN if lens is None else _LEAST_KNOWN
+    spread = np.linalg.svd(world - world.mean(0), compute_uv=False)
+    if len(world) < least:
+        raise CalibrationError(
+            f"Camera {name}: {len(world)} points are clicked, at least {least} are needed "
+            f"{'without' if lens is None else 'with'} a known lens; click more, or give --intrinsics."
+        )
+    if spread[1] < 1e-3 * spread[0] or (lens is None and spread[2] < 0.02 * spread[0]):
+        shape = "line" if spread[1] < 1e-3 * spread[0] else "plane"
+        raise CalibrationError(
+            f"Camera {name}: all its points lie in one {shape}; measure some outside it"
+            + (", or give its lens with --intrinsics." if lens is None else ".")
+        )
+    if lens is not None:
+        return _posed(replace(lens, name=name), world, pixels)[0]
+    if size is None:
+        raise CalibrationError(
+            f"Camera {name}: the size of its picture is not known; add size = [width, height] to [clicks.{name}], or "
+            "give its lens with --intrinsics."
+        )
+    middle = ((size[0] - 1) / 2, (size[1] - 1) / 2)
+    tried = []
+    for f in max(size) * np.geomspace(0.4, 6, 24):
+        k = np.array([[f, 0, middle[0]], [0, f, middle[1]], [0, 0, 1.0]])
+        try:
+            tried.append(_posed(Camera(name, k, np.zeros(5), np.eye(4), size), world, pixels))
+        except CalibrationError:
+            continue
+    if not tried:
+        raise _impossible(name)
+    return min(tried, key=lambda t: t[1])[0]
+
+
+def _posed(camera: Camera, world: Array, pixels: Array) -> tuple[Camera, float]:
+    """The camera where most clicks fit, and the median error, px: with all points, and with each left out, because one
+    wrong click bends everything."""
+    undistorted = camera.undistort_points(pixels)
+    best: tuple[Camera, float] | None = None
+    count = len(world)
+    for left_out in (None, *(range(count) if count > _LEAST_KNOWN else ())):
+        use = np.arange(count) != left_out
+        try:
+            ok, rvec, tvec = cv2.solvePnP(world[use], undistorted[use], camera.K, None, flags=cv2.SOLVEPNP_SQPNP)
+        except cv2.error:
+            continue
+        if not ok:
+            continue
+        trial = replace(camera, camera_from_world=se3(cv2.Rodrigues(rvec)[0], tvec.ravel()))
+        error = float(np.median(np.linalg.norm(trial.project(world) - pixels, axis=1)))
+        if np.isfinite(error) and (best is None or error < best[1]):
+            best = (trial, error)
+    if best is None:
+        raise _impossible(camera.name)
+    return best
+
+
+def _impossible(name: str) -> CalibrationError:
+    return CalibrationError(
+        f"Camera {name}: no place of the camera explains its clicks; check that each point's name, measured place and "
+        "click belong together."
+    )

@@ -1,0 +1,1 @@
+"""Forests of depth tests, and the sensor that makes their pictures."""

@@ -1,0 +1,136 @@
+"""What a structured-light depth sensor would deliver of a known scene: inverse-depth drawing, then its faults."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.compute.compiled import kernel
+
+NEAR = 0.2
+"""Triangles with a corner nearer than this (m) are not drawn."""
+TABLE = 16384
+
+
+@kernel
+def _draw(points, faces, fx, fy, cx, cy, inverse):
+    h, w = inverse.shape
+    x, y = np.empty(3), np.empty(3)
+    order = np.empty(3, np.int64)
+    for f in range(faces.shape[0]):
+        i0, i1, i2 = faces[f, 0], faces[f, 1], faces[f, 2]
+        z0, z1, z2 = points[i0, 2], points[i1, 2], points[i2, 2]
+        if not (z0 > NEAR and z1 > NEAR and z2 > NEAR):
+            continue
+        x[0], y[0] = points[i0, 0] / z0 * fx + cx, points[i0, 1] / z0 * fy + cy
+        x[1], y[1] = points[i1, 0] / z1 * fx + cx, points[i1, 1] / z1 * fy + cy
+        x[2], y[2] = points[i2, 0] / z2 * fx + cx, points[i2, 1] / z2 * fy + cy
+        area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])
+        if abs(area) < 1e-9:
+            continue
+        # the inverse of the depth is a plane over the picture
+        a, b, c = 1.0 / z0, 1.0 / z1, 1.0 / z2
+        gx = ((b - a) * (y[2] - y[0]) - (c - a) * (y[1] - y[0])) / area
+        gy = ((c - a) * (x[1] - x[0]) - (b - a) * (x[2] - x[0])) / area
+        order[0], order[1], order[2] = 0, 1, 2
+        if y[order[0]] > y[order[1]]:
+            order[0], order[1] = order[1], order[0]
+        if y[order[0]] > y[order[2]]:
+            order[0], order[2] = order[2], order[0]
+        if y[order[1]] > y[order[2]]:
+            order[1], order[2] = order[2], order[1]
+        t, m, u = order[0], order[1], order[2]
+        if y[u] <= y[t]:
+            continue
+        slope = (x[u] - x[t]) / (y[u] - y[t])
+        upper = (x[m] - x[t]) / (y[m] - y[t]) if y[m] > y[t] else 0.0
+        lower = (x[u] - x[m]) / (y[u] - y[m]) if y[u] > y[m] else 0.0
+        for r in range(max(0, int(np.ceil(y[t]))), min(h - 1, int(np.floor(y[u]))) + 1):
+            p = x[t] + (r - y[t]) * slope
+            if r < y[m]:
+                q = x[t] + (r - y[t]) * upper
+            else:
+                q = x[m] + (r - y[m]) * lower
+            if p > q:
+                p, q = q, p
+            first, last = max(0, int(np.ceil(p))), min(w - 1, int(np.floor(q)))
+            start = np.float32(a + (first - x[0]) * gx + (r - y[0]) * gy)
+            step = np.float32(gx)
+            row = inverse[r]
+            for k in range(first, last + 1):
+                v = start + np.float32(k - first) * step
+                row[k] = max(row[k], v)
+
+
+def draw(
+    points_camera: ArrayLike,
+    faces: NDArray[np.int32],
+    lens: tuple[float, float, float, float],
+    inverse: NDArray[np.float32],
+) -> None:
+    """Draw triangles (F, 3), of either orientation, of points (V, 3) m in the camera's frame into inverse (h, w) 1/m
+    (0 = empty), in place. lens: fx, fy, cx, cy px."""
+    p = np.ascontiguousarray(points_camera, dtype=np.float64)
+    _draw(p, np.ascontiguousarray(faces, dtype=np.int32), *(float(v) for v in lens), inverse)
+
+
+@kernel
+def _sense(inverse, fx, baseline, smooth, rows, normals, uniforms, out):
+    h, w = inverse.shape
+    for y in range(h):
+        reached = -1e9
+        r, r2 = rows[y, 0], rows[y, 1]
+        for x in range(w):
+            out[y, x] = 0
+            seen = inverse[y, x]
+            # the projector stands beside the camera: going along the baseline, a point is lit only when it lies
+            # beyond every column that was lit before it
+            if seen > 0:
+                lit = x + fx * baseline * seen
+                if lit < reached - 1.5:
+                    continue
+                reached = max(reached, lit)
+            n0, n1 = normals[(r + x * 3) & (TABLE - 1)], normals[(r2 + x * 5 + 1) & (TABLE - 1)]
+            xx, yy = int(x + n0 * 0.6 + 0.5), int(y + n1 * 0.6 + 0.5)
+            xx, yy = min(max(xx, 1), w - 2), min(max(yy, 1), h - 2)
+            v = inverse[yy, xx]
+            if v < 1 / 7.5 or v > 2.0:
+                continue
+            z = 1.0 / v
+            # of the two one-sided differences the smaller: else every silhouette would be a hole
+            ax = min(abs(inverse[yy, xx + 1] - v), abs(v - inverse[yy, xx - 1]))
+            ay = min(abs(inverse[yy + 1, xx] - v), abs(v - inverse[yy - 1, xx]))
+            slope = max(ax, ay) * z * fx
+            if slope > 4 and uniforms[(r + x * 7) & (TABLE - 1)] < min(0.85, (slope - 4) * 0.06):
+                continue
+            if uniforms[(r2 + x * 11) & (TABLE - 1)] < 0.002 + 0.0008 * z * z:
+                continue
+            d = fx * baseline * v + smooth[y // 8, x // 8] * 0.03 + normals[(r2 + x * 13 + 5) & (TABLE - 1)] * 0.05
+            d = np.floor(d * 8 + 0.5) / 8
+            if d > 0:
+                out[y, x] = min(65535, int(1000 * fx * baseline / d + 0.5))
+
+
+def _tables() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    rng = np.random.default_rng(5)  # one long sequence that every frame enters at other places
+    return rng.standard_normal(TABLE).astype(np.float32), rng.random(TABLE).astype(np.float32)
+
+
+_NORMALS, _UNIFORMS = _tables()
+
+
+def sense(
+    inverse: NDArray[np.float32], fx: float, rng: np.random.Generator, baseline: float = 0.075
+) -> NDArray[np.uint16]:
+    """Depth (h, w) uint16 mm, 0 = hole, of a drawn scene (inverse depth, 1/m), as the first Kinect delivers it.
+
+    Lateral jitter 0.6 px, shadow of the projector (baseline m), noise of the disparity (smooth 0.03 and white 0.05 px)
+    and its steps of 1/8 px, holes on grazing surfaces and at random, range 0.5-7.5 m. The figures are assumptions after
+    published measurements of that sensor, not fitted to one.
+    """
+    h, w = inverse.shape
+    smooth = rng.standard_normal((h // 8 + 2, w // 8 + 2)).astype(np.float32)
+    rows = rng.integers(0, TABLE, (h, 2))
+    out = np.empty((h, w), np.uint16)
+    _sense(inverse, float(fx), float(baseline), smooth, rows, _NORMALS, _UNIFORMS, out)
+    return out

@@ -1,0 +1,1 @@
+"""Evidence and search of one camera."""

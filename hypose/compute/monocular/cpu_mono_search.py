@@ -1,0 +1,233 @@
+"""numba: the whole cost of a pose, the damped Newton search for its minimum, and eigen-vectors of its Hessian."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hypose.compute.compiled import kernel
+from hypose.compute.monocular.cpu_mono_cues import edge_terms, flow_terms, mask_terms
+from hypose.compute.monocular.cpu_mono_nodes import contour_nodes, draw_still, fill_depth, inner_nodes, pose_mesh
+from hypose.compute.monocular.cpu_mono_rows import floor_terms, mark_terms, sphere_terms, sum_vertex_rows
+from hypose.compute.solver.cpu_solver import bounded_step
+
+GAIN = 0.02
+"""a search ends when no step promises to lower the cost by more"""
+
+
+@kernel
+def image_cost(q, problem, sigma, n_flow, want, ws, hessian, gradient):
+    """Cost of all evidence at pose q (D,) with edges of scale sigma px and n_flow inner nodes (0: without flow); the
+    derivatives over the active dof overwrite hessian (A, A) and gradient (A,) when wanted."""
+    model, a = problem.model, gradient.shape[0]
+    for i in range(a):
+        gradient[i] = 0.0
+        for k in range(a):
+            hessian[i, k] = 0.0
+    for k in range(7):
+        ws.counts[k] = 0
+    ws.counts[7] += 1
+    pose_mesh(q, model, ws)
+    cost, n_rows = 0.0, 0
+    if problem.edges.weight > 0 or problem.mask.height > 0:
+        fill_depth(model, ws)
+        n = contour_nodes(model, problem.edges.spacing, ws)
+        if problem.edges.weight > 0:
+            part, n_rows = edge_terms(n, problem, sigma, want, ws, n_rows)
+            cost += part
+        part, n_rows = mask_terms(n, problem, want, ws, n_rows)
+        cost += part
+    part, n_rows = flow_terms(q, n_flow, problem, want, ws, n_rows)
+    cost += part
+    if want:
+        sum_vertex_rows(n_rows, model, ws, hessian, gradient)
+    cost += mark_terms(q, model, problem.marks, problem.second_order, ws, hessian, gradient)
+    cost += sphere_terms(model, problem.spheres, ws, hessian, gradient)
+    cost += floor_terms(q, model, problem.floor, problem.second_order, ws, hessian, gradient)
+    for i in range(a):
+        for k in range(i):
+            s = hessian[i, k] + hessian[k, i]
+            hessian[i, k] = s
+            hessian[k, i] = s
+    for f in range(ws.front.shape[0]):
+        ws.counts[4] += 1 - ws.front[f]
+    ws.counts[5], ws.counts[6] = n_flow, n_rows
+    return cost
+
+
+@kernel
+def prior_cost(q, priors, active, hessian, gradient):
+    """The prediction's and the rest posture's quadratics; hessian and gradient get theirs added."""
+    cost = 0.0
+    for i in range(priors.centre.shape[0]):
+        for k in range(active.shape[0]):
+            w = priors.weight[i, k]
+            if w > 0:
+                e = q[active[k]] - priors.centre[i, k]
+                cost += 0.5 * w * e * e
+                gradient[k] += w * e
+                hessian[k, k] += w
+    return cost
+
+
+@kernel
+def full_cost(q, problem, sigma, n_flow, ws, hessian, gradient):
+    """Evidence and priors: equations (6) and (10).
+
+    Deviation: the evidence is not divided by N nu; masks, 2D points, interpenetration and the floor join it."""
+    cost = image_cost(q, problem, sigma, n_flow, True, ws, hessian, gradient)
+    return cost + prior_cost(q, problem.priors, problem.model.active, hessian, gradient)
+
+
+@kernel
+def rank_cost(q, problem, ws, hessian, gradient):
+    """What hypotheses are ranked by: all but flow, whose targets differ between hypotheses (section 4.2). The matrices
+    are scratch.
+
+    Deviation: printed is the edge term alone; priors, interpenetration and, where they are given, masks, 2D points and
+    the floor are ranked by as well."""
+    cost = image_cost(q, problem, problem.edges.sigma, 0, False, ws, hessian, gradient)
+    return cost + prior_cost(q, problem.priors, problem.model.active, hessian, gradient)
+
+
+@kernel
+def expected_gain(hessian, gradient, step, scale):
+    """Decrease of the quadratic model along scale * step."""
+    slope, bend = 0.0, 0.0
+    for i in range(step.shape[0]):
+        s = 0.0
+        for k in range(step.shape[0]):
+            s += hessian[i, k] * step[k]
+        slope += gradient[i] * step[i]
+        bend += s * step[i]
+    return -scale * slope - 0.5 * scale * scale * bend
+
+
+@kernel
+def descend(q, problem, sigma, n_flow, iterations, ws, hessian, gradient):
+    """Damped Newton within the limits from pose q (D,), which is overwritten, as hessian and gradient are; returns the
+    cost.
+
+    Equation (11), (H + lambda W) step = -g, W the diagonal of H (at least 1), with an active set of limits (section
+    4.1). A step is cut to the trusted reach (1: priors.longest); one that does not lower the cost is tried again,
+    shorter and with more damping, at most four times. The search ends when no step promises to lower the cost by
+    GAIN."""
+    priors, active = problem.priors, problem.model.active
+    n, dof = active.shape[0], q.shape[0]
+    new_hessian, new_gradient = np.empty((n, n)), np.empty(n)
+    step, at, trial = np.empty(n), np.empty(n), np.empty(dof)
+    damping, reach = 1e-2, 1.0
+    cost = full_cost(q, problem, sigma, n_flow, ws, hessian, gradient)
+    for _ in range(iterations):
+        for k in range(n):
+            at[k] = q[active[k]]
+        accepted = False
+        for _ in range(4):
+            if not bounded_step(hessian, gradient, at, priors.lower, priors.upper, damping, step):
+                damping *= 8
+                continue
+            length = 1e-12
+            for k in range(n):
+                length = max(length, abs(step[k]) / priors.longest[k])
+            scale = min(1.0, reach / length)
+            if expected_gain(hessian, gradient, step, scale) < GAIN:
+                break
+            for d in range(dof):
+                trial[d] = q[d]
+            for k in range(n):
+                trial[active[k]] = min(max(at[k] + scale * step[k], priors.lower[k]), priors.upper[k])
+            new_cost = full_cost(trial, problem, sigma, n_flow, ws, new_hessian, new_gradient)
+            if new_cost < cost:
+                accepted, cost = True, new_cost
+                break
+            damping *= 6
+            reach = 0.35 * min(reach, length)
+        if not accepted:
+            break
+        for d in range(dof):
+            q[d] = trial[d]
+        for i in range(n):
+            gradient[i] = new_gradient[i]
+            for k in range(n):
+                hessian[i, k] = new_hessian[i, k]
+        damping, reach = max(damping / 6, 1e-4), min(1.0, 2 * reach)
+    return cost
+
+
+@kernel
+def search(q, before, problem, coarse, iterations, ws, hessian, gradient, info):
+    """One hypothesis in one frame: inner nodes from the pose `before` (D,) in the previous picture, then a coarse and a
+    fine descent from q (D,), which is overwritten.
+
+    hessian (A, A) is that of the evidence and the rest posture at the result, without the prediction; gradient (A,) of
+    all. info (3,): full cost, cost without flow, number of inner nodes. False when the cost is not finite."""
+    model, priors = problem.model, problem.priors
+    for k in range(model.active.shape[0]):
+        d = model.active[k]
+        q[d] = min(max(q[d], priors.lower[k]), priors.upper[k])
+    n_flow = 0
+    if problem.flow.flow.shape[0] > 1:
+        draw_still(before, model, ws)
+        pose_mesh(before, model, ws)
+        fill_depth(model, ws)
+        n_flow = inner_nodes(model, problem.flow, ws)
+    draw_still(q, model, ws)
+    ws.counts[7] = 0
+    if coarse > 0:
+        descend(q, problem, problem.edges.coarse_sigma, n_flow, coarse, ws, hessian, gradient)
+    cost = descend(q, problem, problem.edges.sigma, n_flow, iterations, ws, hessian, gradient)
+    info[0] = cost
+    for k in range(model.active.shape[0]):
+        hessian[k, k] -= priors.weight[0, k]
+    unused_h, unused_g = np.empty_like(hessian), np.empty_like(gradient)
+    info[1] = rank_cost(q, problem, ws, unused_h, unused_g)
+    info[2] = n_flow
+    return math.isfinite(cost)
+
+
+@kernel
+def score(poses, problem, ws, costs):
+    """Costs (N,) without flow at poses (N, D): how samples are ranked."""
+    a = problem.model.active.shape[0]
+    hessian, gradient = np.empty((a, a)), np.empty(a)
+    if poses.shape[0] > 0:
+        draw_still(poses[0], problem.model, ws)
+    for n in range(poses.shape[0]):
+        costs[n] = rank_cost(poses[n], problem, ws, hessian, gradient)
+
+
+@kernel
+def symmetric_eigen(a, vectors):
+    """Eigenvalues on the diagonal of a (N, N), which is overwritten, vectors (N, N) in columns: cyclic Jacobi. No BLAS,
+    whose threads cost far more than so small a matrix."""
+    n = a.shape[0]
+    for i in range(n):
+        for k in range(n):
+            vectors[i, k] = 1.0 if i == k else 0.0
+    for _ in range(30):
+        off, on = 0.0, 0.0
+        for i in range(n):
+            on += a[i, i] * a[i, i]
+            for k in range(i):
+                off += a[i, k] * a[i, k]
+        if not off > 1e-22 * on:
+            return
+        for p in range(n - 1):
+            for r in range(p + 1, n):
+                x = a[p, r]
+                if x * x < 1e-26 * abs(a[p, p] * a[r, r]):
+                    continue
+                theta = (a[r, r] - a[p, p]) / (2 * x)
+                t = (1.0 if theta >= 0 else -1.0) / (abs(theta) + math.sqrt(theta * theta + 1))
+                c = 1 / math.sqrt(t * t + 1)
+                s = t * c
+                for k in range(n):
+                    y, z = a[k, p], a[k, r]
+                    a[k, p], a[k, r] = c * y - s * z, s * y + c * z
+                for k in range(n):
+                    y, z = a[p, k], a[r, k]
+                    a[p, k], a[r, k] = c * y - s * z, s * y + c * z
+                for k in range(n):
+                    y, z = vectors[k, p], vectors[k, r]
+                    vectors[k, p], vectors[k, r] = c * y - s * z, s * y + c * z

@@ -1,0 +1,1 @@
+"""Pictures: background to mask, rendering, visibility."""

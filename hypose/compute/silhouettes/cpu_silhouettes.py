@@ -1,0 +1,176 @@
+"""numba: silhouettes of a skinned mesh by contour winding differences, one pose at a time: the steps that the contour
+solver needs, and the safe way of the block-wise scorer (cpu_lanes.py).
+
+A pixel is model when at least one front face covers its centre. The number of front faces along an image column changes
+only where a contour edge (front on exactly one side) crosses it, so +-1 at every crossing and one running sum down the
+rows give the silhouette, without rasterizing a triangle. Sampling is half open as in reference.py; float32 against
+float64 moves 1-2 pixels of a silhouette at most. Running counts are int16: 32767 layers.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hypose.compute.compiled import kernel
+
+f4 = np.float32
+NEAR = 0.05
+"""Near plane, m: what lies closer (or behind) is cut off."""
+
+
+@kernel
+def project(vertices, p, u, v, bounds):
+    """Pixels of vertices (V, 3) under p (3, 4), all f4, into u, v (V,); bounds gets x0, x1, y0, y1, nearest depth."""
+    x0, x1, y0, y1, z0 = f4(1e9), f4(-1e9), f4(1e9), f4(-1e9), f4(1e9)
+    for i in range(vertices.shape[0]):
+        x, y, z = vertices[i, 0], vertices[i, 1], vertices[i, 2]
+        depth = p[2, 0] * x + p[2, 1] * y + p[2, 2] * z + p[2, 3]
+        inverse = f4(1) / depth
+        a = (p[0, 0] * x + p[0, 1] * y + p[0, 2] * z + p[0, 3]) * inverse
+        b = (p[1, 0] * x + p[1, 1] * y + p[1, 2] * z + p[1, 3]) * inverse
+        u[i], v[i] = a, b
+        x0, x1, y0, y1, z0 = min(x0, a), max(x1, a), min(y0, b), max(y1, b), min(z0, depth)
+    bounds[0], bounds[1], bounds[2], bounds[3], bounds[4] = x0, x1, y0, y1, z0
+
+
+@kernel
+def front_faces(faces, u, v, front):
+    """front (F,) u1 = 1 where a face turns its outside to the camera (clockwise in an image with y down)."""
+    for f in range(faces.shape[0]):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        front[f] = (u[b] - u[a]) * (v[c] - v[a]) < (u[c] - u[a]) * (v[b] - v[a])
+
+
+@kernel
+def contour_edges(edges, front, start, end):
+    """Directed contour edges (start, end vertices as their front face holds them); returns how many."""
+    n = 0
+    for e in range(edges.shape[0]):
+        left, right = front[edges[e, 2]], front[edges[e, 3]]
+        if left != right:
+            start[n] = edges[e, 0] if left else edges[e, 1]
+            end[n] = edges[e, 1] if left else edges[e, 0]
+            n += 1
+    return n
+
+
+@kernel
+def cross_columns(xa, ya, xb, yb, sign, width, height, difference):
+    """+-sign at the first row on or below the directed segment, for every column it crosses; x, y about the window."""
+    s = np.int16(-sign)
+    if xa > xb:
+        xa, xb, ya, yb = xb, xa, yb, ya
+        s = np.int16(sign)
+    # clip as floats: far outside the image the numbers do not fit an integer
+    c0 = int(math.ceil(max(xa, f4(0))))
+    c1 = int(math.ceil(min(xb, f4(width))))
+    if c0 < c1:
+        slope = (yb - ya) / (xb - xa)
+        for c in range(c0, c1):
+            y = min(max(ya + (f4(c) - xa) * slope, f4(0)), f4(height))
+            difference[np.uint32(np.ceil(y)), np.uint32(c)] += s  # unsigned: no test for indices from the end
+
+
+@kernel
+def emit_contours(n, start, end, u, v, x0, y0, width, height, difference):
+    """Winding differences of n directed contour edges in the window with corner (x0, y0)."""
+    fx, fy = f4(x0), f4(y0)
+    for e in range(n):
+        a, b = start[e], end[e]
+        cross_columns(u[a] - fx, v[a] - fy, u[b] - fx, v[b] - fy, 1, width, height, difference)
+
+
+@kernel
+def emit_clipped_faces(vertices, faces, p, x0, y0, width, height, difference, one_sided):
+    """The slow safe way when the body reaches the near plane: every face is cut at NEAR and drawn by itself, front or
+    back (where the plane opens the body its inside is seen; not if one_sided)."""
+    polygon = np.empty((4, 2), np.float32)
+    depth = np.empty(3, np.float32)
+    for f in range(faces.shape[0]):
+        for k in range(3):
+            w = vertices[faces[f, k]]
+            depth[k] = p[2, 0] * w[0] + p[2, 1] * w[1] + p[2, 2] * w[2] + p[2, 3]
+        n = 0
+        for k in range(3):
+            m = (k + 1) % 3
+            a, b = vertices[faces[f, k]], vertices[faces[f, m]]
+            if depth[k] >= NEAR:
+                polygon[n, 0] = (p[0, 0] * a[0] + p[0, 1] * a[1] + p[0, 2] * a[2] + p[0, 3]) / depth[k]
+                polygon[n, 1] = (p[1, 0] * a[0] + p[1, 1] * a[1] + p[1, 2] * a[2] + p[1, 3]) / depth[k]
+                n += 1
+            if (depth[k] >= NEAR) != (depth[m] >= NEAR):
+                if depth[k] < depth[m]:  # one direction for both faces of an edge: the same float on both sides
+                    lo, hi, dlo, dhi = a, b, depth[k], depth[m]
+                else:
+                    lo, hi, dlo, dhi = b, a, depth[m], depth[k]
+                t = (f4(NEAR) - dlo) / (dhi - dlo)
+                x, y, z = lo[0] + t * (hi[0] - lo[0]), lo[1] + t * (hi[1] - lo[1]), lo[2] + t * (hi[2] - lo[2])
+                polygon[n, 0] = (p[0, 0] * x + p[0, 1] * y + p[0, 2] * z + p[0, 3]) / f4(NEAR)
+                polygon[n, 1] = (p[1, 0] * x + p[1, 1] * y + p[1, 2] * z + p[1, 3]) / f4(NEAR)
+                n += 1
+        if n < 3:
+            continue
+        area = f4(0)
+        for k in range(n):
+            m = (k + 1) % n
+            area += (polygon[k, 0] - polygon[0, 0]) * (polygon[m, 1] - polygon[0, 1])
+            area -= (polygon[m, 0] - polygon[0, 0]) * (polygon[k, 1] - polygon[0, 1])
+        if one_sided and area >= 0:
+            continue
+        sign = 1 if area < 0 else -1
+        fx, fy = f4(x0), f4(y0)
+        for k in range(n):
+            m = (k + 1) % n
+            cross_columns(
+                polygon[k, 0] - fx,
+                polygon[k, 1] - fy,
+                polygon[m, 0] - fx,
+                polygon[m, 1] - fy,
+                sign,
+                width,
+                height,
+                difference,
+            )
+
+
+@kernel
+def count_window(mask, drawn, x0, y0, width, height, difference, running, model, hit, counts):
+    """Running sums down the rows: counts[0] model pixels that are not set in drawn (h, B; packed, low bit first),
+    counts[1] those inside the mask; clears the differences."""
+    acc, mo, hi = running[:width], model[:width], hit[:width]
+    for x in range(width):
+        acc[x] = 0
+        mo[x] = 0
+        hi[x] = 0
+    for r in range(height):
+        d = difference[r, :width]
+        m = mask[y0 + r, x0 : x0 + width]
+        for x in range(width):
+            acc[x] = np.int16(acc[x] + d[x])
+            d[x] = 0
+            already = np.uint16(drawn[y0 + r, (x0 + x) >> 3] >> ((x0 + x) & 7)) & np.uint16(1)
+            k = np.uint16(acc[x] > 0) & ~already
+            mo[x] = np.uint16(mo[x] + k)
+            hi[x] = np.uint16(hi[x] + (k & np.uint16(m[x] != 0)))
+    difference[height, :width] = 0
+    n_model = 0
+    n_hit = 0
+    for x in range(width):
+        n_model += mo[x]
+        n_hit += hi[x]
+    counts[0] = n_model
+    counts[1] = n_hit
+
+
+@kernel
+def areas_in_boxes(masks, boxes, out):
+    """Foreground pixels of masks (C, h, w) inside boxes (C, 4)."""
+    for c in range(masks.shape[0]):
+        n = 0
+        for y in range(boxes[c, 2], boxes[c, 3]):
+            row = masks[c, y]
+            for x in range(boxes[c, 0], boxes[c, 1]):
+                n += row[x] != 0
+        out[c] = n

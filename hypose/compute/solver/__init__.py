@@ -1,0 +1,1 @@
+"""The articulated least-squares step, one frame or a whole clip."""

@@ -1,0 +1,244 @@
+"""numba: the bounded damped Gauss-Newton step on an articulated body, and the whole solve of one frame."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hypose.compute.compiled import kernel
+from hypose.compute.cpu_kinematics import camera_about_root, joint_frames, skin_about_root
+from hypose.compute.solver.cpu_cholesky import backward, factorise, forward
+from hypose.compute.solver.cpu_rows import contour_rows, keypoint_rows, point_rows, sum_rows
+
+LARGEST_TURN = 0.35
+"""rad: steps that turn a joint further are shortened"""
+ACCEPT = 1.002
+"""a step may raise the cost by this factor: contour costs jump when the outline changes"""
+
+
+@kernel
+def fold(tree, twists, wrench_hessian, wrench_gradient, hessian, gradient):
+    """Sums per joint -> gradient (D,) and Gauss-Newton matrix (D, D): sums are folded from child to parent, then
+    H_de = S_d . B_j S_e for each dof d of joint j and each dof e of j and its ancestors."""
+    n_joints, n_dof = tree.parents.shape[0], twists.shape[0]
+    block = np.empty((n_joints, 6, 6))
+    pull = np.empty((n_joints, 6))
+    for j in range(n_joints):
+        k = 0
+        for r in range(6):
+            pull[j, r] = wrench_gradient[j, r]
+            for c in range(r + 1):
+                block[j, r, c] = wrench_hessian[j, k]
+                block[j, c, r] = wrench_hessian[j, k]
+                k += 1
+    for j in range(n_joints - 1, 0, -1):
+        a = tree.parents[j]
+        for r in range(6):
+            pull[a, r] += pull[j, r]
+            for c in range(6):
+                block[a, r, c] += block[j, r, c]
+    hessian[:] = 0.0
+    force = np.empty(6)
+    for d in range(n_dof):
+        j = tree.joint_of_dof[d]
+        s = 0.0
+        for r in range(6):
+            s += twists[d, r] * pull[j, r]
+            f = 0.0
+            for c in range(6):
+                f += block[j, r, c] * twists[d, c]
+            force[r] = f
+        gradient[d] = s
+        a = j
+        while a >= 0:
+            first, last = tree.dof_start[a], tree.dof_start[a] + tree.dof_count[a]
+            if a == 0:
+                first = 0  # the root's three translations too
+            for e in range(first, last):
+                s = 0.0
+                for r in range(6):
+                    s += twists[e, r] * force[r]
+                hessian[d, e] = s
+                hessian[e, d] = s
+            a = tree.parents[a]
+
+
+@kernel
+def bounded_step(hessian, gradient, q, lower, upper, damping, step):
+    """Minimum of 1/2 s'(H + damping D)s + g's subject to lower <= q + s <= upper, by an active set that only grows
+    (at most six rounds; then what still sticks out is cut off). False when the matrix is not positive."""
+    n_dof = q.shape[0]
+    a = np.empty((n_dof, n_dof))
+    x = np.empty(n_dof)
+    free = np.empty(n_dof, np.int64)
+    fixed = np.zeros(n_dof, np.uint8)
+    for d in range(n_dof):
+        step[d] = 0.0
+        if (q[d] <= lower[d] + 1e-9 and gradient[d] > 0) or (q[d] >= upper[d] - 1e-9 and gradient[d] < 0):
+            fixed[d] = 1
+    for _ in range(6):
+        n = 0
+        for d in range(n_dof):
+            if not fixed[d]:
+                free[n] = d
+                n += 1
+        for i in range(n):
+            d = free[i]
+            s = -gradient[d]
+            for e in range(n_dof):
+                if fixed[e]:
+                    s -= hessian[d, e] * step[e]
+            x[i] = s
+            for j in range(i):
+                a[i, j] = hessian[d, free[j]]
+            a[i, i] = hessian[d, d] + damping * max(hessian[d, d], 1.0)
+        if not factorise(a, n, 0.0):
+            return False
+        forward(a, n, x)
+        backward(a, n, x)
+        outside = 0
+        for i in range(n):
+            d = free[i]
+            step[d] = x[i]
+            if q[d] + x[i] > upper[d]:
+                step[d] = upper[d] - q[d]
+                fixed[d] = 1
+                outside += 1
+            elif q[d] + x[i] < lower[d]:
+                step[d] = lower[d] - q[d]
+                fixed[d] = 1
+                outside += 1
+        if outside == 0:
+            break
+    return True
+
+
+@kernel
+def cost_at(q, tree, mesh, contours, scale, keypoints, points, priors, ws, counts):
+    """Cost at pose q (D,), and how many contour rows wait in the workspace for `normal_equations`; counts (C + 2, 2):
+    forward and reverse rows of each view, then the key points, then the points."""
+    joint_frames(q, tree, ws.rotations, ws.centres, ws.twists)
+    ws.wrench_hessian[:] = 0.0
+    ws.wrench_gradient[:] = 0.0
+    n_views = contours.sdf.shape[0]
+    counts[n_views:] = 0
+    cost = 0.0
+    kept = np.zeros(1, np.int64)
+    if n_views > 0:
+        p = np.empty((3, 4), np.float32)
+        skin_about_root(ws.rotations, ws.centres, tree, mesh, ws.vertices)
+        for c in range(n_views):
+            counts[c, 0] = 0
+            counts[c, 1] = 0
+            if contours.usable[c]:
+                camera_about_root(contours.projections[c], q, p)
+                cost += contour_rows(c, p, mesh, contours, scale, ws, kept, counts[c])
+    cost += keypoint_rows(
+        q, keypoints, ws.rotations, ws.centres, ws.wrench_hessian, ws.wrench_gradient, counts[n_views]
+    )
+    cost += point_rows(q, points, ws.rotations, ws.centres, ws.wrench_hessian, ws.wrench_gradient, counts[n_views + 1])
+    for i in range(priors.centre.shape[0]):
+        for d in range(q.shape[0]):
+            w = priors.weight[i, d]
+            if w > 0:  # a centre without weight may be anything, NaN included
+                e = q[d] - priors.centre[i, d]
+                cost += 0.5 * w * e * e
+    return cost, kept[0]
+
+
+@kernel
+def normal_equations(q, kept, tree, priors, ws, hessian, gradient):
+    """hessian (D, D) and gradient (D,), overwritten, of the cost that `cost_at` has just found at q."""
+    sum_rows(kept, ws.rows, ws.row_joints, ws.lanes, ws.place, ws.wrench_hessian, ws.wrench_gradient)
+    fold(tree, ws.twists, ws.wrench_hessian, ws.wrench_gradient, hessian, gradient)
+    for i in range(priors.centre.shape[0]):
+        for d in range(q.shape[0]):
+            w = priors.weight[i, d]
+            if w > 0:
+                gradient[d] += w * (q[d] - priors.centre[i, d])
+                hessian[d, d] += w
+
+
+@kernel
+def evaluate(q, tree, mesh, contours, scale, keypoints, points, priors, ws, hessian, gradient, counts):
+    """Cost, hessian, gradient and counts at pose q; see `cost_at` and `normal_equations`."""
+    cost, kept = cost_at(q, tree, mesh, contours, scale, keypoints, points, priors, ws, counts)
+    normal_equations(q, kept, tree, priors, ws, hessian, gradient)
+    return cost
+
+
+@kernel
+def solve(q, tree, mesh, contours, keypoints, points, priors, settings, ws, hessian, gradient, counts, info):
+    """Bounded Levenberg-Marquardt from pose q (D,), which is overwritten; hessian and gradient are those at the result.
+
+    info (4,): cost, iterations, evaluations, converged (1 when the last step was below the tolerance). Returns False
+    when the cost at the start is not finite. The first coarse_iterations use the coarse contour scale. A step that
+    raises the cost is retried with 6 times the damping at most 3 times; near the end the cost jitters with the
+    outline, so a rejected step below the tolerance stops."""
+    n = q.shape[0]
+    step, trial = np.empty(n), np.empty(n)
+    new_counts = np.empty_like(counts)
+    for d in range(n):
+        q[d] = min(max(q[d], priors.lower[d]), priors.upper[d])
+    damping = settings.damping
+    coarse = settings.coarse_iterations if contours.sdf.shape[0] > 0 else 0
+    scale = contours.coarse_scale if coarse > 0 else contours.scale
+    cost = evaluate(q, tree, mesh, contours, scale, keypoints, points, priors, ws, hessian, gradient, counts)
+    evaluations = 1
+    if not math.isfinite(cost):
+        return False
+    done, used, converged = 0, 0, 0.0
+    while done < settings.iterations:
+        if coarse > 0 and done >= coarse:
+            coarse = 0
+            cost = evaluate(
+                q, tree, mesh, contours, contours.scale, keypoints, points, priors, ws, hessian, gradient, counts
+            )
+            scale = contours.scale
+            evaluations += 1
+        accepted = False
+        moved = 0.0
+        for _ in range(4):
+            if not bounded_step(hessian, gradient, q, priors.lower, priors.upper, damping, step):
+                damping *= 6
+                continue
+            turn = 0.0
+            for d in range(3, n):
+                turn = max(turn, abs(step[d]))
+            shorten = min(1.0, LARGEST_TURN / max(turn, 1e-9))
+            moved = 0.0
+            for d in range(n):
+                trial[d] = min(max(q[d] + shorten * step[d], priors.lower[d]), priors.upper[d])
+                moved = max(moved, abs(shorten * step[d]) * (1.0 if d > 2 else 2.0))
+            new_cost, kept = cost_at(trial, tree, mesh, contours, scale, keypoints, points, priors, ws, new_counts)
+            evaluations += 1
+            if math.isfinite(new_cost) and new_cost < cost * ACCEPT:
+                accepted = True
+                cost = new_cost
+                normal_equations(trial, kept, tree, priors, ws, hessian, gradient)
+                break
+            damping = min(damping * 6, 1e4)
+            if coarse == 0 and moved < settings.tolerance:
+                break
+        done += 1
+        used += 1
+        if accepted:
+            for d in range(n):  # array assignments would compile numba's error texts too: 2 s
+                q[d] = trial[d]
+            for r in range(counts.shape[0]):
+                counts[r, 0] = new_counts[r, 0]
+                counts[r, 1] = new_counts[r, 1]
+            damping = max(damping / 4, 1e-4)
+        if moved < settings.tolerance or not accepted:
+            if coarse == 0:
+                converged = 1.0 if moved < settings.tolerance else 0.0
+                break
+            done = coarse
+    if coarse > 0:  # no fine iteration was asked for: report the fine cost all the same
+        cost = evaluate(
+            q, tree, mesh, contours, contours.scale, keypoints, points, priors, ws, hessian, gradient, counts
+        )
+        evaluations += 1
+    info[0], info[1], info[2], info[3] = cost, used, evaluations, converged
+    return True

@@ -1,0 +1,1 @@
+"""Fused skeletons: swarm, fit, fuzzy rules."""

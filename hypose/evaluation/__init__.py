@@ -1,1 +1,0 @@
-"""Scenes with known truth, and the measures that compare an estimate with it."""

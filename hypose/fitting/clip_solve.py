@@ -1,0 +1,241 @@
+"""Fitting a whole clip at once: all frames coupled by penalties on acceleration and speed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hypose import compute
+from hypose.body.body import Body
+from hypose.compute.solver.banded import solve_coupled
+from hypose.compute.solver.terms import PriorArrays
+from hypose.errors import SolverError
+from hypose.fitting.articulated import (
+    ContourTerm,
+    KeypointTerm,
+    PointTerm,
+    Quadratic,
+    SolveOptions,
+    contour_arrays,
+    keypoint_arrays,
+    point_arrays,
+    prior_arrays,
+    workspace_for,
+)
+from hypose.geometry import Array, nearest_branch, so3_exp, so3_left_jacobian, so3_log
+
+LARGEST_TURN = 0.35
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """What is known of one frame's pose, summed up: 1/2 (q - centre)' information (q - centre). centre (D,);
+    information (D, D): an inverse covariance, as the Hessian of a solved frame is."""
+
+    centre: Array
+    information: Array
+
+
+def default_acceleration(dof: int, strength: float = 1.0) -> Array:
+    """(D,) weights on squared second differences per frame: 1 rad and 1/300 m per frame^2 count alike."""
+    return strength * np.r_[np.full(3, 300.0), np.ones(dof - 3)] ** 2
+
+
+def fit_clip(
+    body: Body,
+    starts: ArrayLike,
+    *,
+    points: Sequence[PointTerm | None] | None = None,
+    keypoints: Sequence[KeypointTerm | None] | None = None,
+    contours: Sequence[ContourTerm | None] | None = None,
+    gaussians: Sequence[Gaussian | None] | None = None,
+    acceleration: float | ArrayLike = 1.0,
+    velocity: ArrayLike = 0.0,
+    priors: Sequence[Quadratic] = (),
+    options: SolveOptions | None = None,
+) -> Array:
+    """Poses (T, D) of a clip from starts (T, D): the frames' evidence plus 1/2 sum_d a_d (q_{t-1} - 2 q_t +
+    q_{t+1})_d^2 + 1/2 sum_d v_d (q_{t+1} - q_t)_d^2. Differences of the root's rotation are rotations from one frame to
+    the next, log(R_{t+1} R_t'): those of rotation vectors mean nothing near a full turn. It is solved for as a small
+    turn in the world, and returned on the branch nearest to its start.
+
+    points, keypoints, contours, gaussians: one term (or None) per frame. acceleration: strength a (times
+    `default_acceleration`), or (D,) weights; velocity: weights v, (D,) or one for all: without it what is extrapolated
+    goes on for ever. priors act on every frame. Damped Gauss-Newton on all frames together:
+    the matrix couples each frame to the next two, so the cost is linear in T. Joint limits are
+    kept by cutting the step off. A SolverError when a frame's cost at the start is not finite."""
+    given = np.array(starts, dtype=np.float64)
+    q = given.copy()
+    q[:, 3:6] = nearest_branch(q[:, 3:6], np.zeros(3))
+    n_frames, dof = q.shape
+    o = options or SolveOptions(iterations=15, coarse_iterations=0)
+    weights = np.asarray(acceleration, dtype=np.float64)
+    if weights.ndim == 0:
+        weights = default_acceleration(dof, float(weights))
+    coupling = Coupling(n_frames, weights, np.broadcast_to(np.asarray(velocity, dtype=np.float64), (dof,)))
+    problem = _Clip(body, coupling, points, keypoints, contours, gaussians, priors)
+    lower, upper = body.skeleton.lower, body.skeleton.upper
+    q = np.clip(q, lower, upper)
+    coarse = o.coarse_iterations > 0 and problem.has_contours
+    cost, gradient, hessian = problem.evaluate(q, coarse)
+    if not np.isfinite(cost):
+        raise SolverError("The clip's cost at the start is not finite; check the start poses and the evidence for NaN.")
+    damping = o.damping
+    for iteration in range(o.iterations):
+        if coarse and iteration == o.coarse_iterations:
+            coarse = False
+            cost, gradient, hessian = problem.evaluate(q, coarse)
+        accepted, moved = False, np.inf
+        for _ in range(5):
+            step = problem.step(gradient, hessian, q, lower, upper, damping)
+            if step is not None:
+                step *= min(1.0, LARGEST_TURN / max(float(np.abs(step[:, 3:]).max()), 1e-9))
+                trial = np.clip(_moved(q, step), lower, upper)
+                new = problem.evaluate(trial, coarse)
+                if np.isfinite(new[0]) and new[0] < cost * (1.002 if problem.has_contours else 1.0):
+                    accepted = True
+                    moved = float((np.abs(step) * np.r_[[2.0] * 3, np.ones(dof - 3)]).max())
+                    q, (cost, gradient, hessian) = trial, new
+                    break
+            damping = min(damping * 6, 1e6)
+        damping = max(damping / 4, 1e-6)
+        if (not accepted or moved < o.tolerance) and not coarse:
+            break
+    q[:, 3:6] = nearest_branch(q[:, 3:6], given[:, 3:6])
+    return q
+
+
+def _moved(q: Array, step: Array) -> Array:
+    """Poses (T, D) after a step (T, D), in which the root turns in the world."""
+    out = q + step
+    out[:, 3:6] = so3_log(so3_exp(step[:, 3:6]) @ so3_exp(q[:, 3:6]))
+    return out
+
+
+def _turns(r: Array) -> Array:
+    """(T, 3, 3): how rotation vectors (T, 3) of up to half a turn change with a small turn in the world."""
+    return np.asarray(np.linalg.inv(so3_left_jacobian(r)), dtype=np.float64)
+
+
+class Coupling:
+    """The penalties between T frames: weights (D,) on squared second and first differences. Their matrix is the same
+    for all frames but for the ends: bands (3, T, D), the weights between a frame and the one s later, dof by dof."""
+
+    def __init__(self, n_frames: int, acceleration: Array, velocity: Array) -> None:
+        self.n_frames = n_frames
+        self.acceleration, self.velocity = np.asarray(acceleration), np.asarray(velocity)
+        self.bands = np.zeros((3, n_frames, len(self.acceleration)))
+        for weight, stencil in ((self.acceleration, (1.0, -2.0, 1.0)), (self.velocity, (-1.0, 1.0))):
+            for first in range(len(stencil)):
+                for second in range(first, len(stencil)):
+                    last = n_frames - len(stencil) + 1 + first
+                    if last > first:
+                        self.bands[second - first, first:last] += stencil[first] * stencil[second] * weight
+
+    def cost(self, q: Array) -> tuple[float, Array]:
+        """Cost of poses (T, D) and its gradient (T, D), for the root's rotation to small turns in the world."""
+        v = np.diff(q, axis=0)
+        rotations = so3_exp(q[:, 3:6])
+        v[:, 3:6] = so3_log(rotations[1:] @ np.swapaxes(rotations[:-1], -1, -2))
+        a = np.diff(v, axis=0)
+        cost = 0.5 * float((self.acceleration * a**2).sum() + (self.velocity * v**2).sum())
+        by_v = self.velocity * v
+        by_v[1:] += self.acceleration * a
+        by_v[:-1] -= self.acceleration * a
+        pull = np.zeros_like(q)
+        pull[1:] += _by_turn(by_v, v)
+        pull[:-1] -= _by_turn(by_v, -v)
+        return cost, pull
+
+
+def _by_turn(by_v: Array, v: Array) -> Array:
+    """Derivatives by the steps v (T, D) from frame to frame, of which 3:6 is a rotation vector, become those by what
+    turns its end."""
+    out = by_v.copy()
+    out[:, 3:6] = np.einsum("tab,ta->tb", _turns(v[:, 3:6]), by_v[:, 3:6])
+    return out
+
+
+class _Clip:
+    """Evidence of all frames as flat arrays; cost, gradient (T, D) and diagonal blocks (T, D, D) of the whole clip."""
+
+    def __init__(
+        self,
+        body: Body,
+        coupling: Coupling,
+        points: Sequence[PointTerm | None] | None,
+        keypoints: Sequence[KeypointTerm | None] | None,
+        contours: Sequence[ContourTerm | None] | None,
+        gaussians: Sequence[Gaussian | None] | None,
+        priors: Sequence[Quadratic],
+    ) -> None:
+        n_frames = coupling.n_frames
+        given = {"points": points, "keypoints": keypoints, "contours": contours, "gaussians": gaussians}
+        for name, terms in given.items():
+            if terms is not None and len(terms) != n_frames:
+                raise SolverError(f"fit_clip needs one entry of {name} per frame: {n_frames}, got {len(terms)}.")
+        joints = len(body.skeleton.parents)
+        none = [None] * n_frames
+        self.tree, self.mesh = body.skeleton.tree, body.coarse.arrays
+        self.points = [point_arrays(t, joints) for t in points or none]
+        self.keypoints = [keypoint_arrays(t, joints) for t in keypoints or none]
+        self.contours = [contour_arrays(t) for t in contours or none]
+        self.has_contours = any(len(c.sdf) for c in self.contours)
+        self.centre, self.weight = prior_arrays(priors, body.skeleton.dof)
+        self.lower = np.ascontiguousarray(body.skeleton.lower, dtype=np.float64)
+        self.upper = np.ascontiguousarray(body.skeleton.upper, dtype=np.float64)
+        self.coupling, self.gaussians = coupling, gaussians or none
+        largest = max((t for t in contours or none if t is not None), key=lambda t: t.sizes.max(0).prod(), default=None)
+        self.ws = workspace_for(body, largest)
+
+    def evaluate(self, q: Array, coarse: bool) -> tuple[float, Array, Array]:
+        cost, (t, d) = 0.0, q.shape
+        gradient, hessian = np.empty((t, d)), np.empty((t, d, d))
+        turns = _turns(q[:, 3:6])
+        for k in range(t):
+            centre = self.centre.copy()
+            centre[:, 3:6] = nearest_branch(centre[:, 3:6], q[k, 3:6])
+            e = compute.evaluate(
+                q[k],
+                self.tree,
+                self.mesh,
+                self.contours[k],
+                self.keypoints[k],
+                self.points[k],
+                PriorArrays(centre, self.weight, self.lower, self.upper),
+                self.ws,
+                coarse=coarse,
+            )
+            cost += e.cost
+            gradient[k], hessian[k] = e.gradient, e.hessian
+            known = self.gaussians[k]
+            if known is not None:
+                off = q[k] - known.centre
+                off[3:6] = q[k, 3:6] - nearest_branch(known.centre[3:6], q[k, 3:6])
+                pull = known.information @ off
+                cost += 0.5 * float(off @ pull)
+                gradient[k] += pull
+                hessian[k] += known.information
+            gradient[k, 3:6] = turns[k].T @ gradient[k, 3:6]
+            hessian[k, 3:6] = turns[k].T @ hessian[k, 3:6]
+            hessian[k, :, 3:6] = hessian[k, :, 3:6] @ turns[k]
+        coupled, pull = self.coupling.cost(q)
+        return cost + coupled, gradient + pull, hessian
+
+    def step(
+        self, gradient: Array, hessian: Array, q: Array, lower: Array, upper: Array, damping: float
+    ) -> Array | None:
+        """Damped Newton step (T, D) with the dof that push against a limit held; None when not positive definite."""
+        held = ((q <= lower + 1e-9) & (gradient > 0)) | ((q >= upper - 1e-9) & (gradient < 0))
+        keep = ~held
+        own = hessian * (keep[:, :, None] & keep[:, None, :])
+        bands = self.coupling.bands * keep
+        for s in (1, 2):
+            bands[s, : len(q) - s] *= keep[s:]
+        diagonal = np.einsum("tdd->td", own) + bands[0]
+        bands[0] += damping * np.maximum(diagonal, 1.0) + held  # a held coordinate stands alone
+        step = solve_coupled(own, bands, gradient * keep)
+        return None if step is None else -step

@@ -1,0 +1,88 @@
+"""Depth pictures as they come, turned into what forests read; what is unusable is refused in one sentence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.compute.depth_forests.forest_arrays import Depth
+from hypose.errors import InputError
+
+SMALLEST, LARGEST = 32, 4096
+"""Sides of a picture, px."""
+_NEAR_METRES = 20.0
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Pinhole of a depth camera: fx, fy, cx, cy px. One focal length (fx) scales the tests."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def __post_init__(self) -> None:
+        if not all(np.isfinite([self.fx, self.fy, self.cx, self.cy])) or not 20 <= self.fx <= 20000 or self.fy <= 0:
+            raise InputError(
+                f"The depth camera's lens (fx {self.fx}, fy {self.fy}, cx {self.cx}, cy {self.cy}) is unusable; give fx"
+                " and fy between 20 and 20000 pixels and the picture's centre."
+            )
+
+    def point(self, x: float, y: float, depth_m: float) -> NDArray[np.float64]:
+        """The point (3,) m in the camera's frame (x right, y down, z forward) seen at pixel (x, y)."""
+        return np.array([(x - self.cx) / self.fx * depth_m, (y - self.cy) / self.fy * depth_m, depth_m])
+
+    def scaled(self, factor: float) -> Lens:
+        """The lens of the picture made `factor` times as large; pixel centres at whole numbers."""
+        cx, cy = (self.cx + 0.5) * factor - 0.5, (self.cy + 0.5) * factor - 0.5
+        return Lens(self.fx * factor, self.fy * factor, cx, cy)
+
+
+KINECT = Lens(575.8, 575.8, 319.5, 239.5)
+"""The first Kinect's depth camera at 640 x 480, nominal."""
+
+
+def millimetres(depth: ArrayLike, where: str = "The depth picture") -> Depth:
+    """A depth picture (h, w) as uint16 mm, 0 = hole: whole numbers are millimetres, floats are metres.
+
+    Raises InputError when it is no picture, or when whole numbers can only be metres.
+    """
+    d = np.asarray(depth)
+    if d.ndim != 2 or not all(SMALLEST <= n <= LARGEST for n in d.shape):
+        raise InputError(
+            f"{where} has shape {d.shape}; a depth picture is (height, width) with {SMALLEST} to {LARGEST} pixels a "
+            "side."
+        )
+    if d.dtype.kind == "f":
+        v = np.nan_to_num(np.asarray(d, dtype=np.float64), nan=0.0, posinf=0.0, neginf=0.0)
+        top = float(v.max())
+        if top > 200:  # metres reach 65 m at most; a room in millimetres starts at hundreds
+            raise InputError(
+                f"{where} holds floating-point numbers up to {top:.0f}, which cannot be metres; give metres as floats "
+                "or millimetres as 16-bit whole numbers."
+            )
+        return np.clip(np.rint(v * 1000), 0, 65535).astype(np.uint16)
+    if d.dtype.kind not in "iu":
+        raise InputError(f"{where} holds {d.dtype}; give metres as floats or millimetres as whole numbers.")
+    top, low = int(d.max()), int(d.min())
+    if low < 0 or top > 65535:
+        raise InputError(
+            f"{where} holds values from {low} to {top}; millimetres lie between 0 (no measurement) and 65535."
+        )
+    if 0 < top <= _NEAR_METRES:
+        raise InputError(
+            f"{where} holds whole numbers up to {top}: that is metres, and whole numbers must be millimetres; multiply "
+            "the metres by 1000 before rounding, or give them as floats."
+        )
+    return np.ascontiguousarray(d, dtype=np.uint16)
+
+
+def surface_depth(depth: Depth, x: float, y: float, radius: int = 6, near_mm: int = 400) -> float | None:
+    """Depth (mm) of the nearer surface around a pixel: the 30th percentile of the window; None if it has < 5 values."""
+    i, j = round(y), round(x)
+    window = depth[max(0, i - radius) : max(0, i + radius + 1), max(0, j - radius) : max(0, j + radius + 1)]
+    values = window[window >= near_mm]
+    return None if len(values) < 5 else float(np.percentile(values, 30))

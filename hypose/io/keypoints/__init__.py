@@ -1,0 +1,1 @@
+"""2D key points of detectors."""

@@ -1,0 +1,1 @@
+"""Motions, bodies and results, in and out."""

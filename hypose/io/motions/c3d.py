@@ -1,0 +1,240 @@
+"""C3D marker files: written as 32-bit floats in millimetres with ezc3d, read by a bounded reader of our own.
+
+Axes are those of the world (z up; X_SCREEN = +X, Y_SCREEN = +Z say so). Residuals follow the C3D manual: -1 =
+not seen, 0 = computed rather than measured (here: lost or predicted frames), positive = measured, here the
+standard deviation in whole millimetres, at least 1. Why not read with ezc3d as well: version 1.7 takes
+truncated files without a word and allocates what a damaged header asks for. Here every size is compared with
+the file before anything is read. Source: the C3D file format, user guide.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hypose.errors import InputError
+from hypose.geometry import Array
+from hypose.io.file_names import utf8_path
+from hypose.io.files import readable_size, unreadable
+from hypose.io.motions.markers import Markers, checked, metres_per_unit
+from hypose.io.motions.results import atomic_path
+
+_KIND = "a C3D file"
+_BLOCK = 512
+_MAX_BYTES = 512 * 2**20
+MAX_FRAMES = 65_535  # the header counts frames in 16 bits
+
+
+def write_c3d(
+    path: str | Path,
+    names: Sequence[str],
+    points: ArrayLike,
+    frame_rate: float,
+    residuals_mm: ArrayLike | None = None,
+) -> None:
+    """Write points (T, M, 3), world metres, as float C3D in mm; NaN points get residual -1.
+
+    residuals_mm (T, M): 0 where a point was computed rather than measured, else the standard deviation (the
+    format keeps whole millimetres, 1 to 255; NaN counts as 1). More than 255 names go on in LABELS2 and so
+    on. More than 65535 frames are refused, since the format cannot count them.
+    """
+    names, p = checked(names, points, frame_rate, str(path))
+    t, m = p.shape[:2]
+    if t > MAX_FRAMES:
+        raise InputError(f"{path}: C3D holds at most {MAX_FRAMES} frames, these are {t}; write TRC, or cut the motion.")
+    if m > 65_535:
+        raise InputError(f"{path}: C3D holds at most 65535 points, these are {m}.")
+    residuals = np.ones((t, m)) if residuals_mm is None else np.array(residuals_mm, dtype=np.float64)
+    if residuals.shape != (t, m):
+        raise InputError(f"{path}: residuals have shape {residuals.shape}, {(t, m)} is needed.")
+    positive = np.clip(np.ceil(np.where(np.isnan(residuals), 1, residuals)), 1, 255)
+    residuals = np.where(residuals == 0, 0.0, positive)
+    residuals[np.isnan(p).any(-1)] = -1
+    import ezc3d  # 0.2 s to load: only when a C3D is written
+
+    # ezc3d is a compiled module without types
+    file: Any = ezc3d.c3d()
+    point = file["parameters"]["POINT"]
+    point["RATE"]["value"] = [float(frame_rate)]
+    point["LABELS"]["value"] = names
+    point["UNITS"]["value"] = ("mm",)
+    file.add_parameter("POINT", "X_SCREEN", ("+X",))
+    file.add_parameter("POINT", "Y_SCREEN", ("+Z",))
+    data = np.ones((4, m, t))
+    data[:3] = p.transpose(2, 1, 0) * 1000
+    file["data"]["points"] = data
+    file["data"]["meta_points"]["residuals"] = residuals.T[None]
+    file["data"]["meta_points"]["camera_masks"] = np.zeros((7, m, t), dtype=bool)
+    with atomic_path(path) as temporary:
+        temporary.touch()
+        with utf8_path(temporary) as name:
+            file.write(name)
+
+
+def read_c3d(path: str | Path) -> Markers:
+    """Read the points of a C3D file: integer or float, Intel, DEC or MIPS byte order; metres, axes as in the
+    file.
+
+    Points of negative residual become NaN; LABELS, LABELS2, ... are joined; a point without a label is named
+    point_<number>. Analog channels are skipped. An InputError says in one sentence what makes a file
+    unusable, truncation included.
+    """
+    size = readable_size(path, _KIND, _MAX_BYTES)
+    try:
+        with Path(path).open("rb") as file:
+            raw, layout, parameters, order = _read(file, size, path)
+    except OSError as error:
+        raise unreadable(path, error) from None
+    points = _points(raw, layout, order)
+    names = _names(parameters, layout.points)
+    unit = _first(parameters.get("POINT:UNITS"), "mm") or "mm"
+    return Markers(names, points * metres_per_unit(unit, str(path)), layout.rate, unit)
+
+
+def _read(file: BinaryIO, size: int, path: str | Path) -> tuple[bytes, _Layout, dict[str, tuple[Any, ...]], str]:
+    """Bytes of the frames, their layout, the parameters and the byte order."""
+    head = file.read(_BLOCK)
+    if len(head) < _BLOCK or head[1] != 0x50 or head[0] < 1:
+        raise InputError(f"{path} is not {_KIND}: its header lacks the C3D mark.")
+    file.seek((head[0] - 1) * _BLOCK)
+    start = file.read(4)
+    if len(start) < 4 or start[3] not in _PROCESSORS:
+        raise InputError(f"{path}: the C3D parameter section is missing or of an unknown processor type.")
+    order = _PROCESSORS[start[3]]
+    parameters = _parameters(start + file.read(max(start[2], 1) * _BLOCK - 4), order, path)
+    layout = _layout(head, parameters, order, path)
+    wanted = layout.frames * layout.frame_bytes
+    if layout.data_start + wanted > size:
+        held = max(0, size - layout.data_start) // layout.frame_bytes
+        raise InputError(
+            f"{path} is truncated: its header promises {layout.frames} frames, the file holds {held}; copy it again."
+        )
+    file.seek(layout.data_start)
+    return file.read(wanted), layout, parameters, order
+
+
+_PROCESSORS = {84: "intel", 85: "dec", 86: "mips"}
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where the frames lie: points and analog samples per frame, scale (negative: floats), first byte."""
+
+    points: int
+    analog: int
+    frames: int
+    rate: float
+    scale: float
+    data_start: int
+
+    @property
+    def word(self) -> int:
+        return 4 if self.scale < 0 else 2
+
+    @property
+    def frame_bytes(self) -> int:
+        return (4 * self.points + self.analog) * self.word
+
+
+def _integers(data: bytes, order: str) -> np.ndarray:
+    return np.frombuffer(data, dtype=">i2" if order == "mips" else "<i2").astype(np.int64)
+
+
+def _floats(data: bytes, order: str) -> Array:
+    if order != "dec":
+        return np.frombuffer(data, dtype=">f4" if order == "mips" else "<f4").astype(np.float64)
+    # VAX F-floating: the two 16-bit halves are exchanged and the exponent's bias is larger by 2
+    swapped = np.frombuffer(data, dtype="<u2").reshape(-1, 2)[:, ::-1].astype("<u2")
+    return swapped.copy().view("<f4").astype(np.float64).ravel() / 4
+
+
+def _parameters(section: bytes, order: str, path: str | Path) -> dict[str, tuple[Any, ...]]:
+    """Parameters by "GROUP:NAME": strings for text, numbers else."""
+    groups: dict[int, str] = {}
+    found: list[tuple[int, str, tuple[Any, ...]]] = []
+    at = 4
+    broken = InputError(f"{path}: the C3D parameter section is damaged; export the file again.")
+    try:
+        while at + 4 <= len(section):
+            length, group = struct.unpack_from("bb", section, at)
+            if length == 0:
+                break
+            name_end = at + 2 + abs(length)
+            name = section[at + 2 : name_end].decode("latin-1").strip().upper()
+            step = int(_integers(section[name_end : name_end + 2], order)[0]) & 0xFFFF
+            if group < 0:
+                groups[-group] = name
+            elif group > 0:
+                found.append((group, name, _value(section, name_end + 2, order)))
+            if step == 0:
+                break
+            if step < 2:
+                raise broken
+            at = name_end + step
+    except (struct.error, IndexError, ValueError):
+        raise broken from None
+    return {f"{groups.get(g, g)}:{name}": value for g, name, value in found}
+
+
+def _value(section: bytes, at: int, order: str) -> tuple[Any, ...]:
+    kind, dimensions = struct.unpack_from("bB", section, at)
+    shape = list(section[at + 2 : at + 2 + dimensions])
+    if dimensions > 7 or len(shape) < dimensions or kind not in (-1, 1, 2, 4):
+        raise ValueError
+    count = int(np.prod(shape, dtype=np.int64)) if shape else 1
+    first = at + 2 + dimensions
+    data = section[first : first + count * abs(kind)]
+    if len(data) < count * abs(kind):
+        raise ValueError
+    if kind == -1:
+        width = shape[0] if shape else 1
+        return tuple(data[i : i + width].decode("latin-1").strip(" \0") for i in range(0, count, width or 1))
+    if kind == 1:
+        return tuple(data)
+    return tuple((_integers if kind == 2 else _floats)(data, order).tolist())
+
+
+def _first(value: tuple[Any, ...] | None, default: Any) -> Any:  # noqa: ANN401 (parameters hold text or numbers)
+    return value[0] if value else default
+
+
+def _layout(head: bytes, parameters: Mapping[str, tuple[Any, ...]], order: str, path: str | Path) -> _Layout:
+    words = _integers(head, order) & 0xFFFF
+    points = int(_first(parameters.get("POINT:USED"), words[1])) & 0xFFFF
+    first, last = int(words[3]), int(words[4])
+    start, end = parameters.get("TRIAL:ACTUAL_START_FIELD"), parameters.get("TRIAL:ACTUAL_END_FIELD")
+    if start and end and len(start) == len(end) == 2:  # 32-bit frame numbers, low word first
+        first, last = ((int(v[0]) & 0xFFFF) + ((int(v[1]) & 0xFFFF) << 16) for v in (start, end))
+    scale = float(_first(parameters.get("POINT:SCALE"), _floats(head[12:16], order)[0]))
+    rate = float(_first(parameters.get("POINT:RATE"), _floats(head[20:24], order)[0]))
+    block = int(_first(parameters.get("POINT:DATA_START"), words[8])) & 0xFFFF
+    if points == 0 or last < first or block < 2:
+        raise InputError(f"{path} holds no points: {points} markers, frames {first} to {last}; a recording is needed.")
+    if not np.isfinite([scale, rate]).all() or scale == 0 or not 0 < rate < 1e6:
+        raise InputError(f"{path}: point scale {scale:g} and frame rate {rate:g} are not possible; export it again.")
+    return _Layout(points, int(words[2]), last - first + 1, rate, scale, (block - 1) * _BLOCK)
+
+
+def _points(raw: bytes, layout: _Layout, order: str) -> Array:
+    values = _floats(raw, order) if layout.scale < 0 else _integers(raw, order).astype(np.float64)
+    values = values.reshape(layout.frames, -1)[:, : 4 * layout.points].reshape(layout.frames, layout.points, 4)
+    out = values[..., :3] * (1.0 if layout.scale < 0 else layout.scale)
+    # ">= 0" is false for NaN too
+    out[~((values[..., 3] >= 0) & np.isfinite(out).all(-1))] = np.nan
+    return out
+
+
+def _names(parameters: Mapping[str, tuple[Any, ...]], count: int) -> tuple[str, ...]:
+    labels = list(parameters.get("POINT:LABELS", ()))
+    k = 2
+    while f"POINT:LABELS{k}" in parameters:
+        labels += parameters[f"POINT:LABELS{k}"]
+        k += 1
+    labels = labels[:count] + [""] * (count - len(labels))
+    return tuple(name or f"point_{i + 1}" for i, name in enumerate(labels))

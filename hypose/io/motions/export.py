@@ -1,0 +1,98 @@
+"""All motion files of one tracked motion, by format name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hypose.body.body import Body
+from hypose.body.joint_angles import joint_angles
+from hypose.body.motion import Motion
+from hypose.errors import InputError
+from hypose.io.motions.angles import write_angles_csv, write_joints_csv
+from hypose.io.motions.bvh import write_bvh
+from hypose.io.motions.c3d import write_c3d
+from hypose.io.motions.gltf import write_glb
+from hypose.io.motions.opensim import write_mot
+from hypose.io.motions.trc import write_trc
+
+
+def _trc(motion: Motion, body: Body, folder: Path) -> list[Path]:
+    path = folder / "motion.trc"
+    start = float(motion.times[0])
+    write_trc(path, motion.skeleton.joint_names, motion.joints, motion.frame_rate, start_time=start)
+    return [path]
+
+
+def _c3d(motion: Motion, body: Body, folder: Path) -> list[Path]:
+    path = folder / "motion.c3d"
+    computed = (motion.lost | motion.extrapolated).astype(bool)
+    # a standard deviation of exactly 0 is still a measurement, so keep it off the mark for computed points
+    residuals = np.where(computed[:, None], 0.0, np.maximum(motion.joint_sd * 1000, 1e-3))
+    write_c3d(path, motion.skeleton.joint_names, motion.joints, motion.frame_rate, residuals)
+    return [path]
+
+
+def _bvh(motion: Motion, body: Body, folder: Path) -> list[Path]:
+    path = folder / "motion.bvh"
+    write_bvh(path, motion)
+    return [path]
+
+
+def _glb(motion: Motion, body: Body, folder: Path) -> list[Path]:
+    path = folder / "motion.glb"
+    write_glb(path, motion, body)
+    return [path]
+
+
+def _csv(motion: Motion, body: Body, folder: Path) -> list[Path]:
+    joints = folder / "joints.csv"
+    write_joints_csv(joints, motion)
+    if motion.poses is None:  # joint positions alone have no angles
+        return [joints]
+    angles = folder / "angles.csv"
+    write_angles_csv(angles, *joint_angles(motion.skeleton, motion.poses), motion.times)
+    return [angles, joints]
+
+
+def _mot(motion: Motion, body: Body, folder: Path) -> list[Path]:
+    path = folder / "motion.mot"
+    assert motion.poses is not None  # export_motion has checked
+    write_mot(path, *joint_angles(motion.skeleton, motion.poses), motion.times)
+    return [path]
+
+
+FORMATS: Mapping[str, Callable[[Motion, Body, Path], list[Path]]] = {
+    "trc": _trc,
+    "c3d": _c3d,
+    "bvh": _bvh,
+    "glb": _glb,
+    "csv": _csv,
+    "mot": _mot,
+}
+_NEED_POSES = ("bvh", "glb", "mot")
+
+
+def export_motion(
+    motion: Motion, body: Body, folder: str | Path, formats: Sequence[str] = tuple(FORMATS)
+) -> list[Path]:
+    """Write the motion into a folder in the named formats and return the paths.
+
+    trc, c3d, bvh, glb and mot give motion.<format>, csv gives angles.csv and joints.csv. Each file appears
+    whole or not at all. Lost and extrapolated frames keep their predicted points: TRC has no mark for them,
+    C3D gives them residual 0 (computed, not measured), joints.csv has a column for each flag. An InputError
+    names an unknown format, or one that needs poses when the motion has none, before anything is written.
+    """
+    unknown = [f for f in formats if f not in FORMATS]
+    if unknown:
+        raise InputError(f"There is no export format {unknown[0]!r}; the formats are {', '.join(FORMATS)}.")
+    if not len(motion):
+        raise InputError("The motion has no frames, so there is nothing to export.")
+    if motion.poses is None and (wanting := [f for f in formats if f in _NEED_POSES]):
+        raise InputError(
+            f"The format {wanting[0]} needs poses, this motion holds joint positions only; choose "
+            f"{', '.join(f for f in FORMATS if f not in _NEED_POSES)}."
+        )
+    return [path for name in dict.fromkeys(formats) for path in FORMATS[name](motion, body, Path(folder))]

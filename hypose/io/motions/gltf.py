@@ -1,0 +1,186 @@
+"""GLB (binary glTF 2.0): the fine mesh, skinned and animated; metres, Y up (axes: see io.animation).
+
+Mesh, joints and motion are all turned into Y-up, so no node carries a correcting rotation and the skinned
+mesh is a root node as the specification recommends. Node defaults are the rest pose at the origin. Rotations
+are quaternions, linear (spherical) between frames; the root is also translated. Everything is float32.
+Source: Khronos glTF 2.0 specification, sections 3.6 (accessors), 3.7.3 (skins), 3.11 (animations).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from pygltflib import (
+    ARRAY_BUFFER,
+    ELEMENT_ARRAY_BUFFER,
+    FLOAT,
+    GLTF2,
+    UNSIGNED_BYTE,
+    UNSIGNED_INT,
+    Accessor,
+    Animation,
+    AnimationChannel,
+    AnimationChannelTarget,
+    AnimationSampler,
+    Asset,
+    Attributes,
+    Buffer,
+    BufferView,
+    Material,
+    Node,
+    PbrMetallicRoughness,
+    Primitive,
+    Scene,
+    Skin,
+)
+from pygltflib import Mesh as GltfMesh
+
+from hypose.body.body import Body, Mesh
+from hypose.body.motion import Motion
+from hypose.compute.arrays import FIXED
+from hypose.errors import InputError
+from hypose.geometry import Array, quaternion_from_matrix
+from hypose.io.motions.animation import Y_UP, children, filled_poses, local_rotations
+from hypose.io.motions.results import atomic_path
+
+_SKIN_COLOUR = [0.80, 0.66, 0.56, 1.0]
+
+
+def write_glb(path: str | Path, motion: Motion, body: Body) -> None:
+    """Write the motion of a body as one GLB. Frames without a pose hold the last one.
+
+    An InputError when the motion has no poses, or its skeleton is not the body's.
+    """
+    poses = filled_poses(motion, path)
+    skeleton = motion.skeleton
+    if skeleton.joint_names != body.skeleton.joint_names or not np.allclose(
+        skeleton.rest_offsets, body.skeleton.rest_offsets, atol=1e-6
+    ):
+        raise InputError(f"{path}: the motion's skeleton is not the body's; give the body that was tracked.")
+    store = _Store()
+    joints = len(skeleton.joint_names)
+    nodes = [
+        Node(
+            name=skeleton.joint_names[j],
+            translation=(Y_UP @ skeleton.rest_offsets[j]).tolist() if j else [0.0, 0.0, 0.0],
+            rotation=[0.0, 0.0, 0.0, 1.0],
+            children=children(skeleton, j),
+        )
+        for j in range(joints)
+    ]
+    nodes.append(Node(name=body.name, mesh=0, skin=0))
+    rest = (skeleton.rest_joints - skeleton.rest_joints[0]) @ Y_UP.T
+    inverse = np.tile(np.eye(4), (joints, 1, 1))
+    inverse[:, :3, 3] = -rest
+    # glTF matrices are stored column by column
+    skin = Skin(
+        name="skeleton",
+        joints=list(range(joints)),
+        skeleton=0,
+        inverseBindMatrices=store.add(np.swapaxes(inverse, 1, 2).reshape(-1, 16), "MAT4"),
+    )
+    gltf = GLTF2(
+        asset=Asset(version="2.0", generator="hypose"),
+        scene=0,
+        scenes=[Scene(name="motion", nodes=[0, joints])],
+        nodes=nodes,
+        meshes=[GltfMesh(name=body.name, primitives=[_primitive(store, body.fine, joints)])],
+        materials=[
+            Material(
+                name="skin",
+                pbrMetallicRoughness=PbrMetallicRoughness(
+                    baseColorFactor=_SKIN_COLOUR, metallicFactor=0.0, roughnessFactor=0.8
+                ),
+            )
+        ],
+        skins=[skin],
+        animations=[_animation(store, motion, poses)],
+        accessors=store.accessors,
+        bufferViews=store.views,
+        buffers=[Buffer(byteLength=len(store.data))],
+    )
+    gltf.set_binary_blob(bytes(store.data))
+    with atomic_path(path) as temporary:
+        gltf.save_binary(str(temporary))
+
+
+class _Store:
+    """The one binary buffer of the file, with a view and an accessor per array."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        self.views: list[BufferView] = []
+        self.accessors: list[Accessor] = []
+
+    def add(self, values: np.ndarray, kind: str, target: int | None = None, limits: bool = False) -> int:
+        """Append an array (rows = elements) and return its accessor. float64 is stored as float32."""
+        array = np.ascontiguousarray(values.astype("<f4") if values.dtype == np.float64 else values)
+        component = {"f4": FLOAT, "u1": UNSIGNED_BYTE, "u4": UNSIGNED_INT}[array.dtype.str[1:]]
+        self.data.extend(b"\0" * (-len(self.data) % 4))  # accessors start at multiples of their component size
+        view = BufferView(buffer=0, byteOffset=len(self.data), byteLength=array.nbytes, target=target)
+        accessor = Accessor(
+            bufferView=len(self.views), componentType=component, count=len(array), type=kind, byteOffset=0
+        )
+        if limits:
+            flat = array.reshape(len(array), -1)
+            accessor.min, accessor.max = flat.min(0).tolist(), flat.max(0).tolist()
+        self.data.extend(array.tobytes())
+        self.views.append(view)
+        self.accessors.append(accessor)
+        return len(self.accessors) - 1
+
+
+def _primitive(store: _Store, mesh: Mesh, joints: int) -> Primitive:
+    vertices = mesh.vertices @ Y_UP.T
+    # a vertex must not name a joint twice, and unused slots must name joint 0
+    dense = mesh.dense_weights(joints)
+    index = np.argsort(-dense, axis=1, kind="stable")[:, :4]
+    weights = np.take_along_axis(dense, index, 1)
+    index = np.where(weights > 0, index, 0).astype(np.uint8)
+    weights = weights / weights.sum(1, keepdims=True)
+    return Primitive(
+        attributes=Attributes(
+            POSITION=store.add(vertices, "VEC3", ARRAY_BUFFER, limits=True),
+            NORMAL=store.add(_normals(vertices, mesh.faces), "VEC3", ARRAY_BUFFER),
+            JOINTS_0=store.add(index, "VEC4", ARRAY_BUFFER),
+            WEIGHTS_0=store.add(weights, "VEC4", ARRAY_BUFFER),
+        ),
+        indices=store.add(mesh.faces.astype("<u4").ravel(), "SCALAR", ELEMENT_ARRAY_BUFFER),
+        material=0,
+    )
+
+
+def _normals(vertices: Array, faces: np.ndarray) -> Array:
+    """Area-weighted unit vertex normals (V, 3); up for a vertex without faces."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    face = np.cross(b - a, c - a)
+    out = np.zeros_like(vertices)
+    for k in range(3):
+        np.add.at(out, faces[:, k], face)
+    length = np.linalg.norm(out, axis=1, keepdims=True)
+    return np.where(length > 0, out / np.where(length > 0, length, 1), [0.0, 1.0, 0.0])
+
+
+def _animation(store: _Store, motion: Motion, poses: Array) -> Animation:
+    skeleton = motion.skeleton
+    # frames at equal steps: time stamps of real files may repeat, which glTF forbids
+    times = np.arange(len(poses)) / motion.frame_rate
+    clock = store.add(times, "SCALAR", limits=True)
+    local = local_rotations(skeleton, poses)
+    samplers: list[AnimationSampler] = []
+    channels: list[AnimationChannel] = []
+
+    def channel(node: int, what: str, values: Array, kind: str) -> None:
+        channels.append(AnimationChannel(sampler=len(samplers), target=AnimationChannelTarget(node=node, path=what)))
+        samplers.append(AnimationSampler(input=clock, output=store.add(values, kind), interpolation="LINEAR"))
+
+    _, centres = skeleton.forward(poses)
+    channel(0, "translation", centres[:, 0] @ Y_UP.T, "VEC3")
+    for j in np.flatnonzero(skeleton.tree.kind != FIXED):
+        wxyz = quaternion_from_matrix(local[:, j])
+        # q and -q are one rotation: keep neighbours on one side, or viewers interpolate the long way round
+        flips = np.cumprod(np.where((wxyz[1:] * wxyz[:-1]).sum(1) < 0, -1.0, 1.0))
+        wxyz[1:] *= flips[:, None]
+        channel(int(j), "rotation", wxyz[:, [1, 2, 3, 0]], "VEC4")
+    return Animation(name="motion", samplers=samplers, channels=channels)

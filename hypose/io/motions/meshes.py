@@ -1,0 +1,300 @@
+"""Meshes of people: OBJ, PLY, STL and GLB; skinned GLB and SMPL-format npz with their weights and joints.
+
+Only geometry is read: no materials, no textures, no other file that the mesh names. Nothing is unpickled.
+"""
+
+from __future__ import annotations
+
+import io
+import tokenize
+import zipfile
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.coarse_mesh import enclosed_volume
+from hypose.body.joint_names import SMPL_JOINTS
+from hypose.errors import InputError
+from hypose.geometry import Array
+from hypose.io.files import readable_size, unreadable
+
+MAX_MESH_BYTES = 512 * 2**20
+MAX_FACES = 3_000_000
+MIN_VERTICES = 100
+_TRIMESH = {".obj": "obj", ".ply": "ply", ".stl": "stl", ".glb": "glb", ".off": "off"}
+MESH_ENDINGS = (*_TRIMESH, ".npz")
+_KIND = "a mesh (" + ", ".join(MESH_ENDINGS) + ")"
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Joints and weights of a skinned file: names (n), parents (n,) (-1: none), joints (n, 3) in the file's units,
+    weights (V, n)."""
+
+    names: tuple[str, ...]
+    parents: NDArray[np.int64]
+    joints: Array
+    weights: Array
+
+
+@dataclass(frozen=True)
+class PersonMesh:
+    """The surface of a person as a file holds it: vertices (V, 3) in the file's units and axes, faces (F, 3); rig: of a
+    skinned file; up: the axis that the format prescribes, '' when it prescribes none; source: what errors call it;
+    notes: what was done to it."""
+
+    vertices: Array
+    faces: NDArray[np.int32]
+    rig: Rig | None = None
+    up: str = ""
+    source: str = "The mesh"
+    notes: tuple[str, ...] = field(default=())
+
+
+def read_person(path: str | Path) -> PersonMesh:
+    """Read a mesh of a person; an InputError names the file and what is wrong (absent, damaged, too large, no mesh)."""
+    p = Path(path)
+    ending = p.suffix.lower()
+    if ending == ".pkl":
+        raise InputError(f"{p} is a pickle, which may run any program when read; save the model as .npz instead.")
+    if ending == ".gltf":
+        raise InputError(f"{p}: a .gltf names other files; export it as one .glb instead.")
+    if ending not in MESH_ENDINGS:
+        raise InputError(f"{p} is not {_KIND}; export the scan in one of these formats.")
+    readable_size(p, _KIND, MAX_MESH_BYTES)
+    try:
+        data = p.read_bytes()
+    except OSError as error:
+        raise unreadable(p, error) from None
+    if ending == ".npz":
+        return _read_smpl(p, data)
+    if ending == ".glb":
+        from hypose.io.motions.gltf_skin import read_skin
+
+        skinned = read_skin(data, str(p))
+        if skinned is not None:
+            vertices, faces, names, parents, joints, weights = skinned
+            return _checked(PersonMesh(vertices, faces, Rig(names, parents, joints, weights), "+y", str(p)))
+    vertices, faces = _read_geometry(p, data, _TRIMESH[ending])
+    return _checked(PersonMesh(vertices, faces, None, "+y" if ending == ".glb" else "", str(p)))
+
+
+def _read_geometry(path: Path, data: bytes, kind: str) -> tuple[Array, NDArray[np.int32]]:
+    import trimesh
+
+    try:
+        # from memory and without a resolver, so that no file or address named inside is opened
+        scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, process=False, skip_materials=True)
+        mesh = scene.to_mesh()
+        vertices = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3)
+        faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
+    except Exception as error:  # noqa: BLE001 - the readers of five formats raise what they like on damaged files
+        reason = str(error).split("\n")[0][:120] or type(error).__name__
+        raise InputError(f"{path} cannot be read as {kind.upper()} ({reason}); export the scan again.") from None
+    return vertices, faces.astype(np.int32)
+
+
+def _read_smpl(path: Path, data: bytes) -> PersonMesh:
+    wanted = "v_template, f, weights, J_regressor and kintree_table"
+    arrays: dict[str, np.ndarray] = {}
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            for name in ("v_template", "f", "weights", "J_regressor", "kintree_table"):
+                info = archive.getinfo(f"{name}.npy")
+                if info.file_size > MAX_MESH_BYTES:
+                    raise InputError(f"{path}: {name} has {info.file_size / 2**20:.0f} MiB; that is no body model.")
+                with archive.open(info) as stream:
+                    arrays[name] = np.lib.format.read_array(stream, allow_pickle=False)
+    except InputError:
+        raise
+    except KeyError as error:
+        raise InputError(f"{path} is not an SMPL-format model: it needs {wanted}, and {error} lacks.") from None
+    except (ValueError, SyntaxError, tokenize.TokenError) as error:  # numpy's header is a Python literal
+        raise InputError(
+            f"{path}: an array holds Python objects or is damaged ({error}); save {wanted} as plain numbers "
+            "(J_regressor.toarray() if it is sparse)."
+        ) from None
+    except (zipfile.BadZipFile, OSError, EOFError) as error:
+        raise InputError(f"{path} is not an .npz archive ({error}); save the model with numpy.savez.") from None
+    try:
+        v = arrays["v_template"].astype(np.float64).reshape(-1, 3)
+        f = arrays["f"].astype(np.int64).reshape(-1, 3)
+        w, regressor = arrays["weights"].astype(np.float64), arrays["J_regressor"].astype(np.float64)
+        parents = arrays["kintree_table"].astype(np.float64)[0]
+        n = w.shape[1]
+        if w.shape != (len(v), n) or regressor.shape != (n, len(v)) or parents.shape != (n,) or n < len(SMPL_JOINTS):
+            raise ValueError("shapes differ")
+    except (ValueError, IndexError, TypeError):
+        shapes = ", ".join(f"{k} {a.shape}" for k, a in arrays.items())
+        raise InputError(
+            f"{path}: the shapes {shapes} do not belong to one model of at least {len(SMPL_JOINTS)} joints; "
+            "save it again."
+        ) from None
+    # the root's parent is -1, or 2^32 - 1 where it was stored unsigned
+    tree = np.where((parents >= 0) & (parents < n), parents, -1).astype(np.int64)
+    names = SMPL_JOINTS + tuple(f"extra_{k}" for k in range(len(SMPL_JOINTS), n))
+    rig = Rig(names, tree, regressor @ v, w)
+    return _checked(PersonMesh(v, f.astype(np.int32), rig, "", str(path)))
+
+
+def _checked(mesh: PersonMesh) -> PersonMesh:
+    v, f, source = mesh.vertices, mesh.faces.astype(np.int64), mesh.source
+    if len(v) < MIN_VERTICES or len(f) < MIN_VERTICES:
+        kind = "a point cloud" if len(v) >= MIN_VERTICES else "too coarse"
+        raise InputError(
+            f"{source} has {len(v)} vertices and {len(f)} faces and is {kind}; a person needs a surface of at least "
+            f"{MIN_VERTICES} vertices and faces: export the scan as a mesh."
+        )
+    if len(f) > MAX_FACES:
+        raise InputError(f"{source} has {len(f)} faces, at most {MAX_FACES} are read; decimate the scan first.")
+    if not np.isfinite(v).all():
+        bad = int((~np.isfinite(v).all(1)).sum())
+        raise InputError(f"{source} has {bad} vertices that are not finite; repair the scan and export it again.")
+    if f.min() < 0 or f.max() >= len(v):
+        raise InputError(f"{source} has {len(v)} vertices but a face refers to vertex {int(f.max())}; export it again.")
+    if mesh.rig is not None and not np.isfinite(mesh.rig.weights).all() | np.isfinite(mesh.rig.joints).all():
+        raise InputError(f"{source}: its joints or weights are not finite; export it again.")
+    return mesh
+
+
+def closed_surface(mesh: PersonMesh) -> PersonMesh:
+    """The mesh as one closed manifold that looks outward: equal vertices merged, specks left out, small holes closed.
+
+    An InputError says what is open or in pieces and what to do about it."""
+    v, f = mesh.vertices, mesh.faces.astype(np.int64)
+    notes = list(mesh.notes)
+    keep, index = _merged(v)
+    f = index[f]
+    f = f[(f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 2] != f[:, 0])]
+    if not len(f):
+        raise InputError(f"{mesh.source} has no triangle with three different corners; export it again.")
+    f = f[np.unique(np.sort(f, 1), axis=0, return_index=True)[1]]
+    source = keep
+    f, note = _main_part(v[keep], f, mesh.source)
+    notes += note
+    vertices = v[keep]
+    f = _same_turn(f, mesh.source)
+    vertices, f, added, note = _holes_closed(vertices, f, mesh.source)
+    notes += note
+    source = np.concatenate([source, added])
+    used, f = np.unique(f, return_inverse=True)
+    f = f.reshape(-1, 3)
+    vertices, source = vertices[used], source[used]
+    if enclosed_volume(vertices, f) < 0:
+        f = f[:, ::-1]
+        notes.append("its faces looked inward and were turned")
+    rig = None if mesh.rig is None else replace(mesh.rig, weights=mesh.rig.weights[source])
+    return replace(mesh, vertices=vertices, faces=f.astype(np.int32), rig=rig, notes=tuple(notes))
+
+
+def _merged(v: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The first of equal vertices, and for every vertex its place among them (formats with normals or texture split
+    vertices, STL repeats them per face)."""
+    grid = np.round((v - v.min(0)) / max(float(np.ptp(v, axis=0).max()), 1e-30) * 2**22).astype(np.int64)
+    _, first, index = np.unique(grid, axis=0, return_index=True, return_inverse=True)
+    return first, index.reshape(-1)
+
+
+def _main_part(v: Array, f: NDArray[np.int64], source: str) -> tuple[NDArray[np.int64], list[str]]:
+    """The faces of the one part that is a person; specks (below 2 % of the surface) are left out."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    edges = np.concatenate([f[:, [0, 1]], f[:, [1, 2]]])
+    _, part = connected_components(
+        coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(v), len(v)))
+    )
+    area = np.linalg.norm(np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]]), axis=1)
+    share = np.bincount(part[f[:, 0]], area)
+    share = share / max(share.sum(), 1e-30)
+    large = np.flatnonzero(share > 0.02)
+    if len(large) != 1:
+        sizes = ", ".join(f"{100 * s:.0f} %" for s in sorted(share[large], reverse=True)[:6])
+        raise InputError(
+            f"{source} consists of {len(large)} parts ({sizes} of its surface); one closed surface is needed: keep the "
+            "person alone, or join the parts (Blender: Remesh modifier, voxel size 1 cm)."
+        )
+    kept = f[part[f[:, 0]] == large[0]]
+    specks = int((np.bincount(part[f[:, 0]]) > 0).sum()) - 1
+    return kept, [f"{specks} small loose parts were left out"] if specks else []
+
+
+def _same_turn(f: NDArray[np.int64], source: str) -> NDArray[np.int64]:
+    """An InputError for edges of three faces; faces that turn the other way than their neighbours are turned."""
+    n = int(f.max()) + 1
+    edges = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]])
+    key = edges.min(1) * n + edges.max(1)
+    _, count = np.unique(key, return_counts=True)
+    if (count > 2).any():
+        raise InputError(
+            f"{source} is not a manifold: {int((count > 2).sum())} edges belong to three or more faces; remesh the "
+            "scan (Blender: Remesh modifier, or Mesh > Clean Up > Merge by Distance)."
+        )
+    if len(np.unique(edges @ [n, 1])) < len(edges):
+        import trimesh
+
+        mesh = trimesh.Trimesh(np.zeros((n, 3)), f, process=False)
+        trimesh.repair.fix_winding(mesh)
+        f = np.asarray(mesh.faces, dtype=np.int64)
+        edges = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]])
+        if len(np.unique(edges @ [n, 1])) < len(edges):
+            raise InputError(
+                f"{source} has no inside and outside (its faces cannot all turn one way); remesh the scan."
+            )
+    return f
+
+
+def _holes_closed(
+    v: Array, f: NDArray[np.int64], source: str
+) -> tuple[Array, NDArray[np.int64], NDArray[np.int64], list[str]]:
+    """Closes small holes (together at most a tenth of the height across) with a fan to their middle; the fourth value
+    is the vertex each new one resembles. An InputError for larger ones."""
+    n = int(f.max()) + 1
+    edges = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]])
+    open_edges = edges[~np.isin(edges @ [n, 1], edges @ [1, n])]
+    if not len(open_edges):
+        return v, f, np.zeros(0, np.int64), []
+    loops = _loops(open_edges)
+    size = float(np.ptp(v[np.unique(f)], axis=0).max())
+    lengths = [float(np.linalg.norm(v[x] - v[np.roll(x, 1)], axis=1).sum()) for x in loops or []]
+    if loops is None or max(lengths) > 0.25 * size:
+        holes = (
+            "" if loops is None else f" around {len(loops)} holes, the largest {max(lengths) / size:.0%} of its height"
+        )
+        raise InputError(
+            f"{source} is not closed: {len(open_edges)} edges have one face only{holes}; close the scan (MeshLab: "
+            "Screened Poisson; Blender: Remesh modifier with voxel size 1 cm) and try again."
+        )
+    extra, rows, like = [], [], []
+    for loop in loops:
+        middle = len(v) + len(extra)
+        extra.append(v[loop].mean(0))
+        like.append(int(loop[0]))
+        rows += [(middle, int(b), int(a)) for a, b in zip(loop, np.roll(loop, -1), strict=True)]
+    return (
+        np.concatenate([v, np.array(extra)]),
+        np.concatenate([f, np.array(rows, dtype=np.int64)]),
+        np.array(like, dtype=np.int64),
+        [f"{len(loops)} small holes were closed"],
+    )
+
+
+def _loops(open_edges: NDArray[np.int64]) -> list[NDArray[np.int64]] | None:
+    """The rims of the holes as rings of vertices; None where two rims touch in a vertex."""
+    after = dict(open_edges.tolist())
+    if len(after) < len(open_edges):
+        return None
+    out = []
+    while after:
+        start, k = next(iter(after.items()))
+        ring = [start]
+        del after[start]
+        while k != start:
+            if k not in after:
+                return None
+            ring.append(k)
+            k = after.pop(k)
+        out.append(np.array(ring, dtype=np.int64))
+    return out

@@ -1,0 +1,137 @@
+"""modes.npz beside motion.npz: every hypothesis of every frame of a monocular track.
+
+    modes = load_modes("results/monocular/modes.npz")
+    modes.joints[t, k]      # (19, 3) m of mode k of frame t, NaN when frame t has fewer modes
+    modes.weights[t]        # (K,), sum 1
+
+The same safety as motion.npz: no pickle, nothing allocated before its size is known, equal modes give equal bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.errors import InputError
+from hypose.geometry import Array
+from hypose.io.motions.results import _load_arrays, _write_archive
+
+_FORMAT = 1
+_NEXT_STEP = "give the modes.npz that hypose track --method monocular wrote"
+_DIMENSIONS = {
+    "poses": 3,
+    "joints": 4,
+    "weights": 2,
+    "costs": 2,
+    "covariances": 4,
+    "joint_covariance": 4,
+    "depth_sd": 2,
+    "alive": 1,
+}
+
+
+@dataclass(frozen=True)
+class Modes:
+    """T frames, at most K modes each, best first, NaN where a frame has fewer; D dof, J joints.
+
+    poses (T, K, D); joints (T, K, J, 3) m, world; weights (T, K), sum 1; costs (T, K): negative log posterior of the
+    frame's evidence; covariances (T, K, D, D) of the poses (32 bit); of the best mode joint_covariance (T, J, 3, 3) m^2
+    and depth_sd (T, J) m along the line of sight; alive (T,): how many modes there are."""
+
+    poses: Array
+    joints: Array
+    weights: Array
+    costs: Array
+    covariances: NDArray[np.float32]
+    joint_covariance: Array
+    depth_sd: Array
+    alive: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        t, k, d = self.poses.shape
+        j = self.joints.shape[2]
+        wanted = {
+            "joints": (t, k, j, 3),
+            "weights": (t, k),
+            "costs": (t, k),
+            "covariances": (t, k, d, d),
+            "joint_covariance": (t, j, 3, 3),
+            "depth_sd": (t, j),
+            "alive": (t,),
+        }
+        for name, shape in wanted.items():
+            if getattr(self, name).shape != shape:
+                raise InputError(f"Modes.{name} has shape {getattr(self, name).shape}, {shape} is needed.")
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    @property
+    def shares(self) -> Array:
+        """(T,) weight of the best mode."""
+        return self.weights[:, 0]
+
+
+def joined(parts: Sequence[Modes]) -> Modes:
+    """The modes of consecutive frames as one, padded with NaN to the largest number of modes."""
+    most = max(p.poses.shape[1] for p in parts)
+
+    def stacked(name: str) -> np.ndarray:
+        arrays = []
+        for part in parts:
+            a = np.asarray(getattr(part, name))
+            if name in ("poses", "joints", "weights", "costs", "covariances"):
+                a = np.pad(a, [(0, 0), (0, most - a.shape[1])] + [(0, 0)] * (a.ndim - 2), constant_values=np.nan)
+            arrays.append(a)
+        return np.concatenate(arrays)
+
+    return Modes(**{f.name: stacked(f.name) for f in fields(Modes)})
+
+
+def save_modes(modes: Modes, path: str | Path) -> None:
+    """Write whole or not at all."""
+    _write_archive(path, {**to_arrays(modes), "format": np.array(_FORMAT)})
+
+
+def load_modes(path: str | Path) -> Modes:
+    """Read a modes.npz; an InputError names the file and what is wrong."""
+    path = Path(path)
+    arrays = _load_arrays(path, "file of modes", _NEXT_STEP)
+    if arrays.pop("format", np.array(-1)).tolist() != _FORMAT:
+        raise InputError(f"{path} is no file of modes of this version of hypose; {_NEXT_STEP}.")
+    return from_arrays(arrays, str(path))
+
+
+def load_joints_of_modes(path: str | Path) -> tuple[Array, Array]:
+    """joints (T, K, J, 3) m and weights (T, K) of a modes.npz alone, which is little of what it holds; an InputError as
+    of `load_modes`."""
+    path, names = Path(path), ("joints", "weights")
+    found = _load_arrays(path, "file of modes", _NEXT_STEP, set(names))
+    for name in names:
+        if name not in found or found[name].dtype.kind != "f" or found[name].ndim != _DIMENSIONS[name]:
+            raise InputError(f"{path} is damaged: {name} is missing or has another shape; track again.")
+    joints, weights = (found[name] for name in names)
+    if joints.shape[:2] != weights.shape or joints.shape[3] != 3:
+        raise InputError(f"{path} is damaged: joints and weights do not belong together; track again.")
+    return joints, weights
+
+
+def to_arrays(modes: Modes) -> dict[str, np.ndarray]:
+    """Plain arrays by name, for archives and checkpoints."""
+    return {name: np.asarray(getattr(modes, name)) for name in _DIMENSIONS}
+
+
+def from_arrays(arrays: dict[str, np.ndarray], source: str) -> Modes:
+    """The inverse of `to_arrays`; an InputError naming the source when arrays are missing or of another kind."""
+    for name, dimensions in _DIMENSIONS.items():
+        kind = "i" if name == "alive" else "f"
+        if name not in arrays or arrays[name].ndim != dimensions or arrays[name].dtype.kind != kind:
+            raise InputError(f"{source} is damaged: {name} is missing or has another shape; track again.")
+    unknown = set(arrays) - set(_DIMENSIONS)
+    if unknown:
+        raise InputError(f"{source} holds the unknown array {sorted(unknown)[0]!r}; track again.")
+    return Modes(**arrays)

@@ -1,0 +1,469 @@
+"""FrameStream: a recording as frames of evidence (silhouettes, key points), in any order, one thread per
+camera.
+
+Per camera: decode -> shrink and undistort to working size -> mask; key points are undistorted and scaled
+alike. Every frame is a function of the recording and the options alone: not of the order in which frames
+are asked for, where a run was resumed, or the number of threads.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import percentile_filter
+
+from hypose.cameras.camera import Camera, CameraRig
+from hypose.compute.selection import default_threads
+from hypose.errors import InputError
+from hypose.evidence.ahead import make_ahead
+from hypose.evidence.background import BackgroundModel, Image, from_frames, from_plates, from_recording
+from hypose.evidence.frame import Frame, Keypoints
+from hypose.evidence.keypoints import (
+    follow_person,
+    keypoint_names,
+    parse_openpose,
+    person_size,
+    thick_skeleton,
+    to_keypoints,
+)
+from hypose.evidence.outlines import WORKING_HEIGHT, ViewOutline, view_outline
+from hypose.evidence.silhouettes import (
+    Mask,
+    SilhouetteOptions,
+    flag_collapsed,
+    make_segmenter,
+    make_silhouettes,
+)
+from hypose.geometry import Array
+from hypose.io.file_names import folder_for
+from hypose.io.files import atomic_path, write_text
+from hypose.io.recordings.recording import Recording
+from hypose.io.recordings.view_source import SIDECAR, Preparer, ViewSource
+from hypose.io.videos.video import open_video
+
+Covers = Callable[[int, int], Mask | None]
+"""(view, video frame) -> where the person is, (h, w) at working size: the silhouette of a model tracked
+before."""
+
+_CLIP = 10  # a background of fewer images is a set of photos
+_COVER, _BAND = 0.052, 0.03  # half thickness of the limbs drawn, and margin around them, in heights of the person
+_AHEAD = 3  # frames made before they are asked for, in a run
+_SAMPLE_STEP, _SAMPLES = 5, 11  # frames whose mask areas are the usual area
+_LONGEST_GAP = 15  # frames over which a missing key point is bridged when the skeleton is drawn
+
+
+@dataclass(frozen=True)
+class FrameOptions:
+    """longer_side: working size, px of the longer image side (images are never enlarged). factor: working
+    size as a share of the calibrated size instead. silhouettes: None for key points only (nothing is
+    decoded). band: keep masks within a thick skeleton where there are key points. background_frames:
+    frames of the recording or clip that are looked at for a background."""
+
+    longer_side: int = 480
+    factor: float | None = None
+    silhouettes: SilhouetteOptions | None = field(default_factory=SilhouetteOptions)
+    band: bool = True
+    background_frames: int = 60
+
+    def __post_init__(self) -> None:
+        if self.longer_side < 32 or self.background_frames < 1:
+            raise InputError("The working size must be at least 32 px, the number of background frames at least 1.")
+        if self.factor is not None and not 0 < self.factor <= 1:
+            raise InputError(f"The working size factor must lie in (0, 1], got {self.factor:g}.")
+
+
+def working_rig(rig: CameraRig, options: FrameOptions | None = None) -> CameraRig:
+    """The pinhole cameras of the working size."""
+    o = options or FrameOptions()
+    return rig.scaled(o.factor or min(1.0, o.longer_side / float(rig.sizes.max()))).pinhole()
+
+
+def load_keypoints(recording: Recording, options: FrameOptions | None = None) -> list[Keypoints] | None:
+    """Key points of one person for every frame of recording.frames, None when the recording has none.
+
+    The file of a frame is found by the last number in its name, counted from the smallest number of all views
+    (by order where names carry no number), with recording.keypoint_lag; a frame without a file has
+    confidence 0. An InputError names the file that cannot be read.
+    """
+    if recording.keypoint_set is None or not any(v.keypoints for v in recording.views):
+        return None
+    names = keypoint_names(recording.keypoint_set)
+    small = working_rig(recording.rig, options)
+    files = [_numbered_files(v.keypoints) if v.keypoints else {} for v in recording.views]
+    first = min((min(f) for f in files if f), default=0)
+    tracks = []
+    for view, camera, found in zip(recording.views, recording.rig, files, strict=True):
+        scale = np.ones(2)
+        if recording.keypoint_pixels == "image" and view.source is not None:
+            with open_video(view.source) as reader:
+                scale = np.array(camera.size) / np.array(reader.size)
+        people = []
+        for frame in recording.frames:
+            path = found.get(frame - recording.keypoint_lag + first)
+            people.append(None if path is None else parse_openpose(_read(path), names, str(path)))
+        track = follow_person(people)
+        if track.shape[1] != len(names):
+            track = np.zeros((len(people), len(names), 3))
+        track[..., :2] = (track[..., :2] + 0.5) * scale - 0.5
+        tracks.append(track)
+    return [to_keypoints([t[i] for t in tracks], names, recording.rig, small) for i in range(len(recording.frames))]
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}); check its permissions.") from None
+
+
+def _numbered_files(folder: Path) -> dict[int, Path]:
+    paths = sorted(folder.glob("*.json"))
+    numbers = []
+    for p in paths:
+        digits = "".join(c if c.isdigit() else " " for c in p.stem).split()
+        numbers.append(int(digits[-1]) if digits else -1)
+    if len(set(numbers)) < len(numbers) or -1 in numbers:
+        return dict(enumerate(paths))
+    return dict(zip(numbers, paths, strict=True))
+
+
+@dataclass(frozen=True)
+class _Skeletons:
+    """Thick skeletons of every frame and view from key points with short gaps bridged."""
+
+    points: Array  # (T, C, K, 3)
+    heights: Array  # (T, C) px
+    names: tuple[str, ...]
+    first: int
+
+    def cover(self, view: int, frame: int, shape: tuple[int, int]) -> Mask | None:
+        """Where the person is, None when unknown."""
+        t = frame - self.first
+        p, height = self.points[t, view], self.heights[t, view]
+        if (p[:, 2] > 0.3).sum() < 6 or height < 8:
+            return None
+        return thick_skeleton(p, self.names, shape, _COVER * height)
+
+
+def _skeletons(keypoints: Sequence[Keypoints], first: int) -> _Skeletons:
+    points = np.stack([k.points for k in keypoints])
+    frames = np.arange(len(points))
+    for c in range(points.shape[1]):
+        for k in range(points.shape[2]):
+            seen = np.flatnonzero(points[:, c, k, 2] > 0.3)
+            if len(seen) in (0, len(points)):
+                continue
+            nearest = np.abs(frames[:, None] - seen).min(1) if len(seen) < 2000 else None
+            for axis in (0, 1):
+                points[:, c, k, axis] = np.interp(frames, seen, points[seen, c, k, axis])
+            hidden = np.ones(len(frames), dtype=bool)
+            hidden[seen] = False
+            close = hidden if nearest is None else hidden & (nearest <= _LONGEST_GAP)
+            points[close, c, k, 2] = 0.31
+    heights = np.array([[person_size(p) for p in frame] for frame in points])
+    return _Skeletons(points, percentile_filter(heights, 75, (61, 1), mode="nearest"), keypoints[0].names, first)
+
+
+def _grow(mask: Mask, margin: float) -> Mask:
+    size = 2 * max(1, round(margin)) + 1
+    return np.asarray(cv2.dilate(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))), dtype=np.uint8)
+
+
+def _extent(mask: Mask) -> int:
+    """Longer side of the box around a mask, px."""
+    return max(int(np.ptp(np.flatnonzero(mask.any(a)))) for a in (0, 1)) if mask.any() else 0
+
+
+def _cover(covers: Covers | None, skeletons: _Skeletons | None, view: int, frame: int, small: Camera) -> Mask | None:
+    """Where the person is, from a tracked model or the key points; None when unknown."""
+    shape = (small.size[1], small.size[0])
+    given = None if covers is None else covers(view, frame)
+    if given is not None:
+        return _grow((given > 0).astype(np.uint8), _BAND * _extent(given))
+    return None if skeletons is None else skeletons.cover(view, frame, shape)
+
+
+def build_backgrounds(
+    recording: Recording,
+    options: FrameOptions | None = None,
+    keypoints: Sequence[Keypoints] | None = None,
+    covers: Covers | None = None,
+) -> tuple[BackgroundModel | None, ...]:
+    """One background per view, None for views with masks of their own.
+
+    A clip of the empty room is used as it is. Photos are combined with the recording itself; without
+    either the recording alone is used (hypose.evidence.background.from_recording), with the key points'
+    thick skeleton or the `covers` telling where the person is. At most options.background_frames frames
+    are held per view.
+    """
+    o = options or FrameOptions()
+    small = working_rig(recording.rig, o)
+    skeletons = _skeletons(keypoints, recording.frames[0]) if keypoints else None
+
+    def build(c: int) -> BackgroundModel | None:
+        view = recording.views[c]
+        if view.masks is not None:
+            return None
+        prepare = Preparer(recording.rig[c], small[c], view.image_shift)
+        plate = None
+        if view.background is not None:
+            with open_video(view.background) as reader:
+                chosen = _spread(range(reader.n_frames), o.background_frames)
+                images = [prepare(reader.read(i)) for i in chosen]
+                if reader.n_frames >= _CLIP:
+                    return from_frames(images)
+                plate = from_plates(images)
+        source = ViewSource(view, recording.rig[c], small[c])
+        try:
+            frames, hidden = [], []
+            for frame in _spread(recording.frames, o.background_frames):
+                try:
+                    frames.append(source.image(frame))
+                except InputError:
+                    if not frames:
+                        raise
+                    break  # a video that breaks off: what was read so far has to do
+                hidden.append(_cover(covers, skeletons, c, frame, small[c]))
+        finally:
+            source.close()
+        known = [(f, h) for f, h in zip(frames, hidden, strict=True) if h is not None]
+        if len(known) < max(4, len(frames) // 4):
+            return from_recording(frames, None, plate)
+        return from_recording([f for f, _ in known], np.stack([h for _, h in known]), plate)
+
+    with ThreadPoolExecutor(len(recording.views)) as pool:
+        return tuple(pool.map(build, range(len(recording.views))))
+
+
+def _spread(frames: range, count: int) -> list[int]:
+    """At most `count` of the frames, evenly spread."""
+    picked = np.unique(np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int))
+    return [frames[int(i)] for i in picked]
+
+
+@dataclass(frozen=True)
+class _PackedMask:
+    """A mask (h, w) = shape in an eighth of its memory, its area, or why there is none."""
+
+    bits: NDArray[np.uint8] | None
+    shape: tuple[int, ...]
+    area: int
+    reason: str
+
+    def mask(self) -> Mask | None:
+        return None if self.bits is None else np.unpackbits(self.bits, axis=1, count=self.shape[1])
+
+
+class _Pending:
+    """The masks and outlines of one frame, in the making: a task per view in that view's lane."""
+
+    def __init__(self, masks: list[Future[_PackedMask]]) -> None:
+        self._masks = masks
+        self._outlines: list[Future[ViewOutline | None]] | None = None
+
+    def masks(self) -> tuple[list[Mask | None], list[str]]:
+        done = [f.result() for f in self._masks]
+        return [d.mask() for d in done], [d.reason for d in done]
+
+    def areas(self) -> NDArray[np.int64]:
+        return np.array([f.result().area for f in self._masks])
+
+    def begin_outlines(self, lanes: Sequence[ThreadPoolExecutor]) -> None:
+        """In the lane of each view, behind its mask, which is therefore done by then."""
+        if self._outlines is None:
+            self._outlines = [lane.submit(_outline, f) for lane, f in zip(lanes, self._masks, strict=True)]
+
+    def outlines(self) -> list[ViewOutline | None] | None:
+        try:
+            return None if self._outlines is None else [f.result() for f in self._outlines]
+        except CancelledError:  # the stream was closed
+            return None
+
+    def cancel(self) -> None:
+        for future in [*self._masks, *(self._outlines or [])]:
+            future.cancel()
+
+
+def _outline(mask: Future[_PackedMask]) -> ViewOutline | None:
+    found = mask.result().mask()
+    return None if found is None else view_outline(found, working_height=WORKING_HEIGHT)
+
+
+class FrameStream:
+    """The frames of a recording: `len(stream)`, `stream.frame(i)`, iteration, `with` to close.
+
+    frame(i) is the i-th frame of recording.frames; its index is the number of the video frame and its time
+    that number over the frame rate. A view without image, with an empty mask, or with a mask far from its
+    usual area (the median over about the last two seconds at 25 fps, at the start over the first) is not
+    usable; the reason names camera and frame. rig: pinhole cameras of the working size. notes: sentences
+    for the user about doubtful backgrounds. options: by default the usual ones, with the recording's way to
+    make masks.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        options: FrameOptions | None = None,
+        backgrounds: Sequence[BackgroundModel | None] | None = None,
+        covers: Covers | None = None,
+    ) -> None:
+        self.recording, self.options = recording, options or FrameOptions(silhouettes=recording.silhouettes)
+        self.rig = working_rig(recording.rig, self.options)
+        self.frames = recording.frames
+        if len(self.frames) == 0:
+            raise InputError(f"Recording {recording.name} has no frames to work on; check frame_range.")
+        self.keypoints = load_keypoints(recording, self.options)
+        self._covers = covers
+        banded = self.keypoints is not None and self.options.band
+        self._skeletons = _skeletons(self.keypoints, self.frames[0]) if banded and self.keypoints else None
+        self.backgrounds: tuple[BackgroundModel | None, ...] = ()
+        self._sources: list[ViewSource] = []
+        self._lanes: list[ThreadPoolExecutor] = []
+        self._ahead: dict[int, _Pending] = {}
+        self._last = -1
+        self._areas: dict[int, NDArray[np.int64]] = {}
+        if self.options.silhouettes is not None:
+            self._open(backgrounds)
+
+    def _open(self, backgrounds: Sequence[BackgroundModel | None] | None) -> None:
+        r = self.recording
+        self.backgrounds = (
+            build_backgrounds(r, self.options, self.keypoints, self._covers)
+            if backgrounds is None
+            else tuple(backgrounds)
+        )
+        for view, camera, small, background in zip(r.views, r.rig, self.rig, self.backgrounds, strict=True):
+            source = ViewSource(view, camera, small)
+            if background is not None:
+                source.segment = make_segmenter(background, self.options.silhouettes)
+            self._sources.append(source)
+        # each camera has its lane, so that its frames are read in the order asked for; cameras share one where there
+        # are fewer cores, for more threads than cores mostly wait for each other
+        pools = [ThreadPoolExecutor(1, thread_name_prefix=v.name) for v in r.views[: default_threads()]]
+        self._lanes = [pools[c % len(pools)] for c in range(len(r.views))]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences with the view's name about doubtful backgrounds, and frames that could not be read so far."""
+        named = zip(self.recording.views, self.backgrounds, strict=False)
+        doubtful = [f"View {v.name}: {b.note}" for v, b in named if b is not None and b.note]
+        return (*doubtful, *(f"View {s.view.name} {s.note}" for s in self._sources if s.note))
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self.frame(i) for i in range(len(self)))
+
+    def __enter__(self) -> FrameStream:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop the threads and release the files."""
+        for lane in self._lanes:
+            lane.shutdown(wait=True, cancel_futures=True)
+        for source in self._sources:
+            source.close()
+        self._lanes, self._ahead = [], {}
+
+    def frame(self, index: int, /) -> Frame:
+        """Frame number `index`, 0 <= index < len(stream); going forward is fast, other orders give the
+        same frames."""
+        if not 0 <= index < len(self.frames):
+            raise InputError(f"The recording has the frames 0 to {len(self.frames) - 1}; {index} was asked for.")
+        number = self.frames[index]
+        silhouettes = None
+        if self._lanes:
+            history, pending = self._look(index)
+            masks, reasons = pending.masks()
+            areas = np.array([0 if m is None else cv2.countNonZero(m) for m in masks])
+            collapsed = flag_collapsed(areas, history, self.rig.names, number)
+            why = [given or found for given, found in zip(reasons, collapsed, strict=True)]
+            silhouettes = make_silhouettes(masks, self.rig, why)
+            make_ahead(silhouettes, pending.outlines)
+        keypoints = None if self.keypoints is None else self.keypoints[index]
+        return Frame(number / self.recording.frame_rate, number, silhouettes, keypoints)
+
+    def image(self, view: int, index: int) -> Image:
+        """The undistorted working-size picture (h, w, 3) BGR of a view, for overlays."""
+        if not self._lanes:
+            raise InputError("This stream was opened without silhouettes and decodes no images.")
+        return self._lanes[view].submit(self._sources[view].image, self.frames[index]).result()
+
+    def _mask(self, view: int, frame: int) -> tuple[Mask | None, str]:
+        band = None
+        if self.options.band:
+            cover = _cover(self._covers, self._skeletons, view, frame, self.rig[view])
+            if cover is not None:
+                band = _grow(cover, _BAND * _extent(cover))
+        return self._sources[view].mask(frame, band)
+
+    def _look(self, index: int) -> tuple[NDArray[np.int64], _Pending]:
+        """The areas (C, H) that say what is usual at this frame, and the frame's masks; and what comes next is begun.
+
+        The frames of the areas are a fixed choice, so that it does not matter where a run was resumed. At the start
+        they lie ahead; the masks up to there are kept, packed, so that no video is read twice."""
+        latest = max(_SAMPLES, -(-index // _SAMPLE_STEP))  # samples before this frame, at the start the first ones
+        samples = [s * _SAMPLE_STEP for s in range(latest - _SAMPLES, latest) if s * _SAMPLE_STEP < len(self.frames)]
+        missing = [s for s in samples if s not in self._areas]
+        ahead = min(index + (_AHEAD if index in (0, self._last + 1) else 1), len(self.frames) - 1)
+        self._last = index
+        wanted = sorted({*missing, *range(index, max([ahead, *missing]) + 1)})
+        for other in [i for i in self._ahead if not index <= i <= index + _SAMPLES * _SAMPLE_STEP]:
+            self._ahead.pop(other).cancel()
+        for i in wanted:
+            if i not in self._ahead:
+                self._ahead[i] = _Pending([lane.submit(self._packed, c, i) for c, lane in enumerate(self._lanes)])
+        for i in missing:
+            self._areas[i] = self._ahead[i].areas()
+            if i < index:
+                del self._ahead[i]
+        for i in range(index, ahead + 1):
+            self._ahead[i].begin_outlines(self._lanes)
+        for old in [s for s in self._areas if s < samples[0] - 500 or s > samples[-1] + 500]:
+            del self._areas[old]
+        pending = self._ahead.pop(index)
+        if index % _SAMPLE_STEP == 0:
+            self._areas[index] = pending.areas()
+        return np.stack([self._areas[s] for s in samples], 1), pending
+
+    def _packed(self, view: int, index: int) -> _PackedMask:
+        mask, reason = self._mask(view, self.frames[index])
+        if mask is None:
+            return _PackedMask(None, (0, 0), 0, reason)
+        return _PackedMask(np.packbits(mask, axis=1), mask.shape, cv2.countNonZero(mask), reason)
+
+
+def write_masks(stream: FrameStream, folder: str | Path, progress: Callable[[int, int], None] | None = None) -> int:
+    """Write the stream's masks as PNG (0/255), undistorted, at working size: folder/VIEW/FRAME.png;
+    returns how many of them show something.
+
+    A note beside them says that they are undistorted, so that a recording whose view names such a folder
+    as `masks` reads them back exactly. progress(done, total) is called after every frame.
+    """
+    folder = Path(folder)
+    views = [folder_for(folder, v.name) for v in stream.recording.views]
+    for path, camera in zip(views, stream.rig, strict=True):
+        write_text(path / SIDECAR, json.dumps({"undistorted": True, "size": list(camera.size)}) + "\n")
+    shown = 0
+    for done, frame in enumerate(stream, 1):
+        if frame.silhouettes is None:
+            raise InputError("There are no silhouettes to write; open the stream with silhouettes.")
+        for path, camera, mask in zip(views, stream.rig, frame.silhouettes.masks, strict=True):
+            ok, data = cv2.imencode(".png", mask[: camera.size[1], : camera.size[0]] * np.uint8(255))
+            with atomic_path(path / f"{frame.index:06d}.png") as temporary:
+                temporary.write_bytes(data.tobytes() if ok else b"")
+        if progress is not None:
+            progress(done, len(stream))
+        shown += int((frame.silhouettes.areas > 0).sum())
+    return shown

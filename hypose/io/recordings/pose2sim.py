@@ -1,0 +1,290 @@
+"""A Pose2Sim project or trial folder, taken as it is: translated into what recording.toml would say.
+
+Read: Config.toml of the trial and of up to two levels above it (a key of the trial wins), `calibration/`
+there or above (the .toml that Pose2Sim wrote, else Qualisys .qca.txt), `videos/` (files or folders of images,
+in natural order), `pose/<camera>_json/` (OpenPose JSON), and the photos in `calibration/extrinsics/`, which
+show the room with the cameras of the recording and so serve as background plates. Nothing is written.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeGuard
+
+from hypose.errors import InputError
+from hypose.io.calibrations.calibration_toml import find_calibration, natural_key, parse_toml
+from hypose.io.file_names import text_of
+from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, frame_size, list_images
+from hypose.json_text import parse_json
+
+_LEVELS_ABOVE = 2
+_MAX_JSON_BYTES = 5_000_000
+# Pose2Sim's names of its models -> key-point sets; other names are sets already (BODY_25B, HALPE_26, ...).
+_MODELS = {
+    "body_with_feet": "HALPE_26",
+    "lower_body": "HALPE_26",
+    "body": "COCO_17",
+    "whole_body": "COCO_133",
+    "whole_body_wrist": "COCO_133_WRIST",
+}
+# Which set a JSON of so many points holds when Config.toml does not say (Pose2Sim's default for 25 is
+# BODY_25B).
+_SET_OF_COUNT = {17: "COCO_17", 18: "COCO", 25: "BODY_25B", 26: "HALPE_26", 33: "BLAZEPOSE", 133: "COCO_133"}
+_COUNT_OF_SET = {"BODY_25": 25} | {name: count for count, name in _SET_OF_COUNT.items()}
+
+
+def is_project(folder: Path) -> bool:
+    """Whether a folder looks like a Pose2Sim project or trial: Config.toml or a calibration folder, and
+    videos."""
+    has_config = _file(folder, "config.toml") is not None
+    return has_config or (_subfolder(folder, "videos") is not None and _calibration_folder(folder) is not None)
+
+
+def read_project(folder: Path) -> tuple[dict[str, Any], list[str]]:
+    """(settings, notes): the settings of recording.toml with absolute paths; an InputError names what is
+    missing."""
+    folder = folder.absolute()
+    config = _merged_config(folder)
+    videos = _subfolder(folder, "videos")
+    if videos is None:
+        trials = [p.name for p in sorted(folder.iterdir()) if p.is_dir() and _subfolder(p, "videos") is not None]
+        if trials:
+            raise InputError(
+                f"{folder} is a Pose2Sim session with the trials {', '.join(trials)}; name one of these folders."
+            )
+        raise InputError(
+            f"The Pose2Sim project {folder} has no videos folder; put the videos into {folder / 'videos'}."
+        )
+    clips = _clips(videos)
+    if not clips:
+        raise InputError(f"{videos} holds no videos ({', '.join(VIDEO_ENDINGS)}) and no folders of images; add them.")
+    calibration = _find_calibration(folder)
+    notes: list[str] = []
+    project = config.get("project")
+    project = project if isinstance(project, Mapping) else {}
+    names = [text_of(p.stem if p.is_file() else p.name) for p in clips]
+    settings: dict[str, Any] = {"name": text_of(folder.resolve().name), "calibration": str(calibration)}
+    rate = project.get("frame_rate")
+    if _is_number(rate):
+        settings["frame_rate"] = float(rate)
+    frames = project.get("frame_range")
+    if isinstance(frames, list) and len(frames) == 2:
+        settings["frame_range"] = frames
+    for key, target in (("participant_height", "subject_height"), ("participant_mass", "subject_mass")):
+        value = project.get(key)
+        value = value[0] if isinstance(value, list) and value else value
+        if _is_number(value):
+            settings[target] = float(value)
+    views: list[dict[str, Any]] = [
+        {"name": n, ("video" if p.is_file() else "images"): str(p)} for n, p in zip(names, clips, strict=True)
+    ]
+    keypoints = _keypoint_folders(folder, names, notes)
+    for view, path in zip(views, keypoints, strict=True):
+        if path is not None:
+            view["keypoints"] = str(path)
+    if any(keypoints):
+        pose = config.get("pose")
+        model = pose.get("pose_model") if isinstance(pose, Mapping) else None
+        settings["keypoint_set"] = _keypoint_set(model, [k for k in keypoints if k], notes)
+        # Pose2Sim itself never scales key points: they are in the pixels of the calibration.
+        settings["keypoint_pixels"] = "calibration"
+    _add_plates(calibration.parent / "extrinsics", views, notes)
+    settings["view"] = views
+    return settings, notes
+
+
+def match_names(wanted: Sequence[str], available: Sequence[str]) -> list[int | None]:
+    """Index in `available` for each wanted name: the same name; else the same letters and digits without
+    decoration (cam01_json, ext_cam01_img, Cam-01); else the only one with the same number. None where nothing
+    fits uniquely."""
+
+    def unique(key: Any) -> list[int | None]:
+        keys = [key(a) for a in available]
+        counts = [key(w) for w in wanted]
+        return [
+            keys.index(k) if k not in (None, "") and keys.count(k) == 1 and counts.count(k) == 1 else None
+            for k in counts
+        ]
+
+    out: list[int | None] = [None] * len(wanted)
+    for key in (lambda n: n, _bare, _number):
+        for i, found in enumerate(unique(key)):
+            if out[i] is None and found is not None and found not in out:
+                out[i] = found
+    return out
+
+
+def _bare(name: str) -> str:
+    return "".join(c for c in re.sub(r"(^(ext|int)_|_(json|img|imgs|ext)$)", "", name.lower()) if c.isalnum())
+
+
+def _number(name: str) -> int | None:
+    """The last number of a name (cam_01 -> 1, trial2_cam03 -> 3)."""
+    numbers = re.findall(r"\d+", name)
+    return int(numbers[-1]) if numbers else None
+
+
+def _is_number(value: Any) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _file(folder: Path, lower_name: str) -> Path | None:
+    return next((p for p in folder.iterdir() if p.is_file() and p.name.lower() == lower_name), None)
+
+
+def _subfolder(folder: Path, lower_name: str) -> Path | None:
+    return next((p for p in folder.iterdir() if p.is_dir() and p.name.lower() == lower_name), None)
+
+
+def _calibration_folder(folder: Path) -> Path | None:
+    found = [p for p in folder.iterdir() if p.is_dir() and p.name.lower().startswith("calib")]
+    return min(found, key=lambda p: (p.name.lower() != "calibration", natural_key(p.name)), default=None)
+
+
+def _levels(folder: Path) -> list[Path]:
+    """The folder and those above it that belong to the same session, which is to say have a Config.toml."""
+    out = [folder]
+    for parent in list(folder.parents)[:_LEVELS_ABOVE]:
+        try:
+            if _file(parent, "config.toml") is not None:
+                out.append(parent)
+        except OSError:
+            break
+    return out
+
+
+def _merged_config(folder: Path) -> dict[str, Any]:
+    merged: dict[str, Any] = {}
+    for level in reversed(_levels(folder)):
+        path = _file(level, "config.toml")
+        if path is None:
+            continue
+        try:
+            if path.stat().st_size > _MAX_JSON_BYTES:
+                raise ValueError("it is too large")
+            document = parse_toml(path, path.read_text(encoding="utf-8-sig"))
+        except (ValueError, OSError) as error:
+            raise InputError(f"{path} is not valid TOML: {error}; correct it.") from None
+        for table, values in document.items():
+            if isinstance(values, dict) and isinstance(merged.get(table), dict):
+                merged[table] = merged[table] | values
+            else:
+                merged[table] = values
+    return merged
+
+
+def _find_calibration(folder: Path) -> Path:
+    looked = []
+    for level in _levels(folder):
+        calibration_folder = _calibration_folder(level)
+        if calibration_folder is None:
+            continue
+        looked.append(calibration_folder)
+        found = find_calibration(calibration_folder)
+        if found is not None:
+            return found
+    where = " and ".join(map(str, looked)) if looked else f"{folder} (it has no calibration folder)"
+    raise InputError(
+        f"No calibration (.toml or .qca.txt) in {where}; run Pose2Sim's calibration step or hypose calibrate first."
+    )
+
+
+def _clips(videos: Path) -> list[Path]:
+    files = [p for p in videos.iterdir() if p.is_file() and p.suffix.lower() in VIDEO_ENDINGS]
+    files = [p for p in files if not p.name.startswith(".")]
+    folders = [p for p in videos.iterdir() if p.is_dir() and list_images(p)]
+    return sorted(files or folders, key=lambda p: natural_key(p.name))
+
+
+def _keypoint_folders(folder: Path, names: Sequence[str], notes: list[str]) -> list[Path | None]:
+    pose = _subfolder(folder, "pose")
+    if pose is None:
+        return [None] * len(names)
+    folders = sorted(
+        (p for p in pose.iterdir() if p.is_dir() and next(p.glob("*.json"), None) is not None),
+        key=lambda p: natural_key(p.name),
+    )
+    matched = match_names(names, [p.name for p in folders])
+    if None in matched and len(folders) == len(names):
+        notes.append(
+            f"Key-point folders and videos are paired in their order ({folders[0].name} with {names[0]}, "
+            "...), since their names do not say which belong together."
+        )
+        return list(folders)
+    missing = [n for n, m in zip(names, matched, strict=True) if m is None]
+    if folders and missing:
+        notes.append(f"No key points for {', '.join(missing)} in {pose}.")
+    if _subfolder(folder, "pose-sync") is not None:
+        notes.append(
+            "pose-sync is not read: hypose takes the videos as synchronous, and the key points of pose as they are."
+        )
+    return [None if m is None else folders[m] for m in matched]
+
+
+def _keypoint_set(model: Any, folders: Sequence[Path], notes: list[str]) -> str:
+    stated = None
+    if isinstance(model, str) and model.strip():
+        stated = _MODELS.get(model.strip().lower(), model.strip().upper())
+    count = next((c for c in map(_count_points, folders) if c), None)
+    if stated is not None and (count is None or _COUNT_OF_SET.get(stated, count) == count):
+        return stated
+    if count is None:
+        return "BODY_25B"
+    if count not in _SET_OF_COUNT:
+        raise InputError(
+            f"The key points in {folders[0]} have {count} points per person; known are "
+            f"{', '.join(f'{s} ({c})' for c, s in _SET_OF_COUNT.items())}: use one of these models."
+        )
+    found = _SET_OF_COUNT[count]
+    said = f"Config.toml says {stated}" if stated else "Config.toml does not say which set"
+    notes.append(f"The key points have {count} points and are taken as {found} ({said}).")
+    return found
+
+
+def _count_points(folder: Path) -> int | None:
+    """Points per person in the first JSON of a folder that has a person."""
+    for path in sorted(folder.glob("*.json"), key=lambda p: natural_key(p.name))[:200]:
+        try:
+            if path.stat().st_size > _MAX_JSON_BYTES:
+                raise ValueError("it is too large")
+            people = parse_json(path.read_text(encoding="utf-8"))["people"]
+            if people and people[0]["pose_keypoints_2d"]:
+                return len(people[0]["pose_keypoints_2d"]) // 3
+        except (ValueError, KeyError, TypeError, IndexError, RecursionError, OSError) as error:
+            raise InputError(
+                f"{path} is not OpenPose JSON ({error}): people[].pose_keypoints_2d is needed; detect the "
+                "key points again, or move the pose folder away to track without them."
+            ) from None
+    return None
+
+
+def _add_plates(extrinsics: Path, views: list[dict[str, Any]], notes: list[str]) -> None:
+    if not extrinsics.is_dir():
+        return
+    photos: list[tuple[str, Path]] = []
+    for path in sorted(extrinsics.iterdir(), key=lambda p: natural_key(p.name)):
+        if path.is_dir() and (images := list_images(path)):
+            photos.append((path.name, images[0]))
+        elif path.is_file() and path.suffix.lower() in IMAGE_ENDINGS:
+            photos.append((path.stem, path))
+    used = []
+    for view, index in zip(views, match_names([v["name"] for v in views], [n for n, _ in photos]), strict=True):
+        if index is None:
+            continue
+        photo = photos[index][1]
+        (w, h), (pw, ph) = frame_size(Path(view.get("video") or view["images"])), frame_size(photo)
+        if abs((w / h) / (pw / ph) - 1) > 0.01:
+            notes.append(
+                f"{photo.name} ({pw} x {ph} px) is not used as background of {view['name']} ({w} x {h} px): "
+                "the shape of the image differs."
+            )
+            continue
+        view["background"] = str(photo)
+        used.append(view["name"])
+    if used:
+        notes.append(
+            f"The extrinsics photos serve as background plates of {', '.join(used)}; look at the "
+            "silhouettes, since people in a photo leave ghosts."
+        )

@@ -1,0 +1,482 @@
+"""Recordings: what was filmed, by which calibrated cameras; recording.toml and its checks.
+
+A recording folder holds recording.toml, calibration.toml and the videos (or images, or masks). A Pose2Sim
+project or trial folder is taken as it is (`hypose.io.recordings.pose2sim`). The keys of recording.toml are in
+`hypose.io.recordings.recording_keys`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hypose.cameras.camera import Camera, CameraRig
+from hypose.errors import CalibrationError, InputError
+from hypose.evidence.silhouettes import SilhouetteOptions
+from hypose.geometry import rotation_between, se3
+from hypose.io.calibrations.calibration_formats import read_any
+from hypose.io.calibrations.calibration_toml import (
+    UNITS,
+    find_calibration,
+    toml_value,
+    write_calibration,
+)
+from hypose.io.file_names import text_of
+from hypose.io.files import write_text
+from hypose.io.keypoints.detected_keypoints import with_detected
+from hypose.io.recordings import pose2sim
+from hypose.io.recordings.recording_keys import (
+    PATH_KEYS,
+    RECORDING_KEYS,
+    VIEW_KEYS,
+    check_keys,
+    choice,
+    numbers,
+    read_toml,
+    silhouette_options,
+)
+from hypose.io.videos.video import check_numbers, frame_size, open_video
+
+_UP = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
+
+SIDECAR = "hypose-masks.json"
+"""lies beside masks that are undistorted already, which are found by their frames' numbers"""
+
+
+@dataclass(frozen=True)
+class View:
+    """What one camera delivered. Paths exist; None = not given. See the module for the meaning of each."""
+
+    name: str
+    video: Path | None = None
+    images: Path | None = None
+    masks: Path | None = None
+    background: Path | None = None
+    keypoints: Path | None = None
+    image_shift: tuple[float, float] = (0.0, 0.0)
+    accept_scaled: bool = False
+
+    @property
+    def source(self) -> Path | None:
+        """The video file or image folder, None when only masks are given."""
+        return self.video or self.images
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A checked recording. rig: the cameras in the order of `views`, world in metres, z up. frame_rate:
+    frames/s. frame_range: (first, stop) as given, None = all. n_frames: frames that every view has.
+    keypoint_set None: there are no key points. subject_height m, subject_mass kg. silhouettes: how masks are
+    made. notes: sentences about accepted oddities, for the user."""
+
+    folder: Path
+    name: str
+    rig: CameraRig
+    views: tuple[View, ...]
+    frame_rate: float
+    frame_range: tuple[int, int] | None
+    keypoint_set: str | None = "BODY_25"
+    keypoint_lag: int = 0
+    subject_height: float | None = None
+    subject_mass: float | None = None
+    keypoint_pixels: str = "calibration"
+    n_frames: int = 0
+    calibration: Path | None = None
+    silhouettes: SilhouetteOptions = SilhouetteOptions()
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if len(self.rig) != len(self.views):
+            raise InputError(
+                f"Recording {self.name}: {len(self.rig)} cameras for {len(self.views)} views; give one each."
+            )
+
+    @property
+    def frames(self) -> range:
+        """The frames to work on: frame_range, or all that every view has."""
+        return range(*(self.frame_range or (0, self.n_frames)))
+
+    @property
+    def inputs(self) -> dict[str, Path]:
+        """All input files and folders by a telling name, for the provenance."""
+        out = {"calibration": self.calibration} if self.calibration else {}
+        for view in self.views:
+            out |= {f"{view.name}.{k}": p for k in PATH_KEYS if (p := getattr(view, k)) is not None}
+        return out
+
+
+def load_recording(path: str | Path, calibration: str | Path | None = None) -> Recording:
+    """Load and check a recording folder, a recording.toml, or a Pose2Sim project or trial folder.
+
+    calibration: a calibration file to use instead of the recording's own. An InputError (CalibrationError for the
+    cameras) names the file or camera, what is allowed and the next step.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise InputError(f"{path} does not exist; give a recording folder, its recording.toml, or a Pose2Sim project.")
+    if path.is_file() and path.name.lower() == "config.toml":
+        path = path.parent
+    if path.is_file():
+        if path.suffix.lower() != ".toml":
+            raise InputError(
+                f"{path} is no recording; give a folder with recording.toml, that file, or a Pose2Sim project folder."
+            )
+        return _build(path.parent, path, _with_calibration(read_toml(path), calibration), [])
+    toml = path / "recording.toml"
+    if toml.is_file():
+        return _build(path, toml, _with_calibration(read_toml(toml), calibration), [])
+    if pose2sim.is_project(path):
+        settings, notes = pose2sim.read_project(path)
+        return _build(path, path, _with_calibration(settings, calibration), notes)
+    inside = [p.name for p in sorted(path.iterdir()) if p.is_dir() and (p / "recording.toml").is_file()]
+    hint = f"it holds the recordings {', '.join(inside)}: name one" if inside else "write recording.toml"
+    raise InputError(
+        f"The folder {path} has no recording.toml and is no Pose2Sim project (Config.toml, videos); {hint}."
+    )
+
+
+def _with_calibration(settings: Mapping[str, Any], path: str | Path | None) -> Mapping[str, Any]:
+    if path is None:
+        return settings
+    # the unit that was stated belongs to the other file
+    rest = {k: v for k, v in settings.items() if k != "calibration_unit"}
+    return {**rest, "calibration": os.path.abspath(path)}
+
+
+def write_recording(recording: Recording, folder: str | Path) -> Path:
+    """Write recording.toml and calibration.toml (metres, z up) to a folder; returns the path of
+    recording.toml.
+
+    Paths inside the folder are written relative to it, others absolute. Videos are not copied.
+    """
+    folder = Path(folder)
+    write_calibration(recording.rig, folder / "calibration.toml")
+    lines = [
+        f"name = {toml_value(recording.name)}",
+        'calibration = "calibration.toml"',
+        'calibration_unit = "m"',
+    ]
+    lines.append(f"frame_rate = {toml_value(float(recording.frame_rate))}")
+    if recording.frame_range is not None:
+        lines.append(f"frame_range = {toml_value([int(i) for i in recording.frame_range])}")
+    if recording.keypoint_set is not None:
+        lines += [
+            f"keypoint_set = {toml_value(recording.keypoint_set)}",
+            f"keypoint_lag = {toml_value(int(recording.keypoint_lag))}",
+            f"keypoint_pixels = {toml_value(recording.keypoint_pixels)}",
+        ]
+    for key in ("subject_height", "subject_mass"):
+        if getattr(recording, key) is not None:
+            lines.append(f"{key} = {toml_value(float(getattr(recording, key)))}")
+    for view, camera in zip(recording.views, recording.rig, strict=True):
+        lines += ["", "[[view]]", f"name = {toml_value(view.name)}", f"camera = {toml_value(camera.name)}"]
+        for key in PATH_KEYS:
+            if (value := getattr(view, key)) is not None:
+                lines.append(f"{key} = {toml_value(_relative(value, folder))}")
+        if tuple(view.image_shift) != (0, 0):
+            lines.append(f"image_shift = {toml_value([float(s) for s in view.image_shift])}")
+        if view.accept_scaled:
+            lines.append("accept_scaled = true")
+    lines += silhouette_lines(recording.silhouettes)
+    write_text(folder / "recording.toml", "\n".join(lines) + "\n")
+    return folder / "recording.toml"
+
+
+def silhouette_lines(options: SilhouetteOptions) -> list[str]:
+    """The [silhouettes] table of a recording.toml; nothing when all is as usual."""
+    usual = asdict(SilhouetteOptions())
+    changed = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(options).items() if v != usual[k]}
+    return ["", "[silhouettes]", *(f"{k} = {toml_value(v)}" for k, v in changed.items())] if changed else []
+
+
+def _relative(path: Path, folder: Path) -> str:
+    full, base = Path(os.path.abspath(path)), Path(os.path.abspath(folder))
+    return full.relative_to(base).as_posix() if full.is_relative_to(base) else full.as_posix()
+
+
+# ---- checks ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Clip:
+    """What a look into one video, image folder or mask source gave."""
+
+    path: Path
+    size: tuple[int, int]
+    n_frames: int
+    stated_frames: int
+    frame_rate: float | None
+
+
+def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[str]) -> Recording:
+    """The recording of a (translated) recording.toml; origin: the file or folder that errors name."""
+    where = str(origin)
+    check_keys(where, settings, RECORDING_KEYS)
+    settings = with_detected(folder, settings, notes)
+    tables = settings.get("view", [])
+    if not tables:
+        raise InputError(f"{where}: no views; add one [[view]] table per camera with name and video.")
+    for i, table in enumerate(tables):
+        if not isinstance(table, dict):
+            raise InputError(
+                f"{where}: view must be [[view]] tables, got {table!r}; write [[view]] before each camera."
+            )
+        check_keys(f"{where}, view {table.get('name', i + 1)}", table, VIEW_KEYS)
+    views = [_view(folder, where, table, i) for i, table in enumerate(tables)]
+    names = [v.name for v in views]
+    if len(set(names)) < len(names):
+        raise InputError(f"{where}: view names must differ, got {', '.join(names)}; rename one.")
+
+    calibration, rig = _calibration(folder, where, settings, notes)
+    rig = _match_cameras(rig, calibration, views, [t.get("camera") for t in tables], notes)
+
+    with ThreadPoolExecutor(len(views)) as pool:  # finding out how many frames can be decoded takes its time
+        clips = list(pool.map(_look, views))
+    for view, camera, found in zip(views, rig, clips, strict=True):
+        for clip in found:
+            _check_size(view, camera, clip.path, clip.size, notes)
+        if view.background is not None:
+            _check_size(view, camera, view.background, frame_size(view.background), None)
+    frame_rate = _frame_rate(where, settings.get("frame_rate"), views, clips, notes)
+    n_frames = _common_frames(views, clips, notes)
+    frame_range = None
+    if "frame_range" in settings:
+        first, stop = numbers(where, "frame_range", settings["frame_range"], 2, whole=True)
+        if not 0 <= first < stop <= n_frames:
+            raise InputError(
+                f"{where}: frame_range = [{first}, {stop}] lies outside the recording, which has the frames "
+                f"0 to {n_frames - 1}; give the first frame and the one after the last, at most [0, "
+                f"{n_frames}]."
+            )
+        frame_range = (first, stop)
+    for key, low, high, unit in (
+        ("subject_height", 0.4, 2.8, "metres"),
+        ("subject_mass", 2, 400, "kilograms"),
+    ):
+        if key in settings and not low <= settings[key] <= high:
+            raise InputError(
+                f"{where}: {key} = {settings[key]:g} is implausible; give it in {unit} ({low:g} to {high:g})."
+            )
+    has_keypoints = any(v.keypoints is not None for v in views)
+    return Recording(
+        folder=folder,
+        name=settings.get("name", text_of(folder.resolve().name)),
+        rig=rig,
+        views=tuple(views),
+        frame_rate=frame_rate,
+        frame_range=frame_range,
+        keypoint_set=settings.get("keypoint_set", "BODY_25") if has_keypoints else None,
+        keypoint_lag=settings.get("keypoint_lag", 0),
+        subject_height=_optional(settings.get("subject_height")),
+        subject_mass=_optional(settings.get("subject_mass")),
+        keypoint_pixels=choice(
+            where, "keypoint_pixels", settings.get("keypoint_pixels", "calibration"), ("calibration", "image")
+        ),
+        n_frames=n_frames,
+        calibration=calibration,
+        silhouettes=silhouette_options(where, settings.get("silhouettes", {})),
+        notes=tuple(notes),
+    )
+
+
+def _optional(value: float | None) -> float | None:
+    return None if value is None else float(value)
+
+
+def _named(folder: Path, where: str, key: str, name: str) -> Path:
+    """The path that a setting names; an InputError where no file system can have it."""
+    try:
+        path = folder / Path(name).expanduser()
+        path.exists()
+    except (OSError, RuntimeError) as problem:  # a name that is too long; a user (~name) who is not known
+        shown = name if len(name) <= 60 else f"{name[:60]}..."
+        raise InputError(f"{where}: the {key} {shown} is no path ({_reason(problem)}); correct it.") from None
+    return path
+
+
+def _reason(problem: Exception) -> str:
+    return problem.strerror if isinstance(problem, OSError) and problem.strerror else str(problem).rstrip(".")
+
+
+def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> View:
+    name = table.get("name") or f"view{index + 1}"
+    where = f"{where}, view {name}"
+    paths: dict[str, Path] = {}
+    for key in PATH_KEYS:
+        if key not in table:
+            continue
+        path = _named(folder, where, key, table[key])
+        if not path.exists():
+            raise InputError(f"{where}: the {key} {path} does not exist; correct the path or copy the file there.")
+        if key in ("images", "keypoints") and not path.is_dir() or key == "video" and not path.is_file():
+            wanted = "a file" if key == "video" else "a folder"
+            raise InputError(f"{where}: {key} must be {wanted}, {path} is not; correct the path.")
+        paths[key] = path
+    if "video" in paths and "images" in paths:
+        raise InputError(f"{where}: video and images are both given; keep the one to use.")
+    if not paths.keys() & {"video", "images", "masks"}:
+        raise InputError(f"{where}: neither video, images nor masks are given; add one of them, or remove the view.")
+    if "keypoints" in paths and next(paths["keypoints"].glob("*.json"), None) is None:
+        raise InputError(
+            f"{where}: the key-point folder {paths['keypoints']} holds no .json files; detect key points "
+            "(OpenPose JSON, one file per frame) or remove the key."
+        )
+    shift = numbers(where, "image_shift", table.get("image_shift", [0.0, 0.0]), 2, whole=False)
+    return View(
+        name=name,
+        image_shift=(float(shift[0]), float(shift[1])),
+        accept_scaled=table.get("accept_scaled", False),
+        **paths,
+    )
+
+
+def _calibration(folder: Path, where: str, settings: Mapping[str, Any], notes: list[str]) -> tuple[Path, CameraRig]:
+    if "calibration" in settings:
+        path: Path | None = _named(folder, where, "calibration", settings["calibration"])
+    else:
+        path = find_calibration(folder / "calibration") if not (folder / "calibration.toml").is_file() else None
+        path = path or folder / "calibration.toml"
+    if not path.is_file():
+        raise CalibrationError(
+            f"{where}: there is no calibration ({path} does not exist); run hypose calibrate, or name the "
+            "file with "
+            'calibration = "...".'
+        )
+    unit = choice(where, "calibration_unit", settings.get("calibration_unit", "auto"), ("auto", *UNITS))
+    rig, found = read_any(path, unit)
+    notes += found
+    up = choice(where, "world_up", settings.get("world_up", "z"), tuple(_UP))
+    if up != "z":
+        turn = se3(rotation_between(_UP[up], _UP["z"]).T, np.zeros(3))
+        rig = CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ turn) for c in rig))
+        notes.append(f"The world is turned so that the calibration's {up} axis points up (z).")
+    return path, rig
+
+
+def _match_cameras(
+    rig: CameraRig, path: Path, views: Sequence[View], wanted: Sequence[str | None], notes: list[str]
+) -> CameraRig:
+    """The rig in the order of the views."""
+    if all(wanted):
+        chosen = rig.select([w for w in wanted if w])  # its error lists the cameras there are
+        left = [n for n in rig.names if n not in chosen.names]
+        if left:
+            notes.append(f"The cameras {', '.join(left)} of {path.name} have no view and are left out.")
+        return chosen
+    if len(rig) != len(views):
+        raise CalibrationError(
+            f"{path} has {len(rig)} cameras ({', '.join(rig.names)}) but there are {len(views)} views "
+            f"({', '.join(v.name for v in views)}); add the missing ones, or give every view its camera "
+            '(camera = "...") in recording.toml.'
+        )
+    keys = [w or v.name for w, v in zip(wanted, views, strict=True)]
+    unknown = [w for w in wanted if w and w not in rig.names]
+    if unknown:
+        rig.select(unknown)
+    matched = pose2sim.match_names(keys, rig.names)
+    if all(m is not None for m in matched):
+        if any(k != rig.names[m] for k, m in zip(keys, matched, strict=True) if m is not None):
+            order = [rig.names[m] for m in matched if m is not None]
+            pairs = ", ".join(f"{v.name} = {n}" for v, n in zip(views, order, strict=True))
+            notes.append(f"Views and cameras are matched by their names: {pairs}.")
+        return CameraRig(tuple(rig[m] for m in matched if m is not None))
+    pairs = ", ".join(f"{v.name} = {c}" for v, c in zip(views, rig.names, strict=True))
+    notes.append(
+        "The names of views and cameras do not tell which belong together, so they are taken in their "
+        f"order: {pairs}; "
+        'if that is wrong, give each view its camera = "..." in recording.toml.'
+    )
+    return rig
+
+
+def _look(view: View) -> list[_Clip]:
+    """Open what the view's frames come from (video or images, then masks)."""
+    out = []
+    for path in (view.source, view.masks):
+        if path is None:
+            continue
+        if path.is_dir() and not (path / SIDECAR).is_file():
+            check_numbers(path)
+        with open_video(path) as reader:
+            out.append(_Clip(path, reader.size, reader.n_frames, reader.stated_frames, reader.frame_rate))
+    return out
+
+
+def _check_size(view: View, camera: Camera, path: Path, size: tuple[int, int], notes: list[str] | None) -> None:
+    if size == camera.size:
+        return
+    (w, h), (cw, ch) = size, camera.size
+    ratio = (w / h) / (cw / ch)
+    if abs(ratio - 1) > 0.01 and not view.accept_scaled:
+        advice = (
+            "calibrate at this size, or, if the images were stretched (not cut), set accept_scaled = true "
+            "for this view in recording.toml"
+        )
+        if abs((h / w) / (cw / ch) - 1) <= 0.01:
+            advice = "the images look turned by 90 degrees: turn them back, or calibrate turned images"
+        raise CalibrationError(
+            f"View {view.name}: {path} is {w} x {h} px, camera {camera.name} is calibrated for {cw} x {ch} "
+            f"px; {advice}."
+        )
+    if notes is not None:
+        notes.append(
+            f"View {view.name}: {path.name} is {w} x {h} px, the calibration {cw} x {ch} px; the images are "
+            "taken as scaled."
+        )
+
+
+def _frame_rate(
+    where: str, given: float | None, views: Sequence[View], clips: Sequence[list[_Clip]], notes: list[str]
+) -> float:
+    if given is not None and not 0.1 <= given <= 10_000:
+        raise InputError(f"{where}: frame_rate = {given:g} is implausible; give frames per second (0.1 to 10000).")
+    rates = {
+        v.name: c.frame_rate
+        for v, found in zip(views, clips, strict=True)
+        for c in found
+        if c.path == v.video and c.frame_rate is not None
+    }
+    # 29.97 against 30 is a rounding of the container
+    if rates and max(rates.values()) / min(rates.values()) > 1.005:
+        said = ", ".join(f"{n} {r:g}" for n, r in rates.items())
+        raise InputError(
+            f"{where}: the videos have different frame rates ({said} frames/s); convert them to one rate, "
+            "for example with: ffmpeg -i INPUT -r 30 OUTPUT.mp4."
+        )
+    found = float(np.median(list(rates.values()))) if rates else None
+    if given is None and found is None:
+        raise InputError(f"{where}: images carry no frame rate; add frame_rate = ... (frames per second).")
+    if given is not None and found is not None and abs(given / found - 1) > 0.005:
+        notes.append(f"frame_rate = {given:g} is used as given; the videos say {found:g} frames/s.")
+    return float(given if given is not None else found or 0.0)
+
+
+def _common_frames(views: Sequence[View], clips: Sequence[list[_Clip]], notes: list[str]) -> int:
+    counts = {}
+    for view, found in zip(views, clips, strict=True):
+        for clip in found:
+            with_masks = len(found) > 1 and clip.path == view.masks
+            counts[f"{view.name} masks" if with_masks else view.name] = clip.n_frames
+            if clip.stated_frames - clip.n_frames > 2:
+                notes.append(
+                    f"View {view.name}: {clip.path.name} states {clip.stated_frames} frames but decoding "
+                    f"ends after frame {clip.n_frames - 1}; the file is probably cut off: copy it again if "
+                    "more was recorded."
+                )
+        counts_of_view = [c.n_frames for c in found]
+        if min(counts_of_view) == 0:
+            raise InputError(f"View {view.name}: {found[0].path} has no frames; record or copy it again.")
+    low, high = min(counts.values()), max(counts.values())
+    if high - low > 2:
+        said = ", ".join(f"{n} {c}" for n, c in counts.items())
+        notes.append(
+            f"The views have different numbers of frames ({said}); the first {low} frames, which all have, "
+            "are used. Check that all cameras start at the same instant."
+        )
+    return low

@@ -1,0 +1,148 @@
+"""The keys of recording.toml: what it may say, and the sentences about what it may not.
+
+With the defaults; paths are relative to it:
+
+    name = "walk"                     # default: the folder's name
+    calibration = "calibration.toml"  # Pose2Sim, anipose, FreeMoCap, Caliscope TOML, or Qualisys .qca.txt
+    calibration_unit = "auto"         # auto, m, cm or mm: unit of the calibration's translations
+    world_up = "z"                    # axis of the calibration's world that points up: x y z -x -y -z
+    frame_rate = 60.0                 # frames/s; default: what the videos say
+    frame_range = [0, 100]            # first frame and the one after the last, from 0; default: all
+    keypoint_set = "BODY_25"          # order of the 2D key points
+    keypoint_lag = 0                  # key-point file t belongs to video frame t + keypoint_lag
+    keypoint_pixels = "calibration"   # key points are pixels of the calibrated size, or of the stored "image"
+    subject_height = 1.75             # m; default: estimated
+    subject_mass = 70.0               # kg; default: unknown
+
+    [[view]]                          # one per camera, in any order
+    name = "cam01"
+    camera = "cam_01"                 # its name in the calibration; default: by name, else by order
+    video = "videos/cam01.mp4"        # a video file, or
+    images = "images/cam01"           # a folder of images in natural order
+    masks = "masks/cam01"             # silhouettes made elsewhere: folder of images or video; needs no video
+    background = "background/cam01"   # an image, a folder of images or a video of the empty scene
+    keypoints = "pose/cam01_json"     # a folder of OpenPose JSON files, one per frame
+    image_shift = [0.0, 0.0]          # px to add to this view's image coordinates (after scaling to the
+                                      # calibrated size) so that they agree with calibration and key points
+    accept_scaled = false             # images of another shape (width : height) than calibrated were
+                                      # stretched, not cut
+
+    [silhouettes]                     # how masks are made (hypose.evidence.silhouettes.SilhouetteOptions)
+    threshold = 4.0                   # and the other options; default: the usual ones
+
+Images of another size but of the calibrated shape (to 1 %) are taken as scaled; a note says so. Videos are
+taken as synchronous: frame t of one belongs to frame t of the others.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hypose.errors import InputError
+from hypose.evidence.silhouettes import SilhouetteOptions
+from hypose.io.calibrations.calibration_toml import parse_toml
+
+_MAX_TOML_BYTES = 5_000_000
+RECORDING_KEYS: dict[str, type | tuple[type, ...]] = {
+    "name": str,
+    "calibration": str,
+    "calibration_unit": str,
+    "world_up": str,
+    "frame_rate": (int, float),
+    "frame_range": list,
+    "keypoint_set": str,
+    "keypoint_lag": int,
+    "keypoint_pixels": str,
+    "subject_height": (int, float),
+    "subject_mass": (int, float),
+    "view": list,
+    "silhouettes": dict,
+}
+PATH_KEYS = ("video", "images", "masks", "background", "keypoints")
+VIEW_KEYS: dict[str, type | tuple[type, ...]] = {
+    "name": str,
+    "camera": str,
+    **dict.fromkeys(PATH_KEYS, str),
+    "image_shift": list,
+    "accept_scaled": bool,
+}
+SILHOUETTE_KEYS: dict[str, type | tuple[type, ...]] = {
+    f.name: type(f.default)
+    if type(f.default) in (bool, int, str)
+    else list
+    if f.name == "shadow_range"
+    else (int, float)
+    for f in fields(SilhouetteOptions)
+}
+_TYPE_NAMES = {
+    str: "text in quotes",
+    int: "a whole number",
+    list: "a list in [ ]",
+    bool: "true or false",
+    dict: "a table [silhouettes]",
+}
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a recording.toml; an InputError names the file, what is wrong in it and the next step."""
+    try:
+        if path.stat().st_size > _MAX_TOML_BYTES:
+            raise ValueError("it is larger than 5 MB")
+        return parse_toml(path, path.read_text(encoding="utf-8-sig"))
+    except UnicodeDecodeError:
+        raise InputError(f"{path} is not a text file (UTF-8); write it with a text editor.") from None
+    except ValueError as error:
+        raise InputError(f"{path} is not valid TOML: {error}; correct it.") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}); check its permissions.") from None
+
+
+def check_keys(where: str, table: Mapping[str, Any], known: Mapping[str, type | tuple[type, ...]]) -> None:
+    """InputError when a key of the table is unknown (the nearest known one is named) or of another type."""
+    for key, value in table.items():
+        if key not in known:
+            near = difflib.get_close_matches(key, known, 1, 0.5)
+            hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
+            raise InputError(f"{where}: the key {key} is unknown ({hint}); correct or remove it.")
+        types = known[key]
+        right = isinstance(value, types) and (types is bool or not isinstance(value, bool))
+        if not right:
+            wanted = _TYPE_NAMES[types] if isinstance(types, type) else "a number"
+            raise InputError(f"{where}: {key} must be {wanted}, got {value!r}; correct it.")
+        if isinstance(value, float) and not np.isfinite(value):
+            raise InputError(f"{where}: {key} must be a finite number, got {value!r}; correct it.")
+
+
+def numbers(where: str, key: str, value: Any, count: int, whole: bool) -> list[Any]:
+    """value, when it is a list of `count` finite (whole) numbers; else an InputError."""
+    types = int if whole else (int, float)
+    fine = len(value) == count and all(isinstance(v, types) and not isinstance(v, bool) for v in value)
+    if not fine or not np.isfinite(np.array(value, dtype=np.float64)).all():
+        kind = "whole numbers" if whole else "numbers"
+        raise InputError(f"{where}: {key} must be {count} {kind} in [ ], got {value!r}; correct it.")
+    return value
+
+
+def choice(where: str, key: str, value: str, allowed: Sequence[str]) -> str:
+    """value, when it is one of the allowed words; else an InputError."""
+    if value not in allowed:
+        raise InputError(f"{where}: {key} must be {', '.join(allowed)}, got {value!r}; correct it.")
+    return value
+
+
+def silhouette_options(where: str, table: Mapping[str, Any]) -> SilhouetteOptions:
+    """The options of a [silhouettes] table; what it does not name is as usual."""
+    check_keys(f"{where}, silhouettes", table, SILHOUETTE_KEYS)
+    values = dict(table)
+    if "shadow_range" in values:
+        values["shadow_range"] = tuple(numbers(where, "shadow_range", values["shadow_range"], 2, whole=False))
+    try:
+        return SilhouetteOptions(**values)
+    except InputError as error:
+        raise InputError(f"{where}, silhouettes: {error}") from None

@@ -1,0 +1,147 @@
+"""The pictures and masks of one view of a recording, by frame number, undistorted and at working size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.cameras.camera import Camera
+from hypose.compute.pictures.picture_to_mask import Box, Lens, make_lens, shrink_undistort
+from hypose.compute.silhouettes.glance import Glance, differing_box, stored_pixels
+from hypose.errors import InputError
+from hypose.evidence.background import Image
+from hypose.evidence.silhouettes import Mask, Segmenter, as_mask, bounding_box
+from hypose.io.recordings.recording import SIDECAR, View
+from hypose.io.videos.video import VideoReader, list_images, open_video, read_image
+
+
+class Preparer:
+    """Stored images (any size) of a camera -> undistorted images of the working-size camera `small`. shift: px of the
+    calibrated size added to image positions."""
+
+    def __init__(self, camera: Camera, small: Camera, shift: tuple[float, float]) -> None:
+        self.size = small.size
+        mx, my = camera.undistort_maps(self.size, self.size)
+        scale = self.size[0] / camera.size[0], self.size[1] / camera.size[1]
+        self._maps = mx - np.float32(shift[0] * scale[0]), my - np.float32(shift[1] * scale[1])
+        self._lenses: dict[tuple[int, int], Lens] = {}
+        self._pixels: dict[tuple[int, int], NDArray[np.int32]] = {}
+
+    def __call__(self, image: Image, box: Box | None = None) -> Image:
+        """The undistorted image; outside the box (y0, y1, x0, x1), if given, undefined."""
+        image = self._enlarged(image)
+        stored = (image.shape[1], image.shape[0])
+        if stored not in self._lenses:
+            self._lenses[stored] = make_lens(stored, *self._maps)
+        return shrink_undistort(image, self._lenses[stored], box)
+
+    def differing_box(self, image: Image, glance: Glance) -> Box | None:
+        """The box of the working size that holds what is not the room; None when there is nothing."""
+        image = self._enlarged(image)
+        stored = (image.shape[1], image.shape[0])
+        if stored not in self._pixels:
+            self._pixels[stored] = stored_pixels(stored, *self._maps)
+        return differing_box(image, self._pixels[stored], glance, self.size)
+
+    def _enlarged(self, image: Image) -> Image:
+        if image.shape[1] >= self.size[0] and image.shape[0] >= self.size[1]:
+            return image
+        return np.asarray(cv2.resize(image, self.size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+class _MaskSource:
+    """Masks made elsewhere: a video, a folder of images in order, or a folder written by write_masks."""
+
+    def __init__(self, path: Path, prepare: Preparer, size: tuple[int, int]) -> None:
+        self.path, self._prepare, self._size = path, prepare, size
+        self._numbered: dict[int, Path] | None = None
+        self._reader: VideoReader | None = None
+        if (path / SIDECAR).is_file():
+            self._numbered = {int(p.stem): p for p in list_images(path) if p.stem.isdigit()}
+        else:
+            self._reader = open_video(path)
+
+    def read(self, frame: int) -> Mask:
+        if self._numbered is not None:
+            if frame not in self._numbered:
+                raise InputError(f"{self.path} holds no mask of frame {frame}.")
+            mask = as_mask(read_image(self._numbered[frame]), str(self._numbered[frame])) * np.uint8(255)
+            if mask.shape[1::-1] != self._size:  # already undistorted, at another working size
+                mask = np.asarray(cv2.resize(mask, self._size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        else:
+            assert self._reader is not None
+            whole = as_mask(self._reader.read(frame), f"{self.path}, frame {frame},") * np.uint8(255)
+            mask = self._prepare(np.repeat(whole[..., None], 3, 2), None)[..., 0]
+        return (mask > 127).astype(np.uint8)
+
+    def close(self) -> None:
+        if self._reader is not None:
+            self._reader.close()
+
+
+class ViewSource:
+    """Masks of one view by frame number; used by one thread at a time."""
+
+    def __init__(self, view: View, camera: Camera, small: Camera) -> None:
+        self.view = view
+        self._prepare = Preparer(camera, small, view.image_shift)
+        self._masks = None if view.masks is None else _MaskSource(view.masks, self._prepare, small.size)
+        self._reader: VideoReader | None = None
+        self.segment: Segmenter | None = None
+        self._broken: tuple[int, str] | None = None
+        self._problems: dict[int, str] = {}  # why there is no mask, by frame
+
+    def image(self, frame: int) -> Image:
+        """The undistorted working-size image."""
+        return self._prepare(self._stored(frame))
+
+    def _stored(self, frame: int) -> Image:
+        if self._reader is None:
+            if self.view.source is None:
+                raise InputError(f"View {self.view.name} has neither video nor images, only masks.")
+            self._reader = open_video(self.view.source)
+        return self._reader.read(frame)
+
+    def mask(self, frame: int, band: Mask | None) -> tuple[Mask | None, str]:
+        """The mask, or None and why there is none."""
+        if self._broken is not None and frame >= self._broken[0]:
+            return None, f"{self.view.name}, frame {frame}: {self._broken[1]}"
+        try:
+            if self._masks is not None:
+                mask = self._masks.read(frame)
+                return (mask if band is None else mask & band), ""
+            assert self.segment is not None
+            image, box = self._stored(frame), None
+            if self.segment.glance is not None:  # then nothing outside the person's box is looked at
+                glance = self.segment.glance
+                found = self._prepare.differing_box(image, glance) if band is None else bounding_box(band)
+                box = found or (0, 0, 0, 0)
+            return self.segment(self._prepare(image, box), band, box), ""
+        except InputError as problem:
+            self._problems[frame] = str(problem)
+            # a damaged video stays damaged: do not decode it from its start again and again
+            if self._masks is None and not (self._reader is not None and self._reader.is_sequence):
+                self._broken = (frame, str(problem))
+            return None, f"{self.view.name}, frame {frame}: {problem}"
+
+    @property
+    def note(self) -> str:
+        """What could not be read so far, "" when nothing."""
+        problems = dict(self._problems)  # another thread may be reading
+        if not problems:
+            return ""
+        first = min(problems)
+        if self._broken is not None:
+            return f"has no mask from frame {first} on: {problems[first]}"
+        which = "frame" if len(problems) == 1 else f"{len(problems)} frames, the first of them"
+        return f"has no mask in {which} {first}: {problems[first]}"
+
+    def close(self) -> None:
+        """Release the files."""
+        for source in (self._reader, self._masks):
+            if source is not None:
+                source.close()
+        self._reader = None

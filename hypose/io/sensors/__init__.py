@@ -1,0 +1,1 @@
+"""Files of depth sensors: skeletons and depth."""

@@ -1,0 +1,425 @@
+"""Videos and image folders: read frame by frame, exactly; count frames truthfully; write.
+
+What a container says about its number of frames is often wrong (capture software that adds two, files cut off
+while being copied), so the number is checked by decoding the stated last frame, and counted when that fails.
+Seeking by cv2.CAP_PROP_POS_FRAMES is not exact for all codecs and frame rates, so going back means opening
+the file again and decoding forward: slower, never off by one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from types import TracebackType
+
+# FFmpeg's own complaints would appear between our sentences; read by OpenCV when it first opens a video.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.errors import InputError
+from hypose.io.calibrations.calibration_toml import natural_key
+from hypose.io.file_names import utf8_path
+from hypose.io.motions.results import atomic_path
+from hypose.io.videos.png import is_cut_png
+
+Image = NDArray[np.uint8]
+
+VIDEO_ENDINGS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".wmv", ".mts")
+IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+# Encoders by ending, the first that opens is used. Tried with opencv-python-headless 5.0.0.93: the wheel
+# cannot encode H.264 (avc1), the one that both players and browsers show; in .mp4 it writes mp4v, MJPG, VP9
+# and FFV1.
+_CODECS = {
+    ".mp4": ("mp4v", "avc1"),
+    ".m4v": ("mp4v", "avc1"),
+    ".mov": ("mp4v", "avc1"),
+    ".avi": ("MJPG", "mp4v"),
+    ".mkv": ("FFV1", "mp4v"),
+}
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """OpenCV prints to the terminal what we say better."""
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+
+
+def read_image(path: str | Path) -> Image:
+    """(h, w, 3) uint8 BGR of an image file; an InputError names a missing or damaged one."""
+    path = Path(path)
+    try:
+        data = path.read_bytes()  # cv2.imread fails on some names under Windows
+    except OSError as error:
+        raise InputError(f"The image {path} cannot be read ({error.strerror}); check the path.") from None
+    with _quiet():
+        try:
+            usable = len(data) > 0 and not is_cut_png(data)
+            image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR) if usable else None
+        except cv2.error:
+            image = None
+    if image is None:
+        raise InputError(f"{path} is not an image or is damaged; replace it with a PNG or JPEG file.")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def list_images(folder: Path) -> list[Path]:
+    """The image files of a folder in natural order."""
+    found = [p for p in folder.iterdir() if p.suffix.lower() in IMAGE_ENDINGS and not p.name.startswith(".")]
+    return sorted((p for p in found if p.is_file()), key=lambda p: natural_key(p.name))
+
+
+def check_numbers(folder: Path) -> None:
+    """An InputError when pictures are missing in a numbered sequence: all later ones would be shifted in time.
+
+    Names that differ in more than one number are no sequence, and a sequence may count in steps."""
+    images = list_images(folder)
+    parts = [re.split(r"(\d+)(?=\D*$)", p.name) for p in images]
+    if len(images) < 3 or any(len(q) != 3 for q in parts) or len({(q[0], q[2]) for q in parts}) > 1:
+        return
+    numbers = np.array([int(q[1]) for q in parts])
+    steps = np.diff(numbers)
+    usual = int(np.median(steps))
+    if usual < 1 or (steps == usual).all():
+        return
+    missing = sorted(set(range(int(numbers[0]), int(numbers[-1]), usual)) - set(numbers.tolist()))
+    if not missing:
+        return  # the step changes: nobody knows what is missing
+    named = ", ".join(str(n) for n in missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
+    raise InputError(
+        f"The image sequence {folder} lacks number {named} ({images[0].name} to {images[-1].name}): all later images "
+        "would be shifted against the other cameras; put them back, or copies of others, or leave this view out."
+    )
+
+
+class VideoReader:
+    """Frames of a video file, of a folder of images, or of one image: BGR uint8 (h, w, 3).
+
+    Iterating gives the frames from the present position (0 after opening) to the end. path; size (width,
+    height) px; frame_rate (frames/s, None for images); n_frames that can be decoded; stated_frames what the
+    container says. Opened by `open_video`; usable as a context manager.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._images: list[Path] | None = None
+        self._capture: cv2.VideoCapture | None = None
+        self._next = 0
+        self._first: Image | None = None  # frame 0, decoded when the file was opened, until the reading goes on
+        if path.is_dir():
+            self._images = list_images(path)
+            if not self._images:
+                raise InputError(
+                    f"The folder {path} holds no images ({', '.join(IMAGE_ENDINGS)}); check the path in recording.toml."
+                )
+        elif path.suffix.lower() in IMAGE_ENDINGS:
+            self._images = [path]
+        if self._images is not None:
+            first = read_image(self._images[0])
+            self.frame_rate: float | None = None
+            self.n_frames = self.stated_frames = len(self._images)
+        else:
+            self._capture = open_capture(path)
+            rate = float(self._capture.get(cv2.CAP_PROP_FPS))
+            self.frame_rate = rate if np.isfinite(rate) and 0 < rate < 100_000 else None
+            self.stated_frames = max(0, int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+            ok, frame = self._capture.read()
+            if not ok:
+                raise _undecodable(path)
+            first = frame
+            self.n_frames = count_frames(path)
+            self._first = np.asarray(first, dtype=np.uint8)
+        self.size: tuple[int, int] = (int(first.shape[1]), int(first.shape[0]))
+
+    @property
+    def is_sequence(self) -> bool:
+        """Images, each in a file of its own."""
+        return self._images is not None
+
+    @property
+    def truncated(self) -> bool:
+        """More than two frames fewer can be decoded than the container states."""
+        return self.stated_frames - self.n_frames > 2
+
+    @property
+    def position(self) -> int:
+        """Index of the frame that comes next."""
+        return self._next
+
+    def __len__(self) -> int:
+        return self.n_frames
+
+    def __iter__(self) -> Iterator[Image]:
+        while self._next < self.n_frames:
+            yield self._advance()
+
+    def seek(self, index: int) -> None:
+        """Let the next frame be `index` (0-based), exactly. Going back in a video decodes it from its
+        start."""
+        if not 0 <= index <= self.n_frames:
+            raise InputError(
+                f"{self.path} has no frame {index}; its frames are 0 to {self.n_frames - 1}: choose a frame "
+                "range inside."
+            )
+        if self._capture is not None:
+            if index < self._next:
+                self._restart()
+            if index > 0 and self._first is not None:
+                self._first, self._next = None, 1
+            while self._next < index:
+                if not self._capture.grab():
+                    raise self._broken()
+                self._next += 1
+        self._next = index
+
+    def read(self, index: int | None = None) -> Image:
+        """Frame `index`, or the next one."""
+        if index is not None:
+            self.seek(index)
+        if self._next >= self.n_frames:
+            raise InputError(
+                f"{self.path} ends with frame {self.n_frames - 1}, frame {self._next} was asked for; choose "
+                "a frame range inside."
+            )
+        return self._advance()
+
+    def close(self) -> None:
+        """Release the file."""
+        if self._capture is not None:
+            self._capture.release()
+
+    def __enter__(self) -> VideoReader:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _advance(self) -> Image:
+        if self._images is not None:
+            image = read_image(self._images[self._next])
+            if (image.shape[1], image.shape[0]) != self.size:
+                raise InputError(
+                    f"{self._images[self._next]} is {image.shape[1]} x {image.shape[0]} px, the first image "
+                    f"of its folder is {self.size[0]} x {self.size[1]} px; give all images of a view one "
+                    "size."
+                )
+        else:
+            assert self._capture is not None
+            if self._first is not None:
+                image, self._first = self._first, None
+            else:
+                ok, frame = self._capture.read()
+                if not ok:
+                    raise self._broken()
+                image = np.asarray(frame, dtype=np.uint8)
+        self._next += 1
+        return image
+
+    def _restart(self) -> None:
+        assert self._capture is not None
+        self._capture.release()
+        self._capture = open_capture(self.path)
+        self._next, self._first = 0, None
+
+    def _broken(self) -> InputError:
+        return InputError(
+            f"The video {self.path} cannot be decoded beyond frame {self._next - 1} of {self.n_frames}; it "
+            "is damaged or was changed while being read: copy it again, or set frame_range to end at frame "
+            f"{self._next}."
+        )
+
+
+def open_video(path: str | Path) -> VideoReader:
+    """Open a video file, a folder of images (natural order) or one image; an InputError names what is
+    wrong."""
+    path = Path(path)
+    if not path.exists():
+        raise InputError(f"{path} does not exist; check the file name in recording.toml.")
+    return VideoReader(path)
+
+
+def frame_size(path: str | Path) -> tuple[int, int]:
+    """(width, height) px of the first frame of a video, image folder or image."""
+    path = Path(path)
+    if path.is_dir() or path.suffix.lower() in IMAGE_ENDINGS:
+        return open_video(path).size
+    capture = open_capture(path)
+    try:
+        ok, frame = capture.read()
+    finally:
+        capture.release()
+    if not ok:
+        raise _undecodable(path)
+    return int(frame.shape[1]), int(frame.shape[0])
+
+
+def count_frames(path: str | Path) -> int:
+    """Number of frames that can be decoded: the stated one if the last frame decodes, else counted one by
+    one. Known files are counted again only when their size or time has changed."""
+    path = Path(path)
+    if path.is_dir():
+        return len(list_images(path))
+    if path.suffix.lower() in IMAGE_ENDINGS:
+        return 1
+    try:
+        about = path.stat()
+    except OSError:
+        return _count(path)  # says what is wrong
+    return _counted(path.absolute(), about.st_size, about.st_mtime_ns, about.st_ino)
+
+
+@lru_cache(maxsize=256)
+def _counted(path: Path, size: int, changed: int, number: int) -> int:
+    return _count(path)
+
+
+def _count(path: Path) -> int:
+    capture = open_capture(path)
+    try:
+        stated = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        if stated > 0:
+            capture.set(cv2.CAP_PROP_POS_FRAMES, stated - 1)
+            # position: some files jump elsewhere without complaint; one frame more: the container may say too
+            # little
+            landed = int(round(capture.get(cv2.CAP_PROP_POS_FRAMES)))
+            if landed == stated - 1 and capture.grab() and not capture.grab():
+                return stated
+    finally:
+        capture.release()
+    capture = open_capture(path)
+    try:
+        count = 0
+        while capture.grab():
+            count += 1
+        return count
+    finally:
+        capture.release()
+
+
+def _undecodable(path: Path) -> InputError:
+    return InputError(
+        f"The video {path} contains no frame that can be decoded (it is empty, cut off or of an unknown "
+        "codec); record or copy it again, or convert it with: ffmpeg -i INPUT -c:v libx264 OUTPUT.mp4."
+    )
+
+
+def open_capture(path: Path) -> cv2.VideoCapture:
+    """OpenCV's own reader of a video; an InputError when it cannot be opened.
+
+    FFmpeg only: OpenCV's other back ends take numbers in file names for image sequences.
+    """
+    if not path.is_file():
+        raise InputError(f"The video {path} does not exist; check the file name in recording.toml.")
+    if path.stat().st_size == 0:
+        raise InputError(f"The video {path} is empty (0 bytes); record or copy it again.")
+    with _quiet(), utf8_path(path) as name:
+        try:
+            capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG)
+        except cv2.error:
+            capture = None
+    if capture is None or not capture.isOpened():
+        raise InputError(
+            f"{path} cannot be opened as a video (not a video, cut off, or an unknown codec); copy it again, "
+            "or convert it with: ffmpeg -i INPUT -c:v libx264 OUTPUT.mp4."
+        )
+    return capture
+
+
+class VideoWriter:
+    """Write frames (h, w, 3) uint8 BGR to a video, as a context manager.
+
+    The codec follows from the ending: .mp4 MPEG-4 (players show it, browsers do not; codec="vp09" gives VP9,
+    which browsers show, at a fifth of the speed), .avi motion JPEG, .mkv FFV1 (lossless). The file has
+    another name until it is complete, and is checked then; after an exception in the block nothing is left.
+    Width and height are rounded down to even numbers (codecs need that).
+    """
+
+    def __init__(self, path: str | Path, frame_rate: float, size: tuple[int, int], codec: str | None = None) -> None:
+        self.path = Path(path)
+        self.frame_rate = float(frame_rate)
+        self.size = (int(size[0]) // 2 * 2, int(size[1]) // 2 * 2)
+        self.n_frames = 0
+        if self.path.suffix.lower() not in _CODECS:
+            raise InputError(f"{self.path} cannot be written: name the video {', '.join(_CODECS)}.")
+        if not 0 < self.frame_rate < 10_000 or min(self.size) < 2:
+            raise InputError(
+                f"{self.path} cannot be written with {frame_rate:g} frames/s and {size[0]} x {size[1]} px; "
+                "give a positive frame rate and at least 2 x 2 px."
+            )
+        self._codecs = (codec,) if codec else _CODECS[self.path.suffix.lower()]
+        self._writer: cv2.VideoWriter | None = None
+        self._guard = atomic_path(self.path)
+
+    def __enter__(self) -> VideoWriter:
+        self._temporary = self._guard.__enter__()
+        try:
+            self._writer = self._open()
+        except BaseException as error:
+            self._guard.__exit__(type(error), error, error.__traceback__)
+            raise
+        return self
+
+    def _open(self) -> cv2.VideoWriter:
+        self._temporary.touch()  # an unwritable folder shows here with its reason; OpenCV would give none
+        for codec in self._codecs:
+            with _quiet(), utf8_path(self._temporary) as name:
+                fourcc = cv2.VideoWriter.fourcc(*codec)
+                writer = cv2.VideoWriter(name, cv2.CAP_FFMPEG, fourcc, self.frame_rate, self.size)
+            if writer.isOpened():
+                return writer
+        raise InputError(
+            f"{self.path} cannot be written: this OpenCV has no encoder for {' or '.join(self._codecs)}; "
+            f"choose another ending ({', '.join(_CODECS)}) or install opencv-python-headless from PyPI."
+        )
+
+    def write(self, image: Image) -> None:
+        """Append one frame of the writer's size."""
+        if self._writer is None:
+            raise InputError(f"{self.path} is not open; use VideoWriter in a with block.")
+        h, w = image.shape[:2]
+        if (w // 2 * 2, h // 2 * 2) != self.size or image.ndim != 3 or image.dtype != np.uint8:
+            raise InputError(
+                f"{self.path}: frame {self.n_frames} is {image.shape} {image.dtype}, needed are "
+                f"{self.size[0]} x {self.size[1]} px, three channels, uint8; scale it first."
+            )
+        self._writer.write(np.ascontiguousarray(image[: self.size[1], : self.size[0]]))
+        self.n_frames += 1
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._writer is not None:
+            self._writer.release()
+            self._writer = None
+        try:
+            if error is None:
+                self._check()
+        except InputError as failure:
+            self._guard.__exit__(type(failure), failure, failure.__traceback__)
+            raise
+        self._guard.__exit__(kind, error, trace)
+
+    def _check(self) -> None:
+        """OpenCV reports no write error, so what lies on the disk is opened and its end decoded."""
+        if self.n_frames == 0:
+            raise InputError(f"{self.path} was not written because no frame was given; choose a range with frames.")
+        try:
+            written = count_frames(self._temporary)
+        except InputError:
+            written = 0
+        if written != self.n_frames:
+            raise InputError(
+                f"{self.path} could not be completed: {written} of {self.n_frames} frames arrived on the "
+                "disk, which may be full; free some space and write it again."
+            )

@@ -1,0 +1,379 @@
+"""A recording's calibration examined and refined: from files to the doctor's evidence, and to a refined rig."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.body.ready_bodies import human
+from hypose.calibration.doctor import Clip, Cured, Observed
+from hypose.calibration.doctor_masks import tangency, tangency_by_view
+from hypose.calibration.doctor_points import undistorted
+from hypose.calibration.in_step import Resampled, points_at
+from hypose.calibration.refine_body import BodyOptions, adjust_with_body
+from hypose.calibration.refine_camera import CameraChange, changes, free_cameras, gauge, in_world, rescaled
+from hypose.calibration.refine_points import PointOptions, adjust, left_out_residual, point_residual, without_distortion
+from hypose.calibration.sync_motion import mask_tracks
+from hypose.cameras.camera import CameraRig, triangulate
+from hypose.errors import EvidenceError, InputError
+from hypose.evidence.frame import Frame, Keypoints, Silhouettes
+from hypose.evidence.keypoints import keypoint_names, triangulate_keypoints
+from hypose.fitting.articulated import contour_term
+from hypose.geometry import Array, transform
+from hypose.io.recordings.frames import FrameOptions, FrameStream, load_keypoints
+from hypose.io.recordings.recording import Recording
+from hypose.io.videos.video import open_video
+from hypose.pipeline.first_frame import SubjectOptions, find_subject
+from hypose.pipeline.run import TrackOptions, track_source
+from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term
+from hypose.tracking.subject import fit_girths, shape_from_keypoints, subject_from_keypoints
+
+Progress = Callable[[str, int, int], None]
+METHODS = ("keypoints", "silhouettes", "both")
+_USED = 17  # frames that a refinement looks at, as the rest has to judge it
+
+
+def _ignore(stage: str, done: int, total: int) -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """A refined calibration. rig: in the old one's world, with its lenses; method; used: frames it was found on;
+    changes per camera; before_px, after_px: median distance of key points from the triangulation of all views on frames
+    not used, left_out_before_px, left_out_after_px: from that of the other views (NaN without key points);
+    tangency_before_px, tangency_after_px: disagreement of the silhouettes' tangent planes on those frames; notes."""
+
+    rig: CameraRig
+    method: str
+    used: tuple[int, ...]
+    changes: tuple[CameraChange, ...]
+    before_px: float
+    after_px: float
+    left_out_before_px: float
+    left_out_after_px: float
+    tangency_before_px: float
+    tangency_after_px: float
+    notes: tuple[str, ...] = ()
+
+
+def window(recording: Recording, most: int) -> Recording:
+    """The recording limited to `most` consecutive frames from the middle of its range."""
+    frames = recording.frames
+    if len(frames) <= most:
+        return recording
+    first = frames[0] + (len(frames) - most) // 2
+    return replace(recording, frame_range=(first, first + most))
+
+
+def observe(recording: Recording, most: int = 100, progress: Progress = _ignore) -> Observed:
+    """The doctor's evidence of at most `most` consecutive frames: key points as stored, masks made without them."""
+    few = window(recording, most)
+    points, names = raw_keypoints(few)
+    silhouettes: list[Silhouettes | None] | None = None
+    blind = replace(few, views=tuple(replace(v, keypoints=None) for v in few.views), keypoint_set=None)
+    if all(v.source is not None or v.masks is not None for v in few.views):
+        progress("background", 0, 1)
+        with FrameStream(blind) as stream:
+            progress("background", 1, 1)
+            silhouettes = []
+            for i in range(len(stream)):
+                progress("masks", i, len(stream))
+                silhouettes.append(stream.frame(i).silhouettes)
+            progress("masks", len(stream), len(stream))
+    clips = tuple(_clip(v.source or v.masks) for v in recording.views)
+    return Observed(few.rig, points, names, silhouettes, clips, recording.frame_rate, recording.subject_height)
+
+
+def _clip(path) -> Clip:  # noqa: ANN001 - Path | None
+    if path is None:
+        return Clip()
+    with open_video(path) as reader:
+        return Clip(reader.size, reader.frame_rate, reader.n_frames)
+
+
+def raw_keypoints(recording: Recording) -> tuple[Array | None, tuple[str, ...]]:
+    """Key points (C, T, K, 3) in px of the calibrated, distorted images, and their names; None without any."""
+    if recording.keypoint_set is None or not any(v.keypoints for v in recording.views):
+        return None, ()
+    # with ideal lenses undistorting changes nothing
+    loaded = load_keypoints(replace(recording, rig=recording.rig.pinhole()), FrameOptions(factor=1.0, silhouettes=None))
+    if loaded is None:
+        return None, ()
+    return np.stack([k.points for k in loaded], 1), keypoint_names(recording.keypoint_set)
+
+
+def cured_recording(recording: Recording, cured: Cured) -> Recording:
+    """The recording with lag and shift as the doctor measured them."""
+    views = [
+        replace(v, image_shift=(v.image_shift[0] + float(s[0]), v.image_shift[1] + float(s[1])))
+        for v, s in zip(recording.views, cured.shift, strict=True)
+    ]
+    return replace(recording, views=tuple(views), keypoint_lag=recording.keypoint_lag + cured.keypoint_lag)
+
+
+def refine_recording(
+    recording: Recording,
+    method: str = "keypoints",
+    *,
+    late: Array | None = None,
+    focal: bool = False,
+    fixed: tuple[str, ...] = (),
+    height: float | None = None,
+    most: int = 150,
+    disturb: Callable[[Body, Array], Array] | None = None,
+    progress: Progress = _ignore,
+) -> Refinement:
+    """Refines the poses (and with `focal` the focal lengths) of a recording's cameras from the moving person.
+
+    recording: lag and shift are cured (`cured_recording`); late (C,): frames by which views are late. method: keypoints
+    (bundle adjustment), silhouettes (contours of the tracked body; key points, if there are any, only give the start),
+    both. fixed: names of cameras that stay. height: of the person, m: sets the scale, which else stays as it was (by
+    the person's limbs). disturb(body, poses) changes the start poses, for tests. An EvidenceError or InputError says
+    what is missing."""
+    if method not in METHODS:
+        raise InputError(f"There is no refinement from {method!r}; choose {', '.join(METHODS)}.")
+    if len(recording.rig) < 2:
+        raise InputError(
+            "A calibration of one camera cannot be refined from the person; at least two views are needed."
+        )
+    few = window(recording, most)
+    late = np.zeros(len(few.rig)) if late is None else late
+    points, names = raw_keypoints(few)
+    if points is None and method != "silhouettes":
+        raise InputError(f"The recording {few.name} has no key points; refine from silhouettes.")
+    if points is not None:
+        points = np.stack([points_at(p, x) for p, x in zip(points, late, strict=True)])
+    n = len(few.frames)
+    used = np.unique(np.linspace(0, n - 1, min(_USED, (n + 1) // 2) + 2).astype(np.int64))[1:-1]
+    if len(used) < 3:
+        raise InputError(f"{n} frames are too few to refine a calibration and to judge it; give at least 10.")
+    rest = np.setdiff1d(np.arange(n, dtype=np.int64), used).astype(np.int64)
+    free = free_cameras(few.rig, fixed)
+    judge = _Judge(few.rig, points, rest)
+    notes: list[str] = []
+    if method == "keypoints":
+        assert points is not None
+        refined, person = _by_points(few.rig, points, used, focal, free)
+        before_silhouettes: list[Silhouettes | None] = []
+    else:
+        refined, person, before_silhouettes, notes = _by_body(
+            few, points, names, late, method, used, rest, focal, free, disturb, progress
+        )
+    factor = _scale(few.rig, refined, points, used, names, height, notes)
+    refined = rescaled(refined, factor)
+    old_from_new = gauge(refined, few.rig, person * factor)
+    refined = in_world(refined, old_from_new)
+    here = transform(old_from_new, person * factor)
+    tangents = [_tangency(r, before_silhouettes) for r in (few.rig, refined)]
+    return Refinement(
+        refined,
+        method,
+        tuple(int(few.frames[k]) for k in used),
+        changes(few.rig, refined, here),
+        *judge.residuals(few.rig, refined),
+        tangents[0],
+        tangents[1],
+        tuple(notes),
+    )
+
+
+@dataclass(frozen=True)
+class _Judge:
+    """Key points of frames that were not used."""
+
+    old: CameraRig
+    points: Array | None
+    rest: NDArray[np.int64]
+
+    def residuals(self, old: CameraRig, new: CameraRig) -> tuple[float, float, float, float]:
+        if self.points is None:
+            nan = float("nan")
+            return nan, nan, nan, nan
+        c = len(old)
+        out = []
+        for measure in (point_residual, left_out_residual):
+            for rig in (old, new):
+                uv, confidence = undistorted(rig, self.points[:, self.rest])
+                found = measure(without_distortion(rig), uv.reshape(c, -1, 2), confidence.reshape(c, -1))
+                out.append(float(np.nanmedian(found)) if np.isfinite(found).any() else float("nan"))
+        return out[0], out[1], out[2], out[3]
+
+
+def _by_points(
+    rig: CameraRig, points: Array, used: NDArray[np.int64], focal: bool, free: NDArray[np.bool_]
+) -> tuple[CameraRig, Array]:
+    uv, confidence = undistorted(rig, points[:, used])
+    c = len(rig)
+    found = adjust(
+        without_distortion(rig), uv.reshape(c, -1, 2), confidence.reshape(c, -1), PointOptions(focal=focal), free
+    )
+    return _poses_into(rig, found.rig), found.points
+
+
+def _poses_into(full: CameraRig, refined: CameraRig) -> CameraRig:
+    """The given cameras with the poses and focal factors of refined ones of any working size."""
+    out = []
+    for a, b in zip(full, refined, strict=True):
+        k = a.K.copy()
+        # the working size scales both focal lengths as the image
+        k[0, 0] = b.K[0, 0] * a.size[0] / b.size[0]
+        k[1, 1] = b.K[1, 1] * a.size[1] / b.size[1]
+        out.append(replace(a, K=k, camera_from_world=b.camera_from_world))
+    return CameraRig(tuple(out))
+
+
+def _by_body(
+    recording: Recording,
+    points: Array | None,
+    names: tuple[str, ...],
+    late: Array,
+    method: str,
+    used: NDArray[np.int64],
+    rest: NDArray[np.int64],
+    focal: bool,
+    free: NDArray[np.bool_],
+    disturb: Callable[[Body, Array], Array] | None,
+    progress: Progress,
+) -> tuple[CameraRig, Array, list[Silhouettes | None], list[str]]:
+    blind = recording
+    if method == "silhouettes":  # masks that know nothing of the key points
+        blind = replace(recording, views=tuple(replace(v, keypoints=None) for v in recording.views), keypoint_set=None)
+    progress("background", 0, 1)
+    with FrameStream(blind) as stream:
+        progress("background", 1, 1)
+        source = Resampled(stream, late)
+        frames: list[Frame] = []
+        for done, k in enumerate(used):
+            progress("masks", done, len(used))
+            frames.append(source.frame(int(k)))
+        progress("masks", len(used), len(used))
+        judged = [source.frame(int(k)).silhouettes for k in rest[:: max(1, len(rest) // 16)]]
+        keypoints = load_keypoints(recording) if points is not None else None
+        if keypoints is not None:
+            keypoints = [
+                replace(k, points=np.stack([_shifted(keypoints, c, t, float(x)) for c, x in enumerate(late)]))
+                for t, k in enumerate(keypoints)
+            ]
+            body, model, poses, notes = _start_from_points(frames, [keypoints[int(k)] for k in used])
+        else:
+            body, poses, notes = _start_from_masks(source, recording, used, progress)
+            model = None
+    if disturb is not None:
+        poses = body.skeleton.clamp(disturb(body, poses))
+    kept = [i for i, f in enumerate(frames) if np.isfinite(poses[i]).all() and f.silhouettes is not None]
+    if not kept:
+        raise EvidenceError("No frame has both silhouettes and a pose to refine the calibration with.")
+    contours, marks = [], []
+    for i in kept:
+        silhouettes = frames[i].silhouettes
+        assert silhouettes is not None
+        contours.append(contour_term(silhouettes) if silhouettes.usable.any() else None)
+        both = method == "both" and keypoints is not None and model is not None
+        seen = keypoints[int(used[i])] if both and keypoints is not None else None
+        marks.append(None if seen is None else keypoint_term(seen, body, model, scale_px=_mark_scale(seen)))
+    small = stream.rig
+    progress("refine", 0, 1)
+    weight = 0.1 if method == "both" else 1.0  # rows of a contour err together; key points weigh as detections
+    found = adjust_with_body(
+        body,
+        small,
+        poses[kept],
+        contours,
+        marks if method == "both" else None,
+        BodyOptions(contour_weight=weight, focal=focal),
+        free,
+    )
+    progress("refine", 1, 1)
+    person = body.joints(found.poses).reshape(-1, 3)
+    return _poses_into(recording.rig, found.rig), person, judged, notes
+
+
+def _shifted(keypoints: Sequence, c: int, t: int, late: float) -> Array:
+    """Key points (K, 3) of one view at t + late."""
+    low = int(np.floor(t + late))
+    n = len(keypoints)
+    if late == 0:
+        return keypoints[t].points[c]
+    if not 0 <= low < n - 1:
+        return np.zeros_like(keypoints[t].points[c])
+    pair = np.stack([keypoints[low].points[c], keypoints[low + 1].points[c]])
+    return points_at(pair, t + late - low)[0]
+
+
+def _mark_scale(keypoints: Keypoints) -> float:
+    """sd of a detection in px of the working size: 0.8 % of the person's size."""
+    seen = keypoints.points[keypoints.points[..., 2] > 0.3]
+    return max(0.008 * float(np.ptp(seen[:, 1])) if len(seen) else 2.0, 0.5)
+
+
+def _start_from_points(frames: Sequence[Frame], keypoints: Sequence) -> tuple[Body, KeypointModel, Array, list[str]]:
+    points, _, _ = triangulate_keypoints(keypoints)
+    fitted = subject_from_keypoints(human(), points, keypoints[0].names)
+    poses = fitted.poses
+    solved = [i for i in range(len(poses)) if np.isfinite(poses[i]).all() and frames[i].silhouettes is not None]
+    few = solved[:: max(1, len(solved) // 8)]
+    prepared = [prepare(frames[i], fitted.body, poses[i]) for i in few]
+    few = [i for i, p in zip(few, prepared, strict=True) if p.masks is not None]
+    prepared = [p for p in prepared if p.masks is not None]
+    if not prepared:
+        raise EvidenceError("No frame has usable silhouettes; refine from key points.")
+    body, _, _, _ = fit_girths(fitted.body, poses[few], prepared)
+    model = replace(keypoint_model(body, fitted.keypoints.names), offset=fitted.keypoints.offset)
+    return body, model, poses, ["lengths of the body and start poses from the key points"]
+
+
+def _start_from_masks(
+    source: Resampled, recording: Recording, used: NDArray[np.int64], progress: Progress
+) -> tuple[Body, Array, list[str]]:
+    progress("subject", 0, 1)
+    options = SubjectOptions(height=recording.subject_height, frame_rate=recording.frame_rate)
+    subject = find_subject(source.frame, len(source), options)
+    progress("subject", 1, 1)
+    result = track_source(source, recording.frame_rate, TrackOptions(), subject=subject, progress=progress)
+    poses = result.motion.poses
+    assert poses is not None
+    return subject.body, poses[used], ["body and start poses tracked from silhouettes alone", *subject.notes]
+
+
+def _scale(
+    old: CameraRig,
+    new: CameraRig,
+    points: Array | None,
+    used: NDArray[np.int64],
+    names: tuple[str, ...],
+    height: float | None,
+    notes: list[str],
+) -> float:
+    """Factor that keeps the person's limbs as long as they were, or makes the person as tall as is known."""
+    if points is None:
+        return 1.0  # the body's size has kept it
+    sizes = []
+    for rig in (old, new):
+        uv, confidence = undistorted(rig, points[:, used])
+        c = len(rig)
+        x, _ = triangulate(rig, uv.reshape(c, -1, 2), np.where(confidence > 0.3, confidence, 0.0).reshape(c, -1))
+        try:
+            sizes.append(shape_from_keypoints(human(), x.reshape(len(used), -1, 3), names).scale)
+        except EvidenceError:
+            return 1.0
+    if height is not None:
+        notes.append(f"scale from the person's height of {height:.2f} m")
+        return height / (sizes[1] * human().stature)
+    return float(np.clip(sizes[0] / sizes[1], 0.5, 2.0))
+
+
+def _tangency(rig: CameraRig, silhouettes: Sequence[Silhouettes | None]) -> float:
+    """Median disagreement of the tangent planes, px of the calibrated size; NaN without silhouettes."""
+    known = [s for s in silhouettes if s is not None]
+    if not known:
+        return float("nan")
+    small = known[0].rig
+    moved = CameraRig(tuple(replace(a, camera_from_world=b.camera_from_world) for a, b in zip(small, rig, strict=True)))
+    by_view = tangency_by_view(tangency(moved, mask_tracks(known)), len(rig))
+    return float(np.nanmean(by_view * rig.sizes[:, 0] / small.sizes[:, 0]))

@@ -1,0 +1,198 @@
+"""Who is in the recording and how they stand in the first frame: the subject's body and the start pose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hypose.body.body import Body
+from hypose.body.ready_bodies import human
+from hypose.errors import EvidenceError, InputError
+from hypose.evidence.frame import Frame
+from hypose.evidence.keypoints import triangulate_keypoints
+from hypose.geometry import Array
+from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
+from hypose.tracking.frame_evidence import PreparedFrame, prepare
+from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model
+from hypose.tracking.keypoint_offsets import calibrate_keypoints
+from hypose.tracking.starts import KNOWN_POSES, hull_of, start_from_hull, start_from_keypoints
+from hypose.tracking.subject import fit_girths, scaled_to_height, subject_from_keypoints
+
+FrameAt = Callable[[int], Frame]
+GIVEN = "the subject's body is given"
+
+
+@dataclass(frozen=True)
+class Subject:
+    """body; where key points sit on it (None without key points); the start pose (D,) in the first frame; how it was
+    found, in words."""
+
+    body: Body
+    keypoints: KeypointModel | None
+    start: Array
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SubjectOptions:
+    """start: 'auto', 'keypoints', 'hull' or a known pose's name. height: m, None = from key points or the hull.
+    girths: fit girths to the silhouettes. body: the template, or with `known` the subject's own body, of which only the
+    start pose is looked for. frame_rate: Hz. seed."""
+
+    start: str = "auto"
+    height: float | None = None
+    girths: bool = True
+    body: Body | None = None
+    frame_rate: float = 25.0
+    seed: int = 0
+    known: bool = False
+
+    def __post_init__(self) -> None:
+        allowed = ("auto", "keypoints", "hull", *KNOWN_POSES)
+        if self.start not in allowed:
+            raise InputError(f"There is no start {self.start!r}; the starts are {', '.join(allowed)}.")
+
+
+def find_subject(frame_at: FrameAt, n_frames: int, options: SubjectOptions) -> Subject:
+    """Subject and start pose from the frames of a recording.
+
+    With key points: lengths and start from their robust triangulation, girths from the silhouettes. Without: start from
+    the known poses at the hull, then lengths, girths and clothes from the silhouettes of the first three seconds.
+    """
+    template = options.body or human()
+    sampled = np.unique(np.linspace(0, n_frames - 1, min(n_frames, 40)).astype(int))
+    first = frame_at(0)
+    by_points = options.start == "keypoints" or (options.start == "auto" and first.keypoints is not None)
+    if by_points:
+        if first.keypoints is None:
+            raise InputError(
+                "The start 'keypoints' needs key points, and this recording has none; use the start 'hull'."
+            )
+        if options.known:
+            return _known_by_points(template, frame_at, sampled, n_frames, options)
+        return _from_keypoints(template, frame_at, sampled, n_frames, options)
+    if options.known:
+        poses = KNOWN_POSES if options.start in ("auto", "hull") else (options.start,)
+        prepared = prepare(first, template, np.zeros(template.skeleton.dof))
+        return Subject(template, None, start_from_hull(template, prepared, poses).pose, (GIVEN,))
+    return _from_hull(template, frame_at, sampled, first, n_frames, options)
+
+
+def _from_keypoints(
+    template: Body, frame_at: FrameAt, sampled: np.ndarray, n_frames: int, options: SubjectOptions
+) -> Subject:
+    seen = [f for f in (frame_at(int(i)) for i in sampled) if f.keypoints is not None]
+    keypoints = [f.keypoints for f in seen if f.keypoints is not None]
+    points, _, _ = triangulate_keypoints(keypoints)
+    fitted = subject_from_keypoints(template, points, keypoints[0].names)
+    body, model, poses = fitted.body, fitted.keypoints, fitted.poses
+    notes = [f"segment lengths from the key points of {len(points)} frames"]
+    if options.height is not None:
+        notes.append("the given height is not used: lengths come from the key points")
+    if options.girths:
+        solved = [n for n in range(len(points)) if np.isfinite(poses[n]).all()]
+        few = [solved[k] for k in np.unique(np.linspace(0, len(solved) - 1, min(10, len(solved))).astype(int))]
+        body, note = _with_girths(body, poses[few], [seen[n] for n in few])
+        notes.append(note)
+    # the landmarks on the skin moved with the girths: where the key points sit is measured on the body as it is now
+    model = calibrate_keypoints(body, keypoint_model(body, model.names), keypoints, poses)
+    notes.append(_noise_note(model))
+    start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
+    if at:
+        notes.append(f"the start is the pose of frame {at}, the first with enough key points")
+    return Subject(body, model, start, tuple(notes))
+
+
+def _known_by_points(
+    body: Body, frame_at: FrameAt, sampled: np.ndarray, n_frames: int, options: SubjectOptions
+) -> Subject:
+    seen = [k for k in (frame_at(int(i)).keypoints for i in sampled) if k is not None]
+    if not seen:
+        raise EvidenceError("No frame has key points to start from; use the start 'hull'.")
+    model = calibrate_keypoints(body, keypoint_model(body, seen[0].names), seen)
+    start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
+    notes = [GIVEN, _noise_note(model)]
+    if at:
+        notes.append(f"the start is the pose of frame {at}, the first with enough key points")
+    return Subject(body, model, start, tuple(notes))
+
+
+def _noise_note(model: KeypointModel) -> str:
+    assert model.sd is not None
+    return f"key points weigh as if they scattered by {1e3 * float(np.median(model.sd[model.known])):.0f} mm per axis"
+
+
+def first_start(body: Body, model: KeypointModel, frame_at: FrameAt, last: int) -> tuple[Array, int]:
+    """The pose at the first of the frames before `last` whose key points can be triangulated, and its number. It stands
+    for the frames before it, which lie within a second."""
+    known = model.known
+    error: EvidenceError | None = None
+    for i in range(last):
+        keypoints = frame_at(i).keypoints
+        if keypoints is None:
+            continue
+        try:
+            points = triangulate_keypoints([keypoints])[0][0][known]
+            return start_from_keypoints(body, points, model.joint[known], model.offset[known]).pose, i
+        except EvidenceError as e:
+            error = error or e
+    raise error or EvidenceError("No frame of the first second has key points; start from the hull.")
+
+
+def _from_hull(
+    template: Body, frame_at: FrameAt, sampled: np.ndarray, first: Frame, n_frames: int, options: SubjectOptions
+) -> Subject:
+    poses = KNOWN_POSES if options.start in ("auto", "hull") else (options.start,)
+    if options.girths:
+        how = AnthropometryOptions(
+            height=options.height, poses=poses, seed=options.seed, frames=8, tracked=24, passes=1
+        )
+        estimate = estimate_subject(frame_at, n_frames, options.frame_rate, template, how)
+        notes = [f"height {estimate.body.stature:.3f} m from the silhouettes"] if options.height is None else []
+        return Subject(estimate.body, None, estimate.start, (*notes, *estimate.notes))
+    if options.height is not None:
+        height, note = options.height, f"height {options.height:.3f} m as given"
+    else:
+        height, n = _hull_height(frame_at, sampled)
+        note = f"height {height:.3f} m from the visual hulls of {n} frames"
+    body = scaled_to_height(template, height)
+    prepared = prepare(first, body, np.zeros(body.skeleton.dof))
+    return Subject(body, None, start_from_hull(body, prepared, poses).pose, (note,))
+
+
+def _with_girths(body: Body, poses: Array, frames: Sequence[Frame]) -> tuple[Body, str]:
+    prepared = [_prepared(f, body, p) for f, p in zip(frames, poses, strict=True)]
+    usable = [n for n, f in enumerate(prepared) if f is not None and f.masks is not None]
+    if not usable:
+        return body, "girths of the template: no frame has a usable silhouette"
+    fitted, _, before, after = fit_girths(body, poses[usable], [f for f in (prepared[n] for n in usable) if f])
+    return fitted, f"girths from {len(usable)} frames: silhouette mismatch {before:.3f} -> {after:.3f}"
+
+
+def _prepared(frame: Frame, body: Body, pose: Array) -> PreparedFrame | None:
+    return prepare(frame, body, pose) if frame.silhouettes is not None else None
+
+
+def _hull_height(frame_at: FrameAt, sampled: np.ndarray) -> tuple[float, int]:
+    """Standing height (m) from hulls of the sampled frames, and the number of hulls.
+
+    The hull's extent along z is the height of a person standing upright and less when bent or striding, more with arms
+    up; the 75th percentile over the recording is used. It is a rough value: give the height when it is known.
+    """
+    heights = []
+    for i in sampled[:: max(1, len(sampled) // 12)]:
+        frame = frame_at(int(i))
+        if frame.silhouettes is None:
+            continue
+        try:
+            heights.append(hull_of(prepare(frame, human(), np.zeros(human().skeleton.dof))).height)
+        except EvidenceError:
+            continue
+    if not heights:
+        raise EvidenceError(
+            "No frame has a visual hull, so the subject's height cannot be found; check masks and calibration with "
+            "`hypose check`, or give --height."
+        )
+    return float(np.percentile(heights, 75)), len(heights)

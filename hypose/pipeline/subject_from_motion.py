@@ -1,0 +1,354 @@
+"""The subject's body from silhouettes of a moving person: track briefly, choose different poses, fit shape and poses.
+
+Source: Alcoverro 2014, section 2.3.3 (placing at the hull, then pose, then shape and pose together). Deviation: several
+frames of ordinary motion instead of one known pose, and a joint gradient solution (hypose.tracking.shape_refinement);
+the thesis' layered filter for one held pose is hypose.tracking.layered_anthropometry.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from hypose.body.anthropometry import CLOTHING_UNIT, ENTITY_NAMES, Sizes, body_of, entity, prior_mean, sizes_of
+from hypose.body.body import Body
+from hypose.errors import EvidenceError, InputError
+from hypose.evidence.frame import Frame
+from hypose.fitting.articulated import ContourTerm, SolveOptions, contour_term
+from hypose.geometry import Array
+from hypose.io.files import write_text
+from hypose.io.motions.bodies import load_body, save_body
+from hypose.pipeline.mend_sides import mend_sides
+from hypose.pipeline.subject_checks import check_borders, check_named_pose, check_size, check_start, no_two_views
+from hypose.tracking.costs import silhouette_iou
+from hypose.tracking.frame_evidence import PreparedFrame, prepare
+from hypose.tracking.recipes import default
+from hypose.tracking.refinement import refine
+from hypose.tracking.shape_refinement import Known, ShapeOptions, refine_shape
+from hypose.tracking.starts import KNOWN_POSES, hull_of, start_from_hull
+from hypose.tracking.subject import scaled_to_height
+from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings
+
+FrameAt = Callable[[int], Frame]
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class AnthropometryOptions:
+    """frames: how many different poses are fitted; tracked: how many instants are looked at to find them; rate: their
+    rate in Hz; passes: the second one tracks again with the fitted body; height m, mass kg: when known; poses: what the
+    person may be doing at the start; seed; shape: of the solver."""
+
+    frames: int = 10
+    tracked: int = 36
+    rate: float = 12.5
+    particles: int = 48
+    passes: int = 2
+    height: float | None = None
+    mass: float | None = None
+    poses: tuple[str, ...] = KNOWN_POSES
+    seed: int = 0
+    shape: ShapeOptions = ShapeOptions()
+
+    def __post_init__(self) -> None:
+        for name, value, low, high in (("height", self.height, 0.5, 2.5), ("mass", self.mass, 8.0, 350.0)):
+            if value is not None and not low <= value <= high:
+                unit = "m" if name == "height" else "kg"
+                raise InputError(f"A {name} of {value:g} {unit} is no person's; give {low:g} to {high:g} {unit}.")
+
+
+@dataclass(frozen=True)
+class SubjectEstimate:
+    """body: in its clothes, as cameras see it; naked: without them; factors (K,) with covariance (K, K) of
+    hypose.body.anthropometry.ENTITIES about the template; start (D,): pose in the first frame looked at; frames: the
+    fitted instants, poses (F, D) there; iou (F, C) of the body before and after; notes in words."""
+
+    body: Body
+    naked: Body
+    factors: Array
+    covariance: Array
+    start: Array
+    frames: tuple[int, ...]
+    poses: Array
+    template: Body
+    template_poses: Array
+    iou_before: Array
+    iou: Array
+    notes: tuple[str, ...]
+
+    @property
+    def sizes(self) -> Sizes:
+        """Sizes of the body without its clothes (girths are the skin's, as far as the clothes' thickness is known)."""
+        return sizes_of(self.naked)
+
+    @property
+    def clothed_sizes(self) -> Sizes:
+        """Sizes over the clothes."""
+        return sizes_of(self.body)
+
+
+def estimate_subject(
+    frame_at: FrameAt,
+    n_frames: int,
+    frame_rate: float,
+    template: Body,
+    options: AnthropometryOptions | None = None,
+    start: Array | None = None,
+    progress: Progress | None = None,
+) -> SubjectEstimate:
+    """The subject of a recording from silhouettes alone. progress(done, total) is called for every frame looked at.
+
+    start (D,): pose of `template` in frame 0; default: known poses at the visual hull. The person may do anything;
+    different poses (bent elbows and knees) place the joints. An EvidenceError when fewer than two views are usable,
+    the person's size is no person's (units), no view shows the whole person, or no start explains the silhouettes.
+    """
+    options = options or AnthropometryOptions()
+    step = max(1, round(frame_rate / options.rate))
+    indices = list(range(0, n_frames, step))[: options.tracked]
+    rate = frame_rate / step
+    done, total = 0, (1 + options.passes) * len(indices)
+
+    def tick() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(min(done, total), total)
+
+    frames = []
+    for i in indices:
+        frames.append(frame_at(i))
+        tick()
+    usable = [f.silhouettes is not None and int(f.silhouettes.usable.sum()) >= 2 for f in frames]
+    seen = [f for f, ok in zip(frames, usable, strict=True) if ok]
+    numbers = [i for i, ok in zip(indices, usable, strict=True) if ok]
+    if not usable or not usable[0]:
+        raise EvidenceError(no_two_views(frames[0]))
+    check_size(seen[0])
+    border_notes = check_borders(seen, options.height)
+    height, known = options.height, Known(options.height, options.mass)
+    if start is None:
+        body, start_pose, at = _best_start(template, seen, options)
+    else:
+        body = template if height is None else scaled_to_height(template, height)
+        start_pose, at = start, 0
+    first, x = body, prior_mean()
+    x[0] = np.log(body.stature / template.stature)
+    by_template, iou = _both_ways(body, start_pose, at, seen, rate, options, tick)
+    chosen, tracked = different_poses(body, by_template, iou, options.frames), by_template
+    fit = refine_shape(template, tracked[chosen], _contours(seen, chosen), known=known, options=options.shape, start=x)
+    for _ in range(options.passes - 1):
+        # the fitted body loses fewer limbs, so other frames and better poses are there to be fitted
+        tracked, iou = _both_ways(fit.body, tracked[at], at, seen, rate, options, tick)
+        chosen = different_poses(fit.body, tracked, iou, options.frames)
+        again = replace(options.shape, iterations=(0, *options.shape.iterations[1:]))
+        fit = refine_shape(
+            template, tracked[chosen], _contours(seen, chosen), known=known, options=again, start=fit.log_factors
+        )
+    if progress is not None:
+        progress(total, total)
+    before = by_template[chosen]
+    views = [_prepared(seen[k], first, by_template[k]) for k in chosen]
+    body, x = fit.body, fit.log_factors
+    iou_before = _ious(first, before, views)
+    iou_after = _ious(body, fit.poses, views)
+    note = (
+        f"shape from the silhouettes of {len(chosen)} poses: mean IoU {np.nanmean(iou_before):.3f} -> "
+        f"{np.nanmean(iou_after):.3f}, clothes about {100 * x[entity('clothing')]:.0f} mm"
+    )
+    return SubjectEstimate(
+        body,
+        body_of(template, x, clothed=False),
+        x,
+        fit.covariance,
+        _settled(body, tracked[0], seen[0]),
+        tuple(numbers[k] for k in chosen),
+        fit.poses,
+        first,
+        before,
+        iou_before,
+        iou_after,
+        (note, *border_notes),
+    )
+
+
+def _best_start(template: Body, frames: Sequence[Frame], options: AnthropometryOptions) -> tuple[Body, Array, int]:
+    """The scaled template, its pose and the number of the frame where they explain the silhouettes best. A hole in one
+    mask cuts the hull, so several frames are tried; the median of their hulls' heights is the person's extent."""
+    tried = sorted({0, len(frames) // 3, (2 * len(frames)) // 3})
+    extents = []
+    for k in sorted({*tried, len(frames) // 6, len(frames) // 2, len(frames) - 1}):
+        with contextlib.suppress(EvidenceError):
+            extents.append(hull_of(_prepared(frames[k], template, np.zeros(template.skeleton.dof))).height)
+    extent = float(np.median(extents)) if extents else None
+    best: tuple[float, Body, Array, int] | None = None
+    failed: EvidenceError | None = None
+    for k in tried:
+        # only the first frame is promised to show the named pose
+        poses = options.poses if k == 0 else tuple(dict.fromkeys((*options.poses, "standing", "a")))
+        try:
+            body, pose, value = hull_start(template, frames[k], options.height, poses, extent)
+        except EvidenceError as error:
+            failed = failed or error
+            continue
+        if k == 0 and len(options.poses) == 1:
+            others = [p for p in KNOWN_POSES if p not in options.poses]
+            overlap = {p: hull_start(template, frames[0], body.stature, (p,))[2] for p in others}
+            check_named_pose(options.poses[0], value, overlap, frames[0].index)
+        if best is None or value > best[0] + 0.02:
+            best = (value, body, pose, k)
+    if best is None:
+        raise failed or EvidenceError("No frame has a visual hull to start from; check the calibration and the masks.")
+    check_start(best[0], frames[best[3]].index)
+    return best[1], best[2], best[3]
+
+
+def _both_ways(
+    body: Body,
+    start: Array,
+    at: int,
+    frames: Sequence[Frame],
+    rate: float,
+    options: AnthropometryOptions,
+    tick: Callable[[], None],
+) -> tuple[Array, Array]:
+    """(T, D) poses and (T,) IoU of the frames, tracked with few particles forwards and backwards from frame `at`, in
+    the order of the frames; mended where left and right were exchanged."""
+    recipe = default(body, particles=options.particles, frame_rate=rate)
+    tracker = Tracker(body, recipe, TrackerSettings(seed=options.seed, frame_rate=rate))
+    later = _follow(tracker, start, frames[at:], tick)
+    earlier = _follow(tracker, later[0].pose, frames[at - 1 :: -1], tick) if at else []
+    tracked, _ = mend_sides(tracker, [*earlier[::-1], *later], lambda numbers: (frames[t] for t in numbers))
+    return np.stack([e.pose for e in tracked]), np.array([1 - e.cost for e in tracked])
+
+
+def hull_start(
+    template: Body,
+    frame: Frame,
+    height: float | None = None,
+    poses: Sequence[str] = KNOWN_POSES,
+    extent: float | None = None,
+) -> tuple[Body, Array, float]:
+    """The template scaled to the person, its pose in one frame and the mean IoU there: known poses at the visual hull,
+    at the given height, or at several scales about the hull's (`extent` m, default this frame's), of which the best
+    explained is taken."""
+    prepared = prepare(frame, template, np.zeros(template.skeleton.dof))
+    if height is not None:
+        heights = [height]
+    else:
+        extent = extent or hull_of(prepared).height
+        # standing people are as high as their hull, raised arms add up to a third, strides and bends take some away
+        heights = [h for h in (extent, extent / 1.05, extent / 1.28, 1.05 * extent) if 0.8 < h < 2.3] or [1.7]
+    best: tuple[float, Body, Array] | None = None
+    for h in heights:
+        body = scaled_to_height(template, float(np.clip(h, 0.8, 2.3)))
+        pose = start_from_hull(body, prepared, tuple(poses)).pose
+        value = float(np.nanmean(silhouette_iou(body, pose, prepared)))
+        if best is None or value > best[0] + 0.002:
+            best = (value, body, pose)
+    assert best is not None
+    return best[1], best[2], best[0]
+
+
+def _follow(tracker: Tracker, start: Array, frames: Sequence[Frame], tick: Callable[[], None]) -> list[FrameEstimate]:
+    """The frames tracked one after the other, the first from a pose (D,)."""
+    found: list[FrameEstimate] = []
+    for _, estimate in tracker.follow(tracker.start(start), frames):
+        found.append(estimate)
+        tick()
+    return found
+
+
+def different_poses(body: Body, poses: Array, iou: Array, count: int) -> list[int]:
+    """Indices of up to `count` poses (T, D) that differ most (farthest-point choice on joint positions about the
+    pelvis, in its frame, so that the view changes count too), among those explained about as well as usual."""
+    usual = float(np.nanmedian(iou))
+    allowed = [k for k in range(len(poses)) if iou[k] > 0.95 * usual] or list(range(len(poses)))
+    rotations, joints = body.skeleton.forward(poses)
+    local = np.einsum("tba,tjb->tja", rotations[:, 0], joints - joints[:, :1])
+    heading = rotations[:, 0, :, 1] * 0.5
+    feature = np.concatenate([local.reshape(len(poses), -1), heading], 1)
+    chosen = [max(allowed, key=lambda k: iou[k])]
+    gap = np.linalg.norm(feature - feature[chosen[0]], axis=1)
+    while len(chosen) < min(count, len(allowed)):
+        new = max(allowed, key=lambda k: gap[k])
+        if gap[new] <= 0:
+            break
+        chosen.append(new)
+        gap = np.minimum(gap, np.linalg.norm(feature - feature[new], axis=1))
+    return sorted(chosen)
+
+
+def _contours(frames: Sequence[Frame], chosen: Sequence[int]) -> list[ContourTerm]:
+    found = [frames[k].silhouettes for k in chosen]
+    return [contour_term(f) for f in found if f is not None]
+
+
+def _prepared(frame: Frame, body: Body, pose: Array) -> PreparedFrame:
+    return prepare(frame, body, pose)
+
+
+def _settled(body: Body, pose: Array, frame: Frame) -> Array:
+    return refine(body, pose[None], _prepared(frame, body, pose), SolveOptions())[0].pose
+
+
+def _ious(body: Body, poses: Array, frames: Sequence[PreparedFrame]) -> Array:
+    return np.stack([silhouette_iou(body, q, f) for q, f in zip(poses, frames, strict=True)])
+
+
+def save_subject(folder: str | Path, estimate: SubjectEstimate, template: Body, source: str = "") -> tuple[Path, Path]:
+    """Writes body.npz (the body in its clothes, for `hypose track --subject`) and subject.toml (sizes in cm with their
+    standard deviations, and the shape factors) into a folder; returns their paths."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    body, toml = folder / "body.npz", folder / "subject.toml"
+    save_body(estimate.body, body)
+    sd = {k: 100 * v for k, v in size_uncertainty(estimate, template).items()}
+    lines = [
+        "# A person's body, estimated from silhouettes. Lengths in cm; sd: one standard deviation.",
+        'body = "body.npz"',
+    ]
+    if source:
+        lines.append(f"recording = {json.dumps(source)}")
+    thickness = 1000 * CLOTHING_UNIT * estimate.factors[entity("clothing")]
+    lines += [f"frames = {[int(i) for i in estimate.frames]}", f"mean_iou = {float(np.nanmean(estimate.iou)):.4f}"]
+    lines += [f"clothing_mm = {thickness:.1f}", ""]
+    skin, over = estimate.sizes.in_cm, estimate.clothed_sizes.in_cm
+    for name, value in skin.items():
+        lines += [f'[sizes."{name}"]', f"cm = {value:.2f}", f"sd = {sd[name]:.2f}"]
+        if name.endswith("girth"):
+            lines.append(f"over_clothes_cm = {over[name]:.2f}")
+    lines += ["", "[factors]  # natural logarithms relative to the template; clothing in units of 10 cm"]
+    spread = np.sqrt(np.diag(estimate.covariance))
+    for name, value, width in zip(ENTITY_NAMES, estimate.factors, spread, strict=True):
+        lines.append(f'"{name}" = {{ value = {value:.5f}, sd = {width:.5f} }}')
+    write_text(toml, "\n".join(lines) + "\n")
+    return body, toml
+
+
+def subject_file(path: str | Path) -> Path:
+    """Where the body of a subject lies that is given as its folder, subject.toml or body.npz."""
+    p = Path(path)
+    if p.is_dir():
+        return p / "body.npz"
+    return p.with_name("body.npz") if p.name == "subject.toml" else p
+
+
+def load_subject(path: str | Path) -> Body:
+    """The body of a subject: its folder, subject.toml or body.npz. An InputError names what is missing."""
+    return load_body(subject_file(path))
+
+
+def size_uncertainty(estimate: SubjectEstimate, template: Body, draws: int = 24) -> dict[str, float]:
+    """One standard deviation (m) of every size, by drawing shapes from the fit's covariance (seed fixed)."""
+    rng = np.random.default_rng(0)
+    root = np.linalg.cholesky(estimate.covariance)
+    light = replace(template, coarse=template.fine)
+    rows = []
+    for z in rng.standard_normal((draws, len(ENTITY_NAMES))):
+        rows.append(sizes_of(body_of(light, estimate.factors + root @ z, clothed=False)).in_cm)
+    return {k: float(np.std([r[k] for r in rows])) / 100 for k in rows[0]}

@@ -1,0 +1,347 @@
+"""People with fingers for the simulated depth sensor: bodies of other shapes than the tracker's, and how to pose them.
+
+Everyone is posed by one global rotation per joint over 51 joints (the 19 of the body, a twist joint per forearm, 3 per
+finger): arms by a two-bone reach, hands by flexions. Where the bodies come from: hypose/assets/LICENSE-assets.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from importlib import resources
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import least_squares
+
+from hypose.errors import InputError
+from hypose.geometry import Array
+from hypose.synthetic.subjects import vertex_normals
+
+SIDES = ("left", "right")
+FINGERS = ("thumb", "index", "middle", "ring", "pinky")
+# flexion (degrees) of the three joints of index, middle, ring and little finger
+_FLEXION: dict[str, tuple[tuple[float, float, float], ...]] = {
+    "flat": ((3, 3, 3),) * 4,
+    "spread": ((0, 2, 2),) * 4,
+    "relaxed": ((25, 30, 20),) * 4,
+    "fist": ((75, 95, 60),) * 4,
+    "point": ((3, 5, 3), *((75, 95, 60),) * 3),
+    "two": (*((3, 5, 3),) * 2, *((75, 95, 60),) * 2),
+    "three": (*((3, 5, 3),) * 3, (75, 95, 60)),
+    "claw": ((20, 60, 45),) * 4,
+    "grip": ((45, 60, 35),) * 4,
+    "ok": ((45, 55, 35), (20, 20, 12), (10, 10, 8), (5, 5, 5)),
+}
+# opposition and the two flexions of the thumb (degrees) where it touches nothing
+_THUMB: dict[str, tuple[float, float, float]] = {
+    "flat": (0, 0, 0),
+    "spread": (-10, 0, 0),
+    "relaxed": (15, 15, 15),
+    "claw": (20, 20, 30),
+    "grip": (30, 20, 25),
+}
+HAND_SHAPES = tuple(_FLEXION)
+
+
+def unit(v: ArrayLike) -> Array:
+    """v (3,) at length 1."""
+    a = np.asarray(v, dtype=np.float64)
+    return a / np.linalg.norm(a)
+
+
+def turn(axis: ArrayLike, angle: float) -> Array:
+    """Rotation (3, 3) about an axis by an angle (rad), Rodrigues' formula."""
+    x, y, z = unit(axis)
+    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
+
+
+def _frame(a: ArrayLike, b: ArrayLike) -> Array:
+    a = unit(a)
+    b = np.asarray(b, dtype=np.float64)
+    b = unit(b - a * (a @ b))
+    return np.stack([a, b, np.cross(a, b)], 1)
+
+
+def align(a0: ArrayLike, b0: ArrayLike, a1: ArrayLike, b1: ArrayLike) -> Array:
+    """Rotation that takes direction a0 to a1 and b0 into the half plane of a1 and b1."""
+    return _frame(a1, b1) @ _frame(a0, b0).T
+
+
+@dataclass(frozen=True)
+class HandShape:
+    """flexion (4, 3) rad of index to little finger; spread rad between neighbours; thumb (3, 3, 3): rotations of its
+    joints relative to the hand."""
+
+    flexion: Array
+    spread: float
+    thumb: Array
+
+    def towards(self, other: HandShape, t: float) -> HandShape:
+        """The shape a share t of the way to another."""
+        u, _, v = np.linalg.svd((1 - t) * self.thumb + t * other.thumb)
+        return HandShape((1 - t) * self.flexion + t * other.flexion, (1 - t) * self.spread + t * other.spread, u @ v)
+
+
+@dataclass(frozen=True)
+class ArmGoal:
+    """Where an arm goes: wrist (3,) m, directions of the fingers, the palm and the elbow's side (3,), the hand."""
+
+    wrist: Array
+    fingers: Array
+    palm: Array
+    elbow: Array
+    hand: HandShape
+
+
+@dataclass(frozen=True)
+class Person:
+    """vertices (V, 3) f4 and joints (51, 3) m in the body's frame (origin at the pelvis, x = the person's left, y =
+    backward, z = up); faces (F, 3); weights (V, 51) f4; ends (2, 5, 3) of the fingers of the left and right hand."""
+
+    name: str
+    joint_names: tuple[str, ...]
+    parents: tuple[int, ...]
+    vertices: NDArray[np.float32]
+    joints: Array
+    faces: NDArray[np.int32]
+    weights: NDArray[np.float32]
+    ends: Array
+    fitted: dict[tuple[str, str], Array] = field(default_factory=dict, compare=False, repr=False)
+
+    def joint(self, name: str) -> Array:
+        """Rest position (3,) of a joint."""
+        return self.joints[self.joint_names.index(name)]
+
+    @property
+    def ground(self) -> float:
+        """Height of the soles, m."""
+        return float(self.vertices[:, 2].min())
+
+    def hand_axes(self, side: str) -> tuple[Array, Array, float]:
+        """At rest: direction of the fingers, direction the palm faces (3,), length of the palm (m)."""
+        wrist, middle = self.joint(f"{side}_wrist"), self.joint(f"{side}_middle_1")
+        along = unit(middle - wrist)
+        across = self.joint(f"{side}_index_1") - self.joint(f"{side}_pinky_1")
+        palm = np.cross(across, along) if side == "right" else np.cross(along, across)
+        return along, unit(palm - along * (along @ palm)), float(np.linalg.norm(middle - wrist))
+
+    def shape(self, side: str, kind: str, rng: np.random.Generator | None = None, jitter_deg: float = 0.0) -> HandShape:
+        """A named hand shape, with every joint off by jitter_deg (sd) where it is not to touch."""
+        if kind not in _FLEXION:
+            raise InputError(f"There is no hand shape {kind!r}; the shapes are {', '.join(HAND_SHAPES)}.")
+        touches = kind not in _THUMB
+        noise = (
+            np.zeros((5, 3)) if rng is None else rng.normal(0, min(jitter_deg, 2.5) if touches else jitter_deg, (5, 3))
+        )
+        flexion = np.array(_FLEXION[kind], dtype=np.float64)
+        spread = np.deg2rad(12 if kind == "spread" else 0)
+        if not touches:
+            thumb = self._open_thumb(side, np.array(_THUMB[kind]) + noise[4])
+        else:
+            target = kind if kind == "ok" else "fist"
+            if (side, target) not in self.fitted:
+                self.fitted[side, target] = _fit_thumb(self, side, target)
+            x = self.fitted[side, target]
+            if kind == "ok":
+                flexion[0] *= np.exp(x[5:8])
+            thumb = _thumb_of(self, side, x if rng is None else np.r_[x[:3] + rng.normal(0, 0.03, 3), x[3:]])
+        return HandShape(np.deg2rad(flexion + noise[:4] * [1, 0.7, 0.5]), spread, thumb)
+
+    def _open_thumb(self, side: str, degrees: Array) -> Array:
+        along, palm, _ = self.hand_axes(side)
+        o, a, b = np.deg2rad(degrees)
+        t = unit(self.joint(f"{side}_thumb_2") - self.joint(f"{side}_thumb_1"))
+        axis = np.cross(t, palm)
+        first = turn(axis, o * 0.6) @ turn(along, -o * 0.7 * (1 if side == "right" else -1))
+        return np.stack([first, first @ turn(axis, a), first @ turn(axis, a + b)])
+
+
+@lru_cache(maxsize=4)
+def load_people(cloth_m: float = 0.008) -> tuple[Person, ...]:
+    """The baked people, dressed: clothes stand off by up to 1.5 cloth_m (each person another share) except on head and
+    hands. InputError when the asset is missing."""
+    file = resources.files("hypose.assets").joinpath("gesture_people.npz")
+    try:
+        with file.open("rb") as stream:
+            data = dict(np.load(stream, allow_pickle=False))
+    except FileNotFoundError:
+        raise InputError(
+            "The people of the simulated depth sensor (hypose/assets/gesture_people.npz) are missing from this "
+            "installation; install hypose again."
+        ) from None
+    names = tuple(str(n) for n in data["joint_names"])
+    index, weight = data["skin_index"].astype(int), data["skin_weight"].astype(np.float32)
+    weights = np.zeros((len(index), len(names)), np.float32)
+    for k in range(index.shape[1]):
+        np.add.at(weights, (np.arange(len(index)), index[:, k]), weight[:, k])
+    bare = [i for i, n in enumerate(names) if n == "head" or n.endswith(("_wrist", "_1", "_2", "_3"))]
+    dressed = np.clip(1 - 1.5 * weights[:, bare].sum(1), 0, 1)
+    faces = data["faces"].astype(np.int32)
+    out = []
+    for k, name in enumerate(data["names"].tolist()):
+        v = data["vertices_q"][k].astype(np.float64) * float(data["vertex_scale"])
+        thickness = cloth_m * (0.4 + 1.1 * ((k * 7) % 18) / 17)
+        v = v + (thickness * dressed)[:, None] * vertex_normals(v, faces)
+        out.append(
+            Person(
+                str(name),
+                names,
+                tuple(int(p) for p in data["parents"]),
+                v.astype(np.float32),
+                data["joints"][k].astype(np.float64),
+                faces,
+                weights,
+                data["finger_ends"][k].astype(np.float64),
+            )
+        )
+    return tuple(out)
+
+
+class Puppet:
+    """A person being posed: joints that are not turned follow their parent."""
+
+    def __init__(self, person: Person) -> None:
+        self.person = person
+        self._index = {n: i for i, n in enumerate(person.joint_names)}
+        self._turned: dict[int, Array] = {0: np.eye(3)}
+        self._placed: tuple[Array, Array] | None = None
+
+    def set(self, name: str, rotation: Array) -> None:
+        """Give a joint its rotation in the world (3, 3)."""
+        self._turned[self._index[name]] = rotation
+        self._placed = None
+
+    def place(self) -> tuple[Array, Array]:
+        """Rotations (51, 3, 3) and centres (51, 3) m of all joints."""
+        if self._placed is not None:
+            return self._placed
+        p = self.person
+        r, c = np.empty((len(p.parents), 3, 3)), np.empty((len(p.parents), 3))
+        for j, parent in enumerate(p.parents):
+            r[j] = self._turned[j] if j in self._turned else r[parent]
+            c[j] = p.joints[j] if parent < 0 else c[parent] + r[parent] @ (p.joints[j] - p.joints[parent])
+        self._placed = r, c
+        return r, c
+
+    def at(self, name: str) -> Array:
+        """Centre (3,) of a joint."""
+        return self.place()[1][self._index[name]]
+
+    def rotation(self, name: str) -> Array:
+        """Rotation (3, 3) of a joint."""
+        return self.place()[0][self._index[name]]
+
+    def carried(self, name: str, point: Array) -> Array:
+        """Where a point (3,) of the rest pose is that moves with a joint."""
+        r, c = self.place()
+        j = self._index[name]
+        return c[j] + r[j] @ (point - self.person.joints[j])
+
+    def finger_end(self, side: str, finger: int) -> Array:
+        """End (3,) of finger 0 (thumb) to 4."""
+        return self.carried(f"{side}_{FINGERS[finger]}_3", self.person.ends[SIDES.index(side), finger])
+
+    def reach(self, side: str, goal: ArmGoal) -> None:
+        """Bring a wrist to its goal, as far as the arm reaches, and shape the hand.
+
+        Two-bone reach; the twist between elbow and hand is spread over the forearm (15 and 55 %)."""
+        p = self.person
+        shoulder = self.at(f"{side}_shoulder")
+        a, b, c = (p.joint(f"{side}_{k}") for k in ("shoulder", "elbow", "wrist"))
+        upper, fore = float(np.linalg.norm(b - a)), float(np.linalg.norm(c - b))
+        to = goal.wrist - shoulder
+        length = float(np.clip(np.linalg.norm(to), abs(upper - fore) + 0.03, upper + fore - 0.005))
+        to = unit(to)
+        cosine = (upper**2 + length**2 - fore**2) / (2 * upper * length)
+        out = goal.elbow - to * (to @ goal.elbow)
+        out = unit(out if np.linalg.norm(out) > 1e-3 else np.cross(to, [1, 0, 0]))
+        elbow = shoulder + upper * (cosine * to + np.sqrt(max(0.0, 1 - cosine**2)) * out)
+        wrist = shoulder + length * to
+        d1, d2, e1, e2 = b - a, c - b, elbow - shoulder, wrist - elbow
+        n0, n1 = np.cross(d1, d2), np.cross(e1, e2)
+        r_upper, r_fore = align(d1, n0, e1, n1), align(d2, n0, e2, n1)
+        along, palm, _ = p.hand_axes(side)
+        r_hand = align(along, palm, goal.fingers, goal.palm)
+        axis = unit(d2)
+        v = _frame(axis, palm)
+        q = v.T @ (r_fore.T @ r_hand) @ v
+        twist = float(np.arctan2(q[2, 1] - q[1, 2], q[1, 1] + q[2, 2]))
+        self.set(f"{side}_shoulder", r_upper)
+        self.set(f"{side}_elbow", r_fore @ turn(axis, 0.15 * twist))
+        self.set(f"{side}_forearm_twist", r_fore @ turn(axis, 0.55 * twist))
+        self.set(f"{side}_wrist", r_hand)
+        self.shape_hand(side, goal.hand, r_hand)
+
+    def shape_hand(self, side: str, shape: HandShape, r_hand: Array) -> None:
+        """Bend the fingers of a hand whose rotation in the world is r_hand."""
+        along, palm, _ = self.person.hand_axes(side)
+        axis = np.cross(along, palm)
+        for k, finger in enumerate(FINGERS[1:]):
+            apart = turn(palm, (1.5 - k) * shape.spread * (-1 if side == "right" else 1))
+            for q, bend in enumerate(np.cumsum(shape.flexion[k])):
+                self.set(f"{side}_{finger}_{q + 1}", r_hand @ apart @ turn(axis, bend))
+        for q in range(3):
+            self.set(f"{side}_thumb_{q + 1}", r_hand @ shape.thumb[q])
+
+    def skin(self) -> NDArray[np.float32]:
+        """Vertices (V, 3) m, linear blend skinning."""
+        r, c = self.place()
+        moves = np.concatenate([r.reshape(-1, 9), c - np.einsum("jab,jb->ja", r, self.person.joints)], 1)
+        m = self.person.weights @ moves.astype(np.float32)
+        v = self.person.vertices
+        out = m[:, 0:9:3] * v[:, :1] + m[:, 1:9:3] * v[:, 1:2] + m[:, 2:9:3] * v[:, 2:] + m[:, 9:]
+        return out.astype(np.float32, copy=False)
+
+
+def _thumb_of(person: Person, side: str, x: Array) -> Array:
+    """Rotations of the thumb for a rotation vector of its root (x[:3]) and two flexions (x[3:5])."""
+    base = person.joint(f"{side}_thumb_1")
+    t = unit(person.joint(f"{side}_thumb_3") - base)
+    axis = unit(np.cross(t, unit(person.joint(f"{side}_index_1") - person.joint(f"{side}_thumb_2"))))
+    angle = float(np.linalg.norm(x[:3]))
+    out = [turn(x[:3], angle) if angle > 1e-6 else np.eye(3)]
+    for flex in x[3:5]:
+        out.append(out[-1] @ turn(axis, float(flex)))
+    return np.stack(out)
+
+
+def _chain_end(person: Person, side: str, finger: int, rotations: Sequence[Array]) -> Array:
+    """End (3,) of a finger whose joints have these rotations, with the hand at rest."""
+    at = [person.joint(f"{side}_{FINGERS[finger]}_{k}") for k in (1, 2, 3)]
+    at.append(person.ends[SIDES.index(side), finger])
+    out = at[0]
+    for k in range(3):
+        out = out + rotations[k] @ (at[k + 1] - at[k])
+    return out
+
+
+def _fit_thumb(person: Person, side: str, kind: str) -> Array:
+    """Angles (8,) with which the thumb's end meets the index finger's ("ok") or lies on the folded middle finger."""
+    along, palm, _ = person.hand_axes(side)
+    axis = np.cross(along, palm)
+    flexion = np.deg2rad(np.array(_FLEXION[kind]))
+    middle = [turn(axis, a) for a in np.cumsum(flexion[1])]
+    joints = [person.joint(f"{side}_middle_{k}") for k in (1, 2, 3)]
+    second = joints[0] + middle[0] @ (joints[1] - joints[0])
+    third = second + middle[1] @ (joints[2] - joints[1])
+    on_finger = 0.5 * (second + third) + 0.014 * palm + 0.006 * middle[1] @ palm
+
+    def residual(x: Array) -> Array:
+        end = _chain_end(person, side, 0, list(_thumb_of(person, side, x)))
+        if kind == "ok":
+            bends = np.cumsum(flexion[0] * np.exp(x[5:8]))
+            end = end - _chain_end(person, side, 1, [turn(axis, a) for a in bends])
+        else:
+            end = end - on_finger
+        return np.r_[end * 100, 0.15 * x[:3], 0.3 * (x[3:5] - 0.3), 0.8 * x[5:]]
+
+    best = None
+    for start in (np.zeros(3), 0.8 * palm, -0.8 * palm, 0.8 * along, -0.8 * along):
+        fit = least_squares(residual, np.r_[start, 0.3, 0.3, 0, 0, 0])
+        if best is None or fit.cost < best.cost:
+            best = fit
+    assert best is not None
+    return best.x

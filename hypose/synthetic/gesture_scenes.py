@@ -1,0 +1,234 @@
+"""Depth pictures of people doing gestures in rooms: what a structured-light sensor would deliver, with the truth.
+
+World: the person stands at the origin and faces -y, z up, floor at z = 0, metres. Cameras look along +y.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.compute.depth_forests import depth_sensor
+from hypose.compute.depth_forests.forest_arrays import Depth
+from hypose.geometry import Array
+from hypose.gestures.depth_pictures import KINECT, Lens
+from hypose.synthetic.gesture_people import Person, Puppet, load_people, turn
+from hypose.synthetic.gesture_poses import GESTURES, UNSEEN, Keyframe, apply, gesture, movement, unseen
+
+SIZE = (640, 480)
+LEVELS = ("empty", "furnished", "cluttered")
+_BOX = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+_BOX_FACES = np.array(
+    [
+        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+        [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
+    ],
+    np.int32,
+)  # fmt: skip
+
+
+def _floor() -> tuple[Array, NDArray[np.int32]]:
+    """The floor, 8 x 8 m, in tiles: those that reach behind the camera are left out when it is drawn."""
+    x, y = np.meshgrid(np.arange(-4, 5.0), 0.8 * np.arange(-5, 6), indexing="ij")
+    i, j = (g.ravel() for g in np.mgrid[:8, :10])
+    a = i * 11 + j
+    faces = np.concatenate([np.stack([a, a + 11, a + 12], 1), np.stack([a, a + 12, a + 1], 1)])
+    return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1), faces.astype(np.int32)
+
+
+_FLOOR = _floor()
+
+
+@dataclass(frozen=True)
+class Room:
+    """vertices (V, 3) m in the world, faces (F, 3); wall: distance of the back wall behind the person, m."""
+
+    vertices: Array
+    faces: NDArray[np.int32]
+    wall: float
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera: camera_from_world rotation (3, 3) and its position (3,) m in the world."""
+
+    rotation: Array
+    position: Array
+
+    def points(self, world: NDArray) -> NDArray:
+        """Points (N, 3) of the world in the camera's frame."""
+        return (world - self.position) @ self.rotation.T
+
+
+@dataclass(frozen=True)
+class GestureFrame:
+    """depth (480, 640) uint16 mm; gesture: 1 to 6, 0 = none; x, y px and position (3,) m in the camera's frame of the
+    annotated point (NaN when there is none); person: number; kind: what is shown."""
+
+    depth: Depth
+    gesture: int
+    x: float
+    y: float
+    position: Array
+    person: int
+    kind: str
+
+
+def make_room(rng: np.random.Generator, level: str) -> Room:
+    """A random room: empty (floor and a wall far behind), furnished, or cluttered close to the person."""
+    parts: list[tuple[Array, NDArray[np.int32]]] = []
+
+    def box(centre: Sequence[float], size: Sequence[float], yaw: float) -> None:
+        parts.append((_BOX * size @ turn([0, 0, 1], yaw).T + centre, _BOX_FACES))
+
+    wall = rng.uniform(1.6, 2.6) if level == "empty" else rng.uniform(0.5, 2.5)
+    box([0, wall + 0.1, 1.5], [14, 0.2, 5], rng.uniform(-0.25, 0.25))
+    parts.append(_FLOOR)
+    count = {"empty": 0, "furnished": rng.integers(3, 6), "cluttered": rng.integers(8, 15)}[level]
+    for _ in range(int(count)):
+        if rng.random() < 0.6:
+            size = [rng.uniform(0.1, 1.2), rng.uniform(0.1, 0.8), rng.uniform(0.1, 2)]
+        else:
+            size = [rng.uniform(0.02, 0.12), rng.uniform(0.02, 0.12), rng.uniform(0.5, 2)]
+        y = rng.uniform(-0.6, wall)
+        x = rng.choice([-1, 1]) * rng.uniform(0.55, 1.8) if y < 0.45 else rng.uniform(-1.8, 1.8)
+        z = size[2] / 2 if rng.random() < 0.6 else rng.uniform(0.3, 2)
+        box([x, y, z], size, rng.uniform(-1.5, 1.5))
+    vertices = np.concatenate([v for v, _ in parts])
+    first = np.cumsum([0, *(len(v) for v, _ in parts[:-1])])
+    faces = np.concatenate([f + n for n, (_, f) in zip(first, parts, strict=True)]).astype(np.int32)
+    return Room(vertices, faces, float(wall))
+
+
+def make_view(rng: np.random.Generator, distance: float) -> View:
+    """A camera `distance` m before the person, 1.0 to 1.6 m high, up to 20 degrees to the side."""
+    height, yaw = rng.uniform(1.0, 1.6), np.deg2rad(rng.uniform(-20, 20))
+    tilt = np.arctan2(height - 1.25, distance) + rng.normal(0, 0.03)
+    position = np.array([np.sin(yaw) * distance, -np.cos(yaw) * distance, height])
+    forward = turn([0, 0, 1], yaw + rng.normal(0, 0.06)) @ np.array([0.0, 1, 0])
+    right = np.cross(forward, [0, 0, 1])
+    forward = turn(right, -tilt) @ forward
+    return View(np.stack([right, np.cross(forward, right), forward]), position)
+
+
+def backdrop(room: Room, view: View, lens: Lens = KINECT) -> NDArray[np.float32]:
+    """Inverse depth (480, 640) 1/m of a room without people: drawn once where the camera stands still."""
+    inverse = np.zeros((SIZE[1], SIZE[0]), np.float32)
+    depth_sensor.draw(view.points(room.vertices), room.faces, (lens.fx, lens.fy, lens.cx, lens.cy), inverse)
+    return inverse
+
+
+def render(
+    people: Sequence[tuple[Person, Array]],
+    behind: NDArray[np.float32],
+    view: View,
+    rng: np.random.Generator,
+    lens: Lens = KINECT,
+) -> tuple[Depth, NDArray[np.float32]]:
+    """Depth (480, 640) uint16 mm of posed people (person, vertices in the world) before a backdrop, and the exact
+    inverse depth (1/m)."""
+    inverse = behind.copy()
+    pinhole = (lens.fx, lens.fy, lens.cx, lens.cy)
+    for person, vertices in people:
+        depth_sensor.draw(view.points(vertices), person.faces, pinhole, inverse)
+    return depth_sensor.sense(inverse, lens.fx, rng), inverse
+
+
+def in_world(puppet: Puppet, yaw: float = 0.0, at: Sequence[float] = (0, 0)) -> Array:
+    """Vertices (V, 3) m of a posed person standing on the floor at a place, turned by yaw (rad)."""
+    return puppet.skin() @ turn([0, 0, 1], yaw).T + [at[0], at[1], -puppet.person.ground]
+
+
+def handedness(person: int) -> str:
+    """Every fourth person is left-handed."""
+    return "left" if person % 4 == 3 else "right"
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A room seen by a camera, and what it looks like empty."""
+
+    room: Room
+    view: View
+    behind: NDArray[np.float32]
+
+    @staticmethod
+    def new(room: Room, view: View) -> Setting:
+        """The setting with its backdrop drawn."""
+        return Setting(room, view, backdrop(room, view))
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Where pictures are taken: level of the room, share of pictures with a second person; distance range (m) of the
+    camera; settings: fixed rooms with their cameras to choose from instead of a new one for each picture."""
+
+    levels: tuple[str, ...] = ("empty", "furnished")
+    second: float = 0.12
+    distance: tuple[float, float] = (1.2, 3.0)
+    settings: tuple[Setting, ...] = ()
+
+    def choose(self, rng: np.random.Generator) -> Setting:
+        """A room and a camera."""
+        if self.settings:
+            return self.settings[int(rng.integers(len(self.settings)))]
+        return Setting.new(make_room(rng, str(rng.choice(self.levels))), make_view(rng, rng.uniform(*self.distance)))
+
+
+TRAINING, CLUTTERED = Stage(), Stage(("cluttered",), 0.7)
+
+
+def picture(person: int, kind: str, stage: Stage, rng: np.random.Generator, others: Sequence[int] = ()) -> GestureFrame:
+    """One picture of a person doing a gesture, "movement" or an unseen negative; others: who may be the second person.
+
+    A gesture is always visible: where clutter hides it or the picture cuts it, room and pose are drawn again."""
+    everyone = load_people()
+    puppet = Puppet(everyone[person])
+    while True:
+        setting = stage.choose(rng)
+        view = setting.view
+        point = None
+        if kind in GESTURES:
+            _, point = gesture(puppet, kind, rng, handedness(person))
+            point = point - [0, 0, puppet.person.ground]
+        elif kind in UNSEEN:
+            apply(puppet, unseen(puppet, kind, rng, handedness(person)))
+        else:
+            apply(puppet, movement(puppet, rng))
+        shown = [(puppet.person, in_world(puppet))]
+        if others and rng.random() < stage.second:
+            shown.append(bystander(everyone[others[int(rng.integers(len(others)))]], setting.room, rng))
+        x = y = np.nan
+        position = np.full(3, np.nan)
+        if point is not None:
+            position = view.points(point)
+            x = float(position[0] / position[2] * KINECT.fx + KINECT.cx)
+            y = float(position[1] / position[2] * KINECT.fy + KINECT.cy)
+            if not (25 < x < SIZE[0] - 25 and 25 < y < SIZE[1] - 25):
+                continue
+        depth, inverse = render(shown, setting.behind, view, rng)
+        if point is not None:
+            window = slice(int(y) - 3, int(y) + 4), slice(int(x) - 3, int(x) + 4)
+            if np.abs(1 / np.maximum(inverse[window], 1e-3) - position[2]).min() > 0.06:
+                continue
+            if 1 / np.maximum(setting.behind[window], 1e-3).max() < position[2] + 0.03:  # furniture before the hand
+                continue
+        number = GESTURES.index(kind) + 1 if kind in GESTURES else 0
+        return GestureFrame(depth, number, x, y, position, person, kind)
+
+
+def bystander(person: Person, room: Room, rng: np.random.Generator) -> tuple[Person, Array]:
+    """A second person who moves beside or behind the first."""
+    puppet = Puppet(person)
+    apply(puppet, movement(puppet, rng))
+    at = (float(rng.choice([-1, 1]) * rng.uniform(0.25, 1.1)), float(rng.uniform(0.3, max(0.5, room.wall))))
+    return person, in_world(puppet, rng.uniform(-3, 3), at)
+
+
+def moment(puppet: Puppet, frame: Keyframe, setting: Setting, rng: np.random.Generator) -> Depth:
+    """The picture of a person in a given pose (of a continuous movement)."""
+    apply(puppet, frame)
+    return render([(puppet.person, in_world(puppet))], setting.behind, setting.view, rng)[0]

@@ -1,0 +1,278 @@
+"""Measures of an estimate against the truth, and the one-time alignment of joint definitions.
+
+Every length goes in and comes out in metres (reports print millimetres). Arrays of joints are (T, J, 3),
+world.
+
+What "error" means here: the Euclidean distance between an estimated and a true joint centre. Two bodies
+rarely define a joint at the same anatomical place, so definitions are aligned once, by a fixed offset per
+joint in the frame of a segment, never per frame:
+- `definition_offsets`: from two neutral rest bodies, once for all subjects and sequences: no information
+  about the subject or the sequence enters. The default for the figures.
+- `fitted_offsets`: one offset per joint fitted on the sequence itself, as comparisons with marker sets do
+  (HumanEva). More generous: a constant bias of the estimate disappears with the difference of definitions.
+  Say so beside the number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import chi2
+
+from hypose.body.body import Body
+from hypose.body.ready_bodies import JOINT_NAMES, PARENTS
+from hypose.errors import InputError
+from hypose.geometry import Array, rotation_between, so3_log
+from hypose.synthetic.subjects import load_subjects
+
+EVALUATED_JOINTS: tuple[str, ...] = (
+    *("pelvis", "neck", "head"),
+    *("left_shoulder", "left_elbow", "left_wrist", "right_shoulder", "right_elbow", "right_wrist"),
+    *("left_hip", "left_knee", "left_ankle", "right_hip", "right_knee", "right_ankle"),
+)
+"""The 15 joints of the mean error (HumanEva also averages over 15 virtual markers)."""
+EVALUATED: NDArray[np.int64] = np.array([JOINT_NAMES.index(n) for n in EVALUATED_JOINTS])
+"""Their indices among the 19 joints."""
+LOST_M = 0.120
+"""A frame whose mean error exceeds this counts as lost."""
+# The segment whose frame carries a joint's offset: the one that ends in the joint (an elbow's place is a
+# matter of the upper arm), the joint's own for the root. The head joint is carried by the head.
+_CARRIER = np.array([j if JOINT_NAMES[j] in ("pelvis", "head") else int(PARENTS[j]) for j in range(len(JOINT_NAMES))])
+
+
+def carriers() -> NDArray[np.int64]:
+    """(19,) joint whose frame carries each joint's definition offset."""
+    return _CARRIER.copy()
+
+
+def definition_offsets(
+    estimated_rest: ArrayLike, true_rest: ArrayLike, estimated_stature: float, true_stature: float
+) -> Array:
+    """(19, 3) offsets: where the truth defines each joint, seen from where the estimate's body defines it, in
+    the rest frame, per metre of stature.
+
+    estimated_rest, true_rest: (19, 3) rest joints of two NEUTRAL bodies in the model frame (e.g. the
+    tracker's template and the mean of all subjects), measured once; statures in m. Both are scaled to stature
+    1 and placed so that all joints agree in the mean. A limb segment that rests more than 10 degrees apart in
+    the two bodies is turned to the same direction first: that is posture, not definition. Multiply by the
+    subject's stature and give to `joint_errors`; no information about a subject or a sequence is used except
+    that stature.
+    """
+    a = np.asarray(estimated_rest, dtype=np.float64) / estimated_stature
+    b = np.asarray(true_rest, dtype=np.float64) / true_stature
+    _check_joints(a[None], b[None])
+    b = _posed_like(b, a)
+    a, b = a - a[EVALUATED].mean(0), b - b[EVALUATED].mean(0)
+    return b - a
+
+
+def population_offsets(body: Body) -> Array:
+    """`definition_offsets` of a body (the tracker's template as shipped, not fitted to anybody) against the subject
+    "neutral", per metre of stature: measured once, the same for every subject and sequence."""
+    neutral = load_subjects()["neutral"]
+    return definition_offsets(body.skeleton.rest_joints, neutral.joints, body.stature, neutral.stature)
+
+
+def _posed_like(joints: Array, other: Array) -> Array:
+    out = joints.copy()
+    for first in (6, 10, 13, 16):
+        for a in (first, first + 1):
+            bone, wanted = joints[a + 1] - joints[a], other[a + 1] - other[a]
+            turn = rotation_between(bone, wanted)
+            if np.linalg.norm(so3_log(turn)) < np.radians(10):
+                turn = np.eye(3)
+            out[a + 1] = out[a] + turn @ bone
+    return out
+
+
+def fitted_offsets(estimated: ArrayLike, rotations: ArrayLike, truth: ArrayLike) -> Array:
+    """(19, 3) m: the mean over the frames of (true - estimated) joint in the frame of the estimate's carrying
+    segment.
+
+    estimated (T, 19, 3) m, rotations (T, 19, 3, 3) world_from_joint of the ESTIMATE, truth (T, 19, 3) m.
+    Fitted on the sequence itself: more generous than `definition_offsets`. Least squares per joint.
+    """
+    e, t, r = (np.asarray(x, dtype=np.float64) for x in (estimated, truth, rotations))
+    _check_joints(e, t)
+    return np.einsum("tjba,tjb->ja", r[:, _CARRIER], t - e) / len(e)
+
+
+def with_offsets(estimated: ArrayLike, rotations: ArrayLike, offsets: ArrayLike) -> Array:
+    """(T, 19, 3) m: estimated joints moved by offsets (19, 3) m, fixed in their carrying segments.
+
+    rotations (T, 19, 3, 3): world_from_joint of the estimate (`Skeleton.forward`).
+    """
+    e, r, o = (np.asarray(x, dtype=np.float64) for x in (estimated, rotations, offsets))
+    return e + np.einsum("tjab,jb->tja", r[:, _CARRIER], o)
+
+
+@dataclass(frozen=True)
+class JointErrors:
+    """distances: (T, J) m, joint by joint and frame by frame; frames with NaN in the truth or the estimate
+    are NaN. names: the J joints. The figures below ignore NaN."""
+
+    distances: Array
+    names: tuple[str, ...]
+
+    @property
+    def frame_means(self) -> Array:
+        """(T,) m: mean over the joints; NaN where none is known."""
+        known = np.isfinite(self.distances)
+        with np.errstate(invalid="ignore"):
+            return np.where(known, self.distances, 0.0).sum(1) / known.sum(1)
+
+    @property
+    def mean(self) -> float:
+        """m: mean over frames of the mean over joints (HumanEva's error)."""
+        return float(np.nanmean(self.frame_means))
+
+    @property
+    def sd(self) -> float:
+        """m: standard deviation over the frames of the per-frame mean (the papers' bracketed number)."""
+        return float(np.nanstd(self.frame_means))
+
+    @property
+    def median(self) -> float:
+        """m: median over all joints and frames."""
+        return float(np.nanmedian(self.distances))
+
+    @property
+    def p95(self) -> float:
+        """m: 95th percentile over all joints and frames: one lost hand shows here, not in the mean."""
+        return float(np.nanpercentile(self.distances, 95))
+
+    @property
+    def lost_share(self) -> float:
+        """Share of the frames (0..1) whose mean exceeds LOST_M (120 mm)."""
+        m = self.frame_means
+        return float((m[np.isfinite(m)] > LOST_M).mean())
+
+    @property
+    def per_joint(self) -> dict[str, float]:
+        """m: mean over the frames, joint by joint."""
+        return dict(zip(self.names, np.nanmean(self.distances, axis=0).tolist(), strict=True))
+
+
+def joint_errors(
+    estimated: ArrayLike,
+    truth: ArrayLike,
+    offsets: ArrayLike | None = None,
+    rotations: ArrayLike | None = None,
+    joints: ArrayLike | None = None,
+) -> JointErrors:
+    """Distances between estimated and true joints (T, 19, 3) m in world coordinates, no alignment of any
+    frame.
+
+    offsets (19, 3) m: added to the estimate in its carrying segments (needs rotations (T, 19, 3, 3) of the
+    estimate). joints: indices of the joints that count, EVALUATED (15) by default.
+    """
+    e, t = np.asarray(estimated, dtype=np.float64), np.asarray(truth, dtype=np.float64)
+    _check_joints(e, t)
+    if offsets is not None:
+        if rotations is None:
+            raise InputError("Offsets of joint definitions turn with the segments: give the estimate's rotations too.")
+        e = with_offsets(e, rotations, offsets)
+    keep = EVALUATED if joints is None else np.asarray(joints, dtype=np.int64)
+    distances = np.linalg.norm(e[:, keep] - t[:, keep], axis=-1)
+    return JointErrors(distances, tuple(JOINT_NAMES[j] for j in keep))
+
+
+def root_aligned_errors(estimated: ArrayLike, truth: ArrayLike) -> JointErrors:
+    """As `joint_errors`, after moving the estimate of every frame so that both pelves coincide (no turn, no
+    scale). It measures the posture alone; the place in the world is free. The pelvis itself (always 0) is
+    left out: 14 joints."""
+    e, t = np.asarray(estimated, dtype=np.float64), np.asarray(truth, dtype=np.float64)
+    _check_joints(e, t)
+    return joint_errors(e - e[:, :1] + t[:, :1], t, joints=EVALUATED[EVALUATED != 0])
+
+
+def coverage(
+    estimated: ArrayLike, joint_sd: ArrayLike, truth: ArrayLike, levels: tuple[float, ...] = (0.5, 0.9, 0.95)
+) -> dict[float, Array]:
+    """Share of the frames in which the true joint lies in the reported region, per level: {level: (J,)}.
+
+    estimated, truth (T, J, 3) m; joint_sd (T, J) m per axis, or covariances (T, J, 3, 3) m^2. The region of a
+    level is the sphere (ellipsoid) that holds that share of a 3D normal distribution: squared Mahalanobis
+    distance below the chi-square quantile with 3 degrees of freedom. A well calibrated method has coverage =
+    level. NaN where no sd is known.
+    """
+    d = np.asarray(truth, dtype=np.float64) - np.asarray(estimated, dtype=np.float64)
+    s = np.asarray(joint_sd, dtype=np.float64)
+    if s.ndim == 4:
+        known = np.asarray(np.isfinite(s).all((-1, -2)))
+        safe = np.where(known[..., None, None], s, np.eye(3))
+        squared = np.einsum("tja,tja->tj", d, np.linalg.solve(safe, d[..., None])[..., 0])
+    else:
+        known = np.asarray(np.isfinite(s) & (s > 0))
+        squared = (d**2).sum(-1) / np.where(known, s, 1.0) ** 2
+    known &= np.isfinite(squared)
+    out = {}
+    for level in levels:
+        inside = (squared <= chi2.ppf(level, 3)) & known
+        with np.errstate(invalid="ignore", divide="ignore"):
+            out[level] = inside.sum(0) / known.sum(0)
+    return out
+
+
+def joint_angle_errors(
+    estimated: ArrayLike,
+    truth: ArrayLike,
+    estimated_rest: ArrayLike | None = None,
+    true_rest: ArrayLike | None = None,
+) -> Array:
+    """(T, 19) rad: angle of the rotation between the estimated and true orientation of each joint relative to
+    its parent (the pelvis: relative to the world).
+
+    estimated, truth (T, 19, 3, 3) world_from_joint. The two bodies may rest differently: give what takes each
+    body's rest to a common posture (performance.hanging_from_rest for subjects), (19, 3, 3) each, and
+    orientations are compared as turns from there.
+    """
+    e, t = np.asarray(estimated, dtype=np.float64), np.asarray(truth, dtype=np.float64)
+    if estimated_rest is not None:
+        e = e @ np.swapaxes(np.asarray(estimated_rest, dtype=np.float64), -1, -2)
+    if true_rest is not None:
+        t = t @ np.swapaxes(np.asarray(true_rest, dtype=np.float64), -1, -2)
+
+    def local(r: Array) -> Array:
+        return np.concatenate([r[:, :1], np.swapaxes(r[:, PARENTS[1:]], -1, -2) @ r[:, 1:]], 1)
+
+    return np.linalg.norm(so3_log(np.swapaxes(local(e), -1, -2) @ local(t)), axis=-1)
+
+
+_HINGES = {
+    f"{side}_{joint}": tuple(JOINT_NAMES.index(f"{side}_{n}") for n in chain)
+    for side in ("left", "right")
+    for joint, chain in {"elbow": ("shoulder", "elbow", "wrist"), "knee": ("hip", "knee", "ankle")}.items()
+}
+
+
+def flexion_errors(estimated: ArrayLike, truth: ArrayLike) -> dict[str, Array]:
+    """{elbow or knee: (T,) rad}: estimated minus true angle between the two bones that meet there, from
+    joints (T, 19, 3) alone: independent of any body's rest pose and of how its segments' frames are
+    defined."""
+
+    def angle(p: Array, a: int, b: int, c: int) -> Array:
+        u, v = p[:, b] - p[:, a], p[:, c] - p[:, b]
+        return np.arctan2(np.linalg.norm(np.cross(u, v), axis=-1), (u * v).sum(-1))
+
+    e, t = np.asarray(estimated, dtype=np.float64), np.asarray(truth, dtype=np.float64)
+    _check_joints(e, t)
+    return {name: angle(e, *chain) - angle(t, *chain) for name, chain in _HINGES.items()}
+
+
+def bone_length_sd(joints: ArrayLike, parents: ArrayLike = PARENTS) -> Array:
+    """(J,) m: standard deviation over the frames of the distance of each joint (T, J, 3) from its parent
+    (root: 0). A body model keeps it at 0; points that are estimated one by one do not."""
+    p, q = np.asarray(joints, dtype=np.float64), np.asarray(parents)
+    lengths = np.linalg.norm(p - p[:, np.maximum(q, 0)], axis=-1)
+    return np.where(q >= 0, np.nanstd(lengths, axis=0), 0.0)
+
+
+def _check_joints(e: Array, t: Array) -> None:
+    if e.shape != t.shape or e.ndim != 3 or e.shape[1:] != (len(JOINT_NAMES), 3):
+        raise InputError(
+            f"Estimate and truth must both be (frames, {len(JOINT_NAMES)}, 3), got {e.shape} and {t.shape}; "
+            "compare the same frames of both."
+        )

@@ -1,0 +1,374 @@
+"""Built-in motions: walk, jog, box, wave, cross_arms, punch, sit_down, serve, combo; nothing external is
+needed.
+
+Walking and running follow published joint-angle curves (Winter 2009, normal gait, rounded; a slow run
+likewise), the rest are key poses joined smoothly. `amplitude` scales how far the limbs move, `speed` how
+fast; with an rng every take differs a little in both, in posture and in timing. All angles are anatomical,
+see performance.CHANNELS.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+from scipy.ndimage import gaussian_filter1d
+
+from hypose.errors import InputError
+from hypose.geometry import Array
+from hypose.synthetic.gait import Take, jog, sample_times, walk
+from hypose.synthetic.performance import Angles, Performance, Stance, centred, chain, perform
+from hypose.synthetic.subjects import Subject
+
+# key poses: channel values in degrees; both_ = left_ and right_
+_RELAXED = {
+    "both_shoulder_flexion": 3,
+    "both_shoulder_abduction": 9,
+    "both_shoulder_internal": 12,
+    "both_elbow_flexion": 18,
+}
+_GUARD = {
+    "spine_lean": 10,
+    "neck_lean": -4,
+    "both_shoulder_flexion": 42,
+    "both_shoulder_abduction": 12,
+    "both_shoulder_internal": 22,
+    "both_elbow_flexion": 112,
+    "both_clavicle_forward": 6,
+    "up": -0.06,
+}
+
+
+def _pose(*parts: Mapping[str, float]) -> dict[str, float]:
+    """Later parts override earlier ones; both_X sets left_X and right_X."""
+    out: dict[str, float] = {}
+    for part in parts:
+        for k, v in part.items():
+            for name in [k.replace("both_", f"{s}_") for s in ("left", "right")] if k.startswith("both_") else [k]:
+                out[name] = float(v)
+    return out
+
+
+def _keyed(
+    name: str,
+    t: Array,
+    keys: Sequence[tuple[float, dict[str, float]]],
+    take: Take,
+    stance: Stance,
+    smooth: float = 0.05,
+) -> Angles:
+    """Key poses (time, channels) joined monotonically and smoothed by `smooth` s, with a little sway."""
+    keys = [k for i, k in enumerate(keys) if i == 0 or k[0] > keys[i - 1][0] + 1e-6]
+    at = np.array([k for k, _ in keys])
+    channels = sorted({c for _, pose in keys for c in pose})
+    fine = np.arange(int((t[-1] + 1.0) * 200) + 1) / 200 - 0.5
+    values = {}
+    for c in channels:
+        y = np.array([pose.get(c, 0.0) for _, pose in keys])
+        course = PchipInterpolator(at, y)(np.clip(fine, at[0], at[-1])) if len(at) > 1 else np.full_like(fine, y[0])
+        values[c] = np.interp(t, fine, gaussian_filter1d(course, smooth * 200, mode="nearest"))
+    sway = {"spine_lean": 0.8, "spine_list": 0.8, "spine_turn": 1.5, "neck_turn": 3.0, "neck_lean": 1.5}
+    sway |= {"forward": 0.006, "left": 0.008, "pelvis_turn": 1.0}
+    for side in ("left", "right"):
+        sway |= {
+            f"{side}_shoulder_flexion": 1.5,
+            f"{side}_shoulder_abduction": 1.0,
+            f"{side}_elbow_flexion": 2.0,
+        }
+    for c, size in sway.items():
+        values[c] = values.get(c, np.zeros_like(t)) + take.drift(t, size)
+    return Angles(name, t, values, stance)
+
+
+def _scaled(pose: Mapping[str, float], base: Mapping[str, float], amplitude: float) -> dict[str, float]:
+    """The pose with its distance from the base pose scaled."""
+    keys = set(pose) | set(base)
+    return {k: base.get(k, 0.0) + amplitude * (pose.get(k, 0.0) - base.get(k, 0.0)) for k in keys}
+
+
+def _jab(side: str, reach: float = 1.0) -> dict[str, float]:
+    s = 1.0 if side == "right" else -1.0  # a blow of the right hand turns the trunk to the left
+    return {
+        f"{side}_shoulder_flexion": 86 * reach,
+        f"{side}_shoulder_abduction": -8,
+        f"{side}_shoulder_internal": 45,
+        f"{side}_elbow_flexion": 12,
+        f"{side}_clavicle_forward": 14,
+        "spine_turn": s * 24,
+        "pelvis_turn": s * 14,
+        "neck_turn": -s * 22,
+        "forward": 0.10,
+        f"{side}_heel": 0.06,
+    }
+
+
+def box(
+    subject: Subject,
+    duration: float,
+    frame_rate: float,
+    rng: np.random.Generator | None = None,
+    amplitude: float = 1.0,
+    speed: float = 1.0,
+) -> Performance:
+    """Shadow boxing from a guard, left foot forward: jabs and crosses about every 0.8 s, bobbing on planted
+    feet."""
+    take, t = Take(rng), sample_times(duration, frame_rate)
+    guard = _pose(_GUARD)
+    keys, now, side = [(0.0, guard)], 0.35, "left"
+    while now < t[-1] + 1:
+        blow = _scaled(_pose(_GUARD, _jab(side, take.factor(0.08))), guard, amplitude)
+        rise = 0.17 / speed * take.factor(0.1)
+        back = guard | {
+            "spine_list": take.offset(5),
+            "up": -0.06 + take.offset(0.015),
+            "neck_lean": -4 + take.offset(4),
+        }
+        keys += [(now, guard), (now + rise, blow), (now + 2.2 * rise, back)]
+        now += 2.2 * rise + (0.35 + abs(take.offset(0.2))) / speed
+        side = "right" if side == "left" else "left"
+        if rng is not None and rng.random() < 0.25:
+            side = "right" if side == "left" else "left"
+    angles = _keyed("box", t, keys, take, Stance(0.24, -0.24, 0.15, 14.0))
+    bob = 0.012 * amplitude * (np.sin(2 * np.pi * 1.6 * speed * t) - 1)
+    return perform(Angles("box", t, angles.values | {"up": angles.get("up") + bob}, angles.stance), subject)
+
+
+def punch(
+    subject: Subject,
+    duration: float,
+    frame_rate: float,
+    rng: np.random.Generator | None = None,
+    amplitude: float = 1.0,
+    speed: float = 1.0,
+) -> Performance:
+    """Strong straight punches of the right hand from a relaxed stance, with wind-up, every 1.6 s."""
+    take, t = Take(rng), sample_times(duration, frame_rate)
+    rest = _pose(_RELAXED, {"up": -0.02})
+    wind = {
+        "right_shoulder_flexion": -22,
+        "right_elbow_flexion": 115,
+        "right_shoulder_internal": 15,
+        "spine_turn": -22,
+    }
+    wind |= {"pelvis_turn": -12, "neck_turn": 24, "up": -0.06, "forward": -0.05, "left_elbow_flexion": 85}
+    wind |= {"left_shoulder_flexion": 45, "left_shoulder_internal": 35, "right_shoulder_abduction": 14}
+    keys, now = [(0.0, rest)], 0.3
+    while now < t[-1] + 1:
+        step = take.factor(0.1) / speed
+        back = _scaled(_pose(_RELAXED, wind), rest, amplitude)
+        blow = _scaled(_pose(_RELAXED, wind, _jab("right", take.factor(0.06)), {"spine_lean": 8}), rest, amplitude)
+        keys += [(now, rest), (now + 0.45 * step, back), (now + 0.68 * step, blow), (now + 1.15 * step, rest)]
+        now += (1.3 + abs(take.offset(0.25))) / speed
+    return perform(_keyed("punch", t, keys, take, Stance(0.20, -0.16, 0.16, 12.0)), subject)
+
+
+def wave(
+    subject: Subject,
+    duration: float,
+    frame_rate: float,
+    rng: np.random.Generator | None = None,
+    amplitude: float = 1.0,
+    speed: float = 1.0,
+) -> Performance:
+    """Raising the right arm and waving the forearm from side to side, then lowering it; again after a
+    pause."""
+    take, t = Take(rng), sample_times(duration, frame_rate)
+    rest = _pose(_RELAXED)
+    up = {"right_shoulder_flexion": 30, "right_shoulder_abduction": 92, "right_shoulder_internal": -78}
+    up |= {"right_clavicle_up": 8, "spine_list": -3, "neck_list": 3}
+    keys, now = [(0.0, rest)], 0.2
+    while now < t[-1] + 1:
+        keys.append((now, rest))
+        now += 0.6 / speed
+        for k in range(6):
+            swing = _pose(
+                _RELAXED,
+                up,
+                {"right_elbow_flexion": 78 + (24 if k % 2 else -24) * amplitude + take.offset(4)},
+            )
+            keys.append((now, swing))
+            now += 0.3 / speed * take.factor(0.06)
+        keys.append((now + 0.4 / speed, rest))
+        now += 0.9 / speed
+    return perform(_keyed("wave", t, keys, take, Stance()), subject)
+
+
+def cross_arms(
+    subject: Subject,
+    duration: float,
+    frame_rate: float,
+    rng: np.random.Generator | None = None,
+    amplitude: float = 1.0,
+    speed: float = 1.0,
+) -> Performance:
+    """Folding the arms in front of the chest, holding, and letting them hang again (an IXMAS action)."""
+    take, t = Take(rng), sample_times(duration, frame_rate)
+    rest = _pose(_RELAXED)
+    folded = {
+        "both_shoulder_internal": 62,
+        "both_elbow_flexion": 100,
+        "both_clavicle_forward": 10,
+        "spine_lean": -2,
+    }
+    folded |= {"left_shoulder_flexion": 40, "right_shoulder_flexion": 28, "both_shoulder_abduction": 10}
+    keys, now = [(0.0, rest)], 0.3
+    while now < t[-1] + 1:
+        fold = _scaled(_pose(_RELAXED, folded), rest, amplitude)
+        step = take.factor(0.1) / speed
+        keys += [(now, rest), (now + 0.7 * step, fold), (now + 2.2 * step, fold), (now + 2.9 * step, rest)]
+        now += 3.6 * step
+    return perform(_keyed("cross_arms", t, keys, take, Stance(), 0.09), subject)
+
+
+def sit_down(
+    subject: Subject,
+    duration: float,
+    frame_rate: float,
+    rng: np.random.Generator | None = None,
+    amplitude: float = 1.0,
+    speed: float = 1.0,
+) -> Performance:
+    """Sitting down as on a chair 45 cm high (which is not there) and standing up again; the trunk leads the
+    way."""
+    take, t = Take(rng), sample_times(duration, frame_rate)
+    rest = _pose(_RELAXED, {"forward": 0.02})
+    half = {"up": -0.24, "forward": -0.24, "pelvis_lean": 24, "spine_lean": 22, "neck_lean": -18}
+    half |= {"both_shoulder_flexion": 42, "both_elbow_flexion": 30}
+    seat = {"up": -0.49, "forward": -0.47, "pelvis_lean": 4, "spine_lean": 6, "neck_lean": -4}
+    seat |= {"both_shoulder_flexion": 38, "both_elbow_flexion": 52, "both_shoulder_abduction": 6}
+    keys, now = [(0.0, rest)], 0.4
+    while now < t[-1] + 1:
+        step = take.factor(0.1) / speed
+        a = _scaled(_pose(_RELAXED, half), rest, amplitude)
+        b = _scaled(_pose(_RELAXED, seat), rest, amplitude)
+        keys += [(now, rest), (now + 0.6 * step, a), (now + 1.15 * step, b), (now + 2.3 * step, b)]
+        keys += [(now + 2.9 * step, a), (now + 3.6 * step, rest)]
+        now += 4.2 * step
+    return centred(perform(_keyed("sit_down", t, keys, take, Stance(0.0, 0.0, 0.17, 12.0), 0.1), subject))
+
+
+def serve(
+    subject: Subject,
+    duration: float,
+    frame_rate: float,
+    rng: np.random.Generator | None = None,
+    amplitude: float = 1.0,
+    speed: float = 1.0,
+) -> Performance:
+    """A right-handed tennis serve without racket: toss, trophy pose with bent knees, strike, follow-through;
+    every 3.2 s."""
+    take, t = Take(rng), sample_times(duration, frame_rate)
+    ready = _pose(_RELAXED, {"both_shoulder_flexion": 32, "both_elbow_flexion": 55, "both_shoulder_internal": 35})
+    ready |= {"spine_turn": -12, "pelvis_turn": -10, "neck_turn": 15, "up": -0.03}
+    drop = {
+        "left_shoulder_flexion": 18,
+        "left_elbow_flexion": 14,
+        "right_shoulder_flexion": -12,
+        "right_elbow_flexion": 12,
+    }
+    drop |= {
+        "right_shoulder_abduction": 22,
+        "spine_turn": -20,
+        "pelvis_turn": -18,
+        "neck_turn": 26,
+        "forward": -0.05,
+    }
+    trophy = {
+        "left_shoulder_flexion": 148,
+        "left_elbow_flexion": 8,
+        "left_clavicle_up": 12,
+        "left_shoulder_abduction": 8,
+    }
+    trophy |= {"right_shoulder_flexion": 0, "right_shoulder_abduction": 88, "right_shoulder_internal": -75}
+    trophy |= {
+        "right_elbow_flexion": 88,
+        "spine_turn": -28,
+        "pelvis_turn": -24,
+        "spine_lean": -14,
+        "spine_list": -8,
+    }
+    trophy |= {"neck_lean": -22, "neck_turn": 30, "up": -0.13, "forward": 0.05}
+    strike = {"right_shoulder_flexion": 25, "right_shoulder_abduction": 148, "right_shoulder_internal": -20}
+    strike |= {
+        "right_elbow_flexion": 8,
+        "right_clavicle_up": 18,
+        "left_shoulder_flexion": 38,
+        "left_elbow_flexion": 80,
+    }
+    strike |= {
+        "left_shoulder_internal": 45,
+        "spine_turn": 14,
+        "pelvis_turn": 6,
+        "spine_list": -16,
+        "spine_lean": 6,
+    }
+    strike |= {"neck_lean": -16, "neck_turn": -6, "forward": 0.16, "both_heel": 0.10, "up": 0.0}
+    follow = {"right_shoulder_flexion": 58, "right_shoulder_abduction": -16, "right_shoulder_internal": 40}
+    follow |= {
+        "right_elbow_flexion": 35,
+        "left_shoulder_flexion": 10,
+        "left_elbow_flexion": 70,
+        "spine_turn": 32,
+    }
+    follow |= {
+        "left_shoulder_internal": 40,
+        "pelvis_turn": 20,
+        "spine_lean": 28,
+        "neck_lean": -16,
+        "neck_turn": -24,
+    }
+    follow |= {"up": -0.07, "forward": 0.20, "right_heel": 0.16}
+    keys, now = [(0.0, ready)], 0.3
+    while now < t[-1] + 1:
+        k = take.factor(0.06) / speed
+        poses = [_scaled(_pose(_RELAXED, x), ready, amplitude) for x in (drop, trophy, strike, follow)]
+        keys += [
+            (now, ready),
+            (now + 0.45 * k, poses[0]),
+            (now + 1.05 * k, poses[1]),
+            (now + 1.2 * k, poses[1]),
+        ]
+        keys += [(now + 1.46 * k, poses[2]), (now + 1.78 * k, poses[3]), (now + 2.6 * k, ready)]
+        now += 3.2 * k
+    return perform(_keyed("serve", t, keys, take, Stance(0.26, -0.22, 0.15, 22.0)), subject)
+
+
+def combo(
+    subject: Subject,
+    duration: float,
+    frame_rate: float,
+    rng: np.random.Generator | None = None,
+    amplitude: float = 1.0,
+    speed: float = 1.0,
+) -> Performance:
+    """Walk, jog, box and wave one after the other (HumanEva's combo likewise starts with walking and
+    jogging)."""
+    parts = [(walk, 0.34), (jog, 0.24), (box, 0.22), (wave, 0.20)]
+    blend, n = 0.5, round(duration * frame_rate)
+    extra = blend * (len(parts) - 1) / len(parts)
+    shows = [f(subject, duration * share + extra + 0.1, frame_rate, rng, amplitude, speed) for f, share in parts]
+    whole = chain("combo", shows, subject, blend)
+    n = min(n, len(whole))
+    return centred(Performance("combo", whole.times[:n], whole.rotations[:n], whole.root[:n], whole.joints[:n]))
+
+
+MOTIONS: dict[str, Callable[..., Performance]] = {
+    f.__name__: f for f in (walk, jog, box, wave, cross_arms, punch, sit_down, serve, combo)
+}
+
+
+def act(
+    name: str,
+    subject: Subject,
+    duration: float,
+    frame_rate: float,
+    rng: np.random.Generator | None = None,
+    amplitude: float = 1.0,
+    speed: float = 1.0,
+) -> Performance:
+    """A built-in motion by name (MOTIONS) of `duration` s at `frame_rate` Hz about the origin; an InputError
+    lists them."""
+    if name not in MOTIONS:
+        raise InputError(f"There is no motion {name!r}; the motions are {', '.join(MOTIONS)}.")
+    return MOTIONS[name](subject, duration, frame_rate, rng, amplitude, speed)

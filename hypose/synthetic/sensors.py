@@ -1,0 +1,483 @@
+"""Simulated depth sensors with skeleton tracking: a true motion in, the skeletons of several sensors out.
+
+What goes wrong depends on what a sensor sees: jitter grows for oblique views and along the ray, a joint that the body
+or a treadmill's bars hide is inferred (frozen to its parent, taken for the other arm, or pulled towards the trunk and
+jumping), a sensor that sees the back exchanges the sides for a while, joints and whole persons are lost, depth maps
+have holes. Apart from the noise of depth the figures are assumptions; results on these recordings compare methods, they
+are not what a particular sensor will give.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from hypose.compute.depth_forests import cpu_rays
+from hypose.evidence.frame import INFERRED, NOT_TRACKED, TRACKED, SensorJoints
+from hypose.fusion import joints as jt
+from hypose.geometry import Array, se3, se3_inverse, so3_exp, transform
+from hypose.io.motions.asf import bone_ends, read_amc, read_asf
+from hypose.synthetic.human4d import read_human4d
+from hypose.synthetic.motions import act
+from hypose.synthetic.subjects import load_subjects
+
+FRAME_RATE = 30.0
+BACKGROUND_M = 4.5
+"""Distance of the wall behind the person."""
+LARGEST_DEPTH_NOISE = 1.4e-3
+"""m per m^2: depth noise of structured light grows with the square of the distance (Khoshelham & Elberink 2012)."""
+
+# (joint, joint, radius m): a person of capsules; a joint is never hidden by capsules that hold it
+_CAPSULES = (
+    [(0, 0, 0.105), (0, 1, 0.06), (2, 5, 0.065), (1, 8, 0.115), (2, 9, 0.08), (5, 12, 0.08), (8, 8, 0.125)]
+    + [(9, 12, 0.105), (2, 3, 0.05), (3, 4, 0.042), (4, 4, 0.048), (5, 6, 0.05), (6, 7, 0.042), (7, 7, 0.048)]
+    + [(9, 10, 0.08), (10, 11, 0.055), (11, 11, 0.055), (12, 13, 0.08), (13, 14, 0.055), (14, 14, 0.055)]
+)
+_HOLDS = [[0, 1], [1, 0, 2, 3], [2, 8, 4], [3, 8, 9, 10], [9, 10], [2, 11, 5], [6, 11, 12, 13], [12, 13]] + [
+    [3, 6, 4, 5, 7],
+    [7, 14, 4],
+    [14, 15],
+    [15, 16],
+    [7, 17, 5],
+    [17, 18],
+    [18, 19],
+]
+# console of two bars, rails and posts of a treadmill, in front of a person who faces -y: a, b, radius in m
+BARS = np.array(
+    [
+        [-0.40, -0.43, 1.01, 0.40, -0.43, 1.01, 0.075],
+        [-0.40, -0.45, 1.11, 0.40, -0.45, 1.11, 0.060],
+        [-0.39, -0.43, 0.85, -0.39, 0.0, 0.85, 0.028],
+        [0.39, -0.43, 0.85, 0.39, 0.0, 0.85, 0.028],
+        [-0.39, -0.43, 0.0, -0.39, -0.43, 0.85, 0.035],
+        [0.39, -0.43, 0.0, 0.39, -0.43, 0.85, 0.035],
+    ]
+)
+_ARMS = (jt.LEFT_ELBOW, jt.LEFT_HAND, jt.RIGHT_ELBOW, jt.RIGHT_HAND)
+_LIMBS = (*_ARMS, jt.LEFT_KNEE, jt.LEFT_FOOT, jt.RIGHT_KNEE, jt.RIGHT_FOOT)
+_LIVELY = (*_ARMS, jt.LEFT_FOOT, jt.RIGHT_FOOT)
+HIDDEN_BELOW = 0.45
+"""A joint is hidden when a sensor sees a smaller share of its surroundings."""
+
+
+@dataclass(frozen=True)
+class SensorModel:
+    """What sensors do wrong. jitter_m: sd per axis of a joint seen frontally; bias_m: sd of each joint's constant error
+    in the body's frame; jump_m: sd of the jumps of inferred joints; frozen: share of hidden episodes in which the joint
+    rides with its parent; other_arm: share of the rest in which a hidden arm joint is taken for the other arm's;
+    drop_out: chance per frame that the person is lost for 5-25 frames; gone: chance per frame that a fully hidden joint
+    is reported missing; swaps: sides are exchanged in episodes when the back is seen; holes: share of joints without
+    depth; flagged: chance that a hidden joint is reported as inferred; false_flag: that a visible one is."""
+
+    jitter_m: float = 0.007
+    bias_m: float = 0.015
+    jump_m: float = 0.09
+    frozen: float = 0.3
+    other_arm: float = 0.4
+    drop_out: float = 0.002
+    gone: float = 0.1
+    swaps: bool = True
+    holes: float = 0.04
+    flagged: float = 0.7
+    false_flag: float = 0.05
+
+
+@dataclass(frozen=True)
+class SensorRecording:
+    """What K sensors report of one person, with the truth. T frames, the 15 common joints.
+
+    times (T,) s; positions (T, K, 15, 3) m in each sensor's frame (OpenCV camera axes), NaN missing; state
+    (T, K, 15); joint_depth (T, K, 15) m, 0 = hole; truth (T, 15, 3) m world; heading (T,) rad, 0 = facing -y;
+    camera_from_world (K, 4, 4); visible (T, K, 15) share that a sensor sees; error (T, K, 15) m of its joints."""
+
+    times: Array
+    positions: Array
+    state: NDArray[np.uint8]
+    joint_depth: Array
+    truth: Array
+    heading: Array
+    camera_from_world: Array
+    visible: Array
+    error: Array
+    bars: Array = field(default_factory=lambda: np.zeros((0, 7)))
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    @property
+    def sensor_names(self) -> tuple[str, ...]:
+        """sensor0, sensor1, ..."""
+        return tuple(f"sensor{k}" for k in range(self.positions.shape[1]))
+
+    def frames(self) -> list[SensorJoints]:
+        """The recording as evidence, one per frame."""
+        return [
+            SensorJoints(
+                self.positions[t],
+                self.state[t],
+                np.full(len(self.sensor_names), self.times[t]),
+                jt.COMMON,
+                self.sensor_names,
+                joint_depth=self.joint_depth[t],
+            )
+            for t in range(len(self))
+        ]
+
+    def truth_in(self, sensor: int) -> Array:
+        """(T, 15, 3) true joints in a sensor's frame."""
+        return transform(self.camera_from_world[sensor], self.truth)
+
+    def depth_map(self, frame: int, sensor: int, size: tuple[int, int] = (320, 240), fov_deg: float = 58.0) -> Array:
+        """(h, w) m along the optical axis, rendered from the capsule body, the bars and a wall; and `intrinsics` of
+        that image."""
+        k = intrinsics(size, fov_deg)
+        u, v = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
+        rays = np.stack([(u - k[0, 2]) / k[0, 0], (v - k[1, 2]) / k[1, 1], np.ones(u.shape)], -1).reshape(-1, 3)
+        world_from_camera = se3_inverse(self.camera_from_world[sensor])
+        norm = np.linalg.norm(rays, axis=1)
+        directions = (rays / norm[:, None]) @ world_from_camera[:3, :3].T
+        capsules = np.concatenate([body_capsules(self.truth[frame]), self.bars])
+        out = np.empty(len(rays))
+        cpu_rays.cast_rays(world_from_camera[:3, 3].copy(), directions, capsules, out)
+        return np.minimum(out / norm, BACKGROUND_M).reshape(u.shape)
+
+
+def intrinsics(size: tuple[int, int], fov_deg: float) -> Array:
+    """(3, 3) pinhole of an image (width, height) with a horizontal field of view."""
+    f = size[0] / 2 / np.tan(np.radians(fov_deg) / 2)
+    return np.array([[f, 0, (size[0] - 1) / 2], [0, f, (size[1] - 1) / 2], [0, 0, 1.0]])
+
+
+def body_capsules(joints: Array) -> Array:
+    """Joints (..., 15, 3) -> capsules (..., 20, 7) = a, b, radius, m."""
+    a, b = (np.array([c[i] for c in _CAPSULES]) for i in (0, 1))
+    radius = np.broadcast_to(np.array([c[2] for c in _CAPSULES])[:, None], (*joints.shape[:-2], len(_CAPSULES), 1))
+    return np.concatenate([joints[..., a, :], joints[..., b, :], radius], -1)
+
+
+def ring_sensors(angles_deg: ArrayLike, distance: float = 2.5, height: float = 1.1) -> Array:
+    """camera_from_world (K, 4, 4) of sensors around the origin, looking at it 1 m above the floor; 0 = in front of a
+    person who faces -y, positive towards the person's left."""
+    out = []
+    for a in np.radians(np.atleast_1d(np.asarray(angles_deg, dtype=np.float64))):
+        eye = np.array([np.sin(a) * distance, -np.cos(a) * distance, height])
+        z = np.array([0, 0, 1.0]) - eye
+        z /= np.linalg.norm(z)
+        x = np.cross(z, [0, 0, 1.0])
+        x /= np.linalg.norm(x)
+        r = np.stack([x, np.cross(z, x), z])
+        out.append(se3(r, -r @ eye))
+    return np.array(out)
+
+
+# ---------------------------------------------------------------- motions
+
+
+def cmu_joints(folder: Path, name: str, step: int = 4) -> Array:
+    """(T, 15, 3) m of a CMU capture of subject 02 ("02_03"), its axes (y up), every step-th frame of 120 Hz."""
+    asf = read_asf(folder / "02.asf")
+    amc = read_amc(folder / f"{name}.amc")
+    ends = bone_ends(asf, {k: v[::step] for k, v in amc.items()}) * asf.metres_per_unit
+    at = {n: ends[:, i] for i, n in enumerate(asf.names)}
+    shoulders, hips = (at["lclavicle"] + at["rclavicle"]) / 2, (at["lhipjoint"] + at["rhipjoint"]) / 2
+    arms = [at[s + n] for s in "lr" for n in ("clavicle", "humerus", "hand")]
+    legs = [at[s + n] for s in "lr" for n in ("hipjoint", "femur", "tibia")]
+    return np.stack([at["head"], at["lowerneck"], *arms, (shoulders + hips) / 2, *legs], 1)
+
+
+def human4d_joints(folder: Path) -> tuple[Array, Array]:
+    """(T, 15, 3) m of the HUMAN4D run in the first camera's frame, and camera_from_first (4, 4, 4)."""
+    run = read_human4d(folder)
+    x = run.joints
+    arms = [np.stack([x[:, s + 1], x[:, s + 2], (x[:, s + 4] + x[:, s + 5]) / 2], 1) for s in (9, 15)]
+    legs = [x[:, s : s + 3] for s in (21, 27)]
+    up = x[:, 5] - x[:, 0]
+    toe = (x[:, 25] - x[:, 23]) + (x[:, 31] - x[:, 29])
+    toe -= (toe * up).sum(-1, keepdims=True) / (up * up).sum(-1, keepdims=True) * up
+    if np.median(((arms[0][:, 0] - arms[1][:, 0]) * np.cross(up, toe)).sum(-1)) < 0:  # the file does not say the side
+        arms, legs = arms[::-1], legs[::-1]
+    middle = ((arms[0][:, 0] + arms[1][:, 0]) / 2 + (legs[0][:, 0] + legs[1][:, 0]) / 2) / 2
+    top = [x[:, 7:8], x[:, 5:6]]
+    return np.concatenate([*top, arms[0], arms[1], middle[:, None], legs[0], legs[1]], 1), run.camera_from_first
+
+
+def builtin_joints(name: str, seconds: float, rng: np.random.Generator) -> Array:
+    """(T, 15, 3) m, z up, of a built-in motion of one of the test subjects at 30 Hz."""
+    subjects = list(load_subjects().values())
+    performance = act(name, subjects[int(rng.integers(len(subjects)))], seconds, FRAME_RATE, rng)
+    j = performance.joints[:, jt.BODY_JOINT].copy()
+    shoulders, hips = j[:, [jt.LEFT_SHOULDER, jt.RIGHT_SHOULDER]], j[:, [jt.LEFT_HIP, jt.RIGHT_HIP]]
+    j[:, jt.TORSO] = (shoulders.mean(1) + hips.mean(1)) / 2
+    return j
+
+
+def on_treadmill(joints: Array) -> Array:
+    """The motion (T, 15, 3) m in any axes without its travel and turning: z up, facing -y, feet on the floor."""
+    hips = (joints[:, jt.LEFT_HIP] + joints[:, jt.RIGHT_HIP]) / 2
+    up = np.median(joints[:, jt.NECK] - hips, axis=0)
+    up /= np.linalg.norm(up)
+    side = joints[:, jt.LEFT_SHOULDER] - joints[:, jt.RIGHT_SHOULDER] + joints[:, jt.LEFT_HIP] - joints[:, jt.RIGHT_HIP]
+    side = gaussian_filter1d(side, 15, axis=0, mode="nearest")
+    side -= (side @ up)[:, None] * up
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    back = np.cross(up, side)
+    r = np.stack([side, back, np.broadcast_to(up, side.shape)], 1)
+    centre = gaussian_filter1d(hips, 12, axis=0, mode="nearest")
+    centre = centre - (centre @ up)[:, None] * up
+    out = np.einsum("tij,tnj->tni", r, joints - centre[:, None])
+    out[..., 2] -= np.percentile(out[:, [jt.LEFT_FOOT, jt.RIGHT_FOOT], 2], 2) - 0.08
+    return out
+
+
+def looped(joints: Array, frames: int, blend: int = 8) -> Array:
+    """An endless motion: the clip is repeated between its two most similar frames, cross-faded."""
+    t = len(joints)
+    flat = joints.reshape(t, -1)
+    velocity = np.diff(flat, axis=0, append=flat[-1:])
+    best = (np.inf, 0, t - 1)
+    for a in range(2, max(3, t // 3)):
+        b = np.arange(max(a + 20, t // 2), t - blend - 1)
+        if len(b):
+            d = ((flat[b] - flat[a]) ** 2).sum(1) + 25 * ((velocity[b] - velocity[a]) ** 2).sum(1)
+            if d.min() < best[0]:
+                best = (float(d.min()), a, int(b[d.argmin()]))
+    _, a, b = best
+    segment = joints[a:b].copy()
+    m = min(blend, a)
+    for i in range(m):
+        w = (i + 1) / (m + 1)
+        segment[len(segment) - m + i] = (1 - w) * segment[len(segment) - m + i] + w * joints[a - m + i]
+    return np.concatenate([segment] * (frames // len(segment) + 1))[:frames]
+
+
+def turned(joints: Array, heading: Array) -> Array:
+    """Joints (T, 15, 3) turned about the vertical by heading (T,) rad."""
+    r = so3_exp(heading[:, None] * np.array([0, 0, 1.0]))
+    return np.einsum("tij,tnj->tni", r, joints)
+
+
+def turn_then_run(run: Array, walk: Array, frames: int) -> tuple[Array, Array]:
+    """The paper's sequences: turn 45 degrees to the left, back, to the right, back while stepping, then run. Returns
+    joints (frames, 15, 3) m and heading (frames,)."""
+    k = frames // 2
+    q = k // 8
+    heading = np.zeros(frames)
+
+    def ramp(i: int, j: int, start: float, stop: float) -> None:
+        x = np.linspace(0, 1, j - i)
+        heading[i:j] = start + (stop - start) * (3 * x**2 - 2 * x**3)
+
+    a = np.pi / 4
+    ramp(q, 2 * q, 0, a)
+    heading[2 * q : 3 * q] = a
+    ramp(3 * q, 5 * q, a, -a)
+    heading[5 * q : 6 * q] = -a
+    ramp(6 * q, 7 * q, -a, 0)
+    running = looped(run, frames - k + 10)
+    out = np.concatenate([looped(walk, k), running[10:]])[:frames]
+    for i in range(10):
+        w = (i + 1) / 11
+        out[k - 10 + i] = (1 - w) * out[k - 10 + i] + w * running[i]
+    return turned(out, heading), heading
+
+
+def treadmill_recording(
+    scene: str, rng: np.random.Generator, data: Path | None = None, model: SensorModel | None = None, take: int = 0
+) -> SensorRecording:
+    """Sequence "A" (600 frames, treadmill with bars) or "B" (900 frames, none); sensors in front, 60 degrees left and
+    right, at 2.5 m. data: folder of real recordings (even takes: HUMAN4D's run, odd ones CMU's; stepping: CMU's walk);
+    None: built-in motions. The paper gives neither the sensors' angle nor the number of frames."""
+    if data is not None:
+        walk = on_treadmill(cmu_joints(data / "mocap", "02_01"))
+        source = (
+            cmu_joints(data / "mocap", "02_03") if take % 2 else human4d_joints(data / "human4d_run")[0]
+        )  # both are runs
+    else:
+        walk, source = on_treadmill(builtin_joints("walk", 12, rng)), builtin_joints("jog", 10, rng)
+    joints, heading = turn_then_run(on_treadmill(source), walk, 600 if scene == "A" else 900)
+    bars = BARS if scene == "A" else np.zeros((0, 7))
+    return simulate(joints, heading, ring_sensors([0, 60, -60]), rng, model or SensorModel(), bars)
+
+
+def human4d_recording(data: Path, rng: np.random.Generator, model: SensorModel | None = None) -> SensorRecording:
+    """HUMAN4D's run seen from its four real camera poses (one sees the back); the reference is the frontal one."""
+    joints, camera_from_first = human4d_joints(data / "human4d_run")
+    up = np.median(joints[:, jt.NECK] - (joints[:, jt.LEFT_HIP] + joints[:, jt.RIGHT_HIP]) / 2, axis=0)
+    up /= np.linalg.norm(up)
+    side = np.median(joints[:, jt.LEFT_SHOULDER] - joints[:, jt.RIGHT_SHOULDER], axis=0)
+    side -= side @ up * up
+    side /= np.linalg.norm(side)
+    r = np.stack([side, np.cross(up, side), up])
+    world_from_first = se3(r, np.array([0, 0, 1.18]) - r @ np.median(joints[:, jt.TORSO], axis=0))
+    world = transform(world_from_first, joints)
+    side_line = world[:, jt.LEFT_SHOULDER] - world[:, jt.RIGHT_SHOULDER]
+    heading = np.unwrap(np.arctan2(side_line[:, 1], side_line[:, 0]))
+    cameras = (camera_from_first @ se3_inverse(world_from_first))[[1, 0, 2, 3]]
+    return simulate(world, heading, cameras, rng, model or SensorModel(), np.zeros((0, 7)))
+
+
+# ---------------------------------------------------------------- what sensors make of it
+
+
+def simulate(
+    joints: Array, heading: Array, camera_from_world: Array, rng: np.random.Generator, model: SensorModel, bars: Array
+) -> SensorRecording:
+    """Skeletons of the sensors camera_from_world (K, 4, 4) for joints (T, 15, 3) m of a person with heading (T,) rad
+    among bars (M, 7)."""
+    frames, sensors = len(joints), len(camera_from_world)
+    out = np.full((frames, sensors, 15, 3), np.nan)
+    state = np.zeros((frames, sensors, 15), dtype=np.uint8)
+    depth, visible = np.zeros((frames, sensors, 15)), np.zeros((frames, sensors, 15))
+    error = np.full((frames, sensors, 15), np.nan)
+    body = body_capsules(joints)
+    scene = np.concatenate([body, np.broadcast_to(bars, (frames, *bars.shape))], 1)
+    for k, camera in enumerate(camera_from_world):
+        eye = se3_inverse(camera)[:3, 3].copy()
+        seen, seen_past_body = _seen(joints, eye, scene), _seen(joints, eye, body)
+        visible[:, k] = seen
+        from_front = np.abs((heading - np.arctan2(eye[0], -eye[1]) + np.pi) % (2 * np.pi) - np.pi)
+        world = joints + _tracking_noise(joints, heading, from_front, eye, model, rng)
+        _infer_hidden(world, joints, seen, seen_past_body, model, rng)
+        if model.swaps:
+            _swap_sides(world, from_front, rng)
+        depth[:, k] = _depth_at(world, eye, camera[2, :3], scene, model, rng)
+        hidden = seen < HIDDEN_BELOW
+        flag = rng.random(seen.shape) < np.where(hidden, model.flagged, model.false_flag)
+        state[:, k] = np.where(flag, INFERRED, TRACKED)
+        lost = _lost_frames(frames, model.drop_out, rng)
+        gone = lost[:, None] | ((seen < 0.1) & (rng.random(seen.shape) < model.gone))
+        depth[lost, k] = 0
+        world[gone] = np.nan
+        state[:, k][gone] = NOT_TRACKED
+        out[:, k] = transform(camera, world)
+        error[:, k] = np.linalg.norm(world - joints, axis=-1)
+    times = np.arange(frames) / FRAME_RATE
+    return SensorRecording(
+        times, out, state, depth, joints, heading, np.array(camera_from_world), visible, error, np.array(bars)
+    )
+
+
+def shifted_clock(recording: SensorRecording, seconds: float) -> SensorRecording:
+    """The same recording with its clock shifted."""
+    return replace(recording, times=recording.times + seconds)
+
+
+def _seen(joints: Array, eye: Array, capsules: Array) -> Array:
+    own = np.zeros((15, capsules.shape[1]), dtype=np.bool_)
+    for j, held in enumerate(_HOLDS):
+        own[j, held] = True
+    offsets = 0.028 * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+    out = np.empty(joints.shape[:2])
+    for t in range(len(joints)):
+        cpu_rays.seen_share(eye, joints[t], offsets, capsules[t], own, 0.02, out[t])
+    return out
+
+
+def _autoregressive(rng: np.random.Generator, frames: int, shape: tuple[int, ...], rho: float) -> Array:
+    """(frames, *shape) of unit variance with correlation rho between neighbours."""
+    e = rng.normal(0, np.sqrt(1 - rho * rho), (frames, *shape))
+    e[0] = rng.normal(0, 1, shape)
+    for t in range(1, frames):
+        e[t] += rho * e[t - 1]
+    return e
+
+
+def _tracking_noise(
+    joints: Array, heading: Array, from_front: Array, eye: Array, model: SensorModel, rng: np.random.Generator
+) -> Array:
+    """Jitter, doubled along the ray and larger for hands and oblique views, and each joint's constant error, which
+    rides with the body."""
+    frames = len(joints)
+    sd = model.jitter_m * np.where(np.isin(np.arange(15), _LIVELY), 1.5, 1.0)
+    sd = sd[None] * (1 + 0.6 * np.sin(np.minimum(from_front, np.pi / 2)))[:, None]
+    ray = joints - eye
+    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
+    out = _autoregressive(rng, frames, (15, 3), 0.5) * sd[..., None]
+    out += _autoregressive(rng, frames, (15, 1), 0.5) * sd[..., None] * ray
+    bias = np.broadcast_to(rng.normal(0, model.bias_m, (15, 3)), (frames, 15, 3))
+    return out + turned(bias, heading)
+
+
+def _infer_hidden(
+    world: Array, joints: Array, seen: Array, past_body: Array, model: SensorModel, rng: np.random.Generator
+) -> None:
+    """Replaces hidden joints, episode by episode (gaps of up to two frames do not end one), in place."""
+    frames = len(joints)
+    slow = _autoregressive(rng, frames, (15, 3), 0.95) * 0.6 * model.jump_m
+    for j in range(15):
+        hidden = seen[:, j] < HIDDEN_BELOW
+        limb = j in _LIMBS
+        t = 0
+        while t < frames:
+            if not hidden[t]:
+                t += 1
+                continue
+            end = t
+            while end < frames and (hidden[end] or (end + 2 < frames and hidden[end + 1 : end + 3].any())):
+                end += 1
+            n, parent, before = end - t, jt.PARENT[j] if limb else jt.TORSO, max(t - 1, 0)
+            by_body = past_body[t:end, j].mean() < HIDDEN_BELOW
+            if rng.random() < model.frozen:
+                rides = joints[t:end, parent] + world[before, j] - joints[before, parent]
+                world[t:end, j] = rides + rng.normal(0, 0.6 * model.jitter_m, (n, 3))
+            elif j in _ARMS and by_body and rng.random() < model.other_arm:
+                drift = _autoregressive(rng, n, (3,), 0.5) * model.jitter_m * 25 / 7
+                world[t:end, j] = joints[t:end, jt.MIRROR[j]] + drift
+            else:
+                pull = rng.uniform(0.15, 0.45) * (1.0 if limb else 0.1)
+                jumps, jump = np.zeros((n, 3)), np.zeros(3)
+                for i in range(n):
+                    if rng.random() < 0.2:
+                        jump = rng.normal(0, model.jump_m, 3)
+                    jumps[i] = jump
+                inward = pull * (joints[t:end, jt.TORSO] - joints[t:end, j])
+                # the trunk is inferred well
+                world[t:end, j] += (1.0 if limb else 0.35) * (inward + jumps + slow[t:end, j])
+            t = end
+
+
+def _swap_sides(world: Array, from_front: Array, rng: np.random.Generator) -> None:
+    """Exchanges left and right in episodes of 10-60 frames while the sensor sees the back, in place."""
+    t = 0
+    while t < len(world):
+        if from_front[t] > np.radians(105) and rng.random() < 0.05:
+            end = min(t + int(rng.integers(10, 60)), len(world))
+            behind = np.flatnonzero(from_front[t:end] > np.radians(100)) + t
+            world[behind] = world[behind][:, jt.MIRROR]
+            t = end
+        else:
+            t += 1
+
+
+def _depth_at(
+    reported: Array, eye: Array, axis: Array, capsules: Array, model: SensorModel, rng: np.random.Generator
+) -> Array:
+    """(T, 15) m along the optical axis: what a depth map holds at the pixels of the reported joints, with noise and
+    holes (0)."""
+    ray = reported - eye
+    distance = np.linalg.norm(ray, axis=-1)
+    direction = ray / distance[..., None]
+    hit = np.empty(distance.shape)
+    for t in range(len(reported)):
+        cpu_rays.cast_rays(eye, direction[t], capsules[t], hit[t])
+    hit = np.minimum(hit, BACKGROUND_M)
+    hit += rng.normal(0, 1, hit.shape) * LARGEST_DEPTH_NOISE * hit * hit
+    out = hit * (direction @ axis)
+    out[rng.random(out.shape) < model.holes] = 0
+    return out
+
+
+def _lost_frames(frames: int, chance: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+    out = np.zeros(frames, dtype=np.bool_)
+    t = 0
+    while t < frames:
+        if rng.random() < chance:
+            n = int(rng.integers(5, 25))
+            out[t : t + n] = True
+            t += n
+        t += 1
+    return out

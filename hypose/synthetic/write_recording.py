@@ -1,0 +1,111 @@
+"""Writes a scene as a recording folder, as a user would have it: videos, background clips, calibration, key
+points."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.cameras.camera import Camera, CameraRig
+from hypose.errors import InputError
+from hypose.evidence.detector import openpose_document
+from hypose.io.file_names import file_name
+from hypose.io.files import write_text
+from hypose.io.motions.results import atomic_path
+from hypose.io.recordings.recording import Recording, View, write_recording
+from hypose.io.videos.video import VideoWriter
+from hypose.synthetic.scenes import Scene
+from hypose.synthetic.simulated_keypoints import keypoint_detections
+
+
+def check_folder(folder: Path) -> None:
+    """An InputError when a recording cannot be written to the folder, because something else is there; one that
+    `write_scene` has begun is written again."""
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is a file; give a folder.")
+    if folder.is_dir() and not (folder / "truth.npz").is_file():
+        if any(not p.name.startswith(".") for p in folder.iterdir()):
+            raise InputError(f"The folder {folder} holds other files; give an empty or new folder.")
+
+
+def write_truth(scene: Scene, folder: Path) -> None:
+    """truth.npz: times (T,), joints (T, 19, 3) m, rotations (T, 19, 3, 3), joint_names, stature m. To be written first,
+    for a folder that is not finished is known by it (`check_folder`)."""
+    with atomic_path(folder / "truth.npz") as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(
+            file,
+            times=scene.times,
+            joints=scene.joints,
+            rotations=scene.rotations,
+            joint_names=np.array(JOINT_NAMES),
+            stature=np.array(scene.subject.stature),
+        )
+
+
+def write_scene(
+    scene: Scene,
+    folder: str | Path,
+    *,
+    background_frames: int = 25,
+    keypoints: bool = False,
+    keypoint_noise_px: float = 4.0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Write the scene to a folder; returns recording.toml's path.
+
+    videos/NAME.mp4 and background/NAME.mp4 per camera (their width and height even, the calibration to
+    match), calibration.toml with the rig the user was given, recording.toml, with keypoints=True
+    pose/NAME_json/ with one OpenPose BODY_25 file per frame, and truth.npz (`write_truth`). progress(done, total) is
+    called after every picture.
+    """
+    folder = Path(folder)
+    write_truth(scene, folder)
+    for sub in ("videos", "background"):
+        (folder / sub).mkdir(exist_ok=True)
+    rig = CameraRig(tuple(_even(c) for c in scene.given_rig))
+    total, done = len(rig) * (len(scene) + background_frames), 0
+    views = []
+    for c, camera in enumerate(rig):
+        size = camera.size
+        name = file_name(camera.name)
+        video, background = folder / "videos" / f"{name}.mp4", folder / "background" / f"{name}.mp4"
+        for path, pictures in (
+            (background, iter(scene.background_frames(c, background_frames))),
+            (video, scene.rgb_frames(c)),
+        ):
+            with VideoWriter(path, scene.frame_rate, size) as writer:
+                for picture in pictures:
+                    writer.write(picture[: size[1], : size[0]])
+                    done += 1
+                    if progress is not None:
+                        progress(done, total)
+        pose = None
+        if keypoints:
+            pose = folder / "pose" / f"{name}_json"
+            pose.mkdir(parents=True, exist_ok=True)
+            points = keypoint_detections(scene, c, keypoint_noise_px)
+            for t, people in enumerate(points):
+                document = openpose_document(people[None])
+                write_text(pose / f"{name}_{t:012d}_keypoints.json", json.dumps(document))
+        views.append(View(camera.name, video=video, background=background, keypoints=pose))
+    recording = Recording(
+        folder,
+        scene.name,
+        rig,
+        tuple(views),
+        scene.frame_rate,
+        None,
+        keypoint_set="BODY_25" if keypoints else None,
+        n_frames=len(scene),
+    )
+    return write_recording(recording, folder)
+
+
+def _even(camera: Camera) -> Camera:
+    """Videos need even sides: the last row or column is cut off."""
+    return replace(camera, size=(camera.size[0] // 2 * 2, camera.size[1] // 2 * 2))

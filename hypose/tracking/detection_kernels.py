@@ -1,0 +1,295 @@
+"""Detections in the search: particles posed by inverse kinematics on a detected end, and a cost that knows the ends.
+
+Source: Alcoverro 2014, section 2.5.2. The set itself carries which of its members were posed on a detection (a role,
+inherited by selection), so the share of such proposals follows their survival without hidden state.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.evidence.body_parts import UNNAMED, assign_ends
+from hypose.evidence.frame import Detections
+from hypose.evidence.keypoints import triangulate_keypoints
+from hypose.geometry import Array, nearest_branch, so3_exp, so3_log
+from hypose.inference.hypotheses import Hypotheses
+from hypose.inference.kernels import reflect
+from hypose.inference.layer import Kernel
+from hypose.inference.selectivity import Energy
+from hypose.tracking.frame_evidence import PreparedFrame
+
+END_NAMES = ("left_hand", "right_hand", "head", "left_wrist", "right_wrist", "left_ankle", "right_ankle")
+"""The parts that a detection can name (`Detections.part`). Unnamed ones can become the first three."""
+LIMITS = np.array([0.35, 0.35, 0.25])
+"""m: farthest an unnamed detection may be from the end of the last pose (hands, head; Alcoverro 2014, section
+2.5.1)."""
+_KEYPOINT_OF = {"left_wrist": 3, "right_wrist": 4, "left_ankle": 5, "right_ankle": 6}
+
+
+@dataclass(frozen=True)
+class Ends:
+    """Where the ends are on a body: joint (7,), offset (7, 3) m in that joint's frame, in the order of END_NAMES."""
+
+    joint: NDArray[np.int64]
+    offset: Array
+
+    def positions(self, body: Body, poses: Array) -> Array:
+        """(N, 7, 3) m in the world at poses (N, D)."""
+        rotations, centres = body.skeleton.forward(poses)
+        turned = np.einsum("njab,jb->nja", rotations[:, self.joint], self.offset)
+        return centres[:, self.joint] + turned
+
+
+def ends_of(body: Body) -> Ends:
+    """Hands: middle of the hand's skin, a little nearer to the wrist; head: middle of the head's skin; wrists and
+    ankles: the joints.
+
+    A hull keeps little of the fingers: detected hands lay 10 to 35 mm nearer to the wrist than the skin's middle."""
+    s, mesh = body.skeleton, body.fine
+    rest, joint, offset = s.rest_joints, [], []
+    for name in END_NAMES:
+        j = s.joint(name.replace("hand", "wrist"))
+        part = mesh.vertices[mesh.main_joint == j]
+        skin = name.endswith("hand") or name == "head"
+        joint.append(j)
+        middle = part.mean(0) - rest[j] if skin and len(part) else np.zeros(3)
+        offset.append(0.75 * middle if name.endswith("hand") else middle)
+    return Ends(np.array(joint), np.array(offset))
+
+
+def found_ends(body: Body, ends: Ends, frame: PreparedFrame) -> dict[int, Array]:
+    """{index in END_NAMES: (3,) m}: the ends detected in a frame.
+
+    From `frame.detections` (named ones as they are, unnamed ones assigned to hands and head by eq. 2.19 against the
+    predicted pose); without them from key points in two or more views, triangulated: wrists and ankles.
+    """
+    found: dict[int, Array] = {}
+    detections = frame.frame.detections
+    if detections is not None:
+        unnamed = detections.part == UNNAMED
+        for k in np.flatnonzero(~unnamed):
+            found[int(detections.part[k])] = detections.points[k]
+        # an end that has a name already is not given away again
+        free = [i for i in range(len(LIMITS)) if i not in found]
+        points = detections.points[unnamed]
+        now = ends.positions(body, frame.prediction[None])[0]
+        for point, i in zip(points, assign_ends(points, now[free], LIMITS[free]), strict=True):
+            if i != UNNAMED:
+                found[free[i]] = point
+    elif frame.frame.keypoints is not None:
+        points, _, _ = triangulate_keypoints([frame.frame.keypoints])
+        for name, part in _KEYPOINT_OF.items():
+            if name in frame.frame.keypoints.names:
+                point = points[0, frame.frame.keypoints.names.index(name)]
+                if np.isfinite(point).all():
+                    found[part] = point
+    return found
+
+
+@dataclass(frozen=True)
+class Limb:
+    """A ball, the hinge below it and the end it carries: what analytic inverse kinematics poses.
+
+    joint, parent: indices of the ball and of the joint that carries it; ball, hinge: first coordinates; upper (3,) m:
+    hinge minus ball; lower (3,) m: end minus hinge; axis (3,): the hinge's; all in the model frame at rest. The end
+    does not move against the hinge's segment (wrists have no freedom; an ankle's is left out for ankle centres).
+    """
+
+    joint: int
+    parent: int
+    ball: int
+    hinge: int
+    upper: Array
+    lower: Array
+    axis: Array
+
+
+def limb_to(body: Body, ends: Ends, end: int) -> Limb | None:
+    """The limb that carries an end (index in END_NAMES); None for the head."""
+    name = END_NAMES[end]
+    if name == "head":
+        return None
+    side = name.split("_")[0]
+    ball, hinge = (f"{side}_{n}" for n in (("hip", "knee") if name.endswith("ankle") else ("shoulder", "elbow")))
+    s, rest = body.skeleton, body.skeleton.rest_joints
+    j, k = s.joint(ball), s.joint(hinge)
+    dof = int(s.dofs_of(hinge)[0])
+    tip = rest[ends.joint[end]] + ends.offset[end]
+    return Limb(j, int(s.parents[j]), int(s.dofs_of(ball)[0]), dof, rest[k] - rest[j], tip - rest[k], s.axes[dof])
+
+
+def pose_limb(body: Body, limb: Limb, poses: Array, targets: Array, swivel: Array) -> Array:
+    """Poses (N, D) with the limb's ball and hinge set so that its end lies at targets (N, 3) m, or as near as the
+    limb's length and limits let it.
+
+    The hinge gives the distance from the ball's centre to the target (law of cosines; of two angles the one inside the
+    limits and nearer to the pose's own). The ball then turns by the smallest rotation that points the end at the
+    target, and by swivel (N,) rad about the line to it, the freedom that the end's place leaves.
+    """
+    s = body.skeleton
+    rotations, centres = s.forward(poses)
+    parent = rotations[:, limb.parent]
+    to = np.einsum("nba,nb->na", parent, targets - centres[:, limb.joint])
+    distance = np.linalg.norm(to, axis=1)
+    a, e, h = limb.axis, limb.upper, limb.lower
+    along = (a @ h) * a
+    across, turned = h - along, np.cross(a, h)
+    # |e + exp(theta a) h|^2 = |e|^2 + |h|^2 + 2 e.along + 2 (e.across cos theta + e.turned sin theta)
+    p, q = float(e @ across), float(e @ turned)
+    wanted = 0.5 * (distance**2 - e @ e - h @ h) - e @ along
+    middle, opening = np.arctan2(q, p), np.arccos(np.clip(wanted / max(np.hypot(p, q), 1e-12), -1.0, 1.0))
+    current, low, high = poses[:, limb.hinge], s.lower[limb.hinge], s.upper[limb.hinge]
+    best, least = current, np.full(len(poses), np.inf)
+    for candidate in (middle + opening, middle - opening):
+        angle = np.mod(candidate + np.pi, 2 * np.pi) - np.pi
+        clipped = np.clip(angle, low, high)
+        cost = 10.0 * np.abs(angle - clipped) + np.abs(clipped - current)
+        best, least = np.where(cost < least, clipped, best), np.minimum(cost, least)
+    end = e + along + np.cos(best)[:, None] * across + np.sin(best)[:, None] * turned
+    before = so3_exp(poses[:, limb.ball : limb.ball + 3])
+    pointing = np.einsum("nab,nb->na", before, end)
+    line = to / np.maximum(distance, 1e-9)[:, None]
+    turn = so3_exp(swivel[:, None] * line) @ so3_exp(_between(pointing, to))
+    out = poses.copy()
+    out[:, limb.hinge] = best
+    out[:, limb.ball : limb.ball + 3] = nearest_branch(so3_log(turn @ before), poses[:, limb.ball : limb.ball + 3])
+    return np.asarray(reflect(out, s.lower, s.upper))
+
+
+def _between(a: Array, b: Array) -> Array:
+    """Rotation vectors (N, 3) of the smallest turns from directions a to b (N, 3)."""
+    axis = np.cross(a, b)
+    sine = np.linalg.norm(axis, axis=1)
+    angle = np.arctan2(sine, (a * b).sum(1))
+    return axis * (angle / np.maximum(sine, 1e-12))[:, None]
+
+
+@dataclass(frozen=True)
+class DetectorDriven:
+    """Kernel: part of the set is posed on the detected end, the rest diffuses; the parts follow their survival.
+
+    base: the Gaussian kernel of the layer, by which all members move first. end: index in END_NAMES of the detection
+    that drives the layer; others, tried in turn where it is missing. noise: m, sd of a detection per axis. swivel:
+    rad, sd of the turn about the line to the end, far_swivel: that of a third of the members. sigma (D,): usual steps
+    of the coordinates that the layer may move, for the head. step: share mutated per layer; least: smallest share of
+    either kind. limb: what is posed, which names its roles.
+
+    For limbs the ball and the hinge are posed by analytic inverse kinematics. The head is the end of no limb: its
+    members take the least step, in units of sigma, that brings it to the detection (the gain of a Kalman update). The
+    kinds: half at first; where more than half of the survivors are of the detection's kind, `step` of the others
+    become so too, else the reverse. Without a detection all diffuse and keep their kinds.
+    """
+
+    body: Body
+    ends: Ends
+    base: Kernel
+    end: tuple[int, ...]
+    sigma: Array
+    limb: str
+    noise: float = 0.03
+    swivel: float = 0.15
+    far_swivel: float = 0.8
+    step: float = 0.05
+    least: float = 0.25
+
+    def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
+        """The moved set, its kinds in the roles."""
+        moved = self.base(h, frame, rng)
+        found = found_ends(self.body, self.ends, frame)
+        end = next((i for i in self.end if i in found), None)
+        if end is None:
+            return moved
+        driven = self._kinds(h, rng)
+        rows = np.flatnonzero(driven)
+        values = moved.values.copy()
+        targets = found[end] + self.noise * rng.standard_normal((h.count, 3))
+        # a lost arm's elbow may lie anywhere on its circle
+        far = np.arange(h.count) % 3 == 0
+        swivel = np.where(far, self.far_swivel, self.swivel) * rng.standard_normal(h.count)
+        limb = limb_to(self.body, self.ends, end)
+        if limb is None:
+            values[rows] = self._reach(moved.values[rows], targets[rows], end)
+        else:
+            values[rows] = pose_limb(self.body, limb, moved.values[rows], targets[rows], swivel[rows])
+        moved = replace(moved, values=values).marked(self.sorted, np.ones(h.count, bool))
+        return moved.marked(self.posed, driven)
+
+    @property
+    def posed(self) -> str:
+        """The role of the members that are posed on the detection."""
+        return f"{self.limb} posed"
+
+    @property
+    def sorted(self) -> str:
+        """The role of the members whose kind is known: all, after the first detection."""
+        return f"{self.limb} sorted"
+
+    def _kinds(self, h: Hypotheses, rng: np.random.Generator) -> NDArray[np.bool_]:
+        """(N,) members of the detection's kind after mutation."""
+        n = h.count
+        order = rng.permutation(n)
+        driven = np.zeros(n, dtype=bool)
+        if not h.has(self.sorted).all():
+            driven[order[: n // 2]] = True
+            return driven
+        driven = h.has(self.posed)
+        share = driven.mean()
+        wanted = round(
+            n * float(np.clip(share + (self.step if share > 0.5 else -self.step), self.least, 1 - self.least))
+        )
+        excess = int(driven.sum()) - wanted
+        change = order[driven[order] == (excess > 0)][: abs(excess)]
+        driven[change] = excess < 0
+        return driven
+
+    def _reach(self, poses: Array, targets: Array, end: int) -> Array:
+        s = self.body.skeleton
+        mean = poses.mean(0)
+        at = self.ends.positions(self.body, mean[None])[0, end]
+        jacobian = s.jacobian(mean, int(self.ends.joint[end]), at[None])[0]
+        spread = self.sigma**2
+        gain = np.linalg.solve(
+            np.einsum("ad,d,bd->ab", jacobian, spread, jacobian) + self.noise**2 * np.eye(3), jacobian * spread
+        )
+        short = targets - self.ends.positions(self.body, poses)[:, end]
+        return np.asarray(reflect(poses + np.einsum("na,ad->nd", short, gain), s.lower, s.upper))
+
+
+@dataclass(frozen=True)
+class DetectionCost:
+    """Energy C + kappa D of the refinement layer; the same for all where nothing is detected (the layer is not used).
+
+    energy: C, the silhouettes' cost. D, m: mean over the detected ends of the distance to the nearest end of the model
+    among those of its kind of point (hands and head; wrists; ankles), whichever it was assigned to. kappa: 1 / m.
+    Source: Alcoverro 2014, eqs. 2.20 and 2.21. Detections that were assigned to no end are left out.
+    """
+
+    body: Body
+    ends: Ends
+    energy: Energy
+    kappa: float
+
+    def __call__(self, h: Hypotheses, frame: PreparedFrame, /) -> Array:
+        """(N,) energies."""
+        found = found_ends(self.body, self.ends, frame)
+        if not found:
+            return np.zeros(h.count)
+        positions = self.ends.positions(self.body, h.values)
+        total = np.zeros(h.count)
+        for i, point in found.items():
+            group = next(g for g in _GROUPS if i in g)
+            total += np.linalg.norm(positions[:, group] - point, axis=2).min(1)
+        return np.asarray(self.energy(h, frame)) + self.kappa * total / len(found)
+
+
+_GROUPS = ([0, 1, 2], [3, 4], [5, 6])
+
+
+def as_named(points: Array, names: tuple[str, ...], score: Array | None = None) -> Detections:
+    """Detections of a detector that knows what it saw: points (M, 3) m with names of END_NAMES."""
+    part = np.array([END_NAMES.index(n) for n in names], dtype=np.int32)
+    return Detections(points, np.ones(len(points)) if score is None else score, part)

@@ -1,0 +1,164 @@
+"""What a recipe sees of one frame: masks and key points prepared for the hot functions, evidence of the user's own, and
+the prediction.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose import compute
+from hypose.body.body import Body
+from hypose.errors import EvidenceError, InputError
+from hypose.evidence.ahead import prepared_masks
+from hypose.evidence.frame import Frame
+from hypose.evidence.outlines import WORKING_HEIGHT
+from hypose.fitting.articulated import ContourTerm, KeypointTerm, PointTerm, contour_term
+from hypose.geometry import Array
+from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term
+
+_Found = TypeVar("_Found")
+
+
+class OwnEvidence(Protocol):
+    """Evidence that the product does not know: what a sensor, a marker or a rule of yours says of the body.
+
+    Both see the frame, whose index and time tell which measurement belongs to it. All rows of a frame share one scale.
+    """
+
+    def rows(self, body: Body, frame: Frame, /) -> PointTerm | None:
+        """For the solver: where points of the body are, None when the frame says nothing."""
+        ...
+
+    def energy(self, body: Body, poses: Array, frame: Frame, /) -> Array:
+        """For the search: (N,) cost of poses (N, D), low is good; the silhouettes of one view cost between 0 and 2."""
+        ...
+
+
+class PoseMemory(Generic[_Found]):
+    """What somebody has found out about single poses of a body, so that nobody does it again."""
+
+    def __init__(self) -> None:
+        # with the bodies, so that no other one gets the identity of a body that is gone
+        self._found: dict[tuple[int, bytes], tuple[Body, _Found]] = {}
+
+    def get(self, body: Body, pose: Array) -> _Found | None:
+        """What was kept of a pose (D,), or None."""
+        known = self._found.get((id(body), pose.tobytes()))
+        return None if known is None else known[1]
+
+    def keep(self, body: Body, pose: Array, found: _Found) -> _Found:
+        """Keeps what was found, and returns it."""
+        self._found[id(body), pose.tobytes()] = body, found
+        return found
+
+
+@dataclass(frozen=True)
+class PreparedFrame:
+    """One frame ready to be searched for a body. masks and contours are None when no view has a usable silhouette,
+    keypoints is None when there are no key points; points: the rows of `own`, the user's evidence. prediction (D,): the
+    pose expected before looking at the evidence, and prediction_weight: how strongly solves are pulled to it (1 / rad^2
+    in units of the robust rows' cost). usual_iou: how well the body has overlapped the masks so far (NaN: not known).
+    counts: of the silhouettes of single poses, (C, 3); hessians: of their solves, (D, D)."""
+
+    frame: Frame
+    body: Body
+    prediction: Array
+    masks: compute.PreparedMasks | None
+    contours: ContourTerm | None
+    keypoints: KeypointTerm | None
+    prediction_weight: float = 0.1
+    usual_iou: float = float("nan")
+    points: PointTerm | None = None
+    own: tuple[OwnEvidence, ...] = ()
+    counts: PoseMemory[NDArray[np.int64]] = field(default_factory=PoseMemory, compare=False, repr=False)
+    hessians: PoseMemory[Array] = field(default_factory=PoseMemory, compare=False, repr=False)
+
+    @property
+    def usable(self) -> bool:
+        """True when some evidence is left."""
+        return self.masks is not None or self.keypoints is not None or self.points is not None
+
+    def own_energy(self, poses: Array) -> Array:
+        """(N,) what poses (N, D) cost by the user's evidence."""
+        total = np.zeros(len(poses))
+        for one in self.own:
+            total += one.energy(self.body, poses, self.frame)
+        return total
+
+
+def prepare(
+    frame: Frame,
+    body: Body,
+    prediction: Array,
+    *,
+    use_silhouettes: bool = True,
+    use_keypoints: bool = False,
+    contour_weight: float = 0.05,
+    keypoint_scale_px: float = 8.0,
+    keypoints_on_body: KeypointModel | None = None,
+    prediction_weight: float = 0.1,
+    usual_iou: float = float("nan"),
+    own: Sequence[OwnEvidence] = (),
+) -> PreparedFrame:
+    """Prepares a frame for `body`; see PreparedFrame. An EvidenceError when the frame has none of the wanted pieces."""
+    silhouettes = frame.silhouettes if use_silhouettes else None
+    if silhouettes is None and not (use_keypoints and frame.keypoints is not None):
+        raise EvidenceError(
+            f"Frame {frame.index} carries no {'silhouettes' if use_silhouettes else 'key points'}; "
+            "choose an evidence that the recording has."
+        )
+    masks = contours = None
+    if silhouettes is not None:
+        masks = prepared_masks(silhouettes)
+        # masks that are foreground from border to border have no outline: no evidence either
+        with contextlib.suppress(EvidenceError):
+            contours = contour_term(silhouettes, weight=contour_weight, working_height=WORKING_HEIGHT)
+        if contours is None:
+            masks = None
+    term = None
+    if use_keypoints and frame.keypoints is not None:
+        model = keypoints_on_body or keypoint_model(body, frame.keypoints.names)
+        if model.names != frame.keypoints.names:
+            raise EvidenceError(
+                f"Frame {frame.index} has other key points ({len(frame.keypoints.names)}) than the subject was fitted "
+                f"with ({len(model.names)}); fit the subject again from this recording."
+            )
+        term = keypoint_term(frame.keypoints, body, model, prediction, keypoint_scale_px)
+    rows = _joined([found for one in own if (found := one.rows(body, frame)) is not None], frame)
+    return PreparedFrame(frame, body, prediction, masks, contours, term, prediction_weight, usual_iou, rows, tuple(own))
+
+
+def _joined(terms: Sequence[PointTerm], frame: Frame) -> PointTerm | None:
+    """The rows of several pieces of evidence as one term."""
+    if len(terms) < 2:
+        return terms[0] if terms else None
+    scales = {term.scale_m for term in terms}
+    if len(scales) > 1:
+        raise InputError(
+            f"Evidence of your own has rows of {len(scales)} scales in frame {frame.index}; give all the same scale_m, "
+            "and weights that say which is surer."
+        )
+    return PointTerm(
+        np.concatenate([term.points_world for term in terms]),
+        np.concatenate([term.weight for term in terms]),
+        np.concatenate([term.joint for term in terms]),
+        np.concatenate([term.offset for term in terms]),
+        scales.pop(),
+    )
+
+
+def view_count(prepared: PreparedFrame) -> int:
+    """Number of views that carry evidence."""
+    seen: NDArray[np.bool_] | None = None
+    if prepared.masks is not None:
+        seen = prepared.masks.usable
+    if prepared.keypoints is not None:
+        by_points = np.asarray((prepared.keypoints.points[..., 2] > 0).any(1))
+        seen = by_points if seen is None else np.logical_or(seen, by_points)
+    return 0 if seen is None else int(seen.sum())

@@ -1,0 +1,220 @@
+"""Where to start: from triangulated key points, from a known pose at the visual hull, or again after a loss."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.errors import EvidenceError, InputError
+from hypose.evidence.hull import Hull, visual_hull
+from hypose.fitting.articulated import PointTerm, PoseFit, SolveOptions, fit_pose
+from hypose.geometry import Array, procrustes, rotation_between, so3_exp, so3_log
+from hypose.tracking.costs import xor_energy
+from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.refinement import SETTLING, anatomical_prior, refine
+
+# direction of the upper arm in each known pose, for the left side (x = the subject's left, y backward, z up)
+_ARM_DIRECTION = {
+    "t": (1.0, 0.0, 0.0),
+    "standing": (0.15, 0.0, -1.0),
+    "hands-up": (0.3, 0.0, 1.0),
+}
+KNOWN_POSES = ("a", *_ARM_DIRECTION)
+"""Poses a subject may be asked to take at the start; 'a' is the body's rest pose."""
+
+
+def known_pose(body: Body, name: str) -> Array:
+    """(D,) a known pose at the origin, facing -y: 'a', 't', 'standing' (arms hanging) or 'hands-up'; arms straight."""
+    s = body.skeleton
+    pose = np.zeros(s.dof)
+    if name not in KNOWN_POSES:
+        raise InputError(f"There is no known pose {name!r}; the known poses are {', '.join(KNOWN_POSES)}.")
+    if name in _ARM_DIRECTION:
+        joints = s.rest_joints
+        for side, mirror in (("left", 1.0), ("right", -1.0)):
+            shoulder, elbow, wrist = (s.joint(f"{side}_{n}") for n in ("shoulder", "elbow", "wrist"))
+            upper, fore = joints[elbow] - joints[shoulder], joints[wrist] - joints[elbow]
+            direction = np.array(_ARM_DIRECTION[name]) * (mirror, 1, 1)
+            pose[s.dofs_of(f"{side}_shoulder")] = so3_log(rotation_between(upper, direction))
+            straight = np.arccos(np.clip(upper @ fore / np.linalg.norm(upper) / np.linalg.norm(fore), -1, 1))
+            pose[s.dofs_of(f"{side}_elbow")] = -straight
+    return s.clamp(pose)
+
+
+def start_from_keypoints(
+    body: Body, points_world: Array, joint: NDArray[np.int64], offset: Array, *, weight: Array | None = None
+) -> PoseFit:
+    """Bounded inverse kinematics on 3D points of one frame.
+
+    points_world (K, 3) m (NaN = missing) lie at `offset` (K, 3) m in the frame of `joint` (K,). Several arm poses
+    and headings are tried and the cheapest solution is taken. An EvidenceError when fewer than 6 points are known.
+    """
+    known = np.asarray(np.isfinite(points_world).all(1))
+    if known.sum() < 6:
+        raise EvidenceError(
+            f"Only {int(known.sum())} of {len(points_world)} key points could be triangulated; at least 6 are "
+            "needed to start: choose another start frame or check the calibration with `hypose check`."
+        )
+    term = PointTerm(points_world, np.ones(len(points_world)) if weight is None else weight, joint, offset, 0.03)
+    best: PoseFit | None = None
+    for root in _root_guesses(body, points_world, joint, offset, known):
+        for name in ("standing", "t"):
+            start = known_pose(body, name)
+            start[:6] = root
+            fit = fit_pose(
+                body,
+                start,
+                points=term,
+                priors=(anatomical_prior(body.skeleton),),
+                options=SolveOptions(iterations=40, coarse_iterations=20),
+            )
+            if best is None or fit.cost < best.cost:
+                best = fit
+    assert best is not None
+    return best
+
+
+def _root_guesses(
+    body: Body, points: Array, joint: NDArray[np.int64], offset: Array, known: NDArray[np.bool_]
+) -> list[Array]:
+    """Root poses (6,) from the trunk's points when they are there (rigid fit), else four headings at the centroid."""
+    s = body.skeleton
+    rest = s.rest_joints[joint] + offset
+    trunk_joints = [
+        s.joint(n)
+        for n in (
+            "pelvis",
+            "chest",
+            "neck",
+            "left_clavicle",
+            "right_clavicle",
+            "left_shoulder",
+            "right_shoulder",
+            "left_hip",
+            "right_hip",
+        )
+    ]
+    trunk = known & np.isin(joint, trunk_joints)
+    centre = points[known].mean(0) - rest[known].mean(0)
+    if trunk.sum() >= 3:
+        # the trunk is nearly rigid: its points give position and heading at once
+        motion, _ = procrustes(rest[trunk], points[trunk])
+        return [np.concatenate([motion[:3, 3], so3_log(motion[:3, :3])])]
+    return [np.concatenate([centre, [0, 0, yaw]]) for yaw in np.arange(4) * np.pi / 2]
+
+
+def start_from_hull(
+    body: Body,
+    frame: PreparedFrame,
+    poses: tuple[str, ...] = KNOWN_POSES,
+    headings: int = 16,
+    options: SolveOptions | None = None,
+) -> PoseFit:
+    """The pose and heading that explain the silhouettes best, placed at the visual hull and refined.
+
+    With all known poses allowed, strides and raised forearms are tried besides, because a recording seldom begins with
+    a pose held still. An EvidenceError when the views have no common hull. Source: Alcoverro 2014, section 2.3.3 step 1
+    (hull placement); the choice among several poses and headings is an addition.
+    """
+    hull = hull_of(frame)
+    bases = [known_pose(body, name) for name in poses]
+    if poses == KNOWN_POSES:
+        bases += _everyday_poses(body)
+    candidates = [
+        _centred(body, turned(base, heading), hull)
+        for base in bases
+        for heading in np.arange(headings) * 2 * np.pi / headings
+    ]
+    return _best_refined(body, np.stack(candidates), frame, options or SETTLING)
+
+
+def _everyday_poses(body: Body) -> list[Array]:
+    """Standing and striding, with the arms swinging or both forearms up; (D,) each."""
+    s, out = body.skeleton, []
+    for forward, back in (("left", "right"), ("right", "left")):
+        pose = known_pose(body, "standing")
+        pose[s.dofs_of(f"{forward}_hip")[0]] -= 0.45
+        pose[s.dofs_of(f"{back}_hip")[0]] += 0.25
+        pose[s.dofs_of(f"{back}_knee")] += 0.5
+        for side, swing in ((back, -0.4), (forward, 0.4)):
+            shoulder = s.dofs_of(f"{side}_shoulder")
+            pose[shoulder] = so3_log(so3_exp([swing, 0, 0]) @ so3_exp(pose[shoulder]))
+            pose[s.dofs_of(f"{side}_elbow")] += 0.4
+        out.append(s.clamp(pose))
+    for pose in [known_pose(body, "standing"), *out]:
+        guard = pose.copy()
+        for side in ("left", "right"):
+            guard[s.dofs_of(f"{side}_shoulder")] = known_pose(body, "standing")[s.dofs_of(f"{side}_shoulder")]
+            guard[s.dofs_of(f"{side}_elbow")] += 1.6
+        out.append(s.clamp(guard))
+    return out
+
+
+def turned(pose: Array, heading: float) -> Array:
+    """The pose (D,) turned about the vertical through its root by heading (rad)."""
+    out = pose.copy()
+    out[3:6] = so3_log(so3_exp([0, 0, heading]) @ so3_exp(pose[3:6]))
+    return out
+
+
+RECOVERY_REACH = 1.3
+"""m: how far from the last pose a lost person is looked for; whoever is farther away is somebody else."""
+
+
+def recover(pose: Array, last: Array, frame: PreparedFrame, /) -> Array:
+    """The best pose (D,) after a loss: the given one, carried to the hull and turned, and known poses; refined.
+
+    Only the space within RECOVERY_REACH of the last pose (D,) in which the person was seen is looked at, and who is
+    solved to stand further away was only reached into: with nobody there the pose stays, so that another person in
+    view is not taken for the one who left.
+    """
+    body = frame.body
+    try:
+        hull = hull_of(frame, np.stack([last[:3] - RECOVERY_REACH, last[:3] + RECOVERY_REACH]))
+    except EvidenceError:
+        return pose
+    candidates = [pose]
+    for base in (pose, known_pose(body, "standing"), known_pose(body, "a")):
+        for heading in np.arange(8) * np.pi / 4:
+            candidates.append(_centred(body, turned(base, heading), hull))
+    found = _best_refined(body, np.stack(candidates), frame, SETTLING).pose
+    return found if np.linalg.norm(found[:3] - last[:3]) <= RECOVERY_REACH else pose
+
+
+def hull_of(frame: PreparedFrame, bounds: Array | None = None) -> Hull:
+    """The visual hull of a frame, inside bounds (2, 3) m (default: the cameras' common view); an EvidenceError naming
+    the frame when nothing is left of it."""
+    silhouettes = frame.frame.silhouettes
+    if silhouettes is None or frame.masks is None:
+        raise EvidenceError(f"Frame {frame.frame.index} has no usable silhouette to start from; choose another frame.")
+    hull = visual_hull(silhouettes, bounds)
+    if len(hull.points) == 0:
+        raise EvidenceError(
+            f"Frame {frame.frame.index}: the silhouettes of the views have no common volume; check the calibration and "
+            "the masks, or start from key points."
+        )
+    return hull
+
+
+def _centred(body: Body, pose: Array, hull: Hull) -> Array:
+    """The pose moved so that the mesh's centre lies at the hull's."""
+    vertices = body.skin(pose)
+    middle = 0.5 * (vertices.min(0) + vertices.max(0))
+    target = 0.5 * (hull.points.min(0) + hull.points.max(0))
+    out = pose.copy()
+    out[:3] += 0.5 * (target - middle) + 0.5 * (hull.centroid - vertices.mean(0))
+    return out
+
+
+def _best_refined(
+    body: Body, candidates: Array, frame: PreparedFrame, options: SolveOptions, tried: int = 16, keep: int = 4
+) -> PoseFit:
+    """Ranks candidates (N, D) by XOR, solves the `tried` best briefly and the `keep` best of those at length; gives
+    the best by XOR: a wrong heading may overlap better than the right one until the limbs have moved."""
+    order = np.argsort(xor_energy(body, candidates, frame), kind="stable")[:tried]
+    brief = SolveOptions(iterations=8, coarse_iterations=8)
+    moved = np.stack([f.pose for f in refine(body, candidates[order], frame, brief)])
+    order = np.argsort(xor_energy(body, moved, frame), kind="stable")[:keep]
+    fits = refine(body, moved[order], frame, options)
+    return fits[int(np.argmin(xor_energy(body, np.stack([f.pose for f in fits]), frame)))]

@@ -1,0 +1,17 @@
+import pytest
+
+from benchmarks.__main__ import app
+from hypose.app.cli import main
+
+
+@pytest.fixture
+def bench(capsys):
+    """bench(*arguments) -> (exit code, stdout, stderr) of the benchmarks' command line, run in this process."""
+
+    def run(*arguments):
+        with pytest.raises(SystemExit) as stopped:
+            main([str(a) for a in arguments], app, "benchmarks")
+        printed = capsys.readouterr()
+        return stopped.value.code or 0, printed.out, printed.err
+
+    return run

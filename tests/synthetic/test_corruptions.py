@@ -1,0 +1,127 @@
+import cv2
+import numpy as np
+import pytest
+
+from hypose.errors import InputError
+from hypose.synthetic.corruptions import (
+    CORRUPTIONS,
+    Corruptions,
+    corrupt_mask,
+    corruptions,
+    disturb_rig,
+    dropped_frames,
+    occluder_mesh,
+)
+from hypose.synthetic.rigs import rig
+
+
+@pytest.fixture
+def mask():
+    m = np.zeros((240, 320), np.uint8)
+    cv2.ellipse(m, (160, 120), (35, 90), 0, 0, 360, 1, -1)
+    return m
+
+
+def mean_change(mask, what, n=40, shadow=None):
+    s = np.zeros_like(mask) if shadow is None else shadow
+    out = [corrupt_mask(mask, s, what, np.random.default_rng(k)) for k in range(n)]
+    return np.mean([(o > mask).sum() for o in out]), np.mean([(o < mask).sum() for o in out])
+
+
+def test_clean_changes_nothing_and_input_stays(mask):
+    before = mask.copy()
+    out = corrupt_mask(mask, np.zeros_like(mask), Corruptions(), np.random.default_rng(0))
+    assert np.array_equal(out, mask) and out is not mask
+    corrupt_mask(mask, np.zeros_like(mask), CORRUPTIONS["level-2"], np.random.default_rng(0))
+    assert np.array_equal(mask, before)
+
+
+def test_jitter_moves_the_outline_both_ways_by_about_its_size(mask):
+    more, less = mean_change(mask, Corruptions(boundary_px=1.5))
+    outline = float(cv2.arcLength(cv2.findContours(mask, 0, cv2.CHAIN_APPROX_NONE)[0][0], True))
+    # E|N(0, s)| / 2 on either side of the outline; the noise has an sd of about 0.83
+    expected = 1.5 * 0.83 * 0.4 * outline
+    assert more == pytest.approx(expected, rel=0.25) and less == pytest.approx(expected, rel=0.25)
+    jittered = corrupt_mask(mask, mask * 0, Corruptions(boundary_px=1.5), np.random.default_rng(0))
+    far = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5) > 8
+    assert not (jittered[far]).any()
+
+
+def test_holes_only_take_blobs_only_add(mask):
+    more, less = mean_change(mask, Corruptions(holes=3.0))
+    assert more == 0 and 200 < less < 1500
+    more, less = mean_change(mask, Corruptions(blobs=4.0))
+    assert less == 0 and more > 200
+
+
+def test_shadow_share(mask):
+    shadow = np.zeros_like(mask)
+    shadow[190:235, 40:300] = 1
+    shadow &= 1 - mask
+    for share in (0.2, 0.5, 1.0):
+        more, less = mean_change(mask, Corruptions(shadow=share), shadow=shadow)
+        assert less == 0
+        assert more / shadow.sum() == pytest.approx(share, abs=0.1)
+
+
+def test_level_2_is_worse_than_level_1(mask):
+    one, two = (sum(mean_change(mask, CORRUPTIONS[f"level-{k}"])) for k in (1, 2))
+    assert two > 1.7 * one
+
+
+def test_half_size_is_half_as_rough(mask):
+    small = mask[::2, ::2].copy()
+    full = [corrupt_mask(mask, mask * 0, Corruptions(boundary_px=3), np.random.default_rng(k)) for k in range(30)]
+    half = [
+        corrupt_mask(small, small * 0, Corruptions(boundary_px=3), np.random.default_rng(k), 0.5) for k in range(30)
+    ]
+    a = np.mean([(f != mask).mean() for f in full])
+    b = np.mean([(h != small).mean() for h in half])
+    assert b == pytest.approx(a, rel=0.3)
+
+
+def test_empty_masks_are_survived():
+    empty = np.zeros((50, 60), np.uint8)
+    out = corrupt_mask(empty, empty, CORRUPTIONS["level-2"], np.random.default_rng(0))
+    assert out.shape == empty.shape
+
+
+def test_names_combine_and_unknown_ones_are_refused():
+    c = corruptions("level-1", "table", "desync")
+    assert (c.boundary_px, c.occluder, c.desync, c.dead_camera) == (1.5, "table", (0, 1, 0, 2), -1)
+    assert corruptions() == Corruptions()
+    with pytest.raises(InputError, match="level-1"):
+        corruptions("gremlins")
+    with pytest.raises(InputError, match="table and treadmill"):
+        occluder_mesh("sofa")
+
+
+def test_occluders_are_closed_boxes_outward():
+    for name in ("table", "treadmill"):
+        v, f = occluder_mesh(name)
+        a, b, c = (v[f[:, k]] for k in range(3))
+        assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6 > 0.005
+        assert v[:, 2].min() == 0
+
+
+def test_calibration_error_is_about_one_percent():
+    true = rig("humaneva-4")
+    focal, place, pixels = [], [], []
+    for seed in range(40):
+        off = disturb_rig(true, 0.01, np.random.default_rng(seed))
+        for a, b in zip(true, off, strict=True):
+            focal.append(b.K[0, 0] / a.K[0, 0] - 1)
+            place.append((b.position - a.position) / np.linalg.norm(a.position - [0, 0, 0.95]))
+            pixels.append(b.project([0.3, 0.2, 1.4]) - a.project([0.3, 0.2, 1.4]))
+            r = b.camera_from_world[:3, :3]
+            assert np.allclose(r @ r.T, np.eye(3))
+    assert np.std(focal) == pytest.approx(0.01, rel=0.2)
+    assert np.std(place) == pytest.approx(0.01, rel=0.2)
+    assert 1.5 < np.std(pixels) < 8
+    assert disturb_rig(true, 0.0, np.random.default_rng(0)) is true
+
+
+def test_dropped_share():
+    d = dropped_frames(20000, 0.08, np.random.default_rng(0))
+    assert d.mean() == pytest.approx(0.08, abs=0.02) and not d[0]
+    assert not dropped_frames(100, 0.0, np.random.default_rng(0)).any()

@@ -1,0 +1,65 @@
+"""A scene as it is filmed: the board where it should be in the picture, carried about and laid on the floor."""
+
+import numpy as np
+import pytest
+
+from hypose.app.cli import main
+from hypose.calibration.boards import make_detector
+from hypose.geometry import se3, so3_exp, transform
+from hypose.io.videos.video import open_video
+from hypose.synthetic.board_pictures import BoardPainter
+from hypose.synthetic.film_session import BOARD, carried_board, write_session
+from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import make_scene
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return make_scene("walk", "neutral", rig("humaneva-4", distorted=True), seconds=0.08, seed=3)
+
+
+def test_corners_are_seen_where_the_lens_puts_them(scene):
+    camera = scene.rig[1]
+    axes = camera.camera_from_world[:3, :3].T @ so3_exp([0.3, -0.4, 0.2])
+    pose = se3(axes, np.array([0.2, -0.1, 1.1]) - axes @ BOARD.points.mean(0))
+    picture = scene.room_frame(1, 0.0, -5, lambda p: BoardPainter(camera, BOARD)(p, pose))
+    found = make_detector(BOARD)(picture.mean(2).astype(np.uint8))
+    truth = camera.project(transform(pose, BOARD.points))
+    nearest = np.linalg.norm(found.pixels[:, None] - truth, axis=-1).min(1)
+    assert len(found.pixels) == len(truth) and nearest.max() < 0.2
+
+
+def test_what_is_behind_the_camera_or_turned_away_shows_no_pattern(scene):
+    camera, painter = scene.rig[0], BoardPainter(scene.rig[0], BOARD)
+    room = scene.room_frame(0, 0.0, -5)
+    away = se3(np.eye(3), 2 * camera.position)
+    assert (scene.room_frame(0, 0.0, -5, lambda p: painter(p, away)) == room).all()
+    axes = camera.camera_from_world[:3, :3].T @ np.diag([1.0, -1.0, -1.0])
+    back = se3(axes, np.array([0.0, 0.0, 1.0]))
+    picture = scene.room_frame(0, 0.0, -5, lambda p: painter(p, back))
+    changed = np.abs(picture.astype(int) - room).max(2) > 20
+    assert changed.sum() > 1000 and picture[changed].std() < 25
+
+
+def test_the_board_is_carried_held_and_laid_down(rng):
+    poses = carried_board(BOARD, rng)
+    moved = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    assert (moved < 0.9).all() and (moved == 0).mean() > 0.3
+    np.testing.assert_allclose(poses[-20], np.diag([1.0, -1.0, -1.0, 1.0]), atol=1e-9)
+
+
+def test_a_session_is_videos_and_the_truth(tmp_path):
+    small = make_scene("walk", "neutral", rig("ring-1").scaled(0.2), seconds=0.08, seed=3)
+    write_session(small, tmp_path)
+    lengths = {}
+    for name in ("board", "empty", "walk"):
+        with open_video(tmp_path / name / f"{small.rig[0].name}.mp4") as video:
+            lengths[name] = len(video)
+    assert lengths["walk"] == 2 and lengths["empty"] == 50 and lengths["board"] > 300
+    assert {p.name for p in tmp_path.iterdir()} == {"board", "empty", "walk", "truth.npz"}
+
+
+def test_key_points_are_not_filmed(tmp_path, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(["synth", str(tmp_path / "s"), "--raw", "--keypoints"])
+    assert stopped.value.code == 2 and "leave one of the two out" in " ".join(capsys.readouterr().err.split())

@@ -1,0 +1,56 @@
+"""The simulated person who moves as it is asked to."""
+
+import numpy as np
+import pytest
+
+from hypose.errors import InputError
+from hypose.synthetic.gesture_live import live_person
+
+RATE = 8.0
+
+
+@pytest.fixture(scope="module")
+def frames():
+    """2 s of other movement, 3 s of the gesture, 1 s of other movement: (asked, frame)."""
+    person = live_person(0, "tee", np.random.default_rng(5), RATE)
+    out = [(False, next(person))]
+    for k in range(1, int(6 * RATE)):
+        asked = 2 * RATE <= k < 5 * RATE
+        out.append((asked, person.send(asked)))
+    return out
+
+
+def test_it_does_the_gesture_when_asked_and_only_then(frames):
+    wanted = [f for asked, f in frames if asked]
+    assert all(f.point is None for asked, f in frames if not asked)
+    # on its way for at most a second, then the gesture is there nearly all the time
+    late = wanted[int(RATE) :]
+    assert sum(f.point is not None for f in late) >= 0.7 * len(late)
+    assert all(0 < f.point[0] < 640 and 0 < f.point[1] < 480 for f in late if f.point)
+
+
+def test_what_shows_neither_is_not_clear(frames):
+    first = next(k for k, (asked, _) in enumerate(frames) if asked)
+    assert frames[0][1].clear and not frames[first][1].clear
+    last = max(k for k, (asked, _) in enumerate(frames) if asked)
+    assert not frames[last + 1][1].clear
+    assert all(f.clear for _, f in frames if f.point is not None)
+
+
+def test_neighbouring_frames_are_alike_and_the_room_stands_still(frames):
+    depth = np.stack([f.depth for _, f in frames])
+    assert depth.shape[1:] == (480, 640) and depth.dtype == np.uint16
+    change = [np.abs(a.astype(int) - b).astype(float) for a, b in zip(depth, depth[1:], strict=False)]
+    assert max(float((c > 200).mean()) for c in change) < 0.08
+
+
+def test_the_same_seed_is_the_same_person():
+    a, b = (next(live_person(3, "ok", np.random.default_rng(1), RATE)).depth for _ in range(2))
+    np.testing.assert_array_equal(a, b)
+
+
+def test_who_and_what_must_exist():
+    with pytest.raises(InputError, match="0 to 17"):
+        live_person(99, "tee", np.random.default_rng(0), RATE)
+    with pytest.raises(InputError, match="gestures are"):
+        live_person(0, "dance", np.random.default_rng(0), RATE)

@@ -1,0 +1,185 @@
+"""The simulated depth sensor and the people in front of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hypose.compute.depth_forests import depth_sensor
+from hypose.errors import InputError
+from hypose.gestures.depth_pictures import KINECT, surface_depth
+from hypose.synthetic.gesture_metrics import area_under_curve, average_precision
+from hypose.synthetic.gesture_people import FINGERS, SIDES, Puppet, load_people
+from hypose.synthetic.gesture_poses import GESTURES, UNSEEN, apply, continuous, gesture, unseen
+from hypose.synthetic.gesture_scenes import CLUTTERED, TRAINING, Setting, handedness, make_room, make_view, picture
+
+LENS = (KINECT.fx, KINECT.fy, KINECT.cx, KINECT.cy)
+
+
+def wall(depth, step=None):
+    points = np.array([[-5, -5, depth], [5, -5, depth], [5, 5, depth], [-5, 5, depth]], float)
+    inverse = np.zeros((480, 640), np.float32)
+    depth_sensor.draw(points, np.array([[0, 1, 2], [0, 2, 3]], np.int32), LENS, inverse)
+    return inverse
+
+
+def test_drawing_is_exact_on_planes():
+    np.testing.assert_allclose(wall(2.0), 0.5, rtol=1e-6)
+    # a slanted plane z = 2 + 0.5 x
+    points = np.array([[x, y, 2 + 0.5 * x] for x, y in ((-2, -2), (2, -2), (2, 2), (-2, 2))], float)
+    inverse = np.zeros((480, 640), np.float32)
+    depth_sensor.draw(points, np.array([[0, 1, 2], [0, 2, 3]], np.int32), LENS, inverse)
+    u = (np.arange(640) - KINECT.cx) / KINECT.fx
+    np.testing.assert_allclose(inverse[240, 150:490], ((1 - 0.5 * u) / 2)[150:490], rtol=2e-4)
+
+
+def test_nearer_surfaces_hide_farther_ones():
+    inverse = wall(3.0)
+    before = wall(1.5)
+    np.testing.assert_array_equal(np.maximum(inverse, before), before)
+
+
+def test_the_sensor_is_right_on_average_and_coarser_far_away():
+    rng = np.random.default_rng(0)
+    spread = []
+    for z in (1.0, 2.0, 4.0):
+        d = depth_sensor.sense(wall(z), KINECT.fx, rng)
+        measured = d[d > 0]
+        assert abs(measured.mean() - 1000 * z) < 6 * z
+        assert 0.9 < (d > 0).mean() < 1
+        spread.append(measured.std())
+        # steps of an eighth of a pixel of disparity
+        values = np.unique(measured)
+        steps = np.diff(KINECT.fx * 75 / values[::-1])
+        assert np.round(steps * 8).min() >= 1
+    assert spread[0] < spread[1] < spread[2]
+
+
+def test_the_projector_throws_a_shadow_on_one_side():
+    inverse = wall(2.5)
+    inverse[100:300, 250:350] = 1 / 1.2
+    d = depth_sensor.sense(inverse, KINECT.fx, np.random.default_rng(0))
+    shadow = round(KINECT.fx * 0.075 * (1 / 1.2 - 1 / 2.5))
+    right, left = d[150:250, 355 : 350 + shadow - 5], d[150:250, 245 - shadow : 245]
+    assert (right > 0).mean() < 0.1 and (left > 0).mean() > 0.9
+    assert (d[150:250, 260:340] > 0).mean() > 0.9  # the near thing itself is seen
+
+
+def test_nothing_within_range_is_a_hole():
+    d = depth_sensor.sense(wall(9.0), KINECT.fx, np.random.default_rng(0))
+    assert (d == 0).all()
+
+
+def test_people_have_two_hands_and_no_two_are_alike():
+    people = load_people()
+    assert len(people) == 18
+    heights = [float(np.ptp(p.vertices[:, 2])) for p in people]
+    assert len(set(np.round(heights, 3))) == 18 and 1.45 < min(heights) and max(heights) < 2.0
+    for p in people[:3]:
+        np.testing.assert_allclose(p.weights.sum(1), 1, atol=1e-4)
+        for k, side in enumerate(SIDES):
+            along, palm, length = p.hand_axes(side)
+            assert abs(along @ palm) < 1e-9 and 0.07 < length < 0.13
+            # the palms of hanging arms look at the thighs or backward, never outward
+            assert palm[0] * (1 if side == "left" else -1) < 0.5
+            for f in range(5):
+                tip = p.ends[k, f]
+                assert np.linalg.norm(p.vertices - tip, axis=1).min() < 0.02, (side, FINGERS[f])
+
+
+def test_the_rest_pose_is_the_identity():
+    person = load_people()[0]
+    np.testing.assert_allclose(Puppet(person).skin(), person.vertices, atol=1e-4)
+
+
+def test_ok_brings_thumb_and_index_together_and_a_fist_closes():
+    person = load_people()[2]
+    for leading in SIDES:
+        puppet = Puppet(person)
+        gesture(puppet, "ok", np.random.default_rng(0), leading)
+        assert np.linalg.norm(puppet.finger_end(leading, 0) - puppet.finger_end(leading, 1)) < 0.03
+        gesture(puppet, "volume_up", np.random.default_rng(0), leading)
+        wrist = puppet.at(f"{leading}_wrist")
+        assert np.linalg.norm(puppet.finger_end(leading, 2) - wrist) < 0.11  # bent to the palm
+        assert (puppet.finger_end(leading, 0) - wrist)[2] > 0.05  # the thumb up
+
+
+def test_in_tee_the_fingers_of_the_upright_hand_meet_the_flat_one():
+    for number, person in enumerate(load_people()):
+        lead = handedness(number)
+        for seed in (3, 4):
+            puppet = Puppet(person)
+            gesture(puppet, "tee", np.random.default_rng(seed), lead)
+            tip = puppet.finger_end("left" if lead == "right" else "right", 2)
+            bones = [k for k, n in enumerate(person.joint_names) if n.startswith(lead) and n[-1] in "t123"]
+            flat = puppet.skin()[person.weights[:, bones].sum(1) > 0.6]
+            up = puppet.rotation(f"{lead}_wrist") @ -person.hand_axes(lead)[1]
+            height = (flat - tip) @ up
+            above = height[np.linalg.norm(flat - tip - height[:, None] * up, axis=1) < 0.015]
+            assert above.min() > -0.02 and 0.01 < above.max() < 0.03, (number, seed)  # at the palm, not through it
+
+
+@pytest.mark.parametrize("name", GESTURES)
+def test_the_annotated_point_lies_on_what_is_seen(name):
+    rng = np.random.default_rng(3)
+    for person in (3, 12):  # left-handed; short arms
+        frame = picture(person, name, TRAINING, rng)
+        assert frame.gesture == GESTURES.index(name) + 1
+        d = surface_depth(frame.depth, frame.x, frame.y)
+        assert d is not None and abs(d / 1000 - frame.position[2]) < 0.06
+        np.testing.assert_allclose(KINECT.point(frame.x, frame.y, frame.position[2]), frame.position, atol=1e-6)
+
+
+def test_left_handed_people_mirror_the_gesture():
+    assert handedness(3) == "left" and handedness(2) == "right"
+    points = {}
+    for leading in SIDES:
+        puppet = Puppet(load_people()[0])
+        _, point = gesture(puppet, "pause", np.random.default_rng(0), leading, 0.0)
+        points[leading] = point
+    np.testing.assert_allclose(points["left"] * [-1, 1, 1], points["right"], atol=0.02)
+
+
+def test_unseen_kinds_and_clutter_render():
+    rng = np.random.default_rng(5)
+    for kind in UNSEEN:
+        apply(Puppet(load_people()[4]), unseen(Puppet(load_people()[4]), kind, rng))
+    frame = picture(13, "movement", CLUTTERED, rng, [14])
+    assert frame.gesture == 0 and np.isnan(frame.x) and (frame.depth > 0).mean() > 0.5
+    with pytest.raises(InputError, match="kinds are"):
+        unseen(Puppet(load_people()[4]), "dance", rng)
+
+
+def test_movement_is_continuous():
+    puppet = Puppet(load_people()[0])
+    last, jumps = None, []
+    for frame in continuous(puppet, np.random.default_rng(1), 3.0, 30.0):
+        apply(puppet, frame)
+        hand = puppet.at("right_wrist")
+        if last is not None:
+            jumps.append(np.linalg.norm(hand - last))
+        last = hand
+    assert len(jumps) == 89 and max(jumps) < 0.12
+
+
+def test_the_same_seed_gives_the_same_picture():
+    a, b = (picture(1, "tee", TRAINING, np.random.default_rng(9)) for _ in range(2))
+    np.testing.assert_array_equal(a.depth, b.depth)
+
+
+def test_a_fixed_camera_shows_the_same_room():
+    rng = np.random.default_rng(2)
+    setting = Setting.new(make_room(rng, "furnished"), make_view(rng, 2.0))
+    assert setting.behind.shape == (480, 640) and (setting.behind > 0).mean() > 0.9
+
+
+def test_average_precision_and_area_on_a_ranking_worked_out_by_hand():
+    scores = np.array([0.9, 0.8, 0.7, 0.6, 0.0])
+    correct = np.array([True, False, True, False, True])
+    # precision at the hits: 1, 2/3; the fifth is no detection; four positives
+    assert average_precision(scores, correct, 4) == pytest.approx((1 + 2 / 3) / 4)
+    # recall 1/4 at 1 - precision 0 .. 1/3, then 1/2
+    assert area_under_curve(scores, correct, 4) == pytest.approx(1 / 4 * 1 / 3 + 1 / 2 * 2 / 3)
+    assert average_precision(np.zeros(3), np.ones(3, bool), 3) == 0
+    # equal scores: the wrong one counts first
+    assert average_precision(np.ones(2), np.array([True, False]), 1) == 0.5

@@ -1,0 +1,143 @@
+import numpy as np
+import pytest
+
+from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.errors import InputError
+from hypose.geometry import so3_exp
+from hypose.synthetic.metrics import (
+    EVALUATED,
+    EVALUATED_JOINTS,
+    bone_length_sd,
+    carriers,
+    coverage,
+    definition_offsets,
+    fitted_offsets,
+    flexion_errors,
+    joint_angle_errors,
+    joint_errors,
+    root_aligned_errors,
+    with_offsets,
+)
+from hypose.synthetic.motions import act
+
+
+def test_fifteen_joints():
+    assert len(EVALUATED_JOINTS) == 15 == len(set(EVALUATED_JOINTS))
+    assert [JOINT_NAMES[j] for j in EVALUATED] == list(EVALUATED_JOINTS)
+
+
+def test_errors_by_hand():
+    truth = np.zeros((4, 19, 3))
+    estimated = np.zeros((4, 19, 3))
+    estimated[:, :, 0] = np.array([0.01, 0.03, 0.05, 0.15])[:, None]  # frame means 10, 30, 50, 150 mm
+    e = joint_errors(estimated, truth)
+    assert e.mean == pytest.approx(0.06)
+    assert e.sd == pytest.approx(np.std([0.01, 0.03, 0.05, 0.15]))
+    assert e.median == pytest.approx(0.04)
+    assert e.lost_share == 0.25
+    assert e.per_joint["head"] == pytest.approx(0.06)
+    assert root_aligned_errors(estimated, truth).mean == pytest.approx(0.0)
+
+
+def test_one_lost_hand_shows_in_p95_and_unlisted_joints_do_not_count():
+    truth, estimated = np.zeros((10, 19, 3)), np.zeros((10, 19, 3))
+    estimated[:, JOINT_NAMES.index("left_wrist"), 1] = 0.3
+    estimated[:, JOINT_NAMES.index("spine"), 1] = 9.0
+    e = joint_errors(estimated, truth)
+    assert e.mean == pytest.approx(0.3 / 15) and e.median == 0
+    assert e.p95 == pytest.approx(0.3)
+    assert e.per_joint["left_wrist"] == pytest.approx(0.3)
+
+
+def test_missing_frames_are_left_out():
+    truth, estimated = np.zeros((3, 19, 3)), np.full((3, 19, 3), 0.0)
+    estimated[:, :, 2] = 0.02
+    truth[1] = np.nan
+    assert joint_errors(estimated, truth).mean == pytest.approx(0.02)
+
+
+def test_fixed_offsets_are_found_in_the_segments_frames_and_removed(person):
+    p = act("box", person, 2.0, 25.0, np.random.default_rng(0))
+    offsets = np.random.default_rng(1).normal(0, 0.02, (19, 3))
+    truth = with_offsets(p.joints, p.rotations, offsets)
+    found = fitted_offsets(p.joints, p.rotations, truth)
+    assert np.allclose(found, offsets, atol=1e-12)
+    assert joint_errors(p.joints, truth, found, p.rotations).mean < 1e-12
+    assert joint_errors(p.joints, truth).mean > 0.01
+    with pytest.raises(InputError, match="rotations"):
+        joint_errors(p.joints, truth, found)
+
+
+def test_offsets_are_carried_by_the_segment_before_the_joint():
+    c = carriers()
+    assert c[JOINT_NAMES.index("left_elbow")] == JOINT_NAMES.index("left_shoulder")
+    assert c[0] == 0 and c[JOINT_NAMES.index("head")] == JOINT_NAMES.index("head")
+
+
+def test_definition_offsets_know_scale_and_place_but_no_subject(person):
+    moved = person.joints * 1.1 + [0.1, 0.2, -0.3]
+    assert np.allclose(definition_offsets(person.joints, moved, 1.7, 1.87), 0, atol=1e-12)
+    other = person.joints.copy()
+    k = JOINT_NAMES.index("neck")
+    other[k, 2] += 0.034
+    found = definition_offsets(person.joints, other, 1.7, 1.7)
+    assert found[k, 2] == pytest.approx(0.02 * 14 / 15)
+    assert np.abs(found[:, :2]).max() < 1e-12
+
+
+def test_definition_offsets_do_not_mistake_posture_for_definition(person):
+    other = person.joints.copy()
+    for a in (6, 7):  # the same arm, raised
+        other[a + 1] = other[a] + so3_exp([0.0, -0.8, 0.0]) @ (person.joints[a + 1] - person.joints[a])
+    assert np.abs(definition_offsets(person.joints, other, 1.7, 1.7)).max() < 1e-9
+
+
+def test_coverage_of_normal_errors_is_the_level():
+    rng = np.random.default_rng(0)
+    truth = np.zeros((4000, 2, 3))
+    sd = np.full((4000, 2), 0.03)
+    estimated = truth + rng.normal(0, 1, truth.shape) * np.array([0.03, 0.06])[None, :, None]
+    c = coverage(estimated, sd, truth)
+    for level in (0.5, 0.9, 0.95):
+        assert c[level][0] == pytest.approx(level, abs=0.025)
+        assert c[level][1] < level - 0.1
+    full = coverage(estimated, np.eye(3) * 0.03**2 * np.ones((4000, 2, 1, 1)), truth)
+    assert np.allclose(full[0.9], c[0.9])
+    sd[:, 1] = np.nan
+    assert np.isnan(coverage(estimated, sd, truth)[0.9][1])
+
+
+def test_joint_angles_count_only_where_the_joint_turns(person):
+    p = act("wave", person, 1.0, 25.0)
+    bent = p.rotations.copy()
+    knee = JOINT_NAMES.index("left_knee")
+    for j in (knee, knee + 1):  # the shank and the foot with it
+        bent[:, j] = bent[:, knee - 1] @ so3_exp([0.2, 0, 0]) @ np.swapaxes(bent[:, knee - 1], -1, -2) @ bent[:, j]
+    e = joint_angle_errors(bent, p.rotations)
+    assert np.allclose(e[:, knee], 0.2)
+    assert np.allclose(np.delete(e, knee, axis=1), 0, atol=1e-7)
+    # another rest pose of the same body changes nothing once it is said
+    rest = so3_exp(np.random.default_rng(0).normal(size=(19, 3)))
+    assert np.abs(joint_angle_errors(p.rotations @ rest, p.rotations, rest)).max() < 1e-7
+
+
+def test_flexion_by_hand():
+    truth = np.zeros((1, 19, 3))
+    s = JOINT_NAMES.index("left_shoulder")
+    truth[0, s + 1], truth[0, s + 2] = [0, 0, -0.3], [0, 0, -0.55]
+    estimated = truth.copy()
+    estimated[0, s + 2] = [0, -0.25, -0.3]
+    e = flexion_errors(estimated, truth)
+    assert e["left_elbow"][0] == pytest.approx(np.pi / 2)
+    assert e["right_knee"][0] == 0
+
+
+def test_bone_length_sd_by_hand():
+    joints = np.zeros((2, 2, 3))
+    joints[:, 1, 0] = [0.3, 0.34]
+    assert bone_length_sd(joints, [-1, 0]) == pytest.approx([0.0, 0.02])
+
+
+def test_different_frames_are_refused():
+    with pytest.raises(InputError, match="the same frames"):
+        joint_errors(np.zeros((3, 19, 3)), np.zeros((4, 19, 3)))

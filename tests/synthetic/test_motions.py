@@ -1,0 +1,140 @@
+import numpy as np
+import pytest
+
+from hypose.body.ready_bodies import PARENTS
+from hypose.errors import InputError
+from hypose.geometry import so3_log
+from hypose.synthetic.gait import walk
+from hypose.synthetic.motions import MOTIONS, act
+from hypose.synthetic.performance import Angles, chain, hanging_from_rest, perform, soles
+
+
+@pytest.fixture(scope="module")
+def shows(person):
+    return {n: act(n, person, 6.0, 50.0, np.random.default_rng(3)) for n in MOTIONS}
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_length_and_rate(shows, name):
+    p = shows[name]
+    assert len(p) == 300 and p.frame_rate == pytest.approx(50.0)
+    assert np.allclose(p.rotations @ np.swapaxes(p.rotations, -1, -2), np.eye(3), atol=1e-9)
+    assert np.allclose(np.linalg.det(p.rotations), 1)
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_no_jumps(shows, name):
+    """People's joints stay below about 10 m/s and 200 m/s^2; a jump of 1 cm between two frames would be 25 m/s^2 more
+    at 50 Hz, of 10 cm 250."""
+    v = np.diff(shows[name].joints, axis=0) * 50
+    assert np.linalg.norm(v, axis=-1).max() < 11
+    assert np.linalg.norm(np.diff(v, axis=0), axis=-1).max() * 50 < 200
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_on_the_ground(shows, name, person):
+    p = shows[name]
+    low = np.array([person.skin(p.rotations[t], p.root[t])[:, 2].min() for t in range(0, len(p), 5)])
+    flight = 0.07 if name in ("jog", "combo") else 0.03
+    assert low.min() > -0.015
+    assert low.max() < flight
+    assert np.median(low) < 0.02
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_joints_stay_within_what_joints_can_do(shows, name, person):
+    p = shows[name]
+    r = p.rotations @ np.swapaxes(hanging_from_rest(person), -1, -2)
+    local = np.swapaxes(r[:, PARENTS[1:]], -1, -2) @ r[:, 1:]
+    angle = np.degrees(np.linalg.norm(so3_log(local), axis=-1))  # (T, 18): joints 1..18
+    for joints, most in (
+        ((1, 2, 3, 4), 35),
+        ((5, 9), 25),
+        ((6, 10), 179),
+        ((7, 11), 150),
+        ((13, 16), 125),
+        ((14, 17), 140),
+    ):
+        assert angle[:, [j - 1 for j in joints]].max() < most
+    for knee in (14, 17):  # knees bend backwards only
+        assert np.degrees(so3_log(local[:, knee - 1])[:, 0]).min() > -2
+    for elbow in (7, 11):  # elbows forwards only
+        assert np.degrees(so3_log(local[:, elbow - 1])[:, 0]).max() < 3
+
+
+def test_walking_swings_the_arms_against_the_legs_and_the_feet_do_not_slide(person):
+    p = act("walk", person, 4.0, 50.0)
+    forward = p.rotations[:, 0] @ np.array([0.0, -1.0, 0.0])
+
+    def ahead(j):
+        return ((p.joints[:, j] - p.joints[:, 0]) * forward).sum(-1)
+
+    assert np.corrcoef(ahead(8), ahead(15))[0, 1] < -0.8
+    assert np.corrcoef(ahead(8), ahead(18))[0, 1] > 0.8
+    speed = np.linalg.norm(np.diff(p.root[:, :2], axis=0), axis=1) * 50
+    assert 0.9 < speed.mean() < 1.6
+    # one foot stands: the slower of the two soles' lowest points hardly moves over the ground
+    straight = walk(person, 4.0, 50.0, radius=np.inf)
+    motion = np.linalg.norm(soles(person, straight.rotations, straight.joints)[1][..., :2], axis=-1) * 50
+    assert np.median(motion.min(1)) < 0.15 * speed.mean()
+    assert np.percentile(motion.min(1), 95) < 0.5 * speed.mean()
+
+
+def test_walking_straight_goes_where_the_body_faces(person):
+    p = walk(person, 3.0, 25.0, radius=np.inf)
+    way = p.root[-1] - p.root[0]
+    assert way[1] < -2.5 and abs(way[0]) < 0.1
+
+
+def test_boxing_keeps_the_feet_planted(person):
+    p = act("box", person, 3.0, 25.0, np.random.default_rng(0))
+    assert np.ptp(p.joints[:, [15, 18]], axis=0).max() < 0.08
+    reach = np.linalg.norm(p.joints[:, [8, 12]] - p.joints[:, [6, 10]], axis=-1)
+    assert np.ptp(reach, axis=0).min() > 0.2  # both arms strike
+
+
+def test_sitting_is_lower_and_amplitude_and_speed_count(person):
+    a, b = act("sit_down", person, 4.0, 25.0), act("sit_down", person, 4.0, 25.0, amplitude=0.5)
+    drop = np.ptp(a.root[:, 2])
+    assert 0.3 < drop < 0.6 and np.ptp(b.root[:, 2]) < 0.75 * drop
+    slow, fast = act("walk", person, 4.0, 25.0, speed=0.8), act("walk", person, 4.0, 25.0, speed=1.2)
+
+    def path(p):
+        return np.linalg.norm(np.diff(p.root[:, :2], axis=0), axis=1).sum()
+
+    assert path(fast) > 1.3 * path(slow)
+
+
+def test_rates_show_the_same_motion(person):
+    a, b = (
+        act("wave", person, 2.0, 25.0, np.random.default_rng(5)),
+        act("wave", person, 2.0, 50.0, np.random.default_rng(5)),
+    )
+    assert np.abs(a.joints - b.joints[::2][: len(a)]).max() < 0.01
+
+
+def test_seeds_repeat_and_differ(person):
+    a, b, c = (act("walk", person, 2.0, 25.0, np.random.default_rng(s)) for s in (1, 1, 2))
+    assert np.array_equal(a.joints, b.joints)
+    assert np.abs(a.joints - c.joints).max() > 0.02
+
+
+def test_chain_starts_where_the_part_before_ends(person):
+    parts = [act("walk", person, 2.0, 25.0), act("box", person, 2.0, 25.0)]
+    p = chain("both", parts, person, 0.4)
+    assert len(p) == 100 - 10
+    assert np.linalg.norm(np.diff(p.joints, axis=0), axis=-1).max() * 25 < 8
+
+
+def test_unknown_names_are_refused_with_the_list(person):
+    with pytest.raises(InputError, match="walk, jog, box"):
+        act("fly", person, 1.0, 25.0)
+    with pytest.raises(AssertionError):
+        Angles("x", np.arange(3.0), {"left_wing": np.zeros(3)})
+    with pytest.raises(InputError, match="positive duration"):
+        act("walk", person, 0.0, 25.0)
+
+
+def test_standing_still_stands_still(person):
+    p = perform(Angles("stand", np.arange(10) / 25, {}), person)
+    assert np.ptp(p.joints, axis=0).max() < 1e-9

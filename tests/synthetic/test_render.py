@@ -1,0 +1,74 @@
+import numpy as np
+import pytest
+
+from hypose.compute.pictures.render import blend_shaded, darken, expose, interpolate, rasterize, silhouette
+from hypose.synthetic.motions import act
+from hypose.synthetic.rigs import rig
+
+
+def test_interpolation_is_perspective_correct():
+    """A slanted floor-like triangle: interpolated world points project back to the pixels they were drawn at."""
+    camera = rig("ring-1")[0]
+    v = np.array([[-1.0, -1.0, 0.0], [1.2, -0.9, 0.1], [0.1, 1.5, 1.2]])
+    z = v @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
+    f = np.array([[0, 1, 2]], np.int32)
+    depth, face, bary = rasterize(camera.project_pinhole(v), z, f, camera.size, cull=False)
+    drawn = face >= 0
+    assert drawn.sum() > 5000
+    points = interpolate(face[drawn], bary[drawn], f, v).astype(float)
+    rows, columns = np.nonzero(drawn)
+    assert np.abs(camera.project_pinhole(points) - np.stack([columns, rows], 1)).max() < 0.01
+    assert np.abs(points @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3] - depth[drawn]).max() < 1e-4
+
+
+def test_the_nearer_face_wins_and_faces_from_behind_are_culled():
+    v = np.array([[0, 0], [9, 0], [0, 9], [0, 0], [9, 0], [0, 9]], float)
+    z = np.array([2.0, 2, 2, 1, 1, 1])
+    f = np.array([[0, 2, 1], [3, 5, 4]], np.int32)
+    depth, face, _ = rasterize(v, z, f, (10, 10))
+    assert face[2, 2] == 1 and depth[2, 2] == 1 and face[9, 9] == -1 and np.isinf(depth[9, 9])
+    assert rasterize(v, z, f[:, ::-1], (10, 10))[1].max() == -1
+    assert rasterize(v, z * 0, f, (10, 10))[1].max() == -1  # at the camera: not drawn
+
+
+def test_both_rasterizers_agree_on_a_body(person):
+    p = act("box", person, 1.0, 10.0, np.random.default_rng(0))
+    v = person.skin(p.rotations[5], p.root[5])
+    for camera in rig("humaneva-4"):
+        uv = camera.project_pinhole(v)
+        z = v @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
+        mask = silhouette(uv, z, person.faces, camera.size)
+        drawn = rasterize(uv, z, person.faces, camera.size)[1] >= 0
+        assert mask.sum() > 5000
+        assert (drawn != (mask > 0)).sum() <= 3  # rounding of pixels exactly on an edge
+        soft = silhouette(uv, z, person.faces, camera.size, supersample=3)
+        assert soft.sum() == pytest.approx(mask.sum(), rel=0.01)
+        assert ((soft > 0.5) != (mask > 0)).sum() < 0.05 * mask.sum()
+
+
+def test_shading_blends_by_coverage():
+    v = np.array([[-1, -1], [-1, 9], [5.49, -1], [5.49, 9]], float)
+    f = np.array([[0, 1, 2], [2, 1, 3]], np.int32)
+    s = 2
+    _, face, bary = rasterize((v + 0.5) * s - 0.5, np.ones(4), f, (8 * s, 8 * s))
+    picture = np.full((8, 8, 3), 100, np.float32)
+    values = np.column_stack([np.full((4, 3), 200.0), np.ones(4), np.zeros(4)])
+    blend_shaded(picture, face, bary, f, values, s, (0.25, 0.5, 0.1))
+    assert np.allclose(picture[3, 3], 150) and np.allclose(picture[3, 7], 100)
+    half = v.copy()
+    half[2:, 0] = 5.0
+    _, face, bary = rasterize((half + 0.5) * s - 0.5, np.ones(4), f, (8 * s, 8 * s))
+    picture[:] = 100
+    blend_shaded(picture, face, bary, f, values, s, (0.25, 0.5, 0.1))
+    assert np.allclose(picture[3, 5], 125)
+
+
+def test_darkening_and_exposure_by_hand():
+    picture = np.full((2, 2, 3), 100, np.float32)
+    where = np.array([[True, False], [True, True]])
+    darken(picture, np.array([[1, 1], [0.5, 0]], np.float32), where, 0.4)
+    assert np.allclose(picture[..., 0], [[60, 100], [80, 100]])
+    noise = np.zeros((2, 2, 3), np.int16)
+    noise[0, 0], noise[1, 1] = -200, 250
+    out = expose(picture, [1.0, 1.1, 2.0], noise)
+    assert out[0, 1].tolist() == [100, 110, 200] and out[0, 0].tolist() == [0, 0, 0] and out[1, 1, 2] == 255

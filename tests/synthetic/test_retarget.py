@@ -1,0 +1,45 @@
+import numpy as np
+import pytest
+
+from hypose.errors import InputError
+from hypose.synthetic.retarget import retarget
+
+
+@pytest.fixture
+def mocap(shared_data):
+    return shared_data("mocap")
+
+
+@pytest.mark.parametrize(("clip", "speed", "flies"), [("02_01", 1.3, False), ("02_03", 3.0, True)])
+def test_captured_walk_and_run(mocap, person, clip, speed, flies):
+    p = retarget(mocap / "02.asf", mocap / f"{clip}.amc", person, 25.0, keep_trend=1.0)
+    assert p.frame_rate == pytest.approx(25.0)
+    way = p.root[-1, :2] - p.root[0, :2]
+    assert np.linalg.norm(way) / p.times[-1] == pytest.approx(speed, rel=0.25)
+    facing = (p.rotations[:, 0] @ np.array([0.0, -1.0, 0.0])).mean(0)[:2]
+    assert facing @ way / np.linalg.norm(way) > 0.9  # it runs where it faces
+    low = np.array([person.skin(p.rotations[t], p.root[t])[:, 2].min() for t in range(len(p))])
+    assert low.min() > -0.01 and np.median(low) < 0.02
+    assert (low.max() > 0.03) == flies
+    assert (p.joints[:, 4, 2] > p.joints[:, 0, 2] + 0.4).all()  # head up
+    knees = p.joints[:, [14, 17]] - (p.joints[:, [13, 16]] + p.joints[:, [15, 18]]) / 2
+    forward = p.rotations[:, :1] @ np.array([0.0, -1.0, 0.0])
+    assert (knees * forward).sum(-1).min() > -0.03  # knees bend forwards
+
+
+def test_trend_is_reduced_and_rates_agree(mocap, person):
+    files = mocap / "02.asf", mocap / "02_01.amc"
+    whole = retarget(*files, person, 25.0, keep_trend=1.0)
+    spot = retarget(*files, person, 25.0, keep_trend=0.0)
+    assert np.ptp(spot.root[:, :2], axis=0).max() < 0.25 * np.ptp(whole.root[:, :2], axis=0).max()
+    assert np.array_equal(spot.rotations, whole.rotations)
+    fast = retarget(*files, person, 50.0, keep_trend=0.0)
+    assert np.abs(fast.rotations[::2][: len(spot)] - spot.rotations).max() < 1e-9
+    part = retarget(*files, person, 25.0, start=1.0, seconds=1.0)
+    assert len(part) == 25
+    assert np.allclose(part.rotations[0], whole.rotations[25], atol=1e-9)
+
+
+def test_a_start_beyond_the_clip_is_refused(mocap, person):
+    with pytest.raises(InputError, match="lies outside"):
+        retarget(mocap / "02.asf", mocap / "02_01.amc", person, start=100.0)

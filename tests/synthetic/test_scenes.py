@@ -1,0 +1,194 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.compute.pictures.render import silhouette
+from hypose.errors import InputError
+from hypose.synthetic.motions import act
+from hypose.synthetic.rigs import RIG_NAMES, rig
+from hypose.synthetic.scenes import make_scene
+
+RIGS = [n.replace("ring-N", "ring-6") for n in RIG_NAMES]
+
+
+def scene(person, what=(), **more):
+    return make_scene("walk", person, "humaneva-4", seconds=1.0, seed=3, corruption=what, **more)
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_rigs_see_the_whole_body(person, name):
+    """Standing with raised arms anywhere within 0.8 m of the centre."""
+    p = act("wave", person, 2.0, 10.0)
+    v = np.concatenate([person.skin(p.rotations[t], p.root[t]) for t in (0, 8, 12)])
+    for camera in rig(name):
+        for a in np.linspace(0, 6.28, 8):
+            uv = camera.project(v + [0.8 * np.cos(a), 0.8 * np.sin(a), 0])
+            assert (uv >= 0).all() and (uv <= np.array(camera.size) - 1).all(), (camera.name, a)
+
+
+def test_apparent_sizes(person):
+    for name, low, high in (("humaneva-4", 220, 330), ("court-4", 65, 95), ("ixmas-5", 130, 190)):
+        camera = rig(name)[0]
+        uv = camera.project(person.vertices - [0, 0, person.vertices[:, 2].min()])
+        assert low < np.ptp(uv[:, 1]) < high
+
+
+def test_rigs_are_upright_distinct_and_optionally_distorted():
+    plain, bent = rig("humaneva-7"), rig("humaneva-7", distorted=True)
+    assert len(plain) == 7
+    for camera in plain:
+        up = camera.project([[0, 0, 0.5], [0, 0, 1.5]])
+        assert up[1, 1] < up[0, 1]  # image y points down
+    corner = plain[0].rays(np.array([2.0, 2.0]))
+    point = corner[0] + 3 * corner[1]
+    assert np.linalg.norm(bent[0].project(point) - plain[0].project(point)) > 8
+    assert len(rig("ring-3")) == 3
+    for bad in ("ring-0", "ring-99", "mars"):
+        with pytest.raises(InputError, match="humaneva-4"):
+            rig(bad)
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_true_joints_lie_inside_the_clean_silhouettes(person, name):
+    s = make_scene("walk", person, name, seconds=1.0, seed=1, clothing_m=0.02)
+    inner = [
+        JOINT_NAMES.index(n)
+        for n in ("pelvis", "chest", "head", "left_knee", "right_knee", "left_elbow", "right_elbow")
+    ]
+    for t in (0, 9, 20):
+        for c, camera in enumerate(s.rig.pinhole()):
+            mask = s.clean_mask(c, t)
+            uv = np.round(camera.project(s.joints[t, inner])).astype(int)
+            assert mask[uv[:, 1], uv[:, 0]].all(), (name, t, c)
+
+
+def test_same_seed_same_scene_in_any_order(person):
+    a, b = scene(person, ("level-1",)), scene(person, ("level-1",))
+    fa, fb = list(a.mask_frames(0.5)), list(b.mask_frames(0.5))
+    assert all(np.array_equal(x.silhouettes.masks, y.silhouettes.masks) for x, y in zip(fa, fb, strict=True))
+    late = b.rgb_frame(1, 7)
+    assert np.array_equal(a.rgb_frame(1, 2), b.rgb_frame(1, 2))
+    assert np.array_equal(a.rgb_frame(1, 7), late)
+    assert np.array_equal(a.background_frames(2, 3)[2], b.background_frames(2, 3)[2])
+    other = make_scene("walk", person, "humaneva-4", seconds=1.0, seed=4)
+    assert not np.array_equal(other.joints, a.joints)
+
+
+def test_mask_frames_carry_what_trackers_need(person):
+    s = scene(person)
+    frames = list(s.mask_frames(0.5))
+    assert len(frames) == 25 and frames[3].index == 3 and frames[3].time == pytest.approx(3 / 25)
+    sil = frames[3].silhouettes
+    assert sil.masks.shape == (4, 240, 320) and sil.masks.dtype == np.uint8 and sil.usable.all()
+    assert sil.rig[0].size == (320, 240) and not sil.rig[0].distortion.any()
+    full = s.clean_mask(2, 3)
+    assert sil.areas[2] == pytest.approx(full.sum() / 4, rel=0.02)
+
+
+def test_mixed_image_sizes_are_padded(person):
+    a, b = rig("humaneva-4"), rig("ixmas-5")
+    mixed = type(a)((a[0], replace(b[1], name="small")))
+    s = make_scene("wave", person, mixed, seconds=0.5, seed=0)
+    masks = next(s.mask_frames()).silhouettes.masks
+    assert masks.shape == (2, 480, 640) and masks[1].any()
+    assert not masks[1, 291:].any() and not masks[1, :, 390:].any()
+
+
+def test_dead_camera_is_flagged_and_black(person):
+    s = scene(person, ("dead-camera",))
+    frames = list(s.mask_frames(0.25))
+    assert frames[0].silhouettes.usable.all()
+    assert frames[20].silhouettes.usable.tolist() == [True, False, True, True]
+    assert frames[20].silhouettes.reasons[1] == "black image" and frames[20].silhouettes.areas[1] == 0
+    assert s.rgb_frame(1, 20).max() == 0 and s.rgb_frame(0, 20).max() > 0
+
+
+def test_dropped_frames_repeat_the_last_picture(person):
+    s = make_scene("walk", person, "humaneva-4", seconds=4.0, seed=1, corruption=("dropped-frames",))
+    missing = [(c, t) for c in range(4) for t in range(len(s)) if s.shown(c, t) != t]
+    assert 5 < len(missing) < 80
+    c, t = missing[0]
+    assert np.array_equal(s.rgb_frame(c, t), s.rgb_frame(c, t - 1))
+    frames = list(s.mask_frames(0.25))
+    assert not frames[t].silhouettes.usable[c] and frames[t].silhouettes.reasons[c] == "no frame"
+
+
+def test_desynchronised_cameras_are_late(person):
+    s, synchronous = scene(person, ("desync",)), scene(person)
+    late, true = list(s.mask_frames(0.5)), list(synchronous.mask_frames(0.5))
+    for c, delay in enumerate((0, 1, 0, 2)):
+        assert np.array_equal(late[10].silhouettes.masks[c], true[10 - delay].silhouettes.masks[c])
+
+
+def test_occluders_cut_the_person_in_some_view(person):
+    s, free = scene(person, ("table",)), scene(person)
+    lost = [1 - s.clean_mask(c, 5).sum() / free.clean_mask(c, 5).sum() for c in range(4)]
+    # lower legs and feet in the camera behind the table, hardly anything elsewhere
+    assert max(lost) > 0.05 and min(lost) >= 0
+    for name in ("table", "treadmill"):
+        s = scene(person, (name,))
+        plain = scene(person).background_frames(2, 1)[0].astype(int)
+        assert (np.abs(s.background_frames(2, 1)[0].astype(int) - plain).max(2) > 30).sum() > 300
+
+
+def test_calibration_error_disturbs_only_what_the_user_gets(person):
+    s, free = scene(person, ("calibration-error",)), scene(person)
+    assert np.allclose(s.rig.projections, free.rig.projections)
+    assert not np.allclose(s.given_rig.projections, s.rig.projections)
+    assert np.array_equal(s.clean_mask(0, 3), free.clean_mask(0, 3))
+    assert next(s.mask_frames()).silhouettes.rig[0].K[0, 0] == pytest.approx(s.given_rig[0].K[0, 0])
+
+
+def test_pictures_differ_from_the_empty_room_exactly_where_body_and_shadow_are(person):
+    from hypose.synthetic.render_rgb import Sensor, shadow_mask
+
+    s = replace(scene(person), sensor=Sensor(noise_sd=0.0, drift=0.0))
+    for c in (0, 3):
+        room = s.background_frames(c, 1)[0].astype(int)
+        changed = np.abs(s.rgb_frame(c, 6).astype(int) - room).max(2) > 6
+        body = s.clean_mask(c, 6) > 0
+        shadow = shadow_mask(s.rig[c], s.subject.faces, s.vertices(6)) > 0
+        import cv2
+
+        near = cv2.dilate((body | shadow).astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
+        assert not (changed & ~near).any()
+        assert (changed & body).sum() > 0.9 * body.sum()
+        assert shadow.sum() > 200 and (changed & shadow & ~body).sum() > 0.5 * (shadow & ~body).sum()
+
+
+def test_distorted_pictures_agree_with_the_undistorted_masks(person):
+    import cv2
+
+    s = scene(person, distorted=True)
+    camera = s.rig[1]
+    maps = camera.undistort_maps(camera.size)
+    difference = np.abs(s.rgb_frame(1, 4).astype(np.int16) - s.background_frames(1, 1)[0]).max(2).astype(np.uint8)
+    straight = cv2.remap(difference, *maps, cv2.INTER_LINEAR)
+    mask = s.clean_mask(1, 4)
+    assert (straight[mask > 0] > 15).mean() > 0.9
+    assert (straight[:150][mask[:150] == 0] > 15).mean() < 0.01  # above the floor: no shadow there
+
+
+def test_other_people_are_in_the_court_but_not_in_the_truth(person):
+    s = make_scene("walk", person, "court-4", seconds=0.4, seed=0)
+    assert len(s.others) == 1
+    masks = next(s.mask_frames()).silhouettes.masks
+    assert masks[0].sum() > 1.5 * s.clean_mask(0, 0).sum()
+
+
+def test_unknown_subjects_are_refused(person):
+    with pytest.raises(InputError):
+        make_scene("walk", "nobody", "humaneva-4")
+
+
+def test_silhouette_is_exact_on_a_square():
+    v = np.array([[1.0, 2.0], [5.0, 2.0], [5.0, 6.0], [1.0, 6.0]])
+    f = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    m = silhouette(v, np.ones(4), f, (8, 9))
+    expected = np.zeros((9, 8), np.uint8)
+    expected[2:7, 1:6] = 1
+    assert np.array_equal(m, expected)
+    soft = silhouette(v, np.ones(4), f, (8, 9), supersample=4)
+    assert soft.sum() == pytest.approx(16, rel=0.2) and soft[4, 3] == 1 and soft[0, 0] == 0

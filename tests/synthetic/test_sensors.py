@@ -1,0 +1,114 @@
+import numpy as np
+import pytest
+
+from hypose.compute.depth_forests import cpu_rays
+from hypose.fusion import joints as jt
+from hypose.fusion.register import depth_at_joints
+from hypose.synthetic import sensors as sim
+from hypose.synthetic.human4d import read_human4d
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return sim.treadmill_recording("A", np.random.default_rng(3))
+
+
+def test_rays_meet_capsules_where_they_should(rng):
+    capsule = np.array([[0.0, 0, 0, 0, 0, 1, 0.1], [2, 0, 0, 2, 0, 0, 0.3]])
+    out = np.empty(4)
+    to = np.array([[0, 0, 0.5], [2, 0, 0], [0, 0, 1.5], [0, 0, 1.05]]) - [0, -3, 0.5]
+    directions = to / np.linalg.norm(to, axis=1, keepdims=True)
+    cpu_rays.cast_rays(np.array([0.0, -3, 0.5]), directions, capsule, out)
+    assert out[0] == pytest.approx(2.9)
+    hit = np.array([0, -3, 0.5]) + out[1] * directions[1]
+    assert np.linalg.norm(hit - [2, 0, 0]) == pytest.approx(0.3)
+    assert out[2] > 1e8
+    top = np.array([0, -3, 0.5]) + out[3] * directions[3]
+    assert np.linalg.norm(top - [0, 0, 1]) == pytest.approx(0.1)
+
+
+def test_the_person_faces_the_front_sensor_and_left_is_left(recording):
+    first = recording.truth[0]
+    assert first[jt.LEFT_SHOULDER, 0] > first[jt.RIGHT_SHOULDER, 0]
+    assert first[jt.HEAD, 2] > 1.3
+    toes = np.cross(first[jt.LEFT_SHOULDER] - first[jt.RIGHT_SHOULDER], [0, 0, 1])
+    assert toes[1] < 0
+    front = recording.truth_in(0)
+    assert np.all(front[..., 2] > 1.5)  # in front of the sensor
+    assert front[0, jt.HEAD, 1] < front[0, jt.LEFT_FOOT, 1]  # y down
+    assert np.degrees(recording.heading).max() == pytest.approx(45, abs=0.5)
+
+
+def test_what_is_hidden_is_inferred_and_wrong_what_is_seen_is_nearly_right(recording):
+    hidden = recording.visible < sim.HIDDEN_BELOW
+    assert 0.05 < hidden.mean() < 0.5
+    assert np.nanmedian(recording.error[~hidden]) < 0.05
+    assert np.nanmedian(recording.error[hidden]) > 1.7 * np.nanmedian(recording.error[~hidden])
+    reported = recording.state > 0
+    assert (recording.state[hidden & reported] == 1).mean() == pytest.approx(0.7, abs=0.04)
+    assert (recording.state[~hidden & reported] == 1).mean() == pytest.approx(0.05, abs=0.02)
+    assert np.isnan(recording.positions[recording.state == 0]).all()
+
+
+def test_bars_hide_hands_from_the_front(recording):
+    open_view = sim.simulate(
+        recording.truth, recording.heading, recording.camera_from_world, np.random.default_rng(3), sim.SensorModel(),
+        np.zeros((0, 7)),
+    )  # fmt: skip
+    hands = [jt.LEFT_HAND, jt.RIGHT_HAND]
+    assert recording.visible[:, 0, hands].mean() < open_view.visible[:, 0, hands].mean() - 0.2
+
+
+def test_the_depth_map_and_the_joints_depth_tell_the_same(recording):
+    size, fov = (320, 240), 58.0
+    depth = recording.depth_map(100, 1, size, fov)
+    k = sim.intrinsics(size, fov)
+    frame = recording.frames()[100]
+    alone = type(frame)(
+        frame.positions[1:2],
+        frame.state[1:2],
+        frame.times[1:2],
+        frame.joint_names,
+        ("b",),
+        depth[None].astype(np.float32),
+        k[None],
+    )
+    sampled, given = depth_at_joints(alone)[0], recording.joint_depth[100, 1]
+    use = (sampled > 0) & (given > 0)
+    assert use.sum() > 8
+    # the sensor's noise and the pixel grid: most agree to two centimetres
+    assert np.median(np.abs(sampled - given)[use]) < 0.02
+    body = np.abs(recording.positions[100, 1, :, 2] - sampled)[use]
+    assert np.median(body) < 0.2
+
+
+def test_a_sensor_behind_exchanges_the_sides_in_episodes():
+    base = sim.treadmill_recording("B", np.random.default_rng(0))
+    cameras = sim.ring_sensors([0, 180])
+    seen = sim.simulate(
+        base.truth, base.heading, cameras, np.random.default_rng(1), sim.SensorModel(drop_out=0), np.zeros((0, 7))
+    )
+    sides = seen.positions[:, :, jt.LEFT_HIP] - seen.positions[:, :, jt.RIGHT_HIP]
+    true = [seen.truth_in(k)[:, jt.LEFT_HIP] - seen.truth_in(k)[:, jt.RIGHT_HIP] for k in (0, 1)]
+    swapped = [(sides[:, k] * true[k]).sum(-1) < 0 for k in (0, 1)]
+    assert swapped[0].mean() < 0.02
+    assert 0.2 < swapped[1].mean() < 0.95
+
+
+def test_the_same_seed_gives_the_same_recording_and_nothing_is_shared():
+    a, b, c = (sim.treadmill_recording("A", np.random.default_rng(s)) for s in (5, 5, 6))
+    np.testing.assert_array_equal(a.positions, b.positions)
+    np.testing.assert_array_equal(a.joint_depth, b.joint_depth)
+    assert not np.array_equal(a.positions, c.positions)
+
+
+def test_human4d_run_keeps_its_bones_and_its_cameras_stand_around(shared_data):
+    run = read_human4d(shared_data("human4d_run"))
+    assert run.joints.shape == (223, 33, 3)
+    thigh = np.linalg.norm(run.joints[:, 21] - run.joints[:, 22], axis=-1)
+    assert thigh.std() < 0.004
+    r = sim.human4d_recording(shared_data("human4d_run").parent, np.random.default_rng(0))
+    eyes = np.array([-c[:3, :3].T @ c[:3, 3] for c in r.camera_from_world])
+    assert np.all(np.linalg.norm(eyes, axis=1) > 1.5)
+    assert r.truth[..., 2].min() > -0.3 and r.truth[..., 2].max() < 2.0
+    assert eyes[0, 1] < 0  # the reference sees the front

@@ -1,0 +1,82 @@
+import numpy as np
+import pytest
+
+from hypose.body.body import Mesh
+from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.errors import InputError
+from hypose.geometry import so3_exp
+from hypose.synthetic import subjects as module
+from hypose.synthetic.subjects import dress, load_subjects, procedural_subject, vertex_normals
+
+
+def test_rest_pose_reproduces_the_rest_mesh_and_joints(person):
+    eye = np.tile(np.eye(3), (19, 1, 1))
+    root = np.array([0.3, -0.2, 1.0])
+    assert np.allclose(person.skin(eye, root), person.vertices + root, atol=1e-12)
+    assert np.allclose(person.place_joints(eye, root), person.joints + root, atol=1e-12)
+
+
+def test_turning_every_joint_alike_turns_the_whole_body(person):
+    r = so3_exp([0.3, -0.5, 1.1])
+    turned = person.skin(np.tile(r, (19, 1, 1)), np.zeros(3))
+    assert np.allclose(turned, person.vertices @ r.T, atol=1e-12)
+
+
+def test_one_turned_elbow_moves_only_the_forearm_and_hand(person):
+    r = np.tile(np.eye(3), (19, 1, 1))
+    for j in (7, 8):
+        r[j] = so3_exp([-1.2, 0, 0])
+    moved = np.linalg.norm(person.skin(r, np.zeros(3)) - person.vertices, axis=1)
+    assert set(person.main_joint[moved > 1e-9]) <= {7, 8}
+    assert moved[person.main_joint == 8].min() > 0.05
+    joints = person.place_joints(r, np.zeros(3))
+    assert np.linalg.norm(joints[8] - joints[7]) == pytest.approx(np.linalg.norm(person.joints[8] - person.joints[7]))
+
+
+def test_procedural_subjects_differ_and_the_same_seed_repeats():
+    a, b, c = (procedural_subject(np.random.default_rng(s)) for s in (1, 1, 2))
+    assert np.array_equal(a.vertices, b.vertices)
+    assert abs(a.leg_length - c.leg_length) > 0.005
+    faces = Mesh(a.vertices, a.faces, a.skin_index, a.skin_weight)
+    assert 0.03 < faces.volume < 0.2  # outward faces; overlapping parts count twice
+
+
+def test_clothing_goes_outward_at_most_as_thick_as_asked_and_not_on_naked_parts(person):
+    dressed = dress(person, 0.03, np.random.default_rng(0))
+    step = dressed.vertices - person.vertices
+    size = np.linalg.norm(step, axis=1)
+    assert size.max() <= 0.03 + 1e-12
+    covered = person.cloth_weight == 1
+    assert size[covered].min() >= 0.3 * 0.03 - 1e-12
+    assert 0.01 < size[covered].mean() < 0.03
+    assert size[person.cloth_weight == 0].max() == 0
+    normals = vertex_normals(person.vertices, person.faces)
+    assert ((step * normals).sum(1)[covered] > 0).mean() > 0.99
+    assert np.array_equal(dressed.joints, person.joints)
+
+
+@pytest.mark.parametrize("thickness", [-0.01, 0.05])
+def test_impossible_clothing_is_refused(person, thickness):
+    with pytest.raises(InputError, match="between 0 and 0.04 m"):
+        dress(person, thickness, np.random.default_rng(0))
+
+
+def test_baked_subjects_are_people():
+    subjects = load_subjects()
+    assert len(subjects) >= 20
+    statures = [s.stature for s in subjects.values()]
+    assert 1.45 < min(statures) < 1.6 and 1.8 < max(statures) < 2.0
+    for s in subjects.values():
+        assert s.joints.shape == (len(JOINT_NAMES), 3)
+        assert np.allclose(s.dense_weights.sum(1), 1)
+        assert s.joints[4, 2] > s.joints[3, 2] > s.joints[0, 2] > s.joints[13, 2] > s.joints[15, 2]
+        assert s.joints[6, 0] > 0 > s.joints[10, 0]
+        assert 0.025 < Mesh(s.vertices, s.faces, s.skin_index, s.skin_weight).volume < 0.17
+
+
+def test_missing_asset_ends_in_a_sentence(monkeypatch, tmp_path):
+    monkeypatch.setattr(module.resources, "files", lambda _: tmp_path)
+    load_subjects.cache_clear()
+    with pytest.raises(InputError, match="install hypose again"):
+        load_subjects()
+    load_subjects.cache_clear()

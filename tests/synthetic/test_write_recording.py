@@ -1,0 +1,76 @@
+import json
+
+import numpy as np
+import pytest
+
+from hypose.evidence.keypoints import BODY_25
+from hypose.io.recordings.recording import load_recording
+from hypose.io.videos.video import VideoReader
+from hypose.synthetic.scenes import make_scene
+from hypose.synthetic.simulated_keypoints import keypoint_detections, surface_landmarks
+from hypose.synthetic.write_recording import write_scene
+
+
+@pytest.fixture(scope="module")
+def written(person, tmp_path_factory):
+    scene = make_scene("walk", person, "ixmas-5", seconds=0.4, seed=2, distorted=True)
+    folder = tmp_path_factory.mktemp("synthetic")
+    steps = []
+    write_scene(scene, folder, background_frames=5, keypoints=True, progress=lambda a, b: steps.append((a, b)))
+    return scene, folder, steps
+
+
+def test_a_recording_that_loads(written):
+    scene, folder, steps = written
+    r = load_recording(folder)
+    assert (len(r.rig), r.n_frames, r.frame_rate, r.notes) == (5, 10, 25.0, ())
+    assert r.keypoint_set == "BODY_25" and all(v.background and v.keypoints for v in r.views)
+    assert steps[-1] == (75, 75)
+    for written_camera, camera in zip(r.rig, scene.given_rig, strict=True):
+        # stored to the even size of the video, otherwise the same camera
+        assert written_camera.size == (390, 290) and np.allclose(written_camera.K, camera.K)
+        point = np.array([0.2, -0.3, 1.1])
+        assert np.allclose(written_camera.project(point), camera.project(point), atol=1e-6)
+
+
+def test_videos_hold_the_pictures(written):
+    scene, folder, _ = written
+    reader = VideoReader(folder / "videos" / "cam2.mp4")
+    assert len(reader) == 10
+    picture = reader.read(4).astype(int)
+    assert np.abs(picture - scene.rgb_frame(1, 4)[:290]).mean() < 6
+    assert len(VideoReader(folder / "background" / "cam2.mp4")) == 5
+
+
+def test_truth_is_the_scenes(written):
+    scene, folder, _ = written
+    with np.load(folder / "truth.npz", allow_pickle=False) as truth:
+        assert np.array_equal(truth["joints"], scene.joints)
+        assert truth["joint_names"][8] == "left_wrist"
+
+
+def test_keypoint_files_match_the_detections(written):
+    scene, folder, _ = written
+    files = sorted((folder / "pose" / "cam1_json").iterdir())
+    assert len(files) == 10
+    flat = json.loads(files[3].read_text())["people"][0]["pose_keypoints_2d"]
+    assert np.allclose(np.reshape(flat, (25, 3)), keypoint_detections(scene, 0)[3], atol=1e-3)
+
+
+def test_detections_lie_where_the_joints_are_seen(person):
+    scene = make_scene("walk", person, "humaneva-4", seconds=4.0, seed=2, distorted=True)
+    d = keypoint_detections(scene, 1, noise_px=4.0)
+    k = BODY_25.index("left_knee")
+    seen = d[:, k, 2] > 0
+    error = d[seen, k, :2] - scene.rig[1].project(scene.joints[seen, 14])
+    assert 2.0 < np.median(np.abs(error)) / 0.6745 < 6.5
+    assert 0.9 < (d[..., 2] > 0).mean() < 1.0
+    assert np.array_equal(d, keypoint_detections(scene, 1, noise_px=4.0))
+
+
+def test_landmarks_are_where_faces_and_feet_are(person):
+    marks = surface_landmarks(person)
+    assert marks["nose"][1][1] < person.joints[4, 1] - 0.03
+    assert marks["left_eye"][1][0] > 0 > marks["right_eye"][1][0]
+    assert marks["left_big_toe"][1][1] < person.joints[15, 1] < marks["left_heel"][1][1]
+    assert marks["right_small_toe"][1][0] < marks["right_big_toe"][1][0] < 0
