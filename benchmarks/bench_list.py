@@ -13,16 +13,10 @@ from typing import Any
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Progress, machine
 from benchmarks.cameras import (
-    board_accuracy as calibration,
-)
-from benchmarks.cameras import (
+    board_accuracy,
     doctor_real,
-)
-from benchmarks.cameras import (
-    planted_faults as doctor,
-)
-from benchmarks.cameras import (
-    sync_accuracy as sync,
+    planted_faults,
+    sync_accuracy,
 )
 from benchmarks.depth_gestures import (
     gesture_alarms,
@@ -34,26 +28,18 @@ from benchmarks.depth_gestures import (
 )
 from benchmarks.depth_sensors import fusion_benchmarks, fusion_speed, sensor_choice
 from benchmarks.multiview import (
-    body_measures as anthropometry,
-)
-from benchmarks.multiview import (
-    body_measures_real as anthropometry_real,
-)
-from benchmarks.multiview import (
+    body_measures,
+    body_measures_real,
     court,
     front_back,
     path_speed,
+    real_recordings,
     rigging,
     scorer_speed,
+    solve_speed,
     table_2_3,
     table_2_4,
     uncertainty,
-)
-from benchmarks.multiview import (
-    real_recordings as real,
-)
-from benchmarks.multiview import (
-    solve_speed as speed,
 )
 from benchmarks.one_camera import mono_benchmarks, mono_real
 from benchmarks.robustness import batch_scale, faults, kills
@@ -86,18 +72,18 @@ def benchmarks() -> dict[str, Benchmark]:
         "table-2.4": Benchmark(table_2_4.table_2_4, "seeds", "first_seed"),
         "court-4": Benchmark(court.court_4, "seeds", "first_seed"),
         "uncertainty": Benchmark(uncertainty.uncertainty, "seeds", "first_seed", "data"),
-        "real-balancing": Benchmark(real.real_balancing, "data"),
-        "real-uu4cam": Benchmark(real.real_uu4cam, "data"),
-        "calibration": Benchmark(calibration.boards, "seeds", "first_seed", "data"),
-        "doctor": Benchmark(doctor.doctor, "seeds", "first_seed"),
+        "real-balancing": Benchmark(real_recordings.real_balancing, "data"),
+        "real-uu4cam": Benchmark(real_recordings.real_uu4cam, "data"),
+        "calibration": Benchmark(board_accuracy.boards, "seeds", "first_seed", "data"),
+        "doctor": Benchmark(planted_faults.doctor, "seeds", "first_seed"),
         "doctor-real": Benchmark(doctor_real.doctor_real, "data"),
-        "sync": Benchmark(sync.sync, "seeds", "first_seed"),
+        "sync": Benchmark(sync_accuracy.sync, "seeds", "first_seed"),
         "silhouette-scorer": Benchmark(scorer_speed.silhouette_scorer, "data"),
-        "contour-solve": Benchmark(speed.contour_solve, "data"),
+        "contour-solve": Benchmark(solve_speed.contour_solve, "data"),
         "multiview-speed": Benchmark(path_speed.multiview_speed, "data"),
         "rigging": Benchmark(rigging.rigging, "seeds"),
-        "anthropometry": Benchmark(anthropometry.anthropometry, "seeds", "data"),
-        "subject-balancing": Benchmark(anthropometry_real.subject_balancing, "data"),
+        "anthropometry": Benchmark(body_measures.anthropometry, "seeds", "data"),
+        "subject-balancing": Benchmark(body_measures_real.subject_balancing, "data"),
         "fusion-table-1": Benchmark(sensor_choice.table_1, "seeds", "first_seed", "data"),
         "fusion-departures": Benchmark(sensor_choice.departures, "seeds", "first_seed", "data"),
         "fusion-human4d": Benchmark(fusion_benchmarks.human4d, "seeds", "first_seed", "data"),

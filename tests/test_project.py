@@ -297,6 +297,11 @@ def test_no_modules_import_each_other_in_a_circle():
     assert not left, f"these, or some of them, import each other: {sorted(left)}"
 
 
+def test_no_two_files_have_the_same_name():
+    names = [p.name for room in ("hypose", "benchmarks") for p in (ROOT / room).rglob("*.py")]
+    assert sorted({n for n in names if names.count(n) > 1} - {"__init__.py", "__main__.py"}) == []
+
+
 def test_every_imported_package_is_declared():
     distributions = {"cv2": "opencv-python-headless", "skimage": "scikit-image", "distributed": "dask"}
     extras = {k: v for k, v in PROJECT["optional-dependencies"].items() if k not in ("dev", "oracles")}
@@ -381,4 +386,4 @@ def test_no_data_is_executed():
         for _, what in _unsafe_uses(path.read_text("utf-8"))
     ]
     # compiled kernels, which numba keeps in no other form: hypose's own files, checked before they are loaded
-    assert found == ["compute/kernels.py imports pickle"]
+    assert found == ["compute/compiled.py imports pickle"]

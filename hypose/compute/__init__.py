@@ -17,7 +17,7 @@ from hypose.compute import reference, selection
 from hypose.compute.arrays import BALL, FIXED, MeshArrays, TreeArrays
 from hypose.compute.monocular import mono
 from hypose.compute.native import native, plain, tidy
-from hypose.compute.pictures import picture_to_mask as images
+from hypose.compute.pictures import picture_to_mask
 from hypose.compute.selection import default_threads, over_chunks, use
 from hypose.compute.silhouettes import glance, lane_mesh
 from hypose.compute.silhouettes.lane_scratch import lane_scratch
@@ -327,7 +327,7 @@ def warm_up(*, monocular: bool = False) -> float:
         skin(*forward_kinematics(q[None], tree), tree, mesh)
         prepared = prepare_masks(mask, usable, sizes, projection)
         silhouette_xor(q[None], tree, mesh, prepared, np.array([[0, 32, 0, 32]]), moving=np.array([False, True]))
-        images.warm_up()
+        picture_to_mask.warm_up()
         glance.warm_up()
     sdf = signed_distance(mask, sizes)
     outline = outline_points(sdf[0], (32, 32), 16)[0]

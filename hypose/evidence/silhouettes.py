@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import CameraRig
-from hypose.compute.pictures import picture_to_mask as images
+from hypose.compute.pictures import picture_to_mask
 from hypose.compute.silhouettes.glance import Glance, glance_at
 from hypose.errors import InputError
 from hypose.evidence.background import BackgroundModel, Image
@@ -45,7 +45,7 @@ class Segmenter(Protocol):
     glance: Glance | None
     """how to tell from a stored picture where there is anything at all; None: the whole image is needed"""
 
-    def __call__(self, image: Image, band: Mask | None = None, box: images.Box | None = None, /) -> Mask:
+    def __call__(self, image: Image, band: Mask | None = None, box: picture_to_mask.Box | None = None, /) -> Mask:
         """image (h, w, 3) -> mask (h, w). band (h, w): where the person can be; box: what of the image is given, and
         where the person is, if no band is given."""
         ...
@@ -117,7 +117,7 @@ class _Segmenter:
         else:
             self._differ = _mog2(background, options)
 
-    def __call__(self, image: Image, band: Mask | None = None, box: images.Box | None = None, /) -> Mask:
+    def __call__(self, image: Image, band: Mask | None = None, box: picture_to_mask.Box | None = None, /) -> Mask:
         h, w = self._shape
         if image.shape != (h, w, 3):
             raise InputError(f"An image of {image.shape[1::-1]} px does not fit a background of {(w, h)} px.")
@@ -139,7 +139,7 @@ class _Segmenter:
         return refine_rim(image, mask, o.rim_px, band) if o.grabcut else mask
 
 
-def _room(background: BackgroundModel, options: SilhouetteOptions) -> images.Room:
+def _room(background: BackgroundModel, options: SilhouetteOptions) -> picture_to_mask.Room:
     """Single Gaussian per pixel and channel, with the brightness cone for shadows.
 
     Foreground: some channel more than `threshold` sd from the mean. Shadow: the pixel's colour a seen as s
@@ -150,7 +150,7 @@ def _room(background: BackgroundModel, options: SilhouetteOptions) -> images.Roo
     """
     reach = options.threshold * np.maximum(background.sd, np.float32(options.min_sd))
     mean = np.ascontiguousarray(background.mean, dtype=np.float32)
-    return images.Room(
+    return picture_to_mask.Room(
         np.clip(np.ceil(mean - reach), 0, 255).astype(np.uint8),
         np.clip(np.floor(mean + reach), 0, 255).astype(np.uint8),
         mean,
@@ -161,14 +161,14 @@ def _room(background: BackgroundModel, options: SilhouetteOptions) -> images.Roo
     )
 
 
-_Differ = Callable[[Image, images.Box], Mask]
+_Differ = Callable[[Image, picture_to_mask.Box], Mask]
 
 
-def _outside_of(room: images.Room) -> _Differ:
-    def differ(image: Image, box: images.Box) -> Mask:
+def _outside_of(room: picture_to_mask.Room) -> _Differ:
+    def differ(image: Image, box: picture_to_mask.Box) -> Mask:
         y0, y1, x0, x1 = box
-        found = images.differences(image, room, box)[y0:y1, x0:x1]
-        return images.without_shadows(found) if room.shadow else found
+        found = picture_to_mask.differences(image, room, box)[y0:y1, x0:x1]
+        return picture_to_mask.without_shadows(found) if room.shadow else found
 
     return differ
 
@@ -190,7 +190,7 @@ def _mog2(background: BackgroundModel, options: SilhouetteOptions) -> _Differ:
         picture = background.mean + np.float32(level) * background.sd
         model.apply(np.clip(np.rint(picture), 0, 255).astype(np.uint8))
 
-    def differ(image: Image, box: images.Box) -> Mask:
+    def differ(image: Image, box: picture_to_mask.Box) -> Mask:
         y0, y1, x0, x1 = box
         return (model.apply(image, None, 0)[y0:y1, x0:x1] == 255).astype(np.uint8)
 
@@ -226,14 +226,14 @@ def clean(mask: Mask, options: SilhouetteOptions | None = None) -> Mask:
         part = cv2.morphologyEx(part, cv2.MORPH_CLOSE, _disc(o.close_px))
     out = np.zeros_like(mask)
     part = np.asarray(part, dtype=np.uint8)
-    out[y0:y1, x0:x1] = images.clean_regions(part, o.hole_px, o.keep_share, o.keep_gap)
+    out[y0:y1, x0:x1] = picture_to_mask.clean_regions(part, o.hole_px, o.keep_share, o.keep_gap)
     return out
 
 
 def biggest_parts(mask: Mask, keep_share: float, keep_gap: float = np.inf) -> Mask:
     """The biggest connected part of mask (h, w), and those of at least keep_share times its area whose
     boxes are not farther from its box than keep_gap times the longer side of that."""
-    return images.clean_regions(mask, 0, keep_share, keep_gap)
+    return picture_to_mask.clean_regions(mask, 0, keep_share, keep_gap)
 
 
 def refine_rim(image: Image, mask: Mask, rim_px: int = 3, band: Mask | None = None, core: Mask | None = None) -> Mask:

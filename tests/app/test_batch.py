@@ -15,7 +15,7 @@ import pytest
 
 from benchmarks.robustness.programs import workers_of
 from benchmarks.robustness.small_recordings import small_scene, write_masks
-from hypose.app.sweeps import cluster as batch
+from hypose.app.sweeps import cluster
 from hypose.app.sweeps.batch_table import COLUMNS, rows_of, write_table
 from hypose.app.sweeps.batch_worker import finished, run_task
 from hypose.app.sweeps.cluster import Place, run_batch
@@ -189,8 +189,8 @@ def test_killed_workers_change_no_byte(study, tmp_path):
 
 @pytest.mark.slow
 def test_a_worker_that_the_cluster_gives_up_is_replaced(study, tmp_path, monkeypatch):
-    monkeypatch.setattr(batch, "_GONE", "0s")  # as if it took too long to start again
-    monkeypatch.setattr(batch, "_KEEP_UP_S", 1.0)
+    monkeypatch.setattr(cluster, "_GONE", "0s")  # as if it took too long to start again
+    monkeypatch.setattr(cluster, "_KEEP_UP_S", 1.0)
     tasks, _ = plan(read_sweep(sweep_file(study, tmp_path)))
     first = set()
 

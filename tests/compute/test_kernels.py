@@ -10,8 +10,7 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 
 from hypose import compute
-from hypose.compute import cache_place
-from hypose.compute import compiled as kernels
+from hypose.compute import cache_place, compiled
 
 
 def add(a, b):
@@ -21,17 +20,17 @@ def add(a, b):
 @pytest.fixture
 def place(tmp_path, monkeypatch, caplog):
     caplog.set_level(logging.WARNING, "hypose")
-    monkeypatch.setattr(kernels, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(compiled, "cache_folder", lambda: tmp_path)
     cache_place.note.cache_clear()
-    kernels._folder_for_writing.cache_clear()
+    compiled._folder_for_writing.cache_clear()
     yield tmp_path
     cache_place.note.cache_clear()
-    kernels._folder_for_writing.cache_clear()
+    compiled._folder_for_writing.cache_clear()
 
 
 def compiled_anew():
     """A new dispatcher, as in a new process: (its sum of 2 and 3, was it compiled and not loaded)."""
-    function = kernels.kernel(add)
+    function = compiled.kernel(add)
     return function(2.0, 3.0), sum(function.stats.cache_misses.values()) == 1
 
 
@@ -43,7 +42,7 @@ def test_a_kernel_is_compiled_once_and_found_again(place, caplog):
     assert compiled_anew() == (5.0, True)
     assert len(files(place)) == 1
     assert compiled_anew() == (5.0, False)
-    assert kernels.kernel(add)(2, 3) == 5  # another signature, another file
+    assert compiled.kernel(add)(2, 3) == 5  # another signature, another file
     assert len(files(place)) == 2
     assert not caplog.records
 
@@ -63,7 +62,7 @@ def _flip(data):
         lambda data: data + b"x",
         lambda data: bytes(np.random.default_rng(0).integers(0, 256, 5000, dtype=np.uint8)),
         _flip,
-        lambda data: kernels._sealed(b"the checksum holds, but this is no kernel"),
+        lambda data: compiled._sealed(b"the checksum holds, but this is no kernel"),
     ],
     ids=["empty", "head", "half", "longer", "garbage", "one bit", "sealed garbage"],
 )
@@ -75,7 +74,7 @@ def test_a_damaged_file_is_thrown_away_compiled_again_and_told_once(place, caplo
         path.write_bytes(damage(whole))
         assert compiled_anew() == (5.0, True)
         assert compiled_anew() == (5.0, False)
-    assert path.read_bytes()[:16] == kernels._MAGIC
+    assert path.read_bytes()[:16] == compiled._MAGIC
     assert [r.message for r in caplog.records] == [
         f"Damaged files of compiled code in {path.parent} are thrown away and compiled again."
     ]
@@ -84,7 +83,7 @@ def test_a_damaged_file_is_thrown_away_compiled_again_and_told_once(place, caplo
 def test_a_place_that_cannot_be_written_costs_time_only(place, caplog, monkeypatch):
     blocked = place / "file"
     blocked.write_text("")
-    monkeypatch.setattr(kernels, "cache_folder", lambda: blocked)
+    monkeypatch.setattr(compiled, "cache_folder", lambda: blocked)
     assert compiled_anew() == (5.0, True)
     assert compiled_anew() == (5.0, True)
     messages = [r.message for r in caplog.records]
@@ -104,7 +103,7 @@ def test_a_full_disk_leaves_no_half_file(place, caplog, monkeypatch):
 
 
 def test_without_a_place_kernels_are_compiled_in_every_process(monkeypatch):
-    monkeypatch.setattr(kernels, "cache_folder", lambda: None)
+    monkeypatch.setattr(compiled, "cache_folder", lambda: None)
     assert compiled_anew() == (5.0, True)
     assert compiled_anew() == (5.0, True)
 
@@ -115,8 +114,8 @@ def test_files_that_nobody_has_used_for_long_are_forgotten(place):
     old = path.with_name("old.kernel")
     old.write_bytes(b"")
     os.utime(old, (0, 0))
-    kernels._folder_for_writing.cache_clear()
-    kernels.kernel(add)(2, 3)
+    compiled._folder_for_writing.cache_clear()
+    compiled.kernel(add)(2, 3)
     assert path.exists() and not old.exists()
 
 
@@ -131,20 +130,20 @@ def test_a_kernel_is_made_from_all_that_it_imports_of_the_room(tmp_path, monkeyp
     }
     for name, text in sources.items():
         (room / f"{name}.py").write_text(text)
-    monkeypatch.setattr(kernels, "__file__", str(room / "kernels.py"))
+    monkeypatch.setattr(compiled, "__file__", str(room / "kernels.py"))
 
     def digests():
-        kernels._digest_of_sources.cache_clear()
-        return [kernels._digest_of_sources(f"hypose.compute.{m}") for m in ("own", "rows.near", "other")]
+        compiled._digest_of_sources.cache_clear()
+        return [compiled._digest_of_sources(f"hypose.compute.{m}") for m in ("own", "rows.near", "other")]
 
     own, near, other = digests()
     assert len({own, near, other}) == 3
     (room / "far.py").write_text("x = 1\n")
     changed = digests()
     assert changed[0] != own and changed[1] != near and changed[2] == other
-    kernels._digest_of_sources.cache_clear()
-    assert kernels._digest_of_sources("hypose.compute.absent") is None
-    kernels._digest_of_sources.cache_clear()
+    compiled._digest_of_sources.cache_clear()
+    assert compiled._digest_of_sources("hypose.compute.absent") is None
+    compiled._digest_of_sources.cache_clear()
 
 
 def test_no_kernel_lets_the_processor_choose_the_order_of_sums():
@@ -153,4 +152,4 @@ def test_no_kernel_lets_the_processor_choose_the_order_of_sums():
     assert len(found) > 100
     for kernel in found:
         assert not kernel.targetoptions.get("fastmath"), kernel
-        assert isinstance(kernel._cache, kernels.KernelCache), kernel
+        assert isinstance(kernel._cache, compiled.KernelCache), kernel

@@ -26,8 +26,8 @@ from hypose.app.studio import (
     gesture_socket,
     routes_jobs,
     routes_recordings,
+    view_answers,
 )
-from hypose.app.studio import view_answers as results
 from hypose.app.studio.answers import answer, refusal, told
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.fuse_socket import FuseHost
@@ -80,7 +80,7 @@ class Studio:
         return [
             Route("/", _page),
             Route("/api/state", told(self._state)),
-            *results.routes(self.catalog, self.results, self.jobs),
+            *view_answers.routes(self.catalog, self.results, self.jobs),
             *routes_jobs.routes(self.catalog, self.recordings, self.uploads, self.jobs, self.sockets),
             *routes_recordings.routes(self.catalog, self.recordings),
             *clicks.routes(self.catalog, self.recordings),
