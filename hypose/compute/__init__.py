@@ -281,6 +281,26 @@ def solve(
     return Solution(q, evaluation, int(info[1]), int(info[2]), bool(info[3]))
 
 
+def row_sums(
+    pose: Array,
+    tree: TreeArrays,
+    joint: NDArray[np.int64],
+    offset: ArrayLike,
+    weight: ArrayLike,
+    residual: ArrayLike,
+    slope: ArrayLike,
+) -> tuple[Array, Array]:
+    """Gradient (D,) and Gauss-Newton matrix (D, D) of rows of any kind at a pose (D,): points on joint (P,) at offset
+    (P, 3) m, with weight (P,), residual (P, R) and slope (P, R, 3), its derivative by the point in the world."""
+    d = len(pose)
+    gradient, hessian = np.empty(d), np.empty((d, d))
+    given = (plain(x, np.float64) for x in (offset, weight, residual, slope))
+    native("solver.solver").row_sums(
+        plain(pose, np.float64), tidy(tree), plain(joint, np.int64), *given, hessian, gradient
+    )
+    return gradient, hessian
+
+
 def joint_covariances(pose: Array, tree: TreeArrays, hessian: Array, ridge: float = 1e-9) -> Array:
     """(J, 3, 3) m^2: covariances of the joint centres when the pose (D,) has the covariance C = (hessian + ridge)^-1:
     G C G^T with G (3, D) the derivative of the centre; the numba kernel, on either back end."""

@@ -13,6 +13,7 @@ from hypose.fitting.articulated import (
     workspace_for,
 )
 from hypose.fitting.clip_solve import Coupling, Gaussian, fit_clip
+from hypose.fitting.own_rows import RowTerm
 
 __all__ = [
     "ContourTerm",
@@ -20,6 +21,7 @@ __all__ = [
     "Gaussian",
     "KeypointTerm",
     "PointTerm",
+    "RowTerm",
     "PoseFit",
     "Quadratic",
     "SolveOptions",

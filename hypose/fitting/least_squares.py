@@ -13,7 +13,8 @@ from typing import Generic, TypeVar
 
 from hypose.errors import SolverError
 
-State, Equations = TypeVar("State"), TypeVar("Equations")
+State = TypeVar("State")
+Equations = TypeVar("Equations")
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ def test_derivatives_are_those_of_finite_differences(loss, gain):
     np.testing.assert_allclose(second, (loss(s + h, gain)[1] - loss(s - h, gain)[1]) / (2 * h), rtol=1e-5, atol=1e-9)
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("loss", SQUARE_NEAR_ZERO)
 def test_a_loss_is_the_square_near_zero_and_never_pulls_more(loss):
     rho, first, _ = loss(S)

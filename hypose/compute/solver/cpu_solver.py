@@ -9,7 +9,7 @@ import numpy as np
 from hypose.compute.compiled import kernel
 from hypose.compute.cpu_kinematics import camera_about_root, joint_frames, skin_about_root
 from hypose.compute.solver.cpu_cholesky import backward, factorise, forward
-from hypose.compute.solver.cpu_rows import contour_rows, keypoint_rows, point_rows, sum_rows
+from hypose.compute.solver.cpu_rows import add_row, contour_rows, keypoint_rows, point_rows, sum_rows
 
 LARGEST_TURN = 0.35
 """rad: steps that turn a joint further are shortened"""
@@ -62,6 +62,26 @@ def fold(tree, twists, wrench_hessian, wrench_gradient, hessian, gradient):
                 hessian[d, e] = s
                 hessian[e, d] = s
             a = tree.parents[a]
+
+
+@kernel
+def row_sums(q, tree, joint, offset, weight, residual, slope, hessian, gradient):
+    """hessian (D, D) and gradient (D,), overwritten, of rows at pose q: points (P,) on joints at offset (P, 3) with
+    weight (P,), residual (P, R) and slope (P, R, 3), its derivative by the point."""
+    n_joints = tree.parents.shape[0]
+    rotations, centres = np.empty((n_joints, 3, 3)), np.empty((n_joints, 3))
+    twists = np.empty((q.shape[0], 6))
+    joint_frames(q, tree, rotations, centres, twists)
+    sums, pulls = np.zeros((n_joints, 21)), np.zeros((n_joints, 6))
+    for m in range(joint.shape[0]):
+        j, o, g = joint[m], offset[m], slope[m]
+        r = rotations[j]
+        x = centres[j, 0] + r[0, 0] * o[0] + r[0, 1] * o[1] + r[0, 2] * o[2]
+        y = centres[j, 1] + r[1, 0] * o[0] + r[1, 1] * o[1] + r[1, 2] * o[2]
+        z = centres[j, 2] + r[2, 0] * o[0] + r[2, 1] * o[1] + r[2, 2] * o[2]
+        for k in range(residual.shape[1]):
+            add_row(sums, pulls, j, weight[m], residual[m, k], x, y, z, g[k, 0], g[k, 1], g[k, 2])
+    fold(tree, twists, sums, pulls, hessian, gradient)
 
 
 @kernel
