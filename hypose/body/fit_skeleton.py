@@ -18,8 +18,7 @@ from scipy.spatial import KDTree
 
 from hypose.body.body import Body, Landmarks, Mesh, Shape, deform
 from hypose.body.skin_weights import vertex_normals
-from hypose.compute.solver.losses import geman_mcclure
-from hypose.compute.solver.normal import bounded_step, weighted_squares
+from hypose.compute import bounded_step, geman_mcclure, weighted_squares
 from hypose.errors import InputError
 from hypose.geometry import Array, rotation_between, so3_exp, so3_log
 

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
-from hypose.compute.solver.losses import huber
-from hypose.compute.solver.normal import SharedEquations
+from hypose.compute import SharedEquations, huber
 from hypose.errors import SolverError
 from hypose.fitting.least_squares import Rule, descend
 from hypose.geometry import Array, se3, skew, so3_exp

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from hypose.body.body import Body, Landmarks
 from hypose.calibration.refine_camera import by_camera, change_from, changed
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.compute.solver.losses import geman_mcclure, lorentzian
-from hypose.compute.solver.normal import SharedEquations, weighted_squares
+from hypose.compute import SharedEquations, geman_mcclure, lorentzian, weighted_squares
 from hypose.errors import EvidenceError
 from hypose.fitting.articulated import ContourTerm, KeypointTerm
 from hypose.fitting.least_squares import Rule, descend

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from hypose.calibration.refine_camera import change_from, changed
 from hypose.cameras.camera import Camera, CameraRig, triangulate
-from hypose.compute.solver.losses import lorentzian
-from hypose.compute.solver.normal import SharedEquations
+from hypose.compute import SharedEquations, lorentzian
 from hypose.errors import EvidenceError
 from hypose.fitting.least_squares import Rule, descend
 from hypose.geometry import Array, transform

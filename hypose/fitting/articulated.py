@@ -21,14 +21,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose import compute
 from hypose.body.body import Body
-from hypose.compute.selection import over_chunks
-from hypose.compute.solver.terms import (
+from hypose.compute import (
     ContourArrays,
     KeypointArrays,
     PointArrays,
     PriorArrays,
     SolveSettings,
     Workspace,
+    over_chunks,
 )
 from hypose.errors import EvidenceError, InputError, SolverError
 from hypose.evidence.ahead import outlines

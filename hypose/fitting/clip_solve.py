@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 from hypose import compute
 from hypose.body.body import Body
-from hypose.compute.solver.banded import solve_coupled
-from hypose.compute.solver.terms import PriorArrays
+from hypose.compute import PriorArrays, solve_coupled
 from hypose.errors import SolverError
 from hypose.fitting.articulated import (
     ContourTerm,

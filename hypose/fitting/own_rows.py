@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose import compute
-from hypose.compute.arrays import TreeArrays
-from hypose.compute.solver.losses import lorentzian
-from hypose.compute.solver.normal import bounded_step
+from hypose.compute import TreeArrays, bounded_step, lorentzian
 from hypose.errors import InputError
 from hypose.fitting.least_squares import Rule, descend
 from hypose.geometry import Array

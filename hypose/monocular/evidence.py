@@ -8,16 +8,7 @@ from numpy.typing import NDArray
 
 from hypose import compute
 from hypose.cameras.camera import Camera
-from hypose.compute.monocular import mono
-from hypose.compute.monocular.mono_terms import (
-    GAUSSIAN,
-    LECLERC,
-    LORENTZIAN,
-    EdgeArrays,
-    FlowArrays,
-    MarkArrays,
-    MaskArrays,
-)
+from hypose.compute import GAUSSIAN, LECLERC, LORENTZIAN, EdgeArrays, FlowArrays, MarkArrays, MaskArrays, mono
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.flow import Flow
 from hypose.monocular.settings import CueSettings, EdgeSettings, FlowSettings

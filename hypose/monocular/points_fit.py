@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.cameras.camera import Camera
-from hypose.compute.monocular.mono_terms import FloorArrays
-from hypose.compute.solver.losses import lorentzian
-from hypose.compute.solver.normal import bounded_step
+from hypose.compute import FloorArrays, bounded_step, lorentzian
 from hypose.fitting.least_squares import Rule, descend
 from hypose.geometry import Array
 from hypose.monocular.proportions import INTERNAL, Proportions, shaped, skeleton_only

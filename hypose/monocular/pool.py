@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
-from hypose.compute.monocular import mono
+from hypose.compute import mono
 from hypose.geometry import Array
 from hypose.monocular.settings import SearchSettings
 from hypose.monocular.types import MonoHypotheses

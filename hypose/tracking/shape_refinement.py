@@ -21,9 +21,7 @@ from numpy.typing import NDArray
 
 from hypose.body.anthropometry import body_of, length_rows, prior_covariance, prior_mean
 from hypose.body.body import Body, Landmarks, Mesh
-from hypose.compute.pictures.render import silhouette
-from hypose.compute.solver.losses import geman_mcclure
-from hypose.compute.solver.normal import SharedEquations, weighted_squares
+from hypose.compute import SharedEquations, geman_mcclure, silhouette, weighted_squares
 from hypose.errors import EvidenceError
 from hypose.fitting.articulated import ContourTerm
 from hypose.fitting.least_squares import Rule, descend
