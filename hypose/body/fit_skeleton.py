@@ -391,8 +391,7 @@ class _Search:
             step *= min(1.0, 0.35 / np.abs(step).max())
             x = x.copy()
             x[free] = np.clip(x[free] + step, self.lower[free], self.upper[free])
-            r2 = (self.gaps / self.stature) ** 2
-            cost = float(np.mean(r2 / (r2 + 0.04**2))) + float(self.unmatched)
+            cost = float(geman_mcclure((self.gaps / self.stature / 0.04) ** 2)[0].mean()) + float(self.unmatched)
             if k > 3 and share <= stage.last * 1.3 and np.abs(step).max() < 1e-3:
                 break
         return x, cost

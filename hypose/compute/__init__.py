@@ -53,7 +53,7 @@ from hypose.compute.silhouettes.glance import Glance, differing_box, glance_at, 
 from hypose.compute.silhouettes.lane_scratch import lane_scratch
 from hypose.compute.silhouettes.mask_distance import signed_distance
 from hypose.compute.solver.banded import frame_covariances, solve_coupled
-from hypose.compute.solver.losses import geman_mcclure, huber, lorentzian
+from hypose.compute.solver.losses import geman_mcclure, huber, lorentzian, lorentzian_weight
 from hypose.compute.solver.normal import SharedEquations, bounded_step, weighted_squares
 from hypose.compute.solver.terms import (
     ContourArrays,
@@ -143,6 +143,7 @@ __all__ = [
     "interpolate",
     "joint_covariances",
     "lorentzian",
+    "lorentzian_weight",
     "make_lens",
     "mono",
     "nearest_visible",

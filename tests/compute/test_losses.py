@@ -13,7 +13,7 @@ SQUARE_NEAR_ZERO = [losses.quadratic, losses.lorentzian, losses.leclerc, losses.
 
 def test_every_loss_is_tested():
     found = {f for n, f in inspect.getmembers(losses, inspect.isfunction) if f.__module__ == losses.__name__}
-    assert found - {losses.along} == set(SQUARE_NEAR_ZERO)
+    assert found - {losses.along, losses.lorentzian_weight} == set(SQUARE_NEAR_ZERO)
 
 
 @pytest.mark.parametrize("loss", SQUARE_NEAR_ZERO)
@@ -49,6 +49,10 @@ def test_kernels_are_the_same_functions(name):
     compiled = getattr(cpu_losses, name)
     for s in S:
         np.testing.assert_allclose(compiled(s, 1.3), getattr(losses, name)(s, 1.3), rtol=1e-14)
+
+
+def test_the_weight_alone_is_the_same():
+    np.testing.assert_array_equal(losses.lorentzian_weight(S, 2.5), losses.lorentzian(S, 2.5)[1])
 
 
 def test_a_kernel_in_single_precision_stays_in_it():

@@ -27,6 +27,11 @@ def lorentzian(s: Any, gain: Any = 1.0, one: Any = 1.0) -> tuple[Any, Any, Any]:
     return np.log1p(s), slope, -slope / (one + s)
 
 
+def lorentzian_weight(s: Any, gain: Any = 1.0) -> Any:
+    """The weight alone, for reweighted sums whose cost nobody asks for."""
+    return gain / (1.0 + s)
+
+
 def leclerc(s: Any, gain: Any = 1.0, one: Any = 1.0) -> tuple[Any, Any, Any]:
     """rho = 1 - exp(-s): beyond about 2 scales a residual has no influence at all.
 
