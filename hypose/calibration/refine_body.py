@@ -26,7 +26,7 @@ from hypose.fitting.articulated import ContourTerm, KeypointTerm
 from hypose.fitting.least_squares import Rule, descend
 from hypose.geometry import Array, transform
 from hypose.tracking.refinement import anatomical_prior
-from hypose.tracking.shape_refinement import outline_rows
+from hypose.tracking.shape_refinement import outline_rows, rows_by_pose
 
 _State = tuple[list[Camera], Array]
 """cameras, poses (F, D)"""
@@ -155,11 +155,7 @@ class _BodyProblem:
             if made is None:
                 continue
             a, b, t, r, g, weight = made
-            s = (1 - t)[:, None]
-            point = s * vertices[a] + t[:, None] * vertices[b]
-            carried = s * self.moves[a] + t[:, None] * self.moves[b]
-            wrench = np.concatenate([np.cross(point, g), g], 1)
-            by_pose = np.einsum("rk,dk->rd", wrench, twists) * carried
+            point, by_pose = rows_by_pose(twists, self.moves, vertices, a, b, t, g)
             camera = cameras[c]
             turn = camera.camera_from_world[:3, :3]
             by_cam = by_camera(transform(camera.camera_from_world, point), g @ turn.T, self.unknowns)

@@ -252,11 +252,8 @@ class _ShapeProblem:
         rho, slope, _ = geman_mcclure((r / scale) ** 2, w0 / scale**2)
         cost = 0.5 * float((w0 * rho).sum())
         s = (1 - t)[:, None]
-        point = s * vertices[a] + t[:, None] * vertices[b]
         by_shape = np.einsum("rc,krc->rk", s * g, slopes[:, a]) + np.einsum("rc,krc->rk", t[:, None] * g, slopes[:, b])
-        carried = s * self.moves[a] + t[:, None] * self.moves[b]
-        wrench = np.concatenate([np.cross(point, g), g], 1)
-        by_pose = _product(wrench.T, twists.T) * carried
+        by_pose = rows_by_pose(twists, self.moves, vertices, a, b, t, g)[1]
         return _Rows(r, slope, by_shape, by_pose, cost)
 
 
@@ -264,6 +261,23 @@ def _product(a: Array, b: Array) -> Array:
     """a^T b (I, J) of a (R, I), b (R, J) in fixed order: no threaded BLAS, whose result (and, on a busy machine, time)
     depends on the threads."""
     return np.einsum("ri,rj->ij", a, b)
+
+
+def rows_by_pose(
+    twists: Array,
+    moves: Array,
+    vertices: Array,
+    a: NDArray[np.int64],
+    b: NDArray[np.int64],
+    t: Array,
+    gradient: Array,
+) -> tuple[Array, Array]:
+    """Points (R, 3) m of `outline_rows` and the rows' derivatives (R, D) by a pose with these twists (D, 6); moves (V,
+    D): share of a dof's motion at a vertex."""
+    s, e = (1 - t)[:, None], t[:, None]
+    point = s * vertices[a] + e * vertices[b]
+    wrench = np.concatenate([np.cross(point, gradient), gradient], 1)
+    return point, np.einsum("rk,dk->rd", wrench, twists) * (s * moves[a] + e * moves[b])
 
 
 def outline_rows(
