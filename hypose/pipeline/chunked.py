@@ -67,6 +67,10 @@ class ChunkRun:
     @property
     def ranges(self) -> tuple[range, ...]:
         """The frames of each chunk."""
+        if self.options.of_picture:
+            raise InputError(
+                "One camera alone cannot find its person in the middle of a recording; leave out the chunks."
+            )
         return chunk_ranges(len(self.source), self.frame_rate, self.chunk_s)
 
     def subject(self, progress: Progress) -> Subject:

@@ -1,4 +1,4 @@
-"""Where a monocular track starts: joints clicked in the first picture (a small JSON file), or a detector's key points.
+"""Where a track with one camera starts: joints clicked in its first picture (a JSON file), or a detector's key points.
 
 The file of clicks, pixels of the picture as it was recorded, (0, 0) in the middle of the upper left pixel:
 
@@ -10,8 +10,9 @@ model. At least six are needed; shoulders, elbows, wrists, hips, knees, ankles, 
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,21 +23,24 @@ from hypose.body.body import Body
 from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.cameras.camera import Camera
 from hypose.errors import EvidenceError, InputError
+from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import person_size
 from hypose.geometry import Array
-from hypose.io.recordings.frames import FrameOptions, load_keypoints
+from hypose.io.recordings.frames import FrameOptions, FrameStream, load_keypoints
 from hypose.io.recordings.recording import Recording
 from hypose.io.videos.video import open_video
 from hypose.json_text import parse_json
-from hypose.monocular.initialise import LEAST_POINTS, InitialFit, initialise
-from hypose.monocular.points_fit import PointsOn
-from hypose.monocular.settings import MonoSettings
-from hypose.monocular.types import MonoPoints, clicked_joints, points_from_keypoints
-from hypose.pipeline.mono_stream import MonoStream, working_side
+from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.pictures import FrameSource, PictureFrames, masks_of, working_side
+from hypose.tracking.monocular.initialise import LEAST_POINTS, initialise
+from hypose.tracking.monocular.points import FEWEST_PX, clicked_joints, keypoints_on
+from hypose.tracking.monocular.points_fit import PointsOn
+from hypose.tracking.monocular.settings import MonoSettings
 
-CLICK_SHARE, KEYPOINT_SHARE = 0.010, 0.016
-"""1 sd of a click and of a detector's point, as a share of the person's size in the picture."""
-FEWEST_PX = 1.0
+POINT_STARTS = ("auto", "keypoints")
+"""Starts that are no file of clicks."""
+CLICK_SHARE = 0.010
+"""1 sd of a click, as a share of the person's size in the picture."""
 LENGTH_FRAMES = 10
 """So many further frames with key points decide the lengths of somebody whose body is not known."""
 
@@ -120,54 +124,75 @@ def _extent(pixels: Array) -> float:
 
 def _source(recording: Recording) -> Path:
     source = recording.views[0].source
-    assert source is not None  # mono_stream.one_view saw to it
+    assert source is not None  # pictures.one_view saw to it
     return source
 
 
-def find_start(
-    stream: MonoStream,
+def picture_options(recording: Recording, start: str, evidence: str) -> FrameOptions:
+    """How the pictures of a recording of one camera are read: as large as its person needs, with masks if they are
+    evidence."""
+    return FrameOptions(
+        side_to_work_on(recording, clicks_of(start, recording)), silhouettes=masks_of(recording, evidence)
+    )
+
+
+def clicks_of(start: str, recording: Recording) -> Clicks | None:
+    """The clicks that a track starts from; None when it starts from key points."""
+    if start in POINT_STARTS:
+        return None
+    if not Path(start).is_file():
+        raise InputError(
+            f"--start {start} is no file of clicked joints, and with one camera it can otherwise only be "
+            f"{' or '.join(POINT_STARTS)}; give one of these."
+        )
+    return load_clicks(start, recording)
+
+
+def subject_in_picture(
+    source: FrameSource,
+    frame_rate: float,
     *,
-    clicks: Clicks | None = None,
+    start: str = "auto",
+    evidence: str = "auto",
     body: Body | None = None,
     height: float | None = None,
     floor: float | None = None,
-    settings: MonoSettings | None = None,
-) -> tuple[InitialFit, tuple[str, ...]]:
-    """The first hypotheses and sentences about them. body: the person's own (then only poses are looked for); floor:
-    height of the floor in the world, m, None when it is not known."""
-    recording = stream.recording
-    template = body or human()
-    if clicks is not None:
-        at, source = 0, f"{len(clicks)} clicked joints"
-        pixels = clicked_pixels(clicks, recording, stream.camera)
-        scale = max(FEWEST_PX, CLICK_SHARE * _extent(np.array(list(pixels.values()))))
-
-        def points_on(b: Body) -> MonoPoints:
-            return clicked_joints(b, pixels, scale)
-
-    else:
-        at, seen, names = _first_keypoints(stream)
-        source = f"the key points of frame {recording.frames[at]}"
-
-        def points_on(b: Body) -> MonoPoints:
-            return keypoints_on(b, names, seen)
-
-    later = () if body is not None else _later_points(stream, at)
-    fit = initialise(
-        template,
-        stream.camera,
-        points_on,
-        stream.frame(at),
-        later=later,
-        settings=settings,
-        height=height,
-        fixed_body=body is not None,
-        floor=floor,
-    )
-    notes = [f"start from {source}: {len(fit.hypotheses)} rival poses, the best {fit.residual_px:.1f} px off"]
+) -> Subject:
+    """The person in the pictures of one camera, with rival starts. body: the person's own (then only poses are looked
+    for); floor: height of the floor in the world, m, None when it is not known."""
+    with contextlib.closing(PictureFrames(source)) as frames:
+        template, seen = body or human(), _keypoints_of(source)
+        notes = [_evidence_note(source, evidence, any(k is not None for k in seen))]
+        if start in POINT_STARTS:
+            at, points, names = _first_keypoints(source, seen, frame_rate)
+            frame = frames.frame(at)
+            told = f"the key points of frame {frame.index}"
+            points_on: PointsOn = partial(keypoints_on, names=names, keypoints=points)
+        elif isinstance(source, FrameStream):
+            at, frame = 0, frames.frame(0)
+            clicks = load_clicks(start, source.recording)
+            told = f"{len(clicks)} clicked joints"
+            pixels = clicked_pixels(clicks, source.recording, source.rig[0])
+            scale = max(FEWEST_PX, CLICK_SHARE * _extent(np.array(list(pixels.values()))))
+            points_on = partial(clicked_joints, clicks=pixels, scale_px=scale)
+        else:
+            raise InputError(f"Clicks ({start}) belong to a recording; frames in memory start from their key points.")
+        later = () if body is not None else _later_points(seen, at)
+        fit = initialise(
+            template,
+            points_on,
+            frame,
+            later=later,
+            settings=MonoSettings(frame_rate=frame_rate),
+            height=height,
+            fixed_body=body is not None,
+            floor=floor,
+        )
+    rivals = fit.hypotheses
+    notes.append(f"start from {told}: {rivals.count} rival poses, the best {fit.residual_px:.1f} px off")
     if body is None:
         further = f", the key points of {len(later)} further frames" if later else ""
-        notes.append(f"body of {fit.body.stature:.2f} m from {source}{further} and the picture's contours")
+        notes.append(f"body of {fit.body.stature:.2f} m from {told}{further} and the picture's contours")
     if floor is not None:
         notes.append(f"the lower foot is taken to stand on a floor at z = {floor:g} m (--floor)")
     if body is not None and height is not None:
@@ -177,42 +202,51 @@ def find_start(
             "the height is not known, so distances and lengths are as uncertain as people's heights (about 5 %); give "
             "--height"
         )
-    return fit, tuple(notes)
+    return Subject(fit.body, None, rivals.best(), tuple(notes), rivals)
 
 
-def keypoints_on(body: Body, names: tuple[str, ...], keypoints: Array) -> MonoPoints:
-    """Key points (K, 3) on a body, with the error that detectors have at that size."""
-    scale = max(FEWEST_PX, KEYPOINT_SHARE * person_size(keypoints))
-    return points_from_keypoints(body, names, keypoints, scale_px=scale)
+def _keypoints_of(source: FrameSource) -> list[Keypoints | None]:
+    """Of every frame, without reading a picture where that can be."""
+    if isinstance(source, FrameStream):
+        return [None] * len(source) if source.keypoints is None else list(source.keypoints)
+    return [source.frame(i).keypoints for i in range(len(source))]
 
 
-def _later_points(stream: MonoStream, first: int) -> tuple[PointsOn, ...]:
+def _evidence_note(source: FrameSource, evidence: str, keypoints: bool) -> str:
+    name = source.recording.views[0].name if isinstance(source, FrameStream) else "in memory"
+    masked = isinstance(source, FrameStream) and source.options.silhouettes is not None
+    used = ["edges", "optical flow"]
+    used += ["silhouettes"] if masked else []
+    used += ["key points"] if keypoints and evidence in ("auto", "keypoints", "both") else []
+    return f"one camera ({name}): {', '.join(used)}"
+
+
+def _later_points(seen: Sequence[Keypoints | None], first: int) -> tuple[PointsOn, ...]:
     """The key points of LENGTH_FRAMES frames over the whole clip, to measure lengths with."""
-    points = stream.start_points
-    if points is None:
-        return ()
-    rows = np.unique(np.linspace(first, len(stream) - 1, LENGTH_FRAMES + 1).astype(int))[1:]
-    names = points[0].names
-    seen = (np.asarray(points[i].points[0]) for i in rows)
-    template = human()
-    enough = [k for k in seen if (keypoints_on(template, names, k).confidence > 0).sum() >= LEAST_POINTS]
-    return tuple(partial(keypoints_on, names=names, keypoints=k) for k in enough)
+    rows = np.unique(np.linspace(first, len(seen) - 1, LENGTH_FRAMES + 1).astype(int))[1:]
+    some = [k for k in (seen[i] for i in rows) if k is not None and _enough(k)]
+    return tuple(partial(keypoints_on, names=k.names, keypoints=np.asarray(k.points[0])) for k in some)
 
 
-def _first_keypoints(stream: MonoStream) -> tuple[int, Array, tuple[str, ...]]:
+def _enough(seen: Keypoints) -> bool:
+    points = keypoints_on(human(), seen.names, np.asarray(seen.points[0]))
+    return int((points.confidence > 0).sum()) >= LEAST_POINTS
+
+
+def _first_keypoints(
+    source: FrameSource, seen: Sequence[Keypoints | None], frame_rate: float
+) -> tuple[int, Array, tuple[str, ...]]:
     """The first frame of the first second with enough key points, its points (K, 3) and their names."""
-    view = stream.recording.views[0]
-    points = stream.start_points
-    if points is None:
+    name = source.recording.views[0].name if isinstance(source, FrameStream) else "in memory"
+    if not any(k is not None for k in seen):
         raise InputError(
-            f"Camera {view.name} has no key points and no clicks were given, so there is nothing to start from; click "
+            f"Camera {name} has no key points and no clicks were given, so there is nothing to start from; click "
             "joints in the first picture and give --start clicks.json, or add keypoints = ... in recording.toml."
         )
-    for i in range(min(len(stream), 1 + int(stream.recording.frame_rate))):
-        seen = np.asarray(points[i].points[0])
-        if (keypoints_on(human(), points[i].names, seen).confidence > 0).sum() >= LEAST_POINTS:
-            return i, seen, points[i].names
+    for i, k in enumerate(seen[: 1 + int(frame_rate)]):
+        if k is not None and _enough(k):
+            return i, np.asarray(k.points[0]), k.names
     raise EvidenceError(
-        f"Camera {view.name}: no frame of the first second has {LEAST_POINTS} confident key points; give --frames to "
-        "begin later, or --start clicks.json."
+        f"Camera {name}: no frame of the first second has {LEAST_POINTS} confident key points; give --frames to begin "
+        "later, or --start clicks.json."
     )

@@ -8,18 +8,19 @@ each frame says counts less than it claims.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hypose.body.motion import Modes, Motion
+from hypose.evidence.frame import Frame
 from hypose.geometry import Array, nearest_branch
-from hypose.monocular.evidence import grey
-from hypose.monocular.tracker import MonoTracker
-from hypose.monocular.types import OPTIMISED, MonoEstimate, MonoFrame, MonoHypotheses, MonoState
-from hypose.tracking.smoothing import ClipSettings
+from hypose.tracking.monocular.pool import OPTIMISED
+from hypose.tracking.smooth_motion import Clip
+from hypose.tracking.smoothing import ClipSettings, smooth_poses
+from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, modes_of
 
 _HELD = 1e8
 """1/rad^2: how well dof are known that are not estimated"""
@@ -39,30 +40,41 @@ class WholeClip:
     motion: ClipSettings = ClipSettings(acceleration_rad=24.0)
 
 
-class Modes(NamedTuple):
-    """The modes of T frames, NaN where a frame has fewer than K: poses (T, K, D), weights, costs (T, K), covariances
-    (T, K, D, D)."""
+def solve_clip(clip: Clip, active: NDArray[np.int64]) -> tuple[Motion, tuple[str, ...]]:
+    """The motion of a clip's best modes, solved as a whole: from all modes of both ways; active (A,): the dof that are
+    estimated. Frames in which the person was lost are bridged. Feet are not held where they seem to stand, as they are
+    with several cameras: their depth is known far too badly to tell."""
+    tracker, motion, total = clip.tracker, clip.motion, len(clip.motion)
+    body = tracker.body
+    modes = modes_of(clip.estimates)
+    assert modes is not None
+    back = modes
+    if total > 2:
+        found: list[FrameEstimate] = []
+        for estimate in backwards(tracker, clip.state, clip.frames(range(total - 2, -1, -1))):
+            clip.progress(len(found), total - 1)
+            found.append(estimate)
+        the_way = modes_of([*reversed(found), clip.estimates[-1]])
+        assert the_way is not None
+        # the way there saw the first picture without flow, so its costs are of another kind
+        the_way.costs[0] = modes.costs[0, 0]
+        back = the_way
+        clip.progress(total - 1, total - 1)
+    poses, covariances = together(modes, back, motion.frame_rate)
+    known = information(covariances, active) * ~motion.lost[:, None, None]
+    if total > 2 and not motion.lost.all():
+        poses = smooth_poses(body, poses, known, motion.frame_rate, WholeClip().motion)
+    around = np.stack([body.skeleton.joint_covariances(q, c) for q, c in zip(poses, covariances, strict=True)])
+    solved = replace(motion, poses=poses, joints=body.joints(poses), joint_covariance=around.astype(np.float32))
+    return solved, ()
 
-    poses: Array
-    weights: Array
-    costs: Array
-    covariances: NDArray[np.floating]
 
-
-def backwards(
-    tracker: MonoTracker,
-    last: MonoHypotheses,
-    count: int,
-    frame: Callable[[int], MonoFrame],
-    rng: Callable[[int], np.random.Generator],
-) -> Iterator[MonoEstimate]:
-    """Estimates of the frames count - 2 to 0 of a clip, from the modes of its last one. frame, rng: of an index."""
-    labels = np.full(len(last), OPTIMISED, dtype=np.int8)
-    begin = replace(last, velocities=-last.velocities, labels=labels)
-    state = MonoState(0, begin, grey(frame(count - 1).image))
-    for index in range(count - 2, -1, -1):
-        state, estimate = tracker.step(state, frame(index), rng(index))
-        yield estimate
+def backwards(tracker: Tracker, last: TrackerState, frames: Iterable[Frame]) -> Iterator[FrameEstimate]:
+    """Estimates of a clip's frames on the way back, from the state in its last frame. frames: all but that one, whose
+    pictures `before` are those of the frames after them."""
+    h = last.hypotheses
+    turned = replace(h, columns={"velocity": -h.columns["velocity"]}).marked(OPTIMISED, np.arange(h.count))
+    return (estimate for _, estimate in tracker.follow(tracker.start(turned), frames))
 
 
 def together(there: Modes, back: Modes, frame_rate: float, settings: WholeClip | None = None) -> tuple[Array, Array]:

@@ -17,13 +17,13 @@ from hypose.cameras.camera import Camera
 from hypose.compute import FloorArrays, bounded_step, lorentzian
 from hypose.fitting.least_squares import Rule, descend
 from hypose.geometry import Array
-from hypose.monocular.proportions import INTERNAL, Proportions, shaped, skeleton_only
-from hypose.monocular.types import MonoPoints
+from hypose.tracking.monocular.points import MonoPoints
+from hypose.tracking.monocular.proportions import INTERNAL, Proportions, shaped, skeleton_only
 from hypose.tracking.refinement import anatomical_prior
 
 PointsOn = Callable[[Body], MonoPoints]
-"""Where the points of one picture sit on a body, with their pixels: types.clicked_joints or
-types.points_from_keypoints."""
+"""Where the points of one picture sit on a body, with their pixels: points.clicked_joints or
+points.points_from_keypoints."""
 _STEP = 0.01
 """of a factor's logarithm, for its numeric derivative"""
 

@@ -76,7 +76,8 @@ class SearchSettings:
     samples: on either side of each; reach: p_f, of the outermost in standard deviations; longest: no sample moves a dof
     by more than this many times its usual motion; isotropic: random directions of the same length instead. distinct_m:
     hypotheses differ when a joint lies at least so far apart; memory: share of the accumulated cost carried to the next
-    frame. flips: mirrored limbs are optimised and pooled while tracking too: every flip_every frames.
+    frame. flips: mirrored limbs are optimised and pooled while tracking too, every flip_every frames (None: where there
+    are key points).
     """
 
     hypotheses: int = 7
@@ -87,7 +88,7 @@ class SearchSettings:
     isotropic: bool = False
     distinct_m: float = 0.03
     memory: float = 0.8
-    flips: bool = False
+    flips: bool | None = False
     flip_every: int = 5
 
 

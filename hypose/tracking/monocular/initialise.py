@@ -17,16 +17,19 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.cameras.camera import Camera
 from hypose.errors import EvidenceError
+from hypose.evidence.frame import Frame
 from hypose.fitting.articulated import KeypointTerm, Quadratic, SolveOptions, fit_pose
 from hypose.geometry import Array, so3_exp, so3_log
-from hypose.monocular.flips import mirrored
-from hypose.monocular.models import body_dofs
-from hypose.monocular.points_fit import PointsOn, fit_proportions, points_on_body
-from hypose.monocular.problem import floor_arrays
-from hypose.monocular.proportions import VOLUMETRIC, proportions, search_factors, shaped, without_display
-from hypose.monocular.settings import MonoSettings
-from hypose.monocular.tracker import MonoTracker
-from hypose.monocular.types import MonoFrame, MonoHypotheses, MonoPoints
+from hypose.inference.hypotheses import Hypotheses
+from hypose.tracking.monocular.evidence import checked
+from hypose.tracking.monocular.flips import mirrored
+from hypose.tracking.monocular.models import body_dofs
+from hypose.tracking.monocular.picture_search import PictureSearch
+from hypose.tracking.monocular.points import MonoPoints
+from hypose.tracking.monocular.points_fit import PointsOn, fit_proportions, points_on_body
+from hypose.tracking.monocular.problem import floor_arrays
+from hypose.tracking.monocular.proportions import VOLUMETRIC, proportions, search_factors, shaped, without_display
+from hypose.tracking.monocular.settings import MonoSettings
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.starts import known_pose
 
@@ -42,21 +45,20 @@ _HELD = 1e6
 
 @dataclass(frozen=True)
 class InitialFit:
-    """body: the template with the person's proportions; hypotheses: the rivals with covariances, best first; factors
-    (K,): logarithms of the proportions (proportions.NAMES); residual_px: root mean square distance of the best rival to
-    the points, px."""
+    """body: the template with the person's proportions; hypotheses: the rivals with covariances and `cost`, best
+    first; factors (K,): logarithms of the proportions (proportions.NAMES); residual_px: root mean square distance of
+    the best rival to the points, px."""
 
     body: Body
-    hypotheses: MonoHypotheses
+    hypotheses: Hypotheses
     factors: Array
     residual_px: float
 
 
 def initialise(
     template: Body,
-    camera: Camera,
     points_on: PointsOn,
-    frame: MonoFrame,
+    frame: Frame,
     *,
     later: Sequence[PointsOn] = (),
     settings: MonoSettings | None = None,
@@ -66,7 +68,7 @@ def initialise(
     rivals: int = 8,
     floor: float | None = None,
 ) -> InitialFit:
-    """The first hypotheses of a picture (frame; its points are not used) of a pinhole camera.
+    """The first hypotheses of the picture in a frame.
 
     Deviation: headings and mirrored limbs are tried, where the paper has one start. Deviation: in stages 2 and 3 the
     proportions are searched one after the other, because the contour's cost has jumps.
@@ -77,6 +79,7 @@ def initialise(
     30). floor: height in the world of the floor that the person stands on, m. An EvidenceError when fewer than 6 points
     are seen.
     """
+    camera = checked(frame).camera
     chosen = body_dofs(template.skeleton) if active is None else np.asarray(active, dtype=np.int64)
     seen = int((points_on(template).confidence > 0).sum())
     if seen < LEAST_POINTS:
@@ -100,21 +103,19 @@ def initialise(
         factors = min(fits, key=lambda f: f[2])[1]
         body = shaped(template, factors)
         poses = _distinct(*_solved(body, camera, points_on(body), poses, chosen), body, rivals)
-    still = replace(frame, points=points_on(body))
-    tracker = MonoTracker(body, camera, settings, chosen, floor=floor)
-    found = tracker.optimise(MonoHypotheses.at(poses), still)
+    search = PictureSearch(body, settings, chosen, floor=floor)
+    found = search.optimise(poses, frame, points_on(body))
     if not fixed_body:
         # lengths that suit many pictures are not for the contours of one to change
         last = VOLUMETRIC if later else np.arange(len(factors))
         for which, rounds in ((VOLUMETRIC, 2), (last, 1)):
-            cost = _contour_cost(template, tracker, points_on, still, found.poses[0])
+            cost = _contour_cost(template, search, points_on, frame, found.values[0])
             factors = search_factors(cost, factors, which, prior, rounds)
             body = shaped(template, factors)
-            still = replace(frame, points=points_on(body))
-            tracker = replace(tracker, body=body)
-            found = tracker.optimise(found, still)
-    keep = _distinct_indices(body.joints(found.poses), rivals)
-    return InitialFit(body, _subset(found, keep), factors, _residual(body, camera, still, found.poses[0]))
+            search = replace(search, body=body)
+            found = search.optimise(found.values, frame, points_on(body))
+    found = found.take(_distinct_indices(body.joints(found.values), rivals))
+    return InitialFit(body, found, factors, _residual(body, camera, points_on(body), found.values[0]))
 
 
 def rival_poses(body: Body, camera: Camera, points: MonoPoints, active: NDArray[np.int64], count: int) -> Array:
@@ -203,37 +204,21 @@ def _distinct_indices(joints: Array, count: int) -> list[int]:
     return keep
 
 
-def _subset(h: MonoHypotheses, keep: list[int]) -> MonoHypotheses:
-    weights = h.weights[keep] / h.weights[keep].sum()
-    return MonoHypotheses(
-        h.poses[keep],
-        h.velocities[keep],
-        h.covariances[keep],
-        weights,
-        h.costs[keep],
-        h.evidence[keep] - h.evidence[keep].min(),
-        h.labels[keep],
-    )
-
-
 def _contour_cost(
-    template: Body, tracker: MonoTracker, points_on: PointsOn, frame: MonoFrame, pose: Array
+    template: Body, search: PictureSearch, points_on: PointsOn, frame: Frame, pose: Array
 ) -> Callable[[Array], float]:
     """What factors (K,) cost on the picture's contours and the points, at a pose."""
     light = without_display(template)
-    at = MonoHypotheses.at(pose)
 
     def cost(x: Array) -> float:
         body = shaped(light, x)
-        still = replace(frame, points=points_on(body))
-        return float(replace(tracker, body=body).optimise(at, still, iterations=0).costs[0])
+        found = replace(search, body=body).optimise(pose[None], frame, points_on(body), iterations=0)
+        return float(found.columns["cost"][0])
 
     return cost
 
 
-def _residual(body: Body, camera: Camera, frame: MonoFrame, pose: Array) -> float:
-    points = frame.points
-    assert points is not None
+def _residual(body: Body, camera: Camera, points: MonoPoints, pose: Array) -> float:
     seen = points.confidence > 0
     apart = camera.project_pinhole(points_on_body(body, pose, points)[seen]) - points.pixels[seen]
     return float(np.sqrt((apart**2).sum(1).mean()))

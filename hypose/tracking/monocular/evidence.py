@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose import compute
-from hypose.cameras.camera import Camera
 from hypose.compute import GAUSSIAN, LECLERC, LORENTZIAN, EdgeArrays, FlowArrays, MarkArrays, MaskArrays, mono
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.flow import Flow
-from hypose.monocular.settings import CueSettings, EdgeSettings, FlowSettings
-from hypose.monocular.types import MonoFrame, MonoPoints
+from hypose.evidence.frame import Frame, Picture
+from hypose.tracking.monocular.points import MonoPoints
+from hypose.tracking.monocular.settings import CueSettings, EdgeSettings, FlowSettings
 
 FORMS = {"gaussian": GAUSSIAN, "lorentzian": LORENTZIAN, "leclerc": LECLERC}
 SMALLEST_MASK = 50
@@ -21,10 +21,13 @@ OUTLINE = 130
 """points on a silhouette's outline"""
 
 
-def check_frame(frame: MonoFrame, camera: Camera) -> None:
-    """An InputError or EvidenceError, naming the frame, when picture, mask or points cannot belong to the camera."""
-    w, h = camera.size
-    image = frame.image
+def checked(frame: Frame) -> Picture:
+    """The picture of a frame; an InputError or EvidenceError, naming the frame, when there is none, or picture or mask
+    cannot belong to its camera."""
+    picture = frame.picture
+    if picture is None:
+        raise InputError(f"Frame {frame.index} has no picture, and one camera alone needs it; give its video.")
+    (w, h), image, mask = picture.camera.size, picture.image, picture.mask
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
         raise InputError(
             f"Frame {frame.index}: a picture must be (h, w, 3) uint8, got {image.shape} {image.dtype}; convert it to "
@@ -32,19 +35,20 @@ def check_frame(frame: MonoFrame, camera: Camera) -> None:
         )
     if image.shape[:2] != (h, w):
         raise InputError(
-            f"Frame {frame.index} is {image.shape[1]} x {image.shape[0]} px, camera {camera.name} {w} x {h}; resize "
-            "the picture or use camera.scaled((width, height))."
+            f"Frame {frame.index} is {image.shape[1]} x {image.shape[0]} px, camera {picture.camera.name} {w} x {h}; "
+            "resize the picture or use camera.scaled((width, height))."
         )
-    if frame.mask is not None:
-        if frame.mask.shape != (h, w):
+    if mask is not None:
+        if mask.shape != (h, w):
             raise InputError(
-                f"Frame {frame.index}: the mask is {frame.mask.shape[1]} x {frame.mask.shape[0]} px, the picture {w} x "
-                f"{h}; resize the mask."
+                f"Frame {frame.index}: the mask is {mask.shape[1]} x {mask.shape[0]} px, the picture {w} x {h}; resize "
+                "the mask."
             )
-        if np.count_nonzero(frame.mask) < SMALLEST_MASK:
+        if np.count_nonzero(mask) < SMALLEST_MASK:
             raise EvidenceError(
                 f"Frame {frame.index}: the mask is empty; leave the mask out of this frame (mask=None)."
             )
+    return picture
 
 
 def grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -14,12 +14,13 @@ from hypose.compute import FloorArrays, MonoModel, MonoPriors, MonoProblem, Sphe
 from hypose.errors import InputError
 from hypose.evidence.edges import edge_field
 from hypose.evidence.flow import Flow
+from hypose.evidence.frame import Picture
 from hypose.geometry import Array
-from hypose.monocular.evidence import edge_arrays, flow_arrays, mark_arrays, mask_arrays
-from hypose.monocular.interpenetration import part_spheres
-from hypose.monocular.settings import CueSettings, MonoSettings
-from hypose.monocular.types import MonoFrame
 from hypose.tracking.contacts import soles_of
+from hypose.tracking.monocular.evidence import edge_arrays, flow_arrays, mark_arrays, mask_arrays
+from hypose.tracking.monocular.interpenetration import part_spheres
+from hypose.tracking.monocular.points import MonoPoints
+from hypose.tracking.monocular.settings import CueSettings, MonoSettings
 
 LONGEST_STEP = 2.0
 """times the expected error of a prediction: the longest Newton step"""
@@ -76,9 +77,14 @@ def prediction_spread(skeleton: Skeleton, settings: MonoSettings) -> Array:
 
 
 def frame_problem(
-    fixed: Fixed, frame: MonoFrame, field: NDArray[np.float32], flow: Flow | None, settings: MonoSettings
+    fixed: Fixed,
+    picture: Picture,
+    points: MonoPoints | None,
+    field: NDArray[np.float32],
+    flow: Flow | None,
+    settings: MonoSettings,
 ) -> MonoProblem:
-    """The problem of one frame with the pull to the rest posture but no prediction yet."""
+    """The problem of one frame, whose edges are `field`, with the pull to the rest posture but no prediction yet."""
     edge = settings.edge
     a = len(fixed.model.active)
     posture = np.zeros(a)
@@ -95,8 +101,8 @@ def frame_problem(
         fixed.model,
         edge_arrays(field, flow, edge, use=settings.edges),
         flow_arrays(flow, settings.flow),
-        mask_arrays(frame.mask, settings.cues, edge.sample_px),
-        mark_arrays(frame.points, settings.cues),
+        mask_arrays(picture.mask, settings.cues, edge.sample_px),
+        mark_arrays(points, settings.cues),
         fixed.spheres,
         fixed.floor,
         priors,
@@ -104,11 +110,11 @@ def frame_problem(
     )
 
 
-def field_of(frame: MonoFrame, settings: MonoSettings) -> NDArray[np.float32]:
-    """The frame's edges (h, w, 2)."""
+def field_of(image: NDArray[np.uint8], settings: MonoSettings) -> NDArray[np.float32]:
+    """The edges (h, w, 2) of a picture."""
     if not settings.edges:
-        return np.zeros((*frame.image.shape[:2], 2), np.float32)
-    return edge_field(frame.image, settings.edge.smoothing_px, settings.edge.strength)
+        return np.zeros((*image.shape[:2], 2), np.float32)
+    return edge_field(image, settings.edge.smoothing_px, settings.edge.strength)
 
 
 def with_prediction(problem: MonoProblem, prediction: Array, spread: Array) -> MonoProblem:

@@ -1,4 +1,4 @@
-"""overlay.mp4 of a monocular track: the picture with the body and all modes, and the same modes seen from the side.
+"""overlay.mp4 of a track with one camera: the picture with the body and all modes, and these seen from the side.
 
 In the camera's own picture the modes nearly coincide; from the side it shows how far they are apart in depth.
 """
@@ -15,10 +15,9 @@ import numpy as np
 from hypose.app.commands.console import ProgressCall, ignore
 from hypose.app.reports.result_pictures import Image, bones, draw_body, draw_skeleton, layout, open_images, write_text
 from hypose.body.body import Body
-from hypose.body.motion import Motion
+from hypose.body.motion import Modes, Motion
 from hypose.cameras.camera import Camera
 from hypose.geometry import Array
-from hypose.io.motions.modes import Modes
 from hypose.io.recordings.recording import Recording
 from hypose.io.videos.video import VideoWriter
 
@@ -29,7 +28,7 @@ _FAINT = 0.45
 """How visible the modes are beside the best one."""
 
 
-def write_mono_overlay(
+def write_modes_overlay(
     path: str | Path,
     recording: Recording,
     motion: Motion,
