@@ -24,7 +24,9 @@ class Motion:
     (T,) no evidence, prediction only. n_views: (T,) number of views that carried evidence. cost: (T,) remaining
     cost of the method's own measure (NaN when none). provenance: recipe, versions, seed, inputs' hashes: plain JSON
     values. doubtful: (T,) the evidence speaks against itself (pictures that repeat or jump, views that disagree),
-    or None: not looked at.
+    or None: not looked at. rivals: (T, K, D) other poses that the evidence of a frame allows as well, best first, NaN
+    where there are fewer, and rival_weights: (T, K) what each of them has of the certainty, of which the pose has the
+    rest (0: there is none); both None when the method keeps none.
     """
 
     skeleton: Skeleton
@@ -38,6 +40,8 @@ class Motion:
     cost: Array
     provenance: Mapping[str, Any] = field(default_factory=dict)
     doubtful: np.ndarray | None = None
+    rivals: NDArray[np.float32] | None = None
+    rival_weights: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         t, j = len(self.times), len(self.skeleton.joint_names)
@@ -51,10 +55,13 @@ class Motion:
         }
         if self.doubtful is not None:
             expected["doubtful"] = (t,)
+        if self.rivals is not None or self.rival_weights is not None:
+            count = 0 if self.rival_weights is None else self.rival_weights.shape[-1]
+            expected |= {"rivals": (t, count, self.skeleton.dof), "rival_weights": (t, count)}
         for name, shape in expected.items():
-            if getattr(self, name).shape != shape:
+            if np.shape(getattr(self, name)) != shape:
                 raise InputError(
-                    f"Motion.{name} has shape {getattr(self, name).shape}, {shape} is needed; "
+                    f"Motion.{name} has shape {np.shape(getattr(self, name))}, {shape} is needed; "
                     "give every array one row per frame."
                 )
         if self.poses is not None and self.poses.shape != (t, self.skeleton.dof):

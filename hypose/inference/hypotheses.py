@@ -22,6 +22,10 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int32]
 
 
+BEFORE = "before"
+"""Column: the state (D,) that each hypothesis had a step ago, its own history."""
+
+
 def _none() -> IntArray:
     return np.zeros((), np.int32)
 

@@ -111,9 +111,10 @@ class Recipe:
     of the next frame after the last step and so many frames without evidence; None: every hypothesis goes on by itself,
     which the layers see to, as to its limits. estimate(h): the state that a weighted set stands for.
     uncertainty(pose, h, frame): what is known of it; None: the spread of the set. lost(pose, h, frame): whether nobody
-    is there; None: that is told by the overlap with the masks. recover: None: it does not. smooth(clip): the motion
-    with all frames solved together at the end, and sentences about it; None: it is not. citation: where the method
-    comes from.
+    is there; None: that is told by the overlap with the masks. recover: None: it does not. rivals: how many hypotheses
+    the last layer hands on, with the column BEFORE, each of which is then expected by its own last step; 0: the set
+    moves as one. smooth(clip): the motion with all frames solved together at the end, and sentences about it; None: it
+    is not. citation: where the method comes from.
     """
 
     name: str
@@ -126,6 +127,7 @@ class Recipe:
     uncertainty: Callable[[FloatArray, Hypotheses, Any], Any] | None = None
     lost: Callable[[FloatArray, Hypotheses, Any], bool] | None = None
     recover: Recovery | None = None
+    rivals: int = 0
     smooth: Callable[[Any], tuple[Any, tuple[str, ...]]] | None = None
     citation: str = ""
 
@@ -135,6 +137,8 @@ class Recipe:
             raise ValueError(f"recipe '{self.name}' has no layers; give it at least one")
         if self.particles < 1:
             raise ValueError(f"recipe '{self.name}' needs at least one particle, got {self.particles}")
+        if self.rivals < 0:
+            raise ValueError(f"recipe '{self.name}' cannot hand on {self.rivals} rivals; 0 is none")
 
 
 @dataclass(frozen=True)

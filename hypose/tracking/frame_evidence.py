@@ -21,6 +21,7 @@ from hypose.evidence.outlines import WORKING_HEIGHT
 from hypose.fitting.articulated import ContourTerm, KeypointTerm, PointTerm, contour_term
 from hypose.fitting.own_rows import RowTerm
 from hypose.geometry import Array
+from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term
 
 _Found = TypeVar("_Found")
@@ -66,8 +67,9 @@ class PreparedFrame:
     keypoints is None when there are no key points; points, rows: what `own`, the user's evidence, says. prediction
     (D,): the pose expected before looking at the evidence, and prediction_weight: how strongly solves are pulled to it
     (1 / rad^2 in units of the robust rows' cost). usual_iou: how well the body has overlapped the masks so far (NaN:
-    not known). done: frames tracked before this one. counts: of the silhouettes of single poses, (C, 3); hessians: of
-    their solves, (D, D); shared: whatever else one layer of a recipe has found out for the next ones."""
+    not known). rivals: the hypotheses that the last frame left, each where it is expected now (None: the set moves as
+    one). done: frames tracked before this one. counts: of the silhouettes of single poses, (C, 3); hessians: of their
+    solves, (D, D); shared: whatever else one layer of a recipe has found out for the next ones."""
 
     frame: Frame
     body: Body
@@ -81,6 +83,7 @@ class PreparedFrame:
     rows: tuple[RowTerm, ...] = ()
     own: tuple[OwnEvidence, ...] = ()
     done: int = 0
+    rivals: Hypotheses | None = None
     counts: PoseMemory[NDArray[np.int64]] = field(default_factory=PoseMemory, compare=False, repr=False)
     hessians: PoseMemory[Array] = field(default_factory=PoseMemory, compare=False, repr=False)
     shared: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)

@@ -7,7 +7,7 @@ of the cost, and recovers; see `_solving`.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,16 +28,17 @@ from hypose.tracking.exchanged_sides import look_for_exchange
 from hypose.tracking.monocular.recipe import PICTURE_CUES, TRIGGS, monocular
 from hypose.tracking.pose_covariance import uncertainty_of_pose
 from hypose.tracking.published_recipes import LIMB_LAYERS, diffusion, step_sigma
+from hypose.tracking.reach_table import arm_reach
 from hypose.tracking.refinement import (
     COMPOSITE,
     SOLVED,
     ContourRefinement,
     InTurn,
-    RefineComposite,
     SolvePrediction,
     settled,
     solved,
 )
+from hypose.tracking.rival_arms import RefineRivals
 from hypose.tracking.smooth_motion import smooth_clip
 from hypose.tracking.starts import recover
 
@@ -54,21 +55,22 @@ _TURNS = (0, 1, 0, 1)
 frame costs a tenth of the accuracy where the body is not the person's own"""
 
 
-def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iterations: int = 8) -> Recipe:
+def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iterations: int = 8, rivals: int = 3) -> Recipe:
     """The product's default: a contour solve from the prediction, a greedy search of one limb at a time around it with
-    long-tailed steps, and a solve of what the search put together.
+    long-tailed steps, a solve of what the search put together, and of the arms that could be elsewhere instead.
 
     The first solve puts the body within centimetres; the particles find limbs that went elsewhere (a local solve cannot
     pull in what lies beyond about 10 cm); the silhouettes choose between the first solve and the second. Each limb's
     best is kept (`Elite`) instead of resampled: with 200 particles the mean of survivors mixes a found arm with a
     lost one. A quarter of an arm's particles are drawn anew over its whole reach, for a punch is faster than any
     diffusion. One leg and one arm are searched per frame, in turn; all four when the first solve overlaps the masks
-    worse than usual, and below 20 frames per second, where more happens between two frames.
+    worse than usual, and below 20 frames per second, where more happens between two frames. In the same frames an arm's
+    whole reach is looked up; of what is found there the best live on beside the estimate, `rivals` poses in all.
     """
     s = body.skeleton
     sigma = 2.0 * step_sigma(s, frame_rate)
     options = SolveOptions(iterations=iterations, coarse_iterations=iterations // 2)
-    turns = _TURNS if frame_rate >= 20 else (0,) * len(LIMB_LAYERS)
+    turns = _turns(frame_rate)
     period = 1 + max(turns)
     rows = [Layer(SolvePrediction(options), no_evidence, keep, "contours")]
     for (name, joints), turn in zip(LIMB_LAYERS, turns, strict=True):
@@ -84,8 +86,23 @@ def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iteratio
         moving = np.isin(np.arange(len(s.joint_names)), [s.joint(j) for j in joints])
         weigh = Annealed(SilhouetteXor(moving), FixedSelectivity(1.0))  # the best is best under any exponent
         rows.append(Layer(kernel, weigh, Elite(1, mask, but=SOLVED), name, InTurn(turn, period)))
-    rows.append(Layer(RefineComposite(options), no_evidence, keep, "refinement"))
-    return _solving(Recipe("default", rows, particles))
+    rows.append(_rivals(body, turns, rivals, options))
+    return _solving(Recipe("default", rows, particles, rivals=rivals))
+
+
+def _rivals(body: Body, turns: Sequence[int], rivals: int, options: SolveOptions) -> Layer:
+    """The layer that looks arms up in their turns (one for each of LIMB_LAYERS) and hands on so many hypotheses."""
+    lower, upper = _reach(body.skeleton)
+    arms = [
+        (arm_reach(body, joints, lower, upper), InTurn(turn, 1 + max(turns)))
+        for (name, joints), turn in zip(LIMB_LAYERS, turns, strict=True)
+        if name.endswith("arm")
+    ]
+    return Layer(RefineRivals(tuple(arms), rivals, options), no_evidence, keep, "rivals")
+
+
+def _turns(frame_rate: float) -> tuple[int, ...]:
+    return _TURNS if frame_rate >= 20 else (0,) * len(LIMB_LAYERS)
 
 
 def refined(base: Recipe, name: str | None = None) -> Recipe:
@@ -97,6 +114,18 @@ def refined(base: Recipe, name: str | None = None) -> Recipe:
 def hpf_plus(body: Body, particles: int = 572, frame_rate: float = 25.0) -> Recipe:
     """`published_recipes.hpf` with contour refinement, a solved start, prediction and recovery."""
     return refined(published.hpf(body, particles, frame_rate=frame_rate), "hpf+")
+
+
+def dd_hpf_rivals(body: Body, particles: int = 500, frame_rate: float = 25.0, rivals: int = 3) -> Recipe:
+    """`published_recipes.dd_hpf_plus` with contour refinement and rival arms, a solved start, prediction and recovery:
+    its particles find what the detections show, the rivals what they leave uncovered."""
+    base = published.dd_hpf_plus(body, particles, frame_rate=frame_rate)
+    layers = (
+        *base.layers,
+        Layer(ContourRefinement(), no_evidence, keep, "refinement"),
+        _rivals(body, _turns(frame_rate), rivals, SolveOptions()),
+    )
+    return _solving(replace(base, name="dd-hpf+rivals", layers=layers, rivals=rivals))
 
 
 def _solving(base: Recipe) -> Recipe:
@@ -153,6 +182,7 @@ RECIPES: dict[str, Preset] = {
     "dd-hpf": Preset(published.dd_hpf, THESIS),
     "dd-hpf+": Preset(published.dd_hpf_plus, THESIS),
     "dd-hpf+5": Preset(published.dd_hpf_plus_5, THESIS),
+    "dd-hpf+rivals": Preset(dd_hpf_rivals, f"{THESIS} {CONTOURS}"),
     "monocular": Preset(monocular, TRIGGS, needs=("picture",), evidence=PICTURE_CUES),
 }
 

@@ -19,8 +19,8 @@ from hypose.body.motion import Modes, Motion, joined_modes, modes_arrays, sd_per
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.inference.hypotheses import Hypotheses
-from hypose.inference.layer import Recipe, Recovery, search
+from hypose.inference.hypotheses import BEFORE, Hypotheses
+from hypose.inference.layer import Recipe, Recovery, search, stand_still
 from hypose.inference.random_streams import stream
 from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.frame_evidence import OwnEvidence, PreparedFrame, prepare, view_count
@@ -64,7 +64,8 @@ class FrameEstimate:
     """pose (D,), its uncertainty, cost: 1 - mean IoU (NaN without silhouettes), flags, number of views. overlap (C,):
     IoU of the body with each view's mask, NaN where that is not usable, empty when not looked at. exchanged: by
     how much a rival (the body with its sides exchanged) overlaps the masks better, NaN when not looked at.
-    seen (C, 3): what hypose.pipeline.doubts keeps of each view, (0, 3) when nothing."""
+    seen (C, 3): what hypose.pipeline.doubts keeps of each view, (0, 3) when nothing. rivals (K, D), rival_weights
+    (K,): other poses that the evidence allows, as in `Motion`."""
 
     pose: Array
     uncertainty: PoseUncertainty
@@ -75,6 +76,8 @@ class FrameEstimate:
     overlap: Array = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
     exchanged: float = float("nan")
     seen: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
+    rivals: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    rival_weights: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
 
     @property
     def joint_sd(self) -> Array:
@@ -187,11 +190,14 @@ class Tracker:
         prediction = self._within(state.pose + step)
         prepared = self._prepare(frame, prediction, state)
         if not prepared.usable:
-            return self._extrapolate(state, prediction, step)
+            return self._extrapolate(state, prediction, self._expected(state, step))
         if state.frames == 0:
             prepared, state = self._begin(prepared, state)
             step = np.zeros_like(step)
-        h = replace(state.hypotheses, values=self._within(state.hypotheses.values + step))
+        h = self._expected(state, step)
+        if recipe.rivals:  # particles are drawn about the best of them
+            best = h.take(np.repeat(h.relative_log_weights.argmax(), recipe.particles)).equal()
+            h, prepared = replace(best, columns={}), replace(prepared, rivals=h)
         result = search(h, recipe, prepared, partial(stream, self.settings.seed, frame.index))
         pose, selected = self._within(result.estimate), result.selected
         iou = _mean_iou(self.body, pose, prepared)
@@ -204,11 +210,17 @@ class Tracker:
         usual = state.usual_iou
         if not lost and np.isfinite(iou):
             usual = iou if np.isnan(usual) else usual + 0.1 * (iou - usual)
-        following = TrackerState(state.frames + 1, selected, pose, state.pose, known.joint_covariance, usual, 0, lost)
+        before = selected.columns.get(BEFORE)
+        last = state.pose if before is None else before[selected.relative_log_weights.argmax()]
+        following = TrackerState(state.frames + 1, selected, pose, last, known.joint_covariance, usual, 0, lost)
         cost = 1 - iou if np.isfinite(iou) else float("nan")
         overlap = silhouette_iou(self.body, pose, prepared)
         gain = float("nan") if lost else self._rival_gain(state, pose, prepared)
-        return following, FrameEstimate(pose, known, cost, lost, False, view_count(prepared), overlap, gain)
+        rivals, weights = self._rivals(None if lost else selected)
+        views = view_count(prepared)
+        return following, FrameEstimate(
+            pose, known, cost, lost, False, views, overlap, gain, rivals=rivals, rival_weights=weights
+        )
 
     def _recover(
         self, how: Recovery, state: TrackerState, pose: Array, selected: Hypotheses, iou: float, prepared: PreparedFrame
@@ -249,6 +261,28 @@ class Tracker:
         s = self.body.skeleton
         noise = rng.standard_normal((self.recipe.particles, s.dof)) * steps
         return Hypotheses.uniform(s.clamp(pose + noise * step_sigma(s, self.settings.frame_rate)))
+
+    def _rivals(self, h: Hypotheses | None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The hypotheses beside the best, and their weights, as an estimate has them."""
+        count = max(self.recipe.rivals - 1, 0)
+        poses = np.full((count, self.body.skeleton.dof), np.nan, np.float32)
+        weights = np.zeros(count, np.float32)
+        if h is not None and BEFORE in h.columns:
+            order = np.argsort(-h.weights, kind="stable")[1 : 1 + count]
+            poses[: len(order)], weights[: len(order)] = h.values[order], h.weights[order]
+        return poses, weights
+
+    def _expected(self, state: TrackerState, step: Array) -> Hypotheses:
+        """The hypotheses where they are expected after a usual step (D,), or each after its own."""
+        s, h = self.body.skeleton, state.hypotheses
+        if not self.recipe.rivals:
+            return replace(h, values=self._within(h.values + step))
+        before = h.columns.get(BEFORE)
+        if before is None:  # scattered about the pose, which is all there is
+            h, before = Hypotheses(state.pose[None], np.zeros(1)), state.previous[None]
+        steps = np.zeros_like(before) if state.lost else h.values - s.on_branch(before, h.values)
+        ahead = h.values + (self.recipe.predict or stand_still)(steps, state.blind)
+        return replace(h, values=self._within(ahead), columns={BEFORE: h.values})
 
     def _within(self, poses: Array) -> Array:
         """Poses (..., D) within the limits, unless the recipe's layers see to that."""
@@ -305,7 +339,7 @@ class Tracker:
         return bool(iou < NOBODY * (1.0 if np.isnan(usual) else usual))
 
     def _extrapolate(
-        self, state: TrackerState, prediction: Array, velocity: Array
+        self, state: TrackerState, prediction: Array, expected: Hypotheses
     ) -> tuple[TrackerState, FrameEstimate]:
         s = self.body.skeleton
         blind = state.blind + 1
@@ -313,9 +347,14 @@ class Tracker:
         growth = s.joint_covariances(prediction, np.diag(step_sigma(s, self.settings.frame_rate) ** 2))
         covariance = (np.nan_to_num(state.joint_covariance, nan=0.0) + growth).astype(np.float32)
         lost = state.lost or blind > self.settings.extrapolate * self.settings.frame_rate
-        h = replace(state.hypotheses, values=self._within(state.hypotheses.values + velocity))
-        following = TrackerState(state.frames + 1, h, prediction, state.pose, covariance, state.usual_iou, blind, lost)
-        return following, FrameEstimate(prediction, nothing_known(covariance, s.dof), float("nan"), lost, True, 0)
+        following = TrackerState(
+            state.frames + 1, expected, prediction, state.pose, covariance, state.usual_iou, blind, lost
+        )
+        rivals, weights = self._rivals(None)
+        nothing = nothing_known(covariance, s.dof)
+        return following, FrameEstimate(
+            prediction, nothing, float("nan"), lost, True, 0, rivals=rivals, rival_weights=weights
+        )
 
 
 def _mean_iou(body: Body, pose: Array, prepared: PreparedFrame) -> float:
@@ -340,7 +379,14 @@ def motion_of(
         np.array([e.n_views for e in estimates], dtype=np.int64),
         np.array([e.cost for e in estimates], dtype=np.float64),
         provenance or {},
+        rivals=_stacked([e.rivals for e in estimates]),
+        rival_weights=_stacked([e.rival_weights for e in estimates]),
     )
+
+
+def _stacked(of_frames: Sequence[NDArray[np.float32]]) -> NDArray[np.float32] | None:
+    """(T, K, ...) of the frames; None when the method keeps no rivals."""
+    return np.stack(of_frames) if of_frames[0].size else None
 
 
 def modes_of(estimates: Sequence[FrameEstimate]) -> Modes | None:
@@ -362,6 +408,8 @@ def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray
         "views": np.array([e.n_views for e in estimates]),
         "exchanged": np.array([e.exchanged for e in estimates]),
         "seen": np.stack([e.seen for e in estimates]),
+        "rivals": np.stack([e.rivals for e in estimates]),
+        "rival_weights": np.stack([e.rival_weights for e in estimates]),
     }
 
 
@@ -379,8 +427,10 @@ def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimat
             int(views),
             exchanged=float(exchanged),
             seen=seen,
+            rivals=rivals,
+            rival_weights=rival_weights,
         )
-        for allowed, pose, around, known, cost, flags, views, exchanged, seen in zip(
+        for allowed, pose, around, known, cost, flags, views, exchanged, seen, rivals, rival_weights in zip(
             modes,
             arrays["poses"],
             arrays["joint_covariances"],
@@ -390,6 +440,8 @@ def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimat
             arrays["views"],
             arrays["exchanged"],
             arrays["seen"],
+            arrays["rivals"],
+            arrays["rival_weights"],
             strict=True,
         )
     ]

@@ -21,7 +21,7 @@ from hypose.tracking.tracker import Tracker, TrackerSettings
 from tests.tracking.measures import joint_error
 
 PUBLISHED = ("sir", "apf", "partitioned", "hpf", "hpf-apo", "hpf-apo+", "dd-hpf", "dd-hpf+", "dd-hpf+5")
-SOLVING = ("default", "hpf+")
+SOLVING = ("default", "hpf+", "dd-hpf+rivals")
 
 
 def test_every_preset_is_published_or_solves():

@@ -270,7 +270,7 @@ def _draw(
         complete=tracked.complete,
         recording=recording,
         first_frame=recording.frames.start,
-        rivals=None if modes is None else Rivals.of(modes.joints, modes.weights),
+        rivals=Rivals.of_motion(motion) if modes is None else Rivals.of(modes.joints, modes.weights),
     )
 
     def overlay(path: Path, rows: Sequence[int]) -> Mapping[int, Image]:
