@@ -32,7 +32,7 @@ class Ranges:
         return 0.01 * np.abs(self.residuals(points, frame.index)[0]).mean((1, 2))
 
 
-cameras = hypose.make_scene("box", "neutral", seconds=0.1).rig.cameras[:2]
+cameras = hypose.make_scene("box", "neutral", seconds=0.1).rig.cameras[::3]
 scene = hypose.make_scene("box", "neutral", hypose.CameraRig(cameras), seconds=1.6)
 frames, body = hypose.FrameList(list(scene.mask_frames(0.5))), hypose.human()
 names = ["left_elbow", "left_wrist", "right_elbow", "right_wrist"]
