@@ -224,12 +224,11 @@ def split_names(text: str) -> tuple[str, ...]:
 def back_end(name: str) -> Iterator[None]:
     """Run the block on a back end of --compute; an InputError when there is none of that name or no such device."""
     from hypose import compute
-    from hypose.compute import selection
 
     if name not in ("auto", "cpu", "cuda", "reference"):
         raise InputError(f"There is no --compute {name}; choose auto, cpu, cuda or reference.")
     if name == "cuda":
-        selection.require_cuda()
+        compute.require_cuda()
     with compute.use(name):
         yield
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
-from hypose.compute.pictures.picture_to_mask import Box, Lens, make_lens, shrink_undistort
-from hypose.compute.silhouettes.glance import Glance, differing_box, stored_pixels
+from hypose.compute import Box, Glance, Lens, differing_box, make_lens, shrink_undistort, stored_pixels
 from hypose.errors import InputError
 from hypose.evidence.background import Image
 from hypose.evidence.silhouettes import Mask, Segmenter, as_mask, bounding_box
