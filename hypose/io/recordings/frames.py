@@ -432,6 +432,11 @@ def write_masks(stream: FrameStream, folder: str | Path, progress: Callable[[int
     shown = 0
     for done, frame in enumerate(stream, 1):
         if frame.silhouettes is None:
+            if not stream.recording.has_pictures:
+                raise InputError(
+                    f"{stream.recording.name} has key points alone, and silhouettes are made from pictures; give the "
+                    "videos in recording.toml."
+                )
             raise InputError("There are no silhouettes to write; open the stream with silhouettes.")
         for path, camera, mask in zip(views, stream.rig, frame.silhouettes.masks, strict=True):
             ok, data = cv2.imencode(".png", mask[: camera.size[1], : camera.size[0]] * np.uint8(255))
