@@ -125,7 +125,7 @@ def shape_from_keypoints(body: Body, points_world: Array, names: tuple[str, ...]
     unseen = [segment for segment, value in limbs.items() if np.isnan(value)]
     if unseen:  # legs below a desk: in proportion to what is seen
         seen = [v for v in (*limbs.values(), trunk) if v > 0]
-        if len(seen) < 3:
+        if len(seen) < 2:
             raise EvidenceError(
                 f"The key points never show the {unseen[0]} in two views; check their folder and calibration."
             )
