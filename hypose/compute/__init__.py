@@ -19,7 +19,7 @@ from hypose.compute.monocular import mono
 from hypose.compute.native import native, plain, tidy
 from hypose.compute.pictures import picture_to_mask
 from hypose.compute.selection import default_threads, over_chunks, use
-from hypose.compute.silhouettes import glance, lane_mesh
+from hypose.compute.silhouettes import glance, lane_mesh, reach
 from hypose.compute.silhouettes.lane_scratch import lane_scratch
 from hypose.compute.silhouettes.mask_distance import signed_distance
 from hypose.compute.solver.terms import (
@@ -29,6 +29,7 @@ from hypose.compute.solver.terms import (
     PreparedMasks,
     PriorArrays,
     SolveSettings,
+    Standing,
     Workspace,
 )
 from hypose.errors import InputError, SolverError
@@ -36,6 +37,7 @@ from hypose.errors import InputError, SolverError
 __all__ = [
     "MeshArrays",
     "PreparedMasks",
+    "Standing",
     "TreeArrays",
     "Workspace",
     "default_threads",
@@ -103,14 +105,16 @@ def silhouette_xor(
     threads: int | None = None,
     faces: ArrayLike | None = None,
     moving: ArrayLike | None = None,
+    rest: Standing | None = None,
 ) -> NDArray[np.int64]:
     """Silhouettes of the mesh at poses (N, D) against the frame's masks: (N, C, 3) = (xor, model, intersection) pixels.
 
     boxes (C, 4) = x0, x1, y0, y1 (half open, px) restricts the counting; default: each view's whole image. faces (F,)
     bool: only these triangles of the mesh, as seen from outside (body parts, where a hierarchical search has not placed
     the rest yet). moving (J,) bool: only these joints turn, everything else stands as in the last pose, and what they
-    do not move is drawn once. Views that are not usable give zeros. The same counts for any number of threads, and for
-    a pose alone or among others. Exact up to 1-2 pixels of a silhouette whose edge passes through a pixel's centre.
+    do not move is drawn once; rest: that drawing, where `reach.standing` has made it (then without boxes and faces).
+    Views that are not usable give zeros. The same counts for any number of threads, and for a pose alone or among
+    others. Exact up to 1-2 pixels of a silhouette whose edge passes through a pixel's centre.
     Parts nearer than 0.05 m to a camera's plane, or behind it, are cut off. A SolverError for poses that are not
     finite.
     """
@@ -147,10 +151,13 @@ def silhouette_xor(
     drawn, drawn_counts = _nothing(prepared.bits.shape), np.zeros((c, 2), dtype=np.int64)
     if turning is not None and n:
         wanted, standing, corners = lane_mesh.moving_parts(mesh, tree, turning, wanted)
-        drawn = np.zeros_like(prepared.bits)
-        native("silhouettes.standing").draw_standing(
-            q[-1], t, tidy(mesh), corners, standing, prepared, b, drawn, drawn_counts
-        )
+        if rest is not None:
+            drawn, drawn_counts = rest
+        else:
+            drawn = np.zeros_like(prepared.bits)
+            native("silhouettes.standing").draw_standing(
+                q[-1], t, tidy(mesh), corners, standing, prepared, b, drawn, drawn_counts
+            )
     m = lane_mesh.prepare(mesh, tree, wanted)
     kernels = native("silhouettes.lanes")
     out = np.zeros((n, c, 3), dtype=np.int64)
@@ -326,7 +333,10 @@ def warm_up(*, monocular: bool = False) -> float:
     with use("numba"):
         skin(*forward_kinematics(q[None], tree), tree, mesh)
         prepared = prepare_masks(mask, usable, sizes, projection)
-        silhouette_xor(q[None], tree, mesh, prepared, np.array([[0, 32, 0, 32]]), moving=np.array([False, True]))
+        limb = np.array([False, True])
+        silhouette_xor(q[None], tree, mesh, prepared, np.array([[0, 32, 0, 32]]), moving=limb)
+        rest = reach.standing(q, tree, mesh, prepared, limb)
+        reach.score_points(np.zeros((1, 1, 3)), np.ones(1), np.eye(3), q[:3], prepared, rest)
         picture_to_mask.warm_up()
         glance.warm_up()
     sdf = signed_distance(mask, sizes)

@@ -32,8 +32,9 @@ class Hypotheses:
     population, NaN and +inf count as no evidence for that hypothesis (weight 0). origin (*B, N) int32: the number of
     the sensor, kernel or parent that it comes from. role (*B, N) int32: any number of roles, bit k stands for
     role_names[k]; read it with ``has`` and write it with ``marked``. One number for a column stands for all
-    hypotheses. covariance (*B, N, D, D) float64 of each single hypothesis, or None. Raises ValueError when the shapes
-    do not agree or a population is empty.
+    hypotheses. covariance (*B, N, D, D) float64 of each single hypothesis, or None. before (*B, N, D) float64: the
+    state that each hypothesis had a step ago, its own history, or None. Raises ValueError when the shapes do not agree
+    or a population is empty.
     """
 
     values: FloatArray
@@ -42,6 +43,7 @@ class Hypotheses:
     role: IntArray = field(default_factory=_none)
     role_names: tuple[str, ...] = ()
     covariance: FloatArray | None = None
+    before: FloatArray | None = None
 
     def __post_init__(self) -> None:
         values = np.asarray(self.values, dtype=np.float64)
@@ -67,6 +69,11 @@ class Hypotheses:
             if covariance.shape != (*values.shape, values.shape[-1]):
                 raise ValueError(f"covariance must be {(*values.shape, values.shape[-1])}, got {covariance.shape}")
             object.__setattr__(self, "covariance", covariance)
+        if self.before is not None:
+            before = np.asarray(self.before, dtype=np.float64)
+            if before.shape != values.shape:
+                raise ValueError(f"before {before.shape} must be {values.shape}, one earlier state per hypothesis")
+            object.__setattr__(self, "before", before)
 
     @staticmethod
     def uniform(values: ArrayLike, origin: ArrayLike = 0) -> Hypotheses:
@@ -171,10 +178,10 @@ class Hypotheses:
         return np.sqrt(np.einsum("...n,...nd->...d", self.weights, np.square(deviation)))
 
     def take(self, index: ArrayLike) -> Hypotheses:
-        """The hypotheses at index (*B, M), with their log-weights, origins, roles and covariances."""
+        """The hypotheses at index (*B, M), with their log-weights, origins, roles, covariances and histories."""
         chosen = np.asarray(index, dtype=np.intp)
         axis = self.log_weights.ndim - 1
-        c = self.covariance
+        c, b = self.covariance, self.before
         return replace(
             self,
             values=np.take_along_axis(self.values, chosen[..., None], axis),
@@ -182,6 +189,7 @@ class Hypotheses:
             origin=np.take_along_axis(self.origin, chosen, axis),
             role=np.take_along_axis(self.role, chosen, axis),
             covariance=None if c is None else np.take_along_axis(c, chosen[..., None, None], axis),
+            before=None if b is None else np.take_along_axis(b, chosen[..., None], axis),
         )
 
 

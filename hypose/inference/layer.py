@@ -109,8 +109,10 @@ class Recipe:
     that the layers look at ('silhouettes', 'keypoints', 'detections'). start(pose, frame): where the first frame's
     search begins, from the pose that is given. predict(step, blind): the step expected of the next frame after the last
     step and so many frames without evidence. estimate(h): the state that a weighted set stands for.
-    uncertainty(pose, h, frame): what is known of it; None: the spread of the set. recover: None: it does not. smooth:
-    at the end all frames are solved together. citation: where the method comes from.
+    uncertainty(pose, h, frame): what is known of it; None: the spread of the set. recover: None: it does not. rivals:
+    how many hypotheses the last layer hands on, each of which is then expected by its own last step
+    (`Hypotheses.before`); 0: the set moves as one. smooth: at the end all frames are solved together. citation: where
+    the method comes from.
     """
 
     name: str
@@ -122,6 +124,7 @@ class Recipe:
     estimate: Estimate = Hypotheses.mean
     uncertainty: Callable[[FloatArray, Hypotheses, Any], Any] | None = None
     recover: Recovery | None = None
+    rivals: int = 0
     smooth: bool = False
     citation: str = ""
 
@@ -131,6 +134,8 @@ class Recipe:
             raise ValueError(f"recipe '{self.name}' has no layers; give it at least one")
         if self.particles < 1:
             raise ValueError(f"recipe '{self.name}' needs at least one particle, got {self.particles}")
+        if self.rivals < 0:
+            raise ValueError(f"recipe '{self.name}' cannot hand on {self.rivals} rivals; 0 is none")
 
 
 @dataclass(frozen=True)

@@ -31,16 +31,29 @@ class SilhouetteXor:
         return frame_energy(h.values, frame, self.moving)
 
 
-def frame_energy(poses: Array, frame: PreparedFrame, moving: NDArray[np.bool_] | None = None) -> Array:
-    """(N,) what poses (N, D) of the frame's body cost: eq. 2.8, and the user's own evidence."""
-    return xor_energy(frame.body, poses, frame, moving) + frame.own_energy(poses)
+def frame_energy(
+    poses: Array,
+    frame: PreparedFrame,
+    moving: NDArray[np.bool_] | None = None,
+    rest: compute.Standing | None = None,
+) -> Array:
+    """(N,) what poses (N, D) of the frame's body cost: eq. 2.8, and the user's own evidence. rest: what does not move,
+    where it has been drawn."""
+    return xor_energy(frame.body, poses, frame, moving, rest) + frame.own_energy(poses)
 
 
-def xor_energy(body: Body, poses: Array, frame: PreparedFrame, moving: NDArray[np.bool_] | None = None) -> Array:
-    """(N,) energies of eq. 2.8 for poses (N, D); zeros when no view is usable. moving: as for SilhouetteXor."""
+def xor_energy(
+    body: Body,
+    poses: Array,
+    frame: PreparedFrame,
+    moving: NDArray[np.bool_] | None = None,
+    rest: compute.Standing | None = None,
+) -> Array:
+    """(N,) energies of eq. 2.8 for poses (N, D); zeros when no view is usable. moving: as for SilhouetteXor; rest: as
+    for `frame_energy`."""
     if frame.masks is None:
         return np.zeros(len(poses))
-    counts = _counts(body, poses, frame) if moving is None else _count(body, poses, frame.masks, moving)
+    counts = _counts(body, poses, frame) if moving is None else _count(body, poses, frame.masks, moving, rest)
     use = frame.masks.usable
     return (counts[:, use, 0] / frame.masks.areas[use]).sum(1)
 
@@ -55,7 +68,7 @@ def silhouette_iou(body: Body, pose: Array, frame: PreparedFrame) -> Array:
         return np.where(frame.masks.usable, counts[:, 2] / union, np.nan)
 
 
-_FEW = 4
+_FEW = 12
 """sets of no more poses are looked up, and remembered: the same pose is judged several times in a frame"""
 
 
@@ -72,10 +85,14 @@ def _counts(body: Body, poses: Array, frame: PreparedFrame) -> NDArray[np.int64]
 
 
 def _count(
-    body: Body, poses: Array, masks: compute.PreparedMasks, moving: NDArray[np.bool_] | None = None
+    body: Body,
+    poses: Array,
+    masks: compute.PreparedMasks,
+    moving: NDArray[np.bool_] | None = None,
+    rest: compute.Standing | None = None,
 ) -> NDArray[np.int64]:
     flat = np.ascontiguousarray(poses, dtype=np.float64)
-    return compute.silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, masks, moving=moving)
+    return compute.silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, masks, moving=moving, rest=rest)
 
 
 def no_evidence(h: Hypotheses, frame: PreparedFrame, /) -> Array:

@@ -20,6 +20,7 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.outlines import WORKING_HEIGHT
 from hypose.fitting.articulated import ContourTerm, KeypointTerm, PointTerm, contour_term
 from hypose.geometry import Array
+from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term
 
 _Found = TypeVar("_Found")
@@ -64,6 +65,7 @@ class PreparedFrame:
     keypoints is None when there are no key points; points: the rows of `own`, the user's evidence. prediction (D,): the
     pose expected before looking at the evidence, and prediction_weight: how strongly solves are pulled to it (1 / rad^2
     in units of the robust rows' cost). usual_iou: how well the body has overlapped the masks so far (NaN: not known).
+    rivals: the hypotheses that the last frame left, each where it is expected now (None: the set moves as one).
     counts: of the silhouettes of single poses, (C, 3); hessians: of their solves, (D, D)."""
 
     frame: Frame
@@ -76,6 +78,7 @@ class PreparedFrame:
     usual_iou: float = float("nan")
     points: PointTerm | None = None
     own: tuple[OwnEvidence, ...] = ()
+    rivals: Hypotheses | None = None
     counts: PoseMemory[NDArray[np.int64]] = field(default_factory=PoseMemory, compare=False, repr=False)
     hessians: PoseMemory[Array] = field(default_factory=PoseMemory, compare=False, repr=False)
 

@@ -25,16 +25,17 @@ from hypose.tracking.costs import SilhouetteXor, no_evidence
 from hypose.tracking.exchanged_sides import look_for_exchange
 from hypose.tracking.pose_covariance import uncertainty_of_pose
 from hypose.tracking.published_recipes import LIMB_LAYERS, diffusion, step_sigma
+from hypose.tracking.reach_table import arm_reach
 from hypose.tracking.refinement import (
     COMPOSITE,
     SOLVED,
     ContourRefinement,
     InTurn,
-    RefineComposite,
     SolvePrediction,
     settled,
     solved,
 )
+from hypose.tracking.rival_arms import RefineRivals
 from hypose.tracking.starts import recover
 
 THESIS = "Alcoverro, M. (2014). Stochastic optimization and interactive machine learning for human motion analysis."
@@ -50,16 +51,17 @@ _TURNS = (0, 1, 0, 1)
 frame costs a tenth of the accuracy where the body is not the person's own"""
 
 
-def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iterations: int = 8) -> Recipe:
+def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iterations: int = 8, rivals: int = 3) -> Recipe:
     """The product's default: a contour solve from the prediction, a greedy search of one limb at a time around it with
-    long-tailed steps, and a solve of what the search put together.
+    long-tailed steps, a solve of what the search put together, and of the arms that could be elsewhere instead.
 
     The first solve puts the body within centimetres; the particles find limbs that went elsewhere (a local solve cannot
     pull in what lies beyond about 10 cm); the silhouettes choose between the first solve and the second. Each limb's
     best is kept (`Elite`) instead of resampled: with 200 particles the mean of survivors mixes a found arm with a
     lost one. A quarter of an arm's particles are drawn anew over its whole reach, for a punch is faster than any
     diffusion. One leg and one arm are searched per frame, in turn; all four when the first solve overlaps the masks
-    worse than usual, and below 20 frames per second, where more happens between two frames.
+    worse than usual, and below 20 frames per second, where more happens between two frames. In the same frames an arm's
+    whole reach is looked up; of what is found there the best live on beside the estimate, `rivals` poses in all.
     """
     s = body.skeleton
     sigma = 2.0 * step_sigma(s, frame_rate)
@@ -80,8 +82,13 @@ def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iteratio
         moving = np.isin(np.arange(len(s.joint_names)), [s.joint(j) for j in joints])
         weigh = Annealed(SilhouetteXor(moving), FixedSelectivity(1.0))  # the best is best under any exponent
         rows.append(Layer(kernel, weigh, Elite(1, mask, but=SOLVED), name, InTurn(turn, period)))
-    rows.append(Layer(RefineComposite(options), no_evidence, keep, "refinement"))
-    return _solving(Recipe("default", rows, particles))
+    arms = [
+        (arm_reach(body, joints, *_reach(s)), InTurn(turn, period))
+        for (name, joints), turn in zip(LIMB_LAYERS, turns, strict=True)
+        if name.endswith("arm")
+    ]
+    rows.append(Layer(RefineRivals(tuple(arms), rivals, options), no_evidence, keep, "rivals"))
+    return replace(_solving(Recipe("default", rows, particles)), rivals=rivals)
 
 
 def refined(base: Recipe, name: str | None = None) -> Recipe:

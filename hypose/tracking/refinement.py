@@ -126,33 +126,6 @@ class InTurn:
         return 1 - iou <= self.unsettled * (1 - frame.usual_iou)
 
 
-@dataclass(frozen=True)
-class RefineComposite:
-    """Kernel: refines what a limb search put together, and keeps it if it beats the solved hypothesis.
-
-    All hypotheses become the winner, one of them in the role SOLVED. Nothing is solved when the search lowered the
-    energy by less than the share `margin`, which chance alone does.
-    """
-
-    options: SolveOptions = SolveOptions()
-    margin: float = 0.02
-
-    def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
-        """The set at the winner."""
-        winner, composite = member(h, SOLVED), member(h, COMPOSITE)
-        if self._is_better(winner, composite, frame):
-            found = refine(frame.body, composite[None], frame, self.options)[0].pose
-            both = np.stack([winner, found])
-            winner = both[int(np.argmin(mismatch(both, frame)))]
-        return _all_at(winner, h)
-
-    def _is_better(self, winner: Array, composite: Array, frame: PreparedFrame) -> bool:
-        if np.array_equal(winner, composite):
-            return False
-        energy = frame_energy(np.stack([winner, composite]), frame)
-        return bool(energy[1] < (1 - self.margin) * energy[0])
-
-
 def member(h: Hypotheses, role: str) -> Array:
     """(D,) the value of the hypothesis in a role that one of h has."""
     return h.values[np.flatnonzero(h.has(role))[0]]
@@ -162,14 +135,15 @@ def _all_at(pose: Array, h: Hypotheses) -> Hypotheses:
     return replace(h, values=np.repeat(pose[None], h.count, 0)).marked(SOLVED, [0])
 
 
-def mismatch(poses: Array, frame: PreparedFrame, step_penalty: float = 0.002) -> Array:
-    """(N,) mean energy over the views (eq. 2.8 / views) + step_penalty x mean squared step from the prediction in
-    large steps (three usual motions): what chooses between solved poses. The penalty keeps equal silhouettes from
-    flipping a limb."""
+def mismatch(poses: Array, frame: PreparedFrame, step_penalty: float = 0.002, expected: Array | None = None) -> Array:
+    """(N,) mean energy over the views (eq. 2.8 / views) + step_penalty x mean squared step from the prediction (or from
+    where each was expected (N, D)) in large steps (three usual motions): what chooses between solved poses. The penalty
+    keeps equal silhouettes from flipping a limb."""
     assert frame.masks is not None
     views = max(int(frame.masks.usable.sum()), 1)
     skeleton = frame.body.skeleton
-    step = (skeleton.on_branch(poses, frame.prediction) - frame.prediction) / (3 * skeleton.sigma)
+    expected = frame.prediction if expected is None else expected
+    step = (skeleton.on_branch(poses, expected) - expected) / (3 * skeleton.sigma)
     return frame_energy(poses, frame) / views + step_penalty * (step[:, 3:] ** 2).mean(1)
 
 

@@ -104,6 +104,7 @@ class TrackerState:
             "origin": self.hypotheses.origin,
             "role": self.hypotheses.role,
             "role_names": np.array(self.hypotheses.role_names, dtype=np.str_),
+            **({} if self.hypotheses.before is None else {"before": self.hypotheses.before}),
             "pose": self.pose,
             "previous": self.previous,
             "joint_covariance": self.joint_covariance,
@@ -116,7 +117,8 @@ class TrackerState:
     def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrackerState:
         """The state that `to_arrays` wrote."""
         names = tuple(arrays["role_names"].tolist())
-        h = Hypotheses(arrays["values"], arrays["log_weights"], arrays["origin"], arrays["role"], names)
+        values, log_weights, origin, role = (arrays[k] for k in ("values", "log_weights", "origin", "role"))
+        h = Hypotheses(values, log_weights, origin, role, names, before=arrays.get("before"))
         return TrackerState(
             int(arrays["frames"]),
             h,
@@ -172,11 +174,14 @@ class Tracker:
         prediction = s.clamp(state.pose + step)
         prepared = self._prepare(frame, prediction, state.usual_iou)
         if not prepared.usable:
-            return self._extrapolate(state, prediction, step)
+            return self._extrapolate(state, prediction, self._expected(state, step))
         if state.frames == 0:
             prepared, state = self._begin(prepared, state)
             step = np.zeros_like(step)
-        h = replace(state.hypotheses, values=s.clamp(state.hypotheses.values + step))
+        h = self._expected(state, step)
+        if recipe.rivals:  # particles are drawn about the best of them
+            best = h.take(np.repeat(h.relative_log_weights.argmax(), recipe.particles)).equal()
+            h, prepared = replace(best, before=None), replace(prepared, rivals=h)
         result = search(h, recipe, prepared, partial(stream, self.settings.seed, frame.index))
         pose, selected = s.clamp(result.estimate), result.selected
         iou = _mean_iou(self.body, pose, prepared)
@@ -187,7 +192,8 @@ class Tracker:
         usual = state.usual_iou
         if not lost and np.isfinite(iou):
             usual = iou if np.isnan(usual) else usual + 0.1 * (iou - usual)
-        following = TrackerState(state.frames + 1, selected, pose, state.pose, known.joint_covariance, usual, 0, lost)
+        last = state.pose if selected.before is None else selected.before[selected.relative_log_weights.argmax()]
+        following = TrackerState(state.frames + 1, selected, pose, last, known.joint_covariance, usual, 0, lost)
         cost = 1 - iou if np.isfinite(iou) else float("nan")
         overlap = silhouette_iou(self.body, pose, prepared)
         gain = float("nan") if lost else self._rival_gain(state, pose, prepared)
@@ -232,6 +238,17 @@ class Tracker:
         s = self.body.skeleton
         noise = rng.standard_normal((self.recipe.particles, s.dof)) * steps
         return Hypotheses.uniform(s.clamp(pose + noise * step_sigma(s, self.settings.frame_rate)))
+
+    def _expected(self, state: TrackerState, step: Array) -> Hypotheses:
+        """The hypotheses where they are expected after a usual step (D,), or each after its own."""
+        s, h = self.body.skeleton, state.hypotheses
+        if not self.recipe.rivals:
+            return replace(h, values=s.clamp(h.values + step))
+        before = h.before
+        if before is None:  # scattered about the pose, which is all there is
+            h, before = Hypotheses(state.pose[None], np.zeros(1)), state.previous[None]
+        steps = np.zeros_like(before) if state.lost else h.values - s.on_branch(before, h.values)
+        return replace(h, values=s.clamp(h.values + self.recipe.predict(steps, state.blind)), before=h.values)
 
     def _on_canonical_branch(self, state: TrackerState) -> TrackerState:
         s = self.body.skeleton
@@ -281,7 +298,7 @@ class Tracker:
         return bool(iou < NOBODY * (1.0 if np.isnan(usual) else usual))
 
     def _extrapolate(
-        self, state: TrackerState, prediction: Array, velocity: Array
+        self, state: TrackerState, prediction: Array, expected: Hypotheses
     ) -> tuple[TrackerState, FrameEstimate]:
         s = self.body.skeleton
         blind = state.blind + 1
@@ -289,8 +306,9 @@ class Tracker:
         growth = s.joint_covariances(prediction, np.diag(step_sigma(s, self.settings.frame_rate) ** 2))
         covariance = (np.nan_to_num(state.joint_covariance, nan=0.0) + growth).astype(np.float32)
         lost = state.lost or blind > self.settings.extrapolate * self.settings.frame_rate
-        h = replace(state.hypotheses, values=s.clamp(state.hypotheses.values + velocity))
-        following = TrackerState(state.frames + 1, h, prediction, state.pose, covariance, state.usual_iou, blind, lost)
+        following = TrackerState(
+            state.frames + 1, expected, prediction, state.pose, covariance, state.usual_iou, blind, lost
+        )
         return following, FrameEstimate(prediction, nothing_known(covariance, s.dof), float("nan"), lost, True, 0)
 
 

@@ -26,6 +26,15 @@ class PreparedMasks(NamedTuple):
     """(C, h, ceil(w / 8) + 16) the masks packed, lowest bit first, zeros after the last column."""
 
 
+class Standing(NamedTuple):
+    """What of a body stands still while a limb is searched, drawn once per frame."""
+
+    bits: NDArray[np.uint8]
+    """(C, h, B) its silhouettes, packed like the masks' bits."""
+    counts: NDArray[np.int64]
+    """(C, 2) its pixels, and those of them in the mask."""
+
+
 class ContourArrays(NamedTuple):
     """Two-way contour distances. Forward rows: points of the body's outline against the signed distance of the mask;
     reverse rows: points of the mask's outline against the nearest outline point of the body."""

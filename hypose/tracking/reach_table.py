@@ -1,0 +1,108 @@
+"""Where an arm may be: poses of it over its whole reach, made once for a body, each as a few points of its axis.
+
+What a local solve and diffusion never find again is looked up: thousands of arms a frame, as points in the masks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose import compute
+from hypose.body.body import Body
+from hypose.compute.silhouettes import reach
+from hypose.geometry import Array
+from hypose.tracking.frame_evidence import PreparedFrame
+
+POSES = 4096
+"""of an arm; twice as many find nothing more"""
+_ALONG = ((0.4, 0.7, 1.0), (0.33, 0.67, 1.0), (0.5, 0.9))
+"""where the points of upper arm, forearm and hand lie on their axes: at the shoulder an arm is never alone"""
+_WIDTH = (0.09, 0.07, 0.06)
+"""m, of upper arm, forearm and hand: what a point stands for is its share of the part's area"""
+_ENDS = [2, 5, 7]
+"""the points at elbow, wrist, and near the tip of the hand"""
+
+
+@dataclass(frozen=True)
+class ArmReach:
+    """A table of an arm's poses. body: whose arm; own (d,): its coordinates; parent: the joint it hangs on (the chest);
+    chain: shoulder, elbow, wrist; tip (3,) m: of the hand, in the wrist's frame; moving (J,): its joints; poses (N, d);
+    points (N, 8, 3) m: the poses as the parent sees them; area (8,) m^2: what each point stands for."""
+
+    body: Body
+    own: NDArray[np.int64]
+    parent: int
+    chain: tuple[int, int, int]
+    tip: Array
+    moving: NDArray[np.bool_]
+    poses: Array
+    points: Array
+    area: Array
+
+    def here(self, poses: Array) -> Array:
+        """(N, 8, 3) m: the arm's points in poses (N, D), as its parent sees them."""
+        return _points(self.body, poses[:, self.own], self.own, self.parent, self.chain, self.tip)
+
+    def score(self, points: Array, pose: Array, frame: PreparedFrame, rest: compute.Standing, cutoff: float) -> Array:
+        """(N,) m^2: what of an arm at points (N, 8, 3) of a body at a pose (D,) lies outside the masks, less what of it
+        explains them, summed over the views; no more than `above cutoff` where it lies above."""
+        assert frame.masks is not None
+        rotation, centre = self.body.skeleton.forward(pose)
+        return reach.score_points(
+            points, self.area, rotation[self.parent], centre[self.parent], frame.masks, rest, cutoff
+        )
+
+
+def ends(points: Array) -> Array:
+    """(N, 3, 3) m: elbow, wrist and hand of an arm's points (N, 8, 3)."""
+    return points[:, _ENDS]
+
+
+def arm_reach(body: Body, joints: tuple[str, ...], lower: Array, upper: Array, count: int = POSES) -> ArmReach:
+    """The table of the arm with these joints (clavicle, shoulder, elbow of a side), whose coordinates are spread evenly
+    between lower and upper (D,)."""
+    s, side = body.skeleton, joints[0].split("_")[0]
+    own = s.dofs_of(*joints)
+    a, b, c = (s.joint(f"{side}_{name}") for name in ("shoulder", "elbow", "wrist"))
+    parent = int(s.parents[min(s.joint(name) for name in joints)])
+    mark = body.landmarks.index(f"{side}_hand_tip")
+    tip = body.landmarks.offset[mark]
+    poses = lower[own] + (upper - lower)[own] * _evenly_spread(count, len(own))
+    bones = s.rest_joints[[b, c]] - s.rest_joints[[a, b]]
+    lengths = [*np.linalg.norm(bones, axis=1), np.linalg.norm(tip)]
+    area = [width * length / len(at) for width, length, at in zip(_WIDTH, lengths, _ALONG, strict=True) for _ in at]
+    moving = np.isin(np.arange(len(s.joint_names)), [s.joint(name) for name in joints])
+    points = _points(body, poses, own, parent, (a, b, c), tip)
+    return ArmReach(body, own, parent, (a, b, c), tip, moving, poses, points, np.array(area))
+
+
+def _evenly_spread(count: int, dimension: int) -> Array:
+    """(N, d) in [0, 1): the Halton sequence, whose n-th number of the k-th coordinate is n mirrored at the point in the
+    base of the k-th prime. Source: Halton 1960."""
+    out = np.zeros((count, dimension))
+    primes = [p for p in range(2, 100) if all(p % q for q in range(2, p))][:dimension]
+    for k, base in enumerate(primes):
+        n, share = np.arange(1, count + 1), 1.0
+        while n.any():
+            share /= base
+            out[:, k] += share * (n % base)
+            n = n // base
+    return out
+
+
+def _points(
+    body: Body, values: Array, own: NDArray[np.int64], parent: int, chain: tuple[int, int, int], tip: Array
+) -> Array:
+    """(N, 8, 3) m: an arm's points with its coordinates at values (N, d), as its parent sees them."""
+    poses = np.zeros((len(values), body.skeleton.dof))
+    poses[:, own] = values
+    # nothing else is turned, so the parent's frame is that of the world
+    rotations, centres = compute.forward_kinematics(poses, body.skeleton.tree)
+    a, b, c = (centres[:, j] for j in chain)
+    tips = c + np.einsum("nij,j->ni", rotations[:, chain[2]], tip)
+    axes = zip(((a, b), (b, c), (c, tips)), _ALONG, strict=True)
+    found = [x + f * (y - x) for (x, y), at in axes for f in at]
+    return np.ascontiguousarray(np.stack(found, 1) - centres[:, None, parent])

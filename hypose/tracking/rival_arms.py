@@ -1,0 +1,183 @@
+"""Rival arms: the estimate and the best of what the arms could be instead, carried along from frame to frame.
+
+A lost arm lies in plain sight, yet its pose overlaps the masks better only once the body, which has made up for the
+wrong arm, is solved anew. So the arms that a table of reach finds in the masks are solved before they are compared,
+and a few that are nearly as good live on, each with its own history, until what they predict decides. Source: as for
+the pruned multiple hypotheses of Sminchisescu & Triggs 2001; the scores and the table are hypose's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hypose.compute.selection import over_chunks
+from hypose.compute.silhouettes import reach
+from hypose.fitting.articulated import SolveOptions
+from hypose.geometry import Array
+from hypose.inference.hypotheses import Hypotheses
+from hypose.tracking.costs import frame_energy
+from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.reach_table import ArmReach, ends
+from hypose.tracking.refinement import COMPOSITE, SOLVED, member, mismatch, refine
+
+RIVAL = "rival"
+"""Role: a hypothesis that is alive beside the solved one."""
+
+
+@dataclass(frozen=True)
+class LookedUp:
+    """Which arms of a table become rivals. Lengths are m, of elbow, wrist or hand. cutoff: m^2 by which an arm's points
+    may lie worse than the current arm's; pool: how many are drawn; far: from the current arm and from each other;
+    ratio: of their energy to the current one, unsolved; most: rivals per arm.
+
+    Chosen on scenes (walk, box, run, combo) of the seeds 500 to 507; 520 to 525 gave the same."""
+
+    cutoff: float = 0.1
+    pool: int = 48
+    far: float = 0.1
+    ratio: float = 1.04
+    most: int = 2
+
+
+@dataclass(frozen=True)
+class Contest:
+    """How hypotheses are compared over time. memory: share of the last frame's score that counts again; doubt: what a
+    new rival has against it, in mismatches of the estimate; apart: m, nearer arms are one hypothesis; behind: share of
+    its mismatch by which a hypothesis that is kept lies behind; softness: log-weight 1 in scores.
+
+    Chosen as LookedUp's."""
+
+    memory: float = 0.8
+    doubt: float = 0.02
+    apart: float = 0.08
+    behind: float = 0.15
+    softness: float = 0.01
+
+
+@dataclass(frozen=True)
+class RefineRivals:
+    """Kernel: solves what a limb search put together, arms that were looked up, and the rivals of the last frame, each
+    from its own prediction, and hands on the best: the estimate in the role SOLVED, the others as RIVALs.
+
+    arms: tables, and when each is looked up; keep: how many hypotheses live; margin: share of the energy that the
+    search must win before its result is solved; options, near: of solves from a prediction, and of those that begin
+    near their end. Scores are those of `contest`; log-weights tell them, origins the parents, and `before` what each
+    was in the last frame: its parent, but an arm found elsewhere has not moved.
+    """
+
+    arms: tuple[tuple[ArmReach, Callable[[Hypotheses, PreparedFrame], bool]], ...]
+    keep: int = 3
+    options: SolveOptions = SolveOptions()
+    near: SolveOptions = SolveOptions(iterations=5, coarse_iterations=0)
+    margin: float = 0.02
+    look: LookedUp = LookedUp()
+    contest: Contest = Contest()
+
+    def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
+        """The hypotheses that live on."""
+        s, c = frame.body.skeleton, self.contest
+        winner, alive, last = member(h, SOLVED), *_best_first(frame)
+        if frame.masks is None:  # nothing to compare them by
+            return _roles(Hypotheses(s.clamp(winner[None]), np.zeros(1), before=last[:1]))
+        old = s.on_branch(alive.values[1:], frame.prediction)
+        composite, looked_up = self._composite(h, winner, frame), self._looked_up(h, winner, frame)
+        starts = [*composite, *looked_up]
+        poses = np.stack([winner, *self._solved(starts, old, frame)])
+        parents = np.array([0] * (1 + len(starts)) + [1 + k for k in range(len(old))])
+        fresh = np.zeros(len(poses), np.bool_)
+        fresh[1 + len(composite) : 1 + len(starts)] = True
+        expected = np.stack([*[frame.prediction] * (1 + len(starts)), *old])
+        costs = mismatch(poses, frame, expected=expected)
+        scores = costs + c.doubt * costs[0] * fresh - c.memory * c.softness * alive.relative_log_weights[parents]
+        at = [ends(arm.here(poses)) for arm, _ in self.arms]
+        before = last[parents]
+        for (arm, _), where in zip(self.arms, at, strict=True):
+            jumped = fresh & (_farthest(where, where[0]) > self.look.far)
+            before[np.ix_(jumped, arm.own)] = poses[np.ix_(jumped, arm.own)]
+        found = Hypotheses(s.clamp(poses), -scores / c.softness, parents, before=before)
+        return _roles(found.take(self._living(scores, costs, np.concatenate(at, 1))))
+
+    def _composite(self, h: Hypotheses, winner: Array, frame: PreparedFrame) -> list[Array]:
+        """The pose (D,) that the search put together, when it has won anything."""
+        composite = member(h, COMPOSITE)
+        if np.array_equal(winner, composite):
+            return []
+        energy = frame_energy(np.stack([winner, composite]), frame)
+        return [composite] if energy[1] < (1 - self.margin) * energy[0] else []
+
+    def _looked_up(self, h: Hypotheses, winner: Array, frame: PreparedFrame) -> list[Array]:
+        """Poses (D,) with one arm elsewhere."""
+        found: list[Array] = []
+        for arm, turn in self.arms:
+            if turn(h, frame):
+                found += rival_arms(arm, winner, frame, self.look)
+        return found
+
+    def _solved(self, starts: list[Array], old: Array, frame: PreparedFrame) -> list[Array]:
+        """The solutions (D,) from starts and from the predictions (K, D) of rivals, over threads."""
+        tasks = [(q, frame, self.near) for q in starts] + [(q, replace(frame, prediction=q), self.options) for q in old]
+        solved = [winner for winner, _, _ in tasks]
+
+        def work(first: int, last: int) -> None:
+            for n in range(first, last):
+                q, own, options = tasks[n]
+                solved[n] = refine(frame.body, q[None], own, options)[0].pose
+
+        over_chunks(work, len(tasks), None)
+        return solved
+
+    def _living(self, scores: Array, costs: Array, at: Array) -> list[int]:
+        """Which hypotheses live on, best first: those with arms (E, 3) elsewhere that are not far behind."""
+        kept: list[int] = []
+        for n in np.argsort(scores, kind="stable"):
+            alone = all(_farthest(at[n, None], at[k]) > self.contest.apart for k in kept)
+            if alone and scores[n] - scores[[*kept, n][0]] <= self.contest.behind * costs[n]:
+                kept.append(int(n))
+            if len(kept) == self.keep:
+                break
+        return kept
+
+
+def rival_arms(arm: ArmReach, pose: Array, frame: PreparedFrame, look: LookedUp) -> list[Array]:
+    """Poses (D,) that differ from a pose in one arm, which lies elsewhere in the masks where the body is not."""
+    assert frame.masks is not None
+    body, here = frame.body, arm.here(pose[None])
+    rest = reach.standing(pose, body.skeleton.tree, body.coarse.arrays, frame.masks, arm.moving)
+    limit = arm.score(here, pose, frame, rest, np.inf)[0] + look.cutoff
+    score = arm.score(arm.points, pose, frame, rest, limit)
+    good = np.flatnonzero(score <= limit)
+    good = good[_farthest(ends(arm.points[good]), ends(here)[0]) > look.far]
+    if not len(good):
+        return []
+    good = good[np.argsort(score[good], kind="stable")[: look.pool]]
+    poses = np.repeat(pose[None], len(good) + 1, 0)
+    poses[:-1, arm.own] = arm.poses[good]  # the last one stands
+    energy = frame_energy(poses, frame, arm.moving, rest)
+    at, chosen = ends(arm.points[good]), list[int]()
+    for n in np.argsort(energy[:-1], kind="stable"):
+        if energy[n] > look.ratio * energy[-1] or len(chosen) == look.most:
+            break
+        if all(_farthest(at[n, None], at[k]) > look.far for k in chosen):
+            chosen.append(int(n))
+    return [poses[n] for n in chosen]
+
+
+def _farthest(ends: Array, other: Array) -> Array:
+    """(N,) m: by how much the farthest of ends (N, E, 3) is off the other (E, 3)."""
+    return np.linalg.norm(ends - other, axis=-1).max(-1)
+
+
+def _best_first(frame: PreparedFrame) -> tuple[Hypotheses, Array]:
+    """The hypotheses of the last frame, expected in this one, and what they were (N, D)."""
+    assert frame.rivals is not None and frame.rivals.before is not None, "the recipe does not say how many rivals"
+    h = frame.rivals.take(np.argsort(-frame.rivals.relative_log_weights, kind="stable"))
+    assert h.before is not None
+    return h, h.before
+
+
+def _roles(h: Hypotheses) -> Hypotheses:
+    """The first one is the estimate, the others are its rivals."""
+    return h.marked(SOLVED, [0]).marked(RIVAL, np.arange(1, h.count))
