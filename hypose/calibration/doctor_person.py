@@ -105,9 +105,7 @@ def _template(names: tuple[str, ...]) -> dict[tuple[str, str], float]:
     at = body.skeleton.rest_joints[joint] + offset
     column = {n: k for k, n in enumerate(names) if known[k]}
     return {
-        (a, b): float(np.linalg.norm(at[column[a]] - at[column[b]]))
-        for a, b in _PAIRS
-        if a in column and b in column
+        (a, b): float(np.linalg.norm(at[column[a]] - at[column[b]])) for a, b in _PAIRS if a in column and b in column
     }
 
 

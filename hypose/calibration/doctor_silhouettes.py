@@ -62,6 +62,23 @@ def examine_silhouettes(
     return findings, _reports(rig, residual, size * ratio), late
 
 
+def gross_silhouettes(rig: CameraRig, silhouettes: Sequence[Silhouettes | None], o: Limits) -> tuple[Finding, ...]:
+    """What a few frames (not in a row) tell: mirrored, turned and exchanged views, planes that never meet, and the
+    unit. rig: that of the silhouettes."""
+    tracks = mask_tracks(silhouettes)
+    size = _sizes(tracks)
+    findings: list[Finding] = []
+    if len(rig) < 2 or not (size > 0).any():
+        return ()
+    cured, tracks = _gross(rig, tracks, size, findings, o)
+    left = _score(cured, tracks, size)
+    if not findings and left > o.gross:
+        text = f"All cameras: the silhouettes' tangent planes disagree by {100 * left:.0f} % of the person's size"
+        findings.append(Finding("scatter", (), text, "run hypose check, which looks for the cause", left))
+    findings += _unit(cured, size, o)
+    return tuple(findings)
+
+
 def _reports(rig: CameraRig, residual: Array, size: Array) -> tuple[ViewReport, ...]:
     nan = float("nan")
     return tuple(
