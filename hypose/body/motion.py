@@ -23,8 +23,9 @@ class Motion:
     unknown; in 32 bit, since long recordings have many frames. lost: (T,) the person was not found. extrapolated:
     (T,) no evidence, prediction only. n_views: (T,) number of views that carried evidence. cost: (T,) remaining
     cost of the method's own measure (NaN when none). provenance: recipe, versions, seed, inputs' hashes: plain JSON
-    values. doubtful: (T,) the evidence speaks against itself (pictures that repeat or jump, views that disagree),
-    or None: not looked at.
+    values. doubtful: (T,) the evidence speaks against itself (pictures that repeat or jump, views that disagree), or
+    against a joint, or None: not looked at. p_wrong: (T, J) probability that the joint is wrong by more than 100 mm,
+    and doubtful_joints: (T, J) where that is more than may be passed over, or None: not looked at.
     """
 
     skeleton: Skeleton
@@ -38,6 +39,8 @@ class Motion:
     cost: Array
     provenance: Mapping[str, Any] = field(default_factory=dict)
     doubtful: np.ndarray | None = None
+    p_wrong: NDArray[np.float32] | None = None
+    doubtful_joints: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         t, j = len(self.times), len(self.skeleton.joint_names)
@@ -51,6 +54,10 @@ class Motion:
         }
         if self.doubtful is not None:
             expected["doubtful"] = (t,)
+        if self.p_wrong is not None:
+            expected["p_wrong"] = (t, j)
+        if self.doubtful_joints is not None:
+            expected["doubtful_joints"] = (t, j)
         for name, shape in expected.items():
             if getattr(self, name).shape != shape:
                 raise InputError(

@@ -8,20 +8,25 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import HyposeError, InputError
+from hypose.geometry import Array
 from hypose.inference.layer import Recipe
 from hypose.io.motions.results import ResultsFolder, save_motion
 from hypose.io.recordings.provenance import identity
 from hypose.pipeline.colour_detections import tracked_frames
 from hypose.pipeline.doubts import with_doubts
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
+from hypose.pipeline.first_look import first_look, sentences
 from hypose.pipeline.kept_findings import SUBJECT, keep_subject, kept_subject
 from hypose.pipeline.keypoint_track import track_keypoints
 from hypose.pipeline.mend_sides import mend_sides, sides_notes
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
+from hypose.pipeline.verdict import Verdict, verdict_of
+from hypose.tracking.doubt import judged
 from hypose.tracking.frame_evidence import OwnEvidence
 from hypose.tracking.recipes import RECIPES, recipe
 from hypose.tracking.smooth_motion import smooth_motion
@@ -67,12 +72,22 @@ class TrackOptions:
 
 @dataclass(frozen=True)
 class TrackResult:
-    """motion; the subject's body; complete: every frame was tracked; notes for the report."""
+    """motion; the subject's body; complete: every frame was tracked; notes for the report. one_by_one (T, D): the poses
+    as each frame was tracked, audit (T, J, A): what spoke for and against each joint (hypose.tracking.audit), None
+    where that was not kept; faults: sentences on what was found wrong before tracking."""
 
     motion: Motion
     body: Body
     complete: bool
     notes: tuple[str, ...]
+    one_by_one: Array | None = None
+    audit: NDArray[np.float32] | None = None
+    faults: tuple[str, ...] = ()
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the motion is to be trusted, in words."""
+        return verdict_of(self.motion, self.faults)
 
 
 def track_source(
@@ -102,17 +117,27 @@ def track_source(
     if total == 0:
         raise InputError("The recording has no frame to track; check the frame range and the videos.")
     key = identity(record or {})
+    report("look", 0, 1)
+    faults = sentences(first_look(source, options.evidence, options.height))
+    report("look", 1, 1)
     if subject is None:
-        subject = subject_of(source, frame_rate, options, body, results if resume else None, key, report)
+        try:
+            subject = subject_of(source, frame_rate, options, body, results if resume else None, key, report)
+        except HyposeError as error:
+            if not faults:
+                raise
+            raise type(error)(f"{' '.join(faults)} That may be why: {error}") from error
     keep = None
     if results is not None:  # before the motion, so that what is kept of an interrupted run can be looked at
         keep_subject(subject, results, key)
         keep = Keep(results.checkpoint, key, options.checkpoint_every)
     tracker = tracker_of(subject, options, frame_rate, method, own)
     if options.whole_clip and method is None and not own:
-        solved = track_keypoints(source, frame_rate, subject, report)
+        solved, audit = track_keypoints(source, frame_rate, subject, report)
         motion = replace(solved.motion, provenance=record or {})
-        return _written(TrackResult(motion, subject.body, True, (*subject.notes, *solved.notes)), results)
+        notes = (*subject.notes, *solved.notes)
+        result = TrackResult(_doubted(motion, subject.body, solved.one_by_one, audit), subject.body, True, notes)
+        return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, faults=faults), results)
     before = tracked_before(results.checkpoint, key, total) if resume and results is not None else None
     begin = tracker.start(subject.start)
     done = track_frames(source, range(total), tracker, begin, subject, keep=keep, before=before, progress=report)
@@ -122,7 +147,7 @@ def track_source(
         raise type(done.error)(
             f"{done.error} The {len(done.estimates)} frames before are kept in {results.path}; see --resume."
         ) from done.error
-    return finish(source, subject, tracker, done, options, results, record, report)
+    return finish(source, subject, tracker, done, options, results, record, report, faults)
 
 
 def subject_of(
@@ -154,8 +179,9 @@ def finish(
     results: ResultsFolder | None,
     record: Mapping[str, Any] | None,
     progress: Progress,
+    faults: tuple[str, ...] = (),
 ) -> TrackResult:
-    """The motion of what was tracked, stretches with exchanged sides mended, smoothed and written."""
+    """The motion of what was tracked, stretches with exchanged sides mended, smoothed, judged and written."""
     estimates, notes, recipe = done.estimates, subject.notes, tracker.recipe
     if done.complete:
         progress("sides", 0, 1)
@@ -174,7 +200,16 @@ def finish(
         motion, notes = smoothed.motion, (*notes, *smoothed.notes)
         progress("smooth", 1, 1)
     motion, doubts = with_doubts(motion, [e.seen for e in estimates])
-    return _written(TrackResult(motion, subject.body, done.complete, (*notes, *doubts)), results)
+    own, audit = np.stack([e.pose for e in estimates]), np.stack([e.audit for e in estimates])
+    motion = _doubted(motion, subject.body, own, audit)
+    return _written(TrackResult(motion, subject.body, done.complete, (*notes, *doubts), own, audit, faults), results)
+
+
+def _doubted(motion: Motion, body: Body, one_by_one: Array, audit: NDArray[np.float32]) -> Motion:
+    """The motion with the probability that a joint is wrong, and what is doubtful for that."""
+    p, joints = judged(motion, body.joints(one_by_one), audit)
+    frames = joints.any(1) if motion.doubtful is None else motion.doubtful | joints.any(1)
+    return replace(motion, p_wrong=p, doubtful_joints=joints, doubtful=frames)
 
 
 def _written(result: TrackResult, results: ResultsFolder | None) -> TrackResult:

@@ -19,11 +19,13 @@ from hypose.tracking.smoothing import ClipSettings, gap_covariance, smooth_poses
 
 @dataclass(frozen=True)
 class Smoothed:
-    """motion; how feet moved over the contacts that were found, before and after; notes for the user."""
+    """motion; how feet moved over the contacts that were found, before and after; poses (T, D) of the frames as they
+    were tracked one by one; notes for the user."""
 
     motion: Motion
     feet_before: FootMotion
     feet: FootMotion
+    one_by_one: Array
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -54,7 +56,7 @@ def smooth_motion(body: Body, motion: Motion, information: ArrayLike, settings: 
     known = ~(np.asarray(motion.lost) | np.asarray(motion.extrapolated))
     if len(motion) < 3 or known.sum() < 2:
         nothing = FootMotion(0.0, 0.0, 0.0)
-        return Smoothed(motion, nothing, nothing)
+        return Smoothed(motion, nothing, nothing, motion.poses)
     own = unpacked(information, body.skeleton.dof) * known[:, None, None]
     given = motion.poses
 
@@ -85,7 +87,7 @@ def with_feet(
     around = (_carried(motion.joint_covariance, known) + spread).astype(np.float32)
     smoothed = replace(motion, poses=poses, joints=body.joints(poses), joint_covariance=around)
     before, after = (foot_motion(soles.positions(body, q), contacts, rate) for q in (motion.poses, poses))
-    return Smoothed(smoothed, before, after)
+    return Smoothed(smoothed, before, after, motion.poses)
 
 
 def _carried(covariance: NDArray[np.float32], known: NDArray[np.bool_]) -> Array:

@@ -62,7 +62,8 @@ class FrameEstimate:
     """pose (D,), its uncertainty, cost: 1 - mean IoU (NaN without silhouettes), flags, number of views. overlap (C,):
     IoU of the body with each view's mask, NaN where that is not usable, empty when not looked at. exchanged: by
     how much a rival (the body with its sides exchanged) overlaps the masks better, NaN when not looked at.
-    seen (C, 3): what hypose.pipeline.doubts keeps of each view, (0, 3) when nothing."""
+    seen (C, 3): what hypose.pipeline.doubts keeps of each view, (0, 3) when nothing; audit (J, A): what speaks for and
+    against each joint (hypose.tracking.audit), (0, 0) when not looked at."""
 
     pose: Array
     uncertainty: PoseUncertainty
@@ -73,6 +74,7 @@ class FrameEstimate:
     overlap: Array = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
     exchanged: float = float("nan")
     seen: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
+    audit: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
 
     @property
     def joint_sd(self) -> Array:
@@ -348,6 +350,7 @@ def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray
         "views": np.array([e.n_views for e in estimates]),
         "exchanged": np.array([e.exchanged for e in estimates]),
         "seen": np.stack([e.seen for e in estimates]),
+        "audit": np.stack([e.audit for e in estimates]),
     }
 
 
@@ -363,8 +366,9 @@ def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimat
             int(views),
             exchanged=float(exchanged),
             seen=seen,
+            audit=audit,
         )
-        for pose, around, known, cost, flags, views, exchanged, seen in zip(
+        for pose, around, known, cost, flags, views, exchanged, seen, audit in zip(
             arrays["poses"],
             arrays["joint_covariances"],
             arrays["information"],
@@ -373,6 +377,7 @@ def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimat
             arrays["views"],
             arrays["exchanged"],
             arrays["seen"],
+            arrays["audit"],
             strict=True,
         )
     ]

@@ -26,6 +26,7 @@ from hypose.io.motions.results import ResultsFolder, check_writable, load_motion
 from hypose.io.recordings.frames import FrameOptions, FrameStream
 from hypose.io.recordings.provenance import identity, provenance
 from hypose.io.recordings.recording import Recording
+from hypose.json_text import parse_json
 from hypose.pipeline.chunked import FOLDER as CHUNKS
 from hypose.pipeline.chunked import ChunkRun
 from hypose.pipeline.first_frame import SubjectOptions
@@ -33,7 +34,10 @@ from hypose.pipeline.kept_findings import kept_backgrounds
 from hypose.pipeline.monocular import MonoOptions
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
+from hypose.pipeline.verdict import Verdict
 from hypose.tracking.recipes import RECIPES, citation_of
+
+VERDICT = "verdict.json"
 
 
 @dataclass(frozen=True)
@@ -56,7 +60,8 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came out. files: written paths in order; notes: for the user; truth: the comparison, if there was one."""
+    """What came out. files: written paths in order; notes: for the user; truth: the comparison, if there was one;
+    verdict: whether it is to be trusted, None where nobody has looked."""
 
     motion: Motion
     body: Body
@@ -64,6 +69,7 @@ class Outcome:
     files: tuple[Path, ...]
     notes: tuple[str, ...]
     truth: Truth | None = None
+    verdict: Verdict | None = None
 
 
 def choose_frames(recording: Recording, text: str | None) -> Recording:
@@ -121,16 +127,29 @@ def run_multiview_job(
             results.write_json("provenance.json", tracked.motion.provenance)
         else:
             tracked = finished
-        notes = (*recording.notes, *source.notes, *tracked.notes)
-        files = [results.motion, results.file("body.npz"), results.file("provenance.json")]
+        verdict = tracked.verdict
+        if finished is None:
+            results.write_json(VERDICT, verdict.with_joints(tracked.motion))
+        else:
+            verdict = _verdict_before(results) or verdict
+        notes = (f"Verdict: {verdict.sentence}", *recording.notes, *source.notes, *tracked.notes)
+        files = [results.motion, results.file("body.npz"), results.file("provenance.json"), results.file(VERDICT)]
         truth = job.truth(tracked.motion, tracked.body) if job.truth is not None else None
         if not tracked.complete:
-            return Outcome(tracked.motion, tracked.body, False, tuple(files), notes, truth)
+            return Outcome(tracked.motion, tracked.body, False, tuple(files), notes[1:], truth)
         files += export_all(job, tracked.motion, tracked.body, progress)
         files += _draw(job, options, tracked, source, notes, truth, files, progress, seconds or {})
     remove_stale(results, files)
     shutil.rmtree(results.path / CHUNKS, ignore_errors=True)  # of a run that was killed when they were joined
-    return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth)
+    return Outcome(tracked.motion, tracked.body, True, tuple(files), notes[1:], truth, verdict)
+
+
+def _verdict_before(results: ResultsFolder) -> Verdict | None:
+    """The verdict that was kept, None when there is none that can be read."""
+    try:
+        return Verdict.of_document(parse_json(results.file(VERDICT).read_text(encoding="utf-8")))
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
 
 
 def open_frames(job: Job, record: Mapping[str, Any]) -> FrameStream:

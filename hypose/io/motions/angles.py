@@ -39,12 +39,15 @@ def write_joints_csv(path: str | Path, motion: Motion) -> None:
     """Write joint centres (world, z up, m) with their standard deviation, and what is known of each frame.
 
     Columns: time_s, lost and extrapolated (0 or 1), n_views, doubtful (0 or 1; empty: not looked at), then x, y, z, sd
-    per joint. `sd` is per axis (root mean square of the three). Lost and extrapolated frames keep their predicted
-    positions.
+    per joint, and p_wrong where it was looked at: the probability that the joint is wrong by more than 100 mm. `sd` is
+    per axis (root mean square of the three). Lost and extrapolated frames keep their predicted positions.
     """
     header = ["time_s", "lost", "extrapolated", "n_views", "doubtful"]
-    header += [f"{n}_{c}_m" for n in motion.skeleton.joint_names for c in ("x", "y", "z", "sd")]
-    data = np.concatenate([motion.joints, motion.joint_sd[..., None]], axis=2).reshape(len(motion), -1)
+    columns, series = ["x_m", "y_m", "z_m", "sd_m"], [motion.joints, motion.joint_sd[..., None]]
+    if motion.p_wrong is not None:
+        columns, series = [*columns, "p_wrong"], [*series, motion.p_wrong[..., None]]
+    header += [f"{n}_{c}" for n in motion.skeleton.joint_names for c in columns]
+    data = np.concatenate(series, axis=2).reshape(len(motion), -1)
     rows = [
         [
             _cell(float(motion.times[t]), 6),
