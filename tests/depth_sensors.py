@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from hypose.evidence.frame import SensorReport
 from hypose.fusion.joints import COMMON
-from hypose.fusion.live import Report
 from hypose.geometry import se3, so3_exp, transform
 
 # z up, facing -y, left = +x
@@ -62,5 +62,5 @@ def reports(rng, seconds, angles=(0, 60, -60), people=1, rate=30.0, noise=0.008,
                 state = np.full(15, 2, dtype=np.uint8)
                 positions = transform(view, joints)
                 # every sensor numbers persons in its own way
-                out.append(Report(arrival, f"s{k}", epoch + t * drift, int(p + 10 * k), COMMON, positions, state))
+                out.append(SensorReport(f"s{k}", epoch + t * drift, int(p + 10 * k), COMMON, positions, state, arrival))
     return sorted(out, key=lambda r: r.arrival)

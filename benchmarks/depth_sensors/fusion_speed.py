@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, row
 from benchmarks.depth_sensors.fusion_scenes import scene_recording
-from hypose.evidence.frame import SensorJoints
+from hypose.evidence.frame import SensorJoints, SensorReport
 from hypose.fusion import joints as jt
 from hypose.fusion import live
 from hypose.fusion.fit import FitSettings, fit_step, start_fit
@@ -66,7 +66,7 @@ def _six_persons(frames: list[SensorJoints], world: Array, repeats: int) -> floa
     return float(1e3 * best.mean())
 
 
-def _reports(recording: SensorRecording, persons: int) -> list[live.Report]:
+def _reports(recording: SensorRecording, persons: int) -> list[SensorReport]:
     """The recording as messages of three sensors with their own clocks, a few ms on the way, and several persons 1.5 m
     apart; one sensor is silent for two seconds."""
     rng = np.random.default_rng(0)
@@ -80,5 +80,5 @@ def _reports(recording: SensorRecording, persons: int) -> list[live.Report]:
                 shift = recording.camera_from_world[k][:3, :3] @ np.array([1.5 * p, 0.0, 0.0])
                 positions = recording.positions[t, k] + shift
                 arrival = 100 + at + 0.002 + 0.003 * float(rng.random())
-                out.append(live.Report(arrival, name, at, p, jt.COMMON, positions, recording.state[t, k]))
+                out.append(SensorReport(name, at, p, jt.COMMON, positions, recording.state[t, k], arrival))
     return sorted(out, key=lambda r: r.arrival)

@@ -66,6 +66,21 @@ class Detections:
 
 
 @dataclass(frozen=True)
+class SensorReport:
+    """What a sensor says of one person at one instant. time: s on its own clock; person: its number, None when it sees
+    nobody (the arrays are empty); positions (J, 3) m in the sensor's frame, NaN where missing; state (J,) uint8 0
+    not tracked, 1 inferred, 2 tracked; arrival: s on the clock of the computer that received it, None: not known."""
+
+    sensor: str
+    time: float
+    person: int | None
+    joint_names: tuple[str, ...]
+    positions: Array
+    state: NDArray[np.uint8]
+    arrival: float | None = None
+
+
+@dataclass(frozen=True)
 class SensorJoints:
     """Skeletons of one person at one instant, one per depth sensor.
 

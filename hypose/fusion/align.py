@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.errors import InputError
-from hypose.evidence.frame import FARTHEST_M, INFERRED, MISSING_MARK
+from hypose.evidence.frame import FARTHEST_M, INFERRED, MISSING_MARK, SensorReport
 from hypose.fusion.clocks import ClockSettings, SensorClock
 from hypose.fusion.joints import joint_set
 from hypose.geometry import Array
@@ -243,26 +243,20 @@ class Aligner:
 
     # ---- in ----
 
-    def push(
-        self,
-        sensor: str,
-        time: float,
-        person: int | None,
-        joint_names: Sequence[str],
-        positions: ArrayLike,
-        state: ArrayLike,
-        now: float,
-    ) -> bool:
-        """One report: positions (J, 3) m in the sensor's frame and state (J,) of one person, or person None when the
-        sensor sees nobody. time: s on the sensor's clock; now: s on the host's (monotonic).
+    def push(self, report: SensorReport, now: float | None = None) -> bool:
+        """One report of one sensor. now: s on the host's (monotonic) clock, by default when the report arrived; without
+        either the sensor's own time counts.
 
         False when the report is of no use (too late, or its time is not believed yet). An InputError for a joint set
         that is not known, coordinates that are no metres, and for too many sensors or persons.
         """
+        sensor, time, person = report.sensor, report.time, report.person
+        if now is None:
+            now = time if report.arrival is None else report.arrival
         s = self.settings
         if not math.isfinite(time):
             raise InputError(f"The sensor {sensor} sent the time {time}; times are seconds.")
-        body = None if person is None else self._checked(sensor, joint_names, positions, state)
+        body = None if person is None else self._checked(sensor, report.joint_names, report.positions, report.state)
         it = self._sensors.get(sensor) or self._new(sensor, now)
         if now - it.arrival > s.timeout:
             it.wake(time, now, s)

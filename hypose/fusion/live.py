@@ -8,12 +8,12 @@ skeleton). Nothing here waits or knows a socket: the caller says what time it is
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
+from hypose.evidence.frame import SensorReport
 from hypose.fusion.align import Aligner, AlignSettings, Instant, SensorStatus
 from hypose.fusion.fit import FitSettings, FitState, fit_step, start_fit
 from hypose.fusion.people import PeopleSettings, PeopleTracker, SeenPerson
@@ -63,18 +63,9 @@ class LiveFuser:
         self._states: dict[int, FitState] = {}
         warm_up(self.settings.fit)
 
-    def push(
-        self,
-        sensor: str,
-        time: float,
-        person: int | None,
-        joint_names: Sequence[str],
-        positions: ArrayLike,
-        state: ArrayLike,
-        now: float,
-    ) -> bool:
+    def push(self, report: SensorReport, now: float | None = None) -> bool:
         """See `Aligner.push`."""
-        return self.aligner.push(sensor, time, person, joint_names, positions, state, now)
+        return self.aligner.push(report, now)
 
     def due(self) -> float:
         """Host time at which `poll` has something to say at the latest."""
@@ -83,6 +74,13 @@ class LiveFuser:
     def poll(self, now: float) -> list[LiveFrame]:
         """The frames that are ready, in order."""
         return [self._fuse(instant) for instant in self.aligner.poll(now)]
+
+    def frames(self, reports: Iterable[SensorReport]) -> Iterator[LiveFrame]:
+        """The frames as reports bring them, for a caller with nothing else to do: live (an iterator that waits for the
+        next report) or recorded. Reports that are of no use are passed over; see `push` for what is an error."""
+        for r in reports:
+            self.push(r)
+            yield from self.poll(r.time if r.arrival is None else r.arrival)
 
     def status(self, now: float) -> tuple[SensorStatus, ...]:
         """What each sensor does."""
@@ -119,21 +117,8 @@ def warm_up(settings: FitSettings) -> None:
 # ---- the same without sockets --------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Report:
-    """One message on its way: arrival s on the host's clock, the rest as in `Aligner.push`."""
-
-    arrival: float
-    sensor: str
-    time: float
-    person: int | None
-    joint_names: tuple[str, ...]
-    positions: Array
-    state: NDArray[np.uint8]
-
-
 def replay(
-    fuser: LiveFuser, reports: Iterable[Report], stopwatch: Callable[[], float] | None = None
+    fuser: LiveFuser, reports: Iterable[SensorReport], stopwatch: Callable[[], float] | None = None
 ) -> list[tuple[LiveFrame, float]]:
     """Run reports, in order of arrival, through a fuser as the live server would; nothing sleeps.
 
@@ -152,18 +137,19 @@ def replay(
         out.extend((f, busy_until - f.time) for f in frames)
 
     for r in reports:
-        while (due := fuser.due()) < r.arrival:
+        arrival = r.time if r.arrival is None else r.arrival
+        while (due := fuser.due()) < arrival:
             work(due + 1e-9, fuser.poll)
 
-        def take(now: float, r: Report = r) -> list[LiveFrame]:
-            fuser.push(r.sensor, r.time, r.person, r.joint_names, r.positions, r.state, now)
+        def take(now: float, r: SensorReport = r) -> list[LiveFrame]:
+            fuser.push(r, now)
             return fuser.poll(now)
 
-        work(r.arrival, take)
+        work(arrival, take)
     return out
 
 
-def simulated_latency(reports: Iterable[Report], settings: LiveSettings | None = None) -> Array:
+def simulated_latency(reports: Iterable[SensorReport], settings: LiveSettings | None = None) -> Array:
     """(N,) ms from the instant that a frame describes to when it is ready, computation included, sockets not."""
     frames = replay(LiveFuser(settings), reports, time.perf_counter)
     return np.array([1000 * latency for _, latency in frames])

@@ -18,12 +18,13 @@ from hypose.app.live.live_latency import measure_live_latency
 from hypose.app.live.live_server import LiveOptions, LiveServer, is_loopback
 from hypose.app.live.osc import MAX_BUNDLE, double, osc_bundles, osc_message
 from hypose.errors import InputError
+from hypose.evidence.frame import SensorReport
 from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON
 from hypose.fusion.live import LiveSettings
 from hypose.geometry import transform
 from hypose.io.sensors.skeleton_formats import read_skeletons
-from hypose.io.sensors.skeleton_lines import SkeletonLine, format_line
+from hypose.io.sensors.skeleton_lines import format_line
 from tests.depth_sensors import camera, places, walker
 
 ANGLES = (0, 60, -60)
@@ -34,8 +35,8 @@ def lines_at(t, sensors=range(3), people=1, clock=0.0, token=""):
         for p in range(people):
             joints = transform(camera(ANGLES[k]), walker(t, places(people)[p], 1.3 * p))
             state = np.full(15, 2, np.uint8)
-            line = SkeletonLine(f"s{k}", t + clock + 100 * k, p, COMMON, joints, state, token)
-            yield format_line(line).encode()
+            report = SensorReport(f"s{k}", t + clock + 100 * k, p, COMMON, joints, state)
+            yield format_line(report, token).encode()
 
 
 class Clock:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
+from hypose.evidence.frame import SensorReport
 from hypose.fusion.align import Aligner, AlignSettings
 from hypose.fusion.clocks import SensorClock, offset_by_movement
 from hypose.fusion.joints import COMMON, MIRROR, joint_sets
@@ -182,7 +183,7 @@ def test_a_long_pause_of_the_program_skips_frames_and_counts_them(rng):
     made = []
     for r in reports(rng, 8, angles=(0,)):
         now = r.arrival if r.arrival < 2 else r.arrival + 3  # three seconds in which nothing ran
-        aligner.push(r.sensor, r.time, r.person, r.joint_names, r.positions, r.state, now)
+        aligner.push(r, now)
         made += aligner.poll(now)
     assert aligner.skipped > 50
     assert np.all(np.diff([m.index for m in made]) >= 1)
@@ -216,7 +217,7 @@ def serve(made, pause=(0.0, 0.0)):
             if at >= r.arrival:
                 break
             frames += fuser.poll(at)
-        fuser.push(r.sensor, r.time, r.person, r.joint_names, r.positions, r.state, r.arrival)
+        fuser.push(r)
         frames += fuser.poll(r.arrival)
     return fuser, frames
 
@@ -301,7 +302,7 @@ def test_known_places_are_kept(rng):
     tracker, aligner = PeopleTracker(transforms=known), Aligner()
     seen = []
     for r in reports(rng, 2):
-        aligner.push(r.sensor, r.time, r.person, r.joint_names, r.positions, r.state, r.arrival)
+        aligner.push(r)
         for instant in aligner.poll(r.arrival):
             seen.append(tracker.update(instant))
     assert all(len(people[0].bodies) == 3 for people in seen[5:])
@@ -321,7 +322,7 @@ def transform_between(a, b):
 def push(aligner, time=0.0, names=COMMON, positions=None, state=None, sensor="a", person=0, now=None):
     joints = transform(camera(0), walker(time)) if positions is None else positions
     level = np.full(len(joints), 2, dtype=np.uint8) if state is None else state
-    return aligner.push(sensor, time, person, names, joints, level, time if now is None else now)
+    return aligner.push(SensorReport(sensor, time, person, tuple(names), joints, level, now))
 
 
 @pytest.mark.parametrize("mark", [np.nan, -9999.0, np.inf])
@@ -341,7 +342,7 @@ def test_nobody_seen_ends_a_person_at_once():
     for n in range(10):
         push(aligner, n / 30)
     for n in range(10, 16):
-        aligner.push("a", n / 30, None, (), np.zeros((0, 3)), np.zeros(0), n / 30)
+        aligner.push(SensorReport("a", n / 30, None, (), np.zeros((0, 3)), np.zeros(0)))
     last = aligner.poll(0.51)[-1]
     assert last.sensors[0].alive and not last.sensors[0].bodies
 

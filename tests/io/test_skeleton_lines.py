@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
+from hypose.evidence.frame import SensorReport
 from hypose.io.sensors.skeleton_formats import read_skeletons
-from hypose.io.sensors.skeleton_lines import MAX_SKELETON_LINE, SkeletonLine, format_line, parse_line, read_lines
+from hypose.io.sensors.skeleton_lines import MAX_SKELETON_LINE, format_line, parse_line, read_lines
 
 JOINTS = ("head", "neck", "torso")
 
@@ -16,18 +17,18 @@ JOINTS = ("head", "neck", "torso")
 def test_a_line_comes_back_as_it_was(rng):
     positions = rng.normal(size=(3, 3))
     positions[1] = np.nan
-    line = SkeletonLine("left-1", 12.5, 3, JOINTS, positions, np.array([2, 0, 1], np.uint8), "secret", 99.25)
-    back = parse_line(format_line(line).encode())
+    line = SensorReport("left-1", 12.5, 3, JOINTS, positions, np.array([2, 0, 1], np.uint8), 99.25)
+    back, token = parse_line(format_line(line, "secret").encode())
     np.testing.assert_allclose(back.positions, positions, atol=1e-5)
     assert back.state.tolist() == [2, 0, 1] and back.joint_names == JOINTS
-    assert (back.sensor, back.time, back.person, back.token, back.received) == ("left-1", 12.5, 3, "secret", 99.25)
-    nobody = parse_line(format_line(SkeletonLine("a", 1.0, None, (), np.zeros((0, 3)), np.zeros(0, np.uint8))))
+    assert (back.sensor, back.time, back.person, token, back.arrival) == ("left-1", 12.5, 3, "secret", 99.25)
+    nobody, _ = parse_line(format_line(SensorReport("a", 1.0, None, (), np.zeros((0, 3)), np.zeros(0, np.uint8))))
     assert nobody.person is None and nobody.joint_names == ()
 
 
 def test_units_and_ways_to_say_missing():
     text = '{"sensor":"a","time":1,"unit":"mm","joints":{"a":[1,2,3000],"b":[-9999,0,0],"c":[NaN,0,0],"d":[1,1,1,0]}}'
-    line = parse_line(text)
+    line, _ = parse_line(text)
     assert line.positions[0] == pytest.approx([0.001, 0.002, 3])
     assert line.state.tolist() == [2, 0, 0, 0] and np.isnan(line.positions[1:]).all()
 
@@ -36,8 +37,8 @@ def test_units_and_ways_to_say_missing():
 def test_whole_lines_and_lines_with_gaps_give_the_same(rng, unit, scale):
     cells = {n: [*(rng.integers(-99, 99, 3).tolist()), int(rng.integers(1, 3))] for n in JOINTS}
     line = {"sensor": "a", "time": 1, "unit": unit, "joints": cells}
-    whole = parse_line(json.dumps(line))
-    gap = parse_line(json.dumps({**line, "joints": {**cells, "other": None}}))
+    whole, _ = parse_line(json.dumps(line))
+    gap, _ = parse_line(json.dumps({**line, "joints": {**cells, "other": None}}))
     assert (whole.positions == gap.positions[:3]).all() and (whole.state == gap.state[:3]).all()
     assert whole.positions.tolist() == [[x * scale for x in c[:3]] for c in cells.values()]
     assert whole.state.dtype == np.uint8 and whole.state.tolist() == [c[3] for c in cells.values()]
@@ -87,7 +88,7 @@ GOOD = '{"sensor":"a","time":1.5,"joints":{"head":[0,1,2]}}'
     ],
 )
 def test_bad_lines_are_refused_in_a_short_sentence(text):
-    assert parse_line(GOOD).state.tolist() == [2]
+    assert parse_line(GOOD)[0].state.tolist() == [2]
     with pytest.raises(InputError) as refused:
         parse_line(text)
     assert len(str(refused.value)) < 250 and "\n" not in str(refused.value)
@@ -99,7 +100,7 @@ def test_a_file_of_lines(tmp_path, rng):
         for k in "ab":
             names = JOINTS if k == "a" or n % 2 == 0 else JOINTS[::-1]
             p = np.stack([np.full(3, float(len(x))) for x in names])
-            lines.append(format_line(SkeletonLine(k, n / 30, 0, names, p, np.full(3, 2, np.uint8))))
+            lines.append(format_line(SensorReport(k, n / 30, 0, names, p, np.full(3, 2, np.uint8))))
     (tmp_path / "s.jsonl.gz").write_bytes(gzip.compress("\n".join(lines).encode()))
     made = read_skeletons(tmp_path / "s.jsonl.gz")
     assert [s.name for s in made.streams] == ["a", "b"]

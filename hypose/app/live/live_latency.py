@@ -15,9 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from websockets.asyncio.client import connect
 
+from hypose.evidence.frame import SensorReport
 from hypose.fusion.joints import COMMON
 from hypose.geometry import Array, transform
-from hypose.io.sensors.skeleton_lines import SkeletonLine, format_line
+from hypose.io.sensors.skeleton_lines import format_line
 from hypose.synthetic.sensors import builtin_joints, ring_sensors
 
 
@@ -137,7 +138,7 @@ def _lines(
                     walk[_there_and_back(round(t * 30) + 17 * p, len(walk))] + place + rng.normal(size=(15, 3)) * 0.007
                 )
                 state = np.full(15, 2, dtype=np.uint8)
-                line = SkeletonLine(f"s{k}", 100.0 * k + t, p, COMMON, transform(camera, joints), state)
+                line = SensorReport(f"s{k}", 100.0 * k + t, p, COMMON, transform(camera, joints), state)
                 out.append((t, format_line(line).encode()))
     return sorted(out, key=lambda x: x[0])
 

@@ -186,12 +186,10 @@ class LiveServer:
         try:
             if len(data) > MAX_SKELETON_LINE:
                 return self._ignore(f"a line has more than {MAX_SKELETON_LINE} bytes", now)
-            line = parse_line(data)
-            if self.token and not same_secret(line.token, self.token):
+            line, token = parse_line(data)
+            if self.token and not same_secret(token, self.token):
                 return self._ignore("the token is missing or wrong", now)
-            fresh = self.fuser.push(
-                line.sensor, line.time, line.person, line.joint_names, line.positions, line.state, now
-            )
+            fresh = self.fuser.push(line, now)
         except InputError as error:
             return self._ignore(str(error).rstrip("."), now)
         self.used += fresh

@@ -18,7 +18,7 @@ from hypose.app.studio.view_bundle import ViewResult, view_bundle
 from hypose.app.studio.view_pictures import ViewPictures
 from hypose.errors import HyposeError
 
-STATIC = Path(__file__).parent / "studio" / "static"
+STATIC = Path(__file__).parents[1] / "studio" / "static"
 """Where the front end's build puts report.js and report.css."""
 _PICTURES = 48
 _MIN_ROWS, _MAX_ROWS = 4, 16

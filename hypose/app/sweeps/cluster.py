@@ -289,10 +289,16 @@ def _cluster(place: Place, environment: Mapping[str, str]) -> Any:
 
 def slurm_cluster(keywords: Mapping[str, Any], environment: Mapping[str, str]) -> Any:
     """A dask_jobqueue.SLURMCluster with one worker of one thread per job, and no job yet."""
+    import dask.config
+
+    ensure_file = dask.config.ensure_file
     try:
+        dask.config.ensure_file = lambda *_, **__: None  # to be imported is enough for it to leave a file in the home
         from dask_jobqueue import SLURMCluster  # pyright: ignore[reportMissingImports, reportPrivateImportUsage] (extra)
     except ImportError:
         raise InputError("--slurm needs dask-jobqueue; install it with pip install 'hypose[slurm]'.") from None
+    finally:
+        dask.config.ensure_file = ensure_file
     exports = [f"export {name}={value}" for name, value in environment.items()]
     options = {"cores": 1, "processes": 1, "memory": "4GB", "walltime": "04:00:00", **keywords}
     options["job_script_prologue"] = [*exports, *options.get("job_script_prologue", [])]

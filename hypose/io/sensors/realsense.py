@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import os
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,7 +59,8 @@ def open_realsense(serial: str | None = None) -> RealSenseDepth:
     library = _library()
     config = library.config()
     config.enable_stream(library.stream.depth)
-    found = {d.get_info(library.camera_info.serial_number) for d in library.context().query_devices()}
+    with _no_report_at_home():
+        found = {d.get_info(library.camera_info.serial_number) for d in library.context().query_devices()}
     if not found or (serial is not None and serial not in found):
         there = f"the connected ones are {', '.join(sorted(found))}" if found else "none is connected"
         which = "No RealSense camera can be used" if serial is None else f"There is no RealSense camera {serial}"
@@ -73,6 +77,7 @@ def open_realsense(serial: str | None = None) -> RealSenseDepth:
 
 
 def _library() -> Any:
+    os.environ["RS2_RUM_CLOUD_ENABLED"] = "0"  # since 2.59 it counts what is used; nothing is sent
     try:
         return importlib.import_module("pyrealsense2")  # an extra: not there for everyone, type checkers included
     except ModuleNotFoundError:
@@ -99,6 +104,8 @@ def _opened(library: Any, config: Any, what: str, recorded: bool) -> RealSenseDe
         scale = float(device.first_depth_sensor().get_depth_scale())
     except RuntimeError:
         pipeline.stop()
+        with _no_report_at_home():
+            del pipeline, profile, device
         raise InputError(f"{what} has no depth; record with the depth stream switched on.") from None
     if not (0 < lens.width <= MAX_SIDE and 0 < lens.height <= MAX_SIDE and 0 < scale < 1):
         pipeline.stop()
@@ -108,7 +115,7 @@ def _opened(library: Any, config: Any, what: str, recorded: bool) -> RealSenseDe
 
 
 def _frames(pipeline: Any, scale: float, what: str) -> Iterator[DepthFrame]:
-    first, last = None, -np.inf
+    first, last, frames, frame = None, -np.inf, None, None
     try:
         while True:
             ok, frames = pipeline.try_wait_for_frames(_PATIENCE_MS)
@@ -124,6 +131,20 @@ def _frames(pipeline: Any, scale: float, what: str) -> Iterator[DepthFrame]:
         raise InputError(f"{what} cannot be read any further ({_short(error)}); record again.") from None
     finally:
         pipeline.stop()
+        with _no_report_at_home():
+            del pipeline, frames, frame
+
+
+@contextlib.contextmanager
+def _no_report_at_home() -> Iterator[None]:
+    """Where the last of the library's objects are let go: since 2.59 it writes its counts to ~/.rum then."""
+    home = os.environ.get("HOME")
+    with tempfile.TemporaryDirectory(prefix="hypose-") as folder:
+        os.environ["HOME"] = folder
+        try:
+            yield
+        finally:
+            os.environ.pop("HOME") if home is None else os.environ.update(HOME=home)
 
 
 def _short(error: Exception) -> str:

@@ -14,7 +14,6 @@ from __future__ import annotations
 import json
 import math
 import re
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain
 from pathlib import Path
@@ -24,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.errors import InputError
-from hypose.evidence.frame import FARTHEST_M, MISSING_MARK
+from hypose.evidence.frame import FARTHEST_M, MISSING_MARK, SensorReport
 from hypose.geometry import Array
 from hypose.io.sensors.skeleton_streams import MAX_JOINTS, MAX_SENSORS, SkeletonRecording, StreamRows, checked_recording
 from hypose.io.text_in import bounded_lines
@@ -39,24 +38,9 @@ _SCALE = {"m": 1.0, "mm": 0.001}
 _NUMBERS = frozenset({float, int})
 
 
-@dataclass(frozen=True)
-class SkeletonLine:
-    """One line. person None: the sensor sees nobody, the arrays are empty. positions (J, 3) m, NaN where missing; state
-    (J,) uint8."""
-
-    sensor: str
-    time: float
-    person: int | None
-    joint_names: tuple[str, ...]
-    positions: Array
-    state: NDArray[np.uint8]
-    token: str = ""
-    received: float | None = None
-
-
-def parse_line(data: bytes | str) -> SkeletonLine:
-    """One line of the protocol; an InputError says what is wrong with it. Time and memory are bounded by the line's
-    16 KiB."""
+def parse_line(data: bytes | str) -> tuple[SensorReport, str]:
+    """One line of the protocol, and the token in it (""); an InputError says what is wrong with it. Time and memory are
+    bounded by the line's 16 KiB."""
     if len(data) > MAX_SKELETON_LINE:
         raise InputError(
             f"the line has {len(data)} bytes, at most {MAX_SKELETON_LINE} are read; send one body per line"
@@ -84,19 +68,19 @@ def parse_line(data: bytes | str) -> SkeletonLine:
         _bad("person must be a whole number from 0")
     if joints is None:
         nobody = np.zeros((0, 3))
-        return SkeletonLine(sensor, time, None, (), nobody, np.zeros(0, dtype=np.uint8), token, received)
+        return SensorReport(sensor, time, None, (), nobody, np.zeros(0, dtype=np.uint8), received), token
     if not isinstance(joints, dict) or not 1 <= len(joints) <= MAX_JOINTS:
         _bad(f"joints must be an object with 1 to {MAX_JOINTS} joints, or null when nobody is seen")
     names, scale = tuple(joints), _SCALE[unit]
     _check_names(names)
     table = _whole(joints, scale)
     if table is not None:
-        return SkeletonLine(sensor, time, person, names, *table, token, received)
+        return SensorReport(sensor, time, person, names, *table, received), token
     positions, state = np.full((len(joints), 3), np.nan), np.zeros(len(joints), dtype=np.uint8)
     for j, (name, cell) in enumerate(joints.items()):
         if cell is not None:
             _joint(cell, name, scale, positions, state, j)
-    return SkeletonLine(sensor, time, person, names, positions, state, token, received)
+    return SensorReport(sensor, time, person, names, positions, state, received), token
 
 
 @lru_cache(maxsize=64)
@@ -155,13 +139,13 @@ def _bad(reason: str) -> NoReturn:
     raise InputError(reason)
 
 
-def format_line(line: SkeletonLine, digits: int = 5) -> str:
+def format_line(line: SensorReport, token: str = "", digits: int = 5) -> str:
     """The protocol's line without its line end (positions to 0.01 mm by default)."""
     value: dict[str, Any] = {"sensor": line.sensor, "time": round(line.time, 6)}
-    if line.token:
-        value["token"] = line.token
-    if line.received is not None:
-        value["received"] = round(line.received, 6)
+    if token:
+        value["token"] = token
+    if line.arrival is not None:
+        value["received"] = round(line.arrival, 6)
     if line.person is None:
         value["joints"] = None
     else:
@@ -186,7 +170,7 @@ def read_lines(path: str | Path) -> SkeletonRecording:
         if not text.strip():
             continue
         try:
-            line = parse_line(text)
+            line, _ = parse_line(text)
         except InputError as error:
             raise InputError(f"{p}: line {number}: {error}.") from None
         rows = sensors.get(line.sensor)
