@@ -71,8 +71,8 @@ def real_balancing(options: BenchOptions) -> BenchReport:
     recording = balancing_recording(folder)
     rate = recording.frame_rate
     n = 20 if options.quick else len(recording.frames)
-    with_points = _in_memory(recording, n)
-    without = _in_memory(balancing_recording(folder, keypoints=False), n)
+    with_points = in_memory(recording, n)
+    without = in_memory(balancing_recording(folder, keypoints=False), n)
     rows: list[Row] = []
     options.progress("subject", 0, 10)
     subject = find_subject(with_points.frame, n, SubjectOptions("keypoints", frame_rate=rate))
@@ -102,7 +102,8 @@ def real_balancing(options: BenchOptions) -> BenchReport:
     )
 
 
-def _in_memory(recording: Recording, n: int) -> FrameList:
+def in_memory(recording: Recording, n: int) -> FrameList:
+    """The first n frames of a recording."""
     with FrameStream(recording) as stream:
         return FrameList([stream.frame(i) for i in range(n)], recording.frame_rate)
 

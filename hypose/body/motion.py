@@ -25,7 +25,10 @@ class Motion:
     cost of the method's own measure (NaN when none). provenance: recipe, versions, seed, inputs' hashes: plain JSON
     values. doubtful: (T,) the evidence speaks against itself (pictures that repeat or jump, views that disagree), or
     against a joint, or None: not looked at. p_wrong: (T, J) probability that the joint is wrong by more than 100 mm,
-    and doubtful_joints: (T, J) where that is more than may be passed over, or None: not looked at.
+    and doubtful_joints: (T, J) where that is more than may be passed over, or None: not looked at. rivals: (T, K, D)
+    other poses that the evidence of a frame allows as well, best first, NaN where there are fewer, and rival_weights:
+    (T, K) what each of them has of the certainty, of which the pose has the rest (0: there is none); both None when
+    the method keeps none.
     """
 
     skeleton: Skeleton
@@ -41,6 +44,8 @@ class Motion:
     doubtful: np.ndarray | None = None
     p_wrong: NDArray[np.float32] | None = None
     doubtful_joints: NDArray[np.bool_] | None = None
+    rivals: NDArray[np.float32] | None = None
+    rival_weights: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         t, j = len(self.times), len(self.skeleton.joint_names)
@@ -58,10 +63,13 @@ class Motion:
             expected["p_wrong"] = (t, j)
         if self.doubtful_joints is not None:
             expected["doubtful_joints"] = (t, j)
+        if self.rivals is not None or self.rival_weights is not None:
+            count = 0 if self.rival_weights is None else self.rival_weights.shape[-1]
+            expected |= {"rivals": (t, count, self.skeleton.dof), "rival_weights": (t, count)}
         for name, shape in expected.items():
-            if getattr(self, name).shape != shape:
+            if np.shape(getattr(self, name)) != shape:
                 raise InputError(
-                    f"Motion.{name} has shape {getattr(self, name).shape}, {shape} is needed; "
+                    f"Motion.{name} has shape {np.shape(getattr(self, name))}, {shape} is needed; "
                     "give every array one row per frame."
                 )
         if self.poses is not None and self.poses.shape != (t, self.skeleton.dof):

@@ -14,7 +14,7 @@ from hypose.fitting.articulated import SolveOptions
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.frame_evidence import PreparedFrame
-from hypose.tracking.refinement import refine
+from hypose.tracking.refinement import RIVAL, refine
 
 # Rows of one contour err together, so do detections in neighbouring frames, a body is only nearly right, and lost limbs
 # make tails: how far the curvature is from the truth is measured, not derived. With these factors the 90 % regions
@@ -47,7 +47,8 @@ def uncertainty_of_pose(pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> 
     """Of a solved pose (D,), from the inverse of the cost's Hessian.
 
     Covariance of the joints = factor^2 H^-1 (CURVATURE_FACTOR) with the priors in H, so a joint that no view sees keeps
-    the prior's spread.
+    the prior's spread. With RIVALs it is that of the mixture about the pose: each adds its weight times the square of
+    how far its joints are off.
     """
     body = frame.body
     hessian = frame.hessians.get(body, pose)
@@ -55,7 +56,21 @@ def uncertainty_of_pose(pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> 
         hessian = refine(body, pose[None], frame, SolveOptions(iterations=0, coarse_iterations=0))[0].hessian
     information = hessian - frame.prediction_weight * np.eye(len(pose))
     evidence = "keypoints" if frame.contours is None else "silhouettes" if frame.keypoints is None else "both"
-    return PoseUncertainty(joint_covariance_of(body, pose, hessian, evidence), packed(information))
+    around = joint_covariance_of(body, pose, hessian, evidence)
+    if (rivals := h.has(RIVAL)).any():
+        joints = body.joints(np.concatenate([pose[None], h.values[rivals]]))
+        apart = joints[1:] - joints[0]
+        around = around + np.einsum("n,nja,njb->jab", h.weights[rivals], apart, apart).astype(np.float32)
+        for weight, other in zip(h.weights[rivals], h.values[rivals], strict=True):
+            information = _less_sure(information, body.skeleton.on_branch(other, pose) - pose, float(weight))
+    return PoseUncertainty(around, packed(information))
+
+
+def _less_sure(information: Array, step: Array, weight: float) -> Array:
+    """(D, D): the information when the covariance grows by weight x step step^T, step (D,) to another pose.
+    Source: Sherman & Morrison 1950."""
+    seen = information @ step
+    return information - np.outer(seen, seen) * (weight / (1 + weight * (seen @ step)))
 
 
 def joint_covariance_of(body: Body, pose: Array, hessian: Array, evidence: str) -> NDArray[np.float32]:

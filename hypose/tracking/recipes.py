@@ -6,7 +6,7 @@ of the cost, and recovers; see `_solving`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -66,7 +66,7 @@ def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iteratio
     s = body.skeleton
     sigma = 2.0 * step_sigma(s, frame_rate)
     options = SolveOptions(iterations=iterations, coarse_iterations=iterations // 2)
-    turns = _TURNS if frame_rate >= 20 else (0,) * len(LIMB_LAYERS)
+    turns = _turns(frame_rate)
     period = 1 + max(turns)
     rows = [Layer(SolvePrediction(options), no_evidence, keep, "contours")]
     for (name, joints), turn in zip(LIMB_LAYERS, turns, strict=True):
@@ -82,13 +82,23 @@ def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iteratio
         moving = np.isin(np.arange(len(s.joint_names)), [s.joint(j) for j in joints])
         weigh = Annealed(SilhouetteXor(moving), FixedSelectivity(1.0))  # the best is best under any exponent
         rows.append(Layer(kernel, weigh, Elite(1, mask, but=SOLVED), name, InTurn(turn, period)))
+    rows.append(_rivals(body, turns, rivals, options))
+    return _solving(Recipe("default", rows, particles, rivals=rivals))
+
+
+def _rivals(body: Body, turns: Sequence[int], rivals: int, options: SolveOptions) -> Layer:
+    """The layer that looks arms up in their turns (one for each of LIMB_LAYERS) and hands on so many hypotheses."""
+    lower, upper = _reach(body.skeleton)
     arms = [
-        (arm_reach(body, joints, *_reach(s)), InTurn(turn, period))
+        (arm_reach(body, joints, lower, upper), InTurn(turn, 1 + max(turns)))
         for (name, joints), turn in zip(LIMB_LAYERS, turns, strict=True)
         if name.endswith("arm")
     ]
-    rows.append(Layer(RefineRivals(tuple(arms), rivals, options), no_evidence, keep, "rivals"))
-    return replace(_solving(Recipe("default", rows, particles)), rivals=rivals)
+    return Layer(RefineRivals(tuple(arms), rivals, options), no_evidence, keep, "rivals")
+
+
+def _turns(frame_rate: float) -> tuple[int, ...]:
+    return _TURNS if frame_rate >= 20 else (0,) * len(LIMB_LAYERS)
 
 
 def refined(base: Recipe, name: str | None = None) -> Recipe:
@@ -100,6 +110,18 @@ def refined(base: Recipe, name: str | None = None) -> Recipe:
 def hpf_plus(body: Body, particles: int = 572, frame_rate: float = 25.0) -> Recipe:
     """`published_recipes.hpf` with contour refinement, a solved start, prediction and recovery."""
     return refined(published.hpf(body, particles, frame_rate=frame_rate), "hpf+")
+
+
+def dd_hpf_rivals(body: Body, particles: int = 500, frame_rate: float = 25.0, rivals: int = 3) -> Recipe:
+    """`published_recipes.dd_hpf_plus` with contour refinement and rival arms, a solved start, prediction and recovery:
+    its particles find what the detections show, the rivals what they leave uncovered."""
+    base = published.dd_hpf_plus(body, particles, frame_rate=frame_rate)
+    layers = (
+        *base.layers,
+        Layer(ContourRefinement(), no_evidence, keep, "refinement"),
+        _rivals(body, _turns(frame_rate), rivals, SolveOptions()),
+    )
+    return _solving(replace(base, name="dd-hpf+rivals", layers=layers, rivals=rivals))
 
 
 def _solving(base: Recipe) -> Recipe:
@@ -136,6 +158,7 @@ RECIPES: dict[str, Preset] = {
     "dd-hpf": Preset(published.dd_hpf, THESIS),
     "dd-hpf+": Preset(published.dd_hpf_plus, THESIS),
     "dd-hpf+5": Preset(published.dd_hpf_plus_5, THESIS),
+    "dd-hpf+rivals": Preset(dd_hpf_rivals, f"{THESIS} {CONTOURS}"),
 }
 
 

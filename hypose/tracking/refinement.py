@@ -20,8 +20,9 @@ from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.costs import frame_energy, silhouette_iou
 from hypose.tracking.frame_evidence import PreparedFrame
 
-SOLVED, COMPOSITE = "solved", "composite"
-"""Roles: the hypothesis that a solve put in, and the one that a search of single limbs puts together."""
+SOLVED, COMPOSITE, RIVAL = "solved", "composite", "rival"
+"""Roles: the hypothesis that a solve put in, the one that a search of single limbs puts together, and another solved
+one that is alive beside the first."""
 SETTLING = SolveOptions(iterations=24, coarse_iterations=12)
 """For a solve from far: of a start that may be centimetres off, and of where a lost person is found again."""
 

@@ -21,10 +21,7 @@ from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.costs import frame_energy
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.reach_table import ArmReach, ends
-from hypose.tracking.refinement import COMPOSITE, SOLVED, member, mismatch, refine
-
-RIVAL = "rival"
-"""Role: a hypothesis that is alive beside the solved one."""
+from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, member, mismatch, refine
 
 
 @dataclass(frozen=True)
@@ -36,7 +33,7 @@ class LookedUp:
     Chosen on scenes (walk, box, run, combo) of the seeds 500 to 507; 520 to 525 gave the same."""
 
     cutoff: float = 0.1
-    pool: int = 48
+    pool: int = 192
     far: float = 0.1
     ratio: float = 1.04
     most: int = 2
@@ -54,7 +51,7 @@ class Contest:
     doubt: float = 0.02
     apart: float = 0.08
     behind: float = 0.15
-    softness: float = 0.01
+    softness: float = 0.005
 
 
 @dataclass(frozen=True)
@@ -83,7 +80,7 @@ class RefineRivals:
         if frame.masks is None:  # nothing to compare them by
             return _roles(Hypotheses(s.clamp(winner[None]), np.zeros(1), before=last[:1]))
         old = s.on_branch(alive.values[1:], frame.prediction)
-        composite, looked_up = self._composite(h, winner, frame), self._looked_up(h, winner, frame)
+        composite, looked_up = self._composite(h, winner, frame), self._looked_up(h, winner, old, frame)
         starts = [*composite, *looked_up]
         poses = np.stack([winner, *self._solved(starts, old, frame)])
         parents = np.array([0] * (1 + len(starts)) + [1 + k for k in range(len(old))])
@@ -92,9 +89,9 @@ class RefineRivals:
         expected = np.stack([*[frame.prediction] * (1 + len(starts)), *old])
         costs = mismatch(poses, frame, expected=expected)
         scores = costs + c.doubt * costs[0] * fresh - c.memory * c.softness * alive.relative_log_weights[parents]
-        at = [ends(arm.here(poses)) for arm, _ in self.arms]
+        at = [ends(arm.here(poses)) for arm, _ in self.arms] or [np.zeros((len(poses), 0, 3))]
         before = last[parents]
-        for (arm, _), where in zip(self.arms, at, strict=True):
+        for (arm, _), where in zip(self.arms, at, strict=False):
             jumped = fresh & (_farthest(where, where[0]) > self.look.far)
             before[np.ix_(jumped, arm.own)] = poses[np.ix_(jumped, arm.own)]
         found = Hypotheses(s.clamp(poses), -scores / c.softness, parents, before=before)
@@ -102,18 +99,18 @@ class RefineRivals:
 
     def _composite(self, h: Hypotheses, winner: Array, frame: PreparedFrame) -> list[Array]:
         """The pose (D,) that the search put together, when it has won anything."""
-        composite = member(h, COMPOSITE)
+        composite = member(h, COMPOSITE) if h.has(COMPOSITE).any() else winner
         if np.array_equal(winner, composite):
             return []
         energy = frame_energy(np.stack([winner, composite]), frame)
         return [composite] if energy[1] < (1 - self.margin) * energy[0] else []
 
-    def _looked_up(self, h: Hypotheses, winner: Array, frame: PreparedFrame) -> list[Array]:
-        """Poses (D,) with one arm elsewhere."""
+    def _looked_up(self, h: Hypotheses, winner: Array, old: Array, frame: PreparedFrame) -> list[Array]:
+        """Poses (D,) with one arm elsewhere than in the winner, and than in the rivals (K, D) of the last frame."""
         found: list[Array] = []
         for arm, turn in self.arms:
             if turn(h, frame):
-                found += rival_arms(arm, winner, frame, self.look)
+                found += rival_arms(arm, winner, frame, self.look, old)
         return found
 
     def _solved(self, starts: list[Array], old: Array, frame: PreparedFrame) -> list[Array]:
@@ -141,15 +138,20 @@ class RefineRivals:
         return kept
 
 
-def rival_arms(arm: ArmReach, pose: Array, frame: PreparedFrame, look: LookedUp) -> list[Array]:
-    """Poses (D,) that differ from a pose in one arm, which lies elsewhere in the masks where the body is not."""
+def rival_arms(
+    arm: ArmReach, pose: Array, frame: PreparedFrame, look: LookedUp, known: Array | None = None
+) -> list[Array]:
+    """Poses (D,) that differ from a pose in one arm, which lies in the masks where the body is not, elsewhere than in
+    the pose and in those that are known (K, D)."""
     assert frame.masks is not None
-    body, here = frame.body, arm.here(pose[None])
+    body, there = frame.body, arm.here(pose[None] if known is None else np.concatenate([pose[None], known]))
+    here = there[:1]
     rest = reach.standing(pose, body.skeleton.tree, body.coarse.arrays, frame.masks, arm.moving)
     limit = arm.score(here, pose, frame, rest, np.inf)[0] + look.cutoff
     score = arm.score(arm.points, pose, frame, rest, limit)
     good = np.flatnonzero(score <= limit)
-    good = good[_farthest(ends(arm.points[good]), ends(here)[0]) > look.far]
+    for other in ends(there):
+        good = good[_farthest(ends(arm.points[good]), other) > look.far]
     if not len(good):
         return []
     good = good[np.argsort(score[good], kind="stable")[: look.pool]]

@@ -63,7 +63,8 @@ class FrameEstimate:
     IoU of the body with each view's mask, NaN where that is not usable, empty when not looked at. exchanged: by
     how much a rival (the body with its sides exchanged) overlaps the masks better, NaN when not looked at.
     seen (C, 3): what hypose.pipeline.doubts keeps of each view, (0, 3) when nothing; audit (J, A): what speaks for and
-    against each joint (hypose.tracking.audit), (0, 0) when not looked at."""
+    against each joint (hypose.tracking.audit), (0, 0) when not looked at. rivals (K, D), rival_weights (K,): other
+    poses that the evidence allows, as in `Motion`."""
 
     pose: Array
     uncertainty: PoseUncertainty
@@ -75,6 +76,8 @@ class FrameEstimate:
     exchanged: float = float("nan")
     seen: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
     audit: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    rivals: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
+    rival_weights: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
 
     @property
     def joint_sd(self) -> Array:
@@ -199,7 +202,11 @@ class Tracker:
         cost = 1 - iou if np.isfinite(iou) else float("nan")
         overlap = silhouette_iou(self.body, pose, prepared)
         gain = float("nan") if lost else self._rival_gain(state, pose, prepared)
-        return following, FrameEstimate(pose, known, cost, lost, False, view_count(prepared), overlap, gain)
+        rivals, weights = self._rivals(None if lost else selected)
+        views = view_count(prepared)
+        return following, FrameEstimate(
+            pose, known, cost, lost, False, views, overlap, gain, rivals=rivals, rival_weights=weights
+        )
 
     def _recover(
         self, how: Recovery, state: TrackerState, pose: Array, selected: Hypotheses, iou: float, prepared: PreparedFrame
@@ -240,6 +247,16 @@ class Tracker:
         s = self.body.skeleton
         noise = rng.standard_normal((self.recipe.particles, s.dof)) * steps
         return Hypotheses.uniform(s.clamp(pose + noise * step_sigma(s, self.settings.frame_rate)))
+
+    def _rivals(self, h: Hypotheses | None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The hypotheses beside the best, and their weights, as an estimate has them."""
+        count = max(self.recipe.rivals - 1, 0)
+        poses = np.full((count, self.body.skeleton.dof), np.nan, np.float32)
+        weights = np.zeros(count, np.float32)
+        if h is not None and h.before is not None:
+            order = np.argsort(-h.weights, kind="stable")[1 : 1 + count]
+            poses[: len(order)], weights[: len(order)] = h.values[order], h.weights[order]
+        return poses, weights
 
     def _expected(self, state: TrackerState, step: Array) -> Hypotheses:
         """The hypotheses where they are expected after a usual step (D,), or each after its own."""
@@ -311,7 +328,11 @@ class Tracker:
         following = TrackerState(
             state.frames + 1, expected, prediction, state.pose, covariance, state.usual_iou, blind, lost
         )
-        return following, FrameEstimate(prediction, nothing_known(covariance, s.dof), float("nan"), lost, True, 0)
+        rivals, weights = self._rivals(None)
+        nothing = nothing_known(covariance, s.dof)
+        return following, FrameEstimate(
+            prediction, nothing, float("nan"), lost, True, 0, rivals=rivals, rival_weights=weights
+        )
 
 
 def _mean_iou(body: Body, pose: Array, prepared: PreparedFrame) -> float:
@@ -336,7 +357,14 @@ def motion_of(
         np.array([e.n_views for e in estimates], dtype=np.int64),
         np.array([e.cost for e in estimates], dtype=np.float64),
         provenance or {},
+        rivals=_stacked([e.rivals for e in estimates]),
+        rival_weights=_stacked([e.rival_weights for e in estimates]),
     )
+
+
+def _stacked(of_frames: Sequence[NDArray[np.float32]]) -> NDArray[np.float32] | None:
+    """(T, K, ...) of the frames; None when the method keeps no rivals."""
+    return np.stack(of_frames) if of_frames[0].size else None
 
 
 def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray[Any]]:
@@ -351,6 +379,8 @@ def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray
         "exchanged": np.array([e.exchanged for e in estimates]),
         "seen": np.stack([e.seen for e in estimates]),
         "audit": np.stack([e.audit for e in estimates]),
+        "rivals": np.stack([e.rivals for e in estimates]),
+        "rival_weights": np.stack([e.rival_weights for e in estimates]),
     }
 
 
@@ -367,8 +397,10 @@ def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimat
             exchanged=float(exchanged),
             seen=seen,
             audit=audit,
+            rivals=rivals,
+            rival_weights=rival_weights,
         )
-        for pose, around, known, cost, flags, views, exchanged, seen, audit in zip(
+        for pose, around, known, cost, flags, views, exchanged, seen, audit, rivals, rival_weights in zip(
             arrays["poses"],
             arrays["joint_covariances"],
             arrays["information"],
@@ -378,6 +410,8 @@ def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimat
             arrays["exchanged"],
             arrays["seen"],
             arrays["audit"],
+            arrays["rivals"],
+            arrays["rival_weights"],
             strict=True,
         )
     ]

@@ -49,6 +49,25 @@ def test_motion_round_trip(small_motion, tmp_path):
     assert load_motion(tmp_path / "points.npz").poses is None
 
 
+def test_rivals_are_kept_with_their_weights(small_motion, tmp_path):
+    n, d = len(small_motion), small_motion.skeleton.dof
+    rivals = np.random.default_rng(1).normal(size=(n, 2, d)).astype(np.float32)
+    rivals[0, 1] = np.nan
+    weights = np.full((n, 2), 0.2, np.float32)
+    weights[0, 1] = 0
+    motion = dataclasses.replace(small_motion, rivals=rivals, rival_weights=weights)
+    save_motion(motion, tmp_path / "motion.npz")
+    back = load_motion(tmp_path / "motion.npz")
+    assert_same(motion, back)
+    save_motion(back, tmp_path / "again.npz")
+    assert (tmp_path / "motion.npz").read_bytes() == (tmp_path / "again.npz").read_bytes()
+    save_motion(small_motion, tmp_path / "none.npz")
+    assert load_motion(tmp_path / "none.npz").rivals is None
+    for wrong in ({"rivals": rivals[:, :1]}, {"rivals": rivals[1:]}, {"rival_weights": None}, {"rivals": None}):
+        with pytest.raises(InputError, match="Motion.rival"):
+            dataclasses.replace(motion, **wrong)
+
+
 def test_same_motion_same_bytes(small_motion, tmp_path):
     """Whenever, wherever and by which command it was written; in any memory order."""
     record = provenance("hpf", 3, {"particles": np.int64(200)}, {}, {"seconds": 1.5})

@@ -113,6 +113,13 @@ def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any]) -> Motio
     if old.doubtful is not None or new.doubtful is not None:
         series["doubtful"] = _marks(old)
         series["doubtful"][row : row + len(new)] = _marks(new)
+    for name in ("rivals", "rival_weights"):
+        before, after = getattr(old, name), getattr(new, name)
+        if before is not None:
+            series[name] = before.copy()
+            nothing = np.full_like(before[row : row + len(new)], np.nan if name == "rivals" else 0)
+            fits = after is not None and after.shape == nothing.shape
+            series[name][row : row + len(new)] = after if fits else nothing
     if row:  # one branch of the root's rotation, so that nothing between the two parts turns around
         poses = series["poses"]
         for t in range(row, row + len(new)):

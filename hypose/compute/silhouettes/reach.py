@@ -60,8 +60,11 @@ def score_points(
     r, c = plain(rotation, np.float64), plain(centre, np.float64)
     if selection.backend() == "numpy":
         return _reference(p, w, r, c, prepared, rest)
-    out = np.empty(len(p))
-    native("silhouettes.reach").score_points(p, w, r, c, tidy(prepared), rest.bits, float(cutoff), out)
+    out, masks, limit = np.empty(len(p)), tidy(prepared), float(cutoff)
+    score = native("silhouettes.reach").score_points
+    selection.over_chunks(
+        lambda first, last: score(p[first:last], w, r, c, masks, rest.bits, limit, out[first:last]), len(p), None, 256
+    )
     return out
 
 

@@ -31,7 +31,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT)
 """The system's numbers for a disk that is full."""
 _MAX_ARCHIVE_BYTES = 4 << 30
 _FORMAT = 1
-# name: (kinds of dtype, stored dtype, number of dimensions); those of _OPTIONAL may be absent
+# name: (kinds of dtype, stored dtype, number of dimensions); those in _OPTIONAL may be absent
 _MOTION_ARRAYS: dict[str, tuple[str, str, int]] = {
     "times": ("f", "<f8", 1),
     "joints": ("f", "<f8", 3),
@@ -42,6 +42,8 @@ _MOTION_ARRAYS: dict[str, tuple[str, str, int]] = {
     "doubtful": ("b", "|b1", 1),
     "p_wrong": ("f", "<f4", 2),
     "doubtful_joints": ("b", "|b1", 2),
+    "rivals": ("f", "<f4", 3),
+    "rival_weights": ("f", "<f4", 2),
     "n_views": ("i", "<i8", 1),
     "cost": ("f", "<f8", 1),
     "parents": ("i", "<i8", 1),
@@ -58,7 +60,7 @@ _MOTION_ARRAYS: dict[str, tuple[str, str, int]] = {
 }
 _SKELETON = ("parents", "rest_offsets", "ball", "axes", "joint_of_dof", "lower", "upper", "sigma")
 _SERIES = ("times", "joints", "joint_covariance", "lost", "extrapolated", "n_views", "cost")
-_OPTIONAL = ("poses", "doubtful", "p_wrong", "doubtful_joints")
+_OPTIONAL = ("poses", "doubtful", "p_wrong", "doubtful_joints", "rivals", "rival_weights")
 
 
 # ---- atomic files ------------------------------------------------------------------------------------------

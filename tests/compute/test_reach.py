@@ -1,0 +1,117 @@
+"""Limbs as points against masks and the standing rest of the body."""
+
+import numpy as np
+import pytest
+
+from hypose import compute
+from hypose.compute import reference
+from hypose.compute.silhouettes import reach
+from tests.capsule_person import capsule_person, random_pose, ring
+
+LIMB = ("left_shoulder", "left_elbow")
+
+
+@pytest.fixture(scope="module")
+def body():
+    return capsule_person(0.09)
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return ring(3, f=210.0, size=(203, 230))
+
+
+def moving(body):
+    return np.isin(np.arange(len(body.skeleton.joint_names)), [body.skeleton.joint(j) for j in LIMB])
+
+
+def masks_of(body, rig, pose, usable=(True, True, True)):
+    v = body.skin(pose)
+    masks = [reference.rasterize(v, body.coarse.faces, c.projection, c.size) for c in rig]
+    return compute.prepare_masks(np.stack(masks), np.array(usable), rig.sizes, rig.projections)
+
+
+def standing(body, pose, prepared):
+    return reach.standing(pose, body.skeleton.tree, body.coarse.arrays, prepared, moving(body))
+
+
+def clusters(rng, n, count):
+    """(n, count, 3) m: points that lie together about a joint, so that some clusters lie in the body's masks."""
+    return rng.normal(0, 0.25, (n, 1, 3)) + rng.normal(0, 0.04, (n, count, 3))
+
+
+def test_the_rest_is_the_body_without_the_limb(body, rig, rng):
+    pose = random_pose(body, rng)
+    prepared = masks_of(body, rig, random_pose(body, rng), (True, False, True))
+    fast = standing(body, pose, prepared)
+    with compute.use("reference"):
+        slow = standing(body, pose, prepared)
+    differ = np.unpackbits(fast.bits ^ slow.bits, axis=2).sum((1, 2))
+    assert differ.max() <= 2 and np.abs(fast.counts - slow.counts).max() <= 2
+    assert not fast.bits[1].any() and fast.counts[0, 0] > 500
+    whole = compute.silhouette_xor(pose[None], body.skeleton.tree, body.coarse.arrays, prepared)[0]
+    assert (fast.counts[[0, 2], 0] < whole[[0, 2], 1]).all()
+
+
+def test_a_drawn_rest_changes_no_score_of_silhouettes(body, rig, rng):
+    poses = np.repeat(random_pose(body, rng)[None], 9, 0)
+    own = moving(body)[body.skeleton.tree.joint_of_dof]
+    poses[:, own] = np.stack([random_pose(body, rng) for _ in range(9)])[:, own]
+    prepared = masks_of(body, rig, random_pose(body, rng))
+    args = (poses, body.skeleton.tree, body.coarse.arrays, prepared)
+    rest = standing(body, poses[-1], prepared)
+    before = rest.bits.copy()
+    np.testing.assert_array_equal(
+        compute.silhouette_xor(*args, moving=moving(body), rest=rest),
+        compute.silhouette_xor(*args, moving=moving(body)),
+    )
+    np.testing.assert_array_equal(rest.bits, before)
+
+
+@pytest.mark.parametrize("usable", [(True, True, True), (False, True, True)])
+def test_points_are_scored_as_defined(body, rig, rng, usable):
+    pose = random_pose(body, rng)
+    prepared = masks_of(body, rig, random_pose(body, rng), usable)
+    rest = standing(body, pose, prepared)
+    r, p = body.skeleton.forward(pose)
+    points = clusters(rng, 500, 6)
+    points[:30, :3] *= 15  # outside the images, and behind the cameras
+    weights = rng.random(6)
+    args = (points, weights, r[1], p[1], prepared, rest)
+    fast = reach.score_points(*args)
+    with compute.use("reference"):
+        slow = reach.score_points(*args)
+    np.testing.assert_allclose(fast, slow, atol=1e-12)
+    assert slow.min() < 0 < slow.max()
+
+
+def test_above_the_cutoff_nothing_more_is_known(body, rig, rng):
+    pose = random_pose(body, rng)
+    prepared = masks_of(body, rig, random_pose(body, rng))
+    rest = standing(body, pose, prepared)
+    r, p = body.skeleton.forward(pose)
+    args = (clusters(rng, 500, 8), rng.random(8), r[1], p[1], prepared, rest)
+    every, cut = reach.score_points(*args), reach.score_points(*args, cutoff=1.0)
+    below = every <= 1.0
+    assert 20 < below.sum() < 480
+    np.testing.assert_array_equal(cut[below], every[below])
+    assert (cut[~below] > 1.0).all()
+
+
+def test_a_point_counts_by_what_it_lies_on(body):
+    """One camera, one point each: off the mask, in the mask beside the rest of the body, on the rest, and not seen."""
+    rig = ring(1, f=210.0, size=(203, 230))
+    mask = np.zeros((1, 230, 203), np.uint8)
+    mask[0, 100:120, 80:120] = 1
+    prepared = compute.prepare_masks(mask, np.array([True]), rig.sizes, rig.projections)
+    bits = np.zeros_like(prepared.bits)
+    bits[0, 100:120, 12] = 255  # columns 96 to 103
+    rest = compute.Standing(bits, np.zeros((1, 2), np.int64))
+    camera = rig.projections[0]
+    pixels = {(90, 110): -2.0, (100, 110): 0.0, (50, 50): 2.0, (400, 110): 0.0}
+    centre = -np.linalg.solve(camera[:, :3], camera[:, 3])
+    points = np.stack([centre + 3 * np.linalg.solve(camera[:, :3], [u, v, 1.0]) for u, v in pixels])
+    scores = reach.score_points(points[:, None], np.array([2.0]), np.eye(3), np.zeros(3), prepared, rest)
+    np.testing.assert_array_equal(scores, list(pixels.values()))
+    behind = centre - 3 * np.linalg.solve(camera[:, :3], [50, 50, 1.0])
+    assert reach.score_points(behind[None, None], np.ones(1), np.eye(3), np.zeros(3), prepared, rest) == 0

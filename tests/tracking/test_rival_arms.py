@@ -1,0 +1,241 @@
+"""Arms that were lost are looked up, solved before they are compared, and carried along until frames have decided."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import qmc
+
+from hypose.inference.hypotheses import Hypotheses
+from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.pose_covariance import uncertainty_of_pose
+from hypose.tracking.published_recipes import LIMB_LAYERS
+from hypose.tracking.reach_table import arm_reach, ends
+from hypose.tracking.recipes import default
+from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED
+from hypose.tracking.rival_arms import LookedUp, RefineRivals, rival_arms
+from hypose.tracking.tracker import (
+    Tracker,
+    TrackerSettings,
+    TrackerState,
+    estimates_from_arrays,
+    estimates_to_arrays,
+    motion_of,
+)
+
+FACING = (1, 3)
+"""the views that are taken away: the two that are left look at each other, and see nearly the same outline"""
+LEFT, RIGHT = dict(LIMB_LAYERS)["left_arm"], dict(LIMB_LAYERS)["right_arm"]
+
+
+@pytest.fixture(scope="module")
+def arms(body):
+    """The tables of both arms over half of each joint's range."""
+    s = body.skeleton
+    return {
+        side: arm_reach(body, joints, 0.5 * s.lower, 0.5 * s.upper)
+        for side, joints in zip("lr", (LEFT, RIGHT), strict=True)
+    }
+
+
+@pytest.fixture(scope="module")
+def raised(body, standing):
+    """The left arm held out to the side and bent, in plain sight."""
+    pose = standing.copy()
+    s = body.skeleton
+    pose[s.dofs_of("left_shoulder")] += [-1.3, 0.0, 0.3]
+    pose[s.dofs_of("left_elbow")[0]] += 0.9
+    return s.clamp(pose)
+
+
+def wrist_error(body, pose, truth, side="left"):
+    k = body.skeleton.joint(f"{side}_wrist")
+    return float(np.linalg.norm(body.joints(pose)[k] - body.joints(truth)[k]))
+
+
+def off_guard(body, pose):
+    """Hypotheses all at one pose, as the search of limbs begins."""
+    return Hypotheses.uniform(np.repeat(pose[None], 4, 0)).marked(SOLVED, [0]).marked(COMPOSITE, [1])
+
+
+def test_points_lie_on_the_arm_wherever_the_body_is(body, arms, raised, rng):
+    s = body.skeleton
+    pose = s.clamp(raised + rng.normal(0, 0.2, s.dof))
+    r, p = s.forward(pose)
+    for side, arm in (("left", arms["l"]), ("right", arms["r"])):
+        chest = s.joint("chest")
+        world = arm.here(pose[None])[0] @ r[chest].T + p[chest]
+        shoulder, elbow, wrist = (p[s.joint(f"{side}_{name}")] for name in ("shoulder", "elbow", "wrist"))
+        mark = body.landmarks.index(f"{side}_hand_tip")
+        tip = wrist + r[s.joint(f"{side}_wrist")] @ body.landmarks.offset[mark]
+        wanted = [shoulder + 0.4 * (elbow - shoulder), elbow, wrist, wrist + 0.9 * (tip - wrist)]
+        np.testing.assert_allclose(world[[0, 2, 5, 7]], wanted, atol=1e-12)
+        np.testing.assert_allclose(ends(arm.here(pose[None]))[0], arm.here(pose[None])[0, [2, 5, 7]])
+        assert 0.05 < arm.area.sum() < 0.08
+
+
+def test_the_table_is_the_halton_sequence_over_the_range(body):
+    s = body.skeleton
+    arm = arm_reach(body, LEFT, s.lower, s.upper, count=200)
+    wanted = qmc.Halton(len(arm.own), scramble=False).random(201)[1:]
+    found = (arm.poses - s.lower[arm.own]) / (s.upper - s.lower)[arm.own]
+    np.testing.assert_allclose(found, wanted, atol=1e-12)
+
+
+def test_the_table_has_an_arm_near_every_arm(body, arms, rng):
+    s, arm = body.skeleton, arms["l"]
+    poses = np.zeros((200, s.dof))
+    poses[:, arm.own] = rng.uniform(0.5 * s.lower[arm.own], 0.5 * s.upper[arm.own], (200, len(arm.own)))
+    apart = np.linalg.norm(ends(arm.here(poses))[:, None] - ends(arm.points)[None], axis=-1).max(-1).min(1)
+    assert np.median(apart) < 0.06 and apart.max() < 0.13
+
+
+def test_a_lost_arm_is_among_the_rivals(body, arms, standing, raised, frame_of):
+    frame = prepare(frame_of(body, raised), body, standing)
+    arm = arms["l"]
+    found = rival_arms(arm, standing, frame, LookedUp())
+    assert found and min(wrist_error(body, pose, raised) for pose in found) < 0.15
+    others = np.setdiff1d(np.arange(body.skeleton.dof), arm.own)
+    for pose in found:
+        np.testing.assert_array_equal(pose[others], standing[others])
+        a, b = ends(arm.here(np.stack([standing, pose])))
+        assert np.linalg.norm(a - b, axis=-1).max() > LookedUp().far
+    assert len(found) <= LookedUp().most
+
+
+def test_nothing_rivals_arms_that_explain_the_masks(body, arms, raised, frame_of):
+    frame = prepare(frame_of(body, raised), body, raised)
+    assert rival_arms(arms["l"], raised, frame, LookedUp()) == []
+
+
+def test_a_found_arm_stands_still_and_the_body_goes_on(body, arms, standing, raised, frame_of, rng):
+    """The estimate of the next frame is expected by its parent's step, but for the arm that lay elsewhere."""
+    before = standing.copy()
+    before[:2] -= 0.03
+    rivals = Hypotheses(standing[None], np.zeros(1), before=before[None])
+    frame = replace(prepare(frame_of(body, raised), body, standing), rivals=rivals)
+    refine = RefineRivals(((arms["l"], lambda h, frame: True), (arms["r"], lambda h, frame: True)))
+    out = refine(off_guard(body, standing), frame, rng)
+    best = int(out.relative_log_weights.argmax())
+    assert wrist_error(body, out.values[best], raised) < 0.05
+    assert out.has(SOLVED)[best] and out.has(RIVAL).sum() == out.count - 1
+    own = arms["l"].own
+    np.testing.assert_allclose(out.before[best, own], out.values[best, own], atol=1e-6)
+    np.testing.assert_array_equal(np.delete(out.before[best], own), np.delete(before, own))
+    assert (out.origin == 0).all()
+
+
+def test_without_masks_the_estimate_lives_alone(body, arms, standing, frame_of, rng):
+    rivals = Hypotheses(np.stack([standing + 0.1, standing]), np.array([-1.0, 0.0]), before=np.stack([standing] * 2))
+    frame = replace(prepare(frame_of(body, standing), body, standing), masks=None, rivals=rivals)
+    out = RefineRivals(((arms["l"], lambda h, frame: True),))(off_guard(body, standing), frame, rng)
+    assert out.count == 1 and out.has(SOLVED).all()
+    np.testing.assert_allclose(out.values[0], standing, atol=1e-6)
+
+
+def follow(tracker, state, poses, frame_of, dead=()):
+    for t, pose in enumerate(poses):
+        state, _ = tracker.step(state, frame_of(tracker.body, pose, t, dead))
+    return state
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_lost_arm_in_plain_sight_returns(body, standing, raised, frame_of, seed):
+    """Tracking begins with an arm that hangs while the person's is held out; a sixth of the usual particles."""
+    tracker = Tracker(body, default(body, particles=32), TrackerSettings(seed=seed))
+    state = follow(tracker, tracker.start(standing), [raised] * 4, frame_of)
+    assert wrist_error(body, state.pose, raised) < 0.05
+    assert wrist_error(body, state.pose, raised, "right") < 0.05
+
+
+@pytest.fixture(scope="module")
+def hidden(body, standing):
+    """An arm that bends in front of the trunk: seen by too few, it can be several arms."""
+    poses = np.repeat(standing[None], 8, 0)
+    s = body.skeleton
+    for t in range(8):
+        poses[t, s.dofs_of("left_elbow")[0]] += 0.25 * t
+        poses[t, s.dofs_of("left_shoulder")] += np.array([0.0, 0.1, 0.1]) * t
+    return s.clamp(poses)
+
+
+def test_rivals_live_on_and_a_saved_state_goes_on_with_the_same_bytes(body, hidden, frame_of):
+    tracker = Tracker(body, default(body, particles=32))
+    middle = follow(tracker, tracker.start(hidden[0]), hidden[:5], frame_of, FACING)
+    assert middle.hypotheses.count > 1 and middle.hypotheses.has(RIVAL).sum() == middle.hypotheses.count - 1
+    saved = TrackerState.from_arrays({k: np.copy(v) for k, v in middle.to_arrays().items()})
+    ends_at = [middle, saved]
+    for n, state in enumerate(ends_at):
+        for t in range(5, 8):
+            state, _ = tracker.step(state, frame_of(body, hidden[t], t, FACING))
+        ends_at[n] = state
+    for name, values in ends_at[0].to_arrays().items():
+        assert values.tobytes() == ends_at[1].to_arrays()[name].tobytes(), name
+
+
+def test_any_number_of_threads_finds_the_same_bytes(body, hidden, frame_of, monkeypatch):
+    found = []
+    for threads in ("1", "3"):
+        monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
+        tracker = Tracker(body, default(body, particles=32))
+        found.append(follow(tracker, tracker.start(hidden[0]), hidden[:5], frame_of, FACING).to_arrays())
+    assert all(found[0][name].tobytes() == found[1][name].tobytes() for name in found[0])
+
+
+def test_hypotheses_go_on_by_their_own_steps(body, standing):
+    """What is expected of a rival is its own last step, not the estimate's."""
+    s = body.skeleton
+    tracker = Tracker(body, default(body, particles=16))
+    state = tracker.start(standing)
+    values = np.stack([standing, standing])
+    before = values.copy()
+    before[0, 0] -= 0.1
+    before[1, 1] += 0.2
+    h = Hypotheses(s.clamp(values), np.array([0.0, -1.0]), before=before)
+    expected = tracker._expected(replace(state, hypotheses=h), np.zeros(s.dof))
+    np.testing.assert_allclose(expected.values[:, :2] - standing[:2], [[0.08, 0], [0, -0.16]], atol=1e-6)
+    np.testing.assert_array_equal(expected.before, h.values)
+    lost = tracker._expected(replace(state, hypotheses=h, lost=True), np.zeros(s.dof))
+    np.testing.assert_array_equal(lost.values, h.values)
+
+
+def test_no_rivals_are_a_recipe_too(body, standing, raised, frame_of):
+    tracker = Tracker(body, default(body, particles=32, rivals=1))
+    state = follow(tracker, tracker.start(standing), [raised] * 3, frame_of)
+    assert state.hypotheses.count == 1 and not state.hypotheses.has(RIVAL).any()
+    assert wrist_error(body, state.pose, raised) < 0.05
+
+
+def test_the_covariance_is_that_of_the_mixture(body, standing, raised, frame_of):
+    frame = prepare(frame_of(body, standing), body, standing)
+    alone = Hypotheses(standing[None], np.zeros(1)).marked(SOLVED, [0])
+    two = Hypotheses(np.stack([standing, raised]), np.log([0.8, 0.2])).marked(SOLVED, [0]).marked(RIVAL, [1])
+    before, after = (uncertainty_of_pose(standing, h, frame) for h in (alone, two))
+    apart = body.joints(raised) - body.joints(standing)
+    wanted = before.joint_covariance + 0.2 * np.einsum("ja,jb->jab", apart, apart)
+    np.testing.assert_allclose(after.joint_covariance, wanted, atol=1e-6)
+    wrist, knee = (body.skeleton.joint(name) for name in ("left_wrist", "left_knee"))
+    assert np.trace(after.joint_covariance[wrist]) > 5 * np.trace(before.joint_covariance[wrist])
+    np.testing.assert_allclose(after.joint_covariance[knee], before.joint_covariance[knee], atol=1e-9)
+
+
+def test_a_motion_has_the_rivals_of_its_frames(body, hidden, frame_of):
+    tracker = Tracker(body, default(body, particles=32))
+    state, estimates, living = tracker.start(hidden[0]), [], []
+    for t, pose in enumerate(hidden[:6]):
+        state, estimate = tracker.step(state, frame_of(body, pose, t, (0, 1, 2, 3) if t == 3 else FACING))
+        estimates.append(estimate)
+        living.append(0 if t == 3 else state.hypotheses.count - 1)
+    estimates = estimates_from_arrays(estimates_to_arrays(estimates))
+    motion = motion_of(body, np.arange(6) / 25, estimates)
+    assert motion.rivals.shape == (6, 2, body.skeleton.dof) and max(living) > 0
+    np.testing.assert_array_equal(np.isfinite(motion.rivals).all(-1).sum(-1), living)
+    np.testing.assert_array_equal((motion.rival_weights > 0).sum(-1), living)
+    assert (motion.rival_weights.sum(-1) < 2 / 3 + 1e-6).all()  # no rival has more than the pose
+    arm = np.isin(np.arange(body.skeleton.dof), body.skeleton.dofs_of(*LEFT, *RIGHT))
+    t = int(np.argmax(living))
+    apart = np.abs(motion.rivals[t, 0] - motion.poses[t])
+    assert apart[arm].max() > 2 * apart[~arm].max()
+    alone = Tracker(body, default(body, particles=32, rivals=1))
+    _, estimate = alone.step(alone.start(hidden[0]), frame_of(body, hidden[0]))
+    assert motion_of(body, np.zeros(1), [estimate]).rivals is None
