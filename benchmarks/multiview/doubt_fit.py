@@ -69,10 +69,10 @@ def rows_of(clips: Sequence[Tracked], evidence: str) -> Rows:
 def used_by(evidence: str) -> list[str]:
     """The features that there are for an evidence."""
     if evidence == "silhouettes":
-        return [n for n in FEATURES if n not in _POINTS]
+        return [n for n in FEATURES if n not in (*_POINTS, "log_sd")]
     if evidence == "keypoints":
         return [*_NEUTRAL, *_POINTS]
-    return list(FEATURES)
+    return [n for n in FEATURES if n != "log_sd"]
 
 
 def fit(rows: Rows, evidence: str) -> DoubtModel:

@@ -24,6 +24,8 @@ from hypose.evidence.frame import Silhouettes
 from hypose.evidence.hull import visual_hull
 from hypose.geometry import Array, se3_inverse
 
+SCATTER = 0.08
+"""Share of the person's size by which tangent planes may disagree: tables and treadmills cut masks, too."""
 _JUDGED = 40  # frames on which poses are judged
 
 
@@ -72,7 +74,7 @@ def gross_silhouettes(rig: CameraRig, silhouettes: Sequence[Silhouettes | None],
         return ()
     cured, tracks = _gross(rig, tracks, size, findings, o)
     left = _score(cured, tracks, size)
-    if not findings and left > o.gross:
+    if not findings and left > SCATTER:
         text = f"All cameras: the silhouettes' tangent planes disagree by {100 * left:.0f} % of the person's size"
         findings.append(Finding("scatter", (), text, "run hypose check, which looks for the cause", left))
     findings += _unit(cured, size, o)
