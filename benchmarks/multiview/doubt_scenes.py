@@ -17,7 +17,9 @@ from benchmarks.bench_report import BenchOptions
 from benchmarks.multiview.action_scenes import known_subject, subject_of_seed
 from benchmarks.multiview.product import aligned_joints, body_by_keypoints, estimated_body
 from hypose.body.body import Body
+from hypose.body.joint_angles import angles_of_frames, joint_angles
 from hypose.body.motion import Motion
+from hypose.body.ready_bodies import human
 from hypose.errors import HyposeError
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.keypoints import BODY_25, to_keypoints
@@ -29,6 +31,7 @@ from hypose.synthetic.retarget import retarget
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.simulated_keypoints import keypoint_detections
 from hypose.synthetic.spoilt_keypoints import SPOILS, moved_camera, spoilt
+from hypose.tracking.fitted_spread import as_curved
 
 
 @dataclass(frozen=True)
@@ -76,7 +79,8 @@ DATA = Path(__file__).parents[3] / "shared" / "data"
 @dataclass(frozen=True)
 class Tracked:
     """One scene tracked from one evidence. error (T, 19) m of the final joints, error_raw as tracked frame by frame
-    ; away (T, 19, 3) m from the estimate to the truth;
+    ; away (T, 19, 3) m from the estimate to the truth; angles (T, A) rad, estimate less
+    truth;
     kind: 'plain', or what was spoilt."""
 
     case: str
@@ -90,6 +94,7 @@ class Tracked:
     error: Array
     error_raw: Array
     away: Array
+    angles: Array | None = None
 
 
 def bare_scene(case: Case, seed: int, seconds: float = SECONDS) -> Scene:
@@ -211,14 +216,28 @@ def tracked(name: str, scene: Scene, frames: Sequence[Frame], seed: int, evidenc
             subject = find_subject(source.frame, len(source), how)
     result = track_source(source, rate, options, subject=subject)
     assert result.one_by_one is not None and result.audit is not None
-    m, truth = result.motion, scene.joints[: len(result.motion)]
+    m, truth = as_curved(result.motion, evidence), scene.joints[: len(result.motion)]
     joints = aligned_joints(m, scene)
     own = replace(m, poses=result.one_by_one, joints=result.body.joints(result.one_by_one))
     error_raw = np.linalg.norm(aligned_joints(own, scene) - truth, axis=-1)
     error = np.linalg.norm(joints - truth, axis=-1)
-    return Tracked(
-        name, seed, evidence, kind, m, result.body, result.audit, result.one_by_one, error, error_raw, truth - joints
-    )
+    off = angles_of(m) - true_angles(scene)[: len(m)]
+    off = (off + np.pi) % (2 * np.pi) - np.pi
+    audit, own_poses = result.audit, result.one_by_one
+    return Tracked(name, seed, evidence, kind, m, result.body, audit, own_poses, error, error_raw, truth - joints, off)
+
+
+def angles_of(motion: Motion) -> Array:
+    """(T, A) rad: joint angles of a motion."""
+    assert motion.poses is not None
+    return joint_angles(motion.skeleton, motion.poses)[1]
+
+
+def true_angles(scene: Scene) -> Array:
+    """(T, A) rad: joint angles of the subject by its own bones, as the tracker's are by its body's."""
+    s, rest = human().skeleton, scene.subject.joints
+    offsets = np.stack([rest[j] - (rest[p] if p >= 0 else 0) for j, p in enumerate(s.parents)])
+    return angles_of_frames(replace(s, rest_offsets=offsets), scene.rotations, scene.joints)
 
 
 def load_all(folder: Path) -> list[Tracked]:

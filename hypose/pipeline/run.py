@@ -26,8 +26,10 @@ from hypose.pipeline.keypoint_track import track_keypoints
 from hypose.pipeline.mend_sides import mend_sides, sides_notes
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
 from hypose.pipeline.verdict import Verdict, verdict_of
-from hypose.tracking.doubt import judged
+from hypose.tracking.doubt import evidence_of, judged
+from hypose.tracking.fitted_spread import pose_covariance, with_fitted_angles, with_fitted_joints
 from hypose.tracking.frame_evidence import OwnEvidence
+from hypose.tracking.pose_covariance import unpacked
 from hypose.tracking.recipes import RECIPES, recipe
 from hypose.tracking.smooth_motion import smooth_motion
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings, motion_of
@@ -136,7 +138,8 @@ def track_source(
         solved, audit = track_keypoints(source, frame_rate, subject, report)
         motion = replace(solved.motion, provenance=record or {})
         notes = (*subject.notes, *solved.notes)
-        result = TrackResult(_doubted(motion, subject.body, solved.one_by_one, audit), subject.body, True, notes)
+        motion = _doubted(motion, subject.body, solved.one_by_one, audit, solved.covariance)
+        result = TrackResult(motion, subject.body, True, notes)
         return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, faults=faults), results)
     before = tracked_before(results.checkpoint, key, total) if resume and results is not None else None
     begin = tracker.start(subject.start)
@@ -201,13 +204,18 @@ def finish(
         progress("smooth", 1, 1)
     motion, doubts = with_doubts(motion, [e.seen for e in estimates])
     own, audit = np.stack([e.pose for e in estimates]), np.stack([e.audit for e in estimates])
-    motion = _doubted(motion, subject.body, own, audit)
+    information = np.stack([e.uncertainty.information for e in estimates])
+    covariance = pose_covariance(unpacked(information, subject.body.skeleton.dof))
+    motion = _doubted(motion, subject.body, own, audit, covariance)
     return _written(TrackResult(motion, subject.body, done.complete, (*notes, *doubts), own, audit, faults), results)
 
 
-def _doubted(motion: Motion, body: Body, one_by_one: Array, audit: NDArray[np.float32]) -> Motion:
-    """The motion with the probability that a joint is wrong, and what is doubtful for that."""
-    p, joints = judged(motion, body.joints(one_by_one), audit)
+def _doubted(motion: Motion, body: Body, one_by_one: Array, audit: NDArray[np.float32], covariance: Array) -> Motion:
+    """The motion with the probability that a joint is wrong, what is doubtful for that, and standard deviations that
+    hold; covariance (T, D, D) of the poses."""
+    evidence = evidence_of(audit)
+    p, joints = judged(motion, body.joints(one_by_one), audit)  # by what the curvature says
+    motion = with_fitted_angles(with_fitted_joints(motion, evidence), covariance, evidence)
     frames = joints.any(1) if motion.doubtful is None else motion.doubtful | joints.any(1)
     return replace(motion, p_wrong=p, doubtful_joints=joints, doubtful=frames)
 

@@ -18,6 +18,7 @@ DESCRIPTIONS = {
     "motion.trc": "joint centres for OpenSim (millimetres, y up)",
     "motion.c3d": "joint centres as float C3D (millimetres, z up; residual = standard deviation)",
     "motion.mot": "joint angles for OpenSim (degrees, metres)",
+    "motion_sd.sto": "standard deviations of those angles (degrees, metres)",
     "motion.bvh": "skeleton animation (metres, degrees, y up)",
     "motion.glb": "skinned, animated body for Blender and browsers (metres, y up)",
     "angles.csv": "joint angles (degrees)",

@@ -18,20 +18,25 @@ from hypose.errors import InputError
 from hypose.io.files import write_text
 
 
-def write_angles_csv(path: str | Path, names: Sequence[str], values: ArrayLike, times: ArrayLike) -> None:
-    """Write joint angles: names (A), values (T, A) in rad (m for *_tx, *_ty, *_tz), times (T,) s.
+def write_angles_csv(
+    path: str | Path, names: Sequence[str], values: ArrayLike, times: ArrayLike, sd: ArrayLike | None = None
+) -> None:
+    """Write joint angles: names (A), values (T, A) in rad (m for *_tx, *_ty, *_tz), times (T,) s, and their standard
+    deviations sd (T, A) where they are known.
 
-    Columns: time_s, <name>_deg, and <name>_m for positions. Signs: body.joint_angles.
+    Columns: time_s, <name>_deg, and <name>_m for positions; then, in the same order, <name>_sd_deg and <name>_sd_m.
+    Signs: body.joint_angles.
     """
     v, t = np.asarray(values, dtype=np.float64), np.asarray(times, dtype=np.float64)
     if v.shape != (len(t), len(names)):
         raise InputError(f"{path}: {len(names)} names and {len(t)} times need values of that shape, got {v.shape}.")
     scale = np.array([1.0 if is_length(n) else 180 / np.pi for n in names])
     header = ["time_s", *(f"{n}_{'m' if is_length(n) else 'deg'}" for n in names)]
-    rows = [
-        [_cell(time, 6), *(_cell(x, 6) for x in row)]
-        for time, row in zip(t.tolist(), (v * scale).tolist(), strict=True)
-    ]
+    table = v * scale
+    if sd is not None:
+        header += [f"{n}_sd_{'m' if is_length(n) else 'deg'}" for n in names]
+        table = np.concatenate([table, np.asarray(sd, dtype=np.float64) * scale], axis=1)
+    rows = [[_cell(time, 6), *(_cell(x, 6) for x in row)] for time, row in zip(t.tolist(), table.tolist(), strict=True)]
     _write(path, header, rows)
 
 
