@@ -2,6 +2,7 @@
 
     python scripts/train_doubt.py collect FOLDER --seeds 600:606      tracks, keeps what was found in FOLDER
     python scripts/train_doubt.py fit FOLDER                          fits, judges on other seeds, writes the weights
+                                                                      of P(wrong), and of the covariances
 
 Seeds below 900 are trained on, the others judge. FOLDER also serves the benchmark `doubt`.
 """
@@ -30,8 +31,11 @@ def main() -> None:
                 collect(given.folder, case, seed, given.evidence.split(","))
         return
     from benchmarks.multiview.doubt_fit import report_fit
+    from benchmarks.multiview.spread_fit import write_spread
 
-    report_fit(load_all(given.folder))
+    clips = load_all(given.folder)
+    report_fit(clips)
+    write_spread(clips)
 
 
 if __name__ == "__main__":

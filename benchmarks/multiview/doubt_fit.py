@@ -142,8 +142,9 @@ def figures(p: Array, error: Array, threshold: Array) -> dict[str, float]:
     frame_wrong, frame_flagged = wrong[:, arm].any(1), flagged.any(1)
     good_frames = ~wrong.any(1)
 
-    def share(of: NDArray[np.bool_], where: NDArray[np.bool_]) -> float:
-        return float(of[where].mean()) if where.any() else float("nan")
+    def share(of: ArrayLike, where: ArrayLike) -> float:
+        chosen = np.asarray(of, dtype=bool)[np.asarray(where, dtype=bool)]
+        return float(chosen.mean()) if len(chosen) else float("nan")
 
     return {
         "wrong": float(wrong.mean()),
@@ -157,6 +158,11 @@ def figures(p: Array, error: Array, threshold: Array) -> dict[str, float]:
         "ece": ece(p, wrong),
         "ece arms": ece(p[:, arm], wrong[:, arm]),
     }
+
+
+def of_arms(p: Array, error: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """P and what is wrong of the arms' joints, of (N, J) each."""
+    return p[:, _ARMS], error[:, _ARMS] > WRONG_M
 
 
 def left_out(rows: Rows, evidence: str, refit: Callable[[Rows, str], DoubtModel] = fit) -> Array:

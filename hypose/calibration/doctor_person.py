@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hypose.body.ready_bodies import human
 from hypose.calibration.doctor_findings import Finding
@@ -48,7 +47,7 @@ def wrong_set(points_world: Array, names: Sequence[str]) -> Finding | None:
     own = _disorder(points_world, names)
     if not own > WRONG_SET:
         return None
-    count, filled = len(names), np.isfinite(points_world).all(-1).any(0)
+    count, filled = len(names), np.asarray(np.isfinite(points_world).all(-1).any(0), dtype=bool)
     found = []
     for other, theirs in KEYPOINT_SETS.items():
         # a shorter set may lie in the first slots of a longer one, the others empty
@@ -201,7 +200,7 @@ def _middle(points_world: Array, names: Sequence[str], part: str) -> Array:
 
 def _mean_known(vectors: Sequence[Array]) -> Array:
     stack = np.stack(vectors)
-    known: NDArray[np.bool_] = np.isfinite(stack).all(-1)
+    known = np.asarray(np.isfinite(stack).all(-1), dtype=bool)
     total = np.where(known[..., None], stack, 0.0).sum(0)
     return np.where(known.any(0)[:, None], total, np.nan)
 

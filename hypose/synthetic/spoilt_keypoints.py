@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
@@ -33,7 +34,7 @@ def _slow(rng: np.random.Generator, shape: tuple[int, ...], every: int) -> Array
     return ((1 - s) * knots[low] + s * knots[low + 1]) / np.sqrt((1 - s) ** 2 + s**2)
 
 
-def _stretches(rng: np.random.Generator, frames: int, share: float, length: int) -> Array:
+def _stretches(rng: np.random.Generator, frames: int, share: float, length: int) -> NDArray[np.bool_]:
     """(T,) bool: stretches of about `length` frames that fill about a share of the clip."""
     out = np.zeros(frames, dtype=bool)
     for _ in range(int(rng.poisson(share * frames / length))):
@@ -70,7 +71,7 @@ def swapped(points: Array, names: Sequence[str], rng: np.random.Generator, share
             for part in chain:
                 a, b = column.get(f"left_{part}"), column.get(f"right_{part}")
                 if a is not None and b is not None:
-                    out[np.ix_(at, [view], [a, b])] = points[np.ix_(at, [view], [b, a])]
+                    out[at, view, a], out[at, view, b] = points[at, view, b], points[at, view, a]
     return out
 
 

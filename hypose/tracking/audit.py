@@ -85,7 +85,7 @@ def _masks(body: Body, pose: Array, joints: Array, silhouettes: Silhouettes) -> 
     reach = np.r_[np.full(len(joints), NEAR_M), [r for _, r in _ROOTS]]
     views = np.flatnonzero(silhouettes.usable)
     bare, exposed, outside = (np.zeros((len(views), n)) for n in (len(points), len(_PARTS), len(_PARTS)))
-    for k, c in enumerate(views):
+    for k, c in enumerate(views.tolist()):
         p, (w, h) = silhouettes.rig.projections[c], silhouettes.rig.sizes[c]
         depth = float(p[2, :3] @ joints[0] + p[2, 3])
         per_metre = float(silhouettes.rig[c].K[0, 0]) / max(depth, 0.1)

@@ -160,10 +160,10 @@ def evidence_of(audit: ArrayLike) -> str:
 def judged(motion: Motion, raw_joints: Array, audit: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """(T, J) probability that a joint is wrong by more than WRONG_M, and which joints are doubtful for that.
 
-    Frames in which the person was lost or not seen are as wrong as can be told: 0.5 at least, if they were lost."""
+    Of frames in which the person was lost nothing is believed: 0.5 at least, and doubtful."""
     names = motion.skeleton.joint_names
     groups = np.array([group_of(n) for n in names])
     model = doubt_models()[evidence_of(audit)]
     p = model.probability(clip_features(motion, raw_joints, audit), groups)
     p = np.where(motion.lost[:, None], np.maximum(p, 0.5), p)
-    return p.astype(np.float32), np.asarray(p > model.threshold[groups])
+    return p.astype(np.float32), np.asarray((p > model.threshold[groups]) | motion.lost[:, None])

@@ -91,7 +91,7 @@ def as_curved(motion: Motion, evidence: str) -> Motion:
 def pose_covariance(information: Array) -> Array:
     """(T, D, D) from what is known of poses (T, D, D): inverse, with the little that anatomy knows."""
     least = np.diag(np.r_[np.zeros(3) + 1e-2, np.full(information.shape[-1] - 3, _LEAST)])
-    return np.linalg.inv(information + least)
+    return np.asarray(np.linalg.inv(information + least), dtype=np.float64)
 
 
 def angle_variance(skeleton: Skeleton, poses: Array, covariance: Array) -> Array:
