@@ -31,11 +31,13 @@ def main() -> None:
                 collect(given.folder, case, seed, given.evidence.split(","))
         return
     from benchmarks.multiview.doubt_fit import report_fit
-    from benchmarks.multiview.spread_fit import write_spread
+    from benchmarks.multiview.spread_fit import judged_by_seed, write_spread
 
     clips = load_all(given.folder)
     report_fit(clips)
     write_spread(clips)
+    for evidence, by in judged_by_seed(clips).items():
+        print(evidence, {g: (round(c, 3), round(e, 3)) for g, (c, e) in by.items()})
 
 
 if __name__ == "__main__":

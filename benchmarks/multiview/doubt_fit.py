@@ -31,8 +31,13 @@ _NEGATIVE = ("exposed", "exposed_second")
 _POINTS = tuple(n for n in FEATURES if n.startswith("points"))
 _NEUTRAL = ("log_sd", "moved", "accel")
 _RIDGE = 30.0
-GOOD_FLAGGED = (0.01, 0.035, 0.015)
-"""Share of good joint-frames of trunk, arms and legs that may be flagged on the seeds trained on."""
+GOOD_FLAGGED = {
+    "silhouettes": (0.01, 0.035, 0.015),
+    "keypoints": (0.005, 0.02, 0.008),
+    "both": (0.005, 0.02, 0.01),
+}
+"""Share of good joint-frames of trunk, arms and legs that may be flagged on the seeds trained on. Of key points half of
+the clips trained on are spoilt, so that of good ones far fewer are."""
 LEAST_P = 0.03
 
 
@@ -91,7 +96,7 @@ def fit(rows: Rows, evidence: str) -> DoubtModel:
     model = DoubtModel(middle, scale, weights, offset, np.full(len(GROUPS), LEAST_P))
     p = model.probability(rows.x, _GROUP)
     threshold = [
-        max(LEAST_P, float(np.quantile(p[:, g == _GROUP][~wrong[:, g == _GROUP]], 1 - GOOD_FLAGGED[g])))
+        max(LEAST_P, float(np.quantile(p[:, g == _GROUP][~wrong[:, g == _GROUP]], 1 - GOOD_FLAGGED[evidence][g])))
         for g in range(len(GROUPS))
     ]
     return replace(model, threshold=np.array(threshold))

@@ -202,7 +202,7 @@ def _mean_known(vectors: Sequence[Array]) -> Array:
     stack = np.stack(vectors)
     known = np.asarray(np.isfinite(stack).all(-1), dtype=bool)
     total = np.where(known[..., None], stack, 0.0).sum(0)
-    return np.where(known.any(0)[:, None], total, np.nan)
+    return np.where(np.any(known, axis=0, keepdims=True).T, total, np.nan)
 
 
 def _unit(vectors: Array) -> Array:
