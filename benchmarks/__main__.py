@@ -29,8 +29,11 @@ def bench(
     plot: Annotated[Path | None, typer.Option(help="Draw the figures to this file (.png, .svg or .pdf).")] = None,
     parts: Annotated[
         Path | None,
-        typer.Option(help="Keep the figures of each part here, and go on from those kept (gesture tables)."),
+        typer.Option(help="Keep the figures of each part of a long table here, and go on from those kept."),
     ] = None,
+    keep: Annotated[
+        bool, typer.Option("--keep", help="Keep the figures in benchmarks/results and draw docs/benchmarks.md anew.")
+    ] = False,
     threads: Threads = None,
 ) -> None:
     """Measure accuracy and speed."""
@@ -45,6 +48,10 @@ def bench(
     for file, option in ((json, "--json"), (plot, "--plot")):
         if file is not None:
             check_writable(file.parent, option)
+    if keep:
+        from benchmarks.pages import check_keep
+
+        check_keep(name, quick)
     with Stages() as progress:
         report = run_benchmark(
             name, quick=quick, seeds=seeds, data=data, progress=progress, first_seed=first_seed, parts=parts
@@ -55,10 +62,15 @@ def bench(
             temporary.write_text(to_json(report), encoding="utf-8", newline="\n")
         say(f"Written: {json}")
     if plot is not None:
-        from benchmarks.bench_plot import plot_report
+        from benchmarks.pages import draw
 
-        plot_report(report, plot)
+        draw(report, plot)
         say(f"Drawn: {plot}")
+    if keep:
+        from benchmarks.pages import keep_report
+
+        for path in keep_report(report):
+            say(f"Written: {path}")
 
 
 def _show(report: dict[str, Any]) -> None:

@@ -5,13 +5,16 @@ This module pulls in the whole product: it is imported when a benchmark is asked
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from benchmarks.bench_report import BenchOptions, BenchReport, Progress, machine
+from benchmarks.bench_origin import beside_yardstick, command, commit, machine, yardstick
+from benchmarks.bench_report import BenchOptions, BenchReport, Progress, Row
 from benchmarks.cameras import (
     board_accuracy,
     doctor_real,
@@ -70,9 +73,9 @@ class Benchmark:
 def benchmarks() -> dict[str, Benchmark]:
     """All benchmarks by name."""
     return {
-        "table-2.3": Benchmark(table_2_3.table_2_3, "seeds", "first_seed", "data"),
-        "table-2.4": Benchmark(table_2_4.table_2_4, "seeds", "first_seed"),
-        "court-4": Benchmark(court.court_4, "seeds", "first_seed"),
+        "table-2.3": Benchmark(table_2_3.table_2_3, "seeds", "first_seed", "data", "parts"),
+        "table-2.4": Benchmark(table_2_4.table_2_4, "seeds", "first_seed", "parts"),
+        "court-4": Benchmark(court.court_4, "seeds", "first_seed", "parts"),
         "arms": Benchmark(lost_arms.arms, "seeds", "first_seed", "data", "parts"),
         "doubt": Benchmark(doubt_bench.doubt, "seeds", "first_seed", "data", "parts"),
         "uncertainty": Benchmark(uncertainty.uncertainty, "seeds", "first_seed", "data"),
@@ -127,12 +130,24 @@ def run_benchmark(
         raise InputError(f"There is no benchmark {name!r}; the benchmarks are {', '.join(known)}.")
     options = BenchOptions(quick, seeds, data, progress or (lambda stage, done, total: None), first_seed, parts)
     known[name].check(name, options)
+    began, before = datetime.now(UTC), yardstick()
     begin = time.perf_counter()
     report = known[name].measure(options)
+    seconds = time.perf_counter() - begin
+    unit = (before + yardstick()) / 2
     return {
         "name": name,
-        "machine": machine(),
+        "commit": commit(),
+        "date": began.isoformat(timespec="minutes"),
+        "command": command(name, options),
+        "machine": machine() | {"opencv_fill_us": unit},
         "settings": {**report.settings, "quick": quick},
-        "results": [{**asdict(r), "ratio": r.ratio} for r in report.rows],
-        "seconds": time.perf_counter() - begin,
+        "results": [_plain(beside_yardstick(r, unit)) for r in report.rows],
+        "seconds": seconds,
     }
+
+
+def _plain(r: Row) -> dict[str, Any]:
+    """A row as JSON has it, where what is not finite is null."""
+    every = {**asdict(r), "ratio": r.ratio}
+    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in every.items()}

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.app.reports.figures import Axes, Patch, plt
 from hypose.app.reports.plots import STYLE
@@ -17,6 +18,7 @@ from hypose.io.motions.results import atomic_path
 ENDINGS = (".png", ".svg", ".pdf")
 _WIDTH, _HEIGHT, _DPI = 4.6, 2.8, 90
 _MOST_CASES = 90
+_MOST_LINES = 16
 _MOST_LETTERS = 60  # of the names of groups that fit side by side
 
 
@@ -30,50 +32,42 @@ class Panels:
     lines: Mapping[str, float] | None = None
 
 
-PANELS = {
-    "table-2.3": Panels(("mean_error_mm", "sd_error_mm", "lost_share")),
-    "table-2.4": Panels(("extremity_error_mm", "hand_error_mm"), lines={"extremity_error_mm": 40.0}),
-    "court-4": Panels(("tracked_share", "mean_error_mm", "recovery_s"), lines={"recovery_s": 1.0}),
-    "real-balancing": Panels(("median_mm", "p95_mm", "iou", "loco_px"), lines={"iou": 0.83}),
-    "uncertainty": Panels(
-        ("coverage_50", "coverage_90", "coverage_95"),
-        "silhouettes",
-        {"coverage_50": 0.5, "coverage_90": 0.9, "coverage_95": 0.95},
-    ),
-}
-"""What is drawn of a benchmark; of others the first three metrics."""
-
-
 def check_plot_path(path: Path) -> None:
     """An InputError when no picture can be written under that name."""
     if path.suffix.lower() not in ENDINGS:
         raise InputError(f"--plot {path} has no ending that says what to draw; use one of {', '.join(ENDINGS)}.")
 
 
-def plot_report(report: Mapping[str, Any], path: Path) -> None:
-    """Draw a benchmark's document (`benchmarks.bench_report.run_benchmark`) to a PNG, SVG or PDF file."""
+def plot_report(report: Mapping[str, Any], path: Path, panels: Panels | None = None) -> None:
+    """Draw a benchmark's document (`benchmarks.bench_list.run_benchmark`) to a PNG, SVG or PDF file; without panels the
+    first three metrics."""
     check_plot_path(path)
     rows: list[Mapping[str, Any]] = list(report["results"])
-    known = PANELS.get(str(report["name"])) or Panels(tuple(dict.fromkeys(r["metric"] for r in rows))[:3])
-    panels = [(m, chosen) for m in known.metrics if (chosen := [r for r in rows if r["metric"] == m])]
-    if not panels:
+    known = panels or Panels(tuple(dict.fromkeys(r["metric"] for r in rows))[:3])
+    drawn = [(m, chosen) for m in known.metrics if (chosen := [r for r in rows if r["metric"] == m])]
+    if not drawn:
         raise InputError(f"The benchmark {report['name']} gave no figures that can be drawn; leave out --plot.")
-    places = [grouped([r["case"] for r in chosen], known.plain) for _, chosen in panels]
+    places = [grouped([r["case"] for r in chosen], known.plain) for _, chosen in drawn]
     names = dict.fromkeys(series for found in places for series, _ in found.values())
+    in_groups = any(len({group for _, group in found.values()}) > 1 for found in places)
     colours = {name: f"C{k % 10}" for k, name in enumerate(names)}
-    columns = min(2, len(panels))
-    lines = -(-len(panels) // columns)
+    columns = min(2, len(drawn))
+    lines = -(-len(drawn) // columns)
     with plt.rc_context(STYLE):
         figure, axes = plt.subplots(
             lines, columns, figsize=(_WIDTH * columns, _HEIGHT * lines), squeeze=False, layout="constrained"
         )
         try:
-            for axis in axes.flat[len(panels) :]:
+            for axis in axes.flat[len(drawn) :]:
                 axis.set_visible(False)
-            for axis, (metric, chosen) in zip(axes.flat, panels, strict=False):
-                _bars(axis, metric, chosen, known.plain, colours, (known.lines or {}).get(metric))
+            for axis, (metric, chosen) in zip(axes.flat, drawn, strict=False):
+                line = (known.lines or {}).get(metric)
+                if in_groups:
+                    _bars(axis, metric, chosen, known.plain, colours, line)
+                else:
+                    _list(axis, metric, chosen, line)
             handles = [Patch(color=colour, label=name) for name, colour in colours.items()]
-            if len(handles) > 1:
+            if in_groups and len(handles) > 1:
                 figure.legend(handles=handles, loc="outside lower center", ncols=min(5, len(handles)), fontsize=8)
             with atomic_path(path) as temporary:
                 figure.savefig(temporary, format=path.suffix[1:].lower(), dpi=_DPI)
@@ -97,7 +91,7 @@ def _bars(
     colours: Mapping[str, str],
     line: float | None,
 ) -> None:
-    known = [r for r in rows if np.isfinite(r["value"])]
+    known = [r for r in rows if r["value"] is not None and np.isfinite(r["value"])]
     rows = known[:_MOST_CASES]
     places = grouped([r["case"] for r in rows], plain)
     series = list(dict.fromkeys(s for s, _ in places.values()))
@@ -106,19 +100,41 @@ def _bars(
     for k, name in enumerate(series):
         mine = [r for r in rows if places[r["case"]][0] == name]
         at = [groups.index(places[r["case"]][1]) + (k - (len(series) - 1) / 2) * width for r in mine]
-        value = np.array([r["value"] for r in mine])
-        spread = np.array([r.get("sd") or 0.0 for r in mine])
-        most = 1.0 if mine[0]["unit"] == "1" and value.max() <= 1 else np.inf  # a share
-        ends = np.stack([np.minimum(spread, value), np.clip(np.minimum(spread, most - value), 0, None)])
-        axis.bar(at, value, 0.92 * width, yerr=np.maximum(ends, 0), color=colours[name], error_kw={"lw": 0.8})
+        value = [r["value"] for r in mine]
+        axis.bar(at, value, 0.92 * width, yerr=_ends(mine), color=colours[name], error_kw={"lw": 0.8})
     if line is not None:
         axis.axhline(line, color="#222222", lw=0.8, ls="--")
     axis.set_xticks(range(len(groups)), groups if len(groups) > 1 else [""])
     if sum(map(len, groups)) > _MOST_LETTERS:
         axis.tick_params(axis="x", labelrotation=90)
     axis.set_ylim(bottom=0)
+    _title(axis, metric, rows, len(known))
+    axis.grid(axis="x", visible=False)
+
+
+def _list(axis: Axes, metric: str, rows: Sequence[Mapping[str, Any]], line: float | None) -> None:
+    """Lying bars with their names beside them: for cases that are no series."""
+    known = [r for r in rows if r["value"] is not None and np.isfinite(r["value"])]
+    rows = known[:_MOST_LINES]
+    at = np.arange(len(rows))[::-1]
+    axis.barh(at, [r["value"] for r in rows], 0.7, xerr=_ends(rows) if rows else None, color="C0", error_kw={"lw": 0.8})
+    if line is not None:
+        axis.axvline(line, color="#222222", lw=0.8, ls="--")
+    axis.set_yticks(at, [r["case"] for r in rows], fontsize=8)
+    axis.set_xlim(left=0)
+    _title(axis, metric, rows, len(known))
+    axis.grid(axis="y", visible=False)
+
+
+def _ends(rows: Sequence[Mapping[str, Any]]) -> NDArray[np.float64]:
+    """(2, n): how far the whiskers go down and up: the sd, but not below 0, and for shares not above 1."""
+    value = np.array([r["value"] for r in rows], dtype=np.float64)
+    spread = np.array([r.get("sd") or 0.0 for r in rows], dtype=np.float64)
+    most = 1.0 if rows[0]["unit"] in ("1", "share") and value.max() <= 1 else np.inf
+    return np.clip(np.stack([np.minimum(spread, value), np.minimum(spread, most - value)]), 0, None)
+
+
+def _title(axis: Axes, metric: str, rows: Sequence[Mapping[str, Any]], known: int) -> None:
     unit = rows[0]["unit"] if rows else ""
     title = metric if unit == "1" or metric.endswith(f"_{unit}") else f"{metric} ({unit})"
-    left_out = f", first {len(rows)} of {len(known)}" if len(rows) < len(known) else ""
-    axis.set_title(title + left_out, fontsize=9)
-    axis.grid(axis="x", visible=False)
+    axis.set_title(title + (f", first {len(rows)} of {known}" if len(rows) < known else ""), fontsize=9)

@@ -7,8 +7,6 @@ of the same run, because machines are noisy.
 from __future__ import annotations
 
 import json
-import os
-import platform
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -100,18 +98,3 @@ def row(metric: str, case: str, values: Any, unit: str, **more: Any) -> Row:
     v = np.atleast_1d(np.asarray(values, dtype=np.float64))
     sd = float(v.std(ddof=1)) if len(v) > 1 else None
     return Row(metric, case, float(v.mean()), unit, sd, len(v), **more)
-
-
-def machine() -> dict[str, Any]:
-    """Processor, number of usable cores, python and load of this machine."""
-    model = platform.processor() or platform.machine()
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                model = line.split(":", 1)[1].strip()
-                break
-    except OSError:
-        pass
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
-    return {"processor": model, "cores": cores, "python": platform.python_version(), "load": load}

@@ -14,7 +14,8 @@ import os
 import sys
 from pathlib import Path
 
-from benchmarks.bench_report import BenchOptions, BenchReport, machine
+from benchmarks.bench_origin import machine
+from benchmarks.bench_report import BenchOptions, BenchReport
 from benchmarks.multiview.action_scenes import action_scene, known_subject
 from benchmarks.multiview.scorer_speed import opencv_unit, silhouette_scorer
 from benchmarks.multiview.solve_speed import contour_solve

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,6 +34,17 @@ class Outcome:
 
     errors: JointErrors
     seconds_per_frame: float
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON has it."""
+        e = self.errors
+        return {"distances": e.distances, "names": list(e.names), "seconds_per_frame": self.seconds_per_frame}
+
+    @classmethod
+    def of(cls, plain: Mapping[str, Any]) -> Outcome:
+        """The outcome of `plain`."""
+        errors = JointErrors(np.asarray(plain["distances"], dtype=np.float64), tuple(plain["names"]))
+        return cls(errors, plain["seconds_per_frame"])
 
 
 def median_row(metric: str, case: str, values: Sequence[float], unit: str, **more: Any) -> Row:

@@ -25,11 +25,11 @@ from benchmarks.one_camera.mono_runs import (
     solve_scene,
     track_scene,
 )
-from hypose.monocular.evidence import grey
-from hypose.monocular.settings import MonoSettings
 from hypose.synthetic.mono_motions import STRAIGHT_KNEE
 from hypose.synthetic.mono_scenes import MonoScene, arm_scene, body_scene
 from hypose.synthetic.render_rgb import Image
+from hypose.tracking.monocular.evidence import grey
+from hypose.tracking.monocular.settings import MonoSettings
 
 Ablation = Callable[[MonoSettings], MonoSettings]
 
@@ -94,8 +94,8 @@ def mono_arm(options: BenchOptions) -> BenchReport:
     """A 7-dof arm for 8 s. kept_track: number of seeds in which it was kept to the end (mono_runs.MonoRun.kept);
     mean_error_mm, depth_mm, image_error_px: means over elbow, wrist and knuckles, in the world, over all seeds, sd over
     the seeds; kept_error_mm: over the seeds kept; at_most_80: number of seeds that are kept at no more than 80 mm;
-    alive: hypotheses really alive. '/whole_clip': the clip solved as a whole (hypose.monocular.clip). quick: one seed,
-    its first second, without the ablations."""
+    alive: hypotheses really alive. '/whole_clip': the clip solved as a whole (hypose.tracking.monocular.clip). quick:
+    one seed, its first second, without the ablations."""
     seeds = options.seed_range(10)
     seconds = 1.0 if options.quick else 8.0  # the first ones of the same motion
     variants: dict[str, MonoSettings] = {

@@ -13,8 +13,8 @@ from hypose.geometry import Array
 from hypose.io.recordings.frames import FrameOptions, FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
-from hypose.pipeline.mono_stream import MonoStream, one_view
-from hypose.pipeline.monocular import MonoOptions, MonoResult, track_stream
+from hypose.pipeline.pictures import masks_of, one_view
+from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 
 CAMERA = "cam03"
 _HIPS = tuple(LIMBS.index(BODY_25B.index(f"{side}_hip")) for side in ("left", "right"))
@@ -63,16 +63,16 @@ def mono_real(options: BenchOptions) -> BenchReport:
     return BenchReport(tuple(rows), {"frames": n - 1, "camera": CAMERA, "joints": len(LIMBS), "frame_rate": 60})
 
 
-def _track(recording: Recording, case: str, subject: Subject) -> MonoResult:
+def _track(recording: Recording, case: str, subject: Subject) -> TrackResult:
     evidence, known = case.split("/")[0], "/one_view" not in case
     height = None if known else subject.body.stature
-    options = MonoOptions(evidence=evidence, height=height, smooth=not case.endswith("/live"))
-    with MonoStream(recording, evidence) as stream:
-        return track_stream(stream, options, body=subject.body if known else None)
+    options = TrackOptions("monocular", evidence=evidence, height=height, smooth=not case.endswith("/live"))
+    with FrameStream(recording, FrameOptions(silhouettes=masks_of(recording, evidence))) as stream:
+        return track_source(stream, recording.frame_rate, options, body=subject.body if known else None)
 
 
-def _rows(case: str, found: MonoResult, subject: Subject, recording: Recording, reference: Array) -> list[Row]:
-    assert found.motion.poses is not None and subject.keypoints is not None
+def _rows(case: str, found: TrackResult, subject: Subject, recording: Recording, reference: Array) -> list[Row]:
+    assert found.motion.poses is not None and found.modes is not None and subject.keypoints is not None
     model = subject.keypoints
     limbs = np.array(LIMBS)
     rotations, centres = found.body.skeleton.forward(found.motion.poses)

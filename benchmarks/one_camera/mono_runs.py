@@ -3,28 +3,32 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
 
+from hypose.body.body import Body
+from hypose.cameras.camera import CameraRig
+from hypose.evidence.frame import Frame, Keypoints, Picture
 from hypose.geometry import Array
-from hypose.monocular.clip import Modes, WholeClip, backwards, information, together
-from hypose.monocular.settings import MonoSettings
-from hypose.monocular.tracker import MonoTracker
-from hypose.monocular.types import (
-    MonoEstimate,
-    MonoFrame,
-    MonoHypotheses,
-    StageTimes,
-    points_from_keypoints,
-    posterior_arrays,
-)
+from hypose.inference.hypotheses import Hypotheses
+from hypose.inference.layer import Recipe
 from hypose.synthetic.mono_scenes import FRAME_RATE, MonoScene
 from hypose.synthetic.render_rgb import Image
+from hypose.tracking.monocular.clip import WholeClip, backwards, information, together
+from hypose.tracking.monocular.picture_search import PictureSearch
+from hypose.tracking.monocular.points import points_from_keypoints
+from hypose.tracking.monocular.recipe import picture_recipe
+from hypose.tracking.monocular.settings import MonoSettings
 from hypose.tracking.smoothing import smooth_poses
+from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings, TrackerState, modes_of
 
+STAGES = ("edges", "flow", "optimise", "mirror", "sample", "posterior")
+"""The layers of the recipe, and the rest."""
 LEVEL = 0.9
 DEFINITION_SD_M = 0.008
 """What two bodies' definitions of a joint differ by; added to every region."""
@@ -41,7 +45,7 @@ class MonoRun:
     """T frames after the first, M marks. errors, depth (T, M) m: distance of the best hypothesis to the truth, and its
     part along the line of sight; pixels (T, M): distance in the image; oracle (T,) m: mean error of the best of all
     modes; inside, inside_best (T, M): the truth lies in the LEVEL region of any mode, of the best hypothesis;
-    mode_count (T,); seconds (T, stages) of StageTimes, of the processor."""
+    mode_count (T,); seconds (T, stages) of STAGES, of the processor."""
 
     scene: str
     kind: str
@@ -82,76 +86,132 @@ def track_scene(
 ) -> MonoRun:
     """Follows the scene from its measured first pose through images, frame after frame; keypoints: with the detector's
     points besides. The truth is used for measuring only."""
-    tracker, frames = _tracker_and_frames(scene, settings, images, keypoints)
-    return _frame_after_frame(scene, list(_follow(scene, tracker, frames)))
+    return _frame_after_frame(scene, _follow(scene, *_tracker_and_frames(scene, settings, images, keypoints)).rows)
 
 
 def solve_scene(scene: MonoScene, settings: MonoSettings, images: Sequence[Image]) -> tuple[MonoRun, MonoRun]:
-    """The same without points, and the clip solved as a whole (hypose.monocular.clip), whose seconds are those of both
-    passes."""
+    """The same without points, and the clip solved as a whole (hypose.tracking.monocular.clip), whose seconds are those
+    of both passes."""
     tracker, frames = _tracker_and_frames(scene, settings, images)
-    there = list(_follow(scene, tracker, frames))
-    n = len(there)
-    way_back = backwards(
-        tracker,
-        there[-1].posterior,
-        n,
-        lambda k: frames[k + 1],
-        lambda k: np.random.default_rng([scene.seed, 3000 + k]),
-    )
-    back = [*reversed(list(way_back)), there[-1]]
-    poses, covariances = together(_modes(scene, there), _modes(scene, back), FRAME_RATE)
+    there = _follow(scene, tracker, frames)
+    n = len(there.rows)
+    turned = [frames[k] for k in range(n - 1, 0, -1)]
+    behind = [frames[k + 1] for k in range(n - 1, 0, -1)]
+    way_back = backwards(tracker.tracker, there.state, _with_before(turned, behind))
+    back = [*reversed(tracker.timed(way_back)), there.rows[-1]]
+    modes, others = (modes_of([e for e, _ in rows]) for rows in (there.rows, back))
+    assert modes is not None and others is not None
+    poses, covariances = together(modes, others, FRAME_RATE)
     poses = smooth_poses(scene.body, poses, information(covariances, scene.active), FRAME_RATE, WholeClip().motion)
     rows = []
     for i in range(n):
         apart, depth, shown = _errors(scene, poses[i : i + 1], 1 + i)
         inside = _inside(scene, poses[i], covariances[i], apart[0])
-        seconds = np.array(there[i].seconds) + np.array(back[i].seconds)
         distance = np.linalg.norm(apart[0], axis=-1)
-        rows.append((distance, depth, shown, distance.mean(), inside, inside, 1, seconds))
-    return _frame_after_frame(scene, there), _run(scene, rows)
+        rows.append((distance, depth, shown, distance.mean(), inside, inside, 1, there.rows[i][1] + back[i][1]))
+    return _frame_after_frame(scene, there.rows), _run(scene, rows)
+
+
+Rows = list[tuple[FrameEstimate, Array]]
+"""Of every frame its estimate, and the seconds of its STAGES."""
+
+
+@dataclass(frozen=True)
+class _Clocked:
+    """A tracker whose layers are timed, by the processor: marks are the times at which each of STAGES began."""
+
+    tracker: Tracker
+    marks: dict[str, float]
+
+    @staticmethod
+    def of(body: Body, recipe: Recipe) -> _Clocked:
+        marks: dict[str, float] = {}
+
+        def marked(call: Callable[..., Any], name: str) -> Callable[..., Any]:
+            def run(*arguments: Any) -> Any:
+                marks[name] = time.process_time()
+                return call(*arguments)
+
+            return run
+
+        assert recipe.uncertainty is not None
+        layers = [replace(layer, propose=marked(layer.propose, layer.name)) for layer in recipe.layers]
+        timed = replace(recipe, layers=layers, uncertainty=marked(recipe.uncertainty, STAGES[-1]))
+        return _Clocked(Tracker(body, timed, TrackerSettings("both", frame_rate=FRAME_RATE)), marks)
+
+    def timed(self, estimates: Iterable[FrameEstimate]) -> Rows:
+        """All of the estimates; what is not spent in a layer is the posterior's. Reading the clock takes a while, so it
+        is read once per stage."""
+        rows: Rows = []
+        source = iter(estimates)
+        while True:
+            self.marks.clear()
+            begin = time.process_time()
+            estimate = next(source, None)
+            if estimate is None:
+                return rows
+            whole = time.process_time() - begin
+            run = [name for name in STAGES if name in self.marks]
+            spent = {a: self.marks[b] - self.marks[a] for a, b in pairwise(run)}
+            stages = [spent.get(name, 0.0) for name in STAGES[:-1]]
+            rows.append((estimate, np.array([*stages, whole - sum(stages)])))
+
+
+@dataclass(frozen=True)
+class _Followed:
+    rows: Rows
+    state: TrackerState
 
 
 def _tracker_and_frames(
     scene: MonoScene, settings: MonoSettings, images: Sequence[Image], keypoints: bool = False
-) -> tuple[MonoTracker, list[MonoFrame]]:
+) -> tuple[_Clocked, list[Frame]]:
+    rig = CameraRig((scene.camera,))
     frames = []
     for i, image in enumerate(images):
-        points = points_from_keypoints(scene.body, scene.keypoint_names, scene.keypoints[i]) if keypoints else None
-        frames.append(MonoFrame(i, float(scene.performance.times[i]), image, None, points))
-    tracker = MonoTracker(scene.body, scene.camera, settings, scene.active, threads=1, clock=time.process_time)
-    return tracker, frames
+        seen = Keypoints(scene.keypoints[i][None], scene.keypoint_names, rig) if keypoints else None
+        picture = Picture(scene.camera, image)
+        frames.append(Frame(float(scene.performance.times[i]), i, keypoints=seen, picture=picture))
+    search = PictureSearch(scene.body, settings, scene.active, threads=1, points=points_from_keypoints)
+    return _Clocked.of(scene.body, picture_recipe(search)), frames
 
 
-def _follow(scene: MonoScene, tracker: MonoTracker, frames: Sequence[MonoFrame]) -> Iterator[MonoEstimate]:
+def _with_before(frames: Sequence[Frame], behind: Sequence[Frame]) -> Iterator[Frame]:
+    for frame, last in zip(frames, behind, strict=True):
+        assert frame.picture is not None and last.picture is not None
+        yield replace(frame, picture=replace(frame.picture, before=last.picture.image))
+
+
+def _follow(scene: MonoScene, clocked: _Clocked, frames: Sequence[Frame]) -> _Followed:
     """Estimates of all frames but the first, whose pose is given."""
-    state = tracker.start(MonoHypotheses.at(scene.start), frames[0])
-    for i, frame in enumerate(frames[1:], 1):
-        state, estimate = tracker.step(state, frame, np.random.default_rng([scene.seed, 1000 + i]))
-        yield estimate
+    states = [clocked.tracker.start(Hypotheses.uniform(np.atleast_2d(scene.start)))]
+
+    def estimates() -> Iterator[FrameEstimate]:
+        for state, estimate in clocked.tracker.follow(states[0], _with_before(frames[1:], frames[:-1])):
+            states[:] = [state]
+            yield estimate
+
+    return _Followed(clocked.timed(estimates()), states[0])
 
 
-def _frame_after_frame(scene: MonoScene, estimates: Sequence[MonoEstimate]) -> MonoRun:
+def _frame_after_frame(scene: MonoScene, estimates: Rows) -> MonoRun:
     rows = []
-    for i, estimate in enumerate(estimates, 1):
-        modes = estimate.posterior
-        apart, depth, shown = _errors(scene, modes.poses, i)
+    for i, (estimate, seconds) in enumerate(estimates, 1):
+        modes = estimate.uncertainty.modes
+        assert modes is not None
+        poses, covariances = modes.poses[0], modes.covariances[0]
+        apart, depth, shown = _errors(scene, poses, i)
         distance = np.linalg.norm(apart, axis=-1)
-        inside = np.stack([_inside(scene, *pair) for pair in zip(modes.poses, modes.covariances, apart, strict=True)])
+        inside = np.stack([_inside(scene, *pair) for pair in zip(poses, covariances, apart, strict=True)])
         oracle = distance.mean(1).min()
         anywhere = np.asarray(inside.any(0))
-        rows.append((distance[0], depth, shown, oracle, anywhere, inside[0], estimate.alive, estimate.seconds))
+        rows.append((distance[0], depth, shown, oracle, anywhere, inside[0], int(modes.alive[0]), seconds))
     return _run(scene, rows)
 
 
 def _run(scene: MonoScene, rows: Sequence[tuple[object, ...]]) -> MonoRun:
     columns = [np.array(c) for c in zip(*rows, strict=True)]
     return MonoRun(scene.name, "body" if scene.root_aligned else "arm", *columns)
-
-
-def _modes(scene: MonoScene, estimates: Sequence[MonoEstimate]) -> Modes:
-    arrays = posterior_arrays(scene.body, estimates)
-    return Modes(*(arrays[f"mode_{name}"] for name in Modes._fields))
 
 
 def _errors(scene: MonoScene, poses: Array, index: int) -> tuple[Array, Array, Array]:
@@ -185,5 +245,4 @@ def _inside(scene: MonoScene, pose: Array, covariance: Array, apart: Array) -> A
     return squared <= chi2.ppf(LEVEL, 3)
 
 
-STAGES = StageTimes._fields
 """Names of the columns of MonoRun.seconds."""

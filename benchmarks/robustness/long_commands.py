@@ -60,7 +60,7 @@ def long_commands(folder: Path) -> list[LongCommand]:
     _run("track", few, "--out", done, "--subject", body, "--no-overlay", "--formats", "trc")
     _run("gesture", "record", session, "--gesture", "pause", "--rounds", 1)
     light, known = ("--no-overlay", "--formats", "trc,c3d,csv"), ("--subject", body)
-    one = ("--method", "monocular", "--camera", "cam2", "--hypotheses", "2", "--start", filmed / "clicks.json")
+    one = ("--recipe", "monocular", "--camera", "cam2", "--hypotheses", "2", "--start", filmed / "clicks.json")
     _slow_walk(folder / "slow")
     chunked = ("batch", _sweep(folder, body, "slow", "0"), "--chunk", "10", "--workers", "1")
     sweep = ("batch", _sweep(folder, body, "few", "0, 1"), "--workers", "1")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -100,6 +100,76 @@ class Motion:
     def frame_rate(self) -> float:
         """Frames per second, from the median time step (1 for a single frame)."""
         return float(1 / np.median(np.diff(self.times))) if len(self.times) > 1 else 1.0
+
+
+_PER_MODE = ("poses", "joints", "weights", "costs", "covariances")
+
+
+@dataclass(frozen=True)
+class Modes:
+    """The poses that the evidence of each frame allows: T frames, at most K modes each, best first, NaN where a frame
+    has fewer; D dof, J joints.
+
+    poses (T, K, D); joints (T, K, J, 3) m, world; weights (T, K), sum 1; costs (T, K): negative log posterior of the
+    frame's evidence; covariances (T, K, D, D) of the poses (32 bit); of the best mode joint_covariance (T, J, 3, 3) m^2
+    and depth_sd (T, J) m along the line of sight; alive (T,): how many modes there are."""
+
+    poses: Array
+    joints: Array
+    weights: Array
+    costs: Array
+    covariances: NDArray[np.float32]
+    joint_covariance: Array
+    depth_sd: Array
+    alive: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        t, k, d = self.poses.shape
+        j = self.joints.shape[2]
+        wanted = {
+            "joints": (t, k, j, 3),
+            "weights": (t, k),
+            "costs": (t, k),
+            "covariances": (t, k, d, d),
+            "joint_covariance": (t, j, 3, 3),
+            "depth_sd": (t, j),
+            "alive": (t,),
+        }
+        for name, shape in wanted.items():
+            if getattr(self, name).shape != shape:
+                raise InputError(f"Modes.{name} has shape {getattr(self, name).shape}, {shape} is needed.")
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def rows(self) -> list[Modes]:
+        """Each frame by itself, with as many modes as it has."""
+        single = [{k: v[t : t + 1] for k, v in modes_arrays(self).items()} for t in range(len(self))]
+        return [
+            Modes(**{k: v[:, :n] if k in _PER_MODE else v for k, v in one.items()})
+            for one, n in zip(single, self.alive, strict=True)
+        ]
+
+
+def modes_arrays(modes: Modes) -> dict[str, np.ndarray]:
+    """Plain arrays by name, for archives and checkpoints."""
+    return {f.name: np.asarray(getattr(modes, f.name)) for f in fields(Modes)}
+
+
+def joined_modes(parts: Sequence[Modes]) -> Modes:
+    """The modes of consecutive frames as one, padded with NaN to the largest number of modes."""
+    most = max(p.poses.shape[1] for p in parts)
+
+    def stacked(name: str) -> np.ndarray:
+        arrays = []
+        for part in parts:
+            a = np.asarray(getattr(part, name))
+            if name in _PER_MODE:
+                a = np.pad(a, [(0, 0), (0, most - a.shape[1])] + [(0, 0)] * (a.ndim - 2), constant_values=np.nan)
+            arrays.append(a)
+        return np.concatenate(arrays)
+
+    return Modes(**{f.name: stacked(f.name) for f in fields(Modes)})
 
 
 def isotropic(joint_sd: ArrayLike) -> NDArray[np.float32]:

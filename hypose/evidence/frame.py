@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.cameras.camera import CameraRig
+from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import InputError
 from hypose.geometry import Array
 
@@ -140,6 +140,17 @@ class SensorJoints:
 
 
 @dataclass(frozen=True)
+class Picture:
+    """What one camera shows: image (h, w, 3) uint8 BGR, undistorted, as large as the pinhole `camera`; before: the one
+    that was shown before it, None at the first; mask (h, w): non-zero = person, None: not known."""
+
+    camera: Camera
+    image: NDArray[np.uint8]
+    before: NDArray[np.uint8] | None = None
+    mask: NDArray[np.uint8] | None = None
+
+
+@dataclass(frozen=True)
 class Frame:
     """One instant. time: s, index: frame number; the pieces are None when this frame has no such evidence."""
 
@@ -149,3 +160,4 @@ class Frame:
     keypoints: Keypoints | None = None
     detections: Detections | None = None
     sensor_joints: SensorJoints | None = None
+    picture: Picture | None = None

@@ -10,14 +10,20 @@ Asteriadis et al. 2013.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int32]
+
+
+BEFORE = "before"
+"""Column: the state (D,) that each hypothesis had a step ago, its own history."""
 
 
 def _none() -> IntArray:
@@ -32,9 +38,9 @@ class Hypotheses:
     population, NaN and +inf count as no evidence for that hypothesis (weight 0). origin (*B, N) int32: the number of
     the sensor, kernel or parent that it comes from. role (*B, N) int32: any number of roles, bit k stands for
     role_names[k]; read it with ``has`` and write it with ``marked``. One number for a column stands for all
-    hypotheses. covariance (*B, N, D, D) float64 of each single hypothesis, or None. before (*B, N, D) float64: the
-    state that each hypothesis had a step ago, its own history, or None. Raises ValueError when the shapes do not agree
-    or a population is empty.
+    hypotheses. covariance (*B, N, D, D) float64 of each single hypothesis, or None. columns: whatever else belongs to
+    each single hypothesis (a velocity, a cost), arrays (*B, N, ...) by name. Raises ValueError when the shapes do not
+    agree or a population is empty.
     """
 
     values: FloatArray
@@ -43,7 +49,7 @@ class Hypotheses:
     role: IntArray = field(default_factory=_none)
     role_names: tuple[str, ...] = ()
     covariance: FloatArray | None = None
-    before: FloatArray | None = None
+    columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         values = np.asarray(self.values, dtype=np.float64)
@@ -69,11 +75,9 @@ class Hypotheses:
             if covariance.shape != (*values.shape, values.shape[-1]):
                 raise ValueError(f"covariance must be {(*values.shape, values.shape[-1])}, got {covariance.shape}")
             object.__setattr__(self, "covariance", covariance)
-        if self.before is not None:
-            before = np.asarray(self.before, dtype=np.float64)
-            if before.shape != values.shape:
-                raise ValueError(f"before {before.shape} must be {values.shape}, one earlier state per hypothesis")
-            object.__setattr__(self, "before", before)
+        for name, column in self.columns.items():
+            if column.shape[: log_weights.ndim] != log_weights.shape:
+                raise ValueError(f"the column '{name}' {column.shape} needs one row per hypothesis {log_weights.shape}")
 
     @staticmethod
     def uniform(values: ArrayLike, origin: ArrayLike = 0) -> Hypotheses:
@@ -178,24 +182,27 @@ class Hypotheses:
         return np.sqrt(np.einsum("...n,...nd->...d", self.weights, np.square(deviation)))
 
     def take(self, index: ArrayLike) -> Hypotheses:
-        """The hypotheses at index (*B, M), with their log-weights, origins, roles, covariances and histories."""
+        """The hypotheses at index (*B, M), with their log-weights, origins, roles, covariances and columns."""
         chosen = np.asarray(index, dtype=np.intp)
-        axis = self.log_weights.ndim - 1
-        c, b = self.covariance, self.before
         return replace(
             self,
-            values=np.take_along_axis(self.values, chosen[..., None], axis),
-            log_weights=np.take_along_axis(self.log_weights, chosen, axis),
-            origin=np.take_along_axis(self.origin, chosen, axis),
-            role=np.take_along_axis(self.role, chosen, axis),
-            covariance=None if c is None else np.take_along_axis(c, chosen[..., None, None], axis),
-            before=None if b is None else np.take_along_axis(b, chosen[..., None], axis),
+            values=_taken(self.values, chosen),
+            log_weights=_taken(self.log_weights, chosen),
+            origin=_taken(self.origin, chosen),
+            role=_taken(self.role, chosen),
+            covariance=None if self.covariance is None else _taken(self.covariance, chosen),
+            columns={name: _taken(column, chosen) for name, column in self.columns.items()},
         )
 
 
 def _equal_log_weights(values: FloatArray) -> FloatArray:
     shape = values.shape[:-1]
     return np.full(shape, -np.log(max(shape[-1], 1)) if shape else 0.0)
+
+
+def _taken(column: NDArray[Any], chosen: NDArray[np.intp]) -> NDArray[Any]:
+    index = chosen.reshape(*chosen.shape, *(1,) * (column.ndim - chosen.ndim))
+    return np.take_along_axis(column, index, chosen.ndim - 1)
 
 
 def _usable(log_weights: FloatArray) -> NDArray[np.bool_]:

@@ -106,13 +106,15 @@ class Recipe:
     """A method as one value. What is not said is that of a plain particle filter. Raises ValueError without layers.
 
     layers: one turn of propose, weigh, select after the other. particles: how many hypotheses. needs: kinds of evidence
-    that the layers look at ('silhouettes', 'keypoints', 'detections'). start(pose, frame): where the first frame's
-    search begins, from the pose that is given. predict(step, blind): the step expected of the next frame after the last
-    step and so many frames without evidence. estimate(h): the state that a weighted set stands for.
-    uncertainty(pose, h, frame): what is known of it; None: the spread of the set. recover: None: it does not. rivals:
-    how many hypotheses the last layer hands on, each of which is then expected by its own last step
-    (`Hypotheses.before`); 0: the set moves as one. smooth: at the end all frames are solved together. citation: where
-    the method comes from.
+    that the layers look at ('silhouettes', 'keypoints', 'detections', 'picture': that of one camera). start(pose,
+    frame): where the first frame's search begins, from the pose that is given. predict(step, blind): the step expected
+    of the next frame after the last step and so many frames without evidence; None: every hypothesis goes on by itself,
+    which the layers see to, as to its limits. estimate(h): the state that a weighted set stands for.
+    uncertainty(pose, h, frame): what is known of it; None: the spread of the set. lost(pose, h, frame): whether nobody
+    is there; None: that is told by the overlap with the masks. recover: None: it does not. rivals: how many hypotheses
+    the last layer hands on, with the column BEFORE, each of which is then expected by its own last step; 0: the set
+    moves as one. smooth(clip): the motion with all frames solved together at the end, and sentences about it; None: it
+    is not. citation: where the method comes from.
     """
 
     name: str
@@ -120,12 +122,13 @@ class Recipe:
     particles: int = 500
     needs: tuple[str, ...] = ()
     start: Callable[[FloatArray, Any], FloatArray] = as_given
-    predict: Callable[[FloatArray, int], FloatArray] = stand_still
+    predict: Callable[[FloatArray, int], FloatArray] | None = stand_still
     estimate: Estimate = Hypotheses.mean
     uncertainty: Callable[[FloatArray, Hypotheses, Any], Any] | None = None
+    lost: Callable[[FloatArray, Hypotheses, Any], bool] | None = None
     recover: Recovery | None = None
     rivals: int = 0
-    smooth: bool = False
+    smooth: Callable[[Any], tuple[Any, tuple[str, ...]]] | None = None
     citation: str = ""
 
     def __post_init__(self) -> None:

@@ -68,6 +68,10 @@ class ChunkRun:
     @property
     def ranges(self) -> tuple[range, ...]:
         """The frames of each chunk."""
+        if self.options.of_picture:
+            raise InputError(
+                "One camera alone cannot find its person in the middle of a recording; leave out the chunks."
+            )
         return chunk_ranges(len(self.source), self.frame_rate, self.chunk_s)
 
     def subject(self, progress: Progress) -> Subject:
@@ -109,7 +113,8 @@ class ChunkRun:
 
     def whole(self, progress: Progress) -> TrackResult:
         """All chunks, those that are missing tracked one after the other, joined, smoothed, and written."""
-        faults = sentences(first_look(self.source, self.options.evidence, self.options.height))
+        o = self.options
+        faults = () if o.of_picture else sentences(first_look(self.source, o.evidence, o.height))
         subject = self.subject(progress)
         chunks: list[Tracked] = []
         total, done = len(self.source), 0
@@ -125,7 +130,7 @@ class ChunkRun:
             last = None
             for frame in tracked_frames(self.source, frames, tracker.recipe.needs, subject):
                 state, estimate = tracker.step(state, frame)
-                yield state, looked_at(tracker, state, estimate, frame, last)
+                yield state, looked_at(tracker, estimate, frame, last)
                 last = frame
 
         joined, seams = join(subject.body, chunks, follow, done)

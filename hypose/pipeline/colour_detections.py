@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Iterable, Iterator, Sequence
-from typing import Protocol
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,21 +19,16 @@ from hypose.geometry import Array
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.view_source import ViewSource
 from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.pictures import FrameSource, PictureFrames
 
 
-class FrameSource(Protocol):
-    """Frames by number."""
-
-    def frame(self, index: int, /) -> Frame:
-        """Frame number index."""
-        ...
-
-
-def tracked_frames(
-    source: FrameSource, indices: Iterable[int], needs: Sequence[str], subject: Subject
-) -> Iterator[Frame]:
-    """The frames that a recipe is to track, with detections by colour where it needs detections and the recording has
-    neither key points nor anything else that detects ends, but pictures."""
+def tracked_frames(source: FrameSource, indices: range, needs: Sequence[str], subject: Subject) -> Iterator[Frame]:
+    """The frames that a recipe is to track, with what it needs: the picture of one camera; detections by colour where
+    it needs detections and the recording has neither key points nor anything else that detects ends, but pictures."""
+    if "picture" in needs:
+        with contextlib.closing(PictureFrames(source)) as frames:
+            yield from frames.walk(indices)
+        return
     if not (
         "detections" in needs
         and isinstance(source, FrameStream)

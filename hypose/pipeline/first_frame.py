@@ -13,6 +13,7 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.geometry import Array
+from hypose.inference.hypotheses import Hypotheses
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
 from hypose.tracking.frame_evidence import PreparedFrame, prepare
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model
@@ -27,12 +28,13 @@ GIVEN = "the subject's body is given"
 @dataclass(frozen=True)
 class Subject:
     """body; where key points sit on it (None without key points); the start pose (D,) in the first frame; how it was
-    found, in words."""
+    found, in words; the poses that the start allows beside that one, where one camera leaves several."""
 
     body: Body
     keypoints: KeypointModel | None
     start: Array
     notes: tuple[str, ...]
+    rivals: Hypotheses | None = None
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ import numpy as np
 
 from hypose.errors import HyposeError
 from hypose.evidence.background import BackgroundModel
+from hypose.inference.hypotheses import Hypotheses
 from hypose.io.motions.bodies import load_body, save_body
 from hypose.io.motions.results import Checkpoint, ResultsFolder
 from hypose.io.recordings.provenance import file_identity
@@ -29,6 +30,8 @@ def keep_subject(subject: Subject, results: ResultsFolder, identity: Mapping[str
     save_body(subject.body, body)
     arrays = {"start": subject.start}
     meta: dict[str, Any] = {"notes": list(subject.notes), "body": file_identity(body)["sha256"]}
+    if subject.rivals is not None:
+        arrays |= {"rivals": subject.rivals.values, "rivals_weights": subject.rivals.log_weights}
     if subject.keypoints is not None:
         model = subject.keypoints
         arrays |= {name: np.asarray(v) for name in _MODEL if (v := getattr(model, name)) is not None}
@@ -48,7 +51,10 @@ def kept_subject(results: ResultsFolder, identity: Mapping[str, Any]) -> Subject
             a = saved.arrays
             names, known = tuple(saved.meta["keypoints"]), a["known"].astype(np.bool_)
             model = KeypointModel(names, a["joint"].astype(np.int64), a["offset"], known, a.get("sd"))
-        return Subject(load_body(body), model, saved.arrays["start"], tuple(saved.meta["notes"]))
+        a, rivals = saved.arrays, None
+        if "rivals" in a:
+            rivals = Hypotheses(a["rivals"], a["rivals_weights"])
+        return Subject(load_body(body), model, a["start"], tuple(saved.meta["notes"]), rivals)
     except (HyposeError, KeyError, TypeError):
         return None
 

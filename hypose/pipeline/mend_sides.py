@@ -102,7 +102,7 @@ def _while_better(
     pace = _pace(tracker)
     for t, (frame, before) in zip(numbers, frames, strict=False):
         state, estimate = tracker.step(state, frame)
-        new.append(looked_at(tracker, state, estimate, frame, before))
+        new.append(looked_at(tracker, estimate, frame, before))
         won += float(np.nan_to_num(old[t].cost - estimate.cost))
         if won > best:
             best, kept = won, len(new)

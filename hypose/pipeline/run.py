@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
-from hypose.body.motion import Motion
+from hypose.body.motion import Modes, Motion
 from hypose.errors import HyposeError, InputError
+from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
+from hypose.io.motions.modes import save_modes
 from hypose.io.motions.results import ResultsFolder, save_motion
+from hypose.io.recordings.frames import FrameOptions
 from hypose.io.recordings.provenance import identity
+from hypose.io.recordings.recording import Recording
 from hypose.pipeline.colour_detections import tracked_frames
 from hypose.pipeline.doubts import with_doubts
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
@@ -24,27 +29,32 @@ from hypose.pipeline.first_look import first_look, sentences
 from hypose.pipeline.kept_findings import SUBJECT, keep_subject, kept_subject
 from hypose.pipeline.keypoint_track import track_keypoints
 from hypose.pipeline.mend_sides import mend_sides, sides_notes
+from hypose.pipeline.picture_start import picture_options, subject_in_picture
+from hypose.pipeline.pictures import depth_note, one_view
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
 from hypose.pipeline.verdict import Verdict, verdict_of
 from hypose.tracking.doubt import evidence_of, judged
 from hypose.tracking.fitted_spread import pose_covariance, with_fitted_angles, with_fitted_joints
 from hypose.tracking.frame_evidence import OwnEvidence
 from hypose.tracking.pose_covariance import unpacked
-from hypose.tracking.recipes import RECIPES, recipe
-from hypose.tracking.smooth_motion import smooth_motion
-from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings, motion_of
+from hypose.tracking.recipes import RECIPES, Preset, recipe
+from hypose.tracking.smooth_motion import Clip
+from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings, modes_of, motion_of
+
+MODES = "modes.npz"
 
 
 @dataclass(frozen=True)
 class TrackOptions:
-    """What a user chooses. recipe: a preset's name; refine: contour refinement after a published recipe; evidence:
-    'silhouettes', 'keypoints' or 'both'; start, height, girths: see SubjectOptions; subject: the file of a given body;
-    smooth: solve all frames together at the end, if the recipe does; checkpoint_every: frames; sure_start: a person
-    says that the start is the right way round."""
+    """What a user chooses. recipe: a preset's name; refine: contour refinement after a published recipe; evidence: one
+    of the preset's, None = its usual one; start, height, girths: see SubjectOptions and, for the picture of one camera,
+    `picture_start`; subject: the file of a given body; smooth: solve all frames together at the end, if the recipe
+    does; checkpoint_every: frames; sure_start: a person says that the start is the right way round; particles: how many
+    hypotheses, None = the recipe's own number; own: options that only this recipe has, by name (`Preset.make`)."""
 
     recipe: str = "default"
     refine: bool = False
-    evidence: str = "silhouettes"
+    evidence: str | None = None
     seed: int = 0
     start: str = "auto"
     height: float | None = None
@@ -53,35 +63,72 @@ class TrackOptions:
     smooth: bool = True
     checkpoint_every: int = 25
     sure_start: bool = False
+    particles: int | None = None
+    own: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.evidence not in ("silhouettes", "keypoints", "both"):
-            raise InputError(f"There is no evidence {self.evidence!r}; choose silhouettes, keypoints or both.")
-        preset = RECIPES.get(self.recipe)
-        if preset is not None and self.evidence == "keypoints" and not preset.whole_clip:
-            raise InputError(f"The recipe {self.recipe!r} needs silhouettes; choose the evidence silhouettes or both.")
+        self.preset.check(self.recipe, self.looks_at, self.own)
+
+    @property
+    def preset(self) -> Preset:
+        """Of the recipe; the usual one's where there is none of that name, which is told when it is asked for."""
+        return RECIPES.get(self.recipe, RECIPES["default"])
+
+    @property
+    def looks_at(self) -> str:
+        """The evidence."""
+        return self.evidence or self.preset.evidence[0]
+
+    @property
+    def of_picture(self) -> bool:
+        """The recipe looks at the picture of one camera."""
+        return "picture" in self.preset.needs
 
     @property
     def whole_clip(self) -> bool:
         """All frames are solved on their key points together, instead of one after the other and then together."""
-        preset = RECIPES.get(self.recipe)
-        return self.evidence == "keypoints" and self.smooth and preset is not None and preset.whole_clip
+        return self.looks_at == "keypoints" and self.smooth and self.preset.whole_clip
 
     def settings(self) -> dict[str, Any]:
         """The choices that decide the result."""
-        return {k: v for k, v in asdict(self).items() if k not in ("checkpoint_every", "sure_start")}
+        left_out = ("checkpoint_every", "sure_start", "particles", "own")
+        chosen = {k: v for k, v in asdict(self).items() if k not in left_out} | {"evidence": self.looks_at}
+        return chosen | ({} if self.particles is None else {"particles": self.particles}) | dict(self.own)
+
+
+def frames_wanted(recording: Recording, options: TrackOptions) -> FrameOptions | None:
+    """How the frames of a recording are read for a run, None: as is usual; an InputError when a recipe that looks at
+    the picture of one camera cannot have what it is to look at."""
+    if options.of_picture:
+        return picture_options(recording, options.start, options.looks_at)
+    # key points alone need no image, so nothing is decoded
+    return FrameOptions(silhouettes=None) if options.looks_at == "keypoints" else None
+
+
+def check_views(recording: Recording, of_picture: bool = False) -> None:
+    """An InputError when nothing can be done with that number of cameras: two or more, or the picture of one."""
+    if of_picture:
+        one_view(recording, None)
+    elif len(recording.views) == 1:
+        name = recording.views[0].name
+        raise InputError(
+            f"{recording.name} has one camera, {name}, and this needs two or more; track one with --recipe monocular "
+            f"--camera {name}, or add the others as [[view]] in recording.toml."
+        )
 
 
 @dataclass(frozen=True)
 class TrackResult:
-    """motion; the subject's body; complete: every frame was tracked; notes for the report. one_by_one (T, D): the poses
-    as each frame was tracked, audit (T, J, A): what spoke for and against each joint (hypose.tracking.audit), None
-    where that was not kept; faults: sentences on what was found wrong before tracking."""
+    """motion; the subject's body; complete: every frame was tracked; notes for the report; modes: the poses that each
+    frame allows, where the recipe tells them. one_by_one (T, D): the poses as each frame was tracked, audit (T, J, A):
+    what spoke for and against each joint (hypose.tracking.audit), None where that was not kept; faults: sentences on
+    what was found wrong before tracking."""
 
     motion: Motion
     body: Body
     complete: bool
     notes: tuple[str, ...]
+    modes: Modes | None = None
     one_by_one: Array | None = None
     audit: NDArray[np.float32] | None = None
     faults: tuple[str, ...] = ()
@@ -120,7 +167,7 @@ def track_source(
         raise InputError("The recording has no frame to track; check the frame range and the videos.")
     key = identity(record or {})
     report("look", 0, 1)
-    faults = sentences(first_look(source, options.evidence, options.height))
+    faults = () if options.of_picture else sentences(first_look(source, options.evidence, options.height))
     report("look", 1, 1)
     if subject is None:
         try:
@@ -132,7 +179,7 @@ def track_source(
     keep = None
     if results is not None:  # before the motion, so that what is kept of an interrupted run can be looked at
         keep_subject(subject, results, key)
-        keep = Keep(results.checkpoint, key, options.checkpoint_every)
+        keep = Keep(results.checkpoint, key, options.checkpoint_every, finished=True)
     tracker = tracker_of(subject, options, frame_rate, method, own)
     if options.whole_clip and method is None and not own:
         solved, audit = track_keypoints(source, frame_rate, subject, report)
@@ -142,15 +189,18 @@ def track_source(
         result = TrackResult(motion, subject.body, True, notes)
         return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, faults=faults), results)
     before = tracked_before(results.checkpoint, key, total) if resume and results is not None else None
-    begin = tracker.start(subject.start)
+    begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
     done = track_frames(source, range(total), tracker, begin, subject, keep=keep, before=before, progress=report)
     if done.error is not None and results is not None:
         with contextlib.suppress(HyposeError):  # the first error is the one to tell
-            save_motion(_motion(subject, done.estimates, frame_rate, record), results.motion)
+            _written(_tracked(subject, done.estimates, frame_rate, record), results)
         raise type(done.error)(
             f"{done.error} The {len(done.estimates)} frames before are kept in {results.path}; see --resume."
         ) from done.error
-    return finish(source, subject, tracker, done, options, results, record, report, faults)
+    try:
+        return finish(source, subject, tracker, done, options, results, record, report, faults)
+    except KeyboardInterrupt:
+        return _written(_tracked(subject, done.estimates, frame_rate, record), results)
 
 
 def subject_of(
@@ -165,6 +215,9 @@ def subject_of(
     """The subject that the run of this identity (`key`) kept in `results`, or else found in the frames."""
     progress("subject", 0, 1)
     subject = None if results is None else kept_subject(results, key)
+    if subject is None and options.of_picture:
+        about = {"start": options.start, "evidence": options.looks_at, "body": body, "height": options.height}
+        subject = subject_in_picture(source, frame_rate, **about, floor=options.own.get("floor"))
     if subject is None:
         known = body is not None
         wanted = SubjectOptions(options.start, options.height, options.girths, body, frame_rate, options.seed, known)
@@ -186,28 +239,31 @@ def finish(
 ) -> TrackResult:
     """The motion of what was tracked, stretches with exchanged sides mended, smoothed, judged and written."""
     estimates, notes, recipe = done.estimates, subject.notes, tracker.recipe
+
+    def again(frames: range) -> Iterator[Frame]:
+        return tracked_frames(source, frames, recipe.needs, subject)
+
     if done.complete:
         progress("sides", 0, 1)
-        estimates, exchanged = mend_sides(
-            tracker,
-            estimates,
-            lambda frames: tracked_frames(source, frames, recipe.needs, subject),
-            sure_start=options.sure_start,
-        )
+        estimates, exchanged = mend_sides(tracker, estimates, again, sure_start=options.sure_start)
         notes = (*notes, *sides_notes(exchanged))
         progress("sides", 1, 1)
-    motion = _motion(subject, estimates, tracker.settings.frame_rate, record)
-    if options.smooth and recipe.smooth and done.complete:
-        progress("smooth", 0, 1)
-        smoothed = smooth_motion(subject.body, motion, np.stack([e.uncertainty.information for e in estimates]))
-        motion, notes = smoothed.motion, (*notes, *smoothed.notes)
-        progress("smooth", 1, 1)
+    tracked = _tracked(subject, estimates, tracker.settings.frame_rate, record)
+    motion = tracked.motion
+    if options.smooth and recipe.smooth is not None and done.complete:
+        clip = Clip(tracker, motion, estimates, done.state, again, partial(progress, "smooth"))
+        motion, said = recipe.smooth(clip)
+        notes = (*notes, *said)
     motion, doubts = with_doubts(motion, [e.seen for e in estimates])
+    notes = (*notes, *doubts, *tracked.notes[len(subject.notes) :])
+    if tracked.modes is not None:  # one camera: its modes say what else may be
+        return _written(replace(tracked, motion=motion, complete=done.complete, notes=notes), results)
     own, audit = np.stack([e.pose for e in estimates]), np.stack([e.audit for e in estimates])
     information = np.stack([e.uncertainty.information for e in estimates])
     covariance = pose_covariance(unpacked(information, subject.body.skeleton.dof))
     motion = _doubted(motion, subject.body, own, audit, covariance)
-    return _written(TrackResult(motion, subject.body, done.complete, (*notes, *doubts), own, audit, faults), results)
+    out = TrackResult(motion, subject.body, done.complete, notes, None, own, audit, faults)
+    return _written(out, results)
 
 
 def _doubted(motion: Motion, body: Body, one_by_one: Array, audit: NDArray[np.float32], covariance: Array) -> Motion:
@@ -224,17 +280,22 @@ def _written(result: TrackResult, results: ResultsFolder | None) -> TrackResult:
     """The result, its motion written; when it is complete nothing else of the run is left."""
     if results is not None:
         save_motion(result.motion, results.motion)
+        if result.modes is not None:
+            save_modes(result.modes, results.file(MODES))
         if result.complete:
             for left in (results.file(SUBJECT), results.checkpoint):
                 left.unlink(missing_ok=True)
     return result
 
 
-def _motion(
+def _tracked(
     subject: Subject, estimates: Sequence[FrameEstimate], frame_rate: float, record: Mapping[str, Any] | None
-) -> Motion:
-    """The motion of the finished frames; time 0 is the first tracked frame."""
-    return motion_of(subject.body, np.arange(len(estimates)) / frame_rate, estimates, record or {})
+) -> TrackResult:
+    """What the finished frames give as they are, not complete; time 0 is the first tracked frame."""
+    motion = motion_of(subject.body, np.arange(len(estimates)) / frame_rate, estimates, record or {})
+    modes = modes_of(estimates)
+    notes = subject.notes if modes is None else (*subject.notes, depth_note(motion, modes))
+    return TrackResult(motion, subject.body, False, notes, modes)
 
 
 def tracker_of(
@@ -245,6 +306,7 @@ def tracker_of(
     own: Sequence[OwnEvidence] = (),
 ) -> Tracker:
     """The tracker of a run; method, own: as for `track_source`."""
-    made = method or recipe(options.recipe, subject.body, frame_rate=frame_rate, refine=options.refine)
-    settings = TrackerSettings(evidence=options.evidence, seed=options.seed, frame_rate=frame_rate)
+    about = {"frame_rate": frame_rate, "particles": options.particles, "refine": options.refine}
+    made = method or recipe(options.recipe, subject.body, **about, **options.own)
+    settings = TrackerSettings(evidence=options.looks_at, seed=options.seed, frame_rate=frame_rate)
     return Tracker(subject.body, made, settings, subject.keypoints, own)

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from hypose.body.body import Body
 from hypose.inference.layer import Recipe
-from hypose.io.recordings.frames import FrameOptions, FrameStream
+from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.pipeline.run import TrackOptions, TrackResult, track_source
+from hypose.pipeline.run import TrackOptions, TrackResult, check_views, frames_wanted, track_source
 from hypose.pipeline.subject_from_motion import load_subject
 from hypose.pipeline.track_loop import FrameList, Progress
 from hypose.tracking.frame_evidence import OwnEvidence
@@ -39,9 +39,11 @@ def track(
     method = recipe if isinstance(recipe, Recipe) else None
     if isinstance(recipe, str):
         chosen = replace(chosen, recipe=recipe)
+    if isinstance(loaded, Recording) and chosen.of_picture:
+        check_views(loaded, True)
     if body is None and chosen.subject is not None:
         body = load_subject(chosen.subject)
-    evidence = FrameOptions(silhouettes=None) if chosen.evidence == "keypoints" else None
-    frames = contextlib.nullcontext(loaded) if isinstance(loaded, FrameList) else FrameStream(loaded, evidence)
+    in_memory = isinstance(loaded, FrameList)
+    frames = contextlib.nullcontext(loaded) if in_memory else FrameStream(loaded, frames_wanted(loaded, chosen))
     with frames as source:
         return track_source(source, loaded.frame_rate, chosen, body=body, progress=progress, method=method, own=own)

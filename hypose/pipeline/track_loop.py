@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from hypose.errors import HyposeError
 from hypose.evidence.ahead import look_ahead
@@ -15,6 +15,7 @@ from hypose.io.motions.results import Checkpoint
 from hypose.pipeline.colour_detections import tracked_frames
 from hypose.pipeline.doubts import looked_at
 from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.pictures import FrameSource
 from hypose.tracking.tracker import (
     FrameEstimate,
     Tracker,
@@ -22,16 +23,6 @@ from hypose.tracking.tracker import (
     estimates_from_arrays,
     estimates_to_arrays,
 )
-
-
-class FrameSource(Protocol):
-    """Frames by number: hypose.io.recordings.frames.FrameStream, or any synthetic scene."""
-
-    def __len__(self) -> int: ...
-
-    def frame(self, index: int, /) -> Frame:
-        """Frame number index, 0 <= index < len."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -103,7 +94,7 @@ def track_frames(
                 progress("track", done, total)
                 frame = next(coming)
                 state, estimate = tracker.step(state, frame)
-                estimates.append(looked_at(tracker, state, estimate, frame, last))
+                estimates.append(looked_at(tracker, estimate, frame, last))
                 last = frame
                 # all frames are written every time, so ever fewer times: the work of an hour of film stays linear
                 if keep is not None and done + 1 - saved >= max(keep.every, saved // 20) and done + 1 < total:

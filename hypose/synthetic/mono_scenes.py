@@ -20,7 +20,6 @@ from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.evidence.keypoints import BODY_25
 from hypose.geometry import Array
-from hypose.monocular.models import arm_dofs, body_dofs, with_hand
 from hypose.synthetic.metrics import carriers, population_offsets
 from hypose.synthetic.mono_backdrops import cluttered, woven
 from hypose.synthetic.mono_motions import arm_reach, body_motion
@@ -31,6 +30,7 @@ from hypose.synthetic.rigs import look_at
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.simulated_keypoints import keypoint_detections
 from hypose.synthetic.subjects import Subject, dress, load_subjects
+from hypose.tracking.monocular.models import arm_dofs, body_dofs, with_hand
 
 SIZE = (384, 288)
 FRAME_RATE = 25.0

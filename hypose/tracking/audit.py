@@ -10,13 +10,12 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body
 from hypose.compute.pictures.parts import parts_against_mask
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.geometry import Array
-from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, checked, pixels_per_metre
 
 AUDITED = (
@@ -62,11 +61,16 @@ def _face_parts(body: Body) -> NDArray[np.uint16]:
 
 
 def audit_frame(
-    body: Body, pose: Array, frame: Frame, model: KeypointModel | None = None, rivals: Hypotheses | None = None
+    body: Body,
+    pose: Array,
+    frame: Frame,
+    model: KeypointModel | None = None,
+    rivals: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> NDArray[np.float32]:
     """(J, len(AUDITED)) of a tracked pose (D,), NaN where the frame has no such evidence.
 
-    model: where key points sit on the body; rivals: what else was still believed, with log-weights."""
+    model: where key points sit on the body; rivals: other poses (K, D) that are believed as well,
+    NaN where there are fewer, and their weights (K,)."""
     names = tuple(body.skeleton.joint_names)
     out = np.full((len(names), len(AUDITED)), np.nan, np.float32)
     rotations, joints = body.skeleton.forward(pose)
@@ -126,12 +130,14 @@ def _projected(points_world: Array, projection: Array) -> tuple[Array, Array]:
         return np.where(x[:, 2:] > 0.05, x[:, :2] / x[:, 2:], np.nan), x[:, 2]
 
 
-def _rivals(body: Body, joints: Array, rivals: Hypotheses | None) -> Array:
+def _rivals(body: Body, joints: Array, rivals: tuple[ArrayLike, ArrayLike] | None) -> Array:
     """(J,) m: spread of the joints over the rivals around the estimate, weighted."""
-    if rivals is None or rivals.count < 2 or rivals.before is None:
+    poses, weights = (np.asarray(a, dtype=np.float64) for a in rivals or (np.zeros((0, 0)), np.zeros(0)))
+    known = weights > 0
+    if not known.any():
         return np.zeros(len(joints))
-    away = ((body.joints(rivals.values) - joints) ** 2).sum(-1)
-    return np.sqrt(rivals.weights @ away)
+    away = ((body.joints(poses[known]) - joints) ** 2).sum(-1)
+    return np.sqrt(weights[known] @ away)
 
 
 def _points(names: tuple[str, ...], rotations: Array, joints: Array, seen: Keypoints, model: KeypointModel) -> Array:

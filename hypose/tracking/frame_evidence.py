@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Generic, Protocol, TypeVar
+from dataclasses import dataclass, field, replace
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +66,8 @@ class PreparedFrame:
     pose expected before looking at the evidence, and prediction_weight: how strongly solves are pulled to it (1 / rad^2
     in units of the robust rows' cost). usual_iou: how well the body has overlapped the masks so far (NaN: not known).
     rivals: the hypotheses that the last frame left, each where it is expected now (None: the set moves as one).
-    counts: of the silhouettes of single poses, (C, 3); hessians: of their solves, (D, D)."""
+    done: frames tracked before this one. counts: of the silhouettes of single poses, (C, 3); hessians: of their solves,
+    (D, D); shared: whatever else one layer of a recipe has found out for the next ones."""
 
     frame: Frame
     body: Body
@@ -78,14 +79,17 @@ class PreparedFrame:
     usual_iou: float = float("nan")
     points: PointTerm | None = None
     own: tuple[OwnEvidence, ...] = ()
+    done: int = 0
     rivals: Hypotheses | None = None
     counts: PoseMemory[NDArray[np.int64]] = field(default_factory=PoseMemory, compare=False, repr=False)
     hessians: PoseMemory[Array] = field(default_factory=PoseMemory, compare=False, repr=False)
+    shared: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def usable(self) -> bool:
         """True when some evidence is left."""
-        return self.masks is not None or self.keypoints is not None or self.points is not None
+        pieces = (self.masks, self.keypoints, self.points, self.frame.picture)
+        return any(piece is not None for piece in pieces)
 
     def own_energy(self, poses: Array) -> Array:
         """(N,) what poses (N, D) cost by the user's evidence."""
@@ -108,8 +112,14 @@ def prepare(
     prediction_weight: float = 0.1,
     usual_iou: float = float("nan"),
     own: Sequence[OwnEvidence] = (),
+    done: int = 0,
 ) -> PreparedFrame:
-    """Prepares a frame for `body`; see PreparedFrame. An EvidenceError when the frame has none of the wanted pieces."""
+    """Prepares a frame for `body`; see PreparedFrame. Of a frame with the picture of one camera nothing is prepared,
+    but what is not wanted is left out. An EvidenceError when the frame has none of the wanted pieces."""
+    if frame.picture is not None:
+        picture = frame.picture if use_silhouettes else replace(frame.picture, mask=None)
+        seen = replace(frame, picture=picture, keypoints=frame.keypoints if use_keypoints else None)
+        return PreparedFrame(seen, body, prediction, None, None, None, prediction_weight, usual_iou, done=done)
     silhouettes = frame.silhouettes if use_silhouettes else None
     if silhouettes is None and not (use_keypoints and frame.keypoints is not None):
         raise EvidenceError(
@@ -134,7 +144,8 @@ def prepare(
             )
         term = keypoint_term(frame.keypoints, body, model, prediction, keypoint_scale_px)
     rows = _joined([found for one in own if (found := one.rows(body, frame)) is not None], frame)
-    return PreparedFrame(frame, body, prediction, masks, contours, term, prediction_weight, usual_iou, rows, tuple(own))
+    pieces = (masks, contours, term, prediction_weight, usual_iou, rows, tuple(own), done)
+    return PreparedFrame(frame, body, prediction, *pieces)
 
 
 def _joined(terms: Sequence[PointTerm], frame: Frame) -> PointTerm | None:
@@ -159,6 +170,8 @@ def _joined(terms: Sequence[PointTerm], frame: Frame) -> PointTerm | None:
 def view_count(prepared: PreparedFrame) -> int:
     """Number of views that carry evidence."""
     seen: NDArray[np.bool_] | None = None
+    if prepared.frame.picture is not None:
+        return 1
     if prepared.masks is not None:
         seen = prepared.masks.usable
     if prepared.keypoints is not None:

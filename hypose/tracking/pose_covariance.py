@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose import compute
 from hypose.body.body import Body
+from hypose.body.motion import Modes
 from hypose.fitting.articulated import SolveOptions
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
@@ -37,10 +38,12 @@ _SET_FLOOR = 0.02
 class PoseUncertainty:
     """joint_covariance (J, 3, 3) m^2 of the joint centres. information (D (D + 1) / 2,): what the frame by itself
     says of the pose, an inverse covariance (its lower triangle) without the pull to the prediction, for solving whole
-    clips; zero: nothing. Both in float32, since long recordings have many frames."""
+    clips; zero: nothing. Both in float32, since long recordings have many frames. modes: the distinct poses that the
+    frame allows (one row), where a method tells them."""
 
     joint_covariance: NDArray[np.float32]
     information: NDArray[np.float32]
+    modes: Modes | None = None
 
 
 def uncertainty_of_pose(pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> PoseUncertainty:

@@ -5,6 +5,7 @@ What a local solve and diffusion never find again is looked up: thousands of arm
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,6 +60,20 @@ class ArmReach:
 def ends(points: Array) -> Array:
     """(N, 3, 3) m: elbow, wrist and hand of an arm's points (N, 8, 3)."""
     return points[:, _ENDS]
+
+
+def ends_of(arms: Sequence[ArmReach], poses: Array) -> Array:
+    """(N, A, 3, 3) m: elbow, wrist and hand of arms of one body in poses (N, D), as the arms' parents see them."""
+    if not arms:
+        return np.zeros((len(poses), 0, 3, 3))
+    rotations, centres = arms[0].body.skeleton.forward(poses)
+    out = []
+    for arm in arms:
+        _, elbow, wrist = (centres[:, j] for j in arm.chain)
+        hand = wrist + _ALONG[2][1] * np.einsum("nij,j->ni", rotations[:, arm.chain[2]], arm.tip)
+        apart = np.stack([elbow, wrist, hand], 1) - centres[:, None, arm.parent]
+        out.append(np.einsum("nji,nkj->nki", rotations[:, arm.parent], apart))
+    return np.stack(out, 1)
 
 
 def arm_reach(body: Body, joints: tuple[str, ...], lower: Array, upper: Array, count: int = POSES) -> ArmReach:

@@ -6,8 +6,10 @@ of the cost, and recovers; see `_solving`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import inspect
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +25,7 @@ from hypose.inference.selectors import Elite, keep
 from hypose.tracking import published_recipes as published
 from hypose.tracking.costs import SilhouetteXor, no_evidence
 from hypose.tracking.exchanged_sides import look_for_exchange
+from hypose.tracking.monocular.recipe import PICTURE_CUES, TRIGGS, monocular
 from hypose.tracking.pose_covariance import uncertainty_of_pose
 from hypose.tracking.published_recipes import LIMB_LAYERS, diffusion, step_sigma
 from hypose.tracking.reach_table import arm_reach
@@ -36,6 +39,7 @@ from hypose.tracking.refinement import (
     solved,
 )
 from hypose.tracking.rival_arms import RefineRivals
+from hypose.tracking.smooth_motion import smooth_clip
 from hypose.tracking.starts import recover
 
 THESIS = "Alcoverro, M. (2014). Stochastic optimization and interactive machine learning for human motion analysis."
@@ -132,18 +136,38 @@ def _solving(base: Recipe) -> Recipe:
         estimate=solved,
         uncertainty=uncertainty_of_pose,
         recover=Recovery(find=recover, rival=look_for_exchange),
-        smooth=True,
+        smooth=smooth_clip,
     )
 
 
 @dataclass(frozen=True)
 class Preset:
-    """What is known of a recipe before there is a body. make(body, frame_rate=Hz): the recipe for a body; citation;
-    whole_clip: key points alone are enough, and are solved in all frames together instead of frame by frame."""
+    """What is known of a recipe before there is a body. make(body, frame_rate=Hz): the recipe for a body, whose other
+    parameters are the options that only this method has; citation; whole_clip: key points alone are enough, and are
+    solved in all frames together instead of frame by frame; needs: as those of the recipe, as far as they decide which
+    recordings it can be used on; evidence: the choices, the usual one first."""
 
     make: Callable[..., Recipe]
     citation: str
     whole_clip: bool = False
+    needs: tuple[str, ...] = ()
+    evidence: tuple[str, ...] = ("silhouettes", "keypoints", "both")
+
+    def check(self, name: str, evidence: str, options: Iterable[str]) -> None:
+        """An InputError that names what the recipe of this name does not know."""
+        if evidence not in self.evidence:
+            choices = f"{', '.join(self.evidence[:-1])} or {self.evidence[-1]}"
+            raise InputError(f"The recipe {name!r} knows no evidence {evidence!r}; choose {choices}.")
+        if evidence == "keypoints" and self.evidence == Preset.evidence and not self.whole_clip:
+            raise InputError(f"The recipe {name!r} needs silhouettes; choose the evidence silhouettes or both.")
+        known = inspect.signature(self.make).parameters
+        for option in options:
+            if option not in known:
+                having = [n for n, p in RECIPES.items() if option in inspect.signature(p.make).parameters]
+                raise InputError(
+                    f"The recipe {name!r} has no option {option!r}; leave it out, or choose the recipe "
+                    f"{' or '.join(having) or 'that has it'}."
+                )
 
 
 RECIPES: dict[str, Preset] = {
@@ -159,23 +183,31 @@ RECIPES: dict[str, Preset] = {
     "dd-hpf+": Preset(published.dd_hpf_plus, THESIS),
     "dd-hpf+5": Preset(published.dd_hpf_plus_5, THESIS),
     "dd-hpf+rivals": Preset(dd_hpf_rivals, f"{THESIS} {CONTOURS}"),
+    "monocular": Preset(monocular, TRIGGS, needs=("picture",), evidence=PICTURE_CUES),
 }
 
 
 def recipe(
-    name: str, body: Body, *, frame_rate: float = 25.0, particles: int | None = None, refine: bool = False
+    name: str,
+    body: Body,
+    *,
+    frame_rate: float = 25.0,
+    particles: int | None = None,
+    refine: bool = False,
+    **own: Any,
 ) -> Recipe:
     """A preset by name for a body and a frame rate (Hz); particles: None = its own number; refine: with contour
-    refinement as a last layer, if it has none.
+    refinement as a last layer, if it has none; own: options that only this method has.
 
     An InputError lists the presets when the name is unknown.
     """
     if name not in RECIPES:
         raise InputError(f"There is no recipe {name!r}; the recipes are {', '.join(RECIPES)}.")
-    made = RECIPES[name].make(body, frame_rate=frame_rate)
-    if refine and not made.smooth:  # what is solved has been refined
+    count = {} if particles is None else {"particles": particles}
+    made = RECIPES[name].make(body, frame_rate=frame_rate, **count, **own)
+    if refine and made.smooth is None:  # what is solved has been refined
         made = refined(made)
-    return replace(made, particles=particles or made.particles, citation=citation_of(name, refine))
+    return replace(made, citation=citation_of(name, refine))
 
 
 def citation_of(name: str, refine: bool = False) -> str:

@@ -12,15 +12,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.compute.selection import over_chunks
 from hypose.compute.silhouettes import reach
 from hypose.fitting.articulated import SolveOptions
 from hypose.geometry import Array
-from hypose.inference.hypotheses import Hypotheses
+from hypose.inference.hypotheses import BEFORE, Hypotheses
 from hypose.tracking.costs import frame_energy
 from hypose.tracking.frame_evidence import PreparedFrame
-from hypose.tracking.reach_table import ArmReach, ends
+from hypose.tracking.reach_table import ArmReach, ends, ends_of
 from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, member, mismatch, refine
 
 
@@ -78,10 +79,16 @@ class RefineRivals:
         s, c = frame.body.skeleton, self.contest
         winner, alive, last = member(h, SOLVED), *_best_first(frame)
         if frame.masks is None:  # nothing to compare them by
-            return _roles(Hypotheses(s.clamp(winner[None]), np.zeros(1), before=last[:1]))
+            return _roles(Hypotheses(s.clamp(winner[None]), np.zeros(1), columns={BEFORE: last[:1]}))
         old = s.on_branch(alive.values[1:], frame.prediction)
-        composite, looked_up = self._composite(h, winner, frame), self._looked_up(h, winner, old, frame)
-        starts = [*composite, *looked_up]
+        elsewhere = self._elsewhere(winner, old)
+        crossed, whose = self._crossed(winner, old, elsewhere, frame)
+        tried = [
+            [k for k in range(len(old)) if elsewhere[k].sum() < 2 or (k, n) in whose] for n in range(len(self.arms))
+        ]
+        composite = self._composite(h, winner, frame)
+        looked_up = self._looked_up(h, winner, [old[k] for k in tried], frame)
+        starts = [*composite, *looked_up, *crossed]
         poses = np.stack([winner, *self._solved(starts, old, frame)])
         parents = np.array([0] * (1 + len(starts)) + [1 + k for k in range(len(old))])
         fresh = np.zeros(len(poses), np.bool_)
@@ -89,13 +96,15 @@ class RefineRivals:
         expected = np.stack([*[frame.prediction] * (1 + len(starts)), *old])
         costs = mismatch(poses, frame, expected=expected)
         scores = costs + c.doubt * costs[0] * fresh - c.memory * c.softness * alive.relative_log_weights[parents]
-        at = [ends(arm.here(poses)) for arm, _ in self.arms] or [np.zeros((len(poses), 0, 3))]
+        at = ends_of([arm for arm, _ in self.arms], poses)
         before = last[parents]
-        for (arm, _), where in zip(self.arms, at, strict=False):
-            jumped = fresh & (_farthest(where, where[0]) > self.look.far)
+        for k, (arm, _) in enumerate(self.arms):
+            jumped = fresh & (_farthest(at[:, k], at[0, k]) > self.look.far)
             before[np.ix_(jumped, arm.own)] = poses[np.ix_(jumped, arm.own)]
-        found = Hypotheses(s.clamp(poses), -scores / c.softness, parents, before=before)
-        return _roles(found.take(self._living(scores, costs, np.concatenate(at, 1))))
+        for row, (k, n) in enumerate(whose, start=1 + len(composite) + len(looked_up)):
+            before[row, self.arms[n][0].own] = last[1 + k, self.arms[n][0].own]
+        found = Hypotheses(s.clamp(poses), -scores / c.softness, parents, columns={BEFORE: before})
+        return _roles(found.take(self._living(scores, costs, at.reshape(len(poses), -1, 3))))
 
     def _composite(self, h: Hypotheses, winner: Array, frame: PreparedFrame) -> list[Array]:
         """The pose (D,) that the search put together, when it has won anything."""
@@ -105,13 +114,36 @@ class RefineRivals:
         energy = frame_energy(np.stack([winner, composite]), frame)
         return [composite] if energy[1] < (1 - self.margin) * energy[0] else []
 
-    def _looked_up(self, h: Hypotheses, winner: Array, old: Array, frame: PreparedFrame) -> list[Array]:
-        """Poses (D,) with one arm elsewhere than in the winner, and than in the rivals (K, D) of the last frame."""
+    def _looked_up(self, h: Hypotheses, winner: Array, tried: list[Array], frame: PreparedFrame) -> list[Array]:
+        """Poses (D,) with one arm elsewhere than in the winner, and than in the rivals (K, D) that are tried anyway, of
+        each arm: those that differ in this arm alone, and those whose arm is crossed over."""
         found: list[Array] = []
-        for arm, turn in self.arms:
+        for (arm, turn), known in zip(self.arms, tried, strict=True):
             if turn(h, frame):
-                found += rival_arms(arm, winner, frame, self.look, old)
+                found += rival_arms(arm, winner, frame, self.look, known)
         return found
+
+    def _crossed(
+        self, winner: Array, old: Array, elsewhere: NDArray[np.bool_], frame: PreparedFrame
+    ) -> tuple[list[Array], list[tuple[int, int]]]:
+        """The winner with one arm of a rival (K, D) that has more than this elsewhere, when that overlaps about as
+        well; and the rival's and the arm's numbers: one may be right where the other is wrong."""
+        pairs = [(int(k), int(n)) for k, n in np.argwhere(elsewhere) if elsewhere[k].sum() > 1]
+        if not pairs:
+            return [], []
+        poses = np.repeat(winner[None], len(pairs) + 1, 0)
+        for pose, (k, n) in zip(poses[1:], pairs, strict=True):
+            pose[self.arms[n][0].own] = old[k, self.arms[n][0].own]
+        energy = frame_energy(poses, frame)
+        good = np.flatnonzero(energy[1:] <= self.look.ratio * energy[0])
+        return [poses[1 + i] for i in good], [pairs[i] for i in good]
+
+    def _elsewhere(self, winner: Array, old: Array) -> NDArray[np.bool_]:
+        """(K, A) which arms of rivals (K, D) are far from the winner's."""
+        if not len(old):
+            return np.zeros((0, len(self.arms)), np.bool_)
+        at = ends_of([arm for arm, _ in self.arms], np.concatenate([winner[None], old]))
+        return np.linalg.norm(at[1:] - at[0], axis=-1).max(-1, initial=0.0) > self.look.far
 
     def _solved(self, starts: list[Array], old: Array, frame: PreparedFrame) -> list[Array]:
         """The solutions (D,) from starts and from the predictions (K, D) of rivals, over threads."""
@@ -174,10 +206,9 @@ def _farthest(ends: Array, other: Array) -> Array:
 
 def _best_first(frame: PreparedFrame) -> tuple[Hypotheses, Array]:
     """The hypotheses of the last frame, expected in this one, and what they were (N, D)."""
-    assert frame.rivals is not None and frame.rivals.before is not None, "the recipe does not say how many rivals"
+    assert frame.rivals is not None, "the recipe does not say how many rivals"
     h = frame.rivals.take(np.argsort(-frame.rivals.relative_log_weights, kind="stable"))
-    assert h.before is not None
-    return h, h.before
+    return h, h.columns[BEFORE]
 
 
 def _roles(h: Hypotheses) -> Hypotheses:

@@ -1,8 +1,11 @@
-"""The last step of tracking: the motion of all frames together, with feet that stand, and its uncertainty."""
+"""The last step of tracking: the motion of all frames together, with feet that stand, and its uncertainty.
+
+A recipe says by its `smooth` how its clips are solved; `smooth_clip` is that of the recipes for several cameras.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,12 +13,38 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body
 from hypose.body.motion import Motion
+from hypose.evidence.frame import Frame
 from hypose.fitting import PointTerm
 from hypose.geometry import Array
 from hypose.tracking.contacts import FootMotion, contact_terms, find_contacts, foot_motion, soles_of
 from hypose.tracking.fitted_spread import pose_covariance
 from hypose.tracking.pose_covariance import unpacked
 from hypose.tracking.smoothing import ClipSettings, gap_covariance, smooth_poses
+from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A clip that has been tracked from its first frame to its last.
+
+    motion: of the estimates, one per frame; state: after the last frame; frames(range): frames of the clip once more,
+    forwards or backwards; progress(done, total)."""
+
+    tracker: Tracker
+    motion: Motion
+    estimates: Sequence[FrameEstimate]
+    state: TrackerState
+    frames: Callable[[range], Iterable[Frame]]
+    progress: Callable[[int, int], None]
+
+
+def smooth_clip(clip: Clip) -> tuple[Motion, tuple[str, ...]]:
+    """`smooth_motion` of a tracked clip: the motion, and sentences about contacts and gaps."""
+    clip.progress(0, 1)
+    information = np.stack([e.uncertainty.information for e in clip.estimates])
+    smoothed = smooth_motion(clip.tracker.body, clip.motion, information)
+    clip.progress(1, 1)
+    return smoothed.motion, smoothed.notes
 
 
 @dataclass(frozen=True)

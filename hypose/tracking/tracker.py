@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
-from hypose.body.motion import Motion, sd_per_axis
+from hypose.body.motion import Modes, Motion, joined_modes, modes_arrays, sd_per_axis
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.inference.hypotheses import Hypotheses
-from hypose.inference.layer import Recipe, Recovery, search
+from hypose.inference.hypotheses import BEFORE, Hypotheses
+from hypose.inference.layer import Recipe, Recovery, search, stand_still
 from hypose.inference.random_streams import stream
 from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.frame_evidence import OwnEvidence, PreparedFrame, prepare, view_count
@@ -32,13 +32,15 @@ BETWEEN_FRAMES, RECOVERY, START = -1, -2, -3
 """Layer numbers of the random streams used outside a recipe's layers."""
 NOBODY = 0.3
 """Share of the usual mean IoU below which the masks hold nobody where the body is, or the rim of somebody else."""
+_COLUMN, _MODES = "column_", "modes_"
 
 
 @dataclass(frozen=True)
 class TrackerSettings:
     """What the tracker is told.
 
-    evidence: 'silhouettes', 'keypoints' or 'both'. seed: of every random draw. frame_rate: Hz. prediction_weight: pull
+    evidence: 'silhouettes', 'keypoints' or 'both'; with the picture of one camera also 'edges', nothing else, and
+    'auto', all there is. seed: of every random draw. frame_rate: Hz. prediction_weight: pull
     of a solve to the prediction at 25 fps (it grows with the square of the frame rate, as the prediction's error
     shrinks). lost_share: lost when the mean IoU falls below this share of its usual value; lost_floor: or below this
     value. keypoint_scale_px: robust scale of key points in their pixels. extrapolate: seconds without evidence after
@@ -109,21 +111,23 @@ class TrackerState:
             "origin": self.hypotheses.origin,
             "role": self.hypotheses.role,
             "role_names": np.array(self.hypotheses.role_names, dtype=np.str_),
-            **({} if self.hypotheses.before is None else {"before": self.hypotheses.before}),
             "pose": self.pose,
             "previous": self.previous,
             "joint_covariance": self.joint_covariance,
             "usual_iou": np.array(self.usual_iou),
             "blind": np.array(self.blind),
             "lost": np.array(self.lost),
+            **{f"{_COLUMN}{name}": column for name, column in self.hypotheses.columns.items()},
         }
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, np.ndarray]) -> TrackerState:
         """The state that `to_arrays` wrote."""
         names = tuple(arrays["role_names"].tolist())
-        values, log_weights, origin, role = (arrays[k] for k in ("values", "log_weights", "origin", "role"))
-        h = Hypotheses(values, log_weights, origin, role, names, before=arrays.get("before"))
+        columns = {k.removeprefix(_COLUMN): v for k, v in arrays.items() if k.startswith(_COLUMN)}
+        h = Hypotheses(
+            arrays["values"], arrays["log_weights"], arrays["origin"], arrays["role"], names, columns=columns
+        )
         return TrackerState(
             int(arrays["frames"]),
             h,
@@ -154,12 +158,20 @@ class Tracker:
                     f"The recipe {self.recipe.name!r} needs {kind}; choose the evidence {kind!r} or 'both', or another "
                     "recipe."
                 )
+        if "picture" in self.recipe.needs and self.own:
+            raise InputError(f"The recipe {self.recipe.name!r} looks at one picture, and not at evidence of your own.")
 
-    def start(self, pose: Array) -> TrackerState:
-        """State before the first frame, around a start pose (D,)."""
+    def start(self, begin: Array | Hypotheses) -> TrackerState:
+        """State before the first frame, around a start pose (D,), or with these rival starts."""
         s = self.body.skeleton
-        pose = s.canonical(s.clamp(pose))
-        h = self._around(pose, 0.5, stream(self.settings.seed, 0, START))
+        given = begin.values if isinstance(begin, Hypotheses) else begin
+        if np.shape(given)[-1:] != (s.dof,) or not np.isfinite(given).all():
+            raise InputError(f"A start needs {s.dof} finite numbers per pose, got {np.shape(given)}; fit it again.")
+        if isinstance(begin, Hypotheses):
+            h, pose = begin, begin.best()
+        else:
+            pose = s.canonical(s.clamp(begin))
+            h = self._around(pose, 0.5, stream(self.settings.seed, 0, START))
         unknown = np.full((len(s.joint_names), 3, 3), np.nan, np.float32)
         return TrackerState(0, h, pose, pose, unknown, float("nan"), 0, False)
 
@@ -175,9 +187,10 @@ class Tracker:
         state = self._on_canonical_branch(state)
         last_step = state.pose - s.on_branch(state.previous, state.pose)
         # after a loss the last step is none of the person's
-        step = recipe.predict(np.zeros_like(last_step) if state.lost else last_step, state.blind)
-        prediction = s.clamp(state.pose + step)
-        prepared = self._prepare(frame, prediction, state.usual_iou)
+        alone = np.zeros_like(last_step)
+        step = alone if recipe.predict is None else recipe.predict(alone if state.lost else last_step, state.blind)
+        prediction = self._within(state.pose + step)
+        prepared = self._prepare(frame, prediction, state)
         if not prepared.usable:
             return self._extrapolate(state, prediction, self._expected(state, step))
         if state.frames == 0:
@@ -186,18 +199,21 @@ class Tracker:
         h = self._expected(state, step)
         if recipe.rivals:  # particles are drawn about the best of them
             best = h.take(np.repeat(h.relative_log_weights.argmax(), recipe.particles)).equal()
-            h, prepared = replace(best, before=None), replace(prepared, rivals=h)
+            h, prepared = replace(best, columns={}), replace(prepared, rivals=h)
         result = search(h, recipe, prepared, partial(stream, self.settings.seed, frame.index))
-        pose, selected = s.clamp(result.estimate), result.selected
+        pose, selected = self._within(result.estimate), result.selected
         iou = _mean_iou(self.body, pose, prepared)
         lost = self._is_lost(iou, state.usual_iou)
+        if recipe.lost is not None:
+            lost = recipe.lost(pose, result.weighted, prepared)
         if recipe.recover is not None and prepared.masks is not None:
             state, pose, selected, iou, lost = self._recover(recipe.recover, state, pose, selected, iou, prepared)
         known = (recipe.uncertainty or uncertainty_of_set)(pose, result.weighted, prepared)
         usual = state.usual_iou
         if not lost and np.isfinite(iou):
             usual = iou if np.isnan(usual) else usual + 0.1 * (iou - usual)
-        last = state.pose if selected.before is None else selected.before[selected.relative_log_weights.argmax()]
+        before = selected.columns.get(BEFORE)
+        last = state.pose if before is None else before[selected.relative_log_weights.argmax()]
         following = TrackerState(state.frames + 1, selected, pose, last, known.joint_covariance, usual, 0, lost)
         cost = 1 - iou if np.isfinite(iou) else float("nan")
         overlap = silhouette_iou(self.body, pose, prepared)
@@ -232,7 +248,7 @@ class Tracker:
     def rival(self, pose: Array, frame: Frame) -> Array:
         """The rival of a pose (D,) on a frame's evidence, where tracking may begin anew; the pose if there is none."""
         look = self.recipe.recover.rival if self.recipe.recover is not None else None
-        return pose if look is None else look(pose, self._prepare(frame, pose, float("nan")))[1]
+        return pose if look is None else look(pose, self._prepare(frame, pose))[1]
 
     def _rival_gain(self, state: TrackerState, pose: Array, prepared: PreparedFrame) -> float:
         """Looked for now and then, where silhouettes alone tell left from right."""
@@ -253,7 +269,7 @@ class Tracker:
         count = max(self.recipe.rivals - 1, 0)
         poses = np.full((count, self.body.skeleton.dof), np.nan, np.float32)
         weights = np.zeros(count, np.float32)
-        if h is not None and h.before is not None:
+        if h is not None and BEFORE in h.columns:
             order = np.argsort(-h.weights, kind="stable")[1 : 1 + count]
             poses[: len(order)], weights[: len(order)] = h.values[order], h.weights[order]
         return poses, weights
@@ -262,15 +278,22 @@ class Tracker:
         """The hypotheses where they are expected after a usual step (D,), or each after its own."""
         s, h = self.body.skeleton, state.hypotheses
         if not self.recipe.rivals:
-            return replace(h, values=s.clamp(h.values + step))
-        before = h.before
+            return replace(h, values=self._within(h.values + step))
+        before = h.columns.get(BEFORE)
         if before is None:  # scattered about the pose, which is all there is
             h, before = Hypotheses(state.pose[None], np.zeros(1)), state.previous[None]
         steps = np.zeros_like(before) if state.lost else h.values - s.on_branch(before, h.values)
-        return replace(h, values=s.clamp(h.values + self.recipe.predict(steps, state.blind)), before=h.values)
+        ahead = h.values + (self.recipe.predict or stand_still)(steps, state.blind)
+        return replace(h, values=self._within(ahead), columns={BEFORE: h.values})
+
+    def _within(self, poses: Array) -> Array:
+        """Poses (..., D) within the limits, unless the recipe's layers see to that."""
+        return poses if self.recipe.predict is None else self.body.skeleton.clamp(poses)
 
     def _on_canonical_branch(self, state: TrackerState) -> TrackerState:
         s = self.body.skeleton
+        if self.recipe.predict is None:
+            return state  # a velocity belongs to the branch that it was seen on
         pose = s.canonical(state.pose)
         values = s.on_branch(state.hypotheses.values, pose)
         return replace(
@@ -280,26 +303,27 @@ class Tracker:
             hypotheses=replace(state.hypotheses, values=values),
         )
 
-    def _prepare(self, frame: Frame, prediction: Array, usual_iou: float) -> PreparedFrame:
+    def _prepare(self, frame: Frame, prediction: Array, state: TrackerState | None = None) -> PreparedFrame:
         wanted = self.settings.evidence
         return prepare(
             frame,
             self.body,
             prediction,
-            use_silhouettes=wanted in ("silhouettes", "both"),
-            use_keypoints=wanted in ("keypoints", "both"),
+            use_silhouettes=wanted in ("silhouettes", "both", "auto"),
+            use_keypoints=wanted in ("keypoints", "both", "auto"),
             contour_weight=self.settings.contour_weight,
             keypoint_scale_px=self.settings.keypoint_scale_px,
             keypoints_on_body=self.keypoints_on_body,
             prediction_weight=self.settings.prediction_weight * (self.settings.frame_rate / 25) ** 2,
-            usual_iou=usual_iou,
+            usual_iou=float("nan") if state is None else state.usual_iou,
             own=self.own,
+            done=0 if state is None else state.frames,
         )
 
     def _begin(self, prepared: PreparedFrame, state: TrackerState) -> tuple[PreparedFrame, TrackerState]:
         """Before the first search: the set moved to where the recipe starts."""
         start = self.recipe.start(prepared.prediction, prepared)
-        shifted = self.body.skeleton.clamp(state.hypotheses.values + (start - prepared.prediction))
+        shifted = self._within(state.hypotheses.values + (start - prepared.prediction))
         h = replace(state.hypotheses, values=shifted)
         return replace(prepared, prediction=start), replace(state, pose=start, previous=start, hypotheses=h)
 
@@ -367,9 +391,17 @@ def _stacked(of_frames: Sequence[NDArray[np.float32]]) -> NDArray[np.float32] | 
     return np.stack(of_frames) if of_frames[0].size else None
 
 
+def modes_of(estimates: Sequence[FrameEstimate]) -> Modes | None:
+    """The poses that each of the frames allows, where the method tells them."""
+    told = [e.uncertainty.modes for e in estimates if e.uncertainty.modes is not None]
+    return joined_modes(told) if told and len(told) == len(estimates) else None
+
+
 def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray[Any]]:
     """Plain arrays of the finished frames for a checkpoint."""
+    modes = modes_of(estimates)
     return {
+        **({} if modes is None else {f"{_MODES}{k}": v for k, v in modes_arrays(modes).items()}),
         "poses": np.stack([e.pose for e in estimates]),
         "joint_covariances": np.stack([e.uncertainty.joint_covariance for e in estimates]),
         "information": np.stack([e.uncertainty.information for e in estimates]),
@@ -386,10 +418,12 @@ def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray
 
 def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimate]:
     """The estimates that `estimates_to_arrays` wrote."""
+    told = {k.removeprefix(_MODES): v for k, v in arrays.items() if k.startswith(_MODES)}
+    modes = Modes(**told).rows() if told else [None] * len(arrays["poses"])
     return [
         FrameEstimate(
             pose,
-            PoseUncertainty(around, known),
+            PoseUncertainty(around, known, allowed),
             float(cost),
             bool(flags[0]),
             bool(flags[1]),
@@ -400,7 +434,8 @@ def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimat
             rivals=rivals,
             rival_weights=rival_weights,
         )
-        for pose, around, known, cost, flags, views, exchanged, seen, audit, rivals, rival_weights in zip(
+        for allowed, pose, around, known, cost, flags, views, exchanged, seen, audit, rivals, rival_weights in zip(
+            modes,
             arrays["poses"],
             arrays["joint_covariances"],
             arrays["information"],

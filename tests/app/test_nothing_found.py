@@ -114,7 +114,7 @@ def test_one_camera_is_named_and_what_can_be_done_with_it(hypose, masks, tmp_pat
     text = (folder / "recording.toml").read_text()
     (folder / "recording.toml").write_text("[[view]]".join(text.split("[[view]]")[:2]))
     fails(
-        hypose(command, folder), "has one camera, cam1, and this needs two or more", "--method monocular --camera cam1"
+        hypose(command, folder), "has one camera, cam1, and this needs two or more", "--recipe monocular --camera cam1"
     )
     code, out, err = hypose("check", folder)
     assert code == 0 and "There is one camera" in out and "visual hull" not in out + err

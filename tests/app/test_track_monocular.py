@@ -1,4 +1,4 @@
-"""`hypose track --method monocular`: one camera through the command line, its errors, interruption and resume."""
+"""`hypose track --recipe monocular`: one camera through the command line, its errors, interruption and resume."""
 
 import json
 
@@ -8,19 +8,23 @@ import pytest
 from hypose.app.cli import main
 from hypose.app.commands import console
 from hypose.app.jobs.job import DESCRIPTIONS
-from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.body.ready_bodies import JOINT_NAMES, human
+from hypose.cameras.camera import CameraRig
+from hypose.evidence.frame import Frame, Keypoints, Picture
+from hypose.inference.hypotheses import Hypotheses
 from hypose.io.motions.modes import load_modes
 from hypose.io.motions.results import load_motion
 from hypose.io.videos.video import open_video
-from hypose.pipeline.monocular import MonoOptions
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.rigs import look_at, rig
+from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.recipes import recipe
 
 CLICKED = [
     *(f"{s}_{p}" for s in ("left", "right") for p in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")),
     "neck",
     "head",
 ]
-MONO = ("--method", "monocular", "--camera", "cam2", "--hypotheses", "2")
+MONO = ("--recipe", "monocular", "--camera", "cam2", "--hypotheses", "2")
 
 
 @pytest.fixture(scope="module")
@@ -64,9 +68,19 @@ def test_the_modes_can_be_read(one_camera) -> None:
 
 
 def test_mirrored_limbs_are_tried_where_key_points_can_tell_them_apart() -> None:
-    for keypoints in (True, False):
-        search = MonoOptions(hypotheses=4).tracker_settings(60.0, keypoints=keypoints).search
-        assert (search.flips, search.hypotheses) == (keypoints, 4)
+    body = human()
+    made = recipe("monocular", body, frame_rate=60.0, particles=4)
+    view = look_at("cam1", (2.6, -2.4, 1.4), (0.0, 0.0, 1.0), 450.0, (384, 288))
+    picture = Picture(view, np.zeros((288, 384, 3), np.uint8))
+    points = Keypoints(np.zeros((1, 1, 3)), ("head",), CameraRig((view,)))
+    mirror = next(layer.needed for layer in made.layers if layer.name == "mirror")
+    h = Hypotheses.uniform(body.skeleton.rest_pose()[None])
+    assert made.particles == 4
+    for keypoints, done in ((points, 0), (points, 3), (None, 0)):
+        frame = prepare(
+            Frame(0.0, 0, keypoints=keypoints, picture=picture), body, h.best(), use_keypoints=True, done=done
+        )
+        assert mirror(h, frame) == (keypoints is not None and done == 0)
 
 
 def test_the_report_says_how_uncertain_depth_is(one_camera) -> None:
@@ -114,11 +128,15 @@ def test_without_smoothing_the_motion_is_the_best_mode(tiny, clicks, tracked, tm
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (("--method", "monocular", "--camera", "cam9"), "has no camera 'cam9'; it has cam1, cam2, cam3, cam4"),
-        (("--method", "monocular"), "has 4 cameras (cam1, cam2, cam3, cam4); name one with --camera"),
-        (("--method", "stereo"), "There is no --method stereo; choose multiview or monocular"),
-        (("--camera", "cam2"), "--camera chooses one camera, and that needs --method monocular"),
-        ((*MONO, "--recipe", "hpf"), "leave them out with --method monocular"),
+        (("--recipe", "monocular", "--camera", "cam9"), "has no camera 'cam9'; it has cam1, cam2, cam3, cam4"),
+        (("--recipe", "monocular"), "has 4 cameras (cam1, cam2, cam3, cam4); name one with --camera"),
+        (("--camera", "cam2"), "has one camera, cam2, and this needs two or more; track one with --recipe monocular"),
+        ((*MONO, "--recipe", "hpf"), "has one camera, cam2, and this needs two or more"),
+        (("--floor", "0"), "The recipe 'default' has no option 'floor'; leave it out, or choose the recipe monocular"),
+        (
+            ("--evidence", "edges"),
+            "knows no evidence 'edges'; choose silhouettes, keypoints or both",
+        ),
         (MONO, "has no key points and no clicks were given"),
         ((*MONO, "--start", "t"), "--start t is no file of clicked joints"),
         ((*MONO, "--evidence", "keypoints"), "has no key points; add keypoints"),

@@ -69,6 +69,23 @@ def test_rival_poses_come_from_the_modes_beside_a_motion(folder):
     assert np.isnan(found["rival_joints"][3, 1:]).all()
 
 
+def test_rival_poses_come_from_the_motion_itself(folder):
+    motion = load_motion(folder / "motion.npz")
+    t, d = motion.poses.shape
+    rivals = np.full((t, 2, d), np.nan, np.float32)
+    rivals[3, 0] = motion.poses[3]
+    rivals[3, 0, :3] += 1
+    weights = np.zeros((t, 2), np.float32)
+    weights[3, 0] = 0.3
+    save_motion(replace(motion, rivals=rivals, rival_weights=weights), folder / "motion.npz")
+    found = read_bundle(view_bundle(load_view(folder)))[1]
+    np.testing.assert_allclose(found["rival_joints"][3, 0], motion.skeleton.forward(motion.poses[3])[1] + 1, atol=1e-5)
+    assert np.isfinite(found["rival_joints"]).all((2, 3)).sum() == 1
+    np.testing.assert_allclose(found["rival_weights"][3], [0.7, 0.3, np.nan], rtol=1e-6)
+    save_motion(replace(motion, rivals=rivals, rival_weights=0 * weights), folder / "motion.npz")
+    assert "rival_joints" not in read_bundle(view_bundle(load_view(folder)))[1]
+
+
 @pytest.mark.parametrize("shape", [(8, 1), (5, 3)])
 def test_modes_that_are_alone_or_of_another_motion_are_no_rivals(folder, shape):
     np.savez(folder / "modes.npz", joints=np.zeros((*shape, 19, 3)), weights=np.ones(shape))

@@ -24,7 +24,7 @@ def test_cases_are_series_and_groups():
     assert grouped(["keypoints", "keypoints/view 1"], "all")["keypoints"] == ("keypoints", "all")
 
 
-@pytest.mark.parametrize("name", ["table-2.4", "something else"])
+@pytest.mark.parametrize("name", ["table-2.4", "sync"])
 def test_a_picture_is_drawn(tmp_path, name):
     rows = [
         row("extremity_error_mm", f"{p}{a}", v, 2.0) for v, p in ((80, "apf"), (40, "dd-hpf+")) for a in ("", "/wave")

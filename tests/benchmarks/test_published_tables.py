@@ -1,14 +1,17 @@
 """The published comparisons: what their scenes are and how their rows are made of runs."""
 
+import json
 from dataclasses import replace
 from itertools import islice
 
 import numpy as np
 import pytest
 
+from benchmarks.bench_report import BenchOptions
 from benchmarks.multiview import court, table_2_4
 from benchmarks.multiview.action_scenes import Outcome, median_row
 from benchmarks.multiview.table_2_3 import table_rows
+from hypose.io.motions.results import to_json
 from hypose.synthetic.metrics import EVALUATED_JOINTS, JointErrors
 
 
@@ -38,6 +41,32 @@ def test_table_2_3_takes_the_mean_over_actions_then_the_median_over_seeds():
     apo = rows["mean_error_mm", "hpf-apo/all"]
     assert apo.value == pytest.approx(40) and apo.baseline_value == pytest.approx(80)
     assert rows["lost_share", "hpf-apo/box"].value == 0
+
+
+def test_outcomes_survive_json():
+    distances = np.array([[0.1, np.nan, 1e-17], [0.3, 0.2, 0.1]])
+    outcome = Outcome(JointErrors(distances, ("a", "b", "c")), 0.25)
+    again = Outcome.of(json.loads(to_json(outcome.plain())))
+    np.testing.assert_array_equal(again.errors.distances, distances)
+    assert again.errors.names == ("a", "b", "c") and again.seconds_per_frame == 0.25
+
+
+def test_table_2_4_is_made_of_kept_parts(tmp_path, monkeypatch):
+    measured = []
+
+    def run(action, seed, seconds):
+        measured.append((action, seed))
+        outcome = table_2_4.ExtremityOutcome(np.full((3, 5), 0.01 * (seed + 1)), 0.1)
+        seen = table_2_4.Detected([], np.array([0.5, 0.7, 1.0]), np.array([0.03, 0.04, np.nan]), 0.02)
+        return dict.fromkeys(table_2_4.PRESETS, outcome), seen
+
+    monkeypatch.setattr(table_2_4, "run_scene", run)
+    two, three = (table_2_4.table_2_4(BenchOptions(seeds=n, parts=tmp_path)) for n in (2, 3))
+    assert sorted(measured) == sorted((a, s) for a in table_2_4.ACTIONS for s in (0, 1, 2))  # each once
+    assert rows_by_name(two.rows)["extremity_error_mm", "apf"].value == pytest.approx(15)
+    found = rows_by_name(three.rows)
+    assert found["extremity_error_mm", "apf"].value == pytest.approx(20)
+    assert found["seconds_per_frame", "hpf"].ratio == 1 and np.isnan(found["detection_error_mm", "head"].value)
 
 
 def test_table_2_4_averages_extremities_and_actions():

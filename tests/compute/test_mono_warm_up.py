@@ -5,10 +5,14 @@ import pytest
 
 from hypose import compute
 from hypose.body.ready_bodies import human
+from hypose.cameras.camera import CameraRig
 from hypose.compute.native import native
 from hypose.evidence.flow import optical_flow
-from hypose.monocular.tracker import MonoTracker
-from hypose.monocular.types import MonoFrame, MonoHypotheses, clicked_joints
+from hypose.evidence.frame import Frame, Keypoints, Picture
+from hypose.inference.hypotheses import Hypotheses
+from hypose.tracking.monocular.picture_search import PictureSearch
+from hypose.tracking.monocular.recipe import picture_recipe
+from hypose.tracking.tracker import Tracker, TrackerSettings
 from tests.monocular.pictures import camera, mask, picture, wall
 
 KERNELS = {
@@ -23,12 +27,17 @@ def test_nothing_is_compiled_again() -> None:
     body = human()
     view, pose = camera(body), body.skeleton.rest_pose()
     image, shape = picture(body, pose, view, wall()), mask(body, pose, view)
-    points = clicked_joints(body, {"head": (100.0, 60.0), "left_knee": (101.0, 130.0)})
-    tracker = MonoTracker(body, view, threads=1)
-    for frame in (MonoFrame(1, 0.04, image, shape, points), MonoFrame(1, 0.04, image)):
-        state = tracker.start(MonoHypotheses.at(pose), MonoFrame(0, 0.0, image))
-        tracker.step(state, frame, np.random.default_rng(0))
-    tracker.optimise(MonoHypotheses.at(pose), MonoFrame(0, 0.0, image), iterations=1)
+    seen = np.array([[[100.0, 60.0, 1.0], [101.0, 130.0, 1.0]]])
+    points = Keypoints(seen, ("head", "left_knee"), CameraRig((view,)))
+    here = PictureSearch(body, threads=1)
+    tracker = Tracker(body, picture_recipe(here), TrackerSettings("auto"))
+    start = tracker.start(Hypotheses.uniform(pose[None]))
+    for frame in (
+        Frame(0.04, 1, keypoints=points, picture=Picture(view, image, image, shape)),
+        Frame(0.04, 1, picture=Picture(view, image, image)),
+    ):
+        tracker.step(start, frame)
+    here.optimise(pose[None], Frame(0.0, 0, picture=Picture(view, image)), iterations=1)
     optical_flow(image[..., 0].copy(), image[..., 1].copy())
     for room, names in KERNELS.items():
         kernels = native(room)

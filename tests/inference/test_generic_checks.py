@@ -114,7 +114,9 @@ def population(shape: tuple[int, ...], lost: bool = False, covariance: bool = Fa
     values = np.clip(rng.normal(size=(*shape, D)), LOWER, UPPER)
     log_weights = np.full(shape, -np.inf) if lost else rng.normal(size=shape) * 3 - 1000
     spread = np.broadcast_to(np.eye(D), (*shape, D, D)) * rng.random((*shape, 1, 1)) if covariance else None
-    return Hypotheses(values, log_weights, rng.integers(0, 3, shape), rng.integers(0, 2, shape), ("start",), spread)
+    columns = {"velocity": rng.normal(size=values.shape), "cost": rng.random(shape)}
+    origin, role = rng.integers(0, 3, shape), rng.integers(0, 2, shape)
+    return Hypotheses(values, log_weights, origin, role, ("start",), spread, columns)
 
 
 POPULATIONS = {
@@ -127,7 +129,8 @@ POPULATIONS = {
 
 
 def snapshot(h: Hypotheses) -> list[bytes]:
-    return [np.asarray(getattr(h, f.name), dtype=None).tobytes() for f in fields(h) if getattr(h, f.name) is not None]
+    arrays = [getattr(h, f.name) for f in fields(h) if f.name != "columns" and getattr(h, f.name) is not None]
+    return [np.asarray(a).tobytes() for a in [*arrays, *h.columns.values()]]
 
 
 def well_formed(h: Hypotheses, like: Hypotheses) -> None:

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from hypose.body.motion import Modes, joined_modes
 from hypose.errors import InputError
-from hypose.io.motions.modes import Modes, joined, load_joints_of_modes, load_modes, save_modes
+from hypose.io.motions.modes import load_joints_of_modes, load_modes, save_modes
 
 
 def some(t, k, seed=0, d=5, j=3):
@@ -41,7 +42,7 @@ def test_joints_and_weights_must_belong_together(tmp_path) -> None:
 
 
 def test_frames_with_fewer_modes_are_padded() -> None:
-    both = joined([some(2, 1), some(3, 4, seed=1)])
+    both = joined_modes([some(2, 1), some(3, 4, seed=1)])
     assert both.poses.shape[:2] == (5, 4)
     assert np.isnan(both.joints[:2, 1:]).all()
     assert np.isfinite(both.joints[2:]).all()

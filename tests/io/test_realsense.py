@@ -19,7 +19,8 @@ SIZE = (64, 48)
 @pytest.fixture
 def library(monkeypatch, tmp_path_factory):
     monkeypatch.setenv("HOME", str(tmp_path_factory.mktemp("home")))  # the library counts what `record` does
-    return missing.module("pyrealsense2", "RealSense recordings", "pip install 'hypose[realsense]'")
+    yield missing.module("pyrealsense2", "RealSense recordings", "pip install 'hypose[realsense]'")
+    gc.collect()  # it counts when the last of its objects goes
 
 
 def record(rs, path, images, scale=0.001, kind="depth", rate=30):

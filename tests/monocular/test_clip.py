@@ -5,12 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hypose.body.motion import Modes
 from hypose.body.ready_bodies import human
-from hypose.monocular.clip import Modes, WholeClip, backwards, information, summed_up, together
-from hypose.monocular.models import body_dofs
-from hypose.monocular.settings import MonoSettings
-from hypose.monocular.tracker import MonoTracker
-from hypose.monocular.types import MonoFrame, MonoHypotheses
+from hypose.evidence.frame import Frame, Picture
+from hypose.inference.hypotheses import Hypotheses
+from hypose.tracking.monocular.clip import WholeClip, backwards, information, summed_up, together
+from hypose.tracking.monocular.models import body_dofs
+from hypose.tracking.monocular.picture_search import PictureSearch
+from hypose.tracking.monocular.recipe import picture_recipe
+from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.tracker import Tracker
 from tests.monocular.pictures import camera, picture, wall
 
 RATE = 25.0
@@ -20,9 +24,11 @@ def modes(poses, costs=None, spread=0.1):
     """Modes (T, K) of poses (T, K, D), equally likely where there are any."""
     there = np.isfinite(poses[..., 0])
     weights = np.where(there, 1 / there.sum(1, keepdims=True), np.nan)
-    d = poses.shape[2]
+    t, k, d = poses.shape
     covariances = np.where(there[..., None, None], spread**2 * np.eye(d), np.nan)
-    return Modes(poses, weights, np.where(there, 0.0 if costs is None else costs, np.nan), covariances)
+    costs = np.where(there, 0.0 if costs is None else costs, np.nan)
+    nowhere = np.zeros((t, k, 1, 3)), np.zeros((t, 1, 3, 3)), np.zeros((t, 1))
+    return Modes(poses, nowhere[0], weights, costs, covariances, *nowhere[1:], there.sum(1))
 
 
 def test_modes_are_summed_up_by_mean_and_spread():
@@ -76,11 +82,12 @@ def test_the_way_back_finds_the_way_back():
     poses[:, s.dofs_of("left_elbow")] += 0.08 * np.arange(5)[:, None]
     poses[:, s.dofs_of("left_shoulder")[1]] -= 0.06 * np.arange(5)
     background = wall(clutter=12)
-    frames = [MonoFrame(i, i / RATE, picture(body, q, view, background, seed=7)) for i, q in enumerate(poses)]
+    images = [picture(body, q, view, background, seed=7) for q in poses]
     usual = MonoSettings()
     settings = replace(usual, search=replace(usual.search, hypotheses=2, directions=1))
-    tracker = MonoTracker(body, view, settings, body_dofs(s), threads=1)
-    last = replace(MonoHypotheses.at(poses[-1]), velocities=poses[-1:] - poses[-2:-1])
-    found = list(backwards(tracker, last, 5, frames.__getitem__, np.random.default_rng))
+    tracker = Tracker(body, picture_recipe(PictureSearch(body, settings, body_dofs(s), threads=1)))
+    last = Hypotheses(poses[-1:], np.zeros(1), columns={"velocity": poses[-1:] - poses[-2:-1]})
+    way = [Frame(i / RATE, i, picture=Picture(view, images[i], images[i + 1])) for i in range(3, -1, -1)]
+    found = list(backwards(tracker, tracker.start(last), way))
     joints = body.joints(np.stack([e.pose for e in found]))
     assert np.linalg.norm(joints - body.joints(poses[3::-1]), axis=-1).mean() < 0.02

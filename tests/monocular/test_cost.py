@@ -10,12 +10,13 @@ from hypose.body.ready_bodies import human
 from hypose.body.superquadrics import superquadric_body
 from hypose.compute.monocular import cpu_mono_cues, cpu_mono_nodes, cpu_mono_rows, cpu_mono_search, mono
 from hypose.compute.monocular.mono_terms import FlowArrays
+from hypose.evidence.frame import Picture
 from hypose.inference.newton import minimise
-from hypose.monocular.models import arm_dofs, body_dofs, with_hand
-from hypose.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction
-from hypose.monocular.settings import MonoSettings
-from hypose.monocular.types import MonoFrame, clicked_joints
 from hypose.tracking.contacts import soles_of
+from hypose.tracking.monocular.models import arm_dofs, body_dofs, with_hand
+from hypose.tracking.monocular.points import clicked_joints
+from hypose.tracking.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction
+from hypose.tracking.monocular.settings import MonoSettings
 from tests.monocular.pictures import SIZE, camera, picture, wall
 
 ONLY_POINTS = MonoSettings(edges=False, second_order=False)
@@ -30,8 +31,7 @@ def problem_of(body, active, settings=ONLY_POINTS, points=None, image=None, dist
     view = camera(body, distance=distance)
     fixed = fixed_parts(body, body.coarse, view, active, settings, floor)
     blank = np.full((SIZE[1], SIZE[0], 3), 120, np.uint8) if image is None else image
-    frame = MonoFrame(0, 0.0, blank, None, points)
-    problem = frame_problem(fixed, frame, field_of(frame, settings), None, settings)
+    problem = frame_problem(fixed, Picture(view, blank), points, field_of(blank, settings), None, settings)
     return problem, mono.workspace(fixed.model, SIZE[1], SIZE[0])
 
 

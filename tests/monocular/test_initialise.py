@@ -6,12 +6,13 @@ import pytest
 from hypose.body.fit_skeleton import FACTORS
 from hypose.body.ready_bodies import human
 from hypose.errors import EvidenceError, InputError
-from hypose.monocular.initialise import initialise, rival_poses
-from hypose.monocular.models import body_dofs
-from hypose.monocular.proportions import NAMES, proportions, search_factors, shaped
-from hypose.monocular.types import MonoFrame, clicked_joints
+from hypose.evidence.frame import Frame, Picture
 from hypose.synthetic.mono_scenes import body_scene
 from hypose.synthetic.rigs import look_at
+from hypose.tracking.monocular.initialise import initialise, rival_poses
+from hypose.tracking.monocular.models import body_dofs
+from hypose.tracking.monocular.points import clicked_joints
+from hypose.tracking.monocular.proportions import NAMES, proportions, search_factors, shaped
 
 CLICKED = tuple(
     [f"{side}_{part}" for side in ("left", "right") for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")]
@@ -82,22 +83,20 @@ def test_proportions_are_found_with_the_pose_and_are_mirrored() -> None:
     s = human().skeleton
     uv = scene.camera.project(scene.performance.joints[0])
     clicks = {n: (float(uv[s.joint(n), 0]), float(uv[s.joint(n), 1])) for n in CLICKED}
-    frame = MonoFrame(0, 0.0, scene.image(0))
-    fit = initialise(
-        human(), scene.camera, lambda b: clicked_joints(b, clicks, 2.0), frame, height=scene.subject.stature, rivals=4
-    )
+    frame = Frame(0.0, 0, picture=Picture(scene.camera, scene.image(0)))
+    fit = initialise(human(), lambda b: clicked_joints(b, clicks, 2.0), frame, height=scene.subject.stature, rivals=4)
     assert abs(fit.body.stature / scene.subject.stature - 1) < 0.04
     lengths = fit.body.segment_lengths()
     for part in ("upper_arm", "forearm", "thigh", "shank"):
         assert lengths[f"left_{part}"] == pytest.approx(lengths[f"right_{part}"], rel=0.01)
     assert fit.residual_px < 6
     h = fit.hypotheses
-    assert 1 <= len(h) <= 4
+    assert 1 <= h.count <= 4
     assert h.weights.sum() == pytest.approx(1)
-    assert (np.diff(h.costs) >= 0).all()
-    errors = [aligned_error(fit.body, q, scene.performance.joints[0]) for q in h.poses]
+    assert (np.diff(h.columns["cost"]) >= 0).all()
+    errors = [aligned_error(fit.body, q, scene.performance.joints[0]) for q in h.values]
     assert min(errors) < 0.15
-    variance = np.diagonal(h.covariances[0])[body_dofs(fit.body.skeleton)]
+    variance = np.diagonal(h.covariance[0])[body_dofs(fit.body.skeleton)]
     assert (variance > 0).all()
     prior = proportions(human(), scene.subject.stature)
     assert (fit.factors >= prior.lower - 1e-9).all()
@@ -107,9 +106,9 @@ def test_proportions_are_found_with_the_pose_and_are_mirrored() -> None:
 def test_too_few_points(camera, stride) -> None:
     body, q = stride
     clicks = clicks_of(body, camera, q, ("neck", "head", "left_hip"))
-    frame = MonoFrame(7, 0.0, np.zeros((288, 384, 3), np.uint8))
+    frame = Frame(0.0, 7, picture=Picture(camera, np.zeros((288, 384, 3), np.uint8)))
     with pytest.raises(EvidenceError, match="Frame 7: only 3 points of the body are seen; at least 6"):
-        initialise(body, camera, lambda b: clicked_joints(b, clicks), frame)
+        initialise(body, lambda b: clicked_joints(b, clicks), frame)
 
 
 def test_a_height_that_is_none() -> None:

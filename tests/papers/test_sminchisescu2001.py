@@ -14,11 +14,13 @@ from hypose.compute.monocular.mono_terms import GAUSSIAN, LECLERC, LORENTZIAN, F
 from hypose.compute.solver import cpu_solver
 from hypose.evidence.edges import edge_field
 from hypose.evidence.flow import optical_flow
-from hypose.monocular.models import body_dofs
-from hypose.monocular.pool import Candidate, as_hypotheses, prune, uncertain_samples
-from hypose.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction
-from hypose.monocular.settings import MonoSettings
-from hypose.monocular.types import MonoFrame
+from hypose.evidence.frame import Picture
+from hypose.inference.layer import Layer, Recipe, search
+from hypose.inference.selectors import keep
+from hypose.tracking.monocular.models import body_dofs
+from hypose.tracking.monocular.pool import OPTIMISED, accumulated, candidates, prune, uncertain_samples
+from hypose.tracking.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction
+from hypose.tracking.monocular.settings import MonoSettings
 from tests.monocular.pictures import SIZE, camera, picture, wall
 from tests.monocular.test_cost import flow_cost, flow_problem
 from tests.papers.test_body_equations import transforms
@@ -38,8 +40,8 @@ def scene():
 def problem_of(scene, settings):
     body, _, image = scene
     fixed = fixed_parts(body, body.coarse, camera(body), body_dofs(body.skeleton), settings)
-    frame = MonoFrame(0, 0.0, image)
-    problem = frame_problem(fixed, frame, field_of(frame, settings), None, settings)
+    seen = Picture(camera(body), image)
+    problem = frame_problem(fixed, seen, None, field_of(image, settings), None, settings)
     return problem, mono.workspace(fixed.model, SIZE[1], SIZE[0])
 
 
@@ -96,8 +98,9 @@ def test_equations_2_and_3_robust_forms(sigma):
 def test_equation_4_weights_are_exp_of_minus_the_cost_over_their_sum(scene):
     pose = scene[1]
     costs = np.array([3.0, 4.5, 3.2])
-    pool = [Candidate(pose, 0 * pose, pose, np.eye(30), np.ones(30, bool), c, c, 0) for c in costs]
-    found = as_hypotheses(pool, np.zeros((3, len(pose), len(pose))))
+    pool = candidates(OPTIMISED, np.repeat(pose[None], 3, 0), evidence=costs)
+    layer = Layer(lambda h, frame, rng: h, accumulated, keep)
+    found = search(pool, Recipe("weighed", (layer,)), None, np.random.default_rng).weighted
     np.testing.assert_allclose(found.weights, np.exp(-costs) / np.exp(-costs).sum(), rtol=1e-12)
 
 
@@ -311,10 +314,9 @@ def test_figure_4_samples_lie_along_the_most_uncertain_free_directions():
     free = np.ones(30, bool)
     pose = body.skeleton.rest_pose()
     unlimited = np.full(30, np.inf)
-    search = replace(MonoSettings().search, directions=2, samples=2, reach=3.0, longest=100.0)
+    how = replace(MonoSettings().search, directions=2, samples=2, reach=3.0, longest=100.0)
     hessian = basis @ np.diag(values) @ basis.T
-    candidate = Candidate(pose, 0 * pose, pose, hessian, free, 0.0, 0.0, 0)
-    found = uncertain_samples(candidate, active, spread, -unlimited, unlimited, search, rng)
+    found = uncertain_samples(pose, hessian, free, active, spread, -unlimited, unlimited, how, rng)
     assert len(found) == 8
     steps = (found - pose)[:, active]
     for k in range(2):  # x + p sigma_j v_j with sigma_j = 1 / sqrt(lambda_j), p to p_f on either side
@@ -323,20 +325,17 @@ def test_figure_4_samples_lie_along_the_most_uncertain_free_directions():
     # a dof that a limit holds stays: the decomposition is that of the free subspace
     held = free.copy()
     held[3] = False
-    stuck = uncertain_samples(replace(candidate, free=held), active, spread, -unlimited, unlimited, search, rng)
+    stuck = uncertain_samples(pose, hessian, held, active, spread, -unlimited, unlimited, how, rng)
     assert (stuck[:, active[3]] == pose[active[3]]).all()
 
 
 def test_figure_4_the_pool_of_all_hypotheses_is_pruned_to_the_best_distinct_ones():
     body = human()
-    search = replace(MonoSettings().search, hypotheses=3, distinct_m=0.05)
+    settings = replace(MonoSettings().search, hypotheses=3, distinct_m=0.05)
 
-    def at(angle, evidence):
-        pose = body.skeleton.rest_pose()
-        pose[body.skeleton.dofs_of("left_elbow")] += angle
-        return Candidate(pose, 0 * pose, pose, np.eye(30), np.ones(30, bool), evidence, evidence, 0)
-
-    pool = [at(0.0, 1.0), at(0.01, 1.1), at(0.5, 3.0), at(0.9, 2.0), at(-0.5, 9.0)]
-    kept = prune(pool, body, search)
+    poses = np.repeat(body.skeleton.rest_pose()[None], 5, 0)
+    poses[:, body.skeleton.dofs_of("left_elbow")] += np.array([[0.0], [0.01], [0.5], [0.9], [-0.5]])
+    pool = candidates(OPTIMISED, poses, evidence=np.array([1.0, 1.1, 3.0, 2.0, 9.0]))
+    kept = prune(pool, body, settings)
     # 0.01 is no other pose than 0; of the rest the two best stay
-    assert [c.evidence for c in kept] == [1.0, 2.0, 3.0]
+    assert kept.columns["evidence"].tolist() == [1.0, 2.0, 3.0]

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from hypose.evidence.frame import Frame
-from hypose.inference.hypotheses import Hypotheses
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.audit import AUDITED, audit_frame
 from hypose.tracking.frame_evidence import prepare
@@ -62,8 +61,8 @@ def test_key_points_tell_how_far_a_joint_is_off(seen):
 
 def test_rivals_say_where_else_a_joint_may_be(seen):
     frame, body, pose, wrong = seen
-    both = Hypotheses(np.stack([pose, wrong]), np.log([0.8, 0.2]), before=np.stack([pose, wrong]))
-    spread = column(audit_frame(body, pose, frame, None, both), "rival")
+    others = np.stack([wrong, np.full_like(wrong, np.nan)]), np.array([0.2, 0.0])
+    spread = column(audit_frame(body, pose, frame, None, others), "rival")
     away = np.linalg.norm(body.joints(wrong) - body.joints(pose), axis=-1)
     assert spread == pytest.approx(np.sqrt(0.2) * away, abs=1e-6)
     alone = column(audit_frame(body, pose, frame), "rival")

@@ -21,11 +21,22 @@ from hypose.tracking.tracker import Tracker, TrackerSettings
 from tests.tracking.measures import joint_error
 
 PUBLISHED = ("sir", "apf", "partitioned", "hpf", "hpf-apo", "hpf-apo+", "dd-hpf", "dd-hpf+", "dd-hpf+5")
-SOLVING = ("default", "hpf+")
+SOLVING = ("default", "hpf+", "dd-hpf+rivals")
 
 
 def test_every_preset_is_published_or_solves():
-    assert set(PUBLISHED) | set(SOLVING) == set(RECIPES)
+    assert {*PUBLISHED, *SOLVING, "monocular"} == set(RECIPES)
+
+
+def test_options_of_one_method_are_the_parameters_of_its_preset(body):
+    assert recipe("monocular", body, particles=3, floor=0.0).particles == 3
+    with pytest.raises(InputError, match="'hpf' has no option 'floor'; leave it out, or choose the recipe monocular"):
+        RECIPES["hpf"].check("hpf", "silhouettes", {"floor": 0.0})
+    with pytest.raises(InputError, match="'hpf' has no option 'tail'"):
+        RECIPES["hpf"].check("hpf", "silhouettes", {"tail": 1})
+    with pytest.raises(InputError, match="'hpf' knows no evidence 'edges'; choose silhouettes, keypoints or both"):
+        RECIPES["hpf"].check("hpf", "edges", ())
+    RECIPES["monocular"].check("monocular", "edges", {"floor": 0.0})
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
@@ -35,7 +46,7 @@ def test_what_is_published_never_solves_and_never_recovers(body, standing, frame
 
     monkeypatch.setattr(refinement, "fit_poses", solve)
     made = recipe(name, body, particles=20)
-    assert made.recover is None and made.uncertainty is None and not made.smooth
+    assert made.recover is None and made.uncertainty is None and made.smooth is None
     tracker = Tracker(body, made)
     jumped = standing.copy()
     jumped[:2] += [-0.7, 0.5]
@@ -60,7 +71,7 @@ def test_what_solves_mends_a_start_that_is_off(body, standing, frame_of, name):
     tracker = Tracker(body, made)
     _, estimate = tracker.step(tracker.start(off), frame_of(body, standing))
     assert joint_error(body, estimate.pose, standing) < 0.012
-    assert made.recover is not None and made.smooth and made.predict(np.ones(2), 1).tolist() == [0.8**2] * 2
+    assert made.recover is not None and made.smooth is not None and made.predict(np.ones(2), 1).tolist() == [0.8**2] * 2
 
 
 def test_annealing_diffuses_by_the_spread_of_the_set(body):

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from hypose.inference.hypotheses import Hypotheses
+from hypose.inference.hypotheses import BEFORE, Hypotheses
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.pose_covariance import uncertainty_of_pose
 from hypose.tracking.published_recipes import LIMB_LAYERS
-from hypose.tracking.reach_table import arm_reach, ends
+from hypose.tracking.reach_table import arm_reach, ends, ends_of
 from hypose.tracking.recipes import default
 from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED
 from hypose.tracking.rival_arms import LookedUp, RefineRivals, rival_arms
@@ -61,6 +61,9 @@ def off_guard(body, pose):
 def test_points_lie_on_the_arm_wherever_the_body_is(body, arms, raised, rng):
     s = body.skeleton
     pose = s.clamp(raised + rng.normal(0, 0.2, s.dof))
+    together = ends_of([arms["l"], arms["r"]], np.stack([raised, pose]))[1]
+    for side, at in zip("lr", together, strict=True):
+        np.testing.assert_allclose(at, ends(arms[side].here(pose[None]))[0], atol=1e-12)
     r, p = s.forward(pose)
     for side, arm in (("left", arms["l"]), ("right", arms["r"])):
         chest = s.joint("chest")
@@ -112,7 +115,7 @@ def test_a_found_arm_stands_still_and_the_body_goes_on(body, arms, standing, rai
     """The estimate of the next frame is expected by its parent's step, but for the arm that lay elsewhere."""
     before = standing.copy()
     before[:2] -= 0.03
-    rivals = Hypotheses(standing[None], np.zeros(1), before=before[None])
+    rivals = Hypotheses(standing[None], np.zeros(1), columns={BEFORE: before[None]})
     frame = replace(prepare(frame_of(body, raised), body, standing), rivals=rivals)
     refine = RefineRivals(((arms["l"], lambda h, frame: True), (arms["r"], lambda h, frame: True)))
     out = refine(off_guard(body, standing), frame, rng)
@@ -120,13 +123,38 @@ def test_a_found_arm_stands_still_and_the_body_goes_on(body, arms, standing, rai
     assert wrist_error(body, out.values[best], raised) < 0.05
     assert out.has(SOLVED)[best] and out.has(RIVAL).sum() == out.count - 1
     own = arms["l"].own
-    np.testing.assert_allclose(out.before[best, own], out.values[best, own], atol=1e-6)
-    np.testing.assert_array_equal(np.delete(out.before[best], own), np.delete(before, own))
+    np.testing.assert_allclose(out.columns[BEFORE][best, own], out.values[best, own], atol=1e-6)
+    np.testing.assert_array_equal(np.delete(out.columns[BEFORE][best], own), np.delete(before, own))
     assert (out.origin == 0).all()
 
 
+def test_what_is_right_in_one_rival_and_wrong_in_the_other_is_crossed(body, arms, standing, raised, frame_of, rng):
+    """Nothing is looked up: the estimate has one arm of the two, and a rival has the other."""
+    s = body.skeleton
+    truth, right = raised.copy(), s.dofs_of(*RIGHT)
+    truth[right] = s.clamp(raised)[right] + [*[0.0] * (len(right) - 4), 1.3, 0.0, -0.3, 0.9][-len(right) :]
+    truth = s.clamp(truth)
+    other = standing.copy()
+    other[right] = truth[right]
+    before = np.stack([standing, other])
+    before[1, right[-1]] -= 0.2
+    rivals = Hypotheses(np.stack([raised, other]), np.array([0.0, -1.0]), columns={BEFORE: before})
+    frame = replace(prepare(frame_of(body, truth), body, raised), rivals=rivals)
+    never = ((arms["l"], lambda h, frame: False), (arms["r"], lambda h, frame: False))
+    out = RefineRivals(never)(off_guard(body, raised), frame, rng)
+    best = int(out.relative_log_weights.argmax())
+    assert wrist_error(body, out.values[best], truth) < 0.05
+    assert wrist_error(body, out.values[best], truth, "right") < 0.05
+    np.testing.assert_array_equal(
+        out.columns[BEFORE][best, right], before[1, right]
+    )  # the arm brings its history along
+    assert out.origin[best] == 0
+
+
 def test_without_masks_the_estimate_lives_alone(body, arms, standing, frame_of, rng):
-    rivals = Hypotheses(np.stack([standing + 0.1, standing]), np.array([-1.0, 0.0]), before=np.stack([standing] * 2))
+    rivals = Hypotheses(
+        np.stack([standing + 0.1, standing]), np.array([-1.0, 0.0]), columns={BEFORE: np.stack([standing] * 2)}
+    )
     frame = replace(prepare(frame_of(body, standing), body, standing), masks=None, rivals=rivals)
     out = RefineRivals(((arms["l"], lambda h, frame: True),))(off_guard(body, standing), frame, rng)
     assert out.count == 1 and out.has(SOLVED).all()
@@ -191,10 +219,10 @@ def test_hypotheses_go_on_by_their_own_steps(body, standing):
     before = values.copy()
     before[0, 0] -= 0.1
     before[1, 1] += 0.2
-    h = Hypotheses(s.clamp(values), np.array([0.0, -1.0]), before=before)
+    h = Hypotheses(s.clamp(values), np.array([0.0, -1.0]), columns={BEFORE: before})
     expected = tracker._expected(replace(state, hypotheses=h), np.zeros(s.dof))
     np.testing.assert_allclose(expected.values[:, :2] - standing[:2], [[0.08, 0], [0, -0.16]], atol=1e-6)
-    np.testing.assert_array_equal(expected.before, h.values)
+    np.testing.assert_array_equal(expected.columns[BEFORE], h.values)
     lost = tracker._expected(replace(state, hypotheses=h, lost=True), np.zeros(s.dof))
     np.testing.assert_array_equal(lost.values, h.values)
 

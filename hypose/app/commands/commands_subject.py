@@ -50,11 +50,12 @@ def subject(
         _from_mesh(mesh, unit, height, out or mesh.with_name("subject"))
         return
     assert recording is not None
-    from hypose.app.jobs.job import check_views, choose_frames
+    from hypose.app.jobs.job import choose_frames
     from hypose.body.ready_bodies import human
     from hypose.io.claims import claimed
     from hypose.io.recordings.frames import FrameStream
     from hypose.io.recordings.recording import load_recording
+    from hypose.pipeline.run import check_views
     from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject, save_subject
     from hypose.tracking.starts import KNOWN_POSES
 

@@ -19,7 +19,6 @@ from hypose.errors import InputError
 
 if TYPE_CHECKING:
     from hypose.app.jobs.job import Job, Outcome
-    from hypose.pipeline.monocular import MonoOptions
 
 Compute = Annotated[
     str,
@@ -30,9 +29,17 @@ Compute = Annotated[
 def track(
     context: typer.Context,
     recording: Annotated[Path, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")],
-    recipe: Annotated[str, typer.Option(help="default, hpf, apf, sir or partitioned.")] = "default",
+    recipe: Annotated[
+        str, typer.Option(help="default, hpf, apf, sir, partitioned, or with one camera monocular.")
+    ] = "default",
     refine: Annotated[bool, typer.Option("--refine", help="Contour refinement after a published recipe.")] = False,
-    evidence: Annotated[str, typer.Option(help="silhouettes, keypoints or both.")] = "silhouettes",
+    evidence: Annotated[
+        str | None,
+        typer.Option(
+            help="silhouettes, keypoints or both; with monocular also auto or edges. [default: silhouettes; with "
+            "monocular all there is]"
+        ),
+    ] = None,
     start: Annotated[
         str,
         typer.Option(
@@ -65,14 +72,13 @@ def track(
     calibration: Annotated[
         Path | None, typer.Option(help="Use this calibration file instead of the recording's.")
     ] = None,
-    method: Annotated[
-        str, typer.Option(help="multiview, or monocular: one camera, several hypotheses (docs/monocular.md).")
-    ] = "multiview",
-    camera: Annotated[str | None, typer.Option(help="The camera of --method monocular.")] = None,
-    hypotheses: Annotated[int, number("Hypotheses of --method monocular.", 1, 100)] = 7,
+    camera: Annotated[str | None, typer.Option(help="Only this camera of the recording, for monocular.")] = None,
+    hypotheses: Annotated[
+        int | None, number("How many hypotheses are followed. [default: the recipe's own number]", 1, 100_000)
+    ] = None,
     floor: Annotated[
         float | None,
-        number("Height in the world, in metres, of the floor of --method monocular.", -100, 100, unit="metres"),
+        number("With monocular: height of the floor in the world, in metres.", -100, 100, unit="metres"),
     ] = None,
 ) -> None:
     """Track the person in a recording: poses with their uncertainty, motion files, overlay video, report.
@@ -83,10 +89,11 @@ def track(
     from hypose.app.jobs.job import Job, choose_frames
     from hypose.io.motions.results import ResultsFolder
     from hypose.io.recordings.recording import load_recording
+    from hypose.pipeline.pictures import one_view
     from hypose.pipeline.run import TrackOptions
 
     loaded = choose_frames(load_recording(recording, calibration), frames)
-    options: TrackOptions | MonoOptions = TrackOptions(
+    options = TrackOptions(
         recipe=recipe,
         refine=refine,
         evidence=evidence,
@@ -95,13 +102,11 @@ def track(
         height=height if height is not None else loaded.subject_height,
         subject=str(subject) if subject is not None else None,
         smooth=not no_smooth,
+        particles=hypotheses,
+        own={} if floor is None else {"floor": floor},
     )
-    if method != "multiview" or camera is not None:
-        from hypose.app.jobs.mono_job import one_camera
-
-        source = context.get_parameter_source("evidence")
-        given = source is not None and source.name != "DEFAULT"
-        loaded, options = one_camera(loaded, method, camera, options, hypotheses, evidence if given else "auto", floor)
+    if camera is not None or options.of_picture:
+        loaded = one_view(loaded, camera)
     results = ResultsFolder(out) if out is not None else ResultsFolder.of(loaded.folder, options.recipe)
     job = Job(
         loaded,
@@ -148,7 +153,7 @@ def demo(
 
 def run_shown(job: Job, arguments: list[str]) -> tuple[Outcome, dict[str, float]]:
     """Run a job with progress; when it is interrupted, say what was kept and how to go on, and exit with code 130."""
-    from hypose.app.jobs.run_job import run_job
+    from hypose.app.jobs.job import run_job
     from hypose.io.claims import claimed
 
     previous = signal.signal(signal.SIGTERM, _interrupt)

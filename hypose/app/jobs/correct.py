@@ -26,11 +26,11 @@ from hypose.io.files import text_lines
 from hypose.io.motions.bodies import load_body, save_body
 from hypose.io.motions.export import export_motion
 from hypose.io.motions.results import ResultsFolder, check_writable, load_motion, save_motion
-from hypose.io.recordings.frames import FrameOptions, FrameStream
+from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.json_text import parse_json
 from hypose.pipeline.first_frame import GIVEN, Subject, SubjectOptions, find_subject
-from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.run import TrackOptions, frames_wanted, track_source
 
 _LARGEST_CLICKS = 1 << 20
 _FROM_HERE = "the start is the corrected pose"
@@ -83,8 +83,7 @@ def correct(
     compute.warm_up()
     progress("compile", 1, 1)
     part = replace(recording, frame_range=(first + row, first + stop))
-    evidence = FrameOptions(silhouettes=None) if options.evidence == "keypoints" else None
-    with FrameStream(part, evidence) as source:
+    with FrameStream(part, frames_wanted(part, options)) as source:
         subject = _subject(source, part, options, body, correction.pose)
         # who has corrected the frame has also said where left and right are
         sure = replace(options, sure_start=True)
@@ -143,12 +142,13 @@ def _options(motion: Motion, old: ResultsFolder) -> tuple[TrackOptions, int]:
     settings = motion.provenance.get("settings", {})
     known = {f.name for f in fields(TrackOptions)} - {"start", "subject", "height"}
     frames = settings.get("frames")
-    if motion.poses is None or not frames or "recipe" not in settings:
+    options = TrackOptions(**{k: v for k, v in settings.items() if k in known})
+    if motion.poses is None or not frames or "recipe" not in settings or options.of_picture:
         raise InputError(
             f"{old.path} was not tracked by `hypose track` with several cameras, so it cannot be tracked on from a "
-            "corrected frame; with one camera start it again: hypose track --method monocular --start CLICKS."
+            "corrected frame; with one camera start it again: hypose track --recipe monocular --start CLICKS."
         )
-    return TrackOptions(**{k: v for k, v in settings.items() if k in known}), int(frames[0])
+    return options, int(frames[0])
 
 
 def _rows(motion: Motion, correction: Correction, first: int, until: int | None) -> tuple[int, int]:
@@ -165,7 +165,7 @@ def _rows(motion: Motion, correction: Correction, first: int, until: int | None)
 
 def _subject(source: FrameStream, part: Recording, options: TrackOptions, body: Body, pose: Array) -> Subject:
     """The body as it is, at the corrected pose; where key points sit on it when they are evidence."""
-    if options.evidence == "silhouettes":
+    if options.looks_at == "silhouettes":
         return Subject(body, None, pose, (GIVEN, _FROM_HERE))
     wanted = SubjectOptions("keypoints", None, False, body, part.frame_rate, options.seed, known=True)
     return replace(find_subject(source.frame, len(source), wanted), start=pose, notes=(GIVEN, _FROM_HERE))

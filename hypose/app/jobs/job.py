@@ -22,8 +22,9 @@ from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.io.motions.bodies import load_body, save_body
 from hypose.io.motions.export import FORMATS, export_motion
+from hypose.io.motions.modes import load_modes
 from hypose.io.motions.results import ResultsFolder, check_writable, load_motion, to_json
-from hypose.io.recordings.frames import FrameOptions, FrameStream
+from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.provenance import identity, provenance
 from hypose.io.recordings.recording import Recording
 from hypose.json_text import parse_json
@@ -31,8 +32,9 @@ from hypose.pipeline.chunked import FOLDER as CHUNKS
 from hypose.pipeline.chunked import ChunkRun
 from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.kept_findings import kept_backgrounds
-from hypose.pipeline.monocular import MonoOptions
-from hypose.pipeline.run import TrackOptions, TrackResult, track_source
+from hypose.pipeline.picture_start import POINT_STARTS, clicks_of
+from hypose.pipeline.pictures import depth_note
+from hypose.pipeline.run import MODES, TrackOptions, TrackResult, check_views, frames_wanted, track_source
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
 from hypose.pipeline.verdict import Verdict
 from hypose.tracking.recipes import RECIPES, citation_of
@@ -48,7 +50,7 @@ class Job:
     overlapping chunks of about so many seconds and join them; what is kept of them in `results` is used."""
 
     recording: Recording
-    options: TrackOptions | MonoOptions
+    options: TrackOptions
     results: ResultsFolder
     formats: Sequence[str] = tuple(FORMATS)
     overlay: bool = True
@@ -91,31 +93,19 @@ def choose_frames(recording: Recording, text: str | None) -> Recording:
     return replace(recording, frame_range=(a, b))
 
 
-def check_views(recording: Recording) -> None:
-    """An InputError for a recording of one camera, which the methods for several can do nothing with."""
-    if len(recording.views) == 1:
-        name = recording.views[0].name
-        raise InputError(
-            f"{recording.name} has one camera, {name}, and this needs two or more; track one with --method monocular "
-            f"--camera {name}, or add the others as [[view]] in recording.toml."
-        )
-
-
-def run_multiview_job(
-    job: Job, options: TrackOptions, progress: ProgressCall = ignore, seconds: Mapping[str, float] | None = None
-) -> Outcome:
+def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, float] | None = None) -> Outcome:
     """Track, export, draw and report. seconds: filled by the progress while this runs, read for the report.
 
     KeyboardInterrupt while tracking gives an Outcome with complete=False (checkpoint and partial motion are on disk);
     in any other stage it is passed on.
     """
-    recording, results = job.recording, job.results
-    check_views(recording)
+    recording, results, options = job.recording, job.results, job.options
     _check_choices(job, options)
+    check_views(recording, options.of_picture)
     check_writable(results.path)
     record = record_of(job)
     progress("compile", 0, 1)
-    compute.warm_up()
+    compute.warm_up(monocular=options.of_picture)
     progress("compile", 1, 1)
     finished = finished_before(job, record) if job.resume else None
     progress("background", 0, 1)
@@ -127,37 +117,37 @@ def run_multiview_job(
             results.write_json("provenance.json", tracked.motion.provenance)
         else:
             tracked = finished
-        verdict = tracked.verdict
-        if finished is None:
-            results.write_json(VERDICT, verdict.with_joints(tracked.motion))
-        else:
-            verdict = _verdict_before(results) or verdict
-        notes = (f"Verdict: {verdict.sentence}", *recording.notes, *source.notes, *tracked.notes)
-        files = [results.motion, results.file("body.npz"), results.file("provenance.json"), results.file(VERDICT)]
+        notes = (*recording.notes, *source.notes, *tracked.notes)
+        files = [results.motion, results.file("body.npz"), results.file("provenance.json")]
+        verdict = None if options.of_picture else _verdict(tracked, results, finished is not None)
+        if verdict is not None:
+            files.append(results.file(VERDICT))
+        if tracked.modes is not None:
+            files.insert(1, results.file(MODES))
         truth = job.truth(tracked.motion, tracked.body) if job.truth is not None else None
         if not tracked.complete:
-            return Outcome(tracked.motion, tracked.body, False, tuple(files), notes[1:], truth)
+            return Outcome(tracked.motion, tracked.body, False, tuple(files), notes, truth)
         files += export_all(job, tracked.motion, tracked.body, progress)
-        files += _draw(job, options, tracked, source, notes, truth, files, progress, seconds or {})
+        said = notes if verdict is None else (f"Verdict: {verdict.sentence}", *notes)
+        files += _draw(job, options, tracked, source, said, truth, files, progress, seconds or {})
     remove_stale(results, files)
     shutil.rmtree(results.path / CHUNKS, ignore_errors=True)  # of a run that was killed when they were joined
-    return Outcome(tracked.motion, tracked.body, True, tuple(files), notes[1:], truth, verdict)
+    return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth, verdict)
 
 
-def _verdict_before(results: ResultsFolder) -> Verdict | None:
-    """The verdict that was kept, None when there is none that can be read."""
-    try:
-        return Verdict.of_document(parse_json(results.file(VERDICT).read_text(encoding="utf-8")))
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return None
+def _verdict(tracked: TrackResult, results: ResultsFolder, before: bool) -> Verdict:
+    """The verdict on what was tracked, written; or what was written before, when that can be read."""
+    if before:
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+            return Verdict.of_document(parse_json(results.file(VERDICT).read_text(encoding="utf-8")))
+    results.write_json(VERDICT, tracked.verdict.with_joints(tracked.motion))
+    return tracked.verdict
 
 
 def open_frames(job: Job, record: Mapping[str, Any]) -> FrameStream:
     """The frames of a job's recording; with the backgrounds that its chunks have kept."""
-    # key points alone need no image, so nothing is decoded
-    evidence = FrameOptions(silhouettes=None) if job.options.evidence == "keypoints" else None
     kept = kept_backgrounds(backgrounds_file(job), identity(record)) if job.chunk_s is not None else None
-    return FrameStream(job.recording, evidence, kept)
+    return FrameStream(job.recording, frames_wanted(job.recording, job.options), kept)
 
 
 def backgrounds_file(job: Job) -> Path:
@@ -195,12 +185,15 @@ def _check_choices(job: Job, options: TrackOptions) -> None:
     check_formats(job.formats)
     if options.recipe not in RECIPES:
         raise InputError(f"There is no recipe {options.recipe!r}; the recipes are {', '.join(RECIPES)}.")
-    SubjectOptions(options.start)
+    if options.of_picture:
+        clicks_of(options.start, job.recording)
+    else:
+        SubjectOptions(options.start)
     if options.subject is not None:
         load_subject(options.subject)
     if options.height is not None and not 0.4 <= options.height <= 2.8:
         raise InputError(f"A height of {options.height:g} m is implausible; give it in metres (0.4 to 2.8).")
-    if options.evidence == "keypoints" and job.recording.keypoint_set is None:
+    if options.looks_at == "keypoints" and not options.of_picture and job.recording.keypoint_set is None:
         raise InputError(
             "The evidence 'keypoints' needs key points, and this recording has none; add keypoints = ... to the views "
             "in recording.toml, or use silhouettes."
@@ -232,6 +225,8 @@ def record_of(job: Job) -> dict[str, Any]:
         inputs["recording"] = toml
     if options.subject is not None:
         inputs["subject"] = subject_file(options.subject)
+    if options.of_picture and options.start not in POINT_STARTS:
+        inputs["clicks"] = Path(options.start)
     return provenance(options.recipe, options.seed, settings, inputs, job.run)
 
 
@@ -244,7 +239,13 @@ def finished_before(job: Job, record: Mapping[str, Any]) -> TrackResult | None:
     motion = load_motion(results.motion)
     if to_json(identity(motion.provenance)) != to_json(identity(record)) or len(motion) != len(job.recording.frames):
         return None
-    return TrackResult(motion, load_body(body), True, ("tracked in an earlier run with the same inputs and settings",))
+    notes, modes = ("tracked in an earlier run with the same inputs and settings",), None
+    if job.options.of_picture:
+        if not results.file(MODES).exists():
+            return None
+        modes = load_modes(results.file(MODES))
+        notes = (*notes, depth_note(motion, modes))
+    return TrackResult(motion, load_body(body), True, notes, modes)
 
 
 def export_all(job: Job, motion: Motion, body: Body, progress: ProgressCall) -> list[Path]:
@@ -270,10 +271,12 @@ def _draw(
 ) -> list[Path]:
     """Overlay and report."""
     from hypose.app.reports.drawing import draw
+    from hypose.app.reports.modes_overlay import write_modes_overlay
     from hypose.app.reports.overlay import write_overlay
     from hypose.app.reports.report import ReportInput
+    from hypose.app.studio.view_bundle import Rivals
 
-    recording, motion, body = job.recording, tracked.motion, tracked.body
+    recording, motion, body, modes = job.recording, tracked.motion, tracked.body, tracked.modes
     about = ReportInput(
         title=recording.name,
         motion=motion,
@@ -286,12 +289,17 @@ def _draw(
         complete=tracked.complete,
         recording=recording,
         first_frame=recording.frames.start,
+        rivals=Rivals.of_motion(motion) if modes is None else Rivals.of(modes.joints, modes.weights),
     )
 
     def overlay(path: Path, rows: Sequence[int]) -> Mapping[int, Image]:
-        return write_overlay(path, recording, source, motion, body, stills=rows, video=job.overlay, progress=progress)
+        how = {"stills": rows, "video": job.overlay, "progress": progress}
+        if modes is not None:
+            return write_modes_overlay(path, recording, motion, modes, body, **how)
+        return write_overlay(path, recording, source, motion, body, **how)
 
-    return draw(job.results, about, overlay, files, video=job.overlay, progress=progress)
+    caption = "Frame {}" if modes is None else "Frame {}, and all modes from the side"
+    return draw(job.results, about, overlay, files, video=job.overlay, caption=caption, progress=progress)
 
 
 def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:

@@ -19,10 +19,10 @@ from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import InputError
 from hypose.fitting.articulated import KeypointTerm, PoseFit, Quadratic, SolveOptions, fit_pose
 from hypose.geometry import Array, quaternion_from_matrix
-from hypose.monocular.flips import CHAINS
-from hypose.monocular.initialise import rival_poses
-from hypose.monocular.models import body_dofs
-from hypose.monocular.types import MonoPoints
+from hypose.tracking.monocular.flips import CHAINS
+from hypose.tracking.monocular.initialise import rival_poses
+from hypose.tracking.monocular.models import body_dofs
+from hypose.tracking.monocular.points import MonoPoints
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.starts import start_from_keypoints
 from hypose.tracking.subject import scaled_to_height

@@ -30,7 +30,7 @@ from hypose.io.motions.results import ResultsFolder, load_motion
 from hypose.io.recordings.recording import Recording
 from hypose.io.videos.video import frame_size
 from hypose.json_text import parse_json
-from hypose.pipeline.mono_start import LEAST_POINTS
+from hypose.pipeline.picture_start import LEAST_POINTS
 
 _FORMAT = "hypose-clicks"
 
@@ -151,8 +151,8 @@ def _save(value: dict[str, Any], item: Item, catalog: Catalog, recordings: Recor
 
 
 def _for_one_camera(views: Sequence[Mapping[str, Any]], wanted: Any, recording: Recording) -> dict[str, Any]:
-    """camera and joints as `hypose track --method monocular --start FILE` reads them (hypose.pipeline.mono_start): of
-    the wanted camera, else the one with most clicks; in pixels of the picture as it was recorded. Joints behind
+    """camera and joints as `hypose track --recipe monocular --start FILE` reads them (hypose.pipeline.picture_start):
+    of the wanted camera, else the one with most clicks; in pixels of the picture as it was recorded. Joints behind
     something only where there are too few others."""
     view = max(views, key=lambda v: (v["camera"] == wanted, len(v["points"])))
     index = recording.rig.names.index(view["camera"])

@@ -81,7 +81,6 @@ _OPTIONS: Mapping[str, Mapping[str, tuple[str, _Reader]]] = {
         "seed": ("--seed", _number),
         "formats": ("--formats", _formats),
         "camera": ("--camera", _text),
-        "method": ("--method", _text),
     },
     "correct": {"until": ("--until", _number)},
     "export": {"formats": ("--formats", _formats)},

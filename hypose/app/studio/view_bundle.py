@@ -38,7 +38,7 @@ _DTYPES = {"f4": "<f4", "f8": "<f8", "u1": "|u1", "u2": "<u2", "u4": "<u4"}
 
 @dataclass(frozen=True)
 class Rivals:
-    """Other poses that explain the pictures of a track with one camera: joints (T, R, J, 3) m, best first; weights
+    """Other poses that the evidence allows: joints (T, R, J, 3) m, best first; weights
     (T, 1 + R), first that of the motion's own pose. NaN where a frame has fewer."""
 
     joints: Array
@@ -52,12 +52,22 @@ class Rivals:
             return None
         return cls(joints[:, 1 : 1 + MOST_RIVALS], weights[:, : 1 + MOST_RIVALS])
 
+    @classmethod
+    def of_motion(cls, motion: Motion) -> Rivals | None:
+        """From those that the motion itself has kept; None when there is none in any frame."""
+        if motion.rivals is None or motion.rival_weights is None or not motion.rival_weights.any():
+            return None
+        _, joints = motion.skeleton.forward(motion.rivals)
+        others = motion.rival_weights.astype(np.float64)
+        weights = np.concatenate([1 - others.sum(1, keepdims=True), np.where(others > 0, others, np.nan)], 1)
+        return cls(joints, weights)
+
 
 @dataclass(frozen=True)
 class ViewResult:
     """A result to look at. body, rig: None when not known (a fused skeleton has neither). image_shifts: (x, y) px per
     camera, as in recording.toml. first_frame: the recording's frame of row 0. pictures: names of the cameras whose
-    pictures can be had. files: (name, what it is, bytes). rivals: of a track with one camera."""
+    pictures can be had. files: (name, what it is, bytes). rivals: where the method keeps any."""
 
     title: str
     motion: Motion

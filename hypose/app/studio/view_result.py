@@ -91,9 +91,10 @@ def _body(folder: ResultsFolder, motion: Motion, notes: list[str]) -> Body | Non
 
 
 def _rivals(path: Path, motion: Motion, notes: list[str]) -> Rivals | None:
-    """Where the modes of a track with one camera lie beside its motion, which is their first."""
+    """Where the modes of a track with one camera lie beside its motion, which is their first; else what the motion
+    has kept."""
     if not path.is_file():
-        return None
+        return Rivals.of_motion(motion)
     try:
         joints, weights = load_joints_of_modes(path)
     except HyposeError as error:

@@ -36,7 +36,7 @@ def run_task(task: Task, stop: Path, report: Report) -> dict[str, Any]:
 
     An input that cannot be used gives state "failed", as a second attempt would; any other exception is the caller's.
     """
-    from hypose.app.jobs.run_job import run_job
+    from hypose.app.jobs.job import run_job
     from hypose.app.reports.summary import require_found, summarize
     from hypose.app.sweeps.sweep import job_of
 
@@ -95,7 +95,6 @@ def run_chunk(task: Task, chunk: int | None, stop: Path, report: Report) -> dict
     from hypose.app.sweeps.sweep import job_of
     from hypose.io.recordings.provenance import identity
     from hypose.pipeline.kept_findings import keep_backgrounds
-    from hypose.pipeline.run import TrackOptions
 
     out = {"key": task.key, "state": "done"}
     if finished(task) is not None:
@@ -105,7 +104,7 @@ def run_chunk(task: Task, chunk: int | None, stop: Path, report: Report) -> dict
     watch = _Watch(task, chunk, stop, report, {})
     try:
         job = job_of(task)
-        assert isinstance(job.options, TrackOptions) and job.chunk_s is not None
+        assert job.chunk_s is not None
         record = record_of(job)
         compute.warm_up()
         with open_frames(job, record) as source:

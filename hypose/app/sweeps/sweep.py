@@ -223,8 +223,8 @@ def _task(sweep: Sweep, path: Path, chosen: Mapping[str, Any]) -> Task:
     job = job_of(draft)
     frames = len(job.recording.frames)
     chunks = len(chunk_ranges(frames, job.recording.frame_rate, sweep.chunk_s)) if sweep.chunk_s is not None else 1
-    # key points alone are solved as one clip
-    if chunks > 1 and not (isinstance(job.options, TrackOptions) and job.options.whole_clip):
+    # key points alone are solved as one clip, and one camera finds nobody in the middle of it
+    if chunks > 1 and not (job.options.whole_clip or job.options.of_picture):
         draft = replace(draft, chunk_s=sweep.chunk_s, chunks=chunks)
         job = replace(job, chunk_s=sweep.chunk_s)
     who = to_json({"recording": job.recording.name, **identity(record_of(job))})

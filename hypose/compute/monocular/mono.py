@@ -1,6 +1,6 @@
 """Monocular tracking: preparing flat arrays, searching for poses, scoring samples (numba kernels on either back end).
 
-Definitions of the terms: cpu_mono_cues.py and cpu_mono_rows.py; what they are for: hypose.monocular.
+Definitions of the terms: cpu_mono_cues.py and cpu_mono_rows.py; what they are for: hypose.tracking.monocular.
 """
 
 from __future__ import annotations

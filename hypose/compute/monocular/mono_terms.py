@@ -1,4 +1,4 @@
-"""The flat arrays of monocular tracking, as NamedTuples that numba takes; made by hypose.monocular."""
+"""The flat arrays of monocular tracking, as NamedTuples that numba takes; made by hypose.tracking.monocular."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class MonoModel(NamedTuple):
 
 
 class EdgeArrays(NamedTuple):
-    """Contour nodes against edges. See hypose.monocular.settings.EdgeSettings."""
+    """Contour nodes against edges. See hypose.tracking.monocular.settings.EdgeSettings."""
 
     field: NDArray[np.float32]
     """(h, w, 2) image gradient in units of a full edge, weighted by the motion boundaries"""
@@ -51,7 +51,7 @@ class EdgeArrays(NamedTuple):
 
 
 class FlowArrays(NamedTuple):
-    """Inner nodes against flow. See hypose.monocular.settings.FlowSettings."""
+    """Inner nodes against flow. See hypose.tracking.monocular.settings.FlowSettings."""
 
     flow: NDArray[np.float32]
     """(h, w, 2) px from the previous picture to this one, of a part of the image; (0, 0, 2) where there is none"""

@@ -9,19 +9,17 @@ The same safety as motion.npz: no pickle, nothing allocated before its size is k
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hypose.body.motion import Modes, modes_arrays
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.motions.results import _load_arrays, _write_archive
 
 _FORMAT = 1
-_NEXT_STEP = "give the modes.npz that hypose track --method monocular wrote"
+_NEXT_STEP = "give the modes.npz that hypose track --recipe monocular wrote"
 _DIMENSIONS = {
     "poses": 3,
     "joints": 4,
@@ -34,67 +32,9 @@ _DIMENSIONS = {
 }
 
 
-@dataclass(frozen=True)
-class Modes:
-    """T frames, at most K modes each, best first, NaN where a frame has fewer; D dof, J joints.
-
-    poses (T, K, D); joints (T, K, J, 3) m, world; weights (T, K), sum 1; costs (T, K): negative log posterior of the
-    frame's evidence; covariances (T, K, D, D) of the poses (32 bit); of the best mode joint_covariance (T, J, 3, 3) m^2
-    and depth_sd (T, J) m along the line of sight; alive (T,): how many modes there are."""
-
-    poses: Array
-    joints: Array
-    weights: Array
-    costs: Array
-    covariances: NDArray[np.float32]
-    joint_covariance: Array
-    depth_sd: Array
-    alive: NDArray[np.int64]
-
-    def __post_init__(self) -> None:
-        t, k, d = self.poses.shape
-        j = self.joints.shape[2]
-        wanted = {
-            "joints": (t, k, j, 3),
-            "weights": (t, k),
-            "costs": (t, k),
-            "covariances": (t, k, d, d),
-            "joint_covariance": (t, j, 3, 3),
-            "depth_sd": (t, j),
-            "alive": (t,),
-        }
-        for name, shape in wanted.items():
-            if getattr(self, name).shape != shape:
-                raise InputError(f"Modes.{name} has shape {getattr(self, name).shape}, {shape} is needed.")
-
-    def __len__(self) -> int:
-        return len(self.poses)
-
-    @property
-    def shares(self) -> Array:
-        """(T,) weight of the best mode."""
-        return self.weights[:, 0]
-
-
-def joined(parts: Sequence[Modes]) -> Modes:
-    """The modes of consecutive frames as one, padded with NaN to the largest number of modes."""
-    most = max(p.poses.shape[1] for p in parts)
-
-    def stacked(name: str) -> np.ndarray:
-        arrays = []
-        for part in parts:
-            a = np.asarray(getattr(part, name))
-            if name in ("poses", "joints", "weights", "costs", "covariances"):
-                a = np.pad(a, [(0, 0), (0, most - a.shape[1])] + [(0, 0)] * (a.ndim - 2), constant_values=np.nan)
-            arrays.append(a)
-        return np.concatenate(arrays)
-
-    return Modes(**{f.name: stacked(f.name) for f in fields(Modes)})
-
-
 def save_modes(modes: Modes, path: str | Path) -> None:
     """Write whole or not at all."""
-    _write_archive(path, {**to_arrays(modes), "format": np.array(_FORMAT)})
+    _write_archive(path, {**modes_arrays(modes), "format": np.array(_FORMAT)})
 
 
 def load_modes(path: str | Path) -> Modes:
@@ -103,7 +43,7 @@ def load_modes(path: str | Path) -> Modes:
     arrays = _load_arrays(path, "file of modes", _NEXT_STEP)
     if arrays.pop("format", np.array(-1)).tolist() != _FORMAT:
         raise InputError(f"{path} is no file of modes of this version of hypose; {_NEXT_STEP}.")
-    return from_arrays(arrays, str(path))
+    return _from_arrays(arrays, str(path))
 
 
 def load_joints_of_modes(path: str | Path) -> tuple[Array, Array]:
@@ -120,13 +60,8 @@ def load_joints_of_modes(path: str | Path) -> tuple[Array, Array]:
     return joints, weights
 
 
-def to_arrays(modes: Modes) -> dict[str, np.ndarray]:
-    """Plain arrays by name, for archives and checkpoints."""
-    return {name: np.asarray(getattr(modes, name)) for name in _DIMENSIONS}
-
-
-def from_arrays(arrays: dict[str, np.ndarray], source: str) -> Modes:
-    """The inverse of `to_arrays`; an InputError naming the source when arrays are missing or of another kind."""
+def _from_arrays(arrays: dict[str, np.ndarray], source: str) -> Modes:
+    """The inverse of `modes_arrays`; an InputError naming the source when arrays are missing or of another kind."""
     for name, dimensions in _DIMENSIONS.items():
         kind = "i" if name == "alive" else "f"
         if name not in arrays or arrays[name].ndim != dimensions or arrays[name].dtype.kind != kind:

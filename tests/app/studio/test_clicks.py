@@ -1,4 +1,4 @@
-"""What the page clicks is what `hypose track --method monocular` starts from."""
+"""What the page clicks is what `hypose track --recipe monocular` starts from."""
 
 import json
 
@@ -11,8 +11,8 @@ from hypose.app.studio.job_kinds import plan
 from hypose.app.studio.view_bundle import read_bundle
 from hypose.errors import InputError
 from hypose.io.recordings.recording import load_recording
-from hypose.pipeline.mono_start import clicked_pixels, load_clicks
-from hypose.pipeline.mono_stream import one_view
+from hypose.pipeline.picture_start import clicked_pixels, load_clicks
+from hypose.pipeline.pictures import one_view
 
 PIXELS = {
     "neck": (75, 30), "left_shoulder": (82.62, 32.5), "left_elbow": (85, 45), "left_wrist": (86.25, 55),
@@ -55,7 +55,7 @@ def test_a_job_takes_saved_clicks_by_name(tmp_path):
     catalog = Catalog(tmp_path)
     request = {
         "recording": catalog.id_of("recording", folder),
-        "options": {"method": "monocular", "camera": "cam1", "start": "clicks:first"},
+        "options": {"recipe": "monocular", "camera": "cam1", "start": "clicks:first"},
     }
     arguments = plan("track", request, catalog).arguments
     assert arguments[arguments.index("--start") + 1] == str(folder / "starts" / "first.json")

@@ -216,7 +216,7 @@ export class Workspace {
       ? { kind: "correct", result: this.result!.id, options: { start } }
       : {
           kind: "track", recording: this.recording.id,
-          options: { method: "monocular", camera: view, start, frames: `${this.frame}:`, name: `monocular-${camera}` },
+          options: { recipe: "monocular", camera: view, start, frames: `${this.frame}:`, name: `monocular-${camera}` },
         };
     try {
       const job = await post<Job>("/api/jobs", wanted);

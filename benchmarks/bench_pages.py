@@ -1,0 +1,338 @@
+"""What docs/benchmarks.md says of each benchmark: its table, what was asked for, and at most five lines of prose."""
+
+from __future__ import annotations
+
+from benchmarks.bench_plot import Panels
+from benchmarks.bench_tables import Column, Line, Page, least, most
+from benchmarks.multiview.multiview_pages import BODIES, SEVERAL_CAMERAS
+
+_CAMERAS = (
+    Page(
+        "calibration",
+        """Boards moved before five cameras (60 frames, 0.25 px of noise, worst camera of each rig), and two real
+        board clips against the calibration they came with.""",
+        (
+            Column("focal, px", "focal_error_px", spread=True),
+            Column("position, mm", "position_error_mm", spread=True),
+            Column("rms, px", "rms_px"),
+            Column("from the given, mm", "agreement_mm, worst camera"),
+            Column("from the given, degrees", "agreement_deg, worst camera"),
+            Column("hull IoU", "hull_iou, worst view"),
+        ),
+        notebook="cameras.md#calibration",
+    ),
+    Page(
+        "doctor",
+        """Half of the recordings are healthy, half have one planted fault; precision and recall of the verdicts, with
+        kind and camera. Limits were chosen on seeds 0 to 41, seeds from 1000 on are reported. Silhouettes alone
+        miss swaps of neighbours, and timing and poses of static clips.""",
+        (
+            Column("precision", "verdict_precision"),
+            Column("recall", "verdict_recall"),
+            Column("healthy without a finding", "healthy_without_finding"),
+        ),
+        (Line("key points and masks", "all", (least(0.95, 0), least(0.95, 1))), Line("masks alone", "silhouettes")),
+        notebook="cameras.md#doctor",
+        picture=Panels(("verdict_precision", "verdict_recall", "recall")),
+    ),
+    Page(
+        "doctor-real",
+        """The balancing clip as shipped: scaled videos, key points one frame early, 6 px in camera 1, biased
+        extrinsics. Median residual on frames that were not used, and triangulation in a camera left out.""",
+        (
+            Column("residual, px", "refined_residual_px"),
+            Column("camera left out, px", "left_out_px"),
+            Column("x Pose2Sim as shipped", "left_out_px", ratio=True),
+        ),
+        (
+            Line("shipped", "shipped"),
+            Line("refined from key points", "keypoints", (most(7, 0),)),
+            Line("from silhouettes alone", "silhouettes", (most(7.5, 0), most(0.6, 2))),
+            Line("from silhouettes, starts 140 mm off", "silhouettes, starts 140 mm off", (most(8, 0),)),
+            Line("from both", "both"),
+        ),
+        notebook="cameras.md#doctor",
+    ),
+    Page(
+        "sync",
+        """Offsets of -5.0 to 5.0 frames between four cameras found from motion (walk, waving arms), from a sound (a
+        clap in a noisy room) and from a lamp; frames at 25 frames/s. Weights were chosen on seeds 0 to 41.""",
+        (Column("mean error, frames", "sync_error_frames"), Column("largest", "sync_error_largest_frames")),
+        tuple(
+            Line(f"{case}, {name}", f"{case}, {name}", (most(0.2, 1),))
+            for case in ("walk", "arms")
+            for name in ("keypoints", "silhouettes", "both")
+        )
+        + (Line("sound", "sound"), Line("lamp", "lamp")),
+        notebook="cameras.md#doctor",
+        picture=Panels(("sync_error_frames", "sync_error_largest_frames"), lines={"sync_error_largest_frames": 0.2}),
+    ),
+)
+
+_CYCLES = {"t50": "t = 50", "t100": "t = 100", "adaptive": "adaptive"}
+_FUSION = (
+    Page(
+        "fusion-table-1",
+        """Asteriadis 2013, Table 1, on simulated sensors: share (%) of the cases in which the swarm's majority comes
+        from a sensor that tracks the hand. `published` registers by the triangle of every frame, as printed. Seeds
+        from 2000 on, on which nothing was chosen.""",
+        tuple(Column(f"{s}, {words}", "success", f"{{}}/{s}/{c}", 100) for s in "AB" for c, words in _CYCLES.items()),
+        (
+            Line("published (paper: 87.5, 83.3; 91.7, 95.0)", "published"),
+            Line("improved", "swarm", (*(least(90, c) for c in range(3)), least(95, 3), least(92, 4), least(95, 5))),
+        ),
+        notebook="fusion.md",
+        picture=Panels(("success", "within_share")),
+    ),
+    Page(
+        "fusion-departures",
+        """What each departure from the paper is worth: success with one changed at a time, on seeds below 1000.""",
+        (Column("success", "success"),),
+        notebook="fusion.md",
+    ),
+    Page(
+        "fusion-human4d",
+        """Mean distance (mm) over 15 joints from the truth: simulated sensors A and B, and HUMAN4D's run from its
+        four real camera poses (H). All methods but `published` use the same registration.""",
+        tuple(Column(s, "mpjpe_mm", f"{s}/{{}}", spread=True) for s in "ABH"),
+        (
+            Line("best single sensor, in hindsight", "best_single"),
+            Line("swarm, published", "published"),
+            Line("swarm, published, registered over the clip", "published-window"),
+            Line("swarm, improved", "swarm"),
+            Line("fit", "fit", tuple(most(0.6, c, "best_single") for c in range(3))),
+            Line("fit, causal", "fit/causal"),
+        ),
+        notebook="fusion.md",
+    ),
+    Page(
+        "fusion-real",
+        """Two real Kinect v2 on one person, parallel, 45 and 90 degrees apart, three recordings each: median distance
+        between the sensors' joints after registration over the whole clip and on the way (causal), and bone lengths and
+        jitter (median second difference) of what is fused. There is no truth: agreement is not accuracy.""",
+        lines=(
+            *(
+                Line(f"agreement, {title}, {how}", case + more, (most(limit),), "agreement_mm")
+                for more, how, limits in (("", "whole clip", (13, 26, 49)), ("/causal", "causal", (14, 35, 61)))
+                for title, case, limit in zip(
+                    ("parallel", "45 degrees", "90 degrees"), ("parallel", "45", "90"), limits, strict=True
+                )
+            ),
+            *(
+                Line(f"agreement, triangle per frame (published), {case}", f"{case}/per_frame", metric="agreement_mm")
+                for case in ("parallel", "45", "90")
+            ),
+            Line("bone-length sd of the fit", "fit", (most(3),), "bone_sd_mm"),
+            Line("of the mean", "mean", metric="bone_sd_mm"),
+            Line("of the improved swarm", "swarm", metric="bone_sd_mm"),
+            Line("jitter of the fit", "fit", (most(1, 0, "mean"),), "jitter_mm"),
+            Line("of the mean", "mean", metric="jitter_mm"),
+            Line("of the improved swarm", "swarm", metric="jitter_mm"),
+        ),
+        notebook="fusion.md",
+        picture=Panels(("agreement_mm", "jitter_mm")),
+    ),
+    Page(
+        "fusion-speed",
+        """15 joints, 3 sensors, 2100 candidates, one core; each frame's time is its smallest over the repetitions.
+        The latency is that of six persons without sockets, three sensors of which one falls silent for two
+        seconds; it waits for late sensors, and on a busy machine for timers.""",
+        lines=(
+            Line("fit, recorded", "fit", (most(0.3),), "ms_per_frame"),
+            Line("fit, stream with its registration", "fit/stream", metric="ms_per_frame"),
+            Line("swarm, published, restarts included", "swarm", (most(1),), "ms_per_frame"),
+            Line("swarm, improved", "swarm/improved", (most(1),), "ms_per_frame"),
+            Line("a restart frame, published", "restart", (most(5),), "ms_per_frame"),
+            Line("a restart frame, improved", "restart/improved", (most(5),), "ms_per_frame"),
+            Line("fit of six persons", "6_persons", (most(33),), "ms_per_frame"),
+            Line("latency, median", "all", metric="latency_median_ms"),
+            Line("latency, 99 %", "all", (most(20),), "latency_p99_ms"),
+        ),
+        notebook="fusion.md#speed",
+        picture=Panels(("ms_per_frame",)),
+    ),
+)
+
+_GESTURE_COLUMNS = ("tee", "cross", "pause", "silence", "ok", "volume_up")
+_GESTURES = (
+    Page(
+        "gesture-table-3.1",
+        """Clipping distances, trained in two fixed empty rooms, tested in clutter: offline boosted as published
+        (random negatives), area under recall over 1 - precision at 10 px; and online learning. Drawn people in
+        drawn rooms.""",
+        (
+            *(Column(g.replace("_", " "), "auc", f"{{}}/{g}") for g in _GESTURE_COLUMNS),
+            Column("mean", "auc", spread=True),
+        ),
+        (
+            Line("clipped at 15 cm", "clipped_15", (least(1.3, 6, "unclipped"), least(2, 0, "unclipped"))),
+            Line("30 cm", "clipped_30"),
+            Line("50 cm", "clipped_50"),
+            Line("not clipped", "unclipped"),
+            Line("boosted sub-forests, not clipped", "subforest"),
+        ),
+        notebook="gestures.md#table-31",
+    ),
+    Page(
+        "gesture-table-3.2",
+        """12 people trained, 6 others tested in cluttered rooms with a second person in most pictures: average
+        precision at 10 px of online learning with hard and with random negatives and of offline boosting on the
+        same frames.""",
+        (
+            *(Column(g.replace("_", " "), "ap", f"{{}}/{g}") for g in _GESTURE_COLUMNS),
+            Column("mean", "mean_ap", spread=True),
+            Column("mean, 5 cm", "mean_ap", "{}/5cm"),
+        ),
+        (
+            Line("online, hard negatives", "online_hard", (least(0.88, 6), least(2, 6, "online_random")), more="0.69"),
+            Line("online, random negatives", "online_random"),
+            Line("offline boosted, negatives around the place", "offline_boosted_around"),
+            Line("offline boosted as published", "offline_boosted"),
+        ),
+        "published, mean",
+        "gestures.md#table-32",
+    ),
+    Page(
+        "gesture-sweeps",
+        """Alpha and beta of the online forest for one gesture ("pause"), and the balance of its trees.""",
+        (Column("AP", "ap"),),
+        notebook="gestures.md#table-32",
+    ),
+    Page(
+        "gesture-table-3.3",
+        """Three sessions of 3 minutes of one person, the forest resumed, against offline learning on the same frames;
+        average precision at 10 px and 5 cm, tested in other rooms.""",
+        (Column("10 px", "ap_10px", spread=True), Column("5 cm", "ap_5cm", spread=True), Column("min", "minutes")),
+        notebook="gestures.md#table-33",
+    ),
+    Page(
+        "gesture-semi-synthetic",
+        """Real depth crops of 24 hand signs of one person, split by time, pasted into simulated cluttered rooms;
+        every letter against all others.""",
+        (Column("mean AP", "mean_ap"),),
+        (Line("10 px", "letters", (least(0.8),)), Line("5 cm", "letters/5cm")),
+        notebook="gestures.md#semi-synthetic",
+    ),
+    Page(
+        "gesture-speed",
+        """One thread, processor time, 640 x 480, 15 trees of depth at most 20, simulated sensor, cluttered rooms.""",
+        lines=(
+            Line("find one gesture", "one", (most(5),), "detect_ms"),
+            Line("the same with a deep forest", "one/deep", metric="detect_ms"),
+            Line("find six gestures", "six", (most(33),), "detect_ms"),
+            Line("AP (5 cm) lost to early rejection", "all", metric="ap_lost_to_rejection"),
+            Line("learn a frame", "all", (least(100),), "train_frames_per_second"),
+            Line("memory of a growing forest", "all", (most(10),), "model_mb"),
+            Line("offline fit of 15 trees", "all", metric="offline_fit_s"),
+            Line("learn one sample", "all", metric="learn_one_us"),
+        ),
+        notebook="gestures.md#speed",
+    ),
+    Page(
+        "gesture-false-alarms",
+        """Ten minutes of free movement without gestures after one short session for each of four gestures: events per
+        gesture and minute, and what is found of gestures that are held.""",
+        (
+            Column("false alarms per minute", "false_alarms_per_minute", spread=True),
+            Column("holds found", "holds_found", spread=True),
+        ),
+        notebook="gestures.md#false-alarms",
+    ),
+)
+
+_MONO = (
+    Column("kept", "kept_track"),
+    Column("median, mm", "median_error_mm"),
+    Column("depth, mm", "depth_mm"),
+    Column("picture, px", "image_error_px"),
+    Column("90 % regions of the best", "coverage_90_best"),
+)
+_ONE_CAMERA = (
+    Page(
+        "mono-arm",
+        """One camera, a 7-dof arm for 8 s across trunk, face and pillar; elbow, wrist and knuckles in the world.
+        Kept: in the picture to the end, and the median in space below 150 mm. Whole clip: tracked both ways and
+        solved as one.""",
+        (Column("mean, mm", "mean_error_mm", spread=True), Column("at most 80 mm", "at_most_80"), *_MONO),
+        notebook="monocular.md",
+    ),
+    Page(
+        "mono-body",
+        """One camera, 30 dof, 1.2 s (and 8 s), 7 hypotheses; 14 joints, pelves made to coincide; and what each part
+        of the method is worth.""",
+        (Column("mean, mm", "root_aligned_mm", spread=True), *_MONO),
+        notebook="monocular.md",
+    ),
+    Page(
+        "mono-speed",
+        """Processor time of one core per frame of 384 x 288 px, beside OpenCV's optical flow of the whole picture in
+        the same run, and the share of the stages.""",
+        lines=(
+            Line("arm, 3 hypotheses", "arm", (most(0.06),), "seconds_per_frame"),
+            Line("body, 7 hypotheses", "body", (most(0.15),), "seconds_per_frame"),
+        ),
+        notebook="monocular.md#speed",
+        picture=Panels(("seconds_per_frame", "stage_share")),
+    ),
+    Page(
+        "mono-real",
+        """One view of the balancing clip: 12 limb joints against the key points triangulated from all four views,
+        middles of the hips made to coincide. The start is from this view's key points.""",
+        (
+            Column("mean, mm", "root_aligned_mm"),
+            Column("median, mm", "median_mm"),
+            Column("depth, mm", "depth_mm"),
+            Column("picture, px", "image_error_px"),
+        ),
+        notebook="monocular.md#the-real-clip",
+    ),
+)
+
+_ROBUSTNESS = (
+    Page(
+        "kills",
+        """SIGKILL at random moments of all long commands, half of the time over finished results: files lost, files
+        half written, and the share of second runs that give the same bytes.""",
+        (
+            Column("lost", "lost_results"),
+            Column("half written", "half_written"),
+            Column("same bytes", "resumed_identical"),
+        ),
+        notebook="robustness.md#kills",
+    ),
+    Page(
+        "faults",
+        """The evidence of a walk is spoilt for two seconds: mean error (mm) before, during and in the last second,
+        time to recover, and frames (%) flagged, wrong, and wrong without any flag; medians over the seeds.""",
+        (
+            Column("before", "error_before_mm"),
+            Column("during", "error_during_mm"),
+            Column("last second", "error_after_mm"),
+            Column("recovered, s", "recovered_s"),
+            Column("flagged", "flagged_share", scale=100),
+            Column("wrong", "wrong", scale=100),
+            Column("not flagged", "unflagged_wrong", scale=100),
+        ),
+        notebook="robustness.md#faults",
+    ),
+    Page(
+        "batch",
+        """A hundred recordings of 30 frames on one worker and on two, with a worker killed twice on the way.""",
+        lines=(
+            Line("two workers", "two workers", (least(1.8),), "speed_up"),
+            Line("results that are the same bytes", "two kills", (least(1),), "identical"),
+        ),
+        notebook="robustness.md#batch",
+    ),
+)
+
+SECTIONS: dict[str, tuple[Page, ...]] = {
+    "Several cameras": SEVERAL_CAMERAS,
+    "Bodies": BODIES,
+    "Calibration, faults, timing": _CAMERAS,
+    "Depth sensors": _FUSION,
+    "Gestures": _GESTURES,
+    "One camera": _ONE_CAMERA,
+    "Robustness": _ROBUSTNESS,
+}
+"""The pages of all benchmarks by heading."""

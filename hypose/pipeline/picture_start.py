@@ -1,0 +1,252 @@
+"""Where a track with one camera starts: joints clicked in its first picture (a JSON file), or a detector's key points.
+
+The file of clicks, pixels of the picture as it was recorded, (0, 0) in the middle of the upper left pixel:
+
+    {"camera": "cam1", "frame": 0, "joints": {"left_shoulder": [512.0, 310.5], "left_elbow": [540, 402], ...}}
+
+camera and frame (number in the recording, the first that is tracked) may be left out; joints are those of the body
+model. At least six are needed; shoulders, elbows, wrists, hips, knees, ankles, neck and head are a good set.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hypose.body.body import Body
+from hypose.body.ready_bodies import JOINT_NAMES, human
+from hypose.cameras.camera import Camera
+from hypose.errors import EvidenceError, InputError
+from hypose.evidence.frame import Keypoints
+from hypose.evidence.keypoints import person_size
+from hypose.geometry import Array
+from hypose.io.recordings.frames import FrameOptions, FrameStream, load_keypoints
+from hypose.io.recordings.recording import Recording
+from hypose.io.videos.video import open_video
+from hypose.json_text import parse_json
+from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.pictures import FrameSource, PictureFrames, masks_of, working_side
+from hypose.tracking.monocular.initialise import LEAST_POINTS, initialise
+from hypose.tracking.monocular.points import FEWEST_PX, clicked_joints, keypoints_on
+from hypose.tracking.monocular.points_fit import PointsOn
+from hypose.tracking.monocular.settings import MonoSettings
+
+POINT_STARTS = ("auto", "keypoints")
+"""Starts that are no file of clicks."""
+CLICK_SHARE = 0.010
+"""1 sd of a click, as a share of the person's size in the picture."""
+LENGTH_FRAMES = 10
+"""So many further frames with key points decide the lengths of somebody whose body is not known."""
+
+Clicks = Mapping[str, tuple[float, float]]
+"""Joints clicked in a recorded picture: name -> (u, v) px."""
+
+
+def load_clicks(path: str | Path, recording: Recording) -> Clicks:
+    """Read a file of clicks for the one camera of a recording; an InputError says what is wrong with it."""
+    path = Path(path)
+    view = recording.views[0]
+    try:
+        document = parse_json(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"The file of clicks {path} cannot be read ({error.strerror}); check --start.") from None
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError(f"The file of clicks {path} is not JSON ({error}); see docs/monocular.md.") from None
+    if not isinstance(document, dict) or not isinstance(document.get("joints"), dict):
+        raise InputError(f'The file of clicks {path} needs "joints": {{name: [u, v], ...}}; see docs/monocular.md.')
+    if document.get("camera", view.name) != view.name:
+        raise InputError(
+            f"The clicks in {path} belong to camera {document['camera']!r}, and {view.name} is to be tracked; give "
+            "--camera or other clicks."
+        )
+    first = recording.frames[0]
+    if document.get("frame", first) != first:
+        raise InputError(
+            f"The clicks in {path} belong to frame {document['frame']}, and tracking begins at frame {first}; give "
+            f"--frames {document['frame']}: or click in frame {first}."
+        )
+    with open_video(_source(recording)) as reader:
+        size = reader.size
+    joints = {name: _click(path, name, at, size) for name, at in document["joints"].items()}
+    if len(joints) < LEAST_POINTS:
+        raise InputError(f"{path} holds {len(joints)} clicked joints; at least {LEAST_POINTS} are needed to start.")
+    return joints
+
+
+def _click(path: Path, name: str, at: Any, size: tuple[int, int]) -> tuple[float, float]:
+    if name not in JOINT_NAMES:
+        raise InputError(f"{path}: there is no joint {name!r}; the joints are {', '.join(JOINT_NAMES)}.")
+    numbers = isinstance(at, list) and len(at) == 2 and all(type(x) in (int, float) and np.isfinite(x) for x in at)
+    if not numbers:
+        raise InputError(f"{path}: {name} must be two numbers [u, v] in pixels, got {json.dumps(at)[:40]}.")
+    u, v = float(at[0]), float(at[1])
+    if not (-0.5 <= u <= size[0] - 0.5 and -0.5 <= v <= size[1] - 0.5):
+        raise InputError(
+            f"{path}: {name} was clicked at ({u:g}, {v:g}), outside the picture of {size[0]} x {size[1]} px; leave out "
+            "joints that are not in the picture."
+        )
+    return u, v
+
+
+def clicked_pixels(clicks: Clicks, recording: Recording, working: Camera) -> dict[str, tuple[float, float]]:
+    """Clicks in the undistorted pixels of the working camera."""
+    view, camera = recording.views[0], recording.rig[0]
+    with open_video(_source(recording)) as reader:
+        stored = np.array(reader.size, dtype=np.float64)
+    pixels = np.array(list(clicks.values()))
+    calibrated = (pixels + 0.5) * np.array(camera.size) / stored - 0.5 + np.asarray(view.image_shift)
+    shown = (camera.undistort_points(calibrated) + 0.5) * np.array(working.size) / np.array(camera.size) - 0.5
+    return {name: (float(u), float(v)) for name, (u, v) in zip(clicks, shown, strict=True)}
+
+
+def side_to_work_on(recording: Recording, clicks: Clicks | None) -> int:
+    """Longer side of the working pictures, px, by the size of the person at the start."""
+    if clicks is not None:
+        with open_video(_source(recording)) as reader:
+            return working_side(recording, _extent(np.array(list(clicks.values()))), reader.size)
+    points = load_keypoints(recording)
+    sizes = [person_size(k.points[0]) for k in (points or [])[: 1 + int(recording.frame_rate)]]
+    found = [s for s in sizes if s > 0]
+    if points is None or not found:
+        return FrameOptions().longer_side
+    return working_side(recording, float(np.median(found)), points[0].rig[0].size)
+
+
+def _extent(pixels: Array) -> float:
+    return float(np.ptp(pixels, axis=0).max())
+
+
+def _source(recording: Recording) -> Path:
+    source = recording.views[0].source
+    assert source is not None  # pictures.one_view saw to it
+    return source
+
+
+def picture_options(recording: Recording, start: str, evidence: str) -> FrameOptions:
+    """How the pictures of a recording of one camera are read: as large as its person needs, with masks if they are
+    evidence."""
+    return FrameOptions(
+        side_to_work_on(recording, clicks_of(start, recording)), silhouettes=masks_of(recording, evidence)
+    )
+
+
+def clicks_of(start: str, recording: Recording) -> Clicks | None:
+    """The clicks that a track starts from; None when it starts from key points."""
+    if start in POINT_STARTS:
+        return None
+    if not Path(start).is_file():
+        raise InputError(
+            f"--start {start} is no file of clicked joints, and with one camera it can otherwise only be "
+            f"{' or '.join(POINT_STARTS)}; give one of these."
+        )
+    return load_clicks(start, recording)
+
+
+def subject_in_picture(
+    source: FrameSource,
+    frame_rate: float,
+    *,
+    start: str = "auto",
+    evidence: str = "auto",
+    body: Body | None = None,
+    height: float | None = None,
+    floor: float | None = None,
+) -> Subject:
+    """The person in the pictures of one camera, with rival starts. body: the person's own (then only poses are looked
+    for); floor: height of the floor in the world, m, None when it is not known."""
+    with contextlib.closing(PictureFrames(source)) as frames:
+        template, seen = body or human(), _keypoints_of(source)
+        notes = [_evidence_note(source, evidence, any(k is not None for k in seen))]
+        if start in POINT_STARTS:
+            at, points, names = _first_keypoints(source, seen, frame_rate)
+            frame = frames.frame(at)
+            told = f"the key points of frame {frame.index}"
+            points_on: PointsOn = partial(keypoints_on, names=names, keypoints=points)
+        elif isinstance(source, FrameStream):
+            at, frame = 0, frames.frame(0)
+            clicks = load_clicks(start, source.recording)
+            told = f"{len(clicks)} clicked joints"
+            pixels = clicked_pixels(clicks, source.recording, source.rig[0])
+            scale = max(FEWEST_PX, CLICK_SHARE * _extent(np.array(list(pixels.values()))))
+            points_on = partial(clicked_joints, clicks=pixels, scale_px=scale)
+        else:
+            raise InputError(f"Clicks ({start}) belong to a recording; frames in memory start from their key points.")
+        later = () if body is not None else _later_points(seen, at)
+        fit = initialise(
+            template,
+            points_on,
+            frame,
+            later=later,
+            settings=MonoSettings(frame_rate=frame_rate),
+            height=height,
+            fixed_body=body is not None,
+            floor=floor,
+        )
+    rivals = fit.hypotheses
+    notes.append(f"start from {told}: {rivals.count} rival poses, the best {fit.residual_px:.1f} px off")
+    if body is None:
+        further = f", the key points of {len(later)} further frames" if later else ""
+        notes.append(f"body of {fit.body.stature:.2f} m from {told}{further} and the picture's contours")
+    if floor is not None:
+        notes.append(f"the lower foot is taken to stand on a floor at z = {floor:g} m (--floor)")
+    if body is not None and height is not None:
+        notes.append("the given height is not used: the body is given")
+    if body is None and height is None:
+        notes.append(
+            "the height is not known, so distances and lengths are as uncertain as people's heights (about 5 %); give "
+            "--height"
+        )
+    return Subject(fit.body, None, rivals.best(), tuple(notes), rivals)
+
+
+def _keypoints_of(source: FrameSource) -> list[Keypoints | None]:
+    """Of every frame, without reading a picture where that can be."""
+    if isinstance(source, FrameStream):
+        return [None] * len(source) if source.keypoints is None else list(source.keypoints)
+    return [source.frame(i).keypoints for i in range(len(source))]
+
+
+def _evidence_note(source: FrameSource, evidence: str, keypoints: bool) -> str:
+    name = source.recording.views[0].name if isinstance(source, FrameStream) else "in memory"
+    masked = isinstance(source, FrameStream) and source.options.silhouettes is not None
+    used = ["edges", "optical flow"]
+    used += ["silhouettes"] if masked else []
+    used += ["key points"] if keypoints and evidence in ("auto", "keypoints", "both") else []
+    return f"one camera ({name}): {', '.join(used)}"
+
+
+def _later_points(seen: Sequence[Keypoints | None], first: int) -> tuple[PointsOn, ...]:
+    """The key points of LENGTH_FRAMES frames over the whole clip, to measure lengths with."""
+    rows = np.unique(np.linspace(first, len(seen) - 1, LENGTH_FRAMES + 1).astype(int))[1:]
+    some = [k for k in (seen[i] for i in rows) if k is not None and _enough(k)]
+    return tuple(partial(keypoints_on, names=k.names, keypoints=np.asarray(k.points[0])) for k in some)
+
+
+def _enough(seen: Keypoints) -> bool:
+    points = keypoints_on(human(), seen.names, np.asarray(seen.points[0]))
+    return int((points.confidence > 0).sum()) >= LEAST_POINTS
+
+
+def _first_keypoints(
+    source: FrameSource, seen: Sequence[Keypoints | None], frame_rate: float
+) -> tuple[int, Array, tuple[str, ...]]:
+    """The first frame of the first second with enough key points, its points (K, 3) and their names."""
+    name = source.recording.views[0].name if isinstance(source, FrameStream) else "in memory"
+    if not any(k is not None for k in seen):
+        raise InputError(
+            f"Camera {name} has no key points and no clicks were given, so there is nothing to start from; click "
+            "joints in the first picture and give --start clicks.json, or add keypoints = ... in recording.toml."
+        )
+    for i, k in enumerate(seen[: 1 + int(frame_rate)]):
+        if k is not None and _enough(k):
+            return i, np.asarray(k.points[0]), k.names
+    raise EvidenceError(
+        f"Camera {name}: no frame of the first second has {LEAST_POINTS} confident key points; give --frames to begin "
+        "later, or --start clicks.json."
+    )

@@ -1,0 +1,224 @@
+"""The first set of hypotheses from one picture: clicked joints or a detector's key points.
+
+Three stages. (1) Pose and internal proportions from the points, with mirrored sides, prior intervals and hard joint
+limits; several headings are tried, mirrored limbs are optimised before they are ranked, rivals are kept. (2) The
+parts' volumes from contours, everything else held. (3) Everything. The rivals with the covariances of the last stage
+are the first hypotheses. Source: Sminchisescu & Triggs 2001, section 5; see `initialise`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.cameras.camera import Camera
+from hypose.errors import EvidenceError
+from hypose.evidence.frame import Frame
+from hypose.fitting.articulated import KeypointTerm, Quadratic, SolveOptions, fit_pose
+from hypose.geometry import Array, so3_exp, so3_log
+from hypose.inference.hypotheses import Hypotheses
+from hypose.tracking.monocular.evidence import checked
+from hypose.tracking.monocular.flips import mirrored
+from hypose.tracking.monocular.models import body_dofs
+from hypose.tracking.monocular.picture_search import PictureSearch
+from hypose.tracking.monocular.points import MonoPoints
+from hypose.tracking.monocular.points_fit import PointsOn, fit_proportions, points_on_body
+from hypose.tracking.monocular.problem import floor_arrays
+from hypose.tracking.monocular.proportions import VOLUMETRIC, proportions, search_factors, shaped, without_display
+from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.refinement import anatomical_prior
+from hypose.tracking.starts import known_pose
+
+LEAST_POINTS = 6
+HEADINGS = 8
+DISTINCT_M = 0.06
+"""Poses are rivals when a joint lies at least so far apart."""
+FLIP_ROUNDS = 2
+JOINT_FITS = 3
+"""So many of the best rivals get proportions of their own before one body is chosen."""
+_HELD = 1e6
+
+
+@dataclass(frozen=True)
+class InitialFit:
+    """body: the template with the person's proportions; hypotheses: the rivals with covariances and `cost`, best
+    first; factors (K,): logarithms of the proportions (proportions.NAMES); residual_px: root mean square distance of
+    the best rival to the points, px."""
+
+    body: Body
+    hypotheses: Hypotheses
+    factors: Array
+    residual_px: float
+
+
+def initialise(
+    template: Body,
+    points_on: PointsOn,
+    frame: Frame,
+    *,
+    later: Sequence[PointsOn] = (),
+    settings: MonoSettings | None = None,
+    height: float | None = None,
+    fixed_body: bool = False,
+    active: NDArray[np.int64] | None = None,
+    rivals: int = 8,
+    floor: float | None = None,
+) -> InitialFit:
+    """The first hypotheses of the picture in a frame.
+
+    Deviation: headings and mirrored limbs are tried, where the paper has one start. Deviation: in stages 2 and 3 the
+    proportions are searched one after the other, because the contour's cost has jumps.
+
+    later: the points of further pictures of the same camera; lengths are those that suit all of them. height in m: of
+    the person, None if not known: then the distance to the camera stays as uncertain as people's heights. fixed_body:
+    the template is the person's own body; only poses are looked for. active: dof to estimate (by default the body's
+    30). floor: height in the world of the floor that the person stands on, m. An EvidenceError when fewer than 6 points
+    are seen.
+    """
+    camera = checked(frame).camera
+    chosen = body_dofs(template.skeleton) if active is None else np.asarray(active, dtype=np.int64)
+    seen = int((points_on(template).confidence > 0).sum())
+    if seen < LEAST_POINTS:
+        raise EvidenceError(
+            f"Frame {frame.index}: only {seen} points of the body are seen; at least {LEAST_POINTS} are needed to "
+            "start: click more joints or start at another frame."
+        )
+    prior = proportions(template, height)
+    factors = np.zeros(len(prior.centre)) if fixed_body else prior.centre.copy()
+    body = template if fixed_body else shaped(template, factors)
+    poses = rival_poses(body, camera, points_on(body), chosen, rivals)
+    settings = settings or MonoSettings()
+    if not fixed_body:
+        ground = None if floor is None else floor_arrays(body, floor, settings.cues)
+        pictures = [points_on, *later]
+        others = [_later_pose(body, camera, seen_later(body), poses[0], chosen) for seen_later in later]
+        fits = [
+            fit_proportions(template, camera, pictures, [q, *others], factors, prior, chosen, ground)
+            for q in poses[: 1 if later else JOINT_FITS]
+        ]
+        factors = min(fits, key=lambda f: f[2])[1]
+        body = shaped(template, factors)
+        poses = _distinct(*_solved(body, camera, points_on(body), poses, chosen), body, rivals)
+    search = PictureSearch(body, settings, chosen, floor=floor)
+    found = search.optimise(poses, frame, points_on(body))
+    if not fixed_body:
+        # lengths that suit many pictures are not for the contours of one to change
+        last = VOLUMETRIC if later else np.arange(len(factors))
+        for which, rounds in ((VOLUMETRIC, 2), (last, 1)):
+            cost = _contour_cost(template, search, points_on, frame, found.values[0])
+            factors = search_factors(cost, factors, which, prior, rounds)
+            body = shaped(template, factors)
+            search = replace(search, body=body)
+            found = search.optimise(found.values, frame, points_on(body))
+    found = found.take(_distinct_indices(body.joints(found.values), rivals))
+    return InitialFit(body, found, factors, _residual(body, camera, points_on(body), found.values[0]))
+
+
+def rival_poses(body: Body, camera: Camera, points: MonoPoints, active: NDArray[np.int64], count: int) -> Array:
+    """Distinct poses (M, D), M <= count, that explain points, best first: from several headings, and with mirrored
+    limbs; all are optimised before they are compared."""
+    starts = np.stack([_placed(body, camera, points, yaw, name) for yaw in _yaws() for name in ("standing", "a")])
+    poses, costs = _solved(body, camera, points, starts, active)
+    poses = _distinct(poses, costs, body, count)
+    for _ in range(FLIP_ROUNDS):
+        flipped = [mirrored(body, camera, q, active) for q in poses[: max(2, count // 4)]]
+        together = np.concatenate([poses, *flipped])
+        poses = _distinct(*_solved(body, camera, points, together, active), body, count)
+    return poses
+
+
+def _later_pose(body: Body, camera: Camera, points: MonoPoints, near: Array, active: NDArray[np.int64]) -> Array:
+    """(D,) the best pose on the points of another picture, from the pose `near` (D,) and from several headings; which
+    of its mirror images it is does not matter for lengths."""
+    starts = [near, *(_placed(body, camera, points, yaw, "standing") for yaw in _yaws())]
+    poses, costs = _solved(body, camera, points, np.stack(starts), active)
+    return poses[int(costs.argmin())]
+
+
+def _yaws() -> Array:
+    return np.arange(HEADINGS) * 2 * np.pi / HEADINGS
+
+
+def _placed(body: Body, camera: Camera, points: MonoPoints, yaw: float, name: str) -> Array:
+    """(D,) a known pose with a heading, placed where its points lie nearest to the seen ones under a scaled
+    orthographic camera: its depth comes from the size of the figure."""
+    pose = known_pose(body, name)
+    pose[3:6] = so3_log(so3_exp([0, 0, yaw]) @ so3_exp(pose[3:6]))
+    seen = points.confidence > 0
+    world = points_on_body(body, pose, points)[seen]
+    rotation = camera.camera_from_world[:3, :3]
+    flat = (world - world.mean(0)) @ rotation.T
+    rays = np.column_stack([points.pixels[seen], np.ones(int(seen.sum()))]) @ np.linalg.inv(camera.K).T
+    middle = rays.mean(0)
+    spread = rays[:, :2] - middle[:2]
+    share = float((spread * flat[:, :2]).sum() / max((flat[:, :2] ** 2).sum(), 1e-9))
+    # an unlike posture makes the figure look far away; its extent bounds the distance
+    extent = float(np.linalg.norm(np.ptp(spread, axis=0)) / max(np.linalg.norm(np.ptp(flat[:, :2], axis=0)), 1e-9))
+    depth = 1 / max(share, 0.7 * extent, 1e-3)
+    centre = (middle * depth - camera.camera_from_world[:3, 3]) @ rotation
+    pose[:3] += centre - world.mean(0)
+    return pose
+
+
+def _solved(
+    body: Body, camera: Camera, points: MonoPoints, starts: Array, active: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """Poses (M, D) solved on the points from starts (M, D), and their costs (M,)."""
+    scale = float(np.median(points.scale_px))
+    confidence = points.confidence * (scale / points.scale_px) ** 2
+    term = KeypointTerm(
+        np.column_stack([points.pixels, confidence])[None],
+        camera.projection[None],
+        np.asarray(points.joint, dtype=np.int64),
+        points.offset,
+        scale,
+        min_confidence=1e-6,
+    )
+    held = np.full(body.skeleton.dof, _HELD)
+    held[active] = 0.0
+    options = SolveOptions(iterations=60, coarse_iterations=20)
+    fits = []
+    for start in starts:
+        priors = (anatomical_prior(body.skeleton), Quadratic(start, held))
+        fits.append(fit_pose(body, start, keypoints=term, priors=priors, options=options))
+    return np.stack([f.pose for f in fits]), np.array([f.cost for f in fits])
+
+
+def _distinct(poses: Array, costs: Array, body: Body, count: int) -> Array:
+    order = np.argsort(costs, kind="stable")
+    return poses[order][_distinct_indices(body.joints(poses[order]), count)]
+
+
+def _distinct_indices(joints: Array, count: int) -> list[int]:
+    """Of sets of joint centres (M, J, 3) m, best first, those that differ from all better ones; at most count."""
+    keep: list[int] = []
+    for i in range(len(joints)):
+        if all(np.linalg.norm(joints[i] - joints[k], axis=1).max() > DISTINCT_M for k in keep):
+            keep.append(i)
+        if len(keep) == count:
+            break
+    return keep
+
+
+def _contour_cost(
+    template: Body, search: PictureSearch, points_on: PointsOn, frame: Frame, pose: Array
+) -> Callable[[Array], float]:
+    """What factors (K,) cost on the picture's contours and the points, at a pose."""
+    light = without_display(template)
+
+    def cost(x: Array) -> float:
+        body = shaped(light, x)
+        found = replace(search, body=body).optimise(pose[None], frame, points_on(body), iterations=0)
+        return float(found.columns["cost"][0])
+
+    return cost
+
+
+def _residual(body: Body, camera: Camera, points: MonoPoints, pose: Array) -> float:
+    seen = points.confidence > 0
+    apart = camera.project_pinhole(points_on_body(body, pose, points)[seen]) - points.pixels[seen]
+    return float(np.sqrt((apart**2).sum(1).mean()))

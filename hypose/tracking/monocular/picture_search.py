@@ -1,0 +1,288 @@
+"""What is done with one picture, layer by layer: predict, look for edges and flow, optimise, mirror, sample, prune.
+
+Source: Sminchisescu & Triggs 2001, figure 4; recipe.py puts the layers together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.body.motion import Modes
+from hypose.cameras.camera import Camera
+from hypose.compute.monocular import mono
+from hypose.compute.monocular.mono_terms import MonoProblem, MonoWorkspace
+from hypose.compute.selection import default_threads, over_chunks
+from hypose.errors import InputError
+from hypose.evidence.flow import Flow, optical_flow
+from hypose.evidence.frame import Frame, Picture
+from hypose.geometry import Array
+from hypose.inference.hypotheses import Hypotheses
+from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.monocular.evidence import checked, grey
+from hypose.tracking.monocular.flips import mirrored
+from hypose.tracking.monocular.models import body_dofs
+from hypose.tracking.monocular.points import MonoPoints, keypoints_on
+from hypose.tracking.monocular.pool import (
+    MIRRORED,
+    OPTIMISED,
+    SAMPLED,
+    best_of,
+    candidates,
+    pooled,
+    pose_covariance,
+    prune,
+    uncertain_samples,
+)
+from hypose.tracking.monocular.problem import Fixed, field_of, fixed_parts, frame_problem, with_prediction
+from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.pose_covariance import PoseUncertainty, packed
+
+MARGIN = 40
+"""px around the person in which flow is computed"""
+LOST_SHARE = 0.2
+"""lost when a smaller share of the contour's nodes finds an edge"""
+CONTOUR, ASSIGNED, FLOW = 0, 1, 5
+"""Of a candidate's nodes: of the contour, which are seen; of these, with an edge; inside, with usable flow."""
+
+
+@dataclass(frozen=True)
+class _Place:
+    camera: Camera
+    fixed: Fixed
+    workspaces: list[MonoWorkspace]
+
+
+@dataclass(frozen=True)
+class PictureSearch:
+    """A body, whose coarse mesh is compared with pictures (lens distortion is ignored: give undistorted ones),
+    settings, the dof to estimate (default `body_dofs`: 30; the others keep their start values), how many threads share
+    the hypotheses (default: the machine's; any number gives the same results), and the height in the world of the
+    floor that the person stands on, m (default: not known). points: key points (K, 3) by names on a body.
+
+    Its methods are the kernels of the recipe's layers; they share the frame's problem by `PreparedFrame.shared`."""
+
+    body: Body
+    settings: MonoSettings = MonoSettings()
+    active: NDArray[np.int64] | None = None
+    threads: int | None = None
+    floor: float | None = None
+    points: Callable[[Body, Sequence[str], Array], MonoPoints] = keypoints_on
+    _places: list[_Place] = field(default_factory=list, init=False, compare=False, repr=False)
+
+    def predicted(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
+        """Every hypothesis where its own velocity takes it; the picture's edges.
+
+        Raises InputError or EvidenceError, naming the frame, for a picture, mask or points that do not fit the camera.
+        """
+        picture = checked(frame.frame)
+        fixed = self._at(picture.camera).fixed
+        active = fixed.model.active
+        velocities = h.columns.get("velocity", np.zeros_like(h.values))
+        poses = h.values + self.settings.velocity * velocities
+        poses[:, active] = np.clip(poses[:, active], fixed.lower, fixed.upper)
+        frame.shared["edges"] = field_of(picture.image, self.settings)
+        evidence = -h.relative_log_weights
+        return replace(h, values=poses, columns={"velocity": velocities, "before": h.values, "evidence": evidence})
+
+    def carried(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
+        """The same; flow from the picture before, and everything that hypotheses are compared with."""
+        picture = checked(frame.frame)
+        flow = self._flow(picture, np.concatenate([h.columns["before"], h.values]))
+        seen, points = frame.frame.keypoints, None
+        if seen is not None:
+            points = self.points(self.body, seen.names, np.asarray(seen.points[0]))
+        fixed = self._at(picture.camera).fixed
+        frame.shared["problem"] = frame_problem(fixed, picture, points, frame.shared["edges"], flow, self.settings)
+        return h
+
+    def optimised(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
+        """Candidates: every hypothesis optimised from its prediction."""
+        settings, before, place = self.settings, h.columns["before"], self._at(checked(frame.frame).camera)
+        problem: MonoProblem = frame.shared["problem"]
+        found = self._solved(place, problem, h.values, before, settings.coarse_iterations, settings.iterations)
+        # where a start or a sample settles is no motion: it keeps the velocity it was born with
+        moved = np.stack([s.pose for s in found]) - before
+        velocities = np.where(h.has(OPTIMISED)[:, None], moved, h.columns["velocity"])
+        history = settings.search.memory * h.columns["evidence"]
+        return self._candidates(OPTIMISED, place.fixed, found, velocities, h.values, history)
+
+    def mirror_now(self, h: Hypotheses, frame: PreparedFrame, /) -> bool:
+        """Whether mirrored limbs are tried in this frame."""
+        search = self.settings.search
+        wanted = frame.frame.keypoints is not None if search.flips is None else search.flips
+        return wanted and frame.done % search.flip_every == 0
+
+    def mirror(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
+        """The candidates and mirrored limbs of the best one, optimised; they start at rest."""
+        settings, best, place = self.settings, best_of(h), self._at(checked(frame.frame).camera)
+        poses = mirrored(self.body, place.camera, h.values[best], place.fixed.model.active)
+        if len(poses) == 0:
+            return pooled(h)
+        problem: MonoProblem = frame.shared["problem"]
+        still = problem._replace(flow=problem.flow._replace(flow=problem.flow.flow[:0]))
+        found = self._solved(place, still, poses, poses, settings.coarse_iterations, settings.iterations)
+        history = np.full(len(found), _history(h)[best])
+        return pooled(h, self._candidates(MIRRORED, place.fixed, found, np.zeros_like(poses), poses, history))
+
+    def sampled(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
+        """The candidates and samples of all of them, each with the history and the prediction of the one it was drawn
+        from."""
+        if self.settings.search.hypotheses == 1:
+            return pooled(h)
+        problem: MonoProblem = frame.shared["problem"]
+        place, history, sets = self._at(checked(frame.frame).camera), _history(h), [h]
+        fixed = place.fixed
+        for k in range(h.count):
+            hessian, free = h.columns["hessian"][k], h.columns["free"][k]
+            limits = (fixed.model.active, fixed.spread, fixed.lower, fixed.upper)
+            poses = uncertain_samples(h.values[k], hessian, free, *limits, self.settings.search, rng)
+            own = with_prediction(problem, h.columns["prediction"][k], fixed.spread)
+            cost = mono.score(poses, own, place.workspaces[0])
+            columns = {name: np.repeat(column[k : k + 1], len(poses), 0) for name, column in h.columns.items()}
+            sets.append(candidates(SAMPLED, poses, **{**columns, "cost": cost, "evidence": history[k] + cost}))
+        return pooled(*sets)
+
+    def pruned(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
+        """What is followed into the next frame: the best distinct candidates, with their velocities."""
+        kept = prune(h, self.body, self.settings.search)
+        return replace(kept, columns={"velocity": kept.columns["velocity"]})
+
+    def uncertainty(self, pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> PoseUncertainty:
+        """All distinct candidates that were optimised, with covariances; the joints' (inflated) of the best one."""
+        fixed, s = self._at(checked(frame.frame).camera).fixed, self.body.skeleton
+        found = prune(h.take(np.flatnonzero(~h.has(SAMPLED))), self.body, self.settings.search)
+        covariances = self._covariances(fixed, found)
+        around = s.joint_covariances(found.values[0], covariances[0])
+        sight = self.body.joints(found.values[0]) - checked(frame.frame).camera.position
+        sight = sight / np.linalg.norm(sight, axis=1, keepdims=True)
+        depth = np.einsum("ja,jab,jb->j", sight, around, sight)
+        modes = Modes(
+            found.values[None],
+            self.body.joints(found.values)[None],
+            found.weights[None],
+            found.columns["cost"][None],
+            covariances[None].astype(np.float32),
+            around[None],
+            np.sqrt(np.maximum(depth, 0.0))[None],
+            np.array([found.count]),
+        )
+        # the modes say more than one matrix could
+        return PoseUncertainty(around.astype(np.float32), packed(np.zeros((s.dof, s.dof))), modes)
+
+    def lost(self, pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> bool:
+        """Hardly any contour finds an edge, or the body is out of the picture."""
+        nodes = h.columns["nodes"][best_of(h)]
+        return self.settings.edges and bool(nodes[ASSIGNED] < LOST_SHARE * max(nodes[CONTOUR], 1))
+
+    def optimise(
+        self, poses: Array, frame: Frame, points: MonoPoints | None = None, *, iterations: int = 20
+    ) -> Hypotheses:
+        """Poses (N, D) optimised on one still picture (edges, silhouette, points; no flow, no prediction), best first,
+        each with its covariance and its `cost`: for initialisation and for mirrored poses. Costs are comparable."""
+        picture, dof = checked(frame), self.body.skeleton.dof
+        if poses.shape[1] != dof or not np.isfinite(poses).all():
+            raise InputError(f"Start poses need {dof} finite numbers each, got {poses.shape[1]}; fit the first again.")
+        place = self._at(picture.camera)
+        problem = frame_problem(
+            place.fixed, picture, points, field_of(picture.image, self.settings), None, self.settings
+        )
+        found = self._solved(place, problem, poses, poses, iterations // 2, iterations, predict=False)
+        found = sorted(found, key=lambda s: s.cost)
+        cost, where = np.array([s.cost for s in found]), np.stack([s.pose for s in found])
+        still = np.zeros_like(where)
+        pool = self._candidates(OPTIMISED, place.fixed, found, still, where, np.zeros(len(found)))
+        covariance = self._covariances(place.fixed, pool)
+        return Hypotheses(where, cost[0] - cost, covariance=covariance, columns={"cost": cost})
+
+    def _at(self, camera: Camera) -> _Place:
+        """What does not change as long as the camera is the same one."""
+        if not self._places or self._places[0].camera is not camera:
+            active = body_dofs(self.body.skeleton) if self.active is None else np.asarray(self.active, dtype=np.int64)
+            fixed = fixed_parts(self.body, self.body.coarse, camera, active, self.settings, self.floor)
+            (w, h), count = camera.size, self.threads if self.threads is not None else default_threads()
+            work = [mono.workspace(fixed.model, h, w) for _ in range(max(1, count))]
+            self._places[:] = [_Place(camera, fixed, work)]
+        return self._places[0]
+
+    def _flow(self, picture: Picture, poses: Array) -> Flow | None:
+        """Flow around the moving parts at all poses (N, D); None when it is not used or they are out of the picture."""
+        if picture.before is None or not (self.settings.flow.use or self.settings.edge.motion_boundaries):
+            return None
+        moving = self._at(picture.camera).fixed.model.moving_vertices
+        points = self.body.skin(poses)[:, moving].reshape(-1, 3)
+        uv = picture.camera.project_pinhole(points)
+        uv = uv[np.isfinite(uv).all(1)]
+        w, h = picture.camera.size
+        if len(uv) == 0:
+            return None
+        low = np.clip(uv.min(0) - MARGIN, 0, (w, h)).astype(int)
+        high = np.clip(uv.max(0) + MARGIN, 0, (w, h)).astype(int)
+        if (high <= low).any():
+            return None
+        box = (int(low[0]), int(high[0]), int(low[1]), int(high[1]))
+        return optical_flow(grey(picture.before), grey(picture.image), box)
+
+    def _solved(
+        self,
+        place: _Place,
+        problem: MonoProblem,
+        starts: Array,
+        before: Array,
+        coarse: int,
+        iterations: int,
+        *,
+        predict: bool = True,
+    ) -> list[mono.MonoSolution]:
+        """Every start (N, D) optimised, with its own prediction when asked for; over threads."""
+        solutions: list[mono.MonoSolution | None] = [None] * len(starts)
+        free = list(place.workspaces)
+
+        def work(first: int, last: int) -> None:
+            ws = free.pop()
+            for n in range(first, last):
+                own = with_prediction(problem, starts[n], place.fixed.spread) if predict else problem
+                solutions[n] = mono.search(starts[n], before[n], own, coarse, iterations, ws)
+            free.append(ws)
+
+        over_chunks(work, len(starts), len(free))
+        return [s for s in solutions if s is not None]
+
+    def _candidates(
+        self,
+        role: str,
+        fixed: Fixed,
+        found: Sequence[mono.MonoSolution],
+        velocities: Array,
+        predictions: Array,
+        history: Array,
+    ) -> Hypotheses:
+        poses, gradient = np.stack([s.pose for s in found]), np.stack([s.gradient for s in found])
+        at, cost = poses[:, fixed.model.active], np.array([s.evidence for s in found])
+        held = ((at <= fixed.lower + 1e-6) & (gradient > 0)) | ((at >= fixed.upper - 1e-6) & (gradient < 0))
+        return candidates(
+            role,
+            poses,
+            velocity=velocities,
+            prediction=predictions,
+            hessian=np.stack([s.hessian for s in found]),
+            free=~held,
+            cost=cost,
+            evidence=history + cost,
+            nodes=np.stack([s.counts for s in found]),
+        )
+
+    def _covariances(self, fixed: Fixed, h: Hypotheses) -> Array:
+        """(N, D, D) of candidates, inflated."""
+        dof, inflation = self.body.skeleton.dof, self.settings.inflation
+        each = (pose_covariance(m, fixed.spread, fixed.model.active, dof, inflation) for m in h.columns["hessian"])
+        return np.stack(list(each))
+
+
+def _history(h: Hypotheses) -> Array:
+    """(N,) what candidates had cost before this frame."""
+    return h.columns["evidence"] - h.columns["cost"]

@@ -1,0 +1,142 @@
+"""Poses and proportions found together from the points of one or several pictures (stage 1 of the start).
+
+One picture cannot tell a short limb from one that points at the camera; in several, the same limb points elsewhere.
+Source: Sminchisescu & Triggs 2001, section 5 (points, prior intervals, joint limits, mirrored sides). Deviation: more
+than one picture, where there are points in more than one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.cameras.camera import Camera
+from hypose.compute.monocular.mono_terms import FloorArrays
+from hypose.geometry import Array
+from hypose.inference.newton import minimise
+from hypose.inference.robust import Lorentzian
+from hypose.tracking.monocular.points import MonoPoints
+from hypose.tracking.monocular.proportions import INTERNAL, Proportions, shaped, skeleton_only
+from hypose.tracking.refinement import anatomical_prior
+
+PointsOn = Callable[[Body], MonoPoints]
+"""Where the points of one picture sit on a body, with their pixels: points.clicked_joints or
+points.points_from_keypoints."""
+_LOSS = Lorentzian(2.0)
+_STEP = 0.01
+"""of a factor's logarithm, for its numeric derivative"""
+
+
+def points_on_body(body: Body, pose: Array, points: MonoPoints) -> Array:
+    """(P, 3) m: the points on the body at a pose (D,), world."""
+    return _places(body, pose, points.joint, points.offset)
+
+
+def fit_proportions(
+    template: Body,
+    camera: Camera,
+    pictures: Sequence[PointsOn],
+    poses: Sequence[Array],
+    factors: Array,
+    prior: Proportions,
+    active: NDArray[np.int64],
+    floor: FloorArrays | None = None,
+) -> tuple[Array, Array, float]:
+    """Poses (M, D) and factors (K,), one body for all M pictures, and their cost: bounded Newton from the given ones,
+    over the active dof (A,) of every pose and the factors that move joints. floor: what the person stands on; without
+    it one view cannot tell long legs that point away from shorter ones that do not."""
+    bare, pull = skeleton_only(template), anatomical_prior(template.skeleton)
+    m, a = len(pictures), len(active)
+
+    def unpack(x: Array) -> tuple[Array, Array]:
+        q, f = np.array(poses), factors.copy()
+        q[:, active], f[INTERNAL] = x[: m * a].reshape(m, a), x[m * a :]
+        return q, f
+
+    def cost(x: Array) -> tuple[float, Array, Array]:
+        q, f = unpack(x)
+        body = shaped(bare, f)
+        moved = [shaped(bare, f + _STEP * (np.arange(len(f)) == i)) for i in INTERNAL]
+        value, gradient, hessian = 0.0, np.zeros(len(x)), np.zeros((len(x), len(x)))
+        for k, points_on in enumerate(pictures):
+            points = points_on(body)
+            r = _residuals(body, camera, points, q[k])
+            by_pose = image_jacobian(body, camera, points, q[k])[:, :, active] / points.scale_px[:, None, None]
+            by_factor = [(_residuals(b, camera, points_on(b), q[k]) - r) / _STEP for b in moved]
+            rows = np.concatenate([by_pose, np.stack(by_factor, axis=-1)], axis=2)
+            length, confidence = np.linalg.norm(r, axis=1), points.confidence
+            if floor is not None:
+                above, of_floor = _above_floor(body, moved, q[k], floor, active)
+                length = np.append(length, np.abs(above))
+                confidence = np.append(confidence, np.full(len(above), floor.weight))
+                r = np.concatenate([r, np.column_stack([above, np.zeros(len(above))])])
+                rows = np.concatenate([rows, np.stack([of_floor, np.zeros_like(of_floor)], axis=1)])
+            weight = confidence * _LOSS.weight(length)
+            at = np.concatenate([np.arange(k * a, (k + 1) * a), np.arange(m * a, len(x))])
+            value += float((confidence * _LOSS.rho(length)).sum())
+            gradient[at] += np.einsum("p,pxd,px->d", weight, rows, r)
+            hessian[np.ix_(at, at)] += np.einsum("p,pxd,pxe->de", weight, rows, rows)
+        away = x - centre
+        value += 0.5 * float(stiffness @ away**2)
+        return value, gradient + stiffness * away, hessian + np.diag(stiffness)
+
+    centre = np.concatenate([np.tile(pull.centre[active], m), prior.centre[INTERNAL]])
+    stiffness = np.concatenate([np.tile(pull.weight[active], m), prior.sd[INTERNAL] ** -2])
+    s = template.skeleton
+    found = minimise(
+        cost,
+        np.concatenate([np.array(poses)[:, active].ravel(), factors[INTERNAL]]),
+        np.concatenate([np.tile(s.lower[active], m), prior.lower[INTERNAL]]),
+        np.concatenate([np.tile(s.upper[active], m), prior.upper[INTERNAL]]),
+        max_iterations=30,
+        cost_tolerance=1e-5,
+    )
+    return *unpack(found.x), found.cost
+
+
+def _residuals(body: Body, camera: Camera, points: MonoPoints, pose: Array) -> Array:
+    """(P, 2) standard deviations; 0 for points that are not seen."""
+    shown = camera.project_pinhole(points_on_body(body, pose, points))
+    apart = (shown - points.pixels) / points.scale_px[:, None]
+    return np.where(points.confidence[:, None] > 0, apart, 0.0)
+
+
+def image_jacobian(body: Body, camera: Camera, points: MonoPoints, pose: Array) -> Array:
+    """(P, 2, D) px: derivative of the points' pixels by the pose (D,)."""
+    world, by_pose = points_on_body(body, pose, points), _jacobian(body, pose, points.joint, points.offset)
+    p = camera.projection
+    h = world @ p[:, :3].T + p[:, 3]
+    shown = h[:, :2] / h[:, 2:]
+    by_point = (p[None, :2, :3] - shown[..., None] * p[None, None, 2, :3]) / h[:, 2, None, None]
+    return np.einsum("pxa,pad->pxd", by_point, by_pose)
+
+
+def _above_floor(
+    body: Body, moved: Sequence[Body], pose: Array, floor: FloorArrays, active: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """(F,) heights of the lowest point of the soles and of those under the floor, in standard deviations, and their
+    derivatives (F, A + K) by the active dof and by the factors, from the bodies `moved` by one step each."""
+    height = _places(body, pose, floor.joint, floor.offset)[:, 2] - floor.height
+    on = np.flatnonzero((height < 0) | (np.arange(len(height)) == height.argmin()))
+    joint, offset = floor.joint[on], floor.offset[on]
+    by_pose = _jacobian(body, pose, joint, offset)[:, 2, active]
+    by_factor = [(_places(b, pose, joint, offset)[:, 2] - floor.height - height[on]) / _STEP for b in moved]
+    return height[on] / floor.scale, np.concatenate([by_pose, np.stack(by_factor, axis=1)], axis=1) / floor.scale
+
+
+def _places(body: Body, pose: Array, joint: NDArray[np.int64], offset: Array) -> Array:
+    """(P, 3) m: points on joints (P,) at offsets (P, 3), world."""
+    rotations, centres = body.skeleton.forward(pose)
+    return centres[joint] + np.einsum("pab,pb->pa", rotations[joint], offset)
+
+
+def _jacobian(body: Body, pose: Array, joint: NDArray[np.int64], offset: Array) -> Array:
+    """(P, 3, D): derivative of such points by the pose."""
+    twists = body.skeleton.world_twists(pose)
+    world = _places(body, pose, joint, offset)
+    out = np.cross(twists[None, :, :3], world[:, None]) + twists[None, :, 3:]
+    out[~body.skeleton.moves.T[joint]] = 0.0
+    return np.swapaxes(out, 1, 2)

@@ -1,0 +1,128 @@
+"""The pool of hypotheses: candidates, samples along uncertain directions, pruning to the best distinct ones.
+
+A candidate carries in columns: velocity, prediction (D,); hessian (A, A) of the evidence where it (or its parent) was
+optimised, free (A,) dof that no limit held there; cost in this frame, evidence: the cost accumulated over the frames;
+nodes: of its contour, as in MonoWorkspace.
+Source: Sminchisescu & Triggs 2001, section 4.2 and figure 4. Deviations: samples of all hypotheses are pooled before
+pruning (the printed listing empties the pool for each), costs are accumulated over frames with a memory, and directions
+are those of the Hessian within the subspace that no limit holds, in units of the usual motion of each dof.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.compute.monocular import mono
+from hypose.geometry import Array
+from hypose.inference.hypotheses import Hypotheses
+from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.monocular.settings import SearchSettings
+
+OPTIMISED, SAMPLED, MIRRORED = _ROLES = ("optimised", "sampled", "mirrored")
+"""Where a hypothesis came from: it was optimised, drawn along an uncertain direction, or is a mirrored limb."""
+LEAST_CURVATURE = 1e-6
+"""of the Hessian in units of the usual motion: directions without any evidence"""
+
+
+def candidates(role: str, poses: Array, **columns: NDArray[Any]) -> Hypotheses:
+    """Candidates (N, D) of one role, not yet weighed."""
+    bit = np.full(len(poses), 1 << _ROLES.index(role), dtype=np.int32)
+    return Hypotheses(poses, np.zeros(len(poses)), role=bit, role_names=_ROLES, columns=columns)
+
+
+def pooled(*sets: Hypotheses) -> Hypotheses:
+    """Sets of candidates as one, not yet weighed."""
+    return Hypotheses(
+        np.concatenate([h.values for h in sets]),
+        np.zeros(sum(h.count for h in sets)),
+        role=np.concatenate([h.role for h in sets]),
+        role_names=_ROLES,
+        columns={name: np.concatenate([h.columns[name] for h in sets]) for name in sets[0].columns},
+    )
+
+
+def accumulated(h: Hypotheses, frame: PreparedFrame, /) -> Array:
+    """(N,) log-likelihoods of candidates, minus their evidence: equation (4), whose Z is the sum over the set.
+
+    Deviation: the evidence is accumulated over frames with a memory."""
+    return -h.columns["evidence"]
+
+
+def uncertain_samples(
+    pose: Array,
+    hessian: Array,
+    free: NDArray[np.bool_],
+    active: NDArray[np.int64],
+    spread: Array,
+    lower: Array,
+    upper: Array,
+    settings: SearchSettings,
+    rng: np.random.Generator,
+) -> Array:
+    """Poses (S, D) along the n_s most uncertain free directions of an optimised candidate, on both sides.
+
+    Deviation: directions are those of the Hessian within the subspace that no limit holds, in units of the usual motion
+    of each dof. spread (A,): the usual error of a prediction, the unit of each dof and the bound on a sample's
+    length."""
+    loose = np.flatnonzero(free)
+    if len(loose) == 0:
+        return np.zeros((0, len(pose)))
+    unit = spread[loose]
+    values, vectors = mono.eigen(hessian[np.ix_(loose, loose)] * unit[:, None] * unit)
+    out = []
+    for j in range(min(settings.directions, len(loose))):
+        direction = vectors[:, j]
+        if settings.isotropic:
+            direction = rng.normal(size=len(loose))
+            direction /= np.linalg.norm(direction)
+        step = unit * direction / np.sqrt(max(values[j], LEAST_CURVATURE))
+        reach = min(settings.reach, settings.longest / float(np.abs(step / unit).max()))
+        for p in range(1, settings.samples + 1):
+            for sign in (-1.0, 1.0):
+                moved = pose.copy()
+                moved[active[loose]] += sign * reach * p / settings.samples * step
+                moved[active] = np.clip(moved[active], lower, upper)
+                out.append(moved)
+    return np.array(out).reshape(-1, len(pose))
+
+
+def best_of(pool: Hypotheses) -> int:
+    """The number of the best candidate that was optimised."""
+    return int(np.where(pool.has(SAMPLED), np.inf, pool.columns["evidence"]).argmin())
+
+
+def prune(pool: Hypotheses, body: Body, settings: SearchSettings) -> Hypotheses:
+    """The best distinct candidates, at most settings.hypotheses, best first: the best optimised one comes first and
+    stays, the others are ranked by their accumulated evidence.
+
+    Deviation: samples of all hypotheses are pooled before pruning, where the printed listing empties the pool for each.
+    Deviation: only poses that differ are kept."""
+    first = best_of(pool)
+    others = np.delete(np.arange(pool.count), first)
+    ranked = [first, *others[np.argsort(pool.columns["evidence"][others], kind="stable")]]
+    places = landmark_places(body, pool.values[ranked])
+    kept: list[int] = []
+    for i in range(len(ranked)):
+        if all(np.linalg.norm(places[i] - places[k], axis=-1).max() > settings.distinct_m for k in kept):
+            kept.append(i)
+        if len(kept) == settings.hypotheses:
+            break
+    return pool.take([ranked[i] for i in kept])
+
+
+def landmark_places(body: Body, poses: Array) -> Array:
+    """(N, L, 3) m: joint centres and landmarks, by which poses are told apart."""
+    return np.concatenate([body.joints(poses), body.landmark_points(poses)], axis=1)
+
+
+def pose_covariance(hessian: Array, spread: Array, active: NDArray[np.int64], dof: int, inflation: float) -> Array:
+    """(D, D) covariance of a pose: inflation^2 H^-1 over the active dof, 0 elsewhere."""
+    values, vectors = mono.eigen(hessian * spread[:, None] * spread)
+    root = spread[:, None] * vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
+    out = np.zeros((dof, dof))
+    out[np.ix_(active, active)] = inflation**2 * np.einsum("ik,jk->ij", root, root)
+    return out

@@ -1,0 +1,145 @@
+"""What a monocular tracker is told: every ablation of the method is one of these settings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from hypose.errors import InputError
+
+ROBUST_FORMS = ("gaussian", "lorentzian", "leclerc")
+
+
+@dataclass(frozen=True)
+class EdgeSettings:
+    """Contours against image edges.
+
+    form: of the cost, one of ROBUST_FORMS; sigma_px: its scale; height: nu, what one independent sample costs that
+    finds nothing; sample_px: contour per independent sample; window_px: reach of the line search to either side;
+    spacing_px: distance of the contour's nodes; strength: quantile of the image gradient that counts as a full edge;
+    threshold: weakest edge that is taken, as a share of that; smoothing_px: of the image before. background: expected
+    cost of a node where no body is, as a share of nu, taken off each node: a contour that fits worse than it would by
+    chance is the better the shorter it is, so with too low a value limbs hide; occluded: k of equation (5), what an
+    occluded node costs as a share of nu (as much: hiding neither helps nor harms). motion_boundaries: weigh edges by
+    them; boundary_floor: weight of an edge where nothing moves. coarse_factor: of sigma in the first iterations.
+    """
+
+    form: str = "leclerc"
+    sigma_px: float = 3.0
+    height: float = 5.0
+    sample_px: float = 8.0
+    window_px: int = 14
+    spacing_px: float = 6.0
+    strength: float = 0.93
+    threshold: float = 0.08
+    smoothing_px: float = 1.2
+    background: float = 0.8
+    occluded: float = 0.8
+    motion_boundaries: bool = True
+    boundary_floor: float = 0.1
+    coarse_factor: float = 2.0
+
+
+@dataclass(frozen=True)
+class FlowSettings:
+    """Inner nodes against optical flow. form, sigma_px, height as for edges; area_px: side of the square that makes one
+    independent sample; spacing_px: of the grid of nodes; consistency_px: nodes with a larger forward-backward error are
+    outliers."""
+
+    use: bool = True
+    form: str = "lorentzian"
+    sigma_px: float = 1.2
+    height: float = 0.1
+    area_px: float = 14.0
+    spacing_px: float = 8.0
+    consistency_px: float = 1.0
+
+
+@dataclass(frozen=True)
+class CueSettings:
+    """Silhouettes, 2D points (key points, clicked joints) and the floor. silhouette_height, silhouette_form,
+    silhouette_sigma_px as for edges (height 0: not used); point_weight on all points (0: not used), whose scales come
+    with them; point_form; floor_sd_m: how far from a known floor the lower sole usually is, m."""
+
+    silhouette_height: float = 2.0
+    silhouette_form: str = "lorentzian"
+    silhouette_sigma_px: float = 4.0
+    point_weight: float = 1.0
+    point_form: str = "lorentzian"
+    floor_sd_m: float = 0.05
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """The hypotheses (section 4.2, figure 4).
+
+    hypotheses: k, kept from frame to frame; directions: n_s, uncertain eigen-directions sampled per hypothesis;
+    samples: on either side of each; reach: p_f, of the outermost in standard deviations; longest: no sample moves a dof
+    by more than this many times its usual motion; isotropic: random directions of the same length instead. distinct_m:
+    hypotheses differ when a joint lies at least so far apart; memory: share of the accumulated cost carried to the next
+    frame. flips: mirrored limbs are optimised and pooled while tracking too, every flip_every frames (None: where there
+    are key points).
+    """
+
+    hypotheses: int = 7
+    directions: int = 3
+    samples: int = 1
+    reach: float = 4.0
+    longest: float = 2.5
+    isotropic: bool = False
+    distinct_m: float = 0.03
+    memory: float = 0.8
+    flips: bool | None = False
+    flip_every: int = 5
+
+
+@dataclass(frozen=True)
+class MonoSettings:
+    """All settings of a monocular tracker.
+
+    velocity: share of the last step expected again (0: none, as in the printed listing); motion_scale: expected error
+    of that prediction in units of the skeleton's usual motion per frame; posture_scale: spread of the weak pull to the
+    rest posture in the same units; limits: joint limits are hard; interpenetration: weight of the prior that keeps
+    limbs out of each other and the trunk (0: none); second_order: use rho'' in the Hessian (9), safeguarded.
+    iterations, coarse_iterations: of the Newton search per frame; inflation: of standard deviations in the reported
+    posterior, because neighbouring nodes err together (fixed on other scenes); edges: False leaves them out. frame_rate
+    Hz.
+    """
+
+    edge: EdgeSettings = EdgeSettings()
+    flow: FlowSettings = FlowSettings()
+    cues: CueSettings = CueSettings()
+    search: SearchSettings = SearchSettings()
+    edges: bool = True
+    velocity: float = 1.0
+    motion_scale: float = 3.0
+    posture_scale: float = 15.0
+    limits: bool = True
+    interpenetration: float = 1.0
+    second_order: bool = True
+    iterations: int = 10
+    coarse_iterations: int = 3
+    inflation: float = 2.0
+    frame_rate: float = 25.0
+
+    def __post_init__(self) -> None:
+        for name, form in (
+            ("edge.form", self.edge.form),
+            ("flow.form", self.flow.form),
+            ("cues.silhouette_form", self.cues.silhouette_form),
+            ("cues.point_form", self.cues.point_form),
+        ):
+            if form not in ROBUST_FORMS:
+                raise InputError(f"{name} is {form!r}; choose one of {', '.join(ROBUST_FORMS)}.")
+        if not 1 <= self.search.hypotheses <= 100:
+            raise InputError(f"search.hypotheses is {self.search.hypotheses}; keep between 1 and 100 hypotheses.")
+        if not 4 <= self.edge.window_px <= 60:
+            raise InputError(f"edge.window_px is {self.edge.window_px}; the line search reaches 4 to 60 px.")
+
+    def robust(self, form: str) -> MonoSettings:
+        """The same settings with one form for every cue ('gaussian' is the non-robust ablation)."""
+        return replace(
+            self,
+            edge=replace(self.edge, form=form),
+            flow=replace(self.flow, form=form),
+            cues=replace(self.cues, silhouette_form=form, point_form=form),
+        )

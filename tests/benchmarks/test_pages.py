@@ -1,0 +1,181 @@
+"""The page of figures is what the kept documents say: nothing is typed by hand, and nothing kept has no origin."""
+
+import json
+import re
+
+import pytest
+
+from benchmarks import pages
+from benchmarks.bench_list import benchmarks, run_benchmark
+from benchmarks.bench_origin import ROOT, YARDSTICK, beside_yardstick, command
+from benchmarks.bench_report import BenchOptions, BenchReport, Row
+from benchmarks.bench_tables import Column, Line, Page, cell, least, lines_of, most, number, table, verdicts, within
+from hypose.errors import InputError
+
+KEPT = pages.documents()
+LARGEST_PICTURE = 60_000
+
+
+def test_the_page_is_made_of_the_kept_documents():
+    """Else: python -m benchmarks.pages"""
+    assert pages.PAGE.read_text(encoding="utf-8") == pages.page_text(KEPT)
+
+
+def test_every_benchmark_has_an_entry_and_every_entry_a_benchmark():
+    assert list(pages.pages()) and set(pages.pages()) == set(benchmarks())
+    text = pages.page_text({})
+    for name in benchmarks():
+        assert f"### {name}\n" in text and f"`./run bench {name} --keep`" in text
+
+
+@pytest.mark.parametrize("page", pages.pages().values(), ids=lambda p: p.name)
+def test_prose_has_at_most_five_lines(page):
+    assert 0 < pages.wrapped(page.prose).count("\n") + 1 <= 5
+    if page.notebook:
+        name, _, anchor = page.notebook.partition("#")
+        text = (ROOT / "docs" / "notebook" / name).read_text(encoding="utf-8")
+        headings = [
+            re.sub(r"[^\w -]", "", h).strip().lower().replace(" ", "-") for h in re.findall(r"^#+ (.*)", text, re.M)
+        ]
+        assert not anchor or anchor in headings
+
+
+def test_something_is_kept():
+    assert set(KEPT) and set(KEPT) <= set(benchmarks())
+
+
+@pytest.mark.parametrize("name", KEPT)
+def test_a_kept_document_tells_where_it_comes_from(name):
+    document = KEPT[name]
+    assert document["name"] == name and not document["settings"]["quick"]
+    assert re.fullmatch(r"[0-9a-f]{7,40}", document["commit"])  # no +: the code was committed
+    assert re.fullmatch(r"20\d\d-\d\d-\d\dT\d\d:\d\d\+00:00", document["date"])
+    assert document["command"].startswith(f"./run bench {name}") and " /" not in document["command"]
+    assert {"processor", "cores", "python", "load"} <= set(document["machine"])
+    assert document["seconds"] > 0 and document["results"]
+    json.dumps(document, allow_nan=False)
+
+
+@pytest.mark.parametrize("name", KEPT)
+def test_every_line_of_a_kept_benchmark_shows_a_figure(name):
+    page, rows = pages.pages()[name], pages.rows_of(KEPT[name])
+    lines = lines_of(page, rows)
+    assert lines
+    for line in lines:
+        assert any(cell(column, line, rows) for column in page.columns), line.title
+
+
+@pytest.mark.parametrize("name", KEPT)
+def test_kept_speeds_have_a_ratio_of_the_same_run(name):
+    for r in KEPT[name]["results"]:
+        plain = Row(r["metric"], r["case"], r["value"] or 0.0, r["unit"], baseline=r["baseline"])
+        if beside_yardstick(plain, 300.0) != plain:
+            raise AssertionError(f"{r['metric']} {r['case']} has no ratio")
+
+
+@pytest.mark.parametrize("name", KEPT)
+def test_a_kept_benchmark_has_a_small_picture(name):
+    assert 2000 < pages.picture_path(name).stat().st_size <= LARGEST_PICTURE
+
+
+def test_no_picture_is_left_of_what_is_not_kept():
+    drawn = {p.stem.removeprefix("bench-") for p in pages.IMAGES.glob("bench-*")}
+    assert drawn == set(KEPT)
+
+
+ROWS = {
+    (m, c): {"metric": m, "case": c, "value": v, "unit": u, "sd": sd, "n": 3, "baseline": b, "ratio": r}
+    for m, c, v, u, sd, b, r in (
+        ("error_mm", "apf/walk", 50.04, "mm", 3.21, None, None),
+        ("error_mm", "hpf/walk", 40.0, "mm", None, "apf/walk", 0.8),
+        ("recovery_s", "hpf", None, "s", None, None, None),
+        ("ms_per_frame", "fit", 0.25, "ms", None, YARDSTICK, 0.5),
+    )
+}
+
+
+def test_a_table_shows_figures_spreads_and_bars():
+    columns = (Column("walk", "error_mm", "{}/walk", spread=True), Column("ratio", "error_mm", "{}/walk", ratio=True))
+    lines = (
+        Line("apf", "apf", (most(45), within(50, 60))),
+        Line("hpf", "hpf", (most(0.9, 0, "apf"), least(0.85, 1))),
+        Line("gone", "gone", (most(1),)),
+    )
+    assert table(Page("a", "prose", columns, lines), ROWS).splitlines() == [
+        "|  | walk | ratio | bar |",
+        "| --- | --- | --- | --- |",
+        "| apf | 50 (3.2) |  | walk ≤ 45: **missed**; walk 50 to 60: met |",
+        "| hpf | 40 | 0.8 | walk ≤ 0.9 x apf: met; ratio ≥ 0.85: **missed** |",
+        "| gone |  |  | walk ≤ 1: not measured |",
+    ]
+
+
+def test_a_speed_stands_with_its_ratio_and_what_never_came_is_missed():
+    page = Page(
+        "a",
+        "prose",
+        lines=(Line("fit", "fit", (most(0.3),), "ms_per_frame"), Line("hpf", "hpf", (most(1),), "recovery_s")),
+    )
+    assert cell(page.columns[0], page.lines[0], ROWS) == f"0.25 ms, 0.5 x {YARDSTICK}"
+    assert cell(page.columns[0], page.lines[1], ROWS) == "never"
+    assert [met for line in page.lines for _, met in verdicts(page, line, ROWS)] == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [(1234.5, "1234"), (0.00028, "0.00028"), (99.96, "100"), (0.99966, "1"), (1.3e-13, "0"), (2.5e-5, "0.000025")],
+)
+def test_numbers_have_three_figures_and_no_exponent(value, shown):
+    assert number(value) == shown
+    assert number(0.99966, 4) == "0.9997"
+
+
+def test_a_document_says_what_was_called_and_compares_speeds(monkeypatch):
+    from benchmarks import bench_list
+
+    rows = (
+        Row("ms_per_frame", "a", 2.0, "ms"),
+        Row("recovery_s", "a", float("inf"), "s"),
+        Row("frames_per_second", "a", 10.0, "1/s"),
+    )
+    made = bench_list.Benchmark(lambda options: BenchReport(rows, {"x": 1}), "seeds", "data")
+    monkeypatch.setattr(bench_list, "benchmarks", lambda: {"a": made})
+    monkeypatch.setattr(bench_list, "yardstick", lambda: 500.0)
+    document = run_benchmark("a", seeds=2, data=ROOT)
+    assert document["command"] == "./run bench a --seeds 2 --data DATA" and document["settings"] == {
+        "x": 1,
+        "quick": False,
+    }
+    assert [r["ratio"] for r in document["results"]] == [4.0, None, 0.005]
+    assert [r["value"] for r in document["results"]] == [2.0, None, 10.0]
+
+
+def test_the_command_names_no_folder_of_this_machine():
+    assert (
+        command("b", BenchOptions(quick=True, first_seed=0, parts=ROOT))
+        == "./run bench b --quick --first-seed 0 --parts PARTS"
+    )
+
+
+def test_quick_figures_and_figures_of_unknown_code_are_not_kept(monkeypatch):
+    with pytest.raises(InputError, match="without --quick"):
+        pages.check_keep("sync", True)
+    monkeypatch.setattr(pages, "commit", lambda: None)
+    with pytest.raises(InputError, match="git checkout"):
+        pages.check_keep("sync", False)
+
+
+def test_keeping_writes_document_picture_and_page(tmp_path, monkeypatch):
+    for name, path in (("RESULTS", "results"), ("IMAGES", "images")):
+        monkeypatch.setattr(pages, name, tmp_path / path)
+        (tmp_path / path).mkdir()
+    monkeypatch.setattr(pages, "PAGE", tmp_path / "benchmarks.md")
+    report = KEPT["silhouette-scorer"]
+    written = pages.keep_report(report)
+    assert written == [
+        tmp_path / "results/silhouette-scorer.json",
+        tmp_path / "images/bench-silhouette-scorer.png",
+        tmp_path / "benchmarks.md",
+    ]
+    assert json.loads(written[0].read_text()) == report and written[1].stat().st_size > 2000
+    assert "| [silhouette-scorer](#silhouette-scorer) | 5 of 5 |" in written[2].read_text()

@@ -1,0 +1,277 @@
+"""The recipe of one camera as a whole on small pictures of a known body."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.body.motion import modes_arrays
+from hypose.body.ready_bodies import human
+from hypose.body.superquadrics import superquadric_body
+from hypose.cameras.camera import CameraRig
+from hypose.errors import EvidenceError, InputError
+from hypose.evidence.frame import Frame, Keypoints, Picture
+from hypose.inference.hypotheses import Hypotheses
+from hypose.inference.layer import search
+from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.monocular.flips import mirrored
+from hypose.tracking.monocular.models import body_dofs
+from hypose.tracking.monocular.picture_search import ASSIGNED, CONTOUR, FLOW, PictureSearch
+from hypose.tracking.monocular.points import MonoPoints, clicked_joints, points_from_keypoints
+from hypose.tracking.monocular.recipe import picture_recipe
+from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.tracker import (
+    Tracker,
+    TrackerSettings,
+    TrackerState,
+    estimates_from_arrays,
+    estimates_to_arrays,
+    modes_of,
+)
+from tests.monocular.pictures import SIZE, camera, mask, picture, wall
+
+SETTINGS = replace(MonoSettings(), search=replace(MonoSettings().search, hypotheses=3, directions=1))
+
+
+def motion(body, frames):
+    """(frames, D): an arm that lifts and bends, a knee that bends, a small step aside; 2 to 5 px per frame."""
+    s = body.skeleton
+    q = np.tile(s.rest_pose(), (frames, 1))
+    t = np.arange(frames)[:, None]
+    q[:, s.dofs_of("left_shoulder")] += 0.06 * t * [0.3, -1, 0.4]
+    q[:, s.dofs_of("left_elbow")] += 0.07 * t
+    q[:, s.dofs_of("right_knee")] += 0.08 * t
+    q[:, s.dofs_of("right_hip")[:1]] -= 0.05 * t
+    q[:, 0] += 0.006 * t[:, 0]
+    return s.clamp(q)
+
+
+@pytest.fixture(scope="module")
+def clip():
+    body = human()
+    view, poses = camera(body), motion(body, 6)
+    background = wall(clutter=12)
+    return body, view, poses, [picture(body, q, view, background, seed=7) for q in poses]
+
+
+def tracker_of(body, settings=SETTINGS, active=None, threads=1, seed=5):
+    recipe = picture_recipe(PictureSearch(body, settings, active, threads, points=points_from_keypoints))
+    return Tracker(body, recipe, TrackerSettings("auto", seed))
+
+
+def frame_of(view, pictures, i, points=None, masks=None):
+    before = pictures[i - 1] if i else None
+    picture = Picture(view, pictures[i], before, None if masks is None else masks[i])
+    return Frame(i / 25, i, keypoints=None if points is None else points[i], picture=picture)
+
+
+def at(*poses):
+    return Hypotheses.uniform(np.stack(poses))
+
+
+def follow(body, view, poses, pictures, settings=SETTINGS, *, points=None, masks=None, threads=1):
+    tracker = tracker_of(body, settings, threads=threads)
+    frames = [frame_of(view, pictures, i, points, masks) for i in range(1, len(pictures))]
+    return [estimate for _, estimate in tracker.follow(tracker.start(at(poses[0])), frames)]
+
+
+def error(body, estimates, poses):
+    found, truth = body.joints(np.stack([e.pose for e in estimates])), body.joints(poses[1:])
+    return np.linalg.norm(found - found[:, :1] - truth + truth[:, :1], axis=-1).mean()
+
+
+def test_a_small_motion_is_recovered(clip):
+    body, view, poses, pictures = clip
+    estimates = follow(body, view, poses, pictures)
+    moved = np.linalg.norm(body.joints(poses[0]) - body.joints(poses[-1]), axis=1)
+    assert moved.max() > 0.12
+    assert error(body, estimates, poses) < 0.02
+    last = estimates[-1]
+    assert not last.lost
+    modes = last.uncertainty.modes
+    assert 1 <= modes.alive[0] == modes.poses.shape[1] <= 3
+    assert modes.weights.sum() == pytest.approx(1)
+    np.testing.assert_array_equal(modes.poses[0, 0], last.pose)
+    # one view sees depth worst
+    limbs = [body.skeleton.joint(n) for n in ("left_wrist", "right_ankle", "head")]
+    assert (modes.depth_sd[0, limbs] > last.joint_sd[limbs]).all()
+
+
+def test_most_of_the_contour_finds_an_edge(clip):
+    body, view, poses, pictures = clip
+    recipe = picture_recipe(PictureSearch(body, SETTINGS, threads=1))
+    frame = prepare(frame_of(view, pictures, 1), body, poses[1])
+    found = search(at(poses[0]), recipe, frame, np.random.default_rng).weighted
+    contour, assigned, flow = found.columns["nodes"][0, [CONTOUR, ASSIGNED, FLOW]]
+    assert assigned > 0.8 * contour > 40
+    assert flow > 20
+
+
+def test_superquadric_parts_can_be_followed_too(clip):
+    body, view, poses, pictures = clip
+    assert error(body, follow(superquadric_body(body), view, poses, pictures), poses) < 0.06
+
+
+def test_masks_and_key_points_help(clip):
+    body, view, poses, pictures = clip
+    names = ("left_wrist", "right_knee", "left_elbow", "right_ankle", "left_shoulder", "nonsense")
+    index = [body.skeleton.joint(n) for n in names[:-1]]
+    seen = np.full((len(poses), len(names), 3), np.nan)
+    seen[:, :-1, :2] = view.project(body.joints(poses))[:, index]
+    seen[:, :-1, 2] = 1.0
+    points = [Keypoints(k[None], names, CameraRig((view,))) for k in seen]
+    estimates = follow(body, view, poses, pictures, points=points, masks=[mask(body, q, view) for q in poses])
+    assert error(body, estimates, poses) < 0.025
+
+
+def test_the_same_seed_gives_the_same_numbers_on_any_number_of_threads(clip):
+    body, view, poses, pictures = clip
+    isotropic = replace(SETTINGS, search=replace(SETTINGS.search, isotropic=True))
+    first, second = (follow(body, view, poses[:4], pictures[:4], isotropic, threads=t) for t in (1, 2))
+    for a, b in zip(first, second, strict=True):
+        np.testing.assert_array_equal(a.uncertainty.modes.poses, b.uncertainty.modes.poses)
+        np.testing.assert_array_equal(a.uncertainty.modes.covariances, b.uncertainty.modes.covariances)
+
+
+def test_inputs_are_not_changed(clip):
+    body, view, poses, pictures = clip
+    tracker = tracker_of(body)
+    state, _ = tracker.step(tracker.start(at(poses[0])), frame_of(view, pictures, 0))
+    kept, images = state.to_arrays(), [p.copy() for p in pictures[:2]]
+    kept = {k: v.copy() for k, v in kept.items()}
+    tracker.step(state, frame_of(view, pictures, 1))
+    for name, after in state.to_arrays().items():
+        np.testing.assert_array_equal(kept[name], after)
+    np.testing.assert_array_equal(images, pictures[:2])
+
+
+def test_a_saved_state_goes_on_with_the_same_numbers(clip):
+    body, view, poses, pictures = clip
+    tracker = tracker_of(body)
+    state = tracker.start(at(poses[0]))
+    for i in (1, 2):
+        state, _ = tracker.step(state, frame_of(view, pictures, i))
+    again = TrackerState.from_arrays(state.to_arrays())
+    (first, one), (second, other) = (tracker.step(s, frame_of(view, pictures, 3)) for s in (state, again))
+    np.testing.assert_array_equal(one.pose, other.pose)
+    np.testing.assert_array_equal(first.hypotheses.columns["velocity"], second.hypotheses.columns["velocity"])
+
+
+def test_every_ablation_runs_and_keeps_what_is_not_estimated(clip):
+    body, view, poses, pictures = clip
+    s, search = SETTINGS, SETTINGS.search
+    ablations = (
+        s.robust("gaussian"),
+        s.robust("lorentzian"),
+        replace(s, flow=replace(s.flow, use=False)),
+        replace(s, edge=replace(s.edge, motion_boundaries=False)),
+        replace(s, velocity=0.0, limits=False, interpenetration=0.0, second_order=False),
+        replace(s, search=replace(search, hypotheses=1)),
+        replace(s, search=replace(search, flips=True, flip_every=1)),
+        replace(s, edges=False),
+    )
+    held = np.setdiff1d(np.arange(body.skeleton.dof), body_dofs(body.skeleton))
+    for settings in ablations:
+        estimate = follow(body, view, poses[:3], pictures[:3], settings)[-1]
+        assert np.isfinite(estimate.pose).all()
+        assert np.isfinite(estimate.uncertainty.joint_covariance).all()
+        np.testing.assert_array_equal(estimate.pose[held], poses[0][held])
+        assert not estimate.uncertainty.modes.covariances[:, :, held].any()
+        if settings.search.hypotheses == 1:
+            assert estimate.uncertainty.modes.alive == 1
+
+
+def test_limits_are_hard(clip):
+    body, view, poses, pictures = clip
+    s = body.skeleton
+    for estimate in follow(body, view, poses, pictures):
+        for q in estimate.uncertainty.modes.poses[0]:
+            assert (q >= s.lower - 1e-9).all()
+            assert (q <= s.upper + 1e-9).all()
+
+
+def test_mirrored_limbs_look_alike_and_lie_elsewhere(clip):
+    body, view, poses, _ = clip
+    pose = poses[-1].copy()
+    pose[body.skeleton.dofs_of("right_hip")[:1]] = -0.6
+    found = mirrored(body, view, pose, body_dofs(body.skeleton))
+    assert len(found) >= 2
+    joints, others = body.joints(pose), body.joints(found)
+    far = np.linalg.norm(others - joints, axis=-1).max(1)
+    pixels = np.linalg.norm(view.project(others) - view.project(joints), axis=-1).max(1)
+    assert (far > 0.1).all()
+    assert (pixels < 12).all()
+
+
+def test_mirrored_poses_are_ranked_after_they_are_optimised(clip):
+    body, view, poses, pictures = clip
+    clicks = view.project(body.joints(poses[3]))
+    names = ("left_wrist", "right_wrist", "right_ankle", "left_ankle", "left_elbow", "right_knee")
+    points = clicked_joints(body, {n: tuple(clicks[body.skeleton.joint(n)]) for n in names})
+    frame = Frame(0.12, 3, picture=Picture(view, pictures[3], None, mask(body, poses[3], view)))
+    mirror_images = mirrored(body, view, poses[3], body_dofs(body.skeleton))
+    here = PictureSearch(body, SETTINGS, threads=1)
+    ranked = here.optimise(np.stack([poses[3], *mirror_images]), frame, points)
+    assert ranked.count > 2
+    assert (np.diff(ranked.columns["cost"]) >= 0).all()
+    best = body.joints(ranked.values[0]) - body.joints(poses[3])
+    assert np.linalg.norm(best, axis=1).mean() < 0.08
+    assert (np.linalg.eigvalsh(ranked.covariance[0]) > -1e-9).all()
+
+
+def test_a_posterior_becomes_plain_arrays(clip):
+    body, view, poses, pictures = clip
+    estimates = follow(body, view, poses[:4], pictures[:4])
+    arrays = estimates_to_arrays(estimates)
+    modes, again = modes_of(estimates), modes_of(estimates_from_arrays(arrays))
+    k = max(int(e.uncertainty.modes.alive[0]) for e in estimates)
+    assert modes.poses.shape == (3, k, body.skeleton.dof)
+    np.testing.assert_array_equal(modes.poses[:, 0], [e.pose for e in estimates])
+    np.testing.assert_allclose(np.nansum(modes.weights, 1), 1)
+    assert all(a.dtype.kind in "fib" for a in arrays.values())
+    for name, array in modes_arrays(modes).items():
+        np.testing.assert_array_equal(array, getattr(again, name))
+
+
+def test_bad_input_is_refused_in_a_sentence(clip):
+    body, view, poses, pictures = clip
+    tracker = tracker_of(body)
+    state = tracker.start(at(poses[0]))
+    w, h = SIZE
+    small, grey = np.zeros((h // 2, w // 2, 3), np.uint8), np.zeros((h, w), np.uint8)
+
+    def step(index, image, shape=None):
+        tracker.step(state, Frame(0.0, index, picture=Picture(view, image, None, shape)))
+
+    with pytest.raises(InputError, match=r"Frame 4 is 120 x 100 px, camera cam 240 x 200"):
+        step(4, small)
+    with pytest.raises(InputError, match="Frame 5: a picture must be"):
+        step(5, grey)
+    with pytest.raises(EvidenceError, match="Frame 6: the mask is empty"):
+        step(6, pictures[0], grey)
+    with pytest.raises(InputError, match="Frame 7: the mask is 120 x 100"):
+        step(7, pictures[0], grey[: h // 2, : w // 2])
+    nan = np.array([[np.nan, 1.0]])
+    with pytest.raises(EvidenceError, match="no finite position"):
+        MonoPoints(nan, np.ones(1), np.zeros(1, int), np.zeros((1, 3)), np.ones(1))
+    for bad in (np.full(36, np.nan), np.zeros(7)):
+        with pytest.raises(InputError, match="36 finite numbers"):
+            tracker.start(at(bad))
+    backwards = tracker_of(body, active=np.array([3, 2]))
+    with pytest.raises(InputError, match="ascending indices"):
+        backwards.step(backwards.start(at(poses[0])), frame_of(view, pictures, 0))
+    with pytest.raises(InputError, match="looks at one picture, and not at evidence of your own"):
+        replace(tracker, own=(None,))
+    with pytest.raises(InputError, match="choose one of gaussian"):
+        SETTINGS.robust("square")
+    with pytest.raises(InputError, match="no joint 'tail'"):
+        clicked_joints(body, {"tail": (1.0, 2.0)})
+
+
+def test_a_body_out_of_the_picture_is_lost(clip):
+    body, view, poses, pictures = clip
+    away = poses[0].copy()
+    away[:3] += [8.0, 4.0, 0.0]
+    estimate = follow(body, view, np.stack([away, away]), pictures[:2])[0]
+    assert estimate.lost
+    assert np.isfinite(estimate.pose).all()
