@@ -114,7 +114,7 @@ class ChunkRun:
     def whole(self, progress: Progress) -> TrackResult:
         """All chunks, those that are missing tracked one after the other, joined, smoothed, and written."""
         o = self.options
-        faults = () if o.of_picture else sentences(first_look(self.source, o.evidence, o.height))
+        faults = () if o.of_picture else sentences(first_look(self.source, o.looks_at, o.height))
         subject = self.subject(progress)
         chunks: list[Tracked] = []
         total, done = len(self.source), 0

@@ -167,7 +167,7 @@ def track_source(
         raise InputError("The recording has no frame to track; check the frame range and the videos.")
     key = identity(record or {})
     report("look", 0, 1)
-    faults = () if options.of_picture else sentences(first_look(source, options.evidence, options.height))
+    faults = () if options.of_picture else sentences(first_look(source, options.looks_at, options.height))
     report("look", 1, 1)
     if subject is None:
         try:
