@@ -7,6 +7,7 @@ end; nothing is changed, since the cure is the user's to choose.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -19,7 +20,7 @@ from hypose.calibration.doctor_points import best_trial, disagreement
 from hypose.calibration.doctor_report import height_findings
 from hypose.calibration.doctor_silhouettes import gross_silhouettes
 from hypose.cameras.camera import triangulate
-from hypose.errors import EvidenceError
+from hypose.errors import EvidenceError, HyposeError
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.pipeline.track_loop import FrameSource
 from hypose.tracking.subject import shape_from_keypoints
@@ -35,7 +36,10 @@ def first_look(source: FrameSource, evidence: str, height: float | None = None) 
     `evidence`; height of the person, m, when known. Nothing of one camera."""
     total = len(source)
     rows = np.unique(np.linspace(0, total - 1, min(total, FRAMES)).round().astype(int))
-    frames = [source.frame(int(i)) for i in rows]
+    frames: list[Frame] = []
+    for i in rows.tolist():
+        with contextlib.suppress(HyposeError):  # what cannot be read is told when its turn comes
+            frames.append(source.frame(i))
     points = [f.keypoints for f in frames if f.keypoints is not None]
     masks = [f.silhouettes for f in frames if f.silhouettes is not None] if evidence != "keypoints" else []
     limits = Limits()
