@@ -47,7 +47,7 @@ from benchmarks.multiview import (
     uncertainty,
 )
 from benchmarks.one_camera import mono_benchmarks, mono_real
-from benchmarks.robustness import batch_scale, faults, kills
+from benchmarks.robustness import batch_scale, faults, inputs, kills
 from hypose.errors import InputError
 
 
@@ -81,6 +81,7 @@ def benchmarks() -> dict[str, Benchmark]:
         "uncertainty": Benchmark(uncertainty.uncertainty, "seeds", "first_seed", "data"),
         "real-balancing": Benchmark(real_recordings.real_balancing, "data"),
         "real-uu4cam": Benchmark(real_recordings.real_uu4cam, "data"),
+        "inputs": Benchmark(inputs.bench_inputs),
         "calibration": Benchmark(board_accuracy.boards, "seeds", "first_seed", "data"),
         "doctor": Benchmark(planted_faults.doctor, "seeds", "first_seed"),
         "doctor-real": Benchmark(doctor_real.doctor_real, "data"),

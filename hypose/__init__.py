@@ -40,6 +40,7 @@ _PLACES = {
     "FrameList": "hypose.pipeline.track_loop",
     "OwnEvidence": "hypose.tracking.frame_evidence",
     "PointTerm": "hypose.fitting.articulated",
+    "RowTerm": "hypose.fitting.own_rows",
     "Tracker": "hypose.tracking.tracker",
     "TrackerSettings": "hypose.tracking.tracker",
     # a method of one's own

@@ -15,3 +15,11 @@ def parse_json(text: str | bytes | bytearray) -> Any:
 def _integer(digits: str) -> int | float:
     value = int(digits) if len(digits) <= 20 else None
     return value if value is not None and -(2**63) <= value < 2**63 else float(digits)
+
+
+def is_plain(value: Any) -> bool:
+    """Whether a value can be written as JSON and read back the same."""
+    try:
+        return json.loads(json.dumps(value)) == value
+    except (TypeError, ValueError, RecursionError):
+        return False

@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.robustness.keypoint_layouts import LAYOUTS, detections, write_keypoints
 from benchmarks.robustness.small_recordings import small_scene, write_gesture_session, write_masks, write_skeletons
+from hypose.cameras.camera import CameraRig
 from hypose.fusion.joints import COMMON
 from scripts import fuzz_names, fuzz_servers
 
@@ -36,7 +38,7 @@ def targets() -> dict[str, Target]:
     from hypose.calibration.from_points import read_scene_points
     from hypose.evidence.keypoints import BODY_25, parse_openpose
     from hypose.io.calibrations import calibration_formats
-    from hypose.io.motions import asf, bodies, c3d, meshes, results, trc
+    from hypose.io.motions import asf, bodies, c3d, meshes, opensim, results, trc
     from hypose.io.recordings import recording
     from hypose.io.sensors.depth import read_depth_png
     from hypose.io.sensors.skeleton_formats import read_skeletons
@@ -53,9 +55,15 @@ def targets() -> dict[str, Target]:
         Target("calibration-qca", "rig/rig.qca.txt", cameras),
         Target("calibration-xcp", "rig/rig.xcp", cameras),
         Target("calibration-opencap", "rig/opencap/cam1.pickle", cameras, "binary"),
+        Target("calibration-json", "rig/rig.json", cameras),
+        Target("calibration-mcal", "rig/rig.mcal", cameras),
+        Target("calibration-projections", "rig/projections.txt", cameras),
+        Target("calibration-biocv", "rig/biocv.calib", cameras),
+        Target("mot", "motion/motion.mot", opensim.read_mot),
         Target("calibration-points", "points.toml", read_scene_points),
         Target("recording-toml", "walk/recording.toml", recording.load_recording, given="walk"),
         Target("sweep-toml", "sweep.toml", read_sweep),
+        *_of_keypoints(),
         Target("openpose-json", "pose.json", lambda b: parse_openpose(b, BODY_25, "pose.json"), lines=True),
         Target("trc", "motion/motion.trc", trc.read_trc),
         Target("c3d", "motion/motion.c3d", c3d.read_c3d, "binary"),
@@ -86,6 +94,46 @@ def targets() -> dict[str, Target]:
         *_of_names(),
     ]
     return {t.name: t for t in found}
+
+
+_KEYPOINTS = {
+    "openpose": ("openpose/cam1_json/cam1_000000.json", "openpose/cam1_json"),
+    "mmpose-results": ("mmpose-results/results_cam1.json", ""),
+    "mmpose-predictions": ("mmpose-predictions/cam1.json", ""),
+    "coco-results": ("coco-results/cam1_results.json", ""),
+    "alphapose": ("alphapose/cam1/alphapose-results.json", ""),
+    "easymocap": ("easymocap/annots/cam1/000000.json", "easymocap/annots/cam1"),
+    "ultralytics": ("ultralytics/cam1/labels/cam1_1.txt", "ultralytics/cam1/labels"),
+    "deeplabcut-csv": ("deeplabcut-csv/cam1DLC_resnet50_humanMay1shuffle1_100000.csv", ""),
+    "sleap-csv": ("sleap-csv/cam1.analysis.csv", ""),
+    "caliscope": ("caliscope/POSE/xy_POSE.csv", ""),
+    "freemocap": ("freemocap/mediapipe_2dData_numCams_numFrames_numTrackedPoints_pixelXY.npy", ""),
+}
+"""Layout -> the file that is spoilt, and what is read instead of it."""
+
+
+def _of_keypoints() -> list[Target]:
+    return [
+        Target(
+            f"keypoints-{name}",
+            f"keypoints/{file}",
+            _keypoints,
+            "binary" if file.endswith(".npy") else "text",
+            f"keypoints/{given}" if given else "",
+        )
+        for name, (file, given) in _KEYPOINTS.items()
+    ]
+
+
+def _keypoints(path: Path) -> None:
+    """A view's key points, from their set to every frame."""
+    from hypose.io.keypoints.read_keypoints import keypoints_of_views, read_keypoints
+
+    cameras = list(read_keypoints(path))
+    for view in keypoints_of_views([path] * len(cameras), cameras, cameras)[0]:
+        for number in range(0 if view is None else min(view.last + 1, 50)):
+            assert view is not None
+            view.frame(number, (160, 120))
 
 
 def _of_servers() -> list[Target]:
@@ -142,7 +190,6 @@ def write_good(folder: Path) -> None:
 
     from hypose.body.motion import Motion, isotropic
     from hypose.body.ready_bodies import human
-    from hypose.cameras.camera import CameraRig
     from hypose.gestures.forest import ForestSettings
     from hypose.gestures.localise import LocaliseSettings
     from hypose.gestures.model import GestureModel
@@ -162,6 +209,7 @@ def write_good(folder: Path) -> None:
         write_any(cameras, folder / "rig" / name)
     write_any(cameras.pinhole(), folder / "rig" / "rig.xcp")
     write_any(cameras, folder / "rig" / "opencap" / "cam1.pickle")
+    _write_calibrations(cameras, folder / "rig")
     write_masks(small_scene(1, 2), folder / "walk")
     write_skeletons(folder / "sensors", seconds=0.5)
     body = human()
@@ -173,7 +221,7 @@ def write_good(folder: Path) -> None:
     save_motion(motion, folder / "motion" / "motion.npz")
     save_body(body, folder / "motion" / "body.npz")
     Checkpoint(2, {"pose": poses[0], "done_poses": poses}, {"a": 1}, {}).save(folder / "motion" / "checkpoint.npz")
-    export_motion(motion, body, folder / "motion", ("trc", "c3d", "glb"))
+    export_motion(motion, body, folder / "motion", ("trc", "c3d", "glb", "mot"))
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.8)
     for ending in ("obj", "ply", "stl"):
         ball.export(folder / f"person.{ending}")
@@ -185,9 +233,35 @@ def write_good(folder: Path) -> None:
     learner = Learner.new(np.random.default_rng(0), ForestSettings())
     model = GestureModel(("wave",), learner.forest, (None,), LocaliseSettings(), learner)
     save_model(model, folder / "model.npz")
+    for layout in _KEYPOINTS:
+        kind = LAYOUTS[layout][0]
+        write_keypoints(layout, folder / "keypoints" / layout, detections(kind, cameras, 4), cameras, kind)
     _write_texts(folder)
     fuzz_servers.write_good(folder)
     fuzz_names.write_good(folder)
+
+
+def _write_calibrations(cameras: CameraRig, folder: Path) -> None:
+    """Calibrations that the package reads and does not write."""
+    tables, lines, mcal = [], [], []
+    for c in cameras:
+        pose = c.camera_from_world
+        tables.append({"name": c.name, "resolution": list(c.size), "K": c.K.tolist(), "R": pose[:3, :3].tolist(),
+                       "distCoef": c.distortion.tolist(), "t": pose[:3, 3:].tolist()})  # fmt: skip
+        lines += [" ".join(map(repr, row)) for row in c.projection.tolist()]
+        axes = " ".join(f'OrientMatrix{i}="{v!r}"' for i, v in enumerate(pose[:3, :3].ravel().tolist()))
+        mcal.append(
+            f'<Camera Serial="{c.name}"><Attributes ImagerPixelWidth="{c.size[0]}" ImagerPixelHeight="{c.size[1]}"/>'
+            '<IntrinsicStandardCameraModel LensCenterX="80" LensCenterY="60" HorizontalFocalLength="150" '
+            'VerticalFocalLength="150" k1="0" k2="0" k3="0" TangentialX="0" TangentialY="0"/>'
+            f'<Extrinsic X="1" Y="2" Z="3" {axes}/></Camera>'
+        )
+    (folder / "rig.json").write_text(json.dumps({"cameras": tables}))
+    (folder / "projections.txt").write_text("\n".join(lines) + "\n")
+    (folder / "rig.mcal").write_text(f"<calibrationProfile>{''.join(mcal)}</calibrationProfile>")
+    k = [" ".join(map(repr, row)) for row in cameras[0].K.tolist()]
+    pose = [" ".join(map(repr, row)) for row in cameras[0].camera_from_world.tolist()]
+    (folder / "biocv.calib").write_text("\n".join(["160", "120", *k, "", *pose, "", "0.1 0 0 0 0", ""]))
 
 
 def _write_texts(folder: Path) -> None:

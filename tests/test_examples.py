@@ -112,7 +112,7 @@ def test_every_page_is_in_the_site():
     # the file is YAML of the simplest kind
     text = (ROOT / "mkdocs.yml").read_text()
     named = set(re.findall(r"[\w-]+\.md", text[text.index("nav:") :]))
-    assert named == {p.name for p in ROOT.glob("docs/*.md")} | {"api.md"}  # generated
+    assert named == {p.name for p in ROOT.glob("docs/**/*.md")} | {"api.md"}  # generated
 
 
 def test_links_between_pages_lead_somewhere():

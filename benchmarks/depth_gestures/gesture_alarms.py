@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.bench_report import BenchOptions, BenchReport, row
 from benchmarks.depth_gestures.gesture_data import SEEDS
 from benchmarks.depth_gestures.gesture_sessions import PUBLISHED, example, live_step, session_frames, test_frames
-from hypose.compute.depth_forests.forest_arrays import Depth
+from hypose.compute import Depth
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.events import EventSettings, EventState, step
 from hypose.gestures.forest import Forest

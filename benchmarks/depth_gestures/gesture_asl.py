@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.depth_gestures.gesture_data import SEEDS, TESTED, TRAINED
-from hypose.compute.depth_forests.forest_arrays import Depth
+from hypose.compute import Depth
 from hypose.errors import InputError
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.forest import ForestSettings

@@ -27,9 +27,9 @@ _LEFT_OUT_M = 0.1
 UNSEEN = 1.08
 """Bodies that were not fitted to are off by so much more: with 1 regions of 90 % held 86 to 88 % on seeds left out."""
 PELVIS = {"silhouettes": 6.0, "keypoints": 14.0, "both": 12.0}
-"""Degrees, 1 sd: two hip points and an outline do not fix the pelvis' tilt, and no scene shows it, as its points are the
-joints. On the real clip of a man who balances, hip flexion by three kinds of evidence lies 7, 23 and 18 degrees from that
-by OpenSim, so hip flexion, pelvis tilt and lumbar extension are no better known than this."""
+"""Degrees, 1 sd: two hip points and an outline do not fix the pelvis' tilt, and no scene shows it, as its points are
+the joints. On the real clip of a man who balances, hip flexion by these lies 7, 23 and 18 degrees from that by OpenSim,
+so hip flexion, pelvis tilt and lumbar extension are no better known than this."""
 _TILTED = ("pelvis_tilt", "hip_flexion", "lumbar_extension")
 Pairs = dict[str, tuple[float, float]]
 

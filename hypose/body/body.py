@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose import compute
 from hypose.body.skeleton import Skeleton
-from hypose.compute.arrays import MeshArrays
+from hypose.compute import MeshArrays
 from hypose.errors import InputError
 from hypose.geometry import Array
 

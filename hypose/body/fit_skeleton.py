@@ -18,6 +18,7 @@ from scipy.spatial import KDTree
 
 from hypose.body.body import Body, Landmarks, Mesh, Shape, deform
 from hypose.body.skin_weights import vertex_normals
+from hypose.compute import bounded_step, geman_mcclure, weighted_squares
 from hypose.errors import InputError
 from hypose.geometry import Array, rotation_between, so3_exp, so3_log
 
@@ -371,28 +372,26 @@ class _Search:
             face, bary, target, normal, weight = self.match(v)
             corners = self.faces[face]
             points = np.einsum("mc,mcd->md", bary, v[corners])
-            jac = np.zeros((len(dv), len(face), 3))
-            for c in range(3):
-                jac += dv[:, corners[:, c]] * bary[:, c, None]
+            turned = np.ascontiguousarray(dv.transpose(1, 2, 0))  # (V, 3, P): a row's derivatives lie together
+            jac = sum(turned[corners[:, c]] * bary[:, c, None, None] for c in range(3))
             apart = points - target
             along = (apart * normal).sum(1)
-            w = weight / (1 + (apart**2).sum(1) / scale**2) ** 2 / _ROW_SD**2
-            jn = np.einsum("pmd,md->pm", jac, normal)
-            hessian = (jn * w) @ jn.T
-            gradient = (jn * w) @ along
-            for d in range(3):
-                weighted = jac[..., d] * (w * _TANGENT**2)
-                hessian += weighted @ jac[..., d].T
-                gradient += weighted @ apart[:, d]
+            w = geman_mcclure((apart**2).sum(1) / scale**2, weight / _ROW_SD**2)[1]
+            # three rows each, by a root of n n' + t^2 of the normal n: along it apart weighs 1, across it t
+            more = np.sqrt(1 + _TANGENT**2) - _TANGENT
+            rows = _TANGENT * jac + (more * normal)[..., None] * np.einsum("mdp,md->mp", jac, normal)[:, None]
+            residual = _TANGENT * apart + more * normal * along[:, None]
+            hessian, gradient = weighted_squares(rows.reshape(-1, len(free)), np.repeat(w, 3), residual.ravel())
             prior = 1 / self.sd[free] ** 2
             hessian += np.diag(prior)
             gradient += prior * (x[free] - self.centre[free])
-            step = -np.linalg.solve(hessian + 1e-3 * np.diag(np.diag(hessian)), gradient)
+            step = bounded_step(hessian, gradient, x[free], self.lower[free], self.upper[free], 1e-3)
+            if step is None:
+                break
             step *= min(1.0, 0.35 / np.abs(step).max())
             x = x.copy()
             x[free] = np.clip(x[free] + step, self.lower[free], self.upper[free])
-            r2 = (self.gaps / self.stature) ** 2
-            cost = float(np.mean(r2 / (r2 + 0.04**2))) + float(self.unmatched)
+            cost = float(geman_mcclure((self.gaps / self.stature / 0.04) ** 2)[0].mean()) + float(self.unmatched)
             if k > 3 and share <= stage.last * 1.3 and np.abs(step).max() < 1e-3:
                 break
         return x, cost

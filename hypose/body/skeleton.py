@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose import compute
-from hypose.compute.arrays import BALL, FIXED, HINGES, TreeArrays
+from hypose.compute import BALL, FIXED, HINGES, TreeArrays
 from hypose.errors import InputError
 from hypose.geometry import Array, nearest_branch, rotation_mean, so3_exp, so3_left_jacobian, so3_log
 

@@ -9,18 +9,23 @@ measurements: it decides where the boards say nothing, and is drowned where they
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
+from hypose.compute import SharedEquations, huber
 from hypose.errors import SolverError
+from hypose.fitting.least_squares import Rule, descend
 from hypose.geometry import Array, se3, skew, so3_exp
 
 IntArray = NDArray[np.int64]
+_State = tuple[list[Camera], Array]
+"""cameras, world_from_board (F, 4, 4)"""
 
 NOISE_PX = 0.3
 """Standard deviation of a corner's coordinate that is assumed."""
@@ -109,35 +114,21 @@ def refine(
     down (Huber), more where the noise is more.
     """
     problem = _Problem(cameras, board_points, observations, prior, noise_px, robust_px, free_intrinsics, fixed_frames)
-    cams, poses = list(cameras), np.array(frames, dtype=np.float64)
-    cost = problem.cost(cams, poses)
-    if not np.isfinite(cost):
+    rule = Rule(1e-3, least=1e-9, most=1e9, tries=8, gain=1e-9)
+    start = list(cameras), np.array(frames, dtype=np.float64)
+    try:
+        found = descend(start, problem.evaluate, problem.propose, iterations, rule)
+    except SolverError as error:
         raise SolverError(
             "The calibration cannot be refined from this start: a corner lies behind its camera. Remove the pictures "
             "with the worst boards and calibrate again."
-        )
-    damping, done = 1e-3, 0
-    while done < iterations:
-        done += 1
-        system = problem.normal_equations(cams, poses)
-        improved, gain = False, 0.0
-        for _ in range(8):
-            step = problem.solve(system, damping)
-            trial = problem.apply(cams, poses, step)
-            new = problem.cost(*trial)
-            if new < cost:
-                improved, gain = True, (cost - new) / max(cost, 1e-12)
-                (cams, poses), cost = trial, new
-                damping = max(damping / 10, 1e-9)
-                break
-            damping *= 10
-        if not improved or gain < 1e-9:
-            break
+        ) from error
+    cams, poses = found.state
     residuals = problem.residuals(cams, poses)
     rms = float(np.sqrt(np.mean(residuals**2))) if len(residuals) else float("nan")
-    focal, position = problem.deviations(cams, problem.normal_equations(cams, poses))
+    focal, position = problem.deviations(cams, found.equations)
     factor = problem.noise_factor(residuals)
-    return Refined(tuple(cams), poses, residuals, rms, factor * focal, factor * position, done)
+    return Refined(tuple(cams), poses, residuals, rms, factor * focal, factor * position, found.iterations)
 
 
 class _Problem:
@@ -202,9 +193,9 @@ class _Problem:
     def cost(self, cameras: Sequence[Camera], frames: Array) -> float:
         total = 0.0
         for camera, s, free in zip(cameras, self.slices, self.free_lens, strict=True):
-            e = np.linalg.norm(self._errors(camera, frames, s), axis=1) / self.noise[s]
+            e = np.linalg.norm(self._errors(camera, frames, s), axis=1) / self.noise[s] / self.robust
             with np.errstate(over="ignore", invalid="ignore"):
-                total += float(np.where(e <= self.robust, e**2, self.robust * (2 * e - self.robust)).sum())
+                total += self.robust**2 * float(huber(e**2)[0].sum())
             if free:
                 r, _ = self._prior(camera)
                 total += float(r @ r)
@@ -229,26 +220,26 @@ class _Problem:
         r = np.concatenate([(k[:2, 2] - middle) / centre, [(k[0, 0] / k[1, 1] - 1) / p.aspect], d[:n] / sd])
         return r, j
 
-    def normal_equations(self, cameras: Sequence[Camera], frames: Array) -> tuple[Array, ...]:
-        """Blocks of J'J and J'r: cameras (C, p, p), (C, p), boards (F, 6, 6), (F, 6), between them (C, F, p, 6)."""
+    def equations(self, cameras: Sequence[Camera], frames: Array) -> SharedEquations:
+        """Of the cameras' unknowns (C p,), shared by the boards' (F, 6)."""
         c, f, p = len(cameras), len(frames), self.p
-        a, ga = np.zeros((c, p, p)), np.zeros((c, p))
+        a, ga = np.zeros((c, p, c, p)), np.zeros((c, p))
         b, gb = np.zeros((f, 6, 6)), np.zeros((f, 6))
-        w = np.zeros((c, f, p, 6))
+        w = np.zeros((f, 6, c, p))
         for i, (camera, s) in enumerate(zip(cameras, self.slices, strict=True)):
             if s.start < s.stop:
                 jc, jb, e = self._derivatives(camera, frames, s)
-                a[i], ga[i] = np.einsum("mkp,mkq->pq", jc, jc), np.einsum("mkp,mk->p", jc, e)
+                a[i, :, i], ga[i] = np.einsum("mkp,mkq->pq", jc, jc), -np.einsum("mkp,mk->p", jc, e)
                 numbers, first = np.unique(self.o.frame[s], return_index=True)
-                w[i, numbers] = np.add.reduceat(np.einsum("mkp,mkq->mpq", jc, jb), first)
+                w[numbers, :, i] = np.add.reduceat(np.einsum("mkp,mkq->mqp", jc, jb), first)
                 b[numbers] += np.add.reduceat(np.einsum("mkp,mkq->mpq", jb, jb), first)
-                gb[numbers] += np.add.reduceat(np.einsum("mkp,mk->mp", jb, e), first)
+                gb[numbers] -= np.add.reduceat(np.einsum("mkp,mk->mp", jb, e), first)
             if self.free_lens[i]:
                 r, j = self._prior(camera)
                 n = j.shape[1]
-                a[i, 6 : 6 + n, 6 : 6 + n] += j.T @ j
-                ga[i, 6 : 6 + n] -= j.T @ r
-        return a, ga, b, gb, w
+                a[i, 6 : 6 + n, i, 6 : 6 + n] += j.T @ j
+                ga[i, 6 : 6 + n] += j.T @ r
+        return SharedEquations(a.reshape(c * p, c * p), ga.ravel(), b, gb, w.reshape(f, 6, c * p))
 
     def _derivatives(self, camera: Camera, frames: Array, s: slice) -> tuple[Array, Array, Array]:
         """Weighted: by the camera's unknowns (M, 2, p), by the board's (M, 2, 6), and the errors (M, 2)."""
@@ -256,8 +247,7 @@ class _Problem:
         uv, by_point, by_lens = project_with_derivatives(camera, x)
         noise = self.noise[s][:, None]
         e = (self.o.pixels[s] - uv) / noise
-        length = np.linalg.norm(e, axis=1)
-        weight = np.sqrt(np.minimum(1.0, self.robust / np.maximum(length, 1e-12)))[:, None]
+        weight = np.sqrt(huber((e**2).sum(1) / self.robust**2)[1])[:, None]
         scale = (weight / noise)[..., None]
         by_point, by_lens = by_point * scale, by_lens * scale
         r, t = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
@@ -271,34 +261,15 @@ class _Problem:
             jb = np.where(self.fixed_frames[self.o.frame[s]][:, None, None], 0.0, jb)
         return jc, jb, e * weight
 
-    def _reduced(self, system: tuple[Array, ...], damping: float) -> tuple[Array, Array, Array]:
-        """The Schur complement on the free camera unknowns, its right-hand side, and the inverted board blocks."""
-        a, ga, b, gb, w = system
-        c, p = ga.shape
-        boards = b + damping * np.einsum("fii->fi", b)[:, None] * np.eye(6) + 1e-12 * np.eye(6)
-        inverse = np.linalg.inv(boards)
-        left = np.einsum("cfpq,fqr->cfpr", w, inverse)
-        full = -np.einsum("cfpr,dfqr->cpdq", left, w)
-        for i in range(c):
-            full[i, :, i] += a[i] + damping * np.diag(np.diag(a[i]))
-        rhs = ga - np.einsum("cfpr,fr->cp", left, gb)
-        free = self.free.ravel()
-        return full.reshape(c * p, c * p)[np.ix_(free, free)], rhs.ravel()[free], inverse
+    def evaluate(self, state: _State) -> tuple[float, Callable[[], SharedEquations]]:
+        return self.cost(*state), partial(self.equations, *state)
 
-    def solve(self, system: tuple[Array, ...], damping: float) -> tuple[Array, Array]:
-        """Steps of the cameras (C, p) and boards (F, 6)."""
-        _, ga, _, gb, w = system
-        s, rhs, inverse = self._reduced(system, damping)
-        step = np.zeros(ga.size)
-        if len(rhs):
-            scale = 1 / np.sqrt(np.maximum(np.diag(s), 1e-12))
-            scaled = s * scale[:, None] * scale + 1e-12 * np.eye(len(s))
-            step[self.free.ravel()] = scale * np.linalg.lstsq(scaled, scale * rhs, rcond=None)[0]
-        cams = step.reshape(ga.shape)
-        boards = np.einsum("fqr,fr->fq", inverse, gb - np.einsum("cfpq,cp->fq", w, cams))
-        if self.fixed_frames is not None:
-            boards = np.where(self.fixed_frames[:, None], 0.0, boards)
-        return cams, boards
+    def propose(self, state: _State, equations: SharedEquations, damping: float) -> tuple[_State, float] | None:
+        reduced = equations.reduced(damping)
+        step = reduced.step(self.free.ravel())
+        if step is None:
+            return None
+        return self.apply(*state, (step.reshape(self.free.shape), reduced.own_steps(step))), np.inf
 
     def apply(self, cameras: Sequence[Camera], frames: Array, step: tuple[Array, Array]) -> tuple[list[Camera], Array]:
         cams, boards = step
@@ -329,16 +300,17 @@ class _Problem:
         share = np.minimum(np.linalg.norm(residuals, axis=1) / noise, self.robust)  # outliers are no noise
         return max(float(np.sqrt((share**2).sum() / freedom)), 1 / 3)
 
-    def deviations(self, cameras: Sequence[Camera], system: tuple[Array, ...]) -> tuple[Array, Array]:
+    def deviations(self, cameras: Sequence[Camera], equations: SharedEquations) -> tuple[Array, Array]:
         """Standard deviations of focal lengths (C,) px and of camera positions (C,) m."""
         c, p = self.free.shape
         focal, position = np.full(c, np.nan), np.full(c, np.nan)
-        s, _, _ = self._reduced(system, 0.0)
-        if len(s) == 0:
+        free = self.free.ravel()
+        if not free.any():
             return focal, position
+        s = equations.reduced().hessian[np.ix_(free, free)]
         covariance = np.linalg.pinv(s, hermitian=True)
         where = np.full(c * p, -1)
-        where[self.free.ravel()] = np.arange(len(s))
+        where[free] = np.arange(len(s))
         where = where.reshape(c, p)
         for i, camera in enumerate(cameras):
             if where[i, 6] >= 0:

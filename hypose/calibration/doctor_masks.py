@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from hypose.calibration.sync_motion import MaskTrack, tangent_planes
 from hypose.cameras.camera import CameraRig
+from hypose.compute import lorentzian_weight, weighted_squares
 from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array
 
@@ -215,9 +216,10 @@ def _regressed(found: LimbOffsets, scale_px: float) -> tuple[Array, Array, float
     share = count.mean() / count
     weight = share
     for _ in range(12):
-        h = np.einsum("ri,r,rj->ij", rows, weight, rows) + 1e-6 * np.eye(3)
-        x = np.linalg.solve(h, np.einsum("ri,r,r->i", rows, weight, y))
-        weight = share / (1 + ((y - rows @ x) / scale_px) ** 2)
+        h, right = weighted_squares(rows, weight, y)
+        h += 1e-6 * np.eye(3)
+        x = np.asarray(np.linalg.solve(h, right), dtype=np.float64)
+        weight = lorentzian_weight(((y - rows @ x) / scale_px) ** 2, share)
     r = y - rows @ x
     inverse = np.linalg.inv(h)
     spread = np.zeros((3, 3))

@@ -10,8 +10,9 @@ silhouettes of an articulated body in this way, the nearest is Sinha & Pollefeys
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +20,16 @@ from numpy.typing import NDArray
 from hypose.body.body import Body, Landmarks
 from hypose.calibration.refine_camera import by_camera, change_from, changed
 from hypose.cameras.camera import Camera, CameraRig
+from hypose.compute import SharedEquations, geman_mcclure, lorentzian, weighted_squares
 from hypose.errors import EvidenceError
 from hypose.fitting.articulated import ContourTerm, KeypointTerm
+from hypose.fitting.least_squares import Rule, descend
 from hypose.geometry import Array, transform
 from hypose.tracking.refinement import anatomical_prior
-from hypose.tracking.shape_refinement import outline_rows
+from hypose.tracking.shape_refinement import outline_rows, rows_by_pose
+
+_State = tuple[list[Camera], Array]
+"""cameras, poses (F, D)"""
 
 
 @dataclass(frozen=True)
@@ -149,19 +155,14 @@ class _BodyProblem:
             if made is None:
                 continue
             a, b, t, r, g, weight = made
-            s = (1 - t)[:, None]
-            point = s * vertices[a] + t[:, None] * vertices[b]
-            carried = s * self.moves[a] + t[:, None] * self.moves[b]
-            wrench = np.concatenate([np.cross(point, g), g], 1)
-            by_pose = np.einsum("rk,dk->rd", wrench, twists) * carried
+            point, by_pose = rows_by_pose(twists, self.moves, vertices, a, b, t, g)
             camera = cameras[c]
             turn = camera.camera_from_world[:3, :3]
             by_cam = by_camera(transform(camera.camera_from_world, point), g @ turn.T, self.unknowns)
-            e2 = (r / scale) ** 2
-            kernel = 1 / (1 + e2)
             w0 = self.o.contour_weight * weight
-            cost = 0.5 * float((w0 * e2 * kernel).sum())
-            out.append(_Rows(r, w0 * kernel**2 / scale**2, np.full(len(r), c), by_pose, by_cam, cost))
+            rho, slope, _ = geman_mcclure((r / scale) ** 2, w0 / scale**2)
+            cost = 0.5 * float((w0 * rho).sum())
+            out.append(_Rows(r, slope, np.full(len(r), c), by_pose, by_cam, cost))
         return out
 
     def _keypoint_rows(self, f: int, pose: Array, cameras: list[Camera]) -> list[_Rows]:
@@ -186,68 +187,53 @@ class _BodyProblem:
             uv = (p / z[:, None]) @ k[:2].T
             d[:, :, 2] = -(uv - k[:2, 2]) / z[:, None]
             r = uv - term.points[c, seen, :2]
-            e2 = (r**2).sum(1) / scale**2
             weight = self.o.keypoint_weight * term.weight * term.points[c, seen, 2]
             world = d @ camera.camera_from_world[:3, :3]
             by_pose = np.einsum("kxa,kda->kxd", world, motion[seen]).reshape(-1, len(pose))
             by_cam = by_camera(np.repeat(p, 2, 0), d.reshape(-1, 3), self.unknowns)
-            w = np.repeat(4 * weight / (1 + e2) / scale**2, 2)
-            cost = 2 * float((weight * np.log1p(e2)).sum())
-            out.append(_Rows(r.ravel(), w, np.full(2 * len(seen), c), by_pose, by_cam, cost))
+            rho, slope, _ = lorentzian((r**2).sum(1) / scale**2, 4 * weight / scale**2)
+            cost = 2 * float((weight * rho).sum())
+            out.append(_Rows(r.ravel(), np.repeat(slope, 2), np.full(2 * len(seen), c), by_pose, by_cam, cost))
         return out
 
-    def step(self, rows: list[_Rows], cameras: list[Camera], q: Array, damping: float) -> tuple[Array, Array]:
-        """Damped Gauss-Newton step: (C, P) for the cameras, (F, D) for the poses."""
-        n, p = len(cameras), self.unknowns
-        h, g = np.zeros((n, p, n, p)), self.hold * self._held(cameras)
-        for c in range(n):
-            h[c, :, c] = np.diag(self.hold)
-        back = []
+    def equations(self, rows: list[_Rows], cameras: list[Camera], q: Array) -> SharedEquations:
+        """Of the cameras' unknowns (C P,), shared by the frames' poses."""
+        n, p, dof = len(cameras), self.unknowns, q.shape[1]
+        hessian, gradient = np.diag(np.tile(self.hold, n)), (self.hold * self._held(cameras)).ravel()
+        own, own_gradient = np.empty((len(q), dof, dof)), np.empty(q.shape)
+        cross = np.empty((len(q), dof, n * p))
         for f, row in enumerate(rows):
-            wp = row.by_pose * row.w[:, None]
-            hpp = np.einsum("ri,rj->ij", wp, row.by_pose)
-            hpp[np.diag_indices_from(hpp)] += self.pull + damping * np.maximum(hpp.diagonal(), 1.0) + 1e-6
-            gp = wp.T @ row.r + self.pull * (q[f] - self.centre)
-            cross = np.zeros((n, p, len(gp)))
-            for c in range(n):
-                mine = row.camera == c
-                wc = row.by_camera[mine] * row.w[mine, None]
-                block = np.einsum("ri,rj->ij", wc, row.by_camera[mine])
-                h[c, :, c] += block + np.diag(damping * np.maximum(block.diagonal(), 1e-3))
-                g[c] += wc.T @ row.r[mine]
-                cross[c] = np.einsum("ri,rj->ij", wc, row.by_pose[mine])
-            flat = cross.reshape(n * p, -1)
-            solved = np.linalg.solve(hpp, np.concatenate([flat.T, gp[:, None]], 1))
-            h -= np.einsum("id,dj->ij", flat, solved[:, :-1]).reshape(n, p, n, p)
-            g -= (flat @ solved[:, -1]).reshape(n, p)
-            back.append(solved)
-        columns = np.repeat(self.free, p)
-        x = np.zeros(n * p)
-        full = h.reshape(n * p, n * p)
-        x[columns] = -np.linalg.solve(full[np.ix_(columns, columns)], g.ravel()[columns])
-        x *= min(1.0, 0.1 / max(float(np.abs(x.reshape(n, p)[:, :3]).max()), 1e-9))
-        dq = np.stack([-(s[:, -1] + s[:, :-1] @ x) for s in back])
-        largest = np.abs(dq[:, 3:]).max(1, keepdims=True)
-        return x.reshape(n, p), dq * np.minimum(1, 0.3 / np.maximum(largest, 1e-9))
+            by_all = np.zeros((len(row.r), dof + n * p))
+            by_all[:, :dof] = row.by_pose
+            by_all[np.arange(len(row.r))[:, None], dof + p * row.camera[:, None] + np.arange(p)] = row.by_camera
+            h, g = weighted_squares(by_all, row.w, row.r)
+            own[f], cross[f] = h[:dof, :dof] + np.diag(self.pull), h[:dof, dof:]
+            own_gradient[f] = g[:dof] + self.pull * (q[f] - self.centre)
+            hessian += h[dof:, dof:]
+            gradient += g[dof:]
+        return SharedEquations(hessian, gradient, own, own_gradient, cross)
 
     def solve(self, cameras: list[Camera], q: Array, iterations: int, factor: float) -> tuple[list[Camera], Array]:
-        damping = 1e-2
-        rows, cost = self.linearise(cameras, q, factor)
-        for _ in range(iterations):
-            x, dq = self.step(rows, cameras, q, damping)
-            trial = [changed(c, d) for c, d in zip(cameras, x, strict=True)]
-            new_q = self.body.skeleton.clamp(q + dq)
-            new_rows, new_cost = self.linearise(trial, new_q, factor)
-            # contour costs jump when the outline changes
-            if np.isfinite(new_cost) and new_cost < cost * 1.002:
-                small = np.abs(x).max() < 1e-4 and np.abs(dq).max() < 2e-3
-                cameras, q, rows, cost = trial, new_q, new_rows, new_cost
-                damping = max(damping / 4, 1e-4)
-                if small:
-                    break
-            else:
-                damping = min(damping * 8, 1e4)
-        return cameras, q
+        def evaluate(state: _State) -> tuple[float, Callable[[], SharedEquations]]:
+            rows, cost = self.linearise(*state, factor)
+            return cost, partial(self.equations, rows, *state)
+
+        # contour costs jump when the outline changes
+        return descend((cameras, q), evaluate, self.propose, iterations, Rule(slack=1.002, moved=1e-4)).state
+
+    def propose(self, state: _State, equations: SharedEquations, damping: float) -> tuple[_State, float] | None:
+        cameras, q = state
+        reduced = equations.reduced(damping)
+        x = reduced.step(np.repeat(self.free, self.unknowns))
+        if x is None:
+            return None
+        each = x.reshape(len(cameras), -1)
+        x *= min(1.0, 0.1 / max(float(np.abs(each[:, :3]).max()), 1e-9))
+        dq = reduced.own_steps(x)
+        dq *= np.minimum(1, 0.3 / np.maximum(np.abs(dq[:, 3:]).max(1, keepdims=True), 1e-9))
+        trial = [changed(c, d) for c, d in zip(cameras, each, strict=True)]
+        moved = max(float(np.abs(x).max()), float(np.abs(dq).max()) / 20)
+        return (trial, self.body.skeleton.clamp(q + dq)), moved
 
 
 def _joined(parts: list[_Rows], dof: int, unknowns: int) -> _Rows:

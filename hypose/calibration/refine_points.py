@@ -8,16 +8,22 @@ Source: Triggs et al. 2000, "Bundle adjustment - a modern synthesis", section 6;
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.calibration.refine_camera import change_from, changed
 from hypose.cameras.camera import Camera, CameraRig, triangulate
+from hypose.compute import SharedEquations, lorentzian
 from hypose.errors import EvidenceError
+from hypose.fitting.least_squares import Rule, descend
 from hypose.geometry import Array, transform
 
+_State = tuple[list[Camera], Array, Array]
+"""cameras, radial (C,), points (N, 3)"""
 FEWEST_POINTS = 60
 """3D points (over all frames) below which a rig is not adjusted"""
 
@@ -112,9 +118,9 @@ class _Bundle:
         seen = self.confidence > 0
         behind = seen & ~np.isfinite(r).all(-1)
         r = np.where(np.isfinite(r), r, 0.0)
-        e2 = (r**2).sum(-1) / self.scale**2
-        cost = 2 * float((self.confidence * np.log1p(e2)).sum()) + 20.0 * int(behind.sum())
-        weight = np.where(behind, 0.0, 4 * self.confidence / (1 + e2) / self.scale**2)
+        rho, slope, _ = lorentzian((r**2).sum(-1) / self.scale**2, 4 * self.confidence / self.scale**2)
+        cost = 2 * float((self.confidence * rho).sum()) + 20.0 * int(behind.sum())
+        weight = np.where(behind, 0.0, slope)
         return r, weight, cost
 
     def held(self, cameras: list[Camera], radial: Array) -> tuple[Array, float]:
@@ -125,8 +131,8 @@ class _Bundle:
             x = np.concatenate([x, radial[:, None]], 1)
         return x, 0.5 * float((self.hold * x**2).sum())
 
-    def system(self, cameras: list[Camera], radial: Array, points: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Camera blocks A (C, P, P), a (C, P), point blocks B (N, 3, 3), b (N, 3), and E (C, N, P, 3)."""
+    def equations(self, cameras: list[Camera], radial: Array, points: Array) -> SharedEquations:
+        """Of the cameras' unknowns (C P,), shared by the points'."""
         r, weight, _ = self.residuals(cameras, radial, points)
         size, (n_cameras, n) = self.size, weight.shape
         jc, jp = np.zeros((n_cameras, n, 2, size)), np.zeros((n_cameras, n, 2, 3))
@@ -152,30 +158,34 @@ class _Bundle:
                 jc[c, :, :, column] = image * r2[:, None]
             jp[c] = d @ camera.camera_from_world[:3, :3]
         wjc = weight[..., None, None] * jc
-        a = np.einsum("cnxp,cnxq->cpq", wjc, jc)
-        ga = np.einsum("cnxp,cnx->cp", wjc, r)
-        b = np.einsum("cn,cnxi,cnxj->nij", weight, jp, jp)
-        gb = np.einsum("cn,cnxi,cnx->ni", weight, jp, r)
-        e = np.einsum("cnxp,cnxi->cnpi", wjc, jp)
-        return a, ga, b, gb, e
-
-    def reduced(
-        self, cameras: list[Camera], radial: Array, points: Array, damping: float
-    ) -> tuple[Array, Array, Array, Array]:
-        """Schur complement (CP, CP), its gradient, and what gives the points back: B^-1 E^T (C, N, 3, P), B^-1 b."""
-        a, ga, b, gb, e = self.system(cameras, radial, points)
-        b = b + damping * np.maximum(b, 0) * np.eye(3) + 1e-9 * np.eye(3)
-        inverse = np.linalg.inv(b)
-        own = np.einsum("nij,nj->ni", inverse, gb)
-        back = np.einsum("nij,cnpj->cnip", inverse, e)
-        n, size = len(a), self.size
-        s = -np.einsum("cnpi,dniq->cpdq", e, back)
         x, _ = self.held(cameras, radial)
-        for c in range(n):
-            s[c, :, c] += a[c] + np.diag(self.hold)
-            s[c, :, c] += np.diag(damping * np.diag(a[c]))
-        g = ga - np.einsum("cnpi,ni->cp", e, own) + self.hold * x
-        return s.reshape(n * size, n * size), g.ravel(), back, own
+        hessian = np.zeros((n_cameras, size, n_cameras, size))
+        for c, block in enumerate(np.einsum("cnxp,cnxq->cpq", wjc, jc)):
+            hessian[c, :, c] = block + np.diag(self.hold)
+        return SharedEquations(
+            hessian.reshape(n_cameras * size, -1),
+            (np.einsum("cnxp,cnx->cp", wjc, r) + self.hold * x).ravel(),
+            np.einsum("cn,cnxi,cnxj->nij", weight, jp, jp),
+            np.einsum("cn,cnxi,cnx->ni", weight, jp, r),
+            np.einsum("cnxp,cnxi->nicp", wjc, jp).reshape(n, 3, -1),
+        )
+
+    def evaluate(self, state: _State) -> tuple[float, Callable[[], SharedEquations]]:
+        cameras, radial, points = state
+        cost = self.residuals(cameras, radial, points)[2] + self.held(cameras, radial)[1]
+        return cost, partial(self.equations, cameras, radial, points)
+
+    def propose(self, state: _State, equations: SharedEquations, damping: float) -> tuple[_State, float] | None:
+        cameras, radial, points = state
+        reduced = equations.reduced(damping)
+        step = reduced.step(np.repeat(self.free, self.size))
+        if step is None:
+            return None
+        x = step.reshape(len(cameras), self.size)
+        x *= min(1.0, 0.2 / max(float(np.abs(x[:, :3]).max()), 1e-12))
+        moved = points + reduced.own_steps(x.ravel())
+        new = [changed(c, d if self.o.focal else d[:6]) for c, d in zip(cameras, x, strict=True)]
+        return (new, radial + (x[:, -1] if self.o.radial else 0.0), moved), float(np.abs(x).max())
 
     def solve(self) -> tuple[CameraRig, Array, Array, Array, float, float]:
         cameras, radial = list(self.start), np.zeros(len(self.start))
@@ -183,32 +193,12 @@ class _Bundle:
         lost = ~np.isfinite(points).all(1)
         points[lost] = np.nanmedian(points[~lost], axis=0)
         before = self._median(cameras, radial, points)
-        cost = self.residuals(cameras, radial, points)[2] + self.held(cameras, radial)[1]
-        damping = 1e-3
-        columns = np.repeat(self.free, self.size)
-        for _ in range(self.o.iterations):
-            s, g, back, own = self.reduced(cameras, radial, points, damping)
-            step = np.zeros(len(g))
-            step[columns] = -np.linalg.solve(s[np.ix_(columns, columns)], g[columns])
-            x = step.reshape(len(cameras), self.size)
-            x *= min(1.0, 0.2 / max(float(np.abs(x[:, :3]).max()), 1e-12))
-            new_points = points - own - np.einsum("cnip,cp->ni", back, x)
-            new_cameras = [changed(c, d if self.o.focal else d[:6]) for c, d in zip(cameras, x, strict=True)]
-            new_radial = radial + (x[:, -1] if self.o.radial else 0.0)
-            new_cost = self.residuals(new_cameras, new_radial, new_points)[2] + self.held(new_cameras, new_radial)[1]
-            if np.isfinite(new_cost) and new_cost < cost:
-                done = cost - new_cost < 1e-6 * cost
-                cameras, radial, points, cost = new_cameras, new_radial, new_points, new_cost
-                damping = max(damping / 4, 1e-7)
-                if done:
-                    break
-            else:
-                damping *= 8
-                if damping > 1e4:
-                    break
+        rule = Rule(damping=1e-3, least=1e-7, gain=1e-6)
+        found = descend((cameras, radial, points), self.evaluate, self.propose, self.o.iterations, rule)
+        cameras, radial, points = found.state
         sd = np.zeros(len(cameras))
         if self.o.radial:
-            s, *_ = self.reduced(cameras, radial, points, 0.0)
+            s = found.equations.reduced().hessian
             sd = np.sqrt(np.maximum(np.diag(np.linalg.pinv(s)).reshape(len(cameras), -1)[:, -1], 0))
         after = self._median(cameras, radial, points)
         return CameraRig(tuple(cameras)), points, radial, sd, before, after

@@ -26,6 +26,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize
 
 from hypose.cameras.camera import CameraRig
+from hypose.compute import lorentzian, lorentzian_weight
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.silhouettes import biggest_parts
@@ -112,7 +113,7 @@ def keypoint_curves(
             e, both = ((xb * lines_b).sum(-1) / np.maximum(size, 1e-12))[:, enough], both[:, enough]
             e = e - _middle(e, both, scale_px)
             # errors of one point last for several frames and all points share the calibration's: count a tenth
-            mean = np.log1p((e / (2 * scale_px)) ** 2)[both].mean()
+            mean = lorentzian((e / (2 * scale_px)) ** 2)[0][both].mean()
             cost[p, k] = 0.2 * mean * enough.sum() * len(times)
     return Curves(pairs, lags, cost)
 
@@ -215,7 +216,7 @@ def silhouette_curves(rig: CameraRig, tracks: Sequence[MaskTrack], largest: floa
             if both.sum() >= max(8, 0.3 * len(times)):
                 r = (later(times + lag) - sa[times])[both] * px_a
                 r = r - np.median(r, axis=0)
-                value += 0.3 * float(np.log1p((r / (2 * scale_px)) ** 2).mean() * 2 * len(times))
+                value += 0.3 * float(lorentzian((r / (2 * scale_px)) ** 2)[0].mean() * 2 * len(times))
             if ea is not None and eb is not None:
                 x, y = ea[times], eb(times + lag)
                 x, y = x - x.mean(0), y - y.mean(0)
@@ -300,7 +301,7 @@ def _middle(e: Array, known: NDArray[np.bool_], scale: float) -> Array:
     middle = np.zeros(e.shape[1])
     for _ in range(3):
         middle = (w * e).sum(0) / np.maximum(w.sum(0), 1e-9)
-        w = known / (1 + ((e - middle) / (2 * scale)) ** 2)
+        w = lorentzian_weight(((e - middle) / (2 * scale)) ** 2, known)
     return np.asarray(middle, dtype=np.float64)
 
 

@@ -1,27 +1,60 @@
 """Compute: the only room that imports numba (or CUDA); every hot function takes and returns arrays.
 
 The functions here choose the back end (`selection.use`), check and tidy arrays, and spread work over threads; the
-definitions are in reference.py (numpy), the fast versions in cpu_*.py (numba, imported when first needed).
+definitions are in reference.py (numpy), the fast versions in cpu_*.py (numba, imported when first needed). This module
+is the room's only door: what is not named here is nobody else's business (checked with the import contracts).
 """
 
 from __future__ import annotations
 
 import time
 from functools import lru_cache
-from typing import NamedTuple
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute import reference, selection
-from hypose.compute.arrays import BALL, FIXED, MeshArrays, TreeArrays
+from hypose.compute.arrays import BALL, FIXED, HINGES, MeshArrays, TreeArrays
+from hypose.compute.cache_place import VARIABLE, cache_folder
+from hypose.compute.depth_forests import forest_arrays
+from hypose.compute.depth_forests.forest_arrays import (
+    Depth,
+    GrowingArrays,
+    Packed,
+    PaddedDepth,
+    ScanPlan,
+    TreeArraysOffline,
+)
 from hypose.compute.monocular import mono
+from hypose.compute.monocular.mono_terms import (
+    GAUSSIAN,
+    LECLERC,
+    LORENTZIAN,
+    EdgeArrays,
+    FloorArrays,
+    FlowArrays,
+    MarkArrays,
+    MaskArrays,
+    MonoModel,
+    MonoPriors,
+    MonoProblem,
+    MonoWorkspace,
+    SphereArrays,
+)
 from hypose.compute.native import native, plain, tidy
 from hypose.compute.pictures import picture_to_mask
-from hypose.compute.selection import default_threads, over_chunks, use
+from hypose.compute.pictures.picture_to_mask import Box, Lens, make_lens, order_statistic, shrink_undistort
+from hypose.compute.pictures.visibility import nearest_visible
+from hypose.compute.selection import default_threads, over_chunks, require_cuda, use
 from hypose.compute.silhouettes import glance, lane_mesh, reach
+from hypose.compute.silhouettes.glance import Glance, differing_box, glance_at, stored_pixels
 from hypose.compute.silhouettes.lane_scratch import lane_scratch
 from hypose.compute.silhouettes.mask_distance import signed_distance
+from hypose.compute.solver.banded import frame_covariances, solve_coupled
+from hypose.compute.solver.losses import geman_mcclure, huber, lorentzian, lorentzian_weight
+from hypose.compute.solver.normal import SharedEquations, bounded_step, weighted_squares
 from hypose.compute.solver.terms import (
     ContourArrays,
     KeypointArrays,
@@ -34,23 +67,109 @@ from hypose.compute.solver.terms import (
 )
 from hypose.errors import InputError, SolverError
 
+if TYPE_CHECKING:
+    from hypose.compute.pictures.render import blend_shaded, darken, expose, interpolate, rasterize, silhouette
+
+_KERNELS = {
+    "depth_sensor": "depth_forests.depth_sensor",
+    "fusion": "swarm.cpu_fusion",
+    "rays": "depth_forests.cpu_rays",
+    "swarm_kernels": "swarm.cpu_swarm",
+}
+_DRAWING = ("blend_shaded", "darken", "expose", "interpolate", "rasterize", "silhouette")
+
+
+def __getattr__(name: str) -> Any:
+    """Kernels, and modules of them, that are called as they are: the first one asked for imports numba."""
+    if name in _KERNELS:
+        return import_module(f"hypose.compute.{_KERNELS[name]}")
+    if name in _DRAWING:
+        return getattr(import_module("hypose.compute.pictures.render"), name)
+    raise AttributeError(f"module 'hypose.compute' has no attribute {name!r}")
+
+
 __all__ = [
+    "BALL",
+    "Box",
+    "ContourArrays",
+    "Depth",
+    "EdgeArrays",
+    "Evaluation",
+    "FIXED",
+    "FloorArrays",
+    "FlowArrays",
+    "GAUSSIAN",
+    "Glance",
+    "GrowingArrays",
+    "HINGES",
+    "KeypointArrays",
+    "LECLERC",
+    "LORENTZIAN",
+    "Lens",
+    "MarkArrays",
+    "MaskArrays",
     "MeshArrays",
+    "MonoModel",
+    "MonoPriors",
+    "MonoProblem",
+    "MonoWorkspace",
+    "Packed",
+    "PaddedDepth",
+    "PointArrays",
     "PreparedMasks",
+    "PriorArrays",
+    "ScanPlan",
+    "SharedEquations",
+    "Solution",
+    "SolveSettings",
+    "SphereArrays",
     "Standing",
     "TreeArrays",
+    "TreeArraysOffline",
+    "VARIABLE",
     "Workspace",
+    "blend_shaded",
+    "bounded_step",
+    "cache_folder",
+    "darken",
     "default_threads",
+    "differing_box",
     "evaluate",
+    "expose",
+    "forest_arrays",
     "forward_kinematics",
+    "frame_covariances",
+    "geman_mcclure",
+    "glance_at",
+    "huber",
+    "interpolate",
+    "joint_covariances",
+    "lorentzian",
+    "lorentzian_weight",
+    "make_lens",
+    "mono",
+    "nearest_visible",
+    "order_statistic",
     "outline_points",
+    "over_chunks",
+    "picture_to_mask",
     "prepare_masks",
+    "rasterize",
+    "reach",
+    "require_cuda",
+    "row_sums",
+    "selection",
+    "shrink_undistort",
     "signed_distance",
+    "silhouette",
     "silhouette_xor",
     "skin",
     "solve",
+    "solve_coupled",
+    "stored_pixels",
     "use",
     "warm_up",
+    "weighted_squares",
     "workspace",
 ]
 
@@ -286,6 +405,26 @@ def solve(
         )
     evaluation = Evaluation(float(info[0]), gradient, hessian, counts)
     return Solution(q, evaluation, int(info[1]), int(info[2]), bool(info[3]))
+
+
+def row_sums(
+    pose: Array,
+    tree: TreeArrays,
+    joint: NDArray[np.int64],
+    offset: ArrayLike,
+    weight: ArrayLike,
+    residual: ArrayLike,
+    slope: ArrayLike,
+) -> tuple[Array, Array]:
+    """Gradient (D,) and Gauss-Newton matrix (D, D) of rows of any kind at a pose (D,): points on joint (P,) at offset
+    (P, 3) m, with weight (P,), residual (P, R) and slope (P, R, 3), its derivative by the point in the world."""
+    d = len(pose)
+    gradient, hessian = np.empty(d), np.empty((d, d))
+    given = (plain(x, np.float64) for x in (offset, weight, residual, slope))
+    native("solver.solver").row_sums(
+        plain(pose, np.float64), tidy(tree), plain(joint, np.int64), *given, hessian, gradient
+    )
+    return gradient, hessian
 
 
 def joint_covariances(pose: Array, tree: TreeArrays, hessian: Array, ridge: float = 1e-9) -> Array:

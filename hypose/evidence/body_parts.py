@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 
 from hypose.body.body import Body
 from hypose.cameras.camera import CameraRig
-from hypose.compute.pictures.render import rasterize
+from hypose.compute import rasterize
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Detections, Silhouettes
 from hypose.evidence.hull import Hull, visual_hull

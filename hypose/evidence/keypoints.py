@@ -117,25 +117,30 @@ def parse_openpose(
     document: str | bytes | Mapping[str, Any],
     names: Sequence[str] | None = None,
     source: str = "The key-point file",
+    raw: bool = False,
 ) -> Array:
     """People of one OpenPose-style JSON document -> (people, K, 3) = (u px, v px, confidence 0..1).
 
     names: the expected set (by default the set of that length). source: what the error sentence calls the
-    file. A point that is (0, 0), or has no finite position and no confidence, is missing: confidence 0.
-    Raises InputError for anything that is not such a document.
+    file. raw: of any length, and scores as they are. A point that is (0, 0), or has no finite position and no
+    confidence, is missing: confidence 0. Raises InputError for anything that is not such a document.
     """
     if isinstance(document, (str, bytes)):
         try:
             document = parse_json(document)
         except (ValueError, RecursionError) as problem:
             raise InputError(f"{source} is not JSON ({problem}); export it from the detector again.") from None
-    if not isinstance(document, Mapping) or not isinstance(document.get("people"), list):
+    found = document.get("people") if isinstance(document, Mapping) else None
+    found = [] if found == {} else found  # what some writers make of an empty list
+    if not isinstance(found, list):
         raise InputError(
             f'{source} is not an OpenPose-style file: it needs a list "people"; export key points in the '
             f"OpenPose format."
         )
     people = []
-    for number, person in enumerate(document["people"]):
+    for number, person in enumerate(found):
+        if person == {}:
+            continue
         flat = person.get("pose_keypoints_2d") if isinstance(person, Mapping) else None
         if flat is None:
             raise InputError(f'{source}, person {number}: "pose_keypoints_2d" is missing; export body key points.')
@@ -153,7 +158,7 @@ def parse_openpose(
                 f"`keypoint_set` (one of {', '.join(KEYPOINT_SETS)})."
             )
         points = values.reshape(-1, 3)
-        if names is None:
+        if names is None and not raw:
             names_of_length(len(points))
         finite = np.isfinite(points[:, :2]).all(1)
         confident = np.nan_to_num(points[:, 2], nan=0.0) > 0
@@ -161,7 +166,7 @@ def parse_openpose(
             k = int(np.argmax(bad | np.isinf(points).any(1)))
             raise InputError(f"{source}, person {number}: key point {k} is not a finite position; export it again.")
         missing = ~finite | ~confident | (points[:, :2] == 0).all(1)
-        people.append(np.where(missing[:, None], 0.0, np.clip(points, None, [np.inf, np.inf, 1.0])))
+        people.append(np.where(missing[:, None], 0.0, points if raw else np.clip(points, None, [np.inf, np.inf, 1.0])))
     k = len(names) if names is not None else (len(people[0]) if people else 0)
     if any(len(p) != k for p in people):
         raise InputError(f"{source}: the people have different numbers of key points.")

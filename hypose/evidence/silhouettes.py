@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import CameraRig
-from hypose.compute.pictures import picture_to_mask
-from hypose.compute.silhouettes.glance import Glance, glance_at
+from hypose.compute import Glance, glance_at, picture_to_mask
 from hypose.errors import InputError
 from hypose.evidence.background import BackgroundModel, Image
 from hypose.evidence.frame import Silhouettes

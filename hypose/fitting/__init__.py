@@ -1,4 +1,13 @@
-"""Fitting: the one articulated solver that trackers, fusion, subject and calibration share."""
+"""Fitting: the one articulated least-squares core that trackers, fusion, subject and calibration share.
+
+Rows become normal equations, equations a bounded robust step, and `least_squares.descend` decides how far to trust it:
+- one pose: rows -> 6 x 6 sums per bone -> folded up the tree -> a dense bounded step, all compiled (`fit_pose`);
+- a clip: the same sums of every frame, coupled to the next two, solved as a band (`fit_clip`);
+- many poses or points that share a shape or cameras: groups eliminated (`compute.SharedEquations`), in calibration and
+  subject.
+A new residual is a `RowTerm` (Python, no kernel), or, where it must be fast, one kernel in cpu_rows and one term
+in `articulated`; losses and factorisations are those of `compute` for all.
+"""
 
 from hypose.fitting.articulated import (
     ContourTerm,
@@ -13,6 +22,7 @@ from hypose.fitting.articulated import (
     workspace_for,
 )
 from hypose.fitting.clip_solve import Coupling, Gaussian, fit_clip
+from hypose.fitting.own_rows import RowTerm
 
 __all__ = [
     "ContourTerm",
@@ -20,6 +30,7 @@ __all__ = [
     "Gaussian",
     "KeypointTerm",
     "PointTerm",
+    "RowTerm",
     "PoseFit",
     "Quadratic",
     "SolveOptions",

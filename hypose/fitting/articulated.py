@@ -21,20 +21,23 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose import compute
 from hypose.body.body import Body
-from hypose.compute.selection import over_chunks
-from hypose.compute.solver.terms import (
+from hypose.compute import (
     ContourArrays,
     KeypointArrays,
     PointArrays,
     PriorArrays,
     SolveSettings,
     Workspace,
+    over_chunks,
 )
 from hypose.errors import EvidenceError, InputError, SolverError
 from hypose.evidence.ahead import outlines
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.outlines import OUTLINE_POINTS as REFERENCE_OUTLINE
 from hypose.evidence.outlines import SMALLEST, shrunk_projection
+from hypose.fitting.least_squares import Rule
+from hypose.fitting.own_rows import RowTerm, row_sums
+from hypose.fitting.own_rows import solve as solve_with_rows
 from hypose.geometry import Array, nearest_branch
 
 # Reference density of the contour rows, for a person `height` px tall: weights are per arc length, so changing the
@@ -241,13 +244,15 @@ def fit_pose(
     priors: Sequence[Quadratic] = (),
     options: SolveOptions | None = None,
     workspace: Workspace | None = None,
+    rows: Sequence[RowTerm] = (),
 ) -> PoseFit:
-    """The pose near start (D,) that explains the evidence best, inside the joint limits.
+    """The pose near start (D,) that explains the evidence best, inside the joint limits. rows: of one's own; they cost
+    a call of Python for every evaluation.
 
     A SolverError when the start has the wrong size or its cost is not finite. A step is taken when its cost is finite
     and at most 0.2 % higher (contour costs jump when the outline changes); no joint turns more than 0.35 rad per
     step."""
-    return _Problem(body, contours, keypoints, points, priors, options or SolveOptions()).fit(start, workspace)
+    return _Problem(body, contours, keypoints, points, priors, options or SolveOptions(), rows).fit(start, workspace)
 
 
 def fit_poses(
@@ -260,11 +265,12 @@ def fit_poses(
     priors: Sequence[Quadratic] = (),
     options: SolveOptions | None = None,
     threads: int | None = None,
+    rows: Sequence[RowTerm] = (),
 ) -> list[PoseFit]:
     """Independent solves from starts (N, D) on the same evidence, over threads; the same results for any number of
     them."""
     q = np.asarray(starts, dtype=np.float64)
-    problem = _Problem(body, contours, keypoints, points, priors, options or SolveOptions())
+    problem = _Problem(body, contours, keypoints, points, priors, options or SolveOptions(), rows)
     fits: list[PoseFit | None] = [None] * len(q)
 
     def work(first: int, last: int) -> None:
@@ -298,8 +304,11 @@ class _Problem:
         points: PointTerm | None,
         priors: Sequence[Quadratic],
         options: SolveOptions,
+        rows: Sequence[RowTerm] = (),
     ) -> None:
-        self.body, self.contour_term = body, contours
+        self.body, self.contour_term, self.rows = body, contours, tuple(rows)
+        for term in self.rows:
+            _joints(term.joint, len(body.skeleton.tree.parents), "RowTerm")
         self.tree, self.mesh = body.skeleton.tree, body.coarse.arrays
         self.contours = contour_arrays(contours)
         self.keypoints = keypoint_arrays(keypoints, len(self.tree.parents))
@@ -335,17 +344,7 @@ class _Problem:
         if workspace is not None:
             check_workspace(workspace, self.body, self.contour_term)
         ws = workspace if workspace is not None else _own_workspace(self.body, self.contour_term)
-        out = compute.solve(
-            q,
-            self.tree,
-            self.mesh,
-            self.contours,
-            self.keypoints,
-            self.points,
-            self.priors(q),
-            self.settings,
-            ws,
-        )
+        out = self._solve(q, self.priors(q), ws)
         pose = out.pose
         pose[3:6] = nearest_branch(pose[3:6], np.asarray(start, dtype=np.float64)[3:6])
         counts = out.evaluation.counts
@@ -358,8 +357,27 @@ class _Problem:
             out.evaluations,
             out.converged,
             int(counts.sum()),
-            counts[:-2].copy(),
+            counts[: len(self.contours.sdf)].copy(),
         )
+
+    def _solve(self, q: Array, priors: PriorArrays, ws: Workspace) -> compute.Solution:
+        evidence = self.tree, self.mesh, self.contours, self.keypoints, self.points, priors
+        o = self.settings
+        if not self.rows:
+            return compute.solve(q, *evidence, o, ws)
+
+        def evaluate(pose: Array, coarse: bool) -> compute.Evaluation:
+            known, own = compute.evaluate(pose, *evidence, ws, coarse=coarse), row_sums(pose, self.tree, self.rows)
+            return compute.Evaluation(
+                known.cost + own.cost,
+                known.gradient + own.gradient,
+                known.hessian + own.hessian,
+                np.concatenate([known.counts, [[own.count, 0]]]),
+            )
+
+        coarse = min(o.coarse_iterations, o.iterations) if len(self.contours.sdf) else 0
+        rule = Rule(o.damping, slack=1.002, moved=o.tolerance)
+        return solve_with_rows(q, evaluate, self.lower, self.upper, (coarse, o.iterations - coarse), rule)
 
 
 def check_workspace(ws: Workspace, body: Body, contours: ContourTerm | None) -> None:

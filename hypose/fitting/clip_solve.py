@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hypose import compute
 from hypose.body.body import Body
-from hypose.compute.solver.banded import solve_coupled
-from hypose.compute.solver.terms import PriorArrays
+from hypose.compute import PriorArrays, solve_coupled
 from hypose.errors import SolverError
 from hypose.fitting.articulated import (
     ContourTerm,
@@ -25,9 +25,9 @@ from hypose.fitting.articulated import (
     prior_arrays,
     workspace_for,
 )
+from hypose.fitting.least_squares import Rule, descend
+from hypose.fitting.own_rows import LARGEST_TURN
 from hypose.geometry import Array, nearest_branch, so3_exp, so3_left_jacobian, so3_log
-
-LARGEST_TURN = 0.35
 
 
 @dataclass(frozen=True)
@@ -77,33 +77,15 @@ def fit_clip(
         weights = default_acceleration(dof, float(weights))
     coupling = Coupling(n_frames, weights, np.broadcast_to(np.asarray(velocity, dtype=np.float64), (dof,)))
     problem = _Clip(body, coupling, points, keypoints, contours, gaussians, priors)
-    lower, upper = body.skeleton.lower, body.skeleton.upper
-    q = np.clip(q, lower, upper)
-    coarse = o.coarse_iterations > 0 and problem.has_contours
-    cost, gradient, hessian = problem.evaluate(q, coarse)
-    if not np.isfinite(cost):
-        raise SolverError("The clip's cost at the start is not finite; check the start poses and the evidence for NaN.")
-    damping = o.damping
-    for iteration in range(o.iterations):
-        if coarse and iteration == o.coarse_iterations:
-            coarse = False
-            cost, gradient, hessian = problem.evaluate(q, coarse)
-        accepted, moved = False, np.inf
-        for _ in range(5):
-            step = problem.step(gradient, hessian, q, lower, upper, damping)
-            if step is not None:
-                step *= min(1.0, LARGEST_TURN / max(float(np.abs(step[:, 3:]).max()), 1e-9))
-                trial = np.clip(_moved(q, step), lower, upper)
-                new = problem.evaluate(trial, coarse)
-                if np.isfinite(new[0]) and new[0] < cost * (1.002 if problem.has_contours else 1.0):
-                    accepted = True
-                    moved = float((np.abs(step) * np.r_[[2.0] * 3, np.ones(dof - 3)]).max())
-                    q, (cost, gradient, hessian) = trial, new
-                    break
-            damping = min(damping * 6, 1e6)
-        damping = max(damping / 4, 1e-6)
-        if (not accepted or moved < o.tolerance) and not coarse:
-            break
+    q = np.clip(q, problem.lower, problem.upper)
+    rule = Rule(
+        o.damping, least=1e-6, most=1e6, tries=5, slack=1.002 if problem.has_contours else 1.0, moved=o.tolerance
+    )
+    coarse = min(o.coarse_iterations, o.iterations) if problem.has_contours else 0
+    for scale, n in ((True, coarse), (False, o.iterations - coarse)):
+        if n:
+            found = descend(q, partial(problem.evaluate, coarse=scale), problem.propose, n, rule)
+            q, rule = found.state, replace(rule, damping=found.damping)
     q[:, 3:6] = nearest_branch(q[:, 3:6], given[:, 3:6])
     return q
 
@@ -191,7 +173,7 @@ class _Clip:
         largest = max((t for t in contours or none if t is not None), key=lambda t: t.sizes.max(0).prod(), default=None)
         self.ws = workspace_for(body, largest)
 
-    def evaluate(self, q: Array, coarse: bool) -> tuple[float, Array, Array]:
+    def evaluate(self, q: Array, coarse: bool) -> tuple[float, Callable[[], tuple[Array, Array]]]:
         cost, (t, d) = 0.0, q.shape
         gradient, hessian = np.empty((t, d)), np.empty((t, d, d))
         turns = _turns(q[:, 3:6])
@@ -223,13 +205,20 @@ class _Clip:
             hessian[k, 3:6] = turns[k].T @ hessian[k, 3:6]
             hessian[k, :, 3:6] = hessian[k, :, 3:6] @ turns[k]
         coupled, pull = self.coupling.cost(q)
-        return cost + coupled, gradient + pull, hessian
+        return cost + coupled, lambda: (gradient + pull, hessian)
 
-    def step(
-        self, gradient: Array, hessian: Array, q: Array, lower: Array, upper: Array, damping: float
-    ) -> Array | None:
+    def propose(self, q: Array, equations: tuple[Array, Array], damping: float) -> tuple[Array, float] | None:
+        """Poses after a step, no joint turning further than LARGEST_TURN, and how far they moved."""
+        step = self.step(*equations, q, damping)
+        if step is None:
+            return None
+        step *= min(1.0, LARGEST_TURN / max(float(np.abs(step[:, 3:]).max()), 1e-9))
+        moved = max(2 * float(np.abs(step[:, :3]).max()), float(np.abs(step[:, 3:]).max()))
+        return np.clip(_moved(q, step), self.lower, self.upper), moved
+
+    def step(self, gradient: Array, hessian: Array, q: Array, damping: float) -> Array | None:
         """Damped Newton step (T, D) with the dof that push against a limit held; None when not positive definite."""
-        held = ((q <= lower + 1e-9) & (gradient > 0)) | ((q >= upper - 1e-9) & (gradient < 0))
+        held = ((q <= self.lower + 1e-9) & (gradient > 0)) | ((q >= self.upper - 1e-9) & (gradient < 0))
         keep = ~held
         own = hessian * (keep[:, :, None] & keep[:, None, :])
         bands = self.coupling.bands * keep

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.compute.swarm import cpu_fusion
+from hypose import compute
 from hypose.evidence.frame import TRACKED
 from hypose.fusion import joints as jt
 from hypose.geometry import Array
@@ -101,7 +101,7 @@ def confidence_step(
     activations[t % n] = speeds.sum(0)  # the ring is zero before it is full, so this is the sum of what there is
     inputs = np.zeros((3, *state.shape))
     if settings.use_f:
-        cpu_fusion.fluidity(activations, t + 1, inputs[0])
+        compute.fusion.fluidity(activations, t + 1, inputs[0])
     lengths, samples = memory.lengths, memory.samples
     held = memory.held
     if settings.use_d:

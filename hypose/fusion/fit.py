@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.compute.swarm import cpu_fusion
+from hypose import compute
 from hypose.evidence.frame import TRACKED
 from hypose.fusion import joints as jt
 from hypose.geometry import Array
@@ -112,7 +112,7 @@ def fit_step(
         lengths, samples = adapt_lengths(positions, states, lengths, samples)
     weights, points = np.empty(states.shape), np.empty(positions.shape)
     evidence = np.empty(15, dtype=np.bool_)
-    any_evidence = cpu_fusion.weigh_joints(positions, states, settings.inferred, weights, points, evidence)
+    any_evidence = compute.fusion.weigh_joints(positions, states, settings.inferred, weights, points, evidence)
     dt = 1 / 30 if not np.isfinite(state.time) else max(time - state.time, 1e-3)
     start = state.joints
     if start is None:
@@ -126,7 +126,7 @@ def fit_step(
     x = predicted.copy()
     share = np.zeros(weights.shape)
     variance, spread = np.zeros(15), np.zeros(15)
-    cpu_fusion.fit_frame(
+    compute.fusion.fit_frame(
         points,
         weights,
         predicted,
@@ -167,7 +167,7 @@ def unswap(
     memory and which sensors were exchanged (K,)."""
     positions, states, memory = positions.copy(), states.copy(), side.copy()
     swapped = np.empty(len(states), dtype=np.bool_)
-    cpu_fusion.exchange_sides(positions, states, memory, jt.MIRROR, _SIDES, swapped)
+    compute.fusion.exchange_sides(positions, states, memory, jt.MIRROR, _SIDES, swapped)
     return positions, states, memory, swapped
 
 

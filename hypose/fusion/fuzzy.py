@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hypose.compute.swarm import cpu_fusion
+from hypose import compute
 from hypose.geometry import Array
 
 LOW, MEDIUM, HIGH = "low", "medium", "high"
@@ -85,7 +85,7 @@ class NoiseRules:
         """`noise` of inputs (3, ...) = f, d, a, compiled."""
         f, d, a = np.ascontiguousarray(inputs, dtype=np.float64).reshape(3, -1)
         out = np.empty(len(f))
-        cpu_fusion.mamdani(
+        compute.fusion.mamdani(
             f, d, a, self.low_centre, self.high_centre, self.slope, self.medium_centre, self.medium_sd, self._sets, out
         )
         return out.reshape(inputs.shape[1:])

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hypose.compute import lorentzian_weight
 from hypose.fusion.joints import MIRROR, TRUNK
 from hypose.geometry import Array, procrustes
 
@@ -103,7 +104,7 @@ def _fit(body: Array, ours: Array, iterations: int) -> tuple[Array, float] | Non
     for _ in range(iterations):
         motion = procrustes(a, b, weight)[0]
         distance = np.linalg.norm(moved(motion, a) - b, axis=-1)
-        weight = 1 / (1 + (distance / 0.06) ** 2)
+        weight = lorentzian_weight((distance / 0.06) ** 2)
     return motion, float(np.median(distance))
 
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hypose.compute import lorentzian_weight
 from hypose.errors import InputError
 from hypose.evidence.frame import INFERRED, TRACKED, SensorJoints
 from hypose.fusion import joints as jt
@@ -196,12 +197,12 @@ def _robust(
     if start is not None:
         off = np.linalg.norm(transform(start, moving) - target, axis=1)
         if np.median(off) < 3 * scale:  # else the sensor was moved
-            w, motion = weight / (1 + (off / scale) ** 2), start
+            w, motion = lorentzian_weight((off / scale) ** 2, weight), start
     for _ in range(iterations):
         before = motion
         motion = procrustes(moving, target, w)[0]
         distance = np.linalg.norm(transform(motion, moving) - target, axis=1)
-        w = weight / (1 + (distance / scale) ** 2)
+        w = lorentzian_weight((distance / scale) ** 2, weight)
         if np.abs(motion - before).max() < 1e-5:
             break
     return motion, float(np.median(distance))

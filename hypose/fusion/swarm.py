@@ -21,7 +21,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute.swarm import cpu_swarm
+from hypose import compute
 from hypose.fusion.confidence import CURED_CONFIDENCE, PUBLISHED_CONFIDENCE, ConfidenceSettings
 from hypose.fusion.fuzzy import PUBLISHED_RULES, SHARP_RULES, NoiseRules
 from hypose.geometry import Array
@@ -94,7 +94,7 @@ def ride(h: Hypotheses, frame: SwarmFrame, rng: np.random.Generator, /) -> Hypot
     joints, old = origin.shape
     extra = s.immigrants * len(frame.positions)
     values = np.empty((joints, old + extra, 3))
-    cpu_swarm.ride(old_values, origin, frame.moved, values)
+    compute.swarm_kernels.ride(old_values, origin, frame.moved, values)
     if extra:
         new_log = np.empty((joints, old + extra))
         new_origin = np.empty((joints, old + extra), dtype=np.int32)
@@ -115,7 +115,9 @@ def energy(h: Hypotheses, frame: SwarmFrame, /) -> Array:
     Deviation: a length scale h, which is printed without one. Deviation: a term below 0.001 of its weight counts as 0.
     A joint that no candidate can explain this frame keeps its population (0 everywhere)."""
     out = np.empty(h.log_weights.shape)
-    cpu_swarm.swarm_energy(h.values, h.origin, h.log_weights, frame.positions, frame.weights, frame.settings.h_m, out)
+    compute.swarm_kernels.swarm_energy(
+        h.values, h.origin, h.log_weights, frame.positions, frame.weights, frame.settings.h_m, out
+    )
     if frame.settings.pressure != 1:
         out *= frame.settings.pressure
     return out
@@ -126,7 +128,7 @@ def mean_position(h: Hypotheses, /) -> Array:
 
     Deviation: eq. 1 is printed as the best candidate; section 2.5 says averaging, and so it is done."""
     shares, mean = np.empty(h.log_weights.shape), np.empty((len(h.values), 3))
-    cpu_swarm.shares_and_mean(h.log_weights, h.values, shares, mean)
+    compute.swarm_kernels.shares_and_mean(h.log_weights, h.values, shares, mean)
     return mean
 
 
@@ -141,10 +143,10 @@ class MergedWheel:
     def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
         """The distinct candidates drawn, with log-weights log(copies / count)."""
         shares, mean = np.empty(h.log_weights.shape), np.empty((len(h.values), 3))
-        cpu_swarm.shares_and_mean(h.log_weights, h.values, shares, mean)
+        compute.swarm_kernels.shares_and_mean(h.log_weights, h.values, shares, mean)
         counts = np.empty(shares.shape, dtype=np.int64)
         if self.universal:
-            cpu_swarm.universal_counts(shares, rng.random(len(shares)), self.count, counts)
+            compute.swarm_kernels.universal_counts(shares, rng.random(len(shares)), self.count, counts)
         elif h.count <= FEW:
             # a binomial number for each candidate instead of count spins: the same distribution. Reversed, because
             # rounding leaves a remainder to the last, which must not be padding
@@ -153,13 +155,13 @@ class MergedWheel:
             counts = np.where(total > 0, counts, 0)
         else:
             spacings = rng.standard_exponential((len(shares), self.count + 1), dtype=np.float32)
-            cpu_swarm.wheel_counts(shares, spacings, counts)
+            compute.swarm_kernels.wheel_counts(shares, spacings, counts)
         width = int(np.count_nonzero(counts, axis=1).max())
         if width == 0:
             return h
         values, log_weights = np.empty((len(counts), width, 3)), np.empty((len(counts), width))
         origin = np.empty((len(counts), width), dtype=np.int32)
-        cpu_swarm.keep_drawn(counts, h.values, h.origin, self.count, values, log_weights, origin)
+        compute.swarm_kernels.keep_drawn(counts, h.values, h.origin, self.count, values, log_weights, origin)
         return Hypotheses(values, log_weights, origin)
 
 
@@ -216,7 +218,7 @@ def swarm_step(
     chosen = result.selected
     mean, joints = result.estimate if settings.weighted else mean_position(chosen), positions.shape[1]
     spread, shares, distinct = np.empty(joints), np.empty((joints, len(positions))), np.empty(joints, dtype=np.int64)
-    cpu_swarm.swarm_summary(chosen.values, chosen.log_weights, chosen.origin, spread, shares, distinct)
+    compute.swarm_kernels.swarm_summary(chosen.values, chosen.log_weights, chosen.origin, spread, shares, distinct)
     known = distinct > 0
     estimate = SwarmEstimate(
         np.where(known[:, None], mean, np.nan), np.where(known, spread, np.nan), shares, due, distinct
@@ -267,7 +269,7 @@ def _placed(
     bits = rng.integers(0, 2**64, (joints, int(2.2 * count) + 60), dtype=np.uint64)
     values, log_weights = np.empty((joints, count, 3)), np.empty((joints, count))
     origin = np.empty((joints, count), dtype=np.int32)
-    cpu_swarm.place_candidates(bits, base, usable, renew, radius, values, log_weights, origin)
+    compute.swarm_kernels.place_candidates(bits, base, usable, renew, radius, values, log_weights, origin)
     return values, log_weights, origin
 
 

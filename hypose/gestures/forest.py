@@ -11,8 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute.depth_forests import forest_arrays
-from hypose.compute.depth_forests.forest_arrays import GrowingArrays, Packed, PaddedDepth
+from hypose.compute import GrowingArrays, Packed, PaddedDepth, forest_arrays
 from hypose.errors import InputError
 from hypose.gestures.bounds import check
 

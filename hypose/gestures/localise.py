@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute.depth_forests import forest_arrays
-from hypose.compute.depth_forests.forest_arrays import Depth, PaddedDepth, ScanPlan
+from hypose.compute import Depth, PaddedDepth, ScanPlan, forest_arrays
 from hypose.errors import InputError
 from hypose.gestures.bounds import check
 from hypose.gestures.depth_pictures import KINECT, Lens, surface_depth

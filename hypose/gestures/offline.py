@@ -14,8 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute.depth_forests import forest_arrays
-from hypose.compute.depth_forests.forest_arrays import TreeArraysOffline
+from hypose.compute import TreeArraysOffline, forest_arrays
 from hypose.errors import InputError
 from hypose.gestures.forest import Forest, ForestSettings
 from hypose.gestures.localise import pad

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hypose.compute.depth_forests.forest_arrays import Depth
+from hypose.compute import Depth
 from hypose.errors import InputError
 from hypose.gestures.depth_pictures import Lens, surface_depth
 from hypose.gestures.forest import ForestSettings, GrowingForest

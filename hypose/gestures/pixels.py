@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute.depth_forests.forest_arrays import Depth, ScanPlan
+from hypose.compute import Depth, ScanPlan
 from hypose.gestures.bounds import check
 from hypose.gestures.depth_pictures import Lens, surface_depth
 from hypose.gestures.localise import LocaliseSettings

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute.depth_forests.forest_arrays import Depth
+from hypose.compute import Depth
 from hypose.gestures.depth_pictures import Lens
 from hypose.gestures.forest import GrowingForest
 from hypose.gestures.localise import Found, LocaliseSettings, localise

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from hypose.compute.depth_forests.forest_arrays import Depth
+from hypose.compute import Depth
 from hypose.errors import InputError
 from hypose.gestures import model as model_arrays
 from hypose.gestures.depth_pictures import Lens, millimetres

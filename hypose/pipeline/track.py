@@ -35,7 +35,8 @@ def track(
     """
     loaded = recording if isinstance(recording, Recording | FrameList) else load_recording(recording)
     height = loaded.subject_height if isinstance(loaded, Recording) else None
-    chosen = options or TrackOptions(height=height)
+    blind = isinstance(loaded, Recording) and not loaded.has_pictures
+    chosen = options or TrackOptions(height=height, evidence="keypoints" if blind else None)
     method = recipe if isinstance(recipe, Recipe) else None
     if isinstance(recipe, str):
         chosen = replace(chosen, recipe=recipe)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute.depth_forests.forest_arrays import ScanPlan
+from hypose.compute import ScanPlan
 from hypose.geometry import Array
 from hypose.gestures.depth_pictures import KINECT, Lens
 from hypose.gestures.forest import Forest, GrowingForest

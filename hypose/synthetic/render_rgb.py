@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
-from hypose.compute.pictures.render import blend_shaded, darken, expose, interpolate, rasterize, silhouette
+from hypose.compute import blend_shaded, darken, expose, interpolate, rasterize, silhouette
 from hypose.geometry import Array
 from hypose.synthetic.subjects import Subject, vertex_normals
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.compute.pictures.render import rasterize, silhouette
+from hypose.compute import rasterize, silhouette
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.keypoints import BODY_25, to_keypoints

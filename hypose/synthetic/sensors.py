@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from hypose.compute.depth_forests import cpu_rays
+from hypose import compute
 from hypose.evidence.frame import INFERRED, NOT_TRACKED, TRACKED, SensorJoints
 from hypose.fusion import joints as jt
 from hypose.geometry import Array, se3, se3_inverse, so3_exp, transform
@@ -142,7 +142,7 @@ class SensorRecording:
         directions = (rays / norm[:, None]) @ world_from_camera[:3, :3].T
         capsules = np.concatenate([body_capsules(self.truth[frame]), self.bars])
         out = np.empty(len(rays))
-        cpu_rays.cast_rays(world_from_camera[:3, 3].copy(), directions, capsules, out)
+        compute.rays.cast_rays(world_from_camera[:3, 3].copy(), directions, capsules, out)
         return np.minimum(out / norm, BACKGROUND_M).reshape(u.shape)
 
 
@@ -373,7 +373,7 @@ def _seen(joints: Array, eye: Array, capsules: Array) -> Array:
     offsets = 0.028 * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
     out = np.empty(joints.shape[:2])
     for t in range(len(joints)):
-        cpu_rays.seen_share(eye, joints[t], offsets, capsules[t], own, 0.02, out[t])
+        compute.rays.seen_share(eye, joints[t], offsets, capsules[t], own, 0.02, out[t])
     return out
 
 
@@ -463,7 +463,7 @@ def _depth_at(
     direction = ray / distance[..., None]
     hit = np.empty(distance.shape)
     for t in range(len(reported)):
-        cpu_rays.cast_rays(eye, direction[t], capsules[t], hit[t])
+        compute.rays.cast_rays(eye, direction[t], capsules[t], hit[t])
     hit = np.minimum(hit, BACKGROUND_M)
     hit += rng.normal(0, 1, hit.shape) * LARGEST_DEPTH_NOISE * hit * hit
     out = hit * (direction @ axis)

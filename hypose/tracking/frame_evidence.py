@@ -19,6 +19,7 @@ from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.frame import Frame
 from hypose.evidence.outlines import WORKING_HEIGHT
 from hypose.fitting.articulated import ContourTerm, KeypointTerm, PointTerm, contour_term
+from hypose.fitting.own_rows import RowTerm
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term
@@ -29,11 +30,12 @@ _Found = TypeVar("_Found")
 class OwnEvidence(Protocol):
     """Evidence that the product does not know: what a sensor, a marker or a rule of yours says of the body.
 
-    Both see the frame, whose index and time tell which measurement belongs to it. All rows of a frame share one scale.
+    Both see the frame, whose index and time tell which measurement belongs to it. All point terms of a frame share one
+    scale.
     """
 
-    def rows(self, body: Body, frame: Frame, /) -> PointTerm | None:
-        """For the solver: where points of the body are, None when the frame says nothing."""
+    def rows(self, body: Body, frame: Frame, /) -> PointTerm | RowTerm | None:
+        """For the solver: where points of the body are, or any residuals of them; None when the frame says nothing."""
         ...
 
     def energy(self, body: Body, poses: Array, frame: Frame, /) -> Array:
@@ -62,12 +64,12 @@ class PoseMemory(Generic[_Found]):
 @dataclass(frozen=True)
 class PreparedFrame:
     """One frame ready to be searched for a body. masks and contours are None when no view has a usable silhouette,
-    keypoints is None when there are no key points; points: the rows of `own`, the user's evidence. prediction (D,): the
-    pose expected before looking at the evidence, and prediction_weight: how strongly solves are pulled to it (1 / rad^2
-    in units of the robust rows' cost). usual_iou: how well the body has overlapped the masks so far (NaN: not known).
-    rivals: the hypotheses that the last frame left, each where it is expected now (None: the set moves as one).
-    done: frames tracked before this one. counts: of the silhouettes of single poses, (C, 3); hessians: of their solves,
-    (D, D); shared: whatever else one layer of a recipe has found out for the next ones."""
+    keypoints is None when there are no key points; points, rows: what `own`, the user's evidence, says. prediction
+    (D,): the pose expected before looking at the evidence, and prediction_weight: how strongly solves are pulled to it
+    (1 / rad^2 in units of the robust rows' cost). usual_iou: how well the body has overlapped the masks so far (NaN:
+    not known). rivals: the hypotheses that the last frame left, each where it is expected now (None: the set moves as
+    one). done: frames tracked before this one. counts: of the silhouettes of single poses, (C, 3); hessians: of their
+    solves, (D, D); shared: whatever else one layer of a recipe has found out for the next ones."""
 
     frame: Frame
     body: Body
@@ -78,6 +80,7 @@ class PreparedFrame:
     prediction_weight: float = 0.1
     usual_iou: float = float("nan")
     points: PointTerm | None = None
+    rows: tuple[RowTerm, ...] = ()
     own: tuple[OwnEvidence, ...] = ()
     done: int = 0
     rivals: Hypotheses | None = None
@@ -89,7 +92,7 @@ class PreparedFrame:
     def usable(self) -> bool:
         """True when some evidence is left."""
         pieces = (self.masks, self.keypoints, self.points, self.frame.picture)
-        return any(piece is not None for piece in pieces)
+        return any(piece is not None for piece in pieces) or bool(self.rows)
 
     def own_energy(self, poses: Array) -> Array:
         """(N,) what poses (N, D) cost by the user's evidence."""
@@ -143,8 +146,10 @@ def prepare(
                 f"with ({len(model.names)}); fit the subject again from this recording."
             )
         term = keypoint_term(frame.keypoints, body, model, prediction, keypoint_scale_px)
-    rows = _joined([found for one in own if (found := one.rows(body, frame)) is not None], frame)
-    pieces = (masks, contours, term, prediction_weight, usual_iou, rows, tuple(own), done)
+    said = [found for one in own if (found := one.rows(body, frame)) is not None]
+    points = _joined([one for one in said if isinstance(one, PointTerm)], frame)
+    rows = tuple(one for one in said if isinstance(one, RowTerm))
+    pieces = (masks, contours, term, prediction_weight, usual_iou, points, rows, tuple(own), done)
     return PreparedFrame(frame, body, prediction, *pieces)
 
 

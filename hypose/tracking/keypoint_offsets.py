@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from hypose.body.body import Body
+from hypose.compute import lorentzian_weight
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import triangulate_keypoints
@@ -125,7 +126,7 @@ def _offsets(base: KeypointModel, model: KeypointModel, rows: _Rows) -> Array:
     limit = offset_limits(base.names)
     sd_px = (model.sd if model.sd is not None else np.full(len(limit), 0.02)) * rows.size[..., None]
     square = (rows.residual**2).sum(-1) / sd_px**2
-    weight = rows.confidence / sd_px**2 / (1 + 0.25 * square)
+    weight = lorentzian_weight(0.25 * square, rows.confidence / sd_px**2)
     hessian = np.einsum("tck,tckia,tckib->kab", weight, rows.slope, rows.slope)
     gradient = np.einsum("tck,tckia,tcki->ka", weight, rows.slope, rows.residual)
     # frames of a clip err alike: their number is no measure of what is known

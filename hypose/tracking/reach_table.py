@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hypose import compute
 from hypose.body.body import Body
-from hypose.compute.silhouettes import reach
+from hypose.compute import reach
 from hypose.geometry import Array
 from hypose.tracking.frame_evidence import PreparedFrame
 

@@ -166,6 +166,7 @@ def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveOption
         contours=frame.contours,
         keypoints=frame.keypoints,
         points=frame.points,
+        rows=frame.rows,
         priors=priors,
         options=options,
     )

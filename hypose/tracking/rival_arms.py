@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute.selection import over_chunks
-from hypose.compute.silhouettes import reach
+from hypose.compute import over_chunks, reach
 from hypose.fitting.articulated import SolveOptions
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, Hypotheses

@@ -12,17 +12,19 @@ filter is an addition (compare Gall et al. 2009 for contours, Carranza et al. 20
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.anthropometry import body_of, length_rows, prior_covariance, prior_mean
 from hypose.body.body import Body, Landmarks, Mesh
-from hypose.compute.pictures.render import silhouette
+from hypose.compute import SharedEquations, geman_mcclure, silhouette, weighted_squares
 from hypose.errors import EvidenceError
 from hypose.fitting.articulated import ContourTerm
+from hypose.fitting.least_squares import Rule, descend
 from hypose.geometry import Array
 from hypose.tracking.refinement import anatomical_prior
 
@@ -112,7 +114,7 @@ def refine_shape(
     for n, factor in zip(options.iterations, options.coarse, strict=True):
         x, q = problem.solve(x, q, n, factor)
     system = problem.linearise(x, q, options.coarse[-1])
-    hessian, _, _ = problem.reduced(system, q, 0.0)
+    hessian = problem.equations(system, q).reduced().hessian
     evidence = (hessian - system.prior_hessian) / EFFECTIVE
     covariance = np.asarray(np.linalg.inv(evidence + system.prior_hessian), dtype=np.float64)
     return ShapeFit(body_of(body, x), x, covariance, q, before, system.cost)
@@ -193,52 +195,40 @@ class _ShapeProblem:
                 out.append((value, float(np.log(wanted)), sd, gradient))
         return out
 
-    def reduced(
-        self, system: _System, q: Array, damping: float
-    ) -> tuple[Array, Array, list[tuple[Array, Array, Array]]]:
-        """Schur complement: hessian (K, K) and gradient (K,) of the shape, and per frame what gives its pose back."""
-        h, g = system.prior_hessian.copy(), system.prior_gradient.copy()
-        frames = []
+    def equations(self, system: _System, q: Array) -> SharedEquations:
+        """Of the shape (K,), shared by the frames' poses (F, D)."""
+        hessian, gradient = system.prior_hessian.copy(), system.prior_gradient.copy()
+        (n, dof), shape = q.shape, len(gradient)
+        own, own_gradient, cross = np.empty((n, dof, dof)), np.empty((n, dof)), np.empty((n, dof, shape))
         for f, r in enumerate(system.rows):
-            ws, wp = r.by_shape * r.weight[:, None], r.by_pose * r.weight[:, None]
-            hpp = _product(wp, r.by_pose)
-            hpp[np.diag_indices_from(hpp)] += self.pose_weight + self.anchor_weight + damping * hpp.diagonal() + 1e-6
-            gp = (
-                _product(wp, r.residual[:, None])[:, 0]
-                + self.pose_weight * q[f]
-                + self.anchor_weight * (q[f] - self.anchor[f])
-            )
-            hsp = _product(ws, r.by_pose)
-            solved: Array = np.asarray(np.linalg.solve(hpp, np.concatenate([hsp.T, gp[:, None]], 1)), dtype=np.float64)
-            h += _product(ws, r.by_shape) - _product(hsp.T, solved[:, :-1])
-            g += _product(ws, r.residual[:, None])[:, 0] - hsp @ solved[:, -1]
-            frames.append((solved[:, :-1], solved[:, -1], gp))
-        return h, g, frames
+            h, g = weighted_squares(np.concatenate([r.by_pose, r.by_shape], 1), r.weight, r.residual)
+            own[f], cross[f] = h[:dof, :dof] + np.diag(self.pose_weight + self.anchor_weight), h[:dof, dof:]
+            own_gradient[f] = g[:dof] + self.pose_weight * q[f] + self.anchor_weight * (q[f] - self.anchor[f])
+            hessian += h[dof:, dof:]
+            gradient += g[dof:]
+        return SharedEquations(hessian, gradient, own, own_gradient, cross)
 
     def solve(self, x: Array, q: Array, iterations: int, factor: float) -> tuple[Array, Array]:
         """One stage of damped Gauss-Newton; returns shape and poses."""
-        s, damping = self.body.skeleton, 1e-2
-        system = self.linearise(x, q, factor)
-        for _ in range(iterations):
-            h, g, frames = self.reduced(system, q, damping)
-            h[np.diag_indices_from(h)] *= 1 + damping
-            dx = -np.linalg.solve(h, g)
-            dx *= min(1.0, 0.08 / max(float(np.abs(dx).max()), 1e-9))
-            new_q = q.copy()
-            for f, (by_shape, own, _) in enumerate(frames):
-                dq = -(own + by_shape @ dx)
-                dq *= min(1.0, 0.3 / max(float(np.abs(dq[3:]).max()), 1e-9))
-                new_q[f] = s.clamp(q[f] + dq)
-            new_x = x + dx
-            new = self.linearise(new_x, new_q, factor)
-            if np.isfinite(new.cost) and new.cost < system.cost * 1.002:
-                small = np.abs(dx).max() < 5e-4
-                x, q, system, damping = new_x, new_q, new, max(damping / 3, 1e-4)
-                if small:
-                    break
-            else:
-                damping = min(damping * 10, 1e3)
-        return x, q
+
+        def evaluate(state: tuple[Array, Array]) -> tuple[float, Callable[[], SharedEquations]]:
+            system = self.linearise(*state, factor)
+            return system.cost, partial(self.equations, system, state[1])
+
+        return descend((x, q), evaluate, self.propose, iterations, Rule(slack=1.002, moved=5e-4)).state
+
+    def propose(
+        self, state: tuple[Array, Array], equations: SharedEquations, damping: float
+    ) -> tuple[tuple[Array, Array], float] | None:
+        reduced = equations.reduced(damping)
+        dx = reduced.step()
+        if dx is None:
+            return None
+        dx *= min(1.0, 0.08 / max(float(np.abs(dx).max()), 1e-9))
+        dq = reduced.own_steps(dx)
+        dq *= np.minimum(1, 0.3 / np.maximum(np.abs(dq[:, 3:]).max(1, keepdims=True), 1e-9))
+        x, q = state
+        return (x + dx, self.body.skeleton.clamp(q + dq)), float(np.abs(dx).max())
 
     def _frame_rows(
         self, shaped: Body, pose: Array, vertices: Array, slopes: Array, term: ContourTerm, factor: float
@@ -258,23 +248,36 @@ class _ShapeProblem:
         a, b = (np.concatenate([p[k] for p in parts]) for k in (0, 1))
         t, r, g, weight = (np.concatenate([p[k] for p in parts]) for k in (2, 3, 4, 5))
         scale = term.scale_px * factor
-        e2 = (r / scale) ** 2
-        kernel = 1 / (1 + e2)
         w0 = self.options.weight * weight
-        cost = 0.5 * float((w0 * e2 * kernel).sum())
+        rho, slope, _ = geman_mcclure((r / scale) ** 2, w0 / scale**2)
+        cost = 0.5 * float((w0 * rho).sum())
         s = (1 - t)[:, None]
-        point = s * vertices[a] + t[:, None] * vertices[b]
         by_shape = np.einsum("rc,krc->rk", s * g, slopes[:, a]) + np.einsum("rc,krc->rk", t[:, None] * g, slopes[:, b])
-        carried = s * self.moves[a] + t[:, None] * self.moves[b]
-        wrench = np.concatenate([np.cross(point, g), g], 1)
-        by_pose = _product(wrench.T, twists.T) * carried
-        return _Rows(r, w0 * kernel**2 / scale**2, by_shape, by_pose, cost)
+        by_pose = rows_by_pose(twists, self.moves, vertices, a, b, t, g)[1]
+        return _Rows(r, slope, by_shape, by_pose, cost)
 
 
 def _product(a: Array, b: Array) -> Array:
     """a^T b (I, J) of a (R, I), b (R, J) in fixed order: no threaded BLAS, whose result (and, on a busy machine, time)
     depends on the threads."""
     return np.einsum("ri,rj->ij", a, b)
+
+
+def rows_by_pose(
+    twists: Array,
+    moves: Array,
+    vertices: Array,
+    a: NDArray[np.int64],
+    b: NDArray[np.int64],
+    t: Array,
+    gradient: Array,
+) -> tuple[Array, Array]:
+    """Points (R, 3) m of `outline_rows` and the rows' derivatives (R, D) by a pose with these twists (D, 6); moves (V,
+    D): share of a dof's motion at a vertex."""
+    s, e = (1 - t)[:, None], t[:, None]
+    point = s * vertices[a] + e * vertices[b]
+    wrench = np.concatenate([np.cross(point, gradient), gradient], 1)
+    return point, np.einsum("rk,dk->rd", wrench, twists) * (s * moves[a] + e * moves[b])
 
 
 def outline_rows(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
-from hypose.compute.solver.banded import frame_covariances
+from hypose.compute import frame_covariances
 from hypose.fitting import PointTerm, SolveOptions, fit_clip
 from hypose.fitting.clip_solve import Coupling, Gaussian
 from hypose.geometry import Array, nearest_branch

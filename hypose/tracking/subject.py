@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hypose.body.body import Body, Shape, deform
 from hypose.errors import EvidenceError
@@ -76,7 +77,8 @@ def subject_from_keypoints(
 
     Lengths are medians over the frames, left and right averaged. Then poses and offsets are found in turn: offsets
     within 5 cm for joints, 12 cm for the face and 8 cm for the feet, since what a detector calls a hip is not the
-    joint's centre. An EvidenceError when a segment is never seen.
+    joint's centre. Segments that are never seen are in proportion to the others; an EvidenceError
+    when hardly any is seen.
     """
     deformed = deform(body, shape_from_keypoints(body, points_world, names))
     model = keypoint_model(deformed, names)
@@ -118,12 +120,16 @@ def shape_from_keypoints(body: Body, points_world: Array, names: tuple[str, ...]
     limbs = {}
     for segment, (a, b) in PAIRED.items():
         sides = np.array([factor(f"{side}_{a}", f"{side}_{b}") for side in ("left", "right")])
-        if not np.isfinite(sides).any():
+        limbs[segment] = _mean_seen(sides)
+    trunk = _mean_seen([factor(f"{side}_shoulder", f"{side}_hip") for side in ("left", "right")])
+    unseen = [segment for segment, value in limbs.items() if np.isnan(value)]
+    if unseen:  # legs below a desk: in proportion to what is seen
+        seen = [v for v in (*limbs.values(), trunk) if v > 0]
+        if len(seen) < 2:
             raise EvidenceError(
-                f"The key points never show the {segment} in two views; check their folder and calibration."
+                f"The key points never show the {unseen[0]} in two views; check their folder and calibration."
             )
-        limbs[segment] = float(np.nanmean(sides))
-    trunk = np.nanmean([factor(f"{side}_shoulder", f"{side}_hip") for side in ("left", "right")])
+        limbs |= dict.fromkeys(unseen, float(np.mean(seen)))
     scale = float(np.nanmean([limbs["thigh"], limbs["shank"], trunk]))
     shoulders = factor("left_shoulder", "right_shoulder")
     shoulders = scale if np.isnan(shoulders) else float(np.clip(shoulders, 0.8 * scale, 1.2 * scale))
@@ -138,6 +144,12 @@ def shape_from_keypoints(body: Body, points_world: Array, names: tuple[str, ...]
         offset[f"{side}_clavicle"] = (scale / trunk, 1.0, 1.0)
         offset[f"{side}_shoulder"] = (shoulders / scale, 1.0, 1.0)
     return Shape(scale=scale, length=length, offset=offset)
+
+
+def _mean_seen(values: ArrayLike) -> float:
+    """The mean of the finite values; NaN without any."""
+    v = np.asarray(values, dtype=np.float64)
+    return float(v[np.isfinite(v)].mean()) if np.isfinite(v).any() else float("nan")
 
 
 def _solve_frames(body: Body, points: Array, model: KeypointModel, frames: np.ndarray, poses: Array) -> None:

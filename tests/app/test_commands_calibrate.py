@@ -108,3 +108,17 @@ def test_lengths(text, metres):
     assert parse_length(text, "--square") == pytest.approx(metres)
     with pytest.raises(InputError, match="write a number with its unit"):
         parse_length("12", "--square")
+
+
+def test_lenses_of_unknown_pictures_are_refused(hypose, tmp_path):
+    """A file that does not say how large its pictures are: the size would have to be guessed."""
+    (tmp_path / "lens.yml").write_text(
+        "%YAML:1.0\n---\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n"
+        "   data: [ 900., 0., 640., 0., 900., 360., 0., 0., 1. ]\n"
+    )
+    (tmp_path / "points.toml").write_text("[points]\n")
+    code, _, err = hypose("calibrate", "--points", tmp_path / "points.toml", "--intrinsics", tmp_path / "lens.yml",
+                          "--out", tmp_path / "c.toml")  # fmt: skip
+    assert code == 2 and not (tmp_path / "c.toml").exists()
+    assert "--intrinsics: lens.yml does not say how large its images are, and lenses fit only pictures" in err
+    assert "add image_width and image_height to the file" in err

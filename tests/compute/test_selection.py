@@ -10,7 +10,8 @@ from hypose.compute import selection
 
 
 def test_importing_the_package_does_not_import_numba():
-    code = "import sys, hypose.compute, hypose.body.skeleton, hypose.fitting; assert 'numba' not in sys.modules"
+    rooms = "hypose.compute, hypose.body.skeleton, hypose.fitting, hypose.fusion.fuse, hypose.gestures.forest"
+    code = f"import sys, {rooms}; assert 'numba' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

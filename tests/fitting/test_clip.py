@@ -57,9 +57,9 @@ def test_step_is_the_dense_step(motion, rng):
     coupling = Coupling(6, default_acceleration(S.dof, 2.0), velocity)
     problem = _Clip(BODY, coupling, point_terms(motion[:6], rng, 0.02), None, None, None, ())
     q = motion[:6] + 0.02 * rng.normal(size=(6, S.dof))
-    _, gradient, hessian = problem.evaluate(q, False)
-    free = np.full(S.dof, np.inf)
-    step = problem.step(gradient, hessian, q, -free, free, 1e-2)
+    gradient, hessian = problem.evaluate(q, False)[1]()
+    problem.lower, problem.upper = np.full(S.dof, -np.inf), np.full(S.dof, np.inf)
+    step = problem.step(gradient, hessian, q, 1e-2)
     d2 = np.diff(np.eye(6), 2, axis=0)
     d1 = np.diff(np.eye(6), 1, axis=0)
     dense = np.kron(d2.T @ d2, np.diag(default_acceleration(S.dof, 2.0))) + np.kron(d1.T @ d1, np.diag(velocity))
@@ -75,7 +75,7 @@ def test_clip_gradient_by_finite_differences(motion, rng):
     coupling = Coupling(4, default_acceleration(S.dof), np.full(S.dof, 2.0))
     problem = _Clip(BODY, coupling, point_terms(motion[:4], rng, 0.02), None, None, known, ())
     q = motion[:4] + 0.02 * rng.normal(size=(4, S.dof))
-    _, gradient, _ = problem.evaluate(q, False)
+    gradient, _ = problem.evaluate(q, False)[1]()
     numeric = np.zeros_like(q)
     for t in range(4):
         for d in range(S.dof):

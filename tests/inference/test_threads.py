@@ -13,9 +13,9 @@ from hypose.inference.estimates import TangentMean
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import AdaptiveDiffusion
 from hypose.inference.layer import Layer, Recipe, search
-from hypose.inference.newton import least_squares, minimise
 from hypose.inference.random_streams import stream
-from hypose.inference.robust import GemanMcClure
+from hypose.compute.solver.losses import geman_mcclure
+from hypose.compute.solver.normal import SharedEquations, weighted_squares
 from hypose.inference.selectivity import Annealed
 from hypose.inference.selectors import systematic
 
@@ -26,13 +26,12 @@ start = Hypotheses.uniform(rng.normal(size=(600, 36)))
 result = search(start, Recipe("r", (layer,) * 3, estimate=TangentMean((3, 6))), None, partial(stream, 0, 0))
 a, b = rng.normal(size=(2000, 36)), rng.normal(size=2000)
 
-def residuals(x):
-    s = np.tanh(np.einsum("md,d->m", a, x))
-    return s - b, (1 - s**2)[:, None] * a
-
-limit = np.full(36, 0.02)
-found = minimise(least_squares(residuals, GemanMcClure(1.0)), np.zeros(36), -limit, limit)
-parts = result.estimate, result.selected.values, result.weighted.log_weights, found.x, found.hessian
+hessian, gradient = weighted_squares(a, geman_mcclure(b**2)[1], b)
+own = np.repeat(hessian[None, 6:, 6:], 5, 0)
+cross = np.repeat(hessian[None, 6:, :6], 5, 0)
+equations = SharedEquations(10 * hessian[:6, :6], gradient[:6], own, np.repeat(gradient[None, 6:], 5, 0), cross)
+step = equations.reduced(0.01).step()
+parts = result.estimate, result.selected.values, result.weighted.log_weights, hessian, step
 print(hashlib.sha256(b"".join(p.tobytes() for p in parts)).hexdigest())
 """
 

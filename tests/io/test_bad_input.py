@@ -110,7 +110,7 @@ def test_settings(good, settings, message):
         ({"vidoe": "a.avi"}, r"view cam_1: the key vidoe is unknown \(did you mean video\?\); correct"),
         ({"video": "none.avi"}, r"view cam_1: the video .*none\.avi does not exist; correct the path or copy"),
         ({"video": "."}, r"view cam_1: video must be a file"),
-        ({"video": None}, r"view cam_1: neither video, images nor masks are given; add one of them, or remove"),
+        ({"video": None}, r"view cam_1: neither video, images, masks nor keypoints are given; add one of them, or"),
         ({"images": "."}, r"view cam_1: video and images are both given; keep the one to use"),
         ({"video": None, "images": "cam_1.avi"}, r"view cam_1: images must be a folder, .*cam_1\.avi is not"),
         ({"video": None, "images": "none"}, r"view cam_1: the images .*none does not exist"),
@@ -119,7 +119,10 @@ def test_settings(good, settings, message):
         ({"background": "none.png"}, r"view cam_1: the background .*none\.png does not exist"),
         ({"background": "text.png"}, r"text\.png is not an image or is damaged"),
         ({"keypoints": "none"}, r"view cam_1: the keypoints .*none does not exist"),
-        ({"keypoints": "empty"}, r"view cam_1: the key-point folder .*empty holds no \.json files"),
+        (
+            {"keypoints": "empty"},
+            r"The folder .*empty holds no key points \(\.json or \.txt, one per frame\); detect them",
+        ),
         ({"video": "text.avi"}, r"text\.avi cannot be opened as a video"),
         ({"video": "zero.avi"}, r"zero\.avi is empty \(0 bytes\); record or copy it again"),
         ({"image_shift": [1.0]}, r"view cam_1: image_shift must be 2 numbers in \[ \], got \[1\.0\]"),
@@ -151,13 +154,20 @@ def test_bad_calibration(good):
 
 
 def test_number_of_cameras(good):
-    make_recording(good, VIEWS[:1])
+    make_recording(good, [VIEWS[0] | {"name": "left"}])
     refuses(
         good,
-        r"calibration\.toml has 2 cameras \(cam_1, cam_2\) but there are 1 views \(cam_1\); add the missing ones, or "
+        r"calibration\.toml has 2 cameras \(cam_1, cam_2\) but there are 1 views \(left\); add the missing ones, or "
         r"give every view its camera",
         CalibrationError,
     )
+
+
+def test_views_named_like_their_cameras_leave_others_out(good):
+    make_recording(good, VIEWS[:1])
+    recording = load_recording(good)
+    assert recording.rig.names == ("cam_1",)
+    assert any("The cameras cam_2 of calibration.toml have no view and are left out" in n for n in recording.notes)
 
 
 def test_unknown_camera_lists_those_there_are(good):

@@ -256,8 +256,8 @@ def test_bad_files(tmp_path):
     with (tmp_path / "huge.toml").open("wb") as stream:
         stream.truncate(50_000_000)
     refuses("huge.toml", r"has 50\.0 MB; a calibration file has at most 5 MB")
-    (tmp_path / "c.calib").write_text("x")
-    refuses("c.calib", r"calibrations are read from \.toml, .*\.qca\.txt, .*; name the file by one of these endings")
+    (tmp_path / "c.doc").write_text("x")
+    refuses("c.doc", r"calibrations are read from \.toml, .*\.qca\.txt, .*; name the file by one of these endings")
     (tmp_path / "empty.toml").write_text("")
     refuses("empty.toml", r"holds no cameras")
 

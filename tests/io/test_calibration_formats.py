@@ -194,7 +194,8 @@ def test_bad_pickles_name_the_file(tmp_path):
             "FOCAL_LENGTH is 'x', 1 numbers are needed",
         ),
         ("a.xcp", "<a/>", "holds no cameras"),
-        ("a.json", "{}", "calibrations are read from"),
+        ("a.json", "{}", "holds no cameras: each needs K, R and t"),
+        ("a.doc", "{}", "calibrations are read from"),
     ],
 )
 def test_bad_files_are_refused_in_a_sentence(tmp_path, name, text, message):

@@ -1,15 +1,18 @@
 """Pose2Sim projects and trials, as they are."""
 
 import json
+import shutil
 
 import cv2
 import numpy as np
 import pytest
 
+from benchmarks.robustness.keypoint_layouts import detections
 from hypose.errors import CalibrationError, InputError
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.calibrations.calibration_toml import write_calibration
-from hypose.io.recordings.pose2sim import match_names
+from hypose.io.matching_names import match_names
+from hypose.io.recordings.frames import load_keypoints
 from hypose.io.recordings.recording import load_recording, write_recording
 from tests.io.recordings import frame, make_rig, make_video
 
@@ -152,19 +155,44 @@ def test_refused(tmp_path):
     (folder / "videos" / "cam02.mp4").unlink()
     refuses(folder, r"has 2 cameras \(cam_01, cam_02\) but there are 1 views \(cam01\)", CalibrationError)
     (folder / "videos" / "cam01.mp4").unlink()
-    refuses(folder, r"videos holds no videos .* add them")
+    shutil.rmtree(folder / "pose")
+    refuses(folder, r"videos holds no videos .* and there are no key points in pose; add one or the other")
     (folder / "videos").rmdir()
-    refuses(folder, r"has no videos folder; put the videos into .*videos")
+    refuses(folder, r"has no videos folder and no key points in pose; put the videos into .*videos")
 
     folder = make_project(tmp_path / "d", points=40)
-    refuses(folder, r"cam01_json have 40 points per person; known are .*BODY_25B \(25\).*use one of these models")
+    refuses(folder, r"cam01_json: there are 40 points per person, which no set has; known are .*BODY_25B \(25\)")
 
     folder = make_project(tmp_path / "e")
     (folder / "pose" / "cam01_json" / "cam01.0000.json").write_text("{")
-    refuses(folder, r"cam01\.0000\.json is not OpenPose JSON \(.*\): people\[\]\.pose_keypoints_2d is needed")
+    refuses(folder, r"cam01\.0000\.json is not JSON \(.*\); export it from the detector again")
 
     folder = make_project(tmp_path / "f", "[project]\nframe_range = [10, 300]\n")
     refuses(folder, r"frame_range = \[10, 300\] lies outside the recording, which has the frames 0 to 11")
+
+
+def test_without_videos(tmp_path):
+    """Sizes come from the calibration, names from the folders of pose, the number of frames from the files."""
+    folder = make_project(tmp_path / "a")
+    shutil.rmtree(folder / "videos")
+    (folder / "calibration").rename(folder / "my_calib_of_may")
+    seen = detections("HALPE_26", make_rig(("cam_01", "cam_02")), 12)
+    for name, frames in zip(NAMES, seen, strict=True):
+        for i, points in enumerate(frames[1:], start=1):
+            people = [{"pose_keypoints_2d": points.ravel().tolist()}]
+            (folder / "pose" / f"{name}_json" / f"{name}.{i:04d}.json").write_text(json.dumps({"people": people}))
+    (folder / "pose" / "cam01_json" / "cam01.0003.json").write_text('{"people": {}}')
+    (folder / "pose" / "cam01_json" / "cam01.0004.json").write_text('{"people": [{}]}')
+    recording = load_recording(folder)
+    assert [v.name for v in recording.views] == ["cam01", "cam02"] and not any(v.source for v in recording.views)
+    assert recording.n_frames == 12 and recording.frame_rate == 25 and recording.keypoint_set == "HALPE_26"
+    assert any("There are no videos in" in n for n in recording.notes)
+    points = np.stack([k.points for k in load_keypoints(recording)])
+    assert ((points[1:, 1, :, 2] > 0) == (seen[1, 1:, :, 2] > 0)).all() and (points[1:, 1, :, 2] > 0).any()
+    assert not points[[0, 3, 4], 0, :, 2].any()
+    (folder / "Config.toml").write_text("")
+    with pytest.raises(InputError, match=r"key points carry no frame rate; add frame_rate = \.\.\."):
+        load_recording(folder)
 
 
 def test_pairing_by_order_is_stated(tmp_path):

@@ -10,8 +10,9 @@ from hypose.body.ready_bodies import human
 from hypose.body.superquadrics import superquadric_body
 from hypose.compute.monocular import cpu_mono_cues, cpu_mono_nodes, cpu_mono_rows, cpu_mono_search, mono
 from hypose.compute.monocular.mono_terms import FlowArrays
+from hypose.compute.solver.normal import bounded_step
 from hypose.evidence.frame import Picture
-from hypose.inference.newton import minimise
+from hypose.fitting.least_squares import Rule, descend
 from hypose.tracking.contacts import soles_of
 from hypose.tracking.monocular.models import arm_dofs, body_dofs, with_hand
 from hypose.tracking.monocular.points import clicked_joints
@@ -187,8 +188,16 @@ def test_the_search_finds_what_scipys_bounded_solver_finds():
     assert found.cost <= double.fun + 0.05
     assert (found.pose[active] <= upper).all()
     assert (found.pose[active] >= problem.priors.lower).all()
-    third = minimise(lambda x: cost(x)[:3], first, problem.priors.lower, upper)
-    assert found.cost <= third.cost + 0.05
+
+    def evaluate(x):
+        value, gradient, hessian = cost(x)[:3]
+        return value, lambda: (gradient, hessian)
+
+    def propose(x, equations, damping):
+        step = bounded_step(equations[1], equations[0], x, problem.priors.lower, upper, damping)
+        return None if step is None else (np.clip(x + step, problem.priors.lower, upper), 1.0)
+
+    assert found.cost <= descend(first, evaluate, propose, 60, Rule(tries=20, gain=1e-9)).cost + 0.05
 
 
 def test_eigenvectors_agree_with_numpy():

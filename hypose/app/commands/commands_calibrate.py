@@ -134,11 +134,24 @@ def parse_length(text: str, option: str) -> float:
     return float(found[1]) * {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}[found[2]]
 
 
-def _from_points(path: Path, intrinsics: Path | None) -> CameraRig:
-    from hypose.calibration.from_points import calibrate_from_points, read_scene_points
+def _lenses(path: Path) -> CameraRig:
+    """The lenses of a calibration file; a CalibrationError when it does not say for which size of pictures they are."""
     from hypose.io.calibrations.calibration_formats import read_any
 
-    lenses = None if intrinsics is None else read_any(intrinsics)[0]
+    rig, notes = read_any(path)
+    guess = next((n for n in notes if "does not say how large" in n), None)
+    if guess is not None:
+        what, _, remedy = guess.partition("; ")
+        raise CalibrationError(
+            f"--intrinsics: {what}, and lenses fit only pictures of their own size; {remedy.split('wrong, ')[-1]}"
+        )
+    return rig
+
+
+def _from_points(path: Path, intrinsics: Path | None) -> CameraRig:
+    from hypose.calibration.from_points import calibrate_from_points, read_scene_points
+
+    lenses = None if intrinsics is None else _lenses(intrinsics)
     result = calibrate_from_points(read_scene_points(path), lenses)
     _show_points(result)
     return result.rig
@@ -178,14 +191,13 @@ def _from_boards(
 ) -> CameraRig:
     from hypose.calibration.from_boards import BoardsNotFound, CalibrateOptions, calibrate_from_boards
     from hypose.calibration.views import find_sources
-    from hypose.io.calibrations.calibration_formats import read_any
 
     sources = _with_lags(find_sources(paths), lag)
     lenses = lens_sources = None
     if intrinsics is not None and intrinsics.is_dir() and not (intrinsics / "intri.yml").is_file():
         lens_sources = find_sources([intrinsics], "lens videos")
     elif intrinsics is not None:
-        lenses = read_any(intrinsics)[0]
+        lenses = _lenses(intrinsics)
     with Stages() as progress:
         options = CalibrateOptions(lenses, refine_lenses, fisheye, floor, frames, progress=progress)
         try:

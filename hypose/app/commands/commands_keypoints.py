@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Annotated
 
@@ -10,11 +11,18 @@ import typer
 from hypose.app.commands.commands_track import set_threads
 from hypose.app.commands.console import Stages, note, say
 from hypose.app.commands.options import Threads, number
+from hypose.errors import InputError
 
 
 def keypoints(
     recording: Annotated[Path, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")],
-    model: Annotated[Path, typer.Option(help="Model bundle of MediaPipe's Pose Landmarker (.task), your own copy.")],
+    model: Annotated[
+        Path | None, typer.Option(help="Model bundle of MediaPipe's Pose Landmarker (.task), your own copy.")
+    ] = None,
+    detector: Annotated[
+        str | None,
+        typer.Option(help="Instead: your own detector, FILE.py:NAME or MODULE:NAME (docs/recordings.md)."),
+    ] = None,
     folder: Annotated[
         Path | None, typer.Option("--out", help="Folder to write to. [default: keypoints in the recording's folder]")
     ] = None,
@@ -27,15 +35,28 @@ def keypoints(
     from hypose.io.claims import claimed
     from hypose.io.keypoints.blazepose import open_blazepose
     from hypose.io.keypoints.detected_keypoints import FOLDER
+    from hypose.io.keypoints.own_detector import open_own_detector
     from hypose.io.recordings.recording import load_recording
     from hypose.pipeline.detect_keypoints import detect_keypoints
 
+    if (model is None) == (detector is None):
+        raise InputError(
+            "Say what finds the key points: --model with a .task file of MediaPipe's Pose Landmarker, or --detector "
+            "with one of your own (both are shown in docs/recordings.md)."
+        )
     loaded = load_recording(recording)
     target = folder or loaded.folder / FOLDER
-    with claimed(target), open_blazepose(model, people) as detector, Stages() as progress:
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(claimed(target))
+        if detector is not None:
+            chosen = open_own_detector(detector)
+        else:
+            assert model is not None
+            chosen = stack.enter_context(open_blazepose(model, people))
+        progress = stack.enter_context(Stages())
         try:
             found = detect_keypoints(
-                loaded, detector, target, resume=resume, progress=lambda done, total: progress("detect", done, total)
+                loaded, chosen, target, resume=resume, progress=lambda done, total: progress("detect", done, total)
             )
         except KeyboardInterrupt:
             say(f"Stopped; the frames done until then are in {target}. Go on with the same command and --resume.")

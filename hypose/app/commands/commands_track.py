@@ -36,8 +36,8 @@ def track(
     evidence: Annotated[
         str | None,
         typer.Option(
-            help="silhouettes, keypoints or both; with monocular also auto or edges. [default: silhouettes; with "
-            "monocular all there is]"
+            help="silhouettes, keypoints or both; with monocular also auto or edges. [default: silhouettes; without "
+            "pictures keypoints; with monocular all there is]"
         ),
     ] = None,
     start: Annotated[
@@ -93,6 +93,8 @@ def track(
     from hypose.pipeline.run import TrackOptions
 
     loaded = choose_frames(load_recording(recording, calibration), frames)
+    if evidence is None and recipe != "monocular" and not loaded.has_pictures:
+        evidence = "keypoints"  # they are all that there is
     options = TrackOptions(
         recipe=recipe,
         refine=refine,
@@ -230,12 +232,11 @@ def split_names(text: str) -> tuple[str, ...]:
 def back_end(name: str) -> Iterator[None]:
     """Run the block on a back end of --compute; an InputError when there is none of that name or no such device."""
     from hypose import compute
-    from hypose.compute import selection
 
     if name not in ("auto", "cpu", "cuda", "reference"):
         raise InputError(f"There is no --compute {name}; choose auto, cpu, cuda or reference.")
     if name == "cuda":
-        selection.require_cuda()
+        compute.require_cuda()
     with compute.use(name):
         yield
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from hypose.app.live.gesture_sources import Source, Taken
-from hypose.compute.depth_forests.forest_arrays import ScanPlan
+from hypose.compute import ScanPlan
 from hypose.errors import EvidenceError, InputError
 from hypose.gestures.depth_pictures import surface_depth
 from hypose.gestures.events import Event, EventSettings, EventState, step

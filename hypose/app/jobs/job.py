@@ -193,6 +193,11 @@ def _check_choices(job: Job, options: TrackOptions) -> None:
         load_subject(options.subject)
     if options.height is not None and not 0.4 <= options.height <= 2.8:
         raise InputError(f"A height of {options.height:g} m is implausible; give it in metres (0.4 to 2.8).")
+    if options.looks_at != "keypoints" and not options.of_picture and not job.recording.has_pictures:
+        raise InputError(
+            f"The evidence {options.looks_at!r} needs pictures, and {job.recording.name} has key points alone; use "
+            "keypoints."
+        )
     if options.looks_at == "keypoints" and not options.of_picture and job.recording.keypoint_set is None:
         raise InputError(
             "The evidence 'keypoints' needs key points, and this recording has none; add keypoints = ... to the views "

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hypose.compute.depth_forests.forest_arrays import Depth
+from hypose.compute import Depth
 from hypose.errors import InputError
 from hypose.gestures.depth_pictures import KINECT, Lens, millimetres
 

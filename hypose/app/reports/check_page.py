@@ -19,7 +19,7 @@ from hypose.io.files import write_text
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.examine import window
 
-_STYLE = """
+STYLE = """
 :root { color-scheme: light; }
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; background: #fff; margin: 0 auto; max-width: 1080px;
   padding: 24px; }
@@ -130,7 +130,7 @@ def write_page(
         "verdict",
     )
     parts = [
-        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{e(title)}: check</title><style>{_STYLE}</style>",
+        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{e(title)}: check</title><style>{STYLE}</style>",
         f"<h1>{e(title)}: is the calibration right?</h1>",
         verdict,
         "<h2>Findings</h2><ul>",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 
-from hypose.compute.cache_place import cache_folder
+from hypose.compute import cache_folder
 
 if "MPLCONFIGDIR" not in os.environ and (_folder := cache_folder()) is not None:
     os.environ["MPLCONFIGDIR"] = str(_folder / "matplotlib")

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.cameras.camera import Camera
-from hypose.compute.pictures.render import silhouette
+from hypose.compute import silhouette
 from hypose.errors import InputError, visible
 from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array

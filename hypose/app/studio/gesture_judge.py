@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hypose.compute.depth_forests.forest_arrays import Depth
+from hypose.compute import Depth
 from hypose.gestures.depth_pictures import Lens, surface_depth
 from hypose.gestures.events import EventSettings, EventState, step
 from hypose.gestures.forest import Forest

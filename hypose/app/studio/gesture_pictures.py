@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.app.studio.sockets import DEPTH, MAP, picture
-from hypose.compute.depth_forests.forest_arrays import Depth
+from hypose.compute import Depth
 
 _NEAR, _FAR = 500, 4200
 """mm: the colours' range; what is nearer or farther has the end's colour."""

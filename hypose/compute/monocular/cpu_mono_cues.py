@@ -205,7 +205,7 @@ def mask_terms(n_nodes, problem, want, ws, n_rows):
         value, first, second = robust(mask.form, s, sigma2)
         cost += 0.5 * weight * value
         if want and n_rows < ws.row_values.shape[0]:
-            bend = max(first + 2 * second * d * d, 0.1 * first) if problem.second_order else first
+            bend = curvature(first, second, d * d, problem.second_order)
             contour_row(p, ws, n_rows, outer[best], node[3], node[4], weight * first * d, weight * bend)
             n_rows += 1
     return cost, n_rows

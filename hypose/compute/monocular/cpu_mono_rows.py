@@ -15,6 +15,7 @@ import numpy as np
 
 from hypose.compute.compiled import kernel
 from hypose.compute.monocular.mono_terms import GAUSSIAN, LORENTZIAN
+from hypose.compute.solver.cpu_losses import along, leclerc, lorentzian, quadratic
 
 f4 = np.float32
 SHARE = 0.1
@@ -25,13 +26,14 @@ SHARE = 0.1
 def robust(form, s, sigma2):
     """rho(s) and its first and second derivative for height 1: equations (2) and (3) of Sminchisescu & Triggs 2001,
     and s / sigma^2 for the Gaussian."""
+    t, gain = s / sigma2, 1 / sigma2
     if form == GAUSSIAN:
-        return s / sigma2, 1 / sigma2, 0.0
-    if form == LORENTZIAN:
-        k = 1 / (sigma2 + s)
-        return math.log(1 + s / sigma2), k, -k * k
-    e = math.exp(-s / sigma2)
-    return 1 - e, e / sigma2, -e / (sigma2 * sigma2)
+        value, first, second = quadratic(t, gain)
+    elif form == LORENTZIAN:
+        value, first, second = lorentzian(t, gain)
+    else:
+        value, first, second = leclerc(t, gain)
+    return value, first, second * gain
 
 
 @kernel
@@ -40,7 +42,7 @@ def curvature(first, second, s, second_order):
     the peak it is negative and a Newton step would climb."""
     if not second_order:
         return first
-    return max(first + 2 * second * s, SHARE * first)
+    return max(along(first, second, s), SHARE * first)
 
 
 @kernel

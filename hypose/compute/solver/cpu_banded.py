@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from hypose.compute.compiled import kernel
+from hypose.compute.solver.cpu_cholesky import dot
 
 
 @kernel
@@ -41,14 +42,9 @@ def factorise(a):
             s = a[i, b - (i - j)]
             start = max(first, j - b)
             mine, other = a[i, b - (i - start) : b - (i - j)], a[j, b - (j - start) : b]
-            p = 0.0
-            for k in range(mine.shape[0]):
-                p += mine[k] * other[k]
-            a[i, b - (i - j)] = (s - p) / a[j, b]
-        p = 0.0
-        for k in range(b - (i - first), b):
-            p += a[i, k] * a[i, k]
-        s = a[i, b] - p
+            a[i, b - (i - j)] = (s - dot(mine, other, mine.shape[0])) / a[j, b]
+        mine = a[i, b - (i - first) : b]
+        s = a[i, b] - dot(mine, mine, mine.shape[0])
         if not s > 0:
             return False
         a[i, b] = math.sqrt(s)
@@ -60,10 +56,8 @@ def solve_factored(a, x):
     """x (n,) becomes the solution for the right side x, a being the factor."""
     n, b = a.shape[0], a.shape[1] - 1
     for i in range(n):
-        s = x[i]
-        for j in range(max(0, i - b), i):
-            s -= a[i, b - (i - j)] * x[j]
-        x[i] = s / a[i, b]
+        m = min(i, b)
+        x[i] = (x[i] - dot(a[i, b - m : b], x[i - m : i], m)) / a[i, b]
     for i in range(n - 1, -1, -1):
         x[i] /= a[i, b]
         for j in range(max(0, i - b), i):
@@ -86,10 +80,7 @@ def inverse_in_band(a, z):
             for k in range(m):  # entries (row, i + 1 + k) of the inverse, which is symmetric
                 low, high = min(row, i + 1 + k), max(row, i + 1 + k)
                 near[k] = z[high, b - (high - low)]
-            s = 0.0
-            for k in range(m):
-                s -= near[k] * column[k]
-            z[row, b - (row - i)] = s
+            z[row, b - (row - i)] = -dot(near, column, m)
         s = 1.0 / (a[i, b] * a[i, b])
         for k in range(m):
             s -= column[k] * z[i + 1 + k, b - 1 - k]

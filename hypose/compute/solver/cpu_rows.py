@@ -16,6 +16,8 @@ import numpy as np
 
 from hypose.compute.compiled import kernel
 from hypose.compute.silhouettes.cpu_silhouettes import NEAR, contour_edges, emit_contours, front_faces, project
+from hypose.compute.solver.cpu_cholesky import dot
+from hypose.compute.solver.cpu_losses import geman_mcclure, lorentzian
 
 f4, i4 = np.float32, np.int32
 BORDER = 3
@@ -57,27 +59,6 @@ def add_row(hessian, gradient, j, w, r, px, py, pz, gx, gy, gz):
     g[3] += b3 * r
     g[4] += b4 * r
     g[5] += b5 * r
-
-
-@kernel(inline=True)
-def dot(a, b, n):
-    """Sum of a[k] b[k] over k < n, in eight partial sums of a fixed order: as fast as letting the compiler choose the
-    order, and the same on every processor."""
-    s0 = s1 = s2 = s3 = s4 = s5 = s6 = s7 = 0.0
-    whole = n - n % 8
-    for k in range(0, whole, 8):
-        s0 += a[k] * b[k]
-        s1 += a[k + 1] * b[k + 1]
-        s2 += a[k + 2] * b[k + 2]
-        s3 += a[k + 3] * b[k + 3]
-        s4 += a[k + 4] * b[k + 4]
-        s5 += a[k + 5] * b[k + 5]
-        s6 += a[k + 6] * b[k + 6]
-        s7 += a[k + 7] * b[k + 7]
-    s = ((s0 + s4) + (s1 + s5)) + ((s2 + s6) + (s3 + s7))
-    for k in range(whole, n):
-        s += a[k] * b[k]
-    return s
 
 
 @kernel
@@ -268,13 +249,12 @@ def contour_rows(c, p, mesh, contours, scale, ws, kept, count):
                     r = (s00 * (f4(1) - fx) + s01 * fx) * (f4(1) - fy) + (s10 * (f4(1) - fx) + s11 * fx) * fy
                     gx = (s01 - s00) * (f4(1) - fy) + (s11 - s10) * fy
                     gy = (s10 - s00) * (f4(1) - fx) + (s11 - s01) * fx
-                    e2 = r * r * i2
-                    k = f4(1) / (f4(1) + e2)
-                    cost_forward += e2 * k
+                    rho, slope, _ = geman_mcclure(r * r * i2, forward * i2, f4(1))
+                    cost_forward += rho
                     if n_found < ends.shape[0]:
                         ends[n_found, 0], ends[n_found, 1] = a, b
                         point = found[n_found]
-                        point[0], point[1], point[2], point[3], point[4] = t, gx, gy, forward * i2 * k * k, r
+                        point[0], point[1], point[2], point[3], point[4] = t, gx, gy, slope, r
                         n_found += 1
                 else:
                     cost_forward += 1.0
@@ -297,13 +277,12 @@ def contour_rows(c, p, mesh, contours, scale, ws, kept, count):
         dx, dy = u[a] + t * dx - x, v[a] + t * dy - y
         d2 = dx * dx + dy * dy
         r = math.sqrt(d2)
-        e2 = d2 * i2
-        k = f4(1) / (f4(1) + e2)
-        cost_reverse += e2 * k
+        rho, slope, _ = geman_mcclure(d2 * i2, reverse * i2, f4(1))
+        cost_reverse += rho
         if r > f4(0.05) and n_found < ends.shape[0]:
             ends[n_found, 0], ends[n_found, 1] = a, b
             point = found[n_found]
-            point[0], point[1], point[2], point[3], point[4] = t, dx / r, dy / r, reverse * i2 * k * k, r
+            point[0], point[1], point[2], point[3], point[4] = t, dx / r, dy / r, slope, r
             n_found += 1
         count[1] += 1
     if kept[0] + 2 * mesh.skin_index.shape[1] * n_found > ws.rows.shape[0]:
@@ -341,15 +320,14 @@ def keypoint_rows(q, keypoints, rotations, centres, hessian, gradient, count):
             u = (p[0, 0] * x + p[0, 1] * y + p[0, 2] * z + p[0, 3]) * iz
             v = (p[1, 0] * x + p[1, 1] * y + p[1, 2] * z + p[1, 3]) * iz
             du, dv = u - keypoints.points[c, m, 0], v - keypoints.points[c, m, 1]
-            e2 = (du * du + dv * dv) * i2
-            cost += 2 * w * math.log1p(0.25 * e2)
-            k = w * i2 / (1 + 0.25 * e2)
+            rho, slope, _ = lorentzian(0.25 * ((du * du + dv * dv) * i2), w * i2)
+            cost += 2 * w * rho
             for a in range(2):
                 image, residual = (u, du) if a == 0 else (v, dv)
                 g0 = (p[a, 0] - image * p[2, 0]) * iz
                 g1 = (p[a, 1] - image * p[2, 1]) * iz
                 g2 = (p[a, 2] - image * p[2, 2]) * iz
-                add_row(hessian, gradient, j, k, residual, px, py, pz, g0, g1, g2)
+                add_row(hessian, gradient, j, slope, residual, px, py, pz, g0, g1, g2)
             count[0] += 1
     return cost
 
@@ -372,12 +350,11 @@ def point_rows(q, points, rotations, centres, hessian, gradient, count):
         d[0] = px + q[0] - points.points_world[m, 0]
         d[1] = py + q[1] - points.points_world[m, 1]
         d[2] = pz + q[2] - points.points_world[m, 2]
-        e2 = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) * i2
-        cost += 2 * w * math.log1p(0.25 * e2)
-        k = w * i2 / (1 + 0.25 * e2)
-        add_row(hessian, gradient, j, k, d[0], px, py, pz, 1.0, 0.0, 0.0)
-        add_row(hessian, gradient, j, k, d[1], px, py, pz, 0.0, 1.0, 0.0)
-        add_row(hessian, gradient, j, k, d[2], px, py, pz, 0.0, 0.0, 1.0)
+        rho, slope, _ = lorentzian(0.25 * ((d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) * i2), w * i2)
+        cost += 2 * w * rho
+        add_row(hessian, gradient, j, slope, d[0], px, py, pz, 1.0, 0.0, 0.0)
+        add_row(hessian, gradient, j, slope, d[1], px, py, pz, 0.0, 1.0, 0.0)
+        add_row(hessian, gradient, j, slope, d[2], px, py, pz, 0.0, 0.0, 1.0)
         count[0] += 1
     return cost
 

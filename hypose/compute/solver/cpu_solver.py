@@ -8,7 +8,8 @@ import numpy as np
 
 from hypose.compute.compiled import kernel
 from hypose.compute.cpu_kinematics import camera_about_root, joint_frames, skin_about_root
-from hypose.compute.solver.cpu_rows import contour_rows, dot, keypoint_rows, point_rows, sum_rows
+from hypose.compute.solver.cpu_cholesky import backward, factorise, forward
+from hypose.compute.solver.cpu_rows import add_row, contour_rows, keypoint_rows, point_rows, sum_rows
 
 LARGEST_TURN = 0.35
 """rad: steps that turn a joint further are shortened"""
@@ -64,23 +65,23 @@ def fold(tree, twists, wrench_hessian, wrench_gradient, hessian, gradient):
 
 
 @kernel
-def solve_positive(a, n, b, x):
-    """x = a^-1 b by Cholesky in place (lower triangle of a); False when a is not positive."""
-    for i in range(n):
-        for j in range(i):
-            a[i, j] = (a[i, j] - dot(a[i], a[j], j)) / a[j, j]
-        s = a[i, i] - dot(a[i], a[i], i)
-        if not s > 0:
-            return False
-        a[i, i] = math.sqrt(s)
-    for i in range(n):
-        x[i] = (b[i] - dot(a[i], x, i)) / a[i, i]
-    for i in range(n - 1, -1, -1):
-        s = x[i]
-        for k in range(i + 1, n):
-            s -= a[k, i] * x[k]
-        x[i] = s / a[i, i]
-    return True
+def row_sums(q, tree, joint, offset, weight, residual, slope, hessian, gradient):
+    """hessian (D, D) and gradient (D,), overwritten, of rows at pose q: points (P,) on joints at offset (P, 3) with
+    weight (P,), residual (P, R) and slope (P, R, 3), its derivative by the point."""
+    n_joints = tree.parents.shape[0]
+    rotations, centres = np.empty((n_joints, 3, 3)), np.empty((n_joints, 3))
+    twists = np.empty((q.shape[0], 6))
+    joint_frames(q, tree, rotations, centres, twists)
+    sums, pulls = np.zeros((n_joints, 21)), np.zeros((n_joints, 6))
+    for m in range(joint.shape[0]):
+        j, o, g = joint[m], offset[m], slope[m]
+        r = rotations[j]
+        x = centres[j, 0] + r[0, 0] * o[0] + r[0, 1] * o[1] + r[0, 2] * o[2]
+        y = centres[j, 1] + r[1, 0] * o[0] + r[1, 1] * o[1] + r[1, 2] * o[2]
+        z = centres[j, 2] + r[2, 0] * o[0] + r[2, 1] * o[1] + r[2, 2] * o[2]
+        for k in range(residual.shape[1]):
+            add_row(sums, pulls, j, weight[m], residual[m, k], x, y, z, g[k, 0], g[k, 1], g[k, 2])
+    fold(tree, twists, sums, pulls, hessian, gradient)
 
 
 @kernel
@@ -89,7 +90,7 @@ def bounded_step(hessian, gradient, q, lower, upper, damping, step):
     (at most six rounds; then what still sticks out is cut off). False when the matrix is not positive."""
     n_dof = q.shape[0]
     a = np.empty((n_dof, n_dof))
-    rhs, x = np.empty(n_dof), np.empty(n_dof)
+    x = np.empty(n_dof)
     free = np.empty(n_dof, np.int64)
     fixed = np.zeros(n_dof, np.uint8)
     for d in range(n_dof):
@@ -108,12 +109,14 @@ def bounded_step(hessian, gradient, q, lower, upper, damping, step):
             for e in range(n_dof):
                 if fixed[e]:
                     s -= hessian[d, e] * step[e]
-            rhs[i] = s
+            x[i] = s
             for j in range(i):
                 a[i, j] = hessian[d, free[j]]
             a[i, i] = hessian[d, d] + damping * max(hessian[d, d], 1.0)
-        if not solve_positive(a, n, rhs, x):
+        if not factorise(a, n, 0.0):
             return False
+        forward(a, n, x)
+        backward(a, n, x)
         outside = 0
         for i in range(n):
             d = free[i]

@@ -11,6 +11,11 @@ import math
 import numpy as np
 
 from hypose.compute.compiled import kernel
+from hypose.compute.solver.cpu_cholesky import backward, backward_all, dot, factorise, forward, forward_all
+from hypose.compute.solver.cpu_losses import lorentzian
+
+LEAST = 1e-12
+"""1/m^2: of a joint that nothing holds"""
 
 
 @kernel
@@ -52,42 +57,6 @@ def fluidity(activations, frames, out):
             for t in range(filled):
                 square += (activations[t, k, j] - mean) ** 2
             out[k, j] = math.sqrt(square / filled)
-
-
-@kernel
-def _cholesky(a, n):
-    """Lower factor of a (n, n) in place (its upper part is not touched); False when not positive definite."""
-    for i in range(n):
-        for j in range(i + 1):
-            s = a[i, j]
-            for k in range(j):
-                s -= a[i, k] * a[j, k]
-            if i == j:
-                if s <= 0:
-                    return False
-                a[i, i] = math.sqrt(s)
-            else:
-                a[i, j] = s / a[j, j]
-    return True
-
-
-@kernel
-def _solve3(a, b, columns):
-    """b (3, columns) <- a^-1 b for symmetric positive definite a (3, 3), by its Cholesky factor."""
-    l00 = math.sqrt(a[0, 0])
-    l10, l20 = a[1, 0] / l00, a[2, 0] / l00
-    l11 = math.sqrt(a[1, 1] - l10 * l10)
-    l21 = (a[2, 1] - l20 * l10) / l11
-    l22 = math.sqrt(a[2, 2] - l20 * l20 - l21 * l21)
-    for c in range(columns):
-        y0 = b[0, c] / l00
-        y1 = (b[1, c] - l10 * y0) / l11
-        y2 = (b[2, c] - l20 * y0 - l21 * y1) / l22
-        y2 = y2 / l22
-        y1 = (y1 - l21 * y2) / l11
-        b[2, c] = y2
-        b[1, c] = y1
-        b[0, c] = (y0 - l10 * y1 - l20 * y2) / l00
 
 
 @kernel
@@ -134,7 +103,7 @@ def fit_frame(
                     dx = points[k, j, 0] - x[j, 0]
                     dy = points[k, j, 1] - x[j, 1]
                     dz = points[k, j, 2] - x[j, 2]
-                    w = weights[k, j] * data_weight / (1 + (dx * dx + dy * dy + dz * dz) / (c * c))
+                    w = lorentzian((dx * dx + dy * dy + dz * dz) / (c * c), weights[k, j] * data_weight)[1]
                     share[k, j] = w
                     g[j, 0] += w * dx
                     g[j, 1] += w * dy
@@ -171,7 +140,9 @@ def fit_frame(
                 for r in range(3):
                     solved[e, a, r] = off[e, a, r]
                 solved[e, a, 3] = g[j, a]
-            _solve3(diagonal[j], solved[e], 4)
+            factorise(diagonal[j], 3, LEAST)
+            forward_all(diagonal[j], 3, solved[e])
+            backward_all(diagonal[j], 3, solved[e])
             for a in range(3):
                 for r in range(3):
                     s = 0.0
@@ -188,22 +159,14 @@ def fit_frame(
                     right[3 * core[j] + a] = g[j, a]
                     for r in range(3):
                         h[3 * core[j] + a, 3 * core[j] + r] += diagonal[j, a, r]
-        if not _cholesky(h, n):
+        if not factorise(h, n, 0.0):
             for j in range(joints):
                 variance[j] = np.inf
             return False
         if it == iterations:
             break  # this matrix is the one of the result, for its variance
-        for i in range(n):
-            s = right[i]
-            for k in range(i):
-                s -= h[i, k] * right[k]
-            right[i] = s / h[i, i]
-        for i in range(n - 1, -1, -1):
-            s = right[i]
-            for k in range(i + 1, n):
-                s -= h[k, i] * right[k]
-            right[i] = s / h[i, i]
+        forward(h, n, right)
+        backward(h, n, right)
         for j in range(joints):
             if core[j] >= 0:
                 for a in range(3):
@@ -219,24 +182,14 @@ def fit_frame(
             for a in range(3):
                 x[j, a] += g[j, a]
     covariance = np.zeros((joints, 3, 3))
-    column = np.empty(n)
-    block = np.empty((n, n))  # L^-1
+    block = np.eye(n)  # row i becomes column i of L^-1
     for i in range(n):
-        for r in range(i, n):
-            s = 1.0 if r == i else 0.0
-            for k in range(i, r):
-                s -= h[r, k] * column[k]
-            column[r] = s / h[r, r]
-            block[r, i] = column[r]
+        forward(h[i:, i:], n - i, block[i, i:])
     for j in range(joints):
         if core[j] >= 0:
             for a in range(3):
                 for r in range(3):
-                    s = 0.0
-                    i, k = 3 * core[j] + a, 3 * core[j] + r
-                    for q in range(max(i, k), n):
-                        s += block[q, i] * block[q, k]
-                    covariance[j, a, r] = s
+                    covariance[j, a, r] = dot(block[3 * core[j] + a], block[3 * core[j] + r], n)
     half = np.empty((3, 3))
     for e in range(leaves.shape[0] - 1, -1, -1):
         # cov_jj = A^-1 + (A^-1 B) cov_pp (A^-1 B)^T
@@ -248,7 +201,8 @@ def fit_frame(
                 for q in range(3):
                     s += solved[e, a, q] * covariance[p, q, r]
                 half[a, r] = s
-        _solve3(diagonal[j], covariance[j], 3)
+        forward_all(diagonal[j], 3, covariance[j])
+        backward_all(diagonal[j], 3, covariance[j])
         for a in range(3):
             for r in range(3):
                 for q in range(3):

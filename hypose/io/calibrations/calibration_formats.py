@@ -6,8 +6,13 @@
 | camera_array.toml | Caliscope | yes | its nested tables |
 | a name with anipose or freemocap in it, .toml | anipose, FreeMoCap | yes | millimetres |
 | .yml, .yaml, or a folder with intri.yml and extri.yml | EasyMocap; OpenCV (one camera) | yes | intri.yml, extri.yml |
+| a folder of OpenCV's .xml or .yml, one per camera | OpenCV | yes | - |
 | .qca.txt | Qualisys | yes | yes |
 | .xcp | Vicon | yes | without tangential distortion |
+| .mcal | OptiTrack Motive | yes | - |
+| .json | CMU Panoptic (K, R, t), 3 x 4 projections | yes | - |
+| .txt | 3 x 4 projections | yes | - |
+| .calib, no ending, or a folder of them | BioCV | yes | - |
 | .pickle, or a folder of them | OpenCap | yes, safely | one file per camera |
 """
 
@@ -20,13 +25,19 @@ import numpy as np
 
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError, InputError
+from hypose.io.calibrations.calibration_json import read_json
+from hypose.io.calibrations.calibration_mcal import read_mcal
 from hypose.io.calibrations.calibration_opencap import read_opencap, write_opencap
+from hypose.io.calibrations.calibration_plain import plain_files, read_plain
 from hypose.io.calibrations.calibration_toml import UNITS, read_text, read_toml, toml_value, write_calibration
 from hypose.io.calibrations.calibration_xml import read_xml, write_qca, write_xcp
-from hypose.io.calibrations.calibration_yml import read_yml, write_yml
+from hypose.io.calibrations.calibration_yml import read_storages, read_yml, storages, write_yml
 from hypose.io.files import write_text
 
-_READ = ".toml, .yml, .yaml, .xml, .qca.txt, .xcp, .pickle, or a folder with intri.yml and extri.yml or .pickle files"
+_READ = (
+    ".toml, .yml, .yaml, .xml, .json, .qca.txt, .xcp, .mcal, .txt, .calib, .pickle, or a folder with intri.yml and "
+    "extri.yml, .pickle, .calib or OpenCV's .xml files"
+)
 _WRITTEN = ".toml, .yml, .qca.txt, .xcp or .pickle"
 
 
@@ -46,6 +57,10 @@ def read_any(path: str | Path, unit: str = "auto") -> tuple[CameraRig, tuple[str
             return read_yml(path, unit)
         if next(path.rglob("*.pickle"), None) is not None:
             return read_opencap(path)
+        if plain_files(path):
+            return read_plain(path, unit)
+        if storages(path):
+            return read_storages(path, unit)
         raise CalibrationError(f"The folder {path} holds no calibration; give a file or folder: {_READ}.")
     if name.endswith(".toml"):
         return read_toml(path, read_text(path), unit)
@@ -60,6 +75,12 @@ def read_any(path: str | Path, unit: str = "auto") -> tuple[CameraRig, tuple[str
         return read_yml(path, unit)
     if name.endswith((".pickle", ".pkl")):
         return read_opencap(path)
+    if name.endswith(".json"):
+        return read_json(path, unit)
+    if name.endswith(".mcal"):
+        return read_mcal(path)
+    if name.endswith((".txt", ".calib")) or "." not in name:
+        return read_plain(path, unit)
     raise CalibrationError(f"{path}: calibrations are read from {_READ}; name the file by one of these endings.")
 
 

@@ -41,6 +41,32 @@ def read_yml(path: str | Path, unit: str = "auto") -> tuple[CameraRig, tuple[str
     return rig_of(path, [rescaled(c, factor) for c in cameras]), tuple(notes)
 
 
+def storages(folder: Path) -> list[Path]:
+    """The files of OpenCV's storage in a folder, one per camera, in natural order."""
+    files = [p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in (".xml", ".yml", ".yaml")]
+    found = []
+    for p in files:
+        with p.open("rb") as stream:
+            start = stream.read(4096)
+        if b"opencv_storage" in start or b"opencv-matrix" in start:
+            found.append(p)
+    return sorted(found, key=lambda p: natural_key(p.name))
+
+
+def read_storages(folder: Path, unit: str = "auto") -> tuple[CameraRig, tuple[str, ...]]:
+    """Rig of a folder with one file of OpenCV's storage per camera, called like the files."""
+    cameras, notes = [], []
+    for path in storages(folder)[:200]:
+        one, said = _single(path)
+        cameras += one
+        notes += said
+    if unit == "auto":
+        unit, more = guess_unit(folder, cameras)
+        notes += more
+    factor = {"m": 1.0, "cm": 0.01, "mm": 0.001}[unit]
+    return rig_of(folder, [rescaled(c, factor) for c in cameras]), tuple(notes)
+
+
 def _pair(folder: Path) -> tuple[Path, Path] | None:
     for first, second in (("intri.yml", "extri.yml"), ("Intrinsic.yml", "Extrinsic.yml")):
         if (folder / first).is_file() and (folder / second).is_file():

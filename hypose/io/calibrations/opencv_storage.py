@@ -1,12 +1,13 @@
 """The files of OpenCV's FileStorage, YAML or XML, as plain values: numbers, texts, lists and matrices at the top level.
 
 Read here and not by OpenCV, whose parser can be made to corrupt the memory of the process by a damaged file (found by
-fuzzing with OpenCV 5.0). Only what calibrations hold is understood: scalars, flat lists, and `!!opencv-matrix`; nested
-maps are passed over.
+fuzzing with OpenCV 5.0). Only what calibrations hold is understood: scalars, flat lists, `!!opencv-matrix`, and the
+`!!opencv-nd-matrix` that OpenCV 5 makes of one-dimensional arrays; nested maps are passed over.
 """
 
 from __future__ import annotations
 
+import math
 import re
 import xml.etree.ElementTree as ElementTree
 
@@ -61,6 +62,9 @@ def _yaml_value(first: str, rest: list[str]) -> Value | None:
     whole = " ".join([first, *rest]).strip()
     if first.startswith("!!opencv-matrix"):
         return _matrix(re.search(r"\bdata:\s*\[([^\]]*)\]", whole), *(_count(whole, k) for k in ("rows", "cols")))
+    if first.startswith("!!opencv-nd-matrix"):
+        sizes = re.search(r"\bsizes:\s*\[([^\]]*)\]", whole)
+        return _matrix(re.search(r"\bdata:\s*\[([^\]]*)\]", whole), _product(sizes[1] if sizes else ""), 1)
     if whole.count("[") != whole.count("]"):
         raise ValueError("a list does not end")
     if whole.startswith("["):
@@ -75,6 +79,12 @@ def _yaml_value(first: str, rest: list[str]) -> Value | None:
 def _count(text: str, key: str) -> int:
     match = re.search(rf"\b{key}:\s*(\d{{1,5}})\b", text)
     return int(match[1]) if match else 0
+
+
+def _product(sizes: str) -> int:
+    """How many numbers a matrix of these sizes has; 0 when they are none."""
+    counts = [int(s) if re.fullmatch(r"\d{1,5}", s, re.ASCII) else 0 for s in sizes.replace(",", " ").split()[:8]]
+    return math.prod(counts) if counts else 0
 
 
 def _matrix(data: re.Match[str] | None, rows: int, columns: int) -> Array:
@@ -122,6 +132,9 @@ def _xml(text: str) -> dict[str, Value]:
             rows, columns = (int(s) if re.fullmatch(r"\d{1,5}", s, re.ASCII) else 0 for s in sizes)
             data = re.match(r"([\s\S]*)", element.findtext("data") or "")
             out[element.tag] = _matrix(data, rows, columns)
+        elif element.get("type_id") == "opencv-nd-matrix":
+            data = re.match(r"([\s\S]*)", element.findtext("data") or "")
+            out[element.tag] = _matrix(data, _product(element.findtext("sizes") or ""), 1)
         elif len(element) == 0:
             values = [_scalar(item) for item in _items((element.text or "").strip())]
             out[element.tag] = values[0] if len(values) == 1 else values

@@ -37,12 +37,14 @@ def write_c3d(
     points: ArrayLike,
     frame_rate: float,
     residuals_mm: ArrayLike | None = None,
+    events: Sequence[tuple[float, str, str]] = (),
 ) -> None:
     """Write points (T, M, 3), world metres, as float C3D in mm; NaN points get residual -1.
 
     residuals_mm (T, M): 0 where a point was computed rather than measured, else the standard deviation (the
     format keeps whole millimetres, 1 to 255; NaN counts as 1). More than 255 names go on in LABELS2 and so
-    on. More than 65535 frames are refused, since the format cannot count them.
+    on. More than 65535 frames are refused, since the format cannot count them. events: (seconds after the first frame,
+    context such as Left, label such as Foot Strike), at most 255.
     """
     names, p = checked(names, points, frame_rate, str(path))
     t, m = p.shape[:2]
@@ -66,6 +68,8 @@ def write_c3d(
     point["UNITS"]["value"] = ("mm",)
     file.add_parameter("POINT", "X_SCREEN", ("+X",))
     file.add_parameter("POINT", "Y_SCREEN", ("+Z",))
+    if events:
+        _add_events(file, events[:255])
     data = np.ones((4, m, t))
     data[:3] = p.transpose(2, 1, 0) * 1000
     file["data"]["points"] = data
@@ -75,6 +79,17 @@ def write_c3d(
         temporary.touch()
         with utf8_path(temporary) as name:
             file.write(name)
+
+
+def _add_events(file: Any, events: Sequence[tuple[float, str, str]]) -> None:
+    """The EVENT group as Vicon writes it: times in minutes and seconds."""
+    file.add_parameter("EVENT", "USED", [len(events)])
+    file.add_parameter("EVENT", "CONTEXTS", [context for _, context, _ in events])
+    file.add_parameter("EVENT", "LABELS", [label for _, _, label in events])
+    file.add_parameter("EVENT", "SUBJECTS", ["" for _ in events])
+    file.add_parameter("EVENT", "ICON_IDS", [1 if label == "Foot Strike" else 2 for _, _, label in events])
+    minutes = [time // 60 for time, _, _ in events]
+    file.add_parameter("EVENT", "TIMES", np.array([minutes, [time % 60 for time, _, _ in events]]))
 
 
 def read_c3d(path: str | Path) -> Markers:

@@ -38,7 +38,7 @@ from pygltflib import Mesh as GltfMesh
 
 from hypose.body.body import Body, Mesh
 from hypose.body.motion import Motion
-from hypose.compute.arrays import FIXED
+from hypose.compute import FIXED
 from hypose.errors import InputError
 from hypose.geometry import Array, quaternion_from_matrix
 from hypose.io.motions.animation import Y_UP, children, filled_poses, local_rotations

@@ -17,8 +17,10 @@ from numpy.typing import ArrayLike
 
 from hypose.body.joint_angles import is_length
 from hypose.errors import InputError
-from hypose.io.files import write_text
+from hypose.geometry import Array
+from hypose.io.files import text_lines, write_text
 
+_KIND = "an OpenSim motion file"
 _RENAMED = {"neck_extension": "neck_flexion"}
 
 
@@ -61,3 +63,34 @@ def write_mot(path: str | Path, names: Sequence[str], values: ArrayLike, times: 
     rows = np.concatenate([t[keep, None], v[keep] * scale], axis=1)
     lines += ["\t".join(f"{x:.9f}" for x in row) for row in rows.tolist()]
     write_text(path, "\n".join(lines) + "\n")
+
+
+def read_mot(path: str | Path) -> tuple[Array, tuple[str, ...], Array]:
+    """Times (T,) s, coordinate names (A) and values (T, A), rad (metres for *_tx, *_ty, *_tz), of a .mot or .sto file;
+    neck_flexion under our name for it. An InputError names the line that cannot be used."""
+    lines = text_lines(path, _KIND)
+    end = next((i for i, line in enumerate(lines[:500]) if line.strip().lower() == "endheader"), None)
+    if end is None or end + 1 >= len(lines):
+        raise InputError(f"{path} is not {_KIND}: its header has no endheader.")
+    degrees = any(line.replace(" ", "").lower() == "indegrees=yes" for line in lines[:end])
+    header = lines[end + 1].split()
+    if len(header) < 2 or header[0].lower() != "time" or len(header) > 5000 or len(set(header)) < len(header):
+        raise InputError(f"{path}: the line after endheader must name time and the coordinates, each once.")
+    rows = []
+    for number, line in enumerate(lines[end + 2 :], start=end + 3):
+        if not line.strip():
+            continue
+        try:
+            row = [float(c) for c in line.split()]
+        except ValueError:
+            raise InputError(f"{path}: line {number} holds something that is not a number.") from None
+        if len(row) != len(header):
+            raise InputError(f"{path}: line {number} has {len(row)} numbers, {len(header)} are needed; it may be cut.")
+        rows.append(row)
+    values = np.array(rows)
+    if not rows or not np.isfinite(values[:, 0]).all() or (np.diff(values[:, 0]) <= 0).any():
+        raise InputError(f"{path} has no frames, or times that do not increase; export it again.")
+    ours = {theirs: name for name, theirs in _RENAMED.items()}
+    names = tuple(ours.get(n, n) for n in (h.split("/")[-2] if h.endswith("/value") else h for h in header[1:]))
+    scale = np.array([1.0 if is_length(n) or not degrees else np.pi / 180 for n in names])
+    return values[:, 0], names, values[:, 1:] * scale

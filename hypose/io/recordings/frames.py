@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import percentile_filter
 
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.compute.selection import default_threads
+from hypose.compute import default_threads
 from hypose.errors import InputError
 from hypose.evidence.ahead import make_ahead
 from hypose.evidence.background import BackgroundModel, Image, from_frames, from_plates, from_recording
@@ -30,7 +30,6 @@ from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import (
     follow_person,
     keypoint_names,
-    parse_openpose,
     person_size,
     thick_skeleton,
     to_keypoints,
@@ -46,7 +45,7 @@ from hypose.evidence.silhouettes import (
 from hypose.geometry import Array
 from hypose.io.file_names import folder_for
 from hypose.io.files import atomic_path, write_text
-from hypose.io.recordings.recording import Recording
+from hypose.io.recordings.recording import Recording, keypoints_of_recording, stored_sizes
 from hypose.io.recordings.view_source import SIDECAR, Preparer, ViewSource
 from hypose.io.videos.video import open_video
 
@@ -90,50 +89,25 @@ def working_rig(rig: CameraRig, options: FrameOptions | None = None) -> CameraRi
 def load_keypoints(recording: Recording, options: FrameOptions | None = None) -> list[Keypoints] | None:
     """Key points of one person for every frame of recording.frames, None when the recording has none.
 
-    The file of a frame is found by the last number in its name, counted from the smallest number of all views
-    (by order where names carry no number), with recording.keypoint_lag; a frame without a file has
-    confidence 0. An InputError names the file that cannot be read.
+    What is read, and which frame of the file is the video's first, is told by `hypose.io.keypoints.read_keypoints`;
+    recording.keypoint_lag is added; a frame that no file speaks of has confidence 0. An InputError names the file that
+    cannot be read.
     """
     if recording.keypoint_set is None or not any(v.keypoints for v in recording.views):
         return None
     names = keypoint_names(recording.keypoint_set)
     small = working_rig(recording.rig, options)
-    files = [_numbered_files(v.keypoints) if v.keypoints else {} for v in recording.views]
-    first = min((min(f) for f in files if f), default=0)
+    found, _ = keypoints_of_recording(recording)
+    sizes = stored_sizes(recording)
     tracks = []
-    for view, camera, found in zip(recording.views, recording.rig, files, strict=True):
-        scale = np.ones(2)
-        if recording.keypoint_pixels == "image" and view.source is not None:
-            with open_video(view.source) as reader:
-                scale = np.array(camera.size) / np.array(reader.size)
-        people = []
-        for frame in recording.frames:
-            path = found.get(frame - recording.keypoint_lag + first)
-            people.append(None if path is None else parse_openpose(_read(path), names, str(path)))
+    for camera, view, size in zip(recording.rig, found, sizes, strict=True):
+        people = [
+            None if view is None else view.frame(f - recording.keypoint_lag, camera.size, size)
+            for f in recording.frames
+        ]
         track = follow_person(people)
-        if track.shape[1] != len(names):
-            track = np.zeros((len(people), len(names), 3))
-        track[..., :2] = (track[..., :2] + 0.5) * scale - 0.5
-        tracks.append(track)
+        tracks.append(track if track.shape[1] == len(names) else np.zeros((len(people), len(names), 3)))
     return [to_keypoints([t[i] for t in tracks], names, recording.rig, small) for i in range(len(recording.frames))]
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}); check its permissions.") from None
-
-
-def _numbered_files(folder: Path) -> dict[int, Path]:
-    paths = sorted(folder.glob("*.json"))
-    numbers = []
-    for p in paths:
-        digits = "".join(c if c.isdigit() else " " for c in p.stem).split()
-        numbers.append(int(digits[-1]) if digits else -1)
-    if len(set(numbers)) < len(numbers) or -1 in numbers:
-        return dict(enumerate(paths))
-    return dict(zip(numbers, paths, strict=True))
 
 
 @dataclass(frozen=True)
@@ -203,7 +177,7 @@ def build_backgrounds(
     keypoints: Sequence[Keypoints] | None = None,
     covers: Covers | None = None,
 ) -> tuple[BackgroundModel | None, ...]:
-    """One background per view, None for views with masks of their own.
+    """One background per view, None for views with masks of their own or without pictures.
 
     A clip of the empty room is used as it is. Photos are combined with the recording itself; without
     either the recording alone is used (hypose.evidence.background.from_recording), with the key points'
@@ -216,7 +190,7 @@ def build_backgrounds(
 
     def build(c: int) -> BackgroundModel | None:
         view = recording.views[c]
-        if view.masks is not None:
+        if view.masks is not None or view.source is None:
             return None
         prepare = Preparer(recording.rig[c], small[c], view.image_shift)
         plate = None
@@ -336,7 +310,7 @@ class FrameStream:
         self._ahead: dict[int, _Pending] = {}
         self._last = -1
         self._areas: dict[int, NDArray[np.int64]] = {}
-        if self.options.silhouettes is not None:
+        if self.options.silhouettes is not None and recording.has_pictures:
             self._open(backgrounds)
 
     def _open(self, backgrounds: Sequence[BackgroundModel | None] | None) -> None:
@@ -468,6 +442,11 @@ def write_masks(stream: FrameStream, folder: str | Path, progress: Callable[[int
     shown = 0
     for done, frame in enumerate(stream, 1):
         if frame.silhouettes is None:
+            if not stream.recording.has_pictures:
+                raise InputError(
+                    f"{stream.recording.name} has key points alone, and silhouettes are made from pictures; give the "
+                    "videos in recording.toml."
+                )
             raise InputError("There are no silhouettes to write; open the stream with silhouettes.")
         for path, camera, mask in zip(views, stream.rig, frame.silhouettes.masks, strict=True):
             ok, data = cv2.imencode(".png", mask[: camera.size[1], : camera.size[0]] * np.uint8(255))

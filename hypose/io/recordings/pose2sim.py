@@ -1,23 +1,28 @@
 """A Pose2Sim project or trial folder, taken as it is: translated into what recording.toml would say.
 
 Read: Config.toml of the trial and of up to two levels above it (a key of the trial wins), `calibration/`
-there or above (the .toml that Pose2Sim wrote, else Qualisys .qca.txt), `videos/` (files or folders of images,
-in natural order), `pose/<camera>_json/` (OpenPose JSON), and the photos in `calibration/extrinsics/`, which
-show the room with the cameras of the recording and so serve as background plates. Nothing is written.
+there or above (a folder with calib in its name; the .toml that Pose2Sim wrote, else Qualisys .qca.txt), `videos/`
+(files or folders of images, in natural order; may be absent where there are key points), `pose/<camera>_json/`
+(OpenPose JSON), and the photos in `calibration/extrinsics/`, which show the room with the cameras of the recording and
+so serve as background plates. Nothing is written.
 """
 
 from __future__ import annotations
 
-import re
+import contextlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard
 
 from hypose.errors import InputError
+from hypose.evidence.keypoint_sets import set_of_points
+from hypose.evidence.keypoints import KEYPOINT_SETS
 from hypose.io.calibrations.calibration_toml import find_calibration, natural_key, parse_toml
 from hypose.io.file_names import text_of
+from hypose.io.keypoints.keypoint_folder import read_keypoint_folder
+from hypose.io.matching_names import match_names
+from hypose.io.motions.trc import read_trc
 from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, frame_size, list_images
-from hypose.json_text import parse_json
 
 _LEVELS_ABOVE = 2
 _MAX_JSON_BYTES = 5_000_000
@@ -29,17 +34,14 @@ _MODELS = {
     "whole_body": "COCO_133",
     "whole_body_wrist": "COCO_133_WRIST",
 }
-# Which set a JSON of so many points holds when Config.toml does not say (Pose2Sim's default for 25 is
-# BODY_25B).
-_SET_OF_COUNT = {17: "COCO_17", 18: "COCO", 25: "BODY_25B", 26: "HALPE_26", 33: "BLAZEPOSE", 133: "COCO_133"}
-_COUNT_OF_SET = {"BODY_25": 25} | {name: count for count, name in _SET_OF_COUNT.items()}
+_COUNT_OF_SET = {**{name: len(order) for name, order in KEYPOINT_SETS.items()}, "COCO": 18, "BLAZEPOSE": 33}
 
 
 def is_project(folder: Path) -> bool:
-    """Whether a folder looks like a Pose2Sim project or trial: Config.toml or a calibration folder, and
-    videos."""
+    """Whether a folder looks like a Pose2Sim project or trial: Config.toml, or a calibration folder and videos or key
+    points."""
     has_config = _file(folder, "config.toml") is not None
-    return has_config or (_subfolder(folder, "videos") is not None and _calibration_folder(folder) is not None)
+    return has_config or (_is_trial(folder) and _calibration_folder(folder) is not None)
 
 
 def read_project(folder: Path) -> tuple[dict[str, Any], list[str]]:
@@ -48,27 +50,34 @@ def read_project(folder: Path) -> tuple[dict[str, Any], list[str]]:
     folder = folder.absolute()
     config = _merged_config(folder)
     videos = _subfolder(folder, "videos")
-    if videos is None:
-        trials = [p.name for p in sorted(folder.iterdir()) if p.is_dir() and _subfolder(p, "videos") is not None]
+    clips = [] if videos is None else _clips(videos)
+    posed = [] if clips else _pose_folders(folder)
+    if not clips and not posed:
+        trials = [p.name for p in sorted(folder.iterdir()) if p.is_dir() and _is_trial(p)]
         if trials:
             raise InputError(
                 f"{folder} is a Pose2Sim session with the trials {', '.join(trials)}; name one of these folders."
             )
+        if videos is None:
+            raise InputError(
+                f"The Pose2Sim project {folder} has no videos folder and no key points in pose; put the videos into "
+                f"{folder / 'videos'}."
+            )
         raise InputError(
-            f"The Pose2Sim project {folder} has no videos folder; put the videos into {folder / 'videos'}."
+            f"{videos} holds no videos ({', '.join(VIDEO_ENDINGS)}) and no folders of images, and there are no key "
+            "points in pose; add one or the other."
         )
-    clips = _clips(videos)
-    if not clips:
-        raise InputError(f"{videos} holds no videos ({', '.join(VIDEO_ENDINGS)}) and no folders of images; add them.")
     calibration = _find_calibration(folder)
     notes: list[str] = []
     project = config.get("project")
     project = project if isinstance(project, Mapping) else {}
-    names = [text_of(p.stem if p.is_file() else p.name) for p in clips]
+    names = [text_of(p.stem if p.is_file() else p.name) for p in clips] or [_camera_of(p) for p in posed]
     settings: dict[str, Any] = {"name": text_of(folder.resolve().name), "calibration": str(calibration)}
     rate = project.get("frame_rate")
     if _is_number(rate):
         settings["frame_rate"] = float(rate)
+    elif not clips:
+        _rate_of_results(folder, settings, notes)
     frames = project.get("frame_range")
     if isinstance(frames, list) and len(frames) == 2:
         settings["frame_range"] = frames
@@ -77,53 +86,27 @@ def read_project(folder: Path) -> tuple[dict[str, Any], list[str]]:
         value = value[0] if isinstance(value, list) and value else value
         if _is_number(value):
             settings[target] = float(value)
-    views: list[dict[str, Any]] = [
-        {"name": n, ("video" if p.is_file() else "images"): str(p)} for n, p in zip(names, clips, strict=True)
-    ]
-    keypoints = _keypoint_folders(folder, names, notes)
+    views: list[dict[str, Any]] = [{"name": n} for n in names]
+    for view, clip in zip(views, clips, strict=False):
+        view["video" if clip.is_file() else "images"] = str(clip)
+    if posed:
+        notes.append(f"There are no videos in {folder}; the key points in pose are used alone.")
+    keypoints: list[Path | None] = [*posed] or _keypoint_folders(folder, names, notes)
     for view, path in zip(views, keypoints, strict=True):
         if path is not None:
             view["keypoints"] = str(path)
     if any(keypoints):
         pose = config.get("pose")
         model = pose.get("pose_model") if isinstance(pose, Mapping) else None
-        settings["keypoint_set"] = _keypoint_set(model, [k for k in keypoints if k], notes)
+        kind = _keypoint_set(model, [k for k in keypoints if k], notes)
+        if kind is not None:
+            settings["keypoint_set"] = kind
         # Pose2Sim itself never scales key points: they are in the pixels of the calibration.
         settings["keypoint_pixels"] = "calibration"
-    _add_plates(calibration.parent / "extrinsics", views, notes)
+    if clips:
+        _add_plates(calibration.parent / "extrinsics", views, notes)
     settings["view"] = views
     return settings, notes
-
-
-def match_names(wanted: Sequence[str], available: Sequence[str]) -> list[int | None]:
-    """Index in `available` for each wanted name: the same name; else the same letters and digits without
-    decoration (cam01_json, ext_cam01_img, Cam-01); else the only one with the same number. None where nothing
-    fits uniquely."""
-
-    def unique(key: Any) -> list[int | None]:
-        keys = [key(a) for a in available]
-        counts = [key(w) for w in wanted]
-        return [
-            keys.index(k) if k not in (None, "") and keys.count(k) == 1 and counts.count(k) == 1 else None
-            for k in counts
-        ]
-
-    out: list[int | None] = [None] * len(wanted)
-    for key in (lambda n: n, _bare, _number):
-        for i, found in enumerate(unique(key)):
-            if out[i] is None and found is not None and found not in out:
-                out[i] = found
-    return out
-
-
-def _bare(name: str) -> str:
-    return "".join(c for c in re.sub(r"(^(ext|int)_|_(json|img|imgs|ext)$)", "", name.lower()) if c.isalnum())
-
-
-def _number(name: str) -> int | None:
-    """The last number of a name (cam_01 -> 1, trial2_cam03 -> 3)."""
-    numbers = re.findall(r"\d+", name)
-    return int(numbers[-1]) if numbers else None
 
 
 def _is_number(value: Any) -> TypeGuard[float]:
@@ -139,8 +122,12 @@ def _subfolder(folder: Path, lower_name: str) -> Path | None:
 
 
 def _calibration_folder(folder: Path) -> Path | None:
-    found = [p for p in folder.iterdir() if p.is_dir() and p.name.lower().startswith("calib")]
-    return min(found, key=lambda p: (p.name.lower() != "calibration", natural_key(p.name)), default=None)
+    found = [p for p in folder.iterdir() if p.is_dir() and "calib" in p.name.lower()]
+    return min(
+        found,
+        key=lambda p: (p.name.lower() != "calibration", not p.name.lower().startswith("calib"), natural_key(p.name)),
+        default=None,
+    )
 
 
 def _levels(folder: Path) -> list[Path]:
@@ -198,14 +185,37 @@ def _clips(videos: Path) -> list[Path]:
     return sorted(files or folders, key=lambda p: natural_key(p.name))
 
 
+def _pose_folders(folder: Path) -> list[Path]:
+    """The folders of pose that hold key points, in natural order."""
+    pose = _subfolder(folder, "pose")
+    inside = [] if pose is None else [p for p in pose.iterdir() if p.is_dir() and next(p.glob("*.json"), None)]
+    return sorted(inside, key=lambda p: natural_key(p.name))
+
+
+def _rate_of_results(folder: Path, settings: dict[str, Any], notes: list[str]) -> None:
+    """The frame rate of what Pose2Sim has triangulated already, where nothing else says it."""
+    results = _subfolder(folder, "pose-3d")
+    for path in sorted(results.glob("*.trc")) if results is not None else ():
+        with contextlib.suppress(InputError):
+            settings["frame_rate"] = read_trc(path).frame_rate
+            notes.append(f"The frame rate, {settings['frame_rate']:g}/s, is that of {path.name}.")
+            return
+
+
+def _camera_of(folder: Path) -> str:
+    """cam01_json -> cam01."""
+    return text_of(folder.name.removesuffix("_json")) or text_of(folder.name)
+
+
+def _is_trial(folder: Path) -> bool:
+    return _subfolder(folder, "videos") is not None or bool(_pose_folders(folder))
+
+
 def _keypoint_folders(folder: Path, names: Sequence[str], notes: list[str]) -> list[Path | None]:
     pose = _subfolder(folder, "pose")
     if pose is None:
         return [None] * len(names)
-    folders = sorted(
-        (p for p in pose.iterdir() if p.is_dir() and next(p.glob("*.json"), None) is not None),
-        key=lambda p: natural_key(p.name),
-    )
+    folders = _pose_folders(folder)
     matched = match_names(names, [p.name for p in folders])
     if None in matched and len(folders) == len(names):
         notes.append(
@@ -223,41 +233,25 @@ def _keypoint_folders(folder: Path, names: Sequence[str], notes: list[str]) -> l
     return [None if m is None else folders[m] for m in matched]
 
 
-def _keypoint_set(model: Any, folders: Sequence[Path], notes: list[str]) -> str:
+def _keypoint_set(model: Any, folders: Sequence[Path], notes: list[str]) -> str | None:
+    """The set that Config.toml states, unless the files have another number of points; None when it is for the files
+    to tell."""
     stated = None
     if isinstance(model, str) and model.strip():
         stated = _MODELS.get(model.strip().lower(), model.strip().upper())
-    count = next((c for c in map(_count_points, folders) if c), None)
+    sample = next((s for f in folders[:4] if len(s := read_keypoint_folder(f).sample())), None)
+    count = None if sample is None else sample.shape[1]
     if stated is not None and (count is None or _COUNT_OF_SET.get(stated, count) == count):
         return stated
-    if count is None:
-        return "BODY_25B"
-    if count not in _SET_OF_COUNT:
-        raise InputError(
-            f"The key points in {folders[0]} have {count} points per person; known are "
-            f"{', '.join(f'{s} ({c})' for c, s in _SET_OF_COUNT.items())}: use one of these models."
-        )
-    found = _SET_OF_COUNT[count]
+    if sample is None:
+        return None
+    try:
+        found, _ = set_of_points([sample], None, ("BODY_25B",))
+    except InputError as problem:
+        raise InputError(f"The key points in {folders[0]}: {problem}") from None
     said = f"Config.toml says {stated}" if stated else "Config.toml does not say which set"
     notes.append(f"The key points have {count} points and are taken as {found} ({said}).")
     return found
-
-
-def _count_points(folder: Path) -> int | None:
-    """Points per person in the first JSON of a folder that has a person."""
-    for path in sorted(folder.glob("*.json"), key=lambda p: natural_key(p.name))[:200]:
-        try:
-            if path.stat().st_size > _MAX_JSON_BYTES:
-                raise ValueError("it is too large")
-            people = parse_json(path.read_text(encoding="utf-8"))["people"]
-            if people and people[0]["pose_keypoints_2d"]:
-                return len(people[0]["pose_keypoints_2d"]) // 3
-        except (ValueError, KeyError, TypeError, IndexError, RecursionError, OSError) as error:
-            raise InputError(
-                f"{path} is not OpenPose JSON ({error}): people[].pose_keypoints_2d is needed; detect the "
-                "key points again, or move the pose folder away to track without them."
-            ) from None
-    return None
 
 
 def _add_plates(extrinsics: Path, views: list[dict[str, Any]], notes: list[str]) -> None:

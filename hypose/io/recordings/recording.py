@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from hypose.cameras.camera import Camera, CameraRig
+from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError, InputError
+from hypose.evidence.keypoints import keypoint_names
 from hypose.evidence.silhouettes import SilhouetteOptions
 from hypose.geometry import rotation_between, se3
 from hypose.io.calibrations.calibration_formats import read_any
@@ -30,6 +31,8 @@ from hypose.io.calibrations.calibration_toml import (
 from hypose.io.file_names import text_of
 from hypose.io.files import write_text
 from hypose.io.keypoints.detected_keypoints import with_detected
+from hypose.io.keypoints.read_keypoints import ViewKeypoints, check_keypoints, keypoints_of_views
+from hypose.io.matching_names import match_names
 from hypose.io.recordings import pose2sim
 from hypose.io.recordings.recording_keys import (
     PATH_KEYS,
@@ -41,31 +44,10 @@ from hypose.io.recordings.recording_keys import (
     read_toml,
     silhouette_options,
 )
-from hypose.io.videos.video import check_numbers, frame_size, open_video
+from hypose.io.recordings.recording_views import View, check_size, common_frames, frame_rate_of, look
+from hypose.io.videos.video import frame_size
 
 _UP = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
-
-SIDECAR = "hypose-masks.json"
-"""lies beside masks that are undistorted already, which are found by their frames' numbers"""
-
-
-@dataclass(frozen=True)
-class View:
-    """What one camera delivered. Paths exist; None = not given. See the module for the meaning of each."""
-
-    name: str
-    video: Path | None = None
-    images: Path | None = None
-    masks: Path | None = None
-    background: Path | None = None
-    keypoints: Path | None = None
-    image_shift: tuple[float, float] = (0.0, 0.0)
-    accept_scaled: bool = False
-
-    @property
-    def source(self) -> Path | None:
-        """The video file or image folder, None when only masks are given."""
-        return self.video or self.images
 
 
 @dataclass(frozen=True)
@@ -101,6 +83,11 @@ class Recording:
     def frames(self) -> range:
         """The frames to work on: frame_range, or all that every view has."""
         return range(*(self.frame_range or (0, self.n_frames)))
+
+    @property
+    def has_pictures(self) -> bool:
+        """Whether any view has a video, images or masks; else there are key points alone."""
+        return any(v.source is not None or v.masks is not None for v in self.views)
 
     @property
     def inputs(self) -> dict[str, Path]:
@@ -203,17 +190,6 @@ def _relative(path: Path, folder: Path) -> str:
 # ---- checks ------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Clip:
-    """What a look into one video, image folder or mask source gave."""
-
-    path: Path
-    size: tuple[int, int]
-    n_frames: int
-    stated_frames: int
-    frame_rate: float | None
-
-
 def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[str]) -> Recording:
     """The recording of a (translated) recording.toml; origin: the file or folder that errors name."""
     where = str(origin)
@@ -237,14 +213,31 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
     rig = _match_cameras(rig, calibration, views, [t.get("camera") for t in tables], notes)
 
     with ThreadPoolExecutor(len(views)) as pool:  # finding out how many frames can be decoded takes its time
-        clips = list(pool.map(_look, views))
+        clips = list(pool.map(look, views))
     for view, camera, found in zip(views, rig, clips, strict=True):
         for clip in found:
-            _check_size(view, camera, clip.path, clip.size, notes)
+            check_size(view, camera, clip.path, clip.size, notes)
         if view.background is not None:
-            _check_size(view, camera, view.background, frame_size(view.background), None)
-    frame_rate = _frame_rate(where, settings.get("frame_rate"), views, clips, notes)
-    n_frames = _common_frames(views, clips, notes)
+            check_size(view, camera, view.background, frame_size(view.background), None)
+    pixels = choice(where, "keypoint_pixels", settings.get("keypoint_pixels", "calibration"), ("calibration", "image"))
+    lag = settings.get("keypoint_lag", 0)
+    stored = [found[0].size if found and view.source else None for view, found in zip(views, clips, strict=True)]
+    if pixels == "image" and (blind := [v.name for v, s in zip(views, stored, strict=True) if v.keypoints and not s]):
+        raise InputError(
+            f"{where}: keypoint_pixels is image, but {', '.join(blind)} has no pictures that would say how large they "
+            "are; give the videos, or key points in pixels of the calibration."
+        )
+    stored = stored if pixels == "image" else [None] * len(views)
+    keypoint_set, keypoints = _told_keypoints(where, settings, views, rig, notes)
+    told = next((k.table.frame_rate for k in keypoints if k is not None and k.table.frame_rate is not None), None)
+    frame_rate = frame_rate_of(where, settings.get("frame_rate"), views, clips, told, notes)
+    if any(clips):
+        n_frames = common_frames(views, clips, notes)
+    else:
+        n_frames = max((k.last + 1 + lag for k in keypoints if k is not None), default=0)
+    if n_frames < 1:
+        raise InputError(f"{where}: there are no pictures, and the key points show nobody; detect them again.")
+    check_keypoints(keypoints, names, rig, range(-lag, n_frames - lag), stored)
     frame_range = None
     if "frame_range" in settings:
         first, stop = numbers(where, "frame_range", settings["frame_range"], 2, whole=True)
@@ -263,7 +256,6 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
             raise InputError(
                 f"{where}: {key} = {settings[key]:g} is implausible; give it in {unit} ({low:g} to {high:g})."
             )
-    has_keypoints = any(v.keypoints is not None for v in views)
     return Recording(
         folder=folder,
         name=settings.get("name", text_of(folder.resolve().name)),
@@ -271,18 +263,48 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
         views=tuple(views),
         frame_rate=frame_rate,
         frame_range=frame_range,
-        keypoint_set=settings.get("keypoint_set", "BODY_25") if has_keypoints else None,
-        keypoint_lag=settings.get("keypoint_lag", 0),
+        keypoint_set=keypoint_set,
+        keypoint_lag=lag,
         subject_height=_optional(settings.get("subject_height")),
         subject_mass=_optional(settings.get("subject_mass")),
-        keypoint_pixels=choice(
-            where, "keypoint_pixels", settings.get("keypoint_pixels", "calibration"), ("calibration", "image")
-        ),
+        keypoint_pixels=pixels,
         n_frames=n_frames,
         calibration=calibration,
         silhouettes=silhouette_options(where, settings.get("silhouettes", {})),
         notes=tuple(notes),
     )
+
+
+def keypoints_of_recording(recording: Recording) -> tuple[list[ViewKeypoints | None], list[str]]:
+    """The key points of a recording's views, and sentences about them; an InputError names what cannot be used."""
+    return keypoints_of_views(
+        [v.keypoints for v in recording.views],
+        [v.name for v in recording.views],
+        recording.rig.names,
+        recording.keypoint_set,
+    )
+
+
+def stored_sizes(recording: Recording) -> list[tuple[int, int] | None]:
+    """The size of each view's stored pictures where its key points are in their pixels."""
+    if recording.keypoint_pixels != "image":
+        return [None] * len(recording.views)
+    return [None if v.source is None else frame_size(v.source) for v in recording.views]
+
+
+def _told_keypoints(
+    where: str, settings: Mapping[str, Any], views: Sequence[View], rig: CameraRig, notes: list[str]
+) -> tuple[str | None, list[ViewKeypoints | None]]:
+    """The set of the key points, None without any, and those of every view."""
+    stated = settings.get("keypoint_set")
+    if all(v.keypoints is None for v in views):
+        return None, [None] * len(views)
+    if stated is not None:
+        keypoint_names(stated)
+    found, said = keypoints_of_views([v.keypoints for v in views], [v.name for v in views], rig.names, stated)
+    notes += said
+    kinds = [k.keypoint_set for k in found if k is not None]
+    return (kinds[0] if kinds else stated or "BODY_25"), found
 
 
 def _optional(value: float | None) -> float | None:
@@ -314,18 +336,15 @@ def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> Vie
         path = _named(folder, where, key, table[key])
         if not path.exists():
             raise InputError(f"{where}: the {key} {path} does not exist; correct the path or copy the file there.")
-        if key in ("images", "keypoints") and not path.is_dir() or key == "video" and not path.is_file():
+        if key == "images" and not path.is_dir() or key == "video" and not path.is_file():
             wanted = "a file" if key == "video" else "a folder"
             raise InputError(f"{where}: {key} must be {wanted}, {path} is not; correct the path.")
         paths[key] = path
     if "video" in paths and "images" in paths:
         raise InputError(f"{where}: video and images are both given; keep the one to use.")
-    if not paths.keys() & {"video", "images", "masks"}:
-        raise InputError(f"{where}: neither video, images nor masks are given; add one of them, or remove the view.")
-    if "keypoints" in paths and next(paths["keypoints"].glob("*.json"), None) is None:
+    if not paths.keys() & {"video", "images", "masks", "keypoints"}:
         raise InputError(
-            f"{where}: the key-point folder {paths['keypoints']} holds no .json files; detect key points "
-            "(OpenPose JSON, one file per frame) or remove the key."
+            f"{where}: neither video, images, masks nor keypoints are given; add one of them, or remove the view."
         )
     shift = numbers(where, "image_shift", table.get("image_shift", [0.0, 0.0]), 2, whole=False)
     return View(
@@ -369,6 +388,11 @@ def _match_cameras(
         if left:
             notes.append(f"The cameras {', '.join(left)} of {path.name} have no view and are left out.")
         return chosen
+    exact = [w or v.name for w, v in zip(wanted, views, strict=True)]
+    if len(rig) > len(views) and all(name in rig.names for name in exact):
+        left = [n for n in rig.names if n not in exact]
+        notes.append(f"The cameras {', '.join(left)} of {path.name} have no view and are left out.")
+        return rig.select(exact)
     if len(rig) != len(views):
         raise CalibrationError(
             f"{path} has {len(rig)} cameras ({', '.join(rig.names)}) but there are {len(views)} views "
@@ -379,7 +403,7 @@ def _match_cameras(
     unknown = [w for w in wanted if w and w not in rig.names]
     if unknown:
         rig.select(unknown)
-    matched = pose2sim.match_names(keys, rig.names)
+    matched = match_names(keys, rig.names)
     if all(m is not None for m in matched):
         if any(k != rig.names[m] for k, m in zip(keys, matched, strict=True) if m is not None):
             order = [rig.names[m] for m in matched if m is not None]
@@ -393,90 +417,3 @@ def _match_cameras(
         'if that is wrong, give each view its camera = "..." in recording.toml.'
     )
     return rig
-
-
-def _look(view: View) -> list[_Clip]:
-    """Open what the view's frames come from (video or images, then masks)."""
-    out = []
-    for path in (view.source, view.masks):
-        if path is None:
-            continue
-        if path.is_dir() and not (path / SIDECAR).is_file():
-            check_numbers(path)
-        with open_video(path) as reader:
-            out.append(_Clip(path, reader.size, reader.n_frames, reader.stated_frames, reader.frame_rate))
-    return out
-
-
-def _check_size(view: View, camera: Camera, path: Path, size: tuple[int, int], notes: list[str] | None) -> None:
-    if size == camera.size:
-        return
-    (w, h), (cw, ch) = size, camera.size
-    ratio = (w / h) / (cw / ch)
-    if abs(ratio - 1) > 0.01 and not view.accept_scaled:
-        advice = (
-            "calibrate at this size, or, if the images were stretched (not cut), set accept_scaled = true "
-            "for this view in recording.toml"
-        )
-        if abs((h / w) / (cw / ch) - 1) <= 0.01:
-            advice = "the images look turned by 90 degrees: turn them back, or calibrate turned images"
-        raise CalibrationError(
-            f"View {view.name}: {path} is {w} x {h} px, camera {camera.name} is calibrated for {cw} x {ch} "
-            f"px; {advice}."
-        )
-    if notes is not None:
-        notes.append(
-            f"View {view.name}: {path.name} is {w} x {h} px, the calibration {cw} x {ch} px; the images are "
-            "taken as scaled."
-        )
-
-
-def _frame_rate(
-    where: str, given: float | None, views: Sequence[View], clips: Sequence[list[_Clip]], notes: list[str]
-) -> float:
-    if given is not None and not 0.1 <= given <= 10_000:
-        raise InputError(f"{where}: frame_rate = {given:g} is implausible; give frames per second (0.1 to 10000).")
-    rates = {
-        v.name: c.frame_rate
-        for v, found in zip(views, clips, strict=True)
-        for c in found
-        if c.path == v.video and c.frame_rate is not None
-    }
-    # 29.97 against 30 is a rounding of the container
-    if rates and max(rates.values()) / min(rates.values()) > 1.005:
-        said = ", ".join(f"{n} {r:g}" for n, r in rates.items())
-        raise InputError(
-            f"{where}: the videos have different frame rates ({said} frames/s); convert them to one rate, "
-            "for example with: ffmpeg -i INPUT -r 30 OUTPUT.mp4."
-        )
-    found = float(np.median(list(rates.values()))) if rates else None
-    if given is None and found is None:
-        raise InputError(f"{where}: images carry no frame rate; add frame_rate = ... (frames per second).")
-    if given is not None and found is not None and abs(given / found - 1) > 0.005:
-        notes.append(f"frame_rate = {given:g} is used as given; the videos say {found:g} frames/s.")
-    return float(given if given is not None else found or 0.0)
-
-
-def _common_frames(views: Sequence[View], clips: Sequence[list[_Clip]], notes: list[str]) -> int:
-    counts = {}
-    for view, found in zip(views, clips, strict=True):
-        for clip in found:
-            with_masks = len(found) > 1 and clip.path == view.masks
-            counts[f"{view.name} masks" if with_masks else view.name] = clip.n_frames
-            if clip.stated_frames - clip.n_frames > 2:
-                notes.append(
-                    f"View {view.name}: {clip.path.name} states {clip.stated_frames} frames but decoding "
-                    f"ends after frame {clip.n_frames - 1}; the file is probably cut off: copy it again if "
-                    "more was recorded."
-                )
-        counts_of_view = [c.n_frames for c in found]
-        if min(counts_of_view) == 0:
-            raise InputError(f"View {view.name}: {found[0].path} has no frames; record or copy it again.")
-    low, high = min(counts.values()), max(counts.values())
-    if high - low > 2:
-        said = ", ".join(f"{n} {c}" for n, c in counts.items())
-        notes.append(
-            f"The views have different numbers of frames ({said}); the first {low} frames, which all have, "
-            "are used. Check that all cameras start at the same instant."
-        )
-    return low

@@ -3,13 +3,13 @@
 With the defaults; paths are relative to it:
 
     name = "walk"                     # default: the folder's name
-    calibration = "calibration.toml"  # Pose2Sim, anipose, FreeMoCap, Caliscope TOML, or Qualisys .qca.txt
+    calibration = "calibration.toml"  # of any program that hypose.io.calibrations reads
     calibration_unit = "auto"         # auto, m, cm or mm: unit of the calibration's translations
     world_up = "z"                    # axis of the calibration's world that points up: x y z -x -y -z
-    frame_rate = 60.0                 # frames/s; default: what the videos say
+    frame_rate = 60.0                 # frames/s; default: what the videos, or the files of key points, say
     frame_range = [0, 100]            # first frame and the one after the last, from 0; default: all
-    keypoint_set = "BODY_25"          # order of the 2D key points
-    keypoint_lag = 0                  # key-point file t belongs to video frame t + keypoint_lag
+    keypoint_set = "BODY_25"          # order of the 2D key points; default: found out
+    keypoint_lag = 0                  # key points of frame t belong to video frame t + keypoint_lag
     keypoint_pixels = "calibration"   # key points are pixels of the calibrated size, or of the stored "image"
     subject_height = 1.75             # m; default: estimated
     subject_mass = 70.0               # kg; default: unknown
@@ -21,7 +21,7 @@ With the defaults; paths are relative to it:
     images = "images/cam01"           # a folder of images in natural order
     masks = "masks/cam01"             # silhouettes made elsewhere: folder of images or video; needs no video
     background = "background/cam01"   # an image, a folder of images or a video of the empty scene
-    keypoints = "pose/cam01_json"     # a folder of OpenPose JSON files, one per frame
+    keypoints = "pose/cam01_json"     # file or folder of hypose.io.keypoints.read_keypoints; needs no video
     image_shift = [0.0, 0.0]          # px to add to this view's image coordinates (after scaling to the
                                       # calibrated size) so that they agree with calibration and key points
     accept_scaled = false             # images of another shape (width : height) than calibrated were

@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
-from hypose.compute.pictures.picture_to_mask import Box, Lens, make_lens, shrink_undistort
-from hypose.compute.silhouettes.glance import Glance, differing_box, stored_pixels
+from hypose.compute import Box, Glance, Lens, differing_box, make_lens, shrink_undistort, stored_pixels
 from hypose.errors import InputError
 from hypose.evidence.background import Image
 from hypose.evidence.silhouettes import Mask, Segmenter, as_mask, bounding_box
-from hypose.io.recordings.recording import SIDECAR, View
+from hypose.io.recordings.recording_views import SIDECAR, View
 from hypose.io.videos.video import VideoReader, list_images, open_video, read_image
 
 
@@ -119,7 +118,8 @@ class ViewSource:
                 within = mask if band is None else mask & band
                 wide = None if widened is None else widened(within)
                 return (within if wide is None else mask & wide), ""
-            assert self.segment is not None
+            if self.segment is None:
+                return None, f"{self.view.name}, frame {frame}: it has no pictures"
             image, box = self._stored(frame), None
             if self.segment.glance is not None:  # then nothing outside the person's box is looked at
                 glance = self.segment.glance

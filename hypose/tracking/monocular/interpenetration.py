@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hypose.body.body import BONE_END, Body
-from hypose.compute.monocular.mono_terms import SphereArrays
+from hypose.compute import SphereArrays
 from hypose.geometry import Array
 
 TOLERANCE = 0.02

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.cameras.camera import Camera
-from hypose.compute.monocular.mono_terms import FloorArrays
+from hypose.compute import FloorArrays, bounded_step, lorentzian
+from hypose.fitting.least_squares import Rule, descend
 from hypose.geometry import Array
-from hypose.inference.newton import minimise
-from hypose.inference.robust import Lorentzian
 from hypose.tracking.monocular.points import MonoPoints
 from hypose.tracking.monocular.proportions import INTERNAL, Proportions, shaped, skeleton_only
 from hypose.tracking.refinement import anatomical_prior
@@ -25,7 +24,6 @@ from hypose.tracking.refinement import anatomical_prior
 PointsOn = Callable[[Body], MonoPoints]
 """Where the points of one picture sit on a body, with their pixels: points.clicked_joints or
 points.points_from_keypoints."""
-_LOSS = Lorentzian(2.0)
 _STEP = 0.01
 """of a factor's logarithm, for its numeric derivative"""
 
@@ -56,7 +54,7 @@ def fit_proportions(
         q[:, active], f[INTERNAL] = x[: m * a].reshape(m, a), x[m * a :]
         return q, f
 
-    def cost(x: Array) -> tuple[float, Array, Array]:
+    def evaluate(x: Array) -> tuple[float, Callable[[], tuple[Array, Array]]]:
         q, f = unpack(x)
         body = shaped(bare, f)
         moved = [shaped(bare, f + _STEP * (np.arange(len(f)) == i)) for i in INTERNAL]
@@ -74,27 +72,27 @@ def fit_proportions(
                 confidence = np.append(confidence, np.full(len(above), floor.weight))
                 r = np.concatenate([r, np.column_stack([above, np.zeros(len(above))])])
                 rows = np.concatenate([rows, np.stack([of_floor, np.zeros_like(of_floor)], axis=1)])
-            weight = confidence * _LOSS.weight(length)
+            rho, weight, _ = lorentzian(0.25 * length**2, confidence)  # a tail from 2 sd on, as for key points
             at = np.concatenate([np.arange(k * a, (k + 1) * a), np.arange(m * a, len(x))])
-            value += float((confidence * _LOSS.rho(length)).sum())
+            value += 2 * float((confidence * rho).sum())
             gradient[at] += np.einsum("p,pxd,px->d", weight, rows, r)
             hessian[np.ix_(at, at)] += np.einsum("p,pxd,pxe->de", weight, rows, rows)
         away = x - centre
         value += 0.5 * float(stiffness @ away**2)
-        return value, gradient + stiffness * away, hessian + np.diag(stiffness)
+        return value, lambda: (gradient + stiffness * away, hessian + np.diag(stiffness))
+
+    def propose(x: Array, equations: tuple[Array, Array], damping: float) -> tuple[Array, float] | None:
+        step = bounded_step(equations[1], equations[0], x, lower, upper, damping)
+        return None if step is None else (np.clip(x + step, lower, upper), float(np.abs(step).max()))
 
     centre = np.concatenate([np.tile(pull.centre[active], m), prior.centre[INTERNAL]])
     stiffness = np.concatenate([np.tile(pull.weight[active], m), prior.sd[INTERNAL] ** -2])
     s = template.skeleton
-    found = minimise(
-        cost,
-        np.concatenate([np.array(poses)[:, active].ravel(), factors[INTERNAL]]),
-        np.concatenate([np.tile(s.lower[active], m), prior.lower[INTERNAL]]),
-        np.concatenate([np.tile(s.upper[active], m), prior.upper[INTERNAL]]),
-        max_iterations=30,
-        cost_tolerance=1e-5,
-    )
-    return *unpack(found.x), found.cost
+    lower = np.concatenate([np.tile(s.lower[active], m), prior.lower[INTERNAL]])
+    upper = np.concatenate([np.tile(s.upper[active], m), prior.upper[INTERNAL]])
+    start = np.clip(np.concatenate([np.array(poses)[:, active].ravel(), factors[INTERNAL]]), lower, upper)
+    found = descend(start, evaluate, propose, 30, Rule(1e-3, easier=9, least=1e-9, gain=1e-5))
+    return *unpack(found.state), found.cost
 
 
 def _residuals(body: Body, camera: Camera, points: MonoPoints, pose: Array) -> Array:

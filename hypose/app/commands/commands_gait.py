@@ -1,0 +1,40 @@
+"""`hypose gait`: foot strikes, steps and their figures of a tracked motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hypose.app.commands.console import say
+from hypose.errors import InputError
+
+
+def gait(
+    results: Annotated[Path, typer.Argument(help="Results folder of hypose track, or its motion.npz.")],
+    out: Annotated[Path | None, typer.Option(help="Folder to write to. [default: the results folder]")] = None,
+) -> None:
+    """Write events.csv, steps.csv, gait.csv and a C3D with the events: strikes, steps, cadence, speed."""
+    from hypose.app.jobs.gait_job import write_gait
+    from hypose.io.claims import claimed
+    from hypose.io.motions.bodies import load_body
+    from hypose.io.motions.compared_files import load_result
+    from hypose.pipeline.gait_events import gait_of
+
+    motion = load_result(results)
+    source = results if results.is_dir() else results.parent
+    body = load_body(source / "body.npz")
+    if body.skeleton.joint_names != motion.skeleton.joint_names:
+        raise InputError(f"{source}: body.npz and the motion belong to different bodies; track the recording again.")
+    found = gait_of(motion, body)
+    with claimed(out or source):
+        written = write_gait(out or source, motion, found)
+    strikes = sum(e.kind == "strike" for e in found.events)
+    say(f"{strikes} foot strikes, {len(found.events) - strikes} times a foot left the ground, {len(found.steps)} steps")
+    for f in found.figures:
+        say(f"{f.name.replace('_', ' ')}: {f.mean:.3f} {f.unit} ({f.low:.3f} to {f.high:.3f} with 90 %), n = {f.n}")
+    if not found.steps:
+        say("Nobody walks two steps in this motion, as far as the feet show.")
+    for path in written:
+        say(str(path))

@@ -1,0 +1,182 @@
+"""`hypose compare`: results against other motions, as one table and one page, with limits for a lab's own checks."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from hypose import __version__
+from hypose.app.reports.check_page import STYLE
+from hypose.app.reports.plots import svg
+from hypose.errors import InputError
+from hypose.io.files import write_text
+from hypose.io.motions.compared_files import load_result, read_other
+from hypose.pipeline.comparison import LEVELS, Agreement, CompareOptions, Comparison, compare_motions
+
+_AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A pair of files and how they agree."""
+
+    result: Path
+    other: Path
+    found: Comparison
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a comparison may not exceed; None = no limit. mm: RMSE of all joints without offsets; degrees: the largest
+    RMSE of an angle without its offset; coverage: least share inside our 90 % regions, mean over the joints."""
+
+    mm: float | None = None
+    degrees: float | None = None
+    coverage: float | None = None
+
+
+def compare_files(
+    pairs: Sequence[tuple[Path, Path]], options: CompareOptions, joints: Mapping[str, Sequence[str]]
+) -> list[Compared]:
+    """All pairs of a result and another motion."""
+    return [Compared(a, b, compare_motions(load_result(a), read_other(b, joints), options)) for a, b in pairs]
+
+
+def exceeded(compared: Sequence[Compared], limits: Limits) -> list[str]:
+    """A sentence for every limit that a comparison exceeds."""
+    out = []
+    for c in compared:
+        rmse = c.found.left_mm[2]
+        if limits.mm is not None and not rmse <= limits.mm:
+            out.append(f"{c.other}: the joints' RMSE is {rmse:.1f} mm, at most {limits.mm:g} is allowed.")
+        worst = max((a for a in c.found.angles if a.unit == "deg" and a.n), key=lambda a: a.rmse_left, default=None)
+        if limits.degrees is not None and (worst is None or worst.rmse_left > limits.degrees):
+            said = (
+                "there are no angles" if worst is None else f"{worst.name} has an RMSE of {worst.rmse_left:.1f} degrees"
+            )
+            out.append(f"{c.other}: {said}, at most {limits.degrees:g} are allowed.")
+        share = mean_coverage(c.found)
+        if limits.coverage is not None and not share >= limits.coverage:
+            out.append(
+                f"{c.other}: {100 * share:.0f} % lie in our 90 % regions, {100 * limits.coverage:.0f} % are needed."
+            )
+    return out
+
+
+def mean_coverage(found: Comparison) -> float:
+    """Mean over the joints of the share inside our 90 % regions; NaN where we state none."""
+    shares = [a.covered[LEVELS.index(0.9)] for a in found.joints]
+    known = [s for s in shares if np.isfinite(s)]
+    return float(np.mean(known)) if known else float("nan")
+
+
+def parse_joints(texts: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """joint=MARKER+MARKER options -> markers by joint; an InputError for what is not understood."""
+    from hypose.body.ready_bodies import JOINT_NAMES
+
+    out = {}
+    for text in texts:
+        joint, equals, markers = text.partition("=")
+        names = tuple(m.strip() for m in markers.split("+") if m.strip())
+        if not equals or not names or joint.strip() not in JOINT_NAMES:
+            raise InputError(
+                f"--joint {text!r} is not understood; write JOINT=MARKER+MARKER, with one of the joints "
+                f"{', '.join(JOINT_NAMES)}."
+            )
+        out[joint.strip()] = names
+    return out
+
+
+def write_csv(path: Path, compared: Sequence[Compared]) -> None:
+    """One row per joint and angle of every pair."""
+    header = ["result", "other", "name", "unit", "frames", "median", "p95", "rmse", "offset", "median_left", "p95_left"]
+    header += ["rmse_left", *(f"{k}_{a}" for k in ("bias", "low", "high", "r") for a in _AXES)]
+    header += [f"covered_{100 * level:g}" for level in LEVELS]
+    rows = [",".join(header)]
+    for c in compared:
+        for a in (*c.found.joints, *c.found.angles):
+            cells = [_quoted(str(c.result)), _quoted(str(c.other)), a.name, a.unit, str(a.n)]
+            numbers = [a.median, a.p95, a.rmse, a.offset, a.median_left, a.p95_left, a.rmse_left]
+            for values in (a.bias, a.low, a.high, a.r):
+                numbers += [*values.tolist(), *[float("nan")] * (3 - len(values))]
+            cells += ["" if not np.isfinite(v) else f"{v:.5f}" for v in (*numbers, *a.covered)]
+            rows.append(",".join(cells))
+    write_text(path, "\n".join(rows) + "\n")
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n\r') else text
+
+
+def write_page(path: Path, compared: Sequence[Compared], failed: Sequence[str]) -> None:
+    """One file that opens from disk and loads nothing."""
+    e = html.escape
+    parts = [
+        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>Comparison</title><style>{STYLE}</style>",
+        "<h1>Comparison</h1>",
+        *(f'<p class="bad">{e(f)}</p>' for f in failed),
+    ]
+    for c in compared:
+        f = c.found
+        parts.append(f"<h2>{e(str(c.result))} against {e(str(c.other))}</h2>")
+        if f.joints:
+            median, p95, rmse = f.left_mm
+            share = mean_coverage(f)
+            inside = f" {100 * share:.0f} % of the other's joints lie in our 90 % regions." if share == share else ""
+            parts.append(
+                f"<p>Joints, constant offsets aside: median {median:.1f} mm, 95 % within {p95:.1f} mm, RMSE {rmse:.1f} "
+                f"mm.{inside} Offset in time: {f.offset:+.3f} s.</p>"
+            )
+            parts += [_table(f.joints), svg(lambda figure, f=f: _draw(figure, f), (10.4, 2.8))]
+        if f.angles:
+            parts += ["<h3>Angles</h3>", _table(f.angles)]
+        if f.notes:
+            parts.append("<ul>" + "".join(f"<li>{e(n)}</li>" for n in f.notes) + "</ul>")
+    parts.append(
+        "<p class='dim'>Median, 95th percentile and RMSE of the distance between the two (angles: of the absolute "
+        "difference), as it is and without the constant offset of each joint in its segment, by which two programs "
+        "define a joint differently. Bias and limits of agreement (mean &plusmn; 1.96 standard deviations, Bland and "
+        "Altman 1986) of other minus ours, per axis. r: Pearson's correlation. Inside 90 %: share of frames in which "
+        f"the other lies in our 90 % region.</p><p class='dim'>hypose {__version__}</p></html>"
+    )
+    write_text(path, "\n".join(parts))
+
+
+def _table(rows: Sequence[Agreement]) -> str:
+    head = ("", "unit", "frames", "median", "p95", "RMSE", "offset", "median*", "p95*", "RMSE*", "bias", "limits", "r",
+            "inside 90 %")  # fmt: skip
+    out = ["<table><tr>" + "".join(f"<th>{h}</th>" for h in head) + "</tr>"]
+    for a in rows:
+        numbers = (a.median, a.p95, a.rmse, a.offset, a.median_left, a.p95_left, a.rmse_left)
+        limits = " / ".join(f"{low:.0f}..{high:.0f}" for low, high in zip(a.low, a.high, strict=True))
+        covered = a.covered[LEVELS.index(0.9)]
+        cells = [html.escape(a.name), a.unit, str(a.n), *(_number(v) for v in numbers)]
+        cells += [" / ".join(_number(v) for v in a.bias.tolist()), limits, " / ".join(f"{v:.3f}" for v in a.r.tolist())]
+        cells.append("-" if covered != covered else f"{100 * covered:.0f} %")
+        out.append("<tr>" + "".join(f'<td class="n">{c}</td>' if i else f"<td>{c}</td>" for i, c in enumerate(cells)))
+    return "\n".join(out) + "</table><p class='dim'>* without the constant offset</p>"
+
+
+def _number(value: float) -> str:
+    return "-" if not np.isfinite(value) else f"{value:.1f}"
+
+
+def _draw(figure: Figure, found: Comparison) -> None:
+    axes = figure.subplots()
+    with np.errstate(all="ignore"):
+        seen = np.isfinite(found.errors).any(1)
+        middle = np.full(len(found.times), np.nan)
+        middle[seen] = np.nanmedian(found.errors[seen], 1)
+        worst = np.full(len(found.times), np.nan)
+        worst[seen] = np.nanmax(found.errors[seen], 1)
+    axes.plot(found.times, worst, lw=0.8, color="#bbbbbb", label="worst joint")
+    axes.plot(found.times, middle, color="#1f5fa8", label="median joint")
+    axes.set_ylim(bottom=0)
+    axes.set_ylabel("distance (mm)")
+    axes.set_xlabel("time (s)")
+    axes.legend()

@@ -1,0 +1,51 @@
+"""The files of `hypose gait`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hypose.body.motion import Motion
+from hypose.io.files import write_text
+from hypose.io.motions.c3d import write_c3d
+from hypose.pipeline.gait_events import Gait
+
+_LABELS = {"strike": "Foot Strike", "off": "Foot Off"}
+
+
+def write_gait(folder: Path, motion: Motion, gait: Gait) -> list[Path]:
+    """events.csv, steps.csv, gait.csv and gait.c3d (joint centres with the events); returns their paths."""
+    start = float(motion.times[0])
+    events = [
+        (e.time, e.sd, e.side, e.kind, *e.place.tolist(), round((e.time - start) * motion.frame_rate))
+        for e in gait.events
+    ]
+    steps = [
+        (s.time, s.side, s.duration, s.duration_sd, s.length, s.length_sd, s.width, s.width_sd, s.double_support)
+        for s in gait.steps
+    ]
+    figures = [(f.name, f.unit, f.mean, f.sd, f.low, f.high, f.n) for f in gait.figures]
+    paths = [folder / n for n in ("events.csv", "steps.csv", "gait.csv", "gait.c3d")]
+    _table(paths[0], "time_s,sd_s,side,event,x_m,y_m,z_m,frame", events)
+    columns = "time_s,side,duration_s,duration_sd_s,length_m,length_sd_m,width_m,width_sd_m,double_support_s"
+    _table(paths[1], columns, steps)
+    _table(paths[2], "name,unit,mean,sd,low_90,high_90,n", figures)
+    marks = [(e.time - start, e.side.capitalize(), _LABELS[e.kind]) for e in gait.events]
+    computed = (motion.lost | motion.extrapolated).astype(bool)
+    residuals = np.where(computed[:, None], 0.0, np.maximum(motion.joint_sd * 1000, 1e-3))
+    write_c3d(paths[3], motion.skeleton.joint_names, motion.joints, motion.frame_rate, residuals, marks)
+    return paths
+
+
+def _table(path: Path, header: str, rows: Sequence[Sequence[object]]) -> None:
+    lines = [",".join(_cell(v) for v in row) for row in rows]
+    write_text(path, "\n".join([header, *lines]) + "\n")
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.5f}" if math.isfinite(value) else ""
+    return str(value)

@@ -1,0 +1,264 @@
+"""2D key points of any known program: which reader takes a file or folder, which set it holds, and what else was found.
+
+| given | program |
+| --- | --- |
+| a folder of .json, one per frame | OpenPose, Pose2Sim, RTMLib, AlphaPose; EasyMocap annotations |
+| a folder of .txt, one per frame | Ultralytics |
+| .json | MMPose, COCO results, AlphaPose |
+| .csv | DeepLabCut, SLEAP, Caliscope (all cameras) |
+| .h5 | DeepLabCut, SLEAP |
+| .npy | FreeMoCap (all cameras) |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from hypose.cameras.camera import CameraRig
+from hypose.errors import InputError
+from hypose.evidence.keypoint_check import misread
+from hypose.evidence.keypoint_sets import IMPLAUSIBLE, arranged, bone_excess, set_of_points
+from hypose.evidence.keypoints import KEYPOINT_SETS, keypoint_names
+from hypose.geometry import Array
+from hypose.io.keypoints.keypoint_arrays import read_keypoint_h5, read_keypoint_npy
+from hypose.io.keypoints.keypoint_csv import read_keypoint_csv
+from hypose.io.keypoints.keypoint_folder import read_keypoint_folder
+from hypose.io.keypoints.keypoint_json import read_keypoint_json
+from hypose.io.keypoints.keypoint_table import KeypointTable
+from hypose.io.matching_names import match_names
+
+_ENDINGS = "a folder of OpenPose, EasyMocap or Ultralytics files, .json, .csv, .h5 or .npy"
+_OUTSIDE = 0.3  # share of points outside of the picture from which it is another picture
+_CHECKED = 80  # frames that the agreement of the views looks at
+
+
+@dataclass(frozen=True)
+class ViewKeypoints:
+    """Key points of one view, told apart. path: of the file or folder. first: the file's number of the video's first
+    frame. score_scale: what its scores are divided by."""
+
+    path: Path
+    table: KeypointTable
+    keypoint_set: str
+    first: int
+    score_scale: float
+
+    @property
+    def last(self) -> int:
+        """The last frame of the video, from 0, that the file speaks of; -1 when it is empty."""
+        return max(self.table.people, default=self.first - 1) - self.first
+
+    def frame(self, index: int, size: tuple[int, int], stored: tuple[int, int] | None = None) -> Array | None:
+        """People (P, K, 3) in the set's order at a video's frame: px of the calibrated picture (width, height),
+        confidence 0..1; None when the file does not list the frame. stored: the size of the pictures whose pixels the
+        file counts, where that is another."""
+        found = self.table.people.get(index + self.first)
+        if found is None:
+            return None
+        count = len(keypoint_names(self.keypoint_set))
+        if len(found) == 0:
+            return np.zeros((0, count, 3))
+        if self.table.names is not None:
+            found = arranged(self.table.names, found)[1]
+        if found.shape[1] != count:
+            raise InputError(
+                f"{self.path}, frame {index + self.first}: {found.shape[1]} key points, {self.keypoint_set} has "
+                f"{count}; name the detector's set with keypoint_set, or detect again."
+            )
+        out = found.copy()
+        seen = out[..., 2] > 0
+        if self.table.shares:
+            out[..., :2] = np.where(seen[..., None], out[..., :2] * size - 0.5, 0.0)
+        elif stored is not None:
+            out[..., :2] = np.where(seen[..., None], (out[..., :2] + 0.5) * (np.array(size) / stored) - 0.5, 0.0)
+        out[..., 2] = np.clip(out[..., 2] / self.score_scale, 0.0, 1.0)
+        return out
+
+
+def read_keypoints(path: Path) -> dict[str, KeypointTable]:
+    """Tables by camera ("" where the file is of one camera); an InputError says in one sentence what cannot be used."""
+    if path.is_dir():
+        return {"": read_keypoint_folder(path)}
+    if not path.exists():
+        raise InputError(f"The key points {path} do not exist; correct the path, or detect them.")
+    status = path.stat()
+    return _read_file(path, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=8)  # a recording is looked at before it is worked on
+def _read_file(path: Path, modified: int, size: int) -> dict[str, KeypointTable]:
+    ending = path.suffix.lower()
+    if ending == ".json":
+        return {"": read_keypoint_json(path)}
+    if ending == ".csv":
+        return read_keypoint_csv(path)
+    if ending in (".h5", ".hdf5"):
+        return {"": read_keypoint_h5(path)}
+    if ending == ".npy":
+        return read_keypoint_npy(path)
+    raise InputError(f"{path} is no file of key points that is known; give {_ENDINGS}.")
+
+
+def keypoints_of_views(
+    paths: Sequence[Path | None],
+    names: Sequence[str],
+    cameras: Sequence[str],
+    stated: str | None = None,
+    usual: Sequence[str] = ("BODY_25",),
+) -> tuple[list[ViewKeypoints | None], list[str]]:
+    """Key points of every view (None: it has none) and sentences that say what was found.
+
+    paths: file or folder per view; one of several cameras may be named by all of them, and gives each view the camera
+    of its name, or of the calibration's name for it. stated: the set that is said to be used; usual: sets to think of
+    first where several have that many points.
+    """
+    out: list[ViewKeypoints | None] = []
+    tables = [None if p is None else _of_view(p, i, names, cameras, paths) for i, p in enumerate(paths)]
+    unknown = [min(t.people) for t in tables if t is not None and t.first is None and len(t.people)]
+    samples = [None if t is None else t.sample() for t in tables]
+    alike: dict[int, list[Array]] = {}  # views with as many points have one set
+    for s, t in zip(samples, tables, strict=True):
+        if s is not None and t is not None and t.names is None and len(s):
+            alike.setdefault(s.shape[1], []).append(s)
+    sets: dict[str, str] = {}
+    found: list[str] = []
+    for path, name, table, sample in zip(paths, names, tables, samples, strict=True):
+        if path is None or table is None or sample is None:
+            out.append(None)
+            continue
+        first = table.first if table.first is not None else min(unknown, default=0)
+        try:
+            view, how = _told(path, table, first, sample, alike.get(sample.shape[1], []), stated, usual)
+        except InputError as problem:
+            raise InputError(f"View {name}, key points {path}: {problem}") from None
+        out.append(view)
+        if view is not None:
+            sets[name] = view.keypoint_set
+            found.append(_sentence(name, view, how))
+    if len(set(sets.values())) > 1:
+        said = ", ".join(f"{n} {s}" for n, s in sets.items())
+        raise InputError(f"The views have different sets of key points ({said}); detect all with one model.")
+    empty = [n for n, p, v in zip(names, paths, out, strict=True) if p is not None and v is None]
+    if empty and sets:
+        (kind,) = set(sets.values())
+        out = [
+            v if v is not None or p is None or t is None else ViewKeypoints(p, t, kind, t.first or 0, 1.0)
+            for p, t, v in zip(paths, tables, out, strict=True)
+        ]
+    notes = [f"The key points of {', '.join(empty)} show nobody."] if empty else []
+    return out, notes + _together(found)
+
+
+def _of_view(
+    path: Path, index: int, names: Sequence[str], cameras: Sequence[str], paths: Sequence[Path | None]
+) -> KeypointTable:
+    found = read_keypoints(path)
+    if "" in found:
+        return found[""]
+    of_file = [i for i, p in enumerate(paths) if p == path]
+    for wanted in (names, cameras):
+        matched = match_names([wanted[i] for i in of_file], list(found))
+        if None not in matched:
+            place = matched[of_file.index(index)]
+            return found[list(found)[place or 0]]
+    if len(found) == len(of_file):
+        return found[list(found)[of_file.index(index)]]
+    raise InputError(
+        f"{path} has the cameras {', '.join(found)}, and their names do not tell which belong to the views "
+        f"{', '.join(names[i] for i in of_file)}; name each view like its camera."
+    )
+
+
+def _told(
+    path: Path,
+    table: KeypointTable,
+    first: int,
+    sample: Array,
+    alike: Sequence[Array],
+    stated: str | None,
+    usual: Sequence[str],
+) -> tuple[ViewKeypoints | None, str]:
+    if len(sample) == 0:
+        return None, ""
+    if table.names is not None:
+        kind, sample, left = arranged(table.names, sample)
+        how = "by their names" + (f", without {', '.join(left[:6])}{', ...' if len(left) > 6 else ''}" if left else "")
+        if bone_excess(sample, kind) > IMPLAUSIBLE:
+            raise InputError(
+                f"named as they are ({kind}), their bones have impossible lengths; the names belong to other points, "
+                "or the positions were changed: export them again."
+            )
+        if stated is not None and keypoint_names(stated) != KEYPOINT_SETS[kind]:
+            raise InputError(f"their names are those of {kind}, not of {stated}; correct or remove keypoint_set.")
+    else:
+        kind, how = set_of_points(alike, stated or table.stated, usual)
+    scores = sample[..., 2][sample[..., 2] > 0]
+    high = float(np.quantile(scores, 0.995)) if len(scores) else 1.0
+    # RTMPose's and AlphaPose's scores are heights of maps and may exceed 1, others are percent
+    scale = float(np.quantile(scores, 0.95)) if high > 1.05 else 1.0
+    if not table.shares and len(scores):
+        seen = sample[sample[..., 2] > 0][:, :2]
+        if seen.min() >= -0.5 and seen.max() <= 1.5 and np.ptp(seen) > 0.02:  # no person is a pixel small
+            table = replace(table, shares=True)
+    return ViewKeypoints(path, table, kind, first, scale), how
+
+
+def _sentence(name: str, view: ViewKeypoints, how: str) -> str:
+    table = view.table
+    parts = [f"{table.layout}, {view.keypoint_set} ({how})"]
+    if not table.scored:
+        parts.append("without scores, so all count alike")
+    elif view.score_scale != 1:
+        parts.append(f"scores divided by {view.score_scale:.3g}, since they exceed 1")
+    else:
+        parts.append("scores 0 to 1")
+    if table.shares:
+        parts.append("positions as shares of the picture")
+    parts.append(f"its frame {view.first} is the video's first")
+    return f"{name}: " + ", ".join(parts)
+
+
+def _together(found: Sequence[str]) -> list[str]:
+    """One sentence where all views are alike, else one per view."""
+    bodies = [f.split(": ", 1)[1] for f in found]
+    if len(set(bodies)) == 1:
+        return [f"Key points: {bodies[0]}."]
+    return [f"Key points of {f}." for f in found]
+
+
+def check_keypoints(
+    views: Sequence[ViewKeypoints | None],
+    names: Sequence[str],
+    rig: CameraRig,
+    frames: range,
+    stored: Sequence[tuple[int, int] | None],
+) -> None:
+    """An InputError when key points lie outside of their pictures, or when what the views say of the person shows that
+    they were misread: another picture size, y upwards, mirrored. stored: as in `ViewKeypoints.frame`, per view."""
+    some = [frames[int(i)] for i in np.unique(np.linspace(0, len(frames) - 1, min(_CHECKED, len(frames))).astype(int))]
+    people: list[list[Array | None]] = []
+    for view, name, camera, size in zip(views, names, rig, stored, strict=True):
+        found = [None if view is None else view.frame(i, camera.size, size) for i in some]
+        people.append(found)
+        seen = [p[p[..., 2] > 0.2][:, :2] for p in found if p is not None]
+        uv = np.concatenate(seen) if seen else np.zeros((0, 2))
+        outside = ((uv < -0.1 * np.array(camera.size)) | (uv > 1.1 * np.array(camera.size))).any(1)
+        if view is not None and len(uv) > 50 and outside.mean() > _OUTSIDE:
+            raise InputError(
+                f"View {name}, key points {view.path}: they reach ({uv[:, 0].max():.0f}, {uv[:, 1].max():.0f}) px, the "
+                f"pictures are calibrated for {camera.size[0]} x {camera.size[1]}; detect them in such pictures, or, "
+                'if the video has their size, set keypoint_pixels = "image".'
+            )
+    kind = next((v.keypoint_set for v in views if v is not None), None)
+    wrong = misread(people, keypoint_names(kind), rig) if kind is not None else None
+    if wrong is not None:
+        path = next(v.path for v in views if v is not None)
+        raise InputError(
+            f"The key points ({path}) do not fit the calibrated cameras: {wrong}; export them in pixels from the top "
+            "left of the pictures that were calibrated."
+        )

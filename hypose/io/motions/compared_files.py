@@ -1,0 +1,118 @@
+"""Motions of any program to compare with: results of hypose, C3D, TRC, and MOT or STO of OpenSim, as points and angles
+by hypose's names.
+
+Points that are named like joints (RKnee, left_knee, LKJC) are those joints. Two markers on either side of a joint are
+its centre (r_knee_study and r_mknee_study of OpenCap's and Pose2Sim's augmenter; others by `joint=marker+marker`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from hypose.body.joint_angles import joint_angles
+from hypose.body.motion import Motion
+from hypose.errors import InputError
+from hypose.evidence.keypoint_sets import common_name
+from hypose.geometry import Array
+from hypose.io.motions.c3d import read_c3d
+from hypose.io.motions.opensim import read_mot
+from hypose.io.motions.results import load_motion
+from hypose.io.motions.trc import read_trc
+
+_PARTS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+_CENTRES = {"s": "shoulder", "e": "elbow", "w": "wrist", "h": "hip", "k": "knee", "a": "ankle"}
+
+
+@dataclass(frozen=True)
+class OtherMotion:
+    """times (T,) s; points by joint name (T, 3) m, NaN where not seen; angles by OpenSim's name (T,) rad, or m."""
+
+    path: Path
+    times: Array
+    points: Mapping[str, Array] = field(default_factory=dict)
+    angles: Mapping[str, Array] = field(default_factory=dict)
+
+
+def load_result(path: Path) -> Motion:
+    """The motion of a results folder, or of a motion.npz."""
+    if not path.exists():
+        raise InputError(f"{path} does not exist; give the results folder that hypose track wrote.")
+    file = path / "motion.npz" if path.is_dir() else path
+    if file.suffix.lower() != ".npz":
+        raise InputError(f"{path} is no result of hypose; give the results folder, or its motion.npz, first.")
+    return load_motion(file)
+
+
+def read_other(path: Path, joints: Mapping[str, Sequence[str]] | None = None) -> OtherMotion:
+    """The motion of any file that can be compared with. joints: marker names whose mean is a joint, by joint name, for
+    what the names do not tell. An InputError when nothing in the file is known."""
+    ending = path.suffix.lower()
+    if path.is_dir() or ending == ".npz":
+        motion = load_result(path)
+        names = motion.skeleton.joint_names
+        points = {n: motion.joints[:, i] for i, n in enumerate(names)}
+        return OtherMotion(path, motion.times, points, angles_of(motion))
+    if ending in (".mot", ".sto"):
+        times, names, values = read_mot(path)
+        return OtherMotion(path, times, {}, {n: values[:, i] for i, n in enumerate(names)})
+    if ending not in (".c3d", ".trc"):
+        raise InputError(f"{path} cannot be compared with; give results of hypose, .c3d, .trc, .mot or .sto.")
+    markers = read_c3d(path) if ending == ".c3d" else read_trc(path)
+    points = _joints_of(path, markers.names, markers.points, joints or {})
+    return OtherMotion(path, np.arange(len(markers.points)) / markers.frame_rate, points)
+
+
+def angles_of(motion: Motion) -> dict[str, Array]:
+    """Joint angles (T,) rad, or m, by OpenSim's name; none when the motion holds joint positions only."""
+    if motion.poses is None:
+        return {}
+    names, values = joint_angles(motion.skeleton, motion.poses)
+    return {n: values[:, i] for i, n in enumerate(names)}
+
+
+def _joints_of(path: Path, names: tuple[str, ...], points: Array, given: Mapping[str, Sequence[str]]) -> dict:
+    column = {n: i for i, n in enumerate(names)}
+    out: dict[str, Array] = {}
+    for joint, markers in given.items():
+        missing = [m for m in markers if m not in column]
+        if missing:
+            shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
+            raise InputError(f"{path} has no marker {missing[0]!r}; it has {shown}.")
+        out[joint] = np.mean([points[:, column[m]] for m in markers], 0)
+    for side, letter in (("left", "l"), ("right", "r")):
+        for part in ("knee", "ankle"):  # the augmenter's: the outer and the inner side
+            pair = [_lower(column, f"{letter}_{m}{part}_study") for m in ("", "m")]
+            if f"{side}_{part}" not in out and None not in pair:
+                out[f"{side}_{part}"] = 0.5 * (points[:, pair[0]] + points[:, pair[1]])
+    for name, i in column.items():
+        joint = _joint_name(name)
+        if joint is not None and joint not in out:
+            out[joint] = points[:, i]
+    if not out:
+        shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
+        raise InputError(
+            f"None of the points of {path} is called like a joint ({shown}); say which markers are one: --joint "
+            "left_knee=LKNE+LKNM."
+        )
+    return out
+
+
+def _lower(column: Mapping[str, int], name: str) -> int | None:
+    return next((i for n, i in column.items() if n.lower().replace("r.", "r_").replace("l.", "l_") == name), None)
+
+
+def _joint_name(name: str) -> str | None:
+    """The joint that a point is named after; None for other markers."""
+    bare = name.split(":")[-1].strip()
+    centre = re.fullmatch(r"([LR])([SEWHKA])JC(_study)?", bare, re.IGNORECASE)
+    if centre:
+        return f"{'left' if centre[1].lower() == 'l' else 'right'}_{_CENTRES[centre[2].lower()]}"
+    common = common_name(bare)
+    if common in {f"{side}_{part}" for side in ("left", "right") for part in _PARTS}:
+        return common
+    return {"mid_hip": "pelvis", "neck": "neck", "head": "head"}.get(common if bare.lower() != "head" else "head")

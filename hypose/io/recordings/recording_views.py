@@ -1,0 +1,143 @@
+"""The views of a recording: what each camera delivered, a look into its files, and whether they belong together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hypose.cameras.camera import Camera
+from hypose.errors import CalibrationError, InputError
+from hypose.io.videos.video import check_numbers, open_video
+
+SIDECAR = "hypose-masks.json"
+"""lies beside masks that are undistorted already, which are found by their frames' numbers"""
+
+
+@dataclass(frozen=True)
+class View:
+    """What one camera delivered. Paths exist; None = not given. See the module for the meaning of each."""
+
+    name: str
+    video: Path | None = None
+    images: Path | None = None
+    masks: Path | None = None
+    background: Path | None = None
+    keypoints: Path | None = None
+    image_shift: tuple[float, float] = (0.0, 0.0)
+    accept_scaled: bool = False
+
+    @property
+    def source(self) -> Path | None:
+        """The video file or image folder, None when only masks are given."""
+        return self.video or self.images
+
+
+@dataclass(frozen=True)
+class Clip:
+    """What a look into one video, image folder or mask source gave."""
+
+    path: Path
+    size: tuple[int, int]
+    n_frames: int
+    stated_frames: int
+    frame_rate: float | None
+
+
+def look(view: View) -> list[Clip]:
+    """Open what the view's frames come from (video or images, then masks)."""
+    out = []
+    for path in (view.source, view.masks):
+        if path is None:
+            continue
+        if path.is_dir() and not (path / SIDECAR).is_file():
+            check_numbers(path)
+        with open_video(path) as reader:
+            out.append(Clip(path, reader.size, reader.n_frames, reader.stated_frames, reader.frame_rate))
+    return out
+
+
+def check_size(view: View, camera: Camera, path: Path, size: tuple[int, int], notes: list[str] | None) -> None:
+    """An InputError when pictures of a size (width, height) cannot be the camera's; a note when they are scaled."""
+    if size == camera.size:
+        return
+    (w, h), (cw, ch) = size, camera.size
+    ratio = (w / h) / (cw / ch)
+    if abs(ratio - 1) > 0.01 and not view.accept_scaled:
+        advice = (
+            "calibrate at this size, or, if the images were stretched (not cut), set accept_scaled = true "
+            "for this view in recording.toml"
+        )
+        if abs((h / w) / (cw / ch) - 1) <= 0.01:
+            advice = "the images look turned by 90 degrees: turn them back, or calibrate turned images"
+        raise CalibrationError(
+            f"View {view.name}: {path} is {w} x {h} px, camera {camera.name} is calibrated for {cw} x {ch} "
+            f"px; {advice}."
+        )
+    if notes is not None:
+        notes.append(
+            f"View {view.name}: {path.name} is {w} x {h} px, the calibration {cw} x {ch} px; the images are "
+            "taken as scaled."
+        )
+
+
+def frame_rate_of(
+    where: str,
+    given: float | None,
+    views: Sequence[View],
+    clips: Sequence[list[Clip]],
+    told: float | None,
+    notes: list[str],
+) -> float:
+    """Frames per second: as given, else as the videos say, else as told by the key points' file."""
+    if given is not None and not 0.1 <= given <= 10_000:
+        raise InputError(f"{where}: frame_rate = {given:g} is implausible; give frames per second (0.1 to 10000).")
+    rates = {
+        v.name: c.frame_rate
+        for v, found in zip(views, clips, strict=True)
+        for c in found
+        if c.path == v.video and c.frame_rate is not None
+    }
+    # 29.97 against 30 is a rounding of the container
+    if rates and max(rates.values()) / min(rates.values()) > 1.005:
+        said = ", ".join(f"{n} {r:g}" for n, r in rates.items())
+        raise InputError(
+            f"{where}: the videos have different frame rates ({said} frames/s); convert them to one rate, "
+            "for example with: ffmpeg -i INPUT -r 30 OUTPUT.mp4."
+        )
+    found = float(np.median(list(rates.values()))) if rates else told
+    if given is None and found is None:
+        what = "images" if any(clips) else "key points"
+        raise InputError(f"{where}: {what} carry no frame rate; add frame_rate = ... (frames per second).")
+    if given is not None and found is not None and abs(given / found - 1) > 0.005:
+        says = "videos say" if rates else "file of key points says"
+        notes.append(f"frame_rate = {given:g} is used as given; the {says} {found:g} frames/s.")
+    return float(given if given is not None else found or 0.0)
+
+
+def common_frames(views: Sequence[View], clips: Sequence[list[Clip]], notes: list[str]) -> int:
+    """The number of frames that every view has; a note when they differ."""
+    counts = {}
+    for view, found in zip(views, clips, strict=True):
+        for clip in found:
+            with_masks = len(found) > 1 and clip.path == view.masks
+            counts[f"{view.name} masks" if with_masks else view.name] = clip.n_frames
+            if clip.stated_frames - clip.n_frames > 2:
+                notes.append(
+                    f"View {view.name}: {clip.path.name} states {clip.stated_frames} frames but decoding "
+                    f"ends after frame {clip.n_frames - 1}; the file is probably cut off: copy it again if "
+                    "more was recorded."
+                )
+        counts_of_view = [c.n_frames for c in found]
+        if min(counts_of_view) == 0:
+            raise InputError(f"View {view.name}: {found[0].path} has no frames; record or copy it again.")
+    low, high = min(counts.values()), max(counts.values())
+    if high - low > 2:
+        said = ", ".join(f"{n} {c}" for n, c in counts.items())
+        notes.append(
+            f"The views have different numbers of frames ({said}); the first {low} frames, which all have, "
+            "are used. Check that all cameras start at the same instant."
+        )
+    return low

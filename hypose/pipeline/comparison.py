@@ -1,0 +1,324 @@
+"""A motion held against another one of the same movement: in step, in the same place, and joint by joint.
+
+The other motion is resampled to our times, its clock and its place are found (or given), and what is left is told apart
+into a constant offset of every joint - two programs rarely mean the same point by a hip - and an error. Offsets are
+constant in the segment that carries the joint, so that they turn with the person.
+
+Sources: the rigid alignment is Umeyama's (1991) in iterated reweighting; limits of agreement are Bland and Altman's
+(1986): mean +- 1.96 standard deviations of the difference.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+
+from hypose.body.joint_angles import is_length
+from hypose.body.motion import Motion
+from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.errors import InputError
+from hypose.geometry import Array, procrustes, transform
+from hypose.io.motions.compared_files import OtherMotion, angles_of
+from hypose.synthetic.metrics import carriers, coverage
+
+LEVELS = (0.5, 0.9, 0.95)
+_MOST_LAG = 5.0  # s
+_LONGEST_GAP = 0.1  # s over which the other motion is interpolated
+
+
+@dataclass(frozen=True)
+class CompareOptions:
+    """offset: s added to the other's times, None = found. align: move the other rigidly onto ours. frames that are
+    lost or predicted are left out unless `all_frames`."""
+
+    offset: float | None = None
+    align: bool = True
+    all_frames: bool = False
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Of one joint (mm) or angle (degrees; mm for positions). n: frames. median, p95, rmse: of the distance (angles:
+    absolute difference). offset: length of the constant part; median_left, p95_left, rmse_left: without it. bias, low,
+    high: mean difference (other - ours) and limits of agreement per axis (1 for angles, 3 for joints), without rigid
+    motion but with the offset. r: Pearson's correlation per axis. covered: share of frames in which the other lies in
+    our region of each of LEVELS, after the offset; NaN where we state none."""
+
+    name: str
+    unit: str
+    n: int
+    median: float
+    p95: float
+    rmse: float
+    offset: float
+    median_left: float
+    p95_left: float
+    rmse_left: float
+    bias: Array
+    low: Array
+    high: Array
+    r: Array
+    covered: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """offset: s that were added to the other's times. ours_from_other: (4, 4). joints, angles: agreements, and errors:
+    distance (T, J) mm after the offsets, NaN where not compared, at our `times`."""
+
+    times: Array
+    offset: float
+    ours_from_other: Array
+    joints: tuple[Agreement, ...]
+    angles: tuple[Agreement, ...]
+    errors: Array
+    notes: tuple[str, ...]
+
+    @property
+    def left_mm(self) -> tuple[float, float, float]:
+        """Median, 95th percentile and RMSE of all joints together, without offsets; NaN without joints."""
+        found = self.errors[np.isfinite(self.errors)]
+        return _spread(found) if len(found) else (float("nan"), float("nan"), float("nan"))
+
+
+def compare_motions(ours: Motion, other: OtherMotion, options: CompareOptions | None = None) -> Comparison:
+    """Ours against the other's points and angles. An InputError when they have nothing in common."""
+    o = options or CompareOptions()
+    names = [n for n in ours.skeleton.joint_names if n in other.points]
+    our_angles = angles_of(ours)
+    angle_names = [n for n in our_angles if n in other.angles]
+    if not names and not angle_names:
+        raise InputError(
+            f"{other.path} and the result have no joint and no angle in common; say which markers are a joint: --joint "
+            "left_knee=LKNE+LKNM."
+        )
+    used = (
+        np.ones(len(ours), dtype=bool) if o.all_frames else ~(ours.lost.astype(bool) | ours.extrapolated.astype(bool))
+    )
+    index = [ours.skeleton.joint(n) for n in names]
+    mine = np.where(used[:, None, None], ours.joints[:, index], np.nan) if names else np.zeros((len(ours), 0, 3))
+    theirs = np.stack([other.points[n] for n in names], 1) if names else np.zeros((len(other.times), 0, 3))
+    notes: list[str] = []
+    angles_mine = np.stack([our_angles[n] for n in angle_names], 1) if angle_names else np.zeros((len(ours), 0))
+    angles_mine = np.where(used[:, None], angles_mine, np.nan)
+    angles_theirs = np.stack([other.angles[n] for n in angle_names], 1) if angle_names else None
+    offset = o.offset
+    if offset is None:
+        offset = _offset(ours.times, mine, angles_mine, other.times, theirs, angles_theirs, o.align, notes)
+    at = ours.times - offset
+    shown = resampled(other.times, theirs, at)
+    motion = _rigid(shown, mine) if o.align and names else np.eye(4)
+    moved = transform(motion, shown) if names else shown
+    if not np.isfinite(mine - moved).any() and names:
+        raise InputError(
+            f"{other.path} and the result have no time in common (offset {offset:.3f} s); give it with --offset."
+        )
+    joints, errors = _joints(ours, names, index, mine, moved)
+    angles: list[Agreement | None] = []
+    if angles_theirs is not None:
+        series = resampled(other.times, angles_theirs[..., None], at)[..., 0]
+        angles = [_angle(n, angles_mine[:, i], series[:, i]) for i, n in enumerate(angle_names)]
+    left = sorted(set(other.points) - set(names))
+    if left:
+        notes.append(f"{len(left)} points of {other.path.name} are no joint of ours: {', '.join(left[:8])}.")
+    return Comparison(
+        ours.times, offset, motion, joints, tuple(a for a in angles if a is not None), errors, tuple(notes)
+    )
+
+
+def resampled(times: Array, points: Array, at: Array) -> Array:
+    """Points (T, ..., D) at other times (S, ..., D): linear between neighbours that are seen and close in time, NaN
+    elsewhere."""
+    p = np.asarray(points, dtype=np.float64)
+    after = np.clip(np.searchsorted(times, at), 1, max(1, len(times) - 1))
+    if len(times) < 2:
+        return np.full((len(at), *p.shape[1:]), np.nan)
+    t0, t1 = times[after - 1], times[after]
+    share = (at - t0) / (t1 - t0)
+    step = float(np.median(np.diff(times)))
+    share = np.where(np.abs(share - np.round(share)) < 1e-6, np.round(share), share)
+    near = (t1 - t0 <= max(_LONGEST_GAP, 1.5 * step)) | (share == 0) | (share == 1)
+    fine = (share >= 0) & (share <= 1) & near
+    w = np.clip(share, 0, 1).reshape(-1, *[1] * (p.ndim - 1))
+    # exactly on a frame, the neighbour need not be seen
+    out = np.where(w <= 0, p[after - 1], np.where(w >= 1, p[after], (1 - w) * p[after - 1] + w * p[after]))
+    return np.where(fine.reshape(w.shape), out, np.nan)
+
+
+def _rigid(source: Array, target: Array) -> Array:
+    """(4, 4) that takes source (T, J, 3) onto target where both are seen; far points count less."""
+    both = np.asarray(np.isfinite(source).all(-1) & np.isfinite(target).all(-1))
+    if both.sum() < 4:
+        return np.eye(4)
+    a, b = source[both], target[both]
+    weights = np.ones(len(a))
+    found = np.eye(4)
+    for _ in range(8):
+        found, _ = procrustes(a, b, weights)
+        distance = np.linalg.norm(transform(found, a) - b, axis=1)
+        scale = 2 * max(1e-6, float(np.median(distance)))
+        weights = np.minimum(1, scale / np.maximum(distance, 1e-12))
+    return found
+
+
+def _offset(
+    times: Array,
+    mine: Array,
+    angles: Array,
+    their_times: Array,
+    theirs: Array,
+    their_angles: Array | None,
+    align: bool,
+    notes: list[str],
+) -> float:
+    """Seconds to add to their times: where joints and angles agree best, constant offsets aside."""
+
+    def cost(offset: float) -> float:
+        at = times - offset
+        value, count = 0.0, 0
+        if mine.shape[1]:
+            shown = resampled(their_times, theirs, at)
+            if align:
+                shown = transform(_rigid(shown, mine), shown)
+            d = shown - mine
+            seen = np.asarray(np.isfinite(d).all(-1))
+            if seen.sum() < max(8, 0.3 * np.isfinite(mine).all(-1).sum()):
+                return np.inf
+            d = d - np.nanmedian(np.where(seen[..., None], d, np.nan), 0)
+            value, count = value + float(np.median(np.linalg.norm(d[seen], axis=-1))) / 0.02, count + 1
+        if their_angles is not None:
+            d = resampled(their_times, their_angles[..., None], at)[..., 0] - angles
+            seen = np.isfinite(d)
+            if seen.sum() < max(8, 0.3 * np.isfinite(angles).sum()):
+                return np.inf
+            d = d - np.nanmedian(np.where(seen, d, np.nan), 0)
+            value, count = value + float(np.median(np.abs(d[seen]))) / 0.05, count + 1
+        return value / max(1, count)
+
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # medians of points never seen
+        step = max(float(np.median(np.diff(times))), 1 / 120) if len(times) > 1 else 0.02
+        same = times[0] - their_times[0]  # both began together
+        lags = np.arange(-_MOST_LAG, _MOST_LAG + step, 2 * step)
+        starts = np.unique(np.concatenate([lags, lags + same, [0.0, same]]))
+        costs = np.array([cost(lag) for lag in starts])
+        if not np.isfinite(costs).any():
+            return 0.0
+        best = float(starts[np.argmin(costs)])
+        near = best + step * np.linspace(-1.5, 1.5, 13)
+        squares = np.array([cost(lag) for lag in near]) ** 2
+        if np.isfinite(squares).all():
+            # of a parabola: between frames interpolation averages noise away, which draws the minimum itself there
+            curve = np.polyfit(near - best, squares, 2)
+            vertex = -curve[1] / (2 * curve[0]) if curve[0] > 0 else np.inf
+            best += float(vertex) if abs(vertex) <= 1.5 * step else float(near[squares.argmin()] - best)
+        plain = min((c for c in (cost(0.0), cost(same)) if np.isfinite(c)), default=np.inf)
+    # a movement that hardly moves says nothing about time
+    if plain <= 1.1 * cost(best):
+        best = 0.0 if cost(0.0) <= 1.1 * cost(best) else same
+    if abs(best) > 0.5 * step:
+        notes.append(f"The other motion is {'late' if best < 0 else 'early'} by {abs(best):.3f} s, which is taken off.")
+    return best
+
+
+def _joints(ours: Motion, names: list[str], index: list[int], mine: Array, moved: Array) -> tuple[tuple, Array]:
+    """Agreements of all joints, and the distances (T, J) mm that offsets leave."""
+    difference = moved - mine
+    seen = np.asarray(np.isfinite(difference).all(-1))
+    difference = np.where(seen[..., None], difference, np.nan)
+    axes = _segment_axes(ours, index)  # (T, J, 3, 3) world from the segment that carries the joint
+    local = np.einsum("tjba,tjb->tja", axes, difference)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # joints that are never seen
+        offsets = np.nan_to_num(np.nanmedian(local, 0)) if len(names) else np.zeros((0, 3))
+    constant = np.einsum("tjab,jb->tja", axes, offsets)
+    left = difference - constant
+    raw_mm, left_mm = 1000 * np.linalg.norm(difference, axis=-1), 1000 * np.linalg.norm(left, axis=-1)
+    covered = _covered(ours, index, mine, moved - constant)
+    out = []
+    for j, name in enumerate(names):
+        rows = seen[:, j]
+        if rows.sum() < 3:
+            continue
+        d = 1000 * difference[rows, j]
+        out.append(
+            _agreement(
+                name, "mm", raw_mm[rows, j], left_mm[rows, j], 1000 * float(np.linalg.norm(offsets[j])), d,
+                mine[rows, j], moved[rows, j], tuple(float(c[j]) for c in covered),
+            )
+        )  # fmt: skip
+    return tuple(out), left_mm
+
+
+def _segment_axes(ours: Motion, index: list[int]) -> Array:
+    """(T, J, 3, 3) world_from_segment of what carries each joint; the world's axes where there are no poses."""
+    skeleton = ours.skeleton
+    if ours.poses is None or tuple(skeleton.joint_names) != tuple(JOINT_NAMES):
+        return np.broadcast_to(np.eye(3), (len(ours), len(index), 3, 3))
+    finite = np.asarray(np.isfinite(ours.poses).all(1))
+    axes = np.full((len(ours), len(JOINT_NAMES), 3, 3), np.nan)
+    axes[finite] = skeleton.forward(ours.poses[finite])[0]
+    return axes[:, carriers()[index]]
+
+
+def _covered(ours: Motion, index: list[int], mine: Array, theirs: Array) -> tuple[Array, ...]:
+    if not index:
+        return tuple(np.zeros(0) for _ in LEVELS)
+    covariance = np.array(ours.joint_covariance, dtype=np.float64)[:, index]
+    fine = np.asarray(np.isfinite(covariance).all((-1, -2)))
+    safe = np.where(fine[..., None, None], covariance, np.nan)
+    found = coverage(mine, safe, theirs, LEVELS)
+    return tuple(found[level] for level in LEVELS)
+
+
+def _angle(name: str, mine: Array, theirs: Array) -> Agreement | None:
+    """None when there are fewer than three frames in common."""
+    scale, unit = (1000.0, "mm") if is_length(name) else (180 / np.pi, "deg")
+    d = scale * (theirs - mine)
+    if unit == "deg":
+        d = d - 360 * np.round(np.nanmedian(d) / 360) if np.isfinite(d).any() else d
+    rows = np.asarray(np.isfinite(d))
+    if rows.sum() < 3:
+        return None
+    offset = float(np.median(d[rows]))
+    unknown = (float("nan"),) * len(LEVELS)
+    return _agreement(
+        name, unit, np.abs(d[rows]), np.abs(d[rows] - offset), abs(offset), d[rows, None], mine[rows, None],
+        theirs[rows, None], unknown,
+    )  # fmt: skip
+
+
+def _agreement(
+    name: str, unit: str, raw: Array, left: Array, offset: float, difference: Array, mine: Array, theirs: Array,
+    covered: tuple[float, ...],
+) -> Agreement:  # fmt: skip
+    bias, sd = difference.mean(0), difference.std(0, ddof=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        a, b = mine - mine.mean(0), theirs - theirs.mean(0)
+        r = (a * b).sum(0) / np.sqrt((a**2).sum(0) * (b**2).sum(0))
+
+    whole, rest = _spread(raw), _spread(left)
+    return Agreement(
+        name=name,
+        unit=unit,
+        n=len(raw),
+        median=whole[0],
+        p95=whole[1],
+        rmse=whole[2],
+        offset=offset,
+        median_left=rest[0],
+        p95_left=rest[1],
+        rmse_left=rest[2],
+        bias=bias,
+        low=bias - 1.96 * sd,
+        high=bias + 1.96 * sd,
+        r=r,
+        covered=covered,
+    )
+
+
+def _spread(values: Array) -> tuple[float, float, float]:
+    """Median, 95th percentile, root mean square."""
+    return float(np.median(values)), float(np.percentile(values, 95)), float(np.sqrt((values**2).mean()))

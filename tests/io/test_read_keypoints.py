@@ -1,0 +1,293 @@
+"""2D key points of every program's layout: the same detections come back from each, and what is misread is refused."""
+
+import json
+
+import numpy as np
+import pytest
+
+from benchmarks.robustness.keypoint_layouts import (
+    LAYOUTS,
+    NEED_H5PY,
+    RATE,
+    UNSCORED,
+    detections,
+    write_keypoint_recording,
+    write_keypoints,
+)
+from hypose.errors import InputError
+from hypose.evidence.keypoint_sets import bone_excess, common_name
+from hypose.evidence.keypoints import KEYPOINT_SETS, keypoint_names
+from hypose.io.keypoints.read_keypoints import keypoints_of_views, read_keypoints
+from hypose.io.recordings.frames import FrameOptions, load_keypoints
+from hypose.io.recordings.recording import load_recording
+from hypose.synthetic.rigs import rig
+from tests import missing
+
+FRAMES = 14
+RIG = rig("humaneva-4")
+
+
+def written(folder, layout, points=None, stated=None, keypoint_set=None):
+    kind = keypoint_set or LAYOUTS[layout][0]
+    points = detections(kind, RIG, FRAMES) if points is None else points
+    paths = write_keypoints(layout, folder / "points", points, RIG, kind)
+    rate = None if "caliscope" in layout else RATE
+    return write_keypoint_recording(folder, RIG, paths, stated, rate), points
+
+
+def loaded(folder):
+    recording = load_recording(folder)
+    found = load_keypoints(recording, FrameOptions(factor=1.0))
+    return recording, np.stack([k.points for k in found], 1)
+
+
+@pytest.mark.parametrize("layout", list(LAYOUTS))
+def test_the_same_detections_come_back(tmp_path, layout):
+    if layout in NEED_H5PY:
+        try:
+            import h5py  # noqa: F401
+        except ImportError:
+            missing.skip("h5py", "pip install hypose[h5]")
+    kind = LAYOUTS[layout][0]
+    points = detections(kind, RIG, FRAMES)
+    points[1, 5] = 0  # nobody in one view and frame
+    points[:, 3, 9] = 0  # a point that is missing
+    folder, _ = written(tmp_path, layout, points)
+    recording, found = loaded(folder)
+    assert recording.keypoint_set == kind and recording.n_frames == FRAMES
+    assert recording.frame_rate == pytest.approx(RATE, rel=1e-3)
+    assert not recording.has_pictures and recording.rig.sizes.tolist() == RIG.sizes.tolist()
+    want = np.stack([c.undistort_points(p[..., :2].reshape(-1, 2)) for c, p in zip(RIG, points, strict=True)])
+    want = want.reshape(*points.shape[:3], 2)
+    seen = points[..., 2] > 0
+    assert ((found[..., 2] > 0) == seen).all()
+    tolerance = 0.02 if layout == "ultralytics" else 1e-9  # its writer keeps six digits
+    assert np.abs(found[..., :2] - want)[seen].max() <= tolerance
+    scores = np.where(seen, 1.0, 0.0) if layout in UNSCORED else points[..., 2]
+    assert np.abs(found[..., 2] - scores).max() <= 1e-5
+    (note,) = [n for n in recording.notes if n.startswith("Key points:")]
+    assert kind in note and "is the video's first" in note
+
+
+def test_frames_count_from_where_the_program_counts(tmp_path):
+    """MMPose's demo from 1, its inferencer and AlphaPose from 0, even when nobody is in the first frames."""
+    for layout in ("mmpose-results", "mmpose-predictions", "alphapose", "ultralytics", "sleap-csv", "caliscope"):
+        points = detections(LAYOUTS[layout][0], RIG, FRAMES)
+        points[:, :4] = 0
+        folder, _ = written(tmp_path / layout, layout, points)
+        _, found = loaded(folder)
+        assert found.shape[1] == FRAMES
+        assert not found[:, :4, :, 2].any() and (found[:, 4:, 5, 2] > 0).all(), layout
+
+
+def test_sets_of_one_length_are_told_apart_by_bones(tmp_path):
+    for kind in ("BODY_25", "BODY_25B"):
+        folder, _ = written(tmp_path / kind, "openpose", keypoint_set=kind)
+        recording, _ = loaded(folder)
+        assert recording.keypoint_set == kind
+        assert any(f"{kind} (by the lengths of bones)" in n for n in recording.notes)
+    other = written(tmp_path / "stated", "openpose", stated="BODY_25", keypoint_set="BODY_25B")[0]
+    with pytest.raises(InputError, match=r"view.*the bones do not fit BODY_25 but BODY_25B; correct keypoint_set|View"):
+        load_recording(other)
+
+
+def test_coco_in_25_slots(tmp_path):
+    points = np.zeros((len(RIG), FRAMES, 25, 3))
+    points[:, :, :17] = detections("COCO_17", RIG, FRAMES)
+    recording, found = loaded(written(tmp_path, "easymocap", points)[0])
+    assert recording.keypoint_set == "BODY_25B"  # whose first 17 are COCO's
+    assert (found[..., :17, 2] > 0).any() and not found[..., 17:, 2].any()
+
+
+def test_every_set_fits_itself_alone():
+    for kind in KEYPOINT_SETS:
+        points = detections(kind, RIG, 12).reshape(-1, len(keypoint_names(kind)), 3)
+        assert bone_excess(points, kind) < 0.1, kind
+        for other, names in KEYPOINT_SETS.items():
+            if other != kind and len(names) == points.shape[1]:
+                assert bone_excess(points, other) > 0.4, (kind, other)
+
+
+def test_scores_beyond_one_are_scaled(tmp_path):
+    points = detections("HALPE_26", RIG, FRAMES)
+    points[..., 2] *= 6
+    recording, found = loaded(written(tmp_path, "alphapose", points)[0])
+    assert 0.9 < found[..., 2].max() <= 1
+    assert any("scores divided by" in n and "since they exceed 1" in n for n in recording.notes)
+
+
+def test_shares_of_the_picture_are_seen(tmp_path):
+    points = detections("COCO_17", RIG, FRAMES)
+    shares = points.copy()
+    sizes = RIG.sizes[:, None, None]
+    shares[..., :2] = np.where(points[..., 2:] > 0, (points[..., :2] + 0.5) / sizes, 0)
+    recording, found = loaded(written(tmp_path, "mmpose-predictions", shares)[0])
+    want = RIG[0].undistort_points(points[0, :, 5, :2])
+    assert np.allclose(found[0, :, 5, :2], want, atol=1e-6)
+    assert any("shares of the picture" in n for n in recording.notes)
+
+
+# ---- misread or damaged: one sentence, and never another meaning ---------------------------------------------------
+
+
+def flipped(points):
+    out = points.copy()
+    out[..., 1] = np.where(points[..., 2] > 0, RIG.sizes[:, None, None, 1] - 1 - points[..., 1], 0)
+    return out
+
+
+def scaled(factor):
+    def change(points):
+        out = points.copy()
+        out[..., :2] = np.where(points[..., 2:] > 0, (points[..., :2] + 0.5) * factor - 0.5, 0)
+        return out
+
+    return change
+
+
+def one_view(change):
+    def only(points):
+        out = points.copy()
+        out[2] = change(points)[2]
+        return out
+
+    return only
+
+
+def exchanged(points):
+    names = keypoint_names("COCO_17")
+    other = [names.index(n.replace("left", "#").replace("right", "left").replace("#", "right")) for n in names]
+    return points[:, :, other]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (flipped, r"y counts upwards"),
+        (scaled(0.5), r"they are of pictures 0\.5 times the calibrated size"),
+        (scaled(1 / 3), r"they are of pictures 0\.333 times the calibrated size"),
+        (
+            scaled(2),
+            r"they reach \(\d+, \d+\) px, the pictures are|of pictures 2 times the calibrated size",
+        ),
+        (one_view(flipped), r"in view .* y counts upwards"),
+        (one_view(scaled(0.5)), r"in view .* they are of pictures 0\.5 times"),
+        (exchanged, r"the person is mirrored"),
+        (lambda p: p[..., [1, 0, 2]], r"x and y are exchanged|they reach"),
+    ],
+)
+def test_misread_positions_are_refused(tmp_path, change, message):
+    points = change(detections("COCO_17", RIG, FRAMES))
+    folder, _ = written(tmp_path, "mmpose-predictions", points)
+    with pytest.raises(InputError, match=message) as caught:
+        load_recording(folder)
+    assert "\n" not in str(caught.value) and str(caught.value).endswith(".")
+
+
+def test_another_order_of_points_is_refused(tmp_path):
+    order = np.random.default_rng(3).permutation(17)
+    folder, _ = written(tmp_path, "coco-results", detections("COCO_17", RIG, FRAMES)[:, :, order])
+    with pytest.raises(InputError, match=r"as COCO_17 their bones have impossible lengths, so their order is another"):
+        load_recording(folder)
+
+
+def test_halpe_for_coco_is_refused(tmp_path):
+    folder, _ = written(tmp_path, "rtmlib", stated="COCO_17")
+    with pytest.raises(InputError, match=r"there are 26 points per person, COCO_17 has 17; 26 points are those of"):
+        load_recording(folder)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.json", "{", r"a\.json is not JSON \(.*\); export it from the detector again"),
+        ("a.json", "[]", r"shows? nobody|nobody"),
+        ("a.json", '{"people": []}', r"holds the people of one frame; name the folder"),
+        ("a.json", '{"x": 1}', r"is not a key-point file of MMPose, COCO or AlphaPose"),
+        ("a.json", '[{"frame_id": -1, "instances": []}]', r"frame_id is '-1', a whole number is needed"),
+        ("a.json", '[{"frame_id": 0, "instances": [{}]}]', r"frame 0: a person has no keypoints"),
+        ("a.json", '[{"frame_id": 0, "instances": [{"keypoints": [[1]]}]}]', r"points x 2 is needed"),
+        ("a.json", '[{"frame_id": 0, "instances": [{"keypoints": [["a", 1]]}]}]', r"key points must be numbers"),
+        ("a.json", '[{"image_id": "x.jpg", "keypoints": [1, 2, 3]}]', r"image_id 'x\.jpg' has no frame number"),
+        ("a.json", '[{"image_id": 1, "keypoints": [1, 2]}]', r"a list of x, y, score for each point"),
+        ("a.json", '[{"image_id": 1, "keypoints": [1e999, 2, 1]}]', r"infinite|finite"),
+        ("a.csv", "frame,x,y\n1,2,3\n", r"is not a CSV of key points of DeepLabCut, SLEAP or Caliscope"),
+        ("a.csv", "scorer,m\n0,1\n", r"the lines bodyparts and coords are missing"),
+        ("a.csv", "scorer,m\nbodyparts,nose\ncoords,x\n0,1\n", r"nose lacks x, y or likelihood"),
+        ("a.csv", "sync_index,port\n1,2\n", r"is not Caliscope's xy table"),
+        ("a.csv", "sync_index,port,point_id,img_loc_x,img_loc_y\n1,2,q,1,1\n", r"row 2: it is cut off or holds text"),
+        ("a.csv", "track,frame_idx,nose.x\n", r"is not SLEAP's analysis CSV"),
+        ("a.npy", "hello", r"is no array of numpy"),
+        ("a.txt", "hello", r"is no file of key points that is known; give a folder of OpenPose"),
+    ],
+)  # fmt: skip
+def test_damaged_files(tmp_path, name, text, message):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match=message) as caught:
+        tables = read_keypoints(tmp_path / name)
+        if not any(len(t.people) for t in tables.values()):
+            raise InputError("nobody.")
+    assert "\n" not in str(caught.value) and str(caught.value).endswith(".")
+
+
+def test_hostile_arrays(tmp_path):
+    """A header that promises more than the file holds costs nothing, and pickles are not opened."""
+    header = {"descr": "<f8", "fortran_order": False, "shape": (4, 10**6, 33, 2)}
+    with (tmp_path / "a.npy").open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, header)
+        file.write(b"\0" * 64)
+    np.save(tmp_path / "b.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    np.save(tmp_path / "c.npy", np.zeros((3, 4)))
+    for name in "abc":
+        with pytest.raises(InputError, match=r"is no array of numpy|has the shape"):
+            read_keypoints(tmp_path / f"{name}.npy")
+
+
+def test_without_h5py_one_sentence(tmp_path, monkeypatch):
+    import importlib
+
+    def absent(name):
+        raise ImportError(name)
+
+    (tmp_path / "a.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
+    monkeypatch.setattr(importlib, "import_module", absent)
+    with pytest.raises(InputError, match=r"need h5py, which is not installed; run: pip install hypose\[h5\]\."):
+        read_keypoints(tmp_path / "a.h5")
+
+
+def test_cameras_of_one_file_are_found_by_name(tmp_path):
+    points = detections("BLAZEPOSE_33", RIG, FRAMES)
+    paths = write_keypoints("caliscope", tmp_path / "points", points, RIG, "BLAZEPOSE_33")
+    found, _ = keypoints_of_views(paths[:2], ["cam_3", "cam_0"], ["a", "b"])
+    for view, camera in zip(found, (3, 0), strict=True):
+        assert np.array_equal(view.frame(4, (640, 480))[0, :, :2], points[camera, 4, :, :2])
+    with pytest.raises(InputError, match=r"has the cameras 0, 1, 2, 3, and their names do not tell .* left, right"):
+        keypoints_of_views(paths[:2], ["left", "right"], ["a", "b"])
+
+
+def test_names_of_other_programs():
+    for theirs, ours in (
+        ("LBigToe", "left_big_toe"),
+        ("Left Foot Index", "left_big_toe"),
+        ("r_hip", "right_hip"),
+        ("hip_r", "right_hip"),
+        ("rightKnee", "right_knee"),
+        ("lshoulder", "left_shoulder"),
+        ("Hip", "mid_hip"),
+        ("head", "head_top"),
+        ("left_eye_inner", "left_eye_inner"),
+        ("mouth_left", "left_mouth"),
+    ):
+        assert common_name(theirs) == ours
+
+
+def test_two_models_are_refused(tmp_path):
+    a = write_keypoints("coco-results", tmp_path / "a", detections("COCO_17", RIG, FRAMES), RIG, "COCO_17")
+    b = write_keypoints("alphapose", tmp_path / "b", detections("HALPE_26", RIG, FRAMES), RIG, "HALPE_26")
+    with pytest.raises(InputError, match=r"different sets of key points \(.*COCO_17.*HALPE_26.*\); detect all"):
+        keypoints_of_views([a[0], b[1]], RIG.names[:2], RIG.names[:2])
+    mixed = json.loads(a[0].read_text())
+    mixed[3]["keypoints"] = mixed[3]["keypoints"][:30]
+    a[0].write_text(json.dumps(mixed))
+    with pytest.raises(InputError, match=r"people have 10, 17 key points; export those of one model"):
+        read_keypoints(a[0])

@@ -1,0 +1,219 @@
+"""Results against other motions: what was done to a motion is found again, and its figures are those of plain numpy."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.robustness.keypoint_layouts import walker
+from hypose.app.cli import main
+from hypose.body.joint_angles import joint_angles
+from hypose.body.motion import Motion, isotropic
+from hypose.body.ready_bodies import human
+from hypose.errors import InputError
+from hypose.geometry import se3, so3_exp, transform
+from hypose.io.motions.bodies import save_body
+from hypose.io.motions.c3d import write_c3d
+from hypose.io.motions.compared_files import OtherMotion, read_other
+from hypose.io.motions.opensim import read_mot, write_mot
+from hypose.io.motions.results import save_motion
+from hypose.io.motions.trc import read_trc, write_trc
+from hypose.pipeline.comparison import CompareOptions, compare_motions, resampled
+
+NAMES = ("left_hip", "left_knee", "left_ankle", "right_knee", "left_elbow", "right_wrist")
+
+
+def motion(frames=150, sd=0.01, lost=()):
+    body, poses = human(), walker(frames)
+    joints = body.joints(poses)
+    flags = np.isin(np.arange(frames), lost)
+    none = np.zeros(frames, bool)
+    return Motion(body.skeleton, np.arange(frames) / 25, joints, poses, isotropic(np.full(joints.shape[:2], sd)), flags,
+                  none, np.full(frames, 4), np.full(frames, 0.1))  # fmt: skip
+
+
+def test_place_time_and_offsets_are_found(tmp_path, rng):
+    """The same movement at 100/s, begun 0.61 s earlier, in another world, with other ideas of hip and knee."""
+    ours = motion()
+    fine = np.interp
+    index = [ours.skeleton.joint(n) for n in NAMES]
+    at = np.arange(0, ours.times[-1] - 0.5, 0.01)
+    points = np.stack([[fine(at, ours.times, ours.joints[:, j, a]) for a in range(3)] for j in index]).transpose(
+        2, 0, 1
+    )
+    points = points + 0.004 * rng.standard_normal(points.shape)
+    world = se3(so3_exp([0.3, -0.2, 2.0]), [4.0, -1.0, 0.3])
+    other = OtherMotion(tmp_path, at + 0.61, {n: transform(world, points[:, i]) for i, n in enumerate(NAMES)})
+    found = compare_motions(ours, other)
+    assert found.offset == pytest.approx(-0.61, abs=0.004)
+    assert np.allclose(found.ours_from_other @ world, np.eye(4), atol=0.004)
+    assert [a.name for a in found.joints] == list(ours.skeleton.joint_names[j] for j in sorted(index))
+    for a in found.joints:
+        assert a.rmse == pytest.approx(0.004 * np.sqrt(3) * 1000, rel=0.15) and a.offset < 1.5
+        assert min(a.r) > 0.9 or a.unit != "mm"
+
+
+def test_offsets_turn_with_the_body(tmp_path):
+    """A knee that is marked 3 cm outside is a constant, not an error, however the thigh turns."""
+    ours = motion()
+    rotations, _ = ours.skeleton.forward(ours.poses)
+    thigh = rotations[:, ours.skeleton.joint("left_hip")]
+    points = {n: ours.joints[:, ours.skeleton.joint(n)] for n in NAMES}
+    points["left_knee"] = points["left_knee"] + np.einsum("tab,b->ta", thigh, [0.03, 0.0, 0.01])
+    found = compare_motions(ours, OtherMotion(tmp_path, ours.times, points), CompareOptions(0.0, align=False))
+    by_name = {a.name: a for a in found.joints}
+    knee = by_name["left_knee"]
+    assert knee.rmse == pytest.approx(1000 * np.hypot(0.03, 0.01), rel=1e-9) and knee.rmse_left < 1e-9
+    assert knee.offset == pytest.approx(knee.rmse) and by_name["left_hip"].rmse < 1e-9
+    assert knee.covered[1] == 1.0
+
+
+def test_figures_are_those_of_an_independent_script(tmp_path, rng):
+    ours = motion(lost=(3, 4, 5))
+    noise = {n: rng.normal(0, [0.004, 0.008, 0.012], (len(ours), 3)) for n in NAMES}
+    points = {n: ours.joints[:, ours.skeleton.joint(n)] + d for n, d in noise.items()}
+    points["left_hip"][20:30] = np.nan
+    found = compare_motions(ours, OtherMotion(tmp_path, ours.times, points), CompareOptions(0.0, align=False))
+    for a in found.joints:
+        rows = np.ones(len(ours), bool)
+        rows[3:6] = False
+        if a.name == "left_hip":
+            rows[20:30] = False
+        d = 1000 * noise[a.name][rows]
+        distance = np.sqrt(d[:, 0] ** 2 + d[:, 1] ** 2 + d[:, 2] ** 2)
+        assert a.n == rows.sum()
+        assert abs(a.median - np.sort(distance)[[(len(d) - 1) // 2, len(d) // 2]].mean()) < 0.01
+        assert abs(a.p95 - np.quantile(distance, 0.95)) < 0.01
+        assert abs(a.rmse - (distance @ distance / len(d)) ** 0.5) < 0.01
+        assert np.allclose(a.bias, d.sum(0) / len(d), atol=0.01)
+        assert np.allclose(a.high - a.low, 2 * 1.96 * np.sqrt(((d - d.mean(0)) ** 2).sum(0) / (len(d) - 1)), atol=0.01)
+        mine = ours.joints[rows, ours.skeleton.joint(a.name)]
+        wanted = [np.corrcoef(mine[:, k], points[a.name][rows, k])[0, 1] for k in range(3)]
+        assert np.allclose(a.r, wanted, atol=1e-9)
+
+
+def test_coverage_of_regions_that_are_right(tmp_path, rng):
+    ours = motion(frames=600, sd=0.01)
+    points = {n: ours.joints[:, ours.skeleton.joint(n)] + rng.normal(0, 0.01, (600, 3)) for n in NAMES}
+    found = compare_motions(ours, OtherMotion(tmp_path, ours.times, points), CompareOptions(0.0, align=False))
+    for level, wanted in enumerate((0.5, 0.9, 0.95)):
+        assert np.mean([a.covered[level] for a in found.joints]) == pytest.approx(wanted, abs=0.02)
+
+
+def test_angles_of_opensim(tmp_path, rng):
+    ours = motion()
+    names, values = joint_angles(ours.skeleton, ours.poses)
+    noisy = values + np.radians(2) * rng.standard_normal(values.shape)
+    noisy[:, names.index("knee_angle_r")] += np.radians(10)
+    write_mot(tmp_path / "a.mot", names, noisy, ours.times)
+    times, read, back = read_mot(tmp_path / "a.mot")
+    assert read == names and np.allclose(back, noisy, atol=1e-9) and np.allclose(times, ours.times)
+    found = compare_motions(ours, read_other(tmp_path / "a.mot"), CompareOptions(0.0))
+    by_name = {a.name: a for a in found.angles}
+    knee, hip = by_name["knee_angle_r"], by_name["hip_flexion_l"]
+    assert knee.offset == pytest.approx(10, abs=0.6) and knee.rmse_left == pytest.approx(2, rel=0.2)
+    assert knee.rmse == pytest.approx(np.hypot(10, 2), rel=0.1)
+    assert hip.offset < 0.6 and hip.rmse == pytest.approx(2, rel=0.2) and hip.r[0] > 0.9
+    assert by_name["pelvis_tx"].unit == "mm"
+
+
+def test_marker_files_of_labs(tmp_path):
+    """Joint centres by their usual names, pairs of markers, and the middle of markers that the user names."""
+    ours = motion(40)
+    j = {n: ours.joints[:, i] for i, n in enumerate(ours.skeleton.joint_names)}
+    names = ("RHip", "LHJC", "r_knee_study", "r_mknee_study", "LKNE", "LKNM", "C7")
+    side = np.array([0.05, 0, 0])
+    points = (j["right_hip"], j["left_hip"], j["right_knee"] + side, j["right_knee"] - side, j["left_knee"] + side,
+              j["left_knee"] - side, j["neck"])  # fmt: skip
+    write_trc(tmp_path / "a.trc", names, np.stack(points, 1), 25)
+    write_c3d(tmp_path / "a.c3d", names, np.stack(points, 1), 25)
+    for name in ("a.trc", "a.c3d"):
+        other = read_other(tmp_path / name, {"left_knee": ("LKNE", "LKNM")})
+        assert set(other.points) == {"right_hip", "left_hip", "right_knee", "left_knee"}
+        assert np.abs(other.points["right_knee"] - j["right_knee"]).max() < 1e-5
+        assert np.abs(other.points["left_knee"] - j["left_knee"]).max() < 1e-5
+    with pytest.raises(InputError, match=r"has no marker 'XX'; it has RHip, LHJC"):
+        read_other(tmp_path / "a.trc", {"left_knee": ("XX",)})
+    write_trc(tmp_path / "b.trc", ("a1", "a2"), np.stack(points[:2], 1), 25)
+    with pytest.raises(
+        InputError, match=r"None of the points of .*b\.trc is called like a joint \(a1, a2\); say which"
+    ):
+        read_other(tmp_path / "b.trc")
+
+
+def test_resampling_bridges_no_gaps():
+    times = np.array([0.0, 0.1, 0.2, 0.3, 1.0])
+    points = np.array([[0.0], [1.0], [np.nan], [3.0], [10.0]])
+    found = resampled(times, points, np.array([-0.1, 0.05, 0.1, 0.15, 0.2, 0.3, 0.6, 1.0, 1.2]))
+    assert np.allclose(found[[1, 2, 5, 7], 0], [0.5, 1.0, 3.0, 10.0])
+    assert np.isnan(found[[0, 3, 4, 6, 8], 0]).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x\n", r"is not an OpenSim motion file: its header has no endheader"),
+        ("a\nendheader\ntime\n", r"must name time and the coordinates"),
+        ("a\nendheader\ntime a\n0 1\n0 2\n", r"times that do not increase"),
+        ("a\nendheader\ntime a\n0 1 2\n", r"line 4 has 3 numbers, 2 are needed"),
+        ("a\nendheader\ntime a\n0 x\n", r"line 4 holds something that is not a number"),
+    ],
+)
+def test_bad_mot(tmp_path, text, message):
+    (tmp_path / "a.mot").write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_mot(tmp_path / "a.mot")
+
+
+def run(*arguments):
+    with pytest.raises(SystemExit) as caught:
+        main([str(a) for a in arguments])
+    return caught.value.code or 0
+
+
+def test_the_command(tmp_path, capsys):
+    ours = motion(60)
+    (tmp_path / "r").mkdir()
+    save_motion(ours, tmp_path / "r" / "motion.npz")
+    save_body(human(), tmp_path / "r" / "body.npz")
+    moved = ours.joints + 0.02 * np.sin(9 * ours.times)[:, None, None]
+    write_trc(tmp_path / "m.trc", ours.skeleton.joint_names, moved, 25)
+    save_motion(replace(ours, joints=moved), tmp_path / "other.npz")
+    assert run("compare", tmp_path / "r", tmp_path / "m.trc", tmp_path / "r", tmp_path / "other.npz", "--no-align") == 0
+    said = capsys.readouterr().out
+    assert "joints, offsets aside: median" in said and "compare.html" in said
+    page = (tmp_path / "r" / "compare.html").read_text()
+    assert "m.trc" in page and "other.npz" in page and "http" not in page.replace("http://www.w3.org", "")
+    table = (tmp_path / "r" / "compare.csv").read_text().splitlines()
+    assert table[0].startswith("result,other,name,unit,frames,median,p95,rmse,offset")
+    assert any(",left_knee,mm,60," in row for row in table) and any(",knee_angle_l,deg,60," in row for row in table)
+    assert run("compare", tmp_path / "r", tmp_path / "m.trc", "--no-align", "--offset", 0, "--max-mm", 5) == 1
+    assert "RMSE is" in capsys.readouterr().out
+    assert run("compare", tmp_path / "r", tmp_path / "m.trc", "--no-align", "--offset", 0, "--max-mm", 50) == 0
+    assert run("compare", tmp_path / "r") == 2
+    assert "one of the files has no partner" in capsys.readouterr().err
+    assert run("compare", tmp_path / "r", tmp_path / "m.trc", "--joint", "knee=A") == 2
+    assert "--joint 'knee=A' is not understood" in capsys.readouterr().err
+
+
+def test_balancing_against_plain_numpy(shared_data, tmp_path):
+    """A triangulation of others against ours, by the command's job and by a script that shares nothing with it."""
+    folder = shared_data("pose2sim_balancing")
+    trc = sorted((folder / "pose-3d").glob("*0-100.trc"))
+    if not trc:
+        pytest.skip("the stand-in has no results of Pose2Sim")
+    markers = read_trc(trc[0])
+    ours = motion(len(markers.points))
+    column = {"right_knee": "RKnee", "left_ankle": "LAnkle", "right_shoulder": "RShoulder", "left_wrist": "LWrist"}
+    other = read_other(trc[0])
+    shifted = replace(ours, joints=np.array(ours.joints), times=np.arange(len(ours)) / 60, poses=None)
+    wave = 0.03 * np.sin(np.arange(len(ours)) / 7)[:, None]
+    for joint, name in column.items():
+        shifted.joints[:, ours.skeleton.joint(joint)] = markers.points[:, markers.names.index(name)] + wave + 0.02
+    found = {a.name: a for a in compare_motions(shifted, other, CompareOptions(0.0, align=False)).joints}
+    for joint in column:
+        d = 1000 * np.sqrt(3) * np.abs(wave[:, 0] + 0.02)
+        left = 1000 * np.sqrt(3) * np.abs(wave[:, 0] - np.median(wave))
+        assert abs(found[joint].rmse - np.sqrt(np.mean(d**2))) < 0.01
+        assert abs(found[joint].p95 - np.percentile(d, 95)) < 0.01
+        assert abs(found[joint].median_left - np.median(left)) < 0.01

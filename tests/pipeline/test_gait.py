@@ -1,0 +1,110 @@
+"""Gait of a walk whose steps are known, its files, and what nobody walks in."""
+
+import ezc3d
+import numpy as np
+import pytest
+
+from hypose.app.cli import main
+from hypose.body.motion import Motion, isotropic
+from hypose.body.ready_bodies import human
+from hypose.errors import InputError
+from hypose.io.motions.bodies import save_body
+from hypose.io.motions.results import save_motion
+from hypose.pipeline.gait_events import gait_of
+
+RATE, SPEED, CADENCE = 60.0, 1.2, 1.8  # Hz, m/s, steps/s
+
+
+def walking(seconds=4.0, turn=0.0, noise=0.0, sd=0.008, still=False):
+    """The default body walks along its facing direction; joint centres with an error that moves slowly."""
+    body = human()
+    skeleton = body.skeleton
+    t = np.arange(round(seconds * RATE)) / RATE
+    phase, swing = np.pi * CADENCE * t, 0.0 if still else 1.0
+    moves = {
+        "pelvis_tz": 0.93 + 0.02 * np.cos(2 * phase),
+        "pelvis_tx": swing * SPEED * t * np.sin(turn),
+        "pelvis_ty": -swing * SPEED * t * np.cos(turn),
+        "pelvis_rz": np.full(len(t), turn),
+        "left_hip_rx": -0.42 * swing * np.sin(phase),
+        "right_hip_rx": 0.42 * swing * np.sin(phase),
+        "left_knee_flexion": 0.35 - 0.3 * swing * np.cos(phase + 0.4),
+        "right_knee_flexion": 0.35 + 0.3 * swing * np.cos(phase + 0.4),
+    }
+    poses = np.zeros((len(t), skeleton.dof))
+    for name, values in moves.items():
+        poses[:, skeleton.dof_names.index(name)] = values
+    joints, none = body.joints(poses), np.zeros(len(t), bool)
+    sds = isotropic(np.full(joints.shape[:2], sd))
+    return Motion(skeleton, t, joints, poses, sds, none, none, np.full(len(t), 4), np.full(len(t), 0.1)), body
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.8, 2.5, -2.0])
+def test_steps_of_a_walk_in_any_direction(turn):
+    gait = gait_of(*walking(turn=turn))
+    strikes = [e for e in gait.events if e.kind == "strike"]
+    assert [e.side for e in strikes[:-1]] != [e.side for e in strikes[1:]]
+    assert np.allclose(np.diff([e.time for e in strikes]), 1 / CADENCE, atol=0.6 / RATE)
+    figures = {f.name: f for f in gait.figures}
+    assert figures["cadence"].mean == pytest.approx(60 * CADENCE, rel=0.01)
+    assert figures["speed"].mean == pytest.approx(SPEED, rel=0.03)
+    assert figures["step_length_left"].mean == pytest.approx(figures["step_length_right"].mean, abs=0.005)
+    assert all(s.length > 0.4 and s.width < 0.45 for s in gait.steps)
+    assert all(f.low < f.mean < f.high for f in gait.figures)
+
+
+def test_strike_is_where_the_heel_is_farthest_in_front():
+    """The left thigh swings as -sin: it is foremost a quarter of a stride after the right one was."""
+    motion, body = walking()
+    heel = body.landmark_points(motion.poses)[:, body.landmarks.index("left_heel")]
+    front = -(heel - motion.joints[:, 0])[:, 1]
+    for event in gait_of(motion, body).events:
+        if (event.side, event.kind) == ("left", "strike"):
+            k = round(event.time * RATE)
+            around = front[max(0, k - 12) : k + 13]
+            assert abs(int(np.argmax(around)) - min(12, k)) <= 1
+
+
+def test_frames_that_are_not_known_give_no_events():
+    motion, body = walking()
+    whole = gait_of(motion, body)
+    third = [e for e in whole.events if e.kind == "strike"][2]
+    motion.lost[round(third.time * RATE)] = True
+    left = gait_of(motion, body)
+    assert not any(e.kind == "strike" and abs(e.time - third.time) < 0.1 for e in left.events)
+    assert len(left.events) < len(whole.events)
+
+
+def test_uncertain_feet_give_wide_intervals():
+    sure, unsure = (gait_of(*walking(sd=sd)) for sd in (0.004, 0.04))
+    assert unsure.steps[0].length_sd > 2 * sure.steps[0].length_sd
+    assert unsure.events[0].sd > 3 * sure.events[0].sd
+
+
+def test_nobody_walks():
+    gait = gait_of(*walking(still=True))
+    assert gait.events == () and gait.steps == () and gait.figures == ()
+    motion, body = walking()
+    with pytest.raises(InputError, match="gait needs poses"):
+        gait_of(Motion(**{**motion.__dict__, "poses": None}), body)
+
+
+def test_the_command_and_its_files(tmp_path, capsys):
+    motion, body = walking()
+    save_motion(motion, tmp_path / "motion.npz")
+    save_body(body, tmp_path / "body.npz")
+    with pytest.raises(SystemExit) as caught:
+        main(["gait", str(tmp_path)])
+    assert not caught.value.code
+    said = capsys.readouterr().out
+    assert "foot strikes" in said and "cadence: 10" in said
+    events = (tmp_path / "events.csv").read_text().splitlines()
+    gait = gait_of(motion, body)
+    assert events[0] == "time_s,sd_s,side,event,x_m,y_m,z_m,frame" and len(events) == len(gait.events) + 1
+    assert len((tmp_path / "steps.csv").read_text().splitlines()) == len(gait.steps) + 1
+    assert "cadence,steps/min," in (tmp_path / "gait.csv").read_text()
+    marks = ezc3d.c3d(str(tmp_path / "gait.c3d"))["parameters"]["EVENT"]
+    assert marks["USED"]["value"][0] == len(gait.events)
+    assert marks["LABELS"]["value"] == ["Foot Strike" if e.kind == "strike" else "Foot Off" for e in gait.events]
+    assert marks["CONTEXTS"]["value"] == [e.side.capitalize() for e in gait.events]
+    assert np.allclose(np.array(marks["TIMES"]["value"])[1], [e.time for e in gait.events], atol=1e-4)
