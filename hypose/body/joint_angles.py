@@ -87,13 +87,18 @@ def joint_angles(skeleton: Skeleton, poses: ArrayLike) -> tuple[tuple[str, ...],
     values = np.full((len(q), len(ANGLE_NAMES)), np.nan)
     good = np.isfinite(q).all(1)
     if good.any():
-        columns = _columns(skeleton, q[good])
-        values[good] = np.stack([columns[name] for name in ANGLE_NAMES], axis=1)
+        values[good] = angles_of_frames(skeleton, *skeleton.forward(q[good]))
     return ANGLE_NAMES, values
 
 
-def _columns(skeleton: Skeleton, q: Array) -> dict[str, Array]:
-    world_from_joint, centres = skeleton.forward(q)
+def angles_of_frames(skeleton: Skeleton, world_from_joint: Array, centres: Array) -> Array:
+    """(T, A) as `joint_angles` gives them, of joints' frames (T, J, 3, 3), identity in the skeleton's rest pose, and
+    centres (T, J, 3) m."""
+    columns = _columns(skeleton, world_from_joint, centres)
+    return np.stack([columns[name] for name in ANGLE_NAMES], axis=1)
+
+
+def _columns(skeleton: Skeleton, world_from_joint: Array, centres: Array) -> dict[str, Array]:
     neutral = neutral_frames(skeleton)
     out: dict[str, Array] = {}
 
@@ -106,7 +111,9 @@ def _columns(skeleton: Skeleton, q: Array) -> dict[str, Array]:
         return BODY_AXES @ r @ BODY_AXES.T
 
     def hinge(name: str) -> Array:
-        return q[:, skeleton.dofs_of(name)[0]] + straight_offset(skeleton, name)
+        j = skeleton.joint(name)
+        r = np.swapaxes(world_from_joint[:, skeleton.parents[j]], -1, -2) @ world_from_joint[:, j]
+        return _turn_about(r, _hinge_axis(skeleton, name)) + straight_offset(skeleton, name)
 
     pelvis = GROUND_AXES @ anatomical("pelvis") @ BODY_AXES.T
     turn = continuous_euler_zxy(pelvis[:, None], prior_axis=1)[:, 0]
@@ -159,6 +166,14 @@ def straight_offset(skeleton: Skeleton, name: str) -> float:
         raise InputError(f"The joint {name!r} has no child, so its limb has no direction.")
     a, b = skeleton.rest_offsets[j], skeleton.rest_offsets[children[0]]
     return float(np.arctan2(axis @ np.cross(a, b), a @ b - (a @ axis) * (b @ axis)))
+
+
+def _turn_about(rotations: Array, axis: Array) -> Array:
+    """(T,) rad in (-pi, pi]: the turn about an axis (3,) that is nearest to rotations (T, 3, 3)."""
+    skew = np.stack([rotations[:, 2, 1] - rotations[:, 1, 2], rotations[:, 0, 2] - rotations[:, 2, 0]], -1)
+    skew = np.concatenate([skew, (rotations[:, 1, 0] - rotations[:, 0, 1])[:, None]], -1)
+    trace, along = np.trace(rotations, axis1=1, axis2=2), np.einsum("i,tij,j->t", axis, rotations, axis)
+    return np.arctan2(skew @ axis, trace - along)
 
 
 def _hinge_axis(skeleton: Skeleton, name: str) -> Array:

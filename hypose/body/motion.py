@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
 from hypose.geometry import Array
@@ -23,10 +24,14 @@ class Motion:
     unknown; in 32 bit, since long recordings have many frames. lost: (T,) the person was not found. extrapolated:
     (T,) no evidence, prediction only. n_views: (T,) number of views that carried evidence. cost: (T,) remaining
     cost of the method's own measure (NaN when none). provenance: recipe, versions, seed, inputs' hashes: plain JSON
-    values. doubtful: (T,) the evidence speaks against itself (pictures that repeat or jump, views that disagree),
-    or None: not looked at. rivals: (T, K, D) other poses that the evidence of a frame allows as well, best first, NaN
-    where there are fewer, and rival_weights: (T, K) what each of them has of the certainty, of which the pose has the
-    rest (0: there is none); both None when the method keeps none.
+    values. doubtful: (T,) the evidence speaks against itself (pictures that repeat or jump, views that disagree), or
+    against a joint, or None: not looked at. p_wrong: (T, J) probability that the joint is wrong by more than 100 mm,
+    and doubtful_joints: (T, J) where that is more than may be passed over, or None: not looked at. rivals: (T, K, D)
+    other poses that the evidence of a frame allows as well, best first, NaN where there are fewer, and rival_weights:
+    (T, K) what each of them has of the certainty, of which the pose has the rest (0: there is none); both None when
+    the method keeps none. angle_sd: (T, A) rad, of the joint angles (body.joint_angles; m for positions), None: not
+    known. definition_sd: (J,) m, how far the anatomical joint may lie from the body's, all along; part of the
+    covariance; None: not known.
     """
 
     skeleton: Skeleton
@@ -40,6 +45,10 @@ class Motion:
     cost: Array
     provenance: Mapping[str, Any] = field(default_factory=dict)
     doubtful: np.ndarray | None = None
+    p_wrong: NDArray[np.float32] | None = None
+    doubtful_joints: NDArray[np.bool_] | None = None
+    angle_sd: NDArray[np.float32] | None = None
+    definition_sd: NDArray[np.float32] | None = None
     rivals: NDArray[np.float32] | None = None
     rival_weights: NDArray[np.float32] | None = None
 
@@ -55,6 +64,14 @@ class Motion:
         }
         if self.doubtful is not None:
             expected["doubtful"] = (t,)
+        if self.p_wrong is not None:
+            expected["p_wrong"] = (t, j)
+        if self.doubtful_joints is not None:
+            expected["doubtful_joints"] = (t, j)
+        if self.angle_sd is not None:
+            expected["angle_sd"] = (t, len(ANGLE_NAMES))
+        if self.definition_sd is not None:
+            expected["definition_sd"] = (j,)
         if self.rivals is not None or self.rival_weights is not None:
             count = 0 if self.rival_weights is None else self.rival_weights.shape[-1]
             expected |= {"rivals": (t, count, self.skeleton.dof), "rival_weights": (t, count)}

@@ -114,7 +114,8 @@ def _gross(state: _State, observed: Observed, o: Limits) -> None:
             return
         names = tuple(state.rig.names[k] for k in trial.views)
         text = (
-            f"{' and '.join(names) if names else 'All cameras'}: {trial.words}; with that undone the views agree to "
+            f"{' and '.join(names) if 0 < len(names) < len(state.rig) else 'All cameras'}: {trial.words}; with that "
+            f"undone the views agree to "
             f"{100 * after:.1f} % of the person's size instead of {100 * before:.1f} %"
         )
         state.findings.append(Finding(trial.kind, names, text, trial.cure, before - after))

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Clip:
-    """What one view's file says: size (w, h) px of the stored images, frames/s, number of frames; None = unknown."""
+    """What one view's file says: size (w, h) px of the stored images, frames/s, number of frames; None = unknown.
+    accepted: the user has said that the images were only stretched (accept_scaled)."""
 
     size: tuple[int, int] | None = None
     frame_rate: float | None = None
     frames: int | None = None
+    accepted: bool = False
 
 
 @dataclass(frozen=True)

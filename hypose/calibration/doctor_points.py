@@ -125,6 +125,7 @@ def trials(
             words = "the videos belong to other cameras: their order is shifted by one"
             cure = 'give each view its camera = "..." in recording.toml'
             yield Trial("swapped", tuple(range(len(rig))), words, cure, rig, pixels[order])
+    yield from _all_views(rig, pixels, twin)
     inverse = CameraRig(tuple(replace(c, camera_from_world=se3_inverse(c.camera_from_world)) for c in rig))
     words = "the poses are those of the cameras in the world, not of the world in the cameras"
     yield Trial("inverted", (), words, "invert every camera's rotation and translation", inverse, pixels)
@@ -141,6 +142,27 @@ def trials(
                 cure = f"correct the distortion coefficients of {camera.name}, or calibrate its lens again"
                 words = f"its distortion coefficients are {words}"
                 yield Trial("distortion", (c,), words, cure, CameraRig(tuple(cameras)), pixels)
+
+
+def _all_views(rig: CameraRig, pixels: Array, twin: list[int]) -> Iterator[Trial]:
+    """The same done to all views at once."""
+    last = (rig.sizes - 1.0)[:, None, None]
+    for kind, words, turn, cure in (
+        ("mirrored", "all images are mirrored", (True, False), "mirror the videos back (ffmpeg -i IN -vf hflip OUT)"),
+        ("turned", "all images are upside down", (True, True), "turn the videos back (ffmpeg -vf hflip,vflip)"),
+        (
+            "flipped",
+            "the key points' y counts from the bottom of the images (or all videos are flipped)",
+            (False, True),
+            "write y as the image's height minus y",
+        ),
+    ):
+        points = pixels.copy()
+        points[..., :2] = np.where(turn, last - pixels[..., :2], pixels[..., :2])
+        points = np.where(pixels[..., 2:] > 0, points, 0.0)
+        # what is mirrored shows the other side; what only counts the other way has its names right
+        points = points[:, :, twin] if kind == "mirrored" else points
+        yield Trial(kind, tuple(range(len(rig))), words, cure, rig, points)
 
 
 def _with(

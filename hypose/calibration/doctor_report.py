@@ -11,6 +11,7 @@ from hypose.body.ready_bodies import human
 from hypose.calibration.doctor_extrinsics import Extrinsics
 from hypose.calibration.doctor_findings import Clip, Finding, Limits
 from hypose.calibration.doctor_masks import Alignment
+from hypose.calibration.doctor_person import wrong_set, wrong_way_up
 from hypose.calibration.doctor_points import undistorted
 from hypose.calibration.refine_camera import CameraChange
 from hypose.cameras.camera import CameraRig, triangulate
@@ -81,6 +82,9 @@ def clip_findings(rig: CameraRig, clips: Sequence[Clip], frame_rate: float) -> I
         fx, fy = w / cw, h / ch
         if abs(h / cw - 1) < 0.01 and abs(w / ch - 1) < 0.01:
             yield Finding("size", (camera.name,), text + " (turned by 90 degrees)", "turn the video back", 1.0)
+        elif clip.accepted:
+            words = f": stretched by {fx:.4f} x {fy:.4f}, as accepted"
+            yield Finding("size", (camera.name,), text + words, "nothing", abs(fx / fy - 1), fault=False)
         elif abs(fx / fy - 1) < 0.002:
             cure = 'nothing if the video was only scaled; key points detected in it need keypoint_pixels = "image"'
             yield Finding(
@@ -119,8 +123,14 @@ def person_findings(
     n = len(rig)
     points, _ = triangulate(rig, uv.reshape(n, -1, 2), np.where(confidence > 0.3, confidence, 0).reshape(n, -1))
     template = human()
+    world = points.reshape(*pixels.shape[1:3], 3)
+    other = wrong_set(world, names)
+    if other is not None:
+        yield other
+        return
+    yield from wrong_way_up(world, names, pixels, rig)
     try:
-        shape = shape_from_keypoints(template, points.reshape(*pixels.shape[1:3], 3), tuple(names))
+        shape = shape_from_keypoints(template, world, tuple(names))
     except (EvidenceError, ValueError):
         return
     found = float(shape.scale) * template.stature

@@ -24,6 +24,8 @@ from hypose.evidence.frame import Silhouettes
 from hypose.evidence.hull import visual_hull
 from hypose.geometry import Array, se3_inverse
 
+SCATTER = 0.08
+"""Share of the person's size by which tangent planes may disagree: tables and treadmills cut masks, too."""
 _JUDGED = 40  # frames on which poses are judged
 
 
@@ -60,6 +62,23 @@ def examine_silhouettes(
         findings += _poses(rig, small, tracks, size, silhouettes, late, o)
         findings += _unit(small, size, o)
     return findings, _reports(rig, residual, size * ratio), late
+
+
+def gross_silhouettes(rig: CameraRig, silhouettes: Sequence[Silhouettes | None], o: Limits) -> tuple[Finding, ...]:
+    """What a few frames (not in a row) tell: mirrored, turned and exchanged views, planes that never meet, and the
+    unit. rig: that of the silhouettes."""
+    tracks = mask_tracks(silhouettes)
+    size = _sizes(tracks)
+    findings: list[Finding] = []
+    if len(rig) < 2 or not (size > 0).any():
+        return ()
+    cured, tracks = _gross(rig, tracks, size, findings, o)
+    left = _score(cured, tracks, size)
+    if not findings and left > SCATTER:
+        text = f"All cameras: the silhouettes' tangent planes disagree by {100 * left:.0f} % of the person's size"
+        findings.append(Finding("scatter", (), text, "run hypose check, which looks for the cause", left))
+    findings += _unit(cured, size, o)
+    return tuple(findings)
 
 
 def _reports(rig: CameraRig, residual: Array, size: Array) -> tuple[ViewReport, ...]:

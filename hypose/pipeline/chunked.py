@@ -21,8 +21,9 @@ from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder
 from hypose.io.recordings.provenance import identity
 from hypose.pipeline.colour_detections import tracked_frames
-from hypose.pipeline.doubts import what_was_seen
+from hypose.pipeline.doubts import looked_at
 from hypose.pipeline.first_frame import Subject, first_start
+from hypose.pipeline.first_look import first_look, sentences
 from hypose.pipeline.join import join, seam_notes
 from hypose.pipeline.kept_findings import keep_subject, kept_subject
 from hypose.pipeline.run import TrackOptions, TrackResult, finish, subject_of, tracker_of
@@ -112,6 +113,8 @@ class ChunkRun:
 
     def whole(self, progress: Progress) -> TrackResult:
         """All chunks, those that are missing tracked one after the other, joined, smoothed, and written."""
+        o = self.options
+        faults = () if o.of_picture else sentences(first_look(self.source, o.looks_at, o.height))
         subject = self.subject(progress)
         chunks: list[Tracked] = []
         total, done = len(self.source), 0
@@ -127,12 +130,12 @@ class ChunkRun:
             last = None
             for frame in tracked_frames(self.source, frames, tracker.recipe.needs, subject):
                 state, estimate = tracker.step(state, frame)
-                yield state, replace(estimate, seen=what_was_seen(estimate, tracker.body, frame, last))
+                yield state, looked_at(tracker, estimate, frame, last)
                 last = frame
 
         joined, seams = join(subject.body, chunks, follow, done)
         joined = replace(joined, complete=chunks[-1].complete and done == total)
-        out = finish(self.source, subject, tracker, joined, self.options, self.results, self.record, progress)
+        out = finish(self.source, subject, tracker, joined, self.options, self.results, self.record, progress, faults)
         if out.complete:
             shutil.rmtree(self.results.path / FOLDER, ignore_errors=True)
         return replace(out, notes=(*out.notes, *seam_notes(seams)))

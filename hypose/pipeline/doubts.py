@@ -22,7 +22,8 @@ from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.pipeline.strangers import strangers_share
-from hypose.tracking.tracker import FrameEstimate
+from hypose.tracking.audit import audit_frame
+from hypose.tracking.tracker import FrameEstimate, Tracker
 
 JUMP, LEAST_JUMP, SUDDEN = 1.8, 0.12, 1.3
 """A mask jumps when it changes by more than this many times the usual within a second, by this much more, and by this
@@ -37,6 +38,23 @@ LESS = 0.06
 """After something doubtful tracking is not back while the mean overlap lies so far below that before it."""
 _STILL = 0.02
 _AFTER_S = 0.4
+
+
+def looked_at(tracker: Tracker, estimate: FrameEstimate, frame: Frame, last: Frame | None) -> FrameEstimate:
+    """The estimate of a frame with what was seen in it and its audit; last: the frame before."""
+    seen = what_was_seen(estimate, tracker.body, frame, last)
+    pictures = frame.silhouettes or frame.keypoints
+    if pictures is None or len(pictures.rig) == 1:  # one camera's other poses are told otherwise
+        return replace(estimate, seen=seen)
+    wanted = tracker.settings.evidence
+    own = replace(
+        frame,
+        silhouettes=frame.silhouettes if wanted != "keypoints" else None,
+        keypoints=frame.keypoints if wanted != "silhouettes" else None,
+    )
+    rivals = estimate.rivals, estimate.rival_weights
+    audit = audit_frame(tracker.body, estimate.pose, own, tracker.keypoints_on_body, rivals)
+    return replace(estimate, seen=seen, audit=audit)
 
 
 def what_was_seen(estimate: FrameEstimate, body: Body, frame: Frame, last: Frame | None) -> NDArray[np.float32]:

@@ -86,7 +86,7 @@ def observe(recording: Recording, most: int = 100, progress: Progress = _ignore)
                 progress("masks", i, len(stream))
                 silhouettes.append(stream.frame(i).silhouettes)
             progress("masks", len(stream), len(stream))
-    clips = tuple(_clip(v.source or v.masks) for v in recording.views)
+    clips = tuple(replace(_clip(v.source or v.masks), accepted=v.accept_scaled) for v in recording.views)
     return Observed(few.rig, points, names, silhouettes, clips, recording.frame_rate, recording.subject_height)
 
 

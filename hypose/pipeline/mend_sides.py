@@ -8,14 +8,14 @@ backwards in time, as long as that explains the evidence better than before; fra
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from hypose.body.body import Body
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.pipeline.doubts import in_words, runs, what_was_seen
+from hypose.pipeline.doubts import in_words, looked_at, runs
 from hypose.tracking.tracker import FrameEstimate, Tracker
 
 FrameRange = Callable[[range], Iterable[Frame]]
@@ -102,7 +102,7 @@ def _while_better(
     pace = _pace(tracker)
     for t, (frame, before) in zip(numbers, frames, strict=False):
         state, estimate = tracker.step(state, frame)
-        new.append(replace(estimate, seen=what_was_seen(estimate, tracker.body, frame, before)))
+        new.append(looked_at(tracker, estimate, frame, before))
         won += float(np.nan_to_num(old[t].cost - estimate.cost))
         if won > best:
             best, kept = won, len(new)

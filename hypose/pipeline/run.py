@@ -9,11 +9,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.motion import Modes, Motion
 from hypose.errors import HyposeError, InputError
 from hypose.evidence.frame import Frame
+from hypose.geometry import Array
 from hypose.inference.layer import Recipe
 from hypose.io.motions.modes import save_modes
 from hypose.io.motions.results import ResultsFolder, save_motion
@@ -23,13 +25,18 @@ from hypose.io.recordings.recording import Recording
 from hypose.pipeline.colour_detections import tracked_frames
 from hypose.pipeline.doubts import with_doubts
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
+from hypose.pipeline.first_look import first_look, sentences
 from hypose.pipeline.kept_findings import SUBJECT, keep_subject, kept_subject
 from hypose.pipeline.keypoint_track import track_keypoints
 from hypose.pipeline.mend_sides import mend_sides, sides_notes
 from hypose.pipeline.picture_start import picture_options, subject_in_picture
 from hypose.pipeline.pictures import depth_note, one_view
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
+from hypose.pipeline.verdict import Verdict, verdict_of
+from hypose.tracking.doubt import evidence_of, judged
+from hypose.tracking.fitted_spread import pose_covariance, with_fitted_angles, with_fitted_joints
 from hypose.tracking.frame_evidence import OwnEvidence
+from hypose.tracking.pose_covariance import unpacked
 from hypose.tracking.recipes import RECIPES, Preset, recipe
 from hypose.tracking.smooth_motion import Clip
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings, modes_of, motion_of
@@ -113,13 +120,23 @@ def check_views(recording: Recording, of_picture: bool = False) -> None:
 @dataclass(frozen=True)
 class TrackResult:
     """motion; the subject's body; complete: every frame was tracked; notes for the report; modes: the poses that each
-    frame allows, where the recipe tells them."""
+    frame allows, where the recipe tells them. one_by_one (T, D): the poses as each frame was tracked, audit (T, J, A):
+    what spoke for and against each joint (hypose.tracking.audit), None where that was not kept; faults: sentences on
+    what was found wrong before tracking."""
 
     motion: Motion
     body: Body
     complete: bool
     notes: tuple[str, ...]
     modes: Modes | None = None
+    one_by_one: Array | None = None
+    audit: NDArray[np.float32] | None = None
+    faults: tuple[str, ...] = ()
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the motion is to be trusted, in words."""
+        return verdict_of(self.motion, self.faults)
 
 
 def track_source(
@@ -149,17 +166,28 @@ def track_source(
     if total == 0:
         raise InputError("The recording has no frame to track; check the frame range and the videos.")
     key = identity(record or {})
+    report("look", 0, 1)
+    faults = () if options.of_picture else sentences(first_look(source, options.looks_at, options.height))
+    report("look", 1, 1)
     if subject is None:
-        subject = subject_of(source, frame_rate, options, body, results if resume else None, key, report)
+        try:
+            subject = subject_of(source, frame_rate, options, body, results if resume else None, key, report)
+        except HyposeError as error:
+            if not faults:
+                raise
+            raise type(error)(f"{' '.join(faults)} That may be why: {error}") from error
     keep = None
     if results is not None:  # before the motion, so that what is kept of an interrupted run can be looked at
         keep_subject(subject, results, key)
         keep = Keep(results.checkpoint, key, options.checkpoint_every, finished=True)
     tracker = tracker_of(subject, options, frame_rate, method, own)
     if options.whole_clip and method is None and not own:
-        solved = track_keypoints(source, frame_rate, subject, report)
+        solved, audit = track_keypoints(source, frame_rate, subject, report)
         motion = replace(solved.motion, provenance=record or {})
-        return _written(TrackResult(motion, subject.body, True, (*subject.notes, *solved.notes)), results)
+        notes = (*subject.notes, *solved.notes)
+        motion = _doubted(motion, subject.body, solved.one_by_one, audit, solved.covariance)
+        result = TrackResult(motion, subject.body, True, notes)
+        return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, faults=faults), results)
     before = tracked_before(results.checkpoint, key, total) if resume and results is not None else None
     begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
     done = track_frames(source, range(total), tracker, begin, subject, keep=keep, before=before, progress=report)
@@ -170,7 +198,7 @@ def track_source(
             f"{done.error} The {len(done.estimates)} frames before are kept in {results.path}; see --resume."
         ) from done.error
     try:
-        return finish(source, subject, tracker, done, options, results, record, report)
+        return finish(source, subject, tracker, done, options, results, record, report, faults)
     except KeyboardInterrupt:
         return _written(_tracked(subject, done.estimates, frame_rate, record), results)
 
@@ -207,8 +235,9 @@ def finish(
     results: ResultsFolder | None,
     record: Mapping[str, Any] | None,
     progress: Progress,
+    faults: tuple[str, ...] = (),
 ) -> TrackResult:
-    """The motion of what was tracked, stretches with exchanged sides mended, smoothed and written."""
+    """The motion of what was tracked, stretches with exchanged sides mended, smoothed, judged and written."""
     estimates, notes, recipe = done.estimates, subject.notes, tracker.recipe
 
     def again(frames: range) -> Iterator[Frame]:
@@ -227,7 +256,24 @@ def finish(
         notes = (*notes, *said)
     motion, doubts = with_doubts(motion, [e.seen for e in estimates])
     notes = (*notes, *doubts, *tracked.notes[len(subject.notes) :])
-    return _written(replace(tracked, motion=motion, complete=done.complete, notes=notes), results)
+    if tracked.modes is not None:  # one camera: its modes say what else may be
+        return _written(replace(tracked, motion=motion, complete=done.complete, notes=notes), results)
+    own, audit = np.stack([e.pose for e in estimates]), np.stack([e.audit for e in estimates])
+    information = np.stack([e.uncertainty.information for e in estimates])
+    covariance = pose_covariance(unpacked(information, subject.body.skeleton.dof))
+    motion = _doubted(motion, subject.body, own, audit, covariance)
+    out = TrackResult(motion, subject.body, done.complete, notes, None, own, audit, faults)
+    return _written(out, results)
+
+
+def _doubted(motion: Motion, body: Body, one_by_one: Array, audit: NDArray[np.float32], covariance: Array) -> Motion:
+    """The motion with the probability that a joint is wrong, what is doubtful for that, and standard deviations that
+    hold; covariance (T, D, D) of the poses."""
+    evidence = evidence_of(audit)
+    p, joints = judged(motion, body.joints(one_by_one), audit)  # by what the curvature says
+    motion = with_fitted_angles(with_fitted_joints(motion, evidence), covariance, evidence)
+    frames = joints.any(1) if motion.doubtful is None else motion.doubtful | joints.any(1)
+    return replace(motion, p_wrong=p, doubtful_joints=joints, doubtful=frames)
 
 
 def _written(result: TrackResult, results: ResultsFolder | None) -> TrackResult:

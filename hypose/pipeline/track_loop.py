@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from hypose.evidence.ahead import look_ahead
 from hypose.evidence.frame import Frame
 from hypose.io.motions.results import Checkpoint
 from hypose.pipeline.colour_detections import tracked_frames
-from hypose.pipeline.doubts import what_was_seen
+from hypose.pipeline.doubts import looked_at
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.pictures import FrameSource
 from hypose.tracking.tracker import (
@@ -94,7 +94,7 @@ def track_frames(
                 progress("track", done, total)
                 frame = next(coming)
                 state, estimate = tracker.step(state, frame)
-                estimates.append(replace(estimate, seen=what_was_seen(estimate, tracker.body, frame, last)))
+                estimates.append(looked_at(tracker, estimate, frame, last))
                 last = frame
                 # all frames are written every time, so ever fewer times: the work of an hour of film stays linear
                 if keep is not None and done + 1 - saved >= max(keep.every, saved // 20) and done + 1 < total:

@@ -8,6 +8,7 @@ looks at key points frame by frame.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,7 +109,7 @@ def track_keypoint_clip(
     def held(contacts: list[PointTerm | None]) -> Array:
         return _together(body, free, terms, frame_rate, settings, contacts)
 
-    return with_feet(body, motion, own, free, held, settings)
+    return replace(with_feet(body, motion, own, free, held, settings), one_by_one=first)
 
 
 def _one_by_one(

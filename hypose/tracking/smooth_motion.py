@@ -17,6 +17,7 @@ from hypose.evidence.frame import Frame
 from hypose.fitting import PointTerm
 from hypose.geometry import Array
 from hypose.tracking.contacts import FootMotion, contact_terms, find_contacts, foot_motion, soles_of
+from hypose.tracking.fitted_spread import pose_covariance
 from hypose.tracking.pose_covariance import unpacked
 from hypose.tracking.smoothing import ClipSettings, gap_covariance, smooth_poses
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
@@ -48,11 +49,14 @@ def smooth_clip(clip: Clip) -> tuple[Motion, tuple[str, ...]]:
 
 @dataclass(frozen=True)
 class Smoothed:
-    """motion; how feet moved over the contacts that were found, before and after; notes for the user."""
+    """motion; how feet moved over the contacts that were found, before and after; one_by_one: poses (T, D) of the
+    frames as they were tracked; covariance (T, D, D) of the poses by what each frame says; notes for the user."""
 
     motion: Motion
     feet_before: FootMotion
     feet: FootMotion
+    one_by_one: Array
+    covariance: Array
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -83,7 +87,9 @@ def smooth_motion(body: Body, motion: Motion, information: ArrayLike, settings: 
     known = ~(np.asarray(motion.lost) | np.asarray(motion.extrapolated))
     if len(motion) < 3 or known.sum() < 2:
         nothing = FootMotion(0.0, 0.0, 0.0)
-        return Smoothed(motion, nothing, nothing)
+        return Smoothed(
+            motion, nothing, nothing, motion.poses, pose_covariance(unpacked(information, body.skeleton.dof))
+        )
     own = unpacked(information, body.skeleton.dof) * known[:, None, None]
     given = motion.poses
 
@@ -114,7 +120,7 @@ def with_feet(
     around = (_carried(motion.joint_covariance, known) + spread).astype(np.float32)
     smoothed = replace(motion, poses=poses, joints=body.joints(poses), joint_covariance=around)
     before, after = (foot_motion(soles.positions(body, q), contacts, rate) for q in (motion.poses, poses))
-    return Smoothed(smoothed, before, after)
+    return Smoothed(smoothed, before, after, motion.poses, pose_covariance(own))
 
 
 def _carried(covariance: NDArray[np.float32], known: NDArray[np.bool_]) -> Array:

@@ -64,8 +64,9 @@ class FrameEstimate:
     """pose (D,), its uncertainty, cost: 1 - mean IoU (NaN without silhouettes), flags, number of views. overlap (C,):
     IoU of the body with each view's mask, NaN where that is not usable, empty when not looked at. exchanged: by
     how much a rival (the body with its sides exchanged) overlaps the masks better, NaN when not looked at.
-    seen (C, 3): what hypose.pipeline.doubts keeps of each view, (0, 3) when nothing. rivals (K, D), rival_weights
-    (K,): other poses that the evidence allows, as in `Motion`."""
+    seen (C, 3): what hypose.pipeline.doubts keeps of each view, (0, 3) when nothing; audit (J, A): what speaks for and
+    against each joint (hypose.tracking.audit), (0, 0) when not looked at. rivals (K, D), rival_weights (K,): other
+    poses that the evidence allows, as in `Motion`."""
 
     pose: Array
     uncertainty: PoseUncertainty
@@ -76,6 +77,7 @@ class FrameEstimate:
     overlap: Array = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
     exchanged: float = float("nan")
     seen: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
+    audit: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     rivals: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     rival_weights: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
 
@@ -408,6 +410,7 @@ def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray
         "views": np.array([e.n_views for e in estimates]),
         "exchanged": np.array([e.exchanged for e in estimates]),
         "seen": np.stack([e.seen for e in estimates]),
+        "audit": np.stack([e.audit for e in estimates]),
         "rivals": np.stack([e.rivals for e in estimates]),
         "rival_weights": np.stack([e.rival_weights for e in estimates]),
     }
@@ -427,10 +430,11 @@ def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimat
             int(views),
             exchanged=float(exchanged),
             seen=seen,
+            audit=audit,
             rivals=rivals,
             rival_weights=rival_weights,
         )
-        for allowed, pose, around, known, cost, flags, views, exchanged, seen, rivals, rival_weights in zip(
+        for allowed, pose, around, known, cost, flags, views, exchanged, seen, audit, rivals, rival_weights in zip(
             modes,
             arrays["poses"],
             arrays["joint_covariances"],
@@ -440,6 +444,7 @@ def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimat
             arrays["views"],
             arrays["exchanged"],
             arrays["seen"],
+            arrays["audit"],
             arrays["rivals"],
             arrays["rival_weights"],
             strict=True,

@@ -50,7 +50,8 @@ def one_camera(tiny, clicks, tracked, tmp_path_factory):
 
 
 def test_every_file_is_written(one_camera) -> None:
-    assert {p.name for p in one_camera.iterdir()} == set(DESCRIPTIONS)
+    several = {"verdict.json", "motion_sd.sto"}  # of several cameras only
+    assert {p.name for p in one_camera.iterdir()} == set(DESCRIPTIONS) - several
     with open_video(one_camera / "overlay.mp4") as video:
         assert len(video) == 8
 

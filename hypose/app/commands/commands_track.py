@@ -81,7 +81,10 @@ def track(
         number("With monocular: height of the floor in the world, in metres.", -100, 100, unit="metres"),
     ] = None,
 ) -> None:
-    """Track the person in a recording: poses with their uncertainty, motion files, overlay video, report."""
+    """Track the person in a recording: poses with their uncertainty, motion files, overlay video, report.
+
+    It ends with a verdict: good, look at some frames, or not to be trusted, and why; the last with exit code 3.
+    """
     set_threads(threads)
     from hypose.app.jobs.job import Job, choose_frames
     from hypose.io.motions.results import ResultsFolder
@@ -192,6 +195,7 @@ def _stopped(job: Job, arguments: list[str]) -> None:
 def report_outcome(job: Job, finished: tuple[Outcome, dict[str, float]]) -> None:
     """The closing lines."""
     from hypose.app.reports.summary import require_found, summarize
+    from hypose.pipeline.verdict import EXIT_UNTRUSTED, UNTRUSTED
 
     outcome, seconds = finished
     s = summarize(outcome.motion)
@@ -210,6 +214,10 @@ def report_outcome(job: Job, finished: tuple[Outcome, dict[str, float]]) -> None
     say(f"Results: {job.results.path}")
     say(f"Report:  {job.results.file('report.html')}")
     require_found(outcome.motion, job.recording.name, job.results.path)
+    if outcome.verdict is not None:
+        say(f"Verdict: {outcome.verdict.sentence}", "bold")
+        if outcome.verdict.word == UNTRUSTED:
+            raise typer.Exit(EXIT_UNTRUSTED)
 
 
 def split_names(text: str) -> tuple[str, ...]:

@@ -25,6 +25,7 @@ TITLES = {
     "background": "Background",
     "masks": "Silhouettes",
     "detect": "Key points",
+    "look": "First look",
     "subject": "Subject",
     "track": "Track",
     "sides": "Left and right",

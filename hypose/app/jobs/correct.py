@@ -119,6 +119,11 @@ def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any]) -> Motio
             nothing = np.full_like(before[row : row + len(new)], np.nan if name == "rivals" else 0)
             fits = after is not None and after.shape == nothing.shape
             series[name][row : row + len(new)] = after if fits else nothing
+    for name, unknown in (("p_wrong", np.nan), ("doubtful_joints", False), ("angle_sd", np.nan)):
+        before, after = getattr(old, name), getattr(new, name)
+        if before is not None:
+            series[name] = before.copy()
+            series[name][row : row + len(new)] = unknown if after is None else after
     if row:  # one branch of the root's rotation, so that nothing between the two parts turns around
         poses = series["poses"]
         for t in range(row, row + len(new)):

@@ -27,6 +27,7 @@ from hypose.io.motions.results import ResultsFolder, check_writable, load_motion
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.provenance import identity, provenance
 from hypose.io.recordings.recording import Recording
+from hypose.json_text import parse_json
 from hypose.pipeline.chunked import FOLDER as CHUNKS
 from hypose.pipeline.chunked import ChunkRun
 from hypose.pipeline.first_frame import SubjectOptions
@@ -35,7 +36,10 @@ from hypose.pipeline.picture_start import POINT_STARTS, clicks_of
 from hypose.pipeline.pictures import depth_note
 from hypose.pipeline.run import MODES, TrackOptions, TrackResult, check_views, frames_wanted, track_source
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
+from hypose.pipeline.verdict import Verdict
 from hypose.tracking.recipes import RECIPES, citation_of
+
+VERDICT = "verdict.json"
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,8 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came out. files: written paths in order; notes: for the user; truth: the comparison, if there was one."""
+    """What came out. files: written paths in order; notes: for the user; truth: the comparison, if there was one;
+    verdict: whether it is to be trusted, None where nobody has looked."""
 
     motion: Motion
     body: Body
@@ -66,6 +71,7 @@ class Outcome:
     files: tuple[Path, ...]
     notes: tuple[str, ...]
     truth: Truth | None = None
+    verdict: Verdict | None = None
 
 
 def choose_frames(recording: Recording, text: str | None) -> Recording:
@@ -113,16 +119,29 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
             tracked = finished
         notes = (*recording.notes, *source.notes, *tracked.notes)
         files = [results.motion, results.file("body.npz"), results.file("provenance.json")]
+        verdict = None if options.of_picture else _verdict(tracked, results, finished is not None)
+        if verdict is not None:
+            files.append(results.file(VERDICT))
         if tracked.modes is not None:
             files.insert(1, results.file(MODES))
         truth = job.truth(tracked.motion, tracked.body) if job.truth is not None else None
         if not tracked.complete:
             return Outcome(tracked.motion, tracked.body, False, tuple(files), notes, truth)
         files += export_all(job, tracked.motion, tracked.body, progress)
-        files += _draw(job, options, tracked, source, notes, truth, files, progress, seconds or {})
+        said = notes if verdict is None else (f"Verdict: {verdict.sentence}", *notes)
+        files += _draw(job, options, tracked, source, said, truth, files, progress, seconds or {})
     remove_stale(results, files)
     shutil.rmtree(results.path / CHUNKS, ignore_errors=True)  # of a run that was killed when they were joined
-    return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth)
+    return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth, verdict)
+
+
+def _verdict(tracked: TrackResult, results: ResultsFolder, before: bool) -> Verdict:
+    """The verdict on what was tracked, written; or what was written before, when that can be read."""
+    if before:
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+            return Verdict.of_document(parse_json(results.file(VERDICT).read_text(encoding="utf-8")))
+    results.write_json(VERDICT, tracked.verdict.with_joints(tracked.motion))
+    return tracked.verdict
 
 
 def open_frames(job: Job, record: Mapping[str, Any]) -> FrameStream:

@@ -128,20 +128,31 @@ _PANELS = (
 
 
 def angle_plot(motion: Motion) -> str:
-    """Joint angles over time in degrees, left orange and right blue."""
+    """Joint angles over time in degrees with their sd as a band, left orange and right blue."""
     assert motion.poses is not None
     names, values = joint_angles(motion.skeleton, motion.poses)
     column = {n: np.degrees(values[:, i]) for i, n in enumerate(names)}
+    sd = motion.angle_sd
+    spread = {} if sd is None else {n: np.degrees(np.asarray(sd[:, i], np.float64)) for i, n in enumerate(names)}
+
+    shown = _thin(len(motion))
+
+    def line(axes: Axes, name: str, colour: str, label: str) -> None:
+        """With a band of one standard deviation to either side."""
+        t, v = motion.times[shown], column[name][shown]
+        axes.plot(t, v, color=colour, label=label)
+        if name in spread:
+            s = spread[name][shown]
+            axes.fill_between(t, v - s, v + s, color=colour, alpha=0.15, lw=0)
 
     def draw(figure: Figure) -> None:
-        k = _thin(len(motion))
         for axes, (title, key) in zip(figure.subplots(2, 3, sharex=True).ravel(), _PANELS, strict=True):
             if key == "lumbar":
                 for part, colour in (("extension", MIDDLE), ("bending", "#2a9d6f"), ("rotation", "#8e4ec6")):
-                    axes.plot(motion.times[k], column[f"lumbar_{part}"][k], color=colour, label=part)
+                    line(axes, f"lumbar_{part}", colour, part)
             else:
-                axes.plot(motion.times[k], column[f"{key}_l"][k], color=LEFT, label="left")
-                axes.plot(motion.times[k], column[f"{key}_r"][k], color=RIGHT, label="right")
+                line(axes, f"{key}_l", LEFT, "left")
+                line(axes, f"{key}_r", RIGHT, "right")
             _shade(axes, motion)
             axes.set_title(f"{title} (°)", fontsize=9)
             if key in ("lumbar", "hip_flexion"):

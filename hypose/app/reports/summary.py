@@ -18,12 +18,14 @@ DESCRIPTIONS = {
     "motion.trc": "joint centres for OpenSim (millimetres, y up)",
     "motion.c3d": "joint centres as float C3D (millimetres, z up; residual = standard deviation)",
     "motion.mot": "joint angles for OpenSim (degrees, metres)",
+    "motion_sd.sto": "standard deviations of those angles (degrees, metres)",
     "motion.bvh": "skeleton animation (metres, degrees, y up)",
     "motion.glb": "skinned, animated body for Blender and browsers (metres, y up)",
     "angles.csv": "joint angles (degrees)",
     "joints.csv": "joint centres with their standard deviation (metres, z up) and flags per frame",
     "overlay.mp4": "the body on the recorded images",
     "provenance.json": "settings, versions, inputs with their hashes",
+    "verdict.json": "good, look at frames, or not to be trusted, and why; the frames in which each joint is doubtful",
     "report.html": "this report",
 }
 """What each file of a results folder is."""

@@ -74,6 +74,7 @@ def run_task(task: Task, stop: Path, report: Report) -> dict[str, Any]:
         "lost": s.lost,
         "extrapolated": s.extrapolated,
         "doubtful": None if outcome.motion.doubtful is None else int(outcome.motion.doubtful.sum()),
+        "verdict": None if outcome.verdict is None else outcome.verdict.word,
         "iou": _known(s.iou),
         "worst_iou": _known(s.worst_iou),
         "sd_mm": _known(s.sd_mm),

@@ -18,20 +18,25 @@ from hypose.errors import InputError
 from hypose.io.files import write_text
 
 
-def write_angles_csv(path: str | Path, names: Sequence[str], values: ArrayLike, times: ArrayLike) -> None:
-    """Write joint angles: names (A), values (T, A) in rad (m for *_tx, *_ty, *_tz), times (T,) s.
+def write_angles_csv(
+    path: str | Path, names: Sequence[str], values: ArrayLike, times: ArrayLike, sd: ArrayLike | None = None
+) -> None:
+    """Write joint angles: names (A), values (T, A) in rad (m for *_tx, *_ty, *_tz), times (T,) s, and their standard
+    deviations sd (T, A) where they are known.
 
-    Columns: time_s, <name>_deg, and <name>_m for positions. Signs: body.joint_angles.
+    Columns: time_s, <name>_deg, and <name>_m for positions; then, in the same order, <name>_sd_deg and <name>_sd_m.
+    Signs: body.joint_angles.
     """
     v, t = np.asarray(values, dtype=np.float64), np.asarray(times, dtype=np.float64)
     if v.shape != (len(t), len(names)):
         raise InputError(f"{path}: {len(names)} names and {len(t)} times need values of that shape, got {v.shape}.")
     scale = np.array([1.0 if is_length(n) else 180 / np.pi for n in names])
     header = ["time_s", *(f"{n}_{'m' if is_length(n) else 'deg'}" for n in names)]
-    rows = [
-        [_cell(time, 6), *(_cell(x, 6) for x in row)]
-        for time, row in zip(t.tolist(), (v * scale).tolist(), strict=True)
-    ]
+    table = v * scale
+    if sd is not None:
+        header += [f"{n}_sd_{'m' if is_length(n) else 'deg'}" for n in names]
+        table = np.concatenate([table, np.asarray(sd, dtype=np.float64) * scale], axis=1)
+    rows = [[_cell(time, 6), *(_cell(x, 6) for x in row)] for time, row in zip(t.tolist(), table.tolist(), strict=True)]
     _write(path, header, rows)
 
 
@@ -39,12 +44,15 @@ def write_joints_csv(path: str | Path, motion: Motion) -> None:
     """Write joint centres (world, z up, m) with their standard deviation, and what is known of each frame.
 
     Columns: time_s, lost and extrapolated (0 or 1), n_views, doubtful (0 or 1; empty: not looked at), then x, y, z, sd
-    per joint. `sd` is per axis (root mean square of the three). Lost and extrapolated frames keep their predicted
-    positions.
+    per joint, and p_wrong where it was looked at: the probability that the joint is wrong by more than 100 mm. `sd` is
+    per axis (root mean square of the three). Lost and extrapolated frames keep their predicted positions.
     """
     header = ["time_s", "lost", "extrapolated", "n_views", "doubtful"]
-    header += [f"{n}_{c}_m" for n in motion.skeleton.joint_names for c in ("x", "y", "z", "sd")]
-    data = np.concatenate([motion.joints, motion.joint_sd[..., None]], axis=2).reshape(len(motion), -1)
+    columns, series = ["x_m", "y_m", "z_m", "sd_m"], [motion.joints, motion.joint_sd[..., None]]
+    if motion.p_wrong is not None:
+        columns, series = [*columns, "p_wrong"], [*series, motion.p_wrong[..., None]]
+    header += [f"{n}_{c}" for n in motion.skeleton.joint_names for c in columns]
+    data = np.concatenate(series, axis=2).reshape(len(motion), -1)
     rows = [
         [
             _cell(float(motion.times[t]), 6),

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from hypose.body.body import Body
-from hypose.body.joint_angles import joint_angles
+from hypose.body.joint_angles import ANGLE_NAMES, joint_angles
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.io.motions.angles import write_angles_csv, write_joints_csv
 from hypose.io.motions.bvh import write_bvh
 from hypose.io.motions.c3d import write_c3d
 from hypose.io.motions.gltf import write_glb
-from hypose.io.motions.opensim import write_mot
+from hypose.io.motions.opensim import write_mot, write_sd_sto
 from hypose.io.motions.trc import write_trc
 
 
@@ -53,7 +53,7 @@ def _csv(motion: Motion, body: Body, folder: Path) -> list[Path]:
     if motion.poses is None:  # joint positions alone have no angles
         return [joints]
     angles = folder / "angles.csv"
-    write_angles_csv(angles, *joint_angles(motion.skeleton, motion.poses), motion.times)
+    write_angles_csv(angles, *joint_angles(motion.skeleton, motion.poses), motion.times, motion.angle_sd)
     return [angles, joints]
 
 
@@ -61,7 +61,11 @@ def _mot(motion: Motion, body: Body, folder: Path) -> list[Path]:
     path = folder / "motion.mot"
     assert motion.poses is not None  # export_motion has checked
     write_mot(path, *joint_angles(motion.skeleton, motion.poses), motion.times)
-    return [path]
+    if motion.angle_sd is None or not np.isfinite(motion.angle_sd).all(1).any():
+        return [path]
+    sd = folder / "motion_sd.sto"
+    write_sd_sto(sd, ANGLE_NAMES, motion.angle_sd, motion.times)
+    return [path, sd]
 
 
 FORMATS: Mapping[str, Callable[[Motion, Body, Path], list[Path]]] = {
@@ -80,10 +84,11 @@ def export_motion(
 ) -> list[Path]:
     """Write the motion into a folder in the named formats and return the paths.
 
-    trc, c3d, bvh, glb and mot give motion.<format>, csv gives angles.csv and joints.csv. Each file appears
-    whole or not at all. Lost and extrapolated frames keep their predicted points: TRC has no mark for them,
-    C3D gives them residual 0 (computed, not measured), joints.csv has a column for each flag. An InputError
-    names an unknown format, or one that needs poses when the motion has none, before anything is written.
+    trc, c3d, bvh, glb and mot give motion.<format>, csv gives angles.csv and joints.csv, mot also motion_sd.sto where
+    the angles' sd is known. Each file appears whole or not at all. Lost and extrapolated frames keep their predicted
+    points: TRC has no mark for them, C3D gives them residual 0 (computed, not measured), joints.csv has a column for
+    each flag. An InputError names an unknown format, or one that needs poses when the motion has none, before anything
+    is written.
     """
     unknown = [f for f in formats if f not in FORMATS]
     if unknown:

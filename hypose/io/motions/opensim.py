@@ -24,6 +24,14 @@ _KIND = "an OpenSim motion file"
 _RENAMED = {"neck_extension": "neck_flexion"}
 
 
+def write_sd_sto(path: str | Path, names: Sequence[str], sd: ArrayLike, times: ArrayLike) -> None:
+    """Write standard deviations of joint angles beside their .mot, as OpenSim's storage: same columns, same units.
+
+    names, times as for `write_mot`; sd (T, A) rad and m. OpenSim plots such a file, and tools weigh coordinates by it.
+    """
+    write_mot(path, names, sd, times)
+
+
 def write_mot(path: str | Path, names: Sequence[str], values: ArrayLike, times: ArrayLike) -> None:
     """Write joint angles: names (A), values (T, A) in rad (m for *_tx, *_ty, *_tz), times (T,) s, increasing.
 

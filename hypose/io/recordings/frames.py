@@ -12,6 +12,7 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -24,6 +25,7 @@ from hypose.compute import default_threads
 from hypose.errors import InputError
 from hypose.evidence.ahead import make_ahead
 from hypose.evidence.background import BackgroundModel, Image, from_frames, from_plates, from_recording
+from hypose.evidence.doubted_limbs import with_doubted_limbs
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import (
     follow_person,
@@ -124,6 +126,11 @@ class _Skeletons:
         if (p[:, 2] > 0.3).sum() < 6 or height < 8:
             return None
         return thick_skeleton(p, self.names, shape, _COVER * height)
+
+    def widened(self, view: int, frame: int, band: Mask, mask: Mask) -> Mask | None:
+        """The band with the reach of limbs that the mask does not confirm, None when it confirms all."""
+        t = frame - self.first
+        return with_doubted_limbs(band, mask, self.points[t, view], self.names, float(self.heights[t, view]))
 
 
 def _skeletons(keypoints: Sequence[Keypoints], first: int) -> _Skeletons:
@@ -380,7 +387,10 @@ class FrameStream:
             cover = _cover(self._covers, self._skeletons, view, frame, self.rig[view])
             if cover is not None:
                 band = _grow(cover, _BAND * _extent(cover))
-        return self._sources[view].mask(frame, band)
+        widened = None
+        if band is not None and self._covers is None and self._skeletons is not None:
+            widened = partial(self._skeletons.widened, view, frame, band)
+        return self._sources[view].mask(frame, band, widened)
 
     def _look(self, index: int) -> tuple[NDArray[np.int64], _Pending]:
         """The areas (C, H) that say what is usual at this frame, and the frame's masks; and what comes next is begun.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -104,14 +105,19 @@ class ViewSource:
             self._reader = open_video(self.view.source)
         return self._reader.read(frame)
 
-    def mask(self, frame: int, band: Mask | None) -> tuple[Mask | None, str]:
-        """The mask, or None and why there is none."""
+    def mask(
+        self, frame: int, band: Mask | None, widened: Callable[[Mask], Mask | None] | None = None
+    ) -> tuple[Mask | None, str]:
+        """The mask, or None and why there is none. widened: a wider band for a mask, with which it is made again, or
+        None when it may stay."""
         if self._broken is not None and frame >= self._broken[0]:
             return None, f"{self.view.name}, frame {frame}: {self._broken[1]}"
         try:
             if self._masks is not None:
                 mask = self._masks.read(frame)
-                return (mask if band is None else mask & band), ""
+                within = mask if band is None else mask & band
+                wide = None if widened is None else widened(within)
+                return (within if wide is None else mask & wide), ""
             if self.segment is None:
                 return None, f"{self.view.name}, frame {frame}: it has no pictures"
             image, box = self._stored(frame), None
@@ -119,7 +125,12 @@ class ViewSource:
                 glance = self.segment.glance
                 found = self._prepare.differing_box(image, glance) if band is None else bounding_box(band)
                 box = found or (0, 0, 0, 0)
-            return self.segment(self._prepare(image, box), band, box), ""
+            within = self.segment(self._prepare(image, box), band, box)
+            wide = None if widened is None else widened(within)
+            if wide is None:
+                return within, ""
+            box = None if self.segment.glance is None else bounding_box(wide) or (0, 0, 0, 0)
+            return self.segment(self._prepare(image, box), wide, box), ""
         except InputError as problem:
             self._problems[frame] = str(problem)
             # a damaged video stays damaged: do not decode it from its start again and again

@@ -1,0 +1,217 @@
+"""The logistic fit of `hypose.tracking.doubt`, and how well it tells wrong joints on scenes that it was not fitted to.
+
+The weights' signs are held: more bare mask never speaks for a joint. What is learnt of some motions must hold for
+others, and a weight that only a chance of these motions has turned around does not.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize
+from scipy.stats import rankdata
+
+from benchmarks.multiview.doubt_scenes import EVIDENCE, Tracked
+from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.geometry import Array
+from hypose.synthetic.metrics import EVALUATED
+from hypose.tracking.doubt import FEATURES, GROUPS, WRONG_M, DoubtModel, clip_features, group_of
+
+JUDGES = 900
+"""Seeds from here on judge; those below are trained on."""
+ASSET = Path(__file__).parents[2] / "hypose" / "assets" / "doubt.json"
+_GROUP = np.array([group_of(JOINT_NAMES[j]) for j in EVALUATED])
+_ARMS = _GROUP == GROUPS.index("arms")
+_NEGATIVE = ("exposed", "exposed_second")
+_POINTS = tuple(n for n in FEATURES if n.startswith("points"))
+_NEUTRAL = ("log_sd", "moved", "accel")
+_RIDGE = 30.0
+GOOD_FLAGGED = {
+    "silhouettes": (0.01, 0.035, 0.015),
+    "keypoints": (0.005, 0.02, 0.008),
+    "both": (0.005, 0.02, 0.01),
+}
+"""Share of good joint-frames of trunk, arms and legs that may be flagged on the seeds trained on. Of key points half of
+the clips trained on are spoilt, so that of good ones far fewer are."""
+LEAST_P = 0.03
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Joint-frames of one evidence. x (N, J, F) features, error (N, J) m, case (N,) and seed (N,) they are of; plain
+    (N,): nothing was spoilt."""
+
+    x: Array
+    error: Array
+    case: NDArray[np.str_]
+    seed: NDArray[np.int64]
+    plain: NDArray[np.bool_]
+
+    def take(self, rows: NDArray[np.bool_]) -> Rows:
+        """Some of them."""
+        return Rows(self.x[rows], self.error[rows], self.case[rows], self.seed[rows], self.plain[rows])
+
+
+def rows_of(clips: Sequence[Tracked], evidence: str) -> Rows:
+    """Of the clips tracked from one evidence."""
+    own = [c for c in clips if c.evidence == evidence]
+    x = [clip_features(c.motion, c.body.joints(c.one_by_one), c.audit)[:, EVALUATED] for c in own]
+    count = [len(v) for v in x]
+    return Rows(
+        np.concatenate(x),
+        np.concatenate([c.error[:, EVALUATED] for c in own]),
+        np.repeat([c.case for c in own], count),
+        np.repeat([c.seed for c in own], count),
+        np.repeat([c.kind == "plain" for c in own], count),
+    )
+
+
+def used_by(evidence: str) -> list[str]:
+    """The features that there are for an evidence."""
+    if evidence == "silhouettes":
+        return [n for n in FEATURES if n not in (*_POINTS, "log_sd")]
+    if evidence == "keypoints":
+        return [*_NEUTRAL, *_POINTS]
+    return [n for n in FEATURES if n != "log_sd"]
+
+
+def fit(rows: Rows, evidence: str) -> DoubtModel:
+    """The model of an evidence, fitted to all rows given; thresholds from the same rows."""
+    names = used_by(evidence)
+    on = np.array([n in names for n in FEATURES])
+    flat = rows.x.reshape(-1, len(FEATURES))
+    middle, scale = np.where(on, flat.mean(0), 0.0), np.where(on, np.maximum(flat.std(0), 1e-3), 1.0)
+    sign = np.array([-1.0 if n in _NEGATIVE else 1.0 for n in FEATURES])
+    wrong = rows.error > WRONG_M
+    weights, offset = np.zeros((len(GROUPS), len(FEATURES))), np.zeros(len(GROUPS))
+    for g in range(len(GROUPS)):
+        own = g == _GROUP
+        z = np.clip((rows.x[:, own] - middle) / scale, -6, 6).reshape(-1, len(FEATURES))
+        weights[g], offset[g] = _logistic(z, wrong[:, own].ravel().astype(float), on, sign)
+    model = DoubtModel(middle, scale, weights, offset, np.full(len(GROUPS), LEAST_P))
+    p = model.probability(rows.x, _GROUP)
+    threshold = [
+        max(LEAST_P, float(np.quantile(p[:, g == _GROUP][~wrong[:, g == _GROUP]], 1 - GOOD_FLAGGED[evidence][g])))
+        for g in range(len(GROUPS))
+    ]
+    return replace(model, threshold=np.array(threshold))
+
+
+def _logistic(z: Array, y: Array, on: NDArray[np.bool_], sign: Array) -> tuple[Array, float]:
+    """Weights (F,) of held signs, zero where not on, and the offset: ridge against noise, by L-BFGS-B."""
+    columns = np.flatnonzero(on)
+    s = sign[columns]
+    a = z[:, columns] * s
+
+    def value(x: Array) -> tuple[float, Array]:
+        odds = a @ x[:-1] + x[-1]
+        p = 1 / (1 + np.exp(-np.clip(odds, -40, 40)))
+        loss = np.logaddexp(0, odds) - y * odds
+        slope = p - y
+        return float(loss.sum() + 0.5 * _RIDGE * (x[:-1] ** 2).sum()), np.r_[a.T @ slope + _RIDGE * x[:-1], slope.sum()]
+
+    rate = np.clip(y.mean(), 1e-4, 0.5)
+    begin = np.r_[np.full(len(columns), 0.05), np.log(rate / (1 - rate))]
+    bounds = [(0.0, None)] * len(columns) + [(None, None)]
+    found = minimize(value, begin, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 500}).x
+    out = np.zeros(len(on))
+    out[columns] = found[:-1] * s
+    return out, float(found[-1])
+
+
+def auroc(score: ArrayLike, wrong: ArrayLike) -> float:
+    """Area under the curve: how often a wrong one has the higher score than a good one; NaN without either."""
+    y, s = np.asarray(wrong, dtype=bool).ravel(), np.asarray(score, dtype=np.float64).ravel()
+    n1, n0 = int(y.sum()), int((~y).sum())
+    if not n1 or not n0:
+        return float("nan")
+    return float((rankdata(s)[y].sum() - n1 * (n1 + 1) / 2) / (n1 * n0))
+
+
+def ece(p: ArrayLike, wrong: ArrayLike, bins: int = 15) -> float:
+    """Expected calibration error of probabilities: mean over bins of |share wrong - mean probability|, by size."""
+    p, y = np.asarray(p, dtype=np.float64).ravel(), np.asarray(wrong, dtype=np.float64).ravel()
+    at = np.minimum((p * bins).astype(int), bins - 1)
+    return float(sum(abs(y[at == b].mean() - p[at == b].mean()) * (at == b).mean() for b in np.unique(at)))
+
+
+def figures(p: Array, error: Array, threshold: Array) -> dict[str, float]:
+    """What P (N, J) says of errors (N, J) m at the committed thresholds (G,)."""
+    wrong, flagged = error > WRONG_M, p > threshold[_GROUP]
+    arm, far = _ARMS, error > 0.15
+    frame_wrong, frame_flagged = wrong[:, arm].any(1), flagged.any(1)
+    good_frames = ~wrong.any(1)
+
+    def share(of: ArrayLike, where: ArrayLike) -> float:
+        chosen = np.asarray(of, dtype=bool)[np.asarray(where, dtype=bool)]
+        return float(chosen.mean()) if len(chosen) else float("nan")
+
+    return {
+        "wrong": float(wrong.mean()),
+        "wrong arms": float(wrong[:, arm].mean()),
+        "auroc": auroc(p, wrong),
+        "auroc arms": auroc(p[:, arm], wrong[:, arm]),
+        "recall_150 arms": share(flagged[:, arm], far[:, arm]),
+        "flagged good arms": share(flagged[:, arm], ~wrong[:, arm]),
+        "frames caught": share(frame_flagged, frame_wrong),
+        "good frames flagged": share(frame_flagged, good_frames),
+        "ece": ece(p, wrong),
+        "ece arms": ece(p[:, arm], wrong[:, arm]),
+    }
+
+
+def of_arms(p: Array, error: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """P and what is wrong of the arms' joints, of (N, J) each."""
+    return p[:, _ARMS], error[:, _ARMS] > WRONG_M
+
+
+def left_out(rows: Rows, evidence: str, refit: Callable[[Rows, str], DoubtModel] = fit) -> Array:
+    """(N, J) P of every case by a model that has seen neither the case nor the judging seeds."""
+    out = np.zeros(rows.error.shape)
+    for case in np.unique(rows.case):
+        own = rows.case == case
+        model = refit(rows.take(~own & (rows.seed < JUDGES)), evidence)
+        out[own] = model.probability(rows.x[own], _GROUP)
+    return out
+
+
+def report_fit(clips: Sequence[Tracked], write: bool = True) -> None:
+    """Fits every evidence on the seeds below JUDGES, prints how it does on the others, and writes the asset."""
+    models = {}
+    for evidence in EVIDENCE:
+        rows = rows_of(clips, evidence)
+        train, judge = rows.take(rows.seed < JUDGES), rows.take(rows.seed >= JUDGES)
+        model = models[evidence] = fit(train, evidence)
+        print(f"\n{evidence}: {len(train.x)} frames trained on, {len(judge.x)} judge", model.threshold.round(3))
+        for name, some in (("trained on", train), ("other seeds", judge)):
+            if len(some.x):
+                found = figures(model.probability(some.x, _GROUP), some.error, model.threshold)
+                print(f"  {name}:", {k: round(v, 4) for k, v in found.items()})
+        out = left_out(rows, evidence)
+        rest = rows.seed >= JUDGES if (rows.seed >= JUDGES).any() else np.ones(len(out), bool)
+        found = figures(out[rest], rows.error[rest], model.threshold)
+        print("  motion left out:", {k: round(v, 4) for k, v in found.items()})
+        for g, name in enumerate(GROUPS):
+            order = np.argsort(-np.abs(model.weights[g]))[:9]
+            print(f"  {name}:", {FEATURES[k]: round(float(model.weights[g, k]), 2) for k in order})
+    if write:
+        ASSET.write_text(json.dumps(_document(models), indent=1) + "\n", encoding="utf-8")
+
+
+def _document(models: dict[str, DoubtModel]) -> dict[str, object]:
+    def plain(m: DoubtModel) -> dict[str, object]:
+        named = {
+            "middle": m.middle,
+            "scale": m.scale,
+            "weights": m.weights,
+            "offset": m.offset,
+            "threshold": m.threshold,
+        }
+        return {k: np.round(v, 4).tolist() for k, v in named.items()}
+
+    return {"features": FEATURES, "groups": GROUPS, "models": {e: plain(m) for e, m in models.items()}}

@@ -1,0 +1,245 @@
+"""Scenes on which it is learnt and measured which joints are wrong: varied motions, rigs, bodies, faults."""
+
+from __future__ import annotations
+
+import pickle
+import time
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.bench_report import BenchOptions
+from benchmarks.multiview.action_scenes import known_subject, subject_of_seed
+from benchmarks.multiview.product import aligned_joints, body_by_keypoints, estimated_body
+from hypose.body.body import Body
+from hypose.body.joint_angles import angles_of_frames, joint_angles
+from hypose.body.motion import Motion
+from hypose.body.ready_bodies import human
+from hypose.errors import HyposeError
+from hypose.evidence.frame import Frame, Silhouettes
+from hypose.evidence.keypoints import BODY_25, to_keypoints
+from hypose.geometry import Array
+from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
+from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.track_loop import FrameList
+from hypose.synthetic.retarget import retarget
+from hypose.synthetic.scenes import Scene, make_scene
+from hypose.synthetic.simulated_keypoints import keypoint_detections
+from hypose.synthetic.spoilt_keypoints import SPOILS, moved_camera, spoilt
+from hypose.tracking.fitted_spread import as_curved
+
+
+@dataclass(frozen=True)
+class Case:
+    """motion: built-in, or of a capture; rig; corruption of the masks; begin: s of the motion that are left out; speed;
+    own: the body and the start are found in the clip itself, as for a user who gives nothing."""
+
+    motion: str
+    rig: str
+    corruption: tuple[str, ...] = ("level-1",)
+    begin: float = 0.0
+    speed: float = 1.0
+    own: bool = False
+
+
+CASES: dict[str, Case] = {
+    "walk": Case("walk", "humaneva-4"),
+    "box": Case("box", "humaneva-4"),
+    "run": Case("jog", "ring-5"),
+    "combo": Case("combo", "humaneva-4"),
+    "cross-arms": Case("cross_arms", "ixmas-5"),
+    "serve": Case("serve", "ring-4"),
+    "wave": Case("wave", "ring-3"),
+    "punch": Case("punch", "ixmas-5"),
+    "sit": Case("sit_down", "ring-4", begin=0.4),
+    "box-ring3": Case("box", "ring-3", ("level-2",)),
+    "walk-table": Case("walk", "humaneva-4", ("level-1", "table")),
+    "cross-ring6": Case("cross_arms", "ring-6", ("level-1",), begin=0.6),
+    "boxing": Case("02_05", "humaneva-4", begin=2.5),
+    "punch-miscalibrated": Case("punch", "humaneva-4", ("level-1", "calibration-error")),
+    "seated": Case("sit_down", "humaneva-4", begin=4.2, speed=0.3, own=True),
+    "folded": Case("cross_arms", "humaneva-4", begin=1.2, own=True),
+    "serve-own": Case("serve", "humaneva-4", begin=0.8, own=True),
+    "walk-own": Case("walk", "ixmas-5", own=True),
+    "seated-ring4": Case("sit_down", "ring-4", begin=4.2, speed=0.3, own=True),
+    "seated-table": Case("sit_down", "ring-5", ("level-1", "table"), begin=4.2, speed=0.3, own=True),
+    "seated-ring6": Case("sit_down", "ring-6", begin=4.4, speed=0.3, own=True),
+}
+"""Twenty-one pairs of a motion and a rig."""
+EVIDENCE = ("silhouettes", "keypoints", "both")
+SECONDS = 1.6
+DATA = Path(__file__).parents[3] / "shared" / "data"
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """One scene tracked from one evidence. error (T, 19) m of the final joints, error_raw as tracked frame by frame
+    ; away (T, 19, 3) m from the estimate to the truth; angles (T, A) rad, estimate less
+    truth;
+    kind: 'plain', or what was spoilt."""
+
+    case: str
+    seed: int
+    evidence: str
+    kind: str
+    motion: Motion
+    body: Body
+    audit: NDArray[np.float32]
+    one_by_one: Array
+    error: Array
+    error_raw: Array
+    away: Array
+    angles: Array | None = None
+
+
+def bare_scene(case: Case, seed: int, seconds: float = SECONDS) -> Scene:
+    """The scene of a case and a seed."""
+    options = BenchOptions(False, 1, DATA if DATA.exists() else None, lambda stage, done, total: None, seed, None)
+    subject = subject_of_seed(seed)
+    if case.motion.startswith("02_"):
+        folder = options.folder("mocap")
+        motion: Any = retarget(
+            folder / "02.asf", folder / f"{case.motion}.amc", subject, 25.0, start=case.begin, seconds=seconds
+        )
+        return make_scene(motion, subject, case.rig, seed=seed, corruption=case.corruption)
+    how: dict[str, Any] = {"seed": seed, "corruption": case.corruption, "speed": case.speed}
+    scene = make_scene(case.motion, subject, case.rig, seconds=case.begin + seconds, **how)
+    return _cut(scene, round(case.begin * scene.frame_rate))
+
+
+def scene_of(case: Case, seed: int) -> tuple[Scene, list[Frame]]:
+    """The scene of a case and its frames with masks and key points."""
+    scene = bare_scene(case, seed)
+    return scene, list(scene.mask_frames(1.0, keypoints=True))
+
+
+def scene_without_masks(case: Case, seed: int, seconds: float) -> tuple[Scene, list[Frame]]:
+    """The scene of a case and its frames with key points alone."""
+    scene = bare_scene(case, seed, seconds)
+    small = scene.given_rig.pinhole()
+    points = [keypoint_detections(scene, c) for c in range(len(small))]
+    return scene, [
+        Frame(float(t), k, None, to_keypoints([p[k] for p in points], BODY_25, scene.given_rig, small))
+        for k, t in enumerate(scene.times)
+    ]
+
+
+def _cut(scene: Scene, first: int) -> Scene:
+    p = scene.performance
+    kept = replace(
+        p,
+        times=p.times[first:] - p.times[first],
+        rotations=p.rotations[first:],
+        root=p.root[first:],
+        joints=p.joints[first:],
+    )
+    return replace(scene, performance=kept)
+
+
+def spoil_of(case: str, seed: int) -> str:
+    """What is spoilt of the key points of a case and a seed; every third is as it is."""
+    ways = ("plain", *SPOILS, "plain", "moved_camera", "plain")
+    return ways[zlib.crc32(f"{case} {seed}".encode()) % len(ways)]
+
+
+def without_masks(frames: Sequence[Frame]) -> list[Frame]:
+    """The key points alone."""
+    return [replace(f, silhouettes=None) for f in frames]
+
+
+def spoilt_frames(frames: Sequence[Frame], kind: str, rng: np.random.Generator) -> list[Frame]:
+    """Frames with their key points, or the calibration, spoilt."""
+    if kind == "plain":
+        return list(frames)
+    if kind != "moved_camera":
+        return spoilt(frames, kind, rng)
+    rig = frames[0].keypoints.rig if frames[0].keypoints is not None else None
+    assert rig is not None
+    moved = moved_camera(rig, int(rng.integers(len(rig))), rng)
+    out = []
+    for f in frames:
+        assert f.keypoints is not None and f.silhouettes is not None
+        s = Silhouettes(f.silhouettes.masks, moved, f.silhouettes.usable, f.silhouettes.reasons)
+        out.append(replace(f, keypoints=replace(f.keypoints, rig=moved), silhouettes=s))
+    return out
+
+
+_BODIES: dict[tuple[int, str], Body] = {}
+
+
+def _body(seed: int, how: str) -> Body:
+    if (seed, how) not in _BODIES:
+        options = BenchOptions(False, 1, None, lambda stage, done, total: None, seed, None)
+        made = estimated_body(seed, options) if how == "silhouettes" else body_by_keypoints(seed, options)
+        _BODIES[seed, how] = made
+    return _BODIES[seed, how]
+
+
+def collect(folder: Path, name: str, seed: int, evidence: Sequence[str]) -> None:
+    """Track one case of one seed from each evidence, and keep it in the folder; what is there is not made again."""
+    paths = {e: folder / f"{name}-{seed}-{e}.pkl" for e in evidence}
+    missing = [e for e, p in paths.items() if not p.exists()]
+    if not missing:
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    begin = time.perf_counter()
+    scene, plain = scene_of(CASES[name], seed)
+    for e in missing:
+        kind = "plain" if e == "silhouettes" else spoil_of(name, seed)
+        rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
+        try:
+            found = tracked(name, scene, spoilt_frames(plain, kind, rng), seed, e, kind)
+        except HyposeError as error:
+            print(f"{name} {seed} {e} {kind}: {error}", flush=True)
+            continue
+        paths[e].write_bytes(pickle.dumps(found))
+    print(f"{name} {seed} {time.perf_counter() - begin:.1f} s", flush=True)
+
+
+def tracked(name: str, scene: Scene, frames: Sequence[Frame], seed: int, evidence: str, kind: str) -> Tracked:
+    """A scene tracked from one evidence of its frames, compared with the truth."""
+    used = [replace(f, keypoints=None) for f in frames] if evidence == "silhouettes" else list(frames)
+    used = without_masks(used) if evidence == "keypoints" else used
+    source, rate = FrameList(used, scene.frame_rate), scene.frame_rate
+    options = TrackOptions(seed=seed, evidence=evidence)
+    subject: Subject | None = None
+    if not CASES[name].own:
+        if evidence == "silhouettes":
+            subject = known_subject(scene, _body(seed, "silhouettes"))
+        else:
+            how = SubjectOptions("keypoints", frame_rate=rate, body=_body(seed, "keypoints"), known=True)
+            subject = find_subject(source.frame, len(source), how)
+    result = track_source(source, rate, options, subject=subject)
+    assert result.one_by_one is not None and result.audit is not None
+    m, truth = as_curved(result.motion, evidence), scene.joints[: len(result.motion)]
+    joints = aligned_joints(m, scene)
+    own = replace(m, poses=result.one_by_one, joints=result.body.joints(result.one_by_one))
+    error_raw = np.linalg.norm(aligned_joints(own, scene) - truth, axis=-1)
+    error = np.linalg.norm(joints - truth, axis=-1)
+    off = angles_of(m) - true_angles(scene)[: len(m)]
+    off = (off + np.pi) % (2 * np.pi) - np.pi
+    audit, own_poses = result.audit, result.one_by_one
+    return Tracked(name, seed, evidence, kind, m, result.body, audit, own_poses, error, error_raw, truth - joints, off)
+
+
+def angles_of(motion: Motion) -> Array:
+    """(T, A) rad: joint angles of a motion."""
+    assert motion.poses is not None
+    return joint_angles(motion.skeleton, motion.poses)[1]
+
+
+def true_angles(scene: Scene) -> Array:
+    """(T, A) rad: joint angles of the subject by its own bones, as the tracker's are by its body's."""
+    s, rest = human().skeleton, scene.subject.joints
+    offsets = np.stack([rest[j] - (rest[p] if p >= 0 else 0) for j, p in enumerate(s.parents)])
+    return angles_of_frames(replace(s, rest_offsets=offsets), scene.rotations, scene.joints)
+
+
+def load_all(folder: Path) -> list[Tracked]:
+    """What was collected, in the order of the files' names."""
+    return [pickle.loads(p.read_bytes()) for p in sorted(folder.glob("*.pkl"))]  # noqa: S301 - its own files

@@ -1,0 +1,211 @@
+"""What the person says about a recording's key points and world: whose slots they are, which way is up, which side is
+left.
+
+Bones have nearly the same proportions in everybody, left and right are alike, and no bone changes its length. Points
+that are read in the order of another detector break all three at once, in every view alike, so that no comparison of
+the views finds it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cache
+
+import numpy as np
+
+from hypose.body.ready_bodies import human
+from hypose.calibration.doctor_findings import Finding
+from hypose.cameras.camera import CameraRig
+from hypose.evidence.keypoints import KEYPOINT_SETS, landmark_of
+from hypose.geometry import Array
+
+WRONG_SET, RIGHT_SET, TELLS = 0.2, 0.15, 0.4
+"""A set is taken for another one when its bones are off by more than WRONG_SET (in the logarithm of their length), the
+other's by less than RIGHT_SET, and by less than TELLS times as much. BODY_25 read as BODY_25B is off by 0.6 to 0.9, a
+detector's points in their own order by 0.03 to 0.1."""
+MOST = 0.8
+"""Share of the frames in which the person must stand, or be made, the wrong way round."""
+_PAIRS = tuple(
+    (f"{side}_{a}", f"{side}_{b}")
+    for side in ("left", "right")
+    for a, b in (
+        ("shoulder", "elbow"),
+        ("elbow", "wrist"),
+        ("hip", "knee"),
+        ("knee", "ankle"),
+        ("shoulder", "hip"),
+        ("ankle", "big_toe"),
+        ("ankle", "heel"),
+    )
+) + (("left_shoulder", "right_shoulder"),)
+_LEAST_BONES = 6
+_UPRIGHT = 0.5  # cosine
+
+
+def wrong_set(points_world: Array, names: Sequence[str]) -> Finding | None:
+    """The finding that key points (T, K, 3) m, NaN where missing, are another set's than `names` (K,) says."""
+    own = _disorder(points_world, names)
+    if not own > WRONG_SET:
+        return None
+    count, filled = len(names), np.asarray(np.isfinite(points_world).all(-1).any(0), dtype=bool)
+    found = []
+    for other, theirs in KEYPOINT_SETS.items():
+        # a shorter set may lie in the first slots of a longer one, the others empty
+        if tuple(theirs) == tuple(names) or len(theirs) > count or filled[len(theirs) :].any():
+            continue
+        found.append((_disorder(points_world[:, : len(theirs)], theirs), other))
+    best, other = min(found, default=(np.inf, ""))
+    declared = next((k for k, v in KEYPOINT_SETS.items() if tuple(v) == tuple(names)), "given")
+    if not best < min(RIGHT_SET, TELLS * own):
+        text = (
+            f"All cameras: read as {declared}, the key points make a body whose bones are off by {100 * own:.0f} % of "
+            "their length, and no other set that hypose knows fits"
+        )
+        return Finding("keypoint_set", (), text, "check keypoint_set in recording.toml against the detector", own)
+    slots = f" (in the first {len(KEYPOINT_SETS[other])} of {count} slots)" if len(KEYPOINT_SETS[other]) < count else ""
+    text = (
+        f"All cameras: the key points are those of the set {other}{slots}, not {declared}: read so, bones are off by "
+        f"{100 * best:.0f} % of their length instead of {100 * own:.0f} %"
+    )
+    return Finding("keypoint_set", (), text, f'set keypoint_set = "{other}" in recording.toml', own)
+
+
+def _disorder(points_world: Array, names: Sequence[str]) -> float:
+    """How far bones are from a person's: median over bones of the distance of their length from the template's (as a
+    logarithm, less what all share), plus that of left from right, plus how each changes. NaN with too few bones."""
+    template = _template(tuple(names))
+    column = {n: k for k, n in enumerate(names)}
+    ratio: dict[tuple[str, str], Array] = {}
+    for a, b in _PAIRS:
+        if (a, b) in template and a in column and b in column:
+            d = np.linalg.norm(points_world[:, column[a]] - points_world[:, column[b]], axis=-1)
+            d = d[np.isfinite(d)]
+            if len(d) >= 3:
+                ratio[a, b] = np.log(np.maximum(d, 1e-9) / template[a, b])
+    if len(ratio) < _LEAST_BONES:
+        return float("nan")
+    middle = {k: float(np.median(v)) for k, v in ratio.items()}
+    common = float(np.median(list(middle.values())))
+    off = [abs(v - common) for v in middle.values()]
+    sides = [
+        abs(middle[a, b] - middle[twin])
+        for a, b in middle
+        if a.startswith("left_") and (twin := (a.replace("left", "right"), b.replace("left", "right"))) in middle
+    ]
+    change = [float(np.median(np.abs(v - middle[k]))) for k, v in ratio.items()]
+    return float(np.mean(off) + np.mean(sides or [0.0]) + np.mean(change)) / 2
+
+
+@cache
+def _template(names: tuple[str, ...]) -> dict[tuple[str, str], float]:
+    """Lengths (m) of the template's bones between key points of these names."""
+    body = human()
+    joint, offset, known = landmark_of(names, body)
+    at = body.skeleton.rest_joints[joint] + offset
+    column = {n: k for k, n in enumerate(names) if known[k]}
+    return {
+        (a, b): float(np.linalg.norm(at[column[a]] - at[column[b]])) for a, b in _PAIRS if a in column and b in column
+    }
+
+
+def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: CameraRig) -> Iterator[Finding]:
+    """Findings about up and left. points_world (T, K, 3) m, NaN where missing; pixels (C, T, K, 3) of the rig."""
+    top, feet = _middle(points_world, names, "shoulder"), _middle(points_world, names, "ankle")
+    along = _unit(top - feet)
+    known = np.isfinite(along).all(1)
+    if known.sum() < 3:
+        return
+    up = along[known, 2]
+    in_images = _upright_in_images(pixels, names)
+    turned = (up < -_UPRIGHT).mean() > MOST
+    if turned and in_images < -_UPRIGHT:
+        text = "All cameras: the key points stand on their heads in the images: their y seems to count from the bottom"
+        cure = "write y as the image's height minus y (or flip the videos back, if they are turned, too)"
+        yield Finding("flipped", (), text, cure, 1.0)
+    elif turned:
+        text = (
+            "All cameras: the person stands on the head in the calibration's world, and upright in the images: the "
+            "world's up is upside down"
+        )
+        yield Finding("up", (), text, "give world_up in recording.toml the opposite sign", 1.0)
+    elif (np.abs(up) < _UPRIGHT).mean() > MOST and in_images > _UPRIGHT:
+        mean = _unit(along[known].mean(0))
+        axis = "xyz"[int(np.argmax(np.abs(mean)))]
+        if abs(mean[int(np.argmax(np.abs(mean)))]) > 0.8 and float(cameras_up(rig) @ mean) > _UPRIGHT:
+            sign = "-" if mean["xyz".index(axis)] < 0 else ""
+            text = f"All cameras: the person stands along the world's {sign}{axis} axis, not along z"
+            yield Finding("up", (), text, f"set world_up in recording.toml so that {sign}{axis} points up", 1.0)
+    sided = _sidedness(points_world, names)
+    if len(sided) >= 3 and not turned and (sided < -0.3).mean() > MOST:
+        text = (
+            "All cameras: the person's left and right are exchanged (the toes or the nose point backwards): mirrored "
+            "images, or the sides' names"
+        )
+        cure = "mirror the videos back, or check keypoint_set in recording.toml"
+        yield Finding("sides", (), text, cure, 1.0)
+
+
+def up_by_cameras(rig: CameraRig) -> Iterator[Finding]:
+    """The finding that the cameras agree on which way is up, and that it is not the world's z."""
+    mean = cameras_up(rig)
+    agreed = float(np.linalg.norm(mean))
+    if agreed > 0.75 and mean[2] / agreed < 0.3:
+        k = int(np.argmax(np.abs(mean)))
+        axis = ("-" if mean[k] < 0 else "") + "xyz"[k]
+        text = f"All cameras: the top of their images points along the world's {axis} axis, which should be z"
+        cure = f"set world_up in recording.toml so that {axis} points up, unless the cameras hang that way"
+        yield Finding("up", (), text, cure, 1.0)
+
+
+def cameras_up(rig: CameraRig) -> Array:
+    """(3,) mean of the directions in the world in which the cameras' images have their top."""
+    return np.mean([-c.camera_from_world[1, :3] for c in rig], axis=0)
+
+
+def _upright_in_images(pixels: Array, names: Sequence[str]) -> float:
+    """Mean over views and frames of +1 (shoulders above ankles), -1 (below); NaN where never seen."""
+    column = {n: k for k, n in enumerate(names)}
+    signs = []
+    for side in ("left", "right"):
+        a, b = column.get(f"{side}_shoulder"), column.get(f"{side}_ankle")
+        if a is not None and b is not None:
+            seen = (pixels[..., a, 2] > 0.3) & (pixels[..., b, 2] > 0.3)
+            signs.append(np.sign(pixels[..., b, 1] - pixels[..., a, 1])[seen])
+    found = np.concatenate(signs) if signs else np.zeros(0)
+    return float(found.mean()) if len(found) else float("nan")
+
+
+def _sidedness(points_world: Array, names: Sequence[str]) -> Array:
+    """(n,) of the frames where known: cosine of where the left side is and where it ought to be from up and forward."""
+    column = {n: k for k, n in enumerate(names)}
+
+    def at(name: str) -> Array:
+        return points_world[:, column[name]] if name in column else np.full((len(points_world), 3), np.nan)
+
+    up = _middle(points_world, names, "shoulder") - _middle(points_world, names, "hip")
+    toes = [at(f"{s}_big_toe") - at(f"{s}_heel") for s in ("left", "right")]
+    nose = at("nose") - 0.5 * (at("left_ear") + at("right_ear"))
+    ahead = _unit(_mean_known([*(_unit(t) for t in toes), _unit(nose)]))
+    left = at("left_hip") - at("right_hip")
+    found = (_unit(np.cross(up, ahead)) * _unit(left)).sum(-1)
+    return found[np.isfinite(found)]
+
+
+def _middle(points_world: Array, names: Sequence[str], part: str) -> Array:
+    """(T, 3) between left and right."""
+    column = {n: k for k, n in enumerate(names)}
+    pair = [points_world[:, column[n]] for side in ("left", "right") if (n := f"{side}_{part}") in column]
+    return np.mean(pair, axis=0) if len(pair) == 2 else np.full((len(points_world), 3), np.nan)
+
+
+def _mean_known(vectors: Sequence[Array]) -> Array:
+    stack = np.stack(vectors)
+    known = np.asarray(np.isfinite(stack).all(-1), dtype=bool)
+    total = np.where(known[..., None], stack, 0.0).sum(0)
+    return np.where(np.any(known, axis=0, keepdims=True).T, total, np.nan)
+
+
+def _unit(vectors: Array) -> Array:
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(length > 1e-9, vectors / length, np.nan)

@@ -1,0 +1,100 @@
+"""A look at some frames before tracking: is the calibration plainly not that of these pictures, or the key points'
+set another one?
+
+The doctor's checks of gross faults, on a dozen frames. What is found is said before the work begins and again at its
+end; nothing is changed, since the cure is the user's to choose.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hypose.body.ready_bodies import human
+from hypose.calibration.doctor_findings import Finding, Limits
+from hypose.calibration.doctor_person import up_by_cameras, wrong_set, wrong_way_up
+from hypose.calibration.doctor_points import best_trial, disagreement
+from hypose.calibration.doctor_report import height_findings
+from hypose.calibration.doctor_silhouettes import gross_silhouettes
+from hypose.cameras.camera import triangulate
+from hypose.errors import EvidenceError, HyposeError
+from hypose.evidence.frame import Frame, Keypoints, Silhouettes
+from hypose.pipeline.track_loop import FrameSource
+from hypose.tracking.subject import shape_from_keypoints
+
+FRAMES = 12
+SCATTER = 0.035
+"""Share of the person's size by which the views' key points may disagree (median); detectors reach 0.01 to 0.02, with
+another camera's calibration 0.1 and more."""
+
+
+def first_look(source: FrameSource, evidence: str, height: float | None = None) -> tuple[Finding, ...]:
+    """What is plainly wrong with the calibration, or the key points, of a source of frames that will be tracked from
+    `evidence`; height of the person, m, when known. Nothing of one camera."""
+    total = len(source)
+    rows = np.unique(np.linspace(0, total - 1, min(total, FRAMES)).round().astype(int))
+    frames: list[Frame] = []
+    for i in rows.tolist():
+        with contextlib.suppress(HyposeError):  # what cannot be read is told when its turn comes
+            frames.append(source.frame(i))
+    points = [f.keypoints for f in frames if f.keypoints is not None]
+    masks = [f.silhouettes for f in frames if f.silhouettes is not None] if evidence != "keypoints" else []
+    limits = Limits()
+    found: list[Finding] = []
+    if evidence != "silhouettes" and points and len(points[0].rig) > 1:
+        found += _by_points(points, height, limits)
+    elif masks and len(masks[0].rig) > 1:
+        found += _by_masks(masks, frames, limits)
+    return tuple(found)
+
+
+def sentences(found: Sequence[Finding]) -> tuple[str, ...]:
+    """The faults among the findings, each with its next step."""
+    return tuple(f.sentence for f in found if f.fault)
+
+
+def _by_points(keypoints: Sequence[Keypoints], height: float | None, o: Limits) -> Iterator[Finding]:
+    """Of the key points of some frames."""
+    rig, names = keypoints[0].rig, keypoints[0].names
+    pixels = np.stack([np.nan_to_num(k.points) for k in keypoints], 1)
+    if (pixels[..., 2] > 0.3).any((1, 2)).sum() < 2:
+        return
+    apart, agreed = disagreement(rig, pixels), True
+    if apart > SCATTER:
+        trial, before, after = best_trial(rig, pixels, names, [None] * len(rig), 1)
+        agreed = trial is not None and before > o.gross and after < o.gross_cured * before
+        if trial is not None and agreed:
+            who = " and ".join(rig.names[k] for k in trial.views) if 0 < len(trial.views) < len(rig) else "All cameras"
+            text = (
+                f"{who}: {trial.words}; with that undone the views agree to {100 * after:.1f} % of the person's size "
+                f"instead of {100 * before:.1f} %"
+            )
+            yield Finding(trial.kind, tuple(rig.names[k] for k in trial.views), text, trial.cure, before - after)
+            rig, pixels = trial.rig, trial.pixels  # what else is wrong is told by points that agree
+        else:
+            text = f"All cameras: the views' key points disagree by {100 * apart:.0f} % of the person's size"
+            yield Finding("scatter", (), text, "run hypose check, which looks for the cause camera by camera", apart)
+    flat = pixels.reshape(len(rig), -1, 3)
+    points, _ = triangulate(rig, flat[..., :2], np.where(flat[..., 2] > 0.3, flat[..., 2], 0.0))
+    world = points.reshape(*pixels.shape[1:3], 3)
+    other = wrong_set(world, names)
+    if other is not None and (agreed or "keypoint_set = " in other.cure):
+        yield other
+    if other is not None or not agreed:
+        return  # nothing else can be told of points with other names, or that lie anywhere
+    yield from wrong_way_up(world, names, pixels, rig)
+    try:
+        tall = float(shape_from_keypoints(human(), world, names).scale) * human().stature
+    except EvidenceError:
+        return
+    if np.isfinite(tall):
+        yield from height_findings(tall, height, o)
+
+
+def _by_masks(silhouettes: Sequence[Silhouettes], frames: Sequence[Frame], o: Limits) -> Iterator[Finding]:
+    """Of the masks of some frames."""
+    yield from up_by_cameras(silhouettes[0].rig)
+    yield from gross_silhouettes(silhouettes[0].rig, silhouettes, replace(o, gross=0.04))

@@ -1,0 +1,114 @@
+"""How a run ends, in words: good, look at some frames, or not to be trusted, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.motion import Motion
+from hypose.pipeline.doubts import in_words, runs
+
+GOOD, LOOK, UNTRUSTED = "good", "look", "not to be trusted"
+EXIT_UNTRUSTED = 3
+"""The exit code of a command whose result is not to be trusted."""
+WRONG_SHARE = 0.12
+"""Mean probability over joints and frames of being wrong from which on nothing is trusted."""
+LIMB_SHARE = 0.5
+"""Share of the frames in which one and the same joint is doubtful, from which on nothing is trusted: who looks at the
+rest does not know what to believe of it."""
+LOST_SHARE = 0.3
+"""Share of the frames without the person from which on the motion is not that of the recording."""
+FEW_S = 0.12
+"""s: doubtful stretches that are shorter are not worth a look by themselves"""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """word: GOOD, LOOK or UNTRUSTED; because: sentences; frames: to look at."""
+
+    word: str
+    because: tuple[str, ...] = ()
+    frames: tuple[range, ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """In one paragraph."""
+        if self.word == UNTRUSTED:
+            return "Not to be trusted, because: " + " ".join(_ended(b) for b in self.because)
+        if self.word == LOOK:
+            return f"Look at {in_words(self.frames)}: " + " ".join(_ended(b) for b in self.because)
+        return "Good: nothing in the evidence speaks against it."
+
+    def document(self) -> dict[str, Any]:
+        """As JSON values."""
+        return {
+            "verdict": self.word,
+            "because": list(self.because),
+            "frames": [[r.start, r.stop] for r in self.frames],
+            "sentence": self.sentence,
+        }
+
+    def with_joints(self, motion: Motion) -> dict[str, Any]:
+        """`document`, and the frames in which each joint is doubtful."""
+        joints = motion.doubtful_joints
+        names = motion.skeleton.joint_names
+        found = {} if joints is None else {n: runs(joints[:, j]) for j, n in enumerate(names) if joints[:, j].any()}
+        return {**self.document(), "doubtful": {n: [[r.start, r.stop] for r in f] for n, f in found.items()}}
+
+    @staticmethod
+    def of_document(kept: Mapping[str, Any]) -> Verdict:
+        """What `document` gave."""
+        frames = tuple(range(int(a), int(b)) for a, b in kept["frames"])
+        return Verdict(str(kept["verdict"]), tuple(str(b) for b in kept["because"]), frames)
+
+
+def verdict_of(motion: Motion, faults: Sequence[str] = ()) -> Verdict:
+    """The verdict on a motion; faults: sentences of what was found wrong before tracking."""
+    because = list(faults)
+    gone = motion.lost | motion.extrapolated
+    if gone.mean() > LOST_SHARE:
+        because.append(f"the person was not found in {100 * gone.mean():.0f} % of the frames")
+    doubtful = motion.doubtful_joints
+    if doubtful is not None and motion.p_wrong is not None and (~gone).any():
+        because += _too_doubtful(motion, doubtful, ~gone)
+    if because:
+        return Verdict(UNTRUSTED, tuple(because))
+    frames = np.zeros(len(motion), dtype=bool) if motion.doubtful is None else motion.doubtful.astype(bool)
+    least = max(2, round(FEW_S * motion.frame_rate))
+    stretches = tuple(r for r in runs(frames) if len(r) >= least)
+    if not stretches:
+        return Verdict(GOOD)
+    return Verdict(LOOK, (_what(motion, doubtful, stretches),), stretches)
+
+
+def _too_doubtful(motion: Motion, doubtful: NDArray[np.bool_], seen: NDArray[np.bool_]) -> list[str]:
+    assert motion.p_wrong is not None
+    names = motion.skeleton.joint_names
+    share, often = float(motion.p_wrong[seen].mean()), doubtful[seen].mean(0)
+    if share > WRONG_SHARE:
+        worst = [names[j].replace("_", " ") for j in np.argsort(-often)[:4] if often[j] > 0.2]
+        what = f", above all {', '.join(worst)}" if worst else ""
+        return [
+            f"the evidence speaks against the body in {100 * share:.0f} % of the joints{what}: compare the overlay "
+            "with the images, and give key points, --start with the first pose, or other masks"
+        ]
+    bad = np.flatnonzero(often > LIMB_SHARE)
+    if len(bad):
+        which = ", ".join(names[j].replace("_", " ") for j in bad)
+        return [f"{which} cannot be told from the evidence in {100 * often[bad].max():.0f} % of the frames"]
+    return []
+
+
+def _what(motion: Motion, doubtful: NDArray[np.bool_] | None, stretches: Sequence[range]) -> str:
+    at = np.concatenate([np.arange(r.start, r.stop) for r in stretches])
+    often = np.zeros(len(motion.skeleton.joint_names)) if doubtful is None else doubtful[at].mean(0)
+    which = [motion.skeleton.joint_names[j].replace("_", " ") for j in np.argsort(-often)[:4] if often[j] > 0.2]
+    return f"{', '.join(which)} may be wrong there" if which else "see the notes for what was seen there"
+
+
+def _ended(text: str) -> str:
+    return text if text.endswith((".", ":")) else f"{text}."

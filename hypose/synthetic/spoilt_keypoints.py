@@ -1,0 +1,152 @@
+"""What goes wrong with the key points of real detectors, done to the key points of a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.cameras.camera import CameraRig
+from hypose.errors import InputError
+from hypose.evidence.frame import Frame, Keypoints
+from hypose.geometry import Array, se3, so3_exp
+
+_CHAINS = (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle", "big_toe", "small_toe", "heel"))
+
+
+def _size(points: Array) -> Array:
+    """(C,) px: the person's usual height in each view of points (T, C, K, 3)."""
+    seen = points[..., 2] > 0.3
+    high = np.where(seen, points[..., 1], -np.inf).max(2)
+    low = np.where(seen, points[..., 1], np.inf).min(2)
+    height = np.where(seen.sum(2) > 5, high - low, np.nan)
+    return np.nan_to_num(np.nanmedian(np.where(np.isfinite(height), height, np.nan), axis=0), nan=100.0)
+
+
+def _slow(rng: np.random.Generator, shape: tuple[int, ...], every: int) -> Array:
+    """Noise of sd 1 over the first axis, correlated over `every` frames."""
+    knots = rng.normal(size=(shape[0] // every + 3, *shape[1:]))
+    at = np.arange(shape[0]) / every
+    low = at.astype(int)
+    s = (at - low).reshape(-1, *[1] * (len(shape) - 1))
+    return ((1 - s) * knots[low] + s * knots[low + 1]) / np.sqrt((1 - s) ** 2 + s**2)
+
+
+def _stretches(rng: np.random.Generator, frames: int, share: float, length: int) -> NDArray[np.bool_]:
+    """(T,) bool: stretches of about `length` frames that fill about a share of the clip."""
+    out = np.zeros(frames, dtype=bool)
+    for _ in range(int(rng.poisson(share * frames / length))):
+        first = int(rng.integers(-length + 1, frames))
+        out[max(first, 0) : first + int(rng.integers(length // 2, 2 * length))] = True
+    return out
+
+
+def detector(points: Array, names: Sequence[str], rng: np.random.Generator) -> Array:
+    """Errors as a detector's: correlated in time, 3 % of the points elsewhere on the person, 5 % missing, sides of a
+    limb exchanged now and then. points (T, C, K, 3)."""
+    out, size = points.copy(), _size(points)
+    t, c, k, _ = out.shape
+    out[..., :2] += _slow(rng, (t, c, k, 2), 8) * (0.02 * size)[None, :, None, None]
+    wild = rng.random((t, c, k)) < 0.03
+    to = rng.integers(0, k, (t, c, k))
+    elsewhere = np.take_along_axis(points[..., :2], to[..., None].repeat(2, -1), 2)
+    out[..., :2] = np.where(wild[..., None], elsewhere, out[..., :2])
+    out[rng.random((t, c, k)) < 0.05] = 0.0
+    return swapped(out, names, rng, 0.05)
+
+
+def dropped(points: Array, names: Sequence[str], rng: np.random.Generator) -> Array:
+    """60 % of the points missing."""
+    return np.where(rng.random(points.shape[:3])[..., None] < 0.6, 0.0, points)
+
+
+def swapped(points: Array, names: Sequence[str], rng: np.random.Generator, share: float = 0.3) -> Array:
+    """Left and right of a limb's points exchanged, in stretches that fill about a share of each view."""
+    out, column = points.copy(), {n: i for i, n in enumerate(names)}
+    for view in range(points.shape[1]):
+        for chain in _CHAINS:
+            at = _stretches(rng, len(points), share, 12)
+            for part in chain:
+                a, b = column.get(f"left_{part}"), column.get(f"right_{part}")
+                if a is not None and b is not None:
+                    out[at, view, a], out[at, view, b] = points[at, view, b], points[at, view, a]
+    return out
+
+
+def shifted(points: Array, names: Sequence[str], rng: np.random.Generator) -> Array:
+    """One view's points off by 8 % of the person's height."""
+    out, view = points.copy(), int(rng.integers(points.shape[1]))
+    angle = rng.uniform(0, 2 * np.pi)
+    out[:, view, :, :2] += 0.08 * _size(points)[view] * np.array([np.cos(angle), np.sin(angle)])
+    return np.where(points[..., 2:] > 0, out, 0.0)
+
+
+def late(points: Array, names: Sequence[str], rng: np.random.Generator) -> Array:
+    """One view's points six frames late."""
+    out, view = points.copy(), int(rng.integers(points.shape[1]))
+    out[6:, view], out[:6, view] = points[:-6, view], points[0, view]
+    return out
+
+
+def noisy(points: Array, names: Sequence[str], rng: np.random.Generator) -> Array:
+    """Scatter of 4 % of the person's height, half of it slow."""
+    out = points.copy()
+    noise = (_slow(rng, out[..., :2].shape, 8) + rng.normal(size=out[..., :2].shape)) / np.sqrt(2)
+    out[..., :2] += noise * (0.04 * _size(points))[None, :, None, None]
+    return np.where(points[..., 2:] > 0, out, 0.0)
+
+
+def outliers(points: Array, names: Sequence[str], rng: np.random.Generator) -> Array:
+    """15 % of the points anywhere on the person, as confident as the others."""
+    out, (t, c, k, _) = points.copy(), points.shape
+    to = rng.integers(0, k, (t, c, k))
+    elsewhere = np.take_along_axis(points, to[..., None].repeat(3, -1), 2)
+    return np.where((rng.random((t, c, k)) < 0.15)[..., None], elsewhere, out)
+
+
+def hidden_arm(points: Array, names: Sequence[str], rng: np.random.Generator) -> Array:
+    """Elbow and wrist of one side not seen in stretches that fill about 40 % of the clip."""
+    out, side = points.copy(), "left" if rng.random() < 0.5 else "right"
+    at = _stretches(rng, len(points), 0.4, 20)
+    for part in ("elbow", "wrist"):
+        if f"{side}_{part}" in names:
+            out[at, :, list(names).index(f"{side}_{part}")] = 0.0
+    return out
+
+
+SPOILS: Mapping[str, Callable[[Array, Sequence[str], np.random.Generator], Array]] = {
+    "detector": detector,
+    "dropped": dropped,
+    "swapped": swapped,
+    "shifted": shifted,
+    "late": late,
+    "noisy": noisy,
+    "outliers": outliers,
+    "hidden_arm": hidden_arm,
+}
+"""All of them by name. `moved_camera` is the calibration's."""
+
+
+def spoilt(frames: Sequence[Frame], how: str, rng: np.random.Generator) -> list[Frame]:
+    """The frames of a scene with their key points spoilt; an InputError lists the ways."""
+    if how not in SPOILS:
+        raise InputError(f"Key points cannot be spoilt by {how!r}; choose one of {', '.join(SPOILS)}.")
+    known = [f.keypoints for f in frames if f.keypoints is not None]
+    if len(known) != len(frames):
+        raise InputError("Only frames that all carry key points can have them spoilt; make the scene with them.")
+    points = SPOILS[how](np.stack([k.points for k in known]), known[0].names, rng)
+    return [replace(f, keypoints=Keypoints(p, k.names, k.rig)) for f, k, p in zip(frames, known, points, strict=True)]
+
+
+def moved_camera(
+    rig: CameraRig, view: int, rng: np.random.Generator, metres: float = 0.06, degrees: float = 1.5
+) -> CameraRig:
+    """The rig with one camera elsewhere than it is: as after somebody has knocked against it."""
+    axis, way = rng.normal(size=3), rng.normal(size=3)
+    turn = so3_exp(np.radians(degrees) * axis / np.linalg.norm(axis))
+    knock = se3(turn, metres * way / np.linalg.norm(way))
+    cameras = list(rig)
+    cameras[view] = replace(cameras[view], camera_from_world=knock @ cameras[view].camera_from_world)
+    return CameraRig(tuple(cameras))

@@ -1,0 +1,182 @@
+"""What speaks for and against every joint of a tracked frame: bare mask, body outside the masks, key points, rivals.
+
+A wrong limb nearly always leaves a trace in the evidence: the true one stands uncovered in a mask, the wrong one sticks
+out of it, key points lie elsewhere, another pose fits as well. None of them tells alone; `hypose.tracking.doubt`
+weighs them.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.body.body import Body
+from hypose.compute.pictures.parts import parts_against_mask
+from hypose.evidence.frame import Frame, Keypoints, Silhouettes
+from hypose.geometry import Array
+from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, checked, pixels_per_metre
+
+AUDITED = (
+    *("bare", "bare_second", "bare_reach", "exposed", "exposed_second", "outside"),
+    *("rival", "points_median", "points_worst", "points_views", "points_all"),
+)
+"""Columns of an audit: m^2 of bare mask within NEAR_M of the joint, summed over the views, and in the second-barest
+one; within the limb's reach of its root, summed; share of the joint's part that no other part covers, summed over the
+views, and in the second-best; share of the part outside the masks, summed; m, spread of the rivals; m, distance of the
+joint's key points from it, median and largest over the views; views with one; m, median over all points of the frame.
+"""
+NEAR_M = 0.25
+_TALL = 110
+"""px: how tall a person is in the pictures that are compared; a forearm is five pixels wide"""
+_PARTS = (
+    *(("left_shoulder",), ("left_elbow", "left_wrist"), ("right_shoulder",), ("right_elbow", "right_wrist")),
+    *(("left_hip",), ("left_knee", "left_ankle"), ("right_hip",), ("right_knee", "right_ankle")),
+    *(("pelvis", "spine", "chest", "left_clavicle", "right_clavicle"), ("neck", "head")),
+)
+"""Joints whose skin is one part."""
+_ROOTS = (("left_shoulder", 0.75), ("right_shoulder", 0.75), ("left_hip", 1.0), ("right_hip", 1.0))
+"""Where limbs begin, and how far they reach, m."""
+_BESIDE_M = 0.4
+_FAR_M = 0.5  # key points further away are no worse
+
+
+@lru_cache(8)
+def _layout(names: tuple[str, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Part and limb (-1: none) of each joint, and the joints that are limbs' roots."""
+    part = np.array([next((k for k, p in enumerate(_PARTS) if n in p), 8) for n in names])
+    limb = np.full(len(names), -1)
+    for j, name in enumerate(names):
+        if name.endswith(("shoulder", "elbow", "wrist", "hip", "knee", "ankle")):
+            arm = name.endswith(("shoulder", "elbow", "wrist"))
+            limb[j] = (0 if arm else 2) + name.startswith("right")
+    return part, limb, np.array([names.index(n) for n, _ in _ROOTS if n in names])
+
+
+def _face_parts(body: Body) -> NDArray[np.uint16]:
+    part, _, _ = _layout(tuple(body.skeleton.joint_names))
+    corner = part[body.coarse.main_joint][body.coarse.faces]
+    return np.where(corner[:, 1] == corner[:, 2], corner[:, 1], corner[:, 0]).astype(np.uint16)
+
+
+def audit_frame(
+    body: Body,
+    pose: Array,
+    frame: Frame,
+    model: KeypointModel | None = None,
+    rivals: tuple[ArrayLike, ArrayLike] | None = None,
+) -> NDArray[np.float32]:
+    """(J, len(AUDITED)) of a tracked pose (D,), NaN where the frame has no such evidence.
+
+    model: where key points sit on the body; rivals: other poses (K, D) that are believed as well,
+    NaN where there are fewer, and their weights (K,)."""
+    names = tuple(body.skeleton.joint_names)
+    out = np.full((len(names), len(AUDITED)), np.nan, np.float32)
+    rotations, joints = body.skeleton.forward(pose)
+    if frame.silhouettes is not None and frame.silhouettes.usable.any():
+        out[:, :6] = _masks(body, pose, joints, frame.silhouettes)
+    out[:, 6] = _rivals(body, joints, rivals)
+    if frame.keypoints is not None and model is not None and model.names == frame.keypoints.names:
+        out[:, 7:] = _points(names, rotations, joints, frame.keypoints, model)
+    return out
+
+
+def _masks(body: Body, pose: Array, joints: Array, silhouettes: Silhouettes) -> Array:
+    part, limb, roots = _layout(tuple(body.skeleton.joint_names))
+    vertices, face_part = body.skin(pose), _face_parts(body)
+    points = np.concatenate([joints, joints[roots]])
+    reach = np.r_[np.full(len(joints), NEAR_M), [r for _, r in _ROOTS]]
+    views = np.flatnonzero(silhouettes.usable)
+    bare, exposed, outside = (np.zeros((len(views), n)) for n in (len(points), len(_PARTS), len(_PARTS)))
+    for k, c in enumerate(views.tolist()):
+        p, (w, h) = silhouettes.rig.projections[c], silhouettes.rig.sizes[c]
+        depth = float(p[2, :3] @ joints[0] + p[2, 3])
+        per_metre = float(silhouettes.rig[c].K[0, 0]) / max(depth, 0.1)
+        step = max(1, int(1.7 * per_metre / _TALL))
+        uv, z = _projected(np.concatenate([vertices, points]), p)
+        # what lies further from the body says nothing of its joints
+        low, high = np.nanmin(uv, 0) - _BESIDE_M * per_metre, np.nanmax(uv, 0) + _BESIDE_M * per_metre
+        (x0, y0), (x1, y1) = (np.clip(np.nan_to_num(v), 0, (w, h)).astype(int) for v in (low, high))
+        mask = np.ascontiguousarray(silhouettes.masks[c, y0:y1:step, x0:x1:step])
+        if not mask.size:
+            continue
+        uv = (uv - (x0, y0)) / step
+        n, size = len(vertices), per_metre / step
+        seen = parts_against_mask(mask, uv[:n], z[:n], body.coarse.faces, face_part, len(_PARTS), uv[n:], reach * size)
+        bare[k] = seen.bare / size**2
+        exposed[k] = seen.exposed / np.maximum(seen.area, 1)
+        outside[k] = seen.outside / np.maximum(seen.area, 1)
+    second = -2 if len(views) > 1 else -1
+    near, limbs = bare[:, : len(joints)], bare[:, len(joints) :].sum(0)
+    best = np.sort(exposed, 0)
+    return np.stack(
+        [
+            near.sum(0),
+            np.sort(near, 0)[second],
+            np.where(limb >= 0, limbs[limb], limbs.max()),
+            exposed.sum(0)[part],
+            best[second][part],
+            outside.sum(0)[part],
+        ],
+        1,
+    )
+
+
+def _projected(points_world: Array, projection: Array) -> tuple[Array, Array]:
+    """(N, 2) px, NaN behind the camera, and (N,) m along its axis."""
+    x = points_world @ projection[:, :3].T + projection[:, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(x[:, 2:] > 0.05, x[:, :2] / x[:, 2:], np.nan), x[:, 2]
+
+
+def _rivals(body: Body, joints: Array, rivals: tuple[ArrayLike, ArrayLike] | None) -> Array:
+    """(J,) m: spread of the joints over the rivals around the estimate, weighted."""
+    poses, weights = (np.asarray(a, dtype=np.float64) for a in rivals or (np.zeros((0, 0)), np.zeros(0)))
+    known = weights > 0
+    if not known.any():
+        return np.zeros(len(joints))
+    away = ((body.joints(poses[known]) - joints) ** 2).sum(-1)
+    return np.sqrt(weights[known] @ away)
+
+
+def _points(names: tuple[str, ...], rotations: Array, joints: Array, seen: Keypoints, model: KeypointModel) -> Array:
+    """(J, 4): median, largest, number of views, median of the frame; see AUDITED."""
+    points = np.nan_to_num(seen.points)
+    expected = joints[model.joint] + np.einsum("kab,kb->ka", rotations[model.joint], model.offset)
+    uv = np.stack([camera.project_pinhole(expected) for camera in seen.rig])
+    size = pixels_per_metre(seen, joints[0])
+    points[~(points[..., 2] > MIN_CONFIDENCE)] = 0.0
+    points = checked(points, uv, model.names, size, model.known)
+    known = (points[..., 2] > 0) & model.known & np.isfinite(uv).all(-1)
+    away = np.minimum(np.linalg.norm(points[..., :2] - uv, axis=-1) / size[:, None], _FAR_M)
+    away = np.where(known, away, np.inf)
+    own = _columns(names, model.names)  # (J, M), -1: none
+    found = np.where((own >= 0)[None], away[:, own], np.inf)  # (C, J, M)
+    views = np.isfinite(found).any(-1).sum(0)
+    row = np.sort(found.transpose(1, 0, 2).reshape(len(names), -1), axis=1)
+    count = np.isfinite(row).sum(1)
+    at = np.arange(len(names))
+    middle, worst = (np.where(count > 0, row[at, np.maximum(k, 0)], _FAR_M) for k in ((count - 1) // 2, count - 1))
+    usual = float(np.median(away[known])) if known.any() else _FAR_M
+    return np.stack([middle, worst, views, np.full(len(names), usual)], 1)
+
+
+@lru_cache(8)
+def _columns(names: tuple[str, ...], points: tuple[str, ...]) -> NDArray[np.int64]:
+    """(J, M) columns of the key points that speak of each joint, -1 where there are no more."""
+    own = [[points.index(n) for n in _NAMED.get(name, (name,)) if n in points] for name in names]
+    most = max(map(len, own))
+    return np.array([[*o, *[-1] * (most - len(o))] for o in own], dtype=np.int64).reshape(len(names), most)
+
+
+_NAMED = {
+    "pelvis": ("left_hip", "right_hip", "mid_hip"),
+    "neck": ("neck", "upper_neck", "left_shoulder", "right_shoulder"),
+    "head": ("nose", "left_ear", "right_ear", "head_top", "left_eye", "right_eye"),
+    "chest": ("neck", "left_shoulder", "right_shoulder"),
+    "spine": ("mid_hip", "left_hip", "right_hip", "left_shoulder", "right_shoulder"),
+    "left_clavicle": ("left_shoulder", "neck"),
+    "right_clavicle": ("right_shoulder", "neck"),
+}
+"""Key points that speak of joints that have none of their name."""

@@ -1,0 +1,169 @@
+"""How likely each joint of each frame is wrong by more than 100 mm: a logistic of what a clip's audit found.
+
+The covariance of a joint is that of the pose that is believed; no Gaussian covers the arm that is elsewhere. So this
+number is told apart from it. Its weights were fitted to scenes (scripts/train_doubt.py), one set per kind of evidence
+and group of joints.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
+
+from hypose.body.motion import Motion
+from hypose.geometry import Array
+from hypose.tracking.audit import AUDITED
+from hypose.tracking.pose_covariance import joint_group
+
+WRONG_M = 0.1
+AROUND_S = 0.25
+"""s before and after that a joint is judged by as well: what is wrong lasts"""
+_HIDDEN_S = 1.0
+_SEEN = 0.25  # share of a part that is exposed in two views at least
+FEATURES = (
+    *("log_sd", "moved", "accel", "bare", "bare_more", "bare_second", "bare_reach", "bare_body"),
+    *("exposed", "exposed_second", "hidden", "outside", "outside_body", "rival", "rival_around", "cost", "cost_more"),
+    *("points", "points_worst", "points_around", "points_few", "points_unseen", "points_all"),
+)
+"""What a joint is judged by, see `clip_features`."""
+GROUPS = ("trunk", "arms", "legs")
+
+
+def group_of(name: str) -> int:
+    """Index in GROUPS of a joint by its name."""
+    return {"arms": 1, "legs": 2}.get(joint_group(name), 0)
+
+
+def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
+    """(T, J, len(FEATURES)) of a motion whose frames were tracked as raw_joints (T, J, 3) m and audited (T, J, A).
+
+    log_sd: of the joint's sd; moved: largest distance of the frame's own joint from the clip's, nearby in time; accel:
+    the largest of its accelerations nearby; bare*: of mask without body, near the joint, beyond what is usual in the
+    clip, in the second-barest view, in the limb's reach, over the whole body; exposed*: how much of its part nothing
+    else covers, smoothed; hidden: s from when it was last seen, or to the next time; outside*: of the joint's part and
+    of the body outside the masks; rival*: what else was believed; cost*: 1 - IoU, and beyond the usual; points*:
+    distance of its key points and of the frame's, how few views have it, and for how long."""
+    a = {n: np.asarray(audit, dtype=np.float64)[..., k] for k, n in enumerate(AUDITED)}
+    masks, points = np.isfinite(a["bare"]), np.isfinite(a["points_all"])
+    a = {n: np.nan_to_num(v) for n, v in a.items()}
+    rate, count = motion.frame_rate, motion.joints.shape[:2]
+    around = 2 * max(1, round(AROUND_S * rate)) + 1
+    moved = np.linalg.norm(raw_joints - motion.joints, axis=-1)
+    accel = np.zeros(count)
+    if len(motion) > 2:
+        accel[1:-1] = np.linalg.norm(np.diff(raw_joints, 2, axis=0), axis=-1) * rate**2
+    sd = np.nan_to_num(motion.joint_sd, nan=1.0)
+    cost = np.nan_to_num(motion.cost)[:, None] * np.ones(count)
+    seen = np.where(masks, a["exposed_second"] > _SEEN, False)
+    two = a["points_views"] >= 2
+    found = {
+        "log_sd": np.log(np.clip(sd, 0.001, 1.0)),
+        "moved": np.sqrt(_highest(moved, around)),
+        "accel": np.log1p(_highest(accel, around)),
+        "bare": np.sqrt(a["bare"]),
+        "bare_more": np.sqrt(_beyond(a["bare"])),
+        "bare_second": np.sqrt(_mean(a["bare_second"], around)),
+        "bare_reach": np.sqrt(a["bare_reach"]),
+        "bare_body": np.sqrt(a["bare"].mean(1, keepdims=True)) * np.ones(count),
+        "exposed": _mean(a["exposed"], around),
+        "exposed_second": _mean(a["exposed_second"], around),
+        "hidden": _away(seen, rate) * masks,
+        "outside": np.sqrt(a["outside"]),
+        "outside_body": np.sqrt(a["outside"].mean(1, keepdims=True)) * np.ones(count),
+        "rival": a["rival"],
+        "rival_around": _mean(a["rival"], around),
+        "cost": cost,
+        "cost_more": _beyond(cost),
+        "points": np.log(0.005 + a["points_median"]) * points,
+        "points_worst": np.log(0.005 + a["points_worst"]) * points,
+        "points_around": np.log(0.005 + _highest(a["points_median"], around)) * points,
+        "points_few": (1 - np.minimum(a["points_views"], 3) / 3) * points,
+        "points_unseen": _away(two, rate) * points,
+        "points_all": np.log(0.005 + a["points_all"]) * points,
+    }
+    return np.stack([found[n] for n in FEATURES], -1)
+
+
+def _highest(values: Array, size: int) -> Array:
+    return np.asarray(maximum_filter1d(values, size, axis=0, mode="nearest"))
+
+
+def _mean(values: Array, size: int) -> Array:
+    return np.maximum(uniform_filter1d(values, size, axis=0, mode="nearest"), 0.0)
+
+
+def _beyond(values: Array) -> Array:
+    """Above the lower quartile over the clip."""
+    return np.maximum(values - np.percentile(values, 25, axis=0), 0.0)
+
+
+def _away(seen: NDArray[np.bool_], rate: float) -> Array:
+    """s to the nearest frame in which a joint is seen, at most _HIDDEN_S."""
+    most = _HIDDEN_S * rate
+    out = np.full(seen.shape, most)
+    for order in (range(len(seen)), range(len(seen) - 1, -1, -1)):
+        gap = np.full(seen.shape[1], most)
+        for t in order:
+            gap = np.where(seen[t], 0.0, np.minimum(gap + 1, most))
+            out[t] = np.minimum(out[t], gap)
+    return out / rate
+
+
+@dataclass(frozen=True)
+class DoubtModel:
+    """Of one kind of evidence. middle, scale (F,) of the features; weights (G, F), offset (G,): log-odds of a group's
+    joint; threshold (G,): from which probability on a joint is doubtful."""
+
+    middle: Array
+    scale: Array
+    weights: Array
+    offset: Array
+    threshold: Array
+
+    def log_odds(self, features: Array, groups: NDArray[np.int64]) -> Array:
+        """(T, J) of features (T, J, F) of joints in groups (J,)."""
+        z = np.clip((features - self.middle) / self.scale, -6.0, 6.0)
+        return np.einsum("tjf,jf->tj", z, self.weights[groups]) + self.offset[groups]
+
+    def probability(self, features: Array, groups: NDArray[np.int64]) -> Array:
+        """(T, J) that the joint is wrong by more than WRONG_M."""
+        return 1 / (1 + np.exp(-np.clip(self.log_odds(features, groups), -30.0, 30.0)))
+
+
+@cache
+def doubt_models() -> Mapping[str, DoubtModel]:
+    """The fitted models by evidence."""
+    kept = json.loads(files("hypose.assets").joinpath("doubt.json").read_text(encoding="utf-8"))
+    if kept["features"] != list(FEATURES) or kept["groups"] != list(GROUPS):
+        raise ValueError("assets/doubt.json belongs to other features; run scripts/train_doubt.py")
+    return {
+        evidence: DoubtModel(*(np.array(m[k]) for k in ("middle", "scale", "weights", "offset", "threshold")))
+        for evidence, m in kept["models"].items()
+    }
+
+
+def evidence_of(audit: ArrayLike) -> str:
+    """What an audit (T, J, A) had to go by: silhouettes, keypoints or both."""
+    a = np.asarray(audit)
+    masks = bool(np.isfinite(a[..., AUDITED.index("bare")]).any())
+    points = bool(np.isfinite(a[..., AUDITED.index("points_all")]).any())
+    return "both" if masks and points else "keypoints" if points else "silhouettes"
+
+
+def judged(motion: Motion, raw_joints: Array, audit: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """(T, J) probability that a joint is wrong by more than WRONG_M, and which joints are doubtful for that.
+
+    Of frames in which the person was lost nothing is believed: 0.5 at least, and doubtful."""
+    names = motion.skeleton.joint_names
+    groups = np.array([group_of(n) for n in names])
+    model = doubt_models()[evidence_of(audit)]
+    p = model.probability(clip_features(motion, raw_joints, audit), groups)
+    p = np.where(motion.lost[:, None], np.maximum(p, 0.5), p)
+    return p.astype(np.float32), np.asarray((p > model.threshold[groups]) | motion.lost[:, None])

@@ -1,0 +1,128 @@
+"""Standard deviations that hold: of joint centres and of joint angles, from what the evidence says and what it cannot.
+
+The curvature of a cost tells how well the evidence fixes a pose, not how far the body's joint lies from the
+anatomical one. So the variance is a^2 V + b^2: V from the curvature, a because rows err together, b for the definition
+and the body, the same all along. a and b were fitted to errors on scenes (scripts/train_doubt.py), per joint, angle and
+kind of evidence.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+
+from hypose.body.joint_angles import ANGLE_NAMES, angles_of_frames
+from hypose.body.motion import Motion
+from hypose.body.skeleton import Skeleton
+from hypose.geometry import Array
+
+_STEP = 1e-4
+_LEAST = 0.05  # information that anatomy gives every coordinate, 1 / rad^2: nothing turns more than it can
+_SETS = {
+    "pelvis": (("pelvis",), ("pelvis",)),
+    "lumbar": (("lumbar",), ("spine", "chest")),
+    "neck": (("neck",), ("neck", "head")),
+    **{
+        f"{part}_{s}": ((f"{angle}_{s}",), tuple(f"{side}_{j}" for j in joints))
+        for s, side in (("r", "right"), ("l", "left"))
+        for part, angle, joints in (
+            ("hip", "hip", ("hip",)),
+            ("knee", "knee", ("knee",)),
+            ("ankle", "ankle", ("ankle",)),
+            ("subtalar", "subtalar", ("ankle",)),
+            ("arm", "arm", ("clavicle", "shoulder")),
+            ("elbow", "elbow", ("elbow",)),
+        )
+    },
+}
+"""Angles by the beginnings of their names, and the joints whose coordinates they depend on."""
+
+
+def kind_of(name: str) -> str:
+    """A joint's or an angle's name without its side."""
+    return name.removeprefix("left_").removeprefix("right_").removesuffix("_l").removesuffix("_r")
+
+
+@cache
+def fitted() -> Mapping[str, Mapping[str, Mapping[str, tuple[float, float]]]]:
+    """{"joints" or "angles": {evidence: {kind: (a, b)}}}; b in m, or rad."""
+    kept = json.loads(files("hypose.assets").joinpath("spread.json").read_text(encoding="utf-8"))
+    return {what: {e: {k: (a, b) for k, (a, b) in own.items()} for e, own in by.items()} for what, by in kept.items()}
+
+
+def with_fitted_joints(motion: Motion, evidence: str) -> Motion:
+    """The motion with covariances a^2 V + b^2 I, and its definition_sd."""
+    own = fitted()["joints"][evidence]
+    pairs = np.array([own.get(kind_of(n), (1.0, 0.0)) for n in motion.skeleton.joint_names])
+    a, b = pairs[:, 0], pairs[:, 1]
+    around = a[:, None, None] ** 2 * motion.joint_covariance + (b**2)[:, None, None] * np.eye(3)
+    return replace(motion, joint_covariance=around.astype(np.float32), definition_sd=b.astype(np.float32))
+
+
+def with_fitted_angles(motion: Motion, covariance: Array, evidence: str) -> Motion:
+    """The motion with the sd of its angles, from the covariances (T, D, D) of its poses."""
+    assert motion.poses is not None
+    own = fitted()["angles"][evidence]
+    pairs = np.array([own.get(kind_of(n), (1.0, 0.0)) for n in ANGLE_NAMES])
+    variance = angle_variance(motion.skeleton, motion.poses, covariance)
+    return replace(motion, angle_sd=np.sqrt(pairs[:, 0] ** 2 * variance + pairs[:, 1] ** 2).astype(np.float32))
+
+
+def as_curved(motion: Motion, evidence: str) -> Motion:
+    """What `with_fitted_joints` and `with_fitted_angles` were given of V: for fitting anew."""
+    joints, angles = (fitted()[what][evidence] for what in ("joints", "angles"))
+    a, b = np.array([joints.get(kind_of(n), (1.0, 0.0)) for n in motion.skeleton.joint_names]).T
+    around = (motion.joint_covariance - (b**2)[:, None, None] * np.eye(3)) / a[:, None, None] ** 2
+    c, d = np.array([angles.get(kind_of(n), (1.0, 0.0)) for n in ANGLE_NAMES]).T
+    sd = None if motion.angle_sd is None else np.sqrt(np.maximum(motion.angle_sd**2 - d**2, 0.0)) / c
+    return replace(
+        motion,
+        joint_covariance=around.astype(np.float32),
+        definition_sd=None,
+        angle_sd=None if sd is None else sd.astype(np.float32),
+    )
+
+
+def pose_covariance(information: Array) -> Array:
+    """(T, D, D) from what is known of poses (T, D, D): inverse, with the little that anatomy knows."""
+    least = np.diag(np.r_[np.zeros(3) + 1e-2, np.full(information.shape[-1] - 3, _LEAST)])
+    return np.asarray(np.linalg.inv(information + least), dtype=np.float64)
+
+
+def angle_variance(skeleton: Skeleton, poses: Array, covariance: Array) -> Array:
+    """(T, A) rad^2, and m^2 of positions: J C J^T of the angles at poses (T, D) with covariances C (T, D, D).
+
+    J by differences; coordinates of sets of joints that share no angle are moved together."""
+    sets = [
+        (
+            np.array([k for k, n in enumerate(ANGLE_NAMES) if any(_belongs(n, b) for b in begins)]),
+            np.flatnonzero(np.isin(skeleton.joint_of_dof, [skeleton.joint(j) for j in joints])),
+        )
+        for begins, joints in _SETS.values()
+    ]
+    out = np.zeros((len(poses), len(ANGLE_NAMES)))
+    base = angles_of_frames(skeleton, *skeleton.forward(poses))
+    slopes = np.zeros((len(poses), len(ANGLE_NAMES), poses.shape[1]))
+    for k in range(max(len(dofs) for _, dofs in sets)):
+        moved = poses.copy()
+        moved[:, np.unique([dofs[k] for _, dofs in sets if k < len(dofs)])] += _STEP
+        step = angles_of_frames(skeleton, *skeleton.forward(moved)) - base
+        step = (step + np.pi) % (2 * np.pi) - np.pi
+        for angles, dofs in sets:
+            if k < len(dofs):
+                slopes[:, angles, dofs[k]] = step[:, angles] / _STEP
+    for angles, dofs in sets:
+        j, c = slopes[:, angles][..., dofs], covariance[:, dofs[:, None], dofs]
+        out[:, angles] = np.einsum("tad,tde,tae->ta", j, c, j)
+    return out
+
+
+def _belongs(name: str, begin: str) -> bool:
+    """Is the angle one of a set: 'hip_r' holds hip_flexion_r, 'pelvis' pelvis_tilt?"""
+    part, _, side = begin.rpartition("_")
+    return name.startswith(f"{part}_") and name.endswith(f"_{side}") if part else name.startswith(f"{begin}_")

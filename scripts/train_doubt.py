@@ -1,0 +1,44 @@
+"""Train what tells wrong joints: scenes are tracked, audited, and compared with their truth; a logistic fit is printed.
+
+    python scripts/train_doubt.py collect FOLDER --seeds 600:606      tracks, keeps what was found in FOLDER
+    python scripts/train_doubt.py fit FOLDER                          fits, judges on other seeds, writes the weights
+                                                                      of P(wrong), and of the covariances
+
+Seeds below 900 are trained on, the others judge. FOLDER also serves the benchmark `doubt`.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from benchmarks.multiview.doubt_scenes import CASES, collect, load_all
+
+
+def main() -> None:
+    """See the module."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=("collect", "fit"))
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--seeds", default="600:606")
+    parser.add_argument("--evidence", default="silhouettes,keypoints,both")
+    parser.add_argument("--cases", default=",".join(CASES))
+    given = parser.parse_args()
+    if given.what == "collect":
+        first, stop = (int(x) for x in given.seeds.split(":"))
+        for seed in range(first, stop):
+            for case in given.cases.split(","):
+                collect(given.folder, case, seed, given.evidence.split(","))
+        return
+    from benchmarks.multiview.doubt_fit import report_fit
+    from benchmarks.multiview.spread_fit import judged_by_seed, write_spread
+
+    clips = load_all(given.folder)
+    report_fit(clips)
+    write_spread(clips)
+    for evidence, by in judged_by_seed(clips).items():
+        print(evidence, {g: (round(c, 3), round(e, 3)) for g, (c, e) in by.items()})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,178 @@
+"""What is plainly wrong is told before tracking, with its name; what is right is left alone."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hypose.calibration.doctor_points import mirrored_names
+from hypose.cameras.camera import CameraRig
+from hypose.evidence.frame import Keypoints, Silhouettes
+from hypose.evidence.keypoints import BODY_25, BODY_25B, COCO_18
+from hypose.geometry import se3
+from hypose.pipeline.first_look import first_look, sentences
+from hypose.pipeline.track_loop import FrameList
+from hypose.synthetic.scenes import make_scene
+from hypose.synthetic.spoilt_keypoints import noisy, spoilt
+
+BALANCING = Path(__file__).parents[3] / "shared" / "data" / "pose2sim_balancing"
+
+
+@pytest.fixture(scope="module")
+def frames():
+    scene = make_scene("walk", rig="humaneva-4", seconds=1.0, seed=40, corruption=("level-1",))
+    return list(scene.mask_frames(0.5, keypoints=True))
+
+
+def with_points(frames, change, names=None, rig=None):
+    out = []
+    for f in frames:
+        k = f.keypoints
+        out.append(
+            replace(f, silhouettes=None, keypoints=Keypoints(change(k.points.copy()), names or k.names, rig or k.rig))
+        )
+    return out
+
+
+def with_rig(frames, change):
+    out = []
+    for f in frames:
+        s = f.silhouettes
+        rig = CameraRig(tuple(change(c) for c in s.rig))
+        out.append(
+            replace(
+                f, silhouettes=Silhouettes(s.masks, rig, s.usable, s.reasons), keypoints=replace(f.keypoints, rig=rig)
+            )
+        )
+    return out
+
+
+def alone(frame, points):
+    return replace(frame, silhouettes=None, keypoints=replace(frame.keypoints, points=points))
+
+
+def kinds(frames, evidence="keypoints", height=None):
+    found = first_look(FrameList(frames), evidence, height)
+    assert all(s.count("Next: ") == 1 for s in sentences(found))
+    return [f.kind for f in found if f.fault]
+
+
+@pytest.mark.parametrize("evidence", ["silhouettes", "keypoints", "both"])
+@pytest.mark.parametrize("motion", ["walk", "sit_down", "serve"])
+def test_what_is_right_is_left_alone(evidence, motion):
+    for seed in (41, 42):
+        scene = make_scene(motion, rig="humaneva-4", seconds=1.0, seed=seed, corruption=("level-1",))
+        assert kinds(list(scene.mask_frames(0.5, keypoints=True)), evidence) == []
+
+
+def test_a_detector_that_errs_is_no_fault(frames):
+    assert kinds(spoilt(frames, "detector", np.random.default_rng(1))) == []
+
+
+def test_points_in_the_order_of_another_set_are_named(frames):
+    order = [BODY_25.index(n) if n in BODY_25 else 0 for n in BODY_25B]
+
+    def as_25b(points):
+        out = points[:, order]
+        out[:, [k for k, n in enumerate(BODY_25B) if n not in BODY_25]] = 0.0
+        return out
+
+    (found,) = first_look(FrameList(with_points(frames, as_25b)), "keypoints")
+    assert found.kind == "keypoint_set" and "BODY_25B" in found.cure and "not BODY_25:" in found.text
+    (found,) = first_look(FrameList(with_points(frames, lambda p: p, BODY_25B)), "keypoints")
+    assert found.kind == "keypoint_set" and 'keypoint_set = "BODY_25"' in found.cure
+
+
+def test_a_short_set_in_the_slots_of_a_long_one_is_named(frames):
+    columns = [BODY_25.index(n) for n in COCO_18]
+
+    def padded(points):
+        out = np.zeros_like(points)
+        out[:, : len(columns)] = points[:, columns]
+        return out
+
+    (found,) = first_look(FrameList(with_points(frames, padded)), "keypoints")
+    assert found.kind == "keypoint_set" and "COCO_18" in found.cure and "first 18 of 25 slots" in found.text
+
+
+def test_exchanged_and_mirrored_cameras_are_named(frames):
+    (found,) = first_look(FrameList(with_points(frames, lambda p: p[[1, 0, 2, 3]])), "keypoints")
+    assert found.kind == "swapped" and found.views == ("cam1", "cam2")
+    width = frames[0].keypoints.rig.sizes[2, 0]
+
+    def mirrored(points):
+        points[2, :, 0] = width - 1 - points[2, :, 0]
+        points[2] = points[2, mirrored_names(BODY_25)]  # who looks into a mirror lifts the other hand
+        return points
+
+    found = first_look(FrameList(with_points(frames, mirrored)), "keypoints")
+    assert [f.kind for f in found] == ["mirrored"] and found[0].views == ("cam3",)
+
+
+def test_y_from_the_bottom_is_told(frames):
+    high = frames[0].keypoints.rig.sizes[0, 1]
+
+    def flipped(points):
+        points[..., 1] = np.where(points[..., 2] > 0, high - 1 - points[..., 1], 0.0)
+        return points
+
+    assert "flipped" in kinds(with_points(frames, flipped))
+
+
+@pytest.mark.parametrize("evidence", ["silhouettes", "keypoints", "both"])
+def test_a_world_upside_down_is_told(frames, evidence):
+    def over(camera):
+        turn = se3(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
+        return replace(camera, camera_from_world=camera.camera_from_world @ turn)
+
+    assert kinds(with_rig(frames, over), evidence) == ["up"]
+
+
+def test_another_axis_up_is_told(frames):
+    turn = se3(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), np.zeros(3))
+    turned = with_rig(frames, lambda c: replace(c, camera_from_world=c.camera_from_world @ turn))
+    for evidence in ("silhouettes", "keypoints"):
+        (found,) = first_look(FrameList(turned), evidence)
+        assert found.kind == "up" and " y points up" in found.cure, found.sentence
+
+
+@pytest.mark.parametrize("evidence", ["silhouettes", "keypoints"])
+def test_a_wrong_unit_is_told(frames, evidence):
+    def in_mm(camera):
+        pose = camera.camera_from_world.copy()
+        pose[:3, 3] *= 1000
+        return replace(camera, camera_from_world=pose)
+
+    assert kinds(with_rig(frames, in_mm), evidence) == ["unit"]
+
+
+def test_scatter_and_another_calibration_are_told(frames):
+    points = np.stack([f.keypoints.points for f in frames])
+    rng = np.random.default_rng(2)
+    wild = points.copy()
+    for _ in range(2):
+        wild = noisy(wild, BODY_25, rng)
+    wide = [alone(f, p) for f, p in zip(frames, wild, strict=True)]
+    assert kinds(wide) == ["scatter"]
+    other = make_scene("walk", rig="ring-4", seconds=0.1, seed=1).given_rig.scaled(0.5)
+    assert len(kinds(with_points(frames, lambda p: p, rig=other))) == 1
+
+
+def test_two_views_of_nobody_say_nothing(frames):
+    empty = [alone(f, np.zeros_like(f.keypoints.points)) for f in frames]
+    assert kinds(empty) == []
+
+
+@pytest.mark.skipif(not BALANCING.exists(), reason="needs the recording pose2sim_balancing")
+def test_a_real_recording_is_left_alone_and_told_when_its_set_is_wrong():
+    from hypose.io.recordings.frames import FrameOptions, FrameStream
+    from hypose.io.recordings.recording import load_recording
+
+    with FrameStream(load_recording(BALANCING), FrameOptions(silhouettes=None)) as stream:
+        real = [stream.frame(i) for i in range(len(stream))]
+    assert kinds(real) == []
+    found = first_look(
+        FrameList([replace(f, keypoints=replace(f.keypoints, names=BODY_25)) for f in real]), "keypoints"
+    )
+    assert [f.kind for f in found] == ["keypoint_set"] and "BODY_25B" in found[0].cure

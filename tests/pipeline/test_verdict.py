@@ -1,0 +1,68 @@
+"""The verdict in words: good, look at frames, not to be trusted, and what is kept of it."""
+
+import numpy as np
+
+from hypose.body.motion import Motion, isotropic
+from hypose.body.ready_bodies import human
+from hypose.pipeline.verdict import GOOD, LOOK, UNTRUSTED, Verdict, verdict_of
+
+BODY = human()
+
+
+def motion(p=None, lost=0, frames=50):
+    joints = BODY.joints(np.zeros((frames, BODY.skeleton.dof)))
+    p = np.zeros(joints.shape[:2], np.float32) if p is None else p
+    gone = np.arange(frames) < lost
+    flagged = p > 0.2
+    return Motion(
+        *(BODY.skeleton, np.arange(frames) / 25, joints, None, isotropic(np.full(joints.shape[:2], 0.01))),
+        *(gone, np.zeros(frames, bool), np.full(frames, 4), np.full(frames, 0.1), {}),
+        *(flagged.any(1), p, flagged),
+    )
+
+
+def probabilities(joints=(), rows=slice(None), value=0.6):
+    p = np.full((50, len(BODY.skeleton.joint_names)), 0.001, np.float32)
+    for name in joints:
+        p[rows, BODY.skeleton.joint(name)] = value
+    return p
+
+
+def test_nothing_against_it_is_good():
+    found = verdict_of(motion(probabilities()))
+    assert found.word == GOOD and found.frames == () and found.sentence.startswith("Good")
+
+
+def test_some_frames_are_to_be_looked_at_and_the_joint_is_named():
+    found = verdict_of(motion(probabilities(["right_wrist"], slice(10, 20))))
+    assert found.word == LOOK and found.frames == (range(10, 20),)
+    assert "frames 10-19" in found.sentence and "right wrist" in found.sentence
+
+
+def test_a_single_frame_is_passed_over():
+    assert verdict_of(motion(probabilities(["right_wrist"], slice(10, 11)))).word == GOOD
+
+
+def test_a_body_that_the_evidence_speaks_against_is_not_to_be_trusted():
+    whole = [n for n in BODY.skeleton.joint_names if n.endswith(("knee", "ankle", "wrist", "elbow", "hip"))]
+    found = verdict_of(motion(probabilities(whole)))
+    assert found.word == UNTRUSTED and "speaks against the body" in found.sentence and "knee" in found.sentence
+
+
+def test_one_limb_that_is_never_known_and_a_person_who_is_never_there():
+    found = verdict_of(motion(probabilities(["left_wrist"])))
+    assert found.word == UNTRUSTED and "left wrist" in found.sentence
+    found = verdict_of(motion(probabilities(), lost=25))
+    assert found.word == UNTRUSTED and "not found in 50 %" in found.sentence
+
+
+def test_what_was_found_before_tracking_decides():
+    found = verdict_of(motion(probabilities()), ("cam1: its images are mirrored. Next: mirror them back.",))
+    assert found.word == UNTRUSTED and "mirrored" in found.sentence
+
+
+def test_a_verdict_comes_back_from_its_document():
+    m = motion(probabilities(["right_wrist"], slice(10, 20)))
+    found = verdict_of(m)
+    assert Verdict.of_document(found.document()) == found
+    assert found.with_joints(m)["doubtful"] == {"right_wrist": [[10, 20]]}

@@ -1,0 +1,57 @@
+"""Key points spoilt on purpose: what is meant happens, nothing else, and the same with the same seed."""
+
+import numpy as np
+import pytest
+
+from hypose.cameras.camera import CameraRig
+from hypose.errors import InputError
+from hypose.evidence.frame import Frame, Keypoints
+from hypose.evidence.keypoints import BODY_25
+from hypose.synthetic.rigs import rig
+from hypose.synthetic.spoilt_keypoints import SPOILS, moved_camera, spoilt
+
+
+@pytest.fixture(scope="module")
+def frames():
+    cameras, rng = rig("humaneva-4"), np.random.default_rng(0)
+    base = np.concatenate([rng.uniform(100, 400, (4, 25, 2)), np.ones((4, 25, 1))], -1)
+    drift = np.array([0.5, 0.2, 0.0])
+    return [Frame(t / 25, t, None, Keypoints(base + t * drift, BODY_25, cameras)) for t in range(60)]
+
+
+def points(frames):
+    return np.stack([f.keypoints.points for f in frames])
+
+
+@pytest.mark.parametrize("how", sorted(SPOILS))
+def test_the_same_seed_spoils_the_same(frames, how):
+    a, b, c = (points(spoilt(frames, how, np.random.default_rng(s))) for s in (1, 1, 2))
+    assert a.shape == points(frames).shape and np.isfinite(a).all()
+    np.testing.assert_array_equal(a, b)
+    assert not np.array_equal(a, points(frames)) and (how == "late" or not np.array_equal(a, c))
+
+
+def test_what_is_spoilt_is_what_is_meant(frames):
+    given, rng = points(frames), np.random.default_rng
+    assert (points(spoilt(frames, "dropped", rng(0)))[..., 2] == 0).mean() == pytest.approx(0.6, abs=0.03)
+    off = points(spoilt(frames, "shifted", rng(0))) - given
+    assert np.count_nonzero(np.abs(off).max((0, 2, 3)) > 1) == 1
+    late = points(spoilt(frames, "late", rng(0)))
+    view = int(np.argmax(np.abs(late - given).max((0, 2, 3))))
+    np.testing.assert_array_equal(late[6:, view], given[:-6, view])
+    changed = np.abs(points(spoilt(frames, "swapped", rng(4))) - given).max((0, 1, 3)) > 0
+    assert changed[BODY_25.index("left_wrist")] or changed[BODY_25.index("left_knee")]
+    assert not changed[BODY_25.index("nose")]
+
+
+def test_a_camera_that_was_knocked_is_elsewhere_and_the_others_are_not():
+    cameras = rig("humaneva-4")
+    moved = moved_camera(cameras, 2, np.random.default_rng(0))
+    assert isinstance(moved, CameraRig)
+    same = [np.array_equal(a.camera_from_world, b.camera_from_world) for a, b in zip(cameras, moved, strict=True)]
+    assert same == [True, True, False, True]
+
+
+def test_an_unknown_way_is_refused(frames):
+    with pytest.raises(InputError, match="choose one of"):
+        spoilt(frames, "eaten", np.random.default_rng(0))

@@ -1,0 +1,85 @@
+"""The probability that a joint is wrong: from what an audit found, with weights that speak one way."""
+
+import numpy as np
+import pytest
+
+from hypose.body.motion import Motion, isotropic
+from hypose.body.ready_bodies import human
+from hypose.tracking.audit import AUDITED
+from hypose.tracking.doubt import FEATURES, GROUPS, clip_features, doubt_models, evidence_of, group_of, judged
+
+NAMES = human().skeleton.joint_names
+
+
+def clip(frames=30, points=False, masks=True):
+    body = human()
+    poses = np.zeros((frames, body.skeleton.dof))
+    joints = body.joints(poses)
+    lost = np.zeros(frames, bool)
+    motion = Motion(
+        *(body.skeleton, np.arange(frames) / 25, joints, poses, isotropic(np.full(joints.shape[:2], 0.012))),
+        *(lost, lost.copy(), np.full(frames, 4), np.full(frames, 0.17 if masks else np.nan)),
+    )
+    usual = {"bare": 0.005, "bare_second": 0.001, "bare_reach": 0.05, "exposed": 2.0, "exposed_second": 0.6}
+    usual |= {"outside": 0.05, "points_median": 0.02, "points_worst": 0.05, "points_views": 4, "points_all": 0.02}
+    audit = np.zeros((*joints.shape[:2], len(AUDITED)), np.float32)
+    for k, name in enumerate(AUDITED):
+        there = points if name.startswith("points") else masks or name == "rival"
+        audit[..., k] = usual.get(name, 0.0) if there else np.nan
+    return motion, joints, audit
+
+
+@pytest.mark.parametrize(
+    ("masks", "points", "evidence"),
+    [(True, False, "silhouettes"), (False, True, "keypoints"), (True, True, "both")],
+)
+def test_a_clean_clip_is_not_doubted_and_an_arm_that_disagrees_is(masks, points, evidence):
+    motion, joints, audit = clip(points=points, masks=masks)
+    assert evidence_of(audit) == evidence
+    p, doubtful = judged(motion, joints, audit)
+    assert p.shape == doubtful.shape == joints.shape[:2] and p.dtype == np.float32
+    assert not doubtful.any() and p.max() < 0.05
+    wrist = NAMES.index("right_wrist")
+    bad = audit.copy()
+    for name, value in (("bare", 0.2), ("bare_second", 0.08), ("bare_reach", 0.4), ("outside", 1.5), ("rival", 0.15)):
+        if masks:
+            bad[10:20, wrist, AUDITED.index(name)] = value
+    for name, value in (("points_median", 0.3), ("points_worst", 0.4), ("points_views", 2)):
+        if points:
+            bad[10:20, wrist, AUDITED.index(name)] = value
+    jumped = joints.copy()
+    jumped[12:16, wrist] += 0.25
+    again, flagged = judged(motion, jumped, bad)
+    assert again[15, wrist] > 5 * p[15, wrist] and flagged[15, wrist]
+    assert again[28, NAMES.index("left_knee")] == pytest.approx(p[28, NAMES.index("left_knee")], abs=1e-6)
+
+
+def test_features_are_finite_whatever_is_missing():
+    motion, joints, audit = clip(frames=2)
+    audit[0] = np.nan
+    found = clip_features(motion, joints, audit)
+    assert found.shape == (2, len(NAMES), len(FEATURES)) and np.isfinite(found).all()
+
+
+def test_more_bare_mask_never_speaks_for_a_joint():
+    for model in doubt_models().values():
+        for g in range(len(GROUPS)):
+            for name in ("bare", "bare_more", "bare_second", "bare_reach", "rival", "outside", "points", "moved"):
+                assert model.weights[g, FEATURES.index(name)] >= 0
+            assert model.weights[g, FEATURES.index("exposed_second")] <= 0
+
+
+def test_who_is_lost_is_not_believed():
+    motion, joints, audit = clip()
+    motion.lost[5:8] = True
+    p, doubtful = judged(motion, joints, audit)
+    assert (p[5:8] >= 0.5).all() and doubtful[5:8].all() and not doubtful[10:].any()
+
+
+def test_every_joint_belongs_to_a_group():
+    assert [GROUPS[group_of(n)] for n in ("left_wrist", "right_knee", "head", "left_hip")] == [
+        "arms",
+        "legs",
+        "trunk",
+        "trunk",
+    ]

@@ -1,0 +1,73 @@
+"""Standard deviations of joints and angles: propagated as samples do, fitted parts added."""
+
+import numpy as np
+import pytest
+
+from hypose.body.joint_angles import ANGLE_NAMES, joint_angles
+from hypose.body.motion import Motion, isotropic
+from hypose.body.ready_bodies import human
+from hypose.tracking.fitted_spread import (
+    angle_variance,
+    as_curved,
+    fitted,
+    kind_of,
+    pose_covariance,
+    with_fitted_angles,
+    with_fitted_joints,
+)
+
+BODY = human()
+
+
+@pytest.fixture
+def poses():
+    s = BODY.skeleton
+    q = 0.15 * np.random.default_rng(3).standard_normal((2, s.dof))
+    q[:, 3:6] = [0.1, 0.05, 0.4]
+    return s.clamp(q)
+
+
+def motion_of(poses):
+    joints = BODY.joints(poses)
+    n = len(poses)
+    return Motion(
+        *(BODY.skeleton, np.arange(n) / 25, joints, poses, isotropic(np.full(joints.shape[:2], 0.01))),
+        *(np.zeros(n, bool), np.zeros(n, bool), np.full(n, 4), np.zeros(n)),
+    )
+
+
+def test_variances_of_angles_are_those_of_samples(poses):
+    s, rng = BODY.skeleton, np.random.default_rng(0)
+    root = 0.02 * rng.standard_normal((s.dof, s.dof)) / np.sqrt(s.dof)
+    covariance = root @ root.T + 1e-4 * np.eye(s.dof)
+    samples = poses[0] + rng.multivariate_normal(np.zeros(s.dof), covariance, 4000)
+    spread = joint_angles(s, np.concatenate([poses[:1], samples]))[1][1:]
+    found = angle_variance(s, poses, np.stack([covariance] * 2))[0]
+    assert np.sqrt(found) == pytest.approx(spread.std(0), rel=0.08)
+
+
+def test_what_is_not_known_is_limited_by_anatomy(poses):
+    s = BODY.skeleton
+    nothing = pose_covariance(np.zeros((1, s.dof, s.dof)))
+    assert np.isfinite(nothing).all() and np.diag(nothing[0])[6:].max() == pytest.approx(20.0)
+
+
+@pytest.mark.parametrize("evidence", ["silhouettes", "keypoints", "both"])
+def test_fitted_parts_are_added_and_can_be_taken_off(poses, evidence):
+    motion = motion_of(poses)
+    covariance = np.stack([1e-4 * np.eye(BODY.skeleton.dof)] * len(poses))
+    full = with_fitted_angles(with_fitted_joints(motion, evidence), covariance, evidence)
+    j = BODY.skeleton.joint("left_ankle")
+    a, b = fitted()["joints"][evidence]["ankle"]
+    assert full.joint_sd[0, j] == pytest.approx(np.hypot(a * 0.01, b), rel=1e-3)
+    assert full.definition_sd[j] == pytest.approx(b)
+    back = as_curved(full, evidence)
+    assert back.joint_covariance == pytest.approx(motion.joint_covariance, abs=1e-8)
+    variance = angle_variance(BODY.skeleton, poses, covariance)
+    assert back.angle_sd == pytest.approx(np.sqrt(variance), abs=2e-4)
+
+
+def test_every_joint_and_angle_has_its_fit():
+    for evidence in ("silhouettes", "keypoints", "both"):
+        assert {kind_of(n) for n in BODY.skeleton.joint_names} <= set(fitted()["joints"][evidence])
+        assert {kind_of(n) for n in ANGLE_NAMES} == set(fitted()["angles"][evidence])
