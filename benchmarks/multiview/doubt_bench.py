@@ -25,7 +25,7 @@ from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import BODY_25B
 from hypose.geometry import Array, se3
-from hypose.io.recordings.frames import FrameOptions, FrameStream
+from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.first_look import first_look
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
@@ -251,7 +251,7 @@ def _real(options: BenchOptions) -> list[Row]:
 
 def _tracked(recording: Recording, evidence: str) -> tuple[TrackResult, list[Frame], float]:
     """The result, the frames, and the seconds that tracking took, frames in memory."""
-    with FrameStream(recording, FrameOptions(silhouettes=None) if evidence == "keypoints" else None) as stream:
+    with FrameStream(recording, FrameSettings(silhouettes=None) if evidence == "keypoints" else None) as stream:
         frames = [stream.frame(i) for i in range(len(stream))]
     begin: list[float] = []
 

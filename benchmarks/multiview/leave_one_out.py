@@ -14,7 +14,7 @@ from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import triangulate_keypoints
-from hypose.fitting import SolveOptions, contour_term, fit_clip
+from hypose.fitting import SolveSettings, contour_term, fit_clip
 from hypose.geometry import Array
 from hypose.io.motions.trc import read_trc
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
@@ -130,7 +130,7 @@ def both_clip(subject: Subject, frames: Sequence[Frame], poses: Array, rate: flo
         acceleration=acceleration_weight(s, rate, ClipSettings()),
         velocity=speed_weight(s, rate, ClipSettings()),
         priors=(anatomical_prior(s),),
-        options=SolveOptions(iterations=5, coarse_iterations=0),
+        options=SolveSettings(iterations=5, coarse_iterations=0),
     )
 
 

@@ -25,7 +25,7 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.outlines import WORKING_HEIGHT
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.fitting.articulated import contour_term
-from hypose.io.recordings.frames import FrameOptions, FrameStream, build_backgrounds
+from hypose.io.recordings.frames import FrameSettings, FrameStream, build_backgrounds
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.videos.video import VideoWriter, open_video
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
@@ -84,7 +84,7 @@ def multiview_speed(options: BenchOptions) -> BenchReport:
     if options.data is not None and (options.data / "pose2sim_balancing").exists():
         options.progress("balancing", 0, 1)
         real = balancing_recording(options.folder("pose2sim_balancing"))
-        with FrameStream(real, FrameOptions(silhouettes=None)) as points:
+        with FrameStream(real, FrameSettings(silhouettes=None)) as points:
             chosen = SubjectOptions("keypoints", frame_rate=real.frame_rate, girths=False)
             person = find_subject(points.frame, len(points), chosen)
         without = balancing_recording(options.folder("pose2sim_balancing"), keypoints=False)

@@ -14,14 +14,14 @@ from benchmarks.short_calls import best
 from hypose.body.body import Body
 from hypose.evidence.frame import Frame
 from hypose.evidence.outlines import WORKING_HEIGHT
-from hypose.fitting.articulated import ContourTerm, KeypointTerm, PoseFit, SolveOptions, contour_term, fit_pose
+from hypose.fitting.articulated import ContourTerm, KeypointTerm, PoseFit, SolveSettings, contour_term, fit_pose
 from hypose.geometry import Array
-from hypose.io.recordings.frames import FrameOptions, FrameStream
+from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.tracking.keypoint_evidence import keypoint_term
 from hypose.tracking.refinement import anatomical_prior, prediction_prior
 
-_FAST, _LONG = SolveOptions(), SolveOptions(iterations=60, coarse_iterations=4, tolerance=1e-6)
+_FAST, _LONG = SolveSettings(), SolveSettings(iterations=60, coarse_iterations=4, tolerance=1e-6)
 _GAIN = 0.8
 
 
@@ -77,7 +77,7 @@ def _slow_term(frame: Frame) -> ContourTerm:
 
 
 def _solve(
-    body: Body, q: Array, contours: ContourTerm | None, points: KeypointTerm | None, options: SolveOptions
+    body: Body, q: Array, contours: ContourTerm | None, points: KeypointTerm | None, options: SolveSettings
 ) -> PoseFit:
     priors = (anatomical_prior(body.skeleton), prediction_prior(q, 0.1))
     return fit_pose(body, q, contours=contours, keypoints=points, priors=priors, options=options)
@@ -88,7 +88,7 @@ def _follow(
     start: Array,
     contours: Iterable[ContourTerm | None],
     points: Iterable[KeypointTerm | None],
-    options: SolveOptions,
+    options: SolveSettings,
     repeats: int = 0,
 ) -> _Solved:
     """Solves frame after frame from the constant-velocity prediction; timed when repeats > 0."""
@@ -126,7 +126,7 @@ def _balancing(options: BenchOptions) -> list[Row]:
     folder = options.folder("pose2sim_balancing")
     reference = np.load(folder / "kp3d_refined_m.npy")
     rows: list[Row] = []
-    with FrameStream(balancing_recording(folder), FrameOptions(silhouettes=None)) as stream:
+    with FrameStream(balancing_recording(folder), FrameSettings(silhouettes=None)) as stream:
         rate = stream.recording.frame_rate
         chosen = SubjectOptions("keypoints", frame_rate=rate, girths=False)
         subject = find_subject(stream.frame, len(stream), chosen)
@@ -134,7 +134,7 @@ def _balancing(options: BenchOptions) -> list[Row]:
     value = float("nan")
     for case, size, make, solve in (("slow reference", 960, _slow_term, _LONG), ("balancing", 480, _fast_term, _FAST)):
         options.progress(case, 0, 1)
-        with FrameStream(balancing_recording(folder), FrameOptions(longer_side=size)) as stream:
+        with FrameStream(balancing_recording(folder), FrameSettings(longer_side=size)) as stream:
             terms = [make(f) for f in stream]
         solved = _follow(subject.body, subject.start, terms, [None] * len(terms), solve, int(case == "balancing"))
         found = against_keypoints(case, subject.body, subject.keypoints, solved.poses[1:], reference)[0]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hypose.calibration.doctor_findings import Finding, Limits
 from hypose.calibration.doctor_points import sizes, undistorted
 from hypose.calibration.refine_camera import CameraChange, changes, gauge, in_world
-from hypose.calibration.refine_points import PointAdjustment, PointOptions, adjust, point_residual
+from hypose.calibration.refine_points import PointAdjustment, PointSettings, adjust, point_residual
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import EvidenceError
 from hypose.geometry import Array, transform
@@ -47,7 +47,7 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
 
     try:
         found = adjust(ideal, *of(used))
-        lens = adjust(ideal, *of(used), PointOptions(radial=True)) if c > 2 else None
+        lens = adjust(ideal, *of(used), PointSettings(radial=True)) if c > 2 else None
     except (EvidenceError, np.linalg.LinAlgError):
         return None
     refined = _in_old_gauge(found, ideal)

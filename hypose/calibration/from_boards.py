@@ -12,7 +12,7 @@ from hypose.calibration.bundle import LensPrior
 from hypose.calibration.floor import floor_frame, place_on_floor
 from hypose.calibration.intrinsics import FOCAL_SD, Lens, board_poses, calibrate_lens
 from hypose.calibration.lags import estimate_lags
-from hypose.calibration.rig import Chooser, RigCalibration, RigOptions, calibrate_rig
+from hypose.calibration.rig import Chooser, RigCalibration, RigSettings, calibrate_rig
 from hypose.calibration.surroundings import Picture, floor_likelihood
 from hypose.calibration.views import CameraViews, LookOptions, Progress, Source, diagnose, look_for_board
 from hypose.cameras.camera import CameraRig
@@ -95,7 +95,7 @@ def calibrate_from_boards(
             lenses,
             [v.sightings for v in views],
             board,
-            RigOptions(free_intrinsics=True, prior=o.prior, choose=choose),
+            RigSettings(free_intrinsics=True, prior=o.prior, choose=choose),
             [v.sightings for v in lens_views] or None,
         )
         _determined(fit)

@@ -33,7 +33,7 @@ _State = tuple[list[Camera], Array]
 
 
 @dataclass(frozen=True)
-class BodyOptions:
+class BodySettings:
     """coarse: factors of the contour scale, one stage each; iterations: of each stage; contour_weight: of a contour row
     at the reference density; keypoint_weight; focal: focal lengths too; hold_m, hold_rad: sd of the weak pull of
     each camera to where it is, which fixes the gauge; spacing: of the rows along the body's outline, as a share of the
@@ -78,7 +78,7 @@ def adjust_with_body(
     poses: Array,
     contours: Sequence[ContourTerm | None] | None,
     keypoints: Sequence[KeypointTerm | None] | None = None,
-    options: BodyOptions | None = None,
+    options: BodySettings | None = None,
     free: NDArray[np.bool_] | None = None,
 ) -> BodyAdjustment:
     """Refines a rig of pinhole cameras and the poses (F, D) of a body in F frames.
@@ -86,7 +86,7 @@ def adjust_with_body(
     rig: at the working size, whose pixels those of the evidence are (the projections inside the terms are not used);
     contours, keypoints: one term (or None) per frame. free (C,): cameras that may move. An EvidenceError when no frame
     has evidence."""
-    o = options or BodyOptions()
+    o = options or BodySettings()
     n = len(poses)
     none: list[None] = [None] * n
     problem = _BodyProblem(body, rig, list(contours or none), list(keypoints or none), o, free)
@@ -110,7 +110,7 @@ class _BodyProblem:
         rig: CameraRig,
         contours: list[ContourTerm | None],
         keypoints: list[KeypointTerm | None],
-        options: BodyOptions,
+        options: BodySettings,
         free: NDArray[np.bool_] | None,
     ) -> None:
         marks = Landmarks((), np.zeros(0, dtype=np.int64), np.zeros((0, 3)))

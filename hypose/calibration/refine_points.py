@@ -29,7 +29,7 @@ FEWEST_POINTS = 60
 
 
 @dataclass(frozen=True)
-class PointOptions:
+class PointSettings:
     """iterations; scale_px: sd of a detection (the Cauchy scale is twice that), None = 0.8 % of the person's size;
     focal: focal lengths are unknowns too; radial: so is one radial distortion term per camera; hold_m, hold_rad: sd of
     the weak pull of every camera to where it is, which fixes the gauge; min_confidence of a key point."""
@@ -61,14 +61,14 @@ def adjust(
     rig: CameraRig,
     pixels: Array,
     confidence: Array,
-    options: PointOptions | None = None,
+    options: PointSettings | None = None,
     free: NDArray[np.bool_] | None = None,
 ) -> PointAdjustment:
     """Refines a rig on key points.
 
     pixels (C, N, 2) undistorted px of the rig; confidence (C, N), 0 = not seen; free (C,): cameras that may move.
     An EvidenceError when too few points are seen by two views."""
-    o = options or PointOptions()
+    o = options or PointSettings()
     w = np.where((confidence > o.min_confidence) & np.isfinite(pixels).all(-1), confidence, 0.0)
     uv = np.nan_to_num(pixels)
     keep = (w > 0).sum(0) >= 2
@@ -100,7 +100,7 @@ class _Bundle:
         pixels: Array,
         confidence: Array,
         scale: float,
-        options: PointOptions,
+        options: PointSettings,
         free: NDArray[np.bool_] | None,
     ) -> None:
         self.start, self.uv, self.confidence, self.scale, self.o = rig, pixels, confidence, 2 * scale, options

@@ -48,7 +48,7 @@ class Link:
 
 
 @dataclass(frozen=True)
-class RigOptions:
+class RigSettings:
     """free_intrinsics: refine lenses jointly; choose: decides between two relative poses of a symmetric board that did
     not move; max_frames: boards in the joint refinement."""
 
@@ -84,7 +84,7 @@ def calibrate_rig(
     lenses: Sequence[Lens],
     sightings: Sequence[Mapping[int, Sighting]],
     board: Board,
-    options: RigOptions | None = None,
+    options: RigSettings | None = None,
     lens_sightings: Sequence[Mapping[int, Sighting]] | None = None,
 ) -> RigCalibration:
     """Poses of all cameras from boards seen at the same time.
@@ -92,7 +92,7 @@ def calibrate_rig(
     sightings: per camera, by frame of the common time. lens_sightings: more boards, each for its own camera's lens
     only. A CalibrationError names cameras that share no board with the others.
     """
-    o = options or RigOptions()
+    o = options or RigSettings()
     cameras = [n.camera for n in lenses]
     poses = [
         {f: board_poses(c, s, board.points) for f, s in seen.items()}
@@ -349,7 +349,7 @@ def _refined(
     extra: Mapping[int, Mapping[int, Sighting]],
     lenses: Sequence[Lens],
     board: Board,
-    o: RigOptions,
+    o: RigSettings,
     links: tuple[Link, ...],
     notes: tuple[str, ...],
 ) -> RigCalibration:

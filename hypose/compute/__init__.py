@@ -61,7 +61,7 @@ from hypose.compute.solver.terms import (
     PointArrays,
     PreparedMasks,
     PriorArrays,
-    SolveSettings,
+    SolveLimits,
     Standing,
     Workspace,
 )
@@ -121,7 +121,7 @@ __all__ = [
     "ScanPlan",
     "SharedEquations",
     "Solution",
-    "SolveSettings",
+    "SolveLimits",
     "SphereArrays",
     "Standing",
     "TreeArrays",
@@ -388,7 +388,7 @@ def solve(
     keypoints: KeypointArrays,
     points: PointArrays,
     priors: PriorArrays,
-    settings: SolveSettings,
+    settings: SolveLimits,
     ws: Workspace,
 ) -> Solution:
     """Bounded damped Gauss-Newton from pose start (D,); the numba kernel, on either back end. Releases the GIL."""
@@ -489,7 +489,7 @@ def warm_up(*, monocular: bool = False) -> float:
     priors = PriorArrays(np.zeros((1, 6)), np.ones((1, 6)), np.full(6, -np.inf), np.full(6, np.inf))
     ws = workspace(tree, mesh, 32, 32)
     evaluate(q, tree, mesh, contours, keypoints, points, priors, ws)
-    solve(q, tree, mesh, contours, keypoints, points, priors, SolveSettings(1, 0, 1e-3, 1e-2), ws)
+    solve(q, tree, mesh, contours, keypoints, points, priors, SolveLimits(1, 0, 1e-3, 1e-2), ws)
     joint_covariances(q, tree, np.eye(6))
     if monocular:
         mono.warm_up(tree, mesh, q, projection[0])

@@ -51,7 +51,7 @@ class Segmenter(Protocol):
 
 
 @dataclass(frozen=True)
-class SilhouetteOptions:
+class SilhouetteSettings:
     """How masks are made. The defaults suit a person of 80-400 px height.
 
     method: 'gaussian' (one Gaussian per pixel) or 'mog2' (OpenCV's mixture, frozen after learning the
@@ -95,17 +95,17 @@ class SilhouetteOptions:
             )
 
 
-def make_segmenter(background: BackgroundModel, options: SilhouetteOptions | None = None) -> Segmenter:
+def make_segmenter(background: BackgroundModel, options: SilhouetteSettings | None = None) -> Segmenter:
     """The function that turns an image of this view into a mask.
 
     It keeps no memory of earlier images, so frames may come in any order; one segmenter must not be called
     from two threads at once.
     """
-    return _Segmenter(background, options or SilhouetteOptions())
+    return _Segmenter(background, options or SilhouetteSettings())
 
 
 class _Segmenter:
-    def __init__(self, background: BackgroundModel, options: SilhouetteOptions) -> None:
+    def __init__(self, background: BackgroundModel, options: SilhouetteSettings) -> None:
         self._options, self._shape = options, background.valid.shape
         self._unseen = (~background.valid).astype(np.uint8) if not background.valid.all() else None
         self.glance: Glance | None = None
@@ -138,7 +138,7 @@ class _Segmenter:
         return refine_rim(image, mask, o.rim_px, band) if o.grabcut else mask
 
 
-def _room(background: BackgroundModel, options: SilhouetteOptions) -> picture_to_mask.Room:
+def _room(background: BackgroundModel, options: SilhouetteSettings) -> picture_to_mask.Room:
     """Single Gaussian per pixel and channel, with the brightness cone for shadows.
 
     Foreground: some channel more than `threshold` sd from the mean. Shadow: the pixel's colour a seen as s
@@ -172,7 +172,7 @@ def _outside_of(room: picture_to_mask.Room) -> _Differ:
     return differ
 
 
-def _mog2(background: BackgroundModel, options: SilhouetteOptions) -> _Differ:
+def _mog2(background: BackgroundModel, options: SilhouetteSettings) -> _Differ:
     """OpenCV's MOG2 taught with pictures of the background model (its quantiles), then frozen.
 
     Deviation from its usual form: it does not go on learning, so that a person who stands still is not
@@ -211,9 +211,9 @@ def _disc(size: int) -> Mask:
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
 
 
-def clean(mask: Mask, options: SilhouetteOptions | None = None) -> Mask:
+def clean(mask: Mask, options: SilhouetteSettings | None = None) -> Mask:
     """Opening, closing, small holes filled, small parts dropped."""
-    o = options or SilhouetteOptions()
+    o = options or SilhouetteSettings()
     box = bounding_box(mask, o.close_px + 1)
     if box is None:
         return mask

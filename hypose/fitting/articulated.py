@@ -26,7 +26,7 @@ from hypose.compute import (
     KeypointArrays,
     PointArrays,
     PriorArrays,
-    SolveSettings,
+    SolveLimits,
     Workspace,
     over_chunks,
 )
@@ -151,7 +151,7 @@ class Quadratic:
 
 
 @dataclass(frozen=True)
-class SolveOptions:
+class SolveSettings:
     """iterations: all, the first coarse_iterations of them with the contours' coarse scale; tolerance: stop when no dof
     moves further than this (rad; twice the metres); damping: initial, relative to the Hessian's diagonal."""
 
@@ -242,7 +242,7 @@ def fit_pose(
     keypoints: KeypointTerm | None = None,
     points: PointTerm | None = None,
     priors: Sequence[Quadratic] = (),
-    options: SolveOptions | None = None,
+    options: SolveSettings | None = None,
     workspace: Workspace | None = None,
     rows: Sequence[RowTerm] = (),
 ) -> PoseFit:
@@ -252,7 +252,7 @@ def fit_pose(
     A SolverError when the start has the wrong size or its cost is not finite. A step is taken when its cost is finite
     and at most 0.2 % higher (contour costs jump when the outline changes); no joint turns more than 0.35 rad per
     step."""
-    return _Problem(body, contours, keypoints, points, priors, options or SolveOptions(), rows).fit(start, workspace)
+    return _Problem(body, contours, keypoints, points, priors, options or SolveSettings(), rows).fit(start, workspace)
 
 
 def fit_poses(
@@ -263,14 +263,14 @@ def fit_poses(
     keypoints: KeypointTerm | None = None,
     points: PointTerm | None = None,
     priors: Sequence[Quadratic] = (),
-    options: SolveOptions | None = None,
+    options: SolveSettings | None = None,
     threads: int | None = None,
     rows: Sequence[RowTerm] = (),
 ) -> list[PoseFit]:
     """Independent solves from starts (N, D) on the same evidence, over threads; the same results for any number of
     them."""
     q = np.asarray(starts, dtype=np.float64)
-    problem = _Problem(body, contours, keypoints, points, priors, options or SolveOptions(), rows)
+    problem = _Problem(body, contours, keypoints, points, priors, options or SolveSettings(), rows)
     fits: list[PoseFit | None] = [None] * len(q)
 
     def work(first: int, last: int) -> None:
@@ -303,7 +303,7 @@ class _Problem:
         keypoints: KeypointTerm | None,
         points: PointTerm | None,
         priors: Sequence[Quadratic],
-        options: SolveOptions,
+        options: SolveSettings,
         rows: Sequence[RowTerm] = (),
     ) -> None:
         self.body, self.contour_term, self.rows = body, contours, tuple(rows)
@@ -316,7 +316,7 @@ class _Problem:
         self.centre, self.weight = prior_arrays(priors, body.skeleton.dof)
         self.lower = np.ascontiguousarray(body.skeleton.lower, dtype=np.float64)
         self.upper = np.ascontiguousarray(body.skeleton.upper, dtype=np.float64)
-        self.settings = SolveSettings(
+        self.settings = SolveLimits(
             int(options.iterations),
             int(options.coarse_iterations),
             float(options.tolerance),

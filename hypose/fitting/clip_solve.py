@@ -18,7 +18,7 @@ from hypose.fitting.articulated import (
     KeypointTerm,
     PointTerm,
     Quadratic,
-    SolveOptions,
+    SolveSettings,
     contour_arrays,
     keypoint_arrays,
     point_arrays,
@@ -55,7 +55,7 @@ def fit_clip(
     acceleration: float | ArrayLike = 1.0,
     velocity: ArrayLike = 0.0,
     priors: Sequence[Quadratic] = (),
-    options: SolveOptions | None = None,
+    options: SolveSettings | None = None,
 ) -> Array:
     """Poses (T, D) of a clip from starts (T, D): the frames' evidence plus 1/2 sum_d a_d (q_{t-1} - 2 q_t +
     q_{t+1})_d^2 + 1/2 sum_d v_d (q_{t+1} - q_t)_d^2. Differences of the root's rotation are rotations from one frame to
@@ -71,7 +71,7 @@ def fit_clip(
     q = given.copy()
     q[:, 3:6] = nearest_branch(q[:, 3:6], np.zeros(3))
     n_frames, dof = q.shape
-    o = options or SolveOptions(iterations=15, coarse_iterations=0)
+    o = options or SolveSettings(iterations=15, coarse_iterations=0)
     weights = np.asarray(acceleration, dtype=np.float64)
     if weights.ndim == 0:
         weights = default_acceleration(dof, float(weights))

@@ -14,9 +14,15 @@ from hypose.calibration.doctor import Clip, Cured, Observed
 from hypose.calibration.doctor_masks import tangency, tangency_by_view
 from hypose.calibration.doctor_points import undistorted
 from hypose.calibration.in_step import Resampled, points_at
-from hypose.calibration.refine_body import BodyOptions, adjust_with_body
+from hypose.calibration.refine_body import BodySettings, adjust_with_body
 from hypose.calibration.refine_camera import CameraChange, changes, free_cameras, gauge, in_world, rescaled
-from hypose.calibration.refine_points import PointOptions, adjust, left_out_residual, point_residual, without_distortion
+from hypose.calibration.refine_points import (
+    PointSettings,
+    adjust,
+    left_out_residual,
+    point_residual,
+    without_distortion,
+)
 from hypose.calibration.sync_motion import mask_tracks
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import EvidenceError, InputError
@@ -24,7 +30,7 @@ from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import keypoint_names, triangulate_keypoints
 from hypose.fitting.articulated import contour_term
 from hypose.geometry import Array, transform
-from hypose.io.recordings.frames import FrameOptions, FrameStream, load_keypoints
+from hypose.io.recordings.frames import FrameSettings, FrameStream, load_keypoints
 from hypose.io.recordings.recording import Recording
 from hypose.io.videos.video import open_video
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
@@ -102,7 +108,9 @@ def raw_keypoints(recording: Recording) -> tuple[Array | None, tuple[str, ...]]:
     if recording.keypoint_set is None or not any(v.keypoints for v in recording.views):
         return None, ()
     # with ideal lenses undistorting changes nothing
-    loaded = load_keypoints(replace(recording, rig=recording.rig.pinhole()), FrameOptions(factor=1.0, silhouettes=None))
+    loaded = load_keypoints(
+        replace(recording, rig=recording.rig.pinhole()), FrameSettings(factor=1.0, silhouettes=None)
+    )
     if loaded is None:
         return None, ()
     return np.stack([k.points for k in loaded], 1), keypoint_names(recording.keypoint_set)
@@ -211,7 +219,7 @@ def _by_points(
     uv, confidence = undistorted(rig, points[:, used])
     c = len(rig)
     found = adjust(
-        without_distortion(rig), uv.reshape(c, -1, 2), confidence.reshape(c, -1), PointOptions(focal=focal), free
+        without_distortion(rig), uv.reshape(c, -1, 2), confidence.reshape(c, -1), PointSettings(focal=focal), free
     )
     return _poses_into(rig, found.rig), found.points
 
@@ -286,7 +294,7 @@ def _by_body(
         poses[kept],
         contours,
         marks if method == "both" else None,
-        BodyOptions(contour_weight=weight, focal=focal),
+        BodySettings(contour_weight=weight, focal=focal),
         free,
     )
     progress("refine", 1, 1)

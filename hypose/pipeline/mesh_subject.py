@@ -26,7 +26,7 @@ from hypose.body.joint_names import match_rig
 from hypose.body.ready_bodies import human
 from hypose.body.skin_weights import body_bones, carried_weights, heat_weights, influences, vertex_normals
 from hypose.errors import EvidenceError, InputError
-from hypose.fitting.articulated import PointTerm, SolveOptions, fit_pose
+from hypose.fitting.articulated import PointTerm, SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.io.file_names import text_of
 from hypose.io.motions.bodies import save_body
@@ -302,7 +302,7 @@ def _pose_from_joints(joints: Array, vertices: Array) -> tuple[Body, Array]:
         start,
         points=term,
         priors=(anatomical_prior(s),),
-        options=SolveOptions(iterations=60, coarse_iterations=10),
+        options=SolveSettings(iterations=60, coarse_iterations=10),
     )
     rotations, _ = s.forward(fit.pose)
     rest = np.zeros_like(offsets)

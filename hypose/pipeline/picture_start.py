@@ -26,7 +26,7 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import person_size
 from hypose.geometry import Array
-from hypose.io.recordings.frames import FrameOptions, FrameStream, load_keypoints
+from hypose.io.recordings.frames import FrameSettings, FrameStream, load_keypoints
 from hypose.io.recordings.recording import Recording
 from hypose.io.videos.video import open_video
 from hypose.json_text import parse_json
@@ -114,7 +114,7 @@ def side_to_work_on(recording: Recording, clicks: Clicks | None) -> int:
     sizes = [person_size(k.points[0]) for k in (points or [])[: 1 + int(recording.frame_rate)]]
     found = [s for s in sizes if s > 0]
     if points is None or not found:
-        return FrameOptions().longer_side
+        return FrameSettings().longer_side
     return working_side(recording, float(np.median(found)), points[0].rig[0].size)
 
 
@@ -128,10 +128,10 @@ def _source(recording: Recording) -> Path:
     return source
 
 
-def picture_options(recording: Recording, start: str, evidence: str) -> FrameOptions:
+def picture_options(recording: Recording, start: str, evidence: str) -> FrameSettings:
     """How the pictures of a recording of one camera are read: as large as its person needs, with masks if they are
     evidence."""
-    return FrameOptions(
+    return FrameSettings(
         side_to_work_on(recording, clicks_of(start, recording)), silhouettes=masks_of(recording, evidence)
     )
 

@@ -12,7 +12,7 @@ from hypose.body.motion import Modes, Motion
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Picture
-from hypose.evidence.silhouettes import SilhouetteOptions
+from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.io.recordings.view_source import ViewSource
@@ -61,7 +61,7 @@ def has_masks(recording: Recording) -> bool:
     return view.masks is not None or view.background is not None
 
 
-def masks_of(recording: Recording, evidence: str) -> SilhouetteOptions | None:
+def masks_of(recording: Recording, evidence: str) -> SilhouetteSettings | None:
     """How the masks of the one camera are made, None without; an InputError when the evidence asks for masks or key
     points that are not there."""
     view = recording.views[0]
@@ -75,7 +75,7 @@ def masks_of(recording: Recording, evidence: str) -> SilhouetteOptions | None:
             f"Camera {view.name} has no key points; add keypoints = ... to the view in recording.toml, or leave "
             "--evidence out."
         )
-    return SilhouetteOptions() if has_masks(recording) and evidence in ("auto", "silhouettes", "both") else None
+    return SilhouetteSettings() if has_masks(recording) and evidence in ("auto", "silhouettes", "both") else None
 
 
 class FrameSource(Protocol):

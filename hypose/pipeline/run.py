@@ -19,7 +19,7 @@ from hypose.geometry import Array
 from hypose.inference.layer import Recipe
 from hypose.io.motions.modes import save_modes
 from hypose.io.motions.results import ResultsFolder, save_motion
-from hypose.io.recordings.frames import FrameOptions
+from hypose.io.recordings.frames import FrameSettings
 from hypose.io.recordings.provenance import identity
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.colour_detections import tracked_frames
@@ -96,13 +96,13 @@ class TrackOptions:
         return chosen | ({} if self.particles is None else {"particles": self.particles}) | dict(self.own)
 
 
-def frames_wanted(recording: Recording, options: TrackOptions) -> FrameOptions | None:
+def frames_wanted(recording: Recording, options: TrackOptions) -> FrameSettings | None:
     """How the frames of a recording are read for a run, None: as is usual; an InputError when a recipe that looks at
     the picture of one camera cannot have what it is to look at."""
     if options.of_picture:
         return picture_options(recording, options.start, options.looks_at)
     # key points alone need no image, so nothing is decoded
-    return FrameOptions(silhouettes=None) if options.looks_at == "keypoints" else None
+    return FrameSettings(silhouettes=None) if options.looks_at == "keypoints" else None
 
 
 def check_views(recording: Recording, of_picture: bool = False) -> None:

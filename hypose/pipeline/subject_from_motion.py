@@ -19,7 +19,7 @@ from hypose.body.anthropometry import CLOTHING_UNIT, ENTITY_NAMES, Sizes, body_o
 from hypose.body.body import Body
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame
-from hypose.fitting.articulated import ContourTerm, SolveOptions, contour_term
+from hypose.fitting.articulated import ContourTerm, SolveSettings, contour_term
 from hypose.geometry import Array
 from hypose.io.files import write_text
 from hypose.io.motions.bodies import load_body, save_body
@@ -29,7 +29,7 @@ from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.frame_evidence import PreparedFrame, prepare
 from hypose.tracking.recipes import default
 from hypose.tracking.refinement import refine
-from hypose.tracking.shape_refinement import Known, ShapeOptions, refine_shape
+from hypose.tracking.shape_refinement import Known, ShapeSettings, refine_shape
 from hypose.tracking.starts import KNOWN_POSES, hull_of, start_from_hull
 from hypose.tracking.subject import scaled_to_height
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings
@@ -53,7 +53,7 @@ class AnthropometryOptions:
     mass: float | None = None
     poses: tuple[str, ...] = KNOWN_POSES
     seed: int = 0
-    shape: ShapeOptions = ShapeOptions()
+    shape: ShapeSettings = ShapeSettings()
 
     def __post_init__(self) -> None:
         for name, value, low, high in (("height", self.height, 0.5, 2.5), ("mass", self.mass, 8.0, 350.0)):
@@ -293,7 +293,7 @@ def _prepared(frame: Frame, body: Body, pose: Array) -> PreparedFrame:
 
 
 def _settled(body: Body, pose: Array, frame: Frame) -> Array:
-    return refine(body, pose[None], _prepared(frame, body, pose), SolveOptions())[0].pose
+    return refine(body, pose[None], _prepared(frame, body, pose), SolveSettings())[0].pose
 
 
 def _ious(body: Body, poses: Array, frames: Sequence[PreparedFrame]) -> Array:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hypose.body.body import BONE_END, Body, deform
 from hypose.body.ready_bodies import JOINT_NAMES
-from hypose.fitting.articulated import PointTerm, SolveOptions, fit_pose
+from hypose.fitting.articulated import PointTerm, SolveSettings, fit_pose
 from hypose.geometry import Array, so3_log
 from hypose.synthetic.subjects import Subject
 from hypose.tracking.refinement import anatomical_prior
@@ -103,5 +103,5 @@ def pose_of_truth(body: Body, rotations: Array, joints: Array) -> Array:
     )
     start = np.zeros(body.skeleton.dof)
     start[:3], start[3:6] = joints[0], so3_log(rotations[0])
-    options = SolveOptions(iterations=60, coarse_iterations=30)
+    options = SolveSettings(iterations=60, coarse_iterations=30)
     return fit_pose(body, start, points=term, priors=(anatomical_prior(body.skeleton),), options=options).pose

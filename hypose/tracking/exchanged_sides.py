@@ -14,15 +14,15 @@ from dataclasses import replace
 import numpy as np
 
 from hypose.body.body import Body
-from hypose.fitting.articulated import PointTerm, SolveOptions, fit_pose
+from hypose.fitting.articulated import PointTerm, SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.refinement import anatomical_prior, refine
 from hypose.tracking.starts import turned
 
-_TO_JOINTS = SolveOptions(iterations=30, coarse_iterations=15)
-_TO_MASKS = SolveOptions(iterations=12, coarse_iterations=8)
+_TO_JOINTS = SolveSettings(iterations=30, coarse_iterations=15)
+_TO_MASKS = SolveSettings(iterations=12, coarse_iterations=8)
 _BELOW_HIP = ("knee", "ankle")
 
 

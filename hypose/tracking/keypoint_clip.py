@@ -18,7 +18,7 @@ from hypose.body.motion import Motion
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import triangulate_keypoints
-from hypose.fitting import KeypointTerm, PointTerm, SolveOptions, fit_clip, fit_pose
+from hypose.fitting import KeypointTerm, PointTerm, SolveSettings, fit_clip, fit_pose
 from hypose.geometry import Array
 from hypose.tracking.keypoint_evidence import STRANGER_M, KeypointModel, keypoint_term, shows_somebody_else
 from hypose.tracking.pose_covariance import joint_covariance_of
@@ -43,8 +43,8 @@ _LIMBS = [
 _LOOK_EVERY = 5  # frames; looking everywhere is dear
 LEAST_POINTS = 6
 """A frame with fewer points (in all views together) says nothing of the pose by itself."""
-_QUICK = SolveOptions(iterations=6, coarse_iterations=0, tolerance=3e-3)
-_ALL = SolveOptions(iterations=8, coarse_iterations=0)
+_QUICK = SolveSettings(iterations=6, coarse_iterations=0, tolerance=3e-3)
+_ALL = SolveSettings(iterations=8, coarse_iterations=0)
 
 Report = Callable[[int, int], None]
 
@@ -192,7 +192,7 @@ def _together(
 
 def _information(body: Body, pose: Array, term: KeypointTerm | None) -> Array:
     """(D, D): what a frame by itself says of its pose."""
-    still = SolveOptions(iterations=0, coarse_iterations=0)
+    still = SolveSettings(iterations=0, coarse_iterations=0)
     return fit_pose(body, pose, keypoints=term, priors=(anatomical_prior(body.skeleton),), options=still).hessian
 
 

@@ -17,7 +17,7 @@ from hypose.compute import lorentzian_weight
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import triangulate_keypoints
-from hypose.fitting.articulated import SolveOptions, fit_pose
+from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_term, pixels_per_metre
 from hypose.tracking.refinement import anatomical_prior
@@ -78,7 +78,7 @@ def _starts(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints]) ->
 def _solve(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], poses: Array) -> Array:
     """Each frame alone, from its pose (T, D)."""
     out, prior = poses.copy(), (anatomical_prior(body.skeleton),)
-    options = SolveOptions(iterations=12, coarse_iterations=0)
+    options = SolveSettings(iterations=12, coarse_iterations=0)
     for t, frame in enumerate(keypoints):
         term = keypoint_term(frame, body, model, poses[t])
         if term is not None:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from hypose import compute
 from hypose.body.body import Body
 from hypose.body.motion import Modes
-from hypose.fitting.articulated import SolveOptions
+from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.frame_evidence import PreparedFrame
@@ -56,7 +56,7 @@ def uncertainty_of_pose(pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> 
     body = frame.body
     hessian = frame.hessians.get(body, pose)
     if hessian is None:
-        hessian = refine(body, pose[None], frame, SolveOptions(iterations=0, coarse_iterations=0))[0].hessian
+        hessian = refine(body, pose[None], frame, SolveSettings(iterations=0, coarse_iterations=0))[0].hessian
     information = hessian - frame.prediction_weight * np.eye(len(pose))
     evidence = "keypoints" if frame.contours is None else "silhouettes" if frame.keypoints is None else "both"
     around = joint_covariance_of(body, pose, hessian, evidence)

@@ -16,7 +16,7 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
-from hypose.fitting.articulated import SolveOptions
+from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.inference.kernels import Compose, Except, HeavyTail, UniformShare
 from hypose.inference.layer import GoOn, Kernel, Layer, Recipe, Recovery
@@ -69,7 +69,7 @@ def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iteratio
     """
     s = body.skeleton
     sigma = 2.0 * step_sigma(s, frame_rate)
-    options = SolveOptions(iterations=iterations, coarse_iterations=iterations // 2)
+    options = SolveSettings(iterations=iterations, coarse_iterations=iterations // 2)
     turns = _turns(frame_rate)
     period = 1 + max(turns)
     rows = [Layer(SolvePrediction(options), no_evidence, keep, "contours")]
@@ -90,7 +90,7 @@ def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iteratio
     return _solving(Recipe("default", rows, particles, rivals=rivals))
 
 
-def _rivals(body: Body, turns: Sequence[int], rivals: int, options: SolveOptions) -> Layer:
+def _rivals(body: Body, turns: Sequence[int], rivals: int, options: SolveSettings) -> Layer:
     """The layer that looks arms up in their turns (one for each of LIMB_LAYERS) and hands on so many hypotheses."""
     lower, upper = _reach(body.skeleton)
     arms = [
@@ -123,7 +123,7 @@ def dd_hpf_rivals(body: Body, particles: int = 500, frame_rate: float = 25.0, ri
     layers = (
         *base.layers,
         Layer(ContourRefinement(), no_evidence, keep, "refinement"),
-        _rivals(body, _turns(frame_rate), rivals, SolveOptions()),
+        _rivals(body, _turns(frame_rate), rivals, SolveSettings()),
     )
     return _solving(replace(base, name="dd-hpf+rivals", layers=layers, rivals=rivals))
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
-from hypose.fitting.articulated import PoseFit, Quadratic, SolveOptions, fit_poses
+from hypose.fitting.articulated import PoseFit, Quadratic, SolveSettings, fit_poses
 from hypose.geometry import Array
 from hypose.inference.estimates import TangentMean
 from hypose.inference.hypotheses import Hypotheses
@@ -23,7 +23,7 @@ from hypose.tracking.frame_evidence import PreparedFrame
 SOLVED, COMPOSITE, RIVAL = "solved", "composite", "rival"
 """Roles: the hypothesis that a solve put in, the one that a search of single limbs puts together, and another solved
 one that is alive beside the first."""
-SETTLING = SolveOptions(iterations=24, coarse_iterations=12)
+SETTLING = SolveSettings(iterations=24, coarse_iterations=12)
 """For a solve from far: of a start that may be centimetres off, and of where a lost person is found again."""
 
 
@@ -70,7 +70,7 @@ class ContourRefinement:
     them, in the role SOLVED.
     """
 
-    options: SolveOptions = SolveOptions()
+    options: SolveSettings = SolveSettings()
     best: int = 1
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
@@ -92,7 +92,7 @@ class SolvePrediction:
     One of them is in the role SOLVED, and one in the role COMPOSITE, to which the search adds limb by limb.
     """
 
-    options: SolveOptions = SolveOptions()
+    options: SolveSettings = SolveSettings()
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """All hypotheses at the solution."""
@@ -157,7 +157,7 @@ def best_fit(fits: list[PoseFit], frame: PreparedFrame) -> PoseFit:
     return fits[int(np.argmin(mismatch(np.stack([f.pose for f in fits]), frame)))]
 
 
-def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveOptions) -> list[PoseFit]:
+def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettings) -> list[PoseFit]:
     """Independent robust solves from starts (N, D) on a frame's evidence, with anatomical and prediction priors."""
     priors = (anatomical_prior(body.skeleton), prediction_prior(frame.prediction, frame.prediction_weight))
     fits = fit_poses(

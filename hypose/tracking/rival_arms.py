@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.compute import over_chunks, reach
-from hypose.fitting.articulated import SolveOptions
+from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, Hypotheses
 from hypose.tracking.costs import frame_energy
@@ -67,8 +67,8 @@ class RefineRivals:
 
     arms: tuple[tuple[ArmReach, Callable[[Hypotheses, PreparedFrame], bool]], ...]
     keep: int = 3
-    options: SolveOptions = SolveOptions()
-    near: SolveOptions = SolveOptions(iterations=5, coarse_iterations=0)
+    options: SolveSettings = SolveSettings()
+    near: SolveSettings = SolveSettings(iterations=5, coarse_iterations=0)
     margin: float = 0.02
     look: LookedUp = LookedUp()
     contest: Contest = Contest()

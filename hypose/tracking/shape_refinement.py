@@ -46,7 +46,7 @@ class Known:
 
 
 @dataclass(frozen=True)
-class ShapeOptions:
+class ShapeSettings:
     """iterations: Gauss-Newton steps; coarse: factors of the contour scale, one stage each; weight: of a contour row at
     the reference density, as for the pose solver (rows of one frame err together, so it is far below 1); pose_sd: how
     far poses may move from where they start, rad; normals: rows whose outlines point more than 60 degrees apart are
@@ -92,7 +92,7 @@ def refine_shape(
     contours: Sequence[ContourTerm],
     *,
     known: Known | None = None,
-    options: ShapeOptions | None = None,
+    options: ShapeSettings | None = None,
     start: Array | None = None,
 ) -> ShapeFit:
     """Shape of `body` and poses that explain the contours of F frames best.
@@ -102,7 +102,7 @@ def refine_shape(
     """
     if len(poses) == 0 or len(poses) != len(contours):
         raise EvidenceError("The subject's shape needs at least one frame with silhouettes and its pose.")
-    options, known = options or ShapeOptions(), known or Known()
+    options, known = options or ShapeSettings(), known or Known()
     marks = Landmarks((), np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
     light = replace(body, fine=body.coarse, landmarks=marks)  # nothing but the scoring mesh is needed
     light.coarse.edges  # noqa: B018 - built once, shared by all deformed copies
@@ -136,7 +136,7 @@ class _ShapeProblem:
         body: Body,
         contours: list[ContourTerm],
         known: Known,
-        options: ShapeOptions,
+        options: ShapeSettings,
         anchor: Array,
         height_ratio: float,
     ) -> None:

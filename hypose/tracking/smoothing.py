@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
 from hypose.compute import frame_covariances
-from hypose.fitting import PointTerm, SolveOptions, fit_clip
+from hypose.fitting import PointTerm, SolveSettings, fit_clip
 from hypose.fitting.clip_solve import Coupling, Gaussian
 from hypose.geometry import Array, nearest_branch
 
@@ -67,7 +67,7 @@ def smooth_poses(
     known = np.asarray(information.any((1, 2)))
     given = bridged(poses, known)
     terms = [Gaussian(q, i) if k else None for q, i, k in zip(given, information, known, strict=True)]
-    options = SolveOptions(iterations=6, coarse_iterations=0, damping=1e-6)
+    options = SolveSettings(iterations=6, coarse_iterations=0, damping=1e-6)
 
     def solve(part: slice) -> Array:
         held = None if contacts is None else contacts[part]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.hull import Hull, visual_hull
-from hypose.fitting.articulated import PointTerm, PoseFit, SolveOptions, fit_pose
+from hypose.fitting.articulated import PointTerm, PoseFit, SolveSettings, fit_pose
 from hypose.geometry import Array, procrustes, rotation_between, so3_exp, so3_log
 from hypose.tracking.costs import xor_energy
 from hypose.tracking.frame_evidence import PreparedFrame
@@ -67,7 +67,7 @@ def start_from_keypoints(
                 start,
                 points=term,
                 priors=(anatomical_prior(body.skeleton),),
-                options=SolveOptions(iterations=40, coarse_iterations=20),
+                options=SolveSettings(iterations=40, coarse_iterations=20),
             )
             if best is None or fit.cost < best.cost:
                 best = fit
@@ -109,7 +109,7 @@ def start_from_hull(
     frame: PreparedFrame,
     poses: tuple[str, ...] = KNOWN_POSES,
     headings: int = 16,
-    options: SolveOptions | None = None,
+    options: SolveSettings | None = None,
 ) -> PoseFit:
     """The pose and heading that explain the silhouettes best, placed at the visual hull and refined.
 
@@ -208,12 +208,12 @@ def _centred(body: Body, pose: Array, hull: Hull) -> Array:
 
 
 def _best_refined(
-    body: Body, candidates: Array, frame: PreparedFrame, options: SolveOptions, tried: int = 16, keep: int = 4
+    body: Body, candidates: Array, frame: PreparedFrame, options: SolveSettings, tried: int = 16, keep: int = 4
 ) -> PoseFit:
     """Ranks candidates (N, D) by XOR, solves the `tried` best briefly and the `keep` best of those at length; gives
     the best by XOR: a wrong heading may overlap better than the right one until the limbs have moved."""
     order = np.argsort(xor_energy(body, candidates, frame), kind="stable")[:tried]
-    brief = SolveOptions(iterations=8, coarse_iterations=8)
+    brief = SolveSettings(iterations=8, coarse_iterations=8)
     moved = np.stack([f.pose for f in refine(body, candidates[order], frame, brief)])
     order = np.argsort(xor_energy(body, moved, frame), kind="stable")[:keep]
     fits = refine(body, moved[order], frame, options)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from hypose.body.body import Body, Shape, deform
 from hypose.errors import EvidenceError
-from hypose.fitting.articulated import PointTerm, SolveOptions, fit_pose
+from hypose.fitting.articulated import PointTerm, SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.tracking.costs import xor_energy
 from hypose.tracking.frame_evidence import PreparedFrame
@@ -163,7 +163,7 @@ def _solve_frames(body: Body, points: Array, model: KeypointModel, frames: np.nd
         else:
             start = poses[t] if np.isfinite(poses[t]).all() else last
             term = PointTerm(seen, np.ones(len(seen)), joint, offset, 0.03)
-            options = SolveOptions(iterations=20, coarse_iterations=8)
+            options = SolveSettings(iterations=20, coarse_iterations=8)
             poses[t] = fit_pose(
                 body, start, points=term, priors=(anatomical_prior(body.skeleton),), options=options
             ).pose

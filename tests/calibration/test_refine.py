@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hypose.body.ready_bodies import human
-from hypose.calibration.refine_body import BodyOptions, adjust_with_body
+from hypose.calibration.refine_body import BodySettings, adjust_with_body
 from hypose.calibration.refine_camera import (
     by_camera,
     change_from,
@@ -19,7 +19,7 @@ from hypose.calibration.refine_camera import (
     in_world,
     rescaled,
 )
-from hypose.calibration.refine_points import PointOptions, adjust, left_out_residual, point_residual
+from hypose.calibration.refine_points import PointSettings, adjust, left_out_residual, point_residual
 from hypose.cameras.camera import CameraRig
 from hypose.compute.pictures.render import silhouette
 from hypose.errors import CalibrationError, EvidenceError
@@ -110,7 +110,7 @@ def test_a_focal_length_is_found_when_asked_for(rng):
     k = true[1].K.copy()
     k[:2, :2] *= 1.02
     wrong[1] = replace(true[1], K=k)
-    found = adjust(CameraRig(tuple(wrong)), uv, w, PointOptions(focal=True))
+    found = adjust(CameraRig(tuple(wrong)), uv, w, PointSettings(focal=True))
     ratio = found.rig[1].K[0, 0] / found.rig[0].K[0, 0]
     assert ratio == pytest.approx(1.0, abs=0.008)
 
@@ -159,7 +159,7 @@ def test_silhouettes_alone_bring_a_turned_camera_back(rng):
     masks = silhouettes_of(body, poses, true)
     off = turned(true, 1, [1.0, 1.5, 0.0], [0.03, 0, 0.02])
     start = body.skeleton.clamp(poses + rng.normal(size=poses.shape) * np.r_[[0.02] * 3, [0.05] * 33])
-    options = BodyOptions(coarse=(3.0, 1.0), iterations=(5, 5), contour_weight=1.0)
+    options = BodySettings(coarse=(3.0, 1.0), iterations=(5, 5), contour_weight=1.0)
     found = adjust_with_body(body, off, start, [contour_term(s) for s in masks], None, options)
     person = body.joints(poses).reshape(-1, 3)
     back = in_world(found.rig, gauge(found.rig, true, body.joints(found.poses).reshape(-1, 3)))

@@ -4,7 +4,7 @@ import pytest
 from hypose.errors import InputError
 from hypose.evidence.background import BackgroundModel, from_frames
 from hypose.evidence.silhouettes import (
-    SilhouetteOptions,
+    SilhouetteSettings,
     as_mask,
     biggest_parts,
     clean,
@@ -29,20 +29,20 @@ def scene(grey, shadow=0.65):
 @pytest.mark.parametrize(("method", "least"), [("gaussian", 0.95), ("mog2", 0.9)])
 def test_walker_with_cast_shadow(method, least):
     model, film, truth = scene(grey=False)
-    segment = make_segmenter(model, SilhouetteOptions(method=method))
+    segment = make_segmenter(model, SilhouetteSettings(method=method))
     assert np.mean([iou(segment(f), m) for f, m in zip(film, truth, strict=True)]) >= least
 
 
 def test_shadow_is_foreground_when_its_test_is_off():
     model, film, truth = scene(grey=False)
-    on, off = (make_segmenter(model, SilhouetteOptions(shadow=s)) for s in (True, False))
+    on, off = (make_segmenter(model, SilhouetteSettings(shadow=s)) for s in (True, False))
     assert iou(off(film[3]), truth[3]) < 0.9 < iou(on(film[3]), truth[3])
 
 
 def test_grey_scene_needs_the_shadow_test_off():
     model, film, truth = scene(grey=True, shadow=0)
-    with_test = make_segmenter(model, SilhouetteOptions(shadow=True))
-    without = make_segmenter(model, SilhouetteOptions(shadow=False))
+    with_test = make_segmenter(model, SilhouetteSettings(shadow=True))
+    without = make_segmenter(model, SilhouetteSettings(shadow=False))
     assert np.mean([iou(with_test(f), m) for f, m in zip(film, truth, strict=True)]) < 0.7
     assert np.mean([iou(without(f), m) for f, m in zip(film, truth, strict=True)]) > 0.85
 
@@ -50,7 +50,7 @@ def test_grey_scene_needs_the_shadow_test_off():
 def test_segmenters_have_no_memory():
     model, film, _ = scene(grey=False)
     for method in ("gaussian", "mog2"):
-        segment = make_segmenter(model, SilhouetteOptions(method=method))
+        segment = make_segmenter(model, SilhouetteSettings(method=method))
         first = segment(film[0])
         for f in film:
             segment(f)
@@ -98,7 +98,7 @@ def test_clean_up_fills_small_holes_and_drops_far_parts():
     mask[50:54, 50:54] = 0
     mask[80:84, 120:124] = 1  # a speck far away
     mask[60:80, 73:80] = 1  # a hand cut off by three pixels
-    out = clean(mask, SilhouetteOptions(close_px=0))
+    out = clean(mask, SilhouetteSettings(close_px=0))
     assert out[52, 52] and not out[82, 122] and out[70, 76]
     assert not clean(np.zeros((20, 20), np.uint8)).any()
     assert biggest_parts(mask, 1.0)[70, 76] == 0
@@ -153,6 +153,6 @@ def test_silhouettes_are_padded_and_unusable_views_marked():
 def test_options_are_checked():
     for bad in ({"method": "knn"}, {"threshold": 0}, {"shadow_range": (0.9, 0.4)}, {"keep_share": 2}, {"rim_px": 0}):
         with pytest.raises(InputError):
-            SilhouetteOptions(**bad)
+            SilhouetteSettings(**bad)
     with pytest.raises(InputError, match="does not fit"):
         make_segmenter(scene(grey=False)[0])(np.zeros((10, 10, 3), np.uint8))

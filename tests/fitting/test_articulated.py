@@ -149,7 +149,7 @@ def test_recovers_a_pose_from_its_own_silhouettes(rig):
             start,
             contours=fitting.contour_term(silhouettes_of(pose, rig)),
             priors=[fitting.Quadratic(start, np.full(SKELETON.dof, 0.3))],
-            options=fitting.SolveOptions(iterations=24, coarse_iterations=12),
+            options=fitting.SolveSettings(iterations=24, coarse_iterations=12),
         )
         before.append(joint_error_mm(start, pose))
         after.append(joint_error_mm(fit.pose, pose))
@@ -160,7 +160,7 @@ def test_recovers_a_pose_from_its_own_silhouettes(rig):
 def test_recovers_a_pose_from_key_points_and_from_points(rig, rng):
     pose = random_pose(BODY, rng, 0.3)
     start = start_near(pose, rng, 0.15, 0.1)
-    options = fitting.SolveOptions(iterations=30, coarse_iterations=0, tolerance=1e-8)
+    options = fitting.SolveSettings(iterations=30, coarse_iterations=0, tolerance=1e-8)
     for term in ({"keypoints": keypoints_of(pose, rig, rng)}, {"points": points_of(pose, rng)}):
         fit = fitting.fit_pose(BODY, start, **term, options=options)
         assert joint_error_mm(fit.pose, pose) < 0.01
@@ -170,7 +170,7 @@ def test_recovers_a_pose_from_key_points_and_from_points(rig, rng):
 def test_one_wild_key_point_does_little(rig, rng):
     pose = random_pose(BODY, rng, 0.3)
     term = keypoints_of(pose, rig, rng, noise=0.5)
-    options = fitting.SolveOptions(iterations=30, coarse_iterations=0)
+    options = fitting.SolveSettings(iterations=30, coarse_iterations=0)
     good = fitting.fit_pose(BODY, pose, keypoints=term, options=options)
     wild = term.points.copy()
     wild[0, 8, :2] += 150
@@ -198,7 +198,7 @@ def test_limits_hold_and_bind(rng):
     knee = int(SKELETON.dofs_of("left_knee")[0])
     beyond = pose.copy()
     beyond[knee] = SKELETON.lower[knee] - 0.5
-    fit = fitting.fit_pose(BODY, pose, points=points_of(beyond, rng), options=fitting.SolveOptions(30, 0))
+    fit = fitting.fit_pose(BODY, pose, points=points_of(beyond, rng), options=fitting.SolveSettings(30, 0))
     assert (fit.pose >= SKELETON.lower).all() and (fit.pose <= SKELETON.upper).all()
     assert fit.pose[knee] == SKELETON.lower[knee]
     assert fit.gradient[knee] > 0  # it pushes outwards
@@ -211,7 +211,7 @@ def test_priors_alone_give_their_weighted_mean():
         BODY,
         np.zeros(SKELETON.dof),
         priors=[fitting.Quadratic(a, w), fitting.Quadratic(b, 3 * w)],
-        options=fitting.SolveOptions(60, 0, tolerance=1e-9),
+        options=fitting.SolveSettings(60, 0, tolerance=1e-9),
     )
     np.testing.assert_allclose(fit.pose, SKELETON.clamp(np.full(SKELETON.dof, 0.175)), atol=1e-6)
     np.testing.assert_allclose(fit.hessian, 4 * np.eye(SKELETON.dof), atol=1e-9)
@@ -225,7 +225,7 @@ def test_heading_beyond_half_a_turn_is_kept_on_the_branch_of_the_start(rng):
     prior = fitting.Quadratic(pose * 1.0, np.full(SKELETON.dof, 1e-3))
     prior.centre[3:6] = so3_log(so3_exp(pose[3:6]))  # the same heading on the other branch
     fit = fitting.fit_pose(
-        BODY, start, points=points_of(pose, rng), priors=[prior], options=fitting.SolveOptions(30, 0)
+        BODY, start, points=points_of(pose, rng), priors=[prior], options=fitting.SolveSettings(30, 0)
     )
     assert joint_error_mm(fit.pose, pose) < 0.5
     np.testing.assert_allclose(fit.pose[3:6], pose[3:6], atol=1e-2)
@@ -291,7 +291,7 @@ def test_read_only_inputs_are_taken_and_not_changed(scene):
         a.flags.writeable = False
     try:
         before = pose.copy()
-        fitting.fit_pose(BODY, pose, contours=term, options=fitting.SolveOptions(2, 1))
+        fitting.fit_pose(BODY, pose, contours=term, options=fitting.SolveSettings(2, 1))
         np.testing.assert_array_equal(pose, before)
     finally:
         for a in (pose, term.sdf, term.outline):
@@ -318,7 +318,7 @@ def test_evidence_for_tracking_gives_the_same_cost_near_the_person(rig):
     assert around.sdf.size < whole.sdf.size
     near = pose.copy()
     near[:3] += 0.03
-    options = fitting.SolveOptions(iterations=0, coarse_iterations=0)
+    options = fitting.SolveSettings(iterations=0, coarse_iterations=0)
     a, b = (fitting.fit_pose(BODY, near, contours=t, options=options) for t in (whole, around))
     assert a.cost == pytest.approx(b.cost, rel=1e-6)  # outline points are float32
     np.testing.assert_allclose(a.gradient, b.gradient, rtol=1e-4, atol=1e-3)
@@ -332,7 +332,7 @@ def test_shrunk_evidence_weighs_and_places_the_person_alike(rig):
     start = pose.copy()
     start[:3] += 0.03
     fits = [
-        fitting.fit_pose(BODY, start, contours=t, options=fitting.SolveOptions(16, 4))
+        fitting.fit_pose(BODY, start, contours=t, options=fitting.SolveSettings(16, 4))
         for t in (fitting.contour_term(silhouettes), small)
     ]
     assert joint_error_mm(fits[0].pose, fits[1].pose) < 10

@@ -52,7 +52,7 @@ def test_points_as_rows_of_ones_own_are_a_point_term(rng):
     measured[5] += 0.6  # an outlier
     weight = rng.uniform(0.5, 1, J)
     joint, offset = np.arange(J), np.zeros((J, 3))
-    options = fitting.SolveOptions(30, 0, tolerance=1e-6)
+    options = fitting.SolveSettings(30, 0, tolerance=1e-6)
     given = fitting.PointTerm(measured, weight, joint, offset, 0.02)
     known = fitting.fit_pose(BODY, S.rest_pose(), points=given, priors=PRIOR, options=options)
     rows = (RowTerm(joint, places(measured, 0.02), offset, weight),)
@@ -77,7 +77,7 @@ def test_ranges_find_the_pose(rng):
     pose = random_pose(BODY, rng, 0.2)
     far = np.linalg.norm(BODY.joints(pose)[:, None] - ANCHORS, axis=-1)
     rows = (RowTerm(np.arange(J), ranges(far, 0.02)),)
-    found = fitting.fit_pose(BODY, S.rest_pose(), rows=rows, priors=PRIOR, options=fitting.SolveOptions(40, 0))
+    found = fitting.fit_pose(BODY, S.rest_pose(), rows=rows, priors=PRIOR, options=fitting.SolveSettings(40, 0))
     assert np.linalg.norm(BODY.joints(found.pose) - BODY.joints(pose), axis=1).max() < 0.005
     assert (found.pose >= S.lower).all() and (found.pose <= S.upper).all()
 

@@ -12,14 +12,14 @@ from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import InputError
 from hypose.evidence.hull import hull_iou, visual_hull
 from hypose.evidence.keypoints import BODY_25B, triangulate_keypoints
-from hypose.evidence.silhouettes import SilhouetteOptions, as_mask, biggest_parts
+from hypose.evidence.silhouettes import SilhouetteSettings, as_mask, biggest_parts
 from hypose.geometry import se3, so3_exp
-from hypose.io.recordings.frames import FrameOptions, FrameStream, build_backgrounds, working_rig, write_masks
+from hypose.io.recordings.frames import FrameSettings, FrameStream, build_backgrounds, working_rig, write_masks
 from hypose.io.recordings.recording import Recording, View
 from tests.evidence.scenes import ellipse, iou, picture, ring, room
 
 SHAPE, COUNT = (240, 320), 14
-OPTIONS = FrameOptions(longer_side=320)
+OPTIONS = FrameSettings(longer_side=320)
 
 
 @pytest.fixture(scope="module")
@@ -83,11 +83,11 @@ def test_frame_range_counts_from_its_start(film):
 
 def test_working_size_is_a_share_and_never_enlarged(film):
     recording, _ = film
-    assert working_rig(recording.rig, FrameOptions(longer_side=160)).sizes.tolist() == [[160, 120]] * 3
-    assert working_rig(recording.rig, FrameOptions(longer_side=4000)).sizes.tolist() == [[320, 240]] * 3
-    assert working_rig(recording.rig, FrameOptions(factor=0.25)).sizes.tolist() == [[80, 60]] * 3
+    assert working_rig(recording.rig, FrameSettings(longer_side=160)).sizes.tolist() == [[160, 120]] * 3
+    assert working_rig(recording.rig, FrameSettings(longer_side=4000)).sizes.tolist() == [[320, 240]] * 3
+    assert working_rig(recording.rig, FrameSettings(factor=0.25)).sizes.tolist() == [[80, 60]] * 3
     with pytest.raises(InputError, match="factor"):
-        FrameOptions(factor=2.0)
+        FrameSettings(factor=2.0)
 
 
 def test_views_that_fail_are_left_out_with_a_reason(film, tmp_path):
@@ -176,7 +176,7 @@ def test_key_points_are_matched_by_number_with_the_lag(film, tmp_path):
         recording.views[2],
     )
     r = replace(recording, views=views, keypoint_set="BODY_25", keypoint_lag=2)
-    with FrameStream(r, FrameOptions(longer_side=320, silhouettes=None)) as stream:
+    with FrameStream(r, FrameSettings(longer_side=320, silhouettes=None)) as stream:
         frames = list(stream)
     assert frames[0].silhouettes is None
     points = np.stack([f.keypoints.points for f in frames])
@@ -185,7 +185,7 @@ def test_key_points_are_matched_by_number_with_the_lag(film, tmp_path):
     assert points[6, 1, 0, 2] == 0 and points[7, 1, 0, 2] > 0 and (points[:, 2, :, 2] == 0).all()
     (tmp_path / "a" / "x_000003_keypoints.json").write_text("{}")
     with pytest.raises(InputError, match="x_000003_keypoints.json"):
-        FrameStream(r, FrameOptions(silhouettes=None))
+        FrameStream(r, FrameSettings(silhouettes=None))
 
 
 def test_key_points_of_image_pixels_are_scaled(film, tmp_path):
@@ -194,7 +194,7 @@ def test_key_points_of_image_pixels_are_scaled(film, tmp_path):
     views = tuple(replace(v, keypoints=folder) for v in recording.views)
     big = CameraRig(tuple(c.scaled((640, 480)) for c in recording.rig))
     r = replace(recording, rig=big, views=views, keypoint_set="BODY_25", keypoint_pixels="image")
-    with FrameStream(r, FrameOptions(longer_side=320, silhouettes=None)) as stream:
+    with FrameStream(r, FrameSettings(longer_side=320, silhouettes=None)) as stream:
         assert stream.frame(3).keypoints.points[1, 0, 0] == pytest.approx(53, abs=1e-6)
 
 
@@ -278,7 +278,7 @@ def test_balancing_masks_hold_the_limbs_in_all_views(shared_data, keypoints, lea
     folder = shared_data("pose2sim_balancing")
     with (
         FrameStream(balancing(folder, keypoints)) as stream,
-        FrameStream(balancing(folder, True), FrameOptions(silhouettes=None)) as detected,
+        FrameStream(balancing(folder, True), FrameSettings(silhouettes=None)) as detected,
     ):
         hits, areas = np.zeros((4, 2)), []
         for i in range(0, 99, 7):
@@ -297,7 +297,7 @@ def test_balancing_masks_hold_the_limbs_in_all_views(shared_data, keypoints, lea
 
 def test_balancing_key_points_agree_with_the_reference(shared_data):
     folder = shared_data("pose2sim_balancing")
-    with FrameStream(balancing(folder, True), FrameOptions(silhouettes=None)) as stream:
+    with FrameStream(balancing(folder, True), FrameSettings(silhouettes=None)) as stream:
         frames = [f.keypoints for f in stream]
     assert frames[0].names == BODY_25B
     points, residual, _ = triangulate_keypoints(frames)
@@ -310,10 +310,10 @@ def test_balancing_key_points_agree_with_the_reference(shared_data):
 
 def test_mog2_and_key_point_only_streams(film):
     recording, truth = film
-    with FrameStream(recording, replace(OPTIONS, silhouettes=SilhouetteOptions(method="mog2"))) as stream:
+    with FrameStream(recording, replace(OPTIONS, silhouettes=SilhouetteSettings(method="mog2"))) as stream:
         assert iou(stream.frame(7).silhouettes.masks[0], as_mask(truth[0, 7])) > 0.85
     with (
-        FrameStream(recording, FrameOptions(silhouettes=None)) as stream,
+        FrameStream(recording, FrameSettings(silhouettes=None)) as stream,
         pytest.raises(InputError, match="decodes no"),
     ):
         stream.image(0, 0)

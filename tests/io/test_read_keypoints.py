@@ -18,7 +18,7 @@ from hypose.errors import InputError
 from hypose.evidence.keypoint_sets import bone_excess, common_name
 from hypose.evidence.keypoints import KEYPOINT_SETS, keypoint_names
 from hypose.io.keypoints.read_keypoints import keypoints_of_views, read_keypoints
-from hypose.io.recordings.frames import FrameOptions, load_keypoints
+from hypose.io.recordings.frames import FrameSettings, load_keypoints
 from hypose.io.recordings.recording import load_recording
 from hypose.synthetic.rigs import rig
 from tests import missing
@@ -37,7 +37,7 @@ def written(folder, layout, points=None, stated=None, keypoint_set=None):
 
 def loaded(folder):
     recording = load_recording(folder)
-    found = load_keypoints(recording, FrameOptions(factor=1.0))
+    found = load_keypoints(recording, FrameSettings(factor=1.0))
     return recording, np.stack([k.points for k in found], 1)
 
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.evidence.silhouettes import SilhouetteOptions
+from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.io.calibrations.calibration_toml import write_calibration
-from hypose.io.recordings.frames import FrameOptions, FrameStream
+from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording, View, load_recording, write_recording
 from hypose.io.videos import video
 from tests.io.recordings import SIZE, frame, make_recording, make_rig, make_video
@@ -97,10 +97,10 @@ def test_how_masks_are_made_is_read_written_and_used(tmp_path):
     plain = path.read_text()
     path.write_text(plain + "\n[silhouettes]\nthreshold = 6\nshadow = false\nshadow_range = [0.5, 0.9]\n")
     recording = load_recording(folder)
-    assert recording.silhouettes == SilhouetteOptions(threshold=6, shadow=False, shadow_range=(0.5, 0.9))
+    assert recording.silhouettes == SilhouetteSettings(threshold=6, shadow=False, shadow_range=(0.5, 0.9))
     assert load_recording(write_recording(recording, tmp_path / "b")).silhouettes == recording.silhouettes
-    with FrameStream(recording) as usual, FrameStream(recording, FrameOptions()) as other:
-        assert usual.options.silhouettes == recording.silhouettes and other.options.silhouettes == SilhouetteOptions()
+    with FrameStream(recording) as usual, FrameStream(recording, FrameSettings()) as other:
+        assert usual.options.silhouettes == recording.silhouettes and other.options.silhouettes == SilhouetteSettings()
     for line, word in (("treshold = 4", "threshold"), ("shadow = 1", "true or false"), ("min_sd = -1", "min_sd")):
         path.write_text(f"{plain}\n[silhouettes]\n{line}\n")
         with pytest.raises(InputError, match=word):

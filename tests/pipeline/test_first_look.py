@@ -166,10 +166,10 @@ def test_two_views_of_nobody_say_nothing(frames):
 
 @pytest.mark.skipif(not BALANCING.exists(), reason="needs the recording pose2sim_balancing")
 def test_a_real_recording_is_left_alone_and_told_when_its_set_is_wrong():
-    from hypose.io.recordings.frames import FrameOptions, FrameStream
+    from hypose.io.recordings.frames import FrameSettings, FrameStream
     from hypose.io.recordings.recording import load_recording
 
-    with FrameStream(load_recording(BALANCING), FrameOptions(silhouettes=None)) as stream:
+    with FrameStream(load_recording(BALANCING), FrameSettings(silhouettes=None)) as stream:
         real = [stream.frame(i) for i in range(len(stream))]
     assert kinds(real) == []
     found = first_look(

@@ -30,7 +30,7 @@ from hypose.tracking.layered_anthropometry import (
     powell_start,
     shape_energy,
 )
-from hypose.tracking.shape_refinement import Known, ShapeOptions, outline_rows, refine_shape
+from hypose.tracking.shape_refinement import Known, ShapeSettings, outline_rows, refine_shape
 
 
 def rows_of(*arguments):
@@ -90,7 +90,7 @@ def test_shape_of_another_body_is_found_from_motion(body, moving, frame_of, rng)
 
 def test_fit_is_the_same_twice(body, moving, frame_of):
     contours = [contour_term(frame_of(body, q, k).silhouettes) for k, q in enumerate(moving[:2])]
-    quick = ShapeOptions(iterations=(1, 1, 1))
+    quick = ShapeSettings(iterations=(1, 1, 1))
     a = refine_shape(body, moving[:2], contours, options=quick)
     b = refine_shape(body, moving[:2], contours, options=quick)
     np.testing.assert_array_equal(a.log_factors, b.log_factors)
@@ -98,7 +98,7 @@ def test_fit_is_the_same_twice(body, moving, frame_of):
 
 
 def test_height_and_mass_are_kept(body, moving, frame_of):
-    quick = ShapeOptions(iterations=(2, 3), coarse=(2.0, 1.0))
+    quick = ShapeSettings(iterations=(2, 3), coarse=(2.0, 1.0))
     contours = [contour_term(frame_of(body, moving[0]).silhouettes)]
     taller = refine_shape(body, moving[:1], contours, known=Known(height=body.stature + 0.02), options=quick)
     free = refine_shape(body, moving[:1], contours, options=quick)
@@ -145,7 +145,7 @@ def test_different_poses_are_chosen(body, standing):
 def test_subject_from_the_hull_alone(body, standing, frame_of, tmp_path):
     person = body_of(body, shape(scale=0.05, thigh_girth=0.1, clothing=0.1))
     frames = [frame_of(person, standing, k) for k in range(3)]
-    options = AnthropometryOptions(frames=2, rate=25.0, poses=("standing",), shape=ShapeOptions(iterations=(2, 2, 3)))
+    options = AnthropometryOptions(frames=2, rate=25.0, poses=("standing",), shape=ShapeSettings(iterations=(2, 2, 3)))
     told = []
     found = estimate_subject(
         lambda i: frames[i], 3, 25.0, body, options, progress=lambda done, total: told.append((done, total))

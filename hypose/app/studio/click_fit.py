@@ -17,7 +17,7 @@ from hypose.app.studio.asked import choice, number
 from hypose.body.body import Body
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import InputError
-from hypose.fitting.articulated import KeypointTerm, PoseFit, Quadratic, SolveOptions, fit_pose
+from hypose.fitting.articulated import KeypointTerm, PoseFit, Quadratic, SolveSettings, fit_pose
 from hypose.geometry import Array, quaternion_from_matrix
 from hypose.tracking.monocular.flips import CHAINS
 from hypose.tracking.monocular.initialise import rival_poses
@@ -124,7 +124,7 @@ def fit_clicks(
         pull = Quadratic(start, sd**-2.0)
 
     def solve(pose: Array) -> PoseFit:
-        options = SolveOptions(iterations=40, coarse_iterations=10)
+        options = SolveSettings(iterations=40, coarse_iterations=10)
         return fit_pose(body, pose, keypoints=term, priors=(pull,), options=options)
 
     single = len(clicks.rig) == 1

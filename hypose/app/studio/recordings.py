@@ -20,7 +20,7 @@ from hypose.app.studio.view_pictures import AnyFrame
 from hypose.cameras.camera import Camera
 from hypose.errors import HyposeError, InputError
 from hypose.evidence.background import BackgroundModel, Image
-from hypose.evidence.silhouettes import Mask, SilhouetteOptions, make_segmenter
+from hypose.evidence.silhouettes import Mask, SilhouetteSettings, make_segmenter
 from hypose.io.files import write_text
 from hypose.io.recordings.frames import build_backgrounds, working_rig
 from hypose.io.recordings.recording import Recording, load_recording, silhouette_lines
@@ -181,7 +181,7 @@ class Recordings:
         return self._open.use((item.id, _stamp(item.path)), lambda: _Open(load_recording(item.path)))
 
     @staticmethod
-    def _mask(opened: _Open, view: int, frame: int, options: SilhouetteOptions) -> Mask:
+    def _mask(opened: _Open, view: int, frame: int, options: SilhouetteSettings) -> Mask:
         """The mask at working size, as tracking would get it but for the band around key points."""
         r = opened.recording
         small = working_rig(r.rig)[view]
@@ -229,7 +229,7 @@ def draw(image: Image, mask: Mask, shown: Shown) -> Image:
     return out
 
 
-def changed(options: SilhouetteOptions, settings: Mapping[str, str]) -> SilhouetteOptions:
+def changed(options: SilhouetteSettings, settings: Mapping[str, str]) -> SilhouetteSettings:
     """The options with settings out of a query: text, of the type that the option has."""
     table: dict[str, Any] = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(options).items()}
     for key, text in settings.items():
@@ -289,6 +289,6 @@ def _stamp(folder: Path) -> float:
 
 def _nothing(name: str) -> dict[str, Any]:
     empty: dict[str, Any] = {k: [] for k in ("views", "cameras", "notes")}
-    usual = asdict(SilhouetteOptions())
+    usual = asdict(SilhouetteSettings())
     rest = {"frame_rate": 0.0, "frames": 0, "frame_range": None, "subject_height": None, "mask_settings": usual}
     return {**empty, **rest, "name": name}

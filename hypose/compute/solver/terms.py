@@ -112,7 +112,7 @@ class PriorArrays(NamedTuple):
     """(D,)"""
 
 
-class SolveSettings(NamedTuple):
+class SolveLimits(NamedTuple):
     """Settings of one solve."""
 
     iterations: int

@@ -37,7 +37,7 @@ from hypose.evidence.keypoints import (
 from hypose.evidence.outlines import WORKING_HEIGHT, ViewOutline, view_outline
 from hypose.evidence.silhouettes import (
     Mask,
-    SilhouetteOptions,
+    SilhouetteSettings,
     flag_collapsed,
     make_segmenter,
     make_silhouettes,
@@ -61,7 +61,7 @@ _LONGEST_GAP = 15  # frames over which a missing key point is bridged when the s
 
 
 @dataclass(frozen=True)
-class FrameOptions:
+class FrameSettings:
     """longer_side: working size, px of the longer image side (images are never enlarged). factor: working
     size as a share of the calibrated size instead. silhouettes: None for key points only (nothing is
     decoded). band: keep masks within a thick skeleton where there are key points. background_frames:
@@ -69,7 +69,7 @@ class FrameOptions:
 
     longer_side: int = 480
     factor: float | None = None
-    silhouettes: SilhouetteOptions | None = field(default_factory=SilhouetteOptions)
+    silhouettes: SilhouetteSettings | None = field(default_factory=SilhouetteSettings)
     band: bool = True
     background_frames: int = 60
 
@@ -80,13 +80,13 @@ class FrameOptions:
             raise InputError(f"The working size factor must lie in (0, 1], got {self.factor:g}.")
 
 
-def working_rig(rig: CameraRig, options: FrameOptions | None = None) -> CameraRig:
+def working_rig(rig: CameraRig, options: FrameSettings | None = None) -> CameraRig:
     """The pinhole cameras of the working size."""
-    o = options or FrameOptions()
+    o = options or FrameSettings()
     return rig.scaled(o.factor or min(1.0, o.longer_side / float(rig.sizes.max()))).pinhole()
 
 
-def load_keypoints(recording: Recording, options: FrameOptions | None = None) -> list[Keypoints] | None:
+def load_keypoints(recording: Recording, options: FrameSettings | None = None) -> list[Keypoints] | None:
     """Key points of one person for every frame of recording.frames, None when the recording has none.
 
     What is read, and which frame of the file is the video's first, is told by `hypose.io.keypoints.read_keypoints`;
@@ -173,7 +173,7 @@ def _cover(covers: Covers | None, skeletons: _Skeletons | None, view: int, frame
 
 def build_backgrounds(
     recording: Recording,
-    options: FrameOptions | None = None,
+    options: FrameSettings | None = None,
     keypoints: Sequence[Keypoints] | None = None,
     covers: Covers | None = None,
 ) -> tuple[BackgroundModel | None, ...]:
@@ -184,7 +184,7 @@ def build_backgrounds(
     thick skeleton or the `covers` telling where the person is. At most options.background_frames frames
     are held per view.
     """
-    o = options or FrameOptions()
+    o = options or FrameSettings()
     small = working_rig(recording.rig, o)
     skeletons = _skeletons(keypoints, recording.frames[0]) if keypoints else None
 
@@ -291,11 +291,11 @@ class FrameStream:
     def __init__(
         self,
         recording: Recording,
-        options: FrameOptions | None = None,
+        options: FrameSettings | None = None,
         backgrounds: Sequence[BackgroundModel | None] | None = None,
         covers: Covers | None = None,
     ) -> None:
-        self.recording, self.options = recording, options or FrameOptions(silhouettes=recording.silhouettes)
+        self.recording, self.options = recording, options or FrameSettings(silhouettes=recording.silhouettes)
         self.rig = working_rig(recording.rig, self.options)
         self.frames = recording.frames
         if len(self.frames) == 0:

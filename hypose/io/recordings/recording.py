@@ -19,7 +19,7 @@ import numpy as np
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError, InputError
 from hypose.evidence.keypoints import keypoint_names
-from hypose.evidence.silhouettes import SilhouetteOptions
+from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import rotation_between, se3
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.calibrations.calibration_toml import (
@@ -70,7 +70,7 @@ class Recording:
     keypoint_pixels: str = "calibration"
     n_frames: int = 0
     calibration: Path | None = None
-    silhouettes: SilhouetteOptions = SilhouetteOptions()
+    silhouettes: SilhouetteSettings = SilhouetteSettings()
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -175,9 +175,9 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
     return folder / "recording.toml"
 
 
-def silhouette_lines(options: SilhouetteOptions) -> list[str]:
+def silhouette_lines(options: SilhouetteSettings) -> list[str]:
     """The [silhouettes] table of a recording.toml; nothing when all is as usual."""
-    usual = asdict(SilhouetteOptions())
+    usual = asdict(SilhouetteSettings())
     changed = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(options).items() if v != usual[k]}
     return ["", "[silhouettes]", *(f"{k} = {toml_value(v)}" for k, v in changed.items())] if changed else []
 

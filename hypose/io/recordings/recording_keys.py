@@ -27,7 +27,7 @@ With the defaults; paths are relative to it:
     accept_scaled = false             # images of another shape (width : height) than calibrated were
                                       # stretched, not cut
 
-    [silhouettes]                     # how masks are made (hypose.evidence.silhouettes.SilhouetteOptions)
+    [silhouettes]                     # how masks are made (hypose.evidence.silhouettes.SilhouetteSettings)
     threshold = 4.0                   # and the other options; default: the usual ones
 
 Images of another size but of the calibrated shape (to 1 %) are taken as scaled; a note says so. Videos are
@@ -45,7 +45,7 @@ from typing import Any
 import numpy as np
 
 from hypose.errors import InputError
-from hypose.evidence.silhouettes import SilhouetteOptions
+from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.io.calibrations.calibration_toml import parse_toml
 
 _MAX_TOML_BYTES = 5_000_000
@@ -78,7 +78,7 @@ SILHOUETTE_KEYS: dict[str, type | tuple[type, ...]] = {
     else list
     if f.name == "shadow_range"
     else (int, float)
-    for f in fields(SilhouetteOptions)
+    for f in fields(SilhouetteSettings)
 }
 _TYPE_NAMES = {
     str: "text in quotes",
@@ -136,13 +136,13 @@ def choice(where: str, key: str, value: str, allowed: Sequence[str]) -> str:
     return value
 
 
-def silhouette_options(where: str, table: Mapping[str, Any]) -> SilhouetteOptions:
+def silhouette_options(where: str, table: Mapping[str, Any]) -> SilhouetteSettings:
     """The options of a [silhouettes] table; what it does not name is as usual."""
     check_keys(f"{where}, silhouettes", table, SILHOUETTE_KEYS)
     values = dict(table)
     if "shadow_range" in values:
         values["shadow_range"] = tuple(numbers(where, "shadow_range", values["shadow_range"], 2, whole=False))
     try:
-        return SilhouetteOptions(**values)
+        return SilhouetteSettings(**values)
     except InputError as error:
         raise InputError(f"{where}, silhouettes: {error}") from None

@@ -18,7 +18,7 @@ from hypose.body.body import Body
 from hypose.cameras.camera import Camera
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame
-from hypose.fitting.articulated import KeypointTerm, Quadratic, SolveOptions, fit_pose
+from hypose.fitting.articulated import KeypointTerm, Quadratic, SolveSettings, fit_pose
 from hypose.geometry import Array, so3_exp, so3_log
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.monocular.evidence import checked
@@ -180,7 +180,7 @@ def _solved(
     )
     held = np.full(body.skeleton.dof, _HELD)
     held[active] = 0.0
-    options = SolveOptions(iterations=60, coarse_iterations=20)
+    options = SolveSettings(iterations=60, coarse_iterations=20)
     fits = []
     for start in starts:
         priors = (anatomical_prior(body.skeleton), Quadratic(start, held))
