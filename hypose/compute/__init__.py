@@ -45,6 +45,7 @@ from hypose.compute.monocular.mono_terms import (
 )
 from hypose.compute.native import native, plain, tidy
 from hypose.compute.pictures import picture_to_mask
+from hypose.compute.pictures.parts import parts_against_mask
 from hypose.compute.pictures.picture_to_mask import Box, Lens, make_lens, order_statistic, shrink_undistort
 from hypose.compute.pictures.visibility import nearest_visible
 from hypose.compute.selection import default_threads, over_chunks, require_cuda, use
@@ -152,6 +153,7 @@ __all__ = [
     "order_statistic",
     "outline_points",
     "over_chunks",
+    "parts_against_mask",
     "picture_to_mask",
     "prepare_masks",
     "rasterize",

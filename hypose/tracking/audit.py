@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body
-from hypose.compute.pictures.parts import parts_against_mask
+from hypose.compute import parts_against_mask
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.geometry import Array
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, checked, pixels_per_metre
