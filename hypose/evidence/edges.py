@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute.monocular import mono
+from hypose.compute import mono
 from hypose.errors import InputError
 
 WEAKEST = 3.0

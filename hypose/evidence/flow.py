@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute.monocular import mono
+from hypose.compute import mono
 from hypose.errors import InputError
 
 STEEP, WRONG = 6.0, 2.0

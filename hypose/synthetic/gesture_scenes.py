@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import Depth
-from hypose.compute.depth_forests import depth_sensor
+from hypose.compute import Depth, depth_sensor
 from hypose.geometry import Array
 from hypose.gestures.depth_pictures import KINECT, Lens
 from hypose.synthetic.gesture_people import Person, Puppet, load_people, turn

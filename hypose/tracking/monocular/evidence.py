@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose import compute
-from hypose.compute import GAUSSIAN, LECLERC, LORENTZIAN, EdgeArrays, FlowArrays, MarkArrays, MaskArrays
-from hypose.compute.monocular import mono
+from hypose.compute import GAUSSIAN, LECLERC, LORENTZIAN, EdgeArrays, FlowArrays, MarkArrays, MaskArrays, mono
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.flow import Flow
 from hypose.evidence.frame import Frame, Picture

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.body.motion import Modes
 from hypose.cameras.camera import Camera
-from hypose.compute import MonoProblem, MonoWorkspace, default_threads, over_chunks
-from hypose.compute.monocular import mono
+from hypose.compute import MonoProblem, MonoWorkspace, default_threads, mono, over_chunks
 from hypose.errors import InputError
 from hypose.evidence.flow import Flow, optical_flow
 from hypose.evidence.frame import Frame, Picture

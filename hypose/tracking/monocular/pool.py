@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
-from hypose.compute.monocular import mono
+from hypose.compute import mono
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.frame_evidence import PreparedFrame

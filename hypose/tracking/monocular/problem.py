@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from hypose.body.body import Body, Mesh
 from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import Camera
-from hypose.compute import FloorArrays, MonoModel, MonoPriors, MonoProblem, SphereArrays
-from hypose.compute.monocular import mono
+from hypose.compute import FloorArrays, MonoModel, MonoPriors, MonoProblem, SphereArrays, mono
 from hypose.errors import InputError
 from hypose.evidence.edges import edge_field
 from hypose.evidence.flow import Flow
