@@ -21,6 +21,15 @@ from hypose.geometry import Array
 from hypose.io.calibrations.calibration_toml import toml_value, write_calibration
 
 RATE = 25.0
+# points that the body does not have -> one of its landmarks nearby
+_NEAR = {
+    "eye_inner": "{}_eye",
+    "eye_outer": "{}_eye",
+    "mouth": "nose",
+    "pinky": "{}_hand_tip",
+    "index": "{}_hand_tip",
+    "thumb": "{}_thumb_tip",
+}
 
 
 def walker(frames: int, seed: int = 0) -> Array:
@@ -49,10 +58,15 @@ def walker(frames: int, seed: int = 0) -> Array:
     return poses
 
 
+def _landmark(name: str) -> str:
+    side, _, part = name.partition("_")
+    return _NEAR[part].format(side) if part in _NEAR else name
+
+
 def detections(keypoint_set: str, rig: CameraRig, frames: int, seed: int = 0, noise_px: float = 1.0) -> Array:
     """(C, T, K, 3) px of the rig's pictures and scores 0..1; points that the body does not have are missing."""
     body, names = human(), keypoint_names(keypoint_set)
-    joint, offset, known = landmark_of(names, body)
+    joint, offset, known = landmark_of([_landmark(n) for n in names], body)
     rng = np.random.default_rng([seed, 1])
     rotations, centres = body.skeleton.forward(walker(frames, seed))
     world = centres[:, joint] + np.einsum("tkab,kb->tka", rotations[:, joint], offset)
