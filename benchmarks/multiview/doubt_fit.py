@@ -37,7 +37,7 @@ easily told, and its frames are many. Chosen, as _RIDGE, by motions left out of 
 GOOD_FLAGGED = {
     "silhouettes": (0.01, 0.035, 0.015),
     "keypoints": (0.005, 0.02, 0.008),
-    "both": (0.005, 0.02, 0.01),
+    "both": (0.005, 0.04, 0.01),
 }
 """Share of good joint-frames of trunk, arms and legs that may be flagged on the seeds trained on. Of key points half of
 the clips trained on are spoilt, so that of good ones far fewer are."""
