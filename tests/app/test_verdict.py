@@ -1,0 +1,30 @@
+"""How `hypose track` ends: with a verdict, and a code of its own when the result is not to be trusted."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+
+import hypose as package
+from hypose import CameraRig
+
+LIGHT = ("--evidence", "keypoints", "--no-overlay", "--formats", "csv")
+
+
+def test_a_good_recording_ends_as_good(hypose, keypoint_recording, tmp_path):
+    code, out, _ = hypose("track", keypoint_recording, "--out", tmp_path / "out", *LIGHT)
+    assert code == 0 and "Verdict: Good" in out
+    assert json.loads((tmp_path / "out" / "verdict.json").read_text())["verdict"] == "good"
+
+
+def test_a_world_upside_down_ends_as_not_to_be_trusted(hypose, keypoint_recording, tmp_path):
+    path = keypoint_recording / "calibration.toml"
+    rig, _ = package.read_calibration(path)
+    turned = np.diag([1.0, -1.0, -1.0, 1.0])
+    cameras = [replace(c, camera_from_world=c.camera_from_world @ turned) for c in rig]
+    package.write_calibration(CameraRig(tuple(cameras)), path)
+    code, out, err = hypose("track", keypoint_recording, "--out", tmp_path / "out", *LIGHT)
+    assert code == 3, out + err
+    assert "Not to be trusted, because" in out and "up" in out
+    assert json.loads((tmp_path / "out" / "verdict.json").read_text())["verdict"] == "not to be trusted"
+    assert (tmp_path / "out" / "motion.npz").is_file()
