@@ -109,7 +109,7 @@ def test_unknown_key_in_recording_toml(hypose, recording):
     [
         (("--recipe", "hfp"), ("There is no recipe 'hfp'", "default, sir, apf")),
         (("--start", "sitting"), ("There is no start 'sitting'", "hands-up")),
-        (("--evidence", "depth"), ("There is no evidence 'depth'", "keypoints")),
+        (("--evidence", "depth"), ("knows no evidence 'depth'", "keypoints")),
         (("--evidence", "keypoints"), ("key points",)),
         (("--start", "keypoints"), ("needs key points", "hull")),
         (("--frames", "5:99"), ("lies outside the recording", "0 to 7", "at most 0:8")),

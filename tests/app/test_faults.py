@@ -82,13 +82,13 @@ def test_masks_that_are_all_foreground_are_no_evidence(hypose, masks, tmp_path):
     import cv2
 
     flooded = masks.parent / "flooded"
-    write_masks(small_scene(1, 6), flooded)
+    write_masks(small_scene(1, 8), flooded)
     for path in flooded.glob("cam*/0000[34].png"):
         assert cv2.imwrite(str(path), np.full((120, 160), 255, np.uint8))
     code, _, err = hypose("track", flooded, "--subject", masks.parent / "anna", "--out", tmp_path, *LIGHT)
     assert code == 0, err
     motion = load_motion(tmp_path / "motion.npz")
-    assert motion.extrapolated.tolist() == [False, False, False, True, True, False]
+    assert motion.extrapolated.tolist() == [False, False, False, True, True, False, False, False]
     assert np.isfinite(motion.poses).all()
 
 
