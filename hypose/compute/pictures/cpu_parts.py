@@ -1,0 +1,78 @@
+"""numba: which parts of a body a picture shows (parts.py)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hypose.compute.compiled import kernel
+
+_NEAR = 0.05  # m: triangles with a corner nearer than this are not drawn
+
+
+@kernel
+def draw(uv, z, faces, bit, out):
+    """Set the bit of its part in out (h, w) wherever a face covers the pixel's centre."""
+    h, w = out.shape
+    for f in range(faces.shape[0]):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        if not (z[a] > _NEAR and z[b] > _NEAR and z[c] > _NEAR):
+            continue
+        xa, ya, xb, yb, xc, yc = uv[a, 0], uv[a, 1], uv[b, 0], uv[b, 1], uv[c, 0], uv[c, 1]
+        if not np.isfinite(xa + ya + xb + yb + xc + yc):
+            continue
+        if ya > yb:
+            xa, ya, xb, yb = xb, yb, xa, ya
+        if ya > yc:
+            xa, ya, xc, yc = xc, yc, xa, ya
+        if yb > yc:
+            xb, yb, xc, yc = xc, yc, xb, yb
+        r0 = max(0, int(np.ceil(max(ya, -1.0))))
+        r1 = min(h - 1, int(np.floor(min(yc, h + 1.0))))
+        if r0 > r1 or yc <= ya:
+            continue
+        slope = (xc - xa) / (yc - ya)
+        upper = (xb - xa) / (yb - ya) if yb > ya else 0.0
+        lower = (xc - xb) / (yc - yb) if yc > yb else 0.0
+        for r in range(r0, r1 + 1):
+            p = xa + (r - ya) * slope
+            if r < yb:
+                q = xa + (r - ya) * upper
+            elif yc > yb:
+                q = xb + (r - yb) * lower
+            else:
+                q = xb
+            if p > q:
+                p, q = q, p
+            first, last = int(np.ceil(max(p, -1.0))), int(np.floor(min(q, w + 1.0)))
+            for x in range(max(0, first), min(w - 1, last) + 1):
+                out[r, x] |= bit[f]
+
+
+@kernel
+def tally(parts, outside, area, exposed, over):
+    """Pixels of each part; those that it alone covers; those that lie outside."""
+    n = area.shape[0]
+    for r in range(parts.shape[0]):
+        for x in range(parts.shape[1]):
+            p = parts[r, x]
+            if p == 0:
+                continue
+            for k in range(n):
+                if p & (np.uint16(1) << np.uint16(k)):
+                    area[k] += 1
+                    if p == (np.uint16(1) << np.uint16(k)):
+                        exposed[k] += 1
+                    if outside[r, x]:
+                        over[k] += 1
+
+
+@kernel
+def near(bare, uv, square, count):
+    """Number of bare pixels nearer to each of the points (N, 2) than the square root of its square (N,)."""
+    for r in range(bare.shape[0]):
+        for x in range(bare.shape[1]):
+            if bare[r, x]:
+                for k in range(uv.shape[0]):
+                    dx, dy = x - uv[k, 0], r - uv[k, 1]
+                    if dx * dx + dy * dy < square[k]:
+                        count[k] += 1
