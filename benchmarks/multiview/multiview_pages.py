@@ -97,6 +97,17 @@ _ARMS = Page(
         Column("arms' p95, mm", "arms_p95_mm"),
         Column("two draws differ by, mm", "draw_difference_mm"),
     ),
+    (
+        Line("walk, box, run, combo", "all", (most(4), most(0.7, 1), most(17.0, 2), most(60, 3))),
+        *(Line(a, a) for a in ("walk", "box", "run", "combo")),
+        Line("the same, not smoothed", "unsmoothed", (most(8),)),
+        Line("arms folded", "folded", (most(8),)),
+        Line("serve", "serve", (most(1),)),
+        Line("walk, ixmas-5", "ixmas-5/walk", (most(5),)),
+        Line("punch, ixmas-5", "ixmas-5/punch", (most(2),)),
+        Line("demo", "demo", (most(1), most(13.6, 2), most(40, 4))),
+        Line("balancing", "balancing", (most(40, 4),)),
+    ),
     notebook="search.md#the-body-decides",
     picture=Panels(("wrong_100", "wrong_150")),
 )
