@@ -89,6 +89,12 @@ class TrackOptions:
         """All frames are solved on their key points together, instead of one after the other and then together."""
         return self.looks_at == "keypoints" and self.smooth and self.preset.whole_clip
 
+    def without_pictures(self) -> TrackOptions:
+        """For a recording of key points alone: these are looked at, where nothing else was asked for."""
+        if self.evidence is None and "keypoints" in self.preset.evidence and not self.of_picture:
+            return replace(self, evidence="keypoints")
+        return self
+
     def settings(self) -> dict[str, Any]:
         """The choices that decide the result."""
         left_out = ("checkpoint_every", "sure_start", "particles", "own")

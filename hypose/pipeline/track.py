@@ -35,11 +35,12 @@ def track(
     """
     loaded = recording if isinstance(recording, Recording | FrameList) else load_recording(recording)
     height = loaded.subject_height if isinstance(loaded, Recording) else None
-    blind = isinstance(loaded, Recording) and not loaded.has_pictures
-    chosen = options or TrackOptions(height=height, evidence="keypoints" if blind else None)
+    chosen = options or TrackOptions(height=height)
     method = recipe if isinstance(recipe, Recipe) else None
     if isinstance(recipe, str):
         chosen = replace(chosen, recipe=recipe)
+    if isinstance(loaded, Recording) and not loaded.has_pictures:
+        chosen = chosen.without_pictures()
     if isinstance(loaded, Recording) and chosen.of_picture:
         check_views(loaded, True)
     if body is None and chosen.subject is not None:

@@ -93,8 +93,6 @@ def track(
     from hypose.pipeline.run import TrackOptions
 
     loaded = choose_frames(load_recording(recording, calibration), frames)
-    if evidence is None and recipe != "monocular" and not loaded.has_pictures:
-        evidence = "keypoints"  # they are all that there is
     options = TrackOptions(
         recipe=recipe,
         refine=refine,
@@ -107,6 +105,8 @@ def track(
         particles=hypotheses,
         own={} if floor is None else {"floor": floor},
     )
+    if not loaded.has_pictures:
+        options = options.without_pictures()
     if camera is not None or options.of_picture:
         loaded = one_view(loaded, camera)
     results = ResultsFolder(out) if out is not None else ResultsFolder.of(loaded.folder, options.recipe)
