@@ -6,16 +6,17 @@ import numpy as np
 
 from hypose.compute.compiled import kernel
 
-_NEAR = 0.05  # m: triangles with a corner nearer than this are not drawn
+NEAR = 0.05
+"""Triangles with a corner nearer than this (m) are not drawn."""
 
 
 @kernel
 def draw(uv, z, faces, bit, out):
-    """Set the bit of its part in out (h, w) wherever a face covers the pixel's centre."""
+    """Set the bit of each face (F,) in out (h, w) where the face, of either orientation, covers a pixel's centre."""
     h, w = out.shape
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        if not (z[a] > _NEAR and z[b] > _NEAR and z[c] > _NEAR):
+        if not (z[a] > NEAR and z[b] > NEAR and z[c] > NEAR):
             continue
         xa, ya, xb, yb, xc, yc = uv[a, 0], uv[a, 1], uv[b, 0], uv[b, 1], uv[c, 0], uv[c, 1]
         if not np.isfinite(xa + ya + xb + yb + xc + yc):

@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.compiled import kernel
-
-NEAR = 0.05
-"""Triangles with a corner nearer than this (m) are not drawn."""
+from hypose.compute.pictures.cpu_parts import NEAR, draw
 
 
 @kernel
@@ -58,44 +56,6 @@ def _raster(uv, z, faces, cull, depth, face_id, bary):
                         bary[y, x, 1] = kc * izc * d
                 kb += db_dx
                 kc += dc_dx
-
-
-@kernel
-def _fill(uv, z, faces, mask):
-    """Set mask (h, w) to 1 where any face (either orientation) covers the pixel centre, row by row."""
-    h, w = mask.shape
-    for f in range(faces.shape[0]):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        if not (z[a] > NEAR and z[b] > NEAR and z[c] > NEAR):
-            continue
-        xa, ya, xb, yb, xc, yc = uv[a, 0], uv[a, 1], uv[b, 0], uv[b, 1], uv[c, 0], uv[c, 1]
-        if not np.isfinite(xa + ya + xb + yb + xc + yc):
-            continue
-        if ya > yb:
-            xa, ya, xb, yb = xb, yb, xa, ya
-        if ya > yc:
-            xa, ya, xc, yc = xc, yc, xa, ya
-        if yb > yc:
-            xb, yb, xc, yc = xc, yc, xb, yb
-        r0 = max(0, int(np.ceil(ya)))
-        r1 = min(h - 1, int(np.floor(yc)))
-        if r0 > r1 or yc <= ya:
-            continue
-        slope = (xc - xa) / (yc - ya)
-        upper = (xb - xa) / (yb - ya) if yb > ya else 0.0
-        lower = (xc - xb) / (yc - yb) if yc > yb else 0.0
-        for r in range(r0, r1 + 1):
-            p = xa + (r - ya) * slope
-            if r < yb:
-                q = xa + (r - ya) * upper
-            elif yc > yb:
-                q = xb + (r - yb) * lower
-            else:
-                q = xb
-            if p > q:
-                p, q = q, p
-            for x in range(max(0, int(np.ceil(p))), min(w - 1, int(np.floor(q))) + 1):
-                mask[r, x] = 1
 
 
 def rasterize(
@@ -160,7 +120,8 @@ def silhouette(
     if s > 1:
         p = (p + 0.5) * s - 0.5
     mask = np.zeros((h * s, w * s), dtype=np.uint8)
-    _fill(p, np.ascontiguousarray(z, dtype=np.float64), np.ascontiguousarray(faces, dtype=np.int32), mask)
+    f = np.ascontiguousarray(faces, dtype=np.int32)
+    draw(p, np.ascontiguousarray(z, dtype=np.float64), f, np.ones(len(f), np.uint8), mask)
     if s == 1:
         return mask
     return cv2.resize(mask.astype(np.float32), (w, h), interpolation=cv2.INTER_AREA)
