@@ -113,7 +113,7 @@ def _columns(skeleton: Skeleton, world_from_joint: Array, centres: Array) -> dic
     def hinge(name: str) -> Array:
         j = skeleton.joint(name)
         r = np.swapaxes(world_from_joint[:, skeleton.parents[j]], -1, -2) @ world_from_joint[:, j]
-        return _turn_about(r, _hinge_axis(skeleton, name)) + straight_offset(skeleton, name)
+        return _turn_about(r, hinge_axis(skeleton, name)) + straight_offset(skeleton, name)
 
     pelvis = GROUND_AXES @ anatomical("pelvis") @ BODY_AXES.T
     turn = continuous_euler_zxy(pelvis[:, None], prior_axis=1)[:, 0]
@@ -149,7 +149,7 @@ def neutral_frames(skeleton: Skeleton) -> dict[str, Array]:
     for _, left_right, _ in _SIDES:
         for upper, lower, axis in (("hip", "knee", side), ("shoulder", "elbow", -side)):
             u, lo = f"{left_right}_{upper}", f"{left_right}_{lower}"
-            bone, hinge = skeleton.rest_offsets[skeleton.joint(lo)], _hinge_axis(skeleton, lo)
+            bone, hinge = skeleton.rest_offsets[skeleton.joint(lo)], hinge_axis(skeleton, lo)
             frames[u] = _frame(down, axis) @ _frame(bone, hinge).T
             frames[lo] = frames[u] @ so3_exp(-straight_offset(skeleton, lo) * hinge)
         # hands have no joint of their own: they go with the forearm
@@ -160,7 +160,7 @@ def neutral_frames(skeleton: Skeleton) -> dict[str, Array]:
 def straight_offset(skeleton: Skeleton, name: str) -> float:
     """Angle (rad) of the knee or elbow hinge in the rest pose, from the straight limb: add it to the
     dof's value."""
-    axis, j = _hinge_axis(skeleton, name), skeleton.joint(name)
+    axis, j = hinge_axis(skeleton, name), skeleton.joint(name)
     children = np.flatnonzero(skeleton.parents == j)
     if not len(children):
         raise InputError(f"The joint {name!r} has no child, so its limb has no direction.")
@@ -176,7 +176,8 @@ def _turn_about(rotations: Array, axis: Array) -> Array:
     return np.arctan2(skew @ axis, trace - along)
 
 
-def _hinge_axis(skeleton: Skeleton, name: str) -> Array:
+def hinge_axis(skeleton: Skeleton, name: str) -> Array:
+    """(3,) axis in the skeleton's rest frame of a joint with one hinge; an InputError for any other joint."""
     dofs = skeleton.dofs_of(name)
     if len(dofs) != 1:
         raise InputError(f"Joint angles need a hinge at {name!r}, this skeleton has {len(dofs)} degrees of freedom.")

@@ -10,6 +10,7 @@ from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 from hypose.io.motions.bodies import save_body
 from hypose.io.motions.results import save_motion
+from hypose.pipeline.gait_cycles import angle_cycles, strides
 from hypose.pipeline.gait_events import gait_of
 
 RATE, SPEED, CADENCE = 60.0, 1.2, 1.8  # Hz, m/s, steps/s
@@ -81,6 +82,33 @@ def test_uncertain_feet_give_wide_intervals():
     assert unsure.events[0].sd > 3 * sure.events[0].sd
 
 
+def test_cycles_lay_strides_over_each_other():
+    """A hip swings as a sine whose cycle is the stride: the mean of the strides is that sine, and they are alike."""
+    motion, body = walking(seconds=6.0)
+    motion = Motion(**{**motion.__dict__, "angle_sd": np.full((len(motion), 32), np.radians(2.0), np.float32)})
+    events = gait_of(motion, body).events
+    cycles = {c.name: c for c in angle_cycles(events, motion)}
+    hip = cycles["hip_flexion_r"]
+    assert hip.n == len(strides(events, motion, "right")) >= 3
+    assert np.degrees(np.ptp(hip.mean)) == pytest.approx(np.degrees(0.84), abs=1.0)
+    assert np.degrees(hip.sd.max()) < 1.5
+    assert abs(hip.mean[0] - hip.mean[-1]) < np.radians(1.5)
+    alone = np.degrees(hip.uncertainty)
+    assert (alone < 2.0).all() and (alone > 2.0 / np.sqrt(hip.n) - 0.01).all()  # a mean is known better than a frame
+    opposite = cycles["hip_flexion_l"].mean - hip.mean  # each from its own foot's strike
+    assert np.degrees(np.abs(opposite).max()) < 3.0
+    assert "pelvis_rotation" not in cycles and "pelvis_tx" not in cycles
+
+
+def test_a_stride_with_an_unknown_frame_is_left_out():
+    motion, body = walking(seconds=6.0)
+    events = gait_of(motion, body).events
+    whole = strides(events, motion, "left")
+    middle = round(sum(whole[1]) / 2 * RATE)
+    motion.extrapolated[middle] = True
+    assert strides(events, motion, "left") == [whole[0], *whole[2:]]
+
+
 def test_nobody_walks():
     gait = gait_of(*walking(still=True))
     assert gait.events == () and gait.steps == () and gait.figures == ()
@@ -103,6 +131,9 @@ def test_the_command_and_its_files(tmp_path, capsys):
     assert events[0] == "time_s,sd_s,side,event,x_m,y_m,z_m,frame" and len(events) == len(gait.events) + 1
     assert len((tmp_path / "steps.csv").read_text().splitlines()) == len(gait.steps) + 1
     assert "cadence,steps/min," in (tmp_path / "gait.csv").read_text()
+    cycles = (tmp_path / "cycles.csv").read_text().splitlines()
+    assert len(cycles) == 102 and cycles[0].startswith("percent,") and "knee_angle_l_sd_deg" in cycles[0]
+    assert "gait cycle (%)" in (tmp_path / "cycles.svg").read_text()
     marks = ezc3d.c3d(str(tmp_path / "gait.c3d"))["parameters"]["EVENT"]
     assert marks["USED"]["value"][0] == len(gait.events)
     assert marks["LABELS"]["value"] == ["Foot Strike" if e.kind == "strike" else "Foot Off" for e in gait.events]

@@ -15,7 +15,7 @@ def gait(
     results: Annotated[Path, typer.Argument(help="Results folder of hypose track, or its motion.npz.")],
     out: Annotated[Path | None, typer.Option(help="Folder to write to. [default: the results folder]")] = None,
 ) -> None:
-    """Write events.csv, steps.csv, gait.csv and a C3D with the events: strikes, steps, cadence, speed."""
+    """Write strikes, steps, cadence and speed (CSV, C3D with events), and joint angles over the gait cycle."""
     from hypose.app.jobs.gait_job import write_gait
     from hypose.io.claims import claimed
     from hypose.io.motions.bodies import load_body

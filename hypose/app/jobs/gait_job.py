@@ -8,16 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
+from hypose.app.reports.gait_plot import cycle_plot
 from hypose.body.motion import Motion
 from hypose.io.files import write_text
 from hypose.io.motions.c3d import write_c3d
+from hypose.pipeline.gait_cycles import PERCENT, angle_cycles
 from hypose.pipeline.gait_events import Gait
 
 _LABELS = {"strike": "Foot Strike", "off": "Foot Off"}
 
 
 def write_gait(folder: Path, motion: Motion, gait: Gait) -> list[Path]:
-    """events.csv, steps.csv, gait.csv and gait.c3d (joint centres with the events); returns their paths."""
+    """events.csv, steps.csv, gait.csv and gait.c3d (joint centres with the events), and where there is a whole stride
+    cycles.csv and cycles.svg (joint angles over the cycle); returns their paths."""
     start = float(motion.times[0])
     events = [
         (e.time, e.sd, e.side, e.kind, *e.place.tolist(), round((e.time - start) * motion.frame_rate))
@@ -37,6 +40,18 @@ def write_gait(folder: Path, motion: Motion, gait: Gait) -> list[Path]:
     computed = (motion.lost | motion.extrapolated).astype(bool)
     residuals = np.where(computed[:, None], 0.0, np.maximum(motion.joint_sd * 1000, 1e-3))
     write_c3d(paths[3], motion.skeleton.joint_names, motion.joints, motion.frame_rate, residuals, marks)
+    cycles = angle_cycles(gait.events, motion)
+    if not cycles:
+        return paths
+    paths += [folder / "cycles.csv", folder / "cycles.svg"]
+    header = [f"{c.name}_{what}" for c in cycles for what in ("mean_deg", "sd_deg", "uncertainty_deg")]
+    table = np.degrees([curve for c in cycles for curve in (c.mean, c.sd, c.uncertainty)]).T
+    _table(
+        paths[-2],
+        ",".join(["percent", *header]),
+        [(f"{p:g}", *row) for p, row in zip(PERCENT, table.tolist(), strict=True)],
+    )
+    write_text(paths[-1], cycle_plot(cycles))
     return paths
 
 

@@ -11,11 +11,14 @@ from hypose.body.body import Body
 from hypose.body.joint_angles import ANGLE_NAMES, joint_angles
 from hypose.body.motion import Motion
 from hypose.errors import InputError
+from hypose.io.motions.amass import write_amass
 from hypose.io.motions.angles import write_angles_csv, write_joints_csv
 from hypose.io.motions.bvh import write_bvh
 from hypose.io.motions.c3d import write_c3d
 from hypose.io.motions.gltf import write_glb
 from hypose.io.motions.opensim import write_mot, write_sd_sto
+from hypose.io.motions.opensim_ik import write_ik_markers, write_ik_setup
+from hypose.io.motions.opensim_model import shoulder_places, write_osim
 from hypose.io.motions.trc import write_trc
 
 
@@ -60,12 +63,28 @@ def _csv(motion: Motion, body: Body, folder: Path) -> list[Path]:
 def _mot(motion: Motion, body: Body, folder: Path) -> list[Path]:
     path = folder / "motion.mot"
     assert motion.poses is not None  # export_motion has checked
-    write_mot(path, *joint_angles(motion.skeleton, motion.poses), motion.times)
+    names, values = joint_angles(motion.skeleton, motion.poses)
+    more, places = shoulder_places(motion.skeleton, motion.poses)
+    write_mot(path, (*names, *more), np.concatenate([values, places], axis=1), motion.times)
     if motion.angle_sd is None or not np.isfinite(motion.angle_sd).all(1).any():
         return [path]
     sd = folder / "motion_sd.sto"
     write_sd_sto(sd, ANGLE_NAMES, motion.angle_sd, motion.times)
     return [path, sd]
+
+
+def _osim(motion: Motion, body: Body, folder: Path) -> list[Path]:
+    model, markers, setup = (folder / f"motion{end}" for end in (".osim", "_markers.trc", "_ik.xml"))
+    write_osim(model, body)
+    write_ik_markers(markers, motion, body)
+    write_ik_setup(setup, motion, body, model.name, markers.name, "motion_ik.mot")
+    return [model, markers, setup]
+
+
+def _amass(motion: Motion, body: Body, folder: Path) -> list[Path]:
+    path = folder / "motion_amass.npz"
+    write_amass(path, motion)
+    return [path]
 
 
 FORMATS: Mapping[str, Callable[[Motion, Body, Path], list[Path]]] = {
@@ -75,8 +94,10 @@ FORMATS: Mapping[str, Callable[[Motion, Body, Path], list[Path]]] = {
     "glb": _glb,
     "csv": _csv,
     "mot": _mot,
+    "osim": _osim,
+    "amass": _amass,
 }
-_NEED_POSES = ("bvh", "glb", "mot")
+_NEED_POSES = ("bvh", "glb", "mot", "osim", "amass")
 
 
 def export_motion(
@@ -85,10 +106,11 @@ def export_motion(
     """Write the motion into a folder in the named formats and return the paths.
 
     trc, c3d, bvh, glb and mot give motion.<format>, csv gives angles.csv and joints.csv, mot also motion_sd.sto where
-    the angles' sd is known. Each file appears whole or not at all. Lost and extrapolated frames keep their predicted
-    points: TRC has no mark for them, C3D gives them residual 0 (computed, not measured), joints.csv has a column for
-    each flag. An InputError names an unknown format, or one that needs poses when the motion has none, before anything
-    is written.
+    the angles' sd is known; osim gives motion.osim, the model of this body on which motion.mot plays, and
+    motion_markers.trc and motion_ik.xml for OpenSim's inverse kinematics; amass gives motion_amass.npz. Each file
+    appears whole or not at all. Lost and extrapolated frames keep their predicted points: TRC has no mark for them, C3D
+    gives them residual 0 (computed, not measured), joints.csv has a column for each flag. An InputError names an
+    unknown format, or one that needs poses when the motion has none, before anything is written.
     """
     unknown = [f for f in formats if f not in FORMATS]
     if unknown:

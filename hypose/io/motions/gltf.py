@@ -8,6 +8,7 @@ Source: Khronos glTF 2.0 specification, sections 3.6 (accessors), 3.7.3 (skins),
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -52,40 +53,61 @@ def write_glb(path: str | Path, motion: Motion, body: Body) -> None:
 
     An InputError when the motion has no poses, or its skeleton is not the body's.
     """
-    poses = filled_poses(motion, path)
-    skeleton = motion.skeleton
-    if skeleton.joint_names != body.skeleton.joint_names or not np.allclose(
-        skeleton.rest_offsets, body.skeleton.rest_offsets, atol=1e-6
-    ):
-        raise InputError(f"{path}: the motion's skeleton is not the body's; give the body that was tracked.")
+    _write(path, [("", motion, body)])
+
+
+def write_people_glb(path: str | Path, people: Sequence[tuple[str, Motion, Body]]) -> None:
+    """Write several people, each a name, motion and body, as one GLB with one animation; nodes are named NAME.JOINT.
+    An InputError as for `write_glb`."""
+    _write(path, [(f"{name}.", motion, body) for name, motion, body in people])
+
+
+def _write(path: str | Path, people: Sequence[tuple[str, Motion, Body]]) -> None:
     store = _Store()
-    joints = len(skeleton.joint_names)
-    nodes = [
-        Node(
-            name=skeleton.joint_names[j],
-            translation=(Y_UP @ skeleton.rest_offsets[j]).tolist() if j else [0.0, 0.0, 0.0],
-            rotation=[0.0, 0.0, 0.0, 1.0],
-            children=children(skeleton, j),
+    nodes: list[Node] = []
+    roots: list[int] = []
+    meshes: list[GltfMesh] = []
+    skins: list[Skin] = []
+    whole = Animation(name="motion", samplers=[], channels=[])
+    for prefix, motion, body in people:
+        poses = filled_poses(motion, path)
+        skeleton, first = motion.skeleton, len(nodes)
+        if skeleton.joint_names != body.skeleton.joint_names or not np.allclose(
+            skeleton.rest_offsets, body.skeleton.rest_offsets, atol=1e-6
+        ):
+            raise InputError(f"{path}: the motion's skeleton is not the body's; give the body that was tracked.")
+        joints = len(skeleton.joint_names)
+        nodes += [
+            Node(
+                name=f"{prefix}{skeleton.joint_names[j]}",
+                translation=(Y_UP @ skeleton.rest_offsets[j]).tolist() if j else [0.0, 0.0, 0.0],
+                rotation=[0.0, 0.0, 0.0, 1.0],
+                children=[first + k for k in children(skeleton, j)],
+            )
+            for j in range(joints)
+        ]
+        nodes.append(Node(name=f"{prefix}{body.name}", mesh=len(meshes), skin=len(skins)))
+        roots += [first, first + joints]
+        rest = (skeleton.rest_joints - skeleton.rest_joints[0]) @ Y_UP.T
+        inverse = np.tile(np.eye(4), (joints, 1, 1))
+        inverse[:, :3, 3] = -rest
+        # glTF matrices are stored column by column
+        skins.append(
+            Skin(
+                name=f"{prefix}skeleton",
+                joints=list(range(first, first + joints)),
+                skeleton=first,
+                inverseBindMatrices=store.add(np.swapaxes(inverse, 1, 2).reshape(-1, 16), "MAT4"),
+            )
         )
-        for j in range(joints)
-    ]
-    nodes.append(Node(name=body.name, mesh=0, skin=0))
-    rest = (skeleton.rest_joints - skeleton.rest_joints[0]) @ Y_UP.T
-    inverse = np.tile(np.eye(4), (joints, 1, 1))
-    inverse[:, :3, 3] = -rest
-    # glTF matrices are stored column by column
-    skin = Skin(
-        name="skeleton",
-        joints=list(range(joints)),
-        skeleton=0,
-        inverseBindMatrices=store.add(np.swapaxes(inverse, 1, 2).reshape(-1, 16), "MAT4"),
-    )
+        meshes.append(GltfMesh(name=f"{prefix}{body.name}", primitives=[_primitive(store, body.fine, joints)]))
+        _animate(whole, store, motion, poses, first)
     gltf = GLTF2(
         asset=Asset(version="2.0", generator="hypose"),
         scene=0,
-        scenes=[Scene(name="motion", nodes=[0, joints])],
+        scenes=[Scene(name="motion", nodes=roots)],
         nodes=nodes,
-        meshes=[GltfMesh(name=body.name, primitives=[_primitive(store, body.fine, joints)])],
+        meshes=meshes,
         materials=[
             Material(
                 name="skin",
@@ -94,8 +116,8 @@ def write_glb(path: str | Path, motion: Motion, body: Body) -> None:
                 ),
             )
         ],
-        skins=[skin],
-        animations=[_animation(store, motion, poses)],
+        skins=skins,
+        animations=[whole],
         accessors=store.accessors,
         bufferViews=store.views,
         buffers=[Buffer(byteLength=len(store.data))],
@@ -162,17 +184,18 @@ def _normals(vertices: Array, faces: np.ndarray) -> Array:
     return np.where(length > 0, out / np.where(length > 0, length, 1), [0.0, 1.0, 0.0])
 
 
-def _animation(store: _Store, motion: Motion, poses: Array) -> Animation:
+def _animate(whole: Animation, store: _Store, motion: Motion, poses: Array, first: int) -> None:
+    """Adds the motion of the skeleton whose root is node `first` to an animation."""
     skeleton = motion.skeleton
     # frames at equal steps: time stamps of real files may repeat, which glTF forbids
     times = np.arange(len(poses)) / motion.frame_rate
     clock = store.add(times, "SCALAR", limits=True)
     local = local_rotations(skeleton, poses)
-    samplers: list[AnimationSampler] = []
-    channels: list[AnimationChannel] = []
+    samplers, channels = whole.samplers, whole.channels
 
     def channel(node: int, what: str, values: Array, kind: str) -> None:
-        channels.append(AnimationChannel(sampler=len(samplers), target=AnimationChannelTarget(node=node, path=what)))
+        target = AnimationChannelTarget(node=first + node, path=what)
+        channels.append(AnimationChannel(sampler=len(samplers), target=target))
         samplers.append(AnimationSampler(input=clock, output=store.add(values, kind), interpolation="LINEAR"))
 
     _, centres = skeleton.forward(poses)
@@ -183,4 +206,3 @@ def _animation(store: _Store, motion: Motion, poses: Array) -> Animation:
         flips = np.cumprod(np.where((wxyz[1:] * wxyz[:-1]).sum(1) < 0, -1.0, 1.0))
         wxyz[1:] *= flips[:, None]
         channel(int(j), "rotation", wxyz[:, [1, 2, 3, 0]], "VEC4")
-    return Animation(name="motion", samplers=samplers, channels=channels)

@@ -1,0 +1,304 @@
+"""A subject's OpenSim model (.osim), made of the tracked body: joints and lengths, masses, landmarks as markers.
+
+Nothing is scaled from a generic model. The coordinates are those of motion.mot, under the same names, about the same
+axes and from the same neutral (`hypose.body.joint_angles`), so that the motion plays on the model as it was tracked.
+Segment frames are OpenSim's: X forwards, Y up, Z right in the anatomical neutral, the origin at the joint towards the
+pelvis.
+
+The clavicles move the shoulder's centre and nothing else (coordinates in metres): in OpenSim's full-body model, as in
+our angles, the upper arm is measured against the chest. Forearm and hand have OpenSim's coordinates for pronation and
+wrist, locked at zero: what is tracked says nothing of them. There are no muscles.
+
+Source of the joints' definitions: Rajagopal et al. 2016.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+
+from hypose.body.body import Body
+from hypose.body.joint_angles import (
+    BODY_AXES,
+    continuous_euler_zxy,
+    hinge_axis,
+    is_length,
+    neutral_frames,
+    straight_offset,
+)
+from hypose.body.segment_masses import SegmentMass, segment_masses
+from hypose.body.skeleton import Skeleton
+from hypose.geometry import Array, so3_exp
+from hypose.io.files import write_text
+
+_X, _Y, _Z = np.eye(3)
+_SIDES = (("r", "right", 1.0), ("l", "left", -1.0))
+_ORDER = 5
+"""of the polynomial of how far a shoulder moves sideways: within 0.2 mm over the clavicle's range"""
+
+# name of the segment: (joint of the skeleton at its origin, joints that carry its skin)
+_TRUNK = {
+    "pelvis": ("pelvis", ("pelvis",)),
+    "torso": ("spine", ("spine", "chest", "left_clavicle", "right_clavicle")),
+    "head": ("neck", ("neck", "head")),
+}
+_LIMBS = {
+    "femur": ("hip", "pelvis"),
+    "tibia": ("knee", "femur"),
+    "calcn": ("ankle", "tibia"),
+    "humerus": ("shoulder", "torso"),
+    "ulna": ("elbow", "humerus"),
+    "hand": ("wrist", "ulna"),
+}
+
+
+def shoulder_places(skeleton: Skeleton, poses: Array) -> tuple[tuple[str, ...], Array]:
+    """Names (4) and values (T, 4) m of the shoulders' coordinates in poses (T, D): where the clavicle has moved the
+    shoulder's centre from its place at rest, forwards and up against the chest."""
+    columns = {}
+    for s, side, _ in _SIDES:
+        y, z = skeleton.dofs_of(f"{side}_clavicle")
+        columns[f"shoulder_{s}_tx"], columns[f"shoulder_{s}_ty"], _ = _moved(skeleton, side, poses[:, y], poses[:, z]).T
+    return tuple(columns), np.stack(list(columns.values()), axis=1)
+
+
+def _moved(skeleton: Skeleton, side: str, about_y: Array, about_z: Array) -> Array:
+    """(N, 3) m, chest frame: how the clavicle's turns (N) rad move the shoulder's centre."""
+    y, z = skeleton.dofs_of(f"{side}_clavicle")
+    offset = skeleton.rest_offsets[skeleton.joint(f"{side}_shoulder")]
+    turned = so3_exp(about_y[:, None] * skeleton.axes[y]) @ so3_exp(about_z[:, None] * skeleton.axes[z])
+    return (turned @ offset - offset) @ BODY_AXES.T
+
+
+def write_osim(path: str | Path, body: Body, mass: float | None = None) -> None:
+    """Write the model of a body (metres, kg). mass: of the whole body, where it is known; else that of its volume.
+
+    An InputError when the body lacks one of the human joints.
+    """
+    write_text(path, osim_text(body, mass, Path(path).stem))
+
+
+def osim_text(body: Body, mass: float | None = None, name: str = "subject") -> str:
+    """The document that `write_osim` writes."""
+    return _Writer(body, mass).document(name)
+
+
+def marker_names(body: Body) -> tuple[str, ...]:
+    """The model's markers: joint centres, then the body's landmarks."""
+    return (*body.skeleton.joint_names, *body.landmarks.names)
+
+
+class _Writer:
+    def __init__(self, body: Body, mass: float | None) -> None:
+        self.body, self.skeleton = body, body.skeleton
+        self.origin = {name: joint for name, (joint, _) in _TRUNK.items()}
+        carried = {name: joints for name, (_, joints) in _TRUNK.items()}
+        for s, side, _ in _SIDES:
+            for name, (joint, _) in _LIMBS.items():
+                self.origin[f"{name}_{s}"] = f"{side}_{joint}"
+                carried[f"{name}_{s}"] = (f"{side}_{joint}",)
+        self.segment_of = {joint: name for name, joints in carried.items() for joint in joints}
+        self.neutral = neutral_frames(self.skeleton)
+        self.masses = segment_masses(body, carried, mass)
+
+    def local(self, segment: str, points: Array) -> Array:
+        """Points (N, 3) of the model frame at rest, or directions with `origin` taken off, in a segment's frame."""
+        joint = self.origin[segment]
+        d = points - self.skeleton.rest_joints[self.skeleton.joint(joint)]
+        return d @ (BODY_AXES @ self.neutral[joint]).T
+
+    def document(self, name: str) -> str:
+        root = Xml.Element("OpenSimDocument", Version="40000")
+        model = put(root, "Model", name=name)
+        put(model, "credits", "hypose: a model of the tracked body, made of its own joints, lengths and volume")
+        put(model, "length_units", "meters")
+        put(model, "force_units", "N")
+        put(model, "gravity", "0 -9.80665 0")
+        bodies = put(put(model, "BodySet", name="bodyset"), "objects")
+        for segment, m in self.masses.items():
+            self.segment(bodies, segment, m)
+        joints = put(put(model, "JointSet", name="jointset"), "objects")
+        self.trunk(joints)
+        for s, side, sign in _SIDES:
+            self.leg(joints, s, side, sign)
+            self.arm(joints, s, side, sign)
+        markers = put(put(model, "MarkerSet", name="markerset"), "objects")
+        self.markers(markers)
+        Xml.indent(root, "\t")
+        return '<?xml version="1.0" encoding="UTF-8" ?>\n' + Xml.tostring(root, encoding="unicode") + "\n"
+
+    def segment(self, parent: Xml.Element, name: str, m: SegmentMass) -> None:
+        turn = BODY_AXES @ self.neutral[self.origin[name]]
+        inertia = turn @ m.inertia @ turn.T
+        entry = put(parent, "Body", name=name)
+        put(entry, "mass", numbers([m.mass]))
+        put(entry, "mass_center", numbers(self.local(name, m.centre[None])[0]))
+        six = [*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]]
+        put(entry, "inertia", numbers(six))
+
+    def trunk(self, joints: Xml.Element) -> None:
+        turn = [("pelvis_tilt", _Z), ("pelvis_list", _X), ("pelvis_rotation", _Y)]
+        moves = [(f"pelvis_t{a}", e) for a, e in zip("xyz", (_X, _Y, _Z), strict=True)]
+        _joint(joints, "ground_pelvis", "/ground", "pelvis", np.zeros(3), turn, moves)
+        for joint, parent, child in (("lumbar", "pelvis", "torso"), ("neck", "torso", "head")):
+            names = (
+                f"{joint}_extension" if joint == "lumbar" else "neck_flexion",
+                f"{joint}_bending",
+                f"{joint}_rotation",
+            )
+            turn = list(zip(names, (_Z, _X, _Y), strict=True))
+            _joint(joints, joint, f"/bodyset/{parent}", child, self.place(parent, child), turn)
+
+    def place(self, parent: str, child: str) -> Array:
+        """(3,) m: a segment's origin in its parent's frame."""
+        return self.local(parent, self.skeleton.rest_joints[self.skeleton.joint(self.origin[child])][None])[0]
+
+    def ball(self, names: Sequence[str], sign: float) -> list[tuple[str, Array]]:
+        return list(zip(names, (_Z, sign * _X, sign * _Y), strict=True))
+
+    def hinge(self, joint: str, above: str) -> Array:
+        """(3,) the hinge's axis in the frame of the segment above."""
+        return BODY_AXES @ self.neutral[self.origin[above]] @ hinge_axis(self.skeleton, joint)
+
+    def leg(self, joints: Xml.Element, s: str, side: str, sign: float) -> None:
+        femur, tibia, calcn = (f"{n}_{s}" for n in ("femur", "tibia", "calcn"))
+        turn = self.ball([f"hip_{a}_{s}" for a in ("flexion", "adduction", "rotation")], sign)
+        _joint(joints, f"hip_{s}", "/bodyset/pelvis", femur, self.place("pelvis", femur), turn)
+        knee = [(f"knee_angle_{s}", self.hinge(f"{side}_knee", femur))]
+        limits = {knee[0][0]: self.limits(f"{side}_knee")}
+        _joint(joints, f"knee_{s}", f"/bodyset/{femur}", tibia, self.place(femur, tibia), knee, limits=limits)
+        # the ankle's third angle is not free: what it is with the foot at rest
+        rest = BODY_AXES @ self.neutral[f"{side}_knee"] @ BODY_AXES.T
+        fixed = float(continuous_euler_zxy(rest[None, None])[0, 0, 2])
+        ankle = [(f"ankle_angle_{s}", _Z), (f"subtalar_angle_{s}", sign * _X), (fixed, _Y)]
+        _joint(joints, f"ankle_{s}", f"/bodyset/{tibia}", calcn, self.place(tibia, calcn), ankle)
+
+    def limits(self, joint: str) -> tuple[float, float]:
+        """rad: of a hinge, from the straight limb."""
+        d = self.skeleton.dofs_of(joint)[0]
+        offset = straight_offset(self.skeleton, joint)
+        return float(self.skeleton.lower[d] + offset), float(self.skeleton.upper[d] + offset)
+
+    def arm(self, joints: Xml.Element, s: str, side: str, sign: float) -> None:
+        humerus, ulna, hand = (f"{n}_{s}" for n in ("humerus", "ulna", "hand"))
+        turn = self.ball([f"arm_{a}_{s}" for a in ("flex", "add", "rot")], sign)
+        free = f"shoulder_{s}_tx", f"shoulder_{s}_ty"
+        place, (sideways, limits) = self.place("torso", humerus), self.sideways(side)
+        sideways[0] += place[2]
+        moves = [(free[0], _X, place[0]), (free[1], _Y, place[1]), (free, _Z, sideways)]
+        limits = dict(zip(free, limits, strict=True))
+        _joint(joints, f"shoulder_{s}", "/bodyset/torso", humerus, np.zeros(3), turn, moves, limits)
+        elbow = [(f"elbow_flex_{s}", self.hinge(f"{side}_elbow", humerus))]
+        limits = {elbow[0][0]: self.limits(f"{side}_elbow")}
+        _joint(joints, f"elbow_{s}", f"/bodyset/{humerus}", ulna, self.place(humerus, ulna), elbow, limits=limits)
+        wrist = [(f"pro_sup_{s}", sign * _Y), (f"wrist_flex_{s}", _Z), (f"wrist_dev_{s}", sign * _X)]
+        where = self.place(ulna, hand)
+        _joint(joints, f"wrist_{s}", f"/bodyset/{ulna}", hand, where, wrist, locked=True)
+
+    def sideways(self, side: str) -> tuple[Array, list[tuple[float, float]]]:
+        """Coefficients (21,) of how far (m) the shoulder's centre moves to the right when it moves forwards and up, for
+        the clavicle keeps its length, and the ranges of these two (m)."""
+        s = self.skeleton
+        ranges = [np.linspace(s.lower[d], s.upper[d], 13) for d in s.dofs_of(f"{side}_clavicle")]
+        y, z = (g.ravel() for g in np.meshgrid(*ranges))
+        a, b, c = _moved(s, side, y, z).T
+        powers = [(i, j) for i in range(_ORDER + 1) for j in range(_ORDER + 1 - i)]
+        design = np.stack([a**i * b**j for i, j in powers], axis=1)
+        found = np.asarray(np.linalg.lstsq(design, c, rcond=None)[0], dtype=np.float64)
+        return found, [(float(x.min()), float(x.max())) for x in (a, b)]
+
+    def markers(self, parent: Xml.Element) -> None:
+        s, marks = self.skeleton, self.body.landmarks
+        carriers = [*range(len(s.joint_names)), *marks.joint.tolist()]
+        points = np.concatenate([s.rest_joints, s.rest_joints[marks.joint] + marks.offset])
+        for name, carrier, point in zip(marker_names(self.body), carriers, points, strict=True):
+            segment = self.segment_of[s.joint_names[carrier]]
+            entry = put(parent, "Marker", name=name)
+            put(entry, "socket_parent_frame", f"/bodyset/{segment}")
+            put(entry, "location", numbers(self.local(segment, point[None])[0]))
+            put(entry, "fixed", "false")
+
+
+def _joint(
+    parent: Xml.Element,
+    name: str,
+    above: str,
+    child: str,
+    place: Array,
+    turn: Sequence[tuple[str | float, Array]],
+    moves: Sequence[tuple] = (),
+    limits: dict[str, tuple[float, float]] | None = None,
+    locked: bool = False,
+) -> None:
+    """A CustomJoint: turns about axes in the parent's frame one after the other, moves along axes."""
+    joint = put(parent, "CustomJoint", name=name)
+    put(joint, "socket_parent_frame", f"{name}_parent")
+    put(joint, "socket_child_frame", f"{name}_child")
+    names = dict.fromkeys(n for n, *_ in (*turn, *moves) if isinstance(n, str))
+    names |= dict.fromkeys(n for group, *_ in moves if isinstance(group, tuple) for n in group)
+    coordinates = put(joint, "coordinates")
+    for coordinate in names:
+        entry = put(coordinates, "Coordinate", name=coordinate)
+        put(entry, "default_value", "0")
+        low, high = (limits or {}).get(coordinate, (-10.0, 10.0) if is_length(coordinate) else (-2 * np.pi, 2 * np.pi))
+        put(entry, "range", numbers([low, high]))
+        put(entry, "clamped", "true" if coordinate in (limits or {}) else "false")
+        put(entry, "locked", "true" if locked else "false")
+    frames = put(joint, "frames")
+    for suffix, frame, where in (("parent", above, place), ("child", f"/bodyset/{child}", np.zeros(3))):
+        entry = put(frames, "PhysicalOffsetFrame", name=f"{name}_{suffix}")
+        put(entry, "socket_parent", frame)
+        put(entry, "translation", numbers(where))
+        put(entry, "orientation", "0 0 0")
+    transform = put(joint, "SpatialTransform")
+    axes = _completed([axis for _, axis in turn])
+    for k in range(3):
+        free = turn[k][0] if k < len(turn) else 0.0
+        _axis(transform, f"rotation{k + 1}", free, axes[k])
+    for k, axis in enumerate((_X, _Y, _Z)):
+        free, along, *law = moves[k] if moves else (0.0, axis)
+        _axis(transform, f"translation{k + 1}", free, along, *law)
+
+
+def _completed(axes: list[Array]) -> list[Array]:
+    """Three independent axes that begin with those given."""
+    if len(axes) == 3:
+        return axes
+    (first,) = axes
+    across = np.asarray(np.cross(first, np.eye(3)[np.abs(first).argmin()]), dtype=np.float64)
+    return [first, across, np.asarray(np.cross(first, across), dtype=np.float64)]
+
+
+def _axis(
+    parent: Xml.Element, name: str, free: str | float | tuple[str, ...], axis: Array, law: float | Array = 0.0
+) -> None:
+    """One axis of a transform: `free` is its coordinate, a fixed value, or two coordinates; law: what is added to the
+    one, the coefficients of a polynomial of the two."""
+    entry = put(parent, "TransformAxis", name=name)
+    coordinates = (free,) if isinstance(free, str) else free if isinstance(free, tuple) else ()
+    put(entry, "coordinates", " ".join(coordinates))
+    put(entry, "axis", numbers(axis))
+    if isinstance(free, tuple):
+        function = put(entry, "MultivariatePolynomialFunction", name="function")
+        put(function, "coefficients", numbers(np.asarray(law)))
+        put(function, "dimension", str(len(free)))
+        put(function, "order", str(_ORDER))
+    elif isinstance(free, str):
+        put(put(entry, "LinearFunction", name="function"), "coefficients", numbers([1, float(law)]))
+    else:
+        put(put(entry, "Constant", name="function"), "value", numbers([free]))
+
+
+def put(parent: Xml.Element, tag: str, text: str = "", **attributes: str) -> Xml.Element:
+    """A new element below `parent`."""
+    entry = Xml.SubElement(parent, tag, attributes)
+    entry.text = text or None
+    return entry
+
+
+def numbers(values: Sequence[float] | Array) -> str:
+    """Numbers as OpenSim's files have them."""
+    return " ".join(f"{float(v):.9g}" for v in values)

@@ -1,0 +1,104 @@
+"""The subject's OpenSim model: OpenSim itself puts its markers where the tracked body has them."""
+
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+import pytest
+
+from hypose.body.joint_angles import GROUND_AXES, joint_angles
+from hypose.body.ready_bodies import human
+from hypose.body.segment_masses import segment_masses
+from hypose.io.motions.export import export_motion
+from hypose.io.motions.opensim import read_mot
+from hypose.io.motions.opensim_ik import marker_weights
+from hypose.io.motions.opensim_model import marker_names, osim_text, shoulder_places, write_osim
+
+
+@pytest.fixture(scope="module")
+def poses():
+    skeleton, rng = human().skeleton, np.random.default_rng(3)
+    return rng.uniform(np.maximum(skeleton.lower, -0.8), np.minimum(skeleton.upper, 0.8), (6, skeleton.dof))
+
+
+def _coordinates(poses):
+    skeleton = human().skeleton
+    names, values = joint_angles(skeleton, poses)
+    more, places = shoulder_places(skeleton, poses)
+    renamed = ["neck_flexion" if n == "neck_extension" else n for n in names]
+    return [*renamed, *more], np.concatenate([values, places], axis=1)
+
+
+def test_markers_stand_where_the_body_has_them(tmp_path, poses, opensim):
+    write_osim(tmp_path / "m.osim", human())
+    model = opensim.Model(str(tmp_path / "m.osim"))
+    state = model.initSystem()
+    names, values = _coordinates(poses)
+    want = np.concatenate([human().joints(poses), human().landmark_points(poses)], axis=1) @ GROUND_AXES.T
+    feet = np.array([any(p in n for p in ("toe", "heel", "ball")) for n in marker_names(human())])
+    for row, points in zip(values, want, strict=True):
+        for name, value in zip(names, row.tolist(), strict=True):
+            coordinate = model.getCoordinateSet().get(name)
+            coordinate.setClamped(state, False)
+            coordinate.setValue(state, value, False)
+        model.realizePosition(state)
+        places = [model.getMarkerSet().get(n).getLocationInGround(state) for n in marker_names(human())]
+        got = np.array([[p.get(k) for k in range(3)] for p in places])
+        assert np.abs(got - points)[~feet].max() < 3e-4
+        # a foot has two angles in motion.mot; about its own long axis it is a few degrees more at the limits
+        assert np.linalg.norm(got - points, axis=1)[feet].max() < 0.015
+    assert model.getTotalMass(state) == pytest.approx(1000 * human().fine.volume, rel=0.02)
+
+
+def test_a_known_mass_is_shared_out(opensim, tmp_path):
+    write_osim(tmp_path / "m.osim", human(), mass=80.0)
+    model = opensim.Model(str(tmp_path / "m.osim"))
+    assert model.getTotalMass(model.initSystem()) == pytest.approx(80.0, rel=1e-6)
+
+
+def test_every_column_of_the_motion_is_in_the_model(tmp_path, small_motion):
+    export_motion(small_motion, human(), tmp_path, ("mot", "osim"))
+    model = Xml.parse(tmp_path / "motion.osim")
+    coordinates = {c.get("name") for c in model.iter("Coordinate")}
+    header = (tmp_path / "motion.mot").read_text().split("endheader\n")[1].splitlines()[0].split("\t")
+    assert set(header[1:]) <= coordinates
+    assert {"pro_sup_r", "wrist_flex_l"} <= coordinates - set(header)
+    assert read_mot(tmp_path / "motion.mot")[2].shape == (60, len(header) - 1)
+    markers = [m.get("name") for m in model.iter("Marker")]
+    assert markers == list(marker_names(human()))
+    assert [t.get("name") for t in Xml.parse(tmp_path / "motion_ik.xml").iter("IKMarkerTask")] == markers
+
+
+def test_segments_have_the_masses_of_people():
+    arms = {f"{s}_{n}": (f"{s}_{j}",) for s in ("left", "right") for n, j in (("arm", "shoulder"), ("thigh", "hip"))}
+    whole = {"all": tuple(human().skeleton.joint_names)}
+    masses = segment_masses(human(), arms | whole)
+    total = masses["all"]
+    assert total.mass == pytest.approx(1000 * human().fine.volume, rel=0.02)
+    assert abs(total.centre[0]) < 2e-3  # the body is symmetric
+    assert masses["left_thigh"].mass == pytest.approx(masses["right_thigh"].mass, rel=0.02)
+    # de Leva 1996: an upper arm is 2.6 to 2.7 % of the body, a thigh 14 to 15 %, cut at the hip instead of the groin
+    assert 0.02 < masses["left_arm"].mass / total.mass < 0.04 and 0.10 < masses["left_thigh"].mass / total.mass < 0.16
+    for m in masses.values():
+        moments = np.linalg.eigvalsh(m.inertia)
+        assert (moments > 0).all() and moments[2] < moments[0] + moments[1]  # what a solid can have
+
+
+def test_a_segment_without_volume_keeps_a_little_mass(small_body):
+    """The small body has no feet of its own: its model is written all the same, and can be simulated."""
+    masses = segment_masses(small_body, {"foot": ("left_ankle",), "thigh": ("left_hip",)})
+    assert 0 < masses["foot"].mass < 0.01 < masses["thigh"].mass
+    np.testing.assert_allclose(masses["foot"].centre, small_body.skeleton.rest_joints[15])
+    assert "calcn_l" in osim_text(small_body)
+
+
+def test_sure_joints_weigh_more(small_motion):
+    body = human()
+    sd = np.full((60, 19), 0.02)
+    sd[:, 3] = 0.01
+    sure = small_motion.__class__(**{**vars(small_motion), "joint_covariance": sd[..., None, None] ** 2 * np.eye(3)})
+    weights = marker_weights(sure, body)
+    assert weights[3] == pytest.approx(4) and weights[0] == pytest.approx(1)
+
+
+def test_same_body_same_text():
+    assert osim_text(human()) == osim_text(human())
