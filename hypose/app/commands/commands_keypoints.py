@@ -1,8 +1,9 @@
-"""`hypose keypoints`: 2D key points by a detector that the user has installed, with the user's own model."""
+"""`hypose keypoints`: 2D key points by MediaPipe with its own model or the user's, or by any detector of the user's."""
 
 from __future__ import annotations
 
 import contextlib
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -23,6 +24,13 @@ def keypoints(
         str | None,
         typer.Option(help="Instead: your own detector, FILE.py:NAME or MODULE:NAME (docs/recordings.md)."),
     ] = None,
+    mediapipe: Annotated[
+        bool,
+        typer.Option(
+            "--mediapipe", help="Instead: MediaPipe with the model that it carries, set up once after asking."
+        ),
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Set MediaPipe up without asking.")] = False,
     folder: Annotated[
         Path | None, typer.Option("--out", help="Folder to write to. [default: keypoints in the recording's folder]")
     ] = None,
@@ -35,21 +43,26 @@ def keypoints(
     from hypose.io.claims import claimed
     from hypose.io.keypoints.blazepose import open_blazepose
     from hypose.io.keypoints.detected_keypoints import FOLDER
+    from hypose.io.keypoints.mediapipe_environment import open_mediapipe
     from hypose.io.keypoints.own_detector import open_own_detector
     from hypose.io.recordings.recording import load_recording
     from hypose.pipeline.detect_keypoints import detect_keypoints
 
-    if (model is None) == (detector is None):
+    if [model is not None, detector is not None, mediapipe].count(True) != 1:
         raise InputError(
-            "Say what finds the key points: --model with a .task file of MediaPipe's Pose Landmarker, or --detector "
-            "with one of your own (both are shown in docs/recordings.md)."
+            "Say what finds the key points: --mediapipe (with its own model), --model with a .task file of MediaPipe's "
+            "Pose Landmarker, or --detector with one of your own (all are shown in docs/recordings.md)."
         )
     loaded = load_recording(recording)
+    if mediapipe:
+        _have_mediapipe(yes)
     target = folder or loaded.folder / FOLDER
     with contextlib.ExitStack() as stack:
         stack.enter_context(claimed(target))
         if detector is not None:
             chosen = open_own_detector(detector)
+        elif mediapipe:
+            chosen = stack.enter_context(open_mediapipe())
         else:
             assert model is not None
             chosen = stack.enter_context(open_blazepose(model, people))
@@ -71,3 +84,19 @@ def keypoints(
     say(f'keypoint_set = "{found.keypoint_set}"')
     for view in loaded.views:
         say(f'keypoints = "{found.view(view.name).absolute()}"  # in the [[view]] of {view.name}')
+
+
+def _have_mediapipe(yes: bool) -> None:
+    """Set MediaPipe's environment up if it is not there, when the user agrees."""
+    from hypose.io.keypoints.mediapipe_environment import MEGABYTES, VERSION, environment_folder, is_set_up, set_up
+
+    if is_set_up():
+        return
+    what = f"MediaPipe {VERSION} (Apache 2.0, with its pose model; {MEGABYTES} MB) in {environment_folder()}"
+    if not yes:
+        if not sys.stdin.isatty():
+            raise InputError(f"This installs {what}, from the package registry; run it again with --yes to agree.")
+        if not typer.confirm(f"Install {what}?"):
+            raise typer.Exit(1)
+    say(f"Installing {what} ...")
+    set_up()

@@ -46,7 +46,9 @@ class BlazePose:
         rgb = np.ascontiguousarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
         found = self.landmarker.detect(self.library.Image(image_format=self.library.ImageFormat.SRGB, data=rgb))
         people = [[_point(p) for p in person] for person in found.pose_landmarks]
-        return _pixels(np.array(people, dtype=np.float64).reshape(-1, len(BLAZEPOSE_33), 3), rgb.shape[1], rgb.shape[0])
+        return to_pixels(
+            np.array(people, dtype=np.float64).reshape(-1, len(BLAZEPOSE_33), 3), rgb.shape[1], rgb.shape[0]
+        )
 
 
 @contextlib.contextmanager
@@ -83,7 +85,7 @@ def _point(landmark: Any) -> tuple[float, float, float]:
     return float(landmark.x), float(landmark.y), float(np.prod(likely)) if likely else 1.0
 
 
-def _pixels(people: Array, width: int, height: int) -> Array:
+def to_pixels(people: Array, width: int, height: int) -> Array:
     """Shares of the picture's sides (P, K, 3) as pixels; what was guessed outside of the picture is not kept."""
     share = people[..., :2]
     inside = np.asarray(np.isfinite(people).all(-1) & (share >= 0).all(-1) & (share <= 1).all(-1))
