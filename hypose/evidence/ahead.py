@@ -10,7 +10,9 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import copy_context
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from hypose import compute
 from hypose.evidence.frame import Frame, Silhouettes
@@ -19,10 +21,13 @@ from hypose.evidence.outlines import (
     WORKING_HEIGHT,
     Outlines,
     ViewOutline,
+    shared_outline,
     stack_outlines,
     view_outline,
 )
 
+LEAST_AREA = 200
+"""px: a person of whom less is expected weighs no more than that"""
 Views = Callable[[], list[ViewOutline | None] | None]
 
 
@@ -82,9 +87,28 @@ def outlines(silhouettes: Silhouettes, count: int = OUTLINE_POINTS, working_heig
     for c, (w, h) in enumerate(silhouettes.rig.sizes.tolist()):
         view = None if ready is None or not silhouettes.usable[c] else ready[c]
         if silhouettes.usable[c] and view is None:
-            view = view_outline(silhouettes.masks[c, :h, :w], count, working_height)
+            view = _outline(silhouettes, c, (w, h), count, working_height)
         made.append(view)
     return stack_outlines(made, count)
+
+
+def _outline(
+    silhouettes: Silhouettes, view: int, size: tuple[int, int], count: int, working_height: int | None
+) -> ViewOutline:
+    """The outline of one view, of size (w, h); of what is told where a part is ignored."""
+    w, h = size
+    mask, ignored = silhouettes.masks[view, :h, :w], silhouettes.ignored
+    if ignored is None or silhouettes.expected is None or not ignored[view].any():
+        return view_outline(mask, count, working_height)
+    box = silhouettes.expected.boxes[view]
+    return shared_outline(mask, ignored[view, :h, :w], box, count, working_height)
+
+
+def pack_once(silhouettes: Silhouettes) -> None:
+    """Makes the masks for the scorer now, and keeps them with the silhouettes for whoever wants them."""
+    known: _Made = silhouettes.ahead or _NOTHING
+    if known.masks is None:
+        _keep(silhouettes, replace(known, masks=prepared_masks(silhouettes)))
 
 
 def prepared_masks(silhouettes: Silhouettes) -> compute.PreparedMasks:
@@ -96,5 +120,11 @@ def prepared_masks(silhouettes: Silhouettes) -> compute.PreparedMasks:
     if known.masks is not None:
         return known.masks
     rig = silhouettes.rig
-    made = compute.prepare_masks(silhouettes.masks, silhouettes.usable, rig.sizes, rig.projections)
+    norm = None
+    if silhouettes.ignored is not None and silhouettes.expected is not None:
+        hidden = silhouettes.ignored.any((1, 2))
+        norm = np.where(hidden, np.maximum(silhouettes.expected.areas, LEAST_AREA), silhouettes.areas)
+    made = compute.prepare_masks(
+        silhouettes.masks, silhouettes.usable, rig.sizes, rig.projections, silhouettes.ignored, norm
+    )
     return made._replace(usable=made.usable & (made.areas > 0))

@@ -21,25 +21,44 @@ FARTHEST_M = 100.0
 
 
 @dataclass(frozen=True)
+class Expected:
+    """Where a person is expected who shares the masks with others. boxes (C, 4) px: of the body in each view, y0, y1,
+    x0, x1, half open; areas (C,) px: of its whole silhouette, what others hide included."""
+
+    boxes: NDArray[np.int64]
+    areas: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
 class Silhouettes:
     """Masks of the person, one per view, undistorted (pinhole), at one working size.
 
     masks: (C, h, w) uint8, 1 = person; views of different size are padded with 0 to the common (h, w), `rig.sizes`
     tells each view's own size. rig: the pinhole cameras of these masks. usable: (C,) bool, False for a view that is
     left out (empty, collapsed, or its camera delivered no frame). reasons: (C,) short text, "" when usable.
+    ignored: (C, h, w) uint8, 1 = the pixel says nothing of this person, for somebody else's body covers it: neither
+    mask nor "no mask"; None: all pixels tell. expected: where this person is expected, which must be known then: the
+    masks themselves, of several people, do not tell how tall one of them is.
     """
 
     masks: NDArray[np.uint8]
     rig: CameraRig
     usable: NDArray[np.bool_]
     reasons: tuple[str, ...]
+    ignored: NDArray[np.uint8] | None = None
+    expected: Expected | None = None
     ahead: Any = field(default=None, init=False, compare=False, repr=False)
     """what hypose.evidence.ahead keeps of these very masks, so that it is made once; a copy begins without"""
 
     @property
     def areas(self) -> NDArray[np.int64]:
         """(C,) foreground pixels."""
-        return np.array([np.count_nonzero(view) for view in self.masks], dtype=np.int64)
+        return np.array([np.count_nonzero(view) for view in self.told], dtype=np.int64)
+
+    @property
+    def told(self) -> NDArray[np.uint8]:
+        """(C, h, w) the masks without what is ignored."""
+        return self.masks if self.ignored is None else self.masks & (1 - self.ignored)
 
 
 @dataclass(frozen=True)
@@ -151,6 +170,15 @@ class Picture:
 
 
 @dataclass(frozen=True)
+class Colours:
+    """Colours of the pictures that the masks were made from, as numbers (hypose.evidence.colours): codes (C, h, w) at
+    the masks' pixels, known within the person's masks; seen (C,): False for a view without a picture."""
+
+    codes: NDArray[np.uint16]
+    seen: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
 class Frame:
     """One instant. time: s, index: frame number; the pieces are None when this frame has no such evidence."""
 
@@ -161,3 +189,4 @@ class Frame:
     detections: Detections | None = None
     sensor_joints: SensorJoints | None = None
     picture: Picture | None = None
+    colours: Colours | None = None

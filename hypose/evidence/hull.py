@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from hypose.cameras.camera import CameraRig
+from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array
@@ -95,6 +95,7 @@ def visual_hull(
     miss: int = 0,
     min_views: int | None = None,
     largest: bool = True,
+    surely: int | None = None,
 ) -> Hull:
     """The visual hull of the usable silhouettes.
 
@@ -105,7 +106,8 @@ def visual_hull(
     biggest connected body. Works coarse to fine: a cell is refined unless more than `miss` views are free
     of person all over the circle around its image. Raises EvidenceError when fewer than min_views views
     are usable or nothing is left. Source: shape from inconsistent silhouettes, Landabaso, Pardas & Casas
-    2008; Alcoverro 2014, section 2.3.4, places the body by such a hull.
+    2008; Alcoverro 2014, section 2.3.4, places the body by such a hull. Pixels that are ignored have a person or not,
+    and at least `surely` views (default: three, or all there are) must show one in pixels that are not ignored.
     """
     views = np.flatnonzero(silhouettes.usable)
     if min_views is None:
@@ -126,17 +128,23 @@ def visual_hull(
     levels = max(0, int(np.ceil(np.log2(extent.max() / (voxel * _COARSE)))))
     cells = np.ceil(extent / (voxel * 2**levels)).astype(np.int64)
     index = np.stack(np.meshgrid(*(np.arange(n) for n in cells), indexing="ij"), -1).reshape(-1, 3)
-    sums = {int(c): np.pad(silhouettes.masks[c].astype(np.int32).cumsum(0).cumsum(1), ((1, 0), (1, 0))) for c in views}
+    told, ignored = silhouettes.told, silhouettes.ignored
+    sure = 0 if ignored is None else min(len(views), 3) if surely is None else surely
+    free_of = told if ignored is None else silhouettes.masks | ignored
+    sums = {int(c): _summed(free_of[c]) for c in views}
     corner = np.stack(np.meshgrid(*[(0, 1)] * 3, indexing="ij"), -1).reshape(8, 3)
     for level in range(levels, -1, -1):
         edge = voxel * 2**level
         centres = box[0] + (index + 0.5) * edge
-        free, hits = np.zeros(len(index), np.int16), np.zeros(len(index), np.int16)
+        free, hits, plain = (np.zeros(len(index), np.int16) for _ in range(3))
         for c in views:
-            empty, hit = _free_cells(silhouettes, int(c), sums[int(c)], centres, edge if level else 0.0)
+            camera = silhouettes.rig[int(c)]
+            empty, hit = _free_cells(camera, free_of[c], sums[int(c)], centres, edge if level else 0.0)
             free += empty
             hits += hit
-        index = index[(free <= miss) & (hits >= min_views)]
+            if sure and not level:
+                plain += _free_cells(camera, told[c], sums[int(c)], centres, 0.0)[1]
+        index = index[(free <= miss) & (hits >= min_views) & (plain >= sure if not level else True)]
         if level:
             index = (2 * index[:, None] + corner).reshape(-1, 3)
             if len(index) > _MAX_CELLS:
@@ -159,11 +167,14 @@ def visual_hull(
     return Hull(occupancy, box[0] + (low + 0.5) * voxel, voxel)
 
 
+def _summed(mask: NDArray[np.uint8]) -> NDArray[np.int64]:
+    return np.pad(mask.astype(np.int32).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+
+
 def _free_cells(
-    silhouettes: Silhouettes, view: int, sums: NDArray[np.int64], centres: Array, edge: float
+    camera: Camera, mask: NDArray[np.uint8], sums: NDArray[np.int64], centres: Array, edge: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """For cubes (M,): surely without person in this view; and possibly with. edge 0: judged at the centre."""
-    camera = silhouettes.rig[view]
     w, h = camera.size
     x = centres @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
     radius = 0.5 * np.sqrt(3.0) * edge
@@ -175,7 +186,7 @@ def _free_cells(
     if edge == 0.0:
         iu, iv = np.rint(u).astype(np.int64), np.rint(v).astype(np.int64)
         inside = front & (iu >= 0) & (iu < w) & (iv >= 0) & (iv < h)
-        person = silhouettes.masks[view][np.clip(iv, 0, h - 1), np.clip(iu, 0, w - 1)] > 0
+        person = mask[np.clip(iv, 0, h - 1), np.clip(iu, 0, w - 1)] > 0
         return inside & ~person, inside & person
     # an upper bound of the image of the ball around the cube: |d(u)| <= r (f + |u - cx|) / (z - r)
     depth = np.maximum(z - radius, 1e-6)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from hypose.cameras.camera import CameraRig, triangulate
-from hypose.evidence.keypoints import choose_person
+from hypose.evidence.keypoints import tallest
 from hypose.geometry import Array
 
 _FRAMES = 24
@@ -114,7 +114,7 @@ def _one_person(people: Sequence[Sequence[Array | None]], count: int, views: int
 
 
 def _tallest(people: Array) -> Array | None:
-    index = choose_person(people)
+    index = tallest(people)
     return None if index is None else people[index]
 
 

@@ -173,56 +173,14 @@ def parse_openpose(
     return np.stack(people) if people else np.zeros((0, k, 3))
 
 
-def choose_person(
-    people: ArrayLike, previous: ArrayLike | None = None, max_jump: float = 0.5, min_confidence: float = 0.2
-) -> int | None:
-    """Index of the person to follow among people (P, K, 3), None when nobody fits.
-
-    Without `previous` (K, 3) the tallest. With it the one whose key points lie nearest to the previous
-    frame's (median distance over the points both have), refused when farther than max_jump times the
-    previous person's height: another person is never picked up in the place of one who is hidden.
-    """
+def tallest(people: ArrayLike, min_confidence: float = 0.2) -> int | None:
+    """Index of the person (P, K, 3) who reaches over most of the picture from top to bottom, None for nobody."""
     p = np.asarray(people, dtype=np.float64)
     if len(p) == 0:
         return None
     seen = p[..., 2] > min_confidence
     height = np.array([np.ptp(q[s, 1]) if s.sum() > 1 else 0.0 for q, s in zip(p, seen, strict=True)])
-    if previous is None:
-        return int(height.argmax()) if height.max() > 0 else None
-    last = np.asarray(previous, dtype=np.float64)
-    last_seen = last[:, 2] > min_confidence
-    size = float(np.ptp(last[last_seen, :2], axis=0).max()) if last_seen.any() else 0.0
-    best, nearest = None, max_jump * size
-    for i, q in enumerate(p):
-        both = seen[i] & last_seen
-        if both.any():
-            distance = float(np.median(np.linalg.norm(q[both, :2] - last[both, :2], axis=1)))
-            if distance <= nearest:
-                best, nearest = i, distance
-    return best
-
-
-def follow_person(documents: Sequence[Array | None], patience: int = 30) -> Array:
-    """One person through the frames of one view: people per frame (P, K, 3), or None without a file -> (T,
-    K, 3).
-
-    Confidence 0 where the person is missing. After `patience` frames without the person the tallest is
-    taken again.
-    """
-    k = next((d.shape[1] for d in documents if d is not None and len(d)), 0)
-    out = np.zeros((len(documents), k, 3))
-    previous, missed = None, 0
-    for t, people in enumerate(documents):
-        found = None if people is None else choose_person(people, previous)
-        if found is None:
-            missed += 1
-            if missed > patience:
-                previous = None
-            continue
-        assert people is not None
-        out[t] = previous = people[found]
-        missed = 0
-    return out
+    return int(height.argmax()) if height.max() > 0 else None
 
 
 def to_keypoints(points: Sequence[ArrayLike], names: Sequence[str], rig: CameraRig, pinhole: CameraRig) -> Keypoints:
@@ -274,10 +232,14 @@ def landmark_of(names: Sequence[str], body: Body) -> tuple[NDArray[np.int64], Ar
 
 
 def triangulate_keypoints(
-    frames: Sequence[Keypoints], max_residual: float | None = None, min_confidence: float = 0.2
+    frames: Sequence[Keypoints],
+    max_residual: float | None = None,
+    min_confidence: float = 0.2,
+    worse: ArrayLike = 1.0,
 ) -> tuple[Array, Array, NDArray[np.int64]]:
     """Robust triangulation of T frames -> points (T, K, 3) m world, residual (T, K) px, number of views
-    (T, K).
+    (T, K). worse (C,): by how much the noise of each view is larger than that of the others; a view with more than 1
+    is left out of the points that two others see.
 
     Confidence-weighted linear triangulation. Where the largest reprojection distance exceeds max_residual
     (px of the working size; default 1 % of the longest image side) and three or more views see the point,
@@ -293,6 +255,8 @@ def triangulate_keypoints(
     limit = 0.01 * float(rig.sizes.max()) if max_residual is None else max_residual
     shape = uv.shape[1:3]
     uv, w = uv.reshape(len(rig), -1, 2), w.reshape(len(rig), -1)
+    good = np.broadcast_to(np.asarray(worse, dtype=np.float64) <= 1, len(rig))
+    w[np.ix_(~good, (w[good] > 0).sum(0) >= 2)] = 0.0
     x, n = triangulate(rig, uv, w)
     distance = _reprojection(rig, x, uv, w)
     worst = distance.max(0, initial=0.0, where=w > 0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hypose import compute
 from hypose.evidence.silhouettes import Mask, bounding_box
@@ -75,6 +75,54 @@ def view_outline(mask: Mask, count: int = OUTLINE_POINTS, working_height: int | 
     points, found = compute.outline_points(distance, size, count)
     corner = (x0 // factor, y0 // factor)
     return ViewOutline(distance, points + np.array(corner, np.float32), found, extent, factor, corner, working_height)
+
+
+KNOWN_PX = 0.75
+"""By how much a distance may differ with the ignored pixels in the mask, or not, and still be known."""
+_FEW, _BESIDE = 8, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+
+
+def shared_outline(
+    mask: Mask, ignored: Mask, box: ArrayLike, count: int = OUTLINE_POINTS, working_height: int | None = None
+) -> ViewOutline:
+    """Outline of a mask (h, w) in which the pixels `ignored` (h, w) say nothing, of a person expected in box (y0, y1,
+    x0, x1) px; working_height as for `view_outline`.
+
+    Distances that depend on ignored pixels are compute.NOT_KNOWN, outline points beside them are marked (-1e6): the
+    outline there may be somebody else's."""
+    y0, y1, x0, x1 = (int(n) for n in np.asarray(box))
+    extent = max(y1 - y0, x1 - x0)
+    nothing = ViewOutline(
+        np.zeros((2, 2), np.float32), np.zeros((count, 2), np.float32), 0, extent, 1, (0, 0), working_height
+    )
+    factor, left, top = _factor(extent, working_height), 0, 0
+    if working_height is not None:
+        h, w = (side // factor * factor for side in mask.shape)
+        margin = max(32 * factor, extent // 6)
+        top, left = (max(n - margin, 0) // factor * factor for n in (y0, x0))
+        part = (slice(top, min(y1 + margin, h)), slice(left, min(x1 + margin, w)))
+        mask, ignored = mask[part], ignored[part]
+    if min(mask.shape) <= SMALLEST * factor or extent <= SMALLEST:
+        return nothing
+    least, most = mask & (1 - ignored), mask | ignored
+    if factor > 1:
+        least, most = _shrink(least, factor), _shrink(most, factor)
+    open_pixels = most & (1 - least)
+    size = (least.shape[1], least.shape[0])
+    reach = None if working_height is None else max(size)
+    low, high = (compute.signed_distance(m[None], np.array([size]), reach)[0] for m in (least, most))
+    points, found = compute.outline_points(low, size, count)
+    if not found or not least.any():
+        return nothing
+    distance = np.where((np.abs(low - high) > KNOWN_PX) | (open_pixels > 0), np.float32(compute.NOT_KNOWN), low)
+    beside = cv2.dilate(open_pixels, _BESIDE)
+    at = np.clip(np.rint(points), 0, np.array(size) - 1).astype(int)
+    own = beside[at[:, 1], at[:, 0]] == 0
+    if own.sum() < _FEW:
+        return nothing
+    corner = (left // factor, top // factor)
+    points = np.where(own[:, None], points + np.array(corner, np.float32), np.float32(-1e6))
+    return ViewOutline(distance, points, found, extent, factor, corner, working_height)
 
 
 def _factor(extent: int, working_height: int | None) -> int:

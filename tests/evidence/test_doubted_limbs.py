@@ -66,3 +66,11 @@ def test_without_a_shoulder_nothing_is_known_of_the_arm():
     mask = person()
     unknown = points(right_wrist=(0, 0), right_shoulder=(0, 0))
     assert with_doubted_limbs(mask, mask, unknown, COCO_17, HEIGHT) is None
+
+
+def test_a_skeleton_that_is_somewhere_else_cuts_nothing():
+    mask = person()
+    aside = points()
+    aside[aside[:, 2] > 0, 0] += 40
+    band = with_doubted_limbs(np.zeros_like(mask), mask, aside, COCO_17, HEIGHT)
+    assert band is not None and band.all()

@@ -14,12 +14,11 @@ from hypose.evidence.keypoints import (
     COCO_17,
     HALPE_26,
     KEYPOINT_SETS,
-    choose_person,
-    follow_person,
     keypoint_names,
     landmark_of,
     names_of_length,
     parse_openpose,
+    tallest,
     thick_skeleton,
     to_keypoints,
     triangulate_keypoints,
@@ -92,26 +91,11 @@ def test_foreign_files_are_refused_with_the_file_named(content, sentence):
     assert sentence in str(problem.value) and "pose/cam1/0012.json" in str(problem.value)
 
 
-def test_tallest_first_then_the_nearest_and_nobody_else():
+def test_the_tallest():
     small, tall = person(at=(400, 100)), person(scale=2.5, at=(50, 50))
-    assert choose_person([small, tall]) == 1
-    assert choose_person([tall + [4, 2, 0], small], tall) == 0
-    assert choose_person([small, tall + [4, 2, 0]], small) == 0  # the follower, though not the tallest
-    assert choose_person([person(at=(900, 700))], tall) is None  # hidden: another person is not picked up
-    assert choose_person(np.zeros((0, 25, 3))) is None
-    assert choose_person(np.zeros((1, 25, 3))) is None
-
-
-def test_person_is_followed_through_a_gap():
-    a, other = person(scale=2), person(scale=1.5, at=(800, 400))
-    frames = [np.stack([a + [3 * t, 0, 0], other]) for t in range(10)]
-    frames[4] = other[None]
-    frames[5] = None
-    track = follow_person(frames)
-    assert track.shape == (10, 25, 3)
-    assert (track[4:6, :, 2] == 0).all()
-    assert np.allclose(track[9], a + [27, 0, 0])
-    assert np.allclose(follow_person([a[None], *[other[None]] * 40])[-1], other)  # gone for good
+    assert tallest([small, tall]) == 1
+    assert tallest(np.zeros((0, 25, 3))) is None
+    assert tallest(np.zeros((1, 25, 3))) is None
 
 
 def test_key_points_are_undistorted_and_scaled():

@@ -10,6 +10,7 @@ import pytest
 
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import InputError
+from hypose.evidence.colours import colour_codes
 from hypose.evidence.hull import hull_iou, visual_hull
 from hypose.evidence.keypoints import BODY_25B, triangulate_keypoints
 from hypose.evidence.silhouettes import SilhouetteSettings, as_mask, biggest_parts
@@ -68,6 +69,27 @@ def test_any_order_and_a_new_stream_give_the_same_frames(film):
             assert again.silhouettes.reasons == frames[i].silhouettes.reasons
         with pytest.raises(InputError, match="frames 0 to 13; 14 was asked"):
             resumed.frame(14)
+
+
+def test_colours_are_those_of_the_pictures_within_the_masks(film, tmp_path):
+    recording, _ = film
+    coloured = replace(OPTIONS, colours=True)
+    with FrameStream(recording, OPTIONS) as plain, FrameStream(recording, coloured, plain.backgrounds) as stream:
+        write_masks(plain, tmp_path / "masks")
+        assert plain.frame(0).colours is None
+        for i in (0, 5, 3):
+            frame = stream.frame(i)
+            assert frame.colours.seen.all()
+            for c, mask in enumerate(frame.silhouettes.masks > 0):
+                assert np.array_equal(frame.colours.codes[c][mask], colour_codes(stream.image(c, i))[mask])
+    masks = tuple(replace(v, masks=tmp_path / "masks" / v.name, background=None) for v in recording.views)
+    with FrameStream(replace(recording, views=masks), coloured) as beside:  # masks made elsewhere, and the pictures
+        again = beside.frame(3)
+    mask = again.silhouettes.masks > 0
+    assert np.array_equal(again.colours.codes[mask], frame.colours.codes[mask])
+    alone = tuple(replace(v, images=None) for v in masks)
+    with FrameStream(replace(recording, views=alone), coloured) as nothing:
+        assert nothing.frame(3).colours is None
 
 
 def test_frame_range_counts_from_its_start(film):

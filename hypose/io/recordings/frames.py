@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -25,19 +25,15 @@ from hypose.compute import default_threads
 from hypose.errors import InputError
 from hypose.evidence.ahead import make_ahead
 from hypose.evidence.background import BackgroundModel, Image, from_frames, from_plates, from_recording
+from hypose.evidence.colours import colour_codes
 from hypose.evidence.doubted_limbs import with_doubted_limbs
-from hypose.evidence.frame import Frame, Keypoints
-from hypose.evidence.keypoints import (
-    follow_person,
-    keypoint_names,
-    person_size,
-    thick_skeleton,
-    to_keypoints,
-)
+from hypose.evidence.frame import Colours, Frame, Keypoints
+from hypose.evidence.keypoints import person_size, thick_skeleton
 from hypose.evidence.outlines import WORKING_HEIGHT, ViewOutline, view_outline
 from hypose.evidence.silhouettes import (
     Mask,
     SilhouetteSettings,
+    bounding_box,
     flag_collapsed,
     make_segmenter,
     make_silhouettes,
@@ -45,7 +41,8 @@ from hypose.evidence.silhouettes import (
 from hypose.geometry import Array
 from hypose.io.file_names import folder_for
 from hypose.io.files import atomic_path, write_text
-from hypose.io.recordings.recording import Recording, keypoints_of_recording, stored_sizes
+from hypose.io.recordings.recording import Recording
+from hypose.io.recordings.recording_people import load_person, persons_objects
 from hypose.io.recordings.view_source import SIDECAR, Preparer, ViewSource
 from hypose.io.videos.video import open_video
 
@@ -65,13 +62,17 @@ class FrameSettings:
     """longer_side: working size, px of the longer image side (images are never enlarged). factor: working
     size as a share of the calibrated size instead. silhouettes: None for key points only (nothing is
     decoded). band: keep masks within a thick skeleton where there are key points. background_frames:
-    frames of the recording or clip that are looked at for a background."""
+    frames of the recording or clip that are looked at for a background. people: several are to be seen: masks keep
+    their parts wherever they are, no area is an unusual one, and there is no band. colours: with those that the
+    pictures have within the masks."""
 
     longer_side: int = 480
     factor: float | None = None
     silhouettes: SilhouetteSettings | None = field(default_factory=SilhouetteSettings)
     band: bool = True
     background_frames: int = 60
+    people: bool = False
+    colours: bool = False
 
     def __post_init__(self) -> None:
         if self.longer_side < 32 or self.background_frames < 1:
@@ -87,27 +88,10 @@ def working_rig(rig: CameraRig, options: FrameSettings | None = None) -> CameraR
 
 
 def load_keypoints(recording: Recording, options: FrameSettings | None = None) -> list[Keypoints] | None:
-    """Key points of one person for every frame of recording.frames, None when the recording has none.
-
-    What is read, and which frame of the file is the video's first, is told by `hypose.io.keypoints.read_keypoints`;
-    recording.keypoint_lag is added; a frame that no file speaks of has confidence 0. An InputError names the file that
-    cannot be read.
-    """
-    if recording.keypoint_set is None or not any(v.keypoints for v in recording.views):
-        return None
-    names = keypoint_names(recording.keypoint_set)
-    small = working_rig(recording.rig, options)
-    found, _ = keypoints_of_recording(recording)
-    sizes = stored_sizes(recording)
-    tracks = []
-    for camera, view, size in zip(recording.rig, found, sizes, strict=True):
-        people = [
-            None if view is None else view.frame(f - recording.keypoint_lag, camera.size, size)
-            for f in recording.frames
-        ]
-        track = follow_person(people)
-        tracks.append(track if track.shape[1] == len(names) else np.zeros((len(people), len(names), 3)))
-    return [to_keypoints([t[i] for t in tracks], names, recording.rig, small) for i in range(len(recording.frames))]
+    """Key points of the recording's person for every frame of recording.frames, None when it has none
+    (`hypose.io.recordings.recording_people`); a frame in which the person is not seen has confidence 0."""
+    found = load_person(recording, working_rig(recording.rig, options))
+    return None if found is None else found.keypoints
 
 
 @dataclass(frozen=True)
@@ -231,12 +215,15 @@ def _spread(frames: range, count: int) -> list[int]:
 
 @dataclass(frozen=True)
 class _PackedMask:
-    """A mask (h, w) = shape in an eighth of its memory, its area, or why there is none."""
+    """A mask (h, w) = shape in an eighth of its memory, its area, or why there is none; its colours, where they are
+    wanted and known, in the box (y0, y1, x0, x1) around it."""
 
     bits: NDArray[np.uint8] | None
     shape: tuple[int, ...]
     area: int
     reason: str
+    codes: NDArray[np.uint16] | None = None
+    box: tuple[int, int, int, int] = (0, 0, 0, 0)
 
     def mask(self) -> Mask | None:
         return None if self.bits is None else np.unpackbits(self.bits, axis=1, count=self.shape[1])
@@ -255,6 +242,16 @@ class _Pending:
 
     def areas(self) -> NDArray[np.int64]:
         return np.array([f.result().area for f in self._masks])
+
+    def colours(self, shape: tuple[int, ...]) -> Colours | None:
+        """Of masks (C, h, w) = shape; None when no view has any."""
+        codes, seen = np.zeros(shape, np.uint16), np.zeros(shape[0], np.bool_)
+        for c, future in enumerate(self._masks):
+            found = future.result()
+            if found.codes is not None:
+                y0, y1, x0, x1 = found.box
+                codes[c, y0:y1, x0:x1], seen[c] = found.codes, True
+        return Colours(codes, seen) if seen.any() else None
 
     def begin_outlines(self, lanes: Sequence[ThreadPoolExecutor]) -> None:
         """In the lane of each view, behind its mask, which is therefore done by then."""
@@ -285,7 +282,8 @@ class FrameStream:
     usual area (the median over about the last two seconds at 25 fps, at the start over the first) is not
     usable; the reason names camera and frame. rig: pinhole cameras of the working size. notes: sentences
     for the user about doubtful backgrounds. options: by default the usual ones, with the recording's way to
-    make masks.
+    make masks. doubted: the key points (None without any) with those of views that do not fit, for the question whether
+    the calibration is right.
     """
 
     def __init__(
@@ -296,11 +294,20 @@ class FrameStream:
         covers: Covers | None = None,
     ) -> None:
         self.recording, self.options = recording, options or FrameSettings(silhouettes=recording.silhouettes)
+        if self.options.people and self.options.silhouettes is not None:
+            whole = replace(self.options.silhouettes, keep_gap=1e6)
+            self.options = replace(self.options, silhouettes=whole, band=False)
         self.rig = working_rig(recording.rig, self.options)
         self.frames = recording.frames
         if len(self.frames) == 0:
             raise InputError(f"Recording {recording.name} has no frames to work on; check frame_range.")
-        self.keypoints = load_keypoints(recording, self.options)
+        person = load_person(recording, self.rig)
+        self.keypoints = None if person is None else person.keypoints
+        self.people_notes = () if person is None else person.one.notes
+        self.doubted = self.keypoints
+        if person is not None and person.one.apart:
+            doubted = load_person(recording, self.rig, doubting=True)
+            self.doubted = None if doubted is None else doubted.keypoints
         self._covers = covers
         banded = self.keypoints is not None and self.options.band
         self._skeletons = _skeletons(self.keypoints, self.frames[0]) if banded and self.keypoints else None
@@ -325,6 +332,11 @@ class FrameStream:
             if background is not None:
                 source.segment = make_segmenter(background, self.options.silhouettes)
             self._sources.append(source)
+        objects, notes = persons_objects(r, self.rig, [s.objects for s in self._sources], self.keypoints)
+        for source, chosen in zip(self._sources, objects, strict=True):
+            if chosen is not None:
+                source.choose(chosen)
+        self.people_notes = (*self.people_notes, *notes)
         # each camera has its lane, so that its frames are read in the order asked for; cameras share one where there
         # are fewer cores, for more threads than cores mostly wait for each other
         pools = [ThreadPoolExecutor(1, thread_name_prefix=v.name) for v in r.views[: default_threads()]]
@@ -335,7 +347,8 @@ class FrameStream:
         """Sentences with the view's name about doubtful backgrounds, and frames that could not be read so far."""
         named = zip(self.recording.views, self.backgrounds, strict=False)
         doubtful = [f"View {v.name}: {b.note}" for v, b in named if b is not None and b.note]
-        return (*doubtful, *(f"View {s.view.name} {s.note}" for s in self._sources if s.note))
+        unread = (f"View {s.view.name} {s.note}" for s in self._sources if s.note)
+        return (*self.people_notes, *doubtful, *unread)
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -363,17 +376,20 @@ class FrameStream:
         if not 0 <= index < len(self.frames):
             raise InputError(f"The recording has the frames 0 to {len(self.frames) - 1}; {index} was asked for.")
         number = self.frames[index]
-        silhouettes = None
+        silhouettes = colours = None
         if self._lanes:
             history, pending = self._look(index)
             masks, reasons = pending.masks()
             areas = np.array([0 if m is None else cv2.countNonZero(m) for m in masks])
+            if self.options.people:  # who comes or goes changes the area, and nothing has collapsed
+                history = history[:, :0]
             collapsed = flag_collapsed(areas, history, self.rig.names, number)
             why = [given or found for given, found in zip(reasons, collapsed, strict=True)]
             silhouettes = make_silhouettes(masks, self.rig, why)
             make_ahead(silhouettes, pending.outlines)
+            colours = pending.colours(silhouettes.masks.shape) if self.options.colours else None
         keypoints = None if self.keypoints is None else self.keypoints[index]
-        return Frame(number / self.recording.frame_rate, number, silhouettes, keypoints)
+        return Frame(number / self.recording.frame_rate, number, silhouettes, keypoints, colours=colours)
 
     def image(self, view: int, index: int) -> Image:
         """The undistorted working-size picture (h, w, 3) BGR of a view, for overlays."""
@@ -425,7 +441,13 @@ class FrameStream:
         mask, reason = self._mask(view, self.frames[index])
         if mask is None:
             return _PackedMask(None, (0, 0), 0, reason)
-        return _PackedMask(np.packbits(mask, axis=1), mask.shape, cv2.countNonZero(mask), reason)
+        packed = _PackedMask(np.packbits(mask, axis=1), mask.shape, cv2.countNonZero(mask), reason)
+        box = bounding_box(mask) if self.options.colours else None
+        image = None if box is None else self._sources[view].image_of_mask(self.frames[index])
+        if box is None or image is None:
+            return packed
+        y0, y1, x0, x1 = box
+        return replace(packed, codes=colour_codes(image[y0:y1, x0:x1]), box=box)
 
 
 def write_masks(stream: FrameStream, folder: str | Path, progress: Callable[[int, int], None] | None = None) -> int:

@@ -34,6 +34,7 @@ from hypose.io.keypoints.detected_keypoints import with_detected
 from hypose.io.keypoints.read_keypoints import ViewKeypoints, check_keypoints, keypoints_of_views
 from hypose.io.matching_names import match_names
 from hypose.io.recordings import pose2sim
+from hypose.io.recordings.person_tables import Person, people_of_tables
 from hypose.io.recordings.recording_keys import (
     PATH_KEYS,
     RECORDING_KEYS,
@@ -54,7 +55,8 @@ _UP = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (
 class Recording:
     """A checked recording. rig: the cameras in the order of `views`, world in metres, z up. frame_rate:
     frames/s. frame_range: (first, stop) as given, None = all. n_frames: frames that every view has.
-    keypoint_set None: there are no key points. subject_height m, subject_mass kg. silhouettes: how masks are
+    keypoint_set None: there are no key points. subject_height m, subject_mass kg. people: what is known of several
+    people. silhouettes: how masks are
     made. notes: sentences about accepted oddities, for the user."""
 
     folder: Path
@@ -71,6 +73,7 @@ class Recording:
     n_frames: int = 0
     calibration: Path | None = None
     silhouettes: SilhouetteSettings = SilhouetteSettings()
+    people: tuple[Person, ...] = ()
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -170,6 +173,15 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
             lines.append(f"image_shift = {toml_value([float(s) for s in view.image_shift])}")
         if view.accept_scaled:
             lines.append("accept_scaled = true")
+    for person in recording.people:
+        lines += ["", "[[person]]", f"name = {toml_value(person.name)}"]
+        if person.height is not None:
+            lines.append(f"height = {toml_value(float(person.height))}")
+        if person.body is not None:
+            lines.append(f"body = {toml_value(_relative(person.body, folder))}")
+        if person.place is not None:
+            lines.append(f"place = {toml_value([float(x) for x in person.place])}")
+            lines.append(f"time = {toml_value(float(person.time))}")
     lines += silhouette_lines(recording.silhouettes)
     write_text(folder / "recording.toml", "\n".join(lines) + "\n")
     return folder / "recording.toml"
@@ -271,6 +283,7 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
         n_frames=n_frames,
         calibration=calibration,
         silhouettes=silhouette_options(where, settings.get("silhouettes", {})),
+        people=people_of_tables(folder, where, settings.get("person", ())),
         notes=tuple(notes),
     )
 

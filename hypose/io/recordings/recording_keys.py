@@ -19,13 +19,21 @@ With the defaults; paths are relative to it:
     camera = "cam_01"                 # its name in the calibration; default: by name, else by order
     video = "videos/cam01.mp4"        # a video file, or
     images = "images/cam01"           # a folder of images in natural order
-    masks = "masks/cam01"             # silhouettes made elsewhere: folder of images or video; needs no video
+    masks = "masks/cam01"             # silhouettes made elsewhere: folder of images or video; needs no video.
+                                      # Of several objects: see hypose.io.recordings.object_masks
     background = "background/cam01"   # an image, a folder of images or a video of the empty scene
     keypoints = "pose/cam01_json"     # file or folder of hypose.io.keypoints.read_keypoints; needs no video
     image_shift = [0.0, 0.0]          # px to add to this view's image coordinates (after scaling to the
                                       # calibrated size) so that they agree with calibration and key points
     accept_scaled = false             # images of another shape (width : height) than calibrated were
                                       # stretched, not cut
+
+    [[person]]                        # one per person, if there are several (hypose track --people)
+    name = "anna"
+    height = 1.68                     # m; default: estimated
+    body = "bodies/anna"              # their own body, as hypose subject wrote it; default: fitted
+    place = [0.4, -1.2]               # m: where they stand on the floor (x, y), z up, at
+    time = 0.0                        # s from the first frame of the recording
 
     [silhouettes]                     # how masks are made (hypose.evidence.silhouettes.SilhouetteSettings)
     threshold = 4.0                   # and the other options; default: the usual ones
@@ -62,6 +70,7 @@ RECORDING_KEYS: dict[str, type | tuple[type, ...]] = {
     "subject_height": (int, float),
     "subject_mass": (int, float),
     "view": list,
+    "person": list,
     "silhouettes": dict,
 }
 PATH_KEYS = ("video", "images", "masks", "background", "keypoints")
@@ -71,6 +80,13 @@ VIEW_KEYS: dict[str, type | tuple[type, ...]] = {
     **dict.fromkeys(PATH_KEYS, str),
     "image_shift": list,
     "accept_scaled": bool,
+}
+PERSON_KEYS: dict[str, type | tuple[type, ...]] = {
+    "name": str,
+    "height": (int, float),
+    "body": str,
+    "place": list,
+    "time": (int, float),
 }
 SILHOUETTE_KEYS: dict[str, type | tuple[type, ...]] = {
     f.name: type(f.default)

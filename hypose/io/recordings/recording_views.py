@@ -10,7 +10,8 @@ import numpy as np
 
 from hypose.cameras.camera import Camera
 from hypose.errors import CalibrationError, InputError
-from hypose.io.videos.video import check_numbers, open_video
+from hypose.io.recordings.object_masks import ObjectMasks, open_masks
+from hypose.io.videos.video import VideoReader, check_numbers, open_video
 
 SIDECAR = "hypose-masks.json"
 """lies beside masks that are undistorted already, which are found by their frames' numbers"""
@@ -52,11 +53,21 @@ def look(view: View) -> list[Clip]:
     for path in (view.source, view.masks):
         if path is None:
             continue
-        if path.is_dir() and not (path / SIDECAR).is_file():
+        made_here = (path / SIDECAR).is_file()
+        if path.is_dir() and not made_here:
             check_numbers(path)
-        with open_video(path) as reader:
+        with open_masks(path) if path == view.masks and not made_here else open_video(path) as reader:
             out.append(Clip(path, reader.size, reader.n_frames, reader.stated_frames, reader.frame_rate))
     return out
+
+
+def open_pictures(view: View) -> VideoReader | ObjectMasks:
+    """What shows a view: its video or images, else its masks; an InputError when it has neither."""
+    if view.source is not None:
+        return open_video(view.source)
+    if view.masks is None:
+        raise InputError(f"View {view.name} has neither video, images nor masks.")
+    return open_video(view.masks) if (view.masks / SIDECAR).is_file() else open_masks(view.masks)
 
 
 def check_size(view: View, camera: Camera, path: Path, size: tuple[int, int], notes: list[str] | None) -> None:

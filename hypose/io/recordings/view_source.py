@@ -14,6 +14,7 @@ from hypose.compute import Box, Glance, Lens, differing_box, make_lens, shrink_u
 from hypose.errors import InputError
 from hypose.evidence.background import Image
 from hypose.evidence.silhouettes import Mask, Segmenter, as_mask, bounding_box
+from hypose.io.recordings.object_masks import ObjectMasks, open_masks
 from hypose.io.recordings.recording_views import SIDECAR, View
 from hypose.io.videos.video import VideoReader, list_images, open_video, read_image
 
@@ -53,16 +54,23 @@ class Preparer:
 
 
 class _MaskSource:
-    """Masks made elsewhere: a video, a folder of images in order, or a folder written by write_masks."""
+    """Masks made elsewhere: a video, a folder of images in order, masks of several objects, or a folder written by
+    write_masks. chosen: the objects that are the person, None: all."""
 
     def __init__(self, path: Path, prepare: Preparer, size: tuple[int, int]) -> None:
         self.path, self._prepare, self._size = path, prepare, size
         self._numbered: dict[int, Path] | None = None
         self._reader: VideoReader | None = None
+        self.objects: ObjectMasks | None = None
+        self.chosen: frozenset[str] | None = None
         if (path / SIDECAR).is_file():
             self._numbered = {int(p.stem): p for p in list_images(path) if p.stem.isdigit()}
         else:
-            self._reader = open_video(path)
+            opened = open_masks(path)
+            if isinstance(opened, ObjectMasks):
+                self.objects = opened
+            else:
+                self._reader = opened
 
     def read(self, frame: int) -> Mask:
         if self._numbered is not None:
@@ -71,6 +79,9 @@ class _MaskSource:
             mask = as_mask(read_image(self._numbered[frame]), str(self._numbered[frame])) * np.uint8(255)
             if mask.shape[1::-1] != self._size:  # already undistorted, at another working size
                 mask = np.asarray(cv2.resize(mask, self._size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        elif self.objects is not None:
+            whole = self.objects.union(frame, self.chosen) * np.uint8(255)
+            mask = self._prepare(np.repeat(whole[..., None], 3, 2), None)[..., 0]
         else:
             assert self._reader is not None
             whole = as_mask(self._reader.read(frame), f"{self.path}, frame {frame},") * np.uint8(255)
@@ -93,10 +104,30 @@ class ViewSource:
         self.segment: Segmenter | None = None
         self._broken: tuple[int, str] | None = None
         self._problems: dict[int, str] = {}  # why there is no mask, by frame
+        self._shown: tuple[int, Image] | None = None
+
+    @property
+    def objects(self) -> ObjectMasks | None:
+        """The view's masks where they tell objects apart."""
+        return None if self._masks is None else self._masks.objects
+
+    def choose(self, objects: frozenset[str]) -> None:
+        """Take these objects of the masks for the person."""
+        if self._masks is not None:
+            self._masks.chosen = objects
 
     def image(self, frame: int) -> Image:
         """The undistorted working-size image."""
         return self._prepare(self._stored(frame))
+
+    def image_of_mask(self, frame: int) -> Image | None:
+        """The same, known within the mask that was made last, which is of this frame; None where there is none."""
+        if self._shown is not None and self._shown[0] == frame:
+            return self._shown[1]
+        try:
+            return None if self.view.source is None else self.image(frame)
+        except InputError:  # the mask is from elsewhere, and does for the rest
+            return None
 
     def _stored(self, frame: int) -> Image:
         if self._reader is None:
@@ -125,12 +156,16 @@ class ViewSource:
                 glance = self.segment.glance
                 found = self._prepare.differing_box(image, glance) if band is None else bounding_box(band)
                 box = found or (0, 0, 0, 0)
-            within = self.segment(self._prepare(image, box), band, box)
+            prepared = self._prepare(image, box)
+            self._shown = frame, prepared
+            within = self.segment(prepared, band, box)
             wide = None if widened is None else widened(within)
             if wide is None:
                 return within, ""
             box = None if self.segment.glance is None else bounding_box(wide) or (0, 0, 0, 0)
-            return self.segment(self._prepare(image, box), wide, box), ""
+            prepared = self._prepare(image, box)
+            self._shown = frame, prepared
+            return self.segment(prepared, wide, box), ""
         except InputError as problem:
             self._problems[frame] = str(problem)
             # a damaged video stays damaged: do not decode it from its start again and again

@@ -1,0 +1,467 @@
+"""Which detections of all views belong to which person, through a whole clip: candidates -> people with 3D points.
+
+Frame by frame: those who are followed take their detections first, view by view (an assignment problem, solved exactly,
+on the distance in metres between detection and prediction); what is left may be somebody new, when its rays meet in
+points whose bones a body can have. What one view alone sees is nobody. A person dies after a while with fewer than two
+views. Left and right of arms, legs or face are exchanged where that, and only that, explains a view.
+
+After the idea of tracking first (4D Association, Zhang et al. 2020: candidates of all views and the last frame in one
+problem) with whole skeletons, and distances of rays, in the place of graphs of limbs; no learning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from hypose.cameras.camera import CameraRig
+from hypose.evidence.person_tracks import PersonTrack
+from hypose.evidence.ray_matching import FAR, Views, between_rays, distances, mean_of_known, meet
+from hypose.geometry import Array
+
+_MEASURED, _REMEMBERED = 10, 50  # frames after which a bone's length is known, and over which it is averaged
+_LEAST = 4  # key points that a candidate needs to be somebody, fewer are parts that can complete one
+_GROUPS = (
+    ("shoulder", "elbow", "wrist"),
+    ("hip", "knee", "ankle", "big_toe", "small_toe", "heel"),
+    ("eye", "ear"),
+)
+_BONES = (
+    *(
+        (f"{side}_{a}", f"{side}_{b}", low, high)
+        for side in ("left", "right")
+        for a, b, low, high in (
+            ("shoulder", "elbow", 0.18, 0.45),
+            ("elbow", "wrist", 0.15, 0.40),
+            ("hip", "knee", 0.25, 0.60),
+            ("knee", "ankle", 0.25, 0.60),
+            ("shoulder", "hip", 0.35, 0.75),
+        )
+    ),
+    ("left_shoulder", "right_shoulder", 0.20, 0.55),
+)
+
+
+@dataclass(frozen=True)
+class AssociationSettings:
+    """gate: m, mean distance from the prediction up to which a detection is the person's. birth: m, mean distance of
+    the rays of two detections of somebody new; all others of that person may pass each other 1.5 times as far. near:
+    m, of a ray that counts for a point. complete: m, up to which a single point that nobody has completes a person.
+    limit: m, at which distances end. merge: m, nearer than which two people are one; apart: m, nearer than which
+    nobody new is born. patience: s without two views after which a person is no longer followed; stale: s for which a
+    point that is not seen is expected with the others; trial: s for which somebody seen by two views has to be followed
+    to be believed; three views are believed at once. exchanged: share of the distance that may be left where left and
+    right are exchanged; exchanged_m: m that it has to win. plausible: share of bones that have a body's lengths.
+    stretched: times the usual length of a person's bone from which the end of a limb is not believed when only two
+    views show it."""
+
+    gate: float = 0.22
+    birth: float = 0.10
+    near: float = 0.08
+    complete: float = 0.10
+    limit: float = 0.40
+    merge: float = 0.20
+    apart: float = 0.30
+    patience: float = 0.6
+    stale: float = 0.4
+    trial: float = 0.2
+    exchanged: float = 0.6
+    exchanged_m: float = 0.03
+    plausible: float = 0.7
+    stretched: float = 1.35
+
+
+def people_of(
+    candidates: Sequence[Sequence[Array | None]],
+    names: Sequence[str],
+    rig: CameraRig,
+    frame_rate: float = 25.0,
+    settings: AssociationSettings | None = None,
+) -> list[PersonTrack]:
+    """The people of a clip, those seen most first.
+
+    candidates: per frame and view the detections (P, K, 3 or more) = (u px, v px, confidence, ...) in undistorted
+    pixels of the pinhole `rig`, confidence 0 where missing; None or none: nobody is seen. Further columns are carried
+    along. A candidate with fewer than four points is a part that may complete a person. names: of the K points. With
+    one view alone, or two that do not agree, there is nobody: see `hypose.evidence.one_person`."""
+    at = Association(names, rig, frame_rate, settings)
+    for frame in candidates:
+        at.step(frame)
+    return at.people()
+
+
+@dataclass(eq=False)  # two of the same frame are two
+class _Followed:
+    """Somebody who is followed: points (K, 3) m (the last known), their motion per frame, for how many frames each has
+    not been seen, in which views (C, G + 1) which group's sides are exchanged, lengths (B,) m of the limbs' bones and
+    how often each was measured."""
+
+    first: int
+    points: Array
+    motion: Array
+    stale: NDArray[np.int64]
+    exchanged: NDArray[np.bool_]
+    length: Array
+    measured: NDArray[np.int64]
+    needed: int
+    hits: int = 0
+    missed: int = 0
+    otherwise: NDArray[np.int64] = field(default_factory=lambda: np.zeros(len(_GROUPS), dtype=np.int64))
+    seen: list[Array] = field(default_factory=list)
+    world: list[Array] = field(default_factory=list)
+    which: list[NDArray[np.int64]] = field(default_factory=list)
+
+
+class Association:
+    """The association of a clip frame by frame: `step` with every frame, then `people`; `now` is who is followed."""
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        rig: CameraRig,
+        frame_rate: float = 25.0,
+        settings: AssociationSettings | None = None,
+    ) -> None:
+        self.names, self.settings = tuple(names), settings or AssociationSettings()
+        self._views, self._k = Views(rig), len(names)
+        column = {n: i for i, n in enumerate(names)}
+        self._twin = np.array([column.get(_other_side(n), i) for i, n in enumerate(names)], dtype=np.int64)
+        self._group = np.full(self._k, len(_GROUPS), dtype=np.int64)
+        for i, n in enumerate(names):
+            part = n.split("_", 1)[-1]
+            for g, parts in enumerate(_GROUPS):
+                if part in parts and self._twin[i] != i:
+                    self._group[i] = g
+        self._bones = [(column[a], column[b], lo, hi) for a, b, lo, hi in _BONES if a in column and b in column]
+        ends = ("elbow", "wrist", "knee", "ankle")
+        limbs = [(column[a], column[b]) for a, b, _, _ in _BONES if a in column and b in column and b.endswith(ends)]
+        self._limbs = np.array(limbs, dtype=np.int64).reshape(-1, 2)
+        o = self.settings
+        self._patience = max(3, round(o.patience * frame_rate))
+        self._stale = max(2, round(o.stale * frame_rate))
+        self._trial = max(2, round(o.trial * frame_rate))
+        self._frame = 0
+        self._alive: list[_Followed] = []
+        self._ended: list[_Followed] = []
+
+    def step(self, views: Sequence[Array | None], /) -> None:
+        """One frame: per view the candidates (P, K, 3), None for none."""
+        found = self._stacked(views)
+        count = np.count_nonzero(found[..., 2] > 0.1, axis=-1)
+        somebody, free = count >= _LEAST, count > 0
+        expected = self._expected()
+        seen, which = self._taken(found, somebody, free, expected)
+        new = self._born(found, somebody & free, free)
+        if new:
+            expected = self._expected()
+            again, chosen = np.zeros((len(found), len(new), *found.shape[2:])), np.full((len(found), len(new)), -1)
+            for n, q in enumerate(new):
+                for c, p in q:
+                    again[c, n], chosen[c, n] = found[c, p], p
+            seen, which = np.concatenate([seen, again], 1), np.concatenate([which, chosen], 1)
+        if self._alive:
+            self._complete(seen, found, free, free & ~somebody, which, expected)
+            if new:  # labels of those born are mended by what most views say
+                first = len(self._alive) - len(new)
+                seen[:, first:] = self._mended_births(seen[:, first:], which[:, first:], expected[first:])
+            world, used = meet(self._views, seen, self.settings.near, expected)
+            self._update(seen, self._of_own_size(world, used), which)
+        self._end()
+        self._frame += 1
+
+    @property
+    def now(self) -> list[tuple[int, Array]]:
+        """Those who are believed at this frame: (number that stays the same, points (K, 3) m, the last known)."""
+        return [(id(t), t.points) for t in self._alive if t.hits >= t.needed and t.missed == 0]
+
+    def people(self) -> list[PersonTrack]:
+        """All people up to now, those seen in most frames and views first."""
+        out = []
+        for t in [*self._ended, *self._alive]:
+            kept = len(t.seen) - t.missed
+            if t.hits < t.needed or kept < 1:
+                continue
+            out.append(
+                PersonTrack(t.first, np.stack(t.seen[:kept]), np.stack(t.world[:kept]), np.stack(t.which[:kept]))
+            )
+        return sorted(out, key=lambda p: -int(p.seen.sum()))
+
+    def _stacked(self, views: Sequence[Array | None]) -> Array:
+        """(C, P, K, 3), at least one candidate per view, empty ones with confidence 0."""
+        some = [v for v in views if v is not None and len(v)]
+        most, columns = max((len(v) for v in some), default=1), max((v.shape[2] for v in some), default=3)
+        out = np.zeros((len(self._views), most, self._k, columns))
+        for c, v in enumerate(views):
+            if v is not None and len(v):
+                out[c, : len(v)] = v
+        return out
+
+    def _expected(self) -> Array:
+        """(N, K, 3) where the points of those followed should be, NaN where not known."""
+        if not self._alive:
+            return np.zeros((0, self._k, 3))
+        return np.stack([np.where((t.stale < self._stale)[:, None], t.points + t.motion, np.nan) for t in self._alive])
+
+    def _taken(
+        self, found: Array, somebody: NDArray[np.bool_], free: NDArray[np.bool_], expected: Array
+    ) -> tuple[Array, NDArray[np.int64]]:
+        """What those followed see of themselves: points (C, N, K, 3) and candidates (C, N); `free` loses them."""
+        n = len(expected)
+        seen, which = np.zeros((len(found), n, *found.shape[2:])), np.full((len(found), n), -1)
+        if n == 0:
+            return seen, which
+        o = self.settings
+        plain, turned = self._both(found, expected)
+        exchange = self._better_exchanged(plain, turned, np.stack([t.exchanged for t in self._alive], 1)[:, :, None])
+        each = np.where(exchange[..., self._group], turned, plain)
+        cost = mean_of_known(each, _LEAST)
+        cost = np.where(somebody[:, None], cost, FAR)
+        for c in range(len(found)):
+            rows, columns = linear_sum_assignment(np.minimum(cost[c], 2 * o.gate))
+            for i, j in zip(rows, columns, strict=True):
+                if cost[c, i, j] <= o.gate:
+                    which[c, i] = j
+                    free[c, j] = False
+        views, who = np.nonzero(which >= 0)
+        seen[views, who] = found[views, which[views, who]]
+        at = (views, who, which[views, who])
+        return self._mended(seen, views, who, plain[at], turned[at], exchange[at]), which
+
+    def _both(self, found: Array, expected: Array) -> tuple[Array, Array]:
+        """Distances (C, N, P, K) m of candidates (C, P, K, 3) as they are, and with left and right exchanged."""
+        limit = self.settings.limit
+        return (
+            distances(self._views, expected, found, limit),
+            distances(self._views, expected, found[:, :, self._twin], limit),
+        )
+
+    def _better_exchanged(
+        self, plain: Array, turned: Array, before: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.bool_]:
+        """(..., G + 1) whether a group's sides are exchanged in a candidate; the last group has no sides. before: where
+        they were so in the frame before, so that the slightest advantage is enough."""
+        o = self.settings
+        out = np.zeros((*plain.shape[:-1], len(_GROUPS) + 1), dtype=np.bool_)
+        for g in range(len(_GROUPS)):
+            of = self._group == g
+            if of.any():
+                a, b = mean_of_known(plain[..., of], 2), mean_of_known(turned[..., of], 2)
+                out[..., g] = (b < o.exchanged * a) & (a - b > o.exchanged_m) & (a < FAR)
+                if before is not None:
+                    out[..., g] |= before[..., g] & (b < a)
+        return out
+
+    def _mended(
+        self,
+        seen: Array,
+        views: NDArray[np.int64],
+        who: NDArray[np.int64],
+        plain: Array,
+        turned: Array,
+        exchange: NDArray[np.bool_],
+    ) -> Array:
+        """Points (C, N, K, 3) with left and right as expected. views, who (M,): of those that a view sees; plain,
+        turned (M, K), exchange (M, G + 1): as `_both` and `_better_exchanged` tell. Where most views say otherwise for
+        some frames, it is the person's own sides that had been taken for each other."""
+        if not exchange.any():
+            for n in np.unique(who):
+                self._alive[n].otherwise[:] = 0
+                self._alive[n].exchanged[:] = False
+            return seen
+        kept = self._better_exchanged(turned, plain)
+        exchange = exchange.copy()
+        for n in np.unique(who):
+            t, of = self._alive[n], who == n
+            for g in range(len(_GROUPS)):
+                most = int(exchange[of, g].sum()) > max(1, int(kept[of, g].sum()))
+                t.otherwise[g] = t.otherwise[g] + 1 if most else 0
+                if t.otherwise[g] > self._trial:
+                    self._turn(t, g)
+                    exchange[of, g] = kept[of, g]
+            t.exchanged[:] = False
+            t.exchanged[views[of]] = exchange[of]
+        out = seen.copy()
+        points = seen[views, who]
+        out[views, who] = np.where(exchange[:, self._group][..., None], points[:, self._twin], points)
+        return out
+
+    def _mended_births(self, seen: Array, which: NDArray[np.int64], expected: Array) -> Array:
+        """Points (C, B, K, 3) of those born, left and right as most of their views say: `expected` (B, K, 3)."""
+        out = seen.copy()
+        for b in range(len(expected)):
+            plain, turned = (d[:, 0, 0] for d in self._both(seen[:, b][:, None], expected[b][None]))
+            exchange = self._better_exchanged(plain, turned)[:, self._group] & (which[:, b] >= 0)[:, None]
+            out[:, b] = np.where(exchange[..., None], seen[:, b][:, self._twin], seen[:, b])
+        return out
+
+    def _turn(self, t: _Followed, group: int) -> None:
+        """Left and right of one who is followed, exchanged from the frame on since which most views say so."""
+        of = self._group == group
+        t.points[of], t.motion[of] = t.points[self._twin][of], t.motion[self._twin][of]
+        t.stale[of] = t.stale[self._twin][of]
+        for back in range(1, min(int(t.otherwise[group]), len(t.seen) + 1)):
+            t.seen[-back][:, of] = t.seen[-back][:, self._twin][:, of]
+            t.world[-back][of] = t.world[-back][self._twin][of]
+        t.otherwise[group] = 0
+
+    def _born(self, found: Array, somebody: NDArray[np.bool_], free: NDArray[np.bool_]) -> list[list[tuple[int, int]]]:
+        """Somebody new among the candidates left: the views and candidates of each; they are followed from now on."""
+        o = self.settings
+        view, number = np.nonzero(somebody)
+        if len(np.unique(view)) < 2:
+            return []
+        apart = between_rays(self._views, view, found[view, number], o.limit, _LEAST)
+        new = []
+        for members in clusters(apart, o.birth):
+            q = [(int(view[m]), int(number[m])) for m in members]
+            seen = np.zeros((len(found), 1, *found.shape[2:]))
+            for c, p in q:
+                seen[c, 0] = found[c, p]
+            points, _ = meet(self._views, seen, o.near)
+            if not self._plausible(points[0]) or self._taken_already(points[0]):
+                continue
+            needed = 1 if len(q) > 2 else self._trial
+            far = self._stale + 1
+            t = _Followed(
+                self._frame,
+                points[0],
+                np.zeros((self._k, 3)),
+                np.where(np.isfinite(points[0, :, 0]), 0, far).astype(np.int64),
+                np.zeros((len(found), len(_GROUPS) + 1), dtype=np.bool_),
+                np.zeros(len(self._limbs)),
+                np.zeros(len(self._limbs), dtype=np.int64),
+                needed,
+            )
+            self._alive.append(t)
+            for c, p in q:
+                free[c, p] = False
+            new.append(q)
+        return new
+
+    def _plausible(self, points: Array) -> bool:
+        """Whether the bones of points (K, 3) m have lengths of a body."""
+        length = [(float(np.linalg.norm(points[a] - points[b])), lo, hi) for a, b, lo, hi in self._bones]
+        right = [lo <= x <= hi for x, lo, hi in length if np.isfinite(x)]
+        return len(right) >= _LEAST and float(np.mean(right)) >= self.settings.plausible
+
+    def _taken_already(self, points: Array) -> bool:
+        return any(_apart(t.points, points) < self.settings.apart for t in self._alive)
+
+    def _complete(
+        self,
+        seen: Array,
+        found: Array,
+        free: NDArray[np.bool_],
+        parts: NDArray[np.bool_],
+        which: NDArray[np.int64],
+        expected: Array,
+    ) -> None:
+        """Points that nobody has, near to where a person's missing one is expected; whoever is somebody, but nobody's
+        detection, only completes a person whom that view sees (who was detected in two pieces)."""
+        if not free.any():
+            return
+        left = np.where(free[..., None, None], found, 0.0)
+        missing = seen[..., 2] <= 0.1  # (C, N, K)
+        d = distances(self._views, expected, left, self.settings.limit)
+        allowed = parts[:, None] | (which >= 0)[..., None]
+        d = np.where(np.isfinite(d) & allowed[..., None], d, FAR)
+        best = d.argmin(2)
+        near = np.take_along_axis(d, best[:, :, None], 2)[:, :, 0] < self.settings.complete
+        c, n, k = np.nonzero(near & missing)
+        seen[c, n, k] = left[c, best[c, n, k], k]
+        seen[c, n, k, 2] *= 0.5
+
+    def _of_own_size(self, world: Array, used: NDArray[np.bool_]) -> Array:
+        """Points (N, K, 3) without ends of limbs that two rays alone put farther away than the person's bones reach;
+        used (C, N, K). What is left tells how long the bones are."""
+        if not len(self._limbs):
+            return world
+        a, b = self._limbs.T
+        length = np.sqrt(((world[:, a] - world[:, b]) ** 2).sum(-1))
+        rays = used.sum(0)
+        out = world.copy()
+        for n, t in enumerate(self._alive):
+            known = np.isfinite(length[n])
+            wrong = known & (t.measured >= _MEASURED) & (length[n] > self.settings.stretched * t.length)
+            wrong &= rays[n, b] <= 2
+            out[n, b[wrong]] = np.nan
+            fine = known & ~wrong & (rays[n, a] > 2) & (rays[n, b] > 2)
+            share = 1.0 / np.minimum(t.measured[fine] + 1, _REMEMBERED)
+            t.length[fine] += share * (length[n, fine] - t.length[fine])
+            t.measured[fine] += 1
+        return out
+
+    def _update(self, seen: Array, world: Array, which: NDArray[np.int64]) -> None:
+        for n, t in enumerate(self._alive):
+            got = np.isfinite(world[n, :, 0])
+            fresh = len(t.seen) == 0
+            followed = int((which[:, n] >= 0).sum()) >= 2 and int(got.sum()) >= _LEAST
+            t.hits, t.missed = (t.hits + 1, 0) if followed else (t.hits, t.missed + 1)
+            both = got & np.isfinite(t.points[:, 0]) & (t.stale == 0)
+            step = world[n] - t.points
+            motion = np.zeros_like(step)
+            if not fresh:
+                motion[both] = 0.6 * step[both]
+                jumped = np.sqrt((motion * motion).sum(1)) > 0.12
+                motion[jumped] = 0.0
+            common = np.median(step[both], axis=0) if both.sum() >= _LEAST and not fresh else np.zeros(3)
+            motion[~both] = np.median(motion[both], axis=0) if both.any() else 0.5 * t.motion[~both]
+            t.points = np.where(got[:, None], world[n], t.points + common)
+            t.motion = motion
+            t.stale = np.where(got, 0, t.stale + 1)
+            t.seen.append(seen[:, n].copy())
+            t.world.append(world[n].copy())
+            t.which.append(which[:, n].copy())
+
+    def _end(self) -> None:
+        """Those who are no longer seen, never were, or are somebody else as well."""
+        alive = []
+        for t in self._alive:
+            age = len(t.seen)
+            lost = t.missed > self._patience or (age > 3 and t.hits < 2)
+            (self._ended if lost else alive).append(t)
+        for i, a in enumerate(alive):
+            for b in alive[i + 1 :]:
+                if a.needed and b.needed and _apart(a.points, b.points) < self.settings.merge:
+                    less = a if a.hits < b.hits else b
+                    less.needed = 0
+        self._ended += [t for t in alive if t.needed == 0]
+        for t in self._ended:
+            if t.needed == 0:
+                t.needed = self._trial
+        self._alive = [t for t in alive if t not in self._ended]
+
+
+def _other_side(name: str) -> str:
+    if name.startswith("left_"):
+        return "right_" + name[5:]
+    return "left_" + name[6:] if name.startswith("right_") else name
+
+
+def _apart(a: Array, b: Array) -> float:
+    """m, mean distance of the points (K, 3) that both have; FAR without any."""
+    d = np.sqrt(((a - b) ** 2).sum(-1))
+    known = np.isfinite(d)
+    return float(d[known].mean()) if known.any() else FAR
+
+
+def clusters(apart: Array, birth: float) -> list[list[int]]:
+    """Groups of two or more candidates of different views, of distances (M, M) m: nearest pairs first, each group with
+    everybody near to everybody (cycle consistency)."""
+    m = len(apart)
+    group = [[i] for i in range(m)]
+    of = list(range(m))
+    a, b = np.nonzero(np.triu(apart <= birth, 1))
+    for k in np.argsort(apart[a, b], kind="stable"):
+        i, j = of[a[k]], of[b[k]]
+        if i == j or apart[np.ix_(group[i], group[j])].max() > 1.5 * birth:  # of one view: FAR
+            continue
+        group[i] = group[i] + group[j]
+        for member in group[j]:
+            of[member] = i
+        group[j] = []
+    return sorted((g for g in group if len(g) > 1), key=len, reverse=True)

@@ -1,0 +1,168 @@
+"""People in the visual hull: parts of it that stand on the floor, each about one upright axis.
+
+A hull of several people has parts of each of them, and ghosts where the rays of one camera that see one person cross
+those of another camera that see another. Whoever is explained already is left out first (`hypose.evidence.shared_masks`
+ignores their pixels), and a person must be shown by several views in pixels that nobody explains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from hypose.cameras.camera import CameraRig
+from hypose.errors import EvidenceError
+from hypose.evidence.frame import Silhouettes
+from hypose.evidence.hull import Hull, common_view_bounds, visual_hull
+from hypose.evidence.shared_masks import DrawnShape, Other, without
+from hypose.geometry import Array
+
+VOXEL = 0.04
+LITRES, TALL, FROM_FLOOR = 20.0, 1.0, 0.5
+"""A person has at least so many litres of hull, reaches so high, m, and begins that near to the floor, m."""
+VIEWS = 3
+"""So many views must show a person in pixels that nobody else explains; with two there are ghosts."""
+ABOUT, REACH, APART = 0.3, 0.9, 0.42
+"""m: what of the hull lies so near to an upright axis makes a person; what lies further away may be theirs, too; no two
+axes lie nearer to each other."""
+OWN_SHARE = 0.12
+"""Share of what a person fills of a view that nobody else may fill."""
+BESIDE, SMALL = 0.5, 0.6
+"""Whoever stands that near to somebody larger, m, and has no more than this share of their hull is a part of them: a
+seated person's knees, an arm held out."""
+_SPREAD, _FINE = 0.12, 0.06
+_WIDENED = 0.01
+_NEAR_CAMERA = 0.2
+
+
+@dataclass(frozen=True)
+class HullPerson:
+    """hull: the part of it; axis (2,) m: where the person stands."""
+
+    hull: Hull
+    axis: Array
+
+    @property
+    def litres(self) -> float:
+        """Of the hull."""
+        return 1e3 * self.hull.volume
+
+    def shape(self, rig: CameraRig, about: float = np.inf) -> DrawnShape:
+        """What of the views it fills, its gaps closed; about: m, only what lies so near to the axis."""
+        points = self.hull.points if np.isfinite(about) else self.hull.surface_points
+        points = points[np.linalg.norm(points[:, :2] - self.axis, axis=1) < about]
+        out = np.zeros((len(rig), int(rig.sizes[:, 1].max()), int(rig.sizes[:, 0].max())), np.uint8)
+        for c, camera in enumerate(rig):
+            w, h = camera.size
+            depth = points @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
+            front = depth > _NEAR_CAMERA
+            if not front.any():
+                continue
+            at = np.rint(camera.project_pinhole(points[front]))
+            at = at[((at >= 0) & (at < (w, h))).all(1)].astype(np.int64)
+            out[c, at[:, 1], at[:, 0]] = 1
+            r = int(np.ceil(0.6 * self.hull.voxel * camera.K[0, 0] / float(np.median(depth[front]))))
+            disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * r + 1, 2 * r + 1))
+            out[c, :h, :w] = cv2.morphologyEx(cv2.dilate(out[c, :h, :w], disc), cv2.MORPH_CLOSE, disc)
+        return DrawnShape(out)
+
+
+def people_in_hull(
+    silhouettes: Silhouettes,
+    known: Sequence[Other] = (),
+    *,
+    floor: float = 0.0,
+    bounds: Array | None = None,
+    most: int = 8,
+) -> list[HullPerson]:
+    """Who stands in the masks beside those that are known, the largest first; none when too few views are usable.
+
+    floor: m, height of the floor; bounds (2, 3) m: the space searched (default: the cameras' common view, between the
+    floor and what a person reaches). A voxel belongs to whose axis it is nearest to."""
+    views = int(silhouettes.usable.sum())
+    least = min(VIEWS, views)
+    left = without(silhouettes, known)
+    if views < 2 or (left.told.any((1, 2)) & left.usable).sum() < least:
+        return []
+    try:
+        if bounds is None:
+            bounds = common_view_bounds(silhouettes.rig)
+            bounds = np.array([[*bounds[0, :2], floor - 0.3], [*bounds[1, :2], floor + 2.6]])
+        # nobody known: all views that see the place; somebody known: what they cover may be in the mask or not
+        hull = visual_hull(left, bounds, VOXEL, min_views=least, largest=False, surely=least)
+    except EvidenceError:
+        return []
+    found = [HullPerson(_part(hull, own, axis), axis) for axis, own in _axes(hull, floor, most)]
+    return _not_ghosts(left, sorted(found, key=lambda p: -p.litres), least)
+
+
+def _axes(hull: Hull, floor: float, most: int) -> list[tuple[Array, NDArray[np.bool_]]]:
+    """Where people stand (2,) m, by how much of the hull is near, and which of its voxels (M,) are theirs."""
+    litre, points = 1e3 * hull.voxel**3, hull.points
+    plan = np.pad(hull.occupancy.sum(2).astype(np.float64), 12) * litre
+    density = np.asarray(ndimage.gaussian_filter(plan, _SPREAD / hull.voxel))
+    u, v = np.ogrid[: density.shape[0], : density.shape[1]]
+    axes: list[Array] = []
+    while len(axes) < most and density.max() > 0:
+        peak = np.array(np.unravel_index(int(density.argmax()), density.shape))
+        axis = hull.origin[:2] + (peak - 12) * hull.voxel
+        from_peak = np.hypot(u - peak[0], v - peak[1]) * hull.voxel
+        near = points[np.linalg.norm(points[:, :2] - axis, axis=1) < ABOUT]
+        if _stands(near, litre, floor):
+            axes.append(axis)
+            density[from_peak < APART] = 0
+        density[from_peak < _FINE] = 0
+    if not axes:
+        return []
+    # judged again by what is nearest to each: knees and arms before a trunk are nobody
+    while True:
+        away = np.linalg.norm(points[:, None, :2] - np.array(axes), axis=2)
+        nearest = away.argmin(1)
+        stands = [_stands(points[(nearest == k) & (away[:, k] < ABOUT)], litre, floor) for k in range(len(axes))]
+        if all(stands) or len(axes) == 1:
+            return [(axis, (nearest == k) & (away[:, k] < REACH)) for k, axis in enumerate(axes)]
+        worst = max(k for k, ok in enumerate(stands) if not ok)  # they come in the order of their density
+        del axes[worst]
+
+
+def _stands(near: Array, litre: float, floor: float) -> bool:
+    """Do the voxels (M, 3) m about an axis make a person?"""
+    enough = len(near) * litre > LITRES
+    return bool(enough and np.ptp(near[:, 2]) > TALL and near[:, 2].min() - floor < FROM_FLOOR)
+
+
+def _not_ghosts(left: Silhouettes, found: list[HullPerson], least: int) -> list[HullPerson]:
+    """Those who show something of their own in several views: ghosts lie where the masks belong to others."""
+    told, kept, others = left.told, list[HullPerson](), list[Other]()
+    for person in found:
+        near = [k for k in kept if np.linalg.norm(k.axis - person.axis) < BESIDE]
+        if any(person.litres < SMALL * k.litres for k in near):
+            continue
+        shape = person.shape(left.rig)
+        rest = told & without(left, others).told
+        own = np.array([int((shape.masks[c] & rest[c]).sum()) for c in np.flatnonzero(left.usable)])
+        whole = np.array([max(int(shape.masks[c].sum()), 1) for c in np.flatnonzero(left.usable)])
+        if (own > OWN_SHARE * whole).sum() >= least and person.litres > LITRES:
+            kept.append(person)
+            others.append(Other(shape, _WIDENED))
+    return kept
+
+
+def _part(hull: Hull, chosen: NDArray[np.bool_], axis: Array) -> Hull:
+    """What of the chosen voxels (M,) hangs together with those near the axis (2,)."""
+    index = np.argwhere(hull.occupancy)
+    kept = np.zeros_like(hull.occupancy)
+    kept[tuple(index[chosen].T)] = True
+    label = np.zeros(kept.shape, np.int32)
+    ndimage.label(kept, np.ones((3, 3, 3)), output=label)
+    near = chosen & (np.linalg.norm(hull.points[:, :2] - axis, axis=1) < ABOUT)
+    own = np.unique(label[tuple(index[near].T)])
+    kept = np.isin(label, own[own > 0])
+    low, high = np.argwhere(kept).min(0), np.argwhere(kept).max(0) + 1
+    part = kept[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
+    return Hull(part, hull.origin + low * hull.voxel, hull.voxel)

@@ -1,0 +1,216 @@
+"""The one person that a recording is about, of all whom its views' key points show.
+
+Where the cameras' rays agree, people are told apart by them (`hypose.evidence.association`). Where they do not, because
+there is one camera or the calibration is wrong, each view follows people by itself, and who is who across views is told
+by how they move (`hypose.evidence.view_tracks`): a calibration can then still be examined, on one person.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.cameras.camera import CameraRig
+from hypose.evidence.association import AssociationSettings, people_of
+from hypose.evidence.person_tracks import PersonTrack, choose, joined
+from hypose.evidence.view_tracks import ViewTrack, moves_as, taken, view_tracks
+from hypose.geometry import Array
+
+_SEEN = 0.1
+_LEAST = 4
+_PATIENCE = 1.2  # s for which a view follows somebody by itself
+_PART = 0.1  # share of the clip for which somebody has to be there to be looked at
+_AGREED = 0.3  # share of the frames in which two views show somebody, in which rays have to agree on the person
+_FITS = 0.25  # share of a view's frames with somebody, from which it sees the person where the others do
+_SAME = 0.06  # distance from the epipolar lines, in sizes of the person, up to which it may be the same one
+_COMPARED = 3  # people per view that are compared by their motion
+
+
+@dataclass(frozen=True)
+class OnePerson:
+    """points (T, C, K, 3 or more): as they were given, confidence 0 where the person is not seen. several: somebody
+    else is there for a good part of the clip. people: those seen by two views or more, the one meant first. by_rays:
+    whether rays told who is who; else motion did. apart: views whose detections do not fit the person's place. notes:
+    sentences for the user."""
+
+    points: Array
+    several: bool
+    people: tuple[PersonTrack, ...]
+    by_rays: bool
+    apart: tuple[int, ...]
+    notes: tuple[str, ...]
+
+
+def one_person(
+    candidates: Sequence[Sequence[Array | None]],
+    names: Sequence[str],
+    rig: CameraRig,
+    frame_rate: float = 25.0,
+    *,
+    doubting: bool = False,
+    settings: AssociationSettings | None = None,
+) -> OnePerson:
+    """The person seen in most frames and views.
+
+    candidates, names, rig, settings: as in `hypose.evidence.association.people_of`. doubting: the calibration itself is
+    in question, so that a view that does not fit keeps the person who moves like the one of the other views; else it is
+    left out."""
+    frames, views = len(candidates), len(rig)
+    columns = [[frame[c] for frame in candidates] for c in range(views)]
+    shown = np.array([[_anybody(people) for people in column] for column in columns]).T  # (T, C)
+    by_view: dict[int, list[ViewTrack]] = {}
+
+    def of_view(c: int) -> list[ViewTrack]:
+        if c not in by_view:
+            found = view_tracks(columns[c], max(3, round(_PATIENCE * frame_rate)))
+            by_view[c] = [t for t in found if t.frames >= max(3, _PART * frames)] or found[:1]
+        return by_view[c]
+
+    width = max((p.shape[2] for column in columns for p in column if p is not None and len(p)), default=3)
+    several = max((_how_many(p) for column in columns for p in column), default=0) > 1
+    if views == 1 or (doubting and not several):
+        return _by_motion(columns, of_view, names, width, ())
+    tracks = joined(people_of(candidates, names, rig, frame_rate, settings), names, frame_rate)
+    number = choose(tracks)
+    together = int((shown.sum(1) > 1).sum())
+    if number is None or (tracks[number].seen.sum(1) > 1).sum() < _AGREED * together:
+        said = ("the views' key points agree on nobody's place: who is who was told by motion alone",)
+        return _by_motion(columns, of_view, names, width, said if several and together else ())
+    person = tracks[number]
+    points = np.zeros((frames, views, len(names), width))
+    points[person.first : person.last + 1] = person.points
+    there = slice(person.first, person.last + 1)
+    seen, offered = person.seen.sum(0), shown[there].sum(0)
+    apart = tuple(int(c) for c in np.flatnonzero((offered > _PART * frames) & (seen < _FITS * offered)))
+    notes = []
+    others = [t for i, t in enumerate(tracks) if i != number and len(t) >= max(5, _PART * frames)]
+    if others:
+        notes.append(
+            f"several people ({1 + len(others)}) are seen by two views or more: followed is the one who is seen most, "
+            f"in {int((person.seen.sum(1) > 1).sum())} of {frames} frames"
+        )
+    for c in apart:
+        if doubting:
+            points[:, c] = _alike(columns[c], of_view(c), np.delete(points, [*apart], 1), names, width)
+        else:
+            points[:, c] = 0.0  # what fits now and then does so by chance
+            notes.append(
+                f"view {rig.names[c]}: its key points show nobody where the other views see the person, and are left "
+                "out; if it is the same person, run hypose check, which looks for what is wrong with this camera"
+            )
+    strangers = [rig.names[c] for c in range(views) if c not in apart and _stranger(columns[c], tracks, c, frames)]
+    if strangers and not others:
+        notes.append(f"somebody whom only one view sees is left out ({', '.join(strangers)})")
+    return OnePerson(points, bool(others or strangers), (person, *others), True, apart, tuple(notes))
+
+
+def _anybody(people: Array | None) -> bool:
+    return _how_many(people) > 0
+
+
+def _how_many(people: Array | None) -> int:
+    return 0 if people is None else int(np.count_nonzero((people[..., 2] > _SEEN).sum(-1) >= _LEAST))
+
+
+def _stranger(column: Sequence[Array | None], tracks: Sequence[PersonTrack], c: int, frames: int) -> bool:
+    """Whether a view shows somebody who is none of the people, for a good part of the clip."""
+    known = np.zeros(frames, dtype=np.int64)
+    for t in tracks:
+        known[t.first : t.last + 1] += t.candidates[:, c] >= 0
+    count = np.array([_how_many(p) for p in column])
+    return bool((count > known).sum() > 2 * _PART * frames)
+
+
+def _by_motion(columns, of_view, names, width: int, notes: tuple[str, ...]) -> OnePerson:  # noqa: ANN001
+    """Each view by itself; where one shows several, those who move alike in all of them."""
+    found = [of_view(c)[:_COMPARED] for c in range(len(columns))]
+    count = len(names)
+    points = [[taken(column, t.candidates, count, width) for t in v] for column, v in zip(columns, found, strict=True)]
+    which = _alike_in_all(points) if any(len(_rivals(v)) > 1 for v in found) else [0] * len(columns)
+    out = np.zeros((len(columns[0]), len(columns), count, width))
+    for c, column in enumerate(columns):
+        if found[c]:
+            out[:, c] = taken(column, _continued(found[c][which[c]], of_view(c)), count, width)
+    return OnePerson(out, bool(notes), (), False, (), notes)
+
+
+def _rivals(tracks: Sequence[ViewTrack]) -> list[ViewTrack]:
+    """Those who are there at the same time as the first."""
+    if not tracks:
+        return []
+    there = tracks[0].candidates >= 0
+    return [tracks[0], *(t for t in tracks[1:] if ((t.candidates >= 0) & there).sum() > 0.3 * t.frames)]
+
+
+def _alike_in_all(points: Sequence[Sequence[Array]]) -> list[int]:
+    """Which of each view's people (T, K, 3) to take so that all move alike; of those that do, the longest there."""
+    views = [c for c, v in enumerate(points) if v]
+    apart: dict[tuple[int, int, int, int], float] = {}
+    for a, b in itertools.combinations(views, 2):
+        for i, one in enumerate(points[a]):
+            for j, other in enumerate(points[b]):
+                apart[a, i, b, j] = moves_as(one, other)
+    there = [[float((p[..., 2] > _SEEN).any(1).sum()) for p in v] for v in points]
+    most = [max(t, default=1.0) for t in there]
+    best, least = [0] * len(points), np.inf
+    for choice in itertools.product(*(range(len(points[c])) for c in views)):
+        pairs = [apart[a, choice[i], b, choice[j]] for (i, a), (j, b) in itertools.combinations(enumerate(views), 2)]
+        known = [p for p in pairs if np.isfinite(p)]
+        missing = float(np.mean([1 - there[c][k] / most[c] for c, k in zip(views, choice, strict=True)]))
+        cost = (
+            (float(np.mean(known)) if known else 1.0)
+            + 0.1 * missing
+            + 0.5 * (len(pairs) - len(known)) / len(pairs or [0])
+        )
+        if cost < least:
+            least = cost
+            for c, k in zip(views, choice, strict=True):
+                best[c] = k
+    return best
+
+
+def _alike(
+    column: Sequence[Array | None], tracks: Sequence[ViewTrack], others: Array, names: Sequence[str], width: int
+) -> Array:
+    """Points (T, K, width) of whom of a view's people moves like the person (T, C, K, 3) of the other views; nobody
+    where none does."""
+    twin = _twin(names)
+    scored = []
+    for t in tracks[:_COMPARED]:
+        p = taken(column, t.candidates, len(names), width)
+        as_named = [moves_as(p, others[:, c]) for c in range(others.shape[1])]
+        exchanged = [moves_as(p[:, twin], others[:, c]) for c in range(others.shape[1])]  # pictures may be mirrored
+        means = [float(np.mean(found)) for e in (as_named, exchanged) if (found := [x for x in e if np.isfinite(x)])]
+        if means:
+            scored.append((min(means), t))
+    if not scored:
+        return np.zeros((len(column), len(names), width))
+    least, best = min(scored, key=lambda s: s[0])
+    if len(_rivals([best, *(t for t in tracks if t is not best)])) > 1 and least > _SAME:
+        return np.zeros((len(column), len(names), width))
+    return taken(column, _continued(best, tracks), len(names), width)
+
+
+def _continued(track: ViewTrack, tracks: Sequence[ViewTrack]) -> NDArray[np.int64]:
+    """(T,) a person's candidates with those of others of that view that are there alone while the person is not."""
+    out = track.candidates.copy()
+    count = np.sum([t.candidates >= 0 for t in tracks], axis=0)
+    for t in tracks:
+        there = t.candidates >= 0
+        if t is not track and not (there & (out >= 0)).any() and (count[there] == 1).mean() > 0.9:
+            out[there] = t.candidates[there]
+    return out
+
+
+def _twin(names: Sequence[str]) -> list[int]:
+    other = {"left": "right", "right": "left"}
+    column = {n: i for i, n in enumerate(names)}
+    out = []
+    for i, n in enumerate(names):
+        side, _, rest = n.partition("_")
+        out.append(column.get(f"{other[side]}_{rest}", i) if side in other else i)
+    return out

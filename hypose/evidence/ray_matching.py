@@ -1,0 +1,149 @@
+"""Key points of several calibrated views and several people as arrays: how far rays pass each other, how far points lie
+from where people are expected, and points from rays of which some are wrong.
+
+All distances are metres: what an error in the picture is worth at the depth of the person, so that limits hold for any
+picture size and any distance.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.cameras.camera import CameraRig
+from hypose.geometry import Array
+
+FAR = 9.0
+"""m: the distance of what cannot be compared."""
+_SEEN = 0.1  # least confidence of a point that counts
+_NEAREST = 0.3  # m before a camera
+_PARALLEL = 0.05  # sine of the angle between two rays below which their distance says nothing
+_PRIOR = 0.7  # how many views a prediction counts for
+_PRIOR_M = 0.35
+
+
+class Views:
+    """The pinhole cameras of a rig, as the arrays that this needs: projections (C, 3, 4), centres (C, 3) m."""
+
+    def __init__(self, rig: CameraRig) -> None:
+        self.projections = rig.projections
+        self.centres = rig.positions
+        self._focal = np.array([0.5 * (c.K[0, 0] + c.K[1, 1]) for c in rig])
+        self.world_from_pixel = np.stack([c.camera_from_world[:3, :3].T @ np.linalg.inv(c.K) for c in rig])
+        self.pairs = np.array(list(itertools.combinations(range(len(rig)), 2)), dtype=np.int64).reshape(-1, 2)
+
+    def __len__(self) -> int:
+        return len(self.centres)
+
+    def rays(self, pixels: Array) -> Array:
+        """Unit directions (C, ..., 3) in the world of pixels (C, ..., 2)."""
+        shape = pixels.shape
+        flat = pixels.reshape(shape[0], -1, 2)
+        one = np.concatenate([flat, np.ones((*flat.shape[:2], 1))], -1)
+        d = one @ self.world_from_pixel.transpose(0, 2, 1)
+        d /= np.sqrt((d * d).sum(-1, keepdims=True))
+        return d.reshape(*shape[:-1], 3)
+
+    def seen_at(self, points: Array) -> tuple[Array, Array]:
+        """Where points (..., 3) m are in all views: pixels (C, ..., 2), and metres per pixel (C, ...) at their depth,
+        NaN behind a camera or nearly in it."""
+        flat = points.reshape(-1, 3)
+        h = flat @ self.projections[:, :, :3].transpose(0, 2, 1) + self.projections[:, None, :, 3]
+        z = np.where(h[..., 2] > _NEAREST, h[..., 2], np.nan)
+        shape = (len(self), *points.shape[:-1])
+        return (h[..., :2] / z[..., None]).reshape(*shape, 2), (z / self._focal[:, None]).reshape(shape)
+
+
+def distances(views: Views, expected: Array, found: Array, limit: float) -> Array:
+    """(C, N, P, K) m, at most `limit`: how far the points of candidates (C, P, K, 3) lie from people expected at (N, K,
+    3), NaN where one of them is not known."""
+    uv, metres = views.seen_at(expected)
+    e = uv[:, :, None] - found[:, None, :, :, :2]
+    e = np.sqrt((e * e).sum(-1)) * metres[:, :, None]
+    return np.where(found[:, None, ..., 2] > _SEEN, np.minimum(e, limit), np.nan)
+
+
+def mean_of_known(values: Array, least: int, weights: Array | None = None) -> Array:
+    """(...) means over the last axis of values (..., K) without NaN, FAR where fewer than `least` are known."""
+    known = np.isfinite(values)
+    w = known if weights is None else known * weights
+    n = w.sum(-1)
+    total = (np.where(known, values, 0.0) * w).sum(-1)
+    return np.where(n >= least, total / np.maximum(n, 1e-9), FAR)
+
+
+def between_rays(views: Views, which: NDArray[np.int64], found: Array, limit: float, least: int) -> Array:
+    """(M, M) m: how far the rays of the same points of M candidates (M, K, 3), seen by views `which` (M,), pass each
+    other: means over their common points, FAR for candidates of one view or with fewer than `least` in common."""
+    d = np.empty((*found.shape[:-1], 3))
+    for c in np.unique(which):
+        d[which == c] = _of_view(views, int(c), found[which == c])
+    centre = views.centres[which]
+    u, v = d[:, None], d[None]
+    n0 = u[..., 1] * v[..., 2] - u[..., 2] * v[..., 1]
+    n1 = u[..., 2] * v[..., 0] - u[..., 0] * v[..., 2]
+    n2 = u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
+    size = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+    w = (centre[None, :] - centre[:, None])[:, :, None]
+    along = np.abs(n0 * w[..., 0] + n1 * w[..., 1] + n2 * w[..., 2])
+    apart = np.where(size > _PARALLEL, along / np.maximum(size, 1e-9), 0.5 * limit)
+    seen = found[..., 2] > _SEEN
+    both = seen[:, None] & seen[None]
+    out = mean_of_known(np.where(both, np.minimum(apart, limit), np.nan), least)
+    return np.where(which[:, None] == which[None], FAR, out)
+
+
+def _of_view(views: Views, c: int, found: Array) -> Array:
+    one = np.concatenate([found[..., :2], np.ones((*found.shape[:-1], 1))], -1)
+    d = one @ views.world_from_pixel[c].T
+    return d / np.sqrt((d * d).sum(-1, keepdims=True))
+
+
+def meet(views: Views, found: Array, near: float, prior: Array | None = None) -> tuple[Array, NDArray[np.bool_]]:
+    """Points in which most rays meet -> (N, K, 3) m, NaN where fewer than two do, and which were used (C, N, K).
+
+    found (C, N, K, 3) px and confidence; near: m from the point within which a ray counts; prior (N, K, 3): where the
+    points are expected, which decides between rays that meet in two places. Every pair of rays is tried (there are few
+    views), the pair with most support wins, and all rays near it are solved for by least squares, weighted by
+    confidence and by the metres of a pixel."""
+    count, n, k = found.shape[:3]
+    seen = found[..., 2] > _SEEN
+    if count < 2 or n == 0:
+        return np.full((n, k, 3), np.nan), np.zeros(seen.shape, dtype=np.bool_)
+    d = views.rays(found[..., :2])
+    a, b = views.pairs.T
+    da, db, apart = d[a], d[b], (views.centres[a] - views.centres[b])[:, None, None]  # (Q, N, K, 3)
+    cos = (da * db).sum(-1)
+    sine2 = 1 - cos * cos
+    ea, eb = (da * apart).sum(-1), (db * apart).sum(-1)
+    safe = np.where(sine2 > 1e-5, sine2, np.inf)
+    s, t = (cos * eb - ea) / safe, (eb - cos * ea) / safe
+    one = views.centres[a][:, None, None] + s[..., None] * da
+    middle = 0.5 * (one + views.centres[b][:, None, None] + t[..., None] * db)
+    usable = seen[a] & seen[b] & (s > 0) & (t > 0) & (sine2 > 1e-5)
+    with np.errstate(invalid="ignore"):
+        uv, metres = views.seen_at(middle)  # (C, Q, N, K, ...)
+        e = uv - found[:, None, ..., :2]
+        e = np.sqrt((e * e).sum(-1)) * metres
+        e = np.where(seen[:, None] & np.isfinite(e), np.minimum(e / near, 1.0), 1.0)  # shares of `near`
+        score = (e < 1).sum(0) - e.sum(0) / np.maximum(seen.sum(0), 1)
+        if prior is not None:
+            off = middle - prior
+            off = np.sqrt((off * off).sum(-1)) / _PRIOR_M
+            score = score - _PRIOR * np.where(np.isfinite(off), np.minimum(off, 2.0), 0.0)
+    score = np.where(usable, score, -np.inf)
+    best = score.argmax(0)[None]  # (1, N, K)
+    used = np.take_along_axis(e, best[None], 1)[:, 0] < 1
+    used &= np.take_along_axis(usable, best, 0)
+    found_any = used.sum(0) >= 2
+    used &= found_any
+    scale = np.take_along_axis(metres, best[None], 1)[:, 0]
+    w = np.where(used, found[..., 2] / np.where(used, scale, 1.0) ** 2, 0.0)
+    across = np.eye(3) - d[..., :, None] * d[..., None, :]  # (C, N, K, 3, 3)
+    left = (w[..., None, None] * across).sum(0)
+    right = (w[..., None] * (across @ views.centres[:, None, None, :, None])[..., 0]).sum(0)
+    left = np.where(found_any[..., None, None], left, np.eye(3))
+    points = np.linalg.solve(left, right[..., None])[..., 0]
+    return np.where(found_any[..., None], points, np.nan), used

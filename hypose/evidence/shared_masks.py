@@ -1,0 +1,183 @@
+"""What of masks that show several people is evidence for one of them.
+
+Where another person's body covers a pixel, mask or no mask says nothing of this one. Which of the two stands in front
+does not matter: the pixel is in the mask either way. In views in which nobody is near, the masks are cut to where the
+person is expected, and all of their pixels tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.cameras.camera import CameraRig
+from hypose.compute import silhouette
+from hypose.evidence.frame import Expected, Silhouettes
+from hypose.geometry import Array
+
+SOLVED, PREDICTED = 0.008, 0.016
+"""Share of a body's longer side in the picture by which it is widened where it hides others: when its pose has been
+solved in this frame, and when it is predicted (2 and 4 px of 250)."""
+_BESIDE, _LEAST_PX = 0.35, 32
+"""Margin around a person's box inside which masks are evidence: share of the longer side, and px at least."""
+_SMALLEST_PX = 50
+_NEAR = 0.05
+
+
+@dataclass(frozen=True)
+class BodyShape:
+    """A body's skin at vertices (V, 3) m with faces (F, 3), seen by pinhole cameras."""
+
+    vertices: Array
+    faces: NDArray[np.int32]
+    rig: CameraRig
+
+    @cached_property
+    def _projected(self) -> list[tuple[Array, Array]]:
+        out = []
+        for p in self.rig.projections:
+            x = self.vertices @ p[:, :3].T + p[:, 3]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                out.append((np.where(x[:, 2:] > _NEAR, x[:, :2] / x[:, 2:], np.nan), x[:, 2]))
+        return out
+
+    @cached_property
+    def boxes(self) -> NDArray[np.int64]:
+        """(C, 4) px, y0, y1, x0, x1, half open, in each view's image; empty where it is not in view."""
+        out = np.zeros((len(self.rig), 4), np.int64)
+        for c, ((uv, _), (w, h)) in enumerate(zip(self._projected, self.rig.sizes.tolist(), strict=True)):
+            seen = uv[np.isfinite(uv).all(1)]
+            if len(seen):
+                low, high = np.floor(seen.min(0)), np.ceil(seen.max(0)) + 1
+                x0, x1 = np.clip([low[0], high[0]], 0, w)
+                y0, y1 = np.clip([low[1], high[1]], 0, h)
+                if x1 > x0 and y1 > y0:
+                    out[c] = y0, y1, x0, x1
+        return out
+
+    @cached_property
+    def _kept(self) -> dict[int, NDArray[np.uint8]]:
+        return {}
+
+    def drawn(self, view: int) -> NDArray[np.uint8]:
+        """Its silhouette in a view, 0 and 1, in its box."""
+        if view not in self._kept:
+            y0, y1, x0, x1 = self.boxes[view].tolist()
+            uv, z = self._projected[view]
+            size = (max(x1 - x0, 0), max(y1 - y0, 0))
+            mask = silhouette(uv - (x0, y0), z, self.faces, size) if min(size) else np.zeros(size[::-1], np.uint8)
+            self._kept[view] = mask.astype(np.uint8, copy=False)
+        return self._kept[view]
+
+
+@dataclass(frozen=True)
+class DrawnShape:
+    """What is given as masks (C, h, w) of 0 and 1."""
+
+    masks: NDArray[np.uint8]
+
+    @cached_property
+    def boxes(self) -> NDArray[np.int64]:
+        """As of a BodyShape."""
+        found = [cv2.boundingRect(m) for m in self.masks]
+        return np.array([(y, y + h, x, x + w) for x, y, w, h in found], dtype=np.int64).reshape(-1, 4)
+
+    def drawn(self, view: int) -> NDArray[np.uint8]:
+        """As of a BodyShape."""
+        y0, y1, x0, x1 = self.boxes[view]
+        return self.masks[view, y0:y1, x0:x1]
+
+
+Shape = BodyShape | DrawnShape
+"""Something that stands somewhere: a posed body, or a part of a hull."""
+
+
+@dataclass(frozen=True)
+class Other:
+    """Somebody else: their shape, and by how much of its longer side it is widened."""
+
+    shape: Shape
+    widened: float = PREDICTED
+
+
+def _dilated(shape: Shape, view: int, share: float) -> tuple[NDArray[np.uint8], int, int]:
+    """The widened silhouette, and its corner x, y (which may lie outside the image)."""
+    y0, y1, x0, x1 = shape.boxes[view].tolist()
+    px = max(1, round(share * max(y1 - y0, x1 - x0)))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * px + 1, 2 * px + 1))
+    return np.asarray(cv2.dilate(np.pad(shape.drawn(view), px), disc), np.uint8), x0 - px, y0 - px
+
+
+def hide(ignored: NDArray[np.uint8], shape: Shape, view: int, share: float, within: Sequence[int]) -> None:
+    """Sets the widened silhouette of a shape in ignored (h, w), inside y0, y1, x0, x1, in place."""
+    if not shape.boxes[view].any():
+        return
+    drawn, left, top = _dilated(shape, view, share)
+    y0, y1 = max(within[0], top), min(within[1], top + drawn.shape[0])
+    x0, x1 = max(within[2], left), min(within[3], left + drawn.shape[1])
+    if y0 < y1 and x0 < x1:
+        ignored[y0:y1, x0:x1] |= drawn[y0 - top : y1 - top, x0 - left : x1 - left]
+
+
+def without(silhouettes: Silhouettes, others: Sequence[Other]) -> Silhouettes:
+    """The silhouettes of whoever is left: the pixels of all the others are ignored. Nobody is expected anywhere, so
+    these are for hulls and not for outlines."""
+    if not others:
+        return silhouettes
+    ignored = np.zeros_like(silhouettes.masks)
+    for c, (w, h) in enumerate(silhouettes.rig.sizes.tolist()):
+        for one in others:
+            hide(ignored[c], one.shape, c, one.widened, (0, h, 0, w))
+    return replace(silhouettes, ignored=ignored)
+
+
+def own_silhouettes(
+    silhouettes: Silhouettes, own: Shape, others: Sequence[Other], anywhere: bool = False
+) -> Silhouettes:
+    """The evidence for one person in masks of several.
+
+    own: where the person is expected; others: everybody else. anywhere: the person has been lost, and may be in all of
+    the masks that nobody else covers. Views in which nobody else is near have no ignored pixels; a view in which the
+    person is not expected to be is not usable."""
+    sizes, boxes = silhouettes.rig.sizes.tolist(), own.boxes.copy()
+    masks, ignored = np.zeros_like(silhouettes.masks), None
+    usable, reasons = np.array(silhouettes.usable, dtype=np.bool_), list(silhouettes.reasons)
+    areas = np.zeros(len(boxes), np.int64)
+    for c, (w, h) in enumerate(sizes):
+        y0, y1, x0, x1 = boxes[c].tolist()
+        if not usable[c]:
+            continue
+        if anywhere:
+            part = (0, h, 0, w)
+        elif y1 <= y0 or (y1 - y0) * (x1 - x0) < _SMALLEST_PX:
+            usable[c], reasons[c] = False, f"{silhouettes.rig.names[c]}: the person is out of view"
+            continue
+        else:
+            m = max(_LEAST_PX, round(_BESIDE * max(y1 - y0, x1 - x0)))
+            part = (max(y0 - m, 0), min(y1 + m, h), max(x0 - m, 0), min(x1 + m, w))
+        at = (c, slice(part[0], part[1]), slice(part[2], part[3]))
+        masks[at] = silhouettes.masks[at]
+        near = [o for o in others if _meet(o, c, part)]
+        if near:
+            ignored = np.zeros_like(masks) if ignored is None else ignored
+            for one in near:
+                hide(ignored[c], one.shape, c, one.widened, part)
+            areas[c] = int(own.drawn(c).sum())
+        if anywhere and y1 <= y0:
+            boxes[c] = part
+        told = masks[at] if ignored is None else masks[at] & (1 - ignored[at])
+        if not told.any():
+            usable[c], reasons[c] = False, f"{silhouettes.rig.names[c]}: nothing of the person is to be seen"
+    expected = None if ignored is None else Expected(boxes, areas)
+    return Silhouettes(masks, silhouettes.rig, usable, tuple(reasons), ignored, expected)
+
+
+def _meet(other: Other, view: int, part: Sequence[int]) -> bool:
+    y0, y1, x0, x1 = other.shape.boxes[view].tolist()
+    m = 1 + round(other.widened * max(y1 - y0, x1 - x0))
+    return y1 > y0 and y0 - m < part[1] and y1 + m > part[0] and x0 - m < part[3] and x1 + m > part[2]

@@ -1,0 +1,322 @@
+"""Masks that tell objects apart: palette images, label images, one folder per object, COCO annotations.
+
+| given as `masks` of a view | an object is |
+| --- | --- |
+| images with a palette, of two or more indices | an index, 0 is the background |
+| grey images (8 or 16 bit) with a few values | a value, 0 is the background |
+| a folder that holds folders of masks | a folder, by its name |
+| a COCO or YouTube-VIS .json with run lengths or polygons | track_id, object_id or instance_id, else id |
+
+Which object is which person across views is found by `hypose.evidence.objects`.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.errors import InputError
+from hypose.evidence.silhouettes import Mask, as_mask
+from hypose.io.calibrations.calibration_toml import natural_key
+from hypose.io.videos.png import SIGNATURE
+from hypose.io.videos.video import VideoReader, list_images, open_video, read_image
+from hypose.json_text import parse_json
+
+_LOOKED_AT = 9  # images of a folder that tell what it holds
+_MOST = 32  # objects
+Objects = Mapping[str, Mask]
+"""Object -> where it is, (h, w) of 0 and 1; only those that are there."""
+
+
+class ObjectMasks:
+    """Masks of several objects of one view, frame by frame. Of the stored size (width, height); objects: their names.
+    It can be read as pictures like a `VideoReader`: all objects white."""
+
+    def __init__(
+        self, path: Path, size: tuple[int, int], frames: int, objects: tuple[str, ...], load: Callable[[int], Objects]
+    ) -> None:
+        self.path, self.size, self.objects, self._load = path, size, objects, load
+        self.n_frames = self.stated_frames = frames
+        self.frame_rate: float | None = None
+        self.is_sequence, self.truncated = True, False
+
+    def at(self, frame: int) -> Objects:
+        """The objects of a frame; an InputError when there is no such frame."""
+        if not 0 <= frame < self.n_frames:
+            raise InputError(f"{self.path} ends with frame {self.n_frames - 1}, frame {frame} was asked for.")
+        return self._load(frame)
+
+    def union(self, frame: int, objects: frozenset[str] | None = None) -> Mask:
+        """Where the given objects (all by default) are, (h, w) of 0 and 1."""
+        out = np.zeros(self.size[::-1], dtype=np.uint8)
+        for name, mask in self.at(frame).items():
+            if objects is None or name in objects:
+                out |= mask
+        return out
+
+    def read(self, index: int) -> NDArray[np.uint8]:
+        """A picture (h, w, 3) of all objects, white on black."""
+        return np.repeat((self.union(index) * np.uint8(255))[..., None], 3, 2)
+
+    def close(self) -> None:
+        """There is nothing to close."""
+
+    def __enter__(self) -> ObjectMasks:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+def open_masks(path: Path) -> ObjectMasks | VideoReader:
+    """Masks of objects, or a video or images of one kind of mask; an InputError says what is wrong."""
+    if path.is_file() and path.suffix.lower() == ".json":
+        return _of_coco(path)
+    if path.is_dir():
+        images = list_images(path)
+        inside = [p for p in sorted(path.iterdir(), key=lambda p: natural_key(p.name)) if p.is_dir() and list_images(p)]
+        if not images and inside:
+            return _of_folders(path, inside)
+        found = _of_labels(path, images)
+        if found is not None:
+            return found
+    return open_video(path)
+
+
+def _of_folders(path: Path, folders: list[Path]) -> ObjectMasks:
+    """One folder per object. Files of the same number are of the same frame; without numbers their order counts."""
+    listed = {p.name: list_images(p) for p in folders}
+    numbers = {name: [_number(f) for f in files] for name, files in listed.items()}
+    known = [n for found in numbers.values() for n in found]
+    by_frame: dict[str, dict[int, Path]]
+    if None in known or any(len(set(n)) < len(n) for n in numbers.values()):
+        by_frame = {name: dict(enumerate(files)) for name, files in listed.items()}
+    else:
+        first = min(n for n in known if n is not None)
+        by_frame = {
+            name: {n - first: f for n, f in zip(numbers[name], files, strict=True) if n is not None}
+            for name, files in listed.items()
+        }
+    shape = read_image(next(f for files in listed.values() for f in files)).shape
+
+    def load(frame: int) -> Objects:
+        out = {}
+        for name, files in by_frame.items():
+            if frame in files:
+                mask = as_mask(_stored(files[frame]), str(files[frame]))
+                if mask.shape != shape[:2]:
+                    raise InputError(f"{files[frame]} has another size than the other masks of {path}.")
+                if mask.any():
+                    out[name] = mask
+        return out
+
+    frames = 1 + max(max(files) for files in by_frame.values())
+    return ObjectMasks(path, (shape[1], shape[0]), frames, tuple(listed), load)
+
+
+def _number(path: Path) -> int | None:
+    digits = "".join(c if c.isdigit() else " " for c in path.stem).split()
+    return int(digits[-1]) if digits else None
+
+
+def _of_labels(path: Path, images: list[Path]) -> ObjectMasks | None:
+    """Images whose values are labels; None when they are masks of one kind."""
+    if not images:
+        return None
+    some = [images[int(i)] for i in np.unique(np.linspace(0, len(images) - 1, min(_LOOKED_AT, len(images))))]
+    areas: dict[int, int] = {}
+    indexed = []
+    for image in some:
+        values, is_palette = _labels(image)
+        if values is None:
+            return None
+        found, counts = np.unique(values, return_counts=True)
+        if len(found) > _MOST + 1:
+            return None
+        for v, n in zip(found.tolist(), counts.tolist(), strict=True):
+            areas[v] = areas.get(v, 0) + n
+        indexed.append(is_palette)
+    areas.pop(0, None)
+    levels = sorted(areas)
+    if not 2 <= len(levels) <= _MOST:
+        return None
+    if not any(indexed):  # a white mask may have soft edges, or grey where it is not sure
+        full = 65535 if levels[-1] > 255 else 255
+        white = areas[levels[-1]] if levels[-1] > 0.9 * full else 0
+        if set(levels) <= {127, 128, full} or sum(areas.values()) < 1.5 * white:
+            return None
+    first, _ = _labels(images[0])
+    assert first is not None
+    size = (first.shape[1], first.shape[0])
+
+    def load(frame: int) -> Objects:
+        values, _ = _labels(images[frame])
+        if values is None or values.shape != first.shape:
+            raise InputError(f"{images[frame]} is no image of labels like the others of {path}; write it again.")
+        return {str(v): (values == v).astype(np.uint8) for v in np.unique(values).tolist() if v}
+
+    return ObjectMasks(path, size, len(images), tuple(str(v) for v in levels), load)
+
+
+def _labels(path: Path) -> tuple[NDArray[Any] | None, bool]:
+    """The values (h, w) of a grey image, or the indices of one with a palette (True); None for colours."""
+    image, indexed = _decoded(path)
+    if image is None:
+        return None, False
+    if image.ndim == 3:
+        grey = image[..., :1]
+        if image.shape[2] == 4 or (image != grey).any():
+            return None, False
+        image = grey[..., 0]
+    return (image, indexed) if np.issubdtype(image.dtype, np.integer) else (None, False)
+
+
+def _stored(path: Path) -> NDArray[Any]:
+    """An image as it is stored: indices of a palette, 16 bit."""
+    image, _ = _decoded(path)
+    return read_image(path) if image is None else image
+
+
+def _decoded(path: Path) -> tuple[NDArray[Any] | None, bool]:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"The image {path} cannot be read ({error.strerror}); check the path.") from None
+    bits = _palette_bits(data)
+    if bits:
+        data = _without_palette(data)
+    try:
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    except cv2.error:
+        image = None
+    if image is None:
+        return None, False
+    if bits and bits < 8:  # a grey image of few bits is spread over 0 to 255
+        image = np.rint(image.astype(np.float64) * (2**bits - 1) / 255).astype(np.uint8)
+    return np.asarray(image), bool(bits)
+
+
+def _palette_bits(data: bytes) -> int:
+    """Bits per pixel of a PNG with a palette, 0 for anything else."""
+    if data[:8] != SIGNATURE or len(data) < 26 or data[12:16] != b"IHDR" or data[25] != 3:
+        return 0
+    return data[24]
+
+
+def _without_palette(data: bytes) -> bytes:
+    """The same PNG as a grey one, so that a decoder gives the indices: OpenCV gives only their colours."""
+    out, at = [data[:8]], 8
+    while at + 12 <= len(data):
+        length, kind = struct.unpack_from(">I4s", data, at)
+        body = data[at + 8 : at + 8 + length]
+        if kind == b"IHDR":
+            body = body[:9] + b"\x00" + body[10:]
+        if kind not in (b"PLTE", b"tRNS", b"bKGD", b"hIST", b"sBIT"):
+            out.append(struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body)))
+        at += 12 + length
+    return b"".join(out)
+
+
+def _of_coco(path: Path) -> ObjectMasks:
+    """COCO annotations by image, or YouTube-VIS's by object."""
+    try:
+        document = parse_json(path.read_bytes())
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}); check the path.") from None
+    except (ValueError, RecursionError) as problem:
+        raise InputError(f"{path} is not JSON ({problem}); export the masks again.") from None
+    marks = document.get("annotations") if isinstance(document, Mapping) else document
+    if not isinstance(marks, list) or not all(isinstance(m, Mapping) for m in marks):
+        raise InputError(f'{path} is no COCO file: it needs a list "annotations"; export the masks again.')
+    images = document.get("images", []) if isinstance(document, Mapping) else []
+    order = sorted(
+        (i for i in images if isinstance(i, Mapping) and "id" in i),
+        key=lambda i: (natural_key(str(i.get("file_name", ""))), i["id"]),
+    )
+    frame_of = {i["id"]: t for t, i in enumerate(order)}
+    if not frame_of:
+        frame_of = {i: t for t, i in enumerate(sorted({m["image_id"] for m in marks if "image_id" in m}))}
+    frames: dict[int, list[tuple[str, Any]]] = {}
+    names: dict[str, None] = {}
+    for n, mark in enumerate(marks):
+        keys = ("track_id", "object_id", "instance_id", "id")
+        name = str(next((mark[k] for k in keys if mark.get(k) is not None), n))
+        parts = mark.get("segmentations")
+        one = [(frame_of.get(mark.get("image_id")), mark.get("segmentation"))]
+        pieces = enumerate(parts) if isinstance(parts, list) else one
+        for t, piece in pieces:
+            if piece and t is not None:
+                frames.setdefault(int(t), []).append((name, piece))
+                names[name] = None
+    if not frames:
+        raise InputError(f"{path} holds no masks (segmentation, segmentations); export them with the file.")
+    size = _coco_size(path, order, frames)
+
+    def load(frame: int) -> Objects:
+        out: dict[str, Mask] = {}
+        for name, piece in frames.get(frame, ()):
+            mask = _coco_mask(path, piece, size)
+            out[name] = out[name] | mask if name in out else mask
+        return out
+
+    count = max(len(order), 1 + max(frames))
+    if len(names) > 4 * _MOST:
+        raise InputError(
+            f"{path} gives every mask another id, so that nobody can be followed; export track_id with the masks."
+        )
+    return ObjectMasks(path, size, count, tuple(names), load)
+
+
+def _coco_size(path: Path, images: list[Any], frames: Mapping[int, list[tuple[str, Any]]]) -> tuple[int, int]:
+    piece = next(p for found in frames.values() for _, p in found)
+    if isinstance(piece, Mapping) and isinstance(piece.get("size"), list) and len(piece["size"]) == 2:
+        h, w = piece["size"]
+    elif images and "width" in images[0] and "height" in images[0]:
+        w, h = images[0]["width"], images[0]["height"]
+    else:
+        raise InputError(f"{path} does not say how large its pictures are (size, or width and height).")
+    if not (isinstance(w, int) and isinstance(h, int) and 0 < w < 20_000 and 0 < h < 20_000):
+        raise InputError(f"{path}: pictures of {w} x {h} px are not possible; export the masks again.")
+    return w, h
+
+
+def _coco_mask(path: Path, piece: Any, size: tuple[int, int]) -> Mask:
+    w, h = size
+    try:
+        if isinstance(piece, list):
+            mask = np.zeros((h, w), dtype=np.uint8)
+            corners = [np.rint(np.array(p, dtype=np.float64).reshape(-1, 2)).astype(np.int32) for p in piece]
+            return np.asarray(cv2.fillPoly(mask, corners, 1), dtype=np.uint8)
+        counts = piece["counts"]
+        runs = np.array(_run_lengths(counts) if isinstance(counts, str) else counts, dtype=np.int64)
+        if list(piece["size"]) != [h, w] or runs.sum() != w * h or (runs < 0).any():
+            raise ValueError
+        return np.repeat(np.arange(len(runs)) % 2, runs).astype(np.uint8).reshape(w, h).T.copy()
+    except (KeyError, TypeError, ValueError, IndexError):
+        raise InputError(f"{path} holds a mask whose run lengths do not fill its picture; export it again.") from None
+
+
+def _run_lengths(text: str) -> list[int]:
+    """COCO's run lengths written as text: groups of five bits, every number from the third on less the one before
+    last."""
+    out: list[int] = []
+    at = 0
+    while at < len(text):
+        value = shift = 0
+        while True:
+            c = ord(text[at]) - 48
+            value |= (c & 0x1F) << shift
+            at, shift = at + 1, shift + 5
+            if not c & 0x20:
+                break
+        if c & 0x10:
+            value -= 1 << shift
+        out.append(value + (out[-2] if len(out) > 2 else 0))
+    return out

@@ -1,0 +1,152 @@
+"""Whom the key points and masks of a recording's files show: all detections of its frames, and the person it is
+about."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hypose.cameras.camera import CameraRig
+from hypose.evidence.frame import Keypoints
+from hypose.evidence.keypoints import keypoint_names
+from hypose.evidence.objects import object_points, people_of_objects
+from hypose.evidence.one_person import OnePerson, one_person
+from hypose.geometry import Array
+from hypose.io.recordings.object_masks import ObjectMasks
+from hypose.io.recordings.recording import Recording, keypoints_of_recording, stored_sizes
+
+_SAMPLES = 24  # frames in which objects are compared
+
+
+@dataclass(frozen=True)
+class RecordedPerson:
+    """The person of a recording in its T frames. keypoints: T, in undistorted px of the working-size cameras; raw
+    (C, T, K, 3): px of the calibrated, distorted pictures; one: who else is there, and what there is to say."""
+
+    keypoints: list[Keypoints]
+    raw: Array
+    one: OnePerson
+
+
+def candidates_of(recording: Recording, small: CameraRig) -> list[list[Array | None]] | None:
+    """Per frame of recording.frames and view all detections (P, K, 5): undistorted px (u, v) of the working-size
+    pinhole cameras `small`, confidence 0..1, and (u, v) px of the calibrated, distorted picture. None without key
+    points.
+
+    What is read, and which frame of the file is the video's first, is told by `hypose.io.keypoints.read_keypoints`;
+    recording.keypoint_lag is added. An InputError names the file that cannot be read."""
+    if recording.keypoint_set is None or not any(v.keypoints for v in recording.views):
+        return None
+    found, _ = keypoints_of_recording(recording)
+    sizes = stored_sizes(recording)
+    views = []
+    for camera, into, view, size in zip(recording.rig, small, found, sizes, strict=True):
+        column: list[Array | None] = []
+        scale = np.array(into.size) / np.array(camera.size)
+        for f in recording.frames:
+            people = None if view is None else view.frame(f - recording.keypoint_lag, camera.size, size)
+            if people is None or not len(people):
+                column.append(None)
+                continue
+            uv = (camera.undistort_points(people[..., :2]) + 0.5) * scale - 0.5
+            fine = np.isfinite(uv).all(-1)
+            confidence = np.where(fine, people[..., 2], 0.0)
+            known = confidence > 0
+            uv = np.where(known[..., None], uv, 0.0)
+            column.append(np.concatenate([uv, confidence[..., None], people[..., :2]], -1))
+        views.append(column)
+    return [list(frame) for frame in zip(*views, strict=True)]
+
+
+def load_person(recording: Recording, small: CameraRig, *, doubting: bool = False) -> RecordedPerson | None:
+    """The person of a recording, None when it has no key points. small, doubting: as in `candidates_of` and
+    `hypose.evidence.one_person.one_person`. A frame in which the person is not seen has confidence 0."""
+    candidates = candidates_of(recording, small)
+    if candidates is None or recording.keypoint_set is None:
+        return None
+    names = keypoint_names(recording.keypoint_set)
+    one = one_person(candidates, names, small, recording.frame_rate, doubting=doubting)
+    points = one.points if one.points.shape[-1] == 5 else np.zeros((*one.points.shape[:3], 5))
+    keypoints = [Keypoints(points[t, ..., :3].copy(), names, small) for t in range(len(points))]
+    raw = points[..., [3, 4, 2]].transpose(1, 0, 2, 3).copy()
+    return RecordedPerson(keypoints, raw, one)
+
+
+def objects_of_people(
+    recording: Recording, small: CameraRig, masks: Sequence[ObjectMasks | None]
+) -> list[dict[int, str]]:
+    """Which objects of the views' masks are one person: {view: object} per person, those seen most first
+    (`hypose.evidence.objects`); views without objects (None) are left out."""
+    frames = _sampled(recording)
+    points: list[dict[str, Array]] = [{} for _ in masks]
+    for c, (view, camera, into) in enumerate(zip(masks, recording.rig, small, strict=True)):
+        if view is None:
+            continue
+        scale = np.array(camera.size) / np.array(view.size)
+        shift = np.array(recording.views[c].image_shift)
+        smaller = np.array(into.size) / np.array(camera.size)
+        for s, f in enumerate(frames):
+            for name, mask in (view.at(f) if f < view.n_frames else {}).items():
+                uv = camera.undistort_points((object_points(mask) + 0.5) * scale - 0.5 + shift)
+                points[c].setdefault(name, np.full((len(frames), 3, 2), np.nan))[s] = (uv + 0.5) * smaller - 0.5
+    return people_of_objects(points, small)
+
+
+def persons_objects(
+    recording: Recording,
+    small: CameraRig,
+    masks: Sequence[ObjectMasks | None],
+    keypoints: Sequence[Keypoints] | None,
+) -> tuple[list[frozenset[str] | None], tuple[str, ...]]:
+    """Per view the objects that are the recording's person (None: the view's masks know no objects), and a sentence
+    when there are others: those in which the key points lie; without key points those that belong together across most
+    views and frames."""
+    if not any(m is not None and len(m.objects) > 1 for m in masks):
+        return [None if m is None else frozenset(m.objects) for m in masks], ()
+    people = objects_of_people(recording, small, masks)
+    chosen: list[frozenset[str] | None] = []
+    for c, view in enumerate(masks):
+        if view is None:
+            chosen.append(None)
+            continue
+        inside = {} if keypoints is None else _points_inside(recording, small, c, view, keypoints)
+        if inside:
+            best = max(inside.values())
+            chosen.append(frozenset(n for n, count in inside.items() if count > 0.3 * best))
+        else:
+            chosen.append(frozenset([people[0][c]] if people and c in people[0] else []))
+    named = ", ".join(
+        f"{v.name} {' and '.join(sorted(o)) or 'none'}"
+        for v, o in zip(recording.views, chosen, strict=True)
+        if o is not None
+    )
+    how = "their key points" if keypoints is not None else "the rays through them"
+    return chosen, (f"The masks hold several objects; followed is, by {how}: {named}.",)
+
+
+def _sampled(recording: Recording) -> list[int]:
+    frames = recording.frames
+    return [frames[int(i)] for i in np.unique(np.linspace(0, len(frames) - 1, min(_SAMPLES, len(frames))).round())]
+
+
+def _points_inside(
+    recording: Recording, small: CameraRig, c: int, view: ObjectMasks, keypoints: Sequence[Keypoints]
+) -> dict[str, int]:
+    """How many key points lie in each object of a view."""
+    out: dict[str, int] = {}
+    camera, into = recording.rig[c], small[c]
+    for f in _sampled(recording):
+        p = keypoints[f - recording.frames[0]].points[c]
+        p = p[p[:, 2] > 0.2][:, :2]
+        if not len(p) or f >= view.n_frames:
+            continue
+        world = np.c_[(p - into.K[:2, 2]) / np.diag(into.K)[:2], np.ones(len(p))]  # rays, in the camera's own frame
+        own = world @ camera.camera_from_world[:3, :3] + camera.position
+        stored = (camera.project(own) - recording.views[c].image_shift + 0.5) * view.size / np.array(camera.size) - 0.5
+        at = np.rint(stored[np.isfinite(stored).all(1)]).astype(int)
+        at = at[(at >= 0).all(1) & (at < view.size).all(1)]
+        for name, mask in view.at(f).items():
+            out[name] = out.get(name, 0) + int(mask[at[:, 1], at[:, 0]].sum())
+    return {n: count for n, count in out.items() if count}

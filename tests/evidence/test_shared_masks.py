@@ -1,0 +1,160 @@
+"""Pixels that somebody else covers are no evidence: in the scorer, the outlines, the hull, the audit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose import compute
+from hypose.body.ready_bodies import human
+from hypose.compute import reach
+from hypose.evidence.ahead import outlines, prepared_masks
+from hypose.evidence.frame import Expected, Frame
+from hypose.evidence.hull import visual_hull
+from hypose.evidence.outlines import WORKING_HEIGHT
+from hypose.evidence.shared_masks import DrawnShape, Other, own_silhouettes, without
+from hypose.synthetic.scenes import make_scene
+from hypose.tracking.audit import AUDITED, audit_frame
+from hypose.tracking.several import shape_of
+from hypose.tracking.starts import known_pose
+from tests.evidence.scenes import ring, solid_masks
+
+
+@pytest.fixture(scope="module")
+def body():
+    return human()
+
+
+@pytest.fixture(scope="module")
+def pair(body):
+    """Two bodies in one rig: poses, and the union of their masks."""
+    rig = make_scene("walk", rig="humaneva-4", seconds=0.1).rig.pinhole().scaled(0.5)
+    poses = []
+    for x in (-0.3, 0.3):
+        pose = known_pose(body, "standing")
+        pose[:3] += (x, 0, -body.skin(pose)[:, 2].min())
+        poses.append(pose)
+    shapes = [shape_of(body, q, rig) for q in poses]
+    size = rig.sizes.max(0)
+    masks = np.zeros((len(rig), size[1], size[0]), np.uint8)
+    for shape in shapes:
+        for c, (y0, y1, x0, x1) in enumerate(shape.boxes):
+            masks[c, y0:y1, x0:x1] |= shape.drawn(c)
+    from hypose.evidence.frame import Silhouettes
+
+    return poses, shapes, Silhouettes(masks, rig, np.ones(len(rig), bool), ("",) * len(rig))
+
+
+def test_the_scorer_counts_nothing_where_pixels_are_ignored_on_every_back_end(body, pair):
+    poses, shapes, silhouettes = pair
+    own = own_silhouettes(silhouettes, shapes[0], [Other(shapes[1])])
+    assert own.ignored is not None
+    prepared = prepared_masks(own)
+    tried = np.stack([poses[0], poses[0] + 0.03, poses[1]])
+    arm = np.array([name.startswith("left_") for name in body.skeleton.joint_names])
+    found = compute.silhouette_xor(tried, body.skeleton.tree, body.coarse.arrays, prepared)
+    with compute.use("numpy"):
+        defined = compute.silhouette_xor(tried, body.skeleton.tree, body.coarse.arrays, prepared)
+    assert np.abs(found - defined).max() <= 2
+    for c, (w, h) in enumerate(own.rig.sizes.tolist()):
+        model = np.zeros((h, w), bool)
+        y0, y1, x0, x1 = shapes[0].boxes[c]
+        model[y0:y1, x0:x1] = shapes[0].drawn(c)
+        tells = own.ignored[c, :h, :w] == 0
+        mask = own.masks[c, :h, :w] > 0
+        by_hand = ((model ^ mask) & tells).sum(), (model & tells).sum(), (model & mask & tells).sum()
+        assert np.abs(found[0, c] - by_hand).max() <= 0.02 * by_hand[1] + 12
+    # the same when one limb is searched and the rest stands
+    turned = np.repeat(poses[:1], 3, 0)
+    turned[:2, body.skeleton.dofs_of("left_shoulder")[0]] += (0.4, 0.9)
+    by_limb = compute.silhouette_xor(turned, body.skeleton.tree, body.coarse.arrays, prepared, moving=arm)
+    whole = compute.silhouette_xor(turned, body.skeleton.tree, body.coarse.arrays, prepared)
+    assert np.abs(by_limb - whole).max() <= 2
+
+
+def test_points_of_a_limb_count_nothing_on_ignored_pixels(body, pair):
+    poses, shapes, silhouettes = pair
+    prepared = prepared_masks(own_silhouettes(silhouettes, shapes[0], [Other(shapes[1])]))
+    arm = np.array([name.startswith("left_elbow") for name in body.skeleton.joint_names])
+    where = body.joints(poses[1])[None, [5, 8, 12]]  # on the other body
+    with compute.use("numpy"):
+        rest = reach.standing(poses[0], body.skeleton.tree, body.coarse.arrays, prepared, arm)
+        defined = reach.score_points(where, np.ones(3), np.eye(3), np.zeros(3), prepared, rest)
+    rest = reach.standing(poses[0], body.skeleton.tree, body.coarse.arrays, prepared, arm)
+    found = reach.score_points(where, np.ones(3), np.eye(3), np.zeros(3), prepared, rest)
+    np.testing.assert_allclose(found, defined)
+    shown = [c for c in range(4) if not own_hides(silhouettes, shapes, where[0], c)]
+    assert found[0] >= -3 * len(shown)
+
+
+def own_hides(silhouettes, shapes, points, view):
+    own = own_silhouettes(silhouettes, shapes[0], [Other(shapes[1])])
+    uv = np.rint(silhouettes.rig[view].project_pinhole(points)).astype(int)
+    return own.ignored is not None and bool((own.ignored[view][uv[:, 1], uv[:, 0]] > 0).all())
+
+
+def test_people_far_apart_cost_nothing_to_each_other(pair):
+    _, shapes, silhouettes = pair
+    far = DrawnShape(np.zeros_like(silhouettes.masks))
+    alone = own_silhouettes(silhouettes, shapes[0], [Other(far)])
+    assert alone.ignored is None and alone.expected is None
+    assert prepared_masks(alone).hidden.size == 0
+    # the masks are cut to where the person is: nothing of it is lost
+    for c, (y0, y1, x0, x1) in enumerate(shapes[0].boxes):
+        np.testing.assert_array_equal(alone.masks[c, y0:y1, x0:x1], silhouettes.masks[c, y0:y1, x0:x1])
+
+
+def test_distances_that_depend_on_ignored_pixels_are_not_known(pair):
+    _, shapes, silhouettes = pair
+    own = own_silhouettes(silhouettes, shapes[0], [Other(shapes[1])])
+    assert own.ignored is not None
+    made = outlines(own, working_height=WORKING_HEIGHT)
+    for c in np.flatnonzero(own.ignored.any((1, 2))):
+        assert (made.distance[c] >= compute.NOT_KNOWN).any()
+        kept = made.points[c][made.points[c][:, 0] > -1e5]
+        assert 8 <= len(kept) < len(made.points[c])
+        at = np.rint(kept * made.shrunk[c]).astype(int)
+        assert not own.ignored[c][at[:, 1], at[:, 0]].any()
+
+
+def test_an_ignored_pixel_is_neither_a_hole_nor_a_body_in_the_hull():
+    rig = ring(5)
+    points = np.random.default_rng(0).normal(0, 1, (400, 3))
+    points = 0.3 * points / np.linalg.norm(points, axis=1, keepdims=True) + (0, 0, 0.9)
+    s = solid_masks(rig, points)
+    whole = visual_hull(s, voxel=0.04)
+    hidden = np.zeros_like(s.masks)
+    hidden[0] = 1
+    holed = replace(s, masks=np.where(hidden > 0, 0, s.masks).astype(np.uint8), ignored=hidden)
+    found = visual_hull(holed, voxel=0.04)
+    assert whole.volume <= found.volume < 1.6 * whole.volume
+    everything = replace(s, ignored=np.ones_like(s.masks))
+    with pytest.raises(compute_error()):
+        visual_hull(everything, voxel=0.04)
+
+
+def compute_error():
+    from hypose.errors import EvidenceError
+
+    return EvidenceError
+
+
+def test_an_ignored_pixel_is_neither_bare_nor_outside_in_the_audit(body, pair):
+    poses, shapes, silhouettes = pair
+    union = Frame(0.0, 0, silhouettes)
+    own = replace(union, silhouettes=own_silhouettes(silhouettes, shapes[0], [Other(shapes[1])]))
+    before, after = (audit_frame(body, poses[0], f) for f in (union, own))
+    bare, outside, exposed = (AUDITED.index(n) for n in ("bare", "outside", "exposed"))
+    assert after[:, bare].sum() < 0.2 * before[:, bare].sum()
+    assert (after[:, outside] <= before[:, outside] + 1e-6).all()
+    assert (after[:, exposed] <= before[:, exposed] + 1e-6).all()
+    assert after[:, exposed].sum() < before[:, exposed].sum()
+
+
+def test_without_hides_everybody_else(pair):
+    _, shapes, silhouettes = pair
+    left = without(silhouettes, [Other(shapes[1])])
+    for c, (y0, y1, x0, x1) in enumerate(shapes[1].boxes):
+        assert not left.told[c, y0:y1, x0:x1][shapes[1].drawn(c) > 0].any()
+    assert without(silhouettes, []) is silhouettes
+    assert isinstance(Expected(shapes[0].boxes, np.ones(4, int)), Expected)
