@@ -47,16 +47,19 @@ from hypose.compute.native import native, plain, tidy
 from hypose.compute.pictures import picture_to_mask
 from hypose.compute.pictures.parts import parts_against_mask
 from hypose.compute.pictures.picture_to_mask import Box, Lens, make_lens, order_statistic, shrink_undistort
+from hypose.compute.pictures.shown_parts import colour_sums, shown_parts
 from hypose.compute.pictures.visibility import nearest_visible
 from hypose.compute.selection import default_threads, over_chunks, require_cuda, use
 from hypose.compute.silhouettes import glance, lane_mesh, reach
 from hypose.compute.silhouettes.glance import Glance, differing_box, glance_at, stored_pixels
 from hypose.compute.silhouettes.lane_scratch import lane_scratch
 from hypose.compute.silhouettes.mask_distance import signed_distance
+from hypose.compute.silhouettes.packed_masks import prepare_masks
 from hypose.compute.solver.banded import frame_covariances, solve_coupled
 from hypose.compute.solver.losses import geman_mcclure, huber, lorentzian, lorentzian_weight
 from hypose.compute.solver.normal import SharedEquations, bounded_step, weighted_squares
 from hypose.compute.solver.terms import (
+    NOT_KNOWN,
     ContourArrays,
     KeypointArrays,
     PointArrays,
@@ -114,6 +117,7 @@ __all__ = [
     "MonoPriors",
     "MonoProblem",
     "MonoWorkspace",
+    "NOT_KNOWN",
     "Packed",
     "PaddedDepth",
     "PointArrays",
@@ -132,6 +136,7 @@ __all__ = [
     "blend_shaded",
     "bounded_step",
     "cache_folder",
+    "colour_sums",
     "darken",
     "default_threads",
     "differing_box",
@@ -161,6 +166,7 @@ __all__ = [
     "require_cuda",
     "row_sums",
     "selection",
+    "shown_parts",
     "shrink_undistort",
     "signed_distance",
     "silhouette",
@@ -201,20 +207,6 @@ def skin(rotations: ArrayLike, centres: ArrayLike, tree: TreeArrays, mesh: MeshA
     out = np.empty((len(r), len(mesh.vertices), 3))
     native("kinematics").skin_batch(r, c, tidy(tree), tidy(mesh), out)
     return out
-
-
-def prepare_masks(masks: ArrayLike, usable: ArrayLike, sizes: ArrayLike, projections: ArrayLike) -> PreparedMasks:
-    """Masks (C, h, w) non-zero = person, usable (C,), sizes (C, 2) width and height, pinhole projections (C, 3, 4)."""
-    m = np.ascontiguousarray(masks)
-    if m.dtype != np.uint8:
-        m = (m != 0).view(np.uint8)
-    packed = np.packbits(m, axis=2, bitorder="little")
-    bits = np.zeros((*packed.shape[:2], packed.shape[2] + 16), dtype=np.uint8)
-    bits[:, :, : packed.shape[2]] = packed
-    areas = np.array([np.count_nonzero(view) for view in m], dtype=np.int64)
-    return PreparedMasks(
-        m, areas, plain(usable, np.bool_), plain(sizes, np.int64), plain(projections, np.float64), bits
-    )
 
 
 def silhouette_xor(
@@ -265,7 +257,7 @@ def silhouette_xor(
     if boxes is not None:
         areas = np.empty(c, dtype=np.int64)
         native("silhouettes.silhouettes").areas_in_boxes(prepared.masks, b, areas)
-    if selection.backend() == "cuda":
+    if selection.backend() == "cuda" and not prepared.hidden.size:  # the device knows of no pixels that say nothing
         from hypose.compute.silhouettes import cuda
 
         return cuda.silhouette_xor(q, t, lane_mesh.prepare(mesh, tree, wanted), prepared, b, areas)
@@ -279,6 +271,9 @@ def silhouette_xor(
             native("silhouettes.standing").draw_standing(
                 q[-1], t, tidy(mesh), corners, standing, prepared, b, drawn, drawn_counts
             )
+            reach.hide(prepared, drawn, drawn_counts)
+    elif prepared.hidden.size:
+        drawn = prepared.hidden  # one more standing part, of somebody else: it counts nowhere
     m = lane_mesh.prepare(mesh, tree, wanted)
     kernels = native("silhouettes.lanes")
     out = np.zeros((n, c, 3), dtype=np.int64)

@@ -124,10 +124,12 @@ def silhouette_xor(
     for c in np.flatnonzero(prepared.usable):
         x0, x1, y0, y1 = boxes[c]
         mask = prepared.masks[c, y0:y1, x0:x1] != 0
+        # pixels that say nothing are open, and not in the mask
+        told = ((prepared.open_masks[c, y0:y1, x0:x1] != 0) == mask) if prepared.hidden.size else True
         for n in range(len(poses)):
             w, h = prepared.sizes[c].tolist()
             drawn = mesh.faces if faces is None else mesh.faces[faces]
             model = rasterize(vertices[n], drawn, prepared.projections[c], (w, h), one_sided=faces is not None)
-            model = model[y0:y1, x0:x1]
+            model = model[y0:y1, x0:x1] & told
             out[n, c] = (model ^ mask).sum(), model.sum(), (model & mask).sum()
     return out

@@ -7,15 +7,18 @@ pruned multiple hypotheses are lists for this loop. Source: Alcoverro 2014, Algo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.inference.hypotheses import FloatArray, Hypotheses
 
 RngOfLayer = Callable[[int], np.random.Generator]
+Memory = Mapping[str, NDArray[Any]]
+"""What a method remembers from frame to frame, arrays by name; empty at first."""
 
 
 class Kernel(Protocol):
@@ -114,7 +117,9 @@ class Recipe:
     is there; None: that is told by the overlap with the masks. recover: None: it does not. rivals: how many hypotheses
     the last layer hands on, with the column BEFORE, each of which is then expected by its own last step; 0: the set
     moves as one. smooth(clip): the motion with all frames solved together at the end, and sentences about it; None: it
-    is not. citation: where the method comes from.
+    is not. learn(memory, pose, h, frame): what the method remembers from frame to frame beside its hypotheses, arrays
+    by name, after a frame in which the person was not lost; None: nothing. likes: kinds of evidence that the layers
+    look at where it is at hand ('colours'). citation: where the method comes from.
     """
 
     name: str
@@ -129,6 +134,8 @@ class Recipe:
     recover: Recovery | None = None
     rivals: int = 0
     smooth: Callable[[Any], tuple[Any, tuple[str, ...]]] | None = None
+    learn: Callable[[Memory, FloatArray, Hypotheses, Any], Memory] | None = None
+    likes: tuple[str, ...] = ()
     citation: str = ""
 
     def __post_init__(self) -> None:

@@ -116,6 +116,17 @@ def hidden_arm(points: Array, names: Sequence[str], rng: np.random.Generator) ->
     return out
 
 
+def bystander(points: Array, names: Sequence[str], rng: np.random.Generator) -> Array:
+    """In one view the points of somebody else, who does the same a little later and 60 % of the height aside, in
+    stretches that fill about 40 % of the clip."""
+    out, view = points.copy(), int(rng.integers(points.shape[1]))
+    at = _stretches(rng, len(points), 0.4, 12)
+    other = points[np.maximum(np.arange(len(points)) - 5, 0), view].copy()
+    other[..., 0] += 0.6 * _size(points)[view] * rng.choice((-1, 1))
+    out[at, view] = np.where(other[at, :, 2:] > 0, other[at], 0.0)
+    return out
+
+
 SPOILS: Mapping[str, Callable[[Array, Sequence[str], np.random.Generator], Array]] = {
     "detector": detector,
     "dropped": dropped,
@@ -125,6 +136,7 @@ SPOILS: Mapping[str, Callable[[Array, Sequence[str], np.random.Generator], Array
     "noisy": noisy,
     "outliers": outliers,
     "hidden_arm": hidden_arm,
+    "bystander": bystander,
 }
 """All of them by name. `moved_camera` is the calibration's."""
 

@@ -13,19 +13,27 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body
-from hypose.compute import parts_against_mask
+from hypose.compute import PreparedMasks, parts_against_mask, reach, silhouette_xor
+from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.geometry import Array
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, checked, pixels_per_metre
+from hypose.tracking.reach_table import ArmReach, arm_reach, ends, in_practice
 
 AUDITED = (
     *("bare", "bare_second", "bare_reach", "exposed", "exposed_second", "outside"),
-    *("rival", "points_median", "points_worst", "points_views", "points_all"),
+    *("rival", "elsewhere", "elsewhere_by", "exchanged", "points_median", "points_worst", "points_views", "points_all"),
+    *("points_agree", "points_against"),
 )
 """Columns of an audit: m^2 of bare mask within NEAR_M of the joint, summed over the views, and in the second-barest
 one; within the limb's reach of its root, summed; share of the joint's part that no other part covers, summed over the
-views, and in the second-best; share of the part outside the masks, summed; m, spread of the rivals; m, distance of the
-joint's key points from it, median and largest over the views; views with one; m, median over all points of the frame.
+views, and in the second-best; share of the part outside the masks, summed; m, spread of the rivals; m, spread of
+the arms elsewhere that fit the masks about as well as the one that is believed, over its whole reach (0 of other
+joints, NaN in frames in which it is not its turn), and by how much of its energy the best of them fits better than one
+that is plainly worse; by how much the body with its sides exchanged overlaps the
+masks better (NaN: not looked at in this frame); m, distance of the joint's key points from it, median and largest over
+the views; views with one; m, median over all points of the frame; views with one, as it was detected, that agrees with
+the joint, and with one that speaks against it.
 """
 NEAR_M = 0.25
 _TALL = 110
@@ -39,6 +47,8 @@ _PARTS = (
 _ROOTS = (("left_shoulder", 0.75), ("right_shoulder", 0.75), ("left_hip", 1.0), ("right_hip", 1.0))
 """Where limbs begin, and how far they reach, m."""
 _BESIDE_M = 0.4
+_AGREE_M = 0.06
+"""a key point that lies so near to its joint speaks for it, one that lies twice as far against it"""
 _FAR_M = 0.5  # key points further away are no worse
 
 
@@ -66,19 +76,22 @@ def audit_frame(
     frame: Frame,
     model: KeypointModel | None = None,
     rivals: tuple[ArrayLike, ArrayLike] | None = None,
+    exchanged: float = float("nan"),
 ) -> NDArray[np.float32]:
     """(J, len(AUDITED)) of a tracked pose (D,), NaN where the frame has no such evidence.
 
-    model: where key points sit on the body; rivals: other poses (K, D) that are believed as well,
-    NaN where there are fewer, and their weights (K,)."""
+    model: where key points sit on the body; rivals: other poses (K, D) that are believed as well, NaN where there are
+    fewer, and their weights (K,); exchanged: as AUDITED has it."""
     names = tuple(body.skeleton.joint_names)
     out = np.full((len(names), len(AUDITED)), np.nan, np.float32)
     rotations, joints = body.skeleton.forward(pose)
     if frame.silhouettes is not None and frame.silhouettes.usable.any():
         out[:, :6] = _masks(body, pose, joints, frame.silhouettes)
+        out[:, 7:9] = _elsewhere(body, pose, prepared_masks(frame.silhouettes), frame.index)
     out[:, 6] = _rivals(body, joints, rivals)
+    out[:, 9] = exchanged
     if frame.keypoints is not None and model is not None and model.names == frame.keypoints.names:
-        out[:, 7:] = _points(names, rotations, joints, frame.keypoints, model)
+        out[:, 10:] = _points(names, rotations, joints, frame.keypoints, model)
     return out
 
 
@@ -101,9 +114,13 @@ def _masks(body: Body, pose: Array, joints: Array, silhouettes: Silhouettes) -> 
         mask = np.ascontiguousarray(silhouettes.masks[c, y0:y1:step, x0:x1:step])
         if not mask.size:
             continue
+        ignored = silhouettes.ignored
+        if ignored is not None:
+            ignored = np.ascontiguousarray(ignored[c, y0:y1:step, x0:x1:step])
         uv = (uv - (x0, y0)) / step
         n, size = len(vertices), per_metre / step
-        seen = parts_against_mask(mask, uv[:n], z[:n], body.coarse.faces, face_part, len(_PARTS), uv[n:], reach * size)
+        faces, marks = body.coarse.faces, (uv[n:], reach * size)
+        seen = parts_against_mask(mask, uv[:n], z[:n], faces, face_part, len(_PARTS), *marks, ignored)
         bare[k] = seen.bare / size**2
         exposed[k] = seen.exposed / np.maximum(seen.area, 1)
         outside[k] = seen.outside / np.maximum(seen.area, 1)
@@ -140,18 +157,78 @@ def _rivals(body: Body, joints: Array, rivals: tuple[ArrayLike, ArrayLike] | Non
     return np.sqrt(weights[known] @ away)
 
 
+def _elsewhere(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Array:
+    """(J, 2): what the reach of the arms allows, each in its turn, for it is dear; see AUDITED."""
+    out = np.zeros((len(body.skeleton.joint_names), 2))
+    s, mesh = body.skeleton, body.coarse.arrays
+    for k, arm in enumerate(_arms(body)):
+        out[list(arm.chain)] = 0.0 if (index - 2 * k) % _EVERY == 0 else np.nan
+        if np.isnan(out[arm.chain[0], 0]):
+            continue
+        here = arm.here(pose[None])
+        rest = reach.standing(pose, s.tree, mesh, masks, arm.moving)
+        limit = float(arm.score_in(here, pose, masks, rest, np.inf)[0]) + _CUTOFF
+        score = arm.score_in(arm.points[:_TRIED], pose, masks, rest, limit)
+        good = np.flatnonzero(score <= limit)
+        away = np.linalg.norm(ends(arm.points[good]) - ends(here), axis=-1)  # elbow, wrist, hand
+        far = away.max(1) > _ELSEWHERE_M
+        good, away = good[far], away[far]
+        if not len(good):
+            continue
+        few = np.argsort(score[good], kind="stable")[:_POOL]
+        poses = np.repeat(pose[None], len(few) + 1, 0)
+        poses[:-1, arm.own] = arm.poses[good[few]]  # the last one stands
+        counts = silhouette_xor(poses, s.tree, mesh, masks, moving=arm.moving, rest=rest)
+        energy = (counts[:, masks.usable, 0] / masks.norm[masks.usable]).sum(1)
+        ratio = energy[:-1] / max(float(energy[-1]), 1e-6) - 1
+        weight = np.exp(-np.maximum(ratio, -0.05) / _SOFT)
+        spread = np.sqrt(weight @ away[few] ** 2 / (1 + weight.sum()))
+        out[list(arm.chain), 0] = 0.0, spread[0], spread[1]
+        out[list(arm.chain), 1] = max(_RATIO - float(ratio.min()), 0.0)
+    return out
+
+
+_EVERY = 4
+"""frames between two looks at the same arm"""
+_CUTOFF, _TRIED, _POOL = 0.1, 2048, 64
+"""m^2 by which an arm's points may lie worse; so many arms are looked up, and so many drawn"""
+_ELSEWHERE_M = 0.1
+_RATIO, _SOFT = 0.15, 0.02
+"""of energies: arms that fit worse by more do not count, and by so much they count by 1 / e"""
+_ARMS: dict[int, tuple[Body, tuple[ArmReach, ...]]] = {}
+
+
+def _arms(body: Body) -> tuple[ArmReach, ...]:
+    """The tables of reach of a body, made once."""
+    kept = _ARMS.get(id(body))
+    if kept is None or kept[0] is not body:
+        while len(_ARMS) > 3:
+            _ARMS.pop(next(iter(_ARMS)))
+        s = body.skeleton
+        found = []
+        for side in ("left", "right"):
+            joints = tuple(f"{side}_{n}" for n in ("clavicle", "shoulder", "elbow"))
+            if all(f"{side}_{n}" in s.joint_names for n in ("clavicle", "shoulder", "elbow", "wrist")):
+                found.append(arm_reach(body, joints, *in_practice(s)))
+        kept = _ARMS[id(body)] = body, tuple(found)
+    return kept[1]
+
+
 def _points(names: tuple[str, ...], rotations: Array, joints: Array, seen: Keypoints, model: KeypointModel) -> Array:
-    """(J, 4): median, largest, number of views, median of the frame; see AUDITED."""
+    """(J, 6): median, largest, number of views, median of the frame, how many agree, and do not; see AUDITED."""
     points = np.nan_to_num(seen.points)
     expected = joints[model.joint] + np.einsum("kab,kb->ka", rotations[model.joint], model.offset)
     uv = np.stack([camera.project_pinhole(expected) for camera in seen.rig])
     size = pixels_per_metre(seen, joints[0])
     points[~(points[..., 2] > MIN_CONFIDENCE)] = 0.0
+    own = _columns(names, model.names)  # (J, M), -1: none
+    raw = np.linalg.norm(points[..., :2] - uv, axis=-1) / size[:, None]
+    there = (own >= 0)[None] & ((points[..., 2] > 0) & model.known & np.isfinite(uv).all(-1))[:, own]
+    agree, against = (there & (raw[:, own] < _AGREE_M)).any(-1), (there & (raw[:, own] > 2 * _AGREE_M)).any(-1)
     points = checked(points, uv, model.names, size, model.known)
     known = (points[..., 2] > 0) & model.known & np.isfinite(uv).all(-1)
     away = np.minimum(np.linalg.norm(points[..., :2] - uv, axis=-1) / size[:, None], _FAR_M)
     away = np.where(known, away, np.inf)
-    own = _columns(names, model.names)  # (J, M), -1: none
     found = np.where((own >= 0)[None], away[:, own], np.inf)  # (C, J, M)
     views = np.isfinite(found).any(-1).sum(0)
     row = np.sort(found.transpose(1, 0, 2).reshape(len(names), -1), axis=1)
@@ -159,7 +236,7 @@ def _points(names: tuple[str, ...], rotations: Array, joints: Array, seen: Keypo
     at = np.arange(len(names))
     middle, worst = (np.where(count > 0, row[at, np.maximum(k, 0)], _FAR_M) for k in ((count - 1) // 2, count - 1))
     usual = float(np.median(away[known])) if known.any() else _FAR_M
-    return np.stack([middle, worst, views, np.full(len(names), usual)], 1)
+    return np.stack([middle, worst, views, np.full(len(names), usual), agree.sum(0), against.sum(0)], 1)
 
 
 @lru_cache(8)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from hypose import compute
 from hypose.body.body import Body
+from hypose.fitting.articulated import KeypointTerm
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.frame_evidence import PreparedFrame
@@ -18,7 +19,8 @@ from hypose.tracking.frame_evidence import PreparedFrame
 class SilhouetteXor:
     """Energy E = sum over usable views of XOR(M_v, S_v) / C(S_v), so that the weight is exp(-E).
 
-    M_v: silhouette of the posed coarse mesh in view v, S_v: the mask, C: its foreground pixels. With no usable view
+    M_v: silhouette of the posed coarse mesh in view v, S_v: the mask, C: its foreground pixels (those expected of the
+    whole person where others hide a part: pixels that say nothing count nowhere). With no usable view
     every hypothesis costs the same (0). moving (J,) bool: the joints that differ in the set, for a search of one limb;
     everything else stands as in the last hypothesis and is drawn once. Source: Alcoverro 2014, eq. 2.8. What the user's
     own evidence says, if there is any, is added.
@@ -55,19 +57,45 @@ def xor_energy(
         return np.zeros(len(poses))
     counts = _counts(body, poses, frame) if moving is None else _count(body, poses, frame.masks, moving, rest)
     use = frame.masks.usable
-    return (counts[:, use, 0] / frame.masks.areas[use]).sum(1)
+    return (counts[:, use, 0] / frame.masks.norm[use]).sum(1)
+
+
+def keypoint_cost(body: Body, poses: Array, term: KeypointTerm) -> Array:
+    """(N,) what the key points of a frame cost poses (N, D) of a body: the robust cost of the solver, in which a
+    difference of 1 is a difference of 1 in log-likelihood."""
+    rotations, centres = body.skeleton.forward(poses)
+    x = centres[:, term.joint] + np.einsum("nkab,kb->nka", rotations[:, term.joint], term.offset)
+    h = np.einsum("cij,nkj->ncki", term.projections[:, :, :3], x) + term.projections[:, None, :, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        away = np.linalg.norm(h[..., :2] / h[..., 2:] - term.points[..., :2], axis=-1)
+    away = np.where(h[..., 2] > 0, np.nan_to_num(away, nan=np.inf), np.inf)
+    ratio = np.minimum(away / (2 * term.scale_px), 1e3)  # a point behind a camera is as far off as can be
+    used = np.where(term.points[..., 2] > term.min_confidence, term.points[..., 2], 0.0)
+    return 2 * term.weight * (used * np.log1p(ratio**2)).sum((1, 2))
 
 
 def silhouette_iou(body: Body, pose: Array, frame: PreparedFrame) -> Array:
-    """(C,) intersection over union of the posed body and the mask per view; NaN for views without a usable mask."""
+    """(C,) intersection over union of the posed body and the mask per view; NaN for views without a usable mask, or in
+    which others hide nearly all of the body. Over the pixels that say something."""
     if frame.masks is None:
         return np.full(0, np.nan)
     counts = _counts(body, pose[None], frame)[0]
     union = counts[:, 0] + counts[:, 2]  # XOR and intersection are disjoint
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(frame.masks.usable, counts[:, 2] / union, np.nan)
+        use = frame.masks.usable
+        if frame.masks.hidden.size:
+            use = use & (counts[:, 1] > VISIBLE * frame.masks.norm)
+        return np.where(use, counts[:, 2] / union, np.nan)
 
 
+def mean_overlap(body: Body, pose: Array, frame: PreparedFrame) -> float:
+    """Mean IoU over the views that tell; 0 when none does."""
+    overlap = silhouette_iou(body, pose, frame)
+    return float(np.nanmean(overlap)) if np.isfinite(overlap).any() else 0.0
+
+
+VISIBLE = 0.2
+"""Share of a body that must be visible in a view which is to tell of its overlap."""
 _FEW = 12
 """sets of no more poses are looked up, and remembered: the same pose is judged several times in a frame"""
 

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from hypose.body.body import Body
+from hypose.body.skeleton import Skeleton
 from hypose.fitting.articulated import PointTerm, SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.tracking.costs import silhouette_iou
@@ -50,15 +51,38 @@ def legs_exchanged(body: Body, pose: Array) -> Array:
     return _with_joints_at(body, wanted, s.clamp(start))
 
 
+def strain(skeleton: Skeleton, poses: Array) -> Array:
+    """(N,) what it costs to turn hips and spine further than people do in poses (N, D): the limits of balls leave room
+    for a body that sits back to front, its thighs behind it."""
+    out = np.zeros(len(poses))
+    for name, (back, aside) in _NATURAL.items():
+        v = poses[:, skeleton.dofs_of(name)]
+        over = np.stack([v[:, 0] * _BACKWARD[name] - back, np.abs(v[:, 1]) - aside, np.abs(v[:, 2]) - aside])
+        out += _STRAIN * (np.maximum(over, 0.0) ** 2).sum(0)
+    return out
+
+
+_NATURAL = {"left_hip": (0.5, 0.9), "right_hip": (0.5, 0.9), "spine": (0.4, 0.6)}
+"""rad: how far backwards, and how far about the two other axes"""
+_BACKWARD = {"left_hip": 1.0, "right_hip": 1.0, "spine": -1.0}
+_STRAIN = 0.02
+"""for a radian more"""
+
+
 def look_for_exchange(pose: Array, frame: PreparedFrame, /) -> tuple[float, Array]:
     """By how much the body turned around, or with its legs exchanged, overlaps the masks better than in `pose` (D,),
-    mean IoU over the views, and that pose (D,), solved on the frame. Below zero: `pose` is the better one."""
+    mean IoU over the views less what it strains more (`strain`), and that pose (D,), solved on the frame. Below zero:
+    `pose` is the better one."""
     body = frame.body
-    now, best = float(np.nanmean(silhouette_iou(body, pose, frame))), (-1.0, pose)
+
+    def worth(q: Array) -> float:
+        return float(np.nanmean(silhouette_iou(body, q, frame))) - float(strain(body.skeleton, q[None])[0])
+
+    now, best = worth(pose), (-1.0, pose)
     for rival in (turned_around, legs_exchanged):
         start = rival(body, pose)
         found = refine(body, start[None], replace(frame, prediction=start), _TO_MASKS)[0].pose
-        gain = float(np.nanmean(silhouette_iou(body, found, frame))) - now
+        gain = worth(found) - now
         if gain > best[0]:
             best = (gain, found)
     return best

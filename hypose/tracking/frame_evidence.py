@@ -5,7 +5,7 @@ the prediction.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -23,6 +23,7 @@ from hypose.fitting.own_rows import RowTerm
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term
+from hypose.tracking.refuted_views import without_refuted
 
 _Found = TypeVar("_Found")
 
@@ -65,11 +66,12 @@ class PoseMemory(Generic[_Found]):
 class PreparedFrame:
     """One frame ready to be searched for a body. masks and contours are None when no view has a usable silhouette,
     keypoints is None when there are no key points; points, rows: what `own`, the user's evidence, says. prediction
-    (D,): the pose expected before looking at the evidence, and prediction_weight: how strongly solves are pulled to it
-    (1 / rad^2 in units of the robust rows' cost). usual_iou: how well the body has overlapped the masks so far (NaN:
-    not known). rivals: the hypotheses that the last frame left, each where it is expected now (None: the set moves as
-    one). done: frames tracked before this one. counts: of the silhouettes of single poses, (C, 3); hessians: of their
-    solves, (D, D); shared: whatever else one layer of a recipe has found out for the next ones."""
+    (D,): the pose expected before looking at the evidence, and prediction_weight: how strongly solves are pulled to
+    it (1 / rad^2 in units of the robust rows' cost). usual_iou: how well the body has overlapped the masks so far
+    (NaN: not known). rivals: the hypotheses that the last frame left, each where it is expected now (None: the set
+    moves as one). done: frames tracked before this one. memory: what the recipe has remembered so far. counts: of the
+    silhouettes of single poses, (C, 3); hessians: of their solves, (D, D); shared: whatever else one layer of a
+    recipe has found out for the next ones."""
 
     frame: Frame
     body: Body
@@ -84,6 +86,7 @@ class PreparedFrame:
     own: tuple[OwnEvidence, ...] = ()
     done: int = 0
     rivals: Hypotheses | None = None
+    memory: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     counts: PoseMemory[NDArray[np.int64]] = field(default_factory=PoseMemory, compare=False, repr=False)
     hessians: PoseMemory[Array] = field(default_factory=PoseMemory, compare=False, repr=False)
     shared: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
@@ -129,6 +132,17 @@ def prepare(
             f"Frame {frame.index} carries no {'silhouettes' if use_silhouettes else 'key points'}; "
             "choose an evidence that the recording has."
         )
+    points_seen = frame.keypoints if use_keypoints else None
+    model = None
+    if points_seen is not None:
+        model = keypoints_on_body or keypoint_model(body, points_seen.names)
+        if model.names != points_seen.names:
+            raise EvidenceError(
+                f"Frame {frame.index} has other key points ({len(points_seen.names)}) than the subject was fitted "
+                f"with ({len(model.names)}); fit the subject again from this recording."
+            )
+        if silhouettes is not None:
+            points_seen, silhouettes = without_refuted(points_seen, silhouettes, body, model, prediction)
     masks = contours = None
     if silhouettes is not None:
         masks = prepared_masks(silhouettes)
@@ -138,14 +152,8 @@ def prepare(
         if contours is None:
             masks = None
     term = None
-    if use_keypoints and frame.keypoints is not None:
-        model = keypoints_on_body or keypoint_model(body, frame.keypoints.names)
-        if model.names != frame.keypoints.names:
-            raise EvidenceError(
-                f"Frame {frame.index} has other key points ({len(frame.keypoints.names)}) than the subject was fitted "
-                f"with ({len(model.names)}); fit the subject again from this recording."
-            )
-        term = keypoint_term(frame.keypoints, body, model, prediction, keypoint_scale_px)
+    if points_seen is not None:
+        term = keypoint_term(points_seen, body, model, prediction, keypoint_scale_px)
     said = [found for one in own if (found := one.rows(body, frame)) is not None]
     points = _joined([one for one in said if isinstance(one, PointTerm)], frame)
     rows = tuple(one for one in said if isinstance(one, RowTerm))

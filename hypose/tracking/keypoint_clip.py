@@ -21,6 +21,7 @@ from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.fitting import KeypointTerm, PointTerm, SolveSettings, fit_clip, fit_pose
 from hypose.geometry import Array
 from hypose.tracking.keypoint_evidence import STRANGER_M, KeypointModel, keypoint_term, shows_somebody_else
+from hypose.tracking.pinned_hinges import unpinned
 from hypose.tracking.pose_covariance import joint_covariance_of
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.smooth_motion import Smoothed, with_feet
@@ -123,7 +124,7 @@ def _one_by_one(
     """Each frame from the last one: poses (T, D), bridged where nothing is seen, and their rows. Who is seen where the
     person cannot have got to is not taken for them."""
     s = body.skeleton
-    prior = (anatomical_prior(s),)
+    prior = (anatomical_prior(s, keypoints=True),)
     poses, terms = np.empty((len(keypoints), s.dof)), []
     last, before = start, start
     unseen = frame_rate * EXTRAPOLATE_S  # the start may be that of a frame within the first second
@@ -142,7 +143,8 @@ def _one_by_one(
         unseen = 0.0 if term is not None else unseen + 1
         poses[t] = expected  # unseen: ever less of the last velocity
         if term is not None:
-            poses[t] = fit_pose(body, expected, keypoints=term, priors=prior, options=_QUICK).pose
+            found = fit_pose(body, expected, keypoints=term, priors=prior, options=_QUICK).pose
+            poses[t] = unpinned(body, found, term, prior, _QUICK)
         before, last = (last, poses[t]) if t else (poses[t], poses[t])
         if progress is not None:
             progress(t + 1, len(keypoints))
@@ -183,7 +185,7 @@ def _together(
             points=None if contacts is None else contacts[part],
             acceleration=weight,
             velocity=slow,
-            priors=(anatomical_prior(body.skeleton),),
+            priors=(anatomical_prior(body.skeleton, keypoints=True),),
             options=_ALL,
         )
 
@@ -193,7 +195,9 @@ def _together(
 def _information(body: Body, pose: Array, term: KeypointTerm | None) -> Array:
     """(D, D): what a frame by itself says of its pose."""
     still = SolveSettings(iterations=0, coarse_iterations=0)
-    return fit_pose(body, pose, keypoints=term, priors=(anatomical_prior(body.skeleton),), options=still).hessian
+    return fit_pose(
+        body, pose, keypoints=term, priors=(anatomical_prior(body.skeleton, keypoints=True),), options=still
+    ).hessian
 
 
 def _lost(known: NDArray[np.bool_], patience: float) -> NDArray[np.bool_]:

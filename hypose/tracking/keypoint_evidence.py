@@ -40,19 +40,25 @@ _CHAINS = (
 @dataclass(frozen=True)
 class KeypointModel:
     """Where named key points sit on a body: joint (K,), offset (K, 3) m in that joint's frame, known (K,). sd (K,) m:
-    noise of a detection at the body's distance, per axis, at confidence 1; None: not measured."""
+    noise of a detection at the body's distance, per axis, at confidence 1; None: not measured. view (C,): by how much
+    the noise of each view is larger (`hypose.tracking.view_noise`); None: all are alike."""
 
     names: tuple[str, ...]
     joint: NDArray[np.int64]
     offset: Array
     known: NDArray[np.bool_]
     sd: Array | None = None
+    view: Array | None = None
 
     def positions(self, body: Body, poses: Array) -> Array:
         """(..., K, 3) m: the points in the world at poses (..., D)."""
         rotations, centres = body.skeleton.forward(poses)
         turned = np.einsum("...kab,kb->...ka", rotations[..., self.joint, :, :], self.offset)
         return centres[..., self.joint, :] + turned
+
+    def worse(self, views: int) -> Array:
+        """(C,) >= 1: `view`, for so many views; 1 where it is not known, or of other views."""
+        return self.view if self.view is not None and len(self.view) == views else np.ones(views)
 
 
 def keypoint_model(body: Body, names: tuple[str, ...]) -> KeypointModel:
@@ -84,6 +90,7 @@ def keypoint_term(
         size = pixels_per_metre(keypoints, prediction[:3])
         uv = np.stack([camera.project_pinhole(expected) for camera in keypoints.rig])
         points = checked(points, uv, model.names, size, known)
+        points[..., 2] /= model.worse(len(size))[:, None] ** 2
         if model.sd is not None:
             sd_px = model.sd * size[:, None]
             scale_px = float(np.median(sd_px[:, known]))

@@ -22,9 +22,11 @@ from hypose.geometry import Array
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_term, pixels_per_metre
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.starts import start_from_keypoints
+from hypose.tracking.view_noise import view_factors
 
-LEAST_SD, LARGEST_SD = 0.008, 0.08
-"""m: bounds of the measured noise."""
+LEAST_SD, LARGEST_SD = 0.008, 0.3
+"""m: bounds of the measured noise. Points that scatter by 4 % of the height must weigh as little as that says, or they
+spoil what silhouettes know better."""
 TOGETHER = 2.0
 """Detections of one point err alike in neighbouring frames and views, and now and then widely: the noise that weighs
 them best is twice what their median distance says (chosen on the balancing clip)."""
@@ -49,6 +51,7 @@ def calibrate_keypoints(
     those of the model given. poses (T, D): roughly known poses, NaN rows where unknown (default: from triangulation).
     An EvidenceError when no frame has enough points.
     """
+    model = replace(model, view=view_factors(keypoints))
     start = _starts(body, model, keypoints) if poses is None else poses
     chosen = np.flatnonzero(np.isfinite(start).all(1))
     if len(chosen) == 0:
@@ -66,7 +69,7 @@ def calibrate_keypoints(
 
 
 def _starts(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints]) -> Array:
-    points, _, _ = triangulate_keypoints(keypoints)
+    points, _, _ = triangulate_keypoints(keypoints, worse=model.worse(len(keypoints[0].rig)))
     known = model.known
     out = np.full((len(points), body.skeleton.dof), np.nan)
     for t, frame in enumerate(points):
@@ -77,7 +80,7 @@ def _starts(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints]) ->
 
 def _solve(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], poses: Array) -> Array:
     """Each frame alone, from its pose (T, D)."""
-    out, prior = poses.copy(), (anatomical_prior(body.skeleton),)
+    out, prior = poses.copy(), (anatomical_prior(body.skeleton, keypoints=True),)
     options = SolveSettings(iterations=12, coarse_iterations=0)
     for t, frame in enumerate(keypoints):
         term = keypoint_term(frame, body, model, poses[t])
@@ -88,7 +91,7 @@ def _solve(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], pos
 
 class _Rows:
     """Residual (T, C, K, 2) px, its derivative by the offset (T, C, K, 2, 3) px/m, confidence (T, C, K) and pixels per
-    metre (T, C) of all points; confidence 0 where there is none."""
+    metre (T, C), times how much worse the view is than others, of all points; confidence 0 where there is none."""
 
     def __init__(self, residual: Array, slope: Array, confidence: Array, size: Array) -> None:
         self.residual, self.slope, self.confidence, self.size = residual, slope, confidence, size
@@ -104,8 +107,8 @@ def _rows(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], pose
     confidence = np.zeros((len(poses), views, count))
     size = np.ones((len(poses), views))
     for t, frame in enumerate(keypoints):
-        size[t] = pixels_per_metre(frame, poses[t, :3])
-        term = keypoint_term(frame, body, replace(model, sd=None), poses[t])  # exchanged sides put right
+        size[t] = pixels_per_metre(frame, poses[t, :3]) * model.worse(views)
+        term = keypoint_term(frame, body, replace(model, sd=None, view=None), poses[t])  # exchanged sides put right
         if term is None:
             continue
         for c, p in enumerate(frame.rig.projections):

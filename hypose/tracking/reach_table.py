@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hypose import compute
 from hypose.body.body import Body
+from hypose.body.skeleton import Skeleton
 from hypose.compute import reach
 from hypose.geometry import Array
 from hypose.tracking.frame_evidence import PreparedFrame
@@ -51,10 +52,24 @@ class ArmReach:
         """(N,) m^2: what of an arm at points (N, 8, 3) of a body at a pose (D,) lies outside the masks, less what of it
         explains them, summed over the views; no more than `above cutoff` where it lies above."""
         assert frame.masks is not None
+        return self.score_in(points, pose, frame.masks, rest, cutoff)
+
+    def score_in(
+        self, points: Array, pose: Array, masks: compute.PreparedMasks, rest: compute.Standing, cutoff: float
+    ) -> Array:
+        """`score` against masks."""
         rotation, centre = self.body.skeleton.forward(pose)
-        return reach.score_points(
-            points, self.area, rotation[self.parent], centre[self.parent], frame.masks, rest, cutoff
-        )
+        return reach.score_points(points, self.area, rotation[self.parent], centre[self.parent], masks, rest, cutoff)
+
+
+def in_practice(skeleton: Skeleton) -> tuple[Array, Array]:
+    """(D,), (D,): the range that joints use in practice: 60 % of the limits for balls, whose corners are unnatural."""
+    lower, upper = skeleton.lower.copy(), skeleton.upper.copy()
+    lower[:6] = upper[:6] = 0
+    for start in skeleton.ball_starts[1:]:
+        lower[start : start + 3] *= 0.6
+        upper[start : start + 3] *= 0.6
+    return lower, upper
 
 
 def ends(points: Array) -> Array:

@@ -14,10 +14,8 @@ from typing import Any
 import numpy as np
 
 from hypose.body.body import Body
-from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
 from hypose.fitting.articulated import SolveSettings
-from hypose.geometry import Array
 from hypose.inference.kernels import Compose, Except, HeavyTail, UniformShare
 from hypose.inference.layer import GoOn, Kernel, Layer, Recipe, Recovery
 from hypose.inference.selectivity import Annealed, FixedSelectivity
@@ -26,9 +24,10 @@ from hypose.tracking import published_recipes as published
 from hypose.tracking.costs import SilhouetteXor, no_evidence
 from hypose.tracking.exchanged_sides import look_for_exchange
 from hypose.tracking.monocular.recipe import PICTURE_CUES, TRIGGS, monocular
+from hypose.tracking.part_colours import LearnColours
 from hypose.tracking.pose_covariance import uncertainty_of_pose
 from hypose.tracking.published_recipes import LIMB_LAYERS, diffusion, step_sigma
-from hypose.tracking.reach_table import arm_reach
+from hypose.tracking.reach_table import arm_reach, in_practice
 from hypose.tracking.refinement import (
     COMPOSITE,
     SOLVED,
@@ -55,7 +54,14 @@ _TURNS = (0, 1, 0, 1)
 frame costs a tenth of the accuracy where the body is not the person's own"""
 
 
-def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iterations: int = 8, rivals: int = 3) -> Recipe:
+def default(
+    body: Body,
+    particles: int = 192,
+    frame_rate: float = 25.0,
+    iterations: int = 8,
+    rivals: int = 3,
+    colours: bool = False,
+) -> Recipe:
     """The product's default: a contour solve from the prediction, a greedy search of one limb at a time around it with
     long-tailed steps, a solve of what the search put together, and of the arms that could be elsewhere instead.
 
@@ -65,7 +71,9 @@ def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iteratio
     lost one. A quarter of an arm's particles are drawn anew over its whole reach, for a punch is faster than any
     diffusion. One leg and one arm are searched per frame, in turn; all four when the first solve overlaps the masks
     worse than usual, and below 20 frames per second, where more happens between two frames. In the same frames an arm's
-    whole reach is looked up; of what is found there the best live on beside the estimate, `rivals` poses in all.
+    whole reach is looked up; of what is found there the best live on beside the estimate, `rivals` poses in all. With
+    `colours` it learns, where there are pictures, what colours the person's parts have, and asks them where hands are:
+    it helps folded arms and costs half as much again, so it is asked for.
     """
     s = body.skeleton
     sigma = 2.0 * step_sigma(s, frame_rate)
@@ -81,18 +89,19 @@ def default(body: Body, particles: int = 192, frame_rate: float = 25.0, iteratio
         mask[own] = True
         moves: list[Kernel] = [diffusion(s, step, HeavyTail(0.3, 4.0, mask))]
         if name.endswith("arm"):
-            moves.append(UniformShare(0.25, *_reach(s), mask))
+            moves.append(UniformShare(0.25, *in_practice(s), mask))
         kernel = Except(Compose(tuple(moves)), (SOLVED, COMPOSITE))
         moving = np.isin(np.arange(len(s.joint_names)), [s.joint(j) for j in joints])
         weigh = Annealed(SilhouetteXor(moving), FixedSelectivity(1.0))  # the best is best under any exponent
         rows.append(Layer(kernel, weigh, Elite(1, mask, but=SOLVED), name, InTurn(turn, period)))
     rows.append(_rivals(body, turns, rivals, options))
-    return _solving(Recipe("default", rows, particles, rivals=rivals))
+    base = Recipe("default", rows, particles, rivals=rivals)
+    return _solving(replace(base, learn=LearnColours(), likes=("colours",)) if colours else base)
 
 
 def _rivals(body: Body, turns: Sequence[int], rivals: int, options: SolveSettings) -> Layer:
     """The layer that looks arms up in their turns (one for each of LIMB_LAYERS) and hands on so many hypotheses."""
-    lower, upper = _reach(body.skeleton)
+    lower, upper = in_practice(body.skeleton)
     arms = [
         (arm_reach(body, joints, lower, upper), InTurn(turn, 1 + max(turns)))
         for (name, joints), turn in zip(LIMB_LAYERS, turns, strict=True)
@@ -145,12 +154,14 @@ class Preset:
     """What is known of a recipe before there is a body. make(body, frame_rate=Hz): the recipe for a body, whose other
     parameters are the options that only this method has; citation; whole_clip: key points alone are enough, and are
     solved in all frames together instead of frame by frame; needs: as those of the recipe, as far as they decide which
-    recordings it can be used on; evidence: the choices, the usual one first."""
+    recordings it can be used on; likes: those that are looked at where they are at hand; evidence: the choices, the
+    usual one first."""
 
     make: Callable[..., Recipe]
     citation: str
     whole_clip: bool = False
     needs: tuple[str, ...] = ()
+    likes: tuple[str, ...] = ()
     evidence: tuple[str, ...] = ("silhouettes", "keypoints", "both")
 
     def check(self, name: str, evidence: str, options: Iterable[str]) -> None:
@@ -171,7 +182,7 @@ class Preset:
 
 
 RECIPES: dict[str, Preset] = {
-    "default": Preset(default, CONTOURS, whole_clip=True),
+    "default": Preset(default, CONTOURS, whole_clip=True, likes=("colours",)),
     "sir": Preset(published.sir, ISARD),
     "apf": Preset(published.apf, DEUTSCHER),
     "partitioned": Preset(published.partitioned, MACCORMICK),
@@ -214,13 +225,3 @@ def citation_of(name: str, refine: bool = False) -> str:
     """Where a preset comes from, \"\" for a name that is none; refine: as for `recipe`."""
     cited = RECIPES[name].citation if name in RECIPES else ""
     return f"{cited} {CONTOURS}" if cited and refine and CONTOURS not in cited else cited
-
-
-def _reach(skeleton: Skeleton) -> tuple[Array, Array]:
-    """(D,), (D,): the range that joints use in practice: 60 % of the limits for balls, whose corners are unnatural."""
-    lower, upper = skeleton.lower.copy(), skeleton.upper.copy()
-    lower[:6] = upper[:6] = 0
-    for start in skeleton.ball_starts[1:]:
-        lower[start : start + 3] *= 0.6
-        upper[start : start + 3] *= 0.6
-    return lower, upper

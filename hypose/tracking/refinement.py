@@ -17,23 +17,35 @@ from hypose.fitting.articulated import PoseFit, Quadratic, SolveSettings, fit_po
 from hypose.geometry import Array
 from hypose.inference.estimates import TangentMean
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.costs import frame_energy, silhouette_iou
+from hypose.tracking.costs import frame_energy, keypoint_cost, silhouette_iou
 from hypose.tracking.frame_evidence import PreparedFrame
 
 SOLVED, COMPOSITE, RIVAL = "solved", "composite", "rival"
 """Roles: the hypothesis that a solve put in, the one that a search of single limbs puts together, and another solved
 one that is alive beside the first."""
+LUMBAR_SD = 0.28
+"""rad: how far the spine is flexed or extended, as a rule: root mean square over captured walking, running and boxing
+(7.8, 7.7 and 25 degrees, CMU 02_01, 02_03 and 02_05, equal shares). Bending to the ground takes three times as much,
+and is still found, since the shoulders tell it (Vazirian et al. 2016, lumbopelvic rhythm in the sagittal plane)."""
+KEYPOINT_SHARE = 0.003
+"""What a difference of 1 in the log-likelihood of key points is in shares of the masks. Chosen on scenes with spoilt
+key points (walk, box, serve; seeds 700 and 701)."""
 SETTLING = SolveSettings(iterations=24, coarse_iterations=12)
 """For a solve from far: of a start that may be centimetres off, and of where a lost person is found again."""
 
 
-def anatomical_prior(skeleton: Skeleton) -> Quadratic:
+def anatomical_prior(skeleton: Skeleton, keypoints: bool = False) -> Quadratic:
     """Weak pull of every joint angle to the rest pose, stronger where silhouettes hardly see the joint.
 
     Weights are those of a joint in units of the robust rows' cost: 0.09 for limbs, 1 for spine and neck, 4 for
-    clavicles and ankles, 0 for the root.
+    clavicles and ankles, 0 for the root. keypoints: the evidence has key points, in which two points of the hips leave
+    open how the pelvis turns about them, and a small fault of theirs turns it far: LUMBAR_SD holds the flexion of the
+    spine.
     """
-    return Quadratic(np.zeros(skeleton.dof), _anatomical_weights(skeleton.dof_names).copy())
+    weight = _anatomical_weights(skeleton.dof_names).copy()
+    if keypoints:
+        weight[[n == "spine_rx" for n in skeleton.dof_names]] = LUMBAR_SD**-2
+    return Quadratic(np.zeros(skeleton.dof), weight)
 
 
 @lru_cache(8)
@@ -138,14 +150,18 @@ def _all_at(pose: Array, h: Hypotheses) -> Hypotheses:
 
 def mismatch(poses: Array, frame: PreparedFrame, step_penalty: float = 0.002, expected: Array | None = None) -> Array:
     """(N,) mean energy over the views (eq. 2.8 / views) + step_penalty x mean squared step from the prediction (or from
-    where each was expected (N, D)) in large steps (three usual motions): what chooses between solved poses. The penalty
-    keeps equal silhouettes from flipping a limb."""
+    where each was expected (N, D)) in large steps (three usual motions) + KEYPOINT_SHARE x what the key points cost:
+    what chooses between solved poses. The penalty keeps equal silhouettes from flipping a limb, and what overlaps the
+    masks better may not leave key points that are sure of themselves."""
     assert frame.masks is not None
     views = max(int(frame.masks.usable.sum()), 1)
     skeleton = frame.body.skeleton
     expected = frame.prediction if expected is None else expected
     step = (skeleton.on_branch(poses, expected) - expected) / (3 * skeleton.sigma)
-    return frame_energy(poses, frame) / views + step_penalty * (step[:, 3:] ** 2).mean(1)
+    cost = frame_energy(poses, frame) / views + step_penalty * (step[:, 3:] ** 2).mean(1)
+    if frame.keypoints is None:
+        return cost
+    return cost + KEYPOINT_SHARE * keypoint_cost(frame.body, poses, frame.keypoints)
 
 
 def best_fit(fits: list[PoseFit], frame: PreparedFrame) -> PoseFit:
@@ -159,7 +175,8 @@ def best_fit(fits: list[PoseFit], frame: PreparedFrame) -> PoseFit:
 
 def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettings) -> list[PoseFit]:
     """Independent robust solves from starts (N, D) on a frame's evidence, with anatomical and prediction priors."""
-    priors = (anatomical_prior(body.skeleton), prediction_prior(frame.prediction, frame.prediction_weight))
+    trunk = anatomical_prior(body.skeleton, frame.keypoints is not None)
+    priors = (trunk, prediction_prior(frame.prediction, frame.prediction_weight))
     fits = fit_poses(
         body,
         starts,

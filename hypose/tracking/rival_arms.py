@@ -20,6 +20,7 @@ from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, Hypotheses
 from hypose.tracking.costs import frame_energy
 from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.part_colours import ColourSettings, colour_scores, hands_by_colours
 from hypose.tracking.reach_table import ArmReach, ends, ends_of
 from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, member, mismatch, refine
 
@@ -72,6 +73,7 @@ class RefineRivals:
     margin: float = 0.02
     look: LookedUp = LookedUp()
     contest: Contest = Contest()
+    colours: ColourSettings = ColourSettings()
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """The hypotheses that live on."""
@@ -93,8 +95,10 @@ class RefineRivals:
         fresh = np.zeros(len(poses), np.bool_)
         fresh[1 + len(composite) : 1 + len(starts)] = True
         expected = np.stack([*[frame.prediction] * (1 + len(starts)), *old])
-        costs = mismatch(poses, frame, expected=expected)
-        scores = costs + c.doubt * costs[0] * fresh - c.memory * c.softness * alive.relative_log_weights[parents]
+        poses, costs, colours = self._by_colours(poses, expected, frame)
+        scores = (
+            costs + colours + c.doubt * costs[0] * fresh - c.memory * c.softness * alive.relative_log_weights[parents]
+        )
         at = ends_of([arm for arm, _ in self.arms], poses)
         before = last[parents]
         for k, (arm, _) in enumerate(self.arms):
@@ -104,6 +108,29 @@ class RefineRivals:
             before[row, self.arms[n][0].own] = last[1 + k, self.arms[n][0].own]
         found = Hypotheses(s.clamp(poses), -scores / c.softness, parents, columns={BEFORE: before})
         return _roles(found.take(self._living(scores, costs, at.reshape(len(poses), -1, 3))))
+
+    def _by_colours(self, poses: Array, expected: Array, frame: PreparedFrame) -> tuple[Array, Array, Array]:
+        """The poses (N, D), with the hands of the best put where the colours say that they are; their mismatches (N,),
+        and what the colours say against them (N,)."""
+        costs = mismatch(poses, frame, expected=expected)
+        colours = self.colours.weight * colour_scores(poses, frame, self.colours)
+        if frame.keypoints is not None:  # these know better where hands are
+            return poses, costs, colours
+        moved = dict[int, Array]()
+        for n in np.argsort(costs + colours, kind="stable")[: self.keep].tolist():
+            hands = hands_by_colours(poses[n], frame, self.colours)
+            if hands is not None:
+                own = replace(frame, keypoints=hands, prediction=expected[n])
+                moved[n] = refine(frame.body, poses[n][None], own, self.near)[0].pose
+        if not moved:
+            return poses, costs, colours
+        which, found = np.array(list(moved)), np.stack(list(moved.values()))
+        again = mismatch(found, frame, expected=expected[which])
+        said = self.colours.weight * colour_scores(found, frame, self.colours)
+        won = again + said < (costs + colours)[which]
+        poses, costs, colours = poses.copy(), costs.copy(), colours.copy()
+        poses[which[won]], costs[which[won]], colours[which[won]] = found[won], again[won], said[won]
+        return poses, costs, colours
 
     def _composite(self, h: Hypotheses, winner: Array, frame: PreparedFrame) -> list[Array]:
         """The pose (D,) that the search put together, when it has won anything."""

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from hypose.body.anthropometry import body_of, length_rows, prior_covariance, prior_mean
 from hypose.body.body import Body, Landmarks, Mesh
-from hypose.compute import SharedEquations, geman_mcclure, silhouette, weighted_squares
+from hypose.compute import NOT_KNOWN, SharedEquations, geman_mcclure, silhouette, weighted_squares
 from hypose.errors import EvidenceError
 from hypose.fitting.articulated import ContourTerm
 from hypose.fitting.least_squares import Rule, descend
@@ -333,6 +333,7 @@ def outline_rows(
     r, slope = _bilinear(sdf, xy)
     agree = (slope * n).sum(1) > least_cosine * np.linalg.norm(slope, axis=1)
     agree |= np.linalg.norm(slope, axis=1) < 0.3
+    agree &= _known(sdf, xy)
     reference = max(6 / 260 * term.height_px, 1.0)
     forward = np.flatnonzero(agree)
     rows = [(a[forward], b[forward], t[forward], r[forward], slope[forward], share[forward] / reference)]
@@ -358,6 +359,13 @@ def outline_rows(
     u = hp[:, :2] / hp[:, 2:]
     g = (rg[:, :1] * (p[0, :3] - u[:, :1] * p[2, :3]) + rg[:, 1:] * (p[1, :3] - u[:, 1:] * p[2, :3])) / hp[:, 2:]
     return ra, rb, rt, rr, g, rw
+
+
+def _known(sdf: NDArray[np.float32], xy: Array) -> NDArray[np.bool_]:
+    """(N,) where the four pixels around points (N, 2) px have a distance."""
+    x = np.clip(np.floor(xy[:, 0]).astype(int), 0, sdf.shape[1] - 2)
+    y = np.clip(np.floor(xy[:, 1]).astype(int), 0, sdf.shape[0] - 2)
+    return np.max([sdf[y + dy, x + dx] for dy in (0, 1) for dx in (0, 1)], axis=0) < NOT_KNOWN
 
 
 def _bilinear(sdf: NDArray[np.float32], xy: Array) -> tuple[Array, Array]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -104,51 +106,18 @@ def _root_guesses(
     return [np.concatenate([centre, [0, 0, yaw]]) for yaw in np.arange(4) * np.pi / 2]
 
 
-def start_from_hull(
-    body: Body,
-    frame: PreparedFrame,
-    poses: tuple[str, ...] = KNOWN_POSES,
-    headings: int = 16,
-    options: SolveSettings | None = None,
+def start_in_pose(
+    body: Body, frame: PreparedFrame, names: Sequence[str], headings: int = 16, options: SolveSettings | None = None
 ) -> PoseFit:
-    """The pose and heading that explain the silhouettes best, placed at the visual hull and refined.
-
-    With all known poses allowed, strides and raised forearms are tried besides, because a recording seldom begins with
-    a pose held still. An EvidenceError when the views have no common hull. Source: Alcoverro 2014, section 2.3.3 step 1
-    (hull placement); the choice among several poses and headings is an addition.
-    """
+    """The known pose of these names, and the heading, that explain the silhouettes best, placed at the visual hull and
+    solved. An EvidenceError when the views have no common hull. Source: Alcoverro 2014, section 2.3.3 step 1."""
     hull = hull_of(frame)
-    bases = [known_pose(body, name) for name in poses]
-    if poses == KNOWN_POSES:
-        bases += _everyday_poses(body)
     candidates = [
-        _centred(body, turned(base, heading), hull)
-        for base in bases
+        _centred(body, turned(known_pose(body, name), heading), hull)
+        for name in names
         for heading in np.arange(headings) * 2 * np.pi / headings
     ]
     return _best_refined(body, np.stack(candidates), frame, options or SETTLING)
-
-
-def _everyday_poses(body: Body) -> list[Array]:
-    """Standing and striding, with the arms swinging or both forearms up; (D,) each."""
-    s, out = body.skeleton, []
-    for forward, back in (("left", "right"), ("right", "left")):
-        pose = known_pose(body, "standing")
-        pose[s.dofs_of(f"{forward}_hip")[0]] -= 0.45
-        pose[s.dofs_of(f"{back}_hip")[0]] += 0.25
-        pose[s.dofs_of(f"{back}_knee")] += 0.5
-        for side, swing in ((back, -0.4), (forward, 0.4)):
-            shoulder = s.dofs_of(f"{side}_shoulder")
-            pose[shoulder] = so3_log(so3_exp([swing, 0, 0]) @ so3_exp(pose[shoulder]))
-            pose[s.dofs_of(f"{side}_elbow")] += 0.4
-        out.append(s.clamp(pose))
-    for pose in [known_pose(body, "standing"), *out]:
-        guard = pose.copy()
-        for side in ("left", "right"):
-            guard[s.dofs_of(f"{side}_shoulder")] = known_pose(body, "standing")[s.dofs_of(f"{side}_shoulder")]
-            guard[s.dofs_of(f"{side}_elbow")] += 1.6
-        out.append(s.clamp(guard))
-    return out
 
 
 def turned(pose: Array, heading: float) -> Array:

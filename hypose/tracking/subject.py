@@ -165,7 +165,7 @@ def _solve_frames(body: Body, points: Array, model: KeypointModel, frames: np.nd
             term = PointTerm(seen, np.ones(len(seen)), joint, offset, 0.03)
             options = SolveSettings(iterations=20, coarse_iterations=8)
             poses[t] = fit_pose(
-                body, start, points=term, priors=(anatomical_prior(body.skeleton),), options=options
+                body, start, points=term, priors=(anatomical_prior(body.skeleton, keypoints=True),), options=options
             ).pose
         last = poses[t]
 

@@ -20,7 +20,7 @@ from hypose.errors import InputError
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, Hypotheses
-from hypose.inference.layer import Recipe, Recovery, search, stand_still
+from hypose.inference.layer import Memory, Recipe, Recovery, search, stand_still
 from hypose.inference.random_streams import stream
 from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.frame_evidence import OwnEvidence, PreparedFrame, prepare, view_count
@@ -32,7 +32,11 @@ BETWEEN_FRAMES, RECOVERY, START = -1, -2, -3
 """Layer numbers of the random streams used outside a recipe's layers."""
 NOBODY = 0.3
 """Share of the usual mean IoU below which the masks hold nobody where the body is, or the rim of somebody else."""
-_COLUMN, _MODES = "column_", "modes_"
+LOOSE, FOUND, LOOKS = 0.75, 0.1, 4
+"""Mean IoU below which a body may be lost whatever is usual, since who is wrong from the start sets what is usual; how
+much better it must lie elsewhere to have been lost: turning around costs no more; and how many looks for a rival there
+are to one of these, which takes longer."""
+_COLUMN, _MODES, _MEMORY = "column_", "modes_", "memory_"
 
 
 @dataclass(frozen=True)
@@ -63,7 +67,8 @@ class TrackerSettings:
 class FrameEstimate:
     """pose (D,), its uncertainty, cost: 1 - mean IoU (NaN without silhouettes), flags, number of views. overlap (C,):
     IoU of the body with each view's mask, NaN where that is not usable, empty when not looked at. exchanged: by
-    how much a rival (the body with its sides exchanged) overlaps the masks better, NaN when not looked at.
+    how much a rival (the body with its sides exchanged) overlaps the masks better, or a body that was lost and found
+    than where it was held to be, NaN when not looked at.
     seen (C, 3): what hypose.pipeline.doubts keeps of each view, (0, 3) when nothing; audit (J, A): what speaks for and
     against each joint (hypose.tracking.audit), (0, 0) when not looked at. rivals (K, D), rival_weights (K,): other
     poses that the evidence allows, as in `Motion`."""
@@ -91,7 +96,7 @@ class FrameEstimate:
 class TrackerState:
     """What the next frame needs. frames: frames done; pose, previous (D,); joint_covariance (J, 3, 3) m^2;
     usual_iou: running mean of the IoU while not lost (NaN before the first); blind: frames since the last evidence;
-    lost: in the last frame."""
+    lost: in the last frame; memory: what the recipe remembers beside."""
 
     frames: int
     hypotheses: Hypotheses
@@ -101,6 +106,7 @@ class TrackerState:
     usual_iou: float
     blind: int
     lost: bool
+    memory: Memory = field(default_factory=dict)
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Plain arrays for a checkpoint."""
@@ -118,6 +124,7 @@ class TrackerState:
             "blind": np.array(self.blind),
             "lost": np.array(self.lost),
             **{f"{_COLUMN}{name}": column for name, column in self.hypotheses.columns.items()},
+            **{f"{_MEMORY}{name}": array for name, array in self.memory.items()},
         }
 
     @staticmethod
@@ -137,6 +144,7 @@ class TrackerState:
             float(arrays["usual_iou"]),
             int(arrays["blind"]),
             bool(arrays["lost"]),
+            {k.removeprefix(_MEMORY): v for k, v in arrays.items() if k.startswith(_MEMORY)},
         )
 
 
@@ -161,8 +169,9 @@ class Tracker:
         if "picture" in self.recipe.needs and self.own:
             raise InputError(f"The recipe {self.recipe.name!r} looks at one picture, and not at evidence of your own.")
 
-    def start(self, begin: Array | Hypotheses) -> TrackerState:
-        """State before the first frame, around a start pose (D,), or with these rival starts."""
+    def start(self, begin: Array | Hypotheses, memory: Memory | None = None) -> TrackerState:
+        """State before the first frame, around a start pose (D,), or with these rival starts. memory: what has been
+        remembered of the same person."""
         s = self.body.skeleton
         given = begin.values if isinstance(begin, Hypotheses) else begin
         if np.shape(given)[-1:] != (s.dof,) or not np.isfinite(given).all():
@@ -173,7 +182,7 @@ class Tracker:
             pose = s.canonical(s.clamp(begin))
             h = self._around(pose, 0.5, stream(self.settings.seed, 0, START))
         unknown = np.full((len(s.joint_names), 3, 3), np.nan, np.float32)
-        return TrackerState(0, h, pose, pose, unknown, float("nan"), 0, False)
+        return TrackerState(0, h, pose, pose, unknown, float("nan"), 0, False, memory or {})
 
     def follow(self, state: TrackerState, frames: Iterable[Frame]) -> Iterator[tuple[TrackerState, FrameEstimate]]:
         """The state and the estimate after each of the frames."""
@@ -183,14 +192,10 @@ class Tracker:
 
     def step(self, state: TrackerState, frame: Frame) -> tuple[TrackerState, FrameEstimate]:
         """One frame: predict, search, judge, and recover when lost."""
-        s, recipe = self.body.skeleton, self.recipe
-        state = self._on_canonical_branch(state)
-        last_step = state.pose - s.on_branch(state.previous, state.pose)
-        # after a loss the last step is none of the person's
-        alone = np.zeros_like(last_step)
-        step = alone if recipe.predict is None else recipe.predict(alone if state.lost else last_step, state.blind)
+        recipe = self.recipe
+        state, step = self._ahead(state)
         prediction = self._within(state.pose + step)
-        prepared = self._prepare(frame, prediction, state)
+        prepared = replace(self._prepare(frame, prediction, state), memory=state.memory)
         if not prepared.usable:
             return self._extrapolate(state, prediction, self._expected(state, step))
         if state.frames == 0:
@@ -206,57 +211,86 @@ class Tracker:
         lost = self._is_lost(iou, state.usual_iou)
         if recipe.lost is not None:
             lost = recipe.lost(pose, result.weighted, prepared)
+        gain = float("nan")
         if recipe.recover is not None and prepared.masks is not None:
-            state, pose, selected, iou, lost = self._recover(recipe.recover, state, pose, selected, iou, prepared)
+            state, pose, selected, iou, lost, gain = self._recover(recipe.recover, state, pose, selected, iou, prepared)
         known = (recipe.uncertainty or uncertainty_of_set)(pose, result.weighted, prepared)
         usual = state.usual_iou
         if not lost and np.isfinite(iou):
             usual = iou if np.isnan(usual) else usual + 0.1 * (iou - usual)
         before = selected.columns.get(BEFORE)
         last = state.pose if before is None else before[selected.relative_log_weights.argmax()]
-        following = TrackerState(state.frames + 1, selected, pose, last, known.joint_covariance, usual, 0, lost)
+        memory = state.memory
+        if recipe.learn is not None and not lost:
+            memory = recipe.learn(memory, pose, selected, prepared)
+        following = TrackerState(state.frames + 1, selected, pose, last, known.joint_covariance, usual, 0, lost, memory)
         cost = 1 - iou if np.isfinite(iou) else float("nan")
         overlap = silhouette_iou(self.body, pose, prepared)
-        gain = float("nan") if lost else self._rival_gain(state, pose, prepared)
+        if not lost and np.isnan(gain):
+            gain = self._rival_gain(state, pose, prepared)
         rivals, weights = self._rivals(None if lost else selected)
         views = view_count(prepared)
         return following, FrameEstimate(
             pose, known, cost, lost, False, views, overlap, gain, rivals=rivals, rival_weights=weights
         )
 
+    def predicted(self, state: TrackerState) -> Array:
+        """(D,) the pose that is expected in the next frame."""
+        state, step = self._ahead(state)
+        return self._within(state.pose + step)
+
+    def _ahead(self, state: TrackerState) -> tuple[TrackerState, Array]:
+        """The state on the branch that its pose is on, and the step (D,) that is expected."""
+        state = self._on_canonical_branch(state)
+        last_step = state.pose - self.body.skeleton.on_branch(state.previous, state.pose)
+        # after a loss the last step is none of the person's
+        alone = np.zeros_like(last_step)
+        predict = self.recipe.predict
+        return state, alone if predict is None else predict(alone if state.lost else last_step, state.blind)
+
     def _recover(
         self, how: Recovery, state: TrackerState, pose: Array, selected: Hypotheses, iou: float, prepared: PreparedFrame
-    ) -> tuple[TrackerState, Array, Hypotheses, float, bool]:
-        """The state before the frame, the pose (D,) in it, the set to go on with, the pose's IoU, and whether it is
-        lost, when a lost person has been looked for."""
-        lost = self._is_lost(iou, state.usual_iou)
-        if lost or state.lost or state.blind > 2:
+    ) -> tuple[TrackerState, Array, Hypotheses, float, bool, float]:
+        """The state before the frame, the pose (D,) in it, the set to go on with, the pose's IoU, whether it is lost,
+        and by how much the IoU has grown, when a lost person has been looked for and found (else NaN)."""
+        lost, gain = self._is_lost(iou, state.usual_iou), float("nan")
+        known = lost or state.lost or state.blind > 2
+        if known or (iou < LOOSE and self._has_look(state, LOOKS)):
             found = how.find(pose, state.pose, prepared)
             found_iou = _mean_iou(self.body, found, prepared)
             # from nowhere only to a whole person: the rim of somebody else's hull is no find
             cut_off = self._is_nobody(iou, state.usual_iou) and self._is_lost(found_iou, state.usual_iou)
-            if found_iou > iou + 0.02 and not cut_off:
-                pose, iou = found, found_iou
+            if found_iou > iou + (0.02 if known else FOUND) and not cut_off:
+                pose, iou, gain = found, found_iou, found_iou - iou
                 selected = self._around(pose, 1.0, stream(self.settings.seed, prepared.frame.index, RECOVERY))
                 lost = self._is_lost(iou, state.usual_iou)
                 state = replace(state, pose=pose)  # the step back is no velocity
         if lost and self._is_nobody(iou, state.usual_iou):
             # stay where the person was last seen: a solve would drift to whatever else is in the masks
             pose, selected = state.pose, state.hypotheses
-        return state, pose, selected, iou, lost
+        return state, pose, selected, iou, lost, gain
 
     def rival(self, pose: Array, frame: Frame) -> Array:
-        """The rival of a pose (D,) on a frame's evidence, where tracking may begin anew; the pose if there is none."""
-        look = self.recipe.recover.rival if self.recipe.recover is not None else None
-        return pose if look is None else look(pose, self._prepare(frame, pose))[1]
+        """Where tracking may begin anew from a pose (D,), on a frame's evidence: its rival, or the body looked for as
+        one that is lost, or the pose if neither is better."""
+        how, prepared = self.recipe.recover, self._prepare(frame, pose)
+        if how is None or prepared.masks is None:
+            return pose
+        tried = [pose, how.find(pose, pose, prepared)]
+        if how.rival is not None:
+            tried.append(how.rival(pose, prepared)[1])
+        return tried[int(np.argmax([_mean_iou(self.body, q, prepared) for q in tried]))]
 
     def _rival_gain(self, state: TrackerState, pose: Array, prepared: PreparedFrame) -> float:
         """Looked for now and then, where silhouettes alone tell left from right."""
-        every = max(1, round(self.settings.rival_every * self.settings.frame_rate))
         look = self.recipe.recover.rival if self.recipe.recover is not None else None
-        if look is None or prepared.masks is None or prepared.keypoints is not None or state.frames % every:
+        if look is None or prepared.masks is None or prepared.keypoints is not None or not self._has_look(state):
             return float("nan")
         return look(pose, prepared)[0]
+
+    def _has_look(self, state: TrackerState, times: int = 1) -> bool:
+        """It is the turn of what is looked for now and then, or so many times as seldom."""
+        return state.frames % max(1, round(times * self.settings.rival_every * self.settings.frame_rate)) == 0
 
     def _around(self, pose: Array, steps: float, rng: np.random.Generator) -> Hypotheses:
         """The recipe's number of hypotheses scattered about a pose (D,), by so many usual steps."""
@@ -350,7 +384,7 @@ class Tracker:
         covariance = (np.nan_to_num(state.joint_covariance, nan=0.0) + growth).astype(np.float32)
         lost = state.lost or blind > self.settings.extrapolate * self.settings.frame_rate
         following = TrackerState(
-            state.frames + 1, expected, prediction, state.pose, covariance, state.usual_iou, blind, lost
+            state.frames + 1, expected, prediction, state.pose, covariance, state.usual_iou, blind, lost, state.memory
         )
         rivals, weights = self._rivals(None)
         nothing = nothing_known(covariance, s.dof)
@@ -362,7 +396,8 @@ class Tracker:
 def _mean_iou(body: Body, pose: Array, prepared: PreparedFrame) -> float:
     if prepared.masks is None:
         return float("nan")
-    return float(np.nanmean(silhouette_iou(body, pose, prepared)))
+    overlap = silhouette_iou(body, pose, prepared)
+    return float(np.nanmean(overlap)) if np.isfinite(overlap).any() else float("nan")
 
 
 def motion_of(

@@ -21,6 +21,7 @@ def clip(frames=30, points=False, masks=True):
         *(lost, lost.copy(), np.full(frames, 4), np.full(frames, 0.17 if masks else np.nan)),
     )
     usual = {"bare": 0.005, "bare_second": 0.001, "bare_reach": 0.05, "exposed": 2.0, "exposed_second": 0.6}
+    usual |= {"exchanged": -0.06, "points_agree": 4}
     usual |= {"outside": 0.05, "points_median": 0.02, "points_worst": 0.05, "points_views": 4, "points_all": 0.02}
     audit = np.zeros((*joints.shape[:2], len(AUDITED)), np.float32)
     for k, name in enumerate(AUDITED):
@@ -44,7 +45,7 @@ def test_a_clean_clip_is_not_doubted_and_an_arm_that_disagrees_is(masks, points,
     for name, value in (("bare", 0.2), ("bare_second", 0.08), ("bare_reach", 0.4), ("outside", 1.5), ("rival", 0.15)):
         if masks:
             bad[10:20, wrist, AUDITED.index(name)] = value
-    for name, value in (("points_median", 0.3), ("points_worst", 0.4), ("points_views", 2)):
+    for name, value in (("points_median", 0.3), ("points_worst", 0.4), ("points_views", 2), ("points_agree", 0)):
         if points:
             bad[10:20, wrist, AUDITED.index(name)] = value
     jumped = joints.copy()

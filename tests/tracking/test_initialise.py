@@ -6,7 +6,8 @@ import pytest
 from hypose.errors import EvidenceError, InputError
 from hypose.tracking.costs import xor_energy
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.starts import known_pose, recover, start_from_hull, start_from_keypoints
+from hypose.tracking.start_search import start_from_hull
+from hypose.tracking.starts import known_pose, recover, start_from_keypoints
 from tests.tracking.measures import joint_error
 
 

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
+from hypose.geometry import so3_exp, so3_log
 from hypose.tracking.recipes import RECIPES, recipe
 from hypose.tracking.tracker import (
+    FOUND,
     Tracker,
     TrackerSettings,
     TrackerState,
@@ -95,6 +97,26 @@ def test_a_jump_is_noticed_and_recovered(body, standing, frame_of):
     _, estimates = run(small(body, "default", 16), poses, frame_of)
     assert joint_error(body, estimates[-1].pose, jumped) < 0.05
     assert not estimates[-1].lost
+
+
+def upside_down(body, pose):
+    """The pose (D,) on its head, its middle where it was."""
+    out = pose.copy()
+    out[3:6] = so3_log(so3_exp(pose[3:6]) @ so3_exp([np.pi, 0.0, 0.0]))
+    out[:3] += body.skin(pose).mean(0) - body.skin(out).mean(0)
+    return out
+
+
+@pytest.mark.parametrize("first", [0, 5], ids=["start", "later"])
+def test_a_body_that_is_wrong_from_the_start_is_looked_for_whatever_is_usual(body, standing, frame_of, first):
+    tracker = Tracker(body, recipe("default", body, particles=16), TrackerSettings(rival_every=0.06))
+    state = replace(tracker.start(upside_down(body, standing)), frames=first, usual_iou=float("nan"))
+    frames = [frame_of(body, standing, t) for t in range(7)]
+    estimates = [estimate for _, estimate in tracker.follow(state, frames)]
+    assert joint_error(body, estimates[-1].pose, standing) < 0.05
+    found = [e.exchanged for e in estimates if e.exchanged > FOUND]
+    assert len(found) == 1  # it is said, so that the frames before can be tracked again
+    assert not any(e.lost for e in estimates)
 
 
 def test_without_recovery_a_jump_is_flagged_as_lost(body, standing, frame_of):

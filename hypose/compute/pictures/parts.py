@@ -32,20 +32,34 @@ def parts_against_mask(
     n_parts: int,
     points: ArrayLike,
     radius: ArrayLike,
+    ignored: NDArray[np.uint8] | None = None,
 ) -> PartView:
     """A mesh with vertices at uv (V, 2) px and depths z (V,) m against a mask (h, w) of 0 and 1.
 
     part (F,): each face's part, below n_parts (16 at most); points (N, 2) px, radius (N,) px: around which bare mask is
-    counted. Rims of one pixel count neither as bare nor as outside, nor does what is thinner than three pixels.
+    counted. ignored (h, w): 1 = a pixel that says nothing: neither bare nor outside, and nothing is exposed there. Rims
+    of one pixel count neither as bare nor as outside, nor does what is thinner than three pixels.
     """
     drawn = np.zeros(mask.shape, np.uint16)
     bit = (np.uint16(1) << part.astype(np.uint16)).astype(np.uint16)
     kernels = native("pictures.parts")
     kernels.draw(np.asarray(uv, np.float64), np.asarray(z, np.float64), faces, bit, drawn)
     body = (drawn > 0).astype(np.uint8)
-    outside = cv2.morphologyEx(1 - cv2.dilate(mask, _CROSS), cv2.MORPH_OPEN, _CROSS)
+    open_mask = mask
+    if ignored is not None:
+        mask, open_mask = mask & (1 - ignored), mask | ignored
+    outside = cv2.morphologyEx(1 - cv2.dilate(open_mask, _CROSS), cv2.MORPH_OPEN, _CROSS)
     bare = cv2.morphologyEx(mask & (1 - cv2.dilate(body, _CROSS)), cv2.MORPH_OPEN, _CROSS)
     out = PartView(*(np.zeros(n_parts, np.int64) for _ in range(3)), np.zeros(len(np.asarray(points)), np.int64))
     kernels.tally(drawn, outside, out.area, out.exposed, out.outside)
+    if ignored is not None:  # what is seen of the parts; their areas stay the whole ones
+        out.exposed[:] = 0
+        kernels.tally(
+            np.where(ignored > 0, np.uint16(0), drawn),
+            outside,
+            np.zeros_like(out.area),
+            out.exposed,
+            np.zeros_like(out.area),
+        )
     kernels.near(bare, np.asarray(points, np.float64), np.asarray(radius, np.float64) ** 2, out.bare)
     return out

@@ -49,7 +49,7 @@ def score_points(points, weights, rotation, centre, prepared, bits, cutoff, out)
                 if not (0 <= u < prepared.sizes[c, 0] and 0 <= v < prepared.sizes[c, 1]):
                     continue
                 column, row = int(u), int(v)
-                if prepared.masks[c, row, column] == 0:
+                if prepared.open_masks[c, row, column] == 0:
                     total += weights[p]
                 elif not (bits[c, row, column >> 3] >> np.uint8(column & 7)) & np.uint8(1):
                     total -= weights[p]

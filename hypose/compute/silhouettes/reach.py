@@ -34,13 +34,23 @@ def standing(
             packed = np.packbits(drawn, axis=1, bitorder="little")
             bits[c, :h, : packed.shape[1]] = packed
             counts[c] = drawn.sum(), (drawn & (prepared.masks[c, :h, :w] != 0)).sum()
+        hide(prepared, bits, counts)
         return Standing(bits, counts)
     s, masks = prepared.sizes, tidy(prepared)
     boxes = np.ascontiguousarray(np.stack([0 * s[:, 0], s[:, 0], 0 * s[:, 1], s[:, 1]], 1))
     native("silhouettes.standing").draw_standing(
         q, tidy(tree), tidy(mesh), parts.corners, parts.standing, masks, boxes, bits, counts
     )
+    hide(prepared, bits, counts)
     return Standing(bits, counts)
+
+
+def hide(prepared: PreparedMasks, bits: NDArray[np.uint8], counts: NDArray[np.int64]) -> None:
+    """Adds the pixels that say nothing to what stands (bits (C, h, B), counts (C, 2)), in place: they are drawn, so
+    that nothing else counts there, and count themselves for nothing."""
+    if prepared.hidden.size:
+        counts[:, 0] -= np.bitwise_count(bits & prepared.hidden).sum((1, 2), dtype=np.int64)
+        np.bitwise_or(bits, prepared.hidden, out=bits)
 
 
 def score_points(
@@ -77,7 +87,7 @@ def _reference(p: Array, w: Array, r: Array, c: Array, prepared: PreparedMasks, 
         at = np.floor(x[..., :2] / np.where(front, x[..., 2], 1.0)[..., None] + 0.5)
         seen = front & (at >= 0).all(-1) & (at < prepared.sizes[k]).all(-1)
         u, v = (np.where(seen, at[..., i], 0).astype(np.int64) for i in (0, 1))
-        mask = prepared.masks[k, v, u] != 0
+        mask = prepared.open_masks[k, v, u] != 0
         drawn = (rest.bits[k, v, u >> 3] >> (u & 7).astype(np.uint8)) & 1 > 0
         out += (seen * w * np.where(mask, np.where(drawn, 0.0, -1.0), 1.0)).sum(1)
     return out

@@ -18,6 +18,7 @@ from hypose.compute.compiled import kernel
 from hypose.compute.silhouettes.cpu_silhouettes import NEAR, contour_edges, emit_contours, front_faces, project
 from hypose.compute.solver.cpu_cholesky import dot
 from hypose.compute.solver.cpu_losses import geman_mcclure, lorentzian
+from hypose.compute.solver.terms import NOT_KNOWN
 
 f4, i4 = np.float32, np.int32
 BORDER = 3
@@ -243,14 +244,17 @@ def contour_rows(c, p, mesh, contours, scale, ws, kept, count):
                 fx, fy = x - f4(xi), y - f4(yi)
                 xi -= left
                 yi -= top
-                count[0] += 1
                 if 0 <= xi < across and 0 <= yi < down:
                     s00, s01, s10, s11 = sdf[yi, xi], sdf[yi, xi + 1], sdf[yi + 1, xi], sdf[yi + 1, xi + 1]
+                    if max(max(s00, s01), max(s10, s11)) >= f4(NOT_KNOWN):
+                        n_rim += 1
+                        continue
                     r = (s00 * (f4(1) - fx) + s01 * fx) * (f4(1) - fy) + (s10 * (f4(1) - fx) + s11 * fx) * fy
                     gx = (s01 - s00) * (f4(1) - fy) + (s11 - s10) * fy
                     gy = (s10 - s00) * (f4(1) - fx) + (s11 - s01) * fx
                     rho, slope, _ = geman_mcclure(r * r * i2, forward * i2, f4(1))
                     cost_forward += rho
+                    count[0] += 1
                     if n_found < ends.shape[0]:
                         ends[n_found, 0], ends[n_found, 1] = a, b
                         point = found[n_found]
@@ -258,6 +262,7 @@ def contour_rows(c, p, mesh, contours, scale, ws, kept, count):
                         n_found += 1
                 else:
                     cost_forward += 1.0
+                    count[0] += 1
             n_rim += 1
         position -= edge
     if n_rim == 0:
@@ -269,6 +274,8 @@ def contour_rows(c, p, mesh, contours, scale, ws, kept, count):
     reverse = f4(contours.reverse_weight)
     for m in range(n_outline):
         x, y = outline[m, 0], outline[m, 1]
+        if x < f4(-1e5):  # marked: it may be somebody else's outline
+            continue
         e = ws.rim_edge[nearest(ws.rim_u, ws.rim_v, blocks, x, y)]
         a, b = ws.start[e], ws.end[e]
         dx, dy = u[b] - u[a], v[b] - v[a]

@@ -8,6 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+NOT_KNOWN = 1e5
+"""px, in a signed distance: here nobody knows how far the mask's edge is, and rows that fall there are left out"""
+
 
 class PreparedMasks(NamedTuple):
     """The masks of one frame, ready for `silhouette_xor`."""
@@ -24,6 +27,12 @@ class PreparedMasks(NamedTuple):
     """(C, 3, 4) pinhole projections of these masks' pixels."""
     bits: NDArray[np.uint8]
     """(C, h, ceil(w / 8) + 16) the masks packed, lowest bit first, zeros after the last column."""
+    norm: NDArray[np.float64]
+    """(C,) pixels that count as the whole person: the areas, or what is expected where somebody hides a part."""
+    hidden: NDArray[np.uint8]
+    """(C, h, B) packed like the bits: pixels that say nothing (the masks are 0 there); (0, 0, 0): none."""
+    open_masks: NDArray[np.uint8]
+    """(C, h, w) the masks, and 1 where pixels say nothing; the masks themselves when there are none."""
 
 
 class Standing(NamedTuple):
@@ -40,9 +49,10 @@ class ContourArrays(NamedTuple):
     reverse rows: points of the mask's outline against the nearest outline point of the body."""
 
     sdf: NDArray[np.float32]
-    """(C, h, w) signed distance to the mask's edge, px, negative inside, around the person."""
+    """(C, h, w) signed distance to the mask's edge, px, negative inside, around the person; NOT_KNOWN where it
+    depends on pixels that say nothing."""
     outline: NDArray[np.float32]
-    """(C, K, 2) points on the mask's edge, px."""
+    """(C, K, 2) points on the mask's edge, px; beyond -1e5: left out."""
     usable: NDArray[np.bool_]
     """(C,)"""
     sizes: NDArray[np.int64]

@@ -1,0 +1,107 @@
+"""Several people tracked in the same frames, each by a tracker of their own: body, recipe, covariance, hypotheses.
+
+What the bodies of the others cover is no evidence for a person (`hypose.evidence.shared_masks`). Within a frame people
+are solved one after the other, and who comes first alternates: the first sees the others where they are predicted, the
+last where they have been solved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.cameras.camera import CameraRig
+from hypose.evidence.frame import Frame, Keypoints
+from hypose.evidence.shared_masks import PREDICTED, SOLVED, BodyShape, Other, own_silhouettes
+from hypose.geometry import Array
+from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
+
+BLIND = 2
+"""Frames without evidence after which a person is looked for beyond where they are expected."""
+
+
+@dataclass(frozen=True)
+class Member:
+    """One of several people: how they are tracked, the state, and whether they are there at all: who has left, or has
+    not come yet, hides nobody and is not looked for."""
+
+    tracker: Tracker
+    state: TrackerState
+    present: bool = True
+
+    @property
+    def sure(self) -> bool:
+        """Is it known where the person is?"""
+        return self.present and not self.state.lost and self.state.blind <= BLIND
+
+    def shape(self, rig: CameraRig, pose: Array) -> BodyShape:
+        """The person's body at a pose (D,), as the cameras see it."""
+        return shape_of(self.tracker.body, pose, rig)
+
+
+def shape_of(body: Body, pose: Array, rig: CameraRig) -> BodyShape:
+    """A body at a pose (D,), as pinhole cameras see it."""
+    return BodyShape(body.skin(pose), body.coarse.faces, rig)
+
+
+def step_together(
+    members: Sequence[Member], frame: Frame, keypoints: Sequence[Keypoints | None] | None = None
+) -> tuple[list[Member], list[FrameEstimate], list[Frame]]:
+    """One frame: everybody's next state and estimate, and the frame as each saw it, without what others hide.
+
+    keypoints: those of each person, already told apart; None: the frame's are nobody's."""
+    count, after = len(members), list(members)
+    estimates: list[FrameEstimate | None] = [None] * count
+    seen = [frame] * count
+    rig = frame.silhouettes.rig if frame.silhouettes is not None else None
+    expected = [m.tracker.predicted(m.state) if m.present else m.state.pose for m in members]
+    shapes = None if rig is None else [m.shape(rig, q) for m, q in zip(members, expected, strict=True)]
+    done = np.zeros(count, dtype=np.bool_)
+    for i in ((frame.index + k) % max(count, 1) for k in range(count)):
+        m = after[i]
+        own = replace(frame, keypoints=None if keypoints is None else keypoints[i])
+        if not m.present:
+            own = nobody_in(own)
+        elif shapes is not None and frame.silhouettes is not None:
+            others = [
+                Other(shapes[j], SOLVED if done[j] else PREDICTED) for j in range(count) if j != i and after[j].sure
+            ]
+            lost = m.state.lost or m.state.blind > BLIND
+            own = replace(own, silhouettes=own_silhouettes(frame.silhouettes, shapes[i], others, anywhere=lost))
+        state, estimate = m.tracker.step(m.state, own)
+        after[i], estimates[i], seen[i], done[i] = replace(m, state=state), estimate, own, True
+        if shapes is not None and rig is not None:
+            shapes[i] = m.shape(rig, estimate.pose)
+    return after, [e for e in estimates if e is not None], seen
+
+
+def nobody_in(frame: Frame) -> Frame:
+    """The frame without any evidence."""
+    s = frame.silhouettes
+    if s is not None:
+        none = tuple(r or f"{n}: nobody is expected" for n, r in zip(s.rig.names, s.reasons, strict=True))
+        s = replace(s, usable=np.zeros_like(s.usable), reasons=none, ignored=None, expected=None)
+    k = frame.keypoints
+    if k is not None:
+        k = replace(k, points=np.zeros_like(k.points))
+    return replace(frame, silhouettes=s, keypoints=k)
+
+
+def visible_share(frame: Frame) -> NDArray[np.float64]:
+    """(C,) how much of a person each view shows that others do not hide, of the frame as the person's tracker saw it; 0
+    where the view is not usable."""
+    s = frame.silhouettes
+    if s is None:
+        return np.zeros(0)
+    out = np.ones(len(s.rig))
+    if s.ignored is not None and s.expected is not None:
+        for c in np.flatnonzero(s.ignored.any((1, 2))):
+            y0, y1, x0, x1 = s.expected.boxes[c]
+            own = s.masks[c, y0:y1, x0:x1]
+            open_ = own & (1 - s.ignored[c, y0:y1, x0:x1])
+            out[c] = min(1.0, open_.sum() / max(int(s.expected.areas[c]), 1))
+    return np.where(s.usable, out, 0.0)

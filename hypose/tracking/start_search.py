@@ -1,0 +1,237 @@
+"""A start from silhouettes alone: dozens of postures, turned every way, at the visual hull; the few that explain the
+masks in their own way are solved, followed for a while, and weighed.
+
+One frame does not tell a person who sits from one who stands in front of a chair, nor front from back. What nobody's
+body explains (a chair, a bag) stays bare in the masks; what a wrong pose costs is body where there is no mask. So bare
+mask counts less than body outside, and several frames decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hypose import compute
+from hypose.body.body import Body
+from hypose.evidence.hull import Hull
+from hypose.fitting.articulated import SolveSettings
+from hypose.geometry import Array, so3_exp, so3_log
+from hypose.tracking.exchanged_sides import strain, turned_around
+from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.postures import postures
+from hypose.tracking.refinement import SETTLING, refine
+from hypose.tracking.starts import KNOWN_POSES, hull_of, start_in_pose
+from hypose.tracking.subject import scaled_to_height
+
+BARE = 0.6
+"""What bare mask counts against as much body outside the masks. Chosen, as what is odd and soft, on scenes (benchmark
+`starts`) of the seeds 700 to 702."""
+HEADINGS = 24
+_YAWS = np.arange(HEADINGS) * 2 * np.pi / HEADINGS
+USUAL_M, SPREAD = 1.70, 0.12
+"""m, and share: how tall people are, where nothing is known"""
+_BINS = 0.04
+"""logarithm of two sizes tried"""
+_TRIED, _PER_POSTURE, _KEPT, _SIZED, _TURNED = 48, 3, 10, 4, 4
+"""How many are solved, of each posture looked at, kept, tried in other sizes, and turned around"""
+_SIZES = (0.88, 0.94, 1.06, 1.12)
+_APART_M = 0.08
+"""m, mean over the joints: nearer starts are one"""
+_HOPELESS, _FOLLOWED = 0.1, 6
+"""Starts that cost more than the best by so much, and more of them, are not followed"""
+_SOFT = 0.01
+"""cost by which a start is believed 1 / e as much"""
+_FAR_M = 0.1
+"""m by which a joint is elsewhere"""
+_BRIEF = SolveSettings(iterations=8, coarse_iterations=8)
+
+
+@dataclass(frozen=True)
+class Start:
+    """A body of some size, its pose (D,), and what it costs: mean over the views of what `mask_cost` counts."""
+
+    body: Body
+    pose: Array
+    cost: float
+
+
+def mask_cost(body: Body, poses: Array, frame: PreparedFrame) -> Array:
+    """(N,) of poses (N, D): body outside the masks and, less, bare mask; shares of the masks, mean over the views."""
+    assert frame.masks is not None
+    flat = np.ascontiguousarray(poses, dtype=np.float64)
+    counts = compute.silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, frame.masks)
+    use = frame.masks.usable
+    area, whole = frame.masks.areas[use].astype(np.float64), frame.masks.norm[use]
+    bare = area - counts[:, use, 2]
+    outside = counts[:, use, 0] - bare
+    return ((outside + BARE * bare) / whole).mean(1)
+
+
+def starts_in_frame(
+    template: Body, frame: PreparedFrame, height: float | None = None, extent: float | None = None
+) -> list[Start]:
+    """The starts that a frame allows, best first, which differ from each other.
+
+    frame: prepared for any body; height m of the person, when known; extent m of the hull, where another frame's is
+    truer. An EvidenceError when the views have no common hull."""
+    hull = hull_of(frame)
+    tall = extent or hull.height
+    base = postures(template)
+    turns = _every_way(base)
+    spans = np.array([np.ptp(template.skin(q)[:, 2]) for q in base])
+    found: list[Start] = []
+    for stature, own in _by_size(template, spans, tall, height):
+        body = template if stature == template.stature else scaled_to_height(template, stature)
+        places = np.concatenate([_placed(body, base[n], turns[n], hull) for n in own])
+        cost = mask_cost(body, places, frame) + _odd(stature, height)
+        for first in range(0, len(places), HEADINGS):
+            for i in first + np.argsort(cost[first : first + HEADINGS], kind="stable")[:_PER_POSTURE]:
+                found.append(Start(body, places[i], float(cost[i])))
+    found.sort(key=lambda s: s.cost)
+    kept = _different(_solved(found[:_TRIED], frame, height, _BRIEF), _KEPT)
+    kept = _solved(kept, frame, height, SETTLING)
+    if height is None:
+        low = float(hull.points[:, 2].min())
+        others = [o for s in _different(kept, _SIZED) for o in _sized(template, s, low)]
+        kept = [*kept, *_solved(others, frame, height, SETTLING)]
+    # who faces the other way has nearly the same outline, limb by limb, and no posture of the list as its limbs are
+    kept = _different(kept, _KEPT)
+    around = [replace(s, pose=turned_around(s.body, s.pose)) for s in kept[:_TURNED]]
+    return _different([*kept, *_solved(around, frame, height, SETTLING)], _KEPT)
+
+
+def _sized(template: Body, start: Start, floor: float) -> list[Start]:
+    """The start, smaller and larger about the floor (m): what stands about a person, and arms, make the hull's height a
+    poor measure."""
+    out = []
+    for factor in _SIZES:
+        stature = start.body.stature * factor
+        if 0.8 < stature < 2.3:
+            pose = start.pose.copy()
+            pose[2] = floor + factor * (pose[2] - floor)
+            out.append(Start(scaled_to_height(template, stature), pose, np.inf))
+    return out
+
+
+def _solved(starts: Sequence[Start], frame: PreparedFrame, height: float | None, options: SolveSettings) -> list[Start]:
+    """The starts, each solved from its pose; those of one body over threads."""
+    bodies = {id(s.body): s.body for s in starts}
+    out: list[Start] = []
+    for key, body in bodies.items():
+        poses = np.stack([s.pose for s in starts if id(s.body) == key])
+        own = _own(frame, body, poses[0])
+        poses = np.stack([f.pose for f in refine(body, poses, own, options)])
+        costs = mask_cost(body, poses, own) + strain(body.skeleton, poses) + _odd(body.stature, height)
+        out += [Start(body, q, float(c)) for q, c in zip(poses, costs, strict=True)]
+    return out
+
+
+@dataclass(frozen=True)
+class Starts:
+    """Starts that differ, best first, by the frame they begin in and those that follow. weights (K,): how far each is
+    believed; unsure (J,): how likely a joint is far from where the best one has it, by starts of another body: turned
+    around, sitting instead of standing."""
+
+    starts: tuple[Start, ...]
+    weights: Array
+    unsure: Array
+
+    @property
+    def best(self) -> Start:
+        """The one that is believed."""
+        return self.starts[0]
+
+
+def weighed(starts: Sequence[Start], frames: Sequence[PreparedFrame]) -> Starts:
+    """Starts of one frame followed through the frames after it, which decide between them."""
+    some = [s for s in starts if s.cost < starts[0].cost + _HOPELESS][:_FOLLOWED]
+    ways = [_followed(s, frames) for s in some]
+    costs = np.array([(s.cost + c.sum()) / (1 + len(frames)) for s, (_, c) in zip(some, ways, strict=True)])
+    order = np.argsort(costs, kind="stable")
+    weights = np.exp(-(costs[order] - costs[order[0]]) / _SOFT)
+    weights /= weights.sum()
+    joints = np.stack([some[k].body.joints(np.concatenate([some[k].pose[None], ways[k][0]])) for k in order])
+    away = np.linalg.norm(joints - joints[0], axis=-1)
+    arm = np.array([n.endswith(("elbow", "wrist")) for n in some[0].body.skeleton.joint_names])
+    other = away[..., ~arm].mean((1, 2)) > _APART_M  # arms that alone differ are found by whoever tracks
+    far = (away > _FAR_M).mean(1) * other[:, None]
+    return Starts(tuple(some[k] for k in order), weights, np.asarray(weights @ far))
+
+
+def start_from_hull(body: Body, frame: PreparedFrame, poses: Sequence[str] = KNOWN_POSES) -> Start:
+    """The pose of a body of known size that explains the silhouettes best, whatever the person does, or one of the
+    known poses. An EvidenceError when the views have no common hull."""
+    if tuple(poses) == KNOWN_POSES:
+        return starts_in_frame(body, frame, body.stature)[0]
+    fit = start_in_pose(body, frame, poses)
+    return Start(body, fit.pose, float(mask_cost(body, fit.pose[None], frame)[0]))
+
+
+def _followed(start: Start, frames: Sequence[PreparedFrame]) -> tuple[Array, Array]:
+    """(F, D) poses of a start in the frames that come after it, and (F,) what they cost."""
+    poses, costs, pose = [], [], start.pose
+    for frame in frames:
+        own = _own(frame, start.body, pose)
+        pose = refine(start.body, pose[None], own, _BRIEF)[0].pose
+        poses.append(pose)
+        costs.append(float(mask_cost(start.body, pose[None], own)[0] + strain(start.body.skeleton, pose[None])[0]))
+    return np.array(poses).reshape(len(frames), len(pose)), np.array(costs)
+
+
+def _by_size(template: Body, spans: Array, tall: float, height: float | None) -> list[tuple[float, list[int]]]:
+    """Statures (m) and the postures to try at each: as high as the hull, a little less and more."""
+    if height is not None:
+        return [(height, list(range(len(spans))))]
+    by: dict[int, list[int]] = {}
+    for n, span in enumerate(spans):
+        for factor in (0.94, 1.0, 1.06):
+            stature = template.stature * factor * tall / span
+            if 0.8 < stature < 2.3:
+                by.setdefault(round(np.log(stature / USUAL_M) / _BINS), []).append(n)
+    return [(USUAL_M * float(np.exp(_BINS * k)), list(dict.fromkeys(own))) for k, own in sorted(by.items())]
+
+
+def _odd(stature: float, height: float | None) -> float:
+    """What an unusual stature costs, where it is not known."""
+    return 0.0 if height is not None else 0.002 * float(np.log(stature / USUAL_M) / SPREAD) ** 2
+
+
+def _every_way(poses: Array) -> Array:
+    """(N, HEADINGS, 3) rotation vectors of poses (N, D), turned every way about the vertical."""
+    about = np.zeros((HEADINGS, 3))
+    about[:, 2] = _YAWS
+    return so3_log(so3_exp(about) @ so3_exp(poses[:, None, 3:6]))
+
+
+def _placed(body: Body, pose: Array, turns: Array, hull: Hull) -> Array:
+    """(HEADINGS, D) the pose turned every way and put where the hull is: its feet on the hull's lowest point."""
+    low, high = hull.points.min(0), hull.points.max(0)
+    middle = 0.5 * (0.5 * (low + high) + hull.centroid)
+    vertices = body.skin(pose)
+    own = 0.5 * (0.5 * (vertices.min(0) + vertices.max(0)) + vertices.mean(0)) - pose[:3]
+    out = np.repeat(pose[None], HEADINGS, 0)
+    out[:, 0] = middle[0] - (np.cos(_YAWS) * own[0] - np.sin(_YAWS) * own[1])
+    out[:, 1] = middle[1] - (np.sin(_YAWS) * own[0] + np.cos(_YAWS) * own[1])
+    out[:, 2] = low[2] - (vertices[:, 2].min() - pose[2])
+    out[:, 3:6] = turns
+    return out
+
+
+def _own(frame: PreparedFrame, body: Body, pose: Array) -> PreparedFrame:
+    return replace(frame, body=body, prediction=pose, prediction_weight=0.0)  # nothing is expected
+
+
+def _different(starts: Sequence[Start], count: int) -> list[Start]:
+    """The best of them that lie apart from each other, best first."""
+    kept: list[Start] = []
+    at: list[Array] = []
+    for start in sorted(starts, key=lambda s: s.cost):
+        joints = start.body.joints(start.pose[None])[0]
+        if all(np.linalg.norm(joints - other, axis=-1).mean() > _APART_M for other in at):
+            kept.append(start)
+            at.append(joints)
+        if len(kept) == count:
+            break
+    return kept

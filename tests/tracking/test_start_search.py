@@ -1,0 +1,119 @@
+"""Starts from silhouettes alone: postures on a body, the search over them, and what stays open."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.body.ready_bodies import human
+from hypose.cameras.camera import CameraRig
+from hypose.compute import silhouette
+from hypose.evidence.frame import Frame, Silhouettes
+from hypose.synthetic.rigs import rig
+from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.postures import posture_names, postures
+from hypose.tracking.start_search import mask_cost, starts_in_frame, weighed
+from hypose.tracking.starts import turned
+
+
+def masks_of(body, pose, cameras, also=()):
+    """Silhouettes of a posed body, and of boxes ((low), (high)) m."""
+    out = []
+    for camera in cameras:
+        mask = np.zeros((camera.size[1], camera.size[0]), bool)
+        for vertices, faces in [(body.skin(pose), body.coarse.faces), *also]:
+            z = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
+            for side in (faces, faces[:, ::-1]):
+                mask |= silhouette(camera.project_pinhole(vertices), z, np.ascontiguousarray(side), camera.size) > 0
+        out.append(mask.astype(np.uint8))
+    masks = np.stack(out)
+    return Silhouettes(masks, cameras, np.ones(len(masks), bool), ("",) * len(masks))
+
+
+@pytest.fixture(scope="module")
+def body():
+    return human()
+
+
+@pytest.fixture(scope="module")
+def cameras():
+    return CameraRig(tuple(rig("humaneva-4").scaled(0.4)))
+
+
+def sitting(body, name="sitting, arms on thighs", heading=2.0):
+    pose = turned(postures(body)[posture_names().index(name)], heading)
+    pose[2] -= body.skin(pose)[:, 2].min()
+    return pose
+
+
+def prepared(body, silhouettes):
+    return prepare(Frame(0.0, 0, silhouettes), body, np.zeros(body.skeleton.dof))
+
+
+def test_postures_are_within_the_limits_and_differ(body):
+    found, s = postures(body), body.skeleton
+    assert len(found) == len(posture_names()) == len(set(posture_names())) > 50
+    assert np.allclose(found, s.clamp(found), atol=2e-6)  # which rounds to a grid
+    joints = body.joints(found)
+    apart = np.linalg.norm(joints[:, None] - joints[None], axis=-1).max(-1)
+    assert (apart[~np.eye(len(found), dtype=bool)] > 0.07).all()
+    knee, hip = s.joint("left_knee"), s.joint("left_hip")
+    seated = joints[posture_names().index("sitting, arms hanging")]
+    assert seated[knee, 1] < seated[hip, 1] - 0.3 and abs(seated[knee, 2] - seated[hip, 2]) < 0.15
+
+
+def box(low, high):
+    corners = np.array([[(low, high)[k][i] for i, k in enumerate(bits)] for bits in np.ndindex(2, 2, 2)], float)
+    faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
+    faces += [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+    return corners, np.array(faces)
+
+
+@pytest.mark.parametrize("chair", [False, True])
+def test_a_seated_person_is_found_whatever_the_heading_and_on_a_chair(body, cameras, chair):
+    pose = sitting(body)
+    joints = body.joints(pose[None])[0]
+    x, y = joints[0, :2]
+    seat = float(joints[0, 2]) - 0.12
+    also = [box((x - 0.2, y - 0.2, seat - 0.05), (x + 0.2, y + 0.2, seat))] if chair else []
+    also += [box((x + a, y + b, 0), (x + a + 0.04, y + b + 0.04, seat)) for a in (-0.2, 0.16) for b in (-0.2, 0.16)][
+        : 4 * chair
+    ]
+    frame = prepared(body, masks_of(body, pose, cameras, also))
+    found = starts_in_frame(body, frame)
+    best = found[0]
+    assert [s.cost for s in found] == sorted(s.cost for s in found)
+    away = np.linalg.norm(best.body.joints(best.pose[None])[0] - joints, axis=-1)
+    assert away.mean() < (0.09 if chair else 0.06)
+    again = starts_in_frame(body, frame)[0]
+    assert np.array_equal(again.pose, best.pose)  # nothing is drawn at random
+    given = starts_in_frame(body, frame, body.stature)
+    assert all(s.body.stature == body.stature for s in given)
+
+
+def test_bare_mask_counts_less_than_body_outside(body, cameras):
+    pose = sitting(body)
+    frame = prepared(body, masks_of(body, pose, cameras))
+    low = float(body.joints(pose[None])[0, 0, 2])
+    wide = prepared(body, masks_of(body, pose, cameras, [box((-0.1, -0.1, low), (0.1, 0.1, low + 0.9))]))
+    exact, bare = (float(mask_cost(body, pose[None], f)[0]) for f in (frame, wide))
+    assert exact < 0.02 < bare
+    aside = pose.copy()
+    aside[0] += 0.05
+    assert mask_cost(body, aside[None], frame)[0] > exact + 0.05
+
+
+def test_what_the_frames_do_not_decide_is_unsure(body, cameras):
+    """Of two starts that differ in nothing but their cost the cheaper is believed; legs elsewhere are doubted by it."""
+    pose = sitting(body)
+    frame = prepared(body, masks_of(body, pose, cameras))
+    best = starts_in_frame(body, frame, body.stature)[0]
+    away = best.pose.copy()
+    away[0] += 0.3
+    far = replace(best, pose=away, cost=best.cost + 0.002)
+    found = weighed([best, far], [])
+    assert found.best.pose is best.pose and 0.5 < found.weights[0] < 0.6
+    assert np.allclose(found.unsure, found.weights[1])
+    arm = best.pose.copy()
+    arm[body.skeleton.dofs_of("left_shoulder")] += 0.9
+    assert weighed([best, replace(best, pose=arm, cost=best.cost + 0.002)], []).unsure.max() == 0

@@ -1,0 +1,93 @@
+"""A view whose key points are wrong as a whole is told by what it leaves of the others' triangulation."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from hypose.cameras.camera import CameraRig
+from hypose.evidence.frame import Keypoints
+from hypose.evidence.keypoints import BODY_25B, triangulate_keypoints
+from hypose.synthetic.rigs import rig as named_rig
+from hypose.synthetic.spoilt_keypoints import moved_camera
+from hypose.tracking.keypoint_evidence import keypoint_model, keypoint_term
+from hypose.tracking.keypoint_offsets import calibrate_keypoints
+from hypose.tracking.view_noise import LARGEST, view_factors
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return named_rig("humaneva-4").pinhole()
+
+
+@pytest.fixture
+def frames(body, standing, rig, rng):
+    """Key points of twelve poses, 1 px off."""
+    poses = body.skeleton.clamp(
+        standing + 0.2 * rng.normal(size=(12, body.skeleton.dof)) * np.r_[np.zeros(6), np.ones(body.skeleton.dof - 6)]
+    )
+    model = keypoint_model(body, BODY_25B)
+    points = model.positions(body, poses)
+    uv = np.stack([c.project_pinhole(points) for c in rig]) + 1.0 * rng.normal(size=(len(rig), 12, len(BODY_25B), 2))
+    confidence = np.where(model.known, 0.9, 0.0) * np.ones(uv.shape[:3])
+    seen = np.concatenate([uv, confidence[..., None]], -1)
+    return poses, [Keypoints(seen[:, t], BODY_25B, rig) for t in range(12)]
+
+
+def moved(frames, view, by):
+    out = []
+    for k in frames:
+        points = k.points.copy()
+        points[view, :, :2] += by
+        out.append(dataclasses.replace(k, points=points))
+    return out
+
+
+def test_views_that_are_alike_count_alike(frames):
+    np.testing.assert_array_equal(view_factors(frames[1]), 1.0)
+
+
+@pytest.mark.parametrize("view", range(4))
+def test_a_shifted_view_is_found_and_no_other(frames, view):
+    factors = view_factors(moved(frames[1], view, (40.0, -25.0)))
+    assert 3 < factors[view] <= LARGEST
+    assert (np.delete(factors, view) == 1).all()
+
+
+def test_a_moved_camera_is_found(frames, rig, rng):
+    wrong = moved_camera(rig, 1, rng, metres=0.1, degrees=3.0)
+    factors = view_factors([dataclasses.replace(k, rig=CameraRig(tuple(wrong))) for k in frames[1]])
+    assert factors[1] > 2 and (np.delete(factors, 1) == 1).all()
+
+
+def test_of_two_views_none_is_worse(frames, rig):
+    two = [Keypoints(k.points[:2], k.names, rig.select(rig.names[:2])) for k in moved(frames[1], 0, (60.0, 60.0))]
+    np.testing.assert_array_equal(view_factors(two), 1.0)
+
+
+def test_the_shifted_view_spoils_neither_points_nor_offsets(body, frames):
+    poses, given = frames
+    shifted = moved(given, 2, (9.0, -5.0))
+    factors = view_factors(shifted)
+    assert factors[2] > 2
+    truth = keypoint_model(body, BODY_25B).positions(body, poses)
+    known = keypoint_model(body, BODY_25B).known
+    off = [
+        np.linalg.norm(triangulate_keypoints(shifted, worse=w)[0] - truth, axis=-1)[:, known] for w in (1.0, factors)
+    ]
+    assert np.nanmedian(off[1]) < 0.5 * np.nanmedian(off[0])
+    assert np.isfinite(off[1]).mean() > 0.95
+    model = calibrate_keypoints(body, keypoint_model(body, BODY_25B), shifted, poses)
+    np.testing.assert_array_equal(model.view, factors)
+    away = np.linalg.norm(model.offset - keypoint_model(body, BODY_25B).offset, axis=1)[known]
+    assert np.median(away) < 0.015
+
+
+def test_its_points_weigh_less(body, standing, frames):
+    given = frames[1][0]
+    model = dataclasses.replace(keypoint_model(body, BODY_25B), view=np.array([1.0, 1.0, 4.0, 1.0]))
+    term = keypoint_term(given, body, model, frames[0][0])
+    assert term is not None
+    np.testing.assert_allclose(term.points[2, :, 2] * 16, term.points[1, :, 2])
+    # a rig of other views knows nothing of them
+    np.testing.assert_array_equal(model.worse(3), 1.0)
