@@ -34,7 +34,8 @@ class Observed:
 
     rig: as calibrated, with lens distortion; keypoints (C, T, K, 3) in px of the calibrated, distorted images
     (confidence 0: missing) and their names; silhouettes: T, undistorted, at any working size, made without the key
-    points (else they agree with them whatever is wrong); clips: one per view; height: of the person, m, when known."""
+    points (else they agree with them whatever is wrong); clips: one per view; height: of the person, m, when known;
+    people: sentences about who else is there."""
 
     rig: CameraRig
     keypoints: Array | None = None
@@ -43,6 +44,7 @@ class Observed:
     clips: tuple[Clip, ...] = ()
     frame_rate: float = 25.0
     height: float | None = None
+    people: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,10 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
     o = limits or Limits()
     n = len(observed.rig)
     findings = list(clip_findings(observed.rig, observed.clips, observed.frame_rate))
+    findings += [
+        Finding("people", (), text, "nothing, if the right one is followed", 0.0, fault=False)
+        for text in observed.people
+    ]
     if observed.keypoints is None or (observed.keypoints[..., 2] > 0.3).any((1, 2)).sum() < 2:
         if observed.silhouettes is None:
             raise EvidenceError(

@@ -16,6 +16,7 @@ from hypose.errors import EvidenceError
 from hypose.geometry import Array, transform
 
 _MOST_FRAMES = 30
+_COMMON = 60  # points that two views have to see together to judge each other
 
 
 @dataclass(frozen=True)
@@ -63,8 +64,13 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
         findings += _lenses(rig, ideal, lens, uv, confidence, rest, found, person, o)
     if not findings and after < o.extrinsics * before and before - after > o.gain * person:
         own = np.array([m.image_px for m in moved]) / np.where(size > 0, size, person)
+        against = _witnesses(confidence)
+        unsure = []
         for k, m in enumerate(moved):
             if own[k] > max(o.moved, 0.2 * np.nanmax(own)):  # a little of it always goes to the others
+                if against[k] < 2:
+                    unsure.append(k)
+                    continue
                 text = (
                     f"{m.name}: {m.turn_deg:.1f} degrees and {1000 * m.move_m:.0f} mm off, which moves the person "
                     f"{m.image_px:.0f} px in its image; the key points miss each other by {before:.1f} px, after a "
@@ -72,7 +78,31 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
                 )
                 cure = "run hypose check --refine and use the calibration that it writes"
                 findings.append(Finding("extrinsics", (m.name,), text, cure, float(m.image_px)))
+        if unsure and not findings:
+            findings.append(_undecided(rig, unsure, confidence, before, after, max(moved[k].image_px for k in unsure)))
     return Extrinsics(tuple(findings), moved, before, after, radial, radial_sd, rig, _with_lenses(refined, rig))
+
+
+def _witnesses(confidence: Array) -> NDArray[np.int64]:
+    """(C,) by how many other views each view's points (C, T, K) can be judged."""
+    seen = (confidence > 0.3).reshape(len(confidence), -1)
+    common = (seen[:, None] & seen[None]).sum(-1)
+    np.fill_diagonal(common, 0)
+    return (common >= _COMMON).sum(1)
+
+
+def _undecided(
+    rig: CameraRig, views: list[int], confidence: Array, before: float, after: float, image_px: float
+) -> Finding:
+    """Cameras that disagree with one other alone: which of them is off cannot be told."""
+    seen = (confidence > 0.3).reshape(len(confidence), -1)
+    partners = {j for k in views for j in range(len(rig)) if (seen[k] & seen[j]).sum() >= _COMMON}
+    names = tuple(rig.names[k] for k in sorted({*views, *partners}))
+    text = (
+        f"{' and '.join(names)}: they do not agree, and which of them is off cannot be told by two alone; the key "
+        f"points miss each other by {before:.1f} px, after a refinement by {after:.1f} px (frames not used)"
+    )
+    return Finding("extrinsics", names, text, "film with a third camera, or run hypose check --refine", image_px)
 
 
 def _in_old_gauge(found: PointAdjustment, old: CameraRig) -> CameraRig:

@@ -30,7 +30,8 @@ from hypose.pipeline.run import TrackOptions, TrackResult, finish, subject_of, t
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
 from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.starts import KNOWN_POSES, start_from_hull
+from hypose.tracking.start_search import start_from_hull
+from hypose.tracking.starts import KNOWN_POSES
 from hypose.tracking.tracker import FrameEstimate, TrackerState
 
 FOLDER = "chunks"

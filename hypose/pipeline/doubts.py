@@ -40,9 +40,16 @@ _STILL = 0.02
 _AFTER_S = 0.4
 
 
-def looked_at(tracker: Tracker, estimate: FrameEstimate, frame: Frame, last: Frame | None) -> FrameEstimate:
-    """The estimate of a frame with what was seen in it and its audit; last: the frame before."""
-    seen = what_was_seen(estimate, tracker.body, frame, last)
+def looked_at(
+    tracker: Tracker,
+    estimate: FrameEstimate,
+    frame: Frame,
+    last: Frame | None,
+    change: NDArray[np.float32] | None = None,
+) -> FrameEstimate:
+    """The estimate of a frame with what was seen in it and its audit; last: the frame before; change: `mask_change`
+    where it is known (of the masks of several people)."""
+    seen = what_was_seen(estimate, tracker.body, frame, last, change)
     pictures = frame.silhouettes or frame.keypoints
     if pictures is None or len(pictures.rig) == 1:  # one camera's other poses are told otherwise
         return replace(estimate, seen=seen)
@@ -53,11 +60,13 @@ def looked_at(tracker: Tracker, estimate: FrameEstimate, frame: Frame, last: Fra
         keypoints=frame.keypoints if wanted != "silhouettes" else None,
     )
     rivals = estimate.rivals, estimate.rival_weights
-    audit = audit_frame(tracker.body, estimate.pose, own, tracker.keypoints_on_body, rivals)
+    audit = audit_frame(tracker.body, estimate.pose, own, tracker.keypoints_on_body, rivals, estimate.exchanged)
     return replace(estimate, seen=seen, audit=audit)
 
 
-def what_was_seen(estimate: FrameEstimate, body: Body, frame: Frame, last: Frame | None) -> NDArray[np.float32]:
+def what_was_seen(
+    estimate: FrameEstimate, body: Body, frame: Frame, last: Frame | None, change: NDArray[np.float32] | None = None
+) -> NDArray[np.float32]:
     """(C, 3) of a tracked frame, NaN where not known: the body's overlap with each view's mask; the difference of the
     mask from that of the frame before (XOR over the larger area; None: there is none); how much of it is somebody else
     (`strangers_share`). (0, 3) without silhouettes."""
@@ -66,13 +75,25 @@ def what_was_seen(estimate: FrameEstimate, body: Body, frame: Frame, last: Frame
         return np.zeros((0, 3), np.float32)
     out = np.full((len(silhouettes.masks), 3), np.nan, np.float32)
     out[: len(estimate.overlap), 0] = estimate.overlap
-    if before is not None and before.masks.shape == silhouettes.masks.shape:
-        now, then = prepared_masks(silhouettes), prepared_masks(before)  # packed already, for the tracker
-        for c in np.flatnonzero(silhouettes.usable & before.usable):
-            differ = int(np.bitwise_count(now.bits[c] ^ then.bits[c]).sum())
-            out[c, 1] = differ / max(int(now.areas[c]), int(then.areas[c]), 1)
+    change = mask_change(frame, last) if change is None else change
+    if before is not None and change is not None:
+        out[:, 1] = change
         if not (estimate.lost or estimate.extrapolated):
             out[:, 2] = strangers_share(silhouettes, before, body.skeleton, body.joints(estimate.pose))
+    return out
+
+
+def mask_change(frame: Frame, last: Frame | None) -> NDArray[np.float32] | None:
+    """(C,) difference of each view's mask from that of the frame before, XOR over the larger area, NaN where one is not
+    usable; None without silhouettes of both."""
+    silhouettes, before = frame.silhouettes, None if last is None else last.silhouettes
+    if silhouettes is None or before is None or before.masks.shape != silhouettes.masks.shape:
+        return None
+    out = np.full(len(silhouettes.masks), np.nan, np.float32)
+    now, then = prepared_masks(silhouettes), prepared_masks(before)  # packed already, for the tracker
+    for c in np.flatnonzero(silhouettes.usable & before.usable):
+        differ = int(np.bitwise_count(now.bits[c] ^ then.bits[c]).sum())
+        out[c] = differ / max(int(now.areas[c]), int(then.areas[c]), 1)
     return out
 
 

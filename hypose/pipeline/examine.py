@@ -27,12 +27,13 @@ from hypose.calibration.sync_motion import mask_tracks
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
-from hypose.evidence.keypoints import keypoint_names, triangulate_keypoints
+from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.fitting.articulated import contour_term
 from hypose.geometry import Array, transform
-from hypose.io.recordings.frames import FrameSettings, FrameStream, load_keypoints
+from hypose.io.recordings.frames import FrameStream, load_keypoints
 from hypose.io.recordings.recording import Recording
-from hypose.io.videos.video import open_video
+from hypose.io.recordings.recording_people import RecordedPerson, load_person
+from hypose.io.recordings.recording_views import View, open_pictures
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.tracking.frame_evidence import prepare
@@ -41,6 +42,8 @@ from hypose.tracking.subject import fit_girths, shape_from_keypoints, subject_fr
 
 Progress = Callable[[str, int, int], None]
 METHODS = ("keypoints", "silhouettes", "both")
+_AROUND = 0.3  # of the person's size, around the key points, in which a mask is the person's when others are there
+_FAR_DEG, _FAR_M = 10.0, 0.5  # a refinement that moves a camera farther is more often wrong than the calibration
 _USED = 17  # frames that a refinement looks at, as the rest has to judge it
 
 
@@ -67,6 +70,12 @@ class Refinement:
     tangency_after_px: float
     notes: tuple[str, ...] = ()
 
+    @property
+    def far(self) -> tuple[str, ...]:
+        """Cameras that were turned by more than 10 degrees or moved by more than 0.5 m: rather the evidence is another
+        person's than the calibration so wrong."""
+        return tuple(c.name for c in self.changes if c.turn_deg > _FAR_DEG or c.move_m > _FAR_M)
+
 
 def window(recording: Recording, most: int) -> Recording:
     """The recording limited to `most` consecutive frames from the middle of its range."""
@@ -80,7 +89,8 @@ def window(recording: Recording, most: int) -> Recording:
 def observe(recording: Recording, most: int = 100, progress: Progress = _ignore) -> Observed:
     """The doctor's evidence of at most `most` consecutive frames: key points as stored, masks made without them."""
     few = window(recording, most)
-    points, names = raw_keypoints(few)
+    person = raw_person(few)
+    points, names = (None, ()) if person is None else (person.raw, person.keypoints[0].names)
     silhouettes: list[Silhouettes | None] | None = None
     blind = replace(few, views=tuple(replace(v, keypoints=None) for v in few.views), keypoint_set=None)
     if all(v.source is not None or v.masks is not None for v in few.views):
@@ -92,28 +102,52 @@ def observe(recording: Recording, most: int = 100, progress: Progress = _ignore)
                 progress("masks", i, len(stream))
                 silhouettes.append(stream.frame(i).silhouettes)
             progress("masks", len(stream), len(stream))
-    clips = tuple(replace(_clip(v.source or v.masks), accepted=v.accept_scaled) for v in recording.views)
-    return Observed(few.rig, points, names, silhouettes, clips, recording.frame_rate, recording.subject_height)
+        if person is not None and person.one.several:
+            silhouettes = [
+                None if s is None else _near(s, k) for s, k in zip(silhouettes, person.keypoints, strict=True)
+            ]
+    clips = tuple(replace(_clip(v), accepted=v.accept_scaled) for v in recording.views)
+    notes = () if person is None else person.one.notes
+    return Observed(few.rig, points, names, silhouettes, clips, recording.frame_rate, recording.subject_height, notes)
 
 
-def _clip(path) -> Clip:  # noqa: ANN001 - Path | None
-    if path is None:
+def _near(silhouettes: Silhouettes, keypoints: Keypoints) -> Silhouettes:
+    """The masks without other people: what lies far outside of the box around the person's key points. How the person's
+    own outline lies to them stays as it is."""
+    masks, usable = silhouettes.masks.copy(), silhouettes.usable.copy()
+    for c, small in enumerate(silhouettes.rig):
+        w, h = small.size
+        p = keypoints.points[c]
+        p = (p[p[:, 2] > 0.2][:, :2] + 0.5) * (np.array(small.size) / keypoints.rig[c].size) - 0.5
+        if len(p) < 4:
+            masks[c], usable[c] = 0, False
+            continue
+        margin = _AROUND * float(np.ptp(p, axis=0).max())
+        low = np.clip(np.floor(p.min(0) - margin), 0, (w, h)).astype(int)
+        high = np.clip(np.ceil(p.max(0) + margin), 0, (w, h)).astype(int)
+        inside = masks[c, low[1] : high[1], low[0] : high[0]].copy()
+        masks[c] = 0
+        masks[c, low[1] : high[1], low[0] : high[0]] = inside
+        usable[c] &= bool(inside.any())
+    return replace(silhouettes, masks=masks, usable=usable)
+
+
+def _clip(view: View) -> Clip:
+    if view.source is None and view.masks is None:
         return Clip()
-    with open_video(path) as reader:
+    with open_pictures(view) as reader:
         return Clip(reader.size, reader.frame_rate, reader.n_frames)
 
 
 def raw_keypoints(recording: Recording) -> tuple[Array | None, tuple[str, ...]]:
     """Key points (C, T, K, 3) in px of the calibrated, distorted images, and their names; None without any."""
-    if recording.keypoint_set is None or not any(v.keypoints for v in recording.views):
-        return None, ()
-    # with ideal lenses undistorting changes nothing
-    loaded = load_keypoints(
-        replace(recording, rig=recording.rig.pinhole()), FrameSettings(factor=1.0, silhouettes=None)
-    )
-    if loaded is None:
-        return None, ()
-    return np.stack([k.points for k in loaded], 1), keypoint_names(recording.keypoint_set)
+    found = raw_person(recording)
+    return (None, ()) if found is None else (found.raw, found.keypoints[0].names)
+
+
+def raw_person(recording: Recording) -> RecordedPerson | None:
+    """The person of a recording whose calibration is in doubt, in full-size pictures; None without key points."""
+    return load_person(recording, recording.rig.pinhole(), doubting=True)
 
 
 def cured_recording(recording: Recording, cured: Cured) -> Recording:

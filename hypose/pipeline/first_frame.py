@@ -10,31 +10,41 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.body.ready_bodies import human
 from hypose.errors import EvidenceError, InputError
-from hypose.evidence.frame import Frame
+from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import triangulate_keypoints
+from hypose.fitting import SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
 from hypose.tracking.frame_evidence import PreparedFrame, prepare
-from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model
+from hypose.tracking.keypoint_clip import LEAST_POINTS
+from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, keypoint_model, keypoint_term
 from hypose.tracking.keypoint_offsets import calibrate_keypoints
-from hypose.tracking.starts import KNOWN_POSES, hull_of, start_from_hull, start_from_keypoints
+from hypose.tracking.refinement import anatomical_prior
+from hypose.tracking.start_search import start_from_hull
+from hypose.tracking.starts import KNOWN_POSES, hull_of, start_from_keypoints
 from hypose.tracking.subject import fit_girths, scaled_to_height, subject_from_keypoints
+from hypose.tracking.view_noise import view_factors
 
 FrameAt = Callable[[int], Frame]
 GIVEN = "the subject's body is given"
+_AS_MANY, _AS_WELL = 0.8, 0.03
+"""Share of the most points of a frame from which on a start is as good, and by how much fewer of its detections may
+agree: one limb of one view is 3 of 100."""
 
 
 @dataclass(frozen=True)
 class Subject:
     """body; where key points sit on it (None without key points); the start pose (D,) in the first frame; how it was
-    found, in words; the poses that the start allows beside that one, where one camera leaves several."""
+    found, in words; the poses that the start allows beside that one, where one camera leaves several; unsure (J,): how
+    likely each joint is elsewhere at the start than it is taken to be (None: not known)."""
 
     body: Body
     keypoints: KeypointModel | None
     start: Array
     notes: tuple[str, ...]
     rivals: Hypotheses | None = None
+    unsure: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -87,7 +97,7 @@ def _from_keypoints(
 ) -> Subject:
     seen = [f for f in (frame_at(int(i)) for i in sampled) if f.keypoints is not None]
     keypoints = [f.keypoints for f in seen if f.keypoints is not None]
-    points, _, _ = triangulate_keypoints(keypoints)
+    points, _, _ = triangulate_keypoints(keypoints, worse=view_factors(keypoints))
     fitted = subject_from_keypoints(template, points, keypoints[0].names)
     body, model, poses = fitted.body, fitted.keypoints, fitted.poses
     notes = [f"segment lengths from the key points of {len(points)} frames"]
@@ -127,20 +137,51 @@ def _noise_note(model: KeypointModel) -> str:
 
 
 def first_start(body: Body, model: KeypointModel, frame_at: FrameAt, last: int) -> tuple[Array, int]:
-    """The pose at the first of the frames before `last` whose key points can be triangulated, and its number. It stands
-    for the frames before it, which lie within a second."""
-    known = model.known
+    """The pose in the first of the frames before `last` whose key points can be triangulated, and its number; it stands
+    for the frames before it, which lie within a second.
+
+    It is looked for in the frame whose views agree best, for in a single frame nothing tells that a detector has
+    exchanged the sides in half of the views, and is followed back from there."""
+    frames = [(i, k) for i in range(last) if (k := frame_at(i).keypoints) is not None]
     error: EvidenceError | None = None
-    for i in range(last):
-        keypoints = frame_at(i).keypoints
-        if keypoints is None:
-            continue
+    for n in _agreeing([k for _, k in frames], model):
+        keypoints = frames[n][1]
+        points = triangulate_keypoints([keypoints], worse=model.worse(len(keypoints.rig)))[0][0][model.known]
         try:
-            points = triangulate_keypoints([keypoints])[0][0][known]
-            return start_from_keypoints(body, points, model.joint[known], model.offset[known]).pose, i
+            pose = start_from_keypoints(body, points, model.joint[model.known], model.offset[model.known]).pose
         except EvidenceError as e:
             error = error or e
+            continue
+        return _followed_back(body, model, frames[: n + 1], pose)
     raise error or EvidenceError("No frame of the first second has key points; start from the hull.")
+
+
+def _agreeing(frames: Sequence[Keypoints], model: KeypointModel) -> list[int]:
+    """The numbers of frames, best first: those in which hardly fewer points than in any can be triangulated, by the
+    share of the detections that agree with each other; then the others."""
+    if not frames:
+        return []
+    points, _, used = triangulate_keypoints(frames, worse=model.worse(len(frames[0].rig)))
+    count = (np.isfinite(points).all(-1) & model.known).sum(1)
+    seen = np.stack([((k.points[..., 2] > MIN_CONFIDENCE) & model.known).sum() for k in frames])
+    agree = (used * model.known).sum(1) / np.maximum(seen, 1)
+    many = count >= _AS_MANY * count.max()
+    # the first is kept unless another is clearly better: less is to be followed back
+    steps = np.ceil((agree[many].max(initial=0.0) - agree) / _AS_WELL)
+    return np.lexsort((np.arange(len(frames)), steps, ~many)).tolist()
+
+
+def _followed_back(
+    body: Body, model: KeypointModel, frames: Sequence[tuple[int, Keypoints]], pose: Array
+) -> tuple[Array, int]:
+    """The pose in the first of the frames that has enough points, from that in the last of them, and its number."""
+    prior, at = (anatomical_prior(body.skeleton, keypoints=True),), frames[-1][0]
+    options = SolveSettings(iterations=12, coarse_iterations=0)
+    for i, keypoints in reversed(frames[:-1]):
+        term = keypoint_term(keypoints, body, model, pose)
+        if term is not None and (term.points[..., 2] > 0).any(0).sum() >= LEAST_POINTS:
+            pose, at = fit_pose(body, pose, keypoints=term, priors=prior, options=options).pose, i
+    return pose, at
 
 
 def _from_hull(
@@ -153,7 +194,7 @@ def _from_hull(
         )
         estimate = estimate_subject(frame_at, n_frames, options.frame_rate, template, how)
         notes = [f"height {estimate.body.stature:.3f} m from the silhouettes"] if options.height is None else []
-        return Subject(estimate.body, None, estimate.start, (*notes, *estimate.notes))
+        return Subject(estimate.body, None, estimate.start, (*notes, *estimate.notes), unsure=estimate.unsure)
     if options.height is not None:
         height, note = options.height, f"height {options.height:.3f} m as given"
     else:

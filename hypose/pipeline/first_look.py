@@ -40,7 +40,10 @@ def first_look(source: FrameSource, evidence: str, height: float | None = None) 
     for i in rows.tolist():
         with contextlib.suppress(HyposeError):  # what cannot be read is told when its turn comes
             frames.append(source.frame(i))
+    doubted: Sequence[Keypoints] | None = getattr(source, "doubted", None)  # those that did not fit are the question
     points = [f.keypoints for f in frames if f.keypoints is not None]
+    if doubted is not None:
+        points = [doubted[i] for i in rows.tolist() if i < len(doubted)]
     masks = [f.silhouettes for f in frames if f.silhouettes is not None] if evidence != "keypoints" else []
     limits = Limits()
     found: list[Finding] = []

@@ -21,7 +21,7 @@ from hypose.pipeline.first_frame import Subject
 from hypose.tracking.keypoint_evidence import KeypointModel
 
 SUBJECT = "subject.npz"
-_MODEL = ("joint", "offset", "known", "sd")
+_MODEL = ("joint", "offset", "known", "sd", "view")
 
 
 def keep_subject(subject: Subject, results: ResultsFolder, identity: Mapping[str, Any]) -> None:
@@ -32,6 +32,8 @@ def keep_subject(subject: Subject, results: ResultsFolder, identity: Mapping[str
     meta: dict[str, Any] = {"notes": list(subject.notes), "body": file_identity(body)["sha256"]}
     if subject.rivals is not None:
         arrays |= {"rivals": subject.rivals.values, "rivals_weights": subject.rivals.log_weights}
+    if subject.unsure is not None:
+        arrays["unsure"] = subject.unsure
     if subject.keypoints is not None:
         model = subject.keypoints
         arrays |= {name: np.asarray(v) for name in _MODEL if (v := getattr(model, name)) is not None}
@@ -50,11 +52,11 @@ def kept_subject(results: ResultsFolder, identity: Mapping[str, Any]) -> Subject
         if "keypoints" in saved.meta:
             a = saved.arrays
             names, known = tuple(saved.meta["keypoints"]), a["known"].astype(np.bool_)
-            model = KeypointModel(names, a["joint"].astype(np.int64), a["offset"], known, a.get("sd"))
+            model = KeypointModel(names, a["joint"].astype(np.int64), a["offset"], known, a.get("sd"), a.get("view"))
         a, rivals = saved.arrays, None
         if "rivals" in a:
             rivals = Hypotheses(a["rivals"], a["rivals_weights"])
-        return Subject(load_body(body), model, a["start"], tuple(saved.meta["notes"]), rivals)
+        return Subject(load_body(body), model, a["start"], tuple(saved.meta["notes"]), rivals, a.get("unsure"))
     except (HyposeError, KeyError, TypeError):
         return None
 

@@ -1,8 +1,9 @@
-"""Stretches of a tracked clip in which left and right had been exchanged, tracked again the right way round.
+"""Stretches of a tracked clip in which left and right had been exchanged, or the body lost, tracked again.
 
 While a person is tracked, the body turned around and the body with its legs exchanged are compared with the tracked one
-twice a second (`FrameEstimate.exchanged`). Where one of them is better, tracking begins anew from it, forwards and
-backwards in time, as long as that explains the evidence better than before; frame by frame the better one is kept.
+twice a second, and a body that is lost is looked for (`FrameEstimate.exchanged`). Where one of them is better, tracking
+begins anew from it, forwards and backwards in time, as long as that explains the evidence better than before; frame by
+frame the better one is kept.
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ import numpy as np
 
 from hypose.body.body import Body
 from hypose.evidence.frame import Frame
-from hypose.geometry import Array
+from hypose.inference.layer import Memory
 from hypose.pipeline.doubts import in_words, looked_at, runs
-from hypose.tracking.tracker import FrameEstimate, Tracker
+from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
 
 FrameRange = Callable[[range], Iterable[Frame]]
 """The frames of a range of numbers, one after the other."""
@@ -30,20 +31,28 @@ _UNDECIDED = 50
 """Frames after its best after which it is broken off as well."""
 _MET_M, _MET_FRAMES = 0.02, 8
 """m, frames: both tracks are one where their joints lie so near for so long."""
+_ELSEWHERE_M = 0.15
+"""m: a body whose joints lie so far off in the mean had been lost."""
 _LEG = ("hip", "knee", "ankle")
 _BLOCK = 25
 """Frames read at once to go backwards: videos are read forwards."""
 
 
 def mend_sides(
-    tracker: Tracker, estimates: Sequence[FrameEstimate], frames: FrameRange, *, sure_start: bool = False
+    tracker: Tracker,
+    estimates: Sequence[FrameEstimate],
+    frames: FrameRange,
+    *,
+    sure_start: bool = False,
+    memory: Memory | None = None,
 ) -> tuple[list[FrameEstimate], list[range]]:
     """The estimates of frames 0, 1, ... with those replaced whose sides were exchanged, and which these are. With
-    sure_start frame 0 is the right way round, whatever the masks say, and so is what follows from it."""
+    sure_start frame 0 is the right way round, whatever the masks say, and so is what follows from it. memory: what has
+    been remembered of the person."""
     out = list(estimates)
     tried, replaced = set[int](), np.zeros(len(out), dtype=bool)
     while (at := _most_suspicious(out, tried)) is not None:
-        anew = _tracked_anew(tracker, out, at, frames)
+        anew = _tracked_anew(tracker, out, at, frames, memory)
         if anew.won < _LEAST * _pace(tracker) or (sure_start and anew.first == 0):
             tried.update(anew.compared)  # what fits as well both ways is gone through once
             continue
@@ -57,11 +66,14 @@ def sides_notes(replaced: Sequence[range]) -> tuple[str, ...]:
     """A sentence for the user; none where nothing was exchanged."""
     if not replaced:
         return ()
-    return (f"left and right had been exchanged in {in_words(replaced)}; tracked again the other way round",)
+    return (
+        f"left and right had been exchanged in {in_words(replaced)}, or the body lost; tracked again the right way",
+    )
 
 
 def _most_suspicious(estimates: Sequence[FrameEstimate], tried: set[int]) -> int | None:
-    """The frame in which the body with its sides exchanged is better by most; None when there is none left."""
+    """The frame in which the body with its sides exchanged, or found again, is better by most; None when there is none
+    left."""
     better = [(e.exchanged, t) for t, e in enumerate(estimates) if e.exchanged > 0 and t not in tried]
     return max(better)[1] if better else None
 
@@ -77,9 +89,12 @@ class _Anew:
     compared: range
 
 
-def _tracked_anew(tracker: Tracker, old: Sequence[FrameEstimate], at: int, frames: FrameRange) -> _Anew:
-    """What is won over the old estimates around frame `at`, from the body with its sides exchanged there."""
-    start = tracker.rival(old[at].pose, next(iter(frames(range(at, at + 1)))))
+def _tracked_anew(
+    tracker: Tracker, old: Sequence[FrameEstimate], at: int, frames: FrameRange, memory: Memory | None
+) -> _Anew:
+    """What is won over the old estimates around frame `at`, from the body with its sides exchanged there, or from where
+    it was found."""
+    start = tracker.start(tracker.rival(old[at].pose, next(iter(frames(range(at, at + 1))))), memory)
     ahead, back = range(at, len(old)), range(at - 1, -1, -1)
     later, won, after = _while_better(tracker, start, old, ahead, _forwards(frames, at, len(old)))
     earlier, won_earlier, before = _while_better(tracker, start, old, back, _backwards(frames, at))
@@ -89,14 +104,14 @@ def _tracked_anew(tracker: Tracker, old: Sequence[FrameEstimate], at: int, frame
 
 def _while_better(
     tracker: Tracker,
-    start: Array,
+    start: TrackerState,
     old: Sequence[FrameEstimate],
     numbers: range,
     frames: Iterable[tuple[Frame, Frame | None]],
 ) -> tuple[list[FrameEstimate], float, int]:
-    """Estimates from the pose `start` (D,) on, up to the frame where most is won over the old ones, without those at
-    their end that change no sides; how much is won, and how many frames were tracked."""
-    state, new = tracker.start(start), list[FrameEstimate]()
+    """Estimates from the state `start` on, up to the frame where most is won over the old ones, without those at
+    their end that are much the same; how much is won, and how many frames were tracked."""
+    state, new = start, list[FrameEstimate]()
     won = best = 0.0
     kept = met = 0
     pace = _pace(tracker)
@@ -109,7 +124,7 @@ def _while_better(
         met = met + 1 if _apart(tracker.body, old[t], estimate) < _MET_M else 0
         if won < best - _GIVE_UP * pace or len(new) - kept > _UNDECIDED * pace or met >= _MET_FRAMES * pace:
             break
-    while kept and _same_sides(tracker.body, old[numbers[kept - 1]], new[kept - 1]):
+    while kept and _much_the_same(tracker.body, old[numbers[kept - 1]], new[kept - 1]):
         kept -= 1
     return new[:kept], best, len(new)
 
@@ -136,13 +151,13 @@ def _backwards(frames: FrameRange, stop: int) -> Iterator[tuple[Frame, Frame | N
         stop = begin
 
 
-def _same_sides(body: Body, a: FrameEstimate, b: FrameEstimate) -> bool:
-    """Do hips, knees and ankles lie on the same sides of each other in both?"""
+def _much_the_same(body: Body, a: FrameEstimate, b: FrameEstimate) -> bool:
+    """Do hips, knees and ankles lie on the same sides of each other in both, and all joints near?"""
     s = body.skeleton
     joints = body.joints(np.stack([a.pose, b.pose]))
     left, right = (joints[:, [s.joint(f"{side}_{name}") for name in _LEG]] for side in ("left", "right"))
     across = left - right
-    return bool(((across[0] * across[1]).sum(-1) > 0).all())
+    return bool(((across[0] * across[1]).sum(-1) > 0).all()) and _apart(body, a, b) < _ELSEWHERE_M
 
 
 def _apart(body: Body, a: FrameEstimate, b: FrameEstimate) -> float:

@@ -107,8 +107,11 @@ def frames_wanted(recording: Recording, options: TrackOptions) -> FrameSettings 
     the picture of one camera cannot have what it is to look at."""
     if options.of_picture:
         return picture_options(recording, options.start, options.looks_at)
-    # key points alone need no image, so nothing is decoded
-    return FrameSettings(silhouettes=None) if options.looks_at == "keypoints" else None
+    if options.looks_at == "keypoints":  # they need no image, so nothing is decoded
+        return FrameSettings(silhouettes=None)
+    if options.looks_at == "silhouettes" and "colours" in options.preset.likes and options.own.get("colours"):
+        return FrameSettings(silhouettes=recording.silhouettes, colours=True)
+    return None
 
 
 def check_views(recording: Recording, of_picture: bool = False) -> None:
@@ -128,7 +131,7 @@ class TrackResult:
     """motion; the subject's body; complete: every frame was tracked; notes for the report; modes: the poses that each
     frame allows, where the recipe tells them. one_by_one (T, D): the poses as each frame was tracked, audit (T, J, A):
     what spoke for and against each joint (hypose.tracking.audit), None where that was not kept; faults: sentences on
-    what was found wrong before tracking."""
+    what was found wrong before tracking; beside: on who else is there."""
 
     motion: Motion
     body: Body
@@ -138,11 +141,12 @@ class TrackResult:
     one_by_one: Array | None = None
     audit: NDArray[np.float32] | None = None
     faults: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> Verdict:
         """Whether the motion is to be trusted, in words."""
-        return verdict_of(self.motion, self.faults)
+        return replace(verdict_of(self.motion, self.faults), beside=self.beside)
 
 
 def track_source(
@@ -191,7 +195,7 @@ def track_source(
         solved, audit = track_keypoints(source, frame_rate, subject, report)
         motion = replace(solved.motion, provenance=record or {})
         notes = (*subject.notes, *solved.notes)
-        motion = _doubted(motion, subject.body, solved.one_by_one, audit, solved.covariance)
+        motion = _doubted(motion, subject, solved.one_by_one, audit, solved.covariance)
         result = TrackResult(motion, subject.body, True, notes)
         return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, faults=faults), results)
     before = tracked_before(results.checkpoint, key, total) if resume and results is not None else None
@@ -251,7 +255,9 @@ def finish(
 
     if done.complete:
         progress("sides", 0, 1)
-        estimates, exchanged = mend_sides(tracker, estimates, again, sure_start=options.sure_start)
+        estimates, exchanged = mend_sides(
+            tracker, estimates, again, sure_start=options.sure_start, memory=done.state.memory
+        )
         notes = (*notes, *sides_notes(exchanged))
         progress("sides", 1, 1)
     tracked = _tracked(subject, estimates, tracker.settings.frame_rate, record)
@@ -267,16 +273,19 @@ def finish(
     own, audit = np.stack([e.pose for e in estimates]), np.stack([e.audit for e in estimates])
     information = np.stack([e.uncertainty.information for e in estimates])
     covariance = pose_covariance(unpacked(information, subject.body.skeleton.dof))
-    motion = _doubted(motion, subject.body, own, audit, covariance)
+    motion = _doubted(motion, subject, own, audit, covariance)
     out = TrackResult(motion, subject.body, done.complete, notes, None, own, audit, faults)
     return _written(out, results)
 
 
-def _doubted(motion: Motion, body: Body, one_by_one: Array, audit: NDArray[np.float32], covariance: Array) -> Motion:
+def _doubted(
+    motion: Motion, subject: Subject, one_by_one: Array, audit: NDArray[np.float32], covariance: Array
+) -> Motion:
     """The motion with the probability that a joint is wrong, what is doubtful for that, and standard deviations that
     hold; covariance (T, D, D) of the poses."""
     evidence = evidence_of(audit)
-    p, joints = judged(motion, body.joints(one_by_one), audit)  # by what the curvature says
+    # by what the curvature says
+    p, joints = judged(motion, subject.body.joints(one_by_one), audit, subject.unsure)
     motion = with_fitted_angles(with_fitted_joints(motion, evidence), covariance, evidence)
     frames = joints.any(1) if motion.doubtful is None else motion.doubtful | joints.any(1)
     return replace(motion, p_wrong=p, doubtful_joints=joints, doubtful=frames)

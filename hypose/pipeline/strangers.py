@@ -21,13 +21,13 @@ def strangers_share(now: Silhouettes, before: Silhouettes, skeleton: Skeleton, j
     NaN where it touches nothing, or the mask is not usable. joints (J, 3): m, world, of the tracked body.
 
     Only what was there in the frame before as well is looked at: noise comes and goes."""
-    points = _points(skeleton, joints)
+    points, seen, then = _points(skeleton, joints), now.told, before.told
     cameras = now.rig
     step = max(1, round(int(cameras.sizes.max()) / _LOOKED_AT))
     out = np.full(len(cameras), np.nan, np.float32)
     for c in np.flatnonzero(now.usable & before.usable).tolist():
         w, h = (int(n) for n in cameras.sizes[c])
-        thin = now.masks[c, :h:step, :w:step] & before.masks[c, :h:step, :w:step]
+        thin = seen[c, :h:step, :w:step] & then[c, :h:step, :w:step]
         labels = np.zeros(thin.shape, dtype=np.int32)
         label(thin, _TOUCHING, output=labels)  # OpenCV would wake its threads for so small a picture
         area = np.bincount(labels.ravel())

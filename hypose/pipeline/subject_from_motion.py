@@ -25,12 +25,13 @@ from hypose.io.files import write_text
 from hypose.io.motions.bodies import load_body, save_body
 from hypose.pipeline.mend_sides import mend_sides
 from hypose.pipeline.subject_checks import check_borders, check_named_pose, check_size, check_start, no_two_views
-from hypose.tracking.costs import silhouette_iou
+from hypose.tracking.costs import mean_overlap, silhouette_iou
 from hypose.tracking.frame_evidence import PreparedFrame, prepare
 from hypose.tracking.recipes import default
 from hypose.tracking.refinement import refine
 from hypose.tracking.shape_refinement import Known, ShapeSettings, refine_shape
-from hypose.tracking.starts import KNOWN_POSES, hull_of, start_from_hull
+from hypose.tracking.start_search import Start, Starts, starts_in_frame, weighed
+from hypose.tracking.starts import KNOWN_POSES, hull_of, start_in_pose
 from hypose.tracking.subject import scaled_to_height
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings
 
@@ -66,7 +67,8 @@ class AnthropometryOptions:
 class SubjectEstimate:
     """body: in its clothes, as cameras see it; naked: without them; factors (K,) with covariance (K, K) of
     hypose.body.anthropometry.ENTITIES about the template; start (D,): pose in the first frame looked at; frames: the
-    fitted instants, poses (F, D) there; iou (F, C) of the body before and after; notes in words."""
+    fitted instants, poses (F, D) there; iou (F, C) of the body before and after; notes in words; unsure (J,): how
+    likely a joint is elsewhere at the start than it is taken to be, by the other starts that the masks allow."""
 
     body: Body
     naked: Body
@@ -80,6 +82,7 @@ class SubjectEstimate:
     iou_before: Array
     iou: Array
     notes: tuple[str, ...]
+    unsure: Array
 
     @property
     def sizes(self) -> Sizes:
@@ -132,10 +135,11 @@ def estimate_subject(
     border_notes = check_borders(seen, options.height)
     height, known = options.height, Known(options.height, options.mass)
     if start is None:
-        body, start_pose, at = _best_start(template, seen, options)
+        starts, at = _best_start(template, seen, options)
+        body, start_pose, unsure = starts.best.body, starts.best.pose, starts.unsure
     else:
         body = template if height is None else scaled_to_height(template, height)
-        start_pose, at = start, 0
+        start_pose, at, unsure = start, 0, np.zeros(len(template.skeleton.joint_names))
     first, x = body, prior_mean()
     x[0] = np.log(body.stature / template.stature)
     by_template, iou = _both_ways(body, start_pose, at, seen, rate, options, tick)
@@ -173,38 +177,77 @@ def estimate_subject(
         iou_before,
         iou_after,
         (note, *border_notes),
+        unsure,
     )
 
 
-def _best_start(template: Body, frames: Sequence[Frame], options: AnthropometryOptions) -> tuple[Body, Array, int]:
-    """The scaled template, its pose and the number of the frame where they explain the silhouettes best. A hole in one
-    mask cuts the hull, so several frames are tried; the median of their hulls' heights is the person's extent."""
+def _best_start(template: Body, frames: Sequence[Frame], options: AnthropometryOptions) -> tuple[Starts, int]:
+    """The starts in the frame where they explain the silhouettes best, and its number. A hole in one mask cuts the
+    hull, so other frames are tried where the first one leaves a doubt; the median of their hulls' heights is the
+    person's extent."""
     tried = sorted({0, len(frames) // 3, (2 * len(frames)) // 3})
     extents = []
     for k in sorted({*tried, len(frames) // 6, len(frames) // 2, len(frames) - 1}):
         with contextlib.suppress(EvidenceError):
             extents.append(hull_of(_prepared(frames[k], template, np.zeros(template.skeleton.dof))).height)
     extent = float(np.median(extents)) if extents else None
-    best: tuple[float, Body, Array, int] | None = None
+    named = options.poses[0] if len(options.poses) == 1 else None
+    best: tuple[float, Starts, int] | None = None
     failed: EvidenceError | None = None
     for k in tried:
-        # only the first frame is promised to show the named pose
-        poses = options.poses if k == 0 else tuple(dict.fromkeys((*options.poses, "standing", "a")))
         try:
-            body, pose, value = hull_start(template, frames[k], options.height, poses, extent)
+            if named is not None and k == 0:  # only the first frame is promised to show the named pose
+                found = _in_named_pose(template, frames[0], options, extent)
+            else:
+                found = _searched(template, frames, k, options.height, extent)
         except EvidenceError as error:
             failed = failed or error
             continue
-        if k == 0 and len(options.poses) == 1:
-            others = [p for p in KNOWN_POSES if p not in options.poses]
-            overlap = {p: hull_start(template, frames[0], body.stature, (p,))[2] for p in others}
-            check_named_pose(options.poses[0], value, overlap, frames[0].index)
+        if named is not None and k == 0:
+            _check_named(template, frames[0], named, found.best, extent)
+        value = _overlap(found.best, frames[k])
         if best is None or value > best[0] + 0.02:
-            best = (value, body, pose, k)
+            best = (value, found, k)
+        if best[0] > _PLAIN and best[1].weights[0] > _SURE:
+            break
     if best is None:
         raise failed or EvidenceError("No frame has a visual hull to start from; check the calibration and the masks.")
-    check_start(best[0], frames[best[3]].index)
-    return best[1], best[2], best[3]
+    check_start(best[0], frames[best[2]].index)
+    return best[1], best[2]
+
+
+_PLAIN, _SURE = 0.6, 0.9
+"""Mean IoU and weight from which on a start needs no other frame."""
+_LATER = (2, 4, 7, 10, 14)
+"""Instants after a start that decide between its rivals."""
+
+
+def _searched(template: Body, frames: Sequence[Frame], at: int, height: float | None, extent: float | None) -> Starts:
+    """The starts in frame number `at` of the instants looked at, weighed by those that follow, or by those before it
+    where none follow."""
+    here, zero = _prepared(frames[at], template, np.zeros(template.skeleton.dof)), np.zeros(template.skeleton.dof)
+    others = [at + k for k in _LATER if at + k < len(frames)] or [at - k for k in _LATER if at - k >= 0]
+    later = [_prepared(frames[k], template, zero) for k in others]
+    return weighed(starts_in_frame(template, here, height, extent), [f for f in later if f.masks is not None])
+
+
+def _in_named_pose(template: Body, frame: Frame, options: AnthropometryOptions, extent: float | None) -> Starts:
+    """The start in the pose that was named."""
+    name = options.poses[0]
+    body, pose, value = named_start(template, frame, name, options.height, extent)
+    start = Start(body, pose, 1 - value)
+    return Starts((start,), np.ones(1), np.zeros(len(body.skeleton.joint_names)))
+
+
+def _check_named(template: Body, frame: Frame, name: str, start: Start, extent: float | None) -> None:
+    """An EvidenceError when the frame shows another known pose than the named one, in which the start is."""
+    others = [p for p in KNOWN_POSES if p != name]
+    overlap = {p: named_start(template, frame, p, start.body.stature, extent)[2] for p in others}
+    check_named_pose(name, 1 - start.cost, overlap, frame.index)
+
+
+def _overlap(start: Start, frame: Frame) -> float:
+    return mean_overlap(start.body, start.pose, _prepared(frame, start.body, start.pose))
 
 
 def _both_ways(
@@ -226,14 +269,10 @@ def _both_ways(
     return np.stack([e.pose for e in tracked]), np.array([1 - e.cost for e in tracked])
 
 
-def hull_start(
-    template: Body,
-    frame: Frame,
-    height: float | None = None,
-    poses: Sequence[str] = KNOWN_POSES,
-    extent: float | None = None,
+def named_start(
+    template: Body, frame: Frame, pose: str, height: float | None = None, extent: float | None = None
 ) -> tuple[Body, Array, float]:
-    """The template scaled to the person, its pose in one frame and the mean IoU there: known poses at the visual hull,
+    """The template scaled to the person, its pose in one frame and the mean IoU there: a known pose at the visual hull,
     at the given height, or at several scales about the hull's (`extent` m, default this frame's), of which the best
     explained is taken."""
     prepared = prepare(frame, template, np.zeros(template.skeleton.dof))
@@ -246,10 +285,10 @@ def hull_start(
     best: tuple[float, Body, Array] | None = None
     for h in heights:
         body = scaled_to_height(template, float(np.clip(h, 0.8, 2.3)))
-        pose = start_from_hull(body, prepared, tuple(poses)).pose
-        value = float(np.nanmean(silhouette_iou(body, pose, prepared)))
+        found = start_in_pose(body, prepared, (pose,)).pose
+        value = mean_overlap(body, found, prepared)
         if best is None or value > best[0] + 0.002:
-            best = (value, body, pose)
+            best = (value, body, found)
     assert best is not None
     return best[1], best[2], best[0]
 

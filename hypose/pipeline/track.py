@@ -6,15 +6,54 @@ import contextlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import overload
 
 from hypose.body.body import Body
+from hypose.errors import InputError
 from hypose.inference.layer import Recipe
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
+from hypose.pipeline.one_of_several import (
+    chosen_people,
+    keypoint_people,
+    people_frames,
+    track_one_of,
+    wanted_first,
+    wanted_of,
+    with_everybody,
+)
+from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import TrackOptions, TrackResult, check_views, frames_wanted, track_source
 from hypose.pipeline.subject_from_motion import load_subject
 from hypose.pipeline.track_loop import FrameList, Progress
+from hypose.pipeline.tracked_people import PeopleResult
 from hypose.tracking.frame_evidence import OwnEvidence
+
+
+@overload
+def track(
+    recording: Recording | FrameList | str | Path,
+    options: TrackOptions | None = None,
+    *,
+    recipe: str | Recipe | None = None,
+    own: Sequence[OwnEvidence] = (),
+    body: Body | None = None,
+    progress: Progress | None = None,
+    people: None = None,
+) -> TrackResult: ...
+
+
+@overload
+def track(
+    recording: Recording | FrameList | str | Path,
+    options: TrackOptions | None = None,
+    *,
+    recipe: str | Recipe | None = None,
+    own: Sequence[OwnEvidence] = (),
+    body: Body | None = None,
+    progress: Progress | None = None,
+    people: str | int,
+) -> PeopleResult: ...
 
 
 def track(
@@ -25,13 +64,15 @@ def track(
     own: Sequence[OwnEvidence] = (),
     body: Body | None = None,
     progress: Progress | None = None,
-) -> TrackResult:
+    people: str | int | None = None,
+) -> TrackResult | PeopleResult:
     """The motion of the person in a recording (or the recording in a folder, or frames in memory), and the body.
 
     recipe: a preset's name, or a recipe of your own for the joints of `human()` (default: the options'). own: evidence
     of your own beside that of the recording. body: the subject's own, which is kept as it is (default: fitted to the
-    recording). Nothing is written; `hypose track` writes files and can be resumed. An InputError names what cannot be
-    used.
+    recording). people: 'all', how many at most, or the name of one in recording.toml: everybody is tracked together, in
+    a PeopleResult; without it one person is tracked, also where several are seen. Nothing is written; `hypose track`
+    writes files and can be resumed. An InputError names what cannot be used.
     """
     loaded = recording if isinstance(recording, Recording | FrameList) else load_recording(recording)
     height = loaded.subject_height if isinstance(loaded, Recording) else None
@@ -45,7 +86,43 @@ def track(
         check_views(loaded, True)
     if body is None and chosen.subject is not None:
         body = load_subject(chosen.subject)
+    if people is not None:
+        if method is not None or own or body is not None:
+            raise InputError(
+                "Several people are tracked by a preset, without evidence of your own; name their bodies in "
+                "recording.toml, and leave out body, own and the recipe."
+            )
+        return _track_people(loaded, chosen, str(people), progress)
+    if isinstance(loaded, FrameList):
+        return track_source(loaded, loaded.frame_rate, chosen, body=body, progress=progress, method=method, own=own)
+    with FrameStream(loaded, frames_wanted(loaded, chosen)) as source:
+        everybody = with_everybody(source, chosen) if method is None and not own and body is None else None
+        if everybody is None:
+            return track_source(source, loaded.frame_rate, chosen, body=body, progress=progress, method=method, own=own)
+        points = keypoint_people(loaded, source.rig) if chosen.looks_at == "both" else None
+        wanted = wanted_first(loaded, chosen)
+        with everybody:
+            return track_one_of(
+                everybody, loaded.frame_rate, chosen, wanted=wanted, points=points, progress=progress, command=_ALL
+            )
+
+
+_ALL = 'people="all"'
+
+
+def _track_people(
+    loaded: Recording | FrameList, options: TrackOptions, people: str, progress: Progress | None
+) -> PeopleResult:
+    wanted = wanted_of(loaded) if isinstance(loaded, Recording) else []
+    count, only = chosen_people(people, wanted)
     in_memory = isinstance(loaded, FrameList)
-    frames = contextlib.nullcontext(loaded) if in_memory else FrameStream(loaded, frames_wanted(loaded, chosen))
+    frames = contextlib.nullcontext(loaded) if in_memory else people_frames(loaded, options)
     with frames as source:
-        return track_source(source, loaded.frame_rate, chosen, body=body, progress=progress, method=method, own=own)
+        points = None
+        if isinstance(source, FrameStream) and isinstance(loaded, Recording) and options.looks_at != "silhouettes":
+            points = keypoint_people(loaded, source.rig)
+        report = progress or (lambda stage, done, total: None)
+        run = PeopleRun(source, loaded.frame_rate, options, count, wanted, progress=report, points=points)
+        found = run()
+    kept = tuple(p for p in found.people if only in (None, p.name))
+    return found if not kept else replace(found, people=kept, others=found.others + len(found.people) - len(kept))

@@ -28,15 +28,21 @@ FEW_S = 0.12
 
 @dataclass(frozen=True)
 class Verdict:
-    """word: GOOD, LOOK or UNTRUSTED; because: sentences; frames: to look at."""
+    """word: GOOD, LOOK or UNTRUSTED; because: sentences; frames: to look at; beside: sentences on what else is
+    there."""
 
     word: str
     because: tuple[str, ...] = ()
     frames: tuple[range, ...] = ()
+    beside: tuple[str, ...] = ()
 
     @property
     def sentence(self) -> str:
         """In one paragraph."""
+        return " ".join((self._judgement, *self.beside))
+
+    @property
+    def _judgement(self) -> str:
         if self.word == UNTRUSTED:
             return "Not to be trusted, because: " + " ".join(_ended(b) for b in self.because)
         if self.word == LOOK:
@@ -50,6 +56,7 @@ class Verdict:
             "because": list(self.because),
             "frames": [[r.start, r.stop] for r in self.frames],
             "sentence": self.sentence,
+            **({"beside": list(self.beside)} if self.beside else {}),
         }
 
     def with_joints(self, motion: Motion) -> dict[str, Any]:
@@ -63,7 +70,8 @@ class Verdict:
     def of_document(kept: Mapping[str, Any]) -> Verdict:
         """What `document` gave."""
         frames = tuple(range(int(a), int(b)) for a, b in kept["frames"])
-        return Verdict(str(kept["verdict"]), tuple(str(b) for b in kept["because"]), frames)
+        beside = tuple(str(b) for b in kept.get("beside", ()))
+        return Verdict(str(kept["verdict"]), tuple(str(b) for b in kept["because"]), frames, beside)
 
 
 def verdict_of(motion: Motion, faults: Sequence[str] = ()) -> Verdict:

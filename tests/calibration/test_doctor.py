@@ -7,12 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.cameras.planted_faults import FAULTS, healthy, judged, planted
+from benchmarks.cameras.planted_faults import FAULTS, healthy, judged, planted, with_bystander
 from hypose.calibration.doctor import Clip, Observed, examine, examine_and_cure
+from hypose.calibration.doctor_extrinsics import judge_extrinsics
+from hypose.calibration.doctor_findings import Limits
 from hypose.calibration.doctor_masks import align
 from hypose.calibration.doctor_points import disagreement, mirrored_names
+from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
 from hypose.evidence.keypoints import BODY_25
+from hypose.geometry import se3, so3_exp
 from hypose.synthetic.rigs import rig as named_rig
 
 SEED = 7  # walks before humaneva-4
@@ -39,6 +43,25 @@ def test_a_planted_fault_is_found_with_its_camera(walk, kind):
     assert right, [f.sentence for f in report.findings]
     found = next(f for f in report.findings if f.kind in fault.kinds)
     assert found.cure and found.sentence.count("Next: ") == 1
+
+
+@pytest.mark.parametrize("kind", ["healthy", "extrinsics", "swapped"])
+def test_a_bystander_is_no_fault_and_hides_none(walk, kind):
+    fault = with_bystander(walk if kind == "healthy" else planted(walk, kind, SEED), SEED)
+    findings = examine(fault.observed).findings
+    found, wrong = judged(fault, findings)
+    assert wrong == 0 and found == (kind != "healthy")
+    assert any(f.kind == "people" and not f.fault for f in findings)
+
+
+def test_of_two_cameras_that_disagree_neither_is_accused(walk):
+    o = walk.observed
+    turn = se3(so3_exp([0.08, 0.03, 0.05]), np.zeros(3))
+    pair = CameraRig((replace(o.rig[0], camera_from_world=turn @ o.rig[0].camera_from_world), o.rig[1]))
+    found = judge_extrinsics(pair, o.keypoints[:2], Limits())
+    assert found is not None
+    (finding,) = found.findings
+    assert set(finding.views) == set(pair.names) and "which of them is off cannot be told" in finding.text
 
 
 def test_a_late_camera_is_found_and_its_key_points_are_put_in_step(walk):

@@ -20,7 +20,7 @@ from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import Tracked
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.pose_covariance import nothing_known
-from hypose.tracking.starts import start_from_hull
+from hypose.tracking.start_search import start_from_hull
 from hypose.tracking.subject import scaled_to_height
 from hypose.tracking.tracker import FrameEstimate, TrackerState
 from tests.capsule_person import capsule_person

@@ -14,7 +14,7 @@ from hypose.pipeline.run import TrackOptions, track_source
 from hypose.tracking.exchanged_sides import turned_around
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.recipes import default
-from hypose.tracking.starts import start_from_hull
+from hypose.tracking.starts import KNOWN_POSES, start_in_pose
 from hypose.tracking.subject import scaled_to_height
 from hypose.tracking.tracker import Tracker
 
@@ -27,7 +27,7 @@ def clip():
     scene = small_scene(1, N)
     frames = list(scene.mask_frames())
     body = scaled_to_height(human(), scene.subject.stature)
-    start = start_from_hull(body, prepare(frames[0], body, np.zeros(body.skeleton.dof))).pose
+    start = start_in_pose(body, prepare(frames[0], body, np.zeros(body.skeleton.dof)), KNOWN_POSES).pose
     tracker = Tracker(body, default(body, particles=64))
     return scene, frames, tracker, tracked(tracker, start, frames)
 

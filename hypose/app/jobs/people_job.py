@@ -1,0 +1,224 @@
+"""A tracking job of several people: one folder of results for each, and overlay, C3D, GLB and an index with all."""
+
+from __future__ import annotations
+
+import html
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from urllib.parse import quote
+
+import numpy as np
+
+from hypose import compute
+from hypose.app.commands.console import ProgressCall, ignore
+from hypose.app.jobs.job import VERDICT, Job, Outcome, check_job, export_all, record_of, remove_stale
+from hypose.app.reports.drawing import draw
+from hypose.app.reports.people_overlay import colour_of, write_people_overlay
+from hypose.app.reports.report import ReportInput
+from hypose.app.reports.result_pictures import Image
+from hypose.app.studio.view_bundle import Rivals
+from hypose.errors import InputError
+from hypose.io.motions.bodies import save_body
+from hypose.io.motions.c3d import write_c3d
+from hypose.io.motions.gltf import write_people_glb
+from hypose.io.motions.results import ResultsFolder, check_writable
+from hypose.io.recordings.frames import FrameStream
+from hypose.pipeline.doubts import in_words, runs
+from hypose.pipeline.one_of_several import chosen_people, keypoint_people, people_frames, wanted_of
+from hypose.pipeline.people_run import PeopleRun
+from hypose.pipeline.run import check_views
+from hypose.pipeline.tracked_people import OnePerson
+from hypose.pipeline.verdict import UNTRUSTED, Verdict
+from hypose.tracking.recipes import citation_of
+
+PEOPLE = "people.json"
+
+
+def run_people(job: Job, people: str, progress: ProgressCall = ignore) -> Outcome:
+    """Track several people, export, draw and report; as `run_job` for one. The outcome is that of the first person,
+    with everybody's files and the worst verdict."""
+    recording, options, results = job.recording, job.options, job.results
+    check_job(job)
+    check_views(recording)
+    if job.chunk_s is not None:
+        raise InputError(
+            "Several people cannot be tracked in chunks: who is who would not be known from one to the next; leave out "
+            "the chunks, or track one person."
+        )
+    if options.subject is not None:
+        raise InputError(
+            "--subject is one person's body; name the bodies of several people in recording.toml, as "
+            "body = ... in their [[person]]."
+        )
+    wanted = wanted_of(recording)
+    count, only = chosen_people(people, wanted)
+    check_writable(results.path)
+    record = record_of(job)
+    record = {**record, "settings": {**record["settings"], "people": people}}
+    progress("compile", 0, 1)
+    compute.warm_up()
+    progress("compile", 1, 1)
+    progress("background", 0, 1)
+    with people_frames(recording, options) as source:
+        progress("background", 1, 1)
+        found = PeopleRun(
+            source,
+            recording.frame_rate,
+            options,
+            count,
+            wanted,
+            results,
+            record,
+            job.resume,
+            progress,
+            keypoint_people(recording, source.rig) if options.looks_at != "silhouettes" else None,
+        )()
+        shown = [p for p in found.people if only is None or p.name == only] or list(found.people)
+        notes = [*recording.notes, *source.notes, *found.notes]
+        files: list[Path] = []
+        for one in shown:
+            files += _written(one, ResultsFolder(results.path / one.name))
+        if found.complete:
+            for one in shown:
+                files += _one_report(job, one, source, files, progress)
+            top = _together(job, shown, source, notes, progress)
+            files += top
+            remove_stale(results, [*top])
+    first = shown[0]
+    verdict = worst_verdict(shown)
+    results.write_json(VERDICT, verdict.document())
+    said = (*notes, *(f"{p.name}: {n}" for p in shown for n in p.result.notes))
+    return Outcome(first.result.motion, first.result.body, found.complete, tuple(files), said, None, verdict)
+
+
+def worst_verdict(people: Sequence[OnePerson]) -> Verdict:
+    """Of several people: the worst word, and what each verdict says."""
+    verdicts = {p.name: p.verdict for p in people}
+    order = ("good", "look", UNTRUSTED)
+    word = max((v.word for v in verdicts.values()), key=order.index)
+    because = [f"{name}: {v.sentence}" for name, v in verdicts.items() if v.word == word and word != "good"]
+    frames = tuple(r for v in verdicts.values() if v.word == word for r in v.frames)
+    return Verdict(word, tuple(because), frames if word == "look" else ())
+
+
+def _written(one: OnePerson, results: ResultsFolder) -> list[Path]:
+    """What of one person there is before anything is drawn."""
+    save_body(one.result.body, results.file("body.npz"))
+    results.write_json("provenance.json", one.result.motion.provenance)
+    results.write_json(VERDICT, {**one.verdict.with_joints(one.result.motion), "there": _there(one)})
+    return [results.file(n) for n in ("motion.npz", "body.npz", "provenance.json", VERDICT)]
+
+
+def _there(one: OnePerson) -> list[list[int]]:
+    return [[r.start, r.stop] for r in runs(one.present)]
+
+
+def _one_report(
+    job: Job, one: OnePerson, source: FrameStream, written: Sequence[Path], progress: ProgressCall
+) -> list[Path]:
+    """Motion files and report of one person."""
+    own = replace(job, results=ResultsFolder(job.results.path / one.name), overlay=False)
+    motion, body = one.result.motion, one.result.body
+    files = export_all(own, motion, body, progress)
+    about = ReportInput(
+        title=f"{job.recording.name}: {one.name}",
+        motion=motion,
+        body=body,
+        rig=job.recording.rig,
+        notes=(f"Verdict: {one.verdict.sentence}", *one.result.notes),
+        citation=citation_of(job.options.recipe, job.options.refine),
+        seconds={},
+        truth=None,
+        complete=one.result.complete,
+        recording=job.recording,
+        first_frame=job.recording.frames.start,
+        rivals=Rivals.of_motion(motion),
+    )
+
+    def stills(path: Path, rows: Sequence[int]) -> Mapping[int, Image]:
+        return write_people_overlay(path, job.recording, source, [one], stills=rows, video=False, progress=progress)
+
+    mine = [p for p in written if p.parent == own.results.path]
+    files += draw(own.results, about, stills, [*mine, *files], video=False, progress=progress)
+    remove_stale(own.results, [*mine, *files])
+    shutil.rmtree(own.results.path / "chunks", ignore_errors=True)
+    return files
+
+
+def _together(
+    job: Job, people: Sequence[OnePerson], source: FrameStream, notes: Sequence[str], progress: ProgressCall
+) -> list[Path]:
+    """Overlay, C3D, GLB and index with everybody."""
+    results, files = job.results, list[Path]()
+    if job.overlay:
+        path = results.file("overlay.mp4")
+        write_people_overlay(path, job.recording, source, people, progress=progress)
+        files.append(path)
+    if "c3d" in job.formats:
+        files.append(write_people_c3d(results.file("motion.c3d"), people))
+    if "glb" in job.formats:
+        path = results.file("motion.glb")
+        write_people_glb(path, [(p.name, p.result.motion, p.result.body) for p in people])
+        files.append(path)
+    about = [
+        {
+            "name": p.name,
+            "folder": p.name,
+            "verdict": p.verdict.word,
+            "there": _there(p),
+            "stature": p.result.body.stature,
+        }
+        for p in people
+    ]
+    files.append(results.write_json(PEOPLE, {"people": about, "notes": list(notes)}))
+    files.append(results.write_text("report.html", _index(job, people, notes)))
+    files.append(results.file(VERDICT))
+    return files
+
+
+def write_people_c3d(path: Path, people: Sequence[OnePerson]) -> Path:
+    """Joint centres of all, named NAME_JOINT, as one C3D; points of who is not there are not seen."""
+    names = [f"{p.name.replace(' ', '-')}_{j}" for p in people for j in p.result.motion.skeleton.joint_names]
+    points, residuals = [], []
+    for p in people:
+        m = p.result.motion
+        points.append(np.where(p.present[:, None, None], m.joints, np.nan))
+        computed = (m.lost | m.extrapolated).astype(bool)
+        residuals.append(np.where(computed[:, None], 0.0, np.maximum(m.joint_sd * 1000, 1e-3)))
+    rate = people[0].result.motion.frame_rate
+    write_c3d(path, names, np.concatenate(points, 1), rate, np.concatenate(residuals, 1))
+    return path
+
+
+_STYLE = (
+    "body{font:15px/1.5 system-ui,sans-serif;max-width:1080px;margin:24px auto;padding:0 16px} video{max-width:100%} "
+    "td,th{padding:3px 14px 3px 0;text-align:left;vertical-align:top;border-bottom:1px solid #d5dde4}"
+)
+
+
+def _index(job: Job, people: Sequence[OnePerson], notes: Sequence[str]) -> str:
+    """A page that leads to everybody's report."""
+    rows = []
+    for k, p in enumerate(people):
+        b, g, r = colour_of(k)
+        there = in_words(runs(p.present)) if not p.present.all() else "all frames"
+        cells = (
+            f'<span style="color:rgb({r},{g},{b})">&#9632;</span>',
+            f'<a href="{html.escape(quote(p.name), quote=True)}/report.html">{html.escape(p.name)}</a>',
+            f"{p.result.body.stature:.2f} m",
+            html.escape(there),
+            html.escape(p.verdict.sentence),
+        )
+        rows.append("<tr>" + "".join(f"<td>{c}</td>" for c in cells) + "</tr>")
+    film = '<p><video src="overlay.mp4" controls></video></p>' if job.overlay else ""
+    said = "".join(f"<li>{html.escape(n)}</li>" for n in notes)
+    title = html.escape(job.recording.name)
+    policy = "default-src 'none'; media-src 'self'; style-src 'unsafe-inline'"
+    heads = "".join(f"<th>{h}</th>" for h in ("", "person", "height", "there", "verdict"))
+    return (
+        f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}"><style>{_STYLE}</style></head><body>'
+        f"<h1>{title}</h1><table><tr>{heads}</tr>{''.join(rows)}</table>{film}<ul>{said}</ul></body></html>\n"
+    )

@@ -1,0 +1,137 @@
+"""Where people stand in a recording before anybody is tracked: who is in the hull, instant after instant."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from hypose.errors import HyposeError
+from hypose.evidence.frame import Frame
+from hypose.evidence.hull_people import HullPerson, people_in_hull
+from hypose.evidence.shared_masks import Other, own_silhouettes
+from hypose.geometry import Array
+from hypose.tracking.several import nobody_in
+
+SURPRISE = 1.0
+"""m/s: by which somebody moves otherwise than expected."""
+SLACK = 0.25
+"""m: by which the axis of a hull may jump besides."""
+SEEN_SHARE = 0.6
+"""Share of the looks in which somebody must be found to be there."""
+OTHERS_WIDENED = 0.02
+CORE_M = 0.3
+"""m about their axis: what of another's hull hides a person. The rest may be the person's own."""
+_GONE_S = 0.8
+_PART = 0.4
+
+
+@dataclass(eq=False)
+class Path:
+    """Somebody in the hull over time. found: by frame number, what of the hull is theirs."""
+
+    found: dict[int, HullPerson] = field(default_factory=dict)
+
+    @property
+    def last(self) -> int:
+        """The last frame in which they were found."""
+        return max(self.found)
+
+    @property
+    def litres(self) -> float:
+        """Median over the frames."""
+        return float(np.median([p.litres for p in self.found.values()]))
+
+    def expected(self, frame: int) -> Array:
+        """(2,) m: where they are expected in a later frame, going on as they did lately."""
+        known = sorted(self.found)[-4:]
+        last = self.found[known[-1]].axis
+        if len(known) < 3:
+            return last
+        speed = (last - self.found[known[0]].axis) / (known[-1] - known[0])
+        return last + speed * (frame - known[-1])
+
+    def axis(self, frame: int) -> Array:
+        """(2,) m: where they stood in the frame nearest to this one in which they were found."""
+        return self.found[min(self.found, key=lambda k: abs(k - frame))].axis
+
+
+def follow_places(
+    frame_at: Callable[[int], Frame],
+    numbers: Sequence[int],
+    frame_rate: float,
+    known: Callable[[int], Sequence[Other]] | None = None,
+    floor: float = 0.0,
+) -> list[Path]:
+    """The paths of people through the frames `numbers` (ascending), the largest first. known(number): who is explained
+    already."""
+    paths: list[Path] = []
+    for t in numbers:
+        frame = frame_at(t)
+        if frame.silhouettes is None:
+            continue
+        here = people_in_hull(frame.silhouettes, () if known is None else known(t), floor=floor)
+        usual = np.median([h.litres for p in paths for h in p.found.values()]) if paths else 0.0
+        here = [h for h in here if h.litres > _PART * usual]  # a rest of somebody is nobody's place
+        alive = [p for p in paths if t - p.last <= max(_GONE_S * frame_rate, 2 * max(np.diff([*numbers, t + 1])))]
+        taken: set[int] = set()
+        if alive and here:
+            away = np.array([[float(np.linalg.norm(p.expected(t) - h.axis)) for h in here] for p in alive])
+            reach = np.array([[SLACK + SURPRISE * (t - p.last) / frame_rate] for p in alive])
+            for a, b in zip(*linear_sum_assignment(np.where(away < reach, away, 1e3)), strict=True):
+                if away[a, b] < reach[a, 0]:
+                    alive[a].found[t] = here[b]
+                    taken.add(int(b))
+        paths += [Path({t: h}) for k, h in enumerate(here) if k not in taken]
+    return sorted(paths, key=lambda p: (-len(p.found), -p.litres))
+
+
+def lasting(paths: Sequence[Path], looks: int) -> list[Path]:
+    """Those who are found in most of so many looks."""
+    return [p for p in paths if len(p.found) >= max(2, SEEN_SHARE * looks)]
+
+
+def own_frame(frame: Frame, number: int, who: int, paths: Sequence[Path], known: Sequence[Other] = ()) -> Frame:
+    """Frame `number` as evidence for one of the people on paths alone; the others, and those who are known, are left
+    out."""
+    s = frame.silhouettes
+    if s is None:
+        return frame
+    here = paths[who].found.get(number)
+    if here is None:
+        return nobody_in(frame)
+    own = here.shape(s.rig)
+    others = [
+        Other(there.shape(s.rig, CORE_M), OTHERS_WIDENED)
+        for k, p in enumerate(paths)
+        if k != who and (there := p.found.get(number)) is not None
+    ]
+    return replace(frame, silhouettes=own_silhouettes(s, own, [*known, *others]))
+
+
+CLEARLY_M = 0.6
+"""m: people who stand nearer to each other are not counted as several unless several are asked for."""
+
+
+def _apart(people: Sequence[HullPerson]) -> int:
+    """How many stand clearly apart from all larger ones."""
+    kept: list[HullPerson] = []
+    for p in people:
+        if all(np.linalg.norm(p.axis - q.axis) > CLEARLY_M for q in kept):
+            kept.append(p)
+    return len(kept)
+
+
+def count_people(frame_at: Callable[[int], Frame], total: int, looks: int = 5) -> int:
+    """How many people stand in the masks of a recording: the median over instants spread over it. Fewer than three
+    usable views tell of nobody."""
+    found = []
+    for t in np.unique(np.linspace(0, total - 1, min(total, looks)).astype(int)).tolist():
+        with contextlib.suppress(HyposeError):
+            frame = frame_at(t)
+            if frame.silhouettes is not None and int(frame.silhouettes.usable.sum()) >= 3:
+                found.append(_apart(people_in_hull(frame.silhouettes)))
+    return int(np.median(found)) if found else 0

@@ -1,0 +1,82 @@
+"""Who comes: somebody in the masks whom nobody who is tracked explains, new or back again."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hypose.errors import EvidenceError
+from hypose.evidence.frame import Frame, Silhouettes
+from hypose.evidence.hull_people import VIEWS, HullPerson
+from hypose.evidence.shared_masks import Other, own_silhouettes, without
+from hypose.geometry import Array
+from hypose.pipeline.hull_paths import OTHERS_WIDENED
+from hypose.pipeline.tracked_people import Followed
+from hypose.tracking.costs import mean_overlap
+from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.start_search import start_from_hull
+
+LEFT_SHARE = 0.1
+"""Share of a tracked person's box that must be unexplained in VIEWS views to be worth a look at the hull."""
+SHORTER_M, TALLER_M = 0.35, 0.5
+"""m: by how much the hull of one who returns may be lower (bent) or higher (arms up) than their body is tall."""
+WALKING, BESIDE = 3.0, 0.6
+"""m/s, and m: how fast, and how much further, somebody who returns may have come from where they left."""
+
+
+def explained_by(people: Sequence[Followed], silhouettes: Silhouettes) -> list[Other]:
+    """Those of whom it is known where they are."""
+    return [Other(p.member.shape(silhouettes.rig, p.estimates[-1].pose)) for p in people if p.member.sure]
+
+
+def somebody_more(known: Sequence[Other], silhouettes: Silhouettes) -> bool:
+    """Is enough of the masks unexplained to look for a person in the hull?"""
+    if not known:
+        return True
+    left = without(silhouettes, known).told[:, ::2, ::2]
+    more = 4 * np.array([np.count_nonzero(m) for m in left])
+    boxes = np.concatenate([o.shape.boxes for o in known])
+    sizes = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
+    usual = float(np.median(sizes[sizes > 0])) if (sizes > 0).any() else 0.0
+    views = silhouettes.usable & (more > LEFT_SHARE * usual)
+    return int(views.sum()) >= min(VIEWS, int(silhouettes.usable.sum()))
+
+
+def evidence_of(person: HullPerson, frame: Frame, known: Sequence[Other], beside: Sequence[HullPerson] = ()) -> Frame:
+    """The frame as evidence for somebody in the hull; known: who is explained; beside: others in the hull."""
+    s = frame.silhouettes
+    assert s is not None
+    rest = [Other(p.shape(s.rig), OTHERS_WIDENED) for p in beside if p is not person]
+    return replace(frame, silhouettes=own_silhouettes(s, person.shape(s.rig), [*known, *rest]))
+
+
+def returned(
+    person: HullPerson, own: Frame, people: Sequence[Followed], frame_rate: float
+) -> tuple[Followed, Array] | None:
+    """Which of those who are away this is, and the pose (D,) in which they are back; None: nobody of them.
+
+    Place and motion: nobody walks faster than WALKING from where they were seen last. Body: of several the one whose
+    body overlaps the masks best, if it is about as tall as their hull."""
+    best: tuple[float, Followed, Array] | None = None
+    for p in people:
+        if p.member.sure:
+            continue
+        seen = p.last_seen
+        if seen is not None:
+            reach = BESIDE + WALKING * max(1, seen[1]) / frame_rate
+            if np.linalg.norm(seen[0][:2] - person.axis) > reach:
+                continue
+        body = p.subject.body
+        with contextlib.suppress(EvidenceError):
+            prepared = prepare(own, body, np.zeros(body.skeleton.dof))
+            pose = start_from_hull(body, prepared).pose
+            iou = mean_overlap(body, pose, prepared)
+            if best is None or iou > best[0]:
+                best = (iou, p, pose)
+    if best is None:
+        return None
+    higher = person.hull.height - best[1].subject.body.stature
+    return (best[1], best[2]) if -SHORTER_M < higher < TALLER_M else None

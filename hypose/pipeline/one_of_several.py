@@ -1,0 +1,146 @@
+"""One person of a recording that shows several: they are tracked together, and one result is kept.
+
+Never a mixture of both: what others cover is left out of the evidence for the one who was chosen.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from hypose.cameras.camera import CameraRig
+from hypose.errors import InputError
+from hypose.evidence.keypoints import keypoint_names
+from hypose.io.motions.results import ResultsFolder, save_motion
+from hypose.io.recordings.frames import FrameSettings, FrameStream
+from hypose.io.recordings.recording import Recording
+from hypose.io.recordings.recording_people import load_person
+from hypose.pipeline.hull_paths import count_people
+from hypose.pipeline.people_points import KeypointPeople
+from hypose.pipeline.people_run import PeopleRun
+from hypose.pipeline.run import TrackOptions, TrackResult
+from hypose.pipeline.subject_from_motion import load_subject
+from hypose.pipeline.track_loop import FrameSource, Progress
+from hypose.pipeline.tracked_people import Wanted
+
+_EVERYBODY = "everybody"
+_COUNT = re.compile(r"[1-9][0-9]?")
+
+
+def wanted_of(recording: Recording) -> list[Wanted]:
+    """What recording.toml says of people."""
+    first = recording.frames.start / recording.frame_rate
+    return [
+        Wanted(
+            p.name,
+            p.height,
+            None if p.body is None else load_subject(p.body),
+            p.place,
+            max(p.time - first, 0.0),
+        )
+        for p in recording.people
+    ]
+
+
+def wanted_first(recording: Recording, options: TrackOptions) -> list[Wanted]:
+    """What is known of the one person who is tracked: the first of recording.toml's people, with the body or height
+    that was asked for."""
+    first = (wanted_of(recording) or [Wanted("person-1")])[0]
+    body = first.body if options.subject is None else load_subject(options.subject)
+    return [replace(first, height=first.height or options.height, body=body)]
+
+
+def keypoint_people(recording: Recording, small: CameraRig) -> KeypointPeople | None:
+    """The people that a recording's key points show, where rays tell them apart; None when there are none."""
+    found = load_person(recording, small)
+    if found is None or recording.keypoint_set is None or not found.one.by_rays:
+        return None
+    return KeypointPeople(found.one.people, keypoint_names(recording.keypoint_set), small)
+
+
+def chosen_people(text: str, wanted: Sequence[Wanted]) -> tuple[int | None, str | None]:
+    """How many people at most (None: all), and the name of the only one whose results are wanted; from 'all', a number
+    or a name in recording.toml."""
+    if text == "all":
+        return None, None
+    if _COUNT.fullmatch(text):
+        return int(text), None
+    if text in {w.name for w in wanted}:
+        return None, text
+    known = f"; recording.toml names {', '.join(w.name for w in wanted)}" if wanted else ""
+    raise InputError(
+        f"--people {text} is neither all, nor a number from 1 to 99, nor the name of a [[person]] in recording.toml"
+        f"{known}."
+    )
+
+
+def people_frames(recording: Recording, options: TrackOptions) -> FrameStream:
+    """The frames of a recording with all people in the masks, if masks are wanted."""
+    silhouettes = None if options.looks_at == "keypoints" else recording.silhouettes
+    return FrameStream(recording, FrameSettings(silhouettes=silhouettes, people=True))
+
+
+def several_seen(source: FrameSource, options: TrackOptions) -> bool:
+    """Do the masks of a source show several people, if these are looked at?"""
+    looked_at = options.looks_at != "keypoints" and not options.of_picture
+    return looked_at and count_people(source.frame, len(source)) > 1
+
+
+def with_everybody(source: FrameStream, options: TrackOptions) -> FrameStream | None:
+    """The frames of a recording with all people in the masks, when these show several; None when they do not, or masks
+    are not what is looked at."""
+    settings = source.options
+    if settings.silhouettes is None or options.of_picture or len(source.rig) < 3:
+        return None
+    whole = FrameSettings(settings.longer_side, settings.factor, settings.silhouettes, people=True)
+    everybody = FrameStream(source.recording, whole, source.backgrounds or None)
+    if several_seen(everybody, options):
+        return everybody
+    everybody.close()
+    return None
+
+
+def track_one_of(
+    source: FrameSource,
+    frame_rate: float,
+    options: TrackOptions,
+    *,
+    wanted: Sequence[Wanted] = (),
+    points: KeypointPeople | None = None,
+    results: ResultsFolder | None = None,
+    record: Mapping[str, Any] | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
+    command: str = "--people all",
+) -> TrackResult:
+    """The person who is wanted first, or stands nearest to where the cameras look; of the others it is said that they
+    are there, and that the `command` tracks them. Everything else as for `track_source`."""
+    report = progress or (lambda stage, done, total: None)
+    found = PeopleRun(
+        source,
+        frame_rate,
+        options,
+        1,
+        wanted,
+        results,
+        record or {},
+        resume,
+        report,
+        points,
+        under=_EVERYBODY,
+    )()
+    one = found.people[0]
+    more = found.others
+    said = ()
+    if more:
+        who = "another person is" if more == 1 else f"{more} other people are"
+        said = (f"Note: {who} in the masks and left out; {command} tracks everybody.",)
+    out = replace(one.result, beside=said, complete=found.complete)
+    if results is not None:
+        save_motion(out.motion, results.motion)
+        if found.complete:
+            shutil.rmtree(results.path / _EVERYBODY, ignore_errors=True)
+    return out

@@ -1,0 +1,433 @@
+"""Several people of one recording: found in the hull, fitted and tracked together, each with a result of their own.
+
+They are found where the hull stands without being explained (`hypose.evidence.hull_people`), at the first frames and
+again and again, for people come. Everybody is tracked by a tracker of their own (`hypose.tracking.several`), and
+finished as one person alone is, on what the final bodies of the others leave of the masks.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from hypose.errors import EvidenceError, HyposeError, InputError
+from hypose.evidence.ahead import pack_once
+from hypose.evidence.frame import Frame, Keypoints
+from hypose.evidence.hull import common_view_bounds
+from hypose.evidence.hull_people import HullPerson, people_in_hull
+from hypose.evidence.shared_masks import SOLVED, Other, own_silhouettes
+from hypose.geometry import Array
+from hypose.io.motions.results import ResultsFolder, save_motion
+from hypose.io.recordings.provenance import identity
+from hypose.pipeline.doubts import in_words, looked_at, mask_change, runs
+from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
+from hypose.pipeline.hull_paths import Path, follow_places, lasting, own_frame
+from hypose.pipeline.kept_findings import keep_subject, kept_subject
+from hypose.pipeline.newcomers import evidence_of, explained_by, returned, somebody_more
+from hypose.pipeline.people_points import KeypointPeople, PointFrames, padded
+from hypose.pipeline.run import TrackOptions, finish, track_source, tracker_of
+from hypose.pipeline.track_loop import FrameSource, Progress, Tracked
+from hypose.pipeline.tracked_people import (
+    Followed,
+    OnePerson,
+    PeopleResult,
+    Wanted,
+    free_name,
+    kept_people,
+    names_at_places,
+    said_of,
+    save_people,
+)
+from hypose.tracking.several import Member, nobody_in, shape_of, step_together, visible_share
+from hypose.tracking.tracker import Tracker
+
+START_S = 0.5
+"""s: the looks at the beginning that say who is there."""
+LOOK_S = 0.12
+"""s between two looks for somebody new, who must be there in two."""
+FIT_S, FIT_HZ = 3.0, 12.5
+"""s of frames, and their rate, from which a body is fitted."""
+FEW_SEEN = 16
+"""frames from which a body is fitted, at least, if there are so many"""
+FEWEST = 6
+"""frames in which somebody new must be found to be fitted"""
+GONE_S = 0.4
+"""s without evidence after which a person has left."""
+TOGETHER_M, TOGETHER_S = 0.2, 0.3
+"""m, s: two bodies whose roots stay so near to each other for so long are one person."""
+HIDDEN = 0.5
+"""A view shows a person when no more than this share of the body is hidden."""
+
+
+@dataclass(frozen=True)
+class PeopleRun:
+    """Tracks the people of a source. count: results of so many at most, None: of all there are; wanted: what is known
+    of some; points: key points that have been told apart, for the evidence 'keypoints' and 'both'; floor: m; under:
+    folder in the results that holds everybody's. Everything else as for `track_source`.
+
+    Everybody is tracked who is there, also those beyond `count`: they hide the others all the same."""
+
+    source: FrameSource
+    frame_rate: float
+    options: TrackOptions
+    count: int | None = None
+    wanted: Sequence[Wanted] = ()
+    results: ResultsFolder | None = None
+    record: Mapping[str, Any] = field(default_factory=dict)
+    resume: bool = False
+    progress: Progress = lambda stage, done, total: None
+    points: KeypointPeople | None = None
+    floor: float = 0.0
+    under: str = ""
+
+    def __call__(self) -> PeopleResult:
+        """Everybody tracked and finished; incomplete when it was interrupted, with what was done kept."""
+        if self.options.of_picture:
+            raise InputError("One camera alone cannot tell several people apart; leave out --people, or add cameras.")
+        if len(self.source) == 0:
+            raise InputError("The recording has no frame to track; check the frame range and the videos.")
+        if self.options.looks_at == "keypoints":
+            return self._by_points()
+        if self.options.looks_at == "both" and self.points is None:
+            raise InputError("The evidence 'both' needs key points, and this recording has none; use silhouettes.")
+        people, coming = [], list[Array]()
+        if self.resume and self.results is not None:
+            people, coming = kept_people(self.results, self.under, self.record, self._tracker)
+        if not people:
+            self.progress("look", 0, 1)
+            people = self._begin()
+            self.progress("look", 1, 1)
+        complete = self._track(people, coming)
+        if not people[0].estimates:
+            raise KeyboardInterrupt
+        asked = [p for p in people if p.asked_for]
+        done = [self._finished(p, people, complete) for p in asked]
+        if complete and self.results is not None:
+            self.results.checkpoint.unlink(missing_ok=True)
+        return PeopleResult(tuple(done), complete, said_of(done, self.frame_rate), len(people) - len(asked))
+
+    def _rank(self, name: str | None) -> int:
+        """Wanted people come first, in their order."""
+        return next((k for k, w in enumerate(self.wanted) if w.name == name), len(self.wanted))
+
+    def _tracker(self, subject: Subject) -> Tracker:
+        return tracker_of(subject, self.options, self.frame_rate)
+
+    # ---- key points alone --------------------------------------------------------------------------------------
+
+    def _by_points(self) -> PeopleResult:
+        """Everybody tracked by their key points alone, one after the other."""
+        points = self.points
+        if points is None or not points.tracks:
+            raise InputError(
+                "The evidence 'keypoints' needs key points of people on whom two cameras or more agree; check them "
+                "with `hypose check`, or use silhouettes."
+            )
+        total, done, tracks = len(self.source), list[OnePerson](), points.lasting(len(self.source))
+        where = [points.tracks[k] for k in tracks]
+        names = names_at_places(self.wanted, len(where), lambda k, t: where[k].place(t)[:2], self.frame_rate)
+        order = sorted(range(len(tracks)), key=lambda k: (self._rank(names[k]), k))
+        for k in order[: self.count]:
+            name = names[k] or free_name([p.name for p in done], self.wanted)
+            known = next((w for w in self.wanted if w.name == name), Wanted(name))
+            source = PointFrames(self.source, points, tracks[k])
+            results = self._results_of(name)
+            out = track_source(
+                source,
+                self.frame_rate,
+                replace(self.options, height=known.height or self.options.height),
+                body=known.body,
+                results=results,
+                record=self.record,
+                resume=self.resume,
+                progress=self.progress,
+            )
+            present = np.zeros(total, dtype=np.bool_)
+            present[source.first : source.first + len(out.motion)] = True
+            out = replace(out, motion=padded(out.motion, source.first, total))
+            if results is not None:
+                save_motion(out.motion, results.motion)
+            done.append(OnePerson(name, out, present, np.zeros(total, dtype=np.bool_)))
+            if not out.complete:
+                break
+        complete = all(p.result.complete for p in done)
+        return PeopleResult(tuple(done), complete, said_of(done, self.frame_rate), len(tracks) - len(done))
+
+    # ---- who is there ------------------------------------------------------------------------------------------
+
+    def _begin(self) -> list[Followed]:
+        """The people of the first frames: first those who are wanted, then whoever stands nearest to where the cameras
+        look."""
+        last = min(len(self.source), max(2, round(START_S * self.frame_rate)))
+        looks = np.unique(np.linspace(0, last - 1, min(last, 6)).astype(int)).tolist()
+        paths = lasting(follow_places(self.source.frame, looks, self.frame_rate, floor=self.floor), len(looks))
+        if not paths:
+            raise EvidenceError(
+                "Nobody stands in the masks at the beginning: no part of the visual hull is as large and tall as a "
+                "person; begin with --frames where people are seen by three cameras, and check the masks with "
+                "`hypose silhouettes`."
+            )
+        middle = self._middle()
+        paths = sorted(paths, key=lambda p: float(np.linalg.norm(p.axis(0) - middle)))
+        names = names_at_places(self.wanted, len(paths), lambda k, t: paths[k].axis(t), self.frame_rate)
+        order = sorted(range(len(paths)), key=lambda k: (self._rank(names[k]), k))
+        numbers, people = self._fit_numbers(0), list[Followed]()
+        followed = self._followed(paths, numbers)
+        for k in order:
+            name = names[k] or free_name([p.name for p in people], self.wanted)
+            one = self._fitted(name, followed, k, numbers, alone=len(paths) == 1)
+            one.asked_for = self.count is None or len(people) < self.count
+            people.append(one)
+        return people
+
+    def _middle(self) -> Array:
+        """(2,) m: where the cameras look."""
+        s = self.source.frame(0).silhouettes
+        with contextlib.suppress(EvidenceError):
+            if s is not None:
+                return common_view_bounds(s.rig).mean(0)[:2]
+        return np.zeros(2)
+
+    def _results_of(self, name: str) -> ResultsFolder | None:
+        return None if self.results is None else ResultsFolder(self.results.path / self.under / name)
+
+    def _fit_numbers(self, first: int) -> list[int]:
+        step = max(1, round(self.frame_rate / FIT_HZ))
+        return list(range(first, min(len(self.source), first + round(FIT_S * self.frame_rate)), step))
+
+    def _followed(self, paths: Sequence[Path], numbers: Sequence[int]) -> list[Path]:
+        """The same people through the frames from which bodies are fitted."""
+        found = follow_places(self.source.frame, numbers, self.frame_rate, floor=self.floor)
+        out: list[Path] = []
+        for p in paths:
+            free = [q for q in found if not any(q is o for o in out)]
+            near = [q for q in free if np.linalg.norm(q.axis(numbers[0]) - p.axis(numbers[0])) < 0.6]
+            out.append(near[0] if near else p)
+        return out
+
+    def _fitted(
+        self, name: str, paths: Sequence[Path], who: int, numbers: Sequence[int], alone: bool = False
+    ) -> Followed:
+        """A person with a body fitted to what is theirs alone in the frames `numbers`."""
+        known = next((w for w in self.wanted if w.name == name), Wanted(name))
+        o, key, results = self.options, identity(self.record), self._results_of(name)
+        subject = kept_subject(results, key) if self.resume and results is not None else None
+        if subject is None:
+            own = {t: own_frame(self.source.frame(t), t, who, paths) for t in numbers if t in paths[who].found}
+            seen = _least_hidden(own)
+
+            def frame_at(k: int) -> Frame:
+                t = seen[k]
+                points = None if self._points is None else self._points.at(t, paths[who].axis(t), ())
+                return replace(own[t], keypoints=None if points is None else points[1])
+
+            rate = self.frame_rate / max(1, numbers[1] - numbers[0]) if len(numbers) > 1 else self.frame_rate
+            start = "hull" if self._points is None else "keypoints"
+            height = known.height or (o.height if alone else None)
+            given = known.body is not None
+            wanted = SubjectOptions(start, height, o.girths, known.body, rate, o.seed, given)
+            subject = find_subject(frame_at, len(seen), wanted)
+            earlier = [own[t] for t in sorted(own, reverse=True) if t < seen[0]]
+            if earlier:  # what was fitted begins where the person is seen well
+                tracker = self._tracker(replace(subject, keypoints=None))
+                *_, (state, _) = tracker.follow(tracker.start(subject.start), earlier)
+                subject = replace(subject, start=state.pose)
+            if results is not None:
+                keep_subject(subject, results, key)
+        tracker = self._tracker(subject)
+        return Followed(name, subject, Member(tracker, tracker.start(subject.start)), results)
+
+    # ---- the loop ----------------------------------------------------------------------------------------------
+
+    def _track(self, people: list[Followed], coming: list[Array]) -> bool:
+        """All frames that are not done; False when it was interrupted."""
+        total, look = len(self.source), max(1, round(LOOK_S * self.frame_rate))
+        first = saved = len(people[0].estimates)
+        before = self.source.frame(first - 1) if first else None
+        try:
+            for t in range(first, total):
+                self.progress("track", t, total)
+                frame = self.source.frame(t)
+                self._step(people, frame, before, t)
+                before = frame
+                if t % look == 0:
+                    coming = self._look(people, frame, t, coming)
+                if self.results is not None and t + 1 - saved >= max(self.options.checkpoint_every, saved // 20):
+                    save_people(self.results, self.record, people, coming)
+                    saved = t + 1
+            self.progress("track", total, total)
+        except KeyboardInterrupt:
+            done = min(len(p.estimates) for p in people)  # it may have come in the middle of a frame
+            for p in people:
+                p.cut(done)
+            if done and self.results is not None:
+                save_people(self.results, self.record, people, coming)
+            return False
+        return True
+
+    @property
+    def _points(self) -> KeypointPeople | None:
+        return self.points if self.options.looks_at == "both" else None
+
+    def _points_of(self, p: Followed, people: Sequence[Followed], t: int) -> Keypoints:
+        """The key points of a person at a frame: of whom they were so far, else of whoever stands where they do."""
+        assert self._points is not None
+        if not p.member.present:
+            return self._points.nothing
+        taken = [q.track for q in people if q is not p and q.track is not None]
+        found = self._points.at(t, p.member.state.pose[:2], taken, p.track)
+        if found is None:
+            return self._points.nothing
+        p.track = found[0]
+        return found[1]
+
+    def _step(self, people: list[Followed], frame: Frame, before: Frame | None, t: int) -> None:
+        points = None if self._points is None else [self._points_of(p, people, t) for p in people]
+        members, estimates, seen = step_together([p.member for p in people], frame, points)
+        if frame.silhouettes is not None:
+            pack_once(frame.silhouettes)
+        change = mask_change(frame, before)  # of the whole masks: what is ignored changes by itself
+        for p, member, estimate, own in zip(people, members, estimates, seen, strict=True):
+            looked = looked_at(member.tracker, estimate, own, _as_now(own, before), change)
+            there = p.member.present
+            p.gone = p.gone + 1 if member.state.lost or member.state.blind > 0 else 0
+            if there and p.gone > GONE_S * self.frame_rate:
+                member, there = replace(member, present=False), False
+                since = len(p.present) - p.gone + 1
+                p.present[since:] = [False] * len(p.present[since:])
+                p.hidden[since:] = [False] * len(p.hidden[since:])
+            p.member = member
+            p.estimates.append(looked)
+            p.present.append(there)
+            p.hidden.append(bool(there and len(s := visible_share(own)) and (s > HIDDEN).sum() < 2))
+        self._one_of_two(people)
+
+    def _one_of_two(self, people: Sequence[Followed]) -> None:
+        """Of two bodies in one place for long, the one that explains less has left."""
+        need = max(2, round(TOGETHER_S * self.frame_rate))
+        for i, a in enumerate(people):
+            for b in people[:i]:
+                if not (a.member.present and b.member.present) or min(len(a.estimates), len(b.estimates)) < need:
+                    continue
+                poses = [np.stack([e.pose[:3] for e in p.estimates[-need:]]) for p in (a, b)]
+                if (np.linalg.norm(poses[0] - poses[1], axis=1) < TOGETHER_M).all():
+                    costs = [np.mean([np.nan_to_num(e.cost, nan=1.0) for e in p.estimates[-need:]]) for p in (a, b)]
+                    worse = a if costs[0] >= costs[1] else b
+                    worse.member = replace(worse.member, present=False)
+
+    def _look(self, people: list[Followed], frame: Frame, t: int, before: Sequence[Array]) -> list[Array]:
+        """Looks for somebody whom nobody explains; who was there at the last look as well is tracked from now on.
+        Returns where new people stand (2,)."""
+        silhouettes = frame.silhouettes
+        if silhouettes is None:
+            return []
+        known = explained_by(people, silhouettes)
+        if not somebody_more(known, silhouettes):
+            return []
+        found = people_in_hull(silhouettes, known, floor=self.floor)
+        for person in found:
+            if any(np.linalg.norm(person.axis - b) < 0.5 for b in before):
+                own = evidence_of(person, frame, known, found)
+                if self._welcomed(people, person, own, frame, t):
+                    return []
+        return [p.axis for p in found]
+
+    def _welcomed(self, people: list[Followed], person: HullPerson, own: Frame, frame: Frame, t: int) -> bool:
+        """Somebody who was away is back, or somebody new is there; False when no body can be fitted."""
+        back = returned(person, own, people, self.frame_rate)
+        if back is not None:
+            p, pose = back
+            p.member = Member(p.member.tracker, p.member.tracker.start(pose))
+            p.gone = 0
+            return True
+        numbers = self._fit_numbers(t)
+        # beyond this frame nobody has been tracked yet: all are told apart by the hull alone
+        paths = follow_places(self.source.frame, numbers, self.frame_rate, floor=self.floor)
+        mine = [k for k, q in enumerate(paths) if t in q.found and np.linalg.norm(q.found[t].axis - person.axis) < 0.4]
+        if not mine or len(paths[mine[0]].found) < min(len(numbers), FEWEST):
+            return False
+        taken = [p.name for p in people]
+        rest = [w.name for w in self.wanted if w.name not in taken]
+        try:
+            new = self._fitted(rest[0] if rest else free_name(taken, self.wanted), paths, mine[0], numbers)
+        except HyposeError:
+            return False
+        nobody, done = nobody_in(frame), len(people[0].estimates)
+        blank = looked_at(new.member.tracker, new.member.tracker.step(new.member.state, nobody)[1], nobody, None)
+        new.estimates = [replace(blank, lost=True) for _ in range(done)]
+        new.present, new.hidden = [False] * done, [False] * done
+        new.asked_for = self.count is None or len(people) < self.count
+        people.append(new)
+        return True
+
+    # ---- the end -----------------------------------------------------------------------------------------------
+
+    def _finished(self, p: Followed, people: Sequence[Followed], complete: bool) -> OnePerson:
+        tracked = Tracked(range(len(p.estimates)), p.estimates, p.member.state, complete)
+        present, hidden = np.array(p.present, dtype=np.bool_), np.array(p.hidden, dtype=np.bool_)
+        source = _OwnFrames(self.source, p, people, self._points)
+        out = finish(source, p.subject, p.member.tracker, tracked, self.options, p.results, self.record, self.progress)
+        motion, notes = replace(out.motion, lost=out.motion.lost | ~present), list(out.notes)
+        if hidden.any():
+            motion = replace(motion, doubtful=hidden if motion.doubtful is None else motion.doubtful | hidden)
+            notes.append(f"others hide this person from all views but one in {in_words(runs(hidden))}")
+        if not present.all():
+            notes.append(f"not there in {in_words(runs(~present))}")
+        if p.results is not None:
+            save_motion(motion, p.results.motion)
+        return OnePerson(p.name, replace(out, motion=motion, notes=tuple(notes)), present, hidden)
+
+
+def _least_hidden(own: Mapping[int, Frame]) -> list[int]:
+    """In which of the frames a person is seen well, by all views but one; those least hidden, when they are few."""
+    numbers = sorted(own)
+    share = np.array([np.sort(visible_share(own[t])) for t in numbers])
+    if not share.size:
+        return numbers
+    good = np.flatnonzero(share[:, min(1, share.shape[1] - 1)] > HIDDEN)
+    if len(good) < FEW_SEEN:
+        good = np.sort(np.argsort(-share.sum(1), kind="stable")[:FEW_SEEN])
+    return [numbers[k] for k in good]
+
+
+def _as_now(own: Frame, before: Frame | None) -> Frame | None:
+    """The frame before, with what is ignored now: what was then may have been ignored otherwise."""
+    s, then = own.silhouettes, None if before is None else before.silhouettes
+    if before is None or s is None or then is None:
+        return None
+    return replace(before, silhouettes=replace(then, ignored=s.ignored, expected=s.expected))
+
+
+class _OwnFrames:
+    """The frames of a source as evidence for one of the people, now that all have been tracked."""
+
+    def __init__(
+        self, source: FrameSource, who: Followed, people: Sequence[Followed], points: KeypointPeople | None
+    ) -> None:
+        self._source, self._who, self._people, self._points = source, who, people, points
+
+    def __len__(self) -> int:
+        return len(self._who.estimates)
+
+    def frame(self, index: int, /) -> Frame:
+        """Frame number index with the silhouettes, and key points, of this person."""
+        frame, who = replace(self._source.frame(index), keypoints=None), self._who
+        s = frame.silhouettes
+        if self._points is not None:
+            found = self._points.at(index, who.estimates[index].pose[:2], (), who.track)
+            frame = replace(frame, keypoints=self._points.nothing if found is None else found[1])
+        if s is None:
+            return frame
+        if not self._who.present[index]:
+            return nobody_in(frame)
+        own = shape_of(self._who.subject.body, self._who.estimates[index].pose, s.rig)
+        others = [
+            Other(shape_of(p.subject.body, p.estimates[index].pose, s.rig), SOLVED)
+            for p in self._people
+            if p is not self._who and p.present[index] and not p.estimates[index].lost
+        ]
+        return replace(frame, silhouettes=own_silhouettes(s, own, others))

@@ -1,0 +1,182 @@
+"""Several people of one recording: what is known of them before, what comes out, and what is kept while they are
+tracked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.body.motion import Motion
+from hypose.geometry import Array
+from hypose.io.motions.results import Checkpoint, ResultsFolder
+from hypose.io.recordings.provenance import identity
+from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.kept_findings import kept_subject
+from hypose.pipeline.people_points import per_frame
+from hypose.pipeline.run import TrackResult
+from hypose.pipeline.verdict import Verdict, verdict_of
+from hypose.tracking.several import Member
+from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, estimates_from_arrays, estimates_to_arrays
+
+_PLACED_M = 1.0
+"""m: a person who is wanted at a place stands no further from it."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is known of a person beforehand, [[person]] of recording.toml: height m; body: their own; place (2,) m:
+    where they stand at `time`, s from the first frame that is tracked."""
+
+    name: str
+    height: float | None = None
+    body: Body | None = None
+    place: tuple[float, float] | None = None
+    time: float = 0.0
+
+
+@dataclass(frozen=True)
+class OnePerson:
+    """name; the result; present (T,): frames in which the person is there (before they come and after they leave the
+    motion is filled up, and flagged); hidden (T,): frames in which others hide them from all views but one."""
+
+    name: str
+    result: TrackResult
+    present: NDArray[np.bool_]
+    hidden: NDArray[np.bool_]
+
+    @property
+    def verdict(self) -> Verdict:
+        """Of the frames in which the person is there."""
+        return verdict_of(while_present(self.result.motion, self.present), self.result.faults)
+
+
+@dataclass(frozen=True)
+class PeopleResult:
+    """people: in the order in which they were found; complete: all frames were tracked; notes for the report; others:
+    how many more there are than were asked for."""
+
+    people: tuple[OnePerson, ...]
+    complete: bool
+    notes: tuple[str, ...] = ()
+    others: int = 0
+
+
+def while_present(motion: Motion, present: NDArray[np.bool_]) -> Motion:
+    """The motion in the frames in which the person is there, one after the other."""
+    if present.all() or not present.any():
+        return motion
+    return replace(motion, **per_frame(motion, np.flatnonzero(present)))
+
+
+def said_of(people: Sequence[OnePerson], frame_rate: float) -> tuple[str, ...]:
+    """Who was there, in words."""
+    said = [f"{len(people)} {'people' if len(people) != 1 else 'person'}: {', '.join(p.name for p in people)}"]
+    for p in people:
+        if not p.present.all() and p.present.any():
+            at = np.flatnonzero(p.present)
+            said.append(f"{p.name} is there from {at[0] / frame_rate:.1f} to {(at[-1] + 1) / frame_rate:.1f} s")
+    return tuple(said)
+
+
+def names_at_places(
+    wanted: Sequence[Wanted], count: int, place: Callable[[int, int], Array], frame_rate: float
+) -> list[str | None]:
+    """Which of so many people are the wanted ones, None for somebody else; place(k, frame) (2,) m: where the k-th
+    stands, NaN where not known. Those who are wanted at no place are whoever is left, in their order."""
+    names: list[str | None] = [None] * count
+    for one in wanted:
+        if one.place is not None:
+            t = round(one.time * frame_rate)
+            away = [float(np.linalg.norm(place(k, t) - np.array(one.place))) for k in range(count)]
+            free = [k for k in range(count) if names[k] is None and away[k] < _PLACED_M]
+            if free:
+                names[min(free, key=lambda k: away[k])] = one.name
+    rest = [one.name for one in wanted if one.place is None]
+    for k in range(count):
+        if names[k] is None and rest:
+            names[k] = rest.pop(0)
+    return names
+
+
+def free_name(taken: Sequence[str], wanted: Sequence[Wanted]) -> str:
+    """The name of somebody of whom nothing is known."""
+    used = {*taken, *(w.name for w in wanted)}
+    return next(n for n in (f"person-{k}" for k in range(1, 10_000)) if n not in used)
+
+
+@dataclass(eq=False)
+class Followed:
+    """Somebody who is tracked. results: where theirs are kept, None: nowhere; estimates, present, hidden: of each frame
+    so far, the last two as in OnePerson; gone: frames since anything was seen of them; track: number of the track of
+    key points that they have."""
+
+    name: str
+    subject: Subject
+    member: Member
+    results: ResultsFolder | None = None
+    asked_for: bool = True
+    estimates: list[FrameEstimate] = field(default_factory=list)
+    present: list[bool] = field(default_factory=list)
+    hidden: list[bool] = field(default_factory=list)
+    gone: int = 0
+    track: int | None = None
+
+    @property
+    def last_seen(self) -> tuple[Array, int] | None:
+        """The pose (D,) in the last frame in which they were there, and frames since then; None: never."""
+        for since, (estimate, there) in enumerate(zip(self.estimates[::-1], self.present[::-1], strict=True)):
+            if there:
+                return estimate.pose, since
+        return None
+
+    def cut(self, frames: int) -> None:
+        """Forgets what came after so many frames."""
+        del self.estimates[frames:], self.present[frames:], self.hidden[frames:]
+
+
+def save_people(
+    results: ResultsFolder, record: Mapping[str, Any], people: Sequence[Followed], coming: Sequence[Array]
+) -> None:
+    """Writes the checkpoint. coming: (2,) m each, where somebody new was seen at the last look."""
+    arrays: dict[str, np.ndarray] = {"coming": np.array(coming, dtype=np.float64).reshape(-1, 2)}
+    for k, p in enumerate(people):
+        arrays |= {f"{k}_{n}": v for n, v in p.member.state.to_arrays().items()}
+        arrays |= {f"{k}_done_{n}": v for n, v in estimates_to_arrays(p.estimates).items()}
+        arrays |= {f"{k}_present": np.array(p.present), f"{k}_hidden": np.array(p.hidden)}
+    meta = {
+        "people": [
+            {"name": p.name, "there": p.member.present, "gone": p.gone, "track": p.track, "asked_for": p.asked_for}
+            for p in people
+        ]
+    }
+    Checkpoint(len(people[0].estimates), arrays, meta, identity(record)).save(results.checkpoint)
+
+
+def kept_people(
+    results: ResultsFolder, under: str, record: Mapping[str, Any], tracker_of: Callable[[Subject], Tracker]
+) -> tuple[list[Followed], list[Array]]:
+    """What `save_people` wrote, and whose subjects lie in the folder `under`; nobody when there is none of the same
+    run, or a body is gone."""
+    if not results.checkpoint.exists():
+        return [], []
+    saved, people = Checkpoint.load(results.checkpoint, identity(record)), list[Followed]()
+    for k, about in enumerate(saved.meta.get("people", ())):
+        own_results = ResultsFolder(results.path / under / about["name"])
+        subject = kept_subject(own_results, identity(record))
+        if subject is None:
+            return [], []
+        own = {n.removeprefix(f"{k}_"): v for n, v in saved.arrays.items() if n.startswith(f"{k}_")}
+        done = {n.removeprefix("done_"): v for n, v in own.items() if n.startswith("done_")}
+        state = TrackerState.from_arrays({n: v for n, v in own.items() if not n.startswith("done_")})
+        member = Member(tracker_of(subject), state, bool(about["there"]))
+        flags = own["present"].tolist(), own["hidden"].tolist()
+        kept = Followed(about["name"], subject, member, own_results, about["asked_for"], estimates_from_arrays(done))
+        kept.present, kept.hidden = flags
+        kept.gone, kept.track = int(about["gone"]), about["track"]
+        people.append(kept)
+    return people, list(saved.arrays.get("coming", ()))

@@ -1,0 +1,154 @@
+"""Several people of a recording: whose key points, whose names, what is kept of an interrupted run."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.body.ready_bodies import human
+from hypose.cameras.camera import CameraRig
+from hypose.errors import InputError
+from hypose.evidence.frame import Frame, Silhouettes
+from hypose.evidence.person_tracks import PersonTrack
+from hypose.io.motions.results import ResultsFolder
+from hypose.pipeline.hull_paths import count_people
+from hypose.pipeline.people_points import KeypointPeople, padded
+from hypose.pipeline.people_run import PeopleRun
+from hypose.pipeline.run import TrackOptions
+from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.tracked_people import OnePerson, Wanted, free_name, names_at_places, while_present
+from hypose.synthetic.scenes import make_scene
+from hypose.tracking.several import shape_of
+from hypose.tracking.starts import known_pose
+
+RATE = 25.0
+
+
+@pytest.fixture(scope="module")
+def rig() -> CameraRig:
+    return make_scene("walk", rig="humaneva-4", seconds=0.1).rig.pinhole().scaled(0.6)
+
+
+def two_people(rig, frames, away=()):
+    """Two bodies of the template that pass each other; the second is out of view in the frames `away`."""
+    body, out, truth = human(), [], []
+    base = known_pose(body, "standing")
+    base[2] -= body.skin(base)[:, 2].min()
+    size = rig.sizes.max(0)
+    for t in range(frames):
+        masks, here = np.zeros((len(rig), size[1], size[0]), np.uint8), []
+        for k, (x, y) in enumerate(((-0.45 + 0.02 * t, -0.4), (0.45 - 0.02 * t, 0.4))):
+            pose = base.copy()
+            pose[:2] += (x, y)
+            here.append(pose)
+            if k == 1 and t in away:
+                continue
+            shape = shape_of(body, pose, rig)
+            for c, (y0, y1, x0, x1) in enumerate(shape.boxes):
+                masks[c, y0:y1, x0:x1] |= shape.drawn(c)
+        truth.append(np.stack(here))
+        out.append(Frame(t / RATE, t, Silhouettes(masks, rig, np.ones(len(rig), bool), ("",) * len(rig))))
+    return out, np.stack(truth, 1)
+
+
+def both(frames, **more):
+    given = (Wanted("anna", body=human(), place=(-0.45, -0.4)), Wanted("bert", body=human(), place=(0.45, 0.4)))
+    return PeopleRun(FrameList(frames, RATE), RATE, TrackOptions(smooth=False), wanted=given, **more)
+
+
+def test_two_people_who_pass_each_other_are_tracked_each_by_their_name(rig):
+    frames, truth = two_people(rig, 14)
+    assert count_people(lambda t: frames[t], len(frames)) == 2
+    found = both(frames)()
+    assert found.complete and [p.name for p in found.people] == ["anna", "bert"] and found.others == 0
+    for p, q in zip(found.people, truth, strict=True):
+        true = human().joints(q)
+        away = np.linalg.norm(p.result.motion.joints - true, axis=-1)
+        assert away.mean() < 0.03 and away.mean(1).max() < 0.06
+        assert p.present.all()
+
+
+def test_one_of_two_is_the_one_asked_for_and_the_others_are_told(rig):
+    frames, truth = two_people(rig, 6)
+    found = replace(both(frames), count=1, wanted=(Wanted("bert", body=human(), place=(0.45, 0.4)),))()
+    assert [p.name for p in found.people] == ["bert"] and found.others == 1
+    away = np.linalg.norm(found.people[0].result.motion.joints - human().joints(truth[1]), axis=-1)
+    assert away.mean() < 0.03
+
+
+def test_an_interrupted_run_goes_on_to_the_same_bytes(rig, tmp_path):
+    frames, _ = two_people(rig, 10)
+    whole = both(frames)()
+    results = ResultsFolder(tmp_path)
+
+    def stop(stage, done, total):
+        if stage == "track" and done == 6:
+            raise KeyboardInterrupt
+
+    half = both(frames, results=results, progress=stop)()
+    assert not half.complete and results.checkpoint.exists()
+    assert all(len(p.result.motion) == 6 for p in half.people)
+    rest = both(frames, results=results, resume=True)()
+    assert rest.complete and not results.checkpoint.exists()
+    for a, b in zip(whole.people, rest.people, strict=True):
+        np.testing.assert_array_equal(a.result.motion.poses, b.result.motion.poses)
+        np.testing.assert_array_equal(a.result.motion.joint_covariance, b.result.motion.joint_covariance)
+    assert (tmp_path / "anna" / "motion.npz").exists() and (tmp_path / "bert" / "motion.npz").exists()
+
+
+def test_who_leaves_and_returns_is_the_same_person(rig):
+    frames, truth = two_people(rig, 40, away=range(8, 24))
+    found = both(frames)()
+    assert [p.name for p in found.people] == ["anna", "bert"]
+    bert = found.people[1]
+    assert not bert.present[12:22].any() and bert.present[:6].all() and bert.present[-4:].all()
+    joints = human().joints(truth[1])
+    away = np.linalg.norm(bert.result.motion.joints - joints, axis=-1).mean(1)
+    assert away[:6].max() < 0.06 and away[-4:].max() < 0.08
+    assert len(while_present(bert.result.motion, bert.present)) == bert.present.sum()
+    assert bert.verdict.word in ("good", "look", "not to be trusted")
+
+
+def test_wanted_people_are_those_who_stand_at_their_places():
+    places = np.array([[0.0, 0.0], [1.0, 1.0], [3.0, 0.0]])
+    wanted = [Wanted("b", place=(1.1, 0.9)), Wanted("far", place=(9.0, 9.0)), Wanted("any")]
+    assert names_at_places(wanted, 3, lambda k, t: places[k], RATE) == ["any", "b", None]
+    assert free_name(["person-1"], [Wanted("person-2")]) == "person-3"
+
+
+def track(first, places):
+    t = len(places)
+    world = np.repeat(np.array(places, float)[:, None], 3, 1)
+    points = np.ones((t, 2, 3, 3))
+    return PersonTrack(first, points, world, np.zeros((t, 2), np.int64))
+
+
+def test_key_points_belong_to_who_stands_where_they_do(rig):
+    two = CameraRig(tuple(rig)[:2])
+    people = KeypointPeople([track(0, [(0, 0, 1)] * 4), track(2, [(2, 0, 1)] * 8)], ("a", "b", "c"), two)
+    assert people.at(1, np.array([0.1, 0.0]), ())[0] == 0
+    assert people.at(1, np.array([2.0, 0.0]), ()) is None  # not yet followed
+    assert people.at(3, np.array([1.9, 0.0]), ())[0] == 1
+    assert people.at(3, np.array([1.9, 0.0]), [1]) is None  # another person's
+    assert (people.of(0, 9).points == 0).all() and (people.of(0, 3).points[..., 2] == 1).all()
+    assert people.lasting(20) == [1] and KeypointPeople([], ("a",), two).nothing.points.shape == (2, 1, 3)
+
+
+def test_a_motion_is_padded_with_flags(rig):
+    frames, _ = two_people(rig, 4)
+    motion = replace(both(frames), count=1)().people[0].result.motion
+    out = padded(motion, 2, 8)
+    assert len(out) == 8 and out.lost.tolist() == [True] * 2 + motion.lost.tolist() + [True] * 2
+    np.testing.assert_array_equal(out.joints[2:6], motion.joints)
+    one = OnePerson("x", None, np.r_[[False] * 2, [True] * 4, [False] * 2], np.zeros(8, bool))
+    assert len(while_present(out, one.present)) == 4
+
+
+def test_several_people_of_one_camera_or_of_nothing_are_refused(rig):
+    frames, _ = two_people(rig, 2)
+    with pytest.raises(InputError, match="key points"):
+        PeopleRun(FrameList(frames, RATE), RATE, TrackOptions(evidence="both"))()
+    with pytest.raises(InputError, match="key points"):
+        PeopleRun(FrameList(frames, RATE), RATE, TrackOptions(evidence="keypoints"))()
+    with pytest.raises(InputError, match="no frame"):
+        PeopleRun(FrameList([], RATE), RATE, TrackOptions())()
