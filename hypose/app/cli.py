@@ -106,6 +106,8 @@ def main(arguments: Sequence[str] | None = None, command: typer.Typer = app, nam
     debug = "--debug" in given or os.environ.get("HYPOSE_DEBUG", "") not in ("", "0")
     # accepted in any place: who needs it is in a hurry
     given = [a for a in given if a != "--debug"]
+    # a flag takes no value
+    given = [b for a in given for b in (("--refine", "--far") if a == "--refine=far" else (a,))]
     try:
         try:
             command(given, prog_name=name, obj=given)

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from hypose.calibration.refine_camera import CameraChange
 from hypose.geometry import so3_exp, so3_log
 from hypose.io.calibrations.calibration_formats import read_any
+from hypose.pipeline import examine
+from hypose.pipeline.examine import Refinement
 
 
 def test_the_command_writes_evidence_in_step(hypose, tiny, tmp_path):
@@ -64,6 +68,25 @@ def test_the_page_tells_what_was_found(hypose, recording):
     assert code == 0, out + err
     page = (recording / "results" / "check.html").read_text()
     assert "No fault found" in page and "cam3" in page and "data:image/png" in page and "http" not in page
+
+
+def test_a_refinement_that_moves_cameras_far_needs_a_word(hypose, keypoint_recording, monkeypatch):
+    """A camera more than 10 degrees off is more often another person's key points than a calibration so wrong."""
+    found = Refinement(
+        read_any(keypoint_recording / "calibration.toml")[0],
+        "keypoints",
+        (1, 2, 3),
+        tuple(CameraChange(f"cam{k}", 67.0 if k == 2 else 0.1, 0.1, 1.0, 3.0) for k in (1, 2, 3)),
+        *(9.0, 1.0, 9.0, 1.0, float("nan"), float("nan")),
+    )
+    monkeypatch.setattr(examine, "refine_recording", lambda *_, **__: found)
+    given = ("check", keypoint_recording, "--frames", "0", "--samples", "1")
+    code, out, err = hypose(*given, "--refine")
+    assert code == 1 and "takes cam2 more than 10 degrees" in out and "--refine=far" in out, out + err
+    assert not (keypoint_recording / "results" / "calibration_refined.toml").exists()
+    code, out, err = hypose(*given, "--refine=far")
+    assert code == 0 and (keypoint_recording / "results" / "calibration_refined.toml").exists(), out + err
+    assert replace(found, changes=(CameraChange("cam1", 1.0, 0.6, 1.0, 3.0),)).far == ("cam1",)
 
 
 def test_check_writes_a_refined_calibration_and_says_how_to_use_it(hypose, keypoint_recording):

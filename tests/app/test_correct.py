@@ -51,6 +51,22 @@ def test_the_rest_is_tracked_again_from_the_corrected_pose(result, recording, hy
     np.testing.assert_array_equal(load_motion(results / "motion.npz").poses, motion.poses)
 
 
+def test_a_correction_reaches_back_as_far_as_it_says(result, recording, hypose):
+    results, motion = result
+    row, since, until = 4, 2, 7
+    file = clicks(recording, row, motion.poses[row], since=since, until=until)
+    code, _, err = hypose("correct", results, file, "--formats", "trc")
+    assert code == 0, err
+    again = load_motion(recording / "results" / "default-corrected" / "motion.npz")
+    changed = (again.poses != motion.poses).any(1)
+    assert changed[since:until].all() and not changed[:since].any() and not changed[until:].any()
+    np.testing.assert_allclose(again.times, motion.times)
+    off, before = (compare(recording / "truth.npz", m, 0).distances[since:until].mean() for m in (again, motion))
+    assert off < 1.2 * before, "frames that were tracked backwards are in their own places"
+    (record,) = again.provenance["corrections"]
+    assert record == {"clicks": "arm", "frame": row, "since": since, "of": "default", "until": until}
+
+
 def test_what_cannot_be_corrected_is_said(result, recording, hypose, tmp_path):
     results, motion = result
 
@@ -61,6 +77,8 @@ def test_what_cannot_be_corrected_is_said(result, recording, hypose, tmp_path):
 
     assert "not part of this result" in said(results, clicks(recording, 8, motion.poses[0]))
     assert "not part of this result" in said(results, clicks(recording, 3, motion.poses[0]), "--until", 3)
+    assert "not part of this result" in said(results, clicks(recording, 3, motion.poses[0], since=4))
+    assert "whole numbers" in said(results, clicks(recording, 3, motion.poses[0], until="end"))
     assert "another body" in said(results, clicks(recording, 3, motion.poses[0][:-1]))
     assert "folder of its own" in said(results, clicks(recording, 3, motion.poses[0]), "--out", results)
     assert "lies in no recording" in said(shutil.copytree(results, tmp_path / "alone"), clicks(recording, 3, [0.0]))

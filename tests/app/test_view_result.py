@@ -17,6 +17,7 @@ from hypose.app.reports.report import from_result, report_html
 from hypose.app.studio.view_bundle import MOST_RIVALS, read_bundle, view_bundle
 from hypose.app.studio.view_pictures import ViewPictures
 from hypose.app.studio.view_result import find_recording, load_view
+from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.errors import InputError
 from hypose.geometry import so3_exp
 from hypose.io.motions.results import load_motion, save_motion
@@ -303,3 +304,41 @@ def test_a_skeleton_without_a_body_has_a_report(folder, built, hypose):
         gzip.decompress(b64decode(part((folder / "report.html").read_text(), "hypose-result")))
     )
     assert header["subject"] == [] and "rotations" not in arrays
+
+
+# ---- what is wrong
+
+
+def test_doubts_their_verdict_and_the_sd_of_angles_come_with_the_motion(folder):
+    motion = load_motion(folder / "motion.npz")
+    t, j = motion.joints.shape[:2]
+    doubtful = np.zeros((t, j), dtype=bool)
+    doubtful[2:6, motion.skeleton.joint("left_wrist")] = True
+    sd = np.full((t, len(ANGLE_NAMES)), np.radians(2), np.float32)
+    p_wrong = np.where(doubtful, np.float32(0.6), np.float32(0.01))
+    unknown = np.where(np.arange(t)[:, None] == 7, np.float32(np.nan), p_wrong)
+    marked = replace(motion, doubtful=doubtful.any(1), doubtful_joints=doubtful, p_wrong=unknown, angle_sd=sd)
+    save_motion(marked, folder / "motion.npz")
+    (folder / "verdict.json").unlink(missing_ok=True)
+    header, arrays = read_bundle(view_bundle(load_view(folder)))
+    np.testing.assert_array_equal(arrays["doubtful_joints"], doubtful)
+    percent = np.where(np.arange(t)[:, None] == 7, 255, np.where(doubtful, 60, 1))
+    np.testing.assert_array_equal(arrays["p_wrong"], percent)
+    knee, tx = ANGLE_NAMES.index("knee_angle_l"), ANGLE_NAMES.index("pelvis_tx")
+    assert arrays["angle_sd"].shape == arrays["angles"].shape
+    np.testing.assert_allclose(arrays["angle_sd"][knee], 2, rtol=1e-6)  # degrees, as the angles are
+    np.testing.assert_allclose(arrays["angle_sd"][tx], np.radians(2), rtol=1e-6)  # metres
+    assert header["verdict"]["word"] == "look" and "left wrist may be wrong" in header["verdict"]["sentence"]
+    kept = {"verdict": "not to be trusted", "because": ["the camera moved"], "frames": []}
+    (folder / "verdict.json").write_text(json.dumps(kept))
+    told = read_bundle(view_bundle(load_view(folder)))[0]["verdict"]
+    assert told == {"word": "not to be trusted", "sentence": "Not to be trusted, because: the camera moved."}
+
+
+def test_a_motion_that_nothing_has_looked_at_has_no_verdict(folder):
+    motion = load_motion(folder / "motion.npz")
+    (folder / "verdict.json").write_text("{")
+    blind = replace(motion, doubtful=None, doubtful_joints=None, p_wrong=None, angle_sd=None)
+    save_motion(blind, folder / "motion.npz")
+    header, arrays = read_bundle(view_bundle(load_view(folder)))
+    assert header["verdict"] is None and not {"doubtful_joints", "p_wrong", "angle_sd"} & arrays.keys()

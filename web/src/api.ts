@@ -51,6 +51,11 @@ export async function post<T>(path: string, value: unknown = {}, signal?: AbortS
   return (await (await ask(path, init)).json()) as T;
 }
 
+/** Deletes a recording or a result, and says what brings it back. */
+export async function remove(kind: "recordings" | "results", id: string): Promise<{ trash: string; name: string }> {
+  return (await (await ask(`/api/${kind}/${id}`, { method: "DELETE" })).json()) as { trash: string; name: string };
+}
+
 /** Sends a file; progress(0..1) while it goes. */
 export function put<T>(path: string, body: Blob, progress: (share: number) => void = () => undefined): Promise<T> {
   return new Promise((done, failed) => {

@@ -6,6 +6,12 @@ export interface RecordingEntry { id: Id; name: string; path: string; results: I
 export interface ResultEntry {
   id: Id; name: string; path: string; recording: Id | null; recipe: string; frames: number; frame_rate: number;
   complete: boolean; changed: number;
+  /** It can be tracked again from a corrected frame. */
+  correctable: boolean;
+  /** There are pictures beside it. */
+  pictured: boolean;
+  /** Absent where the motion cannot be read; lost: share of the frames. */
+  verdict?: "good" | "look" | "not to be trusted" | null; iou?: number | null; sd_mm?: number | null; lost?: number;
 }
 export interface SessionEntry { id: Id; name: string; path: string; gesture: string; frames: number }
 export interface ModelEntry {
@@ -36,6 +42,8 @@ export interface Recording {
   frame_range: [number, number] | null; subject_height: number | null; views: ViewInfo[]; cameras: CameraInfo[];
   notes: string[]; mask_settings: MaskSettings; check: Check | null;
   subject: { stature_m: number; sizes_cm: Record<string, number> } | null; results: Id[]; starts: string[];
+  /** Views that were left out; a refined calibration that is not used yet. */
+  left_out: string[]; refined: string | null;
 }
 
 export interface Upload {
@@ -44,7 +52,7 @@ export interface Upload {
 }
 export interface NewRecording {
   name: string; calibration: Id; frame_rate?: number; world_up?: string; calibration_unit?: string;
-  subject_height?: number; views: { name: string; camera: string; video: Id; background?: Id }[];
+  subject_height?: number; views: { name: string; camera: string; video: Id; background?: Id; accept_scaled?: boolean }[];
 }
 
 export type JobKind = "check" | "silhouettes" | "subject" | "track" | "correct" | "export" | "demo" | "refine";
@@ -62,7 +70,8 @@ export interface NewJob { kind: JobKind; recording?: Id; result?: Id; options?: 
 export type JobsMessage = { t: "jobs"; jobs: Job[] } | { t: "job"; job: Job } | { t: "files" };
 
 export interface ClickedPoint { joint: string; x: number; y: number; occluded?: boolean }
-export interface ClickedView { camera: string; points: ClickedPoint[] }
+/** recorded: in pixels of the picture as it was recorded; else undistorted ones. */
+export interface ClickedView { camera: string; points: ClickedPoint[]; recorded?: boolean }
 export interface FitRequest {
   recording?: Id | null; result?: Id | null; frame: number; height?: number | null; start?: number[] | null;
   views: ClickedView[];

@@ -105,6 +105,23 @@ await walk(
     assert.equal(await fact("Camera distance"), "from several views");
     await picture("click-two-views");
 
+    // what is clicked in the third camera is what is tracked from, after the page was closed and opened as well
+    await page.keyboard.press("3");
+    for (const name of Object.keys(figure).slice(0, 8)) await page.mouse.click(...(await place(name)));
+    await page.waitForFunction(() => window.__app.clicks.cam3?.left_wrist);
+    await page.reload({ waitUntil: "commit" });
+    await page.waitForFunction(() => window.__app?.clicks?.cam3);
+    await settled();
+    assert.equal(await page.locator("[data-camera=cam3]").getAttribute("aria-checked"), "true");
+    const asked = page.waitForRequest((r) => r.url().endsWith("/api/jobs") && r.method() === "POST");
+    await page.route("**/api/jobs", (route) => route.fulfill({ status: 201, json: { id: "0", title: "Track walk" } }));
+    await page.getByRole("button", { name: "Track from here" }).click();
+    assert.equal((await asked).postDataJSON().options.camera, "cam3");
+    assert.equal((await asked).postDataJSON().options.start, "clicks:frame-0");
+    assert.equal(JSON.parse(readFileSync(join(folder, "walk", "starts", "frame-0.json"), "utf-8")).camera, "cam3");
+    await page.waitForFunction(() => location.hash.startsWith("#/setup/"));
+    await page.unroute("**/api/jobs");
+
     // and a pose that was tracked is corrected
     await page.goto(`${page.url().split("#")[0]}#/click`);
     await page.getByRole("link", { name: "correct default" }).first().click();

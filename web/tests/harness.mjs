@@ -69,6 +69,48 @@ export async function walk(path, { at = "", expected, ...options } = {}) {
   if (failed) throw failed;
 }
 
+/** What is cut off: controls and words that reach out of the page or of a box that hides the rest of them, words that do
+ * not find room in their button, and controls that lie below another. What can be scrolled to is not cut off. */
+export const cutOff = (page) =>
+  page.evaluate(() => {
+    const faults = [];
+    const told = (e) => `${e.tagName.toLowerCase()}.${e.className?.baseVal ?? e.className} "${(e.getAttribute("aria-label") || e.textContent || "").trim().slice(0, 40)}"`;
+    if (document.scrollingElement.scrollWidth > innerWidth + 1) faults.push(`the page is ${document.scrollingElement.scrollWidth} px wide`);
+    const wanted = "button, a, select, input:not(.sr-only), output, h1, h2, h3, legend, .chip, .field-name, .plot-title, summary, [role=slider], [role=tab]";
+    for (const e of document.querySelectorAll(wanted)) {
+      const box = e.getBoundingClientRect();
+      const style = getComputedStyle(e);
+      if (!box.width || !box.height || style.visibility === "hidden" || e.closest("[hidden], .sr-only, dialog:not([open])")) continue;
+      if (e.closest("details:not([open])") && e.tagName !== "SUMMARY") continue;
+      if (["BUTTON", "A"].includes(e.tagName) && e.scrollWidth > e.clientWidth + 1 && style.overflow !== "visible") faults.push(`${told(e)}: its words`);
+      if (box.left < -1 || box.right > innerWidth + 1) {
+        const scrolled = (() => { for (let p = e.parentElement; p; p = p.parentElement) if (/auto|scroll/.test(getComputedStyle(p).overflowX)) return true; return false; })();
+        if (!scrolled) faults.push(`${told(e)}: ${Math.round(box.left)} to ${Math.round(box.right)} of ${innerWidth}`);
+      }
+      let hidden = false;
+      for (let p = e.parentElement; p && p !== document.body; p = p.parentElement) {
+        const { overflowX, overflowY } = getComputedStyle(p);
+        const b = p.getBoundingClientRect();
+        const x = /hidden|clip/.test(overflowX) && (box.left < b.left - 1 || box.right > b.right + 1);
+        const y = /hidden|clip/.test(overflowY) && (box.top < b.top - 1 || box.bottom > b.bottom + 1);
+        // words that end in dots say that there is more
+        if ((x && style.textOverflow !== "ellipsis") || y) hidden = told(p);
+        if (hidden || (/auto|scroll/.test(overflowX) && /auto|scroll/.test(overflowY))) break;
+      }
+      if (hidden) faults.push(`${told(e)}: cut by ${hidden}`);
+      if (!e.matches("button, a, select, input") || e.disabled || style.pointerEvents === "none" || style.opacity === "0") continue;
+      const [x, y] = [(box.left + box.right) / 2, (box.top + box.bottom) / 2];
+      if (x < 0 || y < 0 || x >= innerWidth || y >= innerHeight) continue;
+      const away = (p) => { const b = p.getBoundingClientRect(); return x < b.left || x > b.right || y < b.top || y > b.bottom; };
+      let scrolledAway = false;
+      for (let p = e.parentElement; p; p = p.parentElement) if (/auto|scroll/.test(getComputedStyle(p).overflow) && away(p)) scrolledAway = true;
+      if (scrolledAway) continue;
+      const top = document.elementFromPoint(x, y);
+      if (top && !e.contains(top) && !top.contains(e) && !top.closest(".toasts, label")) faults.push(`${told(e)}: below ${told(top)}`);
+    }
+    return [...new Set(faults)];
+  });
+
 /** Value below which this share of a list lies. */
 export const quantile = (list, share) => [...list].sort((a, b) => a - b)[Math.floor(share * (list.length - 1))] ?? NaN;
 

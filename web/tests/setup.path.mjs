@@ -1,6 +1,6 @@
 // slow: from dropped videos to a motion that opens in View.
 import assert from "node:assert/strict";
-import { readdirSync } from "node:fs";
+import { existsSync, readdirSync, readFileSync } from "node:fs";
 import { join } from "node:path";
 import { walk } from "./harness.mjs";
 
@@ -23,8 +23,9 @@ await walk(
     await page.getByText("calibration of cam1").waitFor();
     // the empty room of every camera: files of the same names, whose use is chosen
     await files.setInputFiles(all("background"));
-    await page.waitForFunction(() => document.querySelectorAll(".dropped-file select").length === 16);
-    for (let k = 4; k < 8; k++) await page.getByLabel("What it is").nth(k).selectOption("background");
+    await page.getByText("Two videos are of the camera cam1").waitFor();
+    for (const k of [1, 2, 3, 4]) await page.locator(`[data-file='cam${k}.mp4'] [aria-label='What it is']`).nth(1).selectOption("background");
+    await page.getByRole("button", { name: "Make the recording" }).and(page.locator(":enabled")).waitFor();
     await page.getByLabel("Name of the recording").fill("mine");
     await picture("setup-dropped");
     await page.getByRole("button", { name: "Make the recording" }).click();
@@ -38,6 +39,7 @@ await walk(
 
     // masks follow the sliders, and are kept
     await page.getByRole("button", { name: "Next: Masks" }).click();
+    await page.locator(".mask-pictures [data-state=coming]").first().waitFor(); // something turns while the first ones are made
     const loaded = () => page.waitForFunction(() => [...document.querySelectorAll(".mask-pictures img")].every((i) => i.complete && i.naturalWidth > 0));
     await loaded();
     const pictures = () => page.evaluate(() => window.__app.pictures);
@@ -69,6 +71,36 @@ await walk(
     await card.getByRole("link", { name: "Open in View" }).click();
     await page.waitForFunction(() => location.hash.startsWith("#/view/"));
     await page.locator(".where").waitFor();
+
+    // tracked again it is a result of its own
+    const first = readFileSync(join(folder, "mine", "results", "default", "motion.npz"));
+    await page.goBack();
+    await page.locator("[data-step=track]").click();
+    await page.getByRole("button", { name: "Track", exact: true }).click();
+    await page.getByRole("heading", { name: "Track mine as default-2" }).waitFor();
+    await page.waitForFunction(() => document.querySelectorAll(".job[data-job=track][data-state=done]").length === 2, undefined, { timeout: 1_200_000 });
+    assert.ok(existsSync(join(folder, "mine", "results", "default-2", "motion.npz")));
+    assert.ok(first.equals(readFileSync(join(folder, "mine", "results", "default", "motion.npz"))));
+
+    // a server that is gone is said, and nothing is said to run any more
+    const sockets = [];
+    let open = true;
+    await page.routeWebSocket(/ws\/jobs/, (socket) => {
+      if (open) socket.connectToServer();
+      else void socket.close();
+      sockets.push(socket);
+    });
+    await page.reload({ waitUntil: "commit" });
+    await page.locator("[data-step=person]").click();
+    await page.getByRole("button", { name: /^Measure/ }).click();
+    await page.locator(".job[data-job=subject][data-state=running]").waitFor();
+    open = false;
+    for (const socket of sockets) await socket.close();
+    await page.getByText("The server does not answer").waitFor();
+    await page.getByText("not known", { exact: true }).waitFor();
+    await picture("setup-gone");
+    assert.equal(await page.locator(".chip", { hasText: /^runs$/ }).count(), 0);
+    assert.equal(await page.locator(".steps small", { hasText: /^runs$/ }).count(), 0);
   },
   { at: "#/setup" },
 );

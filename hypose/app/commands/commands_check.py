@@ -37,6 +37,12 @@ def check(
         str,
         typer.Option("--from", help="keypoints, silhouettes, both, or auto.", rich_help_panel=_REFINE),
     ] = "auto",
+    far: Annotated[
+        bool,
+        typer.Option(
+            "--far", help="Also cameras more than 10 degrees or 0.5 m off (--refine=far).", rich_help_panel=_REFINE
+        ),
+    ] = False,
     focal: Annotated[bool, typer.Option("--focal", help="Focal lengths too.", rich_help_panel=_REFINE)] = False,
     keep: Annotated[
         list[str] | None,
@@ -95,7 +101,7 @@ def check(
         say(f"Page: {path.with_suffix('.html')}")
     say(f"Contact sheet: {path}")
     if refine:
-        _refine(loaded, cured, using, focal, tuple(keep or ()), height, to)
+        _refine(loaded, cured, using, focal, tuple(keep or ()), height, to, far)
         return
     if found.warnings or (report is not None and not report.healthy):
         raise typer.Exit(1)
@@ -122,6 +128,7 @@ def _refine(
     keep: tuple[str, ...],
     height: float | None,
     to: Path | None,
+    far: bool,
 ) -> None:
     from hypose.io.calibrations.calibration_toml import write_calibration
     from hypose.pipeline.examine import cured_recording, refine_recording
@@ -147,6 +154,14 @@ def _refine(
     better = _tell(result)
     if not better:
         say("The refined calibration is not better on frames that it was not found on; nothing is written.", "yellow")
+        raise typer.Exit(1)
+    if result.far and not far:
+        say(
+            f"The refinement takes {' and '.join(result.far)} more than 10 degrees or 0.5 m away from where the "
+            "calibration has it, and nothing is written: look whether the key points are one person's in all views, or "
+            "take it with --refine=far.",
+            "yellow",
+        )
         raise typer.Exit(1)
     target.parent.mkdir(parents=True, exist_ok=True)
     write_calibration(result.rig, target)

@@ -85,5 +85,9 @@ def _place(what: Path) -> tuple[Path, str]:
         root = above[0] if above else folder
         return root, f"view/{Catalog(root).id_of('result', folder)}"
     if is_recording(folder):
-        return folder, f"setup/{Catalog(folder).id_of('recording', folder)}"
+        catalog = Catalog(folder)
+        results = catalog.items("result")
+        if results:  # the last one of several, which are listed behind it
+            return folder, f"view/{results[0].id}"
+        return folder, f"setup/{catalog.id_of('recording', folder)}"
     return folder, ""

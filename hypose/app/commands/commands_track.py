@@ -54,6 +54,13 @@ def track(
     subject: Annotated[
         Path | None, typer.Option(help="The person's body: the folder or body.npz that hypose subject wrote.")
     ] = None,
+    people: Annotated[
+        str | None,
+        typer.Option(
+            help="Several people: all, how many at most, or the name of one in recording.toml. Results: a folder for "
+            "each. [default: one]"
+        ),
+    ] = None,
     no_smooth: Annotated[
         bool, typer.Option("--no-smooth", help="Each frame as it was tracked, without solving all together at the end.")
     ] = False,
@@ -64,7 +71,7 @@ def track(
     out: Annotated[
         Path | None, typer.Option(help="Results folder. [default: results/RECIPE in the recording's folder]")
     ] = None,
-    formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot",
+    formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot,osim,amass",
     no_overlay: Annotated[bool, typer.Option("--no-overlay", help="Do not write overlay.mp4.")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")] = False,
     threads: Threads = None,
@@ -76,17 +83,20 @@ def track(
     hypotheses: Annotated[
         int | None, number("How many hypotheses are followed. [default: the recipe's own number]", 1, 100_000)
     ] = None,
+    colours: Annotated[
+        bool, typer.Option("--colours", help="Ask the person's colours where hands are, from silhouettes; slower.")
+    ] = False,
     floor: Annotated[
         float | None,
         number("With monocular: height of the floor in the world, in metres.", -100, 100, unit="metres"),
     ] = None,
 ) -> None:
-    """Track the person in a recording: poses with their uncertainty, motion files, overlay video, report.
+    """Track the person in a recording, or several: poses with uncertainty, motion files, overlay video, report.
 
     It ends with a verdict: good, look at some frames, or not to be trusted, and why; the last with exit code 3.
     """
     set_threads(threads)
-    from hypose.app.jobs.job import Job, choose_frames
+    from hypose.app.jobs.job import Job, choose_frames, people_results
     from hypose.io.motions.results import ResultsFolder
     from hypose.io.recordings.recording import load_recording
     from hypose.pipeline.pictures import one_view
@@ -103,13 +113,15 @@ def track(
         subject=str(subject) if subject is not None else None,
         smooth=not no_smooth,
         particles=hypotheses,
-        own={} if floor is None else {"floor": floor},
+        own=({} if floor is None else {"floor": floor}) | ({"colours": True} if colours else {}),
     )
     if not loaded.has_pictures:
         options = options.without_pictures()
     if camera is not None or options.of_picture:
         loaded = one_view(loaded, camera)
     results = ResultsFolder(out) if out is not None else ResultsFolder.of(loaded.folder, options.recipe)
+    if people is not None and out is None:
+        results = people_results(loaded.folder, options.recipe)
     job = Job(
         loaded,
         options,
@@ -118,6 +130,7 @@ def track(
         overlay=not no_overlay,
         resume=resume,
         run={"threads": threads, "compute": compute},
+        people=people,
     )
     with back_end(compute):
         report_outcome(job, run_shown(job, list(context.find_root().obj or [])))
@@ -156,12 +169,16 @@ def demo(
 def run_shown(job: Job, arguments: list[str]) -> tuple[Outcome, dict[str, float]]:
     """Run a job with progress; when it is interrupted, say what was kept and how to go on, and exit with code 130."""
     from hypose.app.jobs.job import run_job
+    from hypose.app.jobs.people_job import run_people
     from hypose.io.claims import claimed
 
     previous = signal.signal(signal.SIGTERM, _interrupt)
     try:
         with claimed(job.results.path), Stages() as progress:
-            outcome = run_job(job, progress, progress.seconds)
+            if job.people is not None:
+                outcome = run_people(job, job.people, progress)
+            else:
+                outcome = run_job(job, progress, progress.seconds)
     except KeyboardInterrupt:
         _stopped(job, arguments)
         raise typer.Exit(130) from None

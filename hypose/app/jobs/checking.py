@@ -21,7 +21,7 @@ from hypose.io.files import write_text
 from hypose.io.motions.results import atomic_path, to_json
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, View
-from hypose.io.videos.video import open_video
+from hypose.io.recordings.recording_views import open_pictures
 from hypose.pipeline.examine import observe
 
 _LOW_IOU = 0.6  # hull against mask: below this a view contradicts the others
@@ -81,10 +81,9 @@ def _name(path: Path | None) -> str:
 
 
 def _stream_facts(view: View) -> tuple[str, str, str]:
-    source = view.source or view.masks
-    if source is None:
+    if view.source is None and view.masks is None:
         return "-", "-", "-"
-    with open_video(source) as reader:
+    with open_pictures(view) as reader:
         rate = "-" if reader.frame_rate is None else f"{reader.frame_rate:g}"
         return f"{reader.size[0]}x{reader.size[1]}", rate, str(reader.n_frames)
 

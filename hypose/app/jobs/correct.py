@@ -1,7 +1,8 @@
 """A tracked motion corrected from one frame on: the clicked pose there is where tracking starts again.
 
-The result that is corrected stays as it is. The new one has its frames up to the correction, then what the tracker
-makes of the rest with the same body, recipe and evidence, started from the corrected pose.
+The result that is corrected stays as it is. The new one has what the tracker makes of the frames behind the correction
+(and of those before it, backwards, as far as the correction says), with the same body, recipe and evidence, started
+from the corrected pose; all other frames are those of the old one.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from hypose.app.studio.view_result import load_view
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
+from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.io.files import text_lines
 from hypose.io.motions.bodies import load_body, save_body
@@ -30,19 +32,25 @@ from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.json_text import parse_json
 from hypose.pipeline.first_frame import GIVEN, Subject, SubjectOptions, find_subject
+from hypose.pipeline.pictures import FrameSource
 from hypose.pipeline.run import TrackOptions, frames_wanted, track_source
 
 _LARGEST_CLICKS = 1 << 20
+_READ_AT_ONCE = 64
+"""Frames that are kept in memory when they are tracked backwards."""
 _FROM_HERE = "the start is the corrected pose"
 
 
 @dataclass(frozen=True)
 class Correction:
-    """A pose (D,) of a frame of the recording, and the name it goes by."""
+    """A pose (D,) of a frame of the recording, and the name it goes by. since: the first frame to track again, going
+    back from there, None = frame; until: the one after the last, None = the recording's end."""
 
     frame: int
     pose: Array
     name: str
+    since: int | None = None
+    until: int | None = None
 
 
 def read_correction(path: Path) -> Correction:
@@ -51,11 +59,18 @@ def read_correction(path: Path) -> Correction:
         value = parse_json("\n".join(text_lines(path, "saved clicks", _LARGEST_CLICKS)))
         form, frame, pose = value["format"], value["frame"], np.array(value["pose"], dtype=np.float64)
     except (ValueError, TypeError, KeyError, RecursionError):
-        form, frame, pose = None, -1, np.zeros(0)
-    counted = isinstance(frame, int) and not isinstance(frame, bool) and frame >= 0
+        value, form, frame, pose = {}, None, -1, np.zeros(0)
+    counted = _is_frame(frame)
     if form != "hypose-clicks" or not counted or pose.ndim != 1 or not np.isfinite(pose).all():
         raise InputError(f"{path} holds no clicked pose; correct a frame in `hypose view` and save it there.")
-    return Correction(int(frame), pose, path.stem)
+    ends = [value.get(name) for name in ("since", "until")]
+    if not all(end is None or _is_frame(end) for end in ends):
+        raise InputError(f"The frames since and until in {path} must be whole numbers; correct the frame again.")
+    return Correction(int(frame), pose, path.stem, *ends)
+
+
+def _is_frame(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
 
 
 def correct(
@@ -68,11 +83,12 @@ def correct(
     formats: tuple[str, ...] = (),
     progress: ProgressCall = ignore,
 ) -> Motion:
-    """Track a result again from the corrected frame to `until` (the recording's frame after the last; default: to its
-    end), and write the whole as a result of its own."""
+    """Track a result again from the corrected frame to `until` (the recording's frame after the last; default: what the
+    correction says, else to its end) and back to where the correction says, and write the whole as a result of its
+    own."""
     motion, body = load_motion(old.motion), load_body(old.file("body.npz"))
     options, first = _options(motion, old)
-    row, stop = _rows(motion, correction, first, until)
+    start, row, stop = _rows(motion, correction, first, correction.until if until is None else until)
     if len(correction.pose) != body.skeleton.dof:
         raise InputError(f"{correction.name} is the pose of another body; correct a frame of {old.path} itself.")
     if out.path.resolve() == old.path.resolve():
@@ -82,14 +98,23 @@ def correct(
     progress("compile", 0, 1)
     compute.warm_up()
     progress("compile", 1, 1)
+    record: dict[str, Any] = {"frame": correction.frame, "until": first + stop}
+    record |= {"clicks": correction.name, "of": old.path.name}
+    # who has corrected the frame has also said where left and right are
+    sure, joined = replace(options, sure_start=True), motion
+    if start < row:
+        record["since"] = first + start
+        part = replace(recording, frame_range=(first + start, first + row + 1))
+        with FrameStream(part, frames_wanted(part, options)) as stream:
+            turned = Backwards(stream)
+            subject = _subject(turned, part, options, body, correction.pose)
+            tracked = track_source(turned, motion.frame_rate, sure, subject=subject, progress=progress)
+        joined = join(joined, backwards(tracked.motion), start, None)
     part = replace(recording, frame_range=(first + row, first + stop))
-    with FrameStream(part, frames_wanted(part, options)) as source:
-        subject = _subject(source, part, options, body, correction.pose)
-        # who has corrected the frame has also said where left and right are
-        sure = replace(options, sure_start=True)
-        tracked = track_source(source, motion.frame_rate, sure, subject=subject, progress=progress)
-    record = {"frame": correction.frame, "until": first + stop, "clicks": correction.name, "of": old.path.name}
-    joined = join(motion, tracked.motion, row, record)
+    with FrameStream(part, frames_wanted(part, options)) as stream:
+        subject = _subject(stream, part, options, body, correction.pose)
+        tracked = track_source(stream, motion.frame_rate, sure, subject=subject, progress=progress)
+    joined = join(joined, tracked.motion, row, record)
     save_body(body, out.file("body.npz"))
     save_motion(joined, out.motion)
     out.write_json("provenance.json", joined.provenance)
@@ -102,7 +127,36 @@ def correct(
     return joined
 
 
-def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any]) -> Motion:
+class Backwards:
+    """The frames of a stream from the last to the first, as if time ran on. The stream is read forwards, some at a
+    time, since videos are dear to read in any other order."""
+
+    def __init__(self, stream: FrameStream) -> None:
+        self._stream = stream
+        self._kept: dict[int, Frame] = {}
+
+    def __len__(self) -> int:
+        return len(self._stream)
+
+    def frame(self, index: int, /) -> Frame:
+        """Frame `index` of these; its number and time go on from those of the first."""
+        number = len(self._stream) - 1 - index
+        if number not in self._kept:
+            first = number - number % _READ_AT_ONCE
+            self._kept = {i: self._stream.frame(i) for i in range(first, number + 1)}
+        turned = self._stream.frames[-1] + index
+        return replace(self._kept[number], index=turned, time=turned / self._stream.recording.frame_rate)
+
+
+def backwards(motion: Motion) -> Motion:
+    """A motion with its frames in the opposite order, at the same times."""
+    series = ("joints", "poses", "joint_covariance", "lost", "extrapolated", "n_views", "cost", "doubtful", "p_wrong")
+    series += ("doubtful_joints", "angle_sd", "rivals", "rival_weights")
+    turned = {n: v[::-1].copy() for n in series if (v := getattr(motion, n)) is not None}
+    return replace(motion, **turned)
+
+
+def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any] | None) -> Motion:
     """The motion `old` with the rows from `row` on replaced by those of `new`, and `record` among its corrections."""
     series = {}
     for name in ("poses", "joints", "joint_covariance", "lost", "extrapolated", "n_views", "cost"):
@@ -128,7 +182,7 @@ def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any]) -> Motio
         poses = series["poses"]
         for t in range(row, row + len(new)):
             poses[t] = old.skeleton.on_branch(poses[t], poses[t - 1])
-    corrections = [*old.provenance.get("corrections", []), dict(record)]
+    corrections = [*old.provenance.get("corrections", []), *([] if record is None else [dict(record)])]
     return replace(old, **series, provenance={**old.provenance, "corrections": corrections})
 
 
@@ -151,19 +205,20 @@ def _options(motion: Motion, old: ResultsFolder) -> tuple[TrackOptions, int]:
     return options, int(frames[0])
 
 
-def _rows(motion: Motion, correction: Correction, first: int, until: int | None) -> tuple[int, int]:
-    """The rows to track again."""
+def _rows(motion: Motion, correction: Correction, first: int, until: int | None) -> tuple[int, int, int]:
+    """The rows to track again: the first, the corrected one, and the one after the last."""
     last = first + len(motion)
     stop = last if until is None else until
-    if not first <= correction.frame < stop <= last:
+    since = correction.frame if correction.since is None else correction.since
+    if not first <= since <= correction.frame < stop <= last:
         raise InputError(
-            f"The frames {correction.frame} to {stop} are not part of this result, which has the frames {first} to "
+            f"The frames {since} to {stop} are not part of this result, which has the frames {first} to "
             f"{last - 1}; correct one of these, and end at most at {last}."
         )
-    return correction.frame - first, stop - first
+    return since - first, correction.frame - first, stop - first
 
 
-def _subject(source: FrameStream, part: Recording, options: TrackOptions, body: Body, pose: Array) -> Subject:
+def _subject(source: FrameSource, part: Recording, options: TrackOptions, body: Body, pose: Array) -> Subject:
     """The body as it is, at the corrected pose; where key points sit on it when they are evidence."""
     if options.looks_at == "silhouettes":
         return Subject(body, None, pose, (GIVEN, _FROM_HERE))

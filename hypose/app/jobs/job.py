@@ -6,6 +6,7 @@ Each step writes its files before the next begins, so that whatever ends the job
 from __future__ import annotations
 
 import contextlib
+import shlex
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -32,6 +33,7 @@ from hypose.pipeline.chunked import FOLDER as CHUNKS
 from hypose.pipeline.chunked import ChunkRun
 from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.kept_findings import kept_backgrounds
+from hypose.pipeline.one_of_several import keypoint_people, track_one_of, wanted_first, with_everybody
 from hypose.pipeline.picture_start import POINT_STARTS, clicks_of
 from hypose.pipeline.pictures import depth_note
 from hypose.pipeline.run import MODES, TrackOptions, TrackResult, check_views, frames_wanted, track_source
@@ -47,7 +49,8 @@ class Job:
     """recording: its frame_range is what is tracked. results: where files go. formats: of hypose.io.motions.export.
     overlay: write overlay.mp4. resume: go on from a checkpoint, or fill in what is missing of a complete run. threads:
     for the record only. truth: compares the motion with a known truth, for synthetic recordings. chunk_s: track in
-    overlapping chunks of about so many seconds and join them; what is kept of them in `results` is used."""
+    overlapping chunks of about so many seconds and join them; what is kept of them in `results` is used. people: None =
+    one person, or 'all', how many at most, or a name (hypose.app.jobs.people_job)."""
 
     recording: Recording
     options: TrackOptions
@@ -58,6 +61,7 @@ class Job:
     run: Mapping[str, Any] = field(default_factory=dict)
     truth: Callable[[Motion, Body], Truth] | None = None
     chunk_s: float | None = None
+    people: str | None = None
 
 
 @dataclass(frozen=True)
@@ -93,6 +97,11 @@ def choose_frames(recording: Recording, text: str | None) -> Recording:
     return replace(recording, frame_range=(a, b))
 
 
+def people_results(recording_folder: Path, recipe: str) -> ResultsFolder:
+    """results/people/ in a recording's folder, or results/RECIPE-people/ of another recipe than the default."""
+    return ResultsFolder.of(recording_folder, "people" if recipe == "default" else f"{recipe}-people")
+
+
 def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, float] | None = None) -> Outcome:
     """Track, export, draw and report. seconds: filled by the progress while this runs, read for the report.
 
@@ -100,7 +109,7 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
     in any other stage it is passed on.
     """
     recording, results, options = job.recording, job.results, job.options
-    _check_choices(job, options)
+    check_job(job)
     check_views(recording, options.of_picture)
     check_writable(results.path)
     record = record_of(job)
@@ -160,6 +169,21 @@ def _track(
 ) -> TrackResult:
     if job.chunk_s is not None:
         return chunk_run(job, options, source, record, job.chunk_s).whole(progress)
+    everybody = with_everybody(source, options)
+    if everybody is not None:
+        with contextlib.closing(everybody):
+            return track_one_of(
+                everybody,
+                job.recording.frame_rate,
+                options,
+                wanted=wanted_first(job.recording, options),
+                points=keypoint_people(job.recording, source.rig) if options.looks_at == "both" else None,
+                results=job.results,
+                record=record,
+                resume=job.resume,
+                progress=progress,
+                command=f"hypose track {shlex.quote(str(job.recording.folder))} --people all",
+            )
     return track_source(
         source,
         job.recording.frame_rate,
@@ -180,8 +204,9 @@ def chunk_run(
     return ChunkRun(source, job.recording.frame_rate, options, chunk_s, job.results, record, body)
 
 
-def _check_choices(job: Job, options: TrackOptions) -> None:
+def check_job(job: Job) -> None:
     """Refuse now what would be refused only after minutes of work."""
+    options = job.options
     check_formats(job.formats)
     if options.recipe not in RECIPES:
         raise InputError(f"There is no recipe {options.recipe!r}; the recipes are {', '.join(RECIPES)}.")

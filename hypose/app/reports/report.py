@@ -28,6 +28,7 @@ from hypose.cameras.camera import CameraRig
 from hypose.io.motions.results import to_json
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
+from hypose.pipeline.camera_worth import camera_worth
 
 # The colours are those of web/src/style.css, which is part of a report only where the front end was built.
 _STYLE = """
@@ -196,6 +197,8 @@ def _text(what: ReportInput) -> str:
     parts.append('<div class="two"><div><h2>Seen from above</h2>')
     parts.append(_figure(plots.top_view_plot(m, what.rig or (), what.truth), "Metres; cameras are squares.") + "</div>")
     parts.append(f"<div><h2>Subject</h2>{_subject(what.body)}</div></div>" if what.body is not None else "</div>")
+    if what.rig is not None:
+        parts.append(_cameras(m, what.rig))
     if what.files:
         rows = "".join(f"<tr><td>{html.escape(n)}</td><td>{html.escape(t)}</td></tr>" for n, t in what.files)
         parts.append(f"<h2>Files</h2><table>{rows}</table>")
@@ -263,6 +266,22 @@ def _still(caption: str, picture: Image) -> str:
 def _subject(body: Body) -> str:
     cells = "".join(f'<tr><td>{html.escape(n)}</td><td class="n">{v:.3f} m</td></tr>' for n, v in subject_rows(body))
     return f'<table>{cells}</table><p class="dim">Between joint centres; limbs: mean of both sides.</p>'
+
+
+def _cameras(motion: Motion, rig: CameraRig) -> str:
+    """What each camera adds; "" of one camera."""
+    worth, best = camera_worth(motion, rig)
+    if best is None:
+        return ""
+    rows = "".join(
+        f'<tr><td>{html.escape(w.name)}</td><td class="n">x {w.times:.2f}</td><td class="n">{w.thin:.0%}</td></tr>'
+        for w in worth
+    )
+    x, y, z = best.place.tolist()
+    text = f"One more camera would help most at x = {x:.1f} m, y = {y:.1f} m, {z:.1f} m high: x {best.times:.2f}. "
+    text += "By where the cameras stand and what is in their pictures; limbs that cover each other are not counted."
+    head = "<tr><th>without</th><th>standard deviations</th><th>joints with fewer than two left</th></tr>"
+    return f'<h2>What each camera adds</h2><table>{head}{rows}</table><p class="dim">{html.escape(text)}</p>'
 
 
 def _origin(what: ReportInput) -> str:

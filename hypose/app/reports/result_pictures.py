@@ -20,8 +20,10 @@ from hypose.compute import silhouette
 from hypose.errors import InputError, visible
 from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array
+from hypose.io.recordings.object_masks import ObjectMasks
 from hypose.io.recordings.recording import Recording, View
-from hypose.io.videos.video import VideoReader, open_video
+from hypose.io.recordings.recording_views import open_pictures
+from hypose.io.videos.video import VideoReader
 
 Image = NDArray[np.uint8]
 
@@ -76,8 +78,8 @@ class ViewImages:
 
     def __init__(self, view: View, camera: Camera) -> None:
         self.view, self.camera = view, camera
-        source = view.source or view.masks
-        self._reader: VideoReader | None = open_video(source) if source is not None else None
+        shown = view.source is not None or view.masks is not None
+        self._reader: VideoReader | ObjectMasks | None = open_pictures(view) if shown else None
         self.size: tuple[int, int] = self._reader.size if self._reader is not None else camera.size
 
     def read(self, index: int) -> Image | None:
@@ -193,13 +195,15 @@ def write_text(image: Image, text: str, x: int, y: int, colour: tuple[int, int, 
 @dataclass(frozen=True)
 class Drawing:
     """What is drawn into one frame: the body's vertices (V, 3) and joints (J, 3) m, world; its silhouettes, if any;
-    what the title bar says, in alarming red when `alarm`."""
+    what the title bar says, in alarming red when `alarm`; others: bodies with vertices and the colour (BGR) in which
+    they are drawn as well."""
 
     vertices: Array | None
     joints: Array | None
     silhouettes: Silhouettes | None
     title: str
     alarm: bool = False
+    others: tuple[tuple[Body, Array, tuple[int, int, int]], ...] = ()
 
 
 def draw_view(
@@ -218,6 +222,8 @@ def draw_view(
         )
     if body is not None and what.vertices is not None:
         draw_body(shown, view, camera, what.vertices, body.fine.faces, ALARM if what.alarm else BODY)
+    for other, vertices, colour in what.others:
+        draw_body(shown, view, camera, vertices, other.fine.faces, colour)
     s = what.silhouettes
     if s is not None:
         draw_mask(shown, mask_outline(view, camera, s.rig[index], s.masks[index], size))

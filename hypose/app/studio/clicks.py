@@ -14,7 +14,7 @@ from starlette.routing import Route
 
 from hypose.app.studio import click_fit
 from hypose.app.studio.answers import answer, body_of, told
-from hypose.app.studio.asked import number, whole
+from hypose.app.studio.asked import choice, number, whole
 from hypose.app.studio.catalog import Catalog, Item
 from hypose.app.studio.job_kinds import is_name
 from hypose.app.studio.recordings import Recordings
@@ -70,7 +70,7 @@ def routes(catalog: Catalog, recordings: Recordings) -> list[Route]:
 def _fitted(value: dict[str, Any], catalog: Catalog, recordings: Recordings) -> dict[str, Any]:
     item = _recording(value, catalog)
     recording = recordings.load(item)
-    clicks = click_fit.clicks_of(value.get("views"), recording.rig)
+    clicks = click_fit.clicks_of(_seen_straight(value.get("views"), recording), recording.rig)
     body, pose, measured = _body(value, item, catalog)
     height = _height(value.get("height"), measured, recording)
     if not measured:
@@ -78,6 +78,27 @@ def _fitted(value: dict[str, Any], catalog: Catalog, recordings: Recordings) -> 
     start = _pose(value.get("start"), body) if value.get("start") is not None else pose
     found = click_fit.fit_clicks(body, clicks, start, measured or height is not None, correct=pose is not None)
     return click_fit.shown(body, clicks, found)
+
+
+def _seen_straight(views: Any, recording: Recording) -> Any:
+    """The views of a request with their points in undistorted pixels of K: those that were clicked in the picture as it
+    was recorded ("recorded": true) have its lens taken out."""
+    if not isinstance(views, list):
+        return views
+    return [_straight(v, recording) if isinstance(v, dict) and v.get("recorded") is True else v for v in views]
+
+
+def _straight(view: dict[str, Any], recording: Recording) -> dict[str, Any]:
+    name = choice(view.get("camera"), "camera", recording.rig.names)
+    points = view.get("points")
+    if not isinstance(points, list) or not points or not all(isinstance(p, dict) for p in points):
+        return view
+    index = recording.rig.names.index(name)
+    camera, shift = recording.rig[index], np.asarray(recording.views[index].image_shift)
+    uv = np.array([[number(p.get(k), f"{k} of a click (px)", -1e5, 1e5) for k in ("x", "y")] for p in points])
+    straight = camera.undistort_points(uv + shift)
+    moved = [{**p, "x": float(x), "y": float(y)} for p, (x, y) in zip(points, straight, strict=True)]
+    return {**{k: v for k, v in view.items() if k != "recorded"}, "points": moved}
 
 
 def _height(value: Any, measured: bool, recording: Recording) -> float | None:
@@ -142,8 +163,10 @@ def _save(value: dict[str, Any], item: Item, catalog: Catalog, recordings: Recor
         raise InputError("Give the start a name of letters, digits, - and _.")
     if not catalog.contains(item.path / "starts"):
         raise InputError(f"The starts of {item.path.name} lie outside the served folder.")
+    value = {**value, "views": _seen_straight(value.get("views"), recordings.load(item))}
     found = _fitted({**value, "recording": item.id}, catalog, recordings)
     keep = {k: value[k] for k in ("frame", "views", "height", "result") if value.get(k) is not None}
+    keep |= {k: whole(value[k], f"the frame {k}", 0, 10**9) for k in ("since", "until") if value.get(k) is not None}
     keep |= _for_one_camera(value["views"], value.get("camera"), recordings.load(item))
     document = {"format": _FORMAT, "version": 1, **keep, **{k: found[k] for k in ("pose", "joint_sd", "rms_px")}}
     ResultsFolder(item.path / "starts").write_json(f"{name}.json", document)
@@ -152,9 +175,9 @@ def _save(value: dict[str, Any], item: Item, catalog: Catalog, recordings: Recor
 
 def _for_one_camera(views: Sequence[Mapping[str, Any]], wanted: Any, recording: Recording) -> dict[str, Any]:
     """camera and joints as `hypose track --recipe monocular --start FILE` reads them (hypose.pipeline.picture_start):
-    of the wanted camera, else the one with most clicks; in pixels of the picture as it was recorded. Joints behind
-    something only where there are too few others."""
-    view = max(views, key=lambda v: (v["camera"] == wanted, len(v["points"])))
+    of the wanted camera when enough is clicked there, else the one with most clicks; in pixels of the picture as it was
+    recorded. Joints behind something only where there are too few others."""
+    view = max(views, key=lambda v: (v["camera"] == wanted and len(v["points"]) >= LEAST_POINTS, len(v["points"])))
     index = recording.rig.names.index(view["camera"])
     camera, source = recording.rig[index], recording.views[index]
     points = [p for p in view["points"] if p["joint"] in JOINT_NAMES]

@@ -21,8 +21,9 @@ from hypose.gestures.session import Command
 HISTORY = 2000
 """Frames whose scores a page that comes later gets."""
 _SAVE_S = 10.0
-_FULL = 6e-4
-"""m^2 of voting surface per cell that the map shows opaque."""
+_LEAST_FULL, _FADING = 1e-5, 0.95
+"""The map shows opaque the highest density of late (m^2 of voting surface per cell; how it sinks from one map to the
+next), and at least this: how dense votes lie is another matter with every gesture, distance and amount of teaching."""
 
 
 class Run:
@@ -46,6 +47,7 @@ class Run:
         self._controls = Controls()
         self._changed, self._save, self._stop = False, False, False
         self._newcomer = False  # a page has come that has no picture yet
+        self._full = 0.0  # density that the map shows opaque
         self._packed_ms = 0.0  # that the last pictures took to pack
         self._thread = threading.Thread(target=self._work, daemon=True)
 
@@ -170,7 +172,8 @@ class Run:
         if fresh or newcomer:
             self._show(depth_picture(taken.depth, seq, taken.time))
         if shown.density is not None:
-            self._show(map_picture(shown.density, seq, taken.time, _FULL))
+            self._full = max(float(shown.density.max()), _FADING * self._full, _LEAST_FULL)
+            self._show(map_picture(shown.density, seq, taken.time, self._full))
         self._packed_ms = round(1e3 * (clock.perf_counter() - began), 2)
         if not commands:
             self._say({**m, "seq": seq})

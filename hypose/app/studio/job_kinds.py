@@ -119,7 +119,8 @@ def plan(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
         arguments += [flag] if given is True else [] if given is False else [flag, str(given)]
     if kind == "demo":
         out = free_folder(catalog.root, "demo")
-        return Plan(("demo", "--out", str(out), *arguments), _TITLES[kind], catalog.id_of("recording", out))
+        result = catalog.id_of("result", out / "results" / "default")
+        return Plan(("demo", "--out", str(out), *arguments), _TITLES[kind], catalog.id_of("recording", out), result)
     if kind == "export":
         item = catalog.find("result", _id(request, "result"))
         return Plan(("export", str(item.path), *arguments), _TITLES[kind].format(item.path.name), None, item.id)
@@ -136,18 +137,33 @@ def plan(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
     return Plan((command, str(item.path), *extra, *arguments), title, item.id)
 
 
-def _track(
-    folder: Path, recording: str, arguments: list[str], options: Mapping[str, Any], title: str, catalog: Catalog
-) -> Plan:
+def settled(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Mapping[str, Any]:
+    """A request with what it leaves open decided, so that it means the same when it is planned again: a new track takes
+    a name under which nothing lies yet, since what was tracked before is not to be written over."""
+    options = request.get("options") or {}
+    if kind != "track" or not isinstance(options, dict):
+        return request
+    folder = catalog.find("recording", _id(request, "recording")).path / "results"
+    return {**request, "options": {**options, "name": free_folder(folder, _result_name(options)).name}}
+
+
+def _result_name(options: Mapping[str, Any]) -> str:
     name = options.get("name") or options.get("recipe") or "default"
     if not isinstance(name, str) or not is_name(name):
         raise InputError(f"{str(name)[:40]!r} is no name for a result; use letters, digits, -, _ and dots between.")
-    out = folder / "results" / name
+    return name
+
+
+def _track(
+    folder: Path, recording: str, arguments: list[str], options: Mapping[str, Any], title: str, catalog: Catalog
+) -> Plan:
+    out = folder / "results" / _result_name(options)
     if not catalog.contains(out):
         raise InputError(f"The results of {folder.name} lie outside the served folder; track them on the command line.")
     if isinstance(start := options.get("start"), str) and start.startswith("clicks:"):
         arguments[arguments.index("--start") + 1] = str(_clicked(folder, start.removeprefix("clicks:")))
     arguments += ["--out", str(out)]
+    title += "" if out.name == "default" else f" as {out.name}"
     if options.get("subject") and _flag(options["subject"], "subject"):
         arguments += ["--subject", str(folder / "subject")]
     if options.get("overlay") is not None and not _flag(options["overlay"], "overlay"):
@@ -189,8 +205,10 @@ def is_name(text: str) -> bool:
 
 
 def free_folder(parent: Path, name: str) -> Path:
-    """parent/name, or with a number behind it the first that is not taken."""
-    path, number = parent / name, 2
+    """parent/name, or with a number behind it the first that is not taken: walk, walk-2, walk-3."""
+    numbered = re.fullmatch(r"(.+)-(\d{1,4})", name)
+    stem, number = (numbered[1], int(numbered[2]) + 1) if numbered else (name, 2)
+    path = parent / name
     while path.exists():
-        path, number = parent / f"{name}-{number}", number + 1
+        path, number = parent / f"{stem}-{number}", number + 1
     return path

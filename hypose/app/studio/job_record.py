@@ -45,7 +45,7 @@ class Stage:
 @dataclass
 class Job:
     """One job. Changed under the lock of Jobs only. command: what the page shows, of a job whose plan is not known any
-    more."""
+    more; hopeless: to go on would end as it did."""
 
     id: str
     kind: str
@@ -59,6 +59,7 @@ class Job:
     began: float | None = None
     ended: float | None = None
     stopping: bool = False
+    hopeless: bool = False
     process: subprocess.Popen[str] | None = None
     command: str = ""
 
@@ -79,5 +80,5 @@ class Job:
             "created": self.created,
             "began": self.began,
             "ended": self.ended,
-            "resumable": self.plan.resumable and self.state in ("failed", "cancelled"),
+            "resumable": self.plan.resumable and self.state in ("failed", "cancelled") and not self.hopeless,
         }

@@ -19,12 +19,16 @@ from typing import Any
 from hypose.app.commands.console import JSON_PROGRESS
 from hypose.app.studio.answers import NotNow
 from hypose.app.studio.catalog import Catalog, NotFound
-from hypose.app.studio.job_kinds import Plan, plan
+from hypose.app.studio.job_kinds import Plan, plan, settled
 from hypose.app.studio.job_list import read_jobs, write_jobs
 from hypose.app.studio.job_record import ENDED, Job, Stage
 from hypose.json_text import parse_json
+from hypose.pipeline.verdict import EXIT_UNTRUSTED
 
 _KEPT_JOBS, _MOST_WAITING = 100, 20
+_CODE_OF_INPUT = 2
+"""What a command ends with when its input cannot be used."""
+_VERDICT = "Verdict: "
 _KILL_S = 20.0
 """After this a process that was asked to end is ended."""
 
@@ -67,6 +71,7 @@ class Jobs:
 
     def start(self, kind: str, request: Mapping[str, Any]) -> Job:
         """Queue a job; an InputError when its options cannot be."""
+        request = settled(kind, request, self._catalog)
         return self._queue(kind, plan(kind, request, self._catalog), request.get("options") or {})
 
     def resume(self, id: str) -> Job:
@@ -89,6 +94,11 @@ class Jobs:
                 raise NotNow(f"The job {job.plan.title!r} is {job.state} already.")
         self._changed(job)
         return job
+
+    def needs(self, id: str) -> bool:
+        """Whether a job that is not over works on the recording or result of this id."""
+        with self._lock:
+            return any(id in (j.plan.recording, j.plan.result) for j in self._jobs.values() if j.state not in ENDED)
 
     def close(self) -> None:
         """Stop what runs, and wait for it."""
@@ -199,9 +209,15 @@ class Jobs:
                 job.state = "cancelled"
             elif code == 0 or (job.kind == "check" and code == 1 and problem is None and job.stages):
                 job.state = "done"  # a check that found something wrong has done its work
+            elif code == EXIT_UNTRUSTED and problem is None:
+                job.state = "done"  # all of it was tracked; what is to be thought of it is for who looks at it
+                job.error = next((t for t in reversed(job.lines) if t.startswith(_VERDICT)), "").removeprefix(_VERDICT)
             else:
                 job.state = "failed"
                 job.error = problem or f"The command ended with code {code}; its last words are below."
+                # the same input is the same error again, unless there is something behind it to go on from
+                kept = job.plan.folder is not None and (job.plan.folder / "checkpoint.npz").is_file()
+                job.hopeless = code == _CODE_OF_INPUT and not kept
 
     def _read_lines(self, job: Job, stream: Any) -> None:
         for line in stream:

@@ -72,6 +72,12 @@ class Kept(Generic[V]):
                 self._timer.daemon = True
                 self._timer.start()
 
+    def drop(self) -> None:
+        """Let go of what is not in use."""
+        with self._lock:
+            for key in [k for k, e in self._entries.items() if not e.users]:
+                self._let_go(self._entries.pop(key).value)
+
     def close(self) -> None:
         """Let go of everything."""
         with self._lock:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hypose.app.studio.catalog import Catalog, Item, NotFound
 from hypose.app.studio.memory_cache import Kept
+from hypose.app.studio.mending import left_out, refined
 from hypose.app.studio.view_pictures import AnyFrame
 from hypose.cameras.camera import Camera
 from hypose.errors import HyposeError, InputError
@@ -104,6 +105,8 @@ class Recordings:
             "results": list(results),
             "check": read_check(item.path),
             "subject": read_subject(item.path),
+            "left_out": left_out(item.path),
+            "refined": _unused(item.path),
             "starts": sorted(p.stem for p in (item.path / "starts").glob("*.json")),
         }
         try:
@@ -172,6 +175,10 @@ class Recordings:
         text = without_table(path.read_text(encoding="utf-8-sig"), "silhouettes").rstrip("\n")
         write_text(path, "\n".join([text, *silhouette_lines(options)]) + "\n")
         return asdict(options)
+
+    def drop(self) -> None:
+        """Release the files that are not in use."""
+        self._open.drop()
 
     def close(self) -> None:
         """Release the files."""
@@ -266,6 +273,16 @@ def read_check(folder: Path) -> dict[str, Any] | None:
     except (OSError, ValueError, RecursionError):
         return None
     return value if isinstance(value, dict) else None
+
+
+def _unused(folder: Path) -> str | None:
+    """A refined calibration that the recording does not use yet."""
+    try:
+        used = read_toml(folder / "recording.toml").get("calibration")
+    except HyposeError:
+        return None
+    found = refined(folder)
+    return None if found == used else found
 
 
 def read_subject(folder: Path) -> dict[str, Any] | None:

@@ -24,6 +24,7 @@ from hypose.app.studio.uploads import Uploads
 from hypose.errors import InputError
 
 _TELL_S = 0.2
+_PICTURE_PX = 320
 
 
 def routes(
@@ -63,6 +64,10 @@ def routes(
         path = await uploads.receive(request.path_params["name"], pieces_of(request), size)
         return answer(await run_in_threadpool(uploads.examine, path), 201)
 
+    async def picture(request: Request) -> Response:
+        data = await run_in_threadpool(uploads.picture, request.path_params["name"], _PICTURE_PX)
+        return Response(data, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=3600"})
+
     async def forget(request: Request) -> Response:
         await run_in_threadpool(uploads.forget, request.path_params["name"])
         return answer({})
@@ -85,6 +90,7 @@ def routes(
         Route("/api/jobs/{id}/view", told(view)),
         Route("/api/uploads/{name}", told(upload), methods=["PUT"]),
         Route("/api/uploads/{name}", told(forget), methods=["DELETE"]),
+        Route("/api/uploads/{name}/picture.jpg", told(picture)),
         Route("/api/recordings", told(make), methods=["POST"]),
         WebSocketRoute("/ws/jobs", socket),
     ]

@@ -12,15 +12,17 @@ from starlette.routing import Route
 from hypose.app.studio.answers import answer, body_of, told
 from hypose.app.studio.asked import digits
 from hypose.app.studio.catalog import Catalog, Item, NotFound
+from hypose.app.studio.mending import mend
 from hypose.app.studio.recordings import Recordings, Shown
+from hypose.app.studio.uploads import Uploads
 from hypose.app.studio.view_answers import file_answer
-from hypose.errors import InputError
+from hypose.errors import HyposeError, InputError
 
 _FILES = ("check.html", "check.png", "silhouettes/sheet.jpg")
 _SHOWN = ("none", "edge", "fill", "only")
 
 
-def routes(catalog: Catalog, recordings: Recordings) -> list[Route]:
+def routes(catalog: Catalog, recordings: Recordings, uploads: Uploads) -> list[Route]:
     """The routes."""
 
     def item_of(request: Request) -> Item:
@@ -53,7 +55,21 @@ def routes(catalog: Catalog, recordings: Recordings) -> list[Route]:
         item, value = item_of(request), await body_of(request)
         return answer(await run_in_threadpool(recordings.save_settings, item, value))
 
+    async def mended(request: Request) -> Response:
+        item, value = item_of(request), await body_of(request)
+
+        def change() -> None:
+            try:
+                recording = recordings.load(item)
+            except HyposeError:
+                recording = None
+            mend(item.path, recording, value, uploads)
+
+        await run_in_threadpool(change)
+        return await one(request)
+
     return [
+        Route("/api/recordings/{id}/mend", told(mended), methods=["POST"]),
         Route("/api/recordings/{id}", told(one)),
         Route("/api/recordings/{id}/image/{camera}/{frame}.jpg", told(picture)),
         Route("/api/recordings/{id}/file/{name:path}", told(file)),

@@ -24,6 +24,7 @@ from hypose.app.studio import (
     clicks,
     fuse_socket,
     gesture_socket,
+    library,
     routes_jobs,
     routes_recordings,
     view_answers,
@@ -35,6 +36,7 @@ from hypose.app.studio.gesture_room import GestureRoom
 from hypose.app.studio.gesture_socket import models_shown, places, sessions_shown, sources_shown
 from hypose.app.studio.guard import Access, Guard
 from hypose.app.studio.jobs import Jobs
+from hypose.app.studio.library import Library
 from hypose.app.studio.memory_cache import give_back_large_blocks
 from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.sockets import MAX_MESSAGE, Sockets
@@ -68,6 +70,7 @@ class Studio:
         self.jobs = Jobs(self.catalog)
         self.uploads = Uploads(self.catalog, options.upload_limit)
         self.results, self.recordings = Results(self.catalog), Recordings(self.catalog)
+        self.library = Library(self.catalog, self.jobs.needs, self._let_go)
         self.gestures, self.fusion = GestureRoom(places(self.catalog)), FuseHost()
         self.sockets = Sockets()
         self._routed = Starlette(
@@ -82,7 +85,8 @@ class Studio:
             Route("/api/state", told(self._state)),
             *view_answers.routes(self.catalog, self.results, self.jobs),
             *routes_jobs.routes(self.catalog, self.recordings, self.uploads, self.jobs, self.sockets),
-            *routes_recordings.routes(self.catalog, self.recordings),
+            *routes_recordings.routes(self.catalog, self.recordings, self.uploads),
+            *library.routes(self.catalog, self.library),
             *clicks.routes(self.catalog, self.recordings),
             *gesture_socket.routes(self.gestures, self.sockets),
             *fuse_socket.routes(self.fusion, self.sockets),
@@ -123,6 +127,11 @@ class Studio:
         await self.fusion.stop()
         await run_in_threadpool(self.close)
 
+    def _let_go(self) -> None:
+        """Close what is open of results and recordings: a file that is open cannot be moved everywhere."""
+        self.results.drop()
+        self.recordings.drop()
+
     def close(self) -> None:
         """Stop what runs with its work kept, and let go of everything."""
         self.gestures.close()
@@ -130,6 +139,7 @@ class Studio:
         self.results.close()
         self.recordings.close()
         self.uploads.close()
+        self.library.close()
 
 
 async def _page(request: Request) -> Response:

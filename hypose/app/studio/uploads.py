@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
+
 from hypose.app.studio.answers import NotNow, TooLarge
 from hypose.app.studio.catalog import Catalog, NotFound
 from hypose.app.studio.job_kinds import free_folder, is_name
@@ -28,6 +30,7 @@ from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, open_video
 FOLDER = ".studio-uploads"
 _LARGEST_CALIBRATION = 20 << 20
 _MOST = 64
+_QUALITY = 80
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,18 @@ class Uploads:
             self._uploads[upload.id] = upload
         return {"upload": upload.id, "name": upload.name, "bytes": path.stat().st_size, **upload.facts}
 
+    def picture(self, id: str, width: int) -> bytes:
+        """The first picture of a video or image as JPEG, at most `width` px wide, to tell the cameras apart by."""
+        upload = self._find(id)
+        if upload.facts["kind"] not in ("video", "image"):
+            raise NotFound(f"{upload.name} has no pictures.")
+        with open_video(upload.path) as reader:
+            image = reader.read(0)
+        height, full = image.shape[:2]
+        scale = min(1.0, width / full)
+        small = cv2.resize(image, (round(full * scale), max(1, round(height * scale))), interpolation=cv2.INTER_AREA)
+        return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
+
     def forget(self, id: str) -> None:
         """Remove a file that is not wanted after all."""
         upload = self._find(id)
@@ -110,9 +125,14 @@ class Uploads:
             for key in ("calibration_unit", "world_up", "frame_rate", "subject_height")
             if isinstance(wanted.get(key), str | int | float)
         ]
+        cameras = [v["camera"] for v in views if isinstance(v.get("camera"), str)]
+        twice = next((c for k, c in enumerate(cameras) if c in cameras[:k]), None)
+        if twice is not None:
+            raise InputError(f"Two videos are of the camera {twice}; give every camera one.")
         for view in views:
             lines += ["", "[[view]]"]
             lines += [f"{k} = {toml_value(view[k])}" for k in ("name", "camera") if isinstance(view.get(k), str)]
+            lines += ["accept_scaled = true"] if view.get("accept_scaled") is True else []
             for key in ("video", "background"):
                 if view.get(key) is None and key == "background":
                     continue
@@ -122,6 +142,22 @@ class Uploads:
                 moves[upload.id] = f"{key}s/{len(moves):02d}_{upload.name}"
                 lines.append(f"{key} = {toml_value(moves[upload.id])}")
         return self._build(free_folder(self._catalog.root, name), moves, "\n".join(lines) + "\n")
+
+    def hand_over(self, id: str, folder: Path) -> Path:
+        """Put a video or picture into a folder, under a name that is free there; returns where it is."""
+        upload = self._find(id)
+        if upload.facts["kind"] not in ("video", "image"):
+            raise InputError(f"{upload.name} is neither a picture nor a video.")
+        folder.mkdir(parents=True, exist_ok=True)
+        place, number = folder / upload.name, 2
+        while place.exists():
+            place, number = folder / f"{number}_{upload.name}", number + 1
+        try:
+            upload.path.rename(place)
+        except OSError as error:
+            raise InputError(f"{upload.name} cannot be kept ({(error.strerror or str(error)).lower()}).") from None
+        self.forget(id)
+        return place
 
     def close(self) -> None:
         """Remove what was not used."""

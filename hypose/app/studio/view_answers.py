@@ -17,15 +17,16 @@ from hypose.app.studio.asked import digits
 from hypose.app.studio.catalog import Catalog, Item, NotFound
 from hypose.app.studio.jobs import Jobs
 from hypose.app.studio.memory_cache import Kept
+from hypose.app.studio.thumbnails import thumbnail
 from hypose.app.studio.view_bundle import view_bundle
 from hypose.app.studio.view_pictures import ViewPictures
-from hypose.app.studio.view_result import load_view
+from hypose.app.studio.view_result import load_view, quality_of
 from hypose.errors import HyposeError, InputError
 from hypose.io.motions.results import load_motion
 from hypose.io.recordings.recording import load_recording
 
-_BLOCKS, _PICTURES = 64 << 20, 128 << 20
-"""Bytes of blocks, and of open pictures, that are kept."""
+_BLOCKS, _PICTURES, _THUMBNAILS = 64 << 20, 128 << 20, 4 << 20
+"""Bytes of blocks, of open pictures, and of thumbnails that are kept."""
 _UNTRUSTED = (
     "sandbox allow-scripts; default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src "
     "'unsafe-inline'; media-src data: blob:; worker-src blob:"
@@ -40,6 +41,7 @@ class Results:
         self._catalog = catalog
         self._blocks: Kept[bytes] = Kept(_BLOCKS, len)
         self._pictures: Kept[ViewPictures] = Kept(_PICTURES, lambda p: p.held, ViewPictures.close)
+        self._thumbnails: Kept[bytes] = Kept(_THUMBNAILS, len)
         self._heads: dict[str, tuple[float, dict[str, Any]]] = {}
 
     def block(self, item: Item) -> bytes:
@@ -69,11 +71,13 @@ class Results:
 
     def _read_head(self, item: Item) -> dict[str, Any]:
         folder = self._catalog.recording_of(item.path)
-        recipe = "unknown"
+        recipe, correctable, quality = "unknown", False, {}
         try:
             motion = load_motion(item.path / "motion.npz")
             frames, rate = len(motion), motion.frame_rate
             recipe = str(motion.provenance.get("recipe", recipe))
+            correctable = folder is not None and motion.poses is not None and not (item.path / "modes.npz").exists()
+            quality = quality_of(item.path, motion)
         except HyposeError:
             frames, rate = 0, 0.0
         return {
@@ -88,10 +92,29 @@ class Results:
             "seconds": frames / rate if rate else 0.0,
             "complete": frames > 0 and not (item.path / "checkpoint.npz").exists(),
             "changed": item.changed,
+            "correctable": correctable,
+            "pictured": folder is not None,
+            **quality,
         }
+
+    def thumbnail(self, item: Item) -> bytes:
+        """A small JPEG: the person with the skeleton in the middle of the result, as the first camera sees it."""
+        with self._thumbnails.use((item.id, _stamp(item.path)), lambda: self._thumbnail(item)) as data:
+            return data
+
+    def _thumbnail(self, item: Item) -> bytes:
+        with self.pictures(item) as opened:
+            return thumbnail(load_motion(item.path / "motion.npz"), opened)
+
+    def drop(self) -> None:
+        """Release the files that are not in use."""
+        self._thumbnails.drop()
+        self._pictures.drop()
+        self._blocks.drop()
 
     def close(self) -> None:
         """Release the files."""
+        self._thumbnails.close()
         self._pictures.close()
         self._blocks.close()
 
@@ -136,6 +159,10 @@ def routes(catalog: Catalog, results: Results, jobs: Jobs) -> list[Route]:
         # the same row of the same result stays what it is while a page is open
         return Response(data, media_type="application/octet-stream", headers={"Cache-Control": "private, max-age=60"})
 
+    async def small(request: Request) -> Response:
+        data = await run_in_threadpool(results.thumbnail, item_of(request))
+        return Response(data, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=600"})
+
     async def outlines(request: Request) -> Response:
         item, row = item_of(request), digits(request.path_params["row"], "The row")
 
@@ -163,6 +190,7 @@ def routes(catalog: Catalog, results: Results, jobs: Jobs) -> list[Route]:
         Route("/api/results/{id}/view", told(view)),
         Route("/api/results/{id}/pictures/{row}", told(pictures)),
         Route("/api/results/{id}/outlines/{row}", told(outlines)),
+        Route("/api/results/{id}/thumbnail.jpg", told(small)),
         Route("/api/results/{id}/files/{name}", told(file)),
         Route("/api/results/{id}/export", told(export), methods=["POST"]),
     ]

@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hypose import __version__
@@ -29,10 +30,12 @@ from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError, visible
 from hypose.geometry import Array
 from hypose.io.motions.export import FORMATS
+from hypose.pipeline.verdict import Verdict
 
 MAGIC = b"HYPOSEV1"
 LOST, EXTRAPOLATED, DOUBTFUL = 1, 2, 3
 MOST_RIVALS = 6
+_UNKNOWN_PERCENT = 255
 _DTYPES = {"f4": "<f4", "f8": "<f8", "u1": "|u1", "u2": "<u2", "u4": "<u4"}
 
 
@@ -57,8 +60,10 @@ class Rivals:
         """From those that the motion itself has kept; None when there is none in any frame."""
         if motion.rivals is None or motion.rival_weights is None or not motion.rival_weights.any():
             return None
-        _, joints = motion.skeleton.forward(motion.rivals)
         others = motion.rival_weights.astype(np.float64)
+        there = others > 0  # few frames have any
+        joints = np.full((*there.shape, len(motion.skeleton.joint_names), 3), np.nan)
+        joints[there] = motion.skeleton.forward(motion.rivals[there])[1]
         weights = np.concatenate([1 - others.sum(1, keepdims=True), np.where(others > 0, others, np.nan)], 1)
         return cls(joints, weights)
 
@@ -67,7 +72,8 @@ class Rivals:
 class ViewResult:
     """A result to look at. body, rig: None when not known (a fused skeleton has neither). image_shifts: (x, y) px per
     camera, as in recording.toml. first_frame: the recording's frame of row 0. pictures: names of the cameras whose
-    pictures can be had. files: (name, what it is, bytes). rivals: where the method keeps any."""
+    pictures can be had. files: (name, what it is, bytes). rivals: where the method keeps any. verdict: what is to be
+    thought of it, None when nothing has looked."""
 
     title: str
     motion: Motion
@@ -83,6 +89,7 @@ class ViewResult:
     truth: Truth | None = None
     complete: bool = True
     rivals: Rivals | None = None
+    verdict: Verdict | None = None
 
 
 def view_bundle(result: ViewResult) -> bytes:
@@ -130,11 +137,17 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
         out["rotations"] = quaternions(m.skeleton, m.poses)
         if angles_known(m.skeleton):
             names, values = joint_angles(m.skeleton, m.poses)
-            shown = [v if is_length(n) else np.degrees(v) for n, v in zip(names, values.T, strict=True)]
-            out["angles"] = np.stack(shown).astype("<f4")
+            out["angles"] = _in_degrees(names, values.T)
+            if m.angle_sd is not None:
+                out["angle_sd"] = _in_degrees(ANGLE_NAMES, m.angle_sd.T)
         if result.body is not None:
             out |= _mesh("fine", result.body.fine) | _mesh("coarse", result.body.coarse)
             out["rest_joints"] = m.skeleton.rest_joints.astype("<f4")
+    if m.doubtful_joints is not None:
+        out["doubtful_joints"] = m.doubtful_joints.astype("u1")
+    if m.p_wrong is not None:
+        percent = np.rint(100 * np.nan_to_num(m.p_wrong, nan=_UNKNOWN_PERCENT / 100))
+        out["p_wrong"] = percent.astype("u1")
     if result.rivals is not None:
         out["rival_joints"] = result.rivals.joints.astype("<f4")
         out["rival_weights"] = result.rivals.weights.astype("<f4")
@@ -143,6 +156,11 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
             out["truth_joints"] = result.truth.joints.astype("<f4")
         out["truth_distances"] = result.truth.distances.astype("<f4")
     return out
+
+
+def _in_degrees(names: Sequence[str], values: Array | NDArray[np.float32]) -> np.ndarray:
+    """(A, T) as the page shows them: angles in degrees, lengths in metres."""
+    return np.stack([v if is_length(n) else np.degrees(v) for n, v in zip(names, values, strict=True)]).astype("<f4")
 
 
 def _flags(motion: Motion) -> np.ndarray:
@@ -202,6 +220,7 @@ def _header(result: ViewResult) -> dict[str, Any]:
         "notes": list(result.notes),
         "citation": result.citation,
         "seconds": dict(result.seconds),
+        "verdict": result.verdict and {"word": result.verdict.word, "sentence": result.verdict.sentence},
         "truth": truth
         and {
             "names": list(truth.names),

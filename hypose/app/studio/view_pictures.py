@@ -17,10 +17,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.app.reports.result_pictures import Image, mask_outline
+from hypose.app.reports.result_pictures import Image, image_points, mask_outline
 from hypose.errors import InputError
+from hypose.geometry import Array
 from hypose.io.recordings.frames import FrameStream
+from hypose.io.recordings.object_masks import ObjectMasks
 from hypose.io.recordings.recording import Recording, View
+from hypose.io.recordings.recording_views import open_pictures
 from hypose.io.videos.video import VideoReader, open_capture, open_video
 
 _NEAR = 24  # frames ahead that are sooner decoded than jumped to
@@ -38,7 +41,7 @@ class AnyFrame:
         source = view.source or view.masks
         assert source is not None
         self.only_masks = view.source is None
-        self._reader: VideoReader = open_video(source)
+        self._reader: VideoReader | ObjectMasks = open_pictures(view)
         self._jumps: cv2.VideoCapture | None = None
         self._next = 0
         self._exact: bool | None = None if source.is_file() else False
@@ -48,7 +51,10 @@ class AnyFrame:
         """Frame `index` (BGR), None beyond the end."""
         if not 0 <= index < self._reader.n_frames:
             return None
-        if self._path.is_dir() or 0 <= index - self._reader.position <= _NEAR or not self._can_jump():
+        reader = self._reader
+        if isinstance(reader, ObjectMasks) or self._path.is_dir():
+            return reader.read(index)
+        if 0 <= index - reader.position <= _NEAR or not self._can_jump():
             return self._reader.read(index)
         return self._jump(index)
 
@@ -123,6 +129,17 @@ class ViewPictures:
             while self._cached > _CACHE_BYTES and len(self._cache) > 1:
                 self._cached -= len(self._cache.popitem(last=False)[1])
             return data
+
+    def seen(self, row: int, points: Array) -> tuple[Image, Array] | None:
+        """The picture (BGR) of the first view that has one of `row`, and where points (N, 3) m of the world are in it,
+        (N, 2) px; None when no view has one."""
+        self._check(row)
+        with self._lock:
+            for reader, view, camera in zip(self._views, self._recording.views, self._recording.rig, strict=True):
+                image = reader.read(self._first + row) if reader is not None else None
+                if image is not None:
+                    return image, image_points(view, camera, points, (image.shape[1], image.shape[0]))
+        return None
 
     def files(self, row: int, width: int) -> list[bytes]:
         """The JPEGs of `row`, one per view, b"" where there is none."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
+from typing import Any
 
 from hypose.app.jobs.truth import Truth, compare
-from hypose.app.reports.summary import DESCRIPTIONS
+from hypose.app.reports.summary import DESCRIPTIONS, summarize
 from hypose.app.studio.view_bundle import Rivals, ViewResult
 from hypose.body.body import Body
 from hypose.body.motion import Motion
@@ -14,6 +16,8 @@ from hypose.io.motions.bodies import load_body
 from hypose.io.motions.modes import load_joints_of_modes
 from hypose.io.motions.results import ResultsFolder, load_motion
 from hypose.io.recordings.recording import Recording, load_recording
+from hypose.json_text import parse_json
+from hypose.pipeline.verdict import Verdict, verdict_of
 from hypose.tracking.recipes import citation_of
 
 
@@ -53,6 +57,7 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
         truth=truth,
         complete=not folder.checkpoint.exists(),
         rivals=_rivals(folder.file("modes.npz"), motion, notes),
+        verdict=_verdict(folder.file("verdict.json"), motion),
     )
 
 
@@ -101,6 +106,21 @@ def _rivals(path: Path, motion: Motion, notes: list[str]) -> Rivals | None:
         notes.append(f"Other poses are not shown: {error}")
         return None
     return Rivals.of(joints, weights) if (len(joints), joints.shape[2]) == motion.joints.shape[:2] else None
+
+
+def _verdict(path: Path, motion: Motion) -> Verdict | None:
+    """As it was written when the motion was tracked, which knows what was found before; else from the motion."""
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+        return Verdict.of_document(parse_json(path.read_text("utf-8")))
+    return None if motion.doubtful is None else verdict_of(motion)
+
+
+def quality_of(folder: Path, motion: Motion) -> dict[str, Any]:
+    """What a list says of how good a result is: verdict (a word, None when nothing has looked), iou, sd_mm, lost (share
+    of the frames)."""
+    told, s = _verdict(folder / "verdict.json", motion), summarize(motion)
+    lost = (s.lost + s.extrapolated) / max(1, s.frames)
+    return {"verdict": told and told.word, "iou": s.iou, "sd_mm": s.sd_mm, "lost": lost}
 
 
 def _truth(path: Path, motion: Motion, first: int, notes: list[str]) -> Truth | None:

@@ -3,11 +3,12 @@
 import json
 import struct
 
+import cv2
 import numpy as np
 import pytest
 
 from hypose.app.jobs.gesture_job import evaluate
-from hypose.app.studio.sockets import IN_FLIGHT
+from hypose.app.studio.sockets import IN_FLIGHT, MAP
 from hypose.gestures.depth_pictures import KINECT
 from hypose.pipeline.gesture_files import SessionWriter, load_model, read_recording
 from hypose.synthetic.gesture_live import live_person
@@ -158,3 +159,24 @@ def test_a_gesture_is_taught_in_under_four_minutes(root, tmp_path):
     writer.close()
     judged = evaluate(model, read_recording(tmp_path / "unseen"))
     assert judged["positives"] >= 30 and judged["ap_5cm"] >= 0.75, judged
+
+
+def test_the_map_of_votes_is_seen_over_the_picture(root):
+    """Opaque where votes lie most densely, clear where there are none, however much was taught."""
+    with serving(root) as client, client.socket("/ws/gesture") as socket:
+        page = Page(socket)
+        start(page)
+        page.send(t="map", on=True)
+        page.until("step", phase="negative")
+        page.until("step", phase="positive")
+        maps = [p for p in page.pictures if p[0] == MAP]
+        for _ in range(200):
+            if len(maps) >= 5:
+                break
+            page.until("step")
+            maps = [p for p in page.pictures if p[0] == MAP]
+        page.send(t="stop")
+    alphas = [cv2.imdecode(np.frombuffer(m[16:], np.uint8), cv2.IMREAD_UNCHANGED)[..., 3] for m in maps]
+    seen = [a for a in alphas if a.any()]  # before anything is learned there are no votes
+    assert max(a.max() for a in alphas) >= 250 and np.median([a.max() for a in seen]) > 60
+    assert np.median([(a > 60).mean() for a in seen]) < 0.2

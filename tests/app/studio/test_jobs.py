@@ -8,7 +8,7 @@ import pytest
 
 from hypose.app.commands.console import JSON_PROGRESS, Stages
 from hypose.app.studio.catalog import Catalog
-from hypose.app.studio.job_kinds import KINDS, plan
+from hypose.app.studio.job_kinds import KINDS, plan, settled
 from hypose.app.studio.job_list import NAME, read_jobs, write_jobs
 from hypose.app.studio.view_bundle import read_bundle
 from hypose.errors import InputError
@@ -42,6 +42,39 @@ def test_options_become_the_command(folder):
     assert made.resumable and made.result == catalog.id_of("result", item.path / "results" / "try-1")
     assert plan("refine", {"recording": item.id}, catalog).arguments == ("check", path, "--refine")
     assert plan("demo", {}, catalog).arguments == ("demo", "--out", str(folder / "demo"))
+
+
+def test_a_track_takes_a_name_that_is_free_and_keeps_it(folder):
+    """Nothing that was tracked is written over, and a track that is planned again (to be resumed) is the same."""
+    catalog = Catalog(folder)
+    (item,) = catalog.items("recording")
+    asked = settled("track", {"recording": item.id}, catalog)
+    assert asked["options"]["name"] == "default-2"
+    again = settled("track", {"recording": item.id, "options": {"name": "default"}}, catalog)
+    assert again["options"]["name"] == "default-2"
+    made = plan("track", asked, catalog)
+    (item.path / "results" / "default-2").mkdir()
+    assert plan("track", asked, catalog) == made and made.folder == item.path / "results" / "default-2"
+    assert settled("track", asked, catalog)["options"]["name"] == "default-3"
+    assert settled("track", {"recording": item.id, "options": {"recipe": "hpf"}}, catalog)["options"]["name"] == "hpf"
+
+
+def test_a_demo_says_where_its_result_will_be(folder):
+    catalog = Catalog(folder)
+    made = plan("demo", {}, catalog)
+    assert made.result == catalog.id_of("result", folder / "demo" / "results" / "default")
+
+
+def test_what_an_input_error_ends_is_not_to_be_gone_on_with(own_studio, folder):
+    """The same input is the same error again; what was stopped, or has a checkpoint, goes on."""
+    ask = {"kind": "track", "recording": recording_of(own_studio), "options": {"recipe": "no-such"}}
+    job = wait(own_studio, own_studio.get("/api/jobs", ask, status=201)["id"], "failed")
+    assert "no-such" in job["error"] and not job["resumable"]
+    job = own_studio.get("/api/jobs", {**ask, "options": {"recipe": "no-such-2"}}, status=201)
+    kept = folder / "walk" / "results" / "no-such-2"
+    kept.mkdir()
+    (kept / "checkpoint.npz").write_bytes(b"")
+    assert wait(own_studio, job["id"], "failed")["resumable"]
 
 
 @pytest.mark.parametrize(

@@ -199,3 +199,46 @@ def test_names_of_dropped_files():
     assert harmless("../../etc/passwd").strip("_.") == "etc_passwd"
     assert harmless("") == "file_" and harmless("-rf") == "file_-rf" and harmless(".hidden") == "hidden"
     assert len(harmless("x" * 500 + ".mp4")) <= 80 and harmless("x" * 500 + ".mp4").endswith(".mp4")
+
+
+def test_a_video_has_a_picture_to_tell_it_by(own_studio, folder):
+    walk = folder / "walk"
+    made = upload(own_studio, walk / "videos" / "cam1.mp4")["upload"]
+    shown = image(own_studio, f"/api/uploads/{made}/picture.jpg")
+    assert shown.shape == (120, 160, 3) and shown.std() > 10
+    text = upload(own_studio, walk / "calibration.toml")["upload"]
+    assert own_studio.get(f"/api/uploads/{text}/picture.jpg", status=404)["error"]
+
+
+def test_two_videos_of_one_camera_make_no_recording(own_studio, folder):
+    walk = folder / "walk"
+    calibration = upload(own_studio, walk / "calibration.toml")["upload"]
+    videos = [upload(own_studio, walk / "videos" / f"cam{k}.mp4")["upload"] for k in (1, 2)]
+    views = [{"name": f"v{k}", "camera": "cam1", "video": v} for k, v in enumerate(videos)]
+    refused = own_studio.get("/api/recordings", {"name": "m", "calibration": calibration, "views": views}, status=400)
+    assert "Two videos are of the camera cam1" in refused["error"]
+
+
+def test_points_of_the_picture_as_recorded_have_the_lens_taken_out(own_studio, folder, pose):
+    """The same joints clicked in undistorted pixels and in those of the recorded picture are the same pose."""
+    recording = load_recording(folder / "walk")
+    views = clicks(own_studio, pose, ["cam2"], {"left_wrist", "left_elbow"})
+    body, q = pose
+    camera, shift = recording.rig.select(["cam2"])[0], np.asarray(recording.views[1].image_shift)
+    assert np.abs(camera.distortion).max() > 0
+    names = [p["joint"] for p in views[0]["points"]]
+    seen = camera.project(body.joints(q)[[body.skeleton.joint(n) for n in names]]) - shift
+    points = [{"joint": n, "x": x + 4, "y": y} for n, (x, y) in zip(names, seen.tolist(), strict=True)]
+    recorded = [{"camera": "cam2", "recorded": True, "points": points}]
+    result = own_studio.get("/api/state")["results"][0]["id"]
+    ask = {"result": result, "frame": 4}
+    fit = own_studio.get("/api/fit-clicks", {**ask, "views": recorded})
+    assert np.abs(np.array(fit["pose"]) - q).max() > 1e-3  # what was moved by four pixels is followed
+    id = recording_of(own_studio)
+    saved = {**ask, "views": recorded, "name": "arm", "since": 2, "until": 7}
+    own_studio.get(f"/api/recordings/{id}/starts", saved, status=201)
+    kept = json.loads((folder / "walk" / "starts" / "arm.json").read_text())
+    again = own_studio.get("/api/fit-clicks", {**ask, "views": kept["views"]})
+    np.testing.assert_allclose(again["pose"], fit["pose"], atol=1e-9)
+    assert (kept["since"], kept["until"], kept["result"]) == (2, 7, result)
+    assert own_studio.get(f"/api/recordings/{id}/starts", {**saved, "since": "x"}, status=400)["error"]

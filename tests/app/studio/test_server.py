@@ -3,11 +3,13 @@
 import contextlib
 import json
 import os
+import shutil
 import socket
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from hypose.app.commands.commands_studio import open_studio
 from hypose.app.studio import server as studio_server
 from hypose.app.studio.guard import Access
 from hypose.app.studio.view_bundle import read_bundle
@@ -191,3 +193,18 @@ def test_view_says_why_it_cannot_start(hypose, monkeypatch, served, tmp_path):
         taken.listen()
         code, _, err = hypose("view", served, "--port", taken.getsockname()[1], "--no-browser")
     assert code == 2 and "cannot be used" in err and "--port" in err
+
+
+def test_a_recording_with_results_opens_in_view(folder, monkeypatch, capsys):
+    (folder / "index.html").write_text("the page, built or not")
+
+    def opened(path):
+        monkeypatch.setattr(studio_server, "STATIC", folder)
+        monkeypatch.setattr(studio_server, "run", lambda options, ready: ready("http://here/"))
+        open_studio(path, "", port=0, browser=False)
+        return capsys.readouterr().out.split("#/")[1].split("/")[0].strip()
+
+    assert opened(folder / "walk") == "view"
+    assert opened(folder / "walk" / "results" / "default") == "view"
+    shutil.rmtree(folder / "walk" / "results")
+    assert opened(folder / "walk") == "setup"

@@ -27,7 +27,7 @@ export class ClickState {
     private readonly changed: () => void,
   ) {
     this.clicks = kept(key, cameras, joints);
-    this.camera = cameras[0] ?? "";
+    this.camera = cameras.find((c) => c === memory.get(`${key}.camera`)) ?? this.most ?? cameras[0] ?? "";
     this.joint = joints[0]?.joint ?? "";
     this.chooseNext(true);
   }
@@ -39,6 +39,12 @@ export class ClickState {
 
   get count(): number {
     return Object.values(this.clicks).reduce((sum, points) => sum + Object.keys(points).length, 0);
+  }
+
+  /** The camera in which most is clicked. */
+  get most(): string | undefined {
+    const placed = (camera: string): number => Object.keys(this.clicks[camera] ?? {}).length;
+    return this.cameras.filter(placed).sort((a, b) => placed(b) - placed(a))[0];
   }
 
   get canUndo(): boolean {
@@ -121,6 +127,7 @@ export class ClickState {
 
   show(camera: string): void {
     this.camera = camera;
+    memory.set(`${this.key}.camera`, camera);
     this.chooseNext(true);
     this.changed();
   }

@@ -234,7 +234,7 @@ export class ClickPicture {
       }
       g.stroke();
     }
-    g.strokeStyle = colour("lost");
+    g.strokeStyle = colour("bad");
     g.lineWidth = 2;
     g.beginPath();
     for (const [joint, p] of Object.entries(this.state.points)) {

@@ -3,7 +3,7 @@ import { answered, type Counters } from "../counters";
 import { readBundle } from "../lib/bundle";
 import type { ClickJoint, Job, NewJob, Recording, ResultEntry } from "../protocol";
 import { button } from "../ui/buttons";
-import { h } from "../ui/dom";
+import { h, setText } from "../ui/dom";
 import { bindKeys, type Key } from "../ui/keyboard";
 import { toast } from "../ui/toast";
 import { ClickState } from "./clicks";
@@ -11,6 +11,9 @@ import { Fitter } from "./fitter";
 import { FitFacts, JointList } from "./panel";
 import { ClickPicture } from "./picture";
 import { FitSpace } from "./space";
+
+/** Joints in one picture from which on one camera can be tracked with. */
+const LEAST_OF_ONE = 6;
 
 /** Clicking in the pictures of one frame, the fitted pose beside it. */
 export class Workspace {
@@ -24,6 +27,8 @@ export class Workspace {
   private readonly titles: Record<string, string>;
   private readonly cameras = h("div", { class: "row click-cameras", role: "radiogroup", "aria-label": "Camera" });
   private readonly save = h("form", { class: "click-save" });
+  private readonly again: HTMLButtonElement;
+  private readonly few = h("p", { class: "dim" });
   private readonly stops: (() => void)[];
   private touched = 0;
   private before = "";
@@ -71,6 +76,12 @@ export class Workspace {
       () => document.removeEventListener("keydown", undo),
       () => ["pointerdown", "keydown"].forEach((kind) => document.removeEventListener(kind, touch, { capture: true })),
     ];
+    this.again = button(this.corrects ? "Track again from here" : "Track from here", () => undefined, {
+      icon: "play",
+      title: this.corrects
+        ? "Track this result again from the corrected pose on; the frames before stay, and so does the old result"
+        : "Follow the person with one camera alone, from this frame on",
+    });
     this.element = this.layout(host, bound.help);
     this.drawSave();
     void this.loadBody();
@@ -108,6 +119,9 @@ export class Workspace {
       tab.textContent = n ? `${name} · ${n}` : name;
     }
     for (const b of this.save.querySelectorAll("button")) b.disabled = !fitter.state.fit;
+    const { tooFew } = this;
+    this.again.disabled = !fitter.state.fit || tooFew !== "";
+    setText(this.few, fitter.state.fit ? tooFew : "");
     const size = this.recording.cameras.find((c) => c.name === state.camera)?.size;
     Object.assign(this.counters, { size, fit: fitter.state, clicks: state.clicks, joint: state.joint, drawn3d: () => this.space.drawn });
     const now = JSON.stringify(state.views());
@@ -177,46 +191,50 @@ export class Workspace {
     });
     const submit = button("Save", () => undefined, { kind: "primary", icon: "done", title: "Keep the clicks and the pose" });
     submit.type = "submit";
-    const again = this.corrects;
     this.save.append(
       this.result || this.recording.subject ? "" : h("div", { class: "field" }, h("label", { class: "field-name" }, "Height"), h("div", { class: "row" }, height, h("span", { class: "dim" }, "cm, if known"))),
       h("div", { class: "field" }, h("span", { class: "field-name" }, "Save as"), h("div", { class: "row" }, name, submit)),
-      h("div", { class: "row" }, button(again ? "Track again from here" : "Track from here", () => void this.track(name.value), {
-        icon: "play",
-        title: again
-          ? "Track this result again from the corrected pose on; the frames before stay, and so does the old result"
-          : "Follow the person with this camera alone, from this frame on",
-      })),
+      h("div", { class: "row" }, this.again),
+      this.few,
     );
+    this.again.addEventListener("click", () => void this.track(name.value));
   }
 
-  private async keep(name: string): Promise<boolean> {
+  /** Saves the clicks; the view that they are a start for, null when they could not be saved. */
+  private async keep(name: string): Promise<string | null> {
     try {
-      await post(`/api/recordings/${this.recording.id}/starts`, { ...this.fitter.request(), name, camera: this.state.camera });
+      const saved = await post<{ camera: string }>(`/api/recordings/${this.recording.id}/starts`, { ...this.fitter.request(), name, camera: this.state.camera });
       toast(`Saved as starts/${name}.json`, "done");
-      return true;
+      return saved.camera;
     } catch (error) {
       toast((error as Error).message, "error");
-      return false;
+      return null;
     }
   }
 
-  /** Whether what is corrected was tracked with several cameras, which is then tracked again from this frame on. */
+  /** Whether the result that is shown can itself be tracked again from this frame on; else one camera starts afresh. */
   private get corrects(): boolean {
-    return this.result !== null && this.result.recipe !== "monocular";
+    return this.result?.correctable ?? false;
+  }
+
+  /** Why nothing can be tracked from these clicks yet; "" when it can. */
+  private get tooFew(): string {
+    if (this.corrects) return "";
+    const camera = this.state.most;
+    const placed = Object.keys(this.state.clicks[camera ?? ""] ?? {}).length;
+    return placed >= LEAST_OF_ONE ? "" : `To track from here, place ${LEAST_OF_ONE} joints in one picture${camera ? `; ${camera} has ${placed}` : ""}.`;
   }
 
   /** Saves, and tracks from this frame on: the result again from the corrected pose, or with this camera alone. */
   private async track(name: string): Promise<void> {
-    if (!(await this.keep(name))) return;
-    const { camera } = this.state;
-    const view = this.recording.views.find((v) => v.camera === camera)?.name ?? camera;
+    const view = await this.keep(name);
+    if (view === null) return;
     const start = `clicks:${name}`;
     const wanted: NewJob = this.corrects
       ? { kind: "correct", result: this.result!.id, options: { start } }
       : {
           kind: "track", recording: this.recording.id,
-          options: { recipe: "monocular", camera: view, start, frames: `${this.frame}:`, name: `monocular-${camera}` },
+          options: { recipe: "monocular", camera: view, start, frames: `${this.frame}:`, name: `monocular-${view}` },
         };
     try {
       const job = await post<Job>("/api/jobs", wanted);

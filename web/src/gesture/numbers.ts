@@ -34,7 +34,7 @@ export class Numbers {
       ["Average precision", j && j.ap !== null ? j.ap.toFixed(2) : "–", j && j.ap !== null ? grade(j.ap) : ""],
       ["Precision, recall", at ? `${percent(at.precision)}, ${percent(at.recall)}` : "–"],
       ["False alarms per minute", j && j.false_per_min !== null ? j.false_per_min.toFixed(1) : "–"],
-      ["Judged on", j && j.positives ? `${j.positives} + ${j.frames - j.positives} ${j.on === "test" ? "frames of the test" : "kept frames"}` : "nothing yet"],
+      ["Measured on", j && j.positives ? `${j.positives} + ${j.frames - j.positives} ${j.on === "test" ? "frames of the test" : "kept frames"}` : "nothing yet"],
     ]);
     if (j !== judgedBefore) this.canvas.redraw();
     this.showLog(live);

@@ -41,6 +41,8 @@ export interface Header {
   notes: string[];
   citation: string;
   seconds: Record<string, number>;
+  /** What is to be thought of it, in words; null when nothing has looked. */
+  verdict: { word: "good" | "look" | "not to be trusted"; sentence: string } | null;
   truth: { names: string[]; parents: number[]; mean_mm: number | null; note: string } | null;
   provenance: Record<string, unknown>;
 }
@@ -78,11 +80,17 @@ export interface ViewData {
   rivals: Rivals | null;
   /** (T) 1 = lost, 2 = extrapolated, 3 = doubtful. */
   flags: Uint8Array;
+  /** (T, J) 1 where the joint may be wrong; null when nothing has looked. */
+  doubtful: Uint8Array | null;
+  /** (T, J) percent: how likely the joint is wrong by more than 100 mm, 255 where not known. */
+  wrong: Uint8Array | null;
   views: Uint8Array;
   /** (T) 1 - overlap with the masks. */
   cost: Float32Array;
   /** (A, T) degrees or metres. */
   angles: Float32Array | null;
+  /** (A, T) standard deviation of each of them. */
+  angleSd: Float32Array | null;
   fine: MeshData | null;
   coarse: MeshData | null;
   restJoints: Float32Array | null;
@@ -143,9 +151,12 @@ export function readBundle(buffer: ArrayBuffer): ViewData {
     covariance,
     rivals: rivals && { count: rivals.length / (3 * joints * header.frames), joints: rivals, weights: need("rival_weights") },
     flags: need("flags"),
+    doubtful: get("doubtful_joints"),
+    wrong: get("p_wrong"),
     views: need("n_views"),
     cost: need("cost"),
     angles: get("angles"),
+    angleSd: get("angle_sd"),
     fine: mesh("fine"),
     coarse: mesh("coarse"),
     restJoints: get("rest_joints"),
@@ -179,6 +190,27 @@ export function stretches(flags: Uint8Array): Stretch[] {
     if (open && open.flag === flag && open.last === i - 1) open.last = i;
     else out.push({ first: i, last: i, flag });
   }
+  return out;
+}
+
+/** Stretches to look at: flagged frames, and those with a doubtful joint; what is of one kind and at most `gap` frames
+ * apart is one. */
+export function toLookAt(data: ViewData, gap: number): Stretch[] {
+  const out: Stretch[] = [];
+  for (let t = 0; t < data.frames; t++) {
+    const flag = data.flags[t] || (doubtfulAt(data, t).length ? DOUBTFUL : 0);
+    if (!flag) continue;
+    const open = out[out.length - 1];
+    if (open && open.flag === flag && t - open.last <= gap) open.last = t;
+    else out.push({ first: t, last: t, flag });
+  }
+  return out;
+}
+
+/** The joints that may be wrong at a row. */
+export function doubtfulAt({ doubtful, joints }: ViewData, row: number): number[] {
+  const out: number[] = [];
+  if (doubtful) for (let j = 0; j < joints; j++) if (doubtful[row * joints + j]) out.push(j);
   return out;
 }
 

@@ -36,6 +36,15 @@ export class Projector {
     }
   }
 
+  /** The pixel of the recorded picture at an undistorted pixel of K. */
+  asRecorded(px: number, py: number): [number, number] {
+    const K = this.camera.K as [[number, number, number], [number, number, number]];
+    const y = (py - K[1][2]) / this.f[1];
+    const x = (px - K[0][2] - this.f[2] * y) / this.f[0];
+    const [u, v] = this.camera.fisheye ? this.fisheye(x, y) : this.distort(x, y);
+    return [this.f[0] * u + this.f[2] * v + this.c[0], this.f[1] * v + this.c[1]];
+  }
+
   /** k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4. */
   private distort(x: number, y: number): [number, number] {
     const [k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4] = this.d as [

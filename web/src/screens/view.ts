@@ -6,6 +6,8 @@ import { h } from "../ui/dom";
 import { icon } from "../ui/icons";
 import { shell } from "../ui/shell";
 import { toast } from "../ui/toast";
+import { Corrector } from "../view/correct";
+import { correctionsMenu } from "../view/corrections";
 import { doctorLink, size } from "../view/details";
 import { home } from "../view/home";
 import { ResultView } from "../view/result";
@@ -13,13 +15,13 @@ import { ServerSource } from "../view/source";
 import type { ViewData } from "../lib/bundle";
 import "../view/view.css";
 
-/** #/view lists the results, #/view/RESULT shows one, #/view/RESULT/ROW at a frame. */
-export const view: OpenScreen = (root, [id, row]) => {
+/** #/view lists the results, #/view/RESULT shows one, #/view/RESULT/ROW at a frame, .../CLICKS with a correction of it. */
+export const view: OpenScreen = (root, [id, row, clicks]) => {
   const abort = new AbortController();
   const box = shell(root, "view");
   let shown: ResultView | undefined;
   if (id) {
-    void open(box, id, Number(row) || 0, abort.signal).then((made) => {
+    void open(box, id, Number(row) || 0, clicks, abort.signal).then((made) => {
       if (abort.signal.aborted) made?.close();
       else shown = made;
     });
@@ -32,7 +34,7 @@ export const view: OpenScreen = (root, [id, row]) => {
   };
 };
 
-async function open(box: HTMLElement, id: string, row: number, signal: AbortSignal): Promise<ResultView | undefined> {
+async function open(box: HTMLElement, id: string, row: number, clicks: string | undefined, signal: AbortSignal): Promise<ResultView | undefined> {
   const source = new ServerSource(id);
   const waiting = h("div", { class: "empty" }, h("p", {}, "Opening…"));
   box.replaceChildren(waiting);
@@ -52,11 +54,15 @@ async function open(box: HTMLElement, id: string, row: number, signal: AbortSign
       doctor,
       tools,
       back: h("a", { class: "button quiet only-icon", href: "#/view", "aria-label": "All results", title: "All results" }, icon("list")),
+      ...(entry?.correctable ? { corrector: (shown: ResultView) => new Corrector(shown, data, entry) } : {}),
       rested: (at) => history.replaceState(null, "", `#/view/${id}/${at}`),
     });
+    const corrections = entry ? correctionsMenu(data, entry, state) : null;
+    if (corrections) tools[0]!.before(corrections);
     const others = entry ? comparable(entry, state) : [];
     if (others.length) tools[0]!.before(compare(made, data, others, signal));
     box.replaceChildren(made.element);
+    if (clicks) made.corrector?.begin(row, clicks);
     document.title = `${data.header.title} · hypose`;
     return made;
   } catch (error) {
@@ -96,7 +102,7 @@ function compare(made: ResultView, data: ViewData, others: readonly ResultEntry[
     new ServerSource(id).data(signal).then(
       (other) => {
         const name = others.find((r) => r.id === id)?.name ?? "";
-        made.compare({ data: other, shift: data.header.first_frame - other.header.first_frame }, name);
+        made.compare({ data: other, shift: data.header.first_frame - other.header.first_frame, name });
       },
       (error: Error) => toast(error.message, "error"),
     );

@@ -32,10 +32,13 @@ export class JobCard {
     this.show(job);
   }
 
-  show(job: Job): void {
+  /** connected: whether the server answers; while it does not, nobody knows what a job does. */
+  show(job: Job, connected = true): void {
     this.title.textContent = job.title;
     this.element.dataset["state"] = job.state;
-    this.state.textContent = STATES[job.state];
+    const known = connected || !active(job);
+    this.element.toggleAttribute("data-unknown", !known);
+    this.state.textContent = known ? STATES[job.state] : "not known";
     this.state.className = `chip ${job.state === "failed" ? "bad" : job.state === "done" ? "good" : ""}`;
     this.error.textContent = job.error ?? "";
     this.showStages(job.stages);
@@ -43,11 +46,11 @@ export class JobCard {
       this.lines = job.lines.length;
       this.said.textContent = job.lines.join("\n");
     }
-    const key = `${job.state} ${job.result} ${job.resumable}`;
+    const key = `${job.state} ${job.result} ${job.resumable} ${known}`;
     if (key === this.shownState) return;
     this.shownState = key;
     this.actions.replaceChildren(
-      ...(active(job) ? [button("Stop", () => void act(job, "cancel"), { icon: "close", title: "Stop it; what is done is kept" })] : []),
+      ...(active(job) && known ? [button("Stop", () => void act(job, "cancel"), { icon: "close", title: "Stop it; what is done is kept" })] : []),
       ...(job.resumable && !active(job) && job.state !== "done" ? [button("Go on", () => void act(job, "resume"), { icon: "play", kind: "primary" })] : []),
       ...(job.state === "done" && job.result ? [h("a", { class: "button primary", href: `#/view/${job.result}` }, "Open in View")] : []),
       ...(job.state === "done" && !job.result && job.recording && !location.hash.includes(job.recording) ? [h("a", { class: "button", href: `#/setup/${job.recording}` }, "Go on with the recording")] : []),

@@ -1,9 +1,10 @@
-import { address, post } from "../api";
-import type { Check, Job, Recording } from "../protocol";
+import { address, post, put } from "../api";
+import type { Check, Finding, Job, Recording, Upload } from "../protocol";
 import { button } from "../ui/buttons";
 import { h } from "../ui/dom";
 import { icon } from "../ui/icons";
 import { toast } from "../ui/toast";
+import { STRETCHED } from "./upload";
 
 const SHOWN = 3;
 
@@ -30,7 +31,9 @@ export function checkStep(recording: Recording): HTMLElement {
     h("h2", {}, "Check"),
     h("p", { class: "dim" }, "Looks at some frames of all cameras: do the masks show one person, do the views agree, is the calibration right? It takes a minute or less."),
     h("div", { class: "row" }, again),
+    ...mended(recording),
     check ? found(recording, check) : h("p", { class: "dim" }, "Not checked yet."),
+    emptyRooms(recording),
   );
 }
 
@@ -41,7 +44,7 @@ function found(recording: Recording, check: Check): HTMLElement {
     "div",
     { class: "found" },
     h("p", { class: `verdict ${sure ? "good" : "warn"}` }, icon(sure ? "done" : "warning"), sure ? "Nothing speaks against this calibration." : `${faults.length || "Some"} ${faults.length === 1 ? "thing" : "things"} should be mended.`),
-    ...check.findings.map((f) => sentence(f.fault ? "bad" : "dim", f.sentence, f.views)),
+    ...[...check.findings].sort((a, b) => order(a) - order(b)).map((f) => sentence(f.fault ? "bad" : "dim", f.sentence, f.views, f.fault ? cures(recording, f) : [])),
     ...folded(check.warnings.map((w) => sentence("warn", w, []))),
     faults.length ? h("div", { class: "row" }, button("Refine the calibration", () => void begin(recording, "refine"), { icon: "fit", title: "Move the cameras so that they agree with what they see of the person" })) : null,
     check.views.length ? residuals(check) : null,
@@ -57,16 +60,109 @@ function folded(sentences: HTMLElement[]): HTMLElement[] {
   return [...sentences.slice(0, SHOWN), h("details", { class: "more" }, h("summary", { class: "dim" }, `${rest.length} more like these`), ...rest)];
 }
 
-function sentence(kind: string, text: string, views: readonly string[]): HTMLElement {
-  return h("p", { class: "finding" }, h("span", { class: kind }, icon(kind === "dim" ? "help" : "warning")), h("span", {}, text), ...views.map((v) => h("span", { class: "chip" }, v)));
+function sentence(kind: string, text: string, views: readonly string[], mend: readonly HTMLElement[] = []): HTMLElement {
+  return h(
+    "div",
+    { class: "finding" },
+    h("span", { class: kind }, icon(kind === "dim" ? "help" : "warning")),
+    h("span", {}, text, mend.length ? h("span", { class: "row wrap cures" }, ...mend) : null),
+    ...views.map((v) => h("span", { class: "chip" }, v)),
+  );
 }
+
+/** What is the cause of others comes first: files, then units and the world, then cameras, then key points. */
+const CAUSES = ["size", "frame_rate", "frame_count", "unit", "up", "flipped", "late", "distortion", "extrinsics", "scatter", "keypoint_set", "keypoint_lag", "sides"];
+function order(finding: Finding): number {
+  const at = CAUSES.indexOf(finding.kind);
+  return (finding.fault ? 0 : 100) + (at < 0 ? CAUSES.length : at);
+}
+
+/** Buttons that mend what was found, in place of a line to be typed. */
+function cures(recording: Recording, { kind, views }: Finding): HTMLElement[] {
+  const [view] = views;
+  if (!view || views.length > 1 || !recording.views.some((v) => v.name === view)) return [];
+  const out: HTMLElement[] = [];
+  if (kind === "size") {
+    out.push(button("It was stretched: accept it", () => void mend(recording, { what: "accept_scaled", view }, `${view} is taken as stretched.`), { icon: "done" }));
+  }
+  if (recording.views.length > 2) {
+    out.push(button(`Leave ${view} out`, () => void mend(recording, { what: "leave_out", view }, `${view} is left out.`), { icon: "close", title: "Track without this camera; it can be taken back" }));
+  }
+  return out;
+}
+
+/** Changes recording.toml; the page reads it again. */
+async function mend(recording: Recording, wish: Record<string, string>, said: string): Promise<void> {
+  try {
+    await post(`/api/recordings/${recording.id}/mend`, wish);
+    toast(`${said} Check again to see what it changes.`, "done");
+    document.dispatchEvent(new CustomEvent("hypose-mended"));
+  } catch (error) {
+    toast((error as Error).message, "error");
+  }
+}
+
+/** What may mend a recording that cannot be used as it is. */
+export function rescue(recording: Recording): HTMLElement[] {
+  const [, view] = STRETCHED.exec(recording.problem ?? "") ?? [];
+  if (!view) return [];
+  return [
+    button("It was stretched: accept it", () => void mend(recording, { what: "accept_scaled", view }, `${view} is taken as stretched.`), { icon: "done" }),
+    button(`Leave ${view} out`, () => void mend(recording, { what: "leave_out", view }, `${view} is left out.`), { icon: "close" }),
+  ];
+}
+
+/** What has been mended already, and what is ready to be. */
+function mended(recording: Recording): HTMLElement[] {
+  const out: HTMLElement[] = [];
+  if (recording.left_out.length) {
+    out.push(sentence("dim", `Left out: ${recording.left_out.join(", ")}.`, [], [button("Take back", () => void mend(recording, { what: "take_back" }, "All cameras are used again."), { icon: "undo" })]));
+  }
+  if (recording.refined) {
+    out.push(sentence("dim", "A refined calibration is there and is not used yet.", [], [button("Use the refined calibration", () => void mend(recording, { what: "use_refined" }, "The refined calibration is used from now on."), { kind: "primary", icon: "done" })]));
+  }
+  return out;
+}
+
+/** An empty room of a camera, given or replaced. */
+export function emptyRooms(recording: Recording): HTMLElement {
+  return h(
+    "details",
+    { class: "empty-rooms" },
+    h("summary", { class: "dim" }, "Empty rooms"),
+    ...recording.views.map((v) => {
+      const input = h("input", { type: "file", class: "sr-only", tabindex: -1, "aria-label": `Empty room of ${v.name}` });
+      input.addEventListener("change", () => {
+        const file = input.files?.[0];
+        if (file) void replaceRoom(recording, v.name, file);
+      });
+      return h("div", { class: "row" }, h("b", {}, v.name), h("span", { class: "dim grow" }, v.background ?? (v.masks ? "has masks" : "made from the recording itself")), button(v.background ? "Replace it" : "Give one", () => input.click(), {}), input);
+    }),
+  );
+}
+
+async function replaceRoom(recording: Recording, view: string, file: File): Promise<void> {
+  try {
+    const { upload } = await put<Upload>(`/api/uploads/${encodeURIComponent(file.name)}`, file);
+    await mend(recording, { what: "background", view, upload }, `${view} has another empty room.`);
+  } catch (error) {
+    toast((error as Error).message, "error");
+  }
+}
+
+const COLUMNS = [
+  ["Camera", ""],
+  ["Key points off", "How far this camera's key points lie from where all cameras together put them; the median"],
+  ["… from the others", "How far they lie from where the other cameras put them; the median"],
+  ["Outline off", "How far this camera's outline of the person disagrees with the others'; the median"],
+] as const;
 
 function residuals(check: Check): HTMLElement {
   const px = (value: number | null): string => (value === null ? "–" : `${value.toFixed(1)} px`);
   return h(
     "table",
     { class: "numbers" },
-    h("thead", {}, h("tr", {}, ...["Camera", "Residual", "Left out", "Tangency"].map((t) => h("th", { scope: "col" }, t)))),
+    h("thead", {}, h("tr", {}, ...COLUMNS.map(([text, title]) => h("th", { scope: "col", title }, text)))),
     h("tbody", {}, ...check.views.map((v) => h("tr", {}, h("th", { scope: "row" }, v.name), ...[v.residual_px, v.left_out_px, v.tangency_px].map((p) => h("td", { class: "number" }, px(p)))))),
   );
 }

@@ -4,6 +4,8 @@ import type { Job, JobsMessage } from "../protocol";
 /** The server's jobs, kept up to date; calls back after every change. */
 export class JobFeed {
   readonly jobs = new Map<string, Job>();
+  /** Whether the server answers; before its first answer too. */
+  connected = true;
   private readonly socket: Socket;
 
   /** changed: a job has changed; files: a recording or a result has been made. */
@@ -11,7 +13,11 @@ export class JobFeed {
     private readonly changed: (job: Job | null) => void,
     private readonly files: () => void,
   ) {
-    this.socket = new Socket("/ws/jobs", (message) => this.take(message as JobsMessage));
+    this.socket = new Socket("/ws/jobs", (message) => this.take(message as JobsMessage), undefined, (open) => {
+      if (open === this.connected) return;
+      this.connected = open;
+      this.changed(null);
+    });
   }
 
   /** The jobs of a recording (null: all), the newest first. */

@@ -48,7 +48,9 @@ export class MaskStep {
     this.frame = Math.floor((first + stop - 1) / 2);
     this.pictures = recording.cameras.map((c) => {
       const image = h("img", { alt: `Mask of ${c.name}`, width: c.size[0], height: c.size[1] });
+      image.addEventListener("error", () => image.parentElement?.setAttribute("data-state", "failed"));
       image.addEventListener("load", () => {
+        image.parentElement?.removeAttribute("data-state");
         counters.pictures++;
         if (this.asked) answered(counters, this.asked);
       });
@@ -77,7 +79,7 @@ export class MaskStep {
         slider,
         frame,
       ),
-      h("div", { class: "mask-layout" }, h("div", { class: "mask-pictures" }, ...this.pictures.map((p, k) => h("figure", {}, p, h("figcaption", {}, recording.cameras[k]?.name ?? "")))), this.sliders),
+      h("div", { class: "mask-layout" }, h("div", { class: "mask-pictures" }, ...this.pictures.map((p, k) => h("figure", {}, p, h("span", { class: "mask-wait", role: "status" }), h("figcaption", {}, recording.cameras[k]?.name ?? "")))), this.sliders),
     );
     this.drawSliders();
     this.load();
@@ -132,7 +134,9 @@ export class MaskStep {
       const path = `/api/recordings/${this.recording.id}/image/${encodeURIComponent(c.name)}/${this.frame}.jpg`;
       const wanted = address(path, { width: Math.min(480, c.size[0]), mask: this.shown, ...different });
       const picture = this.pictures[k];
-      if (picture && picture.src !== wanted) picture.src = wanted;
+      if (!picture || picture.src === wanted) return;
+      picture.src = wanted;
+      picture.parentElement?.setAttribute("data-state", "coming");
     });
   }
 

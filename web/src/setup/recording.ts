@@ -4,7 +4,7 @@ import type { Job, Recording, State } from "../protocol";
 import { button } from "../ui/buttons";
 import { h } from "../ui/dom";
 import { JobCard } from "./card";
-import { checkStep } from "./check";
+import { checkStep, rescue } from "./check";
 import { active, type JobFeed } from "./feed";
 import { MaskStep } from "./masks";
 import { personStep } from "./person";
@@ -24,6 +24,7 @@ export class RecordingPage {
   private readonly side = h("aside", { class: "setup-jobs", "aria-label": "Jobs" });
   private readonly cards = new Map<string, JobCard>();
   private readonly notes = h("div");
+  private readonly facts = h("span", { class: "dim" });
   private step: Step;
   private masks: MaskStep | null = null;
   private figure: { id: string; live: LiveFigure } | null = null;
@@ -41,16 +42,19 @@ export class RecordingPage {
       h(
         "div",
         { class: "setup-main" },
-        h("div", { class: "setup-title" }, h("a", { class: "dim", href: "#/setup" }, "Recordings"), h("h1", {}, recording.name), h("span", { class: "dim" }, facts(recording))),
+        h("div", { class: "setup-title" }, h("a", { class: "dim", href: "#/setup" }, "Recordings"), h("h1", {}, recording.name), this.facts),
         this.notes,
         this.nav,
         this.content,
       ),
       this.side,
     );
+    document.addEventListener("hypose-mended", this.mended);
     this.draw();
     this.showJobs();
   }
+
+  private readonly mended = (): void => void this.reload(new AbortController().signal);
 
   /** Reads again what a job has found. */
   async reload(signal: AbortSignal): Promise<void> {
@@ -69,7 +73,7 @@ export class RecordingPage {
     const jobs = this.feed.of(this.recording.id).slice(0, 12);
     for (const job of jobs) {
       const card = this.cards.get(job.id);
-      if (card) card.show(job);
+      if (card) card.show(job, this.feed.connected);
       else this.cards.set(job.id, new JobCard(job));
     }
     const elements = jobs.map((j) => this.cards.get(j.id)!.element);
@@ -82,6 +86,7 @@ export class RecordingPage {
   }
 
   close(): void {
+    document.removeEventListener("hypose-mended", this.mended);
     this.masks?.close();
     this.figure?.live.close();
   }
@@ -104,8 +109,9 @@ export class RecordingPage {
     const { recording } = this;
     this.masks?.close();
     this.masks = null;
+    this.facts.textContent = facts(recording);
     this.notes.replaceChildren(
-      ...(recording.problem ? [h("p", { class: "card bad", role: "alert" }, recording.problem)] : []),
+      ...(recording.problem ? [h("div", { class: "card bad", role: "alert" }, recording.problem, h("div", { class: "row wrap cures" }, ...rescue(recording)))] : []),
       ...recording.notes.map((n) => h("p", { class: "dim note" }, n)),
     );
     this.drawNav();
@@ -132,7 +138,7 @@ export class RecordingPage {
   }
 
   private drawNav(): void {
-    const running = new Set(this.feed.of(this.recording.id).filter(active).map((j) => STEP_OF[j.kind]));
+    const running = new Set(this.feed.of(this.recording.id).filter((j) => active(j) && this.feed.connected).map((j) => STEP_OF[j.kind]));
     const done: Record<Step, string> = {
       check: this.recording.check ? (this.recording.check.healthy ? "done" : "look") : "",
       masks: "",

@@ -5,6 +5,7 @@ import type { OpenScreen } from "../screen";
 import { button } from "../ui/buttons";
 import { h } from "../ui/dom";
 import { icon } from "../ui/icons";
+import { itemMenu } from "../ui/library";
 import { shell } from "../ui/shell";
 import { toast } from "../ui/toast";
 import { JobCard } from "./card";
@@ -19,12 +20,14 @@ export const setup: OpenScreen = (root, rest) => {
   const counters = count("setup");
   const aborted = new AbortController();
   const { signal } = aborted;
+  const offline = h("p", { class: "offline", role: "alert", hidden: true }, icon("warning"), "The server does not answer; is `hypose view` still running? What is shown may have changed since.");
   let page: RecordingPage | null = null;
   let home: Home | null = null;
 
   const feed: JobFeed = new JobFeed(
     () => {
       counters["jobs"] = feed.of(null);
+      offline.hidden = feed.connected;
       page?.showJobs();
       home?.showJobs();
     },
@@ -40,10 +43,10 @@ export const setup: OpenScreen = (root, rest) => {
     const state = await get<State>("/api/state", signal);
     if (id) {
       page = new RecordingPage(await get<Recording>(`/api/recordings/${id}`, signal), state, feed, counters);
-      box.replaceChildren(page.element);
+      box.replaceChildren(offline, page.element);
     } else {
       home = new Home(state, feed);
-      box.replaceChildren(home.element);
+      box.replaceChildren(offline, home.element);
     }
   };
   begin().catch(failed);
@@ -52,6 +55,7 @@ export const setup: OpenScreen = (root, rest) => {
       aborted.abort();
       feed.close();
       page?.close();
+      home?.close();
     },
   };
 };
@@ -62,12 +66,13 @@ class Home {
   private readonly list = h("section", { class: "card", "aria-label": "Recordings" });
   private readonly jobs = h("section", { class: "setup-home-jobs" });
   private readonly cards = new Map<string, JobCard>();
+  private readonly form: NewRecordingForm;
 
   constructor(
     state: State,
     private readonly feed: JobFeed,
   ) {
-    const form = new NewRecordingForm((recording) => (location.hash = `#/setup/${recording.id}`));
+    const form = (this.form = new NewRecordingForm((recording) => (location.hash = `#/setup/${recording.id}`)));
     this.element = h(
       "div",
       { class: "setup-home" },
@@ -76,6 +81,10 @@ class Home {
     );
     this.show(state);
     this.showJobs();
+  }
+
+  close(): void {
+    this.form.close();
   }
 
   async reload(signal: AbortSignal): Promise<void> {
@@ -87,7 +96,7 @@ class Home {
     for (const job of jobs) {
       const card = this.cards.get(job.id) ?? new JobCard(job);
       this.cards.set(job.id, card);
-      card.show(job);
+      card.show(job, this.feed.connected);
     }
     const elements = jobs.map((j) => this.cards.get(j.id)!.element);
     if (elements.length + 1 !== this.jobs.children.length || !elements.every((e) => e.isConnected)) {
@@ -98,11 +107,16 @@ class Home {
   private show(state: State): void {
     const rows = state.recordings.map((r) =>
       h(
-        "a",
-        { class: "recording-row", href: `#/setup/${r.id}` },
-        icon("camera"),
-        h("span", { class: "grow" }, h("b", {}, r.name), r.path === r.name ? null : h("span", { class: "dim" }, r.path)),
-        h("span", { class: "dim" }, r.results.length ? `${r.results.length} ${r.results.length === 1 ? "result" : "results"}` : "not tracked yet"),
+        "div",
+        { class: "recording-item" },
+        h(
+          "a",
+          { class: "recording-row", href: `#/setup/${r.id}` },
+          icon("camera"),
+          h("span", { class: "grow" }, h("b", {}, r.name), r.path === r.name ? null : h("span", { class: "dim" }, r.path)),
+          h("span", { class: "dim" }, r.results.length ? `${r.results.length} ${r.results.length === 1 ? "result" : "results"}` : "not tracked yet"),
+        ),
+        itemMenu("recordings", r, () => void this.reload(new AbortController().signal)),
       ),
     );
     this.list.replaceChildren(

@@ -22,9 +22,12 @@ export function trackStep(recording: Recording, named: (id: string) => string): 
     h("div", { class: "field" }, h("span", { class: "field-name" }, name), h("div", { class: "row" }, ...inputs));
   const subject = h("input", { type: "checkbox", checked: wish.subject, disabled: recording.subject === null });
   subject.addEventListener("change", () => (wish.subject = subject.checked));
+  const name = h("input", { type: "text", maxlength: 60, pattern: "[A-Za-z0-9_.\\-]+", placeholder: "by the method", "aria-label": "Name of the result" });
   const go = (): void => {
+    if (!name.reportValidity()) return;
     const options: Record<string, unknown> = { recipe: wish.recipe, evidence: wish.evidence, start: wish.start };
     if (wish.subject) options["subject"] = true;
+    if (name.value) options["name"] = name.value;
     if (Number(from.value) !== 0 || Number(to.value) !== recording.frames) options["frames"] = `${from.value}:${to.value}`;
     void begin(recording, "track", options);
   };
@@ -35,10 +38,11 @@ export function trackStep(recording: Recording, named: (id: string) => string): 
     h(
       "div",
       { class: "fields" },
-      field("Recipe", select("Recipe", RECIPES, wish.recipe, (v) => (wish.recipe = v))),
+      field("Method", select("Method", RECIPES, wish.recipe, (v) => (wish.recipe = v))),
       field("Evidence", select("Evidence", [{ value: "silhouettes", label: "silhouettes" }, ...(keypoints ? [{ value: "keypoints", label: "key points" }, { value: "both", label: "both" }] : [])], wish.evidence, (v) => (wish.evidence = v))),
       field("Start", select("Start", ["auto", ...(keypoints ? ["keypoints"] : []), "hull", "a", "t", "standing", "hands-up"].map((v) => ({ value: v, label: v === "auto" ? "found by itself" : v === "hull" ? "from the visual hull" : v === "keypoints" ? "from key points" : `pose: ${v}` })), wish.start, (v) => (wish.start = v))),
       field("Frames", from, "to", to, h("span", { class: "dim" }, "(the one after the last)")),
+      field("Result", name, h("span", { class: "dim" }, "a name of its own; what was tracked before stays as it is")),
       field("Body", h("label", {}, subject, recording.subject ? "the measured person" : "the measured person (not measured yet)")),
     ),
     h("div", { class: "row" }, button("Track", go, { kind: "primary", icon: "play" }), h("a", { class: "button", href: `#/click/${recording.id}/${first}` }, "One camera only: click to start")),

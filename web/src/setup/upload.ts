@@ -4,26 +4,40 @@ import { button, select } from "../ui/buttons";
 import { h } from "../ui/dom";
 import { icon } from "../ui/icons";
 import { toast } from "../ui/toast";
+import { assign, obstacle, type Role } from "./assign";
+import { filesOfInput, onDrop, type DroppedFile } from "./dropped";
 
-interface Dropped {
-  file: File;
+interface Ready extends DroppedFile {
   /** How much of it is there. */
   bar: HTMLProgressElement;
+  thumbnail: HTMLElement;
   upload: (Upload & { problem?: string }) | null;
   error: string | null;
-  /** What the file is for: the video of a camera, its empty room, or nothing. */
-  role: "video" | "background" | "none";
+  role: Role;
   camera: string;
+  /** The user has said what it is, and of which camera. */
+  said: { role: boolean; camera: boolean };
 }
 
-/** Names that people give to pictures of a room without anybody in it. */
-const EMPTY_ROOM = /background|empty|plate|(^|[^a-z])bg([^a-z]|$)/i;
+const AT_ONCE = 3;
+const MOST = 60;
+const USABLE = /\.(mp4|avi|mov|mkv|m4v|webm|mpe?g|wmv|mts|png|jpe?g|bmp|tiff?|webp|toml|json|ya?ml|xml|csv|txt|pickle|npz)$/i;
+/** Pictures and tables of which a folder has one per frame; they are no files of a camera. */
+const NUMBERED = /\d{3,}(_keypoints)?\.(png|jpe?g|bmp|tiff?|webp|json)$/i;
+/** The server's sentence about a video of another shape than the calibration's pictures; the view's name is in it. */
+export const STRETCHED = /View (.+?): .*accept_scaled/;
+const ROLES: Record<Role, string> = { video: "video of", background: "empty room of", calibration: "calibration", none: "not used" };
 
 /** Drop videos and their calibration, say which camera is which, and a recording is made of them. */
 export class NewRecordingForm {
   readonly element: HTMLElement;
-  private readonly files: Dropped[] = [];
+  private readonly files: Ready[] = [];
+  private readonly queue: Ready[] = [];
+  /** Cameras whose video was stretched, as the user has said. */
+  private readonly stretched = new Set<string>();
+  private sending = 0;
   private readonly list = h("div", { class: "dropped" });
+  private readonly left = h("p", { class: "dim" });
   private readonly form = h("form", { class: "new-recording", hidden: true });
   private readonly error = h("p", { class: "bad", role: "alert" });
   private readonly name = h("input", { type: "text", value: "recording", required: true, maxlength: 60, pattern: "[A-Za-z0-9_.\\-]+", "aria-label": "Name of the recording" });
@@ -31,125 +45,168 @@ export class NewRecordingForm {
   private up = "z";
   private unit = "auto";
   private readonly make = button("Make the recording", () => undefined, { kind: "primary", icon: "done" });
+  private readonly stop: () => void;
 
   constructor(private readonly made: (recording: Recording) => void) {
-    const chooser = h("input", { type: "file", multiple: true, class: "sr-only", "aria-label": "Videos and calibration", tabindex: -1 });
-    chooser.addEventListener("change", () => {
-      this.add([...(chooser.files ?? [])]);
-      chooser.value = "";
-    });
+    const chooser = this.chooser({ multiple: true, "aria-label": "Videos and calibration" });
+    const folder = this.chooser({ webkitdirectory: true, "aria-label": "A folder of files" });
     const zone = h(
       "div",
       { class: "drop" },
       icon("download"),
-      h("div", {}, h("b", {}, "Drop the videos of all cameras and their calibration"), h("p", { class: "dim" }, "One video per camera, the calibration file (Pose2Sim, anipose, OpenCV, Qualisys, …), and pictures of the empty room if there are any.")),
-      button("Choose files", () => chooser.click(), {}),
+      h("div", {}, h("b", {}, "Drop the videos of all cameras and their calibration"), h("p", { class: "dim" }, "Files or whole folders, anywhere on the page: one video per camera, the calibration (Pose2Sim, anipose, OpenCV, Qualisys, …), and pictures of the empty room if there are any.")),
+      h("div", { class: "drop-choose" }, button("Choose files", () => chooser.click(), {}), button("Choose a folder", () => folder.click(), {})),
       chooser,
+      folder,
     );
-    for (const kind of ["dragover", "dragleave", "drop"] as const) {
-      zone.addEventListener(kind, (event) => {
-        event.preventDefault();
-        zone.toggleAttribute("data-over", kind === "dragover");
-        if (kind === "drop") this.add([...(event.dataTransfer?.files ?? [])]);
-      });
-    }
     this.make.type = "submit";
     this.form.addEventListener("submit", (event) => {
       event.preventDefault();
       void this.submit();
     });
-    this.element = h("section", { class: "card", "aria-label": "New recording" }, h("h2", {}, "New recording"), zone, this.list, this.form);
+    this.element = h("section", { class: "card", "aria-label": "New recording" }, h("h2", {}, "New recording"), zone, this.list, this.left, this.form);
     this.drawForm();
+    this.stop = onDrop((files) => this.add(files));
   }
 
-  private add(files: File[]): void {
-    for (const file of files) {
-      const one: Dropped = { file, bar: h("progress", { max: 1, value: 0, "aria-label": `Sending ${file.name}` }), upload: null, error: null, role: "none", camera: "" };
+  close(): void {
+    this.stop();
+  }
+
+  private chooser(props: Record<string, unknown>): HTMLInputElement {
+    const input = h("input", { type: "file", class: "sr-only", tabindex: -1, ...props });
+    input.addEventListener("change", () => {
+      this.add(filesOfInput(input));
+      input.value = "";
+    });
+    return input;
+  }
+
+  private add(files: readonly DroppedFile[]): void {
+    const usable = files.filter((f) => USABLE.test(f.path) && !(f.path.includes("/") && NUMBERED.test(f.path)));
+    const fresh = usable.filter((f) => !this.files.some((old) => same(old, f)));
+    const taken = fresh.slice(0, Math.max(0, MOST - this.files.length));
+    const told: string[] = [];
+    if (usable.length > fresh.length) told.push(`${number(usable.length - fresh.length, "file")} already here`);
+    if (files.length > usable.length) told.push(`${number(files.length - usable.length, "file")} left out: no video, picture or calibration, or one per frame`);
+    if (fresh.length > taken.length) told.push(`${number(fresh.length - taken.length, "file")} left out: ${MOST} at most`);
+    this.left.textContent = told.length ? `${told.join("; ")}.` : "";
+    for (const { file, path } of taken) {
+      const one: Ready = {
+        file, path, upload: null, error: null, role: "none", camera: "", said: { role: false, camera: false },
+        bar: h("progress", { max: 1, value: 0, "aria-label": `Sending ${file.name}` }),
+        thumbnail: h("span", { class: "dropped-picture" }),
+      };
       this.files.push(one);
-      put<Upload>(`/api/uploads/${encodeURIComponent(file.name)}`, file, (share) => (one.bar.value = share))
+      this.queue.push(one);
+    }
+    this.files.sort((a, b) => a.path.localeCompare(b.path, undefined, { numeric: true }));
+    this.draw();
+    this.send();
+  }
+
+  private send(): void {
+    while (this.sending < AT_ONCE && this.queue.length) {
+      const one = this.queue.shift()!;
+      this.sending++;
+      put<Upload>(`/api/uploads/${encodeURIComponent(one.file.name)}`, one.file, (share) => (one.bar.value = share))
         .then((upload) => {
           one.upload = upload;
-          const empty = upload.kind === "image" || (upload.kind === "video" && EMPTY_ROOM.test(upload.name));
-          one.role = empty ? "background" : upload.kind === "video" ? "video" : "none";
-          this.guess();
+          if (upload.kind === "video" || upload.kind === "image") {
+            one.thumbnail.append(h("img", { src: address(`/api/uploads/${upload.upload}/picture.jpg`), alt: `First picture of ${one.file.name}` }));
+          }
+          if (!this.files.includes(one)) this.forget(one); // removed while it was on its way
         })
         .catch((error: Error) => (one.error = error.message))
-        .finally(() => this.draw());
+        .finally(() => {
+          this.sending--;
+          if (!this.coming) this.assign();
+          this.draw();
+          this.send();
+        });
     }
-    this.draw();
+  }
+
+  /** Files that are not there yet. Before all are, no camera is given to any: their order says nothing. */
+  private get coming(): number {
+    return this.files.filter((f) => !f.upload && !f.error).length;
   }
 
   private get cameras(): string[] {
-    return this.files.flatMap((f) => (f.upload?.kind === "calibration" ? (f.upload.cameras ?? []) : []));
+    return this.calibration?.upload?.cameras ?? [];
   }
 
-  private get calibration(): Dropped | undefined {
-    return this.files.find((f) => f.upload?.kind === "calibration");
+  private get calibration(): Ready | undefined {
+    const all = this.files.filter((f) => f.upload?.kind === "calibration");
+    return all.find((f) => f.role === "calibration") ?? all[0];
   }
 
-  /** Cameras for files that have none yet: by the name, else the next that is free. */
-  private guess(): void {
-    const cameras = this.cameras;
-    for (const role of ["video", "background"] as const) {
-      const mine = this.files.filter((f) => f.role === role);
-      for (const f of mine) if (!cameras.includes(f.camera)) f.camera = named(f.file.name, cameras);
-      for (const f of mine) {
-        if (f.camera) continue;
-        f.camera = cameras.find((c) => !mine.some((other) => other.camera === c)) ?? "";
-      }
-    }
+  private assign(): void {
+    const seen = this.files.filter((f) => f.upload);
+    const found = assign(seen.map((f) => ({ path: f.path, kind: f.upload!.kind, role: f.said.role ? f.role : undefined })), this.cameras);
+    seen.forEach((f, k) => {
+      f.role = found[k]!.role;
+      if (!f.said.camera || !this.cameras.includes(f.camera)) f.camera = found[k]!.camera;
+    });
   }
 
-  private remove(one: Dropped): void {
+  private remove(one: Ready): void {
     this.files.splice(this.files.indexOf(one), 1);
-    if (one.upload) void fetch(address(`/api/uploads/${one.upload.upload}`), { method: "DELETE" });
+    if (this.queue.includes(one)) this.queue.splice(this.queue.indexOf(one), 1);
+    this.forget(one);
+    if (!this.coming) this.assign();
     this.draw();
+  }
+
+  private forget(one: Ready): void {
+    if (one.upload) void fetch(address(`/api/uploads/${one.upload.upload}`), { method: "DELETE" });
   }
 
   private draw(): void {
     this.list.replaceChildren(...this.files.map((f) => this.row(f)));
-    const ready = this.calibration && this.files.some((f) => f.role === "video" && f.camera);
+    const missing = this.coming ? "" : obstacle(this.files.filter((f) => f.upload).map((f) => ({ ...f, name: f.path })));
     this.form.hidden = !this.files.length;
-    this.make.disabled = !ready || this.files.some((f) => !f.upload && !f.error);
-    this.error.textContent = this.missing();
+    this.make.disabled = this.coming > 0 || missing !== "";
+    this.error.textContent = missing;
+    const without = this.cameras.filter((c) => !this.files.some((f) => f.role === "video" && f.camera === c));
+    const some = !this.coming && !missing && without.length > 0;
+    this.error.classList.toggle("bad", !some);
+    if (some) this.error.textContent = `No video of ${without.join(", ")}: the recording is made without.`;
   }
 
-  private missing(): string {
-    if (!this.files.length || this.files.some((f) => !f.upload && !f.error)) return "";
-    if (!this.calibration) return "The calibration is missing: drop the file that says where the cameras stand.";
-    if (!this.files.some((f) => f.role === "video")) return "The videos are missing: drop one per camera.";
-    const cameras = this.files.filter((f) => f.role === "video").map((f) => f.camera);
-    const twice = cameras.find((c, k) => c && cameras.indexOf(c) !== k);
-    return twice ? `Two videos are of the camera ${twice}; choose another camera for one of them.` : "";
-  }
-
-  private row(f: Dropped): HTMLElement {
+  private row(f: Ready): HTMLElement {
     const facts = f.error ?? (f.upload ? (f.upload.problem ?? told(f.upload)) : "being sent");
-    const usable = f.upload?.kind === "video" || f.upload?.kind === "image";
+    const kind = f.upload?.kind;
+    const roles: Role[] = kind === "calibration" ? ["calibration", "none"] : kind === "video" || kind === "image" ? ["video", "background", "none"] : [];
+    const open = (f.role === "video" || f.role === "background") && (!f.camera || this.files.some((o) => o !== f && o.role === f.role && o.camera === f.camera));
+    const cameras = select("Camera", [{ value: "", label: "choose a camera" }, ...this.cameras.map((c) => ({ value: c, label: c }))], f.camera, (camera) => {
+      f.camera = camera;
+      f.said.camera = camera !== "";
+      this.draw();
+    });
+    cameras.toggleAttribute("data-open", open);
+    const folders = f.path.slice(0, -f.file.name.length);
     return h(
       "div",
-      { class: "dropped-file" },
-      icon(f.upload?.kind === "video" ? "camera" : f.upload?.kind === "image" ? "picture" : "report"),
-      h("div", { class: "grow" }, h("b", {}, f.file.name), h("div", { class: f.error || f.upload?.problem ? "bad" : "dim" }, facts), f.upload || f.error ? null : f.bar),
-      usable
-        ? select("What it is", [{ value: "video", label: "video of" }, { value: "background", label: "empty room of" }, { value: "none", label: "not used" }], f.role, (role) => {
-            f.role = role as Dropped["role"];
+      { class: "dropped-file", "data-file": f.path },
+      f.thumbnail.hasChildNodes() ? f.thumbnail : h("span", { class: "dropped-picture" }, icon(kind === "video" ? "camera" : kind === "image" ? "picture" : "report")),
+      h("div", { class: "grow" }, h("b", {}, folders ? h("span", { class: "dim" }, folders) : null, f.file.name), h("div", { class: f.error || f.upload?.problem ? "bad" : "dim" }, facts), f.upload || f.error ? null : f.bar),
+      this.coming || !roles.length
+        ? null
+        : select("What it is", roles.map((value) => ({ value, label: ROLES[value] })), f.role, (role) => {
+            f.role = role;
+            f.said.role = true;
+            this.assign();
             this.draw();
-          })
-        : null,
-      usable && f.role !== "none"
-        ? select("Camera", [{ value: "", label: "choose a camera" }, ...this.cameras.map((c) => ({ value: c, label: c }))], f.camera, (camera) => {
-            f.camera = camera;
-            this.draw();
-          })
-        : null,
+          }),
+      this.coming || !roles.length || f.role === "none" || f.role === "calibration" ? null : cameras,
       button("", () => this.remove(f), { icon: "close", kind: "quiet", title: `Remove ${f.file.name}` }),
     );
   }
 
   private drawForm(): void {
     const field = (name: string, ...inputs: HTMLElement[]): HTMLElement =>
-      h("div", { class: "field" }, h("span", { class: "field-name" }, name), h("div", { class: "row" }, ...inputs));
+      h("div", { class: "field" }, h("span", { class: "field-name" }, name), h("div", { class: "row wrap" }, ...inputs));
     this.form.append(
       field("Name", this.name),
       field("Height", this.height, h("span", { class: "dim" }, "cm, of the person, if known")),
@@ -164,12 +221,15 @@ export class NewRecordingForm {
   }
 
   private async submit(): Promise<void> {
-    const background = (camera: string): Dropped | undefined => this.files.find((f) => f.role === "background" && f.camera === camera);
+    const room = (camera: string): Ready | undefined => this.files.find((f) => f.role === "background" && f.camera === camera);
     const views = this.files
-      .filter((f) => f.role === "video" && f.upload && f.camera)
+      .filter((f) => f.role === "video" && f.upload)
       .map((f) => {
-        const empty = background(f.camera)?.upload?.upload;
-        return { name: f.camera, camera: f.camera, video: f.upload!.upload, ...(empty ? { background: empty } : {}) };
+        const empty = room(f.camera)?.upload?.upload;
+        return {
+          name: f.camera, camera: f.camera, video: f.upload!.upload,
+          ...(empty ? { background: empty } : {}), ...(this.stretched.has(f.camera) ? { accept_scaled: true } : {}),
+        };
       });
     const wanted: NewRecording = { name: this.name.value.trim(), calibration: this.calibration?.upload?.upload ?? "", views };
     if (this.up !== "z") wanted.world_up = this.up;
@@ -182,9 +242,28 @@ export class NewRecordingForm {
       this.made(recording);
     } catch (error) {
       this.draw();
-      this.error.textContent = (error as Error).message;
+      this.error.classList.add("bad");
+      const { message } = error as Error;
+      const [, camera] = STRETCHED.exec(message) ?? [];
+      this.error.textContent = camera ? message.replace(/, set accept_scaled.*$/, ", accept it.") : message;
+      if (!camera) return;
+      this.error.append(" ", button("It was stretched: accept it", () => {
+        this.stretched.add(camera);
+        void this.submit();
+      }, { icon: "done" }));
     }
   }
+}
+
+/** The same file again: dropped twice, or once by itself and once with its folder. */
+function same(a: DroppedFile, b: DroppedFile): boolean {
+  const alone = !a.path.includes("/") || !b.path.includes("/");
+  const named = a.file.name === b.file.name && a.file.size === b.file.size && a.file.lastModified === b.file.lastModified;
+  return named && (alone || a.path === b.path);
+}
+
+function number(count: number, what: string): string {
+  return `${count} ${what}${count === 1 ? "" : "s"}`;
 }
 
 function told(upload: Upload): string {
@@ -193,12 +272,4 @@ function told(upload: Upload): string {
   const size = upload.size ? `${upload.size[0]} × ${upload.size[1]}` : "";
   if (upload.kind === "image") return `picture, ${size}`;
   return [`video, ${size}`, `${upload.frames ?? "?"} frames`, upload.frame_rate ? `${upload.frame_rate.toFixed(1).replace(/\.0$/, "")} frames/s` : ""].filter(Boolean).join(", ");
-}
-
-/** The camera whose name a file carries: the same name, or the longest that is part of it. */
-function named(file: string, cameras: readonly string[]): string {
-  const stem = file.replace(/\.[^.]*$/, "").toLowerCase();
-  const same = cameras.find((c) => c.toLowerCase() === stem);
-  const part = [...cameras].sort((a, b) => b.length - a.length).find((c) => stem.includes(c.toLowerCase()));
-  return same ?? part ?? "";
 }

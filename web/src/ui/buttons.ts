@@ -94,7 +94,7 @@ export function menu(
 ): HTMLElement {
   const list = h("div", { class: "menu-list", role: "menu", hidden: true });
   const opener = button(text, () => (list.hidden ? open() : close()), options);
-  opener.append(icon("chevron"));
+  if (text) opener.append(icon("chevron"));
   opener.setAttribute("aria-haspopup", "menu");
   const box = h("div", { class: "menu" }, opener, list);
   const outside = (event: Event): void => {

@@ -26,6 +26,7 @@ const PATHS = {
   doctor: '<path d="M10 3.500v13M3.500 10h13"/><circle cx="10" cy="10" r="8"/>',
   close: '<path d="M5 5l10 10M15 5L5 15"/>',
   list: '<path d="M4 5.500h12M4 10h12M4 14.500h12"/>',
+  more: '<circle cx="10" cy="4.5" r="1.3" fill="currentColor" stroke="none"/><circle cx="10" cy="10" r="1.3" fill="currentColor" stroke="none"/><circle cx="10" cy="15.500" r="1.3" fill="currentColor" stroke="none"/>',
   chevron: '<path d="M5.500 8l4.500 4.500L14.500 8"/>',
   flag: '<path d="M5 17.500V3.500h9l-2 3 2 3H5"/>',
   warning: '<path d="M10 3.300l7.300 12.900H2.700z" stroke-linejoin="round"/><path d="M10 8.300v3.600"/><circle cx="10" cy="14" r=".6" fill="currentColor"/>',
@@ -34,6 +35,7 @@ const PATHS = {
   plus: '<path d="M10 4v12M4 10h12"/>',
   undo: '<path d="M7 4L3.500 7.500 7 11M4 7.500h7.500a4.500 4.500 0 010 9H8"/>',
   sound: '<path d="M3 8v4h3l4 3.500v-11L6 8zM13 7.500a3.500 3.500 0 010 5M15 5a7 7 0 010 10"/>',
+  edit: '<path d="M4 16l.8-3.600L13 4.200a1.600 1.600 0 012.300 0l.5.5a1.600 1.600 0 010 2.300L7.600 15.200z" stroke-linejoin="round"/>',
   expand: '<path d="M11.500 3.500h5v5M16 4l-5 5M8.500 16.500h-5v-5M4 16l5-5"/>',
 } as const;
 

@@ -1,6 +1,6 @@
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
-import { flagName, type Stretch } from "../lib/bundle";
+import { DOUBTFUL, flagName, type Stretch } from "../lib/bundle";
 import { h, onResize, setText } from "./dom";
 import { colour, onTheme } from "./theme";
 import { clock } from "./timeline";
@@ -11,6 +11,10 @@ export interface Series {
   colour: string;
   values: ArrayLike<number>;
   dashed?: boolean;
+  /** Standard deviation of each value, drawn as the band that holds it with 90 %. */
+  sd?: ArrayLike<number> | null;
+  /** Where this is not 0 the curve may be wrong, and is red. */
+  doubtful?: ArrayLike<number> | null;
 }
 
 export interface PlotOptions {
@@ -26,6 +30,8 @@ export interface PlotOptions {
   chosen?: (index: number) => void;
 }
 
+const NINETY = 1.645; // standard deviations to either side that hold 90 % of a normal distribution
+const MOST_BAND = 0.6; // of the curves' range that bands may add to it: what is hardly known would flatten all the rest
 const TURN_MS = 160; // longer than from one click to the next of somebody who looks around
 const ROOM = 4; // values that find room beside a plot's title
 
@@ -48,10 +54,11 @@ export class Plot {
     private options: PlotOptions,
   ) {
     this.figures = series.map(() => h("b", { class: "number" }));
-    const legend = series.flatMap((s, i) => {
-      if (s.dashed && series.length > ROOM) return [];
+    const legend = series.map((s, i) => {
       const style = `--c: var(--${s.colour})`;
-      return [h("span", { style, class: s.dashed ? "dashed" : "" }, `${s.label} `, this.figures[i])];
+      // of many the dashes alone say that it is the other result
+      const name = s.dashed && series.length > ROOM ? "" : `${s.label} `;
+      return h("span", { style, class: s.dashed ? "dashed" : "", title: s.label || null }, name, this.figures[i]);
     });
     this.element = h(
       "figure",
@@ -143,6 +150,8 @@ export class Plot {
     const font = `11px ${getComputedStyle(document.body).fontFamily}`;
     const axis = { stroke: colour("dim"), grid, ticks: { show: false }, font } satisfies uPlot.Axis;
     const least = this.options.range;
+    const banded = this.series.filter((s) => s.sd);
+    const edge = { width: 0, auto: false, points: { show: false } } satisfies uPlot.Series;
     this.chart = new uPlot(
       {
         width,
@@ -154,13 +163,16 @@ export class Plot {
           ready: [() => this.turnNow()],
           setSize: [() => this.show(this.at)],
           drawClear: [(chart) => this.shade(chart)],
+          draw: [(chart) => this.redden(chart)],
         },
         scales: {
           x: { time: false, range: () => this.shownRange() },
           y: {
             range: (_, low, high) => {
               if (!Number.isFinite(low)) return [...(least ?? [0, 1])] as [number, number];
-              const [a, b] = [Math.min(low, least?.[0] ?? low), Math.max(high, least?.[1] ?? high)];
+              const add = MOST_BAND * (high - low || 1);
+              const band = this.reach(low, high);
+              const [a, b] = [Math.min(low, least?.[0] ?? low, Math.max(band[0], low - add)), Math.max(high, least?.[1] ?? high, Math.min(band[1], high + add))];
               const room = Math.max(1e-3, (b - a) * 0.06);
               return [least && low >= least[0] ? a : a - room, least && high <= least[1] ? b : b + room];
             },
@@ -179,9 +191,19 @@ export class Plot {
             spanGaps: false,
             ...(s.dashed ? { dash: [4, 3] } : {}),
           })),
+          // their range is taken from reach(), so that a part without knowledge does not flatten the rest
+          ...banded.flatMap(() => [{ ...edge }, { ...edge }]),
         ],
+        bands: banded.map((s, k) => {
+          const first = 1 + this.series.length + 2 * k;
+          return { series: [first + 1, first] as [number, number], fill: seeThrough(colour(s.colour)) };
+        }),
       },
-      [this.times, ...this.series.map((s) => gaps(s.values))] as unknown as uPlot.AlignedData,
+      [
+        this.times,
+        ...this.series.map((s) => gaps(s.values)),
+        ...banded.flatMap((s) => [-NINETY, NINETY].map((by) => gaps(Float64Array.from(s.values, (v, t) => v + by * s.sd![t]!)))),
+      ] as unknown as uPlot.AlignedData,
       this.holder,
     );
     this.chart.over.append(this.line);
@@ -192,6 +214,51 @@ export class Plot {
     return long ? clock(seconds, step) : seconds.toFixed(step >= 1 ? 0 : step >= 0.1 ? 1 : 2);
   }
 
+  /** How far the bands reach, where the curves lie between these values. */
+  private reach(low: number, high: number): [number, number] {
+    let [a, b] = [low, high];
+    for (const { values, sd } of this.series) {
+      if (!sd) continue;
+      for (let t = 0; t < values.length; t++) {
+        const [v, r] = [values[t]!, NINETY * sd[t]!];
+        if (v - r < a) a = v - r;
+        if (v + r > b) b = v + r;
+      }
+    }
+    return [a, b];
+  }
+
+  /** The curves again in red where they may be wrong. */
+  private redden(chart: uPlot): void {
+    const { ctx, bbox } = chart;
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    ctx.clip();
+    ctx.strokeStyle = colour("doubtful");
+    ctx.lineWidth = 3 * (window.devicePixelRatio || 1);
+    for (const { values, doubtful } of this.series) {
+      if (!doubtful) continue;
+      const [from, to] = this.shownRange();
+      ctx.beginPath();
+      let open = false;
+      for (let t = 0; t < values.length; t++) {
+        const at = this.times[t] ?? 0;
+        const on = Boolean(doubtful[t]) && at >= from && at <= to && Number.isFinite(values[t]);
+        if (!on) {
+          open = false;
+          continue;
+        }
+        const [x, y] = [chart.valToPos(at, "x", true), chart.valToPos(values[t]!, "y", true)];
+        if (!open) ctx.moveTo(x - 1, y);
+        ctx.lineTo(x, y);
+        open = true;
+      }
+      ctx.stroke();
+    }
+    ctx.restore();
+  }
+
   private shade(chart: uPlot): void {
     const { left, top, width, height } = chart.bbox;
     const step = (this.times[1] ?? 1) - (this.times[0] ?? 0);
@@ -200,7 +267,7 @@ export class Plot {
       const to = chart.valToPos((this.times[last] ?? 0) + step / 2, "x", true);
       const [a, b] = [Math.max(left, from), Math.min(left + width, to)];
       if (a >= b) continue;
-      chart.ctx.globalAlpha = 0.22;
+      chart.ctx.globalAlpha = flag === DOUBTFUL ? 0.1 : 0.22; // which joints they are, the curves say
       chart.ctx.fillStyle = colour(flagName(flag));
       chart.ctx.fillRect(a, top, b - a, height);
       chart.ctx.globalAlpha = 1;
@@ -223,6 +290,11 @@ export class Plot {
       });
     });
   }
+}
+
+/** A colour as it lies below the curves. */
+function seeThrough(tone: string): string {
+  return `color-mix(in srgb, ${tone} 22%, transparent)`;
 }
 
 /** uPlot takes null for a gap, and NaN breaks its search for the range. */

@@ -5,12 +5,14 @@ import { colour, onTheme } from "./theme";
 export interface TimelineData {
   times: Float64Array;
   flags: Uint8Array;
+  /** (T) how many joints may be wrong; null when nothing has looked. */
+  doubtful: Uint8Array | null;
   /** (T) 0 to 1, drawn as a curve; NaN where not known. */
   curve: Float32Array | null;
 }
 
 const RULER = 16;
-const HOVER = 190; // px, as in view.css: measured at every move it would lay out the page each time
+const HOVER = 230; // px, as in view.css: measured at every move it would lay out the page each time
 
 /** The line of time of a result: a ruler, flagged stretches, a curve, and the frame that is shown, which can be dragged. */
 export class Timeline {
@@ -92,7 +94,8 @@ export class Timeline {
     const box = this.element.getBoundingClientRect();
     const row = this.rowOf(event);
     const flag = this.data.flags[row];
-    const what = flag ? ` · ${flagName(flag)}` : "";
+    const joints = this.data.doubtful?.[row] ?? 0;
+    const what = (flag ? ` · ${flagName(flag)}` : "") + (joints ? ` · ${joints} ${joints === 1 ? "joint" : "joints"}` : "");
     const value = this.data.curve?.[row] ?? NaN;
     const fit = Number.isFinite(value) ? ` · overlap ${value.toFixed(2)}` : "";
     this.hover.textContent = `${clock(this.data.times[row] ?? 0)}${what}${fit}`;
@@ -118,6 +121,7 @@ export class Timeline {
       c.globalAlpha = 1;
       c.fillRect(x(first), height - 4, width, 4);
     }
+    this.drawDoubt(c, w, top);
     const seconds = (times[n - 1] ?? 0) - (times[0] ?? 0);
     const step = ruler(seconds, w);
     c.font = `11px ${getComputedStyle(document.body).fontFamily}`;
@@ -135,6 +139,22 @@ export class Timeline {
       if (at + wide + 4 < w) c.fillText(text, at + 3, 1);
     }
     c.stroke();
+  }
+
+  /** A red line at the top of the band wherever a joint may be wrong, the thicker the more joints are. */
+  private drawDoubt(c: CanvasRenderingContext2D, w: number, top: number): void {
+    const { doubtful } = this.data;
+    if (!doubtful) return;
+    const n = doubtful.length;
+    const columns = Math.min(n, Math.ceil(w));
+    c.fillStyle = colour("doubtful");
+    for (let i = 0; i < columns; i++) {
+      const begin = Math.floor((n * i) / columns);
+      const end = Math.max(begin + 1, Math.floor((n * (i + 1)) / columns));
+      let most = 0;
+      for (let t = begin; t < end; t++) most = Math.max(most, doubtful[t]!);
+      if (most) c.fillRect((w * i) / columns, top, Math.max(1.5, w / columns + 0.5), 3 + Math.min(9, 1.5 * most));
+    }
   }
 
   /** The curve as a filled band per pixel column, lowest value of the frames there: dips are what one looks for. */

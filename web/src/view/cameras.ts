@@ -4,6 +4,7 @@ import { button, toggle } from "../ui/buttons";
 import { h, memory, onResize } from "../ui/dom";
 import { onTheme } from "../ui/theme";
 import { Overlay, type Shown } from "./overlay";
+import type { Beside } from "./plots";
 import type { Outlines, Source } from "./source";
 
 const GAP = 4;
@@ -15,6 +16,16 @@ interface Tile {
   note: HTMLElement;
   overlay: Overlay;
   image: ImageBitmap | null;
+}
+
+/** Something that is done with the pointer in the pictures; x, y, px: pixels of the calibrated size, px per one of the
+ * screen. */
+export interface PictureEdit {
+  draw(c: CanvasRenderingContext2D, tile: number, overlay: Overlay, row: number, scale: number): void;
+  /** Whether something is taken hold of. */
+  down(tile: number, overlay: Overlay, x: number, y: number, px: number): boolean;
+  move(overlay: Overlay, x: number, y: number): void;
+  up(): void;
 }
 
 /** The recorded pictures of all cameras at the frame shown, with what was found drawn over them. */
@@ -29,6 +40,7 @@ export class CameraPane {
   private readonly stop: (() => void)[] = [];
   private readonly abort = new AbortController();
   private readonly outlines = new Map<number, Outlines | null>();
+  private editing: PictureEdit | null = null;
   private enlarged = -1;
   private width = 480;
   private wanted = 0;
@@ -40,7 +52,7 @@ export class CameraPane {
     private readonly source: Source,
     private readonly failed: (message: string) => void,
   ) {
-    this.shown = { body: true, skeleton: true, masks: false, ...(JSON.parse(memory.get("overlays") ?? "{}") as object) };
+    this.shown = { body: true, skeleton: true, rivals: true, masks: false, ...(JSON.parse(memory.get("overlays") ?? "{}") as object) };
     this.skin = data.coarse ? new Skin(data, data.coarse) : null;
     this.tiles = data.header.cameras.map((camera, i) => {
       const canvas = h("canvas", { role: "img", "aria-label": `Picture of ${camera.name}` });
@@ -52,8 +64,10 @@ export class CameraPane {
         key: i < 9 ? String(i + 1) : "",
       });
       const box = h("div", { class: "tile" }, canvas, h("span", { class: "tile-name" }, camera.name), note, enlarge);
-      box.addEventListener("dblclick", () => this.enlarge(this.enlarged === i ? -1 : i));
-      return { box, canvas, note, overlay: new Overlay(data, camera, this.skin), image: null };
+      box.addEventListener("dblclick", () => !this.editing && this.enlarge(this.enlarged === i ? -1 : i));
+      const tile: Tile = { box, canvas, note, overlay: new Overlay(data, camera, this.skin), image: null };
+      this.listen(tile, i);
+      return tile;
     });
     this.grid = h("div", { class: "tiles" }, ...this.tiles.map((t) => t.box));
     this.element = h("div", { class: "cameras" }, this.tiles.length ? this.grid : this.empty());
@@ -76,6 +90,7 @@ export class CameraPane {
       toggle("", this.shown.body, change("body"), { icon: "body", title: "Body on the pictures" }),
       toggle("", this.shown.skeleton, change("skeleton"), { icon: "skeleton", title: "Skeleton on the pictures" }),
     ];
+    if (this.data.rivals) made.push(toggle("", this.shown.rivals, change("rivals"), { icon: "rivals", title: "Other poses on the pictures" }));
     if (this.source.id !== null) {
       made.push(toggle("", this.shown.masks, change("masks"), { icon: "edge", title: "Edge of the masks" }));
     }
@@ -86,6 +101,47 @@ export class CameraPane {
   show(row: number): void {
     this.wanted = row;
     if (!this.busy) void this.fetch();
+  }
+
+  /** Lets something be done with the pointer in the pictures; null ends it. */
+  edit(edit: PictureEdit | null): void {
+    this.editing = edit;
+    this.grid.toggleAttribute("data-editing", edit !== null);
+    this.draw();
+  }
+
+  overlayOf(camera: string): Overlay | undefined {
+    return this.tiles.find((t) => t.overlay.camera.name === camera)?.overlay;
+  }
+
+  private listen(tile: Tile, index: number): void {
+    const { canvas, overlay } = tile;
+    const at = (event: PointerEvent): [number, number, number] => {
+      const px = overlay.camera.size[0] / canvas.clientWidth;
+      return [event.offsetX * px - 0.5, event.offsetY * px - 0.5, px];
+    };
+    let held = false;
+    canvas.addEventListener("pointerdown", (event) => {
+      if (event.button !== 0 || !this.editing?.down(index, overlay, ...at(event))) return;
+      held = true;
+      canvas.setPointerCapture(event.pointerId);
+      event.preventDefault();
+    });
+    canvas.addEventListener("pointermove", (event) => {
+      if (!held) return;
+      const [x, y] = at(event);
+      this.editing?.move(overlay, x, y);
+    });
+    canvas.addEventListener("lostpointercapture", () => {
+      held = false;
+      this.editing?.up();
+    });
+  }
+
+  /** Another result in the pictures as well; null takes it away. */
+  compare(beside: Beside | null): void {
+    for (const tile of this.tiles) tile.overlay.beside = beside;
+    this.draw();
   }
 
   enlarge(index: number): void {
@@ -184,7 +240,7 @@ export class CameraPane {
     this.show(this.wanted);
   }
 
-  private draw(): void {
+  draw(): void {
     const row = Math.max(0, this.row);
     const posed = this.shown.body && this.skin ? this.skin.pose(row) : false;
     this.tiles.forEach((tile, i) => {
@@ -201,6 +257,7 @@ export class CameraPane {
       tile.overlay.draw(c, row, posed, this.shown, scale);
       const edges = this.shown.masks ? this.outlines.get(row)?.[i] : null;
       if (edges) tile.overlay.masks(c, edges, scale);
+      this.editing?.draw(c, i, tile.overlay, row, scale);
     });
   }
 

@@ -40,7 +40,7 @@ export function details(data: ViewData, source: Source, doctor: HTMLElement | nu
       "How this was made",
       true,
       header.citation ? h("p", {}, `Method: ${header.citation}`) : null,
-      h("p", { class: "dim" }, `Recipe ${header.recipe}, hypose ${header.version}`),
+      h("p", { class: "dim" }, `Tracked as “${header.recipe}” by hypose ${header.version}`),
       Object.keys(header.seconds).length
         ? h(
             "details",

@@ -23,6 +23,7 @@ export class Sticks {
   private readonly turn = new Quaternion();
   private readonly middle = new Vector3();
   private readonly size = new Vector3();
+  private doubted = "";
 
   constructor(
     parents: readonly number[],
@@ -44,7 +45,8 @@ export class Sticks {
   }
 
   recolour(): void {
-    const of = (j: number): Color => new Color(colour(this.one ?? side(this.names[j] ?? "")));
+    const doubted = new Set(this.doubted ? this.doubted.split(",").map(Number) : []);
+    const of = (j: number): Color => new Color(colour(doubted.has(j) ? "doubtful" : (this.one ?? side(this.names[j] ?? ""))));
     for (let j = 0; j < this.balls.count; j++) this.balls.setColorAt(j, of(j));
     this.bones.forEach(([, child], i) => this.sticks.setColorAt(i, of(child)));
     for (const mesh of [this.balls, this.sticks]) if (mesh.instanceColor) mesh.instanceColor.needsUpdate = true;
@@ -57,6 +59,14 @@ export class Sticks {
       (mesh.material as MeshLambertMaterial).dispose();
       mesh.dispose();
     }
+  }
+
+  /** Shows some joints, and the bones that end in them, as doubtful. */
+  doubt(joints: readonly number[]): void {
+    const key = joints.join();
+    if (key === this.doubted) return;
+    this.doubted = key;
+    this.recolour();
   }
 
   /** Moves to the joints (J, 3) that begin at `at`. */

@@ -1,52 +1,140 @@
-import { get, post } from "../api";
+import { address, get, post } from "../api";
 import type { Job, ResultEntry, State } from "../protocol";
-import { button } from "../ui/buttons";
-import { h } from "../ui/dom";
+import { button, select } from "../ui/buttons";
+import { h, memory } from "../ui/dom";
 import { icon } from "../ui/icons";
+import { itemMenu } from "../ui/library";
 import { toast } from "../ui/toast";
 import { clock } from "../ui/timeline";
 
-/** What there is to look at in the served folder. */
+type Order = "newest" | "name" | "worst" | "longest";
+const ORDERS: readonly { value: Order; label: string }[] = [
+  { value: "newest", label: "newest first" },
+  { value: "name", label: "by name" },
+  { value: "worst", label: "most doubtful first" },
+  { value: "longest", label: "longest first" },
+];
+const VERDICTS = { good: ["good", "good"], look: ["warn", "look"], "not to be trusted": ["bad", "not to be trusted"] } as const;
+const WORSE = ["good", "look", "not to be trusted"] as const;
+
+/** What there is to look at in the served folder: searched, sorted, renamed, deleted with a way back. */
 export async function home(box: HTMLElement, signal: AbortSignal): Promise<void> {
   const page = h("div", { class: "home" }, h("h1", {}, "Results"), h("p", { class: "dim" }, "Looking…"));
   box.append(page);
-  let state: State;
   try {
-    state = await get<State>("/api/state", signal);
+    const state = await get<State>("/api/state", signal);
+    if (state.results.length) new Library(page, state, signal);
+    else page.replaceChildren(h("h1", {}, "Nothing to look at yet"), nothing(state));
   } catch (error) {
     if (!signal.aborted) page.append(h("p", { class: "bad" }, (error as Error).message));
-    return;
   }
-  const title = h("h1", {}, state.results.length ? "Results" : "Nothing to look at yet");
-  if (!state.results.length) {
-    page.replaceChildren(title, nothing(state));
-    return;
-  }
-  const newest = [...state.results].sort((a, b) => b.changed - a.changed);
-  page.replaceChildren(
-    title,
-    h("p", { class: "dim" }, `In ${state.root}, newest first`),
-    h("div", { class: "results" }, ...newest.map((r) => entry(r, state))),
-  );
 }
 
-function entry(result: ResultEntry, state: State): HTMLElement {
-  const recording = state.recordings.find((r) => r.id === result.recording);
-  const seconds = result.frame_rate ? result.frames / result.frame_rate : 0;
+class Library {
+  private readonly list = h("div", { class: "results" });
+  private readonly told = h("p", { class: "dim", role: "status" });
+  private order: Order;
+  private wanted = "";
+
+  constructor(
+    page: HTMLElement,
+    private state: State,
+    private readonly signal: AbortSignal,
+  ) {
+    const before = memory.get("results-order") as Order | null;
+    this.order = ORDERS.some((o) => o.value === before) ? before! : "newest";
+    const search = h("input", { type: "search", placeholder: "Search", "aria-label": "Search the results" });
+    search.addEventListener("input", () => {
+      this.wanted = search.value;
+      this.draw();
+    });
+    const sort = select("Order", ORDERS, this.order, (order) => {
+      this.order = order;
+      memory.set("results-order", order);
+      this.draw();
+    });
+    page.replaceChildren(h("div", { class: "home-head" }, h("h1", {}, "Results"), this.told, h("span", { class: "grow" }), search, sort), this.list);
+    this.draw();
+  }
+
+  private async reload(): Promise<void> {
+    try {
+      this.state = await get<State>("/api/state", this.signal);
+      this.draw();
+    } catch (error) {
+      if (!this.signal.aborted) toast((error as Error).message, "error");
+    }
+  }
+
+  private draw(): void {
+    const words = this.wanted.toLowerCase().split(/\s+/).filter(Boolean);
+    const found = this.state.results.filter((r) => words.every((w) => `${r.path} ${r.recipe} ${r.verdict ?? ""}`.toLowerCase().includes(w)));
+    const by: Record<Order, (a: ResultEntry, b: ResultEntry) => number> = {
+      newest: (a, b) => b.changed - a.changed,
+      name: (a, b) => a.path.localeCompare(b.path, undefined, { numeric: true }),
+      worst: (a, b) => worse(b) - worse(a) || (a.iou ?? 1) - (b.iou ?? 1),
+      longest: (a, b) => b.frames - a.frames,
+    };
+    const all = this.state.results.length;
+    this.told.textContent = found.length === all ? `${all} in ${this.state.root}` : `${found.length} of ${all} in ${this.state.root}`;
+    this.list.replaceChildren(
+      ...found.sort(by[this.order]).map((r) => this.entry(r)),
+      ...(found.length ? [] : [h("p", { class: "dim" }, "No result is called that.")]),
+    );
+  }
+
+  private entry(result: ResultEntry): HTMLElement {
+    const recording = this.state.recordings.find((r) => r.id === result.recording);
+    const seconds = result.frame_rate ? result.frames / result.frame_rate : 0;
+    return h(
+      "div",
+      { class: "card result", "data-result": result.path },
+      h(
+        "a",
+        { class: "result-link", href: `#/view/${result.id}` },
+        thumbnail(result),
+        h("span", { class: "result-name" }, h("b", {}, recording ? `${recording.name}: ${result.name}` : result.name), h("span", { class: "dim" }, result.path)),
+      ),
+      quality(result),
+      h(
+        "span",
+        { class: "result-facts dim" },
+        h("span", { class: "number" }, `${result.frames} frames · ${clock(seconds, 0.1)}`),
+        h("span", {}, new Date(1000 * result.changed).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "short" })),
+      ),
+      itemMenu("results", result, () => void this.reload(), recording ? [h("a", { role: "menuitem", href: `#/setup/${recording.id}` }, "Its recording")] : []),
+    );
+  }
+}
+
+/** The person in the middle of the result, or a sign where there are no pictures. */
+function thumbnail(result: ResultEntry): HTMLElement {
+  const box = h("span", { class: "result-picture" }, icon("skeleton"));
+  if (!result.pictured) return box;
+  const picture = h("img", { src: address(`/api/results/${result.id}/thumbnail.jpg`, { v: Math.round(result.changed) }), alt: "", loading: "lazy", width: 96, height: 72 });
+  picture.addEventListener("error", () => box.replaceChildren(icon("skeleton")));
+  box.replaceChildren(picture);
+  return box;
+}
+
+function worse(result: ResultEntry): number {
+  return WORSE.indexOf(result.verdict ?? "good") + (result.lost ?? 0);
+}
+
+/** How good a result is: the verdict, and the figures behind it. */
+function quality(result: ResultEntry): HTMLElement {
+  const [tone, word] = result.verdict ? VERDICTS[result.verdict] : ["", ""];
+  const figures = [
+    result.iou ? `overlap ${result.iou.toFixed(2)}` : "",
+    result.sd_mm ? `± ${result.sd_mm.toFixed(0)} mm` : "",
+    result.lost ? `${(100 * result.lost).toFixed(0)} % lost` : "",
+  ].filter(Boolean);
   return h(
-    "a",
-    { class: "card result", href: `#/view/${result.id}` },
-    icon("skeleton"),
-    h(
-      "span",
-      { class: "grow" },
-      h("b", {}, recording?.name ?? result.name),
-      h("span", { class: "dim" }, result.path),
-    ),
-    h("span", { class: "chip" }, result.recipe),
+    "span",
+    { class: "result-quality" },
+    word ? h("span", { class: `chip ${tone}` }, word) : null,
     result.complete ? null : h("span", { class: "chip warn" }, "not complete"),
-    h("span", { class: "number dim" }, `${result.frames} frames · ${clock(seconds, 0.1)}`),
-    h("span", { class: "dim" }, new Date(1000 * result.changed).toLocaleString()),
+    h("span", { class: "dim number" }, figures.join(" · ")),
   );
 }
 

@@ -20,6 +20,7 @@ export function viewKeys(view: ResultView): Key[] {
     { keys: ["p"], shown: "p", what: "previous one", act: () => view.nextFlag(-1) },
     { keys: ["f"], shown: "f", what: "see the whole walk", act: () => view.look("fit") },
     { keys: ["k"], shown: "k", what: "keep the person in the middle", act: () => view.flipFollow() },
+    ...(view.corrector ? [{ keys: ["e"], shown: "e", what: "correct this frame", act: () => view.corrector?.flip() }] : []),
     layer("b", "body", "body"),
     layer("s", "skeleton", "skeleton"),
     layer("u", "spread", "uncertainty"),
@@ -33,6 +34,6 @@ export function viewKeys(view: ResultView): Key[] {
       what: "enlarge that camera's picture",
       act: () => view.cameras.enlarge(n - 1),
     })),
-    { keys: ["Escape"], shown: "Esc", what: "all pictures again", act: () => view.cameras.shrink() },
+    { keys: ["Escape"], shown: "Esc", what: "all pictures again", act: () => void (view.cameras.shrink() || view.corrector?.leave()) },
   ];
 }

@@ -1,11 +1,13 @@
-import { side, type CameraData, type ViewData } from "../lib/bundle";
+import { doubtfulAt, side, type CameraData, type ViewData } from "../lib/bundle";
 import { Projector } from "../lib/camera";
 import type { Skin } from "../lib/skin";
 import { colour } from "../ui/theme";
+import type { Beside } from "./plots";
 
 export interface Shown {
   body: boolean;
   skeleton: boolean;
+  rivals: boolean;
   masks: boolean;
 }
 
@@ -14,6 +16,8 @@ export class Overlay {
   private readonly projector: Projector;
   private readonly pixels: Float32Array;
   private readonly joints: Float32Array;
+  /** Another result, drawn as well. */
+  beside: Beside | null = null;
 
   constructor(
     private readonly data: ViewData,
@@ -32,8 +36,22 @@ export class Overlay {
     c.scale(scale, scale);
     c.translate(0.5, 0.5);
     if (shown.body && posed) this.body(c);
+    if (shown.rivals) this.rivals(c, row, scale);
+    if (this.beside) this.other(c, row, scale);
     if (shown.skeleton) this.skeleton(c, row, scale);
     c.restore();
+  }
+
+  /** Where the joints of a row are in the picture, (J, 2) px; overwritten by what is drawn next. */
+  pixelsOf(row: number): Float32Array {
+    const { positions, joints } = this.data;
+    this.projector.project(positions.subarray(3 * row * joints, 3 * (row + 1) * joints), this.joints);
+    return this.joints;
+  }
+
+  /** The pixel of the recorded picture at an undistorted one. */
+  asRecorded(x: number, y: number): [number, number] {
+    return this.projector.asRecorded(x, y);
   }
 
   /** The measured silhouette's edge. */
@@ -77,26 +95,53 @@ export class Overlay {
     c.globalAlpha = 1;
   }
 
+  /** The other poses that explain the same frame: thin and dashed. */
+  private rivals(c: CanvasRenderingContext2D, row: number, scale: number): void {
+    const { rivals, joints } = this.data;
+    if (!rivals) return;
+    c.setLineDash([4 / scale, 3 / scale]);
+    for (let k = 0; k < rivals.count; k++) {
+      const at = 3 * (row * rivals.count + k) * joints;
+      if (Number.isFinite(rivals.joints[at]!)) this.lines(c, rivals.joints.subarray(at, at + 3 * joints), 1.4 / scale, () => "#ffffff");
+    }
+    c.setLineDash([]);
+  }
+
+  /** Another result beside this one. */
+  private other(c: CanvasRenderingContext2D, row: number, scale: number): void {
+    const { data, shift } = this.beside!;
+    const at = row + shift;
+    if (at < 0 || at >= data.frames || data.joints !== this.data.joints) return;
+    const tone = colour("beside");
+    this.lines(c, data.positions.subarray(3 * at * data.joints, 3 * (at + 1) * data.joints), 2.2 / scale, () => tone);
+  }
+
   private skeleton(c: CanvasRenderingContext2D, row: number, scale: number): void {
     const { positions, joints, header } = this.data;
-    this.projector.project(positions.subarray(3 * row * joints, 3 * (row + 1) * joints), this.joints);
+    const doubted = new Set(doubtfulAt(this.data, row));
+    const here = positions.subarray(3 * row * joints, 3 * (row + 1) * joints);
+    this.lines(c, here, 4.5 / scale, () => "rgb(0 0 0 / 65%)");
+    this.lines(c, here, 2.2 / scale, (j) => (doubted.has(j) ? DOUBTFUL : LIMBS[side(header.joint_names[j]!)]));
+  }
+
+  private lines(c: CanvasRenderingContext2D, positions: Float32Array, width: number, tone: (joint: number) => string): void {
+    this.projector.project(positions, this.joints);
     c.lineCap = "round";
-    for (const [width, of] of [[4.5, null], [2.2, side]] as const) {
-      c.lineWidth = width / scale;
-      header.parents.forEach((p, j) => {
-        if (p < 0) return;
-        const [x0, y0] = [this.joints[2 * p]!, this.joints[2 * p + 1]!];
-        const [x1, y1] = [this.joints[2 * j]!, this.joints[2 * j + 1]!];
-        if (!Number.isFinite(x0 + y0 + x1 + y1)) return;
-        c.strokeStyle = of ? LIMBS[of(header.joint_names[j]!)] : "rgb(0 0 0 / 65%)";
-        c.beginPath();
-        c.moveTo(x0, y0);
-        c.lineTo(x1, y1);
-        c.stroke();
-      });
-    }
+    c.lineWidth = width;
+    this.data.header.parents.forEach((p, j) => {
+      if (p < 0) return;
+      const [x0, y0] = [this.joints[2 * p]!, this.joints[2 * p + 1]!];
+      const [x1, y1] = [this.joints[2 * j]!, this.joints[2 * j + 1]!];
+      if (!Number.isFinite(x0 + y0 + x1 + y1)) return;
+      c.strokeStyle = tone(j);
+      c.beginPath();
+      c.moveTo(x0, y0);
+      c.lineTo(x1, y1);
+      c.stroke();
+    });
   }
 }
 
 /** On pictures the colours do not follow the theme: what is filmed does not either. */
+const DOUBTFUL = "#ff5257";
 const LIMBS = { left: "#f5a04a", right: "#5bb2f5", middle: "#f2f5f7" };

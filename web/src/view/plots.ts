@@ -7,6 +7,7 @@ import { Plot, type PlotOptions, type Series } from "../ui/plot";
 export interface Beside {
   data: ViewData;
   shift: number;
+  name: string;
 }
 
 interface Panel extends PlotOptions {
@@ -39,7 +40,8 @@ const ANGLE_GROUPS: readonly [string, string, readonly [string, readonly string[
 ];
 const WINDOWS = [0, 5, 20, 60];
 const LONG_S = 60; // longer results begin with a part of themselves: whole, their curves would be solid blocks
-const THREE = ["middle", "good", "other"] as const;
+const MOST_PANELS = 5;
+const THREE = ["middle", "accent", "warn"] as const; // told apart in both themes, also by who sees red and green alike
 
 /** Joint angles and the quality of the fit over time, in groups. */
 export class PlotPane {
@@ -106,7 +108,7 @@ export class PlotPane {
     const group = this.groups.find((g) => g.name === name);
     const flagged = stretches(this.data.flags);
     const panels = group?.panels(this.data, this.beside) ?? [];
-    this.plots = panels.map(({ series, ...options }) => {
+    this.plots = panels.slice(0, MOST_PANELS).map(({ series, ...options }) => {
       return new Plot(this.data.times, series, { ...options, chosen: this.chosen, flagged, window: this.window });
     });
     this.element.replaceChildren(...this.plots.map((p) => p.element));
@@ -123,34 +125,71 @@ function angles(panels: readonly [string, readonly string[]][]) {
         const values = angle(data, name);
         if (!values) return [];
         const label = two ? side(name) : (name.split("_").pop() ?? name);
-        const one: Series = { label, colour: two ? side(name) : THREE[i % 3]!, values };
+        const one: Series = { label, colour: two ? side(name) : THREE[i % 3]!, values, sd: angle(data, name, data.angleSd), doubtful: wrongAngle(data, name) };
         const other = beside && angle(beside.data, name);
         if (!other) return [one];
-        return [one, { ...one, label: "", values: shifted(other, beside.shift, data.frames), dashed: true }];
+        return [one, { label: beside.name, colour: one.colour, values: shifted(other, beside.shift, data.frames), dashed: true }];
       });
       return { title, unit: "°", series };
     });
 }
 
-function angle(data: ViewData, name: string): Float32Array | null {
+function angle(data: ViewData, name: string, of: Float32Array | null = data.angles): Float32Array | null {
   const at = data.header.angles.findIndex((a) => a.name === name);
-  return data.angles && at >= 0 ? data.angles.subarray(at * data.frames, (at + 1) * data.frames) : null;
+  return of && at >= 0 ? of.subarray(at * data.frames, (at + 1) * data.frames) : null;
+}
+
+/** The joints that an angle is made of, next to the ones that it turns. */
+const MADE_OF: readonly [RegExp, readonly string[]][] = [
+  [/^hip_/, ["hip", "knee"]],
+  [/^knee_/, ["hip", "knee", "ankle"]],
+  [/^(ankle|subtalar)_/, ["knee", "ankle"]],
+  [/^arm_/, ["shoulder", "elbow"]],
+  [/^elbow_/, ["shoulder", "elbow", "wrist"]],
+  [/^lumbar_/, ["spine", "chest"]],
+  [/^neck_/, ["neck", "head"]],
+  [/^pelvis_/, ["pelvis"]],
+];
+
+/** (T) 1 where a joint of an angle may be wrong. */
+function wrongAngle(data: ViewData, name: string): Uint8Array | null {
+  const which = side(name);
+  const parts = MADE_OF.find(([pattern]) => pattern.test(name))?.[1] ?? [];
+  return wrongJoints(data, parts.map((p) => (which === "middle" ? p : `${which}_${p}`)));
+}
+
+/** (T) 1 where one of these joints may be wrong. */
+function wrongJoints({ header, doubtful, joints, frames }: ViewData, names: readonly string[]): Uint8Array | null {
+  if (!doubtful) return null;
+  const columns = names.map((n) => header.joint_names.indexOf(n)).filter((j) => j >= 0);
+  return Uint8Array.from({ length: frames }, (_, t) => Number(columns.some((j) => doubtful[t * joints + j])));
 }
 
 function shifted(values: Float32Array, shift: number, frames: number): Float32Array {
   return Float32Array.from({ length: frames }, (_, i) => values[i + shift] ?? NaN);
 }
 
-function place(data: ViewData): Panel[] {
-  const of = (joint: string, axis: number): Float32Array | null => {
+/** Where xx, yy and zz stand in a covariance of six numbers. */
+const DIAGONAL = [0, 3, 5] as const;
+
+function coordinate(data: ViewData, joint: string, axis: number): Float32Array | null {
+  const j = data.header.joint_names.indexOf(joint);
+  if (j < 0) return null;
+  return Float32Array.from({ length: data.frames }, (_, t) => data.positions[3 * (t * data.joints + j) + axis]!);
+}
+
+function place(data: ViewData, beside: Beside | null): Panel[] {
+  const spread = (joint: string, axis: number): Float32Array => {
     const j = data.header.joint_names.indexOf(joint);
-    if (j < 0) return null;
-    return Float32Array.from({ length: data.frames }, (_, t) => data.positions[3 * (t * data.joints + j) + axis]!);
+    return Float32Array.from({ length: data.frames }, (_, t) => Math.sqrt(data.covariance[6 * (t * data.joints + j) + DIAGONAL[axis]!]!));
   };
   const lines = (named: readonly [string, string, number, string][]): Series[] =>
-    named.flatMap(([label, joint, axis, tone]) => {
-      const values = of(joint, axis);
-      return values ? [{ label, colour: tone, values }] : [];
+    named.flatMap(([label, joint, axis, tone]): Series[] => {
+      const values = coordinate(data, joint, axis);
+      if (!values) return [];
+      const one: Series = { label, colour: tone, values, sd: spread(joint, axis), doubtful: wrongJoints(data, [joint]) };
+      const other = beside && coordinate(beside.data, joint, axis);
+      return other ? [one, { label: beside!.name, colour: tone, values: shifted(other, beside!.shift, data.frames), dashed: true }] : [one];
     });
   const root = data.header.joint_names[0] ?? "pelvis";
   return [
@@ -183,7 +222,19 @@ function quality(data: ViewData): Panel[] {
   const panels: Panel[] = [];
   if (data.cost.some(Number.isFinite)) {
     const overlap = data.cost.map((c) => 1 - c);
-    panels.push({ title: "Overlap with the masks", unit: "IoU", range: [0, 1], series: [{ label: "", colour: "accent", values: overlap }] });
+    panels.push({ title: "Overlap with the masks", unit: "IoU", series: [{ label: "", colour: "accent", values: overlap }] });
+  }
+  if (data.wrong) {
+    const { wrong } = data;
+    const worst = Float32Array.from({ length: frames }, (_, t) => {
+      let most = NaN;
+      for (let j = 0; j < joints; j++) {
+        const percent = wrong[t * joints + j]!;
+        if (percent <= 100 && !(percent <= most)) most = percent;
+      }
+      return most;
+    });
+    panels.push({ title: "Most doubtful joint is wrong", unit: "%", range: [0, 10], series: [{ label: "", colour: "doubtful", values: worst }] });
   }
   if (data.sd.some(Number.isFinite)) {
     const series = REGIONS.map(([label, tone, which]) => {

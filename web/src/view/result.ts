@@ -1,12 +1,13 @@
-import { DOUBTFUL, type ViewData } from "../lib/bundle";
+import { DOUBTFUL, doubtfulAt, toLookAt, type Stretch, type ViewData } from "../lib/bundle";
 import { button, select, tabs, toggle, type Toggle } from "../ui/buttons";
 import { h, onResize, setText } from "../ui/dom";
-import type { IconName } from "../ui/icons";
+import { icon, type IconName } from "../ui/icons";
 import { bindKeys } from "../ui/keyboard";
 import { splitter } from "../ui/split";
 import { clock, Timeline } from "../ui/timeline";
 import { toast } from "../ui/toast";
 import { CameraPane } from "./cameras";
+import type { Corrector } from "./correct";
 import { details } from "./details";
 import { viewKeys } from "./keys";
 import { measure } from "./measure";
@@ -26,11 +27,14 @@ export interface ResultOptions {
   row?: number;
   /** Keys are taken only while pointer or focus are in here; by default always. */
   keysIn?: HTMLElement;
+  /** What puts a frame right, where that can be done. */
+  corrector?: (view: ResultView) => Corrector;
   /** Called when the frame has rested for a moment. */
   rested?: (row: number) => void;
 }
 
 const TELL_MS = 120;
+const TOGETHER_S = 0.2; // doubts that lie closer together are one to jump to
 const LAYER_BUTTONS: readonly [Layer, string, IconName, string][] = [
   ["body", "Body", "body", "b"],
   ["skeleton", "Skeleton", "skeleton", "s"],
@@ -47,6 +51,7 @@ export class ResultView {
   readonly player: Player;
   readonly space: Space;
   readonly cameras: CameraPane;
+  readonly corrector: Corrector | null;
   private readonly plots: PlotPane;
   private readonly timeline: Timeline;
   private readonly play: HTMLButtonElement;
@@ -56,6 +61,8 @@ export class ResultView {
   private readonly follow: Toggle;
   private readonly legend = h("div", { class: "legend" });
   private readonly open = h("output", { class: "openness number", "aria-live": "off" });
+  private readonly doubts = h("output", { class: "doubts", "aria-live": "off" });
+  private readonly suspects: Stretch[];
   private readonly stop: (() => void)[] = [];
   private readonly measured = measure();
   private pending = false;
@@ -78,15 +85,18 @@ export class ResultView {
     this.space = new Space(data, () => this.schedule());
     this.cameras = new CameraPane(data, source, (message) => toast(message, "error"));
     this.plots = new PlotPane(data, go);
+    this.corrector = options.corrector?.(this) ?? null;
     const curve = data.cost.some(Number.isFinite) ? data.cost.map((c) => 1 - c) : null;
-    this.timeline = new Timeline({ times: data.times, flags: data.flags, curve }, go);
+    const many = data.doubtful && Uint8Array.from({ length: data.frames }, (_, t) => doubtfulAt(data, t).length);
+    this.timeline = new Timeline({ times: data.times, flags: data.flags, doubtful: many, curve }, go);
+    this.suspects = toLookAt(data, Math.round(TOGETHER_S * header.frame_rate));
 
     this.follow = toggle("Follow", false, (on) => {
       this.space.follow = on;
       this.space.show(this.player.row);
       this.schedule();
     }, { icon: "follow", title: "Keep the person in the middle" });
-    const holder = h("div", { class: "space-canvas" }, this.space.stage.canvas, this.legend, this.open);
+    const holder = h("div", { class: "space-canvas" }, this.space.stage.canvas, this.doubts, this.legend, this.open);
     this.stop.push(onResize(holder, (w, height) => this.space.resize(w, height)));
     this.space.stage.canvas.setAttribute("aria-label", "The person in three dimensions; drag to turn, wheel to come closer");
     const space = h(
@@ -103,7 +113,7 @@ export class ResultView {
     const doubtful = data.flags.reduce((n, flag) => n + Number(flag === DOUBTFUL), 0);
     const keys = bindKeys("Keys of this screen", viewKeys(this), options.keysIn);
     this.stop.push(keys.stop);
-    const flagged = this.timeline.flagged.length > 0;
+    const flagged = this.suspects.length > 0;
     const transport = h(
       "section",
       { class: "transport", "aria-label": "Time" },
@@ -115,7 +125,7 @@ export class ResultView {
         button("", () => this.player.step(1), { icon: "next", title: "One frame on", key: "→", kind: "quiet" }),
         this.speed,
         toggle("", true, (on) => (this.player.loop = on), { icon: "loop", title: "Begin again at the end" }).element,
-        flagged ? button("Next flag", () => this.nextFlag(1), { icon: "flag", title: "Next stretch that is lost, extrapolated or doubtful", key: "n", kind: "quiet" }) : null,
+        flagged ? button("Next doubt", () => this.nextFlag(1), { icon: "flag", title: "Next stretch that is lost, extrapolated or doubtful", key: "n", kind: "quiet" }) : null,
       ),
       this.timeline.element,
       this.where,
@@ -137,6 +147,8 @@ export class ResultView {
         h("span", { class: "grow" }),
         ...(options.tools ?? []),
         button("", keys.help, { icon: "help", title: "Keys", key: "?", kind: "quiet" }),
+        header.verdict ? verdict(header.verdict) : null,
+        this.corrector?.element ?? null,
       ),
       main,
       h("section", { class: "pane plots-pane", "aria-label": "Plots" }, h("div", { class: "pane-head" }, this.plots.tabs, h("span", { class: "grow" }), this.plots.span), this.plots.element),
@@ -172,7 +184,7 @@ export class ResultView {
 
   /** Goes to the beginning of the next (1) or the previous (-1) stretch that is lost, extrapolated or doubtful. */
   nextFlag(direction: 1 | -1): void {
-    const firsts = this.timeline.flagged.map((s) => s.first);
+    const firsts = this.suspects.map((s) => s.first);
     const row = this.player.row;
     const found = direction > 0 ? firsts.find((f) => f > row) : firsts.filter((f) => f < row).pop();
     const next = found ?? (direction > 0 ? firsts[0] : firsts[firsts.length - 1]);
@@ -181,12 +193,13 @@ export class ResultView {
   }
 
   /** Puts another run beside this one; null takes it away. */
-  compare(beside: Beside | null, name = ""): void {
+  compare(beside: Beside | null): void {
     this.legend.replaceChildren(
-      ...(beside ? [entry("middle", "this result"), entry("extrapolated", name)] : []),
+      ...(beside ? [entry("middle", "this result"), entry("beside", `${beside.name} (dashed in the plots)`)] : []),
       ...(beside && this.space.hasTruth ? [entry("other", "truth")] : []),
     );
     this.space.compare(beside);
+    this.cameras.compare(beside);
     this.plots.compare(beside);
     this.schedule();
   }
@@ -196,10 +209,19 @@ export class ResultView {
     clearTimeout(this.rest);
     this.player.playing = false;
     this.measured.stop();
+    this.corrector?.close();
     this.space.close();
     this.cameras.close();
     this.plots.close();
     this.timeline.close();
+  }
+
+  /** The frame shown has changed by itself: its joints were moved. */
+  redraw(): void {
+    this.space.show(this.player.row);
+    this.cameras.draw();
+    this.told = -1;
+    this.schedule();
   }
 
   /** Something is to be shown anew. */
@@ -251,6 +273,8 @@ export class ResultView {
     this.toldAt = now;
     setText(this.where, this.place(this.shown));
     if (this.data.rivals) setText(this.open, openness(this.data.rivals, this.shown));
+    const doubtful = doubtfulAt(this.data, this.shown).map((j) => (this.data.header.joint_names[j] ?? "").replaceAll("_", " "));
+    setText(this.doubts, doubtful.length ? `May be wrong here: ${doubtful.join(", ")}` : "");
     this.plots.tell();
   }
 
@@ -300,7 +324,7 @@ export class ResultView {
 
   private rightPane(source: Source): HTMLElement {
     const about = details(this.data, source, this.options.doctor ?? null);
-    const tools = h("div", { class: "row" }, ...this.cameras.tools());
+    const tools = h("div", { class: "row" }, this.corrector?.opener ?? null, ...this.cameras.tools());
     const panel = h("div", { class: "right-content" }, this.cameras.element, about);
     const { element, show } = tabs("Beside", [{ name: "cameras", label: "Cameras" }, { name: "details", label: "Details" }], (name) => {
       this.cameras.element.hidden = tools.hidden = name !== "cameras";
@@ -323,6 +347,14 @@ const TITLES: Record<Layer, string> = {
 
 function entry(tone: string, text: string): HTMLElement {
   return h("span", { style: `--c: var(--${tone})` }, text);
+}
+
+const TONES = { good: ["good", "done"], look: ["warn", "warning"], "not to be trusted": ["bad", "warning"] } as const;
+
+/** What is to be thought of the result, in one line on top of it. */
+function verdict({ word, sentence }: NonNullable<ViewData["header"]["verdict"]>): HTMLElement {
+  const [tone, sign] = TONES[word] ?? TONES.look;
+  return h("p", { class: `view-verdict ${tone}` }, icon(sign), h("span", {}, sentence));
 }
 
 function round(rate: number): string {

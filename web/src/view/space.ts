@@ -1,5 +1,5 @@
 import { Box3, Group, Vector3 } from "three";
-import type { ViewData } from "../lib/bundle";
+import { doubtfulAt, type ViewData } from "../lib/bundle";
 import { Projector } from "../lib/camera";
 import { memory } from "../ui/dom";
 import { onTheme } from "../ui/theme";
@@ -93,7 +93,10 @@ export class Space {
   /** Moves everything that is on to a frame; draw() makes it seen. */
   show(row: number): void {
     this.row = row;
-    if (this.on.skeleton || !this.body) this.sticks.place(this.data.positions, 3 * row * this.data.joints);
+    if (this.on.skeleton || !this.body) {
+      this.sticks.doubt(doubtfulAt(this.data, row));
+      this.sticks.place(this.data.positions, 3 * row * this.data.joints);
+    }
     if (this.on.body) this.body?.place(row);
     if (this.on.spread) this.spread.place(row);
     if (this.on.rivals) this.rivals?.place(row);
@@ -130,7 +133,7 @@ export class Space {
     this.other = null;
     if (beside) {
       const { header } = beside.data;
-      this.other = { beside, sticks: new Sticks(header.parents, header.joint_names, "extrapolated", 0.75) };
+      this.other = { beside, sticks: new Sticks(header.parents, header.joint_names, "beside", 0.75) };
       this.otherBox.add(this.other.sticks.group);
     }
     this.show(this.row);

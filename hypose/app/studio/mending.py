@@ -1,0 +1,123 @@
+"""What a check has found, mended by a change of recording.toml, in whose other lines nothing changes.
+
+Every change is tried: where the recording cannot be read with it, the text is as it was, and the sentence says why.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from hypose.app.studio.asked import choice, text
+from hypose.app.studio.uploads import Uploads
+from hypose.errors import HyposeError, InputError
+from hypose.io.calibrations.calibration_toml import toml_value
+from hypose.io.files import write_text
+from hypose.io.recordings.recording import Recording, load_recording
+from hypose.io.recordings.recording_keys import read_toml
+
+KINDS = ("accept_scaled", "leave_out", "take_back", "background", "use_refined")
+_AWAY = "#left out# "
+"""Stands before every line of a view that is left out, so that it can be taken back."""
+_REFINED = "results/calibration_refined*.toml"
+
+
+def mend(folder: Path, recording: Recording | None, asked: dict[str, Any], uploads: Uploads) -> None:
+    """Do what is asked: {"what": one of KINDS, "view": name, "upload": id of the picture or video of an empty room}.
+    recording: as it is read now, None where it cannot be."""
+    what = choice(asked.get("what"), "way to mend", KINDS)
+    path = folder / "recording.toml"
+    if not path.is_file():
+        raise InputError(f"{folder.name} has no recording.toml to be changed; a Pose2Sim project is only read.")
+    before = path.read_text(encoding="utf-8-sig")
+    if what == "use_refined":
+        return _try(path, before, _with_calibration(before, refined(folder)))
+    if what == "take_back":
+        return _try(path, before, "\n".join(line.removeprefix(_AWAY) for line in before.split("\n")))
+    names = _names(path, recording)
+    name = choice(asked.get("view"), "view", names)
+    number = names.index(name)
+    if what == "accept_scaled":
+        return _try(path, before, _changed(before, number, lambda b: _set(b, "accept_scaled", True)))
+    if what == "leave_out":
+        if len(names) < 2:
+            raise InputError(f"{name} is the only view; a recording needs one.")
+        return _try(
+            path, before, _changed(before, number, lambda b: [_AWAY + line if line.strip() else line for line in b])
+        )
+    upload = text(asked.get("upload"), "picture of the empty room", 40, "drop one first")
+    place = uploads.hand_over(upload, folder / "backgrounds")
+    inside = place.relative_to(folder).as_posix()
+    return _try(path, before, _changed(before, number, lambda b: _set(b, "background", inside)))
+
+
+def _names(path: Path, recording: Recording | None) -> list[str]:
+    """The names of the views, also of a recording that cannot be read as it is."""
+    if recording is not None:
+        return [v.name for v in recording.views]
+    tables = read_toml(path).get("view", [])
+    return [str(t.get("name", t.get("camera", k))) for k, t in enumerate(tables, 1) if isinstance(t, dict)]
+
+
+def left_out(folder: Path) -> list[str]:
+    """Names of the views that have been left out of a recording."""
+    try:
+        lines = (folder / "recording.toml").read_text(encoding="utf-8-sig").split("\n")
+    except OSError:
+        return []
+    away = [line.removeprefix(_AWAY) for line in lines if line.startswith(_AWAY)]
+    found = [re.match(r"""\s*(?:name|camera)\s*=\s*["'](.+?)["']""", line) for line in away]
+    blocks = sum(line.strip() == "[[view]]" for line in away)
+    names = list(dict.fromkeys(m[1] for m in found if m))
+    return names if len(names) == blocks else [f"{blocks} views"] if blocks else []
+
+
+def refined(folder: Path) -> str | None:
+    """The newest refined calibration of a recording, relative to it."""
+    files = sorted(folder.glob(_REFINED), key=lambda p: p.stat().st_mtime)
+    return files[-1].relative_to(folder).as_posix() if files else None
+
+
+def _try(path: Path, before: str, after: str) -> None:
+    write_text(path, after)
+    try:
+        load_recording(path.parent)
+    except HyposeError as error:
+        write_text(path, before)
+        raise InputError(f"That does not mend it: {error}") from None
+
+
+def _changed(whole: str, number: int, change: Callable[[list[str]], list[str]]) -> str:
+    """The text with the lines of its view `number` changed."""
+    lines = whole.split("\n")
+    heads = [i for i, line in enumerate(lines) if line.split("#")[0].strip() == "[[view]]"]
+    if number >= len(heads):
+        raise InputError("The views are not written as [[view]] in recording.toml; change it by hand.")
+    first = heads[number]
+    following = (i for i in range(first + 1, len(lines)) if lines[i].lstrip().startswith("["))
+    stop = next(following, len(lines))
+    while stop > first + 1 and not lines[stop - 1].strip():
+        stop -= 1
+    return "\n".join([*lines[:first], *change(lines[first:stop]), *lines[stop:]])
+
+
+def _put_away(block: list[str]) -> list[str]:
+    return [_AWAY + line if line.strip() else line for line in block]
+
+
+def _set(block: list[str], key: str, value: Any) -> list[str]:
+    kept = [line for line in block if not re.match(rf"\s*{key}\s*=", line)]
+    return [*kept, f"{key} = {toml_value(value)}"]
+
+
+def _with_calibration(whole: str, name: str | None) -> str:
+    """The text with another calibration, in metres and z up, and that of before behind a #."""
+    if name is None:
+        raise InputError("There is no refined calibration yet; refine it first.")
+    lines = whole.split("\n")
+    end = next((i for i, line in enumerate(lines) if line.lstrip().startswith("[")), len(lines))
+    old = re.compile(r"\s*(calibration|calibration_unit|world_up)\s*=")
+    head = [f"# before: {line.strip()}" if old.match(line) else line for line in lines[:end]]
+    return "\n".join([f"calibration = {toml_value(name)}", *head, *lines[end:]])

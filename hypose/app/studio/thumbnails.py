@@ -1,0 +1,54 @@
+"""The small picture of a result in a list: the person, cut out of a recorded picture, with the skeleton."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from hypose.app.reports.result_pictures import Image
+from hypose.app.studio.catalog import NotFound
+from hypose.app.studio.view_pictures import ViewPictures
+from hypose.body.motion import Motion
+from hypose.body.skeleton import Skeleton
+from hypose.geometry import Array
+
+_SIZE = (192, 144)
+"""px, width and height."""
+_ROOM = 1.35
+"""The picture's height over that of the joints in it."""
+_QUALITY = 82
+_LEFT, _RIGHT, _MIDDLE = (74, 160, 245), (245, 178, 91), (247, 245, 242)  # BGR; as in View
+
+
+def thumbnail(motion: Motion, pictures: ViewPictures) -> bytes:
+    """A JPEG of the frame in the middle, as the first camera with a picture of it sees it; NotFound when none has."""
+    seen = np.flatnonzero(np.isfinite(motion.joints).all((1, 2)))
+    row = int(seen[len(seen) // 2]) if len(seen) else 0
+    found = pictures.seen(row, motion.joints[row]) if len(seen) else None
+    if found is None:
+        raise NotFound("There are no pictures of this result.")
+    return _drawn(*found, motion.skeleton)
+
+
+def _drawn(image: Image, points: Array, skeleton: Skeleton) -> bytes:
+    h, w = image.shape[:2]
+    inside = points[np.isfinite(points).all(1)]
+    low, high = (inside.min(0), inside.max(0)) if len(inside) else (np.zeros(2), np.array([w, h], dtype=float))
+    across, up = (_ROOM * (high - low)).tolist()
+    tall = min(float(h), max(24.0, up, across * _SIZE[1] / _SIZE[0]))
+    wide = min(float(w), tall * _SIZE[0] / _SIZE[1])
+    tall = wide * _SIZE[1] / _SIZE[0]
+    corner = np.clip((low + high) / 2 - (wide / 2, tall / 2), 0, np.maximum((w - wide, h - tall), 0))
+    scale = _SIZE[0] / wide
+    cut = np.array([[scale, 0, -scale * corner[0]], [0, scale, -scale * corner[1]]])
+    small = cv2.warpAffine(image, cut, _SIZE, flags=cv2.INTER_AREA)
+    at = scale * (points - corner)
+    names = skeleton.joint_names
+    for joint, parent in enumerate(skeleton.parents):
+        if parent < 0 or not np.isfinite(at[[joint, parent]]).all():
+            continue
+        a, b = ((round(float(x)), round(float(y))) for x, y in at[[parent, joint]])
+        colour = _LEFT if names[joint].startswith("left") else _RIGHT if names[joint].startswith("right") else _MIDDLE
+        cv2.line(small, a, b, (20, 20, 20), 4, cv2.LINE_AA)
+        cv2.line(small, a, b, colour, 2, cv2.LINE_AA)
+    return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()

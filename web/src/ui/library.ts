@@ -1,0 +1,64 @@
+import { post, remove } from "../api";
+import { button, menu } from "./buttons";
+import { h } from "./dom";
+import { toast } from "./toast";
+
+type Kind = "recordings" | "results";
+
+/** What can be done with a recording or a result in a list: rename it, delete it with a way back. */
+export function itemMenu(kind: Kind, item: { id: string; name: string; path: string }, changed: () => void, more: HTMLElement[] = []): HTMLElement {
+  return menu(
+    "",
+    () => [
+      { label: "Rename", act: () => rename(kind, item, changed) },
+      { label: "Delete", hint: "can be brought back", act: () => void erase(kind, item, changed) },
+      ...more,
+    ],
+    { icon: "more", kind: "quiet", title: `More about ${item.path}` },
+  );
+}
+
+/** Deletes something, and offers the way to have it back. */
+export async function erase(kind: Kind, item: { id: string; name: string }, changed: () => void): Promise<boolean> {
+  try {
+    const { trash } = await remove(kind, item.id);
+    toast(`${item.name} is deleted.`, "said", { label: "Bring it back", act: () => void bringBack(trash, item.name, changed) });
+    changed();
+    return true;
+  } catch (error) {
+    toast((error as Error).message, "error");
+    return false;
+  }
+}
+
+async function bringBack(trash: string, name: string, changed: () => void): Promise<void> {
+  try {
+    await post(`/api/trash/${trash}`);
+    toast(`${name} is back.`, "done");
+    changed();
+  } catch (error) {
+    toast((error as Error).message, "error");
+  }
+}
+
+function rename(kind: Kind, item: { id: string; name: string }, changed: () => void): void {
+  const name = h("input", { type: "text", value: item.name, maxlength: 80, pattern: "[A-Za-z0-9_.\\-]+", required: true, "aria-label": "New name" });
+  const go = button("Rename", () => undefined, { kind: "primary" });
+  go.type = "submit";
+  const dialog = h("dialog", { "aria-label": `Rename ${item.name}` });
+  const form = h("form", { class: "rename" }, h("h2", {}, `Rename ${item.name}`), name, h("div", { class: "row end" }, button("Cancel", () => dialog.close()), go));
+  form.addEventListener("submit", (event) => {
+    event.preventDefault();
+    post(`/api/${kind}/${item.id}/name`, { name: name.value })
+      .then(() => {
+        dialog.close();
+        changed();
+      })
+      .catch((error: Error) => toast(error.message, "error"));
+  });
+  dialog.addEventListener("close", () => dialog.remove());
+  dialog.append(form);
+  document.body.append(dialog);
+  dialog.showModal();
+  name.select();
+}

@@ -1,0 +1,57 @@
+// The list of results: a picture and the verdict of each; searched, sorted, renamed, deleted and brought back.
+import assert from "node:assert/strict";
+import { cpSync, existsSync } from "node:fs";
+import { join } from "node:path";
+import { cutOff, walk } from "./harness.mjs";
+
+await walk(
+  async ({ page, folder, picture }) => {
+    const results = join(folder, "walk", "results");
+    for (const name of ["first", "second"]) cpSync(join(results, "default"), join(results, name), { recursive: true });
+    await page.reload({ waitUntil: "commit" });
+    const rows = page.locator(".result");
+    const names = () => page.locator(".result b").allInnerTexts();
+    await page.waitForFunction(() => document.querySelectorAll(".result").length === 3);
+    await page.waitForFunction(() => [...document.querySelectorAll(".result-picture img")].filter((i) => i.naturalWidth === 192).length === 3);
+    for (const text of await rows.allInnerTexts()) assert.match(text, /(good|look|not to be trusted)[\s\S]*overlap 0\.\d\d · ± \d+ mm[\s\S]*8 frames/);
+    await picture("library");
+    await page.getByLabel("Order").selectOption("name");
+    assert.deepEqual(await names(), ["walk: default", "walk: first", "walk: second"]);
+    await page.getByLabel("Search the results").fill("FIR");
+    assert.deepEqual(await names(), ["walk: first"]);
+    await page.getByText("1 of 3 in").waitFor();
+    await page.getByLabel("Search the results").fill("");
+
+    const more = (name) => page.getByRole("button", { name: `More about walk/results/${name}` });
+    await more("second").click();
+    await page.getByRole("menuitem", { name: "Rename" }).click();
+    await page.getByLabel("New name").fill("monday");
+    await page.getByRole("button", { name: "Rename", exact: true }).click();
+    await page.getByText("walk: monday").waitFor();
+    assert.ok(existsSync(join(results, "monday", "motion.npz")) && !existsSync(join(results, "second")));
+    await more("first").click();
+    await page.getByRole("menuitem", { name: /Delete/ }).click();
+    await page.waitForFunction(() => document.querySelectorAll(".result").length === 2);
+    assert.ok(!existsSync(join(results, "first")));
+    await page.getByRole("button", { name: "Bring it back" }).click();
+    await page.waitForFunction(() => document.querySelectorAll(".result").length === 3);
+    assert.ok(existsSync(join(results, "first", "motion.npz")));
+    for (const [width, height] of [[1280, 720], [390, 844]]) {
+      await page.setViewportSize({ width, height });
+      assert.deepEqual(await cutOff(page), []);
+      await picture(`library-${width}`);
+    }
+    await page.getByRole("link", { name: /walk: monday/ }).click();
+    await page.locator(".where").waitFor();
+
+    // recordings too
+    await page.evaluate(() => (location.hash = "#/setup"));
+    await page.getByRole("button", { name: "More about walk" }).click();
+    await page.getByRole("menuitem", { name: "Rename" }).click();
+    await page.getByLabel("New name").fill("tuesday");
+    await page.getByRole("button", { name: "Rename", exact: true }).click();
+    await page.getByRole("link", { name: /tuesday/ }).waitFor();
+    assert.ok(existsSync(join(folder, "tuesday", "recording.toml")));
+  },
+  { at: "#/view" },
+);

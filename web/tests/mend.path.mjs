@@ -1,0 +1,70 @@
+// What is found wrong is mended with a button, not with a line to be typed: a stretched video, a camera that is off, an
+// empty room, a refined calibration.
+import assert from "node:assert/strict";
+import { cpSync, readFileSync, writeFileSync } from "node:fs";
+import { join } from "node:path";
+import { cutOff, walk } from "./harness.mjs";
+
+await walk(
+  async ({ page, folder, picture }) => {
+    const at = (...parts) => join(folder, "walk", ...parts);
+    const toml = () => readFileSync(at("recording.toml"), "utf-8");
+    const calibration = readFileSync(at("calibration.toml"), "utf-8");
+    const stretched = calibration.replace("size = [160, 120]", "size = [160, 100]");
+    assert.notEqual(stretched, calibration);
+    const { recordings } = await (await fetch(new URL("api/state", process.env.STUDIO))).json();
+    const open = async () => {
+      await page.evaluate(() => (location.hash = "#/view"));
+      await page.evaluate((id) => (location.hash = `#/setup/${id}`), recordings[0].id);
+      await page.locator(".setup-title").waitFor();
+    };
+
+    // a recording that cannot be used because a video was stretched
+    writeFileSync(at("calibration.toml"), stretched);
+    await open();
+    await page.getByRole("alert").getByText("camera cam1 is calibrated for 160 x 100").waitFor();
+    await page.getByRole("button", { name: "Leave cam1 out" }).waitFor();
+    await page.getByRole("button", { name: "It was stretched: accept it" }).click();
+    await page.getByText("4 cameras · 8 frames").waitFor();
+    assert.match(toml(), /accept_scaled = true/);
+
+    // the same with files that are dropped
+    await page.evaluate(() => (location.hash = "#/setup"));
+    await page.getByLabel("Videos and calibration").setInputFiles([at("calibration.toml"), ...[1, 2].map((k) => at("videos", `cam${k}.mp4`))]);
+    await page.getByText("No video of cam3, cam4: the recording is made without.").waitFor();
+    await page.getByLabel("Name of the recording").fill("two");
+    await page.getByRole("button", { name: "Make the recording" }).click();
+    await page.getByRole("button", { name: "It was stretched: accept it" }).click();
+    await page.getByRole("heading", { name: "two" }).waitFor();
+    writeFileSync(at("calibration.toml"), calibration);
+
+    // findings of a check, the cause of others first
+    const finding = (kind, views, text) => ({ fault: true, kind, views, sentence: text });
+    writeFileSync(at("results", "check.json"), JSON.stringify({
+      healthy: false, facts: [], warnings: [], views: [], page: null,
+      findings: [finding("keypoint_lag", ["cam1"], "cam1: its key points come late."), finding("extrinsics", ["cam2"], "cam2: it was moved since.")],
+    }));
+    cpSync(at("calibration.toml"), at("results", "calibration_refined.toml"));
+    await open();
+    await page.locator("[data-step=check]").click();
+    await page.getByText("2 things should be mended.").waitFor();
+    const found = await page.locator(".finding").allInnerTexts();
+    assert.ok(found.findIndex((t) => /moved since/.test(t)) < found.findIndex((t) => /come late/.test(t)), "the cause comes first");
+    await picture("mend-findings");
+    assert.deepEqual(await cutOff(page), []);
+    await page.getByRole("button", { name: "Leave cam2 out" }).click();
+    await page.getByText("Left out: cam2.").waitFor();
+    await page.getByText("3 cameras · 8 frames").waitFor();
+    await page.getByRole("button", { name: "Take back" }).click();
+    await page.getByText("4 cameras · 8 frames").waitFor();
+    await page.getByRole("button", { name: "Use the refined calibration" }).click();
+    await page.getByRole("button", { name: "Use the refined calibration" }).waitFor({ state: "hidden" });
+    assert.match(toml(), /^calibration = .results\/calibration_refined\.toml/);
+    await page.getByText("Empty rooms", { exact: true }).click();
+    await page.getByLabel("Empty room of cam3").setInputFiles(at("background", "cam4.mp4"));
+    await page.getByText("cam3 has another empty room").waitFor();
+    assert.match(toml(), /background = .backgrounds\/cam4\.mp4/);
+    await picture("mend-done");
+  },
+  { at: "#/setup", expected: /400/ },
+);
