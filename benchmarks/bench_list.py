@@ -37,16 +37,19 @@ from benchmarks.multiview import (
     doubt_bench,
     front_back,
     lost_arms,
+    opensim_ik_bench,
     path_speed,
     real_recordings,
     rigging,
     scorer_speed,
     solve_speed,
+    starts_bench,
     table_2_3,
     table_2_4,
     uncertainty,
 )
 from benchmarks.one_camera import mono_benchmarks, mono_real
+from benchmarks.people import mixed_up, shelf, together, two_people
 from benchmarks.robustness import batch_scale, faults, inputs, kills
 from hypose.errors import InputError
 
@@ -75,12 +78,17 @@ def benchmarks() -> dict[str, Benchmark]:
     return {
         "table-2.3": Benchmark(table_2_3.table_2_3, "seeds", "first_seed", "data", "parts"),
         "table-2.4": Benchmark(table_2_4.table_2_4, "seeds", "first_seed", "parts"),
+        "people": Benchmark(together.people, "seeds", "first_seed", "data", "parts"),
+        "shelf": Benchmark(shelf.shelf, "data"),
+        "two-people": Benchmark(two_people.two_people, "data"),
+        "mixed-up": Benchmark(mixed_up.mixed_up, "seeds", "first_seed", "parts"),
         "court-4": Benchmark(court.court_4, "seeds", "first_seed", "parts"),
         "arms": Benchmark(lost_arms.arms, "seeds", "first_seed", "data", "parts"),
         "doubt": Benchmark(doubt_bench.doubt, "seeds", "first_seed", "data", "parts"),
         "uncertainty": Benchmark(uncertainty.uncertainty, "seeds", "first_seed", "data"),
         "real-balancing": Benchmark(real_recordings.real_balancing, "data"),
         "real-uu4cam": Benchmark(real_recordings.real_uu4cam, "data"),
+        "opensim": Benchmark(opensim_ik_bench.opensim, "data"),
         "inputs": Benchmark(inputs.bench_inputs),
         "calibration": Benchmark(board_accuracy.boards, "seeds", "first_seed", "data"),
         "doctor": Benchmark(planted_faults.doctor, "seeds", "first_seed"),
@@ -107,6 +115,7 @@ def benchmarks() -> dict[str, Benchmark]:
         "batch": Benchmark(batch_scale.batch, "seeds", "first_seed"),
         "faults": Benchmark(faults.faults, "seeds", "first_seed"),
         "front-back": Benchmark(front_back.front_back, "seeds", "first_seed"),
+        "starts": Benchmark(starts_bench.starts, "seeds", "first_seed", "parts"),
         "kills": Benchmark(kills.kills, "seeds", "first_seed"),
         "mono-arm": Benchmark(mono_benchmarks.mono_arm, "seeds", "first_seed"),
         "mono-body": Benchmark(mono_benchmarks.mono_body, "seeds", "first_seed", "data"),

@@ -5,6 +5,8 @@ from __future__ import annotations
 from benchmarks.bench_plot import Panels
 from benchmarks.bench_tables import Column, Line, Page, least, most
 from benchmarks.multiview.multiview_pages import BODIES, SEVERAL_CAMERAS
+from benchmarks.people.association_pages import WHO_IS_WHO
+from benchmarks.people.people_pages import PEOPLE_PAGES
 
 _CAMERAS = (
     Page(
@@ -339,6 +341,8 @@ _ROBUSTNESS = (
 
 SECTIONS: dict[str, tuple[Page, ...]] = {
     "Several cameras": SEVERAL_CAMERAS,
+    "Several people": PEOPLE_PAGES,
+    "Who is who": WHO_IS_WHO,
     "Bodies": BODIES,
     "Calibration, faults, timing": _CAMERAS,
     "Depth sensors": _FUSION,

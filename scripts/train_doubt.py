@@ -4,7 +4,7 @@
     python scripts/train_doubt.py fit FOLDER                          fits, judges on other seeds, writes the weights
                                                                       of P(wrong), and of the covariances
 
-Seeds below 900 are trained on, the others judge. FOLDER also serves the benchmark `doubt`.
+Seeds below `doubt_scenes.JUDGES` are trained on, the others judge. FOLDER also serves the benchmark `doubt`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from benchmarks.multiview.doubt_scenes import CASES, collect, load_all
+from benchmarks.multiview.doubt_scenes import PLANTED, cases_of, collect, load_all
 
 
 def main() -> None:
@@ -22,12 +22,12 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seeds", default="600:606")
     parser.add_argument("--evidence", default="silhouettes,keypoints,both")
-    parser.add_argument("--cases", default=",".join(CASES))
+    parser.add_argument("--cases", default="", help="default: those that the seed shows")
     given = parser.parse_args()
     if given.what == "collect":
         first, stop = (int(x) for x in given.seeds.split(":"))
         for seed in range(first, stop):
-            for case in given.cases.split(","):
+            for case in given.cases.split(",") if given.cases else cases_of(seed):
                 collect(given.folder, case, seed, given.evidence.split(","))
         return
     from benchmarks.multiview.doubt_fit import report_fit
@@ -35,6 +35,7 @@ def main() -> None:
 
     clips = load_all(given.folder)
     report_fit(clips)
+    clips = [c for c in clips if c.kind != PLANTED]
     write_spread(clips)
     for evidence, by in judged_by_seed(clips).items():
         print(evidence, {g: (round(c, 3), round(e, 3)) for g, (c, e) in by.items()})

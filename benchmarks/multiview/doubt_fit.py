@@ -16,18 +16,17 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 from scipy.stats import rankdata
 
-from benchmarks.multiview.doubt_scenes import EVIDENCE, Tracked
+from benchmarks.multiview.doubt_scenes import EVIDENCE, JUDGES, PLANTED, Tracked
+from hypose.body.motion import Motion
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.geometry import Array
 from hypose.synthetic.metrics import EVALUATED
-from hypose.tracking.doubt import FEATURES, GROUPS, WRONG_M, DoubtModel, clip_features, group_of
+from hypose.tracking.doubt import FEATURES, GROUPS, WRONG_M, DoubtModel, clip_features, doubt_models, group_of
 
-JUDGES = 950
-"""Seeds from here on judge; those below are trained on."""
 ASSET = Path(__file__).parents[2] / "hypose" / "assets" / "doubt.json"
 _GROUP = np.array([group_of(JOINT_NAMES[j]) for j in EVALUATED])
 _ARMS = _GROUP == GROUPS.index("arms")
-_NEGATIVE = ("exposed", "exposed_second")
+_NEGATIVE = ("exposed", "exposed_second", "points_agree")
 _POINTS = tuple(n for n in FEATURES if n.startswith("points"))
 _NEUTRAL = ("log_sd", "moved", "accel")
 _RIDGE = 30.0
@@ -35,43 +34,76 @@ _WHOLE, _LESS = 0.1, 0.25
 """Clips in which more than the share _WHOLE of the joint-frames is wrong weigh less: a body that is wrong as a whole is
 easily told, and its frames are many. Chosen, as _RIDGE, by motions left out of the seeds trained on."""
 GOOD_FLAGGED = {
-    "silhouettes": (0.01, 0.035, 0.015),
-    "keypoints": (0.005, 0.02, 0.008),
-    "both": (0.005, 0.04, 0.01),
+    "silhouettes": (0.01, 0.045, 0.015),
+    "keypoints": (0.005, 0.03, 0.01),
+    "both": (0.005, 0.045, 0.01),
 }
-"""Share of good joint-frames of trunk, arms and legs that may be flagged on the seeds trained on. Of key points half of
-the clips trained on are spoilt, so that of good ones far fewer are."""
-LEAST_P = 0.03
+"""Share of good joint-frames of trunk, arms and legs that may be flagged on seeds that were left out. Of key points
+half of the clips are spoilt, so that of good ones far fewer are."""
+LEAST_P = 0.08
+"""What is less likely wrong than that is not doubtful, however few are flagged."""
 
 
 @dataclass(frozen=True)
 class Rows:
     """Joint-frames of one evidence. x (N, J, F) features, error (N, J) m, case (N,) and seed (N,) they are of; plain
-    (N,): nothing was spoilt."""
+    (N,): nothing was spoilt; whole (N,): of a whole clip, and not a frame by itself; planted (N,): with an arm that was
+    put elsewhere."""
 
     x: Array
     error: Array
     case: NDArray[np.str_]
     seed: NDArray[np.int64]
     plain: NDArray[np.bool_]
+    whole: NDArray[np.bool_]
+    planted: NDArray[np.bool_]
 
     def take(self, rows: NDArray[np.bool_]) -> Rows:
         """Some of them."""
-        return Rows(self.x[rows], self.error[rows], self.case[rows], self.seed[rows], self.plain[rows])
+        return Rows(
+            *(self.x[rows], self.error[rows], self.case[rows], self.seed[rows]),
+            *(self.plain[rows], self.whole[rows], self.planted[rows]),
+        )
 
 
-def rows_of(clips: Sequence[Tracked], evidence: str) -> Rows:
-    """Of the clips tracked from one evidence."""
+ALONE = (7, 22)
+"""Frames that are trained on by themselves as well: recordings of one frame are judged too."""
+
+
+PLANTED_COUNT = 0.03
+"""What a frame with a planted arm counts: enough to tell what that looks like, too little to make it common."""
+
+
+def rows_of(clips: Sequence[Tracked], evidence: str, alone: Sequence[int] = ()) -> Rows:
+    """Of the clips tracked from one evidence; alone: frames that count by themselves as well."""
     own = [c for c in clips if c.evidence == evidence]
-    x = [clip_features(c.motion, c.body.joints(c.one_by_one), c.audit)[:, EVALUATED] for c in own]
+    real = [c for c in own if c.kind != PLANTED]
+    parts: list[tuple[Tracked, slice, bool]] = [(c, slice(None), True) for c in real]
+    parts += [(c, slice(t, t + 1), False) for c in real for t in alone if t < len(c.error)]
+    if alone:
+        parts += [(c, slice(t, t + 1), False) for c in own if c.kind == PLANTED for t in range(len(c.error))]
+    x = [_features(c, at) for c, at, _ in parts]
     count = [len(v) for v in x]
     return Rows(
         np.concatenate(x),
-        np.concatenate([c.error[:, EVALUATED] for c in own]),
-        np.repeat([c.case for c in own], count),
-        np.repeat([c.seed for c in own], count),
-        np.repeat([c.kind == "plain" for c in own], count),
+        np.concatenate([c.error[at, EVALUATED] for c, at, _ in parts]),
+        np.repeat([c.case for c, _, _ in parts], count),
+        np.repeat([c.seed for c, _, _ in parts], count),
+        np.repeat([c.kind == "plain" for c, _, _ in parts], count),
+        np.repeat([whole for _, _, whole in parts], count),
+        np.repeat([c.kind == PLANTED for c, _, _ in parts], count),
     )
+
+
+def _features(c: Tracked, at: slice) -> Array:
+    m = c.motion
+    if at != slice(None):
+        assert m.poses is not None
+        m = Motion(
+            *(m.skeleton, m.times[at], m.joints[at], m.poses[at], m.joint_covariance[at], m.lost[at]),
+            *(m.extrapolated[at], m.n_views[at], m.cost[at]),
+        )
+    return clip_features(m, c.body.joints(c.one_by_one[at]), c.audit[at])[:, EVALUATED]
 
 
 def used_by(evidence: str) -> list[str]:
@@ -80,31 +112,48 @@ def used_by(evidence: str) -> list[str]:
         return [n for n in FEATURES if n not in (*_POINTS, "log_sd")]
     if evidence == "keypoints":
         return [*_NEUTRAL, *_POINTS]
-    return [n for n in FEATURES if n != "log_sd"]
+    return [n for n in FEATURES if n not in ("log_sd", "exchanged")]  # sides are looked at with masks alone
 
 
-def fit(rows: Rows, evidence: str) -> DoubtModel:
-    """The model of an evidence, fitted to all rows given; thresholds from the same rows."""
+def fit(rows: Rows, evidence: str, known: DoubtModel | None = None) -> DoubtModel:
+    """The model of an evidence, fitted to all rows given. known: weights that were found on other scenes that are
+    trained on; what these rows do not tell otherwise stays as it is there. Thresholds come from what is said of each
+    seed when it is fitted to the others: of its own rows a fit is surer than it may be."""
+    model = _weights(rows, evidence, known)
+    p, seeds = model.probability(rows.x, _GROUP), np.unique(rows.seed)
+    if len(seeds) > 2:
+        for seed in seeds:
+            own = rows.seed == seed
+            p[own] = _weights(rows.take(~own), evidence, known).probability(rows.x[own], _GROUP)
+    some = rows.whole & ~_wholly_wrong(rows)  # what of such a body is right by chance may be flagged
+    p, good = p[some], rows.error[some] <= WRONG_M
+    threshold = [
+        max(LEAST_P, float(np.quantile(p[:, g == _GROUP][good[:, g == _GROUP]], 1 - GOOD_FLAGGED[evidence][g])))
+        for g in range(len(GROUPS))
+    ]
+    return replace(model, threshold=np.array(threshold))
+
+
+def _weights(rows: Rows, evidence: str, known: DoubtModel | None) -> DoubtModel:
     names = used_by(evidence)
     on = np.array([n in names for n in FEATURES])
     flat = rows.x.reshape(-1, len(FEATURES))
     middle, scale = np.where(on, flat.mean(0), 0.0), np.where(on, np.maximum(flat.std(0), 1e-3), 1.0)
+    begin, level = np.zeros((len(GROUPS), len(FEATURES))), np.full(len(GROUPS), np.nan)
+    if known is not None:
+        had = on & (known.weights != 0).any(0)
+        middle, scale = np.where(had, known.middle, middle), np.where(had, known.scale, scale)
+        begin, level = np.where(had, known.weights, 0.0), known.offset
     sign = np.array([-1.0 if n in _NEGATIVE else 1.0 for n in FEATURES])
     wrong = rows.error > WRONG_M
     weights, offset = np.zeros((len(GROUPS), len(FEATURES))), np.zeros(len(GROUPS))
-    count = np.where(_wholly_wrong(rows), _LESS, 1.0)
+    count = np.where(rows.planted, PLANTED_COUNT, np.where(_wholly_wrong(rows), _LESS, 1.0))
     for g in range(len(GROUPS)):
         own = g == _GROUP
         z = np.clip((rows.x[:, own] - middle) / scale, -6, 6).reshape(-1, len(FEATURES))
         counts = np.repeat(count, np.count_nonzero(own))
-        weights[g], offset[g] = _logistic(z, wrong[:, own].ravel().astype(float), counts, on, sign)
-    model = DoubtModel(middle, scale, weights, offset, np.full(len(GROUPS), LEAST_P))
-    p = model.probability(rows.x, _GROUP)
-    threshold = [
-        max(LEAST_P, float(np.quantile(p[:, g == _GROUP][~wrong[:, g == _GROUP]], 1 - GOOD_FLAGGED[evidence][g])))
-        for g in range(len(GROUPS))
-    ]
-    return replace(model, threshold=np.array(threshold))
+        weights[g], offset[g] = _logistic(z, wrong[:, own].ravel().astype(float), counts, on, sign, begin[g], level[g])
+    return DoubtModel(middle, scale, weights, offset, np.full(len(GROUPS), LEAST_P))
 
 
 def _wholly_wrong(rows: Rows) -> NDArray[np.bool_]:
@@ -114,10 +163,14 @@ def _wholly_wrong(rows: Rows) -> NDArray[np.bool_]:
     return np.asarray((np.bincount(clip, share) / np.bincount(clip))[clip] > _WHOLE)
 
 
-def _logistic(z: Array, y: Array, count: Array, on: NDArray[np.bool_], sign: Array) -> tuple[Array, float]:
-    """Weights (F,) of held signs, zero where not on, and the offset: ridge against noise, by L-BFGS-B."""
+def _logistic(
+    z: Array, y: Array, count: Array, on: NDArray[np.bool_], sign: Array, known: Array, level: float
+) -> tuple[Array, float]:
+    """Weights (F,) of held signs, zero where not on, and the offset: ridge about the known weights and offset (NaN: not
+    known) against noise, by L-BFGS-B. Rows of which none is wrong say nothing of what a wrong one would look like."""
     columns = np.flatnonzero(on)
     s = sign[columns]
+    held = known[columns] * s
     a = z[:, columns] * s
 
     def value(x: Array) -> tuple[float, Array]:
@@ -125,12 +178,12 @@ def _logistic(z: Array, y: Array, count: Array, on: NDArray[np.bool_], sign: Arr
         p = 1 / (1 + np.exp(-np.clip(odds, -40, 40)))
         loss = np.logaddexp(0, odds) - y * odds
         slope = count * (p - y)
-        return float((count * loss).sum() + 0.5 * _RIDGE * (x[:-1] ** 2).sum()), np.r_[
-            a.T @ slope + _RIDGE * x[:-1], slope.sum()
-        ]
+        away = np.r_[x[:-1] - held, 0.0 if np.isnan(level) else x[-1] - level]
+        down = np.r_[a.T @ slope, slope.sum()] + _RIDGE * away
+        return float((count * loss).sum() + 0.5 * _RIDGE * (away**2).sum()), down
 
     rate = np.clip(y.mean(), 1e-4, 0.5)
-    begin = np.r_[np.full(len(columns), 0.05), np.log(rate / (1 - rate))]
+    begin = np.r_[np.maximum(held, 0.05), np.log(rate / (1 - rate))]
     bounds = [(0.0, None)] * len(columns) + [(None, None)]
     found = minimize(value, begin, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 500}).x
     out = np.zeros(len(on))
@@ -198,9 +251,10 @@ def report_fit(clips: Sequence[Tracked], write: bool = True) -> None:
     """Fits every evidence on the seeds below JUDGES, prints how it does on the others, and writes the asset."""
     models = {}
     for evidence in EVIDENCE:
-        rows = rows_of(clips, evidence)
+        rows = rows_of(clips, evidence, ALONE)
+        rows = rows.take((rows.seed < JUDGES) | rows.whole)
         train, judge = rows.take(rows.seed < JUDGES), rows.take(rows.seed >= JUDGES)
-        model = models[evidence] = fit(train, evidence)
+        model = models[evidence] = fit(train, evidence, doubt_models()[evidence])
         print(f"\n{evidence}: {len(train.x)} frames trained on, {len(judge.x)} judge", model.threshold.round(3))
         for name, some in (("trained on", train), ("other seeds", judge)):
             if len(some.x):

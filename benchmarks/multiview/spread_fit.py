@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
-from benchmarks.multiview.doubt_scenes import EVIDENCE, Tracked
+from benchmarks.multiview.doubt_scenes import CAMERAS, EVIDENCE, Tracked
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.geometry import Array
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.fitted_spread import kind_of
 from hypose.tracking.pose_covariance import joint_group
+from hypose.tracking.refinement import LUMBAR_SD
 
 ASSET = Path(__file__).parents[2] / "hypose" / "assets" / "spread.json"
 LEVELS = np.arange(0.1, 0.96, 0.05)
@@ -26,12 +27,25 @@ _LEFT_OUT_M = 0.1
 """m: what is so far off is wrong, which P tells and no ellipsoid; it does not count here"""
 UNSEEN = 1.08
 """Bodies that were not fitted to are off by so much more: with 1 regions of 90 % held 86 to 88 % on seeds left out."""
-PELVIS = {"silhouettes": 6.0, "keypoints": 14.0, "both": 12.0}
-"""Degrees, 1 sd: two hip points and an outline do not fix the pelvis' tilt, and no scene shows it, as its points are
-the joints. On the real clip of a man who balances, hip flexion by these lies 7, 23 and 18 degrees from that by OpenSim,
-so hip flexion, pelvis tilt and lumbar extension are no better known than this."""
+NEUTRAL_DEG = 5.0
+"""1 sd: how far a person's pelvis, as anatomists measure its tilt, lies from that of the template in the same posture:
+30 pelves that stood alike had 13 degrees, sd 5 (Preece et al. 2008, doi 10.1179/106698108790818459)."""
+HIP_FAULT_M, HIP_LEVER_M = 0.04 / 3**0.5, 0.1
+"""m per axis: detectors' hips lie 30 to 50 mm from the joints' centres, always to the same side (Needham et al. 2021,
+doi 10.1038/s41598-021-00212-x); m: from the hips' axis up to the lumbar joint of the body. No scene shows this, since
+its points are the joints."""
 _TILTED = ("pelvis_tilt", "hip_flexion", "lumbar_extension")
 Pairs = dict[str, tuple[float, float]]
+
+
+def pelvis_floor(evidence: str) -> float:
+    """rad, 1 sd: what hip flexion, pelvis tilt and lumbar extension cannot be better known than. Where key points turn
+    the pelvis, a fault of the hips does so too, held by the prior of the spine's flexion."""
+    neutral = np.radians(NEUTRAL_DEG)
+    if evidence == "silhouettes":
+        return float(neutral)
+    turned = np.arctan2(HIP_FAULT_M, HIP_LEVER_M)
+    return float(np.hypot(neutral, (turned**-2 + LUMBAR_SD**-2) ** -0.5))
 
 
 def squares(away: Array, covariance: Array, a: float, b: float) -> Array:
@@ -46,46 +60,62 @@ def level_error(m2: Array, dimensions: int) -> float:
     return float(np.abs(np.searchsorted(inside, LEVELS) / max(len(inside), 1) - LEVELS).mean())
 
 
-def fit_joint(away: Array, covariance: Array) -> tuple[float, float]:
-    """a, b (m) of one kind of joint with the least level error; among equals the smaller region."""
-    few = slice(None, None, max(1, len(away) // 1500))
-    away, covariance = away[few], covariance[few]
-    values, vectors = np.linalg.eigh(covariance)
-    turned = np.einsum("nab,na->nb", vectors, away) ** 2
-    return _least([(a, b, (turned / (a**2 * values + b**2 + 1e-9)).sum(1)) for a in _A for b in _B_M], 3)
+Families = Sequence[tuple[Array, Array]]
+"""Errors and what is said of them, of each family of clips."""
 
 
-def fit_angle(off: Array, sd: Array) -> tuple[float, float]:
-    """a, b (rad, or m) of one kind of angle: off, sd (N,)."""
-    return _least([(a, b, off**2 / (a**2 * sd**2 + b**2 + 1e-12)) for a in _A for b in _B_RAD], 1)
+def fit_joint(families: Families) -> tuple[float, float]:
+    """a, b (m) of one kind of joint, from (N, 3) m from the estimates to the truth and covariances (N, 3, 3) of each
+    family, with the least level error; among equals the smaller region."""
+    made = []
+    for away, covariance in families:
+        few = slice(None, None, max(1, len(away) // 1500))
+        values, vectors = np.linalg.eigh(covariance[few])
+        made.append((np.einsum("nab,na->nb", vectors, away[few]) ** 2, values))
+    return _least([(a, b, [(t / (a**2 * v + b**2 + 1e-9)).sum(1) for t, v in made]) for a in _A for b in _B_M], 3)
 
 
-def _least(tried: Sequence[tuple[float, float, Array]], dimensions: int) -> tuple[float, float]:
-    # the tail counts as well: a likelihood keeps a region from being right on average only
+def fit_angle(families: Families) -> tuple[float, float]:
+    """a, b (rad, or m) of one kind of angle, from errors and sd (N,) of each family."""
+    return _least([(a, b, [o**2 / (a**2 * sd**2 + b**2 + 1e-12) for o, sd in families]) for a in _A for b in _B_RAD], 1)
+
+
+def _least(tried: Sequence[tuple[float, float, list[Array]]], dimensions: int) -> tuple[float, float]:
+    # the tail counts as well: a likelihood keeps a region from being right on average only; no family pays for another
     scored = []
-    for a, b, m2 in tried:
-        inside = float((m2 <= chi2.ppf(0.9, dimensions)).mean())
-        scored.append((level_error(m2, dimensions) + abs(inside - 0.9), a, b))
+    for a, b, families in tried:
+        tails = [abs(float((m2 <= chi2.ppf(0.9, dimensions)).mean()) - 0.9) for m2 in families]
+        levels = [level_error(m2, dimensions) for m2 in families]
+        scored.append((float(np.mean(levels)) + max(tails), a, b))
     _, a, b = min(scored)
     return float(UNSEEN * a), float(UNSEEN * b)
 
 
+def family_of(c: Tracked) -> str:
+    """cameras: captured motion through the cameras of a recording, points that err like a detector's; of the other
+    scenes those that are spoilt, and those that are not."""
+    return "cameras" if c.case in CAMERAS else "scenes" if c.kind == "plain" else "spoilt"
+
+
 def fit_spread(clips: Sequence[Tracked], without: int | None = None) -> dict[str, dict[str, Pairs]]:
     """What the asset holds, from all seeds but one: what bodies share is learnt from as many as there are, and judged
-    on the one left out. Joints that are not evaluated get their neighbours'."""
+    on the one left out. Joints that are not evaluated get their neighbours'. An evidence without clips is left out."""
     out: dict[str, dict[str, Pairs]] = {"joints": {}, "angles": {}}
     for evidence in EVIDENCE:
         own = [c for c in clips if c.evidence == evidence and c.seed != without and plain_enough(c)]
+        if not own:
+            continue
+        families = [[c for c in own if family_of(c) == f] for f in sorted({family_of(c) for c in own})]
         joints: Pairs = {}
         for kind in dict.fromkeys(kind_of(JOINT_NAMES[j]) for j in EVALUATED):
-            away, covariance = _of_kind(own, kind)
-            joints[kind] = fit_joint(away, covariance)
+            joints[kind] = fit_joint([_of_kind(f, kind) for f in families])
         for kind, like in (("spine", "pelvis"), ("chest", "neck"), ("clavicle", "shoulder")):
             joints[kind] = joints[like]
         out["joints"][evidence] = joints
-        angles = {kind: fit_angle(*_of_angle(own, kind)) for kind in dict.fromkeys(kind_of(n) for n in ANGLE_NAMES)}
+        kinds = dict.fromkeys(kind_of(n) for n in ANGLE_NAMES)
+        angles = {kind: fit_angle([_of_angle(f, kind) for f in families]) for kind in kinds}
         for kind in _TILTED:
-            angles[kind] = angles[kind][0], max(angles[kind][1], float(np.radians(PELVIS[evidence])))
+            angles[kind] = angles[kind][0], max(angles[kind][1], pelvis_floor(evidence))
         out["angles"][evidence] = angles
     return out
 
@@ -151,8 +181,9 @@ def _judged(m2: Array, dimensions: int) -> tuple[float, float]:
 
 
 def write_spread(clips: Sequence[Tracked]) -> None:
-    """Fits, and writes the asset."""
-    found = fit_spread(clips)
+    """Fits, and writes the asset; an evidence without clips keeps what it has."""
+    kept = json.loads(ASSET.read_text(encoding="utf-8"))
+    found = {what: {**kept[what], **by} for what, by in fit_spread(clips).items()}
     rounded = {
         what: {e: {k: [round(a, 3), round(b, 5)] for k, (a, b) in v.items()} for e, v in by.items()}
         for what, by in found.items()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.multiview.doubt_fit import auroc, ece
-from benchmarks.multiview.spread_fit import UNSEEN, covered, fit_angle, fit_joint, level_error, squares
+from benchmarks.multiview.spread_fit import UNSEEN, covered, fit_angle, fit_joint, level_error, pelvis_floor, squares
 
 
 def test_area_under_the_curve():
@@ -27,7 +27,7 @@ def test_a_spread_of_two_parts_is_found():
     sd = rng.uniform(0.005, 0.03, 4000)
     covariance = sd[:, None, None] ** 2 * np.eye(3)
     away = rng.standard_normal((4000, 3)) * np.sqrt((0.7 * sd) ** 2 + 0.012**2)[:, None]
-    a, b = fit_joint(away, covariance)
+    a, b = fit_joint([(away, covariance)])
     m2 = squares(away, covariance, a / UNSEEN, b / UNSEEN)
     assert covered(m2, 3) == pytest.approx(0.9, abs=0.02) and level_error(m2, 3) < 0.03
 
@@ -35,5 +35,21 @@ def test_a_spread_of_two_parts_is_found():
 def test_an_angle_that_is_always_off_by_as_much_is_a_matter_of_its_definition():
     rng = np.random.default_rng(2)
     off, sd = np.radians(5) * rng.standard_normal(3000), np.full(3000, np.radians(0.5))
-    a, b = fit_angle(off, sd)
+    a, b = fit_angle([(off, sd)])
     assert np.hypot(a * sd[0], b) == pytest.approx(UNSEEN * np.radians(5), rel=0.12)
+
+
+def test_no_family_pays_for_another():
+    rng = np.random.default_rng(3)
+    covariance = np.full(3000, 0.01**2)[:, None, None] * np.eye(3)
+    small, large = (scale * 0.01 * rng.standard_normal((3000, 3)) for scale in (0.9, 1.2))
+    a, b = fit_joint([(small, covariance), (large, covariance)])
+    held = [covered(squares(away, covariance, a / UNSEEN, b / UNSEEN), 3) for away in (small, large)]
+    assert held[0] > 0.9 > held[1] and abs(sum(held) / 2 - 0.9) < 0.03
+
+
+def test_the_pelvis_is_no_better_known_than_anatomy_says():
+    silhouettes, points = (np.degrees(pelvis_floor(e)) for e in ("silhouettes", "keypoints"))
+    assert silhouettes == pytest.approx(5.0)
+    # a fault of 23 mm per axis turns a lever of 100 mm by 13 degrees, held by a prior of 16
+    assert points == pytest.approx(np.hypot(5.0, 1 / np.hypot(1 / 13.0, 1 / 16.04)), abs=0.1)

@@ -1,0 +1,1 @@
+"""Benchmarks of several people: who is who across views and time."""

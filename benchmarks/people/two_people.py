@@ -1,0 +1,60 @@
+"""`bench two-people`: the man of Pose2Sim's balancing clip with a second person beside him, against him alone.
+
+--data holds pose2sim_balancing, and two_people: the two-people trial of Pose2Sim's repository (BSD-3) as a project
+folder: videos/cam01.mp4 ... of Demo_MultiPerson, pose/cam01_json ... of S00_P01_T02_Participants1-2 in its history
+before July 2024, Config.toml and calibration of its single-person demo. An observer stands in two of the four views.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.bench_report import BenchOptions, BenchReport, Row
+from benchmarks.multiview.real_recordings import balancing_recording, in_memory
+from hypose.geometry import Array
+from hypose.io.recordings.frames import working_rig
+from hypose.io.recordings.recording import Recording, load_recording
+from hypose.io.recordings.recording_people import load_person
+from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.track_loop import FrameList
+
+_FAR = 0.5  # m from him: somebody else
+
+
+def two_people(options: BenchOptions) -> BenchReport:
+    """Rows man_mm, largest_mm (EVIDENCE: mean over joints and frames, and a frame's largest mean, of the distance
+    between the man tracked with a second person in the recording, and alone), another_followed (frames in which the key
+    points followed are more than 0.5 m from his), people (whom two views or more see)."""
+    alone = balancing_recording(options.folder("pose2sim_balancing"))
+    both = replace(load_recording(options.folder("two_people")), rig=alone.rig, keypoint_lag=alone.keypoint_lag)
+    n = 20 if options.quick else len(both.frames)
+    small = working_rig(alone.rig)
+    him, followed = (load_person(r, small) for r in (alone, both))
+    assert him is not None and followed is not None
+    places = [[p.one.people[0].place(t) for t in range(n)] for p in (him, followed)]
+    apart = np.linalg.norm(np.array(places[0]) - np.array(places[1]), axis=1)
+    rows = [
+        Row("another_followed", "keypoints", float((apart > _FAR).sum()), "frames", n=n),
+        Row("people", "keypoints", float(len(followed.one.people)), "people"),
+    ]
+    for k, evidence in enumerate(("keypoints", "both", "silhouettes")):
+        options.progress(evidence, k, 3)
+        first, second = (_joints(r, n, evidence) for r in (alone, both))
+        distance = 1e3 * np.linalg.norm(first - second, axis=-1)
+        rows.append(Row("man_mm", evidence, float(distance.mean()), "mm", float(distance.mean(1).std()), n))
+        rows.append(Row("largest_mm", evidence, float(distance.mean(1).max()), "mm", n=n))
+    return BenchReport(tuple(rows), {"frames": n, "extrinsics": "refined"})
+
+
+def _joints(recording: Recording, n: int, evidence: str) -> Array:
+    """(n, J, 3) m. Masks are made with the key points, whatever is tracked from."""
+    source = in_memory(recording, n)
+    kept = source.frames
+    if evidence == "silhouettes":
+        kept = [replace(f, keypoints=None) for f in kept]
+    elif evidence == "keypoints":
+        kept = [replace(f, silhouettes=None) for f in kept]
+    frames = FrameList(list(kept), recording.frame_rate)
+    return track_source(frames, recording.frame_rate, TrackOptions(evidence=evidence)).motion.joints
