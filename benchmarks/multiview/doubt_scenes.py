@@ -85,6 +85,10 @@ CASES: dict[str, Case] = {
     "backpack": Case("jog", "humaneva-4", own=True, thing="backpack"),
     "bag": Case("combo", "ring-4", thing="bag"),
     "bag-serve": Case("serve", "humaneva-4", own=True, thing="bag"),
+    "walk-miscalibrated": Case("walk", "humaneva-4", ("level-1", "bad-calibration"), own=True),
+    "box-miscalibrated": Case("box", "ring-5", ("level-1", "calibration-error")),
+    "wave-miscalibrated": Case("wave", "ring-4", ("level-1", "bad-calibration")),
+    "run-late": Case("jog", "humaneva-4", ("level-1", "desync")),
 }
 """Pairs of a motion and a rig, some with things in the masks that are not of the body."""
 SHARE, SHARE_JUDGED = 3, 6
