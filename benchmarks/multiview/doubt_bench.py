@@ -28,7 +28,7 @@ from benchmarks.multiview.doubt_scenes import (
     load_all,
 )
 from benchmarks.multiview.real_recordings import balancing_recording, uu4cam_recording
-from benchmarks.multiview.real_regions import regions_of_balancing
+from benchmarks.multiview.real_regions import errors_of_points, regions_of_balancing
 from benchmarks.multiview.spread_fit import angle_squares, beyond, covered, joint_squares, level_error, plain_enough
 from hypose.body.joint_angles import ANGLE_NAMES, joint_angles
 from hypose.body.motion import Motion
@@ -214,21 +214,25 @@ def _real(options: BenchOptions) -> list[Row]:
     rows: list[Row] = []
     folder = options.folder("pose2sim_balancing")
     hips: dict[str, tuple[float, float]] = {}
+    reference = np.load(folder / "kp3d_refined_m.npy")
+    with FrameStream(balancing_recording(folder), FrameSettings(silhouettes=None)) as stream:
+        # key-point file t belongs to video frame t + 1
+        errors = errors_of_points([stream.frame(t) for t in range(1, len(stream))], reference[: len(stream) - 1])
     for evidence in EVIDENCE:
         recording = balancing_recording(folder, keypoints=evidence != "silhouettes")
         result, frames, seconds = _tracked(recording, evidence)
         rows.append(Row("said", f"balancing/{evidence}", float(result.verdict.word == GOOD), "1"))
         hips[evidence] = _hip_flexion(result.motion)
-        rows += regions_of_balancing(result.motion, evidence, np.load(folder / "kp3d_refined_m.npy"))
+        rows += regions_of_balancing(result.motion, evidence, reference, errors if evidence == "silhouettes" else None)
         if evidence == "silhouettes":
             rows.append(Row("cost_share", "all", _audit_seconds(result, frames) / seconds, "1", n=len(frames)))
     means = np.array([m for m, _ in hips.values()])
-    reference = _opensim_hip(folder)
+    measured = _opensim_hip(folder)
     rows.append(Row("hip_flexion_spread_deg", "balancing", float(np.ptp(means)), "deg", n=3))
     for evidence, (mean, sd) in hips.items():
-        away = abs(mean - reference)
+        away = abs(mean - measured)
         rows.append(Row("hip_flexion_opensim_deg", f"balancing/{evidence}", away, "deg", sd=sd))
-    worst = max(abs(m - reference) for m in means)
+    worst = max(abs(m - measured) for m in means)
     rows.append(Row("hip_flexion_opensim_deg", "balancing", float(worst), "deg"))
     seated = replace(uu4cam_recording(options.folder("uu4cam")), frame_range=(0, 40 if options.quick else 120))
     result, _, _ = _tracked(seated, "silhouettes")
