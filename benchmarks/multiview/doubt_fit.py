@@ -112,7 +112,8 @@ def used_by(evidence: str) -> list[str]:
         return [n for n in FEATURES if n not in (*_POINTS, "log_sd")]
     if evidence == "keypoints":
         return [*_NEUTRAL, *_POINTS]
-    return [n for n in FEATURES if n not in ("log_sd", "exchanged")]  # sides are looked at with masks alone
+    # sides are looked at with masks alone, and key points tell which view is wrong
+    return [n for n in FEATURES if n not in ("log_sd", "exchanged", "apart")]
 
 
 def fit(rows: Rows, evidence: str, known: DoubtModel | None = None) -> DoubtModel:

@@ -109,8 +109,10 @@ def fit_spread(clips: Sequence[Tracked], without: int | None = None) -> dict[str
         own = [c for c in clips if c.evidence == evidence and c.seed != without and plain_enough(c)]
         if not own:
             continue
-        usual = float(np.median([apart_of(c) for c in own if family_of(c) != "spoilt"]))
-        calm, rough = ([c for c in own if (beyond(c, usual) > usual) == over] for over in (False, True))
+        usual, calm = float("inf"), own
+        if evidence == "silhouettes":
+            usual = float(np.median([apart_of(c) for c in own if family_of(c) != "spoilt"]))
+            calm = [c for c in own if beyond(c, usual) <= usual]
         families = [[c for c in calm if family_of(c) == f] for f in sorted({family_of(c) for c in calm})]
         joints: dict[str, tuple[float, float]] = {}
         for kind in dict.fromkeys(kind_of(JOINT_NAMES[j]) for j in EVALUATED):
@@ -123,8 +125,9 @@ def fit_spread(clips: Sequence[Tracked], without: int | None = None) -> dict[str
         for kind in _TILTED:
             angles[kind] = angles[kind][0], max(angles[kind][1], pelvis_floor(evidence))
         out["angles"][evidence] = angles
-        factors = _apart(rough, usual, joints, angles) if rough else apart_factors(evidence)[1:]
-        out["apart"][evidence] = {"all": (usual, *factors)}
+        if len(calm) < len(own):
+            rough = [c for c in own if beyond(c, usual) > usual]
+            out["apart"][evidence] = {"all": (usual, *_apart(rough, usual, joints, angles))}
     return out
 
 
@@ -211,8 +214,11 @@ def judged_by_seed(clips: Sequence[Tracked]) -> dict[str, dict[str, tuple[float,
         for c in clips:
             if c.seed != seed or not plain_enough(c):
                 continue
-            own, by = found[c.evidence], {what: fitted[what][c.evidence] for what in fitted}
-            usual, by_joint, by_angle = by["apart"]["all"]
+            own, by = (
+                found[c.evidence],
+                {what: fitted[what][c.evidence] for what in fitted if c.evidence in fitted[what]},
+            )
+            usual, by_joint, by_angle = by.get("apart", {}).get("all", apart_factors(c.evidence))
             for j in EVALUATED:
                 m2 = joint_squares(c, j, by["joints"], by_joint * beyond(c, usual))
                 for group in (joint_group(JOINT_NAMES[j]), "all"):

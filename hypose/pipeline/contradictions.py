@@ -25,8 +25,11 @@ coat, a bag or a backpack there were 0.0023 to 0.009 (the same scenes)."""
 
 
 def against_the_clip(audit: ArrayLike, n_views: ArrayLike, evidence: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Sentences on why the clip is not to be trusted, and on why it is worth a look; audit (T, J, A), n_views (T,)."""
+    """Sentences on why the clip is not to be trusted, and on why it is worth a look; audit (T, J, A), n_views (T,).
+    Nothing with key points, which say where limbs are, and which view is wrong, whatever masks show."""
     wrong, look = list[str](), list[str]()
+    if evidence != "silhouettes":
+        return (), ()
     beyond = beyond_usual(audit, evidence)
     if beyond > LOOK_APART_M:
         said = (

@@ -19,7 +19,7 @@ from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.geometry import Array
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, checked, pixels_per_metre
 from hypose.tracking.reach_table import ArmReach, arm_reach, ends, in_practice
-from hypose.tracking.view_shifts import apart, shift_of_mask, shift_of_points
+from hypose.tracking.view_shifts import apart, shift_of_mask
 
 AUDITED = (
     *("bare", "bare_second", "bare_reach", "exposed", "exposed_second", "outside"),
@@ -34,8 +34,8 @@ joints, NaN in frames in which it is not its turn), and by how much of its energ
 that is plainly worse; by how much the body with its sides exchanged overlaps the
 masks better (NaN: not looked at in this frame); m, distance of the joint's key points from it, median and largest over
 the views; views with one; m, median over all points of the frame; views with one, as it was detected, that agrees with
-the joint, and with one that speaks against it; m, by how much the views as a whole contradict each other, the same of
-all joints: of masks, or of key points where there are none (`hypose.tracking.view_shifts`).
+the joint, and with one that speaks against it; m, by how much the views' masks as a whole contradict each
+other (`hypose.tracking.view_shifts`), the same of all joints.
 """
 NEAR_M = 0.25
 _TALL = 110
@@ -93,9 +93,7 @@ def audit_frame(
     out[:, 6] = _rivals(body, joints, rivals)
     out[:, 9] = exchanged
     if frame.keypoints is not None and model is not None and model.names == frame.keypoints.names:
-        out[:, 10:-1], views_apart = _points(names, rotations, joints, frame.keypoints, model)
-        if frame.silhouettes is None:
-            out[:, -1] = views_apart
+        out[:, 10:-1] = _points(names, rotations, joints, frame.keypoints, model)
     return out
 
 
@@ -222,11 +220,8 @@ def _arms(body: Body) -> tuple[ArmReach, ...]:
     return kept[1]
 
 
-def _points(
-    names: tuple[str, ...], rotations: Array, joints: Array, seen: Keypoints, model: KeypointModel
-) -> tuple[Array, float]:
-    """(J, 6): median, largest, number of views, median of the frame, how many agree, and do not; and by how much the
-    views are apart; see AUDITED."""
+def _points(names: tuple[str, ...], rotations: Array, joints: Array, seen: Keypoints, model: KeypointModel) -> Array:
+    """(J, 6): median, largest, number of views, median of the frame, how many agree, and do not; see AUDITED."""
     points = np.nan_to_num(seen.points)
     expected = joints[model.joint] + np.einsum("kab,kb->ka", rotations[model.joint], model.offset)
     uv = np.stack([camera.project_pinhole(expected) for camera in seen.rig])
@@ -238,7 +233,6 @@ def _points(
     agree, against = (there & (raw[:, own] < _AGREE_M)).any(-1), (there & (raw[:, own] > 2 * _AGREE_M)).any(-1)
     points = checked(points, uv, model.names, size, model.known)
     known = (points[..., 2] > 0) & model.known & np.isfinite(uv).all(-1)
-    shifts = shift_of_points((points[..., :2] - uv) / size[:, None, None], known)
     away = np.minimum(np.linalg.norm(points[..., :2] - uv, axis=-1) / size[:, None], _FAR_M)
     away = np.where(known, away, np.inf)
     found = np.where((own >= 0)[None], away[:, own], np.inf)  # (C, J, M)
@@ -248,8 +242,7 @@ def _points(
     at = np.arange(len(names))
     middle, worst = (np.where(count > 0, row[at, np.maximum(k, 0)], _FAR_M) for k in ((count - 1) // 2, count - 1))
     usual = float(np.median(away[known])) if known.any() else _FAR_M
-    found = np.stack([middle, worst, views, np.full(len(names), usual), agree.sum(0), against.sum(0)], 1)
-    return found, apart(shifts)
+    return np.stack([middle, worst, views, np.full(len(names), usual), agree.sum(0), against.sum(0)], 1)
 
 
 @lru_cache(8)

@@ -67,8 +67,9 @@ def _kept() -> Mapping[str, Mapping[str, Mapping[str, tuple[float, ...]]]]:
 
 
 def apart_factors(evidence: str) -> tuple[float, float, float]:
-    """m, by how much views contradict each other as a rule, and c of joints, and of angles in rad / m."""
-    usual, joints, angles = _kept()["apart"][evidence]["all"]
+    """m, by how much views contradict each other as a rule, and c of joints, and of angles in rad / m; (inf, 0, 0) with
+    key points, whose solve finds the view that is wrong and gives it less weight."""
+    usual, joints, angles = _kept()["apart"].get(evidence, {}).get("all", (float("inf"), 0.0, 0.0))
     return usual, joints, angles
 
 

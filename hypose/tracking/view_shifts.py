@@ -1,7 +1,7 @@
-"""How far what each view shows lies from the body as a whole: what is left of a wrong calibration, a lag, a wrong body.
+"""How far each view's mask lies from the body as a whole: what is left of a wrong calibration, a lag, a wrong body.
 
 A solve halves the difference between views that contradict each other; what is left points one way in each of them and
-stays, while the noise of outlines and detectors points everywhere. It tells errors that no curvature of a cost knows.
+stays, while the noise of outlines points everywhere. It tells errors that no curvature of a cost knows.
 """
 
 from __future__ import annotations
@@ -16,9 +16,7 @@ _SCALE_M = 0.025
 """Outlines that lie further apart count less (Tukey's weight, zero at three times that): they are of something else."""
 _ROUNDS = 8
 _LEAST = 30
-"""points of the outline, and"""
-_LEAST_POINTS = 6
-"""key points, without which a view's shift is not known"""
+"""points of the outline without which a view's shift is not known"""
 
 
 def shift_of_mask(
@@ -48,15 +46,6 @@ def shift_of_mask(
         weighted = across * weight[:, None]
         found = -np.linalg.solve(weighted.T @ across + 1e-3 * np.eye(2), weighted.T @ residual)
     return found / metre
-
-
-def shift_of_points(away: Array, known: NDArray[np.bool_]) -> Array:
-    """(C, 2) m: median over the key points of away (C, K, 2) m, from where the body has them to where they were seen,
-    NaN in views with too few that are known (C, K)."""
-    out = np.full((len(away), 2), np.nan)
-    for c in np.flatnonzero(known.sum(1) >= _LEAST_POINTS):
-        out[c] = np.median(away[c, known[c]], axis=0)
-    return out
 
 
 def apart(shifts: Array) -> float:
