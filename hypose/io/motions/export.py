@@ -20,6 +20,7 @@ from hypose.io.motions.opensim import write_mot, write_sd_sto
 from hypose.io.motions.opensim_ik import write_ik_markers, write_ik_setup
 from hypose.io.motions.opensim_model import shoulder_places, write_osim
 from hypose.io.motions.trc import write_trc
+from hypose.io.motions.vrm import write_vrma
 
 
 def _trc(motion: Motion, body: Body, folder: Path) -> list[Path]:
@@ -87,6 +88,12 @@ def _amass(motion: Motion, body: Body, folder: Path) -> list[Path]:
     return [path]
 
 
+def _vrma(motion: Motion, body: Body, folder: Path) -> list[Path]:
+    path = folder / "motion.vrma"
+    write_vrma(path, motion, body)
+    return [path]
+
+
 FORMATS: Mapping[str, Callable[[Motion, Body, Path], list[Path]]] = {
     "trc": _trc,
     "c3d": _c3d,
@@ -96,8 +103,9 @@ FORMATS: Mapping[str, Callable[[Motion, Body, Path], list[Path]]] = {
     "mot": _mot,
     "osim": _osim,
     "amass": _amass,
+    "vrma": _vrma,
 }
-_NEED_POSES = ("bvh", "glb", "mot", "osim", "amass")
+_NEED_POSES = ("bvh", "glb", "mot", "osim", "amass", "vrma")
 
 
 def export_motion(
@@ -107,10 +115,11 @@ def export_motion(
 
     trc, c3d, bvh, glb and mot give motion.<format>, csv gives angles.csv and joints.csv, mot also motion_sd.sto where
     the angles' sd is known; osim gives motion.osim, the model of this body on which motion.mot plays, and
-    motion_markers.trc and motion_ik.xml for OpenSim's inverse kinematics; amass gives motion_amass.npz. Each file
-    appears whole or not at all. Lost and extrapolated frames keep their predicted points: TRC has no mark for them, C3D
-    gives them residual 0 (computed, not measured), joints.csv has a column for each flag. An InputError names an
-    unknown format, or one that needs poses when the motion has none, before anything is written.
+    motion_markers.trc and motion_ik.xml for OpenSim's inverse kinematics; amass gives motion_amass.npz; vrma
+    gives motion.vrma, the motion on the bones of VRM. Each file appears whole or not at all. Lost and extrapolated
+    frames keep their predicted points: TRC has no mark for them, C3D gives them residual 0 (computed, not measured),
+    joints.csv has a column for each flag. An InputError names an unknown format, or one that needs poses when the
+    motion has none, before anything is written.
     """
     unknown = [f for f in formats if f not in FORMATS]
     if unknown:
