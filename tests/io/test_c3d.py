@@ -50,6 +50,19 @@ def test_round_trip(tmp_path, points):
     np.testing.assert_allclose(back.points, points, atol=1e-6)
 
 
+def test_several_subjects_and_events(tmp_path, points):
+    names, subjects = ["Anna:a", "Anna:b", "Ben:a"], ["Anna", "Ben"]
+    write_c3d(tmp_path / "a.c3d", names, points, 50, events=[(0.1, "Left", "Foot Strike")], subjects=subjects)
+    about = ezc3d.c3d(str(tmp_path / "a.c3d"))["parameters"]
+    assert about["SUBJECTS"]["NAMES"]["value"] == subjects and about["SUBJECTS"]["USED"]["value"][0] == 2
+    assert about["SUBJECTS"]["LABEL_PREFIXES"]["value"] == ["Anna:", "Ben:"]
+    assert about["SUBJECTS"]["USES_PREFIXES"]["value"][0] == 1
+    assert about["EVENT"]["SUBJECTS"]["value"] == ["Anna"]
+    assert read_c3d(tmp_path / "a.c3d").names == tuple(names)
+    write_c3d(tmp_path / "b.c3d", ["a", "b", "c"], points, 50)
+    assert "SUBJECTS" not in ezc3d.c3d(str(tmp_path / "b.c3d"))["parameters"]
+
+
 def test_more_than_255_points_roll_over(tmp_path, rng):
     names = [f"m{i}" for i in range(600)]
     points = rng.normal(0, 1, (4, 600, 3))
