@@ -8,8 +8,8 @@ from benchmarks.bench_tables import Column, Line, Page, most, within
 CAPTURED = (
     Page(
         "cameras",
-        """Captured walking, running, boxing (CMU, on other bodies) and a run measured by Vicon, through three cameras of
-        three real calibrations; key points err by 4 px of these pictures, slowly, with outliers, gaps and exchanged
+        """Captured walking, running, boxing (CMU, on other bodies) and a run measured by Vicon, through three cameras
+        of three real calibrations; key points err by 4 px of the pictures, slowly, with outliers, gaps and exchanged
         sides. Mean error of 12 limb joints without a constant offset of each, the body from the clip itself. In uu4cam
         the person is a third as large. Knees hold the regions down: feet that point outwards turn the legs.""",
         (
