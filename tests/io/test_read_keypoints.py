@@ -265,6 +265,25 @@ def test_cameras_of_one_file_are_found_by_name(tmp_path):
         keypoints_of_views(paths[:2], ["left", "right"], ["a", "b"])
 
 
+def test_clocks_of_caliscope_that_count_differently(tmp_path):
+    """Points counted from 0 beside times that go on from the calibration's are frames from the first on."""
+    points = detections("BLAZEPOSE_33", RIG, FRAMES)
+    (path, *_) = write_keypoints("caliscope", tmp_path / "points", points, RIG, "BLAZEPOSE_33")
+    clock = path.parent / "timestamps.csv"
+    shown = [int(line.split(",")[0]) for line in path.read_text().splitlines()[1:]]
+
+    def first(start):
+        rows = [f"{start + n},0,{n / 30}" for n in range(FRAMES + max(0, min(shown)))]
+        clock.write_text("\n".join(["sync_index,cam_id,frame_time", *rows]) + "\n")
+        return next(iter(read_keypoints(path).values())).first
+
+    assert first(0) == 0
+    assert first(1549) == 0
+    with pytest.raises(InputError, match="the two are of different recordings"):
+        clock.write_text("sync_index,cam_id,frame_time\n1549,0,1.0\n1550,0,1.03\n")
+        read_keypoints(path)
+
+
 def test_names_of_other_programs():
     for theirs, ours in (
         ("LBigToe", "left_big_toe"),
