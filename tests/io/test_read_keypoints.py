@@ -17,6 +17,7 @@ from benchmarks.robustness.keypoint_layouts import (
 from hypose.errors import InputError
 from hypose.evidence.keypoint_sets import bone_excess, common_name
 from hypose.evidence.keypoints import KEYPOINT_SETS, keypoint_names
+from hypose.io.keypoints.keypoint_csv import clock_file
 from hypose.io.keypoints.read_keypoints import keypoints_of_views, read_keypoints
 from hypose.io.recordings.frames import FrameSettings, load_keypoints
 from hypose.io.recordings.recording import load_recording
@@ -269,18 +270,18 @@ def test_clocks_of_caliscope_that_count_differently(tmp_path):
     """Points counted from 0 beside times that go on from the calibration's are frames from the first on."""
     points = detections("BLAZEPOSE_33", RIG, FRAMES)
     (path, *_) = write_keypoints("caliscope", tmp_path / "points", points, RIG, "BLAZEPOSE_33")
-    clock = path.parent / "timestamps.csv"
-    shown = [int(line.split(",")[0]) for line in path.read_text().splitlines()[1:]]
-
-    def first(start):
-        rows = [f"{start + n},0,{n / 30}" for n in range(FRAMES + max(0, min(shown)))]
-        clock.write_text("\n".join(["sync_index,cam_id,frame_time", *rows]) + "\n")
-        return next(iter(read_keypoints(path).values())).first
-
-    assert first(0) == 0
-    assert first(1549) == 0
+    as_written = next(iter(read_keypoints(path).values()))
+    head, *rows = path.read_text().splitlines()
+    numbers = [int(row.split(",")[0]) for row in rows]
+    assert as_written.first == min(numbers) > FRAMES
+    anew = [f"{n - min(numbers)},{row.split(',', 1)[1]}" for n, row in zip(numbers, rows, strict=True)]
+    path.write_text("\n".join([head, *anew]) + "\n")
+    counted = next(iter(read_keypoints(path).values()))
+    assert counted.first == 0 and counted.frame_rate == as_written.frame_rate
+    assert np.array_equal(counted.people[3], as_written.people[min(numbers) + 3])
+    clock = clock_file(path)
+    clock.write_text("sync_index,cam_id,frame_time\n1549,0,1.0\n1550,0,1.03\n")
     with pytest.raises(InputError, match="the two are of different recordings"):
-        clock.write_text("sync_index,cam_id,frame_time\n1549,0,1.0\n1550,0,1.03\n")
         read_keypoints(path)
 
 
