@@ -243,6 +243,11 @@ def _layout(head: bytes, parameters: Mapping[str, tuple[Any, ...]], order: str, 
     scale = float(_first(parameters.get("POINT:SCALE"), _floats(head[12:16], order)[0]))
     rate = float(_first(parameters.get("POINT:RATE"), _floats(head[20:24], order)[0]))
     block = int(_first(parameters.get("POINT:DATA_START"), words[8])) & 0xFFFF
+    if points == 0 and _first(parameters.get("ROTATION:USED"), 0):
+        raise InputError(
+            f"{path} holds turns and places of segments, as Theia3D writes them, and no points; export joint centres "
+            "as points, from Visual3D for example."
+        )
     if points == 0 or last < first or block < 2:
         raise InputError(f"{path} holds no points: {points} markers, frames {first} to {last}; a recording is needed.")
     if not np.isfinite([scale, rate]).all() or scale == 0 or not 0 < rate < 1e6:
