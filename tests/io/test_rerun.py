@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from hypose.errors import InputError
 from hypose.io.motions.export import export_motion
+from tests import missing
 
 
 class _Stream:
@@ -75,7 +76,7 @@ def test_what_is_written(tmp_path, small_motion, small_body, streams):
 
 
 def test_the_real_package_reads_it(tmp_path, small_motion, small_body):
-    pytest.importorskip("rerun")
+    missing.module("rerun", "Rerun recordings", "pip install 'hypose[rerun]'")
     (path,) = export_motion(small_motion, small_body, tmp_path, ["rrd"])
 
     def viewer(*words):
