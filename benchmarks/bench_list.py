@@ -17,7 +17,9 @@ from benchmarks.bench_origin import beside_yardstick, command, commit, machine, 
 from benchmarks.bench_report import BenchOptions, BenchReport, Progress, Row
 from benchmarks.cameras import (
     board_accuracy,
+    cameras_bench,
     doctor_real,
+    gait_bench,
     planted_faults,
     sync_accuracy,
 )
@@ -90,6 +92,8 @@ def benchmarks() -> dict[str, Benchmark]:
         "real-uu4cam": Benchmark(real_recordings.real_uu4cam, "data"),
         "opensim": Benchmark(opensim_ik_bench.opensim, "data"),
         "inputs": Benchmark(inputs.bench_inputs),
+        "gait": Benchmark(gait_bench.gait, "seeds", "first_seed", "data", "parts"),
+        "cameras": Benchmark(cameras_bench.cameras, "seeds", "first_seed", "data", "parts"),
         "calibration": Benchmark(board_accuracy.boards, "seeds", "first_seed", "data"),
         "doctor": Benchmark(planted_faults.doctor, "seeds", "first_seed"),
         "doctor-real": Benchmark(doctor_real.doctor_real, "data"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from benchmarks.bench_plot import Panels
 from benchmarks.bench_tables import Column, Line, Page, least, most
+from benchmarks.cameras.captured_pages import CAPTURED
 from benchmarks.multiview.multiview_pages import BODIES, SEVERAL_CAMERAS
 from benchmarks.people.association_pages import WHO_IS_WHO
 from benchmarks.people.people_pages import PEOPLE_PAGES
@@ -343,6 +344,7 @@ SECTIONS: dict[str, tuple[Page, ...]] = {
     "Several cameras": SEVERAL_CAMERAS,
     "Several people": PEOPLE_PAGES,
     "Who is who": WHO_IS_WHO,
+    "Captured movement": CAPTURED,
     "Bodies": BODIES,
     "Calibration, faults, timing": _CAMERAS,
     "Depth sensors": _FUSION,

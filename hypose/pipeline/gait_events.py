@@ -3,9 +3,9 @@
 A foot strikes where its heel is farthest in front of the pelvis, and leaves the ground where its toe is farthest back,
 along the direction that the person faces. Uncertainties follow from the covariances of ankles and pelvis: of a length
 along its own direction; of an event's time from how sharply the foot turns around, with errors that are taken as
-correlated over CORRELATION seconds. Source: Zeni, Richards & Higginson 2008, Two simple methods for determining gait
-events during treadmill and overground walking using kinematic data. Deviation: the toe is the ball of the foot, and the
-times are refined between frames by a parabola.
+correlated over CORRELATION seconds. How far the definition is from touching the ground is in no interval. Source: Zeni,
+Richards & Higginson 2008, Two simple methods for determining gait events during treadmill and overground walking using
+kinematic data. Deviation: the toe is the front of the sole, and the times are refined between frames by a parabola.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def gait_of(motion: Motion, body: Body) -> Gait:
     feet = soles_of(body).positions(body, np.where(known[:, None], motion.poses, np.nan))
     skeleton = body.skeleton
     pelvis = motion.joints[:, skeleton.joint("pelvis")]
-    facing = _facing(skeleton.forward(motion.poses)[0][:, skeleton.joint("pelvis")], rate)
+    facing = facing_of(skeleton.forward(motion.poses)[0][:, skeleton.joint("pelvis")], rate)
     covariance = np.array(motion.joint_covariance, dtype=np.float64)
     pelvis_covariance = covariance[:, skeleton.joint("pelvis")]
     events: list[GaitEvent] = []
@@ -104,24 +104,26 @@ def gait_of(motion: Motion, body: Body) -> Gait:
         along_sd = np.sqrt(np.einsum("ta,tab,tb->t", facing, spread, facing))
         for kind, point, sign in (("strike", heel, 1.0), ("off", ball, -1.0)):
             series = sign * np.einsum("ta,ta->t", feet[:, point] - pelvis, facing)
-            for time, sd, index in _turns(series, motion.times, along_sd, rate, known):
+            for time, sd, index in turns(series, motion.times, along_sd, rate, known):
                 events.append(GaitEvent(time, sd, side, kind, feet[index, point]))
     events.sort(key=lambda e: e.time)
     steps = _steps(events, motion, body, feet, facing, covariance)
     return Gait(tuple(events), tuple(steps), tuple(_figures(events, steps, motion, pelvis, known)))
 
 
-def _facing(rotations: Array, rate: float) -> Array:
-    """(T, 3) horizontal unit vectors that the pelvis faces; the model looks along -y."""
+def facing_of(rotations: Array, rate: float) -> Array:
+    """(T, 3) horizontal unit vectors that a pelvis of world_from_pelvis (T, 3, 3) faces at rate Hz; the model looks
+    along -y."""
     forward = -rotations[:, :, 1] * [1, 1, 0]
     smooth = uniform_filter1d(np.nan_to_num(forward), max(1, round(_FACING * rate)), axis=0, mode="nearest")
     return smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-9)
 
 
-def _turns(
+def turns(
     series: Array, times: Array, sd: Array, rate: float, known: NDArray[np.bool_]
 ) -> list[tuple[float, float, int]]:
-    """Times, their sd and frames of the maxima of a series (T,)."""
+    """Times s, their sd and frames of the maxima of a series (T,) m that is known to sd (T,) m; none next to frames
+    that are not known."""
     filled = np.where(np.isfinite(series), series, np.nanmin(series) if np.isfinite(series).any() else 0.0)
     peaks, _ = find_peaks(filled, prominence=_LEAST_SWING, distance=max(1, round(_LEAST_STEP * rate)))
     out = []

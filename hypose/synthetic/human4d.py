@@ -22,10 +22,12 @@ _BAD = {2: set(range(236, 278)), 1: {266, 269, 279}, 3: {266, 269, 272, 278, 279
 
 @dataclass(frozen=True)
 class Human4d:
-    """joints (T, 33, 3) m in the first camera's frame; camera_from_first (4, 4, 4): the four cameras, OpenCV axes."""
+    """joints (T, 33, 3) m in the first camera's frame; camera_from_first (4, 4, 4): the four cameras, OpenCV axes;
+    intrinsics (4, 3, 3) px."""
 
     joints: Array
     camera_from_first: Array
+    intrinsics: Array
 
 
 def read_human4d(folder: Path) -> Human4d:
@@ -33,6 +35,7 @@ def read_human4d(folder: Path) -> Human4d:
     try:
         data = (folder / "running_annot.h5").read_bytes()
         arrays = {name: _dataset(data, name) for name in ("pose/3d", "camera", "frame")}
+        lenses = np.array([_dataset(data, f"intrinsics/M72{name}") for name in "ehij"], dtype=np.float64)
         text = json.loads((folder / "extrinsics_from_procrustes.json").read_text())["cam1_to_camk"]
     except (OSError, KeyError, ValueError, struct.error) as e:
         raise InputError(f"{folder} is not the HUMAN4D run ({e}); give the folder with running_annot.h5.") from e
@@ -46,7 +49,7 @@ def read_human4d(folder: Path) -> Human4d:
         k = names.index(name)
         if at not in _BAD.get(k, ()) and np.isfinite(pose[i]).all() and np.abs(pose[i]).max() > 1e-3:
             seen.setdefault(at, []).append(transform(first_from_camera[k], pose[i]))
-    return Human4d(np.array([np.median(seen[at], axis=0) for at in sorted(seen)]), extrinsics)
+    return Human4d(np.array([np.median(seen[at], axis=0) for at in sorted(seen)]), extrinsics, lenses)
 
 
 def _dataset(data: bytes, path: str) -> np.ndarray:

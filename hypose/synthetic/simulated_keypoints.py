@@ -73,6 +73,23 @@ def surface_landmarks(subject: Subject) -> dict[str, tuple[int, Array]]:
     return out
 
 
+def keypoint_places(subject: Subject, rotations: Array, joints: Array) -> Array:
+    """(T, 25, 3) m: where the points of BODY_25 are on a subject; rotations (T, 19, 3, 3) world_from_joint, joints
+    (T, 19, 3)."""
+    marks = surface_landmarks(subject)
+    world = np.zeros((len(joints), len(BODY_25), 3))
+    for k, name in enumerate(BODY_25):
+        if name in ("neck", "mid_hip"):
+            a, b = (6, 10) if name == "neck" else (13, 16)
+            world[:, k] = (joints[:, a] + joints[:, b]) / 2
+        elif name in marks:
+            j, point = marks[name]
+            world[:, k] = joints[:, j] + rotations[:, j] @ (point - subject.joints[j])
+        else:
+            world[:, k] = joints[:, JOINT_NAMES.index(name)]
+    return world
+
+
 def keypoint_detections(scene: Filmed, view: int, noise_px: float = 4.0) -> Array:
     """(T, 25, 3) = (u px, v px, confidence): BODY_25 detections of the subject in the camera's own
     (distorted) images.
@@ -82,20 +99,9 @@ def keypoint_detections(scene: Filmed, view: int, noise_px: float = 4.0) -> Arra
     the points are off by ten times that, with low confidence, 2 % are missing. Detectors' systematic offsets
     and left-right swaps are not imitated.
     """
-    subject, p, camera = scene.subject, scene.performance, scene.rig[view]
+    p, camera = scene.performance, scene.rig[view]
     t = np.array([scene.shown(view, k) for k in range(len(scene))])
-    r, joints = p.rotations[t], p.joints[t]
-    marks = surface_landmarks(subject)
-    world = np.zeros((len(t), len(BODY_25), 3))
-    for k, name in enumerate(BODY_25):
-        if name in ("neck", "mid_hip"):
-            a, b = (6, 10) if name == "neck" else (13, 16)
-            world[:, k] = (joints[:, a] + joints[:, b]) / 2
-        elif name in marks:
-            j, point = marks[name]
-            world[:, k] = joints[:, j] + r[:, j] @ (point - subject.joints[j])
-        else:
-            world[:, k] = joints[:, JOINT_NAMES.index(name)]
+    world = keypoint_places(scene.subject, p.rotations[t], p.joints[t])
     uv = camera.project(world)
     rng = np.random.default_rng([scene.seed, 100, view])
     height = np.nanmax(uv[..., 1], axis=1) - np.nanmin(uv[..., 1], axis=1)

@@ -50,6 +50,36 @@ def test_round_trip(tmp_path, points):
     np.testing.assert_allclose(back.points, points, atol=1e-6)
 
 
+def test_several_subjects_and_events(tmp_path, points):
+    names, subjects = ["Anna:a", "Anna:b", "Ben:a"], ["Anna", "Ben"]
+    write_c3d(tmp_path / "a.c3d", names, points, 50, events=[(0.1, "Left", "Foot Strike")], subjects=subjects)
+    about = ezc3d.c3d(str(tmp_path / "a.c3d"))["parameters"]
+    assert about["SUBJECTS"]["NAMES"]["value"] == subjects and about["SUBJECTS"]["USED"]["value"][0] == 2
+    assert about["SUBJECTS"]["LABEL_PREFIXES"]["value"] == ["Anna:", "Ben:"]
+    assert about["SUBJECTS"]["USES_PREFIXES"]["value"][0] == 1
+    assert about["EVENT"]["SUBJECTS"]["value"] == ["Anna"]
+    assert read_c3d(tmp_path / "a.c3d").names == tuple(names)
+    write_c3d(tmp_path / "b.c3d", ["a", "b", "c"], points, 50)
+    assert "SUBJECTS" not in ezc3d.c3d(str(tmp_path / "b.c3d"))["parameters"]
+
+
+def test_a_file_of_rotations_alone_says_what_to_export(tmp_path):
+    file = ezc3d.c3d()
+    file["parameters"]["ANALOG"]["LABELS"]["value"] = ["a"]
+    for group in ("POINT", "ANALOG"):
+        file["parameters"][group]["RATE"]["value"] = [100.0]
+    file["data"]["points"], file["data"]["analogs"] = np.zeros((4, 0, 5)), np.zeros((1, 1, 5))
+    file.write(str(tmp_path / "none.c3d"))
+    with pytest.raises(InputError, match="holds no points"):
+        read_c3d(tmp_path / "none.c3d")
+    file.add_parameter("ROTATION", "RATE", [100.0])
+    file.add_parameter("ROTATION", "LABELS", ["thigh"])
+    file["data"]["rotations"] = np.tile(np.eye(4)[:, :, None, None], (1, 1, 1, 5))
+    file.write(str(tmp_path / "theia.c3d"))
+    with pytest.raises(InputError, match="turns and places of segments, as Theia3D writes them, and no points"):
+        read_c3d(tmp_path / "theia.c3d")
+
+
 def test_more_than_255_points_roll_over(tmp_path, rng):
     names = [f"m{i}" for i in range(600)]
     points = rng.normal(0, 1, (4, 600, 3))

@@ -54,6 +54,28 @@ def test_project_of_today(tmp_path):
     assert load_recording(tmp_path / "Demo" / "Config.toml").views == recording.views
 
 
+def test_a_recording_toml_beside_it_changes_what_it_says(tmp_path):
+    """What a check tells the user to set in recording.toml has a place, without saying everything else again."""
+    project = make_project(tmp_path / "Demo")
+    plain = load_recording(project)
+    toml = project / "recording.toml"
+    toml.write_text('keypoint_lag = 1\n[[view]]\nname = "cam02"\nimage_shift = [7.3, 0]\n')
+    told = load_recording(project)
+    assert told.keypoint_lag == 1 and told.frame_rate == plain.frame_rate and told.rig.names == plain.rig.names
+    assert [v.image_shift for v in told.views] == [(0.0, 0.0), (7.3, 0.0)]
+    assert [v.video for v in told.views] == [v.video for v in plain.views]
+    assert [v.keypoints for v in told.views] == [v.keypoints for v in plain.views]
+    toml.write_text('[[view]]\nname = "cam9"\n')
+    with pytest.raises(InputError, match=r"has no view 'cam9'; its views are cam01, cam02\."):
+        load_recording(project)
+    toml.write_text("keypoint_lagg = 1\n")
+    with pytest.raises(InputError, match="keypoint_lagg"):
+        load_recording(project)
+    write_calibration(plain.rig, project / "calibration.toml")  # then it is a whole recording of its own
+    toml.write_text('[[view]]\nname = "cam_01"\nvideo = "videos/cam01.mp4"\n')
+    assert [v.name for v in load_recording(project).views] == ["cam_01"]
+
+
 def test_trial_of_a_session(tmp_path, monkeypatch):
     """Calibration and settings come from the levels above; the trial's own settings win."""
     session = tmp_path / "session"

@@ -17,6 +17,7 @@ from benchmarks.robustness.keypoint_layouts import (
 from hypose.errors import InputError
 from hypose.evidence.keypoint_sets import bone_excess, common_name
 from hypose.evidence.keypoints import KEYPOINT_SETS, keypoint_names
+from hypose.io.keypoints.keypoint_csv import clock_file
 from hypose.io.keypoints.read_keypoints import keypoints_of_views, read_keypoints
 from hypose.io.recordings.frames import FrameSettings, load_keypoints
 from hypose.io.recordings.recording import load_recording
@@ -263,6 +264,25 @@ def test_cameras_of_one_file_are_found_by_name(tmp_path):
         assert np.array_equal(view.frame(4, (640, 480))[0, :, :2], points[camera, 4, :, :2])
     with pytest.raises(InputError, match=r"has the cameras 0, 1, 2, 3, and their names do not tell .* left, right"):
         keypoints_of_views(paths[:2], ["left", "right"], ["a", "b"])
+
+
+def test_clocks_of_caliscope_that_count_differently(tmp_path):
+    """Points counted from 0 beside times that go on from the calibration's are frames from the first on."""
+    points = detections("BLAZEPOSE_33", RIG, FRAMES)
+    (path, *_) = write_keypoints("caliscope", tmp_path / "points", points, RIG, "BLAZEPOSE_33")
+    as_written = next(iter(read_keypoints(path).values()))
+    head, *rows = path.read_text().splitlines()
+    numbers = [int(row.split(",")[0]) for row in rows]
+    assert as_written.first == min(numbers) > FRAMES
+    anew = [f"{n - min(numbers)},{row.split(',', 1)[1]}" for n, row in zip(numbers, rows, strict=True)]
+    path.write_text("\n".join([head, *anew]) + "\n")
+    counted = next(iter(read_keypoints(path).values()))
+    assert counted.first == 0 and counted.frame_rate == as_written.frame_rate
+    assert np.array_equal(counted.people[3], as_written.people[min(numbers) + 3])
+    clock = clock_file(path)
+    clock.write_text("sync_index,cam_id,frame_time\n1549,0,1.0\n1550,0,1.03\n")
+    with pytest.raises(InputError, match="the two are of different recordings"):
+        read_keypoints(path)
 
 
 def test_names_of_other_programs():

@@ -117,6 +117,28 @@ def test_angles_of_opensim(tmp_path, rng):
     assert by_name["pelvis_tx"].unit == "mm"
 
 
+def test_files_of_several_people_are_asked_about(tmp_path):
+    ours = motion(40)
+    names = ours.skeleton.joint_names
+    both = np.concatenate([ours.joints, ours.joints + [1.0, 0, 0]], 1)
+    labels = [f"{who}:{n}" for who in ("Ben", "Anna") for n in names]
+    write_c3d(tmp_path / "a.c3d", labels, both, 25, subjects=["Ben", "Anna"])
+    with pytest.raises(InputError, match=r"a\.c3d holds points of Ben, Anna; say who is meant: --subject Ben"):
+        read_other(tmp_path / "a.c3d")
+    with pytest.raises(InputError, match="has no points of 'Eve', they are of Ben, Anna"):
+        read_other(tmp_path / "a.c3d", subject="Eve")
+    anna = read_other(tmp_path / "a.c3d", {"left_knee": ("left_knee",)}, "Anna").points
+    np.testing.assert_allclose(
+        anna["left_knee"], ours.joints[:, ours.skeleton.joint("left_knee")] + [1, 0, 0], atol=1e-5
+    )
+    write_c3d(tmp_path / "b.c3d", labels[len(names) :], ours.joints, 25)  # one person: as Vicon names a subject's
+    one = read_other(tmp_path / "b.c3d", {"head": ("Anna:head", "neck")}).points
+    np.testing.assert_allclose(one["left_hip"], ours.joints[:, ours.skeleton.joint("left_hip")], atol=1e-5)
+    write_c3d(tmp_path / "c.c3d", names, ours.joints, 25)
+    with pytest.raises(InputError, match="named without a subject; correct or leave out --subject"):
+        read_other(tmp_path / "c.c3d", subject="Anna")
+
+
 def test_marker_files_of_labs(tmp_path):
     """Joint centres by their usual names, pairs of markers, and the middle of markers that the user names."""
     ours = motion(40)

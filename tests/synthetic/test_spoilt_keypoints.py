@@ -8,7 +8,7 @@ from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import BODY_25
 from hypose.synthetic.rigs import rig
-from hypose.synthetic.spoilt_keypoints import SPOILS, moved_camera, spoilt
+from hypose.synthetic.spoilt_keypoints import SPOILS, like_a_detector, moved_camera, spoilt
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +42,23 @@ def test_what_is_spoilt_is_what_is_meant(frames):
     changed = np.abs(points(spoilt(frames, "swapped", rng(4))) - given).max((0, 1, 3)) > 0
     assert changed[BODY_25.index("left_wrist")] or changed[BODY_25.index("left_knee")]
     assert not changed[BODY_25.index("nose")]
+
+
+def test_errors_of_a_detector_are_as_large_and_as_slow_as_said():
+    given = np.concatenate([np.full((600, 3, 25, 2), 500.0), np.ones((600, 3, 25, 1))], -1)
+    given[:, 2, 0] = 0.0  # not seen
+    found = like_a_detector(given, BODY_25, np.random.default_rng(3), 60.0)
+    seen = found[..., 2] > 0
+    assert not seen[:, 2, 0].any() and seen[:, :2].mean() == pytest.approx(0.95, abs=0.01)
+    off = np.where(seen[..., None], found[..., :2] - 500.0, np.nan)
+    far = np.linalg.norm(off, axis=-1)
+    assert (far[seen] > 25).mean() == pytest.approx(0.03, abs=0.005)
+    near = np.where((far < 25)[..., None], off, np.nan)
+    assert np.nanstd(near) == pytest.approx(4.0, abs=0.3)
+    for lag, least, most in ((2, 0.85, 1.0), (36, -0.15, 0.15)):  # 12 frames are 0.2 s
+        a, b = near[:-lag], near[lag:]
+        both = np.isfinite(a) & np.isfinite(b)
+        assert least < np.corrcoef(a[both], b[both])[0, 1] < most
 
 
 def test_a_camera_that_was_knocked_is_elsewhere_and_the_others_are_not():

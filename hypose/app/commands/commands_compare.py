@@ -24,6 +24,9 @@ def compare(
         list[str] | None,
         typer.Option(help="JOINT=MARKER+MARKER: the joint is the middle of these markers (may be repeated)."),
     ] = None,
+    subject: Annotated[
+        str | None, typer.Option(help="Whose points, where a file names several people's SUBJECT:POINT.")
+    ] = None,
     offset: Annotated[
         float | None,
         number("Seconds to add to the other's times. [default: found]", -100_000, 100_000, unit="seconds"),
@@ -65,7 +68,7 @@ def compare(
         compared = []
         for done, pair in enumerate(pairs):
             progress("compare", done, len(pairs))
-            compared += compare_job.compare_files([pair], options, joints)
+            compared += compare_job.compare_files([pair], options, joints, subject)
         progress("compare", len(pairs), len(pairs))
     failed = compare_job.exceeded(compared, compare_job.Limits(max_mm, max_degrees, min_coverage))
     compare_job.write_csv(folder / "compare.csv", compared)

@@ -15,10 +15,12 @@ from hypose.errors import InputError
 
 def export(
     results: Annotated[Path, typer.Argument(help="Results folder of hypose track, or its motion.npz.")],
-    formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot",
+    formats: Annotated[
+        str, typer.Option(help="Motion files to write; also osim, amass, vrma, rrd.")
+    ] = "trc,c3d,bvh,glb,csv,mot",
     out: Annotated[Path | None, typer.Option(help="Folder to write to. [default: the results folder]")] = None,
 ) -> None:
-    """Write motion files (TRC, C3D, BVH, GLB, CSV, MOT) from a tracked motion."""
+    """Write motion files (TRC, C3D, BVH, GLB, CSV, MOT; OpenSim, AMASS, VRM, Rerun) from a tracked motion."""
     from hypose.io.claims import claimed
     from hypose.io.motions.bodies import load_body
     from hypose.io.motions.export import export_motion

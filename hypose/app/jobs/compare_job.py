@@ -41,10 +41,13 @@ class Limits:
 
 
 def compare_files(
-    pairs: Sequence[tuple[Path, Path]], options: CompareOptions, joints: Mapping[str, Sequence[str]]
+    pairs: Sequence[tuple[Path, Path]],
+    options: CompareOptions,
+    joints: Mapping[str, Sequence[str]],
+    subject: str | None = None,
 ) -> list[Compared]:
-    """All pairs of a result and another motion."""
-    return [Compared(a, b, compare_motions(load_result(a), read_other(b, joints), options)) for a, b in pairs]
+    """All pairs of a result and another motion; joints, subject: as in `read_other`."""
+    return [Compared(a, b, compare_motions(load_result(a), read_other(b, joints, subject), options)) for a, b in pairs]
 
 
 def exceeded(compared: Sequence[Compared], limits: Limits) -> list[str]:

@@ -16,7 +16,6 @@ import numpy as np
 
 from hypose import compute
 from hypose.app.commands.console import ProgressCall, ignore
-from hypose.app.jobs.job import check_formats
 from hypose.app.reports.report import from_result, write_report
 from hypose.app.studio.view_result import load_view
 from hypose.body.body import Body
@@ -26,7 +25,7 @@ from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.io.files import text_lines
 from hypose.io.motions.bodies import load_body, save_body
-from hypose.io.motions.export import export_motion
+from hypose.io.motions.export import export_motion, known_formats
 from hypose.io.motions.results import ResultsFolder, check_writable, load_motion, save_motion
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
@@ -93,7 +92,7 @@ def correct(
         raise InputError(f"{correction.name} is the pose of another body; correct a frame of {old.path} itself.")
     if out.path.resolve() == old.path.resolve():
         raise InputError("The corrected motion needs a folder of its own; choose another with --out.")
-    check_formats(formats)
+    known_formats(formats)
     check_writable(out.path)
     progress("compile", 0, 1)
     compute.warm_up()

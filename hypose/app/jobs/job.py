@@ -22,7 +22,7 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.io.motions.bodies import load_body, save_body
-from hypose.io.motions.export import FORMATS, export_motion
+from hypose.io.motions.export import FORMATS, export_motion, known_formats
 from hypose.io.motions.modes import load_modes
 from hypose.io.motions.results import ResultsFolder, check_writable, load_motion, to_json
 from hypose.io.recordings.frames import FrameStream
@@ -207,7 +207,7 @@ def chunk_run(
 def check_job(job: Job) -> None:
     """Refuse now what would be refused only after minutes of work."""
     options = job.options
-    check_formats(job.formats)
+    known_formats(job.formats)
     if options.recipe not in RECIPES:
         raise InputError(f"There is no recipe {options.recipe!r}; the recipes are {', '.join(RECIPES)}.")
     if options.of_picture:
@@ -228,13 +228,6 @@ def check_job(job: Job) -> None:
             "The evidence 'keypoints' needs key points, and this recording has none; add keypoints = ... to the views "
             "in recording.toml, or use silhouettes."
         )
-
-
-def check_formats(names: Sequence[str]) -> None:
-    """An InputError when there is no such motion format."""
-    unknown = [f for f in names if f not in FORMATS]
-    if unknown:
-        raise InputError(f"There is no export format {unknown[0]!r}; the formats are {', '.join(FORMATS)}.")
 
 
 def record_of(job: Job) -> dict[str, Any]:

@@ -179,8 +179,9 @@ def _together(
 
 
 def write_people_c3d(path: Path, people: Sequence[OnePerson]) -> Path:
-    """Joint centres of all, named NAME_JOINT, as one C3D; points of who is not there are not seen."""
-    names = [f"{p.name.replace(' ', '-')}_{j}" for p in people for j in p.result.motion.skeleton.joint_names]
+    """Joint centres of all, named NAME:JOINT, as one C3D with its subjects; points of who is not there are not seen."""
+    subjects = [p.name.replace(" ", "-").replace(":", "-") for p in people]
+    names = [f"{s}:{j}" for s, p in zip(subjects, people, strict=True) for j in p.result.motion.skeleton.joint_names]
     points, residuals = [], []
     for p in people:
         m = p.result.motion
@@ -188,7 +189,7 @@ def write_people_c3d(path: Path, people: Sequence[OnePerson]) -> Path:
         computed = (m.lost | m.extrapolated).astype(bool)
         residuals.append(np.where(computed[:, None], 0.0, np.maximum(m.joint_sd * 1000, 1e-3)))
     rate = people[0].result.motion.frame_rate
-    write_c3d(path, names, np.concatenate(points, 1), rate, np.concatenate(residuals, 1))
+    write_c3d(path, names, np.concatenate(points, 1), rate, np.concatenate(residuals, 1), subjects=subjects)
     return path
 
 

@@ -164,7 +164,7 @@ def _caliscope(path: Path, header: list[str], rows: Iterator[list[str]]) -> dict
         raise InputError(f"{where} holds no points; run the tracker again.")
     order = _point_order(path.stem.lower(), ids)
     numbers, rate = _clock(path)
-    first = min(numbers) if numbers else min(n for frames in seen.values() for n in frames)
+    first = _first_frame([n for frames in seen.values() for n in frames], numbers, where)
     out = {}
     for name, frames in sorted(seen.items(), key=lambda item: int(item[0])):
         listed = [
@@ -182,6 +182,22 @@ def _caliscope(path: Path, header: list[str], rows: Iterator[list[str]]) -> dict
     return out
 
 
+def _first_frame(shown: Sequence[int], numbers: Sequence[int], where: str) -> int:
+    """The sync_index of the points that is the recording's first frame. numbers: the recording's own; older versions
+    count the points from 0 where the recording's times go on from the calibration's."""
+    low, high = min(shown), max(shown)
+    if not numbers:
+        return low
+    if numbers[0] <= low and high <= numbers[-1]:
+        return numbers[0]
+    if high <= numbers[-1] - numbers[0]:
+        return 0
+    raise InputError(
+        f"{where}: its sync_index goes from {low} to {high}, the recording's times from {numbers[0]} to {numbers[-1]}; "
+        "the two are of different recordings: copy the right table of times, or remove it."
+    )
+
+
 def _point_order(stem: str, ids: set[int]) -> list[int]:
     """The ids of the points in the order of a set. MediaPipe's trackers number the body 0 to 32, the right hand from
     100 and the left from 200 on, and SIMPLE_HOLISTIC's only wrists are those of the hands."""
@@ -193,11 +209,16 @@ def _point_order(stem: str, ids: set[int]) -> list[int]:
     return list(range(133 if max(ids) > 32 else 33 if max(ids) > 25 else 26 if max(ids) > 16 else 17))
 
 
-def _clock(path: Path) -> tuple[list[int], float | None]:
-    """The recording's sync indices and frame rate, of the table of times beside the points or one folder above."""
+def clock_file(path: Path) -> Path | None:
+    """Caliscope's table of times beside its points, or one folder above; None when there is none."""
     names = ("timestamps.csv", "frame_timestamps.csv", "frame_time_history.csv")
     places = (folder / name for folder in (path.parent, path.parent.parent) for name in names)
-    table = next((p for p in places if p.is_file()), None)
+    return next((p for p in places if p.is_file()), None)
+
+
+def _clock(path: Path) -> tuple[list[int], float | None]:
+    """The recording's sync indices and frame rate, of its table of times."""
+    table = clock_file(path)
     if table is None:
         return [], None
     lines = bounded_lines(table, "Caliscope's table of times", MAX_BYTES)

@@ -26,7 +26,7 @@ from hypose.evidence.keypoint_sets import IMPLAUSIBLE, arranged, bone_excess, se
 from hypose.evidence.keypoints import KEYPOINT_SETS, keypoint_names
 from hypose.geometry import Array
 from hypose.io.keypoints.keypoint_arrays import read_keypoint_h5, read_keypoint_npy
-from hypose.io.keypoints.keypoint_csv import read_keypoint_csv
+from hypose.io.keypoints.keypoint_csv import clock_file, read_keypoint_csv
 from hypose.io.keypoints.keypoint_folder import read_keypoint_folder
 from hypose.io.keypoints.keypoint_json import read_keypoint_json
 from hypose.io.keypoints.keypoint_table import KeypointTable
@@ -86,12 +86,13 @@ def read_keypoints(path: Path) -> dict[str, KeypointTable]:
         return {"": read_keypoint_folder(path)}
     if not path.exists():
         raise InputError(f"The key points {path} do not exist; correct the path, or detect them.")
-    status = path.stat()
-    return _read_file(path, status.st_mtime_ns, status.st_size)
+    parts = [path, clock_file(path)] if path.suffix.lower() == ".csv" else [path]
+    states = [p.stat() for p in parts if p is not None]
+    return _read_file(path, tuple((s.st_mtime_ns, s.st_size) for s in states))
 
 
 @lru_cache(maxsize=8)  # a recording is looked at before it is worked on
-def _read_file(path: Path, modified: int, size: int) -> dict[str, KeypointTable]:
+def _read_file(path: Path, state: tuple[tuple[int, int], ...]) -> dict[str, KeypointTable]:
     ending = path.suffix.lower()
     if ending == ".json":
         return {"": read_keypoint_json(path)}

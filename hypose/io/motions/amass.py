@@ -22,8 +22,8 @@ from hypose.errors import InputError
 from hypose.geometry import Array, so3_exp, so3_log
 from hypose.io.motions.results import write_archive
 
-# smpl_from_model: x left, y up, z forwards from x left, y backwards, z up
-_SMPL_AXES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+SMPL_AXES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""smpl_from_model: x left, y up, z forwards from x left, y backwards, z up."""
 _JOINTS = 52  # of SMPL-H, 30 of them in the hands
 BODY_JOINTS = (
     *("pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle"),
@@ -67,7 +67,7 @@ def smpl_rotations(skeleton: Skeleton, poses: Array) -> Array:
     frames = t_pose_frames(skeleton)
 
     def world_from(joint: str) -> Array:
-        return rotations[:, skeleton.joint(joint)] @ frames[joint].T @ _SMPL_AXES.T
+        return rotations[:, skeleton.joint(joint)] @ frames[joint].T @ SMPL_AXES.T
 
     out = np.zeros((len(poses), _JOINTS, 3))
     out[:, 0] = so3_log(world_from("pelvis"))

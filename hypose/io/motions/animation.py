@@ -46,6 +46,13 @@ def local_rotations(skeleton: Skeleton, poses: Array) -> Array:
     return Y_UP @ local @ Y_UP.T
 
 
+def without_flips(quaternions: Array) -> Array:
+    """Quaternions (T, 4) with signs (q and -q are one rotation) such that neighbours lie on one side: players would
+    interpolate the long way round."""
+    flips = np.cumprod(np.where((quaternions[1:] * quaternions[:-1]).sum(1) < 0, -1.0, 1.0))
+    return np.concatenate([quaternions[:1], quaternions[1:] * flips[:, None]])
+
+
 def children(skeleton: Skeleton, joint: int) -> list[int]:
     """Indices of a joint's children."""
     return [int(c) for c in np.flatnonzero(skeleton.parents == joint)]

@@ -38,13 +38,15 @@ def write_c3d(
     frame_rate: float,
     residuals_mm: ArrayLike | None = None,
     events: Sequence[tuple[float, str, str]] = (),
+    subjects: Sequence[str] = (),
 ) -> None:
     """Write points (T, M, 3), world metres, as float C3D in mm; NaN points get residual -1.
 
     residuals_mm (T, M): 0 where a point was computed rather than measured, else the standard deviation (the
     format keeps whole millimetres, 1 to 255; NaN counts as 1). More than 255 names go on in LABELS2 and so
     on. More than 65535 frames are refused, since the format cannot count them. events: (seconds after the first frame,
-    context such as Left, label such as Foot Strike), at most 255.
+    context such as Left, label such as Foot Strike), at most 255, of the first subject. subjects: who is in the file;
+    with several, each one's names begin with SUBJECT and a colon, as Vicon writes them.
     """
     names, p = checked(names, points, frame_rate, str(path))
     t, m = p.shape[:2]
@@ -68,8 +70,10 @@ def write_c3d(
     point["UNITS"]["value"] = ("mm",)
     file.add_parameter("POINT", "X_SCREEN", ("+X",))
     file.add_parameter("POINT", "Y_SCREEN", ("+Z",))
+    if subjects:
+        _add_subjects(file, subjects)
     if events:
-        _add_events(file, events[:255])
+        _add_events(file, events[:255], subjects[0] if subjects else "")
     data = np.ones((4, m, t))
     data[:3] = p.transpose(2, 1, 0) * 1000
     file["data"]["points"] = data
@@ -81,12 +85,22 @@ def write_c3d(
             file.write(name)
 
 
-def _add_events(file: Any, events: Sequence[tuple[float, str, str]]) -> None:
+def _add_subjects(file: Any, subjects: Sequence[str]) -> None:
+    """The SUBJECTS group as Vicon writes it: which prefix of the points' names is whose."""
+    several = len(subjects) > 1
+    file.add_parameter("SUBJECTS", "USED", [len(subjects)])
+    file.add_parameter("SUBJECTS", "IS_STATIC", [0])
+    file.add_parameter("SUBJECTS", "USES_PREFIXES", [int(several)])
+    file.add_parameter("SUBJECTS", "NAMES", list(subjects))
+    file.add_parameter("SUBJECTS", "LABEL_PREFIXES", [f"{s}:" if several else "" for s in subjects])
+
+
+def _add_events(file: Any, events: Sequence[tuple[float, str, str]], subject: str) -> None:
     """The EVENT group as Vicon writes it: times in minutes and seconds."""
     file.add_parameter("EVENT", "USED", [len(events)])
     file.add_parameter("EVENT", "CONTEXTS", [context for _, context, _ in events])
     file.add_parameter("EVENT", "LABELS", [label for _, _, label in events])
-    file.add_parameter("EVENT", "SUBJECTS", ["" for _ in events])
+    file.add_parameter("EVENT", "SUBJECTS", [subject for _ in events])
     file.add_parameter("EVENT", "ICON_IDS", [1 if label == "Foot Strike" else 2 for _, _, label in events])
     minutes = [time // 60 for time, _, _ in events]
     file.add_parameter("EVENT", "TIMES", np.array([minutes, [time % 60 for time, _, _ in events]]))
@@ -229,6 +243,11 @@ def _layout(head: bytes, parameters: Mapping[str, tuple[Any, ...]], order: str, 
     scale = float(_first(parameters.get("POINT:SCALE"), _floats(head[12:16], order)[0]))
     rate = float(_first(parameters.get("POINT:RATE"), _floats(head[20:24], order)[0]))
     block = int(_first(parameters.get("POINT:DATA_START"), words[8])) & 0xFFFF
+    if points == 0 and _first(parameters.get("ROTATION:USED"), 0):
+        raise InputError(
+            f"{path} holds turns and places of segments, as Theia3D writes them, and no points; export joint centres "
+            "as points, from Visual3D for example."
+        )
     if points == 0 or last < first or block < 2:
         raise InputError(f"{path} holds no points: {points} markers, frames {first} to {last}; a recording is needed.")
     if not np.isfinite([scale, rate]).all() or scale == 0 or not 0 < rate < 1e6:

@@ -48,9 +48,12 @@ def load_result(path: Path) -> Motion:
     return load_motion(file)
 
 
-def read_other(path: Path, joints: Mapping[str, Sequence[str]] | None = None) -> OtherMotion:
+def read_other(
+    path: Path, joints: Mapping[str, Sequence[str]] | None = None, subject: str | None = None
+) -> OtherMotion:
     """The motion of any file that can be compared with. joints: marker names whose mean is a joint, by joint name, for
-    what the names do not tell. An InputError when nothing in the file is known."""
+    what the names do not tell. subject: whose points, of a file in which several people's are named SUBJECT:POINT. An
+    InputError when nothing in the file is known, or not which of several people is meant."""
     ending = path.suffix.lower()
     if path.is_dir() or ending == ".npz":
         motion = load_result(path)
@@ -63,7 +66,8 @@ def read_other(path: Path, joints: Mapping[str, Sequence[str]] | None = None) ->
     if ending not in (".c3d", ".trc"):
         raise InputError(f"{path} cannot be compared with; give results of hypose, .c3d, .trc, .mot or .sto.")
     markers = read_c3d(path) if ending == ".c3d" else read_trc(path)
-    points = _joints_of(path, markers.names, markers.points, joints or {})
+    names, kept = _of_subject(path, markers.names, subject)
+    points = _joints_of(path, names, markers.points[:, kept], joints or {})
     return OtherMotion(path, np.arange(len(markers.points)) / markers.frame_rate, points)
 
 
@@ -75,10 +79,25 @@ def angles_of(motion: Motion) -> dict[str, Array]:
     return {n: values[:, i] for i, n in enumerate(names)}
 
 
+def _of_subject(path: Path, names: tuple[str, ...], subject: str | None) -> tuple[tuple[str, ...], list[int]]:
+    """The names that are one person's, or nobody's in particular, without the person's, and their numbers."""
+    whose = {i: n.split(":")[0].strip() for i, n in enumerate(names) if ":" in n and not n.startswith("*")}
+    people = list(dict.fromkeys(whose.values()))
+    if subject is not None and subject not in people:
+        known = f"of {', '.join(people)}" if people else "named without a subject"
+        raise InputError(f"{path} has no points of {subject!r}, they are {known}; correct or leave out --subject.")
+    if subject is None and len(people) > 1:
+        raise InputError(f"{path} holds points of {', '.join(people)}; say who is meant: --subject {people[0]}.")
+    kept = [i for i in range(len(names)) if subject is None or whose.get(i, subject) == subject]
+    bare = [names[i].split(":")[-1].strip() if i in whose else names[i] for i in kept]
+    return tuple(b if bare.count(b) == 1 else names[i] for b, i in zip(bare, kept, strict=True)), kept
+
+
 def _joints_of(path: Path, names: tuple[str, ...], points: Array, given: Mapping[str, Sequence[str]]) -> dict:
     column = {n: i for i, n in enumerate(names)}
     out: dict[str, Array] = {}
     for joint, markers in given.items():
+        markers = [m if m in column else m.split(":")[-1] for m in markers]
         missing = [m for m in markers if m not in column]
         if missing:
             shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")

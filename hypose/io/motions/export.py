@@ -19,7 +19,9 @@ from hypose.io.motions.gltf import write_glb
 from hypose.io.motions.opensim import write_mot, write_sd_sto
 from hypose.io.motions.opensim_ik import write_ik_markers, write_ik_setup
 from hypose.io.motions.opensim_model import shoulder_places, write_osim
+from hypose.io.motions.rerun_file import rerun_module, write_rrd
 from hypose.io.motions.trc import write_trc
+from hypose.io.motions.vrm import write_vrma
 
 
 def _trc(motion: Motion, body: Body, folder: Path) -> list[Path]:
@@ -87,6 +89,18 @@ def _amass(motion: Motion, body: Body, folder: Path) -> list[Path]:
     return [path]
 
 
+def _vrma(motion: Motion, body: Body, folder: Path) -> list[Path]:
+    path = folder / "motion.vrma"
+    write_vrma(path, motion, body)
+    return [path]
+
+
+def _rrd(motion: Motion, body: Body, folder: Path) -> list[Path]:
+    path = folder / "motion.rrd"
+    write_rrd(path, motion, body)
+    return [path]
+
+
 FORMATS: Mapping[str, Callable[[Motion, Body, Path], list[Path]]] = {
     "trc": _trc,
     "c3d": _c3d,
@@ -96,8 +110,22 @@ FORMATS: Mapping[str, Callable[[Motion, Body, Path], list[Path]]] = {
     "mot": _mot,
     "osim": _osim,
     "amass": _amass,
+    "vrma": _vrma,
 }
-_NEED_POSES = ("bvh", "glb", "mot", "osim", "amass")
+EXTRAS: Mapping[str, Callable[[Motion, Body, Path], list[Path]]] = {"rrd": _rrd}
+"""Formats that need an extra to be installed, so that nobody gets them unasked."""
+_NEED_POSES = ("bvh", "glb", "mot", "osim", "amass", "vrma")
+
+
+def known_formats(asked: Sequence[str]) -> Mapping[str, Callable[[Motion, Body, Path], list[Path]]]:
+    """All formats; an InputError for one that is asked for and does not exist, or lacks what it needs here."""
+    known = {**FORMATS, **EXTRAS}
+    unknown = [f for f in asked if f not in known]
+    if unknown:
+        raise InputError(f"There is no export format {unknown[0]!r}; the formats are {', '.join(known)}.")
+    if "rrd" in asked:
+        rerun_module()
+    return known
 
 
 def export_motion(
@@ -107,19 +135,19 @@ def export_motion(
 
     trc, c3d, bvh, glb and mot give motion.<format>, csv gives angles.csv and joints.csv, mot also motion_sd.sto where
     the angles' sd is known; osim gives motion.osim, the model of this body on which motion.mot plays, and
-    motion_markers.trc and motion_ik.xml for OpenSim's inverse kinematics; amass gives motion_amass.npz. Each file
-    appears whole or not at all. Lost and extrapolated frames keep their predicted points: TRC has no mark for them, C3D
-    gives them residual 0 (computed, not measured), joints.csv has a column for each flag. An InputError names an
-    unknown format, or one that needs poses when the motion has none, before anything is written.
+    motion_markers.trc and motion_ik.xml for OpenSim's inverse kinematics; amass gives motion_amass.npz; vrma
+    gives motion.vrma, the motion on the bones of VRM; rrd, with the extra
+    [rerun], motion.rrd. Each file appears whole or not at all. Lost and extrapolated
+    frames keep their predicted points: TRC has no mark for them, C3D gives them residual 0 (computed, not measured),
+    joints.csv has a column for each flag. An InputError names an unknown format, or one that needs poses when the
+    motion has none, before anything is written.
     """
-    unknown = [f for f in formats if f not in FORMATS]
-    if unknown:
-        raise InputError(f"There is no export format {unknown[0]!r}; the formats are {', '.join(FORMATS)}.")
+    known = known_formats(formats)
     if not len(motion):
         raise InputError("The motion has no frames, so there is nothing to export.")
     if motion.poses is None and (wanting := [f for f in formats if f in _NEED_POSES]):
         raise InputError(
             f"The format {wanting[0]} needs poses, this motion holds joint positions only; choose "
-            f"{', '.join(f for f in FORMATS if f not in _NEED_POSES)}."
+            f"{', '.join(f for f in known if f not in _NEED_POSES)}."
         )
-    return [path for name in dict.fromkeys(formats) for path in FORMATS[name](motion, body, Path(folder))]
+    return [path for name in dict.fromkeys(formats) for path in known[name](motion, body, Path(folder))]

@@ -42,7 +42,7 @@ from hypose.body.motion import Motion
 from hypose.compute import FIXED
 from hypose.errors import InputError
 from hypose.geometry import Array, quaternion_from_matrix
-from hypose.io.motions.animation import Y_UP, children, filled_poses, local_rotations
+from hypose.io.motions.animation import Y_UP, children, filled_poses, local_rotations, without_flips
 from hypose.io.motions.results import atomic_path
 
 _SKIN_COLOUR = [0.80, 0.66, 0.56, 1.0]
@@ -63,7 +63,7 @@ def write_people_glb(path: str | Path, people: Sequence[tuple[str, Motion, Body]
 
 
 def _write(path: str | Path, people: Sequence[tuple[str, Motion, Body]]) -> None:
-    store = _Store()
+    store = BinaryBuffer()
     nodes: list[Node] = []
     roots: list[int] = []
     meshes: list[GltfMesh] = []
@@ -127,7 +127,7 @@ def _write(path: str | Path, people: Sequence[tuple[str, Motion, Body]]) -> None
         gltf.save_binary(str(temporary))
 
 
-class _Store:
+class BinaryBuffer:
     """The one binary buffer of the file, with a view and an accessor per array."""
 
     def __init__(self) -> None:
@@ -153,7 +153,7 @@ class _Store:
         return len(self.accessors) - 1
 
 
-def _primitive(store: _Store, mesh: Mesh, joints: int) -> Primitive:
+def _primitive(store: BinaryBuffer, mesh: Mesh, joints: int) -> Primitive:
     vertices = mesh.vertices @ Y_UP.T
     # a vertex must not name a joint twice, and unused slots must name joint 0
     dense = mesh.dense_weights(joints)
@@ -184,7 +184,7 @@ def _normals(vertices: Array, faces: np.ndarray) -> Array:
     return np.where(length > 0, out / np.where(length > 0, length, 1), [0.0, 1.0, 0.0])
 
 
-def _animate(whole: Animation, store: _Store, motion: Motion, poses: Array, first: int) -> None:
+def _animate(whole: Animation, store: BinaryBuffer, motion: Motion, poses: Array, first: int) -> None:
     """Adds the motion of the skeleton whose root is node `first` to an animation."""
     skeleton = motion.skeleton
     # frames at equal steps: time stamps of real files may repeat, which glTF forbids
@@ -201,8 +201,5 @@ def _animate(whole: Animation, store: _Store, motion: Motion, poses: Array, firs
     _, centres = skeleton.forward(poses)
     channel(0, "translation", centres[:, 0] @ Y_UP.T, "VEC3")
     for j in np.flatnonzero(skeleton.tree.kind != FIXED):
-        wxyz = quaternion_from_matrix(local[:, j])
-        # q and -q are one rotation: keep neighbours on one side, or viewers interpolate the long way round
-        flips = np.cumprod(np.where((wxyz[1:] * wxyz[:-1]).sum(1) < 0, -1.0, 1.0))
-        wxyz[1:] *= flips[:, None]
+        wxyz = without_flips(quaternion_from_matrix(local[:, j]))
         channel(int(j), "rotation", wxyz[:, [1, 2, 3, 0]], "VEC4")

@@ -113,6 +113,21 @@ def _is_number(value: Any) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
+def changed(project: Mapping[str, Any], given: Mapping[str, Any], source: Path) -> dict[str, Any]:
+    """The settings of a project with what a recording.toml beside it says otherwise; its views are those of the
+    project, by name. An InputError names a view that the project does not have."""
+    views = {v["name"]: dict(v) for v in project["view"]}
+    for view in given.get("view", []):
+        name = view.get("name") if isinstance(view, Mapping) else None
+        if name not in views:
+            raise InputError(
+                f"{source}: the Pose2Sim project has no view {name!r}; its views are {', '.join(views)}. Name one of "
+                'them, or give calibration = "..." and all views.'
+            )
+        views[name] |= view
+    return {**project, **{k: v for k, v in given.items() if k != "view"}, "view": list(views.values())}
+
+
 def _file(folder: Path, lower_name: str) -> Path | None:
     return next((p for p in folder.iterdir() if p.is_file() and p.name.lower() == lower_name), None)
 

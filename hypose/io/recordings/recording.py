@@ -120,7 +120,11 @@ def load_recording(path: str | Path, calibration: str | Path | None = None) -> R
         return _build(path.parent, path, _with_calibration(read_toml(path), calibration), [])
     toml = path / "recording.toml"
     if toml.is_file():
-        return _build(path, toml, _with_calibration(read_toml(toml), calibration), [])
+        given, notes = read_toml(toml), list[str]()
+        if "calibration" not in given and not (path / "calibration.toml").exists() and pose2sim.is_project(path):
+            project, notes = pose2sim.read_project(path)
+            given = pose2sim.changed(project, given, toml)
+        return _build(path, toml, _with_calibration(given, calibration), notes)
     if pose2sim.is_project(path):
         settings, notes = pose2sim.read_project(path)
         return _build(path, path, _with_calibration(settings, calibration), notes)

@@ -1,0 +1,127 @@
+"""VRM animations (.vrma): the motion on the bones that every VRM avatar has, for programs that play it on one.
+
+A glTF file of nodes alone, whose rest is VRM's T pose without rotations (arms level, palms down, facing +z, y up), with
+the extension VRMC_vrm_animation that says which node is which bone. Hips are moved and turned, all other bones turned;
+players scale the way of the hips by the heights of hips. Rotations are those of `hypose.io.motions.amass`, in the same
+axes: what one joint of ours does and two bones of VRM's share (trunk, neck) is divided evenly. Hands, toes, fingers and
+face do not move.
+
+Source: VRM Consortium, VRMC_vrm_animation 1.0, and VRMC_vrm 1.0 (humanoid bones and their parents).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from pygltflib import (
+    GLTF2,
+    Animation,
+    AnimationChannel,
+    AnimationChannelTarget,
+    AnimationSampler,
+    Asset,
+    Buffer,
+    Node,
+    Scene,
+)
+
+from hypose.body.body import Body
+from hypose.body.motion import Motion
+from hypose.geometry import Array, quaternion_from_matrix, so3_exp
+from hypose.io.motions.amass import BODY_JOINTS, SMPL_AXES, smpl_rotations, t_pose_frames
+from hypose.io.motions.animation import Y_UP, filled_poses, without_flips
+from hypose.io.motions.gltf import BinaryBuffer
+from hypose.io.motions.results import atomic_path
+
+EXTENSION = "VRMC_vrm_animation"
+# VRM's bone: its parent, our joint whose place it has, and the joints of SMPL whose turns it makes, from the root on
+_TRUNK: dict[str, tuple[str, str, tuple[str, ...]]] = {
+    "hips": ("", "pelvis", ("pelvis",)),
+    "spine": ("hips", "spine", ("spine1",)),
+    "chest": ("spine", "chest", ("spine2", "spine3")),
+    "neck": ("chest", "neck", ("neck",)),
+    "head": ("neck", "head", ("head",)),
+}
+_LIMBS = (
+    ("Shoulder", "chest", "clavicle", "collar"),
+    ("UpperArm", "Shoulder", "shoulder", "shoulder"),
+    ("LowerArm", "UpperArm", "elbow", "elbow"),
+    ("Hand", "LowerArm", "wrist", "wrist"),
+    ("UpperLeg", "hips", "hip", "hip"),
+    ("LowerLeg", "UpperLeg", "knee", "knee"),
+    ("Foot", "LowerLeg", "ankle", "ankle"),
+)
+BONES: dict[str, tuple[str, str, tuple[str, ...]]] = _TRUNK | {
+    f"{side}{bone}": (above if above in _TRUNK else f"{side}{above}", f"{side}_{ours}", (f"{side}_{theirs}",))
+    for side in ("left", "right")
+    for bone, above, ours, theirs in _LIMBS
+}
+"""Bones in an order in which parents come first."""
+
+
+def write_vrma(path: str | Path, motion: Motion, body: Body) -> None:
+    """Write a motion with poses; frames without one hold the last. An InputError when it has none."""
+    poses = filled_poses(motion, path)
+    turns = so3_exp(smpl_rotations(motion.skeleton, poses))
+    rest, store = _rest(body), BinaryBuffer()
+    names = list(BONES)
+    places = np.stack([rest[n] for n in names])
+    nodes = [
+        Node(
+            name=name,
+            translation=(places[k] - (rest[BONES[name][0]] if k else 0.0)).tolist(),
+            children=[c for c, other in enumerate(names) if BONES[other][0] == name],
+        )
+        for k, name in enumerate(names)
+    ]
+    clock = store.add(np.arange(len(poses)) / motion.frame_rate, "SCALAR", limits=True)
+    whole = Animation(name="motion", samplers=[], channels=[])
+
+    def channel(node: int, what: str, values: Array, kind: str) -> None:
+        target = AnimationChannelTarget(node=node, path=what)
+        whole.channels.append(AnimationChannel(sampler=len(whole.samplers), target=target))
+        whole.samplers.append(AnimationSampler(input=clock, output=store.add(values, kind), interpolation="LINEAR"))
+
+    _, centres = motion.skeleton.forward(poses)
+    channel(0, "translation", centres[:, motion.skeleton.joint("pelvis")] @ Y_UP.T, "VEC3")
+    for k, name in enumerate(names):
+        turn = np.broadcast_to(np.eye(3), (len(poses), 3, 3))
+        for joint in BONES[name][2]:
+            turn = turn @ turns[:, BODY_JOINTS.index(joint)]
+        if k == 0:
+            turn = Y_UP @ turn  # world_from_hips
+        channel(k, "rotation", without_flips(quaternion_from_matrix(turn))[:, [1, 2, 3, 0]], "VEC4")
+    bones = {name: {"node": k} for k, name in enumerate(names)}
+    gltf = GLTF2(
+        asset=Asset(version="2.0", generator="hypose"),
+        scene=0,
+        scenes=[Scene(name="motion", nodes=[0])],
+        nodes=nodes,
+        animations=[whole],
+        accessors=store.accessors,
+        bufferViews=store.views,
+        buffers=[Buffer(byteLength=len(store.data))],
+        extensionsUsed=[EXTENSION],
+        extensions={EXTENSION: {"specVersion": "1.0", "humanoid": {"humanBones": bones}}},
+    )
+    gltf.set_binary_blob(bytes(store.data))
+    with atomic_path(path) as temporary:
+        gltf.save_binary(str(temporary))
+
+
+def _rest(body: Body) -> dict[str, Array]:
+    """Place (3,) m of every bone in VRM's T pose: x left, y up, z forwards, the soles at y = 0."""
+    skeleton, frames = body.skeleton, t_pose_frames(body.skeleton)
+    places = np.zeros((len(skeleton.joint_names), 3))
+    for j, parent in enumerate(skeleton.parents):
+        if parent >= 0:
+            above = frames[skeleton.joint_names[parent]]
+            places[j] = places[parent] + SMPL_AXES @ above @ skeleton.rest_offsets[j]
+    soles = [
+        places[j] + SMPL_AXES @ frames[skeleton.joint_names[j]] @ offset
+        for j, offset, name in zip(body.landmarks.joint, body.landmarks.offset, body.landmarks.names, strict=True)
+        if name.endswith("_sole_heel")
+    ]
+    floor = min(p[1] for p in soles) if soles else places[:, 1].min()
+    return {name: places[skeleton.joint(ours)] - [0.0, floor, 0.0] for name, (_, ours, _) in BONES.items()}
