@@ -200,12 +200,12 @@ export class Workspace {
     this.again.addEventListener("click", () => void this.track(name.value));
   }
 
-  /** Saves the clicks; the view that they are a start for, null when they could not be saved. */
-  private async keep(name: string): Promise<string | null> {
+  /** Saves the clicks; their name, and the view that they are a start for. Null when they could not be saved. */
+  private async keep(name: string): Promise<{ camera: string; name: string } | null> {
     try {
-      const saved = await post<{ camera: string }>(`/api/recordings/${this.recording.id}/starts`, { ...this.fitter.request(), name, camera: this.state.camera });
-      toast(`Saved as starts/${name}.json`, "done");
-      return saved.camera;
+      const saved = await post<{ camera: string; name: string }>(`/api/recordings/${this.recording.id}/starts`, { ...this.fitter.request(), name, camera: this.state.camera });
+      toast(`Saved as starts/${saved.name}.json`, "done");
+      return saved;
     } catch (error) {
       toast((error as Error).message, "error");
       return null;
@@ -227,9 +227,10 @@ export class Workspace {
 
   /** Saves, and tracks from this frame on: the result again from the corrected pose, or with this camera alone. */
   private async track(name: string): Promise<void> {
-    const view = await this.keep(name);
-    if (view === null) return;
-    const start = `clicks:${name}`;
+    const saved = await this.keep(name);
+    if (saved === null) return;
+    const view = saved.camera;
+    const start = `clicks:${saved.name}`;
     const wanted: NewJob = this.corrects
       ? { kind: "correct", result: this.result!.id, options: { start } }
       : {

@@ -1,0 +1,44 @@
+"""From raw footage to a result, by the page only: what `hypose synth --raw` writes."""
+
+import json
+import os
+import sys
+
+import numpy as np
+import pytest
+
+from hypose.app.jobs.truth import compare
+from hypose.io.motions.results import load_motion
+from hypose.synthetic import film_session
+from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import make_scene
+from tests.app.studio.browser import WEB, go
+from tests.app.studio.conftest import serving
+
+MOST_CLICKS = 15
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    """A folder with the session of four cameras, at half of their size; the board is carried about quickly, so that
+    there are fewer pictures to look at."""
+    root = tmp_path_factory.mktemp("raw")
+    scene = make_scene("walk", "neutral", rig("humaneva-4", distorted=True).scaled(0.5), seconds=1.2, seed=3)
+    with pytest.MonkeyPatch.context() as hurry:
+        for name, value in {"_STATIONS": 16, "_LYING": 8, "_HELD": (2, 3), "_MOVED": (1, 2)}.items():
+            hurry.setattr(film_session, name, value)
+        film_session.write_session(scene, root / "session")
+    return root
+
+
+def test_raw_footage_becomes_a_result_in_fifteen_clicks(session, page, tmp_path):
+    pictures = os.environ.get("HYPOSE_PICTURES", tmp_path)
+    truth = session.parent / "truth.npz"
+    (session / "session" / "truth.npz").replace(truth)
+    with serving(session) as client:
+        said = go(WEB / "tests" / "raw.walk.mjs", client.address, session, pictures)
+    assert json.loads(said.strip().splitlines()[-1])["clicks"] <= MOST_CLICKS
+    motion = load_motion(session / "mine" / "results" / "default" / "motion.npz")
+    off = np.nanmean(compare(truth, motion, 0).distances)
+    sys.stdout.write(f"\nRaw footage by the page: {1000 * off:.0f} mm from the truth\n")
+    assert off < 0.06
