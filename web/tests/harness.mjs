@@ -77,7 +77,8 @@ export const cutOff = (page) =>
     const told = (e) => `${e.tagName.toLowerCase()}.${e.className?.baseVal ?? e.className} "${(e.getAttribute("aria-label") || e.textContent || "").trim().slice(0, 40)}"`;
     if (document.scrollingElement.scrollWidth > innerWidth + 1) faults.push(`the page is ${document.scrollingElement.scrollWidth} px wide`);
     const wanted = "button, a, select, input:not(.sr-only), output, h1, h2, h3, legend, .chip, .field-name, .plot-title, summary, [role=slider], [role=tab]";
-    for (const e of document.querySelectorAll(wanted)) {
+    // what lies behind a dialog is behind it
+    for (const e of (document.querySelector("dialog:modal") ?? document).querySelectorAll(wanted)) {
       const box = e.getBoundingClientRect();
       const style = getComputedStyle(e);
       if (!box.width || !box.height || style.visibility === "hidden" || e.closest("[hidden], .sr-only, dialog:not([open])")) continue;

@@ -52,6 +52,8 @@ export class NewRecordingForm {
   private readonly height = h("input", { type: "number", min: 40, max: 280, step: 0.5, "aria-label": "Height of the person in cm" });
   private up = "z";
   private unit = "auto";
+  /** Of a calibration that is dropped; one that is made here is known. */
+  private readonly world = h("div", { class: "field" });
   private readonly make = button("Make the recording", () => undefined, { kind: "primary", icon: "done" });
   private readonly stop: () => void;
 
@@ -181,6 +183,7 @@ export class NewRecordingForm {
     this.list.replaceChildren(...this.files.map((f) => this.row(f)));
     const missing = this.coming ? "" : obstacle(this.files.filter((f) => f.upload).map((f) => ({ ...f, name: f.path })));
     this.form.hidden = !this.files.length;
+    this.world.hidden = !this.files.some((f) => f.role === "calibration");
     this.make.disabled = this.coming > 0 || missing !== "";
     this.error.textContent = missing;
     const without = this.cameras.filter((c) => !this.files.some((f) => SHOWS.includes(f.role) && f.camera === c));
@@ -223,14 +226,19 @@ export class NewRecordingForm {
   private drawForm(): void {
     const field = (name: string, ...inputs: HTMLElement[]): HTMLElement =>
       h("div", { class: "field" }, h("span", { class: "field-name" }, name), h("div", { class: "row wrap" }, ...inputs));
-    this.form.append(
-      field("Name", this.name),
-      field("Height", this.height, h("span", { class: "dim" }, "cm, of the person, if known")),
-      field(
-        "Calibration",
+    this.world.append(
+      h("span", { class: "field-name" }, "Calibration"),
+      h(
+        "div",
+        { class: "row wrap" },
         select("Up", ["z", "y", "x", "-y", "-z", "-x"].map((v) => ({ value: v, label: `${v} points up` })), this.up, (v) => (this.up = v)),
         select("Unit", [{ value: "auto", label: "unit as it seems" }, { value: "m", label: "metres" }, { value: "mm", label: "millimetres" }, { value: "cm", label: "centimetres" }], this.unit, (v) => (this.unit = v)),
       ),
+    );
+    this.form.append(
+      field("Name", this.name),
+      field("Height", this.height, h("span", { class: "dim" }, "cm, of the person, if known")),
+      this.world,
       this.error,
       h("div", { class: "row" }, this.make),
     );
@@ -289,5 +297,5 @@ function told(upload: Upload): string {
   const size = upload.size ? `${upload.size[0]} × ${upload.size[1]}` : "";
   if (upload.kind === "images") return `${number(upload.frames ?? 0, "picture")}, ${size}`;
   if (upload.kind === "image") return `picture, ${size}`;
-  return [`video, ${size}`, `${upload.frames ?? "?"} frames`, upload.frame_rate ? `${upload.frame_rate.toFixed(1).replace(/\.0$/, "")} frames/s` : ""].filter(Boolean).join(", ");
+  return [size, `${upload.frames ?? "?"} frames`, upload.frame_rate ? `${upload.frame_rate.toFixed(1).replace(/\.0$/, "")} fps` : ""].filter(Boolean).join(", ");
 }

@@ -15,6 +15,8 @@ export interface Series {
   sd?: ArrayLike<number> | null;
   /** Where this is not 0 the curve may be wrong, and is red. */
   doubtful?: ArrayLike<number> | null;
+  /** Stands behind the label in place of, or beside, the value at the frame shown. */
+  note?: string;
 }
 
 export interface PlotOptions {
@@ -26,6 +28,10 @@ export interface PlotOptions {
   window?: number;
   /** Stretches that are shaded: lost, extrapolated or doubtful. */
   flagged?: readonly Stretch[];
+  /** Moments (s) with a sign above the curves: a foot that strikes or leaves the ground. */
+  marks?: readonly { time: number; side: "left" | "right"; kind: "strike" | "off" }[];
+  /** Over 0 to 100 % of a cycle in place of time; the bands are of one standard deviation. */
+  cycle?: boolean;
   /** A click or drag in the plot chooses a time. */
   chosen?: (index: number) => void;
 }
@@ -49,16 +55,16 @@ export class Plot {
   private asked = 0;
 
   constructor(
-    private readonly times: Float64Array,
-    private readonly series: readonly Series[],
-    private options: PlotOptions,
+    readonly times: Float64Array,
+    readonly series: readonly Series[],
+    public options: PlotOptions,
   ) {
     this.figures = series.map(() => h("b", { class: "number" }));
     const legend = series.map((s, i) => {
       const style = `--c: var(--${s.colour})`;
       // of many the dashes alone say that it is the other result
       const name = s.dashed && series.length > ROOM ? "" : `${s.label} `;
-      return h("span", { style, class: s.dashed ? "dashed" : "", title: s.label || null }, name, this.figures[i]);
+      return h("span", { style, class: s.dashed ? "dashed" : "", title: [s.label, s.note].filter(Boolean).join(", ") || null }, name, options.cycle ? null : this.figures[i], s.note ? h("small", {}, ` ${s.note}`) : null);
     });
     this.element = h(
       "figure",
@@ -73,10 +79,21 @@ export class Plot {
     if (options.chosen) this.pointer(options.chosen);
   }
 
+  /** Whether it is over a cycle. */
+  get cycle(): boolean {
+    return this.options.cycle ?? false;
+  }
+
+  /** What it has drawn its curves on. */
+  get drawn(): HTMLCanvasElement | undefined {
+    return this.chart?.ctx.canvas;
+  }
+
   /** Moves the cursor to a frame. */
   show(index: number): void {
     this.at = index;
-    if (!this.chart) return;
+    this.line.hidden = this.cycle;
+    if (!this.chart || this.cycle) return;
     this.turn();
     this.line.style.transform = `translateX(${this.chart.valToPos(this.times[index] ?? 0, "x")}px)`;
   }
@@ -151,6 +168,7 @@ export class Plot {
     const axis = { stroke: colour("dim"), grid, ticks: { show: false }, font } satisfies uPlot.Axis;
     const least = this.options.range;
     const banded = this.series.filter((s) => s.sd);
+    const wide = this.wide;
     const edge = { width: 0, auto: false, points: { show: false } } satisfies uPlot.Series;
     this.chart = new uPlot(
       {
@@ -163,7 +181,7 @@ export class Plot {
           ready: [() => this.turnNow()],
           setSize: [() => this.show(this.at)],
           drawClear: [(chart) => this.shade(chart)],
-          draw: [(chart) => this.redden(chart)],
+          draw: [(chart) => this.redden(chart), (chart) => this.mark(chart)],
         },
         scales: {
           x: { time: false, range: () => this.shownRange() },
@@ -202,14 +220,20 @@ export class Plot {
       [
         this.times,
         ...this.series.map((s) => gaps(s.values)),
-        ...banded.flatMap((s) => [-NINETY, NINETY].map((by) => gaps(Float64Array.from(s.values, (v, t) => v + by * s.sd![t]!)))),
+        ...banded.flatMap((s) => [-wide, wide].map((by) => gaps(Float64Array.from(s.values, (v, t) => v + by * s.sd![t]!)))),
       ] as unknown as uPlot.AlignedData,
       this.holder,
     );
     this.chart.over.append(this.line);
   }
 
+  /** Standard deviations to either side in a band. */
+  private get wide(): number {
+    return this.cycle ? 1 : NINETY;
+  }
+
   private timeText(seconds: number, step: number): string {
+    if (this.cycle) return `${Math.round(seconds)} %`;
     const long = (this.times[this.times.length - 1] ?? 0) >= 60;
     return long ? clock(seconds, step) : seconds.toFixed(step >= 1 ? 0 : step >= 0.1 ? 1 : 2);
   }
@@ -220,7 +244,7 @@ export class Plot {
     for (const { values, sd } of this.series) {
       if (!sd) continue;
       for (let t = 0; t < values.length; t++) {
-        const [v, r] = [values[t]!, NINETY * sd[t]!];
+        const [v, r] = [values[t]!, this.wide * sd[t]!];
         if (v - r < a) a = v - r;
         if (v + r > b) b = v + r;
       }
@@ -255,6 +279,30 @@ export class Plot {
         open = true;
       }
       ctx.stroke();
+    }
+    ctx.restore();
+  }
+
+  /** Feet that strike (pointing down) and leave the ground (pointing up), in the colour of their side. */
+  private mark(chart: uPlot): void {
+    const marks = this.options.marks ?? [];
+    if (!marks.length) return;
+    const { ctx, bbox } = chart;
+    const size = 4 * (window.devicePixelRatio || 1);
+    const [from, to] = this.shownRange();
+    ctx.save();
+    for (const { time, side, kind } of marks) {
+      if (time < from || time > to) continue;
+      const x = chart.valToPos(time, "x", true);
+      const [base, tip] = kind === "strike" ? [bbox.top, bbox.top + 1.6 * size] : [bbox.top + 1.6 * size, bbox.top];
+      ctx.fillStyle = ctx.strokeStyle = colour(side);
+      ctx.beginPath();
+      ctx.moveTo(x - size, base);
+      ctx.lineTo(x + size, base);
+      ctx.lineTo(x, tip);
+      ctx.closePath();
+      if (kind === "strike") ctx.fill();
+      else ctx.stroke();
     }
     ctx.restore();
   }
