@@ -71,7 +71,7 @@ await walk(
       const tile = document.querySelector(".tile canvas");
       const { data } = tile.getContext("2d").getImageData(0, 0, tile.width, tile.height);
       let n = 0;
-      for (let i = 0; i < data.length; i += 4) if (data[i] > 190 && data[i + 1] > 200 && data[i + 2] < 170) n++;
+      for (let i = 0; i < data.length; i += 4) if (data[i] > 235 && data[i + 1] > 195 && data[i + 1] < 235 && data[i + 2] > 240) n++;
       return n;
     });
     const before = await colours();

@@ -39,7 +39,10 @@ export interface PlotOptions {
 const NINETY = 1.645; // standard deviations to either side that hold 90 % of a normal distribution
 const MOST_BAND = 0.6; // of the curves' range that bands may add to it: what is hardly known would flatten all the rest
 const TURN_MS = 160; // longer than from one click to the next of somebody who looks around
-const ROOM = 4; // values that find room beside a plot's title
+/** Units in which nothing is more than 1. */
+const SHARES: ReadonlySet<string> = new Set(["IoU", "of 1"]);
+/** What is shown at least from bottom to top, by unit: noise is not to look like a movement. */
+const LEAST_SPAN: Readonly<Record<string, number>> = { "°": 4, m: 0.04, mm: 2, IoU: 0.1, "of 1": 0.1, "%": 4 };
 
 /** A plot of values over time with a cursor line that follows the frame shown, and the values there in its title. */
 export class Plot {
@@ -63,7 +66,7 @@ export class Plot {
     const legend = series.map((s, i) => {
       const style = `--c: var(--${s.colour})`;
       // of many the dashes alone say that it is the other result
-      const name = s.dashed && series.length > ROOM ? "" : `${s.label} `;
+      const name = s.dashed && series.length > 2 ? "" : `${s.label} `;
       return h("span", { style, class: s.dashed ? "dashed" : "", title: [s.label, s.note].filter(Boolean).join(", ") || null }, name, options.cycle ? null : this.figures[i], s.note ? h("small", {}, ` ${s.note}`) : null);
     });
     this.element = h(
@@ -176,7 +179,7 @@ export class Plot {
         height,
         legend: { show: false },
         cursor: { show: false },
-        padding: [6, 10, 0, 0],
+        padding: [6, this.cycle ? 20 : 10, 0, 0],
         hooks: {
           ready: [() => this.turnNow()],
           setSize: [() => this.show(this.at)],
@@ -188,17 +191,21 @@ export class Plot {
           y: {
             range: (_, low, high) => {
               if (!Number.isFinite(low)) return [...(least ?? [0, 1])] as [number, number];
+              const missing = least ? 0 : Math.max(0, (LEAST_SPAN[this.options.unit] ?? 0) - (high - low)) / 2;
+              [low, high] = [low - missing, high + missing];
               const add = MOST_BAND * (high - low || 1);
               const band = this.reach(low, high);
               const [a, b] = [Math.min(low, least?.[0] ?? low, Math.max(band[0], low - add)), Math.max(high, least?.[1] ?? high, Math.min(band[1], high + add))];
               const room = Math.max(1e-3, (b - a) * 0.06);
-              return [least && low >= least[0] ? a : a - room, least && high <= least[1] ? b : b + room];
+              const top = least && high <= least[1] ? b : b + room;
+              return [least && low >= least[0] ? a : a - room, SHARES.has(this.options.unit) ? Math.min(1.002, top) : top];
             },
           },
         },
         axes: [
           { ...axis, size: 22, gap: 5, space: 60, values: (_, at, __, ___, step) => at.map((t) => this.timeText(t, step)) },
-          { ...axis, size: 40, gap: 4, space: 22 },
+          // as many digits as the steps have, so that no two lines are called the same
+          { ...axis, size: 40, gap: 4, space: 22, values: (_, at, __, ___, step) => at.map((v) => v.toFixed(Math.min(6, Math.max(0, -Math.floor(Math.log10(step) + 1e-9))))) },
         ],
         series: [
           {},

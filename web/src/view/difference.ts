@@ -7,21 +7,23 @@ export function difference(data: ViewData, beside: Beside | null): Panel[] {
   if (!beside) return [];
   const series = REGIONS.flatMap(([label, tone, which]): Series[] => {
     const values = apart(data, beside, (name) => which.test(name));
-    return values.some(Number.isFinite) ? [{ label, colour: tone, values, note: `RMS ${square(values).toFixed(0)} mm` }] : [];
+    return values.some(Number.isFinite) ? [{ label, colour: tone, values, note: `RMS ${square(values).toFixed(0)}` }] : [];
   });
   const all = apart(data, beside, () => true);
-  const panels: Panel[] = [{ title: `Distance between the joints, RMS ${square(all).toFixed(1)} mm`, unit: "mm", range: [0, 1], series }];
+  const panels: Panel[] = [{ title: `Joints apart, RMS ${square(all).toFixed(1)} mm`, unit: "mm", range: [0, 1], series }];
   for (const [, label, parts] of ANGLE_GROUPS.filter(([name]) => name === "legs" || name === "arms")) {
-    const curves = parts.flatMap(([title, names], i): Series[] => {
+    const joints = parts.map(([title]) => title.split(" ")[0]!.toLowerCase());
+    const named = new Set(joints).size === joints.length ? joints : parts.map(([title]) => title.toLowerCase());
+    const curves = parts.flatMap(([, names], i): Series[] => {
       const both = names.map((n) => [angle(data, n), angle(beside.data, n)] as const);
       if (both.some(([a, b]) => !a || !b)) return [];
       const each = both.map(([a, b]) => [a!, shifted(b!, beside.shift, data.frames)] as const);
       // of both sides the larger one, so that none hides behind the other
       const values = Float32Array.from({ length: data.frames }, (_, t) => Math.max(...each.map(([a, b]) => Math.abs(a[t]! - b[t]!))));
       const off = Math.sqrt(each.reduce((sum, [a, b]) => sum + rms(a, b) ** 2, 0) / each.length);
-      return [{ label: title.split(" ")[0]!.toLowerCase(), colour: (["first", "second", "third"] as const)[i % 3]!, values, note: `RMS ${off.toFixed(1)}°` }];
+      return [{ label: named[i]!, colour: (["first", "second", "third"] as const)[i % 3]!, values, note: `RMS ${off.toFixed(1)}` }];
     });
-    if (curves.length) panels.push({ title: `${label}: angles differ by`, unit: "°", range: [0, 1], series: curves });
+    if (curves.length) panels.push({ title: `${label}: angles apart`, unit: "°", range: [0, 1], series: curves });
   }
   return panels;
 }

@@ -147,5 +147,5 @@ export class Overlay {
 
 /** On pictures the colours do not follow the theme: what is filmed does not either. */
 const DOUBTFUL = "#ff5257";
-const BESIDE = "#e6ff80";
+const BESIDE = "#f7d9ff";
 const LIMBS = { left: "#f5a04a", right: "#5bb2f5", middle: "#f2f5f7" };
