@@ -11,6 +11,8 @@
 // CHROMIUM and PICTURES (a folder for pictures) in the environment; `// slow` in the first line marks a slow one, and
 // `// folder: empty` one that starts with nothing in the served folder.
 import assert from "node:assert/strict";
+import { readFile } from "node:fs/promises";
+import { createRequire } from "node:module";
 import { join } from "node:path";
 import { chromium } from "playwright-core";
 
@@ -111,6 +113,20 @@ export const cutOff = (page) =>
     }
     return [...new Set(faults)];
   });
+
+/** What axe-core finds that keeps people out who hear the page, use keys only, or see less: findings that it calls serious
+ * or critical, as "rule: element". */
+export const barriers = async (page) => {
+  await page.evaluate(await axe());
+  return page.evaluate(async () => {
+    const { violations } = await window.axe.run(document, { resultTypes: ["violations"] });
+    return violations
+      .filter((v) => v.impact === "serious" || v.impact === "critical")
+      .flatMap((v) => v.nodes.map((n) => `${v.id}: ${n.target.join(" ")} (${(n.any[0] ?? n.all[0] ?? n.none[0])?.message ?? v.help})`));
+  });
+};
+let source;
+const axe = async () => (source ??= await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf-8"));
 
 /** Value below which this share of a list lies. */
 export const quantile = (list, share) => [...list].sort((a, b) => a - b)[Math.floor(share * (list.length - 1))] ?? NaN;

@@ -13,7 +13,7 @@ from typing import Generic, TypeVar
 
 IDLE_S = 300.0
 """s after which what nobody has asked for is let go."""
-_MMAP_THRESHOLD = -3  # of glibc's mallopt
+_MMAP_THRESHOLD, _ARENA_MAX = -3, -8  # of glibc's mallopt
 V = TypeVar("V")
 
 
@@ -98,6 +98,7 @@ def give_back_large_blocks() -> None:
     blocks of up to 32 MB for reuse, in every thread's arena, which for a server that decodes a picture now and then is
     several times what it needs. Elsewhere nothing changes."""
     _of_libc("mallopt", _MMAP_THRESHOLD, 1 << 18)
+    _of_libc("mallopt", _ARENA_MAX, 2)  # what is left over of small blocks is less in fewer arenas
 
 
 def _of_libc(name: str, *numbers: int) -> None:

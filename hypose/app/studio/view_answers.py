@@ -27,7 +27,7 @@ from hypose.errors import HyposeError, InputError
 from hypose.io.motions.results import load_motion
 from hypose.io.recordings.recording import load_recording
 
-_BLOCKS, _PICTURES, _THUMBNAILS = 64 << 20, 128 << 20, 4 << 20
+_BLOCKS, _PICTURES, _THUMBNAILS = 48 << 20, 64 << 20, 4 << 20
 """Bytes of blocks, of open pictures, and of thumbnails that are kept."""
 _UNTRUSTED = (
     "sandbox allow-scripts; default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src "

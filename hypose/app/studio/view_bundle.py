@@ -41,11 +41,12 @@ _DTYPES = {"f4": "<f4", "f8": "<f8", "u1": "|u1", "u2": "<u2", "u4": "<u4"}
 
 @dataclass(frozen=True)
 class Rivals:
-    """Other poses that the evidence allows: joints (T, R, J, 3) m, best first; weights
-    (T, 1 + R), first that of the motion's own pose. NaN where a frame has fewer."""
+    """Other poses that the evidence allows: weights (T, 1 + R), first that of the motion's own pose; rows (N,) that
+    have another pose, which are few; joints (N, R, J, 3) m of these, best first. NaN where a frame has fewer."""
 
-    joints: Array
-    weights: Array
+    rows: NDArray[np.int64]
+    joints: NDArray[np.float32]
+    weights: NDArray[np.float32]
 
     @classmethod
     def of(cls, joints: Array, weights: Array) -> Rivals | None:
@@ -53,7 +54,9 @@ class Rivals:
         MOST_RIVALS at most: what comes after them weighs next to nothing."""
         if joints.shape[1] < 2:
             return None
-        return cls(joints[:, 1 : 1 + MOST_RIVALS], weights[:, : 1 + MOST_RIVALS])
+        others = joints[:, 1 : 1 + MOST_RIVALS]
+        rows = np.flatnonzero(np.isfinite(others).any((1, 2, 3)))
+        return cls(rows, others[rows].astype(np.float32), weights[:, : 1 + MOST_RIVALS].astype(np.float32))
 
     @classmethod
     def of_motion(cls, motion: Motion) -> Rivals | None:
@@ -61,11 +64,12 @@ class Rivals:
         if motion.rivals is None or motion.rival_weights is None or not motion.rival_weights.any():
             return None
         others = motion.rival_weights.astype(np.float64)
-        there = others > 0  # few frames have any
-        joints = np.full((*there.shape, len(motion.skeleton.joint_names), 3), np.nan)
-        joints[there] = motion.skeleton.forward(motion.rivals[there])[1]
+        there = others > 0
+        rows = np.flatnonzero(there.any(1))
+        joints = np.full((len(rows), there.shape[1], len(motion.skeleton.joint_names), 3), np.nan, np.float32)
+        joints[there[rows]] = motion.skeleton.forward(motion.rivals[there])[1]
         weights = np.concatenate([1 - others.sum(1, keepdims=True), np.where(others > 0, others, np.nan)], 1)
-        return cls(joints, weights)
+        return cls(rows, joints, weights.astype(np.float32))
 
 
 @dataclass(frozen=True)
@@ -149,6 +153,7 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
         percent = np.rint(100 * np.nan_to_num(m.p_wrong, nan=_UNKNOWN_PERCENT / 100))
         out["p_wrong"] = percent.astype("u1")
     if result.rivals is not None:
+        out["rival_rows"] = result.rivals.rows.astype("<u4")
         out["rival_joints"] = result.rivals.joints.astype("<f4")
         out["rival_weights"] = result.rivals.weights.astype("<f4")
     if result.truth is not None:

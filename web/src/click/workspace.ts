@@ -54,7 +54,7 @@ export class Workspace {
     });
     this.list = new JointList(this.state, joints);
     this.facts = new FitFacts(this.fitter);
-    const host = h("div", { class: "fit-space", "aria-label": "The fitted pose in 3D; drag to turn it" });
+    const host = h("div", { class: "fit-space", role: "group", "aria-label": "The fitted pose in 3D; drag to turn it" });
     this.space = new FitSpace(cameras, host);
     this.cameras.append(
       ...cameras.map((c, k) =>
@@ -115,7 +115,6 @@ export class Workspace {
       const name = tab.dataset["camera"] ?? "";
       const n = Object.keys(state.clicks[name] ?? {}).length;
       tab.setAttribute("aria-checked", String(name === state.camera));
-      tab.setAttribute("aria-selected", String(name === state.camera));
       tab.textContent = n ? `${name} · ${n}` : name;
     }
     for (const b of this.save.querySelectorAll("button")) b.disabled = !fitter.state.fit;

@@ -1,4 +1,4 @@
-import { doubtfulAt, side, type CameraData, type ViewData } from "../lib/bundle";
+import { doubtfulAt, rivalJoints, side, type CameraData, type ViewData } from "../lib/bundle";
 import { Projector } from "../lib/camera";
 import type { Skin } from "../lib/skin";
 import { colour } from "../ui/theme";
@@ -105,8 +105,8 @@ export class Overlay {
     if (!rivals) return;
     c.setLineDash([4 / scale, 3 / scale]);
     for (let k = 0; k < rivals.count; k++) {
-      const at = 3 * (row * rivals.count + k) * joints;
-      if (Number.isFinite(rivals.joints[at]!)) this.lines(c, rivals.joints.subarray(at, at + 3 * joints), 1.4 / scale, () => "#ffffff");
+      const other = rivalJoints(rivals, row, k, joints);
+      if (other) this.lines(c, other, 1.4 / scale, () => "#ffffff");
     }
     c.setLineDash([]);
   }
