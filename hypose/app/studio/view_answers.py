@@ -41,7 +41,7 @@ class Results:
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
-        self._blocks: Kept[bytes] = Kept(_BLOCKS, len)
+        self._blocks: Kept[bytes] = Kept(_BLOCKS, len, one_more=True)
         self._pictures: Kept[ViewPictures] = Kept(_PICTURES, lambda p: p.held, ViewPictures.close)
         self._thumbnails: Kept[bytes] = Kept(_THUMBNAILS, len)
         self._heads: dict[str, tuple[float, dict[str, Any]]] = {}

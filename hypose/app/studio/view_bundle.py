@@ -23,7 +23,7 @@ from hypose import __version__
 from hypose.app.jobs.truth import Truth
 from hypose.app.reports.summary import subject_rows, summarize
 from hypose.body.body import Body, Mesh
-from hypose.body.joint_angles import ANGLE_NAMES, is_length, joint_angles
+from hypose.body.joint_angles import ANGLE_NAMES, angles_of_frames, is_length
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import CameraRig
@@ -138,10 +138,12 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
         "cost": m.cost.astype("<f4"),
     }
     if m.poses is not None:
-        out["rotations"] = quaternions(m.skeleton, m.poses)
+        known = np.asarray(np.isfinite(m.poses).all(1))
+        rotations, centres = m.skeleton.forward(m.poses[known])
+        out["rotations"] = _in_rows(_quaternions(rotations), known)
         if angles_known(m.skeleton):
-            names, values = joint_angles(m.skeleton, m.poses)
-            out["angles"] = _in_degrees(names, values.T)
+            turns = angles_of_frames(m.skeleton, rotations, centres) if known.any() else np.zeros((0, len(ANGLE_NAMES)))
+            out["angles"] = _in_degrees(ANGLE_NAMES, _in_rows(turns, known).T)
             if m.angle_sd is not None:
                 out["angle_sd"] = _in_degrees(ANGLE_NAMES, m.angle_sd.T)
         if result.body is not None:
@@ -175,15 +177,19 @@ def _flags(motion: Motion) -> np.ndarray:
     return np.select(cases, [LOST, EXTRAPOLATED, DOUBTFUL], 0).astype("u1")
 
 
-def quaternions(skeleton: Skeleton, poses: Array) -> np.ndarray:
-    """World-from-joint rotations of poses (T, D) as float32 quaternions (T, J, 4) x y z w; NaN where the pose is."""
-    good = np.isfinite(poses).all(1)
-    rotations, _ = skeleton.forward(poses[good])
-    out = np.full((len(poses), len(skeleton.joint_names), 4), np.nan, "<f4")
-    out[good] = (
-        Rotation.from_matrix(rotations.reshape(-1, 3, 3), assume_valid=True).as_quat().reshape(*rotations.shape[:2], 4)
-    )
+def _in_rows(values: Array, known: NDArray[np.bool_]) -> Array:
+    """Values (N, ...) of the N known rows in all rows (T, ...); NaN in the others."""
+    if known.all():
+        return values
+    out = np.full((len(known), *values.shape[1:]), np.nan, values.dtype)
+    out[known] = values
     return out
+
+
+def _quaternions(rotations: Array) -> np.ndarray:
+    """World-from-joint rotations (N, J, 3, 3) as float32 quaternions (N, J, 4) x y z w."""
+    flat = Rotation.from_matrix(rotations.reshape(-1, 3, 3), assume_valid=True).as_quat()
+    return flat.reshape(*rotations.shape[:2], 4).astype("<f4")
 
 
 def _mesh(level: str, mesh: Mesh) -> dict[str, np.ndarray]:

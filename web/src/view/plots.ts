@@ -13,6 +13,7 @@ export type { Beside } from "./panels";
 
 const WINDOWS = [0, 5, 20, 60];
 const LONG_S = 60; // longer results begin with a part of themselves: whole, their curves would be solid blocks
+const WALK_MS = 800; // after which it is asked how somebody walks
 export const MOST_PANELS = 5;
 
 /** Joint angles and the quality of the fit over time or over the gait cycle, in groups. */
@@ -29,6 +30,7 @@ export class PlotPane {
   private chosenChannels: string[];
   private gait: Gait | null = null;
   private over: "time" | "cycle" = "time";
+  private later = 0;
   private readonly span: HTMLSelectElement;
   private readonly axis: HTMLSelectElement;
 
@@ -62,7 +64,7 @@ export class PlotPane {
       ], { icon: "download", kind: "quiet", title: "These plots as files" }),
     ];
     this.drawTabs(memory.get("plots") ?? "");
-    void this.walk();
+    this.later = window.setTimeout(() => void this.walk(), WALK_MS); // pictures first
   }
 
   private groups(): Group[] {
@@ -99,6 +101,11 @@ export class PlotPane {
   }
 
   close(): void {
+    clearTimeout(this.later);
+    this.empty();
+  }
+
+  private empty(): void {
     for (const plot of this.plots) plot.close();
     this.plots = [];
   }
@@ -145,7 +152,7 @@ export class PlotPane {
   private open(name: string): void {
     this.name = name;
     if (name !== "difference") memory.set("plots", name);
-    this.close();
+    this.empty();
     const group = this.groups().find((g) => g.name === name);
     const flagged = stretches(this.data.flags);
     const cyclic = this.cycles(name);
