@@ -128,6 +128,20 @@ export const barriers = async (page) => {
 let source;
 const axe = async () => (source ??= await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf-8"));
 
+/** A screenshot as soon as two in a row are the same. */
+export const resting = async (take) => {
+  for (let before = await take(), tries = 0; ; tries++) {
+    const now = await take();
+    if (now.equals(before) || tries > 40) return now;
+    before = now;
+  }
+};
+
+/** Waits until a screenshot is another one. */
+export const other = async (take, before, message) => {
+  for (let tries = 0; before.equals(await take()); tries++) assert.ok(tries < 60, message);
+};
+
 /** Value below which this share of a list lies. */
 export const quantile = (list, share) => [...list].sort((a, b) => a - b)[Math.floor(share * (list.length - 1))] ?? NaN;
 
