@@ -37,9 +37,9 @@ def shift_of_mask(
     if len(x) < _LEAST:
         return np.full(2, np.nan)
     distance = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5) - cv2.distanceTransform(mask, cv2.DIST_L2, 5)
+    distance += mask - np.float32(0.5)  # the edge lies between the pixels
     smooth = cv2.GaussianBlur(distance, (0, 0), 1.0)
-    # pixels of the outline are the body's last ones, and the mask's last ones have a distance of -1
-    residual = distance[y, x] + 1.0
+    residual = distance[y, x] + 0.5  # the outline's pixels are the body's last ones
     across = np.stack([smooth[y, x + 1] - smooth[y, x - 1], smooth[y + 1, x] - smooth[y - 1, x]], 1) / 2
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-3)
     found, limit = np.zeros(2), 3 * _SCALE_M * metre
