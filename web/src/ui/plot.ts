@@ -205,7 +205,7 @@ export class Plot {
         axes: [
           { ...axis, size: 22, gap: 5, space: 60, values: (_, at, __, ___, step) => at.map((t) => this.timeText(t, step)) },
           // as many digits as the steps have, so that no two lines are called the same
-          { ...axis, size: 40, gap: 4, space: 22, values: (_, at, __, ___, step) => at.map((v) => v.toFixed(Math.min(6, Math.max(0, -Math.floor(Math.log10(step) + 1e-9))))) },
+          { ...axis, size: 40, gap: 4, space: 22, values: (_, at, __, ___, step) => at.map((v) => v.toFixed(decimals(step))) },
         ],
         series: [
           {},
@@ -242,7 +242,7 @@ export class Plot {
   private timeText(seconds: number, step: number): string {
     if (this.cycle) return `${Math.round(seconds)} %`;
     const long = (this.times[this.times.length - 1] ?? 0) >= 60;
-    return long ? clock(seconds, step) : seconds.toFixed(step >= 1 ? 0 : step >= 0.1 ? 1 : 2);
+    return long ? clock(seconds, step) : seconds.toFixed(decimals(step));
   }
 
   /** How far the bands reach, where the curves lie between these values. */
@@ -345,6 +345,15 @@ export class Plot {
       });
     });
   }
+}
+
+/** Digits behind the point that multiples of a step have: 2.5 has one. */
+function decimals(step: number): number {
+  for (let digits = 0; digits < 6; digits++) {
+    const whole = step * 10 ** digits;
+    if (Math.abs(whole - Math.round(whole)) < 1e-6) return digits;
+  }
+  return 6;
 }
 
 /** A colour as it lies below the curves. */
