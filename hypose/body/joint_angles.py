@@ -229,20 +229,33 @@ def _hold(values: Array, defined: NDArray[np.bool_]) -> Array:
 
 def _branch(both: Array, prior_axis: int) -> NDArray[np.int64]:
     """Branch (T, K) of the two triples (T, K, 2, 3) with the least change plus the price of unlikely
-    angles."""
+    angles.
+
+    From frame to frame both branches cost the same to stay on and the same to leave for the other, for they are each
+    other's mirror. So all that has to be known of the way so far is by how much the second one is dearer."""
     usual, price = np.radians(100.0), 0.2
     node = price * np.maximum(np.abs(both[..., prior_axis]) - usual, 0)
     t, k = both.shape[:2]
-    came_from = np.zeros((t, k, 2), dtype=np.int64)
-    change = np.abs(_wrap(both[1:, :, :, None] - both[:-1, :, None])).sum(-1)  # (T - 1, K, now, before)
-    total = node[0]
-    for i in range(1, t):
-        through = change[i - 1] + total[:, None, :]
-        came_from[i] = through.argmin(-1)
-        total = through.min(-1) + node[i]
+    stay = np.abs(_wrap(both[1:, :, 0] - both[:-1, :, 0])).sum(-1)
+    change = np.abs(_wrap(both[1:, :, 0] - both[:-1, :, 1])).sum(-1)
     out = np.zeros((t, k), dtype=np.int64)
-    out[-1] = total.argmin(-1)
-    every = np.arange(k)
-    for i in range(t - 1, 0, -1):
-        out[i - 1] = came_from[i, every, out[i]]
+    for c in range(k):
+        out[:, c] = _cheapest((change - stay)[:, c].tolist(), (node[..., 1] - node[..., 0])[:, c].tolist())
     return out
+
+
+def _cheapest(dearer: list[float], extra: list[float]) -> list[int]:
+    """The cheapest way over frames with two branches: dearer (T - 1), by how much it costs more to change the branch
+    than to stay; extra (T), by how much the second branch costs more in a frame."""
+    ahead = extra[0]  # by how much the way to the second branch is dearer
+    came_from: list[tuple[int, int]] = []
+    for g, n in zip(dearer, extra[1:], strict=True):
+        first, second = int(ahead + g < 0), int(ahead < g)
+        came_from.append((first, second))
+        to_first = ahead + g if first else 0.0
+        to_second = ahead if second else g
+        ahead = to_second - to_first + n
+    way = [int(ahead < 0)]
+    for step in reversed(came_from):
+        way.append(step[way[-1]])
+    return way[::-1]

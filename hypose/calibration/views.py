@@ -267,15 +267,15 @@ def diagnose(views: CameraViews, board: Board, pictures: int = 6) -> str:
     return _diagnose_markers(grays, board) if board.kind == "charuco" else _diagnose_chessboard(grays, board)
 
 
-def _chessboard_seen(grays: Sequence[Gray], board: Board) -> tuple[int, int] | None:
-    """Corner counts of the chessboard that most pictures show, the larger first."""
+def chessboard_seen(grays: Sequence[Gray], about: tuple[int, int] = (9, 6)) -> tuple[int, int] | None:
+    """Corner counts of the chessboard that most pictures show, the larger first; about: what may be expected."""
     sizes: dict[tuple[int, int], int] = {}
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
     for gray in grays:
         scale = min(1.0, 1000 / max(gray.shape))
         small = np.asarray(cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         best = (0, 0)
-        for picture in (small, *(sheet for sheet, _ in sheet_views(small, board.size))):
+        for picture in (small, *(sheet for sheet, _ in sheet_views(small, about))):
             found, _, meta = cv2.findChessboardCornersSBWithMeta(picture, (3, 3), flags)
             if found and meta is not None and meta.ndim >= 2:
                 seen = (max(meta.shape[:2]), min(meta.shape[:2]))
@@ -289,7 +289,7 @@ def _diagnose_chessboard(grays: Sequence[Gray], board: Board) -> str:
     other_way = make_detector(replace(board, inverted=not board.inverted))
     if any(other_way(g) is not None for g in grays):
         return _COLOURS[board.inverted]
-    seen = _chessboard_seen(grays, board)
+    seen = chessboard_seen(grays, board.size)
     if seen is not None:
         if set(seen) == set(board.size):
             return "a board of this size was seen, but not well enough to measure it"
@@ -344,7 +344,7 @@ def _diagnose_markers(grays: Sequence[Gray], board: Board) -> str:
     for name in ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_APRILTAG_36H11"):
         if _markers(grays, name, board.inverted) >= 4:
             return f"markers of another dictionary, {name}, were seen"
-    seen = _chessboard_seen(grays, board)
+    seen = chessboard_seen(grays, board.size)
     return f"a chessboard of {seen[0]} x {seen[1]} inner corners without markers was seen instead" if seen else ""
 
 

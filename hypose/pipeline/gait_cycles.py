@@ -41,8 +41,8 @@ def strides(events: Sequence[GaitEvent], motion: Motion, side: str) -> list[tupl
         known &= np.isfinite(motion.poses).all(1)
     out = []
     for a, b in zip(strikes, strikes[1:], strict=False):
-        inside = (motion.times >= a) & (motion.times <= b)
-        if _SHORTEST <= b - a <= _LONGEST and inside.any() and known[inside].all():
+        first, stop = np.searchsorted(motion.times, a), np.searchsorted(motion.times, b, "right")
+        if _SHORTEST <= b - a <= _LONGEST and first < stop and known[first:stop].all():
             out.append((a, b))
     return out
 
@@ -59,8 +59,9 @@ def angle_cycles(events: Sequence[GaitEvent], motion: Motion) -> list[AngleCycle
         spans = whole["left" if name.endswith("_l") else "right"]
         if is_length(name) or name == "pelvis_rotation" or not spans:  # where somebody walks is no cycle
             continue
-        curves = np.stack([_over(motion.times, values[:, k], span) for span in spans])
-        sds = np.stack([_over(motion.times, np.asarray(given[:, k], np.float64), span) for span in spans])
+        own, own_sd = np.ascontiguousarray(values[:, k]), np.array(given[:, k], dtype=np.float64)
+        curves = np.stack([_over(motion.times, own, span) for span in spans])
+        sds = np.stack([_over(motion.times, own_sd, span) for span in spans])
         # strides lie farther apart than an error lasts, so each counts anew
         apart = min(1.0, CORRELATION / np.mean([b - a for a, b in spans]))
         count = max(1.0, len(spans) * (1 - apart) + apart)
@@ -72,4 +73,6 @@ def angle_cycles(events: Sequence[GaitEvent], motion: Motion) -> list[AngleCycle
 
 def _over(times: Array, series: Array, span: tuple[float, float]) -> Array:
     """(101,) of a series (T,) from the first to the second time."""
-    return np.interp(span[0] + PERCENT / 100 * (span[1] - span[0]), times, series)
+    first, stop = np.searchsorted(times, span)
+    inside = slice(max(first - 1, 0), stop + 1)
+    return np.interp(span[0] + PERCENT / 100 * (span[1] - span[0]), times[inside], series[inside])

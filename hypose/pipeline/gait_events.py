@@ -145,6 +145,7 @@ def _steps(
     events: list[GaitEvent], motion: Motion, body: Body, feet: Array, facing: Array, covariance: Array
 ) -> list[GaitStep]:
     strikes = [e for e in events if e.kind == "strike"]
+    offs = {s: np.array([e.time for e in events if e.kind == "off" and e.side == s]) for s in ("left", "right")}
     ankle = {s: body.skeleton.joint(f"{s}_ankle") for s in ("left", "right")}
     heel = {"left": 0, "right": 2}
     out = []
@@ -155,7 +156,9 @@ def _steps(
         across = np.array([-facing[t, 1], facing[t, 0], 0.0])
         apart = feet[t, heel[now.side]] - feet[t, heel[before.side]]
         both = covariance[t, ankle["left"]] + covariance[t, ankle["right"]] + 2 * HEEL_SD**2 * np.eye(3)
-        off = next((e.time for e in events if e.kind == "off" and e.side == before.side and e.time > now.time), np.nan)
+        left = offs[before.side]
+        after = int(np.searchsorted(left, now.time, "right"))
+        off = left[after] if after < len(left) else np.nan
         out.append(
             GaitStep(
                 side=now.side,

@@ -44,6 +44,14 @@ def test_boards(pictures, tmp_path, capsys):
     assert sheet is not None and sheet.shape[1] == 1560 and sheet.std() > 10
 
 
+def test_the_corners_of_the_board_are_counted(pictures, tmp_path, capsys):
+    code, said, _ = run(
+        capsys, pictures, "--square", "6cm", "--intrinsics", pictures / "lenses.toml", "--floor", 0,
+        "--out", tmp_path / "rig.toml",
+    )  # fmt: skip
+    assert code == 0 and "chessboard of 6 x 5 inner corners, as counted" in said
+
+
 def test_a_board_that_is_not_found_leaves_a_sheet(pictures, tmp_path, capsys):
     code, _, said = run(
         capsys, pictures / "cam1", "--chessboard", "9x8", "--square", "60mm", "--out", tmp_path / "a.toml"

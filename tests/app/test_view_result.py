@@ -80,7 +80,8 @@ def test_rival_poses_come_from_the_motion_itself(folder):
     weights[3, 0] = 0.3
     save_motion(replace(motion, rivals=rivals, rival_weights=weights), folder / "motion.npz")
     found = read_bundle(view_bundle(load_view(folder)))[1]
-    np.testing.assert_allclose(found["rival_joints"][3, 0], motion.skeleton.forward(motion.poses[3])[1] + 1, atol=1e-5)
+    assert found["rival_rows"].tolist() == [3]
+    np.testing.assert_allclose(found["rival_joints"][0, 0], motion.skeleton.forward(motion.poses[3])[1] + 1, atol=1e-5)
     assert np.isfinite(found["rival_joints"]).all((2, 3)).sum() == 1
     np.testing.assert_allclose(found["rival_weights"][3], [0.7, 0.3, np.nan], rtol=1e-6)
     save_motion(replace(motion, rivals=rivals, rival_weights=0 * weights), folder / "motion.npz")

@@ -32,7 +32,7 @@ export interface ViewInfo {
   keypoints: string | null;
 }
 export type MaskSettings = Record<string, number | boolean | string>;
-export interface Finding { fault: boolean; sentence: string; views: string[]; kind: string }
+export interface Finding { fault: boolean; sentence: string; views: string[]; kind: string; cure?: string }
 export interface Check {
   healthy: boolean; facts: string[]; warnings: string[]; findings: Finding[]; page: string | null;
   views: { name: string; residual_px: number | null; left_out_px: number | null; tangency_px: number | null }[];
@@ -44,25 +44,32 @@ export interface Recording {
   subject: { stature_m: number; sizes_cm: Record<string, number> } | null; results: Id[]; starts: string[];
   /** Views that were left out; a refined calibration that is not used yet. */
   left_out: string[]; refined: string | null;
+  /** Clips of a calibration board: their cameras; whether these are calibrated; when the sheet of what was seen was made. */
+  board: { cameras: string[]; calibrated: boolean; sheet: number | null } | null;
+  /** How many frames late each view was found to be. */
+  sync: { by: string; views: { name: string; late: number; told: string }[] } | null;
 }
 
 export interface Upload {
-  upload: Id; name: string; bytes: number; kind: "video" | "image" | "calibration" | "other"; size?: [number, number];
+  upload: Id; name: string; bytes: number; kind: "video" | "image" | "images" | "keypoints" | "calibration" | "other"; size?: [number, number];
   frames?: number; frame_rate?: number | null; cameras?: string[];
 }
+export interface NewView {
+  name: string; camera: string; video?: Id; background?: Id; masks?: Id; keypoints?: Id; board?: Id; accept_scaled?: boolean;
+}
 export interface NewRecording {
-  name: string; calibration: Id; frame_rate?: number; world_up?: string; calibration_unit?: string;
-  subject_height?: number; views: { name: string; camera: string; video: Id; background?: Id; accept_scaled?: boolean }[];
+  name: string; calibration?: Id; frame_rate?: number; world_up?: string; calibration_unit?: string;
+  subject_height?: number; views: NewView[];
 }
 
-export type JobKind = "check" | "silhouettes" | "subject" | "track" | "correct" | "export" | "demo" | "refine";
+export type JobKind = "calibrate" | "sync" | "in_step" | "check" | "silhouettes" | "subject" | "track" | "correct" | "export" | "demo" | "refine";
 export type JobState = "queued" | "running" | "done" | "failed" | "cancelled";
 export interface Stage {
   name: string; title: string; done: number; total: number; seconds: number; per_s: number | null;
   left_s: number | null; unit: string;
 }
 export interface Job {
-  id: Id; kind: JobKind; title: string; command: string; recording: Id | null; result: Id | null; state: JobState;
+  id: Id; kind: JobKind; title: string; command: string; recording: Id | null; result: Id | null; makes?: Id | null; state: JobState;
   options: Record<string, unknown>; stages: Stage[]; lines: string[]; error: string | null; created: number;
   began: number | null; ended: number | null; resumable: boolean;
 }

@@ -2,7 +2,8 @@
 import assert from "node:assert/strict";
 import { load } from "./unit.mjs";
 
-const { assign, obstacle, words } = await load("src/setup/assign.ts");
+const { assign, camerasOf, obstacle, words } = await load("src/setup/assign.ts");
+const { packed } = await load("src/setup/pack.ts");
 
 /** Orders of a list, all different, reproducible. */
 function* orders(list, count, seed = 1) {
@@ -68,3 +69,39 @@ assert.match(obstacle([...ready, one("c.mp4", "video", "cam2")]), /Two videos ar
 assert.match(obstacle([...ready, one("r.png", "background")]), /Of which camera is r\.png/);
 assert.match(obstacle([...ready, one("r.png", "background", "cam3")]), /which has no video/);
 assert.match(obstacle([...ready, one("r.png", "background", "cam1"), one("s.png", "background", "cam1")]), /two empty rooms/);
+
+// without a calibration the cameras are called as what tells their videos apart, by which the other files are found
+const raw = (paths) => assign(paths.map((path) => ({ path, kind: /\.mp4$/.test(path) ? "video" : /json$/.test(path) ? "keypoints" : "images" })), []);
+const layouts = [
+  [["s/board/cam1.mp4", "s/board/cam2.mp4", "s/empty/cam1.mp4", "s/empty/cam2.mp4", "s/walk/cam1.mp4", "s/walk/cam2.mp4"], ["cam1", "cam2"]],
+  [["walk_cam1.mp4", "walk_cam2.mp4", "board_cam1.mp4", "board_cam2.mp4", "empty_cam1.mp4", "empty_cam2.mp4"], ["cam1", "cam2"]],
+  [["Anna/IMG_1.mp4", "Ben/IMG_1.mp4", "Anna/board.mp4", "Ben/board.mp4", "Anna/empty.mp4", "Ben/empty.mp4"], ["Anna", "Ben"]],
+  [["Anna/IMG_41.mp4", "Ben/IMG_77.mp4", "Anna/board_40.mp4", "Ben/board_75.mp4"], ["Anna", "Ben"]],
+  [["videos/cam01.mp4", "videos/cam02.mp4", "calibration/int_cam01_img", "calibration/int_cam02_img", "pose/cam01_json", "pose/cam02_json", "masks/cam01", "masks/cam02"], ["cam01", "cam02"]],
+];
+for (const [paths, cameras] of layouts) {
+  for (const order of orders(paths, 20)) {
+    const all = raw(order);
+    assert.deepEqual([...new Set(all.map((a) => a.camera))].sort(), cameras, order.join());
+    assert.equal(obstacle(all.map((a, k) => ({ ...a, name: order[k] }))), "");
+    order.forEach((path, k) => assert.equal(all[k].role, /board|int_/.test(path) ? "board" : /empty/.test(path) ? "background" : /json/.test(path) ? "keypoints" : /mask/.test(path) ? "masks" : "video", path));
+  }
+}
+assert.deepEqual(camerasOf([{ path: "a.mp4", role: "video" }, { path: "b.mp4", role: "video" }]), ["a", "b"]);
+assert.match(obstacle([one("a.mp4", "video", "a"), one("b.mp4", "video", "b"), one("x.mp4", "board", "a")]), /no clip of the board of b: drop it/);
+// with a calibration clips of a board are not needed, and of several in one folder one is taken
+assert.deepEqual(found([video("board/cam1.mp4"), video("walk/cam1.mp4")], ["cam1", "cam2"]), { "board/cam1.mp4": "none", "walk/cam1.mp4": "video cam1" });
+const two = [{ path: "c/Calib.qca.txt", kind: "calibration" }, { path: "c/Calib.toml", kind: "calibration" }];
+for (const order of [two, [...two].reverse()]) assert.deepEqual(found(order, ["cam1"]), { "c/Calib.qca.txt": "none", "c/Calib.toml": "calibration" });
+
+// a folder with a file per frame, and photos in a folder for each camera, go as one file; empty rooms beside each other do not
+const dropped = (path) => ({ path, file: new File([`of ${path}`], path.split("/").pop(), { lastModified: 5 }) });
+const frames = [0, 1, 2, 3].map((n) => `pose/cam1_json/cam1_00000000000${n}_keypoints.json`);
+const photos = ["a", "b"].flatMap((c) => [1, 2].map((n) => `board/${c}/IMG_${n}.jpg`));
+const single = ["empty/cam1.png", "empty/cam2.png", "videos/cam1.mp4", "pose/notes.txt"];
+const bundled = packed([...frames, ...photos, ...single].map(dropped));
+assert.deepEqual(bundled.map((f) => f.path).sort(), ["board/a", "board/b", "pose/cam1_json", ...single].sort());
+const tar = bundled.find((f) => f.path === "pose/cam1_json").file;
+assert.equal(tar.name, "cam1_json.folder");
+assert.equal(tar.size, 512 * (2 * frames.length + 2));
+assert.match(await tar.text(), /^cam1_000000000000_keypoints\.json[^]*ustar[^]*of pose\/cam1_json/);

@@ -11,6 +11,8 @@
 // CHROMIUM and PICTURES (a folder for pictures) in the environment; `// slow` in the first line marks a slow one, and
 // `// folder: empty` one that starts with nothing in the served folder.
 import assert from "node:assert/strict";
+import { readFile } from "node:fs/promises";
+import { createRequire } from "node:module";
 import { join } from "node:path";
 import { chromium } from "playwright-core";
 
@@ -77,7 +79,8 @@ export const cutOff = (page) =>
     const told = (e) => `${e.tagName.toLowerCase()}.${e.className?.baseVal ?? e.className} "${(e.getAttribute("aria-label") || e.textContent || "").trim().slice(0, 40)}"`;
     if (document.scrollingElement.scrollWidth > innerWidth + 1) faults.push(`the page is ${document.scrollingElement.scrollWidth} px wide`);
     const wanted = "button, a, select, input:not(.sr-only), output, h1, h2, h3, legend, .chip, .field-name, .plot-title, summary, [role=slider], [role=tab]";
-    for (const e of document.querySelectorAll(wanted)) {
+    // what lies behind a dialog is behind it
+    for (const e of (document.querySelector("dialog:modal") ?? document).querySelectorAll(wanted)) {
       const box = e.getBoundingClientRect();
       const style = getComputedStyle(e);
       if (!box.width || !box.height || style.visibility === "hidden" || e.closest("[hidden], .sr-only, dialog:not([open])")) continue;
@@ -110,6 +113,34 @@ export const cutOff = (page) =>
     }
     return [...new Set(faults)];
   });
+
+/** What axe-core finds that keeps people out who hear the page, use keys only, or see less: findings that it calls serious
+ * or critical, as "rule: element". */
+export const barriers = async (page) => {
+  await page.evaluate(await axe());
+  return page.evaluate(async () => {
+    const { violations } = await window.axe.run(document, { resultTypes: ["violations"] });
+    return violations
+      .filter((v) => v.impact === "serious" || v.impact === "critical")
+      .flatMap((v) => v.nodes.map((n) => `${v.id}: ${n.target.join(" ")} (${(n.any[0] ?? n.all[0] ?? n.none[0])?.message ?? v.help})`));
+  });
+};
+let source;
+const axe = async () => (source ??= await readFile(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf-8"));
+
+/** A screenshot as soon as two in a row are the same. */
+export const resting = async (take) => {
+  for (let before = await take(), tries = 0; ; tries++) {
+    const now = await take();
+    if (now.equals(before) || tries > 40) return now;
+    before = now;
+  }
+};
+
+/** Waits until a screenshot is another one. */
+export const other = async (take, before, message) => {
+  for (let tries = 0; before.equals(await take()); tries++) assert.ok(tries < 60, message);
+};
 
 /** Value below which this share of a list lies. */
 export const quantile = (list, share) => [...list].sort((a, b) => a - b)[Math.floor(share * (list.length - 1))] ?? NaN;

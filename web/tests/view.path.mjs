@@ -1,7 +1,7 @@
 // A result is found in the list, looked at from all sides, played, questioned and taken home.
 import assert from "node:assert/strict";
 import { readFile } from "node:fs/promises";
-import { walk } from "./harness.mjs";
+import { other, resting, walk } from "./harness.mjs";
 
 await walk(
   async ({ page, picture }) => {
@@ -36,19 +36,16 @@ await walk(
     await frame(4);
 
     // what is drawn in 3D can be chosen, with the button and its key
-    await page.waitForTimeout(1500);
-    const before = await still();
+    const before = await resting(still);
     await page.getByRole("button", { name: "Body", exact: true }).click();
     assert.equal(await pressed("Body"), "false");
-    await page.waitForTimeout(1000);
-    assert.ok(!before.equals(await still()), "the body stays in the picture");
+    await other(still, before, "the body stays in the picture");
     await page.keyboard.press("b");
     assert.equal(await pressed("Body"), "true");
     await page.keyboard.press("u");
     assert.equal(await pressed("Uncertainty"), "true");
     await page.getByLabel("Look from").selectOption({ label: "From above" });
     await page.getByLabel("Look from").selectOption({ label: "As cam1" });
-    await page.waitForTimeout(800);
     await picture("view-as-camera");
     await page.keyboard.press("f");
 
@@ -102,7 +99,6 @@ await walk(
     await page.getByRole("button", { name: "Close" }).click();
     await page.getByRole("button", { name: "Dark or light" }).click();
     assert.equal(await page.evaluate(() => document.documentElement.dataset.theme), "light");
-    await page.waitForTimeout(600);
     await picture("view-light");
     assert.ok(await where.isVisible());
     await page.getByRole("link", { name: "All results" }).click();

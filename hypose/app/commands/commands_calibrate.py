@@ -27,7 +27,10 @@ def calibrate(
         list[Path] | None,
         typer.Argument(help="Board videos or photo folders, one per camera, or a folder that holds them."),
     ] = None,
-    chessboard: Annotated[str | None, typer.Option(help="Inner corners of the chessboard, for example 9x6.")] = None,
+    chessboard: Annotated[
+        str | None,
+        typer.Option(help="Inner corners of the chessboard, for example 9x6. [default: counted in the pictures]"),
+    ] = None,
     charuco: Annotated[str | None, typer.Option(help="Squares of the ChArUco board, for example 5x7.")] = None,
     square: Annotated[str | None, typer.Option(help="Side of a square with its unit: 115mm, 4.5cm, 1in.")] = None,
     marker: Annotated[str | None, typer.Option(help="Side of a ChArUco marker with its unit.")] = None,
@@ -86,6 +89,8 @@ def calibrate(
     else:
         from hypose.app.jobs.checking import check_picture
 
+        if chessboard is None and charuco is None and square is not None:
+            chessboard = _counted(list(sources or []))
         board = parse_board(chessboard, charuco, square, marker, dictionary, inverted, legacy)
         picture = sheet or target.with_suffix(".png")
         check_picture(picture, "--sheet")
@@ -94,6 +99,16 @@ def calibrate(
         )
     for path in write_any(rig, target):
         say(f"Calibration: {path}")
+
+
+def _counted(paths: list[Path]) -> str:
+    """The corners of the chessboard in the pictures, as the option would say it."""
+    from hypose.calibration.counted_corners import count_corners
+    from hypose.calibration.views import find_sources
+
+    columns, rows = count_corners(find_sources(paths))
+    say(f"The board is taken for a chessboard of {columns} x {rows} inner corners, as counted in the pictures.")
+    return f"{columns}x{rows}"
 
 
 def parse_board(

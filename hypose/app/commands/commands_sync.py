@@ -55,11 +55,23 @@ def sync(
     for view, x, word in zip(loaded.views, late, words, strict=True):
         say(f"{view.name}: {abs(x):.2f} frames {'late' if x >= 0 else 'early'} ({word})")
     if to is None:
+        _keep(loaded, by if offsets is None else "given", late, words)
         say(f"To bring the evidence in step: hypose sync {recording} --out NEW_FOLDER")
         return
     with claimed(to), Stages() as progress:
         path = _write(loaded, late, to, progress)
     say(f"Masks and key points in step: {path}", "green")
+
+
+def _keep(recording: Recording, by: str, late: list[float], words: list[str]) -> None:
+    """results/sync.json, for the studio; where it cannot be written, what was said has to do."""
+    import contextlib
+
+    from hypose.io.files import write_text
+
+    views = [{"name": v.name, "late": x, "told": w} for v, x, w in zip(recording.views, late, words, strict=True)]
+    with contextlib.suppress(OSError, InputError):
+        write_text(recording.folder / "results" / "sync.json", json.dumps({"by": by, "views": views}) + "\n")
 
 
 def _unfinished(folder: Path) -> bool:

@@ -159,7 +159,7 @@ def write_findings(path: Path, found: Findings, report: Report | None) -> None:
         "facts": found.facts,
         "warnings": found.warnings,
         "findings": [
-            {"fault": f.fault, "kind": f.kind, "views": f.views, "sentence": f.sentence}
+            {"fault": f.fault, "kind": f.kind, "views": f.views, "sentence": f.sentence, "cure": f.cure}
             for f in (report.findings if report is not None else ())
         ],
         "views": [

@@ -16,7 +16,6 @@ import numpy as np
 
 from hypose import compute
 from hypose.app.commands.console import ProgressCall, ignore
-from hypose.app.reports.report import from_result, write_report
 from hypose.app.studio.view_result import load_view
 from hypose.body.body import Body
 from hypose.body.motion import Motion
@@ -121,6 +120,8 @@ def correct(
     export_motion(joined, body, out.path, formats)
     progress("export", 1, 1)
     progress("report", 0, 1)
+    from hypose.app.reports.report import from_result, write_report  # draws with matplotlib, which readers do without
+
     write_report(out.file("report.html"), from_result(load_view(out.path, recording), recording))
     progress("report", 1, 1)
     return joined

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -163,6 +164,8 @@ def _save(value: dict[str, Any], item: Item, catalog: Catalog, recordings: Recor
         raise InputError("Give the start a name of letters, digits, - and _.")
     if not catalog.contains(item.path / "starts"):
         raise InputError(f"The starts of {item.path.name} lie outside the served folder.")
+    if isinstance(value.get("result"), str):  # a correction belongs to the result that was tracked from it
+        name = free_name(item.path / "starts", name)
     value = {**value, "views": _seen_straight(value.get("views"), recordings.load(item))}
     found = _fitted({**value, "recording": item.id}, catalog, recordings)
     keep = {k: value[k] for k in ("frame", "views", "height", "result") if value.get(k) is not None}
@@ -171,6 +174,14 @@ def _save(value: dict[str, Any], item: Item, catalog: Catalog, recordings: Recor
     document = {"format": _FORMAT, "version": 1, **keep, **{k: found[k] for k in ("pose", "joint_sd", "rms_px")}}
     ResultsFolder(item.path / "starts").write_json(f"{name}.json", document)
     return {"name": name, **document}
+
+
+def free_name(starts: Path, name: str) -> str:
+    """name, or with a number behind it the first under which no clicks are kept."""
+    number, free = 2, name
+    while (starts / f"{free}.json").exists():
+        free, number = f"{name}-{number}", number + 1
+    return free
 
 
 def _for_one_camera(views: Sequence[Mapping[str, Any]], wanted: Any, recording: Recording) -> dict[str, Any]:

@@ -15,12 +15,19 @@ from typing import Any
 from hypose.app.jobs.correct import read_correction
 from hypose.app.studio.catalog import Catalog, Item
 from hypose.errors import InputError
+from hypose.io.calibrations.calibration_toml import natural_key
+
+BOARDS = "board"
+"""The folder of a recording in which the clips or photos of the calibration board lie, named by their cameras."""
+CALIBRATION = "calibration.toml"
+"""Where a recording keeps the calibration that is made of them."""
 
 
 @dataclass(frozen=True)
 class Plan:
     """arguments of `hypose`; title; recording, result: ids (the result may be not there yet); resumable: the same
-    command with --resume goes on; folder: where a motion that is under way keeps its state."""
+    command with --resume goes on; folder: where a motion that is under way keeps its state; makes: id of a recording
+    that comes of it."""
 
     arguments: tuple[str, ...]
     title: str
@@ -28,6 +35,7 @@ class Plan:
     result: str | None = None
     resumable: bool = False
     folder: Path | None = None
+    makes: str | None = None
 
 
 def _text(value: Any, name: str) -> str:
@@ -55,11 +63,30 @@ def _formats(value: Any, name: str) -> str:
     return ",".join(_text(v, name) for v in value)
 
 
+def _offsets(value: Any, name: str) -> str:
+    if not isinstance(value, list) or not value:
+        raise InputError(f"The option {name} must be a list of numbers, one per view.")
+    return ",".join(_number(v, name) for v in value)
+
+
 _Reader = Callable[[Any, str], str | bool]
 _OPTIONS: Mapping[str, Mapping[str, tuple[str, _Reader]]] = {
+    "calibrate": {
+        "chessboard": ("--chessboard", _text),
+        "charuco": ("--charuco", _text),
+        "square": ("--square", _text),
+        "marker": ("--marker", _text),
+        "dictionary": ("--dictionary", _text),
+        "inverted": ("--inverted", _flag),
+        "fisheye": ("--fisheye", _flag),
+        "floor": ("--floor", _number),
+    },
+    "sync": {"by": ("--by", _text), "largest": ("--largest", _number), "frames": ("--frames", _number)},
+    "in_step": {"offsets": ("--offsets=", _offsets)},
     "check": {"samples": ("--samples", _number), "frames": ("--frames", _number)},
     "refine": {
         "using": ("--from", _text),
+        "far": ("--far", _flag),
         "focal": ("--focal", _flag),
         "height": ("--height", _number),
     },
@@ -88,6 +115,9 @@ _OPTIONS: Mapping[str, Mapping[str, tuple[str, _Reader]]] = {
 }
 KINDS = tuple(_OPTIONS)
 _TITLES = {
+    "calibrate": "Calibrate the cameras of {}",
+    "sync": "How late are the cameras of {}?",
+    "in_step": "Bring {} in step",
     "check": "Check {}",
     "refine": "Refine the calibration of {}",
     "silhouettes": "Silhouettes of {}",
@@ -116,7 +146,9 @@ def plan(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
         if value is None:
             continue
         given = read(value, name)
-        arguments += [flag] if given is True else [] if given is False else [flag, str(given)]
+        # a value that may begin with a minus belongs to its option
+        valued = [f"{flag}{given}"] if flag.endswith("=") else [flag, str(given)]
+        arguments += [flag] if given is True else [] if given is False else valued
     if kind == "demo":
         out = free_folder(catalog.root, "demo")
         result = catalog.id_of("result", out / "results" / "default")
@@ -130,11 +162,33 @@ def plan(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
     if not all(catalog.contains(item.path / f) for f in ("results", "results/silhouettes", "subject")):
         raise InputError(f"The results of {item.path.name} lie outside the served folder; use the command line.")
     title = _TITLES[kind].format(item.path.name)
+    if kind == "calibrate":
+        return Plan(("calibrate", *_board_files(item.path), *arguments, *_calibrated(item.path)), title, item.id)
+    if kind == "in_step":
+        made = free_folder(item.path.parent, f"{item.path.name}-in-step")
+        if "offsets" not in options or not catalog.contains(made):
+            raise InputError("Say by how many frames each view is late.")
+        command = ("sync", str(item.path), *arguments, "--out", str(made))
+        return Plan(command, title, item.id, makes=catalog.id_of("recording", made))
     if kind == "track":
         return _track(item.path, item.id, arguments, options, title, catalog)
     extra = ("--refine",) if kind == "refine" else ()
     command = "check" if kind == "refine" else kind
     return Plan((command, str(item.path), *extra, *arguments), title, item.id)
+
+
+def _board_files(folder: Path) -> list[str]:
+    """The clips or photo folders of the board, one per camera."""
+    boards = folder / BOARDS
+    found = sorted(boards.iterdir(), key=lambda p: natural_key(p.name)) if boards.is_dir() else []
+    if not found:
+        raise InputError(f"There are no clips of a board in {folder.name}; drop them with the videos.")
+    return [str(p) for p in found]
+
+
+def _calibrated(folder: Path) -> list[str]:
+    """Where a calibration goes, and the picture of what was seen."""
+    return ["--out", str(folder / CALIBRATION), "--sheet", str(folder / "results" / "calibration.png")]
 
 
 def settled(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Mapping[str, Any]:

@@ -58,7 +58,7 @@ def _job_of(record: Mapping[str, Any], catalog: Catalog) -> Job:
         raise ValueError(kind)
     recording, result = _text(record["recording"]), _text(record["result"])
     request = {"recording": recording, "result": result, "options": dict(record["options"])}
-    made = Plan((), title, recording, result)
+    made = Plan((), title, recording, result, makes=_text(record.get("makes")))
     if record["resumable"] or record["state"] not in ENDED:
         with contextlib.suppress(HyposeError):  # its recording may be gone
             made = replace(plan(kind, request, catalog), title=title)

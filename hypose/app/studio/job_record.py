@@ -72,6 +72,7 @@ class Job:
             "command": self.command or "hypose " + shlex.join(self.plan.arguments),
             "recording": self.plan.recording,
             "result": self.plan.result,
+            "makes": self.plan.makes,
             "state": self.state,
             "options": dict(self.options),
             "stages": [s.shown(n) for n, s in list(self.stages.items())],

@@ -29,6 +29,8 @@ _KEPT_JOBS, _MOST_WAITING = 100, 20
 _CODE_OF_INPUT = 2
 """What a command ends with when its input cannot be used."""
 _VERDICT = "Verdict: "
+_NOTHING_WRITTEN = "nothing is written"
+"""Part of what `check --refine` says when it has found no calibration to recommend."""
 _KILL_S = 20.0
 """After this a process that was asked to end is ended."""
 
@@ -214,7 +216,9 @@ class Jobs:
                 job.error = next((t for t in reversed(job.lines) if t.startswith(_VERDICT)), "").removeprefix(_VERDICT)
             else:
                 job.state = "failed"
-                job.error = problem or f"The command ended with code {code}; its last words are below."
+                job.error = (
+                    problem or _last_word(job) or f"The command ended with code {code}; its last words are below."
+                )
                 # the same input is the same error again, unless there is something behind it to go on from
                 kept = job.plan.folder is not None and (job.plan.folder / "checkpoint.npz").is_file()
                 job.hopeless = code == _CODE_OF_INPUT and not kept
@@ -250,3 +254,8 @@ class Jobs:
         stage = job.stages.setdefault(name, Stage(title, now))
         stage.done, stage.total, stage.seconds = done, total, now - stage.began
         return True
+
+
+def _last_word(job: Job) -> str:
+    """Why a refinement wrote nothing: it says so as its result, not as an error."""
+    return next((t for t in reversed(job.lines) if job.kind == "refine" and _NOTHING_WRITTEN in t), "")

@@ -13,7 +13,7 @@ from typing import Generic, TypeVar
 
 IDLE_S = 300.0
 """s after which what nobody has asked for is let go."""
-_MMAP_THRESHOLD = -3  # of glibc's mallopt
+_MMAP_THRESHOLD, _ARENA_MAX = -3, -8  # of glibc's mallopt
 V = TypeVar("V")
 
 
@@ -27,7 +27,7 @@ class _Entry(Generic[V]):
 class Kept(Generic[V]):
     """Values by key, for several threads. most: bytes of all together, as weigh(value) tells them; beyond, those that
     were not used for longest are let go, but never one that is being used. let_go(value) releases it; idle_s: after
-    this time without use it is called anyway."""
+    this time without use it is called anyway; one_more: the one used last stays, however large it is."""
 
     def __init__(
         self,
@@ -36,7 +36,9 @@ class Kept(Generic[V]):
         let_go: Callable[[V], None] = lambda value: None,
         idle_s: float = IDLE_S,
         clock: Callable[[], float] = time.monotonic,
+        one_more: bool = False,
     ) -> None:
+        self._one_more = one_more
         self._most, self._weigh, self._let_go, self._idle_s, self._clock = most, weigh, let_go, idle_s, clock
         self._lock = threading.RLock()
         self._entries: OrderedDict[Hashable, _Entry[V]] = OrderedDict()
@@ -63,8 +65,10 @@ class Kept(Generic[V]):
         """Let go of what is too much, and of what has not been used for long."""
         with self._lock:
             total = sum(self._weigh(e.value) for e in self._entries.values())
+            latest = next(reversed(self._entries), None)
             for key, entry in [(k, e) for k, e in self._entries.items() if not e.users]:
-                if total > self._most or self._clock() - entry.used >= self._idle_s:
+                too_much = total > self._most and (key != latest or not self._one_more)
+                if too_much or self._clock() - entry.used >= self._idle_s:
                     total -= self._weigh(entry.value)
                     self._let_go(self._entries.pop(key).value)
             if self._entries and (self._timer is None or not self._timer.is_alive()):
@@ -98,6 +102,7 @@ def give_back_large_blocks() -> None:
     blocks of up to 32 MB for reuse, in every thread's arena, which for a server that decodes a picture now and then is
     several times what it needs. Elsewhere nothing changes."""
     _of_libc("mallopt", _MMAP_THRESHOLD, 1 << 18)
+    _of_libc("mallopt", _ARENA_MAX, 2)  # what is left over of small blocks is less in fewer arenas
 
 
 def _of_libc(name: str, *numbers: int) -> None:

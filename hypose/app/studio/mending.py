@@ -10,7 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from hypose.app.studio.asked import choice, text
+from hypose.app.studio.asked import choice, text, whole
+from hypose.app.studio.asked import number as number_of
 from hypose.app.studio.uploads import Uploads
 from hypose.errors import HyposeError, InputError
 from hypose.io.calibrations.calibration_toml import toml_value
@@ -18,14 +19,18 @@ from hypose.io.files import write_text
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.recordings.recording_keys import read_toml
 
-KINDS = ("accept_scaled", "leave_out", "take_back", "background", "use_refined")
+KINDS = (
+    "accept_scaled", "leave_out", "take_back", "background", "use_refined", "keypoint_lag", "keypoint_pixels",
+    "image_shift",
+)  # fmt: skip
 _AWAY = "#left out# "
 """Stands before every line of a view that is left out, so that it can be taken back."""
 _REFINED = "results/calibration_refined*.toml"
 
 
 def mend(folder: Path, recording: Recording | None, asked: dict[str, Any], uploads: Uploads) -> None:
-    """Do what is asked: {"what": one of KINDS, "view": name, "upload": id of the picture or video of an empty room}.
+    """Do what is asked: {"what": one of KINDS, "view": name, "upload": id of the picture or video of an empty room,
+    "frames": by which key points come too early, "x", "y": px by which a view's pictures have to move}.
     recording: as it is read now, None where it cannot be."""
     what = choice(asked.get("what"), "way to mend", KINDS)
     path = folder / "recording.toml"
@@ -36,6 +41,12 @@ def mend(folder: Path, recording: Recording | None, asked: dict[str, Any], uploa
         return _try(path, before, _with_calibration(before, refined(folder)))
     if what == "take_back":
         return _try(path, before, "\n".join(line.removeprefix(_AWAY) for line in before.split("\n")))
+    if what == "keypoint_lag":
+        frames = whole(asked.get("frames"), "the frames by which the key points are moved", -10_000, 10_000)
+        lag = frames + (0 if recording is None else recording.keypoint_lag)
+        return _try(path, before, _at_top(before, "keypoint_lag", lag))
+    if what == "keypoint_pixels":
+        return _try(path, before, _at_top(before, "keypoint_pixels", "image"))
     names = _names(path, recording)
     name = choice(asked.get("view"), "view", names)
     number = names.index(name)
@@ -47,6 +58,11 @@ def mend(folder: Path, recording: Recording | None, asked: dict[str, Any], uploa
         return _try(
             path, before, _changed(before, number, lambda b: [_AWAY + line if line.strip() else line for line in b])
         )
+    if what == "image_shift":
+        old = (0.0, 0.0) if recording is None else recording.views[number].image_shift
+        by = (number_of(asked.get(k), f"the shift of the pictures in {k} (px)", -1e4, 1e4) for k in ("x", "y"))
+        moved = [round(a + b, 1) for a, b in zip(old, by, strict=True)]
+        return _try(path, before, _changed(before, number, lambda b: _set(b, "image_shift", moved)))
     upload = text(asked.get("upload"), "picture of the empty room", 40, "drop one first")
     place = uploads.hand_over(upload, folder / "backgrounds")
     inside = place.relative_to(folder).as_posix()
@@ -103,13 +119,19 @@ def _changed(whole: str, number: int, change: Callable[[list[str]], list[str]]) 
     return "\n".join([*lines[:first], *change(lines[first:stop]), *lines[stop:]])
 
 
-def _put_away(block: list[str]) -> list[str]:
-    return [_AWAY + line if line.strip() else line for line in block]
-
-
 def _set(block: list[str], key: str, value: Any) -> list[str]:
-    kept = [line for line in block if not re.match(rf"\s*{key}\s*=", line)]
-    return [*kept, f"{key} = {toml_value(value)}"]
+    return [*_set_aside(block, key), f"{key} = {toml_value(value)}"]
+
+
+def _at_top(whole: str, key: str, value: Any) -> str:
+    """The text with a key of the recording itself."""
+    lines = whole.split("\n")
+    end = next((i for i, line in enumerate(lines) if line.lstrip().startswith("[")), len(lines))
+    return "\n".join([f"{key} = {toml_value(value)}", *_set_aside(lines[:end], key), *lines[end:]])
+
+
+def _set_aside(lines: list[str], key: str) -> list[str]:
+    return [line for line in lines if not re.match(rf"\s*{key}\s*=", line)]
 
 
 def _with_calibration(whole: str, name: str | None) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.app.studio.catalog import Catalog, Item, NotFound
+from hypose.app.studio.job_kinds import BOARDS, CALIBRATION
 from hypose.app.studio.memory_cache import Kept
 from hypose.app.studio.mending import left_out, refined
 from hypose.app.studio.view_pictures import AnyFrame
@@ -22,6 +23,8 @@ from hypose.cameras.camera import Camera
 from hypose.errors import HyposeError, InputError
 from hypose.evidence.background import BackgroundModel, Image
 from hypose.evidence.silhouettes import Mask, SilhouetteSettings, make_segmenter
+from hypose.io.calibrations.calibration_toml import natural_key
+from hypose.io.file_names import text_of
 from hypose.io.files import write_text
 from hypose.io.recordings.frames import build_backgrounds, working_rig
 from hypose.io.recordings.recording import Recording, load_recording, silhouette_lines
@@ -103,7 +106,9 @@ class Recordings:
             "id": item.id,
             "path": self._catalog.shown(item.path),
             "results": list(results),
-            "check": read_check(item.path),
+            "board": board_of(item.path),
+            "sync": read_found(item.path, "sync.json"),
+            "check": read_found(item.path, "check.json"),
             "subject": read_subject(item.path),
             "left_out": left_out(item.path),
             "refined": _unused(item.path),
@@ -266,13 +271,29 @@ def without_table(text: str, name: str) -> str:
     return "\n".join(out) + "\n"
 
 
-def read_check(folder: Path) -> dict[str, Any] | None:
-    """What `hypose check` found last time."""
+def read_found(folder: Path, name: str) -> dict[str, Any] | None:
+    """What a command found last time, results/NAME."""
     try:
-        value = parse_json((folder / "results" / "check.json").read_text("utf-8"))
+        value = parse_json((folder / "results" / name).read_text("utf-8"))
     except (OSError, ValueError, RecursionError):
         return None
     return value if isinstance(value, dict) else None
+
+
+def board_of(folder: Path) -> dict[str, Any] | None:
+    """The cameras of which there are clips of a calibration board; whether they have been calibrated; when the picture
+    of what was seen was made, s, None without one."""
+    boards = folder / BOARDS
+    names = (
+        sorted((text_of(p.stem if p.is_file() else p.name) for p in boards.iterdir()), key=natural_key)
+        if boards.is_dir()
+        else []
+    )
+    if not names:
+        return None
+    sheet = folder / "results" / "calibration.png"
+    made = sheet.stat().st_mtime if sheet.is_file() else None
+    return {"cameras": names, "calibrated": (folder / CALIBRATION).is_file(), "sheet": made}
 
 
 def _unused(folder: Path) -> str | None:

@@ -18,7 +18,7 @@ from hypose.app.studio.uploads import Uploads
 from hypose.app.studio.view_answers import file_answer
 from hypose.errors import HyposeError, InputError
 
-_FILES = ("check.html", "check.png", "silhouettes/sheet.jpg")
+_FILES = ("calibration.png", "check.html", "check.png", "silhouettes/sheet.jpg")
 _SHOWN = ("none", "edge", "fill", "only")
 
 

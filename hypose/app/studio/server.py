@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import threading
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import numpy as np
 import uvicorn
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
@@ -42,6 +44,7 @@ from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.sockets import MAX_MESSAGE, Sockets
 from hypose.app.studio.uploads import Uploads
 from hypose.app.studio.view_answers import Results
+from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 
 STATIC = Path(__file__).parent / "static"
@@ -123,6 +126,8 @@ class Studio:
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
+        warm = threading.Thread(target=_warm, name="warm", daemon=True)
+        warm.start()
         yield
         await self.fusion.stop()
         await run_in_threadpool(self.close)
@@ -140,6 +145,12 @@ class Studio:
         self.recordings.close()
         self.uploads.close()
         self.library.close()
+
+
+def _warm() -> None:
+    """Load the kernels that a result is opened with, before somebody waits for them."""
+    skeleton = human().skeleton
+    skeleton.forward(np.zeros((1, skeleton.dof)))
 
 
 async def _page(request: Request) -> Response:

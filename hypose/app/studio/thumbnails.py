@@ -21,13 +21,14 @@ _LEFT, _RIGHT, _MIDDLE = (74, 160, 245), (245, 178, 91), (247, 245, 242)  # BGR;
 
 
 def thumbnail(motion: Motion, pictures: ViewPictures) -> bytes:
-    """A JPEG of the frame in the middle, as the first camera with a picture of it sees it; NotFound when none has."""
+    """A JPEG of the frame in the middle, or of the first that has a picture where the pictures end before, as the first
+    camera with one sees it; NotFound when none has."""
     seen = np.flatnonzero(np.isfinite(motion.joints).all((1, 2)))
-    row = int(seen[len(seen) // 2]) if len(seen) else 0
-    found = pictures.seen(row, motion.joints[row]) if len(seen) else None
-    if found is None:
-        raise NotFound("There are no pictures of this result.")
-    return _drawn(*found, motion.skeleton)
+    for k in (len(seen) // 2, 0) if len(seen) else ():
+        found = pictures.seen(int(seen[k]), motion.joints[seen[k]])
+        if found is not None:
+            return _drawn(*found, motion.skeleton)
+    raise NotFound("There are no pictures of this result.")
 
 
 def _drawn(image: Image, points: Array, skeleton: Skeleton) -> bytes:

@@ -19,10 +19,11 @@ import cv2
 
 from hypose.app.studio.answers import NotNow, TooLarge
 from hypose.app.studio.catalog import Catalog, NotFound
-from hypose.app.studio.job_kinds import free_folder, is_name
+from hypose.app.studio.dropped_folders import facts_of_folder, keypoint_facts, unpack
+from hypose.app.studio.job_kinds import free_folder
+from hypose.app.studio.new_recording import Layout, layout_of
 from hypose.errors import HyposeError, InputError
 from hypose.io.calibrations.calibration_formats import read_any
-from hypose.io.calibrations.calibration_toml import toml_value
 from hypose.io.files import write_text
 from hypose.io.recordings.recording import load_recording
 from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, open_video
@@ -31,6 +32,9 @@ FOLDER = ".studio-uploads"
 _LARGEST_CALIBRATION = 20 << 20
 _MOST = 64
 _QUALITY = 80
+FOLDER_ENDING = ".folder"
+"""Of the name of a dropped folder, which comes as a tar archive."""
+_KEYPOINT_ENDINGS = (".json", ".csv", ".h5", ".hdf5", ".npy")
 
 
 @dataclass(frozen=True)
@@ -84,15 +88,17 @@ class Uploads:
 
     def examine(self, path: Path) -> dict[str, Any]:
         """What a received file is."""
+        if path.suffix == FOLDER_ENDING:
+            path = self._unpacked(path)
         upload = Upload(path.parent.name, path.name, path, facts_of(path))
         with self._lock:
             self._uploads[upload.id] = upload
-        return {"upload": upload.id, "name": upload.name, "bytes": path.stat().st_size, **upload.facts}
+        return {"upload": upload.id, "name": upload.name, "bytes": _bytes(path), **upload.facts}
 
     def picture(self, id: str, width: int) -> bytes:
         """The first picture of a video or image as JPEG, at most `width` px wide, to tell the cameras apart by."""
         upload = self._find(id)
-        if upload.facts["kind"] not in ("video", "image"):
+        if upload.facts["kind"] not in ("video", "image", "images"):
             raise NotFound(f"{upload.name} has no pictures.")
         with open_video(upload.path) as reader:
             image = reader.read(0)
@@ -109,39 +115,10 @@ class Uploads:
         shutil.rmtree(upload.path.parent, ignore_errors=True)
 
     def make_recording(self, wanted: Mapping[str, Any]) -> Path:
-        """A recording folder of uploads; nothing is left of it when it cannot be used, and the uploads stay."""
-        name = wanted.get("name")
-        if not isinstance(name, str) or not is_name(name):
-            raise InputError("Give the recording a name of letters, digits, - and _.")
-        views = wanted.get("views")
-        if not isinstance(views, list) or not views or not all(isinstance(v, dict) for v in views):
-            raise InputError("A recording needs at least one video; drop them onto the page.")
-        moves: dict[str, str] = {}  # id -> place in the folder
-        calibration = self._given(wanted, "calibration")
-        moves[calibration.id] = f"calibration/{calibration.name}"
-        lines = [f"name = {toml_value(name)}", f"calibration = {toml_value(moves[calibration.id])}"]
-        lines += [
-            f"{key} = {toml_value(wanted[key])}"
-            for key in ("calibration_unit", "world_up", "frame_rate", "subject_height")
-            if isinstance(wanted.get(key), str | int | float)
-        ]
-        cameras = [v["camera"] for v in views if isinstance(v.get("camera"), str)]
-        twice = next((c for k, c in enumerate(cameras) if c in cameras[:k]), None)
-        if twice is not None:
-            raise InputError(f"Two videos are of the camera {twice}; give every camera one.")
-        for view in views:
-            lines += ["", "[[view]]"]
-            lines += [f"{k} = {toml_value(view[k])}" for k in ("name", "camera") if isinstance(view.get(k), str)]
-            lines += ["accept_scaled = true"] if view.get("accept_scaled") is True else []
-            for key in ("video", "background"):
-                if view.get(key) is None and key == "background":
-                    continue
-                upload = self._given(view, key)
-                if upload.id in moves:
-                    raise InputError(f"{upload.name} is given twice; give every view a file of its own.")
-                moves[upload.id] = f"{key}s/{len(moves):02d}_{upload.name}"
-                lines.append(f"{key} = {toml_value(moves[upload.id])}")
-        return self._build(free_folder(self._catalog.root, name), moves, "\n".join(lines) + "\n")
+        """A recording folder of uploads; nothing is left of it when it cannot be used, and the uploads stay. One that
+        is still to be calibrated, by the clips of a board, is looked at no further."""
+        layout = layout_of(wanted, self._find)
+        return self._build(free_folder(self._catalog.root, layout.name), layout)
 
     def hand_over(self, id: str, folder: Path) -> Path:
         """Put a video or picture into a folder, under a name that is free there; returns where it is."""
@@ -163,17 +140,18 @@ class Uploads:
         """Remove what was not used."""
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _build(self, folder: Path, moves: Mapping[str, str], text: str) -> Path:
+    def _build(self, folder: Path, layout: Layout) -> Path:
         done: list[tuple[Path, Path]] = []
         try:
-            for id, place in moves.items():
+            for id, place in layout.moves.items():
                 target = folder / place
                 target.parent.mkdir(parents=True, exist_ok=True)
                 source = self._find(id).path
                 source.rename(target)
                 done.append((source, target))
-            write_text(folder / "recording.toml", text)
-            load_recording(folder)
+            write_text(folder / "recording.toml", layout.text)
+            if layout.calibrated:
+                load_recording(folder)
         except (HyposeError, OSError) as error:
             for source, target in done:
                 with contextlib.suppress(OSError):
@@ -183,16 +161,20 @@ class Uploads:
                 raise InputError(f"{folder.name} cannot be made ({(error.strerror or str(error)).lower()}).") from None
             raise InputError(str(error).replace(f"{folder}/", "")) from None
         with self._lock:
-            for id in moves:
+            for id in layout.moves:
                 shutil.rmtree(self._folder / id, ignore_errors=True)
                 self._uploads.pop(id, None)
         return folder
 
-    def _given(self, table: Mapping[str, Any], key: str) -> Upload:
-        value = table.get(key)
-        if not isinstance(value, str):
-            raise InputError(f"A recording needs a {key} here; drop the file onto the page.")
-        return self._find(value)
+    def _unpacked(self, archive: Path) -> Path:
+        folder = archive.with_suffix("")
+        try:
+            unpack(archive, folder, self.limit)
+        except InputError:
+            shutil.rmtree(archive.parent, ignore_errors=True)
+            raise
+        archive.unlink()
+        return folder
 
     def _find(self, id: str) -> Upload:
         with self._lock:
@@ -214,14 +196,23 @@ def harmless(name: str) -> str:
     return plain if plain and not plain.startswith("-") else f"file_{plain}"
 
 
+def _bytes(path: Path) -> int:
+    return sum(p.stat().st_size for p in path.iterdir()) if path.is_dir() else path.stat().st_size
+
+
 def facts_of(path: Path) -> dict[str, Any]:
     """What a dropped file is, by looking into it; a file that cannot be read as what its ending says is "other"."""
+    if path.is_dir():
+        return facts_of_folder(path)
     ending = path.suffix.lower()
     try:
         if ending in VIDEO_ENDINGS or ending in IMAGE_ENDINGS:
             with open_video(path) as reader:
                 facts = {"size": list(reader.size), "frames": reader.n_frames, "frame_rate": reader.frame_rate}
             return {"kind": "video" if ending in VIDEO_ENDINGS else "image", **facts}
+        if ending in _KEYPOINT_ENDINGS:
+            with contextlib.suppress(HyposeError):
+                return keypoint_facts(path)
         if path.stat().st_size <= _LARGEST_CALIBRATION:
             return {"kind": "calibration", "cameras": list(read_any(path)[0].names)}
     except HyposeError as error:

@@ -8,24 +8,26 @@ from typing import Any
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import FileResponse, Response
+from starlette.responses import FileResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from hypose.app.reports.summary import DESCRIPTIONS
 from hypose.app.studio.answers import answer, body_of, told
 from hypose.app.studio.asked import digits
 from hypose.app.studio.catalog import Catalog, Item, NotFound
+from hypose.app.studio.gait_view import gait_view
 from hypose.app.studio.jobs import Jobs
 from hypose.app.studio.memory_cache import Kept
 from hypose.app.studio.thumbnails import thumbnail
 from hypose.app.studio.view_bundle import view_bundle
 from hypose.app.studio.view_pictures import ViewPictures
 from hypose.app.studio.view_result import load_view, quality_of
+from hypose.app.studio.zipped_folder import archive_name, zipped
 from hypose.errors import HyposeError, InputError
 from hypose.io.motions.results import load_motion
 from hypose.io.recordings.recording import load_recording
 
-_BLOCKS, _PICTURES, _THUMBNAILS = 64 << 20, 128 << 20, 4 << 20
+_BLOCKS, _PICTURES, _THUMBNAILS = 48 << 20, 64 << 20, 4 << 20
 """Bytes of blocks, of open pictures, and of thumbnails that are kept."""
 _UNTRUSTED = (
     "sandbox allow-scripts; default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src "
@@ -39,7 +41,7 @@ class Results:
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
-        self._blocks: Kept[bytes] = Kept(_BLOCKS, len)
+        self._blocks: Kept[bytes] = Kept(_BLOCKS, len, one_more=True)
         self._pictures: Kept[ViewPictures] = Kept(_PICTURES, lambda p: p.held, ViewPictures.close)
         self._thumbnails: Kept[bytes] = Kept(_THUMBNAILS, len)
         self._heads: dict[str, tuple[float, dict[str, Any]]] = {}
@@ -178,6 +180,17 @@ def routes(catalog: Catalog, results: Results, jobs: Jobs) -> list[Route]:
             raise NotFound(f"A result has no file {name[:80]!r}.")
         return file_answer(item_of(request).path, name, catalog)
 
+    async def everything(request: Request) -> Response:
+        item = item_of(request)
+        headers = {
+            "Content-Disposition": f'attachment; filename="{archive_name(item.path)}"',
+            "Cache-Control": "no-store",
+        }
+        return StreamingResponse(zipped(item.path, catalog), media_type="application/zip", headers=headers)
+
+    async def gait(request: Request) -> Response:
+        return answer(await run_in_threadpool(gait_view, item_of(request).path))
+
     async def export(request: Request) -> Response:
         formats = (await body_of(request)).get("formats")
         if not isinstance(formats, list) or not formats:
@@ -192,5 +205,7 @@ def routes(catalog: Catalog, results: Results, jobs: Jobs) -> list[Route]:
         Route("/api/results/{id}/outlines/{row}", told(outlines)),
         Route("/api/results/{id}/thumbnail.jpg", told(small)),
         Route("/api/results/{id}/files/{name}", told(file)),
+        Route("/api/results/{id}/all.zip", told(everything)),
+        Route("/api/results/{id}/gait", told(gait)),
         Route("/api/results/{id}/export", told(export), methods=["POST"]),
     ]

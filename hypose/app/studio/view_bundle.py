@@ -23,7 +23,7 @@ from hypose import __version__
 from hypose.app.jobs.truth import Truth
 from hypose.app.reports.summary import subject_rows, summarize
 from hypose.body.body import Body, Mesh
-from hypose.body.joint_angles import ANGLE_NAMES, is_length, joint_angles
+from hypose.body.joint_angles import ANGLE_NAMES, angles_of_frames, is_length
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import CameraRig
@@ -41,11 +41,12 @@ _DTYPES = {"f4": "<f4", "f8": "<f8", "u1": "|u1", "u2": "<u2", "u4": "<u4"}
 
 @dataclass(frozen=True)
 class Rivals:
-    """Other poses that the evidence allows: joints (T, R, J, 3) m, best first; weights
-    (T, 1 + R), first that of the motion's own pose. NaN where a frame has fewer."""
+    """Other poses that the evidence allows: weights (T, 1 + R), first that of the motion's own pose; rows (N,) that
+    have another pose, which are few; joints (N, R, J, 3) m of these, best first. NaN where a frame has fewer."""
 
-    joints: Array
-    weights: Array
+    rows: NDArray[np.int64]
+    joints: NDArray[np.float32]
+    weights: NDArray[np.float32]
 
     @classmethod
     def of(cls, joints: Array, weights: Array) -> Rivals | None:
@@ -53,7 +54,9 @@ class Rivals:
         MOST_RIVALS at most: what comes after them weighs next to nothing."""
         if joints.shape[1] < 2:
             return None
-        return cls(joints[:, 1 : 1 + MOST_RIVALS], weights[:, : 1 + MOST_RIVALS])
+        others = joints[:, 1 : 1 + MOST_RIVALS]
+        rows = np.flatnonzero(np.isfinite(others).any((1, 2, 3)))
+        return cls(rows, others[rows].astype(np.float32), weights[:, : 1 + MOST_RIVALS].astype(np.float32))
 
     @classmethod
     def of_motion(cls, motion: Motion) -> Rivals | None:
@@ -61,11 +64,12 @@ class Rivals:
         if motion.rivals is None or motion.rival_weights is None or not motion.rival_weights.any():
             return None
         others = motion.rival_weights.astype(np.float64)
-        there = others > 0  # few frames have any
-        joints = np.full((*there.shape, len(motion.skeleton.joint_names), 3), np.nan)
-        joints[there] = motion.skeleton.forward(motion.rivals[there])[1]
+        there = others > 0
+        rows = np.flatnonzero(there.any(1))
+        joints = np.full((len(rows), there.shape[1], len(motion.skeleton.joint_names), 3), np.nan, np.float32)
+        joints[there[rows]] = motion.skeleton.forward(motion.rivals[there])[1]
         weights = np.concatenate([1 - others.sum(1, keepdims=True), np.where(others > 0, others, np.nan)], 1)
-        return cls(joints, weights)
+        return cls(rows, joints, weights.astype(np.float32))
 
 
 @dataclass(frozen=True)
@@ -134,10 +138,12 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
         "cost": m.cost.astype("<f4"),
     }
     if m.poses is not None:
-        out["rotations"] = quaternions(m.skeleton, m.poses)
+        known = np.asarray(np.isfinite(m.poses).all(1))
+        rotations, centres = m.skeleton.forward(m.poses[known])
+        out["rotations"] = _in_rows(_quaternions(rotations), known)
         if angles_known(m.skeleton):
-            names, values = joint_angles(m.skeleton, m.poses)
-            out["angles"] = _in_degrees(names, values.T)
+            turns = angles_of_frames(m.skeleton, rotations, centres) if known.any() else np.zeros((0, len(ANGLE_NAMES)))
+            out["angles"] = _in_degrees(ANGLE_NAMES, _in_rows(turns, known).T)
             if m.angle_sd is not None:
                 out["angle_sd"] = _in_degrees(ANGLE_NAMES, m.angle_sd.T)
         if result.body is not None:
@@ -149,6 +155,7 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
         percent = np.rint(100 * np.nan_to_num(m.p_wrong, nan=_UNKNOWN_PERCENT / 100))
         out["p_wrong"] = percent.astype("u1")
     if result.rivals is not None:
+        out["rival_rows"] = result.rivals.rows.astype("<u4")
         out["rival_joints"] = result.rivals.joints.astype("<f4")
         out["rival_weights"] = result.rivals.weights.astype("<f4")
     if result.truth is not None:
@@ -170,15 +177,19 @@ def _flags(motion: Motion) -> np.ndarray:
     return np.select(cases, [LOST, EXTRAPOLATED, DOUBTFUL], 0).astype("u1")
 
 
-def quaternions(skeleton: Skeleton, poses: Array) -> np.ndarray:
-    """World-from-joint rotations of poses (T, D) as float32 quaternions (T, J, 4) x y z w; NaN where the pose is."""
-    good = np.isfinite(poses).all(1)
-    rotations, _ = skeleton.forward(poses[good])
-    out = np.full((len(poses), len(skeleton.joint_names), 4), np.nan, "<f4")
-    out[good] = (
-        Rotation.from_matrix(rotations.reshape(-1, 3, 3), assume_valid=True).as_quat().reshape(*rotations.shape[:2], 4)
-    )
+def _in_rows(values: Array, known: NDArray[np.bool_]) -> Array:
+    """Values (N, ...) of the N known rows in all rows (T, ...); NaN in the others."""
+    if known.all():
+        return values
+    out = np.full((len(known), *values.shape[1:]), np.nan, values.dtype)
+    out[known] = values
     return out
+
+
+def _quaternions(rotations: Array) -> np.ndarray:
+    """World-from-joint rotations (N, J, 3, 3) as float32 quaternions (N, J, 4) x y z w."""
+    flat = Rotation.from_matrix(rotations.reshape(-1, 3, 3), assume_valid=True).as_quat()
+    return flat.reshape(*rotations.shape[:2], 4).astype("<f4")
 
 
 def _mesh(level: str, mesh: Mesh) -> dict[str, np.ndarray]:

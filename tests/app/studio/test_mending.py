@@ -86,3 +86,17 @@ def test_what_does_not_mend_it_changes_nothing(asked):
     for wish in ({}, {"what": "burn"}, {"what": "leave_out"}, {"what": "leave_out", "view": "cam9"}):
         assert mend(status=400, **wish)["error"].endswith(".")
     assert (walk / "recording.toml").read_text() == before
+
+
+def test_key_points_and_pictures_are_moved_by_what_was_found(asked):
+    mend, walk, _ = asked
+    mend(what="keypoint_lag", frames=2)
+    mend(what="keypoint_lag", frames=-1)
+    assert load_recording(walk).keypoint_lag == 1
+    mend(what="image_shift", view="cam3", x=2.5, y=-1)
+    mend(what="image_shift", view="cam3", x=1, y=0)
+    assert [v.image_shift for v in load_recording(walk).views] == [(0, 0), (0, 0), (3.5, -1), (0, 0)]
+    mend(what="keypoint_pixels")
+    assert load_recording(walk).keypoint_pixels == "image"
+    assert "number" in mend(what="image_shift", view="cam3", x="left", status=400)["error"]
+    assert mend(what="keypoint_lag", frames=0.5, status=400)["error"]

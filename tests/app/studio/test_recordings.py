@@ -242,3 +242,8 @@ def test_points_of_the_picture_as_recorded_have_the_lens_taken_out(own_studio, f
     np.testing.assert_allclose(again["pose"], fit["pose"], atol=1e-9)
     assert (kept["since"], kept["until"], kept["result"]) == (2, 7, result)
     assert own_studio.get(f"/api/recordings/{id}/starts", {**saved, "since": "x"}, status=400)["error"]
+    # another correction of the same frame leaves the first as it is
+    before = (folder / "walk" / "starts" / "arm.json").read_text()
+    second = own_studio.get(f"/api/recordings/{id}/starts", {**saved, "until": 6}, status=201)
+    assert second["name"] == "arm-2" and (folder / "walk" / "starts" / "arm.json").read_text() == before
+    assert json.loads((folder / "walk" / "starts" / "arm-2.json").read_text())["until"] == 6

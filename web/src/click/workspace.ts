@@ -54,7 +54,7 @@ export class Workspace {
     });
     this.list = new JointList(this.state, joints);
     this.facts = new FitFacts(this.fitter);
-    const host = h("div", { class: "fit-space", "aria-label": "The fitted pose in 3D; drag to turn it" });
+    const host = h("div", { class: "fit-space", role: "group", "aria-label": "The fitted pose in 3D; drag to turn it" });
     this.space = new FitSpace(cameras, host);
     this.cameras.append(
       ...cameras.map((c, k) =>
@@ -115,7 +115,6 @@ export class Workspace {
       const name = tab.dataset["camera"] ?? "";
       const n = Object.keys(state.clicks[name] ?? {}).length;
       tab.setAttribute("aria-checked", String(name === state.camera));
-      tab.setAttribute("aria-selected", String(name === state.camera));
       tab.textContent = n ? `${name} · ${n}` : name;
     }
     for (const b of this.save.querySelectorAll("button")) b.disabled = !fitter.state.fit;
@@ -200,12 +199,12 @@ export class Workspace {
     this.again.addEventListener("click", () => void this.track(name.value));
   }
 
-  /** Saves the clicks; the view that they are a start for, null when they could not be saved. */
-  private async keep(name: string): Promise<string | null> {
+  /** Saves the clicks; their name, and the view that they are a start for. Null when they could not be saved. */
+  private async keep(name: string): Promise<{ camera: string; name: string } | null> {
     try {
-      const saved = await post<{ camera: string }>(`/api/recordings/${this.recording.id}/starts`, { ...this.fitter.request(), name, camera: this.state.camera });
-      toast(`Saved as starts/${name}.json`, "done");
-      return saved.camera;
+      const saved = await post<{ camera: string; name: string }>(`/api/recordings/${this.recording.id}/starts`, { ...this.fitter.request(), name, camera: this.state.camera });
+      toast(`Saved as starts/${saved.name}.json`, "done");
+      return saved;
     } catch (error) {
       toast((error as Error).message, "error");
       return null;
@@ -227,9 +226,10 @@ export class Workspace {
 
   /** Saves, and tracks from this frame on: the result again from the corrected pose, or with this camera alone. */
   private async track(name: string): Promise<void> {
-    const view = await this.keep(name);
-    if (view === null) return;
-    const start = `clicks:${name}`;
+    const saved = await this.keep(name);
+    if (saved === null) return;
+    const view = saved.camera;
+    const start = `clicks:${saved.name}`;
     const wanted: NewJob = this.corrects
       ? { kind: "correct", result: this.result!.id, options: { start } }
       : {

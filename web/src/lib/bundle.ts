@@ -55,10 +55,12 @@ export interface MeshData {
   skinWeight: Float32Array;
 }
 
-/** Other poses that explain the same frame, of a track with one camera: joints (T, count, J, 3) m, best first; weights
- * (T, 1 + count), first that of the pose shown. NaN where a frame has fewer. */
+/** Other poses that explain the same frame: weights (T, 1 + count), first that of the pose shown; joints (N, count, J, 3)
+ * m, best first, of the rows that have another; at: where a row is in these, absent where it has none. NaN where a frame
+ * has fewer. */
 export interface Rivals {
   count: number;
+  at: ReadonlyMap<number, number>;
   joints: Float32Array;
   weights: Float32Array;
 }
@@ -149,7 +151,7 @@ export function readBundle(buffer: ArrayBuffer): ViewData {
     rotations: get("rotations"),
     sd: perAxis(covariance),
     covariance,
-    rivals: rivals && { count: rivals.length / (3 * joints * header.frames), joints: rivals, weights: need("rival_weights") },
+    rivals: rivals && rivalsOf(rivals, need("rival_rows"), need("rival_weights"), header.frames),
     flags: need("flags"),
     doubtful: get("doubtful_joints"),
     wrong: get("p_wrong"),
@@ -163,6 +165,18 @@ export function readBundle(buffer: ArrayBuffer): ViewData {
     truth: get("truth_joints"),
     truthDistances: get("truth_distances"),
   };
+}
+
+function rivalsOf(joints: Float32Array, rows: Uint32Array, weights: Float32Array, frames: number): Rivals {
+  return { count: weights.length / frames - 1, at: new Map(Array.from(rows, (row, k) => [row, k])), joints, weights };
+}
+
+/** The joints (J, 3) of the k-th other pose of a row; null when it has no such. */
+export function rivalJoints({ at, count, joints }: Rivals, row: number, k: number, size: number): Float32Array | null {
+  const place = at.get(row);
+  if (place === undefined) return null;
+  const from = 3 * size * (place * count + k);
+  return Number.isFinite(joints[from]!) ? joints.subarray(from, from + 3 * size) : null;
 }
 
 /** Root mean square over the axes of covariances (N, 6), xx xy xz yy yz zz. */

@@ -51,6 +51,7 @@ async function open(box: HTMLElement, id: string, row: number, clicks: string | 
     }
     const made: ResultView = new ResultView(data, source, {
       row,
+      name: entry?.name ?? data.header.title,
       doctor,
       tools,
       back: h("a", { class: "button quiet only-icon", href: "#/view", "aria-label": "All results", title: "All results" }, icon("list")),
@@ -129,8 +130,9 @@ function exportMenu(source: ServerSource, data: ViewData): HTMLElement {
   };
   return menu(
     "Export",
-    () =>
-      data.header.formats.flatMap((format) =>
+    () => [
+      h("a", { role: "menuitem", href: source.everything(), download: "" }, h("span", {}, "Everything"), h("small", {}, "all files of the result as .zip")),
+      ...data.header.formats.flatMap((format) =>
         (FILES[format] ?? [`motion.${format}`]).map((name) => {
           const file = there.get(name);
           if (!file) return { label: name, hint: "write it", act: () => void write(format) };
@@ -142,6 +144,7 @@ function exportMenu(source: ServerSource, data: ViewData): HTMLElement {
           );
         }),
       ),
+    ],
     { icon: "download", title: "Motion files" },
   );
 }

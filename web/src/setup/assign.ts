@@ -3,12 +3,15 @@
  * together, never from the order in which they arrive; what the names do not tell stays open for the user to say.
  */
 
-export type Role = "video" | "background" | "calibration" | "none";
+export type Role = "video" | "background" | "masks" | "keypoints" | "board" | "calibration" | "none";
+export type Kind = "video" | "image" | "images" | "keypoints" | "calibration" | "other";
+/** Roles of which every camera has one file at most. */
+export const OF_A_CAMERA: readonly Role[] = ["video", "background", "masks", "keypoints", "board"];
 
 /** A file as it lies ready; path: with the folders it was dropped with; role: what the user has said that it is. */
 export interface Seen {
   path: string;
-  kind: "video" | "image" | "calibration" | "other";
+  kind: Kind;
   role?: Role | undefined;
 }
 
@@ -18,8 +21,9 @@ export interface Assigned {
   camera: string;
 }
 
-/** Words that people put into names of pictures and clips of a room without anybody in it, and of those of a board. */
+/** Words that people put into names of pictures and clips of a room without anybody in it, of masks, and of a board. */
 const EMPTY_ROOM = new Set(["background", "backgrounds", "bg", "empty", "emptyroom", "plate", "plates", "cleanplate"]);
+const MASKS = new Set(["mask", "masks", "silhouette", "silhouettes", "segmentation", "matte"]);
 const CALIBRATING = new Set([
   "calib", "calibration", "intrinsic", "intrinsics", "extrinsic", "extrinsics", "checkerboard", "chessboard", "charuco",
   "board", "boards", "checker",
@@ -33,49 +37,111 @@ export function words(text: string): string[] {
   return found.map((w) => (w === "camera" ? "cam" : w.replace(/^0+(?=\d)/, "")));
 }
 
-/** For each file what it is for and its camera, whatever their order. */
+/** For each file what it is for and its camera, whatever their order. cameras: those of the calibration; without one
+ * they are called as their videos are. */
 export function assign(files: readonly Seen[], cameras: readonly string[]): Assigned[] {
-  const out = files.map((f): Assigned => ({ role: f.role ?? roleOf(f), camera: "" }));
-  for (const role of ["video", "background"] as const) {
+  const calibrated = cameras.length > 0;
+  const out = files.map((f): Assigned => ({ role: f.role ?? roleOf(f, calibrated), camera: "" }));
+  oneCalibration(files, out);
+  const names = calibrated ? cameras : camerasOf(files.map((f, k) => ({ path: f.path, role: out[k]!.role })));
+  for (const role of OF_A_CAMERA) {
     const mine = out.flatMap((a, k) => (a.role === role ? [k] : []));
-    for (const k of mine) out[k]!.camera = named(files[k]!.path, cameras);
-    if (mine.some((k) => out[k]!.camera)) continue;
-    const found = told(mine.map((k) => files[k]!.path), cameras);
+    const found = match(mine.map((k) => files[k]!.path), names);
     mine.forEach((k, i) => (out[k]!.camera = found[i] ?? ""));
   }
   return out;
 }
 
+/** The camera of each file of one kind; "" where the names do not tell. */
+function match(paths: readonly string[], cameras: readonly string[]): string[] {
+  const found = paths.map((p) => named(p, cameras));
+  return found.some((c) => c) ? found : told(paths, cameras);
+}
+
+/** Names of cameras that no calibration names yet: what tells their videos apart (their own names, those of the folders
+ * they lie in, or what is left of these without what they have in common), so that as many other files as can be carry
+ * the name of one of them. */
+export function camerasOf(files: readonly { path: string; role: Role }[]): string[] {
+  const first = (["video", "masks", "keypoints"] as const).find((role) => files.some((f) => f.role === role));
+  const own = files.filter((f) => f.role === first).map((f) => f.path.replace(/\.[^./]*$/, "").split("/").reverse());
+  if (!own.length) return [];
+  const others = (["board", "background", "masks", "keypoints"] as const).filter((r) => r !== first).map((role) => files.filter((f) => f.role === role).map((f) => f.path));
+  const offered: string[][] = [];
+  for (let level = 0; own.every((parts) => parts.length > level); level++) {
+    const names = own.map((parts) => parts[level]!);
+    const short = shortened(names);
+    // cam01 stays as it is written
+    offered.push(...(names.some((n, k) => words(n).length > words(short[k]!).length) && short.every((s) => words(s).length > 1) ? [short, names] : [names, short]));
+  }
+  let best: string[] = [];
+  let most = -1;
+  for (const names of offered) {
+    if (new Set(names).size < names.length || names.some((n) => !n)) continue;
+    const score = others.reduce((sum, paths) => sum + new Set(match(paths, names).filter((c) => c)).size, 0);
+    if (score > most) [best, most] = [names, score];
+  }
+  return best;
+}
+
+/** Names without what all of them begin and end with, but for a word for a camera: walk_cam1_hd is cam1. */
+function shortened(names: readonly string[]): string[] {
+  const { rest, before } = differences(names.map(words));
+  const word = before !== undefined && CAMERA_WORDS.has(before) ? before : "";
+  return rest.map((r) => (r ? word + r : ""));
+}
+
+/** Of several calibrations that lie in one folder one is taken, as of a Pose2Sim project: the others are what it was
+ * made of. */
+function oneCalibration(files: readonly Seen[], out: readonly Assigned[]): void {
+  const mine = out.flatMap((a, k) => (a.role === "calibration" && !files[k]!.role ? [k] : []));
+  const folder = (k: number): string => files[k]!.path.split("/").slice(0, -1).join("/");
+  if (mine.length < 2 || new Set(mine.map(folder)).size > 1) return;
+  const [best] = [...mine].sort((a, b) => Number(/\.toml$/i.test(files[b]!.path)) - Number(/\.toml$/i.test(files[a]!.path)) || files[a]!.path.localeCompare(files[b]!.path));
+  for (const k of mine) if (k !== best) out[k]!.role = "none";
+}
+
+const CALLED: Record<Role, readonly [string, string]> = {
+  video: ["video", "videos"], background: ["empty room", "empty rooms"], masks: ["video of masks", "videos of masks"],
+  keypoints: ["set of key points", "sets of key points"], board: ["clip of the board", "clips of the board"], calibration: ["calibration", "calibrations"], none: ["", ""],
+};
+
 /** Why no recording can be made of the files yet, as a sentence; "" when it can. */
 export function obstacle(files: readonly (Assigned & { name: string })[]): string {
   const of = (role: Role): (Assigned & { name: string })[] => files.filter((f) => f.role === role);
-  const [videos, rooms, calibrations] = [of("video"), of("background"), of("calibration")];
-  if (!calibrations.length) return "The calibration is missing: drop the file that says where the cameras stand.";
+  const [calibrations, boards] = [of("calibration"), of("board")];
+  const shown = files.filter((f) => f.role === "video" || f.role === "masks" || f.role === "keypoints");
+  if (!calibrations.length && !boards.length) return "The calibration is missing: drop the file that says where the cameras stand, or a clip of a calibration board for every camera.";
   if (calibrations.length > 1) return `There are ${calibrations.length} calibrations; choose one, and set the others to “not used”.`;
-  if (!videos.length) return "The videos are missing: drop one per camera.";
-  const open = videos.find((f) => !f.camera);
-  if (open) return `Which camera is ${open.name} of? Choose it, or set the file to “not used”.`;
-  const twice = repeated(videos);
-  if (twice) return `Two videos are of the camera ${twice}; choose another camera for one of them, or set it to “not used”.`;
-  const room = rooms.find((f) => !f.camera);
-  if (room) return `Of which camera is ${room.name} the empty room? Choose it, or set the file to “not used”.`;
-  const both = repeated(rooms);
-  if (both) return `There are two empty rooms of the camera ${both}; set one of them to “not used”.`;
-  const alone = rooms.find((r) => !videos.some((v) => v.camera === r.camera));
-  return alone ? `${alone.name} is the empty room of ${alone.camera}, which has no video; drop it, or set the file to “not used”.` : "";
+  if (!shown.length) return "The videos are missing: drop one per camera.";
+  for (const role of OF_A_CAMERA) {
+    const mine = of(role);
+    const [one, many] = CALLED[role];
+    const open = mine.find((f) => !f.camera);
+    if (open) return role === "background" ? `Of which camera is ${open.name} the empty room? Choose it, or set the file to “not used”.` : `Which camera is ${open.name} of? Choose it, or set the file to “not used”.`;
+    const twice = repeated(mine);
+    if (twice && role === "video") return `Two videos are of the camera ${twice}; choose another camera for one of them, or set it to “not used”.`;
+    if (twice) return `There are two ${many} of the camera ${twice}; set one of them to “not used”.`;
+    const alone = role === "background" || role === "board" ? mine.find((r) => !shown.some((v) => v.camera === r.camera)) : undefined;
+    if (alone) return `${alone.name} is the ${one} of ${alone.camera}, which has no video; drop it, or set the file to “not used”.`;
+  }
+  const bare = calibrations.length ? undefined : shown.find((f) => !boards.some((b) => b.camera === f.camera));
+  return bare ? `There is no clip of the board of ${bare.camera}: drop it, or set ${bare.name} to “not used”.` : "";
 }
 
 function repeated(files: readonly Assigned[]): string | undefined {
   return files.map((f) => f.camera).find((c, k, all) => all.indexOf(c) !== k);
 }
 
-function roleOf({ path, kind }: Seen): Role {
-  if (kind === "calibration") return "calibration";
+function roleOf({ path, kind }: Seen, calibrated: boolean): Role {
+  if (kind === "calibration" || kind === "keypoints") return kind;
   if (kind === "other") return "none";
   const said = path.split("/").flatMap(words);
   if (said.some((w) => EMPTY_ROOM.has(w))) return "background";
   // a picture that does not say that it is an empty room is one of a board or of the person, more often than not
-  return kind === "video" && !said.some((w) => CALIBRATING.has(w)) ? "video" : "none";
+  if (kind === "image") return "none";
+  if (said.some((w) => MASKS.has(w))) return "masks";
+  if (said.some((w) => CALIBRATING.has(w))) return calibrated ? "none" : "board";
+  return "video";
 }
 
 /** The camera whose name a file carries, or else the folders it lies in, the nearest first; "" when none or several do. */

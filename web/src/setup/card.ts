@@ -53,7 +53,9 @@ export class JobCard {
       ...(active(job) && known ? [button("Stop", () => void act(job, "cancel"), { icon: "close", title: "Stop it; what is done is kept" })] : []),
       ...(job.resumable && !active(job) && job.state !== "done" ? [button("Go on", () => void act(job, "resume"), { icon: "play", kind: "primary" })] : []),
       ...(job.state === "done" && job.result ? [h("a", { class: "button primary", href: `#/view/${job.result}` }, "Open in View")] : []),
-      ...(job.state === "done" && !job.result && job.recording && !location.hash.includes(job.recording) ? [h("a", { class: "button", href: `#/setup/${job.recording}` }, "Go on with the recording")] : []),
+      ...(job.state === "done" && job.makes ? [h("a", { class: "button primary", href: `#/setup/${job.makes}` }, "Go on with what is in step")] : []),
+      ...(job.state === "failed" && job.kind === "refine" && /10 degrees or 0\.5 m/.test(job.error ?? "") ? [button("Take it all the same", () => void farther(job), { icon: "done", title: "Refine again, and let the cameras move as far as they have to" })] : []),
+      ...(job.state === "done" && !job.result && !job.makes && job.recording && !location.hash.includes(job.recording) ? [h("a", { class: "button", href: `#/setup/${job.recording}` }, "Go on with the recording")] : []),
     );
   }
 
@@ -87,6 +89,14 @@ export function duration(seconds: number): string {
   if (seconds < 10) return `${seconds.toFixed(1)} s`;
   if (seconds < 120) return `${Math.round(seconds)} s`;
   return `${Math.floor(seconds / 60)} min ${Math.round(seconds % 60)} s`;
+}
+
+async function farther(job: Job): Promise<void> {
+  try {
+    await post("/api/jobs", { kind: "refine", recording: job.recording, options: { ...job.options, far: true } });
+  } catch (error) {
+    toast((error as Error).message, "error");
+  }
 }
 
 async function act(job: Job, what: "cancel" | "resume"): Promise<void> {

@@ -18,7 +18,7 @@ export async function begin(recording: Recording, kind: Job["kind"], options: Re
   }
 }
 
-/** Step 1: is the calibration right, do the masks make sense? */
+/** Is the calibration right, do the masks make sense? */
 export function checkStep(recording: Recording): HTMLElement {
   const { check } = recording;
   const again = button(check ? "Check again" : "Check the recording", () => void begin(recording, "check"), {
@@ -71,19 +71,32 @@ function sentence(kind: string, text: string, views: readonly string[], mend: re
 }
 
 /** What is the cause of others comes first: files, then units and the world, then cameras, then key points. */
-const CAUSES = ["size", "frame_rate", "frame_count", "unit", "up", "flipped", "late", "distortion", "extrinsics", "scatter", "keypoint_set", "keypoint_lag", "sides"];
+const CAUSES = ["size", "keypoint_pixels", "frame_rate", "frame_count", "unit", "up", "flipped", "late", "distortion", "extrinsics", "scatter", "keypoint_set", "keypoint_lag", "sides"];
 function order(finding: Finding): number {
   const at = CAUSES.indexOf(finding.kind);
   return (finding.fault ? 0 : 100) + (at < 0 ? CAUSES.length : at);
 }
 
 /** Buttons that mend what was found, in place of a line to be typed. */
-function cures(recording: Recording, { kind, views }: Finding): HTMLElement[] {
-  const [view] = views;
-  if (!view || views.length > 1 || !recording.views.some((v) => v.name === view)) return [];
+function cures(recording: Recording, finding: Finding): HTMLElement[] {
+  const { kind, views, cure = "" } = finding;
   const out: HTMLElement[] = [];
+  const [, lag] = /set keypoint_lag = (-?\d+)/.exec(cure) ?? [];
+  if (lag) {
+    const frames = `${Math.abs(Number(lag))} ${Math.abs(Number(lag)) === 1 ? "frame" : "frames"}`;
+    out.push(button(`Move the key points by ${frames}`, () => void mend(recording, { what: "keypoint_lag", frames: Number(lag) }, `The key points are moved by ${frames}.`), { icon: "done" }));
+  }
+  if (/set keypoint_pixels = "image"/.test(cure)) {
+    out.push(button("They are pixels of the pictures as stored", () => void mend(recording, { what: "keypoint_pixels" }, "The key points are taken as pixels of the stored pictures."), { icon: "done" }));
+  }
+  const [view] = views;
+  if (!view || views.length > 1 || !recording.views.some((v) => v.name === view)) return out;
   if (kind === "size") {
     out.push(button("It was stretched: accept it", () => void mend(recording, { what: "accept_scaled", view }, `${view} is taken as stretched.`), { icon: "done" }));
+  }
+  const [, x, y] = /set image_shift = \[(-?[\d.e-]+), (-?[\d.e-]+)\]/.exec(cure) ?? [];
+  if (x && y) {
+    out.push(button("Move its pictures", () => void mend(recording, { what: "image_shift", view, x: Number(x), y: Number(y) }, `The pictures of ${view} are moved by ${x}, ${y} px.`), { icon: "done" }));
   }
   if (recording.views.length > 2) {
     out.push(button(`Leave ${view} out`, () => void mend(recording, { what: "leave_out", view }, `${view} is left out.`), { icon: "close", title: "Track without this camera; it can be taken back" }));
@@ -92,7 +105,7 @@ function cures(recording: Recording, { kind, views }: Finding): HTMLElement[] {
 }
 
 /** Changes recording.toml; the page reads it again. */
-async function mend(recording: Recording, wish: Record<string, string>, said: string): Promise<void> {
+async function mend(recording: Recording, wish: Record<string, string | number>, said: string): Promise<void> {
   try {
     await post(`/api/recordings/${recording.id}/mend`, wish);
     toast(`${said} Check again to see what it changes.`, "done");

@@ -26,7 +26,7 @@ const SLIDERS: readonly Slider[] = [
 ];
 const WAIT_MS = 60;
 
-/** Step 2: the masks of a frame in all cameras, with the settings as they are being moved. */
+/** The masks of a frame in all cameras, with the settings as they are being moved. */
 export class MaskStep {
   readonly element: HTMLElement;
   private settings: MaskSettings;

@@ -3,7 +3,7 @@ import { button } from "../ui/buttons";
 import { h } from "../ui/dom";
 import { begin } from "./check";
 
-/** Step 3: the person's body, from the silhouettes; may be left out. */
+/** The person's body, from the silhouettes; may be left out. */
 export function personStep(recording: Recording): HTMLElement {
   const { subject } = recording;
   const height = h("input", { type: "number", min: 40, max: 280, step: 0.5, "aria-label": "Height in cm" });

@@ -3,18 +3,21 @@ import type { Counters } from "../counters";
 import type { Job, Recording, State } from "../protocol";
 import { button } from "../ui/buttons";
 import { h } from "../ui/dom";
+import { calibrateStep, usualBoard } from "./calibrate";
 import { JobCard } from "./card";
 import { checkStep, rescue } from "./check";
 import { active, type JobFeed } from "./feed";
 import { MaskStep } from "./masks";
 import { personStep } from "./person";
+import { SyncStep } from "./sync";
 import { trackStep } from "./track";
 import { LiveFigure } from "./watch";
 
-const STEPS = ["check", "masks", "person", "track"] as const;
-type Step = (typeof STEPS)[number];
-const TITLES: Record<Step, string> = { check: "Check", masks: "Masks", person: "Person", track: "Track" };
-const STEP_OF: Partial<Record<Job["kind"], Step>> = { check: "check", refine: "check", silhouettes: "masks", subject: "person", track: "track", correct: "track" };
+type Step = "calibrate" | "sync" | "check" | "masks" | "person" | "track";
+const TITLES: Record<Step, string> = { calibrate: "Calibrate", sync: "In step", check: "Check", masks: "Masks", person: "Person", track: "Track" };
+const STEP_OF: Partial<Record<Job["kind"], Step>> = {
+  calibrate: "calibrate", sync: "sync", in_step: "sync", check: "check", refine: "check", silhouettes: "masks", subject: "person", track: "track", correct: "track",
+};
 
 /** One recording: the steps from videos to motion, and the jobs that do them. */
 export class RecordingPage {
@@ -27,6 +30,8 @@ export class RecordingPage {
   private readonly facts = h("span", { class: "dim" });
   private step: Step;
   private masks: MaskStep | null = null;
+  private sync: SyncStep | null = null;
+  private readonly board = usualBoard();
   private figure: { id: string; live: LiveFigure } | null = null;
 
   constructor(
@@ -88,6 +93,7 @@ export class RecordingPage {
   close(): void {
     document.removeEventListener("hypose-mended", this.mended);
     this.masks?.close();
+    this.sync?.close();
     this.figure?.live.close();
   }
 
@@ -108,23 +114,29 @@ export class RecordingPage {
   private draw(): void {
     const { recording } = this;
     this.masks?.close();
-    this.masks = null;
+    this.sync?.close();
+    this.masks = this.sync = null;
     this.facts.textContent = facts(recording);
+    const steps = this.steps();
+    if (!steps.includes(this.step)) this.step = firstStep(recording);
     this.notes.replaceChildren(
-      ...(recording.problem ? [h("div", { class: "card bad", role: "alert" }, recording.problem, h("div", { class: "row wrap cures" }, ...rescue(recording)))] : []),
+      ...(recording.problem && !this.uncalibrated ? [h("div", { class: "card bad", role: "alert" }, recording.problem, h("div", { class: "row wrap cures" }, ...rescue(recording)))] : []),
       ...recording.notes.map((n) => h("p", { class: "dim note" }, n)),
     );
     this.drawNav();
-    if (recording.problem) return this.content.replaceChildren();
+    if (recording.problem && this.step !== "calibrate") return this.content.replaceChildren();
     if (this.step === "masks") {
       this.masks = new MaskStep(recording, this.counters, () => {
         this.masks = null;
         void this.reload(new AbortController().signal);
       });
     }
+    if (this.step === "sync") this.sync = new SyncStep(recording);
     const names = new Map(this.state.results.map((r) => [r.id, r.name]));
     this.content.replaceChildren(
-      this.step === "check" ? checkStep(recording)
+      this.step === "calibrate" ? calibrateStep(recording, this.board, this.feed.of(recording.id))
+      : this.step === "sync" ? this.sync!.element
+      : this.step === "check" ? checkStep(recording)
       : this.step === "masks" ? this.masks!.element
       : this.step === "person" ? personStep(recording)
       : trackStep(recording, (id) => names.get(id) ?? id),
@@ -132,27 +144,41 @@ export class RecordingPage {
     );
   }
 
+  /** The steps that this recording has. */
+  private steps(): Step[] {
+    const { board, views } = this.recording;
+    return [...(board ? ["calibrate" as const] : []), ...(views.length > 1 || this.uncalibrated ? ["sync" as const] : []), "check", "masks", "person", "track"];
+  }
+
+  private get uncalibrated(): boolean {
+    return this.recording.board !== null && !this.recording.board.calibrated;
+  }
+
   private onward(): HTMLElement[] {
-    const next = STEPS[STEPS.indexOf(this.step) + 1];
+    const steps = this.steps();
+    const next = this.recording.problem ? undefined : steps[steps.indexOf(this.step) + 1];
     return next ? [h("div", { class: "row step-next" }, button(`Next: ${TITLES[next]}`, () => this.go(next), { icon: "next" }))] : [];
   }
 
   private drawNav(): void {
     const running = new Set(this.feed.of(this.recording.id).filter((j) => active(j) && this.feed.connected).map((j) => STEP_OF[j.kind]));
     const done: Record<Step, string> = {
+      calibrate: this.recording.board?.calibrated ? "done" : "",
+      sync: this.recording.sync ? "done" : "",
       check: this.recording.check ? (this.recording.check.healthy ? "done" : "look") : "",
       masks: "",
       person: this.recording.subject ? "done" : "",
       track: this.recording.results.length ? "done" : "",
     };
-    const key = JSON.stringify([this.step, [...running], done]);
+    const steps = this.steps();
+    const key = JSON.stringify([this.step, steps, this.uncalibrated, [...running], done]);
     if (this.nav.dataset["key"] === key) return;
     this.nav.dataset["key"] = key;
     this.nav.replaceChildren(
-      ...STEPS.map((s, k) =>
+      ...steps.map((s, k) =>
         h(
           "button",
-          { type: "button", class: "step-tab", "aria-current": s === this.step ? "step" : null, "data-step": s, onclick: () => this.go(s) },
+          { type: "button", class: "step-tab", "aria-current": s === this.step ? "step" : null, "data-step": s, disabled: this.uncalibrated && s !== "calibrate", onclick: () => this.go(s) },
           h("span", { class: "step-number" }, String(k + 1)),
           h("span", {}, TITLES[s]),
           h("small", { class: running.has(s) ? "accent" : done[s] === "look" ? "warn" : "good" }, running.has(s) ? "runs" : done[s] === "look" ? "look" : done[s] ? "done" : ""),
@@ -163,7 +189,8 @@ export class RecordingPage {
 }
 
 function firstStep(recording: Recording): Step {
-  return recording.check ? "track" : "check";
+  if (recording.board && !recording.board.calibrated) return "calibrate";
+  return recording.check ? "track" : recording.board && !recording.sync && recording.views.length > 1 ? "sync" : "check";
 }
 
 function facts(r: Recording): string {

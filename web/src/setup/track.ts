@@ -11,7 +11,7 @@ const RECIPES = [
   { value: "partitioned", label: "partitioned sampling" },
 ];
 
-/** Step 4: how to track; and what was tracked before. */
+/** How to track; and what was tracked before. */
 export function trackStep(recording: Recording, named: (id: string) => string): HTMLElement {
   const wish = { recipe: "default", evidence: "silhouettes", start: "auto", subject: recording.subject !== null };
   const [first, stop] = recording.frame_range ?? [0, recording.frames];

@@ -4,8 +4,9 @@ import { button, select } from "../ui/buttons";
 import { h } from "../ui/dom";
 import { icon } from "../ui/icons";
 import { toast } from "../ui/toast";
-import { assign, obstacle, type Role } from "./assign";
+import { assign, camerasOf, obstacle, OF_A_CAMERA, type Role } from "./assign";
 import { filesOfInput, onDrop, type DroppedFile } from "./dropped";
+import { packed } from "./pack";
 
 interface Ready extends DroppedFile {
   /** How much of it is there. */
@@ -21,12 +22,19 @@ interface Ready extends DroppedFile {
 
 const AT_ONCE = 3;
 const MOST = 60;
-const USABLE = /\.(mp4|avi|mov|mkv|m4v|webm|mpe?g|wmv|mts|png|jpe?g|bmp|tiff?|webp|toml|json|ya?ml|xml|csv|txt|pickle|npz)$/i;
-/** Pictures and tables of which a folder has one per frame; they are no files of a camera. */
-const NUMBERED = /\d{3,}(_keypoints)?\.(png|jpe?g|bmp|tiff?|webp|json)$/i;
+const USABLE = /\.(mp4|avi|mov|mkv|m4v|webm|mpe?g|wmv|mts|png|jpe?g|bmp|tiff?|webp|toml|json|ya?ml|xml|csv|txt|pickle|npz|npy|h5|folder)$/i;
 /** The server's sentence about a video of another shape than the calibration's pictures; the view's name is in it. */
 export const STRETCHED = /View (.+?): .*accept_scaled/;
-const ROLES: Record<Role, string> = { video: "video of", background: "empty room of", calibration: "calibration", none: "not used" };
+const ROLES: Record<Role, string> = {
+  video: "video of", background: "empty room of", masks: "masks of", keypoints: "key points of", board: "board seen by", calibration: "calibration", none: "not used",
+};
+const MAY_BE: Record<Upload["kind"], readonly Role[]> = {
+  video: ["video", "background", "masks", "board", "none"], images: ["video", "background", "masks", "board", "none"],
+  image: ["video", "background", "board", "none"], keypoints: ["keypoints", "none"], calibration: ["calibration", "none"], other: [],
+};
+
+/** What a view may consist of. */
+const SHOWS: readonly Role[] = ["video", "masks", "keypoints"];
 
 /** Drop videos and their calibration, say which camera is which, and a recording is made of them. */
 export class NewRecordingForm {
@@ -44,6 +52,8 @@ export class NewRecordingForm {
   private readonly height = h("input", { type: "number", min: 40, max: 280, step: 0.5, "aria-label": "Height of the person in cm" });
   private up = "z";
   private unit = "auto";
+  /** Of a calibration that is dropped; one that is made here is known. */
+  private readonly world = h("div", { class: "field" });
   private readonly make = button("Make the recording", () => undefined, { kind: "primary", icon: "done" });
   private readonly stop: () => void;
 
@@ -54,7 +64,7 @@ export class NewRecordingForm {
       "div",
       { class: "drop" },
       icon("download"),
-      h("div", {}, h("b", {}, "Drop the videos of all cameras and their calibration"), h("p", { class: "dim" }, "Files or whole folders, anywhere on the page: one video per camera, the calibration (Pose2Sim, anipose, OpenCV, Qualisys, …), and pictures of the empty room if there are any.")),
+      h("div", {}, h("b", {}, "Drop what you have filmed"), h("p", { class: "dim" }, "Files or whole folders, anywhere on the page: a video per camera; clips of a calibration board, or a calibration (Pose2Sim, anipose, OpenCV, Qualisys, …); the empty room, key points and masks if there are any.")),
       h("div", { class: "drop-choose" }, button("Choose files", () => chooser.click(), {}), button("Choose a folder", () => folder.click(), {})),
       chooser,
       folder,
@@ -83,12 +93,13 @@ export class NewRecordingForm {
   }
 
   private add(files: readonly DroppedFile[]): void {
-    const usable = files.filter((f) => USABLE.test(f.path) && !(f.path.includes("/") && NUMBERED.test(f.path)));
+    const bundled = packed(files);
+    const usable = bundled.filter((f) => USABLE.test(f.file.name));
     const fresh = usable.filter((f) => !this.files.some((old) => same(old, f)));
     const taken = fresh.slice(0, Math.max(0, MOST - this.files.length));
     const told: string[] = [];
     if (usable.length > fresh.length) told.push(`${number(usable.length - fresh.length, "file")} already here`);
-    if (files.length > usable.length) told.push(`${number(files.length - usable.length, "file")} left out: no video, picture or calibration, or one per frame`);
+    if (bundled.length > usable.length) told.push(`${number(bundled.length - usable.length, "file")} left out: no video, picture, calibration or key points`);
     if (fresh.length > taken.length) told.push(`${number(fresh.length - taken.length, "file")} left out: ${MOST} at most`);
     this.left.textContent = told.length ? `${told.join("; ")}.` : "";
     for (const { file, path } of taken) {
@@ -112,7 +123,7 @@ export class NewRecordingForm {
       put<Upload>(`/api/uploads/${encodeURIComponent(one.file.name)}`, one.file, (share) => (one.bar.value = share))
         .then((upload) => {
           one.upload = upload;
-          if (upload.kind === "video" || upload.kind === "image") {
+          if (upload.kind === "video" || upload.kind === "image" || upload.kind === "images") {
             one.thumbnail.append(h("img", { src: address(`/api/uploads/${upload.upload}/picture.jpg`), alt: `First picture of ${one.file.name}` }));
           }
           if (!this.files.includes(one)) this.forget(one); // removed while it was on its way
@@ -132,21 +143,27 @@ export class NewRecordingForm {
     return this.files.filter((f) => !f.upload && !f.error).length;
   }
 
+  /** As the calibration calls them; without one, as their videos are called. */
   private get cameras(): string[] {
+    return this.calibrated.length ? this.calibrated : camerasOf(this.files.filter((f) => f.upload));
+  }
+
+  private get calibrated(): string[] {
     return this.calibration?.upload?.cameras ?? [];
   }
 
   private get calibration(): Ready | undefined {
-    const all = this.files.filter((f) => f.upload?.kind === "calibration");
+    const all = this.files.filter((f) => f.upload?.kind === "calibration" && !(f.said.role && f.role === "none"));
     return all.find((f) => f.role === "calibration") ?? all[0];
   }
 
   private assign(): void {
     const seen = this.files.filter((f) => f.upload);
-    const found = assign(seen.map((f) => ({ path: f.path, kind: f.upload!.kind, role: f.said.role ? f.role : undefined })), this.cameras);
+    const found = assign(seen.map((f) => ({ path: f.path, kind: f.upload!.kind, role: f.said.role ? f.role : undefined })), this.calibrated);
+    seen.forEach((f, k) => (f.role = found[k]!.role));
+    const { cameras } = this;
     seen.forEach((f, k) => {
-      f.role = found[k]!.role;
-      if (!f.said.camera || !this.cameras.includes(f.camera)) f.camera = found[k]!.camera;
+      if (!f.said.camera || !cameras.includes(f.camera)) f.camera = found[k]!.camera;
     });
   }
 
@@ -166,9 +183,10 @@ export class NewRecordingForm {
     this.list.replaceChildren(...this.files.map((f) => this.row(f)));
     const missing = this.coming ? "" : obstacle(this.files.filter((f) => f.upload).map((f) => ({ ...f, name: f.path })));
     this.form.hidden = !this.files.length;
+    this.world.hidden = !this.files.some((f) => f.role === "calibration");
     this.make.disabled = this.coming > 0 || missing !== "";
     this.error.textContent = missing;
-    const without = this.cameras.filter((c) => !this.files.some((f) => f.role === "video" && f.camera === c));
+    const without = this.cameras.filter((c) => !this.files.some((f) => SHOWS.includes(f.role) && f.camera === c));
     const some = !this.coming && !missing && without.length > 0;
     this.error.classList.toggle("bad", !some);
     if (some) this.error.textContent = `No video of ${without.join(", ")}: the recording is made without.`;
@@ -177,20 +195,21 @@ export class NewRecordingForm {
   private row(f: Ready): HTMLElement {
     const facts = f.error ?? (f.upload ? (f.upload.problem ?? told(f.upload)) : "being sent");
     const kind = f.upload?.kind;
-    const roles: Role[] = kind === "calibration" ? ["calibration", "none"] : kind === "video" || kind === "image" ? ["video", "background", "none"] : [];
-    const open = (f.role === "video" || f.role === "background") && (!f.camera || this.files.some((o) => o !== f && o.role === f.role && o.camera === f.camera));
+    const roles = kind ? MAY_BE[kind] : [];
+    const open = OF_A_CAMERA.includes(f.role) && (!f.camera || this.files.some((o) => o !== f && o.role === f.role && o.camera === f.camera));
     const cameras = select("Camera", [{ value: "", label: "choose a camera" }, ...this.cameras.map((c) => ({ value: c, label: c }))], f.camera, (camera) => {
       f.camera = camera;
       f.said.camera = camera !== "";
       this.draw();
     });
     cameras.toggleAttribute("data-open", open);
-    const folders = f.path.slice(0, -f.file.name.length);
+    const name = f.path.split("/").pop() ?? f.path;
+    const folders = f.path.slice(0, -name.length);
     return h(
       "div",
       { class: "dropped-file", "data-file": f.path },
-      f.thumbnail.hasChildNodes() ? f.thumbnail : h("span", { class: "dropped-picture" }, icon(kind === "video" ? "camera" : kind === "image" ? "picture" : "report")),
-      h("div", { class: "grow" }, h("b", {}, folders ? h("span", { class: "dim" }, folders) : null, f.file.name), h("div", { class: f.error || f.upload?.problem ? "bad" : "dim" }, facts), f.upload || f.error ? null : f.bar),
+      f.thumbnail.hasChildNodes() ? f.thumbnail : h("span", { class: "dropped-picture" }, icon(kind === "video" ? "camera" : kind === "image" || kind === "images" ? "picture" : kind === "keypoints" ? "skeleton" : "report")),
+      h("div", { class: "grow" }, h("b", {}, folders ? h("span", { class: "dim" }, folders) : null, name), h("div", { class: f.error || f.upload?.problem ? "bad" : "dim" }, facts), f.upload || f.error ? null : f.bar),
       this.coming || !roles.length
         ? null
         : select("What it is", roles.map((value) => ({ value, label: ROLES[value] })), f.role, (role) => {
@@ -200,38 +219,43 @@ export class NewRecordingForm {
             this.draw();
           }),
       this.coming || !roles.length || f.role === "none" || f.role === "calibration" ? null : cameras,
-      button("", () => this.remove(f), { icon: "close", kind: "quiet", title: `Remove ${f.file.name}` }),
+      button("", () => this.remove(f), { icon: "close", kind: "quiet", title: `Remove ${name}` }),
     );
   }
 
   private drawForm(): void {
     const field = (name: string, ...inputs: HTMLElement[]): HTMLElement =>
       h("div", { class: "field" }, h("span", { class: "field-name" }, name), h("div", { class: "row wrap" }, ...inputs));
-    this.form.append(
-      field("Name", this.name),
-      field("Height", this.height, h("span", { class: "dim" }, "cm, of the person, if known")),
-      field(
-        "Calibration",
+    this.world.append(
+      h("span", { class: "field-name" }, "Calibration"),
+      h(
+        "div",
+        { class: "row wrap" },
         select("Up", ["z", "y", "x", "-y", "-z", "-x"].map((v) => ({ value: v, label: `${v} points up` })), this.up, (v) => (this.up = v)),
         select("Unit", [{ value: "auto", label: "unit as it seems" }, { value: "m", label: "metres" }, { value: "mm", label: "millimetres" }, { value: "cm", label: "centimetres" }], this.unit, (v) => (this.unit = v)),
       ),
+    );
+    this.form.append(
+      field("Name", this.name),
+      field("Height", this.height, h("span", { class: "dim" }, "cm, of the person, if known")),
+      this.world,
       this.error,
       h("div", { class: "row" }, this.make),
     );
   }
 
   private async submit(): Promise<void> {
-    const room = (camera: string): Ready | undefined => this.files.find((f) => f.role === "background" && f.camera === camera);
-    const views = this.files
-      .filter((f) => f.role === "video" && f.upload)
-      .map((f) => {
-        const empty = room(f.camera)?.upload?.upload;
-        return {
-          name: f.camera, camera: f.camera, video: f.upload!.upload,
-          ...(empty ? { background: empty } : {}), ...(this.stretched.has(f.camera) ? { accept_scaled: true } : {}),
-        };
-      });
-    const wanted: NewRecording = { name: this.name.value.trim(), calibration: this.calibration?.upload?.upload ?? "", views };
+    const of = (role: Role, camera: string): { [key: string]: string } => {
+      const found = this.files.find((f) => f.role === role && f.camera === camera)?.upload?.upload;
+      return found ? { [role]: found } : {};
+    };
+    const calibration = this.files.find((f) => f.role === "calibration")?.upload?.upload;
+    const cameras = [...new Set(this.files.filter((f) => SHOWS.includes(f.role) && f.upload).map((f) => f.camera))];
+    const views = cameras.map((camera) => ({
+      name: camera, camera, ...Object.assign({}, ...OF_A_CAMERA.filter((r) => r !== "board" || !calibration).map((r) => of(r, camera))),
+      ...(this.stretched.has(camera) ? { accept_scaled: true } : {}),
+    }));
+    const wanted: NewRecording = { name: this.name.value.trim(), ...(calibration ? { calibration } : {}), views };
     if (this.up !== "z") wanted.world_up = this.up;
     if (this.unit !== "auto") wanted.calibration_unit = this.unit;
     if (this.height.value) wanted.subject_height = Number(this.height.value) / 100;
@@ -269,7 +293,9 @@ function number(count: number, what: string): string {
 function told(upload: Upload): string {
   if (upload.kind === "calibration") return `calibration of ${(upload.cameras ?? []).join(", ")}`;
   if (upload.kind === "other") return "no video, picture or calibration; it is not used";
+  if (upload.kind === "keypoints") return `key points of ${number(upload.frames ?? 0, "frame")}`;
   const size = upload.size ? `${upload.size[0]} × ${upload.size[1]}` : "";
+  if (upload.kind === "images") return `${number(upload.frames ?? 0, "picture")}, ${size}`;
   if (upload.kind === "image") return `picture, ${size}`;
-  return [`video, ${size}`, `${upload.frames ?? "?"} frames`, upload.frame_rate ? `${upload.frame_rate.toFixed(1).replace(/\.0$/, "")} frames/s` : ""].filter(Boolean).join(", ");
+  return [size, `${upload.frames ?? "?"} frames`, upload.frame_rate ? `${upload.frame_rate.toFixed(1).replace(/\.0$/, "")} fps` : ""].filter(Boolean).join(", ");
 }

@@ -15,6 +15,8 @@ export interface Series {
   sd?: ArrayLike<number> | null;
   /** Where this is not 0 the curve may be wrong, and is red. */
   doubtful?: ArrayLike<number> | null;
+  /** Stands behind the label in place of, or beside, the value at the frame shown. */
+  note?: string;
 }
 
 export interface PlotOptions {
@@ -26,6 +28,10 @@ export interface PlotOptions {
   window?: number;
   /** Stretches that are shaded: lost, extrapolated or doubtful. */
   flagged?: readonly Stretch[];
+  /** Moments (s) with a sign above the curves: a foot that strikes or leaves the ground. */
+  marks?: readonly { time: number; side: "left" | "right"; kind: "strike" | "off" }[];
+  /** Over 0 to 100 % of a cycle in place of time; the bands are of one standard deviation. */
+  cycle?: boolean;
   /** A click or drag in the plot chooses a time. */
   chosen?: (index: number) => void;
 }
@@ -33,7 +39,10 @@ export interface PlotOptions {
 const NINETY = 1.645; // standard deviations to either side that hold 90 % of a normal distribution
 const MOST_BAND = 0.6; // of the curves' range that bands may add to it: what is hardly known would flatten all the rest
 const TURN_MS = 160; // longer than from one click to the next of somebody who looks around
-const ROOM = 4; // values that find room beside a plot's title
+/** Units in which nothing is more than 1. */
+const SHARES: ReadonlySet<string> = new Set(["IoU", "of 1"]);
+/** What is shown at least from bottom to top, by unit: noise is not to look like a movement. */
+const LEAST_SPAN: Readonly<Record<string, number>> = { "°": 4, m: 0.04, mm: 2, IoU: 0.1, "of 1": 0.1, "%": 4 };
 
 /** A plot of values over time with a cursor line that follows the frame shown, and the values there in its title. */
 export class Plot {
@@ -49,16 +58,16 @@ export class Plot {
   private asked = 0;
 
   constructor(
-    private readonly times: Float64Array,
-    private readonly series: readonly Series[],
-    private options: PlotOptions,
+    readonly times: Float64Array,
+    readonly series: readonly Series[],
+    public options: PlotOptions,
   ) {
     this.figures = series.map(() => h("b", { class: "number" }));
     const legend = series.map((s, i) => {
       const style = `--c: var(--${s.colour})`;
       // of many the dashes alone say that it is the other result
-      const name = s.dashed && series.length > ROOM ? "" : `${s.label} `;
-      return h("span", { style, class: s.dashed ? "dashed" : "", title: s.label || null }, name, this.figures[i]);
+      const name = s.dashed && series.length > 2 ? "" : `${s.label} `;
+      return h("span", { style, class: s.dashed ? "dashed" : "", title: [s.label, s.note].filter(Boolean).join(", ") || null }, name, options.cycle ? null : this.figures[i], s.note ? h("small", {}, ` ${s.note}`) : null);
     });
     this.element = h(
       "figure",
@@ -73,10 +82,21 @@ export class Plot {
     if (options.chosen) this.pointer(options.chosen);
   }
 
+  /** Whether it is over a cycle. */
+  get cycle(): boolean {
+    return this.options.cycle ?? false;
+  }
+
+  /** What it has drawn its curves on. */
+  get drawn(): HTMLCanvasElement | undefined {
+    return this.chart?.ctx.canvas;
+  }
+
   /** Moves the cursor to a frame. */
   show(index: number): void {
     this.at = index;
-    if (!this.chart) return;
+    this.line.hidden = this.cycle;
+    if (!this.chart || this.cycle) return;
     this.turn();
     this.line.style.transform = `translateX(${this.chart.valToPos(this.times[index] ?? 0, "x")}px)`;
   }
@@ -151,6 +171,7 @@ export class Plot {
     const axis = { stroke: colour("dim"), grid, ticks: { show: false }, font } satisfies uPlot.Axis;
     const least = this.options.range;
     const banded = this.series.filter((s) => s.sd);
+    const wide = this.wide;
     const edge = { width: 0, auto: false, points: { show: false } } satisfies uPlot.Series;
     this.chart = new uPlot(
       {
@@ -158,29 +179,33 @@ export class Plot {
         height,
         legend: { show: false },
         cursor: { show: false },
-        padding: [6, 10, 0, 0],
+        padding: [6, this.cycle ? 20 : 10, 0, 0],
         hooks: {
           ready: [() => this.turnNow()],
           setSize: [() => this.show(this.at)],
           drawClear: [(chart) => this.shade(chart)],
-          draw: [(chart) => this.redden(chart)],
+          draw: [(chart) => this.redden(chart), (chart) => this.mark(chart)],
         },
         scales: {
           x: { time: false, range: () => this.shownRange() },
           y: {
             range: (_, low, high) => {
               if (!Number.isFinite(low)) return [...(least ?? [0, 1])] as [number, number];
+              const missing = least ? 0 : Math.max(0, (LEAST_SPAN[this.options.unit] ?? 0) - (high - low)) / 2;
+              [low, high] = [low - missing, high + missing];
               const add = MOST_BAND * (high - low || 1);
               const band = this.reach(low, high);
               const [a, b] = [Math.min(low, least?.[0] ?? low, Math.max(band[0], low - add)), Math.max(high, least?.[1] ?? high, Math.min(band[1], high + add))];
               const room = Math.max(1e-3, (b - a) * 0.06);
-              return [least && low >= least[0] ? a : a - room, least && high <= least[1] ? b : b + room];
+              const top = least && high <= least[1] ? b : b + room;
+              return [least && low >= least[0] ? a : a - room, SHARES.has(this.options.unit) ? Math.min(1.002, top) : top];
             },
           },
         },
         axes: [
           { ...axis, size: 22, gap: 5, space: 60, values: (_, at, __, ___, step) => at.map((t) => this.timeText(t, step)) },
-          { ...axis, size: 40, gap: 4, space: 22 },
+          // as many digits as the steps have, so that no two lines are called the same
+          { ...axis, size: 40, gap: 4, space: 22, values: (_, at, __, ___, step) => at.map((v) => v.toFixed(decimals(step))) },
         ],
         series: [
           {},
@@ -202,16 +227,22 @@ export class Plot {
       [
         this.times,
         ...this.series.map((s) => gaps(s.values)),
-        ...banded.flatMap((s) => [-NINETY, NINETY].map((by) => gaps(Float64Array.from(s.values, (v, t) => v + by * s.sd![t]!)))),
+        ...banded.flatMap((s) => [-wide, wide].map((by) => gaps(Float64Array.from(s.values, (v, t) => v + by * s.sd![t]!)))),
       ] as unknown as uPlot.AlignedData,
       this.holder,
     );
     this.chart.over.append(this.line);
   }
 
+  /** Standard deviations to either side in a band. */
+  private get wide(): number {
+    return this.cycle ? 1 : NINETY;
+  }
+
   private timeText(seconds: number, step: number): string {
+    if (this.cycle) return `${Math.round(seconds)} %`;
     const long = (this.times[this.times.length - 1] ?? 0) >= 60;
-    return long ? clock(seconds, step) : seconds.toFixed(step >= 1 ? 0 : step >= 0.1 ? 1 : 2);
+    return long ? clock(seconds, step) : seconds.toFixed(decimals(step));
   }
 
   /** How far the bands reach, where the curves lie between these values. */
@@ -220,7 +251,7 @@ export class Plot {
     for (const { values, sd } of this.series) {
       if (!sd) continue;
       for (let t = 0; t < values.length; t++) {
-        const [v, r] = [values[t]!, NINETY * sd[t]!];
+        const [v, r] = [values[t]!, this.wide * sd[t]!];
         if (v - r < a) a = v - r;
         if (v + r > b) b = v + r;
       }
@@ -259,6 +290,30 @@ export class Plot {
     ctx.restore();
   }
 
+  /** Feet that strike (pointing down) and leave the ground (pointing up), in the colour of their side. */
+  private mark(chart: uPlot): void {
+    const marks = this.options.marks ?? [];
+    if (!marks.length) return;
+    const { ctx, bbox } = chart;
+    const size = 4 * (window.devicePixelRatio || 1);
+    const [from, to] = this.shownRange();
+    ctx.save();
+    for (const { time, side, kind } of marks) {
+      if (time < from || time > to) continue;
+      const x = chart.valToPos(time, "x", true);
+      const [base, tip] = kind === "strike" ? [bbox.top, bbox.top + 1.6 * size] : [bbox.top + 1.6 * size, bbox.top];
+      ctx.fillStyle = ctx.strokeStyle = colour(side);
+      ctx.beginPath();
+      ctx.moveTo(x - size, base);
+      ctx.lineTo(x + size, base);
+      ctx.lineTo(x, tip);
+      ctx.closePath();
+      if (kind === "strike") ctx.fill();
+      else ctx.stroke();
+    }
+    ctx.restore();
+  }
+
   private shade(chart: uPlot): void {
     const { left, top, width, height } = chart.bbox;
     const step = (this.times[1] ?? 1) - (this.times[0] ?? 0);
@@ -290,6 +345,15 @@ export class Plot {
       });
     });
   }
+}
+
+/** Digits behind the point that multiples of a step have: 2.5 has one. */
+function decimals(step: number): number {
+  for (let digits = 0; digits < 6; digits++) {
+    const whole = step * 10 ** digits;
+    if (Math.abs(whole - Math.round(whole)) < 1e-6) return digits;
+  }
+  return 6;
 }
 
 /** A colour as it lies below the curves. */

@@ -41,6 +41,8 @@ export class CameraPane {
   private readonly abort = new AbortController();
   private readonly outlines = new Map<number, Outlines | null>();
   private editing: PictureEdit | null = null;
+  private beside: Beside | null = null;
+  private besideSkin: Skin | null = null;
   private enlarged = -1;
   private width = 480;
   private wanted = 0;
@@ -140,7 +142,9 @@ export class CameraPane {
 
   /** Another result in the pictures as well; null takes it away. */
   compare(beside: Beside | null): void {
-    for (const tile of this.tiles) tile.overlay.beside = beside;
+    this.beside = beside;
+    this.besideSkin = beside?.data.coarse && beside.data.restJoints ? new Skin(beside.data, beside.data.coarse) : null;
+    for (const { overlay } of this.tiles) [overlay.beside, overlay.besideSkin] = [beside, this.besideSkin];
     this.draw();
   }
 
@@ -243,7 +247,11 @@ export class CameraPane {
   draw(): void {
     const row = Math.max(0, this.row);
     const posed = this.shown.body && this.skin ? this.skin.pose(row) : false;
+    const other = row + (this.beside?.shift ?? 0);
+    const known = this.beside !== null && other >= 0 && other < this.beside.data.frames;
+    const besidePosed = known && this.shown.body && this.besideSkin ? this.besideSkin.pose(other) : false;
     this.tiles.forEach((tile, i) => {
+      tile.overlay.besidePosed = besidePosed;
       const c = tile.canvas.getContext("2d", { alpha: false });
       if (!c || tile.box.hidden) return;
       const { width, height } = tile.canvas;

@@ -283,10 +283,10 @@ export class Corrector implements PictureEdit {
     try {
       const views = this.views();
       const camera = views.sort((a, b) => b.points.length - a.points.length)[0]!.camera;
-      await post(`/api/recordings/${recording}/starts`, {
+      const saved = await post<{ name: string }>(`/api/recordings/${recording}/starts`, {
         result: this.entry.id, frame, since: reach.since + first_frame, until: reach.until + first_frame, views, name, camera,
       });
-      const job = await post<Job>("/api/jobs", { kind: "correct", result: this.entry.id, options: { start: `clicks:${name}` } });
+      const job = await post<Job>("/api/jobs", { kind: "correct", result: this.entry.id, options: { start: `clicks:${saved.name}` } });
       const done = await this.finished(job);
       if (this.closed || !done.result) return;
       toast(`Frames ${reach.since + first_frame} to ${reach.until + first_frame - 1} are tracked again; ${this.entry.name} stays as it was.`, "done");

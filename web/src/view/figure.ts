@@ -106,7 +106,13 @@ export class SkinnedBody {
   private readonly turn = new Quaternion();
   private readonly one = new Vector3(1, 1, 1);
 
-  constructor(private readonly data: ViewData) {
+  /** tone: the name of its colour; clear: another body is seen through it. */
+  constructor(
+    private readonly data: ViewData,
+    private readonly tone = "body",
+    clear = false,
+  ) {
+    if (clear) Object.assign(this.material, { transparent: true, opacity: 0.45, depthWrite: false });
     const mesh = data.fine;
     const rest = data.restJoints;
     if (!mesh || !rest) throw new Error("no body");
@@ -148,7 +154,7 @@ export class SkinnedBody {
   }
 
   recolour(): void {
-    this.material.color.set(colour("body"));
+    this.material.color.set(colour(this.tone));
     this.shade.color.set(colour("shadow"));
   }
 

@@ -102,7 +102,10 @@ class Library {
         h("span", { class: "number" }, `${result.frames} frames · ${clock(seconds, 0.1)}`),
         h("span", {}, new Date(1000 * result.changed).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "short" })),
       ),
-      itemMenu("results", result, () => void this.reload(), recording ? [h("a", { role: "menuitem", href: `#/setup/${recording.id}` }, "Its recording")] : []),
+      itemMenu("results", result, () => void this.reload(), [
+        h("a", { role: "menuitem", href: address(`/api/results/${result.id}/all.zip`), download: "" }, "Download all"),
+        ...(recording ? [h("a", { role: "menuitem", href: `#/setup/${recording.id}` }, "Its recording")] : []),
+      ]),
     );
   }
 }

@@ -1,4 +1,4 @@
-import { doubtfulAt, side, type CameraData, type ViewData } from "../lib/bundle";
+import { doubtfulAt, rivalJoints, side, type CameraData, type ViewData } from "../lib/bundle";
 import { Projector } from "../lib/camera";
 import type { Skin } from "../lib/skin";
 import { colour } from "../ui/theme";
@@ -14,10 +14,12 @@ export interface Shown {
 /** Draws a result over the pictures of one camera. Pixels are those of the calibrated size. */
 export class Overlay {
   private readonly projector: Projector;
-  private readonly pixels: Float32Array;
+  private pixels: Float32Array;
   private readonly joints: Float32Array;
-  /** Another result, drawn as well. */
+  /** Another result, drawn as well, and its skin, which is in the pose of the row when `besidePosed`. */
   beside: Beside | null = null;
+  besideSkin: Skin | null = null;
+  besidePosed = false;
 
   constructor(
     private readonly data: ViewData,
@@ -35,7 +37,8 @@ export class Overlay {
     // pixel centres lie at integers, so the picture begins at -0.5
     c.scale(scale, scale);
     c.translate(0.5, 0.5);
-    if (shown.body && posed) this.body(c);
+    if (shown.body && posed && this.skin) this.body(c, this.skin, colour("accent"), 0.42);
+    if (shown.body && this.besidePosed && this.besideSkin) this.body(c, this.besideSkin, BESIDE, 0.3);
     if (shown.rivals) this.rivals(c, row, scale);
     if (this.beside) this.other(c, row, scale);
     if (shown.skeleton) this.skeleton(c, row, scale);
@@ -74,11 +77,12 @@ export class Overlay {
   }
 
   /** The triangles that face the camera cover the silhouette, so one path of them is filled without seams. */
-  private body(c: CanvasRenderingContext2D): void {
-    if (!this.skin) return;
-    const p = this.pixels;
-    this.projector.project(this.skin.vertices, p);
-    const { faces } = this.skin.mesh;
+  private body(c: CanvasRenderingContext2D, skin: Skin, tone: string, alpha: number): void {
+    const size = (2 * skin.vertices.length) / 3;
+    if (this.pixels.length < size) this.pixels = new Float32Array(size);
+    const p = this.pixels.subarray(0, size);
+    this.projector.project(skin.vertices, p);
+    const { faces } = skin.mesh;
     c.beginPath();
     for (let f = 0; f < faces.length; f += 3) {
       const [a, b, d] = [2 * faces[f]!, 2 * faces[f + 1]!, 2 * faces[f + 2]!];
@@ -89,8 +93,8 @@ export class Overlay {
       c.lineTo(p[d]!, p[d + 1]!);
       c.closePath();
     }
-    c.fillStyle = colour("accent");
-    c.globalAlpha = 0.42;
+    c.fillStyle = tone;
+    c.globalAlpha = alpha;
     c.fill();
     c.globalAlpha = 1;
   }
@@ -101,8 +105,8 @@ export class Overlay {
     if (!rivals) return;
     c.setLineDash([4 / scale, 3 / scale]);
     for (let k = 0; k < rivals.count; k++) {
-      const at = 3 * (row * rivals.count + k) * joints;
-      if (Number.isFinite(rivals.joints[at]!)) this.lines(c, rivals.joints.subarray(at, at + 3 * joints), 1.4 / scale, () => "#ffffff");
+      const other = rivalJoints(rivals, row, k, joints);
+      if (other) this.lines(c, other, 1.4 / scale, () => "#ffffff");
     }
     c.setLineDash([]);
   }
@@ -112,8 +116,7 @@ export class Overlay {
     const { data, shift } = this.beside!;
     const at = row + shift;
     if (at < 0 || at >= data.frames || data.joints !== this.data.joints) return;
-    const tone = colour("beside");
-    this.lines(c, data.positions.subarray(3 * at * data.joints, 3 * (at + 1) * data.joints), 2.2 / scale, () => tone);
+    this.lines(c, data.positions.subarray(3 * at * data.joints, 3 * (at + 1) * data.joints), 2.2 / scale, () => BESIDE);
   }
 
   private skeleton(c: CanvasRenderingContext2D, row: number, scale: number): void {
@@ -144,4 +147,5 @@ export class Overlay {
 
 /** On pictures the colours do not follow the theme: what is filmed does not either. */
 const DOUBTFUL = "#ff5257";
+const BESIDE = "#f7d9ff";
 const LIMBS = { left: "#f5a04a", right: "#5bb2f5", middle: "#f2f5f7" };

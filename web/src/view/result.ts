@@ -23,6 +23,8 @@ export interface ResultOptions {
   /** What stands at its left end: the way back. */
   back?: HTMLElement | null;
   doctor?: HTMLElement | null;
+  /** How it is called beside another. */
+  name?: string;
   /** Frame to begin with. */
   row?: number;
   /** Keys are taken only while pointer or focus are in here; by default always. */
@@ -84,7 +86,7 @@ export class ResultView {
     const go = (row: number): void => this.go(row);
     this.space = new Space(data, () => this.schedule());
     this.cameras = new CameraPane(data, source, (message) => toast(message, "error"));
-    this.plots = new PlotPane(data, go);
+    this.plots = new PlotPane(data, go, source.gait ? () => source.gait!() : null);
     this.corrector = options.corrector?.(this) ?? null;
     const curve = data.cost.some(Number.isFinite) ? data.cost.map((c) => 1 - c) : null;
     const many = data.doubtful && Uint8Array.from({ length: data.frames }, (_, t) => doubtfulAt(data, t).length);
@@ -151,7 +153,7 @@ export class ResultView {
         this.corrector?.element ?? null,
       ),
       main,
-      h("section", { class: "pane plots-pane", "aria-label": "Plots" }, h("div", { class: "pane-head" }, this.plots.tabs, h("span", { class: "grow" }), this.plots.span), this.plots.element),
+      h("section", { class: "pane plots-pane", "aria-label": "Plots" }, h("div", { class: "pane-head" }, this.plots.tabs, h("span", { class: "grow" }), ...this.plots.tools), this.plots.element),
       transport,
     );
     const bar = splitter(this.element, "plots", "rows", "Height of the plots", 25, [8, 60]);
@@ -195,7 +197,7 @@ export class ResultView {
   /** Puts another run beside this one; null takes it away. */
   compare(beside: Beside | null): void {
     this.legend.replaceChildren(
-      ...(beside ? [entry("middle", "this result"), entry("beside", `${beside.name} (dashed in the plots)`)] : []),
+      ...(beside ? [entry("body", `${this.options.name ?? "this result"}`), entry("beside", `${beside.name} (dashed in the plots)`)] : []),
       ...(beside && this.space.hasTruth ? [entry("other", "truth")] : []),
     );
     this.space.compare(beside);

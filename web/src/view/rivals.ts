@@ -1,5 +1,5 @@
 import { Group } from "three";
-import type { Rivals, ViewData } from "../lib/bundle";
+import { rivalJoints, type Rivals, type ViewData } from "../lib/bundle";
 import { Sticks } from "./figure";
 
 const THICKNESS = 0.5;
@@ -23,11 +23,10 @@ export class RivalPoses {
   }
 
   place(row: number): void {
-    const size = 3 * this.data.joints;
     this.sticks.forEach((sticks, k) => {
-      const at = (row * this.rivals.count + k) * size;
-      sticks.group.visible = Number.isFinite(this.rivals.joints[at]!);
-      if (sticks.group.visible) sticks.place(this.rivals.joints, at);
+      const joints = rivalJoints(this.rivals, row, k, this.data.joints);
+      sticks.group.visible = joints !== null;
+      if (joints) sticks.place(joints, 0);
     });
   }
 }

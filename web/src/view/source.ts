@@ -1,5 +1,6 @@
 import { address, get, getBytes, post } from "../api";
 import { readBundle, type ViewData } from "../lib/bundle";
+import type { Gait } from "./cycles";
 
 /** Pictures of all cameras at one frame; `row` is that of the pictures, which a report does not have for every frame. */
 export interface RowPictures {
@@ -20,6 +21,8 @@ export interface Source {
   outlines(row: number, signal: AbortSignal): Promise<Outlines | null>;
   /** Address of a file of the result, null where it cannot be had. */
   file(name: string): string | null;
+  /** How somebody walks; absent where nobody can be asked. */
+  gait?(): Promise<Gait>;
   /** Starts writing motion files; resolves when the server has begun. */
   export(formats: readonly string[]): Promise<string>;
 }
@@ -52,8 +55,17 @@ export class ServerSource implements Source {
     return (await get<{ views: Outlines }>(`${this.path}/outlines/${row}`, signal)).views;
   }
 
+  gait(): Promise<Gait> {
+    return get<Gait>(`${this.path}/gait`);
+  }
+
   file(name: string): string {
     return address(`${this.path}/files/${encodeURIComponent(name)}`);
+  }
+
+  /** Address of all files of the result in one. */
+  everything(): string {
+    return address(`${this.path}/all.zip`);
   }
 
   async export(formats: readonly string[]): Promise<string> {

@@ -25,8 +25,9 @@ export class Space {
   private readonly trails: Trails;
   private readonly frusta: Frusta;
   private readonly truth: Sticks | null;
-  private other: { sticks: Sticks; beside: Beside } | null = null;
+  private other: { sticks: Sticks; body: SkinnedBody | null; beside: Beside } | null = null;
   private readonly otherBox = new Group();
+  private readonly otherBodyBox = new Group();
   private readonly reach: { centre: Vector3; radius: number };
   private readonly stop: () => void;
   private row = 0;
@@ -58,6 +59,7 @@ export class Space {
     this.truth = data.truth && header.truth ? new Sticks(header.truth.parents, [], "other", 0.75) : null;
     this.stage.scene.add(this.trails.group, this.frusta.group);
     if (this.body) this.stage.scene.add(this.body.group);
+    this.stage.scene.add(this.otherBodyBox);
     this.stage.over.add(this.spread.mesh, this.sticks.group, this.otherBox);
     for (const part of [this.rivals, this.truth]) if (part) this.stage.over.add(part.group);
     this.reach = reach(data);
@@ -67,7 +69,7 @@ export class Space {
     this.stage.layFloor(header.floor, x, y, radius);
     this.stop = onTheme(() => {
       this.stage.layFloor(header.floor, x, y, radius);
-      for (const part of [this.sticks, this.body, this.spread, this.rivals, this.trails, this.frusta, this.truth, this.other?.sticks]) {
+      for (const part of [this.sticks, this.body, this.spread, this.rivals, this.trails, this.frusta, this.truth, this.other?.sticks, this.other?.body]) {
         part?.recolour();
       }
     });
@@ -111,7 +113,10 @@ export class Space {
       const { data, shift } = this.other.beside;
       const at = row + shift;
       this.other.sticks.group.visible = at >= 0 && at < data.frames;
-      if (this.other.sticks.group.visible) this.other.sticks.place(data.positions, 3 * at * data.joints);
+      const there = this.other.sticks.group.visible;
+      this.otherBodyBox.visible = there && this.on.body;
+      if (there) this.other.sticks.place(data.positions, 3 * at * data.joints);
+      if (this.otherBodyBox.visible) this.other.body?.place(at);
     }
     if (this.follow) this.track(row);
   }
@@ -130,11 +135,17 @@ export class Space {
   /** Another run in one colour beside the one shown; null takes it away. */
   compare(beside: Beside | null): void {
     this.otherBox.clear();
+    this.otherBodyBox.clear();
+    this.other?.sticks.dispose();
+    this.other?.body?.dispose();
     this.other = null;
     if (beside) {
-      const { header } = beside.data;
-      this.other = { beside, sticks: new Sticks(header.parents, header.joint_names, "beside", 0.75) };
+      const { data } = beside;
+      const { header } = data;
+      const body = data.fine && data.rotations && data.restJoints ? new SkinnedBody(data, "beside", true) : null;
+      this.other = { beside, body, sticks: new Sticks(header.parents, header.joint_names, "beside", 0.75) };
       this.otherBox.add(this.other.sticks.group);
+      if (body) this.otherBodyBox.add(body.group);
     }
     this.show(this.row);
   }

@@ -1,0 +1,151 @@
+import { address } from "../api";
+import type { Recording } from "../protocol";
+import { button, select } from "../ui/buttons";
+import { h } from "../ui/dom";
+import { icon } from "../ui/icons";
+import { begin } from "./check";
+
+const WAIT_MS = 60;
+/** frames: cameras that differ by less show the same instant, for a person who walks. */
+const IN_STEP = 0.5;
+
+/** Do all cameras show the same instant? The pictures side by side, moved by how late each camera is. */
+export class SyncStep {
+  readonly element: HTMLElement;
+  private readonly late: number[];
+  private readonly found: readonly number[] | null;
+  private frame: number;
+  private by = "motion";
+  private largest = 0.5;
+  private waiting = 0;
+  private readonly pictures: HTMLImageElement[];
+  private readonly numbers: HTMLElement[];
+  private readonly sliders: HTMLInputElement[];
+  private readonly verdict = h("p", { class: "verdict" });
+  private readonly write: HTMLButtonElement;
+
+  constructor(private readonly recording: Recording) {
+    const { sync } = recording;
+    const known = sync && sync.views.length === recording.views.length && sync.views.every((v, k) => v.name === recording.views[k]!.name);
+    this.found = known ? offsets(sync.views) : null;
+    this.late = this.found ? [...this.found] : recording.views.map(() => 0);
+    this.by = known && sync.by !== "given" ? sync.by : "motion";
+    const [first, stop] = recording.frame_range ?? [0, recording.frames];
+    this.frame = Math.floor((first + stop - 1) / 2);
+    this.pictures = recording.cameras.map((c) => {
+      const image = h("img", { alt: `Picture of ${c.name}`, width: c.size[0], height: c.size[1] });
+      image.addEventListener("error", () => image.parentElement?.setAttribute("data-state", "failed"));
+      image.addEventListener("load", () => image.parentElement?.removeAttribute("data-state"));
+      return image;
+    });
+    this.numbers = recording.views.map(() => h("output", { class: "number" }));
+    const reach = Math.max(10, Math.ceil(recording.frame_rate), ...this.late.map((x) => Math.ceil(Math.abs(x)) + 5));
+    this.sliders = recording.views.map((v, k) => {
+      const input = h("input", { type: "range", min: -reach, max: reach, step: 0.25, value: this.late[k], "aria-label": `Frames that ${v.name} is late` });
+      input.addEventListener("input", () => {
+        this.late[k] = Number(input.value);
+        this.show();
+      });
+      return input;
+    });
+    this.write = button("Bring it in step", () => void begin(this.recording, "in_step", { offsets: this.late }), {
+      icon: "done", title: "Makes a recording of masks and key points on one clock; this one stays as it is",
+    });
+    const frame = h("output", { class: "number" }, String(this.frame));
+    const slider = h("input", { type: "range", min: 0, max: recording.frames - 1, value: this.frame, class: "grow", "aria-label": "Frame" });
+    slider.addEventListener("input", () => {
+      this.frame = Number(slider.value);
+      frame.textContent = slider.value;
+      this.later();
+    });
+    const seconds = select("How far apart at most", [0.5, 2, 10, 60].map((s) => ({ value: s, label: `up to ${s} s apart` })), this.largest, (v) => (this.largest = v));
+    this.element = h(
+      "div",
+      { class: "step" },
+      h("h2", {}, "In step"),
+      h("p", { class: "dim" }, "All cameras should show the same instant. How late each one is can be found by how the person moves, by the sound (a clap), or by the light (a flash); or move the sliders until the pictures agree."),
+      h(
+        "div",
+        { class: "row wrap" },
+        select("Found by", [{ value: "motion", label: "by motion" }, { value: "sound", label: "by sound" }, { value: "flash", label: "by light" }], this.by, (v) => (this.by = v)),
+        seconds,
+        button(this.found ? "Find out again" : "Find out", () => void begin(this.recording, "sync", { by: this.by, largest: this.largest }), { icon: "follow", ...(this.found ? {} : { kind: "primary" as const }) }),
+      ),
+      this.verdict,
+      h("div", { class: "row" }, h("span", { class: "dim" }, "Frame"), slider, frame),
+      h(
+        "div",
+        { class: "mask-pictures sync-pictures" },
+        ...recording.views.map((v, k) =>
+          h(
+            "div",
+            { class: "sync-view" },
+            h("figure", {}, this.pictures[k]!, h("span", { class: "mask-wait", role: "status" }), h("figcaption", {}, v.name)),
+            h("div", { class: "row" }, this.sliders[k]!, this.numbers[k]!),
+            sync && this.found ? h("small", { class: "dim" }, `found: ${words(this.found[k]!)} (${sync.views[k]!.told})`) : null,
+          ),
+        ),
+      ),
+      h("div", { class: "row wrap" }, this.write, button("As found", () => this.set(this.found ?? recording.views.map(() => 0)), { icon: "undo", title: "Back to what was found" })),
+    );
+    this.show();
+  }
+
+  close(): void {
+    clearTimeout(this.waiting);
+  }
+
+  private set(late: readonly number[]): void {
+    late.forEach((x, k) => {
+      this.late[k] = x;
+      this.sliders[k]!.value = String(x);
+    });
+    this.show();
+  }
+
+  private show(): void {
+    this.late.forEach((x, k) => (this.numbers[k]!.textContent = words(x)));
+    const apart = Math.max(...this.late) - Math.min(...this.late);
+    const ready = apart < IN_STEP;
+    this.verdict.hidden = !this.found && apart === 0;
+    this.verdict.className = `verdict ${ready ? "good" : "warn"}`;
+    this.verdict.replaceChildren(
+      icon(ready ? "done" : "warning"),
+      ready ? `The cameras are in step: they differ by ${apart.toFixed(2)} frames at most.` : `The cameras differ by ${apart.toFixed(1)} frames (${(apart / Math.max(1, this.recording.frame_rate)).toFixed(2)} s). Bring the recording in step, and go on with that.`,
+    );
+    this.write.disabled = apart === 0;
+    this.write.classList.toggle("primary", !ready);
+    this.later();
+  }
+
+  private later(): void {
+    clearTimeout(this.waiting);
+    this.waiting = window.setTimeout(() => this.load(), WAIT_MS);
+  }
+
+  private load(): void {
+    this.recording.cameras.forEach((c, k) => {
+      const picture = this.pictures[k]!;
+      const frame = Math.min(this.recording.frames - 1, Math.max(0, this.frame + Math.round(this.late[k]!)));
+      const wanted = address(`/api/recordings/${this.recording.id}/image/${encodeURIComponent(c.name)}/${frame}.jpg`, { width: Math.min(480, c.size[0]) });
+      if (picture.src === wanted) return;
+      picture.src = wanted;
+      picture.parentElement?.setAttribute("data-state", "coming");
+    });
+  }
+}
+
+/** Counted from the view that is in the middle, so that few frames are lost; what is less than its error is nothing. */
+function offsets(views: NonNullable<Recording["sync"]>["views"]): number[] {
+  const sorted = views.map((v) => v.late).sort((a, b) => a - b);
+  const middle = sorted[Math.floor(sorted.length / 2)] ?? 0;
+  return views.map(({ late, told }) => {
+    const sd = Number(/^sd ([\d.]+)/.exec(told)?.[1] ?? 0);
+    return /^no motion/.test(told) || Math.abs(late - middle) <= 2 * sd ? 0 : Math.round(100 * (late - middle)) / 100;
+  });
+}
+
+function words(late: number): string {
+  const frames = Math.abs(late).toFixed(2).replace(/\.?0+$/, "");
+  return Math.abs(late) < 0.005 ? "in step" : `${frames} ${frames === "1" ? "frame" : "frames"} ${late > 0 ? "late" : "early"}`;
+}

@@ -1,0 +1,51 @@
+import type { Series } from "../ui/plot";
+import { angle, ANGLE_GROUPS, REGIONS, rms, shifted, type Beside, type Panel } from "./panels";
+import type { ViewData } from "../lib/bundle";
+
+/** How far two results are apart: between their joints, and in their angles, each with its root mean square. */
+export function difference(data: ViewData, beside: Beside | null): Panel[] {
+  if (!beside) return [];
+  const series = REGIONS.flatMap(([label, tone, which]): Series[] => {
+    const values = apart(data, beside, (name) => which.test(name));
+    return values.some(Number.isFinite) ? [{ label, colour: tone, values, note: `RMS ${square(values).toFixed(0)}` }] : [];
+  });
+  const all = apart(data, beside, () => true);
+  const panels: Panel[] = [{ title: `Joints apart, RMS ${square(all).toFixed(1)} mm`, unit: "mm", range: [0, 1], series }];
+  for (const [, label, parts] of ANGLE_GROUPS.filter(([name]) => name === "legs" || name === "arms")) {
+    const joints = parts.map(([title]) => title.split(" ")[0]!.toLowerCase());
+    const named = new Set(joints).size === joints.length ? joints : parts.map(([title]) => title.toLowerCase());
+    const curves = parts.flatMap(([, names], i): Series[] => {
+      const both = names.map((n) => [angle(data, n), angle(beside.data, n)] as const);
+      if (both.some(([a, b]) => !a || !b)) return [];
+      const each = both.map(([a, b]) => [a!, shifted(b!, beside.shift, data.frames)] as const);
+      // of both sides the larger one, so that none hides behind the other
+      const values = Float32Array.from({ length: data.frames }, (_, t) => Math.max(...each.map(([a, b]) => Math.abs(a[t]! - b[t]!))));
+      const off = Math.sqrt(each.reduce((sum, [a, b]) => sum + rms(a, b) ** 2, 0) / each.length);
+      return [{ label: named[i]!, colour: (["first", "second", "third"] as const)[i % 3]!, values, note: `RMS ${off.toFixed(1)}` }];
+    });
+    if (curves.length) panels.push({ title: `${label}: angles apart`, unit: "°", range: [0, 1], series: curves });
+  }
+  return panels;
+}
+
+/** (T) mm: mean distance of the joints of one name in both, NaN where one of them is not known. */
+function apart(data: ViewData, beside: Beside, which: (name: string) => boolean): Float32Array {
+  const pairs = data.header.joint_names.flatMap((name, j) => {
+    const k = beside.data.header.joint_names.indexOf(name);
+    return k >= 0 && which(name) ? [[j, k] as const] : [];
+  });
+  return Float32Array.from({ length: data.frames }, (_, t) => {
+    const at = t + beside.shift;
+    if (at < 0 || at >= beside.data.frames || !pairs.length) return NaN;
+    let sum = 0;
+    for (const [j, k] of pairs) {
+      const [a, b] = [3 * (t * data.joints + j), 3 * (at * beside.data.joints + k)];
+      sum += Math.hypot(...[0, 1, 2].map((i) => data.positions[a + i]! - beside.data.positions[b + i]!));
+    }
+    return (1000 * sum) / pairs.length;
+  });
+}
+
+function square(values: Float32Array): number {
+  return rms(values, new Float32Array(values.length));
+}

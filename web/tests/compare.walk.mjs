@@ -1,0 +1,109 @@
+// Two results beside each other, with what they differ by; the gait cycle; chosen channels; the plots as files.
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { join } from "node:path";
+import { cutOff, walk } from "./harness.mjs";
+
+await walk(
+  async ({ page, folder, picture }) => {
+    page.setDefaultTimeout(200_000); // on a machine that is busy with other things
+    const expected = JSON.parse(readFileSync(join(folder, "expected.json"), "utf-8"));
+    const { results } = await (await fetch(new URL("api/state", process.env.STUDIO))).json();
+    const id = results.find((r) => r.name === "first").id;
+    const titles = () => page.locator(".plot-title").allInnerTexts();
+    const drawn = (n) => page.waitForFunction((count) => document.querySelectorAll(".plot-area canvas").length === count && [...document.querySelectorAll(".plot-area canvas")].every((c) => c.width > 40), n);
+    const download = async (act) => {
+      const coming = page.waitForEvent("download");
+      await act();
+      const file = await coming;
+      return { name: file.suggestedFilename(), data: readFileSync(await file.path()) };
+    };
+    await page.evaluate((one) => (location.hash = `#/view/${one}`), id);
+    await page.waitForFunction(() => window.hypose?.pictureRow() === 0);
+
+    // events over the curves, and the angles over the cycle as the command line has them
+    const over = page.getByLabel("Plotted over");
+    await over.waitFor();
+    await page.getByRole("tab", { name: "Legs" }).click();
+    await drawn(3);
+    assert.equal(await page.evaluate(() => window.hypose.view.plots.plots[0].options.marks.length), expected.events);
+    await picture("plots-events");
+    await over.selectOption("cycle");
+    await drawn(3);
+    await page.getByText(`${expected.strides} strides`).first().waitFor();
+    const cycle = await page.evaluate(() => window.hypose.view.plots.plots.flatMap((p) => p.series.map((s) => [p.options.title, s.label, [...s.values], [...s.sd]])));
+    const knee = cycle.find(([title, side]) => title === "Knee flexion" && side === "left");
+    knee[2].forEach((v, k) => assert.ok(Math.abs(v - expected.knee.mean[k]) < 0.01));
+    knee[3].forEach((v, k) => assert.ok(Math.abs(v - expected.knee.sd[k]) < 0.01));
+    await picture("plots-cycle");
+    const files = page.getByRole("button", { name: "These plots as files" });
+    const csv = await download(async () => {
+      await files.click();
+      await page.getByRole("menuitem", { name: "CSV" }).click();
+    });
+    const rows = csv.data.toString().trim().split("\n");
+    assert.match(rows[0], /^percent,hip_flexion_left_deg,hip_flexion_left_sd_deg/);
+    assert.equal(rows.length, 102);
+    const png = await download(async () => {
+      await files.click();
+      await page.getByRole("menuitem", { name: "PNG" }).click();
+    });
+    assert.ok(png.data.subarray(1, 4).toString() === "PNG" && png.data.readUInt32BE(16) > 600, png.name);
+    await over.selectOption("time");
+
+    // chosen channels are kept
+    await page.getByRole("button", { name: "Choose what is plotted" }).click();
+    await page.getByRole("checkbox", { name: "Ankle angle" }).check();
+    await page.getByRole("group", { name: "Height (z)" }).getByRole("checkbox", { name: "Head" }).check();
+    await page.getByText("2 of at most 5").waitFor();
+    await picture("plots-choose");
+    assert.deepEqual(await cutOff(page), []);
+    await page.getByRole("button", { name: "Show them" }).click();
+    await drawn(2);
+    assert.deepEqual(await titles(), ["Ankle angle (°)", "Head z (m)"]);
+    await page.reload({ waitUntil: "commit" });
+    await page.waitForFunction(() => window.hypose?.pictureRow() === 0);
+    await page.getByRole("tab", { name: "Chosen" }).click();
+    await drawn(2);
+
+    // another result: names, body, both in the pictures, how far apart they are
+    const colours = () => page.evaluate(() => {
+      const tile = document.querySelector(".tile canvas");
+      const { data } = tile.getContext("2d").getImageData(0, 0, tile.width, tile.height);
+      let n = 0;
+      for (let i = 0; i < data.length; i += 4) if (data[i] > 235 && data[i + 1] > 195 && data[i + 1] < 235 && data[i + 2] > 240) n++;
+      return n;
+    });
+    const before = await colours();
+    await page.getByLabel("Compare with another run").selectOption({ label: "second" });
+    await page.getByRole("tab", { name: "Difference" }).waitFor();
+    await page.waitForFunction((text) => document.querySelector(".plot-title")?.textContent.includes(text), `RMS ${expected.rms.toFixed(1)} mm`);
+    await drawn(3);
+    assert.match(await page.locator(".legend").innerText(), /first[^]*second/);
+    assert.ok((await colours()) > before + 20, "the other result is not in the pictures");
+    assert.equal(await page.evaluate(() => window.hypose.view.space.other.body !== null && window.hypose.view.space.otherBodyBox.visible), true);
+    await picture("compare-difference");
+    await page.getByRole("tab", { name: "Legs" }).click();
+    await drawn(3);
+    assert.match((await page.locator(".plot figcaption").allInnerTexts()).join(), /RMS \d/);
+    for (const [width, height] of [[1440, 900], [1024, 700], [390, 844]]) {
+      await page.setViewportSize({ width, height });
+      assert.deepEqual(await cutOff(page), []);
+      await picture(`compare-${width}`);
+    }
+    await page.setViewportSize({ width: 1440, height: 900 });
+    await page.getByRole("button", { name: "Dark or light" }).click();
+    await picture("compare-light");
+    await page.getByLabel("Compare with another run").selectOption("");
+    await page.getByRole("tab", { name: "Difference" }).waitFor({ state: "hidden" });
+
+    // everything of a result in one file
+    const zip = await download(async () => {
+      await page.getByRole("button", { name: /^Export/ }).click();
+      await page.getByRole("menuitem", { name: /Everything/ }).click();
+    });
+    assert.equal(zip.name, "walk-first.zip");
+    assert.ok(zip.data.subarray(0, 2).toString() === "PK" && zip.data.includes("first/motion.npz") && zip.data.includes("first/body.npz"));
+  },
+  { at: "#/view", colorScheme: "dark", acceptDownloads: true, viewport: { width: 1440, height: 900 } },
+);
