@@ -17,6 +17,7 @@ from benchmarks.bench_report import BenchOptions
 from benchmarks.multiview.action_scenes import known_subject, subject_of_seed
 from benchmarks.multiview.product import aligned_joints, body_by_keypoints, estimated_body
 from benchmarks.multiview.real_recordings import balancing_recording
+from benchmarks.multiview.things_in_masks import with_thing
 from hypose.body.body import Body
 from hypose.body.joint_angles import angles_of_frames, joint_angles
 from hypose.body.motion import Motion
@@ -41,7 +42,8 @@ from hypose.tracking.reach_table import arm_reach, in_practice
 @dataclass(frozen=True)
 class Case:
     """motion: built-in, or of a capture; rig; corruption of the masks; begin: s of the motion that are left out; speed;
-    own: the body and the start are found in the clip itself, as for a user who gives nothing."""
+    own: the body and the start are found in the clip itself, as for a user who gives nothing; thing: what the masks
+    show beside the person, of `things_in_masks.THINGS`."""
 
     motion: str
     rig: str
@@ -49,6 +51,7 @@ class Case:
     begin: float = 0.0
     speed: float = 1.0
     own: bool = False
+    thing: str = ""
 
 
 CASES: dict[str, Case] = {
@@ -73,8 +76,17 @@ CASES: dict[str, Case] = {
     "seated-ring4": Case("sit_down", "ring-4", begin=4.2, speed=0.3, own=True),
     "seated-table": Case("sit_down", "ring-5", ("level-1", "table"), begin=4.2, speed=0.3, own=True),
     "seated-ring6": Case("sit_down", "ring-6", begin=4.4, speed=0.3, own=True),
+    "seated-chair": Case("sit_down", "humaneva-4", begin=4.2, speed=0.3, own=True, thing="chair"),
+    "seated-chair-ring5": Case("sit_down", "ring-5", begin=4.3, speed=0.3, own=True, thing="chair"),
+    "skirt": Case("walk", "humaneva-4", own=True, thing="skirt"),
+    "skirt-wave": Case("wave", "ring-5", thing="skirt"),
+    "coat": Case("box", "humaneva-4", own=True, thing="coat"),
+    "coat-walk": Case("walk", "ring-4", thing="coat"),
+    "backpack": Case("jog", "humaneva-4", own=True, thing="backpack"),
+    "bag": Case("combo", "ring-4", thing="bag"),
+    "bag-serve": Case("serve", "humaneva-4", own=True, thing="bag"),
 }
-"""Twenty-one pairs of a motion and a rig."""
+"""Pairs of a motion and a rig, some with things in the masks that are not of the body."""
 SHARE, SHARE_JUDGED = 3, 6
 """Each seed, and so each body, shows every third case, or every sixth where it judges: other bodies tell more than the
 same body in all cases."""
@@ -148,7 +160,8 @@ def _real_rig(folder: Path) -> CameraRig:
 def scene_of(case: Case, seed: int) -> tuple[Scene, list[Frame]]:
     """The scene of a case and its frames with masks and key points."""
     scene = bare_scene(case, seed)
-    return scene, list(scene.mask_frames(1.0, keypoints=True))
+    frames = list(scene.mask_frames(1.0, keypoints=True))
+    return scene, with_thing(frames, scene, case.thing) if case.thing else frames
 
 
 def scene_without_masks(case: Case, seed: int, seconds: float) -> tuple[Scene, list[Frame]]:

@@ -4,16 +4,12 @@ masks show as well."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.multiview.action_scenes import subject_of_seed
-from hypose.cameras.camera import CameraRig
-from hypose.compute import silhouette
+from benchmarks.multiview.things_in_masks import with_thing
 from hypose.evidence.frame import Frame
-from hypose.geometry import Array, so3_exp
 from hypose.synthetic.gait import Take, sample_times
 from hypose.synthetic.performance import Angles, Performance, Stance, moved, perform
 from hypose.synthetic.rigs import rig
@@ -78,51 +74,4 @@ def start_scene(posture: str, cameras: str, seed: int, seconds: float = 1.4) -> 
 def frames_of(scene: Scene, chair: bool) -> list[Frame]:
     """The frames with masks, the chair in them."""
     frames = list(scene.mask_frames(SCALE))
-    return with_chair(frames, scene) if chair else frames
-
-
-def with_chair(frames: list[Frame], scene: Scene) -> list[Frame]:
-    """Frames whose masks show the chair under the person of the first frame as well."""
-    first = frames[0].silhouettes
-    assert first is not None
-    drawn = _drawn(first.rig, chair_under(scene.joints[0], scene.rotations[0]), first.masks.shape)
-    out = []
-    for f in frames:
-        assert f.silhouettes is not None
-        out.append(replace(f, silhouettes=replace(f.silhouettes, masks=f.silhouettes.masks | drawn)))
-    return out
-
-
-def chair_under(joints: Array, rotations: Array) -> list[tuple[Array, NDArray[np.int64]]]:
-    """Boxes (vertices (8, 3) m, faces (12, 3)) of a chair under who sits with joints (J, 3), rotations (J, 3, 3): seat,
-    back and four legs."""
-    facing = rotations[0] @ np.array([0.0, -1.0, 0.0])
-    turn = so3_exp([0.0, 0.0, float(np.arctan2(facing[0], -facing[1]))])
-    seat = float(joints[0, 2]) - 0.12
-    at = np.array([joints[0, 0], joints[0, 1], 0.0]) + turn @ np.array([0.0, -0.1, 0.0])
-    boxes = [((0.0, 0.0, seat - 0.02), (0.42, 0.42, 0.04)), ((0.0, 0.2, seat + 0.2), (0.40, 0.03, 0.36))]
-    for x in (-0.19, 0.19):
-        for y in (-0.19, 0.19):
-            boxes.append(((x, y, seat / 2), (0.04, 0.04, seat)))
-    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-    faces = np.array(
-        [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
-        + [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
-    )
-    return [((np.array(c) + corners * size) @ turn.T + at, faces) for c, size in boxes]
-
-
-def _drawn(
-    cameras: CameraRig, boxes: list[tuple[Array, NDArray[np.int64]]], shape: tuple[int, ...]
-) -> NDArray[np.uint8]:
-    """(C, h, w) masks of boxes."""
-    out = np.zeros(shape, np.uint8)
-    for c, camera in enumerate(cameras):
-        w, h = camera.size
-        for vertices, faces in boxes:
-            z = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-            for wound in (faces, faces[:, ::-1]):  # whichever way
-                corners = np.ascontiguousarray(wound, dtype=np.int32)
-                drawn = silhouette(camera.project_pinhole(vertices), z, corners, camera.size)
-                out[c, :h, :w] |= drawn.astype(np.uint8)
-    return out
+    return with_thing(frames, scene, "chair") if chair else frames
