@@ -68,6 +68,7 @@ def test_one_person_is_asked_for_by_name(hypose, two, tmp_path):
     assert people_in(tmp_path) == ["Bert"] and np.linalg.norm(where(tmp_path / "Bert") - PLACES["Bert"]) < 0.1
 
 
+@pytest.mark.slow
 def test_of_one_at_most_it_is_the_first_who_is_named(hypose, two, tmp_path):
     recording = shutil.copytree(two, tmp_path / "two")
     code, _, err = hypose("track", recording, "--people", "1", *LIGHT)
