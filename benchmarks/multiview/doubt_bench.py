@@ -28,8 +28,8 @@ from benchmarks.multiview.doubt_scenes import (
     load_all,
 )
 from benchmarks.multiview.real_recordings import balancing_recording, uu4cam_recording
-from benchmarks.multiview.real_regions import regions_of_balancing
-from benchmarks.multiview.spread_fit import covered, level_error, plain_enough, squares
+from benchmarks.multiview.real_regions import errors_of_points, regions_of_balancing
+from benchmarks.multiview.spread_fit import angle_squares, beyond, covered, joint_squares, level_error, plain_enough
 from hypose.body.joint_angles import ANGLE_NAMES, joint_angles
 from hypose.body.motion import Motion
 from hypose.body.ready_bodies import JOINT_NAMES, human
@@ -46,7 +46,7 @@ from hypose.pipeline.verdict import GOOD, UNTRUSTED
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.audit import audit_frame
 from hypose.tracking.doubt import doubt_models, group_of
-from hypose.tracking.fitted_spread import fitted, kind_of
+from hypose.tracking.fitted_spread import apart_factors, fitted
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import joint_group
 
@@ -139,43 +139,21 @@ def _regions(judges: Sequence[Tracked], family: str) -> list[Row]:
         if not own:
             continue
         found: dict[str, list[Array]] = {}
+        usual, by_joint, by_angle = apart_factors(evidence)
         for j in EVALUATED:
-            a, b = fitted()["joints"][evidence].get(kind_of(JOINT_NAMES[j]), (1.0, 0.0))
             for c in own:
-                m2 = squares(c.away[:, j], c.motion.joint_covariance[:, j].astype(np.float64), a, b)
+                m2 = joint_squares(c, j, fitted()["joints"][evidence], by_joint * beyond(c, usual))
                 for group in (joint_group(JOINT_NAMES[j]), "all"):
                     found.setdefault(group, []).append(m2)
         for group in (*_GROUPS, "all"):
             m2 = np.concatenate(found[group])
             rows.append(Row("coverage_90", f"{evidence}/{family}/{group}", covered(m2, 3), "1", n=len(m2)))
             rows.append(Row("ece", f"{evidence}/{family}/{group}", level_error(m2, 3), "1", n=len(m2)))
-        ratios = [
-            c.angles[:, k] ** 2 / (a**2 * c.motion.angle_sd[:, k].astype(np.float64) ** 2 + b**2 + 1e-12)
-            for c in own
-            if c.angles is not None and c.motion.angle_sd is not None
-            for k, name in enumerate(ANGLE_NAMES)
-            for a, b in (fitted()["angles"][evidence].get(kind_of(name), (1.0, 0.0)),)
-        ]
-        if ratios:
-            m2 = np.concatenate(ratios)
-            rows.append(
-                Row(
-                    "coverage_90",
-                    f"{evidence}/angles/all" if family == "scenes" else f"{evidence}/{family}/angles",
-                    covered(m2, 1),
-                    "1",
-                    n=len(m2),
-                )
-            )
-            rows.append(
-                Row(
-                    "ece",
-                    f"{evidence}/angles/all" if family == "scenes" else f"{evidence}/{family}/angles",
-                    level_error(m2, 1),
-                    "1",
-                    n=len(m2),
-                )
-            )
+        m2 = np.concatenate([angle_squares(c, fitted()["angles"][evidence], by_angle * beyond(c, usual)) for c in own])
+        if len(m2):
+            case = f"{evidence}/angles/all" if family == "scenes" else f"{evidence}/{family}/angles"
+            rows.append(Row("coverage_90", case, covered(m2, 1), "1", n=len(m2)))
+            rows.append(Row("ece", case, level_error(m2, 1), "1", n=len(m2)))
     return rows
 
 
@@ -236,21 +214,25 @@ def _real(options: BenchOptions) -> list[Row]:
     rows: list[Row] = []
     folder = options.folder("pose2sim_balancing")
     hips: dict[str, tuple[float, float]] = {}
+    reference = np.load(folder / "kp3d_refined_m.npy")
+    with FrameStream(balancing_recording(folder), FrameSettings(silhouettes=None)) as stream:
+        # key-point file t belongs to video frame t + 1
+        errors = errors_of_points([stream.frame(t) for t in range(1, len(stream))], reference[: len(stream) - 1])
     for evidence in EVIDENCE:
         recording = balancing_recording(folder, keypoints=evidence != "silhouettes")
         result, frames, seconds = _tracked(recording, evidence)
         rows.append(Row("said", f"balancing/{evidence}", float(result.verdict.word == GOOD), "1"))
         hips[evidence] = _hip_flexion(result.motion)
-        rows += regions_of_balancing(result.motion, evidence, np.load(folder / "kp3d_refined_m.npy"))
+        rows += regions_of_balancing(result.motion, evidence, reference, errors if evidence == "silhouettes" else None)
         if evidence == "silhouettes":
             rows.append(Row("cost_share", "all", _audit_seconds(result, frames) / seconds, "1", n=len(frames)))
     means = np.array([m for m, _ in hips.values()])
-    reference = _opensim_hip(folder)
+    measured = _opensim_hip(folder)
     rows.append(Row("hip_flexion_spread_deg", "balancing", float(np.ptp(means)), "deg", n=3))
     for evidence, (mean, sd) in hips.items():
-        away = abs(mean - reference)
+        away = abs(mean - measured)
         rows.append(Row("hip_flexion_opensim_deg", f"balancing/{evidence}", away, "deg", sd=sd))
-    worst = max(abs(m - reference) for m in means)
+    worst = max(abs(m - measured) for m in means)
     rows.append(Row("hip_flexion_opensim_deg", "balancing", float(worst), "deg"))
     seated = replace(uu4cam_recording(options.folder("uu4cam")), frame_range=(0, 40 if options.quick else 120))
     result, _, _ = _tracked(seated, "silhouettes")

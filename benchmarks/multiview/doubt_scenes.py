@@ -35,7 +35,7 @@ from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.simulated_keypoints import keypoint_detections
 from hypose.synthetic.spoilt_keypoints import SPOILS, moved_camera, spoilt
 from hypose.tracking.audit import audit_frame
-from hypose.tracking.fitted_spread import as_curved
+from hypose.tracking.fitted_spread import as_curved, beyond_usual
 from hypose.tracking.reach_table import arm_reach, in_practice
 
 
@@ -85,6 +85,10 @@ CASES: dict[str, Case] = {
     "backpack": Case("jog", "humaneva-4", own=True, thing="backpack"),
     "bag": Case("combo", "ring-4", thing="bag"),
     "bag-serve": Case("serve", "humaneva-4", own=True, thing="bag"),
+    "walk-miscalibrated": Case("walk", "humaneva-4", ("level-1", "bad-calibration"), own=True),
+    "box-miscalibrated": Case("box", "ring-5", ("level-1", "calibration-error")),
+    "wave-miscalibrated": Case("wave", "ring-4", ("level-1", "bad-calibration")),
+    "run-late": Case("jog", "humaneva-4", ("level-1", "desync")),
 }
 """Pairs of a motion and a rig, some with things in the masks that are not of the body."""
 SHARE, SHARE_JUDGED = 3, 6
@@ -310,7 +314,8 @@ def tracked(name: str, scene: Scene, frames: Sequence[Frame], seed: int, evidenc
             subject = find_subject(source.frame, len(source), how)
     result = track_source(source, rate, options, subject=subject)
     assert result.one_by_one is not None and result.audit is not None
-    m, truth = as_curved(result.motion, evidence), scene.joints[: len(result.motion)]
+    beyond = beyond_usual(result.audit, evidence)
+    m, truth = as_curved(result.motion, evidence, beyond), scene.joints[: len(result.motion)]
     joints = aligned_joints(m, scene)
     own = replace(m, poses=result.one_by_one, joints=result.body.joints(result.one_by_one))
     error_raw = np.linalg.norm(aligned_joints(own, scene) - truth, axis=-1)

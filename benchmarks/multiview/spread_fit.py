@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
@@ -14,13 +15,16 @@ from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.geometry import Array
 from hypose.synthetic.metrics import EVALUATED
-from hypose.tracking.fitted_spread import kind_of
+from hypose.tracking.audit import AUDITED
+from hypose.tracking.fitted_spread import apart_factors, kind_of
 from hypose.tracking.pose_covariance import joint_group
 from hypose.tracking.refinement import LUMBAR_SD
 
 ASSET = Path(__file__).parents[2] / "hypose" / "assets" / "spread.json"
 LEVELS = np.arange(0.1, 0.96, 0.05)
 _A = np.geomspace(0.1, 4.0, 28)
+_C_M, _C_RAD = np.linspace(0.0, 6.0, 61), np.radians(np.linspace(0.0, 900.0, 61))
+"""per m by which views contradict each other beyond what is usual"""
 _B_M = np.linspace(0.0, 0.04, 21)
 _B_RAD = np.radians(np.linspace(0.0, 16.0, 33))
 _LEFT_OUT_M = 0.1
@@ -97,15 +101,17 @@ def family_of(c: Tracked) -> str:
     return "cameras" if c.case in CAMERAS else "scenes" if c.kind == "plain" else "spoilt"
 
 
-def fit_spread(clips: Sequence[Tracked], without: int | None = None) -> dict[str, dict[str, Pairs]]:
+def fit_spread(clips: Sequence[Tracked], without: int | None = None) -> dict[str, dict[str, Any]]:
     """What the asset holds, from all seeds but one: what bodies share is learnt from as many as there are, and judged
     on the one left out. Joints that are not evaluated get their neighbours'. An evidence without clips is left out."""
-    out: dict[str, dict[str, Pairs]] = {"joints": {}, "angles": {}}
+    out: dict[str, dict[str, Any]] = {"joints": {}, "angles": {}, "apart": {}}
     for evidence in EVIDENCE:
         own = [c for c in clips if c.evidence == evidence and c.seed != without and plain_enough(c)]
         if not own:
             continue
-        families = [[c for c in own if family_of(c) == f] for f in sorted({family_of(c) for c in own})]
+        usual = float(np.median([apart_of(c) for c in own if family_of(c) != "spoilt"]))
+        calm, rough = ([c for c in own if (beyond(c, usual) > usual) == over] for over in (False, True))
+        families = [[c for c in calm if family_of(c) == f] for f in sorted({family_of(c) for c in calm})]
         joints: Pairs = {}
         for kind in dict.fromkeys(kind_of(JOINT_NAMES[j]) for j in EVALUATED):
             joints[kind] = fit_joint([_of_kind(f, kind) for f in families])
@@ -117,7 +123,52 @@ def fit_spread(clips: Sequence[Tracked], without: int | None = None) -> dict[str
         for kind in _TILTED:
             angles[kind] = angles[kind][0], max(angles[kind][1], pelvis_floor(evidence))
         out["angles"][evidence] = angles
+        factors = _apart(rough, usual, joints, angles) if rough else apart_factors(evidence)[1:]
+        out["apart"][evidence] = {"all": (usual, *factors)}
     return out
+
+
+def apart_of(c: Tracked) -> float:
+    """m: by how much the views of a clip contradict each other."""
+    return float(np.nanmedian(c.audit[:, 0, AUDITED.index("apart")]))
+
+
+def beyond(c: Tracked, usual: float) -> float:
+    """m, beyond what is usual; as `hypose.tracking.fitted_spread.beyond_usual`."""
+    return float(np.sqrt(max(apart_of(c) ** 2 - usual**2, 0.0)))
+
+
+def _apart(clips: Sequence[Tracked], usual: float, joints: Pairs, angles: Pairs) -> tuple[float, float]:
+    """c of joints and of angles, from clips whose views contradict each other."""
+
+    def best(tried: Array, squares_of: Callable[[float], Array], dimensions: int) -> float:
+        scored = [(squares_of(c), c) for c in tried.tolist()]
+        return min((level_error(m, dimensions) + abs(covered(m, dimensions) - 0.9), c) for m, c in scored)[1]
+
+    def of_joints(factor: float) -> Array:
+        return np.concatenate(
+            [joint_squares(c, j, joints, factor * beyond(c, usual)) for c in clips for j in EVALUATED]
+        )
+
+    def of_angles(factor: float) -> Array:
+        return np.concatenate([angle_squares(c, angles, factor * beyond(c, usual)) for c in clips])
+
+    return best(_C_M, of_joints, 3), best(_C_RAD, of_angles, 1)
+
+
+def joint_squares(c: Tracked, joint: int, pairs: Pairs, more: float) -> Array:
+    """(T,) distances squared of a joint, in its covariances by pairs a, b, and more m of sd."""
+    a, b = pairs.get(kind_of(JOINT_NAMES[joint]), (1.0, 0.0))
+    around = c.motion.joint_covariance[:, joint].astype(np.float64)
+    return squares(c.away[:, joint], around, a, float(np.hypot(b, more)))
+
+
+def angle_squares(c: Tracked, pairs: Pairs, more: float) -> Array:
+    """(T * A,) the same of the angles, more rad of sd; none of a clip whose angles are not known."""
+    if c.angles is None or c.motion.angle_sd is None:
+        return np.zeros(0)
+    a, b = np.array([pairs.get(kind_of(n), (1.0, 0.0)) for n in ANGLE_NAMES]).T
+    return (c.angles**2 / (a**2 * c.motion.angle_sd.astype(np.float64) ** 2 + b**2 + more**2 + 1e-12)).ravel()
 
 
 def plain_enough(c: Tracked) -> bool:
@@ -160,18 +211,13 @@ def judged_by_seed(clips: Sequence[Tracked]) -> dict[str, dict[str, tuple[float,
         for c in clips:
             if c.seed != seed or not plain_enough(c):
                 continue
-            own = found[c.evidence]
+            own, by = found[c.evidence], {what: fitted[what][c.evidence] for what in fitted}
+            usual, by_joint, by_angle = by["apart"]["all"]
             for j in EVALUATED:
-                name = JOINT_NAMES[j]
-                around = c.motion.joint_covariance[:, j].astype(np.float64)
-                m2 = squares(c.away[:, j], around, *fitted["joints"][c.evidence][kind_of(name)])
-                for group in (joint_group(name), "all"):
+                m2 = joint_squares(c, j, by["joints"], by_joint * beyond(c, usual))
+                for group in (joint_group(JOINT_NAMES[j]), "all"):
                     own.setdefault(group, []).append(m2)
-            if c.angles is not None and c.motion.angle_sd is not None:
-                for k, name in enumerate(ANGLE_NAMES):
-                    a, b = fitted["angles"][c.evidence][kind_of(name)]
-                    variance = a**2 * c.motion.angle_sd[:, k].astype(np.float64) ** 2 + b**2 + 1e-12
-                    own.setdefault("angles", []).append(c.angles[:, k] ** 2 / variance)
+            own.setdefault("angles", []).append(angle_squares(c, by["angles"], by_angle * beyond(c, usual)))
     sizes = {"angles": 1}
     return {e: {g: _judged(np.concatenate(m), sizes.get(g, 3)) for g, m in by.items()} for e, by in found.items()}
 
@@ -185,7 +231,7 @@ def write_spread(clips: Sequence[Tracked]) -> None:
     kept = json.loads(ASSET.read_text(encoding="utf-8"))
     found = {what: {**kept[what], **by} for what, by in fit_spread(clips).items()}
     rounded = {
-        what: {e: {k: [round(a, 3), round(b, 5)] for k, (a, b) in v.items()} for e, v in by.items()}
+        what: {e: {k: [round(x, 5) for x in values] for k, values in v.items()} for e, v in by.items()}
         for what, by in found.items()
     }
     ASSET.write_text(json.dumps(rounded, indent=1) + "\n", encoding="utf-8")

@@ -26,7 +26,7 @@ from hypose.gestures.depth_pictures import Lens, millimetres
 from hypose.gestures.model import GestureModel
 from hypose.gestures.pixels import Example
 from hypose.io.files import RecordingFolder, text_lines
-from hypose.io.motions.results import _load_arrays, _write_archive, to_json
+from hypose.io.motions.results import load_archive, to_json, write_archive
 from hypose.io.sensors.depth import read_depth_png, write_millimetres_png
 from hypose.json_text import parse_json
 
@@ -40,14 +40,14 @@ _WAITING = 4
 
 def save_model(model: GestureModel, path: str | Path) -> None:
     """Write a model file; equal models give equal bytes."""
-    _write_archive(path, model_arrays.to_arrays(model))
+    write_archive(path, model_arrays.to_arrays(model))
 
 
 def load_model(path: str | Path) -> GestureModel:
     """Read a model file; an InputError says what is wrong with it. A growing forest goes on growing bit for bit."""
     path = Path(path)
     step = "give a model that `hypose gesture train` wrote"
-    arrays = _load_arrays(path, "gesture model", step)
+    arrays = load_archive(path, "gesture model", step)
     try:
         return model_arrays.from_arrays(arrays)
     except (ValueError, InputError) as error:
@@ -303,7 +303,7 @@ def export_model(model: GestureModel, folder: str | Path) -> list[Path]:
     }
     out = [Path(folder) / name for name in ("forest.npz", "forest.json", "gesture_runtime.py")]
     arrays = {"test": packed.records[..., :5], "left": packed.records[..., 5], "share": packed.shares}
-    _write_archive(out[0], {k: np.ascontiguousarray(v) for k, v in arrays.items()})
+    write_archive(out[0], {k: np.ascontiguousarray(v) for k, v in arrays.items()})
     write_text(out[1], to_json(description))
     write_text(out[2], resources.files("hypose.gestures").joinpath("runtime.py").read_text("utf-8"))
     return out

@@ -34,7 +34,7 @@ from hypose.pipeline.pictures import depth_note, one_view
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
 from hypose.pipeline.verdict import Verdict, verdict_of
 from hypose.tracking.doubt import evidence_of, judged
-from hypose.tracking.fitted_spread import pose_covariance, with_fitted_angles, with_fitted_joints
+from hypose.tracking.fitted_spread import beyond_usual, pose_covariance, with_fitted_angles, with_fitted_joints
 from hypose.tracking.frame_evidence import OwnEvidence
 from hypose.tracking.pose_covariance import unpacked
 from hypose.tracking.recipes import RECIPES, Preset, recipe
@@ -286,7 +286,8 @@ def _doubted(
     evidence = evidence_of(audit)
     # by what the curvature says
     p, joints = judged(motion, subject.body.joints(one_by_one), audit, subject.unsure)
-    motion = with_fitted_angles(with_fitted_joints(motion, evidence), covariance, evidence)
+    beyond = beyond_usual(audit, evidence)
+    motion = with_fitted_angles(with_fitted_joints(motion, evidence, beyond), covariance, evidence, beyond)
     frames = joints.any(1) if motion.doubtful is None else motion.doubtful | joints.any(1)
     return replace(motion, p_wrong=p, doubtful_joints=joints, doubtful=frames)
 

@@ -56,6 +56,7 @@ CORRUPTIONS: dict[str, Corruptions] = {
     "dead-camera": Corruptions(dead_camera=1),
     "desync": Corruptions(desync=(0, 1, 0, 2)),
     "calibration-error": Corruptions(calibration_error=0.01),
+    "bad-calibration": Corruptions(calibration_error=0.03),
 }
 """The corruptions by name. level-1 is what a decent background model leaves in a good room, level-2 a bad
 one."""

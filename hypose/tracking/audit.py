@@ -19,11 +19,12 @@ from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.geometry import Array
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, checked, pixels_per_metre
 from hypose.tracking.reach_table import ArmReach, arm_reach, ends, in_practice
+from hypose.tracking.view_shifts import apart, shift_of_mask, shift_of_points
 
 AUDITED = (
     *("bare", "bare_second", "bare_reach", "exposed", "exposed_second", "outside"),
     *("rival", "elsewhere", "elsewhere_by", "exchanged", "points_median", "points_worst", "points_views", "points_all"),
-    *("points_agree", "points_against"),
+    *("points_agree", "points_against", "apart"),
 )
 """Columns of an audit: m^2 of bare mask within NEAR_M of the joint, summed over the views, and in the second-barest
 one; within the limb's reach of its root, summed; share of the joint's part that no other part covers, summed over the
@@ -33,7 +34,8 @@ joints, NaN in frames in which it is not its turn), and by how much of its energ
 that is plainly worse; by how much the body with its sides exchanged overlaps the
 masks better (NaN: not looked at in this frame); m, distance of the joint's key points from it, median and largest over
 the views; views with one; m, median over all points of the frame; views with one, as it was detected, that agrees with
-the joint, and with one that speaks against it.
+the joint, and with one that speaks against it; m, by how much the views as a whole contradict each other, the same of
+all joints: of masks, or of key points where there are none (`hypose.tracking.view_shifts`).
 """
 NEAR_M = 0.25
 _TALL = 110
@@ -86,21 +88,25 @@ def audit_frame(
     out = np.full((len(names), len(AUDITED)), np.nan, np.float32)
     rotations, joints = body.skeleton.forward(pose)
     if frame.silhouettes is not None and frame.silhouettes.usable.any():
-        out[:, :6] = _masks(body, pose, joints, frame.silhouettes)
+        out[:, :6], out[:, -1] = _masks(body, pose, joints, frame.silhouettes)
         out[:, 7:9] = _elsewhere(body, pose, prepared_masks(frame.silhouettes), frame.index)
     out[:, 6] = _rivals(body, joints, rivals)
     out[:, 9] = exchanged
     if frame.keypoints is not None and model is not None and model.names == frame.keypoints.names:
-        out[:, 10:] = _points(names, rotations, joints, frame.keypoints, model)
+        out[:, 10:-1], views_apart = _points(names, rotations, joints, frame.keypoints, model)
+        if frame.silhouettes is None:
+            out[:, -1] = views_apart
     return out
 
 
-def _masks(body: Body, pose: Array, joints: Array, silhouettes: Silhouettes) -> Array:
+def _masks(body: Body, pose: Array, joints: Array, silhouettes: Silhouettes) -> tuple[Array, float]:
+    """(J, 6), and by how much the views are apart; see AUDITED."""
     part, limb, roots = _layout(tuple(body.skeleton.joint_names))
     vertices, face_part = body.skin(pose), _face_parts(body)
     points = np.concatenate([joints, joints[roots]])
     reach = np.r_[np.full(len(joints), NEAR_M), [r for _, r in _ROOTS]]
     views = np.flatnonzero(silhouettes.usable)
+    shifts = np.full((len(views), 2), np.nan)
     bare, exposed, outside = (np.zeros((len(views), n)) for n in (len(points), len(_PARTS), len(_PARTS)))
     for k, c in enumerate(views.tolist()):
         p, (w, h) = silhouettes.rig.projections[c], silhouettes.rig.sizes[c]
@@ -124,10 +130,11 @@ def _masks(body: Body, pose: Array, joints: Array, silhouettes: Silhouettes) -> 
         bare[k] = seen.bare / size**2
         exposed[k] = seen.exposed / np.maximum(seen.area, 1)
         outside[k] = seen.outside / np.maximum(seen.area, 1)
+        shifts[k] = shift_of_mask(mask, seen.body, size, ignored)
     second = -2 if len(views) > 1 else -1
     near, limbs = bare[:, : len(joints)], bare[:, len(joints) :].sum(0)
     best = np.sort(exposed, 0)
-    return np.stack(
+    found = np.stack(
         [
             near.sum(0),
             np.sort(near, 0)[second],
@@ -138,6 +145,7 @@ def _masks(body: Body, pose: Array, joints: Array, silhouettes: Silhouettes) -> 
         ],
         1,
     )
+    return found, apart(shifts)
 
 
 def _projected(points_world: Array, projection: Array) -> tuple[Array, Array]:
@@ -214,8 +222,11 @@ def _arms(body: Body) -> tuple[ArmReach, ...]:
     return kept[1]
 
 
-def _points(names: tuple[str, ...], rotations: Array, joints: Array, seen: Keypoints, model: KeypointModel) -> Array:
-    """(J, 6): median, largest, number of views, median of the frame, how many agree, and do not; see AUDITED."""
+def _points(
+    names: tuple[str, ...], rotations: Array, joints: Array, seen: Keypoints, model: KeypointModel
+) -> tuple[Array, float]:
+    """(J, 6): median, largest, number of views, median of the frame, how many agree, and do not; and by how much the
+    views are apart; see AUDITED."""
     points = np.nan_to_num(seen.points)
     expected = joints[model.joint] + np.einsum("kab,kb->ka", rotations[model.joint], model.offset)
     uv = np.stack([camera.project_pinhole(expected) for camera in seen.rig])
@@ -227,6 +238,7 @@ def _points(names: tuple[str, ...], rotations: Array, joints: Array, seen: Keypo
     agree, against = (there & (raw[:, own] < _AGREE_M)).any(-1), (there & (raw[:, own] > 2 * _AGREE_M)).any(-1)
     points = checked(points, uv, model.names, size, model.known)
     known = (points[..., 2] > 0) & model.known & np.isfinite(uv).all(-1)
+    shifts = shift_of_points((points[..., :2] - uv) / size[:, None, None], known)
     away = np.minimum(np.linalg.norm(points[..., :2] - uv, axis=-1) / size[:, None], _FAR_M)
     away = np.where(known, away, np.inf)
     found = np.where((own >= 0)[None], away[:, own], np.inf)  # (C, J, M)
@@ -236,7 +248,8 @@ def _points(names: tuple[str, ...], rotations: Array, joints: Array, seen: Keypo
     at = np.arange(len(names))
     middle, worst = (np.where(count > 0, row[at, np.maximum(k, 0)], _FAR_M) for k in ((count - 1) // 2, count - 1))
     usual = float(np.median(away[known])) if known.any() else _FAR_M
-    return np.stack([middle, worst, views, np.full(len(names), usual), agree.sum(0), against.sum(0)], 1)
+    found = np.stack([middle, worst, views, np.full(len(names), usual), agree.sum(0), against.sum(0)], 1)
+    return found, apart(shifts)
 
 
 @lru_cache(8)

@@ -34,7 +34,7 @@ FEATURES = (
     *("exposed", "exposed_second", "hidden", "outside", "outside_body", "rival", "rival_around", "cost", "cost_more"),
     *("elsewhere", "elsewhere_by", "exchanged"),
     *("points", "points_worst", "points_around", "points_few", "points_unseen", "points_all"),
-    *("points_agree", "points_against"),
+    *("points_agree", "points_against", "apart"),
 )
 """What a joint is judged by, see `clip_features`."""
 GROUPS = ("trunk", "arms", "legs")
@@ -53,7 +53,8 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
     clip, in the second-barest view, in the limb's reach, over the whole body; exposed*: how much of its part nothing
     else covers, smoothed; hidden: s from when it was last seen, or to the next time; outside*: of the joint's part and
     of the body outside the masks; rival*: what else was believed; cost*: 1 - IoU, and beyond the usual; points*:
-    distance of its key points and of the frame's, how few views have it, and for how long, how many agree or do not."""
+    distance of its key points and of the frame's, how few views have it, and for how long, how many agree or do not;
+    apart: by how much the views contradict each other in this clip."""
     a = {n: np.asarray(audit, dtype=np.float64)[..., k] for k, n in enumerate(AUDITED)}
     masks, points = np.isfinite(a["bare"]), np.isfinite(a["points_all"])
     known = np.isfinite(a["exchanged"]).any()
@@ -98,6 +99,7 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
         "points_all": np.log(0.005 + a["points_all"]) * points,
         "points_agree": np.minimum(_mean(a["points_agree"], around), 3) * points,
         "points_against": np.sqrt(_mean(a["points_against"], around)) * points,
+        "apart": np.sqrt(np.median(a["apart"], 0)) * np.ones(count),
     }
     return np.stack([found[n] for n in FEATURES], -1)
 

@@ -3,7 +3,8 @@
 The curvature of a cost tells how well the evidence fixes a pose, not how far the body's joint lies from the
 anatomical one. So the variance is a^2 V + b^2: V from the curvature, a because rows err together, b for the definition
 and the body, the same all along. a and b were fitted to errors on scenes (scripts/train_doubt.py), per joint, angle and
-kind of evidence.
+kind of evidence. Views that contradict each other as a whole (`hypose.tracking.view_shifts`) by more than they do in
+such scenes add (c x)^2, x being what is beyond: calibrations, lags and bodies that are wrong are wrong in all frames.
 """
 
 from __future__ import annotations
@@ -15,11 +16,13 @@ from functools import cache
 from importlib.resources import files
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hypose.body.joint_angles import ANGLE_NAMES, angles_of_frames
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.geometry import Array
+from hypose.tracking.audit import AUDITED
 
 _STEP = 1e-4
 _LEAST = 0.05  # information that anatomy gives every coordinate, 1 / rad^2: nothing turns more than it can
@@ -51,35 +54,62 @@ def kind_of(name: str) -> str:
 @cache
 def fitted() -> Mapping[str, Mapping[str, Mapping[str, tuple[float, float]]]]:
     """{"joints" or "angles": {evidence: {kind: (a, b)}}}; b in m, or rad."""
-    kept = json.loads(files("hypose.assets").joinpath("spread.json").read_text(encoding="utf-8"))
-    return {what: {e: {k: (a, b) for k, (a, b) in own.items()} for e, own in by.items()} for what, by in kept.items()}
+    kept = _kept()
+    return {
+        what: {e: {k: (a, b) for k, (a, b) in own.items()} for e, own in kept[what].items()}
+        for what in ("joints", "angles")
+    }
 
 
-def with_fitted_joints(motion: Motion, evidence: str) -> Motion:
-    """The motion with covariances a^2 V + b^2 I, and its definition_sd."""
+@cache
+def _kept() -> Mapping[str, Mapping[str, Mapping[str, tuple[float, ...]]]]:
+    return json.loads(files("hypose.assets").joinpath("spread.json").read_text(encoding="utf-8"))
+
+
+def apart_factors(evidence: str) -> tuple[float, float, float]:
+    """m, by how much views contradict each other as a rule, and c of joints, and of angles in rad / m."""
+    usual, joints, angles = _kept()["apart"][evidence]["all"]
+    return usual, joints, angles
+
+
+def beyond_usual(audit: ArrayLike, evidence: str) -> float:
+    """m, by how much the views of a clip with this audit (T, J, A) contradict each other beyond what is usual."""
+    apart = np.asarray(audit, dtype=np.float64)[:, 0, AUDITED.index("apart")]
+    apart = apart[np.isfinite(apart)]
+    return float(np.sqrt(max(np.median(apart) ** 2 - apart_factors(evidence)[0] ** 2, 0.0))) if len(apart) else 0.0
+
+
+def with_fitted_joints(motion: Motion, evidence: str, beyond: float = 0.0) -> Motion:
+    """The motion with covariances a^2 V + (b^2 + c^2 beyond^2) I, and its definition_sd; beyond: m, see
+    `beyond_usual`."""
     own = fitted()["joints"][evidence]
     pairs = np.array([own.get(kind_of(n), (1.0, 0.0)) for n in motion.skeleton.joint_names])
     a, b = pairs[:, 0], pairs[:, 1]
-    around = a[:, None, None] ** 2 * motion.joint_covariance + (b**2)[:, None, None] * np.eye(3)
+    floor = b**2 + (apart_factors(evidence)[1] * beyond) ** 2
+    around = a[:, None, None] ** 2 * motion.joint_covariance + floor[:, None, None] * np.eye(3)
     return replace(motion, joint_covariance=around.astype(np.float32), definition_sd=b.astype(np.float32))
 
 
-def with_fitted_angles(motion: Motion, covariance: Array, evidence: str) -> Motion:
-    """The motion with the sd of its angles, from the covariances (T, D, D) of its poses."""
+def with_fitted_angles(motion: Motion, covariance: Array, evidence: str, beyond: float = 0.0) -> Motion:
+    """The motion with the sd of its angles, from the covariances (T, D, D) of its poses; beyond: as for joints."""
     assert motion.poses is not None
     own = fitted()["angles"][evidence]
     pairs = np.array([own.get(kind_of(n), (1.0, 0.0)) for n in ANGLE_NAMES])
     variance = angle_variance(motion.skeleton, motion.poses, covariance)
-    return replace(motion, angle_sd=np.sqrt(pairs[:, 0] ** 2 * variance + pairs[:, 1] ** 2).astype(np.float32))
+    floor = pairs[:, 1] ** 2 + (apart_factors(evidence)[2] * beyond) ** 2
+    return replace(motion, angle_sd=np.sqrt(pairs[:, 0] ** 2 * variance + floor).astype(np.float32))
 
 
-def as_curved(motion: Motion, evidence: str) -> Motion:
+def as_curved(motion: Motion, evidence: str, beyond: float = 0.0) -> Motion:
     """What `with_fitted_joints` and `with_fitted_angles` were given of V: for fitting anew."""
     joints, angles = (fitted()[what][evidence] for what in ("joints", "angles"))
+    _, by_joint, by_angle = apart_factors(evidence)
     a, b = np.array([joints.get(kind_of(n), (1.0, 0.0)) for n in motion.skeleton.joint_names]).T
-    around = (motion.joint_covariance - (b**2)[:, None, None] * np.eye(3)) / a[:, None, None] ** 2
+    floor = b**2 + (by_joint * beyond) ** 2
+    around = (motion.joint_covariance - floor[:, None, None] * np.eye(3)) / a[:, None, None] ** 2
     c, d = np.array([angles.get(kind_of(n), (1.0, 0.0)) for n in ANGLE_NAMES]).T
-    sd = None if motion.angle_sd is None else np.sqrt(np.maximum(motion.angle_sd**2 - d**2, 0.0)) / c
+    least = d**2 + (by_angle * beyond) ** 2
+    sd = None if motion.angle_sd is None else np.sqrt(np.maximum(motion.angle_sd**2 - least, 0.0)) / c
     return replace(
         motion,
         joint_covariance=around.astype(np.float32),

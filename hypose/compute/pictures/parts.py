@@ -15,12 +15,14 @@ _CROSS = np.ones((3, 3), np.uint8)
 
 class PartView(NamedTuple):
     """A body's parts against one mask, in pixels: area, exposed (covered by no other part) and outside (of the mask,
-    less its rim) of each part (P,); bare (N,): pixels of the mask without body within a radius of each point."""
+    less its rim) of each part (P,); bare (N,): pixels of the mask without body within a radius of each point; body
+    (h, w): 1 where it is drawn."""
 
     area: NDArray[np.int64]
     exposed: NDArray[np.int64]
     outside: NDArray[np.int64]
     bare: NDArray[np.int64]
+    body: NDArray[np.uint8]
 
 
 def parts_against_mask(
@@ -50,7 +52,7 @@ def parts_against_mask(
         mask, open_mask = mask & (1 - ignored), mask | ignored
     outside = cv2.morphologyEx(1 - cv2.dilate(open_mask, _CROSS), cv2.MORPH_OPEN, _CROSS)
     bare = cv2.morphologyEx(mask & (1 - cv2.dilate(body, _CROSS)), cv2.MORPH_OPEN, _CROSS)
-    out = PartView(*(np.zeros(n_parts, np.int64) for _ in range(3)), np.zeros(len(np.asarray(points)), np.int64))
+    out = PartView(*(np.zeros(n_parts, np.int64) for _ in range(3)), np.zeros(len(np.asarray(points)), np.int64), body)
     kernels.tally(drawn, outside, out.area, out.exposed, out.outside)
     if ignored is not None:  # what is seen of the parts; their areas stay the whole ones
         out.exposed[:] = 0

@@ -20,7 +20,7 @@ from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
 from hypose.geometry import Array, so3_exp, so3_log
-from hypose.io.motions.results import _write_archive
+from hypose.io.motions.results import write_archive
 
 # smpl_from_model: x left, y up, z forwards from x left, y backwards, z up
 _SMPL_AXES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -92,4 +92,4 @@ def write_amass(path: str | Path, motion: Motion) -> None:
         "gender": np.array("neutral"),
         "mocap_framerate": np.array(float(motion.frame_rate)),
     }
-    _write_archive(path, arrays)
+    write_archive(path, arrays)

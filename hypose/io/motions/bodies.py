@@ -13,7 +13,7 @@ import numpy as np
 from hypose.body.body import Body, Landmarks, Mesh
 from hypose.body.skeleton import Skeleton
 from hypose.errors import HyposeError, InputError
-from hypose.io.motions.results import _load_arrays, _write_archive
+from hypose.io.motions.results import load_archive, write_archive
 
 _FORMAT = 1
 _SKELETON = {
@@ -65,14 +65,14 @@ def save_body(body: Body, path: str | Path) -> None:
     ):
         arrays[key] = np.array(names, dtype=np.str_).reshape(len(names))
     arrays["name"] = np.array(body.name)
-    _write_archive(path, arrays)
+    write_archive(path, arrays)
 
 
 def load_body(path: str | Path) -> Body:
     """Read a body.npz; an InputError names the file and what is wrong (absent, damaged, foreign or hostile archive)."""
     path = Path(path)
     next_step = "give the results folder that hypose track wrote"
-    arrays = _load_arrays(path, "body", next_step)
+    arrays = load_archive(path, "body", next_step)
     problem = _problem(arrays)
     if problem:
         raise InputError(f"{path} is not a body of hypose, or is damaged: {problem}; {next_step}.")

@@ -16,7 +16,7 @@ import numpy as np
 from hypose.body.motion import Modes, modes_arrays
 from hypose.errors import InputError
 from hypose.geometry import Array
-from hypose.io.motions.results import _load_arrays, _write_archive
+from hypose.io.motions.results import load_archive, write_archive
 
 _FORMAT = 1
 _NEXT_STEP = "give the modes.npz that hypose track --recipe monocular wrote"
@@ -34,13 +34,13 @@ _DIMENSIONS = {
 
 def save_modes(modes: Modes, path: str | Path) -> None:
     """Write whole or not at all."""
-    _write_archive(path, {**modes_arrays(modes), "format": np.array(_FORMAT)})
+    write_archive(path, {**modes_arrays(modes), "format": np.array(_FORMAT)})
 
 
 def load_modes(path: str | Path) -> Modes:
     """Read a modes.npz; an InputError names the file and what is wrong."""
     path = Path(path)
-    arrays = _load_arrays(path, "file of modes", _NEXT_STEP)
+    arrays = load_archive(path, "file of modes", _NEXT_STEP)
     if arrays.pop("format", np.array(-1)).tolist() != _FORMAT:
         raise InputError(f"{path} is no file of modes of this version of hypose; {_NEXT_STEP}.")
     return _from_arrays(arrays, str(path))
@@ -50,7 +50,7 @@ def load_joints_of_modes(path: str | Path) -> tuple[Array, Array]:
     """joints (T, K, J, 3) m and weights (T, K) of a modes.npz alone, which is little of what it holds; an InputError as
     of `load_modes`."""
     path, names = Path(path), ("joints", "weights")
-    found = _load_arrays(path, "file of modes", _NEXT_STEP, set(names))
+    found = load_archive(path, "file of modes", _NEXT_STEP, set(names))
     for name in names:
         if name not in found or found[name].dtype.kind != "f" or found[name].ndim != _DIMENSIONS[name]:
             raise InputError(f"{path} is damaged: {name} is missing or has another shape; track again.")

@@ -194,7 +194,7 @@ class ResultsFolder:
 # ---- archives ----------------------------------------------------------------------------------------------
 
 
-def _write_archive(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
+def write_archive(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
     """An .npz (np.load reads it) whose bytes depend on the arrays alone: fixed dates, stored, sorted by
     name."""
     with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
@@ -207,7 +207,7 @@ def _write_archive(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
 
 
 def _read_archive(path: Path, only: Container[str] | None = None) -> dict[str, np.ndarray]:
-    """The arrays of an archive that `_write_archive` wrote, or only those of these names; raises ValueError with a
+    """The arrays of an archive that `write_archive` wrote, or only those of these names; raises ValueError with a
     short reason on anything else.
 
     Nothing is unpacked or allocated before its size is known: entries must be stored (a compressed one could
@@ -256,7 +256,9 @@ def _parse_array(name: str, data: bytes) -> np.ndarray:
     return (array.reshape(shape[::-1]).T if fortran else array.reshape(shape)).copy()
 
 
-def _load_arrays(path: Path, what: str, next_step: str, only: Container[str] | None = None) -> dict[str, np.ndarray]:
+def load_archive(path: Path, what: str, next_step: str, only: Container[str] | None = None) -> dict[str, np.ndarray]:
+    """The arrays of a file that `write_archive` wrote, or only those of these names; raises InputError, which calls
+    it a `what` of hypose and ends with the next step."""
     if not path.is_file():
         raise InputError(f"The {what} {path} does not exist; {next_step}.")
     try:
@@ -284,7 +286,7 @@ def save_motion(motion: Motion, path: str | Path) -> None:
     arrays["dof_names"] = np.array(motion.skeleton.dof_names, dtype=np.str_)
     provenance = {k: v for k, v in motion.provenance.items() if k != "run"}
     arrays["provenance"] = np.array(to_json({"format": _FORMAT, "provenance": provenance}))
-    _write_archive(path, arrays)
+    write_archive(path, arrays)
 
 
 def load_motion(path: str | Path) -> Motion:
@@ -292,7 +294,7 @@ def load_motion(path: str | Path) -> Motion:
     archive)."""
     path = Path(path)
     next_step = "give the motion.npz that hypose track wrote"
-    arrays = _load_arrays(path, "motion", next_step)
+    arrays = load_archive(path, "motion", next_step)
 
     def bad(reason: str) -> InputError:
         return InputError(f"{path} is not a motion of hypose, or is damaged: {reason}; {next_step}.")
@@ -375,7 +377,7 @@ class Checkpoint:
             "identity": dict(self.identity),
         }
         arrays = {f"state.{k}": np.asarray(v) for k, v in self.arrays.items()}
-        _write_archive(path, {**arrays, "checkpoint": np.array(to_json(document))})
+        write_archive(path, {**arrays, "checkpoint": np.array(to_json(document))})
 
     @staticmethod
     def load(path: str | Path, identity: Mapping[str, Any]) -> Checkpoint:
@@ -394,7 +396,7 @@ class Checkpoint:
         """Read a checkpoint of any run."""
         path = Path(path)
         next_step = _AFRESH
-        arrays = _load_arrays(path, "checkpoint", next_step)
+        arrays = load_archive(path, "checkpoint", next_step)
         try:
             document = parse_json(str(arrays.pop("checkpoint")))
             frame, meta, stored = document["frame"], document["meta"], document["identity"]

@@ -1,0 +1,66 @@
+"""How far what each view shows lies from the body as a whole: what is left of a wrong calibration, a lag, a wrong body.
+
+A solve halves the difference between views that contradict each other; what is left points one way in each of them and
+stays, while the noise of outlines and detectors points everywhere. It tells errors that no curvature of a cost knows.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.geometry import Array
+
+_SCALE_M = 0.025
+"""Outlines that lie further apart count less (Tukey's weight, zero at three times that): they are of something else."""
+_ROUNDS = 8
+_LEAST = 30
+"""points of the outline, and"""
+_LEAST_POINTS = 6
+"""key points, without which a view's shift is not known"""
+
+
+def shift_of_mask(
+    mask: NDArray[np.uint8], body: NDArray[np.uint8], metre: float, ignored: NDArray[np.uint8] | None = None
+) -> Array:
+    """(2,) m, right and down: by how much a body drawn as (h, w) of 0 and 1 would have to move to lie in a mask (h, w),
+    NaN where too little is seen. metre: pixels of a metre; ignored (h, w): 1 = a pixel that says nothing."""
+    outlines, _ = cv2.findContours(body, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    if not outlines or not mask.any():
+        return np.full(2, np.nan)
+    x, y = max(outlines, key=len)[:, 0].T
+    inside = (x > 0) & (y > 0) & (x < mask.shape[1] - 1) & (y < mask.shape[0] - 1)
+    if ignored is not None:
+        inside &= ignored[y, x] == 0
+    x, y = x[inside], y[inside]
+    if len(x) < _LEAST:
+        return np.full(2, np.nan)
+    distance = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5) - cv2.distanceTransform(mask, cv2.DIST_L2, 5)
+    distance += mask - np.float32(0.5)  # the edge lies between the pixels
+    smooth = cv2.GaussianBlur(distance, (0, 0), 1.0)
+    residual = distance[y, x] + 0.5  # the outline's pixels are the body's last ones
+    across = np.stack([smooth[y, x + 1] - smooth[y, x - 1], smooth[y + 1, x] - smooth[y - 1, x]], 1) / 2
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-3)
+    found, limit = np.zeros(2), 3 * _SCALE_M * metre
+    for _ in range(_ROUNDS):
+        weight = np.maximum(1 - ((residual + across @ found) / limit) ** 2, 0.0) ** 2
+        weighted = across * weight[:, None]
+        found = -np.linalg.solve(weighted.T @ across + 1e-3 * np.eye(2), weighted.T @ residual)
+    return found / metre
+
+
+def shift_of_points(away: Array, known: NDArray[np.bool_]) -> Array:
+    """(C, 2) m: median over the key points of away (C, K, 2) m, from where the body has them to where they were seen,
+    NaN in views with too few that are known (C, K)."""
+    out = np.full((len(away), 2), np.nan)
+    for c in np.flatnonzero(known.sum(1) >= _LEAST_POINTS):
+        out[c] = np.median(away[c, known[c]], axis=0)
+    return out
+
+
+def apart(shifts: Array) -> float:
+    """m: root mean square over the views of their shifts (C, 2); NaN with fewer than two that are known."""
+    square = (shifts**2).sum(1)
+    known = np.isfinite(square)
+    return float(np.sqrt(square[known].mean())) if known.sum() > 1 else float("nan")
