@@ -26,6 +26,7 @@ from typing import Dict, List, NamedTuple, Optional, Tuple
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 CACHE = os.path.join(ROOT, ".cache")
 OWN_ENVIRONMENT = os.path.join(ROOT, ".venv")
+LAST_TEST_FILE = os.path.join(CACHE, "last-test")
 MINIMUM = (3, 11)
 PIP_WITH_PYTHON_OPTION = (22, 3)  # the first pip that can install into another environment
 
@@ -400,6 +401,16 @@ def run(command: List[str], folder: Optional[str], environment: Dict[str, str]) 
             continue
 
 
+def ended_by_a_signal(number: int) -> str:
+    """What to say when the tests' process did not end by itself."""
+    try:
+        with open(LAST_TEST_FILE) as file:
+            last = file.read()
+    except OSError:
+        last = "not known"
+    return f"The tests were ended by signal {number}; the last one that began: {last}"
+
+
 def newer_python() -> Optional[str]:
     """A Python of this machine that is new enough, when `python3` is not."""
     for minor in (12, 11, 13, 14):
@@ -437,6 +448,8 @@ def main(arguments: List[str]) -> int:
             if name == "lint":
                 print("$ " + " ".join([os.path.basename(command[0])] + command[1:]), flush=True)
             status = run(command, place, contained(dict(os.environ)))
+            if name == "test" and status < 0:
+                print(ended_by_a_signal(-status), flush=True)
             worst = worst or status
         return worst
     except SetupError as error:

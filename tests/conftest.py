@@ -1,6 +1,7 @@
 """What all tests share: real recordings when they are there, a seeded source of randomness, and the rules of a run:
 nothing is left behind, the order does not matter, and what was not tested is said at the end."""
 
+import contextlib
 import os
 import random
 import tempfile
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scripts.bootstrap import contained
+from scripts.bootstrap import LAST_TEST_FILE, contained
 from tests import missing
 
 # Before anything of hypose is imported, so that a bare `pytest` keeps its caches where `make test` keeps them.
@@ -19,6 +20,7 @@ for name, place in contained({}).items():
         os.environ.setdefault(name, place)
 
 ROOT = Path(__file__).resolve().parent.parent
+LAST_TEST = Path(LAST_TEST_FILE)
 SHARED_DATA = ROOT.parent / "shared" / "data"
 
 # Caches, builds and environments of the checkout: made and used by what runs the tests, not by the tests.
@@ -128,6 +130,15 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """The order that was asked for."""
     if (seed := config.getoption("--order")) is not None:
         items[:] = shuffled(items, seed)
+
+
+# ---- what ran last, should the process be ended ----
+
+
+def pytest_runtest_logstart(nodeid: str) -> None:
+    """For scripts/bootstrap.py, which tells when nobody else can."""
+    with contextlib.suppress(OSError):
+        LAST_TEST.write_text(nodeid, encoding="utf-8")
 
 
 # ---- what was not tested ----

@@ -23,6 +23,7 @@ from hypose.io.recordings.frames import FrameSettings
 from hypose.io.recordings.provenance import identity
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.colour_detections import tracked_frames
+from hypose.pipeline.contradictions import against_the_clip
 from hypose.pipeline.doubts import with_doubts
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
 from hypose.pipeline.first_look import first_look, sentences
@@ -131,7 +132,8 @@ class TrackResult:
     """motion; the subject's body; complete: every frame was tracked; notes for the report; modes: the poses that each
     frame allows, where the recipe tells them. one_by_one (T, D): the poses as each frame was tracked, audit (T, J, A):
     what spoke for and against each joint (hypose.tracking.audit), None where that was not kept; faults: sentences on
-    what was found wrong before tracking; beside: on who else is there."""
+    what was found wrong before tracking, or with the clip as a whole; looks: on what makes the whole clip worth a look;
+    beside: on who else is there."""
 
     motion: Motion
     body: Body
@@ -141,12 +143,13 @@ class TrackResult:
     one_by_one: Array | None = None
     audit: NDArray[np.float32] | None = None
     faults: tuple[str, ...] = ()
+    looks: tuple[str, ...] = ()
     beside: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> Verdict:
         """Whether the motion is to be trusted, in words."""
-        return replace(verdict_of(self.motion, self.faults), beside=self.beside)
+        return replace(verdict_of(self.motion, self.faults, self.looks), beside=self.beside)
 
 
 def track_source(
@@ -197,7 +200,9 @@ def track_source(
         notes = (*subject.notes, *solved.notes)
         motion = _doubted(motion, subject, solved.one_by_one, audit, solved.covariance)
         result = TrackResult(motion, subject.body, True, notes)
-        return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, faults=faults), results)
+        wrong, looks = against_the_clip(audit, motion.n_views, evidence_of(audit))
+        said = {"faults": (*faults, *wrong), "looks": looks}
+        return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, **said), results)
     before = tracked_before(results.checkpoint, key, total) if resume and results is not None else None
     begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
     done = track_frames(source, range(total), tracker, begin, subject, keep=keep, before=before, progress=report)
@@ -274,7 +279,8 @@ def finish(
     information = np.stack([e.uncertainty.information for e in estimates])
     covariance = pose_covariance(unpacked(information, subject.body.skeleton.dof))
     motion = _doubted(motion, subject, own, audit, covariance)
-    out = TrackResult(motion, subject.body, done.complete, notes, None, own, audit, faults)
+    wrong, looks = against_the_clip(audit, motion.n_views, evidence_of(audit))
+    out = TrackResult(motion, subject.body, done.complete, notes, None, own, audit, (*faults, *wrong), looks)
     return _written(out, results)
 
 

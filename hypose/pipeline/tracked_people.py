@@ -52,7 +52,7 @@ class OnePerson:
     @property
     def verdict(self) -> Verdict:
         """Of the frames in which the person is there."""
-        return verdict_of(while_present(self.result.motion, self.present), self.result.faults)
+        return verdict_of(while_present(self.result.motion, self.present), self.result.faults, self.result.looks)
 
 
 @dataclass(frozen=True)

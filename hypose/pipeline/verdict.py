@@ -74,8 +74,9 @@ class Verdict:
         return Verdict(str(kept["verdict"]), tuple(str(b) for b in kept["because"]), frames, beside)
 
 
-def verdict_of(motion: Motion, faults: Sequence[str] = ()) -> Verdict:
-    """The verdict on a motion; faults: sentences of what was found wrong before tracking."""
+def verdict_of(motion: Motion, faults: Sequence[str] = (), looks: Sequence[str] = ()) -> Verdict:
+    """The verdict on a motion; faults: sentences of what was found wrong with it as a whole; looks: of what makes the
+    whole of it worth a look."""
     because = list(faults)
     gone = motion.lost | motion.extrapolated
     if gone.mean() > LOST_SHARE:
@@ -84,13 +85,13 @@ def verdict_of(motion: Motion, faults: Sequence[str] = ()) -> Verdict:
     if doubtful is not None and motion.p_wrong is not None and (~gone).any():
         because += _too_doubtful(motion, doubtful, ~gone)
     if because:
-        return Verdict(UNTRUSTED, tuple(because))
+        return Verdict(UNTRUSTED, (*because, *looks))
     frames = np.zeros(len(motion), dtype=bool) if motion.doubtful is None else motion.doubtful.astype(bool)
     least = max(2, round(FEW_S * motion.frame_rate))
     stretches = tuple(r for r in runs(frames) if len(r) >= least)
     if not stretches:
-        return Verdict(GOOD)
-    return Verdict(LOOK, (_what(motion, doubtful, stretches),), stretches)
+        return Verdict(LOOK, tuple(looks), (range(len(motion)),)) if looks else Verdict(GOOD)
+    return Verdict(LOOK, (*looks, _what(motion, doubtful, stretches)), stretches)
 
 
 def _too_doubtful(motion: Motion, doubtful: NDArray[np.bool_], seen: NDArray[np.bool_]) -> list[str]:

@@ -1,0 +1,46 @@
+"""What speaks against a clip from beginning to end is said, and of a clip that is right nothing is."""
+
+import numpy as np
+import pytest
+
+from hypose.pipeline.contradictions import LOOK_APART_M, MORE_M2, WRONG_APART_M, against_the_clip
+from hypose.tracking.audit import AUDITED
+from hypose.tracking.fitted_spread import apart_factors
+
+FRAMES, JOINTS = 30, 19
+
+
+def audit(apart=0.0, bare=0.0):
+    out = np.zeros((FRAMES, JOINTS, len(AUDITED)), np.float32)
+    out[..., AUDITED.index("apart")] = np.hypot(apart_factors("silhouettes")[0], apart)
+    out[..., AUDITED.index("bare")] = bare
+    return out
+
+
+def said(what, views=4):
+    return against_the_clip(what, np.full(FRAMES, views), "silhouettes")
+
+
+def test_nothing_is_said_of_a_clip_that_is_right():
+    assert said(audit(0.7 * LOOK_APART_M, 4 * 0.7 * MORE_M2)) == ((), ())
+    assert said(np.full((FRAMES, JOINTS, len(AUDITED)), np.nan)) == ((), ())
+
+
+def test_views_that_contradict_each_other_are_told():
+    wrong, look = said(audit(apart=1.1 * LOOK_APART_M))
+    assert not wrong and "contradict each other by 7 mm" in look[0]
+    wrong, look = said(audit(apart=2 * WRONG_APART_M))
+    assert not look and "contradict each other by 30 mm" in wrong[0] and "hypose check" in wrong[0]
+
+
+@pytest.mark.parametrize("views", [3, 8])
+def test_masks_that_show_more_than_the_body_are_told_whatever_the_number_of_views(views):
+    assert said(audit(bare=0.7 * views * MORE_M2), views) == ((), ())
+    wrong, look = said(audit(bare=1.5 * views * MORE_M2), views)
+    assert not wrong and "chair" in look[0]
+
+
+def test_one_frame_says_nothing_of_the_clip():
+    some = audit()
+    some[3:8] = audit(apart=0.1, bare=1.0)[3:8]
+    assert said(some) == ((), ())
