@@ -17,6 +17,7 @@ from benchmarks.multiview.both_table import both_table
 from benchmarks.multiview.doubt_clip import MOTIONS, before_and_after
 from benchmarks.multiview.doubt_fit import ALONE, auroc, figures, left_out, of_arms, rows_of
 from benchmarks.multiview.doubt_scenes import (
+    ALL,
     CAMERAS,
     CASES,
     EVIDENCE,
@@ -39,13 +40,14 @@ from hypose.evidence.keypoints import BODY_25B
 from hypose.geometry import Array, se3
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
+from hypose.pipeline.contradictions import against_the_clip
 from hypose.pipeline.first_look import first_look
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.track_loop import FrameList
-from hypose.pipeline.verdict import GOOD, UNTRUSTED
+from hypose.pipeline.verdict import GOOD, UNTRUSTED, verdict_of
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.audit import audit_frame
-from hypose.tracking.doubt import doubt_models, group_of
+from hypose.tracking.doubt import WRONG_M, doubt_models, group_of, judged
 from hypose.tracking.fitted_spread import apart_factors, fitted
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import joint_group
@@ -73,6 +75,7 @@ def doubt(options: BenchOptions) -> BenchReport:
     clips = [c for c in found if c.case in CASES]
     judges = [c for c in clips if c.seed >= JUDGES]
     rows += _told(clips, judges)
+    rows += _words(judges)
     rows += _regions(judges, "scenes")
     rows += _regions([c for c in found if c.case in CAMERAS and c.seed >= JUDGES], "cameras")
     rows += both_table(options, list(seeds)[:1])
@@ -89,7 +92,8 @@ def _told(clips: Sequence[Tracked], judges: Sequence[Tracked]) -> list[Row]:
     rows: list[Row] = []
     groups = np.array([group_of(JOINT_NAMES[j]) for j in EVALUATED])
     scenes = [c for c in judges if c.evidence == "silhouettes"]
-    sets = {"scenes": scenes, "scenes, roughly right": [c for c in scenes if plain_enough(c)]}
+    usual = [c for c in scenes if ALL[c.case].usual]
+    sets = {"scenes": scenes, "scenes, usual": usual, "scenes, roughly right": [c for c in scenes if plain_enough(c)]}
     for name, own in sets.items():
         model, r = doubt_models()["silhouettes"], rows_of(own, "silhouettes")
         p = model.probability(r.x, groups)
@@ -125,6 +129,27 @@ def _told(clips: Sequence[Tracked], judges: Sequence[Tracked]) -> list[Row]:
         p = left_out(r, "silhouettes")
         rows.append(Row("auroc", "left-out/arms", auroc(*of_arms(p[at], r.error[at])), "1", n=int(at.sum())))
     return rows
+
+
+def _words(judges: Sequence[Tracked]) -> list[Row]:
+    """Share of the clips that do not end as good: with things in the masks, through wrong or late cameras, and of
+    those that are neither and have no joint that is wrong in a tenth of the frames."""
+    families: dict[str, list[bool]] = {}
+    for c in judges:
+        if c.evidence != "silhouettes":
+            continue
+        case = ALL[c.case]
+        if case.usual and float((c.error > WRONG_M).mean(0).max()) > _WRONG_FRAMES:
+            continue
+        name = "nothing wrong" if case.usual else "things in the masks" if case.thing else "wrong cameras"
+        p, joints = judged(c.motion, c.body.joints(c.one_by_one), c.audit)
+        motion = replace(c.motion, p_wrong=p, doubtful_joints=joints, doubtful=joints.any(1))
+        word = verdict_of(motion, *against_the_clip(c.audit, motion.n_views, c.evidence)).word
+        families.setdefault(name, []).append(word != GOOD)
+    return [Row("not_good", name, float(np.mean(some)), "1", n=len(some)) for name, some in families.items()]
+
+
+_WRONG_FRAMES = 0.1
 
 
 def _ranked(a: Array, b: Array) -> float:

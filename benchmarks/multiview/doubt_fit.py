@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 from scipy.stats import rankdata
 
-from benchmarks.multiview.doubt_scenes import EVIDENCE, JUDGES, PLANTED, Tracked
+from benchmarks.multiview.doubt_scenes import ALL, EVIDENCE, JUDGES, PLANTED, Tracked
 from hypose.body.motion import Motion
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.geometry import Array
@@ -118,14 +118,16 @@ def used_by(evidence: str) -> list[str]:
 def fit(rows: Rows, evidence: str, known: DoubtModel | None = None) -> DoubtModel:
     """The model of an evidence, fitted to all rows given. known: weights that were found on other scenes that are
     trained on; what these rows do not tell otherwise stays as it is there. Thresholds come from what is said of each
-    seed when it is fitted to the others: of its own rows a fit is surer than it may be."""
+    seed when it is fitted to the others: of its own rows a fit is surer than it may be. They come from clips through
+    the right cameras without things in the masks: what else there is says so itself, and may be flagged more often."""
     model = _weights(rows, evidence, known)
     p, seeds = model.probability(rows.x, _GROUP), np.unique(rows.seed)
     if len(seeds) > 2:
         for seed in seeds:
             own = rows.seed == seed
             p[own] = _weights(rows.take(~own), evidence, known).probability(rows.x[own], _GROUP)
-    some = rows.whole & ~_wholly_wrong(rows)  # what of such a body is right by chance may be flagged
+    # what of a body that is wrong as a whole is right by chance may be flagged as well
+    some = rows.whole & ~_wholly_wrong(rows) & np.isin(rows.case, [n for n, c in ALL.items() if c.usual])
     p, good = p[some], rows.error[some] <= WRONG_M
     threshold = [
         max(LEAST_P, float(np.quantile(p[:, g == _GROUP][good[:, g == _GROUP]], 1 - GOOD_FLAGGED[evidence][g])))

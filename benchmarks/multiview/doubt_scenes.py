@@ -53,6 +53,11 @@ class Case:
     own: bool = False
     thing: str = ""
 
+    @property
+    def usual(self) -> bool:
+        """Nothing but the person in the masks, the cameras where they are said to be, and in time."""
+        return not self.thing and not {"calibration-error", "bad-calibration", "desync"} & set(self.corruption)
+
 
 CASES: dict[str, Case] = {
     "walk": Case("walk", "humaneva-4"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +39,7 @@ HIP_FAULT_M, HIP_LEVER_M = 0.04 / 3**0.5, 0.1
 doi 10.1038/s41598-021-00212-x); m: from the hips' axis up to the lumbar joint of the body. No scene shows this, since
 its points are the joints."""
 _TILTED = ("pelvis_tilt", "hip_flexion", "lumbar_extension")
-Pairs = dict[str, tuple[float, float]]
+Pairs = Mapping[str, tuple[float, float]]
 
 
 def pelvis_floor(evidence: str) -> float:
@@ -112,7 +112,7 @@ def fit_spread(clips: Sequence[Tracked], without: int | None = None) -> dict[str
         usual = float(np.median([apart_of(c) for c in own if family_of(c) != "spoilt"]))
         calm, rough = ([c for c in own if (beyond(c, usual) > usual) == over] for over in (False, True))
         families = [[c for c in calm if family_of(c) == f] for f in sorted({family_of(c) for c in calm})]
-        joints: Pairs = {}
+        joints: dict[str, tuple[float, float]] = {}
         for kind in dict.fromkeys(kind_of(JOINT_NAMES[j]) for j in EVALUATED):
             joints[kind] = fit_joint([_of_kind(f, kind) for f in families])
         for kind, like in (("spine", "pelvis"), ("chest", "neck"), ("clavicle", "shoulder")):

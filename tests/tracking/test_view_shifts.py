@@ -14,7 +14,8 @@ def figure(x: float, y: float):
     fine = np.zeros((1600, 1280), np.uint8)
     lines = ((0, -50), (0, 10), 24), ((0, 10), (-12, 64), 11), ((0, 10), (12, 64), 11), ((0, -35), (40, -30), 8)
     for *ends, width in lines:
-        cv2.line(fine, *((round(8 * (x + a)), round(8 * (y + b))) for a, b in ends), 1, 8 * width)
+        first, last = ((round(8 * (x + a)), round(8 * (y + b))) for a, b in ends)
+        cv2.line(fine, first, last, 1, 8 * width)
     return (cv2.resize(fine.astype(np.float32), (160, 200), interpolation=cv2.INTER_AREA) > 0.5).astype(np.uint8)
 
 
