@@ -74,15 +74,25 @@ def nearest(a: Performance, b: Performance) -> float:
     return float(np.linalg.norm((a.root[:n] - b.root[:n])[:, :2], axis=1).min())
 
 
-def _turned_to(a: Performance, b: Performance, near: float, shift: tuple[float, float] = (0.0, 0.0)) -> Performance:
-    """b, turned and shifted so that it comes as near to a as wanted."""
+def _turned_to(
+    a: Performance,
+    b: Performance,
+    near: float,
+    shift: tuple[float, float] = (0.0, 0.0),
+    beside: Sequence[Performance] = (),
+) -> Performance:
+    """b, turned and shifted so that it comes as near to a as wanted, and no nearer to those beside."""
     tried = [
         moved(b, float(yaw), (shift[0] + float(dx), shift[1] + float(dy)))
         for yaw in np.arange(0, 2 * np.pi, 0.2)
         for dx in (-0.3, 0.0, 0.3)
         for dy in (-0.3, 0.0, 0.3)
     ]
-    return min(tried, key=lambda q: abs(nearest(a, q) - near))
+
+    def amiss(q: Performance) -> float:
+        return abs(nearest(a, q) - near) + sum(max(0.0, near - nearest(o, q)) for o in beside)
+
+    return min(tried, key=amiss)
 
 
 def _walks(near: float, seed: int, captures: Path | None) -> list[Performer]:
@@ -103,11 +113,19 @@ def _beside(first: str, second: str, gap: float, seed: int, captures: Path | Non
     return [(a, moved(one, 0.0, (-gap / 2, 0.0))), (b, moved(two, 0.0, (gap / 2, 0.0)))]
 
 
+def _meeting(first: str, near: float, seed: int, captures: Path | None) -> list[Performer]:
+    """Somebody who stays, and somebody who walks past."""
+    a, b = _subjects(seed, 2)
+    one, two = _motion(first, a, seed, captures), _motion("walk", b, seed + 50, captures)
+    one = moved(one, 0.0, (-0.6, 0.0))
+    return [(a, one), (b, _turned_to(one, two, near, (0.5, 0.0)))]
+
+
 def _three(seed: int, captures: Path | None) -> list[Performer]:
     a, b, c = _subjects(seed, 3)
     stands = moved(_motion("wave", b, seed, captures), 0.3, (0.0, 0.0))
     walks = _turned_to(stands, _motion("walk", a, seed, captures), 0.75)
-    boxes = moved(_motion("box", c, seed + 50, captures), 2.0, (0.95, 0.95))
+    boxes = _turned_to(walks, _motion("box", c, seed + 50, captures), 0.75, (0.95, 0.95), [stands])
     return [(a, walks), (b, stands), (c, boxes)]
 
 
@@ -115,8 +133,8 @@ SETTINGS: Mapping[str, Setting] = {
     "crossing": Setting(partial(_walks, 0.7), 0.7),
     "around": Setting(_around, 0.75),
     "beside": Setting(partial(_beside, "box", "wave", 1.0), 1.0),
-    "sitting": Setting(partial(_beside, "sit_down", "walk", 1.2), 0.7),
-    "returning": Setting(partial(_beside, "box", "walk", 1.4), 0.7, away=(1.2, 2.2)),
+    "sitting": Setting(partial(_meeting, "sit_down", 0.7), 0.7),
+    "returning": Setting(partial(_meeting, "box", 0.7), 0.7, away=(1.2, 2.2)),
     "three": Setting(_three, 0.7),
     "close": Setting(partial(_walks, 0.55), 0.55),
     "touching": Setting(partial(_beside, "box", "wave", 0.55), 0.0),

@@ -107,7 +107,8 @@ def visual_hull(
     of person all over the circle around its image. Raises EvidenceError when fewer than min_views views
     are usable or nothing is left. Source: shape from inconsistent silhouettes, Landabaso, Pardas & Casas
     2008; Alcoverro 2014, section 2.3.4, places the body by such a hull. Pixels that are ignored have a person or not,
-    and at least `surely` views (default: three, or all there are) must show one in pixels that are not ignored.
+    and at least `surely` views must show one in pixels that are not ignored (default: three, or all there are; two
+    where it is known where the person is expected: masks end there, and others hide a leg from two of four views).
     """
     views = np.flatnonzero(silhouettes.usable)
     if min_views is None:
@@ -129,7 +130,9 @@ def visual_hull(
     cells = np.ceil(extent / (voxel * 2**levels)).astype(np.int64)
     index = np.stack(np.meshgrid(*(np.arange(n) for n in cells), indexing="ij"), -1).reshape(-1, 3)
     told, ignored = silhouettes.told, silhouettes.ignored
-    sure = 0 if ignored is None else min(len(views), 3) if surely is None else surely
+    if surely is None:
+        surely = min(len(views), 3 if silhouettes.expected is None else 2)
+    sure = 0 if ignored is None else surely
     free_of = told if ignored is None else silhouettes.masks | ignored
     sums = {int(c): _summed(free_of[c]) for c in views}
     corner = np.stack(np.meshgrid(*[(0, 1)] * 3, indexing="ij"), -1).reshape(8, 3)

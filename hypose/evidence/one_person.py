@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.association import AssociationSettings, people_of
 from hypose.evidence.person_tracks import PersonTrack, choose, joined
+from hypose.evidence.ray_matching import Views, meet
 from hypose.evidence.view_tracks import ViewTrack, moves_as, taken, view_tracks
 from hypose.geometry import Array
 
@@ -26,6 +27,7 @@ _PATIENCE = 1.2  # s for which a view follows somebody by itself
 _PART = 0.1  # share of the clip for which somebody has to be there to be looked at
 _AGREED = 0.3  # share of the frames in which two views show somebody, in which rays have to agree on the person
 _FITS = 0.25  # share of a view's frames with somebody, from which it sees the person where the others do
+_NEAR, _HITS = 0.08, 0.75  # m from the person's points, and share of a view's key points that lie so near to them
 _SAME = 0.06  # distance from the epipolar lines, in sizes of the person, up to which it may be the same one
 _COMPARED = 3  # people per view that are compared by their motion
 
@@ -85,10 +87,22 @@ def one_person(
     points[person.first : person.last + 1] = person.points
     there = slice(person.first, person.last + 1)
     seen, offered = person.seen.sum(0), shown[there].sum(0)
-    apart = tuple(int(c) for c in np.flatnonzero((offered > _PART * frames) & (seen < _FITS * offered)))
+    absent = (offered > _PART * frames) & (seen < _FITS * offered)
+    beside = absent if doubting else absent | _passes_by(person, rig, absent)
+    apart = tuple(int(c) for c in np.flatnonzero(beside))
     notes = []
     others = [t for i, t in enumerate(tracks) if i != number and len(t) >= max(5, _PART * frames)]
-    if others:
+    twice = [t for t in others if _never_together(person, t)]
+    if twice:
+        sides = [
+            " and ".join(rig.names[c] for c in np.flatnonzero(t.seen.sum(0) > _PART * frames))
+            for t in (person, twice[0])
+        ]
+        notes.append(
+            f"{sides[0]} show somebody at one place, {sides[1]} at another, and no view shows both: it may be one "
+            "person, and the key points or the calibration of two views exchanged; run hypose check"
+        )
+    elif others:
         notes.append(
             f"several people ({1 + len(others)}) are seen by two views or more: followed is the one who is seen most, "
             f"in {int((person.seen.sum(1) > 1).sum())} of {frames} frames"
@@ -96,8 +110,9 @@ def one_person(
     for c in apart:
         if doubting:
             points[:, c] = _alike(columns[c], of_view(c), np.delete(points, [*apart], 1), names, width)
-        else:
-            points[:, c] = 0.0  # what fits now and then does so by chance
+            continue
+        points[:, c] = 0.0  # what fits now and then does so by chance
+        if not twice:
             notes.append(
                 f"view {rig.names[c]}: its key points show nobody where the other views see the person, and are left "
                 "out; if it is the same person, run hypose check, which looks for what is wrong with this camera"
@@ -106,6 +121,37 @@ def one_person(
     if strangers and not others:
         notes.append(f"somebody whom only one view sees is left out ({', '.join(strangers)})")
     return OnePerson(points, bool(others or strangers), (person, *others), True, apart, tuple(notes))
+
+
+def _passes_by(person: PersonTrack, rig: CameraRig, absent: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(C,) views that seem to see the person, but whose key points lie beside where the rays of the others meet: the
+    worst first, as long as three or more are left to tell."""
+    views = Views(rig)
+    points = person.points.transpose(1, 0, 2, 3)[..., :3].copy()
+    points[absent] = 0.0
+    out = np.zeros(len(rig), dtype=np.bool_)
+    world = person.world
+    while (points[..., 2] > _SEEN).any((1, 2)).sum() > 2:
+        uv, metres = views.seen_at(world)
+        with np.errstate(invalid="ignore"):
+            far = np.linalg.norm(uv - points[..., :2], axis=-1) * metres
+        known = np.isfinite(far) & (points[..., 2] > _SEEN)
+        hits = np.where(known.any((1, 2)), (known & (far < _NEAR)).sum((1, 2)) / np.maximum(known.sum((1, 2)), 1), 1.0)
+        worst = int(hits.argmin())
+        if hits[worst] >= _HITS:
+            break
+        out[worst], points[worst] = True, 0.0
+        world, _ = meet(views, points, _NEAR)
+    return out
+
+
+def _never_together(a: PersonTrack, b: PersonTrack) -> bool:
+    """Whether two who are there at the same time are never seen by one and the same view."""
+    first, last = max(a.first, b.first), min(a.last, b.last) + 1
+    if first >= last:
+        return False
+    both = a.seen[first - a.first : last - a.first] & b.seen[first - b.first : last - b.first]
+    return float(both.any(1).mean()) < _PART
 
 
 def _anybody(people: Array | None) -> bool:

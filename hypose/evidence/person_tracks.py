@@ -50,6 +50,13 @@ class PersonTrack:
         return (self.points[..., 2] > 0).sum(-1) >= _SEEN
 
     @property
+    def agreed(self) -> float:
+        """Share of the points that two views or more show whose rays meet: low for somebody made of the detections of
+        several, or of views that are exchanged."""
+        shown = (self.points[..., 2] > 0).sum(1) >= 2
+        return float((shown & np.isfinite(self.world[..., 0])).sum() / max(int(shown.sum()), 1))
+
+    @property
     def height_px(self) -> float:
         """Median over frames and views of the person's extent from top to bottom, px."""
         shown = self.points[..., 2] > 0
@@ -79,12 +86,12 @@ def choose(
 ) -> int | None:
     """Which of the people is meant, None when there is nobody.
 
-    by: "most" (seen in most frames and views; of those with nearly as much, who is largest in the pictures), "largest"
-    (in the pictures, of those followed through half as many frames as the longest), "place" (nearest to `place` (3,) m
-    at a frame of the clip)."""
+    by: "most" (seen in most frames and views, by points whose rays meet; of those with nearly as much, who is largest
+    in the pictures), "largest" (in the pictures, of those followed through half as many frames as the longest), "place"
+    (nearest to `place` (3,) m at a frame of the clip)."""
     if not tracks:
         return None
-    seen = np.array([t.seen.sum() for t in tracks], dtype=np.float64)
+    seen = np.array([t.seen.sum() * t.agreed for t in tracks])
     if by == "place":
         if place is None:
             raise InputError("Choosing a person by place needs the place (x, y, z), in metres.")

@@ -218,8 +218,8 @@ def _best_start(template: Body, frames: Sequence[Frame], options: AnthropometryO
 
 _PLAIN, _SURE = 0.6, 0.9
 """Mean IoU and weight from which on a start needs no other frame."""
-_LATER = (2, 4, 7, 10, 14)
-"""Instants after a start that decide between its rivals."""
+_LATER = (1, 2, 3, 4, 5)
+"""Instants after a start that decide between its rivals; no step is so long that who walks is lost in it."""
 
 
 def _searched(template: Body, frames: Sequence[Frame], at: int, height: float | None, extent: float | None) -> Starts:

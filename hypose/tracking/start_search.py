@@ -170,11 +170,15 @@ def start_from_hull(body: Body, frame: PreparedFrame, poses: Sequence[str] = KNO
 
 
 def _followed(start: Start, frames: Sequence[PreparedFrame]) -> tuple[Array, Array]:
-    """(F, D) poses of a start in the frames that come after it, and (F,) what they cost."""
-    poses, costs, pose = [], [], start.pose
+    """(F, D) poses of a start in the frames that come after it, and (F,) what they cost. Whoever walks goes on: else
+    the true start loses its legs, and a body that is too small wins."""
+    poses, costs, pose, moved = [], [], start.pose, np.zeros(3)
     for frame in frames:
-        own = _own(frame, start.body, pose)
-        pose = refine(start.body, pose[None], own, _BRIEF)[0].pose
+        expected = pose.copy()
+        expected[:3] += moved
+        own = _own(frame, start.body, expected)
+        before, pose = pose, refine(start.body, expected[None], own, _BRIEF)[0].pose
+        moved = pose[:3] - before[:3]
         poses.append(pose)
         costs.append(float(mask_cost(start.body, pose[None], own)[0] + strain(start.body.skeleton, pose[None])[0]))
     return np.array(poses).reshape(len(frames), len(pose)), np.array(costs)

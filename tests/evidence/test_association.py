@@ -134,6 +134,33 @@ def test_another_cameras_key_points_are_left_out_and_said():
     assert not found.points[:, 3, :, 2].any() and found.points[:, :3, :, 2].all()
 
 
+def test_a_view_whose_key_points_pass_by_the_person_is_left_out_and_said():
+    frames = seen_by(RIG, [A], np.random.default_rng(4))
+    for f in frames:
+        f[2][..., :2] += (10.0, 0.0)  # 0.1 m: near enough to be followed
+    found = one_person(frames, BODY_25, RIG)
+    assert found.people[0].seen.all() and found.apart == (2,) and "c3" in found.notes[0]
+    assert not found.points[:, 2, :, 2].any() and found.points[:, [0, 1, 3], :, 2].all()
+
+
+def test_of_two_pairs_of_views_those_count_whose_rays_meet_and_both_are_said():
+    frames = seen_by(RIG, [A], np.random.default_rng(4))
+    frames = [[f[1], f[0], f[2], f[3]] for f in frames]
+    found = one_person(frames, BODY_25, RIG)
+    assert found.apart == (0, 1) and found.points[:, 2:, :, 2].all() and error(found.people[0], A) < 0.06
+    opposite = [[f[2], f[1], f[0], f[3]] for f in seen_by(RIG, [A], np.random.default_rng(4))]
+    found = one_person(opposite, BODY_25, RIG)  # the person turned by 180 degrees fits as well: nobody can tell
+    assert len(found.apart) == 2 and "no view shows both" in found.notes[0] and len(found.notes) == 1
+
+
+def test_of_two_who_came_in_the_same_frame_one_leaves_and_the_other_stays():
+    frames = seen_by(RIG, [A, B], np.random.default_rng(8))
+    alone = seen_by(RIG, [A], np.random.default_rng(9))
+    people = people_of([*frames[:12], *alone[12:]], BODY_25, RIG)
+    assert [p.first for p in people] == [0, 0] and people[0].last == FRAMES - 1
+    assert error(people[0], A) < 0.02 and people[1].seen[12:].sum() == 0
+
+
 def test_who_returns_is_the_same_person():
     frames = seen_by(RIG, [A], np.random.default_rng(5))
     for f in frames[8:30]:

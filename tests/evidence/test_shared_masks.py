@@ -139,6 +139,22 @@ def compute_error():
     return EvidenceError
 
 
+def test_the_hull_of_one_person_is_whole_where_two_of_four_views_hide_the_legs(body, pair):
+    _, shapes, silhouettes = pair
+    masks = np.zeros_like(silhouettes.masks)
+    hidden = np.zeros_like(masks)
+    for c, (y0, y1, x0, x1) in enumerate(shapes[0].boxes):
+        masks[c, y0:y1, x0:x1] = shapes[0].drawn(c)
+    for c in (0, 1):
+        y0, y1, x0, x1 = shapes[0].boxes[c]
+        hidden[c, (y0 + y1) // 2 : y1, x0:x1] = 1
+    own = replace(own_silhouettes(silhouettes, shapes[0], [Other(shapes[1])]), masks=masks, ignored=hidden)
+    assert own.expected is not None
+    whole = visual_hull(own, voxel=0.04)
+    cut = visual_hull(own, voxel=0.04, surely=3)
+    assert whole.height == pytest.approx(body.stature, abs=0.1) and cut.height < 0.75 * body.stature
+
+
 def test_an_ignored_pixel_is_neither_bare_nor_outside_in_the_audit(body, pair):
     poses, shapes, silhouettes = pair
     union = Frame(0.0, 0, silhouettes)

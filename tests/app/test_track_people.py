@@ -1,0 +1,83 @@
+"""`hypose track --people` on a recording of two: who is asked for by name and place, or by how many."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.body.ready_bodies import human
+from hypose.io.motions.bodies import save_body
+from hypose.io.motions.results import load_motion
+from hypose.synthetic.performance import moved
+from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import make_scene
+from hypose.synthetic.write_recording import write_scene
+
+PLACES = {"Anna": (0.8, 0.2), "Bert": (-0.8, 0.0)}
+LIGHT = ("--no-overlay", "--formats", "trc")
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory):
+    """Bert, who comes first, and Anna beside him; recording.toml names Anna first. Read only."""
+    folder = tmp_path_factory.mktemp("two") / "two"
+    cameras = rig("humaneva-4", distorted=True).scaled(0.4)
+    bert, anna = (make_scene("wave", "neutral", cameras, seconds=0.2, seed=3 + k) for k in range(2))
+    bert = replace(bert, performance=_at(bert.performance, PLACES["Bert"]))
+    anna = replace(anna, performance=_at(anna.performance, PLACES["Anna"]))
+    write_scene(replace(bert, others=((anna.subject, anna.performance),)), folder, background_frames=10)
+    save_body(human(), folder / "body.npz")
+    tables = [
+        f'\n[[person]]\nname = "{name}"\nbody = "body.npz"\nplace = [{x}, {y}]\ntime = 0.0\n'
+        for name, (x, y) in PLACES.items()
+    ]
+    with (folder / "recording.toml").open("a", encoding="utf-8") as file:
+        file.writelines(tables)
+    return folder
+
+
+def _at(performance, place):
+    now = performance.root[:, :2].mean(0)
+    return moved(performance, 0.0, (place[0] - now[0], place[1] - now[1]))
+
+
+def where(folder):
+    """(2,) m: the mean place of a result's person."""
+    return load_motion(folder / "motion.npz").joints[:, 0, :2].mean(0)
+
+
+def people_in(out):
+    return [p["name"] for p in json.loads((out / "people.json").read_text(encoding="utf-8"))["people"]]
+
+
+def test_everybody_has_a_folder_by_the_name_of_who_stands_at_the_place(hypose, two, tmp_path):
+    code, out, err = hypose("track", two, "--people", "all", "--out", tmp_path, *LIGHT)
+    assert code == 0, err
+    assert people_in(tmp_path) == ["Anna", "Bert"] and "2 people: Anna, Bert" in out + err
+    for name, place in PLACES.items():
+        assert np.linalg.norm(where(tmp_path / name) - place) < 0.1
+        assert {"report.html", "motion.trc", "verdict.json"} <= {p.name for p in (tmp_path / name).iterdir()}
+    assert (tmp_path / "report.html").read_text(encoding="utf-8").count("/report.html") == 2
+
+
+def test_one_person_is_asked_for_by_name(hypose, two, tmp_path):
+    code, _, err = hypose("track", two, "--people", "Bert", "--out", tmp_path, *LIGHT)
+    assert code == 0, err
+    assert people_in(tmp_path) == ["Bert"] and np.linalg.norm(where(tmp_path / "Bert") - PLACES["Bert"]) < 0.1
+
+
+@pytest.mark.slow
+def test_of_one_at_most_it_is_the_first_who_is_named(hypose, two, tmp_path):
+    recording = shutil.copytree(two, tmp_path / "two")
+    code, _, err = hypose("track", recording, "--people", "1", *LIGHT)
+    assert code == 0, err
+    results = recording / "results" / "people"
+    assert people_in(results) == ["Anna"] and np.linalg.norm(where(results / "Anna") - PLACES["Anna"]) < 0.1
+
+
+@pytest.mark.parametrize("who", ["Carl", "0", "two"])
+def test_who_is_nobody_is_refused_with_the_names_there_are(hypose, two, who):
+    code, _, err = hypose("track", two, "--people", who)
+    assert code == 2 and "Anna, Bert" in err

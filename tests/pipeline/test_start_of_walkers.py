@@ -1,0 +1,18 @@
+"""Whoever walks at the beginning is not taken for somebody smaller."""
+
+import numpy as np
+import pytest
+
+from hypose.pipeline.first_frame import SubjectOptions, find_subject
+from hypose.synthetic.scenes import make_scene
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rig", ["humaneva-4", "ring-5"])
+def test_the_body_of_somebody_who_walks_is_found_in_its_size(rig):
+    scene = make_scene("walk", "neutral", rig, seconds=2.4, seed=1, corruption=("level-1",))
+    frames = list(scene.mask_frames(1.0))
+    found = find_subject(lambda k: frames[k], len(frames), SubjectOptions("hull", frame_rate=25.0))
+    assert found.body.stature == pytest.approx(scene.subject.stature, rel=0.03)
+    away = np.linalg.norm(found.body.joints(found.start[None])[0] - scene.joints[0], axis=-1)
+    assert away.mean() < 0.06
