@@ -7,7 +7,7 @@ others, and a weight that only a chance of these motions has turned around does 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -240,12 +240,12 @@ def of_arms(p: Array, error: Array) -> tuple[Array, NDArray[np.bool_]]:
     return p[:, _ARMS], error[:, _ARMS] > WRONG_M
 
 
-def left_out(rows: Rows, evidence: str, refit: Callable[[Rows, str], DoubtModel] = fit) -> Array:
+def left_out(rows: Rows, evidence: str) -> Array:
     """(N, J) P of every case by a model that has seen neither the case nor the judging seeds."""
     out = np.zeros(rows.error.shape)
     for case in np.unique(rows.case):
         own = rows.case == case
-        model = refit(rows.take(~own & (rows.seed < JUDGES)), evidence)
+        model = _weights(rows.take(~own & (rows.seed < JUDGES)), evidence, None)
         out[own] = model.probability(rows.x[own], _GROUP)
     return out
 
