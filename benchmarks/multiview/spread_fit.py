@@ -132,8 +132,9 @@ def fit_spread(clips: Sequence[Tracked], without: int | None = None) -> dict[str
 
 
 def apart_of(c: Tracked) -> float:
-    """m: by how much the views of a clip contradict each other."""
-    return float(np.nanmedian(c.audit[:, 0, AUDITED.index("apart")]))
+    """m: by how much the views of a clip contradict each other, 0 without masks."""
+    found = c.audit[:, 0, AUDITED.index("apart")]
+    return float(np.median(found[np.isfinite(found)])) if np.isfinite(found).any() else 0.0
 
 
 def beyond(c: Tracked, usual: float) -> float:
