@@ -15,7 +15,7 @@ from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.geometry import Array
 from hypose.synthetic.metrics import EVALUATED
-from hypose.tracking.audit import AUDITED
+from hypose.tracking.audit import views_apart
 from hypose.tracking.fitted_spread import apart_factors, kind_of
 from hypose.tracking.pose_covariance import joint_group
 from hypose.tracking.refinement import LUMBAR_SD
@@ -111,7 +111,7 @@ def fit_spread(clips: Sequence[Tracked], without: int | None = None) -> dict[str
             continue
         usual, calm = float("inf"), own
         if evidence == "silhouettes":
-            usual = float(np.median([apart_of(c) for c in own if family_of(c) != "spoilt"]))
+            usual = float(np.median([views_apart(c.audit) for c in own if family_of(c) != "spoilt"]))
             calm = [c for c in own if beyond(c, usual) <= usual]
         families = [[c for c in calm if family_of(c) == f] for f in sorted({family_of(c) for c in calm})]
         joints: dict[str, tuple[float, float]] = {}
@@ -131,15 +131,9 @@ def fit_spread(clips: Sequence[Tracked], without: int | None = None) -> dict[str
     return out
 
 
-def apart_of(c: Tracked) -> float:
-    """m: by how much the views of a clip contradict each other, 0 without masks."""
-    found = c.audit[:, 0, AUDITED.index("apart")]
-    return float(np.median(found[np.isfinite(found)])) if np.isfinite(found).any() else 0.0
-
-
 def beyond(c: Tracked, usual: float) -> float:
     """m, beyond what is usual; as `hypose.tracking.fitted_spread.beyond_usual`."""
-    return float(np.sqrt(max(apart_of(c) ** 2 - usual**2, 0.0)))
+    return float(np.sqrt(max(views_apart(c.audit) ** 2 - usual**2, 0.0)))
 
 
 def _apart(clips: Sequence[Tracked], usual: float, joints: Pairs, angles: Pairs) -> tuple[float, float]:

@@ -35,7 +35,7 @@ that is plainly worse; by how much the body with its sides exchanged overlaps th
 masks better (NaN: not looked at in this frame); m, distance of the joint's key points from it, median and largest over
 the views; views with one; m, median over all points of the frame; views with one, as it was detected, that agrees with
 the joint, and with one that speaks against it; m, by how much the views' masks as a whole contradict each
-other (`hypose.tracking.view_shifts`), the same of all joints.
+other (`hypose.tracking.view_shifts`), the same of all joints (NaN: not looked at in this frame).
 """
 NEAR_M = 0.25
 _TALL = 110
@@ -66,6 +66,14 @@ def _layout(names: tuple[str, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64
     return part, limb, np.array([names.index(n) for n, _ in _ROOTS if n in names])
 
 
+def views_apart(audit: ArrayLike) -> float:
+    """m: by how much the views of a clip with this audit (T, J, A) contradict each other, median of the frames in which
+    it was looked at; 0 where it never was."""
+    apart = np.asarray(audit, dtype=np.float64)[:, 0, AUDITED.index("apart")]
+    apart = apart[np.isfinite(apart)]
+    return float(np.median(apart)) if len(apart) else 0.0
+
+
 def _face_parts(body: Body) -> NDArray[np.uint16]:
     part, _, _ = _layout(tuple(body.skeleton.joint_names))
     corner = part[body.coarse.main_joint][body.coarse.faces]
@@ -88,7 +96,7 @@ def audit_frame(
     out = np.full((len(names), len(AUDITED)), np.nan, np.float32)
     rotations, joints = body.skeleton.forward(pose)
     if frame.silhouettes is not None and frame.silhouettes.usable.any():
-        out[:, :6], out[:, -1] = _masks(body, pose, joints, frame.silhouettes)
+        out[:, :6], out[:, -1] = _masks(body, pose, joints, frame.silhouettes, frame.index % _EVERY == 0)
         out[:, 7:9] = _elsewhere(body, pose, prepared_masks(frame.silhouettes), frame.index)
     out[:, 6] = _rivals(body, joints, rivals)
     out[:, 9] = exchanged
@@ -97,8 +105,8 @@ def audit_frame(
     return out
 
 
-def _masks(body: Body, pose: Array, joints: Array, silhouettes: Silhouettes) -> tuple[Array, float]:
-    """(J, 6), and by how much the views are apart; see AUDITED."""
+def _masks(body: Body, pose: Array, joints: Array, silhouettes: Silhouettes, apart_too: bool) -> tuple[Array, float]:
+    """(J, 6), and by how much the views are apart, NaN where that is not wanted; see AUDITED."""
     part, limb, roots = _layout(tuple(body.skeleton.joint_names))
     vertices, face_part = body.skin(pose), _face_parts(body)
     points = np.concatenate([joints, joints[roots]])
@@ -128,7 +136,8 @@ def _masks(body: Body, pose: Array, joints: Array, silhouettes: Silhouettes) -> 
         bare[k] = seen.bare / size**2
         exposed[k] = seen.exposed / np.maximum(seen.area, 1)
         outside[k] = seen.outside / np.maximum(seen.area, 1)
-        shifts[k] = shift_of_mask(mask, seen.body, size, ignored)
+        if apart_too:
+            shifts[k] = shift_of_mask(mask, seen.body, size, ignored)
     second = -2 if len(views) > 1 else -1
     near, limbs = bare[:, : len(joints)], bare[:, len(joints) :].sum(0)
     best = np.sort(exposed, 0)
@@ -195,7 +204,7 @@ def _elsewhere(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Arr
 
 
 _EVERY = 4
-"""frames between two looks at the same arm"""
+"""frames between two looks at the same arm, and at what the views contradict each other"""
 _CUTOFF, _TRIED, _POOL = 0.1, 2048, 64
 """m^2 by which an arm's points may lie worse; so many arms are looked up, and so many drawn"""
 _ELSEWHERE_M = 0.1

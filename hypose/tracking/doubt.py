@@ -19,7 +19,7 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from hypose.body.motion import Motion
 from hypose.geometry import Array
-from hypose.tracking.audit import AUDITED
+from hypose.tracking.audit import AUDITED, views_apart
 from hypose.tracking.pose_covariance import joint_group
 
 WRONG_M = 0.1
@@ -99,7 +99,7 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
         "points_all": np.log(0.005 + a["points_all"]) * points,
         "points_agree": np.minimum(_mean(a["points_agree"], around), 3) * points,
         "points_against": np.sqrt(_mean(a["points_against"], around)) * points,
-        "apart": np.sqrt(np.median(a["apart"], 0)) * np.ones(count),
+        "apart": np.full(count, np.sqrt(views_apart(audit))),
     }
     return np.stack([found[n] for n in FEATURES], -1)
 

@@ -22,7 +22,7 @@ from hypose.body.joint_angles import ANGLE_NAMES, angles_of_frames
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.geometry import Array
-from hypose.tracking.audit import AUDITED
+from hypose.tracking.audit import views_apart
 
 _STEP = 1e-4
 _LEAST = 0.05  # information that anatomy gives every coordinate, 1 / rad^2: nothing turns more than it can
@@ -75,9 +75,7 @@ def apart_factors(evidence: str) -> tuple[float, float, float]:
 
 def beyond_usual(audit: ArrayLike, evidence: str) -> float:
     """m, by how much the views of a clip with this audit (T, J, A) contradict each other beyond what is usual."""
-    apart = np.asarray(audit, dtype=np.float64)[:, 0, AUDITED.index("apart")]
-    apart = apart[np.isfinite(apart)]
-    return float(np.sqrt(max(np.median(apart) ** 2 - apart_factors(evidence)[0] ** 2, 0.0))) if len(apart) else 0.0
+    return float(np.sqrt(max(views_apart(audit) ** 2 - apart_factors(evidence)[0] ** 2, 0.0)))
 
 
 def with_fitted_joints(motion: Motion, evidence: str, beyond: float = 0.0) -> Motion:
