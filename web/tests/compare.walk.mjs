@@ -18,6 +18,15 @@ await walk(
       const file = await coming;
       return { name: file.suggestedFilename(), data: readFileSync(await file.path()) };
     };
+    // what is asked of the page comes true when it is drawn, not when it is asked
+    const until = async (what, message) => {
+      for (let n = 0; n < 400; n++) {
+        if (await what()) return;
+        await page.waitForTimeout(100);
+      }
+      assert.fail(message);
+    };
+    const uncut = () => until(async () => !(await cutOff(page)).length, "something is cut off").catch(async () => assert.deepEqual(await cutOff(page), []));
     await page.evaluate((one) => (location.hash = `#/view/${one}`), id);
     await page.waitForFunction(() => window.hypose?.pictureRow() === 0);
 
@@ -26,13 +35,14 @@ await walk(
     await over.waitFor();
     await page.getByRole("tab", { name: "Legs" }).click();
     await drawn(3);
-    assert.equal(await page.evaluate(() => window.hypose.view.plots.plots[0].options.marks.length), expected.events);
+    await until(() => page.evaluate((n) => window.hypose.view.plots.plots[0]?.options.marks?.length === n, expected.events), "events over the curves");
     await picture("plots-events");
     await over.selectOption("cycle");
     await drawn(3);
     await page.getByText(`${expected.strides} strides`).first().waitFor();
-    const cycle = await page.evaluate(() => window.hypose.view.plots.plots.flatMap((p) => p.series.map((s) => [p.options.title, s.label, [...s.values], [...s.sd]])));
-    const knee = cycle.find(([title, side]) => title === "Knee flexion" && side === "left");
+    const curve = () => page.evaluate(() => window.hypose.view.plots.plots.flatMap((p) => p.series.map((s) => [p.options.title, s.label, [...s.values], [...(s.sd ?? [])]])).find(([title, side, values]) => title === "Knee flexion" && side === "left" && values.length === 101) ?? null);
+    await until(async () => (await curve()) !== null, "the left knee over the gait cycle");
+    const knee = await curve();
     knee[2].forEach((v, k) => assert.ok(Math.abs(v - expected.knee.mean[k]) < 0.01));
     knee[3].forEach((v, k) => assert.ok(Math.abs(v - expected.knee.sd[k]) < 0.01));
     await picture("plots-cycle");
@@ -57,10 +67,10 @@ await walk(
     await page.getByRole("group", { name: "Height (z)" }).getByRole("checkbox", { name: "Head" }).check();
     await page.getByText("2 of at most 5").waitFor();
     await picture("plots-choose");
-    assert.deepEqual(await cutOff(page), []);
+    await uncut();
     await page.getByRole("button", { name: "Show them" }).click();
     await drawn(2);
-    assert.deepEqual(await titles(), ["Ankle angle (°)", "Head z (m)"]);
+    await until(async () => (await titles()).join() === "Ankle angle (°),Head z (m)", "the chosen channels");
     await page.reload({ waitUntil: "commit" });
     await page.waitForFunction(() => window.hypose?.pictureRow() === 0);
     await page.getByRole("tab", { name: "Chosen" }).click();
@@ -79,16 +89,16 @@ await walk(
     await page.getByRole("tab", { name: "Difference" }).waitFor();
     await page.waitForFunction((text) => document.querySelector(".plot-title")?.textContent.includes(text), `RMS ${expected.rms.toFixed(1)} mm`);
     await drawn(3);
-    assert.match(await page.locator(".legend").innerText(), /first[^]*second/);
-    assert.ok((await colours()) > before + 20, "the other result is not in the pictures");
-    assert.equal(await page.evaluate(() => window.hypose.view.space.other.body !== null && window.hypose.view.space.otherBodyBox.visible), true);
+    await page.locator(".legend").filter({ hasText: /first[^]*second/ }).waitFor();
+    await until(async () => (await colours()) > before + 20, "the other result is not in the pictures");
+    await until(() => page.evaluate(() => window.hypose.view.space.other?.body != null && window.hypose.view.space.otherBodyBox.visible), "the other body in 3D");
     await picture("compare-difference");
     await page.getByRole("tab", { name: "Legs" }).click();
     await drawn(3);
-    assert.match((await page.locator(".plot figcaption").allInnerTexts()).join(), /RMS \d/);
+    await until(async () => /RMS \d/.test((await page.locator(".plot figcaption").allInnerTexts()).join()), "RMS at the curves");
     for (const [width, height] of [[1440, 900], [1024, 700], [390, 844]]) {
       await page.setViewportSize({ width, height });
-      assert.deepEqual(await cutOff(page), []);
+      await uncut();
       await picture(`compare-${width}`);
     }
     await page.setViewportSize({ width: 1440, height: 900 });
