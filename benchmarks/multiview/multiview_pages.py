@@ -120,12 +120,10 @@ _REGIONS = (
 _HELD = tuple(within(85, 95, c) for c in range(4))
 _DOUBT = Page(
     "doubt",
-    """P(joint wrong by more than 100 mm): areas under the curve; share of arm joints more than 150 mm off that are
-    doubtful; of frames with a wrong arm, and of good ones, in which something is; calibration error; share of the
-    clips that do not end as good. Seeds that judge (985 on; nothing was chosen on them; each shows a sixth of the
-    cases), from silhouettes: usual ones are of the person alone through the right cameras, in time, the others have
-    things in the masks or wrong cameras. Motions left out of the training; key points spoilt. The JSON holds regions,
-    the clip's solve, both against its parts, verdicts.""",
+    """P(joint wrong by more than 100 mm): areas under the curve; share of arm joints more than 150 mm off, of frames
+    with a wrong arm, and of good frames that are told as doubtful; calibration error; share of clips that do not end
+    as good. Seeds that judge (985 on; nothing was chosen on them), from silhouettes. Usual: the person alone, the right
+    cameras, in time. The JSON holds regions, the clip's solve, both against its parts, verdicts.""",
     (
         Column("all", "auroc"),
         Column("arms", "auroc", "{}/arms"),
