@@ -82,6 +82,34 @@ def test_uncertain_feet_give_wide_intervals():
     assert unsure.events[0].sd > 3 * sure.events[0].sd
 
 
+def test_what_a_definition_adds_is_no_uncertainty_of_times():
+    """A joint that lies elsewhere all along moves no event, and both heels alike."""
+    motion, body = walking(sd=0.01)
+    known = Motion(**{**motion.__dict__, "definition_sd": np.full(motion.joints.shape[1], 0.008, np.float32)})
+    wide, narrow = gait_of(motion, body), gait_of(known, body)
+    assert [e.time for e in wide.events] == [e.time for e in narrow.events]
+    ratio = np.median([n.sd / w.sd for n, w in zip(narrow.events, wide.events, strict=True)])
+    assert ratio == pytest.approx(0.6, abs=0.03)  # 10 mm less 8 mm in squares is 6 mm
+
+
+def test_an_event_at_the_ends_of_a_clip_is_found():
+    """The foot's way before it is seen in part only."""
+    motion, body = walking()
+    second = [e for e in gait_of(motion, body).events if e.time > 0.5][0]
+    first = round(second.time * RATE) - 8
+    rows = slice(first, first + 100)
+    cut = Motion(
+        motion.skeleton,
+        motion.times[rows],
+        *(v[rows] for v in (motion.joints, motion.poses, motion.joint_covariance, motion.lost, motion.extrapolated)),
+        motion.n_views[rows],
+        motion.cost[rows],
+    )
+    found = gait_of(cut, body).events[0]
+    assert (found.side, found.kind) == (second.side, second.kind)
+    assert found.time == pytest.approx(second.time, abs=0.5 / RATE)
+
+
 def test_cycles_lay_strides_over_each_other():
     """A hip swings as a sine whose cycle is the stride: the mean of the strides is that sine, and they are alike."""
     motion, body = walking(seconds=6.0)
