@@ -289,6 +289,19 @@ def test_cameras_of_one_file_are_found_by_name(tmp_path):
         keypoints_of_views(paths[:2], ["left", "right"], ["a", "b"])
 
 
+@pytest.mark.parametrize("layout", ["deeplabcut-csv", "sleap-csv"])
+def test_a_frame_number_that_is_damaged_is_told(tmp_path, layout):
+    folder, _ = written(tmp_path, layout)
+    path = sorted((folder / "points").iterdir())[0]
+    at = {"deeplabcut-csv": 0, "sleap-csv": 1}[layout]
+    *lines, last = path.read_text().splitlines()
+    cells = last.split(",")
+    cells[at] = "734219876543"
+    path.write_text("\n".join([*lines, ",".join(cells)]) + "\n")
+    with pytest.raises(InputError, match=r"a frame has the number 734219876543, the first 0; the file is damaged"):
+        load_recording(folder)
+
+
 def test_clocks_of_caliscope_that_count_differently(tmp_path):
     """Points counted from 0 beside times that go on from the calibration's are frames from the first on."""
     points = detections("BLAZEPOSE_33", RIG, FRAMES)
