@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from hypose.app.cli import main
+from hypose.app.reports.gait_plot import gait_section
 from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
@@ -143,6 +144,14 @@ def test_nobody_walks():
     motion, body = walking()
     with pytest.raises(InputError, match="gait needs poses"):
         gait_of(Motion(**{**motion.__dict__, "poses": None}), body)
+
+
+def test_a_report_has_the_gait_of_who_walks():
+    shown = gait_section(*walking(seconds=6.0))
+    assert "<h2>Gait</h2>" in shown and "cadence" in shown and "steps/min" in shown and "gait cycle (%)" in shown
+    assert gait_section(*walking(still=True)) == ""
+    motion, body = walking()
+    assert gait_section(motion, None) == "" == gait_section(Motion(**{**motion.__dict__, "poses": None}), body)
 
 
 def test_the_command_and_its_files(tmp_path, capsys):

@@ -16,6 +16,7 @@ import numpy as np
 from hypose import __version__
 from hypose.app.jobs.truth import Truth
 from hypose.app.reports import plots
+from hypose.app.reports.gait_plot import gait_section
 from hypose.app.reports.overlay import still_rows, write_overlay
 from hypose.app.reports.report_viewer import PLACE, Viewer, make_viewer
 from hypose.app.reports.result_pictures import Image
@@ -203,6 +204,7 @@ def _text(what: ReportInput) -> str:
             "Names and signs as in OpenSim's full-body model (Rajagopal 2016), degrees; all angles are in angles.csv."
         )
         parts.append("<h2>Joint angles</h2>" + _figure(plots.angle_plot(m), caption))
+    parts.append(gait_section(m, what.body))
     parts.append('<div class="two"><div><h2>Seen from above</h2>')
     parts.append(_figure(plots.top_view_plot(m, what.rig or (), what.truth), "Metres; cameras are squares.") + "</div>")
     parts.append(f"<div><h2>Subject</h2>{_subject(what.body)}</div></div>" if what.body is not None else "</div>")
