@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from hypose.app.cli import main
 from hypose.app.live.osc import OscTarget, osc_bundles
 from hypose.app.live.vmc import play_motion
 from hypose.app.live.vmc_live import VmcLive, bone_turns_of_points
@@ -14,7 +15,10 @@ from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 from hypose.fusion.joints import COMMON
 from hypose.fusion.live import LiveFrame, LivePerson
+from hypose.fusion.point_motion import points_motion
 from hypose.geometry import transform
+from hypose.io.motions.bodies import save_body
+from hypose.io.motions.results import save_motion
 from hypose.io.motions.vrm import BONES, rest_offsets
 from tests.depth_sensors import camera, walker
 from tests.osc_packets import parse_osc
@@ -204,3 +208,40 @@ def test_live_frames_reach_a_listener():
     assert abs(last["Hips"][1] - rest_offsets(human())[0, 1]) < 0.2  # above the ground, by the feet
     assert last["Hips"][2] < -2  # as far from the sensor as the person is, who looks at it along +z
     assert Rotation.from_quat(last["Hips"][3:]).apply([0, 0, 1])[2] > 0.9
+
+
+def run_play(capsys, *arguments):
+    with pytest.raises(SystemExit) as ended:
+        main(["play", *map(str, arguments)])
+    return ended.value.code or 0, capsys.readouterr()
+
+
+def test_the_command_plays_results(moving, tmp_path, capsys):
+    motion, body = moving
+    save_motion(motion, tmp_path / "motion.npz")
+    save_body(body, tmp_path / "body.npz")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.settimeout(20)
+        code, said = run_play(capsys, tmp_path, "--vmc", f"127.0.0.1:{listener.getsockname()[1]}", "--speed", 10)
+        assert code == 0 and "6 frames at 30 Hz" in said.out
+        assert parse_osc(listener.recv(65536))[0] == ("/VMC/Ext/OK", [1, 3, 0, 1])
+
+
+def test_results_of_depth_sensors_are_posed_first(tmp_path, capsys):
+    joints, none = np.stack([walker(n / 30) for n in range(12)]), np.zeros(12, bool)
+    sd, times = np.full((12, 15), 0.01), np.arange(12) / 30
+    motion = points_motion(COMMON, joints, sd, times, none, np.full(12, 2), np.full(18, 0.3), {})
+    save_motion(motion, tmp_path / "motion.npz")
+    code, said = run_play(capsys, tmp_path, "--speed", 10)
+    assert code == 0 and "12 frames" in said.out
+
+
+def test_what_cannot_be_played_is_told(moving, tmp_path, capsys):
+    assert "does not exist" in run_play(capsys, tmp_path / "none")[1].err
+    for name in ("anna", "ben"):
+        save_motion(moving[0], tmp_path / name / "motion.npz")
+    code, said = run_play(capsys, tmp_path)
+    assert code == 2 and "holds the results of anna, ben; give one of them" in said.err
+    code, said = run_play(capsys, tmp_path / "anna")
+    assert code == 2 and "body.npz" in said.err

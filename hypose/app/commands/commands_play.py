@@ -12,7 +12,7 @@ from hypose.app.commands.options import number
 
 
 def play(
-    results: Annotated[Path, typer.Argument(help="Results folder of hypose track, or its motion.npz.")],
+    results: Annotated[Path, typer.Argument(help="Results folder of hypose track or hypose fuse, or its motion.npz.")],
     vmc: Annotated[str, typer.Option(help="HOST:PORT that the program listens on.")] = "127.0.0.1:39539",
     speed: Annotated[float, number("How many times as fast as it was.", 0.01, 100)] = 1.0,
     loop: Annotated[bool, typer.Option("--loop", help="Over and over, until Ctrl-C.")] = False,
@@ -21,8 +21,14 @@ def play(
     from hypose.app.live.osc import OscTarget
     from hypose.app.live.vmc import play_motion
     from hypose.io.motions.bodies import load_result_body
+    from hypose.io.motions.results import load_result
+    from hypose.pipeline.posed import pose_fused
 
-    motion, body = load_result_body(results)
+    motion = load_result(results)
+    if motion.poses is None:  # of depth sensors
+        body, motion = pose_fused(motion)
+    else:
+        motion, body = load_result_body(results)
     target = OscTarget(vmc, "--vmc")
     say(f"{len(motion)} frames at {motion.frame_rate:g} Hz to {vmc}" + (", until Ctrl-C." if loop else "."))
     try:
