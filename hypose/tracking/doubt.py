@@ -54,9 +54,10 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
     clip, in the second-barest view, in the limb's reach, over the whole body; exposed*: how much of its part nothing
     else covers, smoothed; hidden: s from when it was last seen, or to the next time; outside*: of the joint's part and
     of the body outside the masks; rival*: what else was believed; cost*: 1 - IoU, and beyond the usual; points*:
-    distance of its key points and of the frame's, how few views have it, and for how long, how many agree or do not, and
-    how far those that do not outweigh those that do: one against one tells nothing, two against one does, and which
-    share of the views calls its limb by the other side's name; apart: by how much the views contradict each other in this clip."""
+    distance of its key points and of the frame's, how few views have it, and for how long, how many agree or do not,
+    and how far those that do not outweigh those that do: one against one tells nothing, two against one does, and which
+    share of the views calls its limb by the other side's name; apart: by how much the views contradict each other in
+    this clip."""
     a = {n: np.asarray(audit, dtype=np.float64)[..., k] for k, n in enumerate(AUDITED)}
     masks, points = np.isfinite(a["bare"]), np.isfinite(a["points_all"])
     known = np.isfinite(a["exchanged"]).any()
