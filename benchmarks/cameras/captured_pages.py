@@ -52,15 +52,15 @@ CAPTURED = (
         "caliscope",
         """A public recording of Caliscope: a person behind a desk, four webcams without a trigger, MediaPipe's points
         without scores and no pictures. Each camera left out in turn: median distance there, in pixels, of what the
-        other three say; theirs are the same points triangulated as Caliscope does. Last lines: our form of that, and
-        our body's points, from the 3D file that it wrote.""",
+        other three say; theirs are the same points triangulated as Caliscope does. Last column: distance of our
+        body's points, and of our form of its triangulation, from the 3D file that it wrote.""",
         (
             Column("camera left out, px", "loco_px"),
             Column("shoulders to wrists, px", "loco_px", "{}, arms"),
             Column("from their file, mm", "agreement_mm"),
         ),
         (
-            Line("hypose", "hypose", (most(1.0, 0, "Caliscope"),)),
+            Line("hypose", "hypose", (most(1.0, 0, "caliscope"),)),
             Line("Caliscope's triangulation", "caliscope"),
         ),
         notebook="cameras.md#captured-movement",
