@@ -1,6 +1,6 @@
 // slow: nothing is cut off on any screen, from a large window to a telephone.
 import assert from "node:assert/strict";
-import { cutOff, walk } from "./harness.mjs";
+import { staysCutOff, walk } from "./harness.mjs";
 
 const SIZES = [[1440, 900], [1280, 720], [1024, 700], [390, 844]];
 
@@ -43,9 +43,8 @@ await walk(
         await page.evaluate(() => (location.hash = "#/none"));
         await page.evaluate((hash) => (location.hash = hash), at);
         await ready();
-        await page.waitForTimeout(400);
+        const found = await staysCutOff(page);
         await picture(`${name}-${width}`);
-        const found = await cutOff(page);
         if (found.length) faults[`${name} ${width}x${height}`] = found;
       }
     }

@@ -39,7 +39,6 @@ def two(served, tmp_path_factory):
     return root, motion, body
 
 
-@pytest.mark.slow
 def test_results_are_compared_and_plotted(two, page, tmp_path):
     root, motion, body = two
     found = gait_of(motion, body)
