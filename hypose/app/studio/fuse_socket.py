@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +71,12 @@ class FuseHost:
             record = free_folder(self._recordings, "live") if message.get("record") is True else None
             settings = LiveSettings(AlignSettings(rate=rate))
             server = LiveServer(LiveOptions(udp=udp, ws=ws, osc=osc, record=record, settings=settings))
-            await server.start()
+            try:
+                await server.start()
+            except InputError:
+                if record is not None:
+                    shutil.rmtree(record, ignore_errors=True)  # nothing was recorded there
+                raise
             self._server = server
             if seen is not None:
                 sending = simulated_sensors.send(seen, server.take, np.random.default_rng(1))

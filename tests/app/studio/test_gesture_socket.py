@@ -127,6 +127,10 @@ def test_a_session_that_cannot_be_is_refused_in_a_sentence(root):
             {"rounds": 10**9},
             {"seconds": {"positive": -1}},
             {"mode": "run", "models": []},
+            {"then": ["tee"]},
+            {"then": ["../x"]},
+            {"then": "ok"},
+            {"then": ["ok"] * 9},
         ):
             page.send(**{"t": "start", "mode": "train", "gesture": "tee", "source": "simulated:0", **change})
             assert page.until("error")["error"].endswith(".")
