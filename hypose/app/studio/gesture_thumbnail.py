@@ -11,7 +11,7 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from hypose.app.studio.answers import told
-from hypose.app.studio.catalog import Catalog, NotFound
+from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.gesture_pictures import coloured
 from hypose.gestures.depth_pictures import surface_depth
 from hypose.pipeline.gesture_files import load_model, read_recording
@@ -23,8 +23,8 @@ _HALF_M = 0.22
 _QUALITY = 82
 
 
-def gesture_thumbnail(model: Path) -> bytes:
-    """A JPEG of the frame in the middle of those from which a model learned its gesture last; NotFound where no session
+def gesture_thumbnail(model: Path) -> bytes | None:
+    """A JPEG of the frame in the middle of those from which a model learned its gesture last; None where no session
     that taught it lies beside the model."""
     learned = load_model(model)
     for entry in reversed(learned.history):
@@ -44,7 +44,7 @@ def gesture_thumbnail(model: Path) -> bytes:
         cut[:, 2] += _SIZE / 2 - frame.x, _SIZE / 2 - frame.y
         small = cv2.warpAffine(coloured(depth), cut, (_SIZE, _SIZE), flags=cv2.INTER_AREA)
         return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
-    raise NotFound("There is no session beside the model that shows the gesture.")
+    return None
 
 
 def routes(catalog: Catalog) -> list[Route]:
@@ -53,6 +53,8 @@ def routes(catalog: Catalog) -> list[Route]:
     async def small(request: Request) -> Response:
         item = catalog.find("model", request.path_params["id"])
         data = await run_in_threadpool(gesture_thumbnail, item.path)
+        if data is None:
+            return Response(status_code=204)
         return Response(data, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=600"})
 
     return [Route("/api/models/{id}/thumbnail.jpg", told(small))]

@@ -1,0 +1,27 @@
+// The longest result first, then all others of the folder: seconds from the click to the result, its figures and pictures
+// on the screen. Prints JSON.
+import { walk } from "./harness.mjs";
+
+await walk(
+  async ({ page, address }) => {
+    page.setDefaultTimeout(200_000);
+    const { results } = await (await fetch(new URL("api/state", address))).json();
+    const order = [...results].sort((a, b) => b.frames - a.frames || a.path.localeCompare(b.path));
+    await page.getByRole("heading", { name: "Results" }).waitFor();
+    const opened = [];
+    for (const { id, path, frames, pictured } of order) {
+      const began = performance.now();
+      await page.evaluate((one) => (location.hash = `#/view/${one}`), id);
+      await page.waitForFunction(
+        ([n, seen]) => window.hypose?.view.player.rows === n && document.querySelector(".where")?.textContent && (!seen || window.hypose.pictureRow() === 0) && document.querySelectorAll(".plot-area canvas").length > 0,
+        [frames, pictured],
+        { polling: "raf" },
+      );
+      opened.push({ path, frames, seconds: (performance.now() - began) / 1000 });
+      await page.evaluate(() => (location.hash = "#/view"));
+      await page.getByRole("heading", { name: "Results" }).waitFor();
+    }
+    console.log(JSON.stringify({ results: opened }));
+  },
+  { at: "#/view", viewport: { width: 1440, height: 900 } },
+);
