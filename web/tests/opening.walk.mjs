@@ -1,12 +1,12 @@
-// The longest result first, then all others of the folder: seconds from the click to the result, its figures and pictures
-// on the screen. Prints JSON.
+// Opens all results of the folder whose path holds OPEN, one after the other: seconds until the result, its figures and
+// pictures are on the screen. Prints JSON.
 import { walk } from "./harness.mjs";
 
 await walk(
   async ({ page, address }) => {
     page.setDefaultTimeout(200_000);
     const { results } = await (await fetch(new URL("api/state", address))).json();
-    const order = [...results].sort((a, b) => b.frames - a.frames || a.path.localeCompare(b.path));
+    const order = results.filter((r) => r.path.includes(process.env.OPEN ?? "")).sort((a, b) => a.path.localeCompare(b.path));
     await page.getByRole("heading", { name: "Results" }).waitFor();
     const opened = [];
     for (const { id, path, frames, pictured } of order) {
