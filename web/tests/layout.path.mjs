@@ -22,7 +22,7 @@ await walk(
         await page.getByRole("tab", { name: "Details" }).click();
       }],
       ["setup", "#/setup", () => page.getByRole("heading", { name: "Set up a recording" }).waitFor()],
-      ...["check", "masks", "person", "track"].map((name) => [`setup-${name}`, `#/setup/${recording}`, step(name)]),
+      ...["sync", "check", "masks", "person", "track"].map((name) => [`setup-${name}`, `#/setup/${recording}`, step(name)]),
       ["click-list", "#/click", () => page.getByRole("heading", { name: "Click to start" }).waitFor()],
       ["click", `#/click/${recording}/0`, () => page.waitForFunction(() => window.__app?.pictures > 0)],
       ["gesture", "#/gesture", () => page.getByRole("button", { name: "Start", exact: true }).waitFor()],
