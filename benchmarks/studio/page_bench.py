@@ -31,8 +31,8 @@ _PATIENCE_S = 900
 def studio(options: BenchOptions) -> BenchReport:
     """opens_s of a result of 60 000 frames that the server has not seen, and of the slowest of ten results of 15 000
     frames with pictures opened one after the other; server_mb: resident memory of the server of these, at most and
-    after the last one; pictures_per_s, click_p50_ms and click_p95_ms of the gesture screen while a session of 30 pictures a
-    second is watched, with a bare canvas of the same pictures as the baseline."""
+    after the last one; pictures_per_s, click_p50_ms and click_p95_ms of the gesture screen while a session of 30
+    pictures a second is watched, with a bare canvas of the same pictures as the baseline."""
     node, browser = _programs()
     frames = (_LONG // 10, _TEN_MINUTES // 10) if options.quick else (_LONG, _TEN_MINUTES)
     with tempfile.TemporaryDirectory() as temporary:
