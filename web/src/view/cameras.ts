@@ -224,7 +224,10 @@ export class CameraPane {
   close(): void {
     this.abort.abort();
     for (const stop of this.stop) stop();
-    for (const tile of this.tiles) tile.image?.close();
+    for (const tile of this.tiles) {
+      tile.image?.close();
+      tile.image = null; // what comes later must not draw it
+    }
   }
 
   private async fetch(): Promise<void> {
