@@ -28,7 +28,7 @@ from hypose.pipeline.doubts import with_doubts
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
 from hypose.pipeline.first_look import first_look, sentences
 from hypose.pipeline.kept_findings import SUBJECT, keep_subject, kept_subject
-from hypose.pipeline.keypoint_track import track_keypoints
+from hypose.pipeline.keypoint_track import track_keypoints, with_named_sides
 from hypose.pipeline.mend_sides import mend_sides, sides_notes
 from hypose.pipeline.picture_start import picture_options, subject_in_picture
 from hypose.pipeline.pictures import depth_note, one_view
@@ -203,6 +203,8 @@ def track_source(
         wrong, looks = against_the_clip(audit, motion.n_views, evidence_of(audit))
         said = {"faults": (*faults, *wrong), "looks": looks}
         return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, **said), results)
+    if method is None and not options.of_picture:
+        source, subject = with_named_sides(source, frame_rate, subject)
     before = tracked_before(results.checkpoint, key, total) if resume and results is not None else None
     begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
     done = track_frames(source, range(total), tracker, begin, subject, keep=keep, before=before, progress=report)

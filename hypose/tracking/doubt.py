@@ -34,7 +34,7 @@ FEATURES = (
     *("exposed", "exposed_second", "hidden", "outside", "outside_body", "rival", "rival_around", "cost", "cost_more"),
     *("elsewhere", "elsewhere_by", "exchanged"),
     *("points", "points_worst", "points_around", "points_few", "points_unseen", "points_all"),
-    *("points_agree", "points_against", "apart"),
+    *("points_agree", "points_against", "points_contested", "points_renamed", "apart"),
 )
 """What a joint is judged by, see `clip_features`."""
 GROUPS = ("trunk", "arms", "legs")
@@ -53,8 +53,9 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
     clip, in the second-barest view, in the limb's reach, over the whole body; exposed*: how much of its part nothing
     else covers, smoothed; hidden: s from when it was last seen, or to the next time; outside*: of the joint's part and
     of the body outside the masks; rival*: what else was believed; cost*: 1 - IoU, and beyond the usual; points*:
-    distance of its key points and of the frame's, how few views have it, and for how long, how many agree or do not;
-    apart: by how much the views contradict each other in this clip."""
+    distance of its key points and of the frame's, how few views have it, and for how long, how many agree or do not, and
+    how far those that do not outweigh those that do: one against one tells nothing, two against one does, and which share of the views calls its limb by the
+    other side's name; apart: by how much the views contradict each other in this clip."""
     a = {n: np.asarray(audit, dtype=np.float64)[..., k] for k, n in enumerate(AUDITED)}
     masks, points = np.isfinite(a["bare"]), np.isfinite(a["points_all"])
     known = np.isfinite(a["exchanged"]).any()
@@ -99,6 +100,13 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
         "points_all": np.log(0.005 + a["points_all"]) * points,
         "points_agree": np.minimum(_mean(a["points_agree"], around), 3) * points,
         "points_against": np.sqrt(_mean(a["points_against"], around)) * points,
+        "points_contested": _mean(
+            a["points_against"] / np.maximum(a["points_agree"] ** 2 + a["points_against"], 1.0), around
+        )
+        * points,
+        "points_renamed": _mean(a["renamed"], around)
+        / np.maximum(_mean(a["renamed"] + a["named"], around), 0.5)
+        * points,
         "apart": np.full(count, np.sqrt(views_apart(audit))),
     }
     return np.stack([found[n] for n in FEATURES], -1)
