@@ -32,8 +32,8 @@ def studio(options: BenchOptions) -> BenchReport:
     """opens_s of a result of 60 000 frames that the server has not seen, of the same once more (what the page takes),
     and of the slowest of ten results of 15 000 frames with pictures opened one after the other; server_mb: resident
     memory of the server of these ten, at most and after the last one; pictures_per_s, click_p50_ms and click_p95_ms of
-    the gesture screen while a session of 30 pictures a second is watched; their baseline is a bare canvas that shows the
-    same pictures."""
+    the gesture screen while a session of 30 pictures a second is watched; their baseline is a bare canvas that shows
+    the same pictures."""
     node, browser = _programs()
     frames = (_LONG // 10, _TEN_MINUTES // 10) if options.quick else (_LONG, _TEN_MINUTES)
     with tempfile.TemporaryDirectory() as temporary:
