@@ -26,14 +26,13 @@ PICTURES = {
     "teach": "gesture-several",
     "gesture": "gesture-test",
     "watch": "gesture-watched",
-    "click": "click-two-views",
     "drop": "raw-dropped",
     "calibrate": "raw-calibrated",
     "in-step": "raw-moved",
     "check": "mend-findings",
     "masks": "raw-masks",
     "person": "setup-person",
-    "track": "setup-tracking",
+    "track": "setup-tracked",
     "live": "live",
 }
 """What docs/images/studio-NAME.jpg is called by the walks."""
