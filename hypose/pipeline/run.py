@@ -34,7 +34,7 @@ from hypose.pipeline.picture_start import picture_options, subject_in_picture
 from hypose.pipeline.pictures import depth_note, one_view
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
 from hypose.pipeline.verdict import Verdict, verdict_of
-from hypose.tracking.doubt import evidence_of, judged
+from hypose.tracking.doubt import as_mixture, evidence_of, judged
 from hypose.tracking.fitted_spread import beyond_usual, pose_covariance, with_fitted_angles, with_fitted_joints
 from hypose.tracking.frame_evidence import OwnEvidence
 from hypose.tracking.pose_covariance import unpacked
@@ -290,14 +290,14 @@ def _doubted(
     motion: Motion, subject: Subject, one_by_one: Array, audit: NDArray[np.float32], covariance: Array
 ) -> Motion:
     """The motion with the probability that a joint is wrong, what is doubtful for that, and standard deviations that
-    hold; covariance (T, D, D) of the poses."""
+    hold, of what is doubtful too; covariance (T, D, D) of the poses."""
     evidence = evidence_of(audit)
     # by what the curvature says
     p, joints = judged(motion, subject.body.joints(one_by_one), audit, subject.unsure)
     beyond = beyond_usual(audit, evidence)
     motion = with_fitted_angles(with_fitted_joints(motion, evidence, beyond), covariance, evidence, beyond)
     frames = joints.any(1) if motion.doubtful is None else motion.doubtful | joints.any(1)
-    return replace(motion, p_wrong=p, doubtful_joints=joints, doubtful=frames)
+    return as_mixture(replace(motion, p_wrong=p, doubtful_joints=joints, doubtful=frames))
 
 
 def _written(result: TrackResult, results: ResultsFolder | None) -> TrackResult:

@@ -36,8 +36,8 @@ that is plainly worse; by how much the body with its sides exchanged overlaps th
 masks better (NaN: not looked at in this frame); m, distance of the joint's key points from it, median and largest over
 the views; views with one; m, median over all points of the frame; views with one, as it was detected, that agrees with
 the joint, and with one that speaks against it; views whose points of both its legs, or arms, are called by the other
-side's names where the body has them, and by their own (0 of joints of no limb); m, by how much the views' masks as a whole contradict each
-other (`hypose.tracking.view_shifts`), the same of all joints (NaN: not looked at in this frame).
+side's names where the body has them, and by their own (0 of joints of no limb); m, by how much the views' masks as a
+whole contradict each other (`hypose.tracking.view_shifts`), the same of all joints (NaN: not looked at in this frame).
 """
 NEAR_M = 0.25
 _TALL = 110

@@ -1,8 +1,8 @@
 """Key points of a whole clip solved at once: no frame is final before the last one has been seen.
 
 First frame after frame, which puts exchanged sides right, leaves strangers out and finds the pose's branch; again from
-where that has gone on with the wrong leg or arm by the names of most points; then all frames together on the key points themselves, with feet that stand. For a camera that is still running, the tracker
-looks at key points frame by frame.
+where that has gone on with the wrong leg or arm by the names of most points; then all frames together on the key points
+themselves, with feet that stand. For a camera that is still running, the tracker looks at key points frame by frame.
 """
 
 from __future__ import annotations
