@@ -51,7 +51,8 @@ class FuseHost:
     def _told(self, server: LiveServer) -> dict[str, Any]:
         record = server.options.record
         shown = None if record is None else f"{record.parent.name}/{record.name}"
-        return {"simulated": self._simulated is not None, "osc": server.options.osc, "record": shown}
+        o = server.options
+        return {"simulated": self._simulated is not None, "osc": o.osc, "vmc": o.vmc, "record": shown}
 
     async def start(self, message: dict[str, Any]) -> None:
         """Open the ports on this computer, and the recording where one is wanted; an InputError when they are taken.
@@ -61,16 +62,14 @@ class FuseHost:
         made_up = message.get("simulated") or 0
         if made_up:
             whole(made_up, "the number of simulated sensors", 2, simulated_sensors.MOST)
-        osc = message.get("osc") or None
-        if osc is not None:
-            osc = text(osc, "target for OSC", 100, "give HOST:PORT, for example 127.0.0.1:9000")
+        osc, vmc = (_target(message.get(k), port) for k, port in (("osc", 9000), ("vmc", 39539)))
         async with self._changing:
             if self._server is not None:
                 raise NotNow("The fusion is running already; stop it first.")
             seen = await run_in_threadpool(_seen, made_up) if made_up else None
             record = free_folder(self._recordings, "live") if message.get("record") is True else None
             settings = LiveSettings(AlignSettings(rate=rate))
-            server = LiveServer(LiveOptions(udp=udp, ws=ws, osc=osc, record=record, settings=settings))
+            server = LiveServer(LiveOptions(udp=udp, ws=ws, osc=osc, vmc=vmc, record=record, settings=settings))
             try:
                 await server.start()
             except InputError:
@@ -173,6 +172,13 @@ def routes(host: FuseHost, sockets: Sockets) -> list[BaseRoute]:
         await sockets.serve(ws, talk)
 
     return [WebSocketRoute("/ws/fuse", socket)]
+
+
+def _target(value: Any, port: int) -> str | None:
+    """Where fused skeletons are sent to; None for nowhere."""
+    if value is None or value == "":
+        return None
+    return text(value, "address to send to", 100, f"give HOST:PORT, for example 127.0.0.1:{port}").strip()
 
 
 def _seen(sensors: int) -> simulated_sensors.SensorRecording:

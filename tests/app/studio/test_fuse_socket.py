@@ -36,9 +36,13 @@ def test_simulated_sensors_begin_again_where_they_began():
 def test_simulated_sensors_are_fused_recorded_and_told_where_they_stand(own_studio):
     with own_studio.socket("/ws/fuse") as socket:
         assert until(socket, "hello")["running"] is False
-        start(socket, simulated=2, record=True, osc="127.0.0.1:9")
+        start(socket, simulated=2, record=True, osc="127.0.0.1:9", vmc="127.0.0.1:9")
         running = until(socket, "hello")["running"]
-        assert running["simulated"] and running["record"] == "live/live" and running["osc"] == "127.0.0.1:9"
+        assert (
+            running["simulated"]
+            and running["record"] == "live/live"
+            and running["osc"] == running["vmc"] == "127.0.0.1:9"
+        )
         while len([s for s in until(socket, "status")["sensors"] if s["place"]]) < 2:
             pass
         message = until(socket, "status")
@@ -61,7 +65,16 @@ def test_simulated_sensors_are_fused_recorded_and_told_where_they_stand(own_stud
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"simulated": 5}, {"simulated": True}, {"osc": "nowhere"}, {"osc": 3}, {"rate": 0}, {"udp": 70000}],
+    [
+        {"simulated": 5},
+        {"simulated": True},
+        {"osc": "nowhere"},
+        {"osc": 3},
+        {"vmc": "127.0.0.1:0"},
+        {"vmc": [], "record": True},
+        {"rate": 0},
+        {"udp": 70000},
+    ],
 )
 def test_what_cannot_be_started_is_refused_in_a_sentence(own_studio, wrong):
     with own_studio.socket("/ws/fuse") as socket:

@@ -20,6 +20,7 @@ export interface Running {
   ws: number;
   simulated: boolean;
   osc: string | null;
+  vmc: string | null;
   record: string | null;
 }
 export type LiveMessage =
