@@ -41,7 +41,7 @@ export function liveForm(send: (message: Record<string, unknown>) => void): {
       "div",
       { class: "live-form" },
       row("Seen by", source),
-      h("div", { class: "live-row" }, h("label", {}, "UDP port", udp), h("label", {}, "WebSocket", ws)),
+      h("div", { class: "live-row" }, h("label", {}, "UDP", udp), h("label", {}, "WebSocket", ws)),
       row("OSC to", osc),
       row("Avatar at", vmc),
       row("Record", h("label", {}, record, "all that the sensors send")),
