@@ -5,7 +5,7 @@ import { barriers, other, resting, staysCutOff, walk } from "./harness.mjs";
 await walk(
   async ({ page, picture }) => {
     const { results } = await (await fetch(new URL("api/state", process.env.STUDIO))).json();
-    await page.evaluate((id) => (location.hash = `#/view/${id}`), results[0].id);
+    await page.evaluate((id) => (location.hash = `#/view/${id}`), results.find((r) => r.path.endsWith("walk/results/default")).id);
     await page.waitForFunction(() => window.hypose?.pictureRow() === 0);
     const row = () => page.evaluate(() => window.hypose.row());
     const eye = () => page.evaluate(() => [...window.hypose.view.space.stage.camera.position, ...window.hypose.view.space.stage.controls.target]);
