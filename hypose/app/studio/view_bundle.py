@@ -172,7 +172,7 @@ def _turns(skeleton: Skeleton, poses: Array) -> dict[str, np.ndarray]:
     return out
 
 
-def _upper(matrices: Array) -> np.ndarray:
+def _upper(matrices: NDArray[np.floating]) -> np.ndarray:
     """Symmetric matrices (..., 3, 3) as xx xy xz yy yz zz (..., 6) float32."""
     out = np.empty((*matrices.shape[:-2], 6), "<f4")
     for k, (i, j) in enumerate(zip(*np.triu_indices(3), strict=True)):
