@@ -54,6 +54,7 @@ from benchmarks.multiview import (
 from benchmarks.one_camera import mono_benchmarks, mono_real
 from benchmarks.people import mixed_up, shelf, together, two_people
 from benchmarks.robustness import batch_scale, faults, inputs, kills
+from benchmarks.studio import page_bench
 from hypose.errors import InputError
 
 
@@ -120,6 +121,7 @@ def benchmarks() -> dict[str, Benchmark]:
         "gesture-false-alarms": Benchmark(gesture_alarms.false_alarms, "seeds", "first_seed", "parts"),
         "batch": Benchmark(batch_scale.batch, "seeds", "first_seed"),
         "faults": Benchmark(faults.faults, "seeds", "first_seed"),
+        "studio": Benchmark(page_bench.studio),
         "front-back": Benchmark(front_back.front_back, "seeds", "first_seed"),
         "starts": Benchmark(starts_bench.starts, "seeds", "first_seed", "parts"),
         "kills": Benchmark(kills.kills, "seeds", "first_seed"),

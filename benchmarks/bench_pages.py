@@ -340,6 +340,25 @@ _ROBUSTNESS = (
     ),
 )
 
+_STUDIO = (
+    Page(
+        "studio",
+        """The page in headless Chromium, which draws on the processor, and a server of its own: a result of 60 000
+        frames that it has not seen, then ten results of 15 000 frames with pictures one after the other; a recorded
+        session of 30 pictures a second on the gesture screen.""",
+        lines=(
+            Line("60 000 frames open, s", "long result", (most(3),), "opens_s"),
+            Line("the same again, s", "long result again", (), "opens_s"),
+            Line("slowest of ten results, s", "slowest of ten", (most(3),), "opens_s"),
+            Line("server's memory at most, MB", "at most", (most(400),), "server_mb"),
+            Line("and after ten results, MB", "after ten results", (), "server_mb"),
+            Line("pictures a second, gestures", "gesture screen", (least(28),), "pictures_per_s"),
+            Line("with View beside it", "gesture screen, View beside it", (), "pictures_per_s"),
+            Line("click to effect, ms (median)", "gesture screen", (most(60),), "click_p50_ms"),
+        ),
+    ),
+)
+
 SECTIONS: dict[str, tuple[Page, ...]] = {
     "Several cameras": SEVERAL_CAMERAS,
     "Several people": PEOPLE_PAGES,
@@ -351,5 +370,6 @@ SECTIONS: dict[str, tuple[Page, ...]] = {
     "Gestures": _GESTURES,
     "One camera": _ONE_CAMERA,
     "Robustness": _ROBUSTNESS,
+    "The page": _STUDIO,
 }
 """The pages of all benchmarks by heading."""

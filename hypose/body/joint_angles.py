@@ -238,9 +238,11 @@ def _branch(both: Array, prior_axis: int) -> NDArray[np.int64]:
     t, k = both.shape[:2]
     stay = np.abs(_wrap(both[1:, :, 0] - both[:-1, :, 0])).sum(-1)
     change = np.abs(_wrap(both[1:, :, 0] - both[:-1, :, 1])).sum(-1)
+    dearer, extra = change - stay, node[..., 1] - node[..., 0]
     out = np.zeros((t, k), dtype=np.int64)
-    for c in range(k):
-        out[:, c] = _cheapest((change - stay)[:, c].tolist(), (node[..., 1] - node[..., 0])[:, c].tolist())
+    # where neither to leave the first one nor to be on the second is ever cheaper, the first one it is
+    for c in np.flatnonzero((dearer < 0).any(0) | (extra < 0).any(0)):
+        out[:, c] = _cheapest(dearer[:, c].tolist(), extra[:, c].tolist())
     return out
 
 

@@ -1,4 +1,5 @@
 import "./style.css";
+import "./ui/over.css";
 import { route } from "./router";
 import { click } from "./screens/click";
 import { gesture } from "./screens/gesture";

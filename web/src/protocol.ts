@@ -14,6 +14,8 @@ export interface ResultEntry {
   verdict?: "good" | "look" | "not to be trusted" | null; iou?: number | null; sd_mm?: number | null; lost?: number;
 }
 export interface SessionEntry { id: Id; name: string; path: string; gesture: string; frames: number }
+/** A recording of live sensors; result: what it was fused to. */
+export interface SkeletonsEntry { id: Id; name: string; path: string; result: Id | null }
 export interface ModelEntry {
   id: Id; name: string; path: string; gestures: string[]; growing: boolean; thresholds: (number | null)[];
 }
@@ -21,7 +23,8 @@ export interface SourceEntry { value: string; title: string; gestures?: string[]
 
 export interface State {
   version: string; root: string; upload_limit: number; recordings: RecordingEntry[]; results: ResultEntry[];
-  sessions: SessionEntry[]; models: ModelEntry[]; sources: SourceEntry[]; jobs: Job[];
+  sessions: SessionEntry[]; models: ModelEntry[]; sources: SourceEntry[];
+  skeletons: SkeletonsEntry[]; jobs: Job[];
 }
 
 export interface CameraInfo {
@@ -62,7 +65,7 @@ export interface NewRecording {
   subject_height?: number; views: NewView[];
 }
 
-export type JobKind = "calibrate" | "sync" | "in_step" | "check" | "silhouettes" | "subject" | "track" | "correct" | "export" | "demo" | "refine";
+export type JobKind = "calibrate" | "sync" | "in_step" | "check" | "silhouettes" | "subject" | "track" | "correct" | "export" | "demo" | "refine" | "fuse";
 export type JobState = "queued" | "running" | "done" | "failed" | "cancelled";
 export interface Stage {
   name: string; title: string; done: number; total: number; seconds: number; per_s: number | null;
@@ -98,6 +101,8 @@ export type GestureRequest =
   | {
       t: "start"; mode: "train"; gesture: string; source: string; resume?: Id | null; rounds?: number;
       seconds?: Partial<PhaseSeconds>; seed?: number; fast?: boolean;
+      /** Gestures that are taught after it; then all are tried. */
+      then?: string[];
     }
   | { t: "start"; mode: "run"; models: Id[]; source: string; seed?: number; fast?: boolean }
   | { t: "command"; command: GestureCommand }
@@ -112,8 +117,10 @@ export type GestureRequest =
 /** [time, score, high, low, threshold, phase] */
 export type HistoryRow = [number, number | null, number | null, number | null, number | null, string];
 export interface GestureSession {
-  mode: "train" | "run"; gesture: string; gestures: string[]; source: string; title: string; size: [number, number];
+  mode: "train" | "run"; gesture: string; gestures: string[]; models: Id[]; source: string; title: string; size: [number, number];
   rounds: number; seconds: PhaseSeconds; rate: number | null; folder: string | null; resumed: string | null;
+  /** Gestures that are taught after this one, and how many were taught before it. */
+  then: string[]; before: number;
   history: HistoryRow[];
 }
 export interface GestureEvent { kind: "start" | "end"; gesture: string; time: number; x: number; y: number; score: number }

@@ -6,6 +6,7 @@ import { startTheme, themeButton } from "./ui/theme";
 import { ResultView } from "./view/result";
 import type { Outlines, RowPictures, Source } from "./view/source";
 import "./style.css";
+import "./ui/over.css";
 import "./view/view.css";
 import "./report.css";
 

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { join } from "node:path";
-import { cutOff, walk } from "./harness.mjs";
+import { staysCutOff, walk } from "./harness.mjs";
 
 await walk(
   async ({ page, folder, picture }) => {
@@ -36,7 +36,7 @@ await walk(
     await done("check");
     await page.locator(".verdict").waitFor();
     await picture("balancing-checked");
-    assert.deepEqual(await cutOff(page), []);
+    assert.deepEqual(await staysCutOff(page), []);
     await click(page.getByRole("button", { name: /Move the key points by 1 frame/ }));
     await page.getByText(/The key points are moved by 1 frame/).waitFor();
     await click(page.locator("[data-step=track]"));

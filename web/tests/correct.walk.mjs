@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { existsSync, readFileSync } from "node:fs";
 import { join } from "node:path";
-import { cutOff, walk } from "./harness.mjs";
+import { staysCutOff, walk } from "./harness.mjs";
 
 await walk(
   async ({ page, folder, picture }) => {
@@ -84,7 +84,7 @@ await walk(
     did();
     await page.getByText(/left wrist \d+ cm, left elbow \d+ cm/).waitFor();
     await picture("correct-dragged");
-    assert.deepEqual(await cutOff(page), []);
+    assert.deepEqual(await staysCutOff(page), []);
     await page.getByRole("button", { name: "Track again from here" }).click();
     did();
     assert.ok(actions <= 6, `${actions} actions`);

@@ -73,7 +73,7 @@ export async function walk(path, { at = "", expected, ...options } = {}) {
 
 /** What is cut off: controls and words that reach out of the page or of a box that hides the rest of them, words that do
  * not find room in their button, and controls that lie below another. What can be scrolled to is not cut off. */
-export const cutOff = (page) =>
+const cutOff = (page) =>
   page.evaluate(() => {
     const faults = [];
     const told = (e) => `${e.tagName.toLowerCase()}.${e.className?.baseVal ?? e.className} "${(e.getAttribute("aria-label") || e.textContent || "").trim().slice(0, 40)}"`;
@@ -113,6 +113,16 @@ export const cutOff = (page) =>
     }
     return [...new Set(faults)];
   });
+
+/** What stays cut off. In another window or with other contents parts of the page get their sizes a frame later, which on a
+ * busy machine may be long: looked at at once, what is larger than its new place seems cut off. */
+export const staysCutOff = async (page) => {
+  for (let tries = 0; ; tries++) {
+    const found = await cutOff(page);
+    if (!found.length || tries >= 50) return found;
+    await page.waitForTimeout(100);
+  }
+};
 
 /** What axe-core finds that keeps people out who hear the page, use keys only, or see less: findings that it calls serious
  * or critical, as "rule: element". */

@@ -1,6 +1,6 @@
 // slow: nothing is cut off on any screen, from a large window to a telephone.
 import assert from "node:assert/strict";
-import { cutOff, walk } from "./harness.mjs";
+import { staysCutOff, walk } from "./harness.mjs";
 
 const SIZES = [[1440, 900], [1280, 720], [1024, 700], [390, 844]];
 
@@ -22,7 +22,7 @@ await walk(
         await page.getByRole("tab", { name: "Details" }).click();
       }],
       ["setup", "#/setup", () => page.getByRole("heading", { name: "Set up a recording" }).waitFor()],
-      ...["check", "masks", "person", "track"].map((name) => [`setup-${name}`, `#/setup/${recording}`, step(name)]),
+      ...["sync", "check", "masks", "person", "track"].map((name) => [`setup-${name}`, `#/setup/${recording}`, step(name)]),
       ["click-list", "#/click", () => page.getByRole("heading", { name: "Click to start" }).waitFor()],
       ["click", `#/click/${recording}/0`, () => page.waitForFunction(() => window.__app?.pictures > 0)],
       ["gesture", "#/gesture", () => page.getByRole("button", { name: "Start", exact: true }).waitFor()],
@@ -43,9 +43,8 @@ await walk(
         await page.evaluate(() => (location.hash = "#/none"));
         await page.evaluate((hash) => (location.hash = hash), at);
         await ready();
-        await page.waitForTimeout(400);
+        const found = await staysCutOff(page);
         await picture(`${name}-${width}`);
-        const found = await cutOff(page);
         if (found.length) faults[`${name} ${width}x${height}`] = found;
       }
     }

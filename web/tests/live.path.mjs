@@ -1,7 +1,11 @@
-// Two sensors send a person who walks; the page shows one skeleton and how the sensors do.
+// Sensors that are simulated are fused, recorded, sent on by OSC and VMC, and fused again; then two programs send a person who
+// walks: the page shows one skeleton, where the sensors stand and how they do.
 import assert from "node:assert/strict";
 import { createSocket } from "node:dgram";
-import { walk } from "./harness.mjs";
+import { once } from "node:events";
+import { existsSync } from "node:fs";
+import { join } from "node:path";
+import { barriers, staysCutOff, walk } from "./harness.mjs";
 
 // OpenNI's joints of a person who stands upright in the frame of a sensor whose y axis points up, metres.
 const STANDING = {
@@ -24,12 +28,55 @@ function seen(time, angle) {
 }
 
 await walk(
-  async ({ page, picture }) => {
+  async ({ page, folder, picture }) => {
+    const start = page.getByRole("button", { name: "Start", exact: true });
+    const stop = page.getByRole("button", { name: "Stop", exact: true });
     await page.getByText("Not running").waitFor();
     await picture("live-empty");
-    await page.getByLabel("UDP port").fill("0");
-    await page.getByLabel("WebSocket port").fill("0");
-    await page.getByRole("button", { name: "Start" }).click();
+    for (const name of ["UDP port", "WebSocket port"]) await page.getByLabel(name).fill("0");
+
+    // a first try without any sensor, recorded and sent on
+    const listener = createSocket("udp4");
+    await once(listener.bind(0, "127.0.0.1"), "listening");
+    const heard = once(listener, "message");
+    const avatar = createSocket("udp4");
+    await once(avatar.bind(0, "127.0.0.1"), "listening");
+    const moved = once(avatar, "message");
+    await page.getByLabel("Who is seen", { exact: true }).selectOption({ label: "3 simulated sensors" });
+    await page.getByLabel("OSC target").fill(`127.0.0.1:${listener.address().port}`);
+    await page.getByLabel("VMC target").fill(`127.0.0.1:${avatar.address().port}`);
+    await page.getByLabel("all that the sensors send").check();
+    await start.click();
+    await page.waitForFunction(() => globalThis.__app.people === 1 && globalThis.__app.standing === 3);
+    await page.getByText("in place").nth(2).waitFor();
+    assert.match((await heard)[0].toString("latin1"), /\/hypose\/frame/);
+    assert.match((await moved)[0].toString("latin1"), /\/VMC\/Ext\//);
+    const drawn = await page.evaluate(() => globalThis.__app.pictures);
+    await page.waitForFunction((before) => globalThis.__app.pictures > before + 30, drawn);
+    assert.deepEqual(await staysCutOff(page), []);
+    assert.deepEqual(await barriers(page), []);
+    await picture("live");
+    // a page that comes later sees the same
+    await page.reload({ waitUntil: "commit" });
+    await page.waitForFunction(() => globalThis.__app?.people === 1 && globalThis.__app.standing === 3);
+    await stop.click();
+    await page.getByText("Recorded as live/live.").waitFor();
+    listener.close();
+    avatar.close();
+    assert.ok(existsSync(join(folder, "live", "live", "skeleton.csv")));
+    await page.getByRole("button", { name: "Fuse it" }).click();
+    const job = page.locator(".job[data-job=fuse]:is([data-state=done], [data-state=failed])");
+    await job.waitFor({ timeout: 600_000 });
+    assert.equal(await job.getAttribute("data-state"), "done", await job.innerText());
+    await picture("live-recorded");
+    await page.locator(".live-recorded").getByRole("link", { name: "Open in View" }).click();
+    await page.locator(".where").waitFor();
+    await page.goBack();
+
+    // programs that send
+    await start.waitFor();
+    for (const name of ["OSC target", "VMC target"]) await page.getByLabel(name).fill("");
+    await start.click();
     const text = await page.getByText(/awaited at UDP/).textContent();
     const port = Number(/UDP 127\.0\.0\.1:(\d+)/.exec(text)[1]);
     const socket = createSocket("udp4");
@@ -45,13 +92,7 @@ await walk(
       await page.getByText("in place").nth(1).waitFor();
       assert.equal(await page.locator("tbody tr").count(), 2);
       assert.equal(await page.getByLabel("UDP port").inputValue(), String(port));
-      const drawn = await page.evaluate(() => globalThis.__app.pictures);
-      await page.waitForFunction((before) => globalThis.__app.pictures > before + 10, drawn);
-      await picture("live");
-      // a page that comes later sees the same
-      await page.reload({ waitUntil: "commit" });
-      await page.waitForFunction(() => globalThis.__app?.people === 1);
-      await page.getByRole("button", { name: "Stop" }).click();
+      await stop.click();
       await page.getByText("Not running").waitFor();
     } finally {
       clearInterval(timer);

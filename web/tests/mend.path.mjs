@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { cpSync, readFileSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
-import { cutOff, walk } from "./harness.mjs";
+import { staysCutOff, walk } from "./harness.mjs";
 
 await walk(
   async ({ page, folder, picture }) => {
@@ -51,7 +51,7 @@ await walk(
     const found = await page.locator(".finding").allInnerTexts();
     assert.ok(found.findIndex((t) => /moved since/.test(t)) < found.findIndex((t) => /come late/.test(t)), "the cause comes first");
     await picture("mend-findings");
-    assert.deepEqual(await cutOff(page), []);
+    assert.deepEqual(await staysCutOff(page), []);
     await page.getByRole("button", { name: "Leave cam2 out" }).click();
     await page.getByText("Left out: cam2.").waitFor();
     await page.getByText("3 cameras · 8 frames").waitFor();

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { existsSync, readFileSync } from "node:fs";
 import { join } from "node:path";
-import { cutOff, walk } from "./harness.mjs";
+import { staysCutOff, walk } from "./harness.mjs";
 
 await walk(
   async ({ page, folder, picture }) => {
@@ -40,7 +40,7 @@ await walk(
     // calibrated by the board, whose corners are counted; the sheet shows what was seen
     await page.getByRole("heading", { name: "Calibrate", exact: true }).waitFor();
     assert.ok(await button("Calibrate").isDisabled());
-    assert.deepEqual(await cutOff(page), []);
+    assert.deepEqual(await staysCutOff(page), []);
     await picture("raw-uncalibrated");
     await page.getByLabel("Side of a square").selectOption("80");
     clicks += 2;
@@ -50,7 +50,7 @@ await walk(
     await shown(".contact-sheet img");
     await page.getByText("4 cameras · 30 frames").waitFor();
     await picture("raw-calibrated");
-    assert.deepEqual(await cutOff(page), []);
+    assert.deepEqual(await staysCutOff(page), []);
 
     // in step: side by side, moved by hand and back
     await click(button("Next: In step"));
@@ -70,7 +70,7 @@ await walk(
     await page.getByText(/The cameras are in step/).waitFor();
     await shown(".sync-pictures img");
     await picture("raw-in-step");
-    assert.deepEqual(await cutOff(page), []);
+    assert.deepEqual(await staysCutOff(page), []);
 
     await click(button("Next: Check"));
     await click(button("Check the recording"));

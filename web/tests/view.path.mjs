@@ -103,6 +103,14 @@ await walk(
     assert.ok(await where.isVisible());
     await page.getByRole("link", { name: "All results" }).click();
     await page.getByRole("heading", { name: "Results" }).waitFor();
+    await page.goBack();
+    await page.waitForFunction(() => window.hypose?.pictureRow() >= 0);
+    // who leaves just when the frame has rested, before the page has heard of the new address, is not held back
+    await page.evaluate(() => {
+      location.hash = "#/view";
+      window.hypose.view.options.rested(0);
+    });
+    await page.getByRole("heading", { name: "Results" }).waitFor();
   },
   { at: "#/view", colorScheme: "dark", acceptDownloads: true },
 );

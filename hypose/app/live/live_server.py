@@ -280,7 +280,7 @@ class LiveServer:
             queue.put_nowait(text)
 
     def _status(self, now: float) -> str:
-        residuals = self.fuser.people.residuals
+        residuals, places = self.fuser.people.residuals, self.fuser.people.transforms
         sensors = [
             {
                 "name": s.name,
@@ -293,6 +293,7 @@ class LiveServer:
                 "refused": s.refused,
                 "registered": s.name in residuals,
                 "residual": _number(residuals.get(s.name, math.nan)),
+                "place": places[s.name].round(4).tolist() if s.name in places else None,
             }
             for s in self.fuser.status(now)
         ]

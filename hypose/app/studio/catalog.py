@@ -1,4 +1,5 @@
-"""What lies in the served folder: recordings, results, gesture sessions and models, each under an opaque id.
+"""What lies in the served folder: recordings, results, gesture sessions and models, recordings of live sensors, each
+under an opaque id.
 
 The page never names a path. It names an id, which is looked up here, and only what really lies inside the served folder
 (links resolved) has one.
@@ -20,7 +21,7 @@ from hypose.errors import InputError
 from hypose.io.file_names import text_of
 from hypose.io.recordings import pose2sim
 
-Kind = Literal["recording", "result", "session", "model"]
+Kind = Literal["recording", "result", "session", "model", "skeletons"]
 _DEPTH, _MOST, _MOST_FOLDERS = 5, 2000, 20_000
 _FRESH_S = 1.0
 _SKIPPED = frozenset({"node_modules", "__pycache__", "depth", "videos", "images", "masks", "site-packages"})
@@ -130,7 +131,7 @@ def _search(root: Path) -> Iterator[tuple[Kind, Path]]:
         if "motion.npz" in names:
             yield "result", folder
         if {"session.json", "frames.csv"} <= names:
-            yield "session", folder
+            yield "skeletons" if "skeleton.csv" in names else "session", folder
         for entry in entries:
             if entry.suffix == ".npz" and _is_model(entry):
                 yield "model", entry

@@ -8,15 +8,19 @@ from typing import Any, cast
 
 from hypose.app.studio.asked import choice, number, text, whole
 from hypose.errors import InputError
+from hypose.gestures.model import check_gesture_name
 from hypose.gestures.session import COMMANDS, Command, SessionSettings
 
+MOST_GESTURES = 8
+"""Gestures that are taught one after the other."""
 PHASES = ("do_gesture", "positive", "release", "negative")
 
 
 @dataclass(frozen=True)
 class Start:
-    """mode: train or run. gesture, resume (id of a model), settings: of a training. models: ids of a run. source: a
-    value of the state's sources; fast: recordings and the simulated person are not slowed down to their pace."""
+    """mode: train or run. gesture, resume (id of a model), settings: of a training. then: gestures that are taught
+    after it; taught: ids of the models before; all are tried in the end. models: ids of a run. source: a value of the
+    state's sources; fast: recordings and the simulated person are not slowed down to their pace."""
 
     mode: str
     source: str
@@ -24,6 +28,8 @@ class Start:
     resume: str | None = None
     settings: SessionSettings = SessionSettings()
     models: tuple[str, ...] = ()
+    then: tuple[str, ...] = ()
+    taught: tuple[str, ...] = ()
     seed: int = 0
     fast: bool = False
 
@@ -54,7 +60,24 @@ def read_start(message: Mapping[str, Any]) -> Start:
     resume = message.get("resume")
     if resume is not None and not isinstance(resume, str):
         raise InputError("The gesture to go on with is not known; choose it from the list.")
-    return Start("train", source, gesture.strip(), resume, _settings(message), seed=seed, fast=fast)
+    then = _then(message.get("then"), gesture.strip())
+    return Start("train", source, gesture.strip(), resume, _settings(message), then=then, seed=seed, fast=fast)
+
+
+def _then(value: Any, first: str) -> tuple[str, ...]:
+    """The gestures that are taught after the first one."""
+    if value is None:
+        return ()
+    if not isinstance(value, list) or len(value) > MOST_GESTURES - 1:
+        raise InputError(
+            f"At most {MOST_GESTURES} gestures are taught in one session; teach the others in another one."
+        )
+    names = [text(v, "name of a gesture", 64, "type one, for example ok").strip() for v in value]
+    for name in names:
+        check_gesture_name(name)
+    if len({first, *names}) <= len(names):
+        raise InputError("A gesture is named twice; name each of them once.")
+    return tuple(names)
 
 
 def _settings(message: Mapping[str, Any]) -> SessionSettings:

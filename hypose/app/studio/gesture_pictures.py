@@ -27,11 +27,14 @@ _HOLE = (22, 15, 12)
 
 
 def depth_picture(depth: Depth, seq: int, time: float) -> bytes:
-    """A depth picture (h, w) uint16 mm in colours, as a message of type DEPTH; holes are dark."""
-    grey = np.take(_levels(), depth)
-    image = cv2.applyColorMap(grey, _palette())
-    data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
+    """A depth picture (h, w) uint16 mm as a message of type DEPTH."""
+    data = cv2.imencode(".jpg", coloured(depth), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
     return picture(DEPTH, 0, seq, time, data.tobytes())
+
+
+def coloured(depth: Depth) -> NDArray[np.uint8]:
+    """(h, w, 3) BGR of a depth picture (h, w) uint16 mm; holes are dark."""
+    return cv2.applyColorMap(np.take(_levels(), depth), _palette())  # type: ignore[return-value] - uint8, as it says
 
 
 def map_picture(density: NDArray[np.float32], seq: int, time: float, full: float) -> bytes:

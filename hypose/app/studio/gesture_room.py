@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -57,6 +58,7 @@ class GestureRoom:
         self._outlets: list[Outlet] = []
         self._run: Run | None = None
         self._alone: threading.Timer | None = None
+        self._closed = False
 
     def join(self, outlet: Outlet) -> None:
         """A page has come: it gets hello, and then everything."""
@@ -95,6 +97,17 @@ class GestureRoom:
             raise InputError("No session is running; start one.")
         run.post(message)
 
+    def _go_on(self, start: Start, model: str) -> None:
+        """A gesture of several is taught: the next one, or all of them tried. Called by the thread that has ended."""
+        taught = (*start.taught, model)
+        if self._closed:
+            return
+        if start.then:
+            gesture, *then = start.then
+            self._start(replace(start, gesture=gesture, then=tuple(then), taught=taught, resume=None))
+        else:
+            self._start(replace(start, mode="run", models=taught))
+
     def _start(self, start: Start) -> None:
         with self._lock:
             if self._run is not None and not self._run.over:
@@ -114,7 +127,8 @@ class GestureRoom:
                 shut(feed)
                 raise
             resumed = old.stem if old is not None else None
-            self._run = Run(start, activity, resumed, self._places.identify, self._say, self._show)
+            go_on = partial(self._go_on, start)
+            self._run = Run(start, activity, resumed, self._places.identify, self._say, self._show, go_on)
             self._say({"t": "hello", "session": self._run.described()})
             self._run.begin()
 
@@ -131,6 +145,7 @@ class GestureRoom:
     def close(self) -> None:
         """Stop the session with everything saved (the server ends)."""
         with self._lock:
+            self._closed = True
             run, self._outlets = self._run, []
             if self._alone is not None:
                 self._alone.cancel()

@@ -27,7 +27,8 @@ next), and at least this: how dense votes lie is another matter with every gestu
 
 
 class Run:
-    """say gets messages, show pictures; both from this thread."""
+    """say gets messages, show pictures; both from this thread. after: called instead of the last word when one of
+    several gestures is taught, with the id of its model."""
 
     def __init__(
         self,
@@ -37,8 +38,10 @@ class Run:
         identify: Callable[[Path], str],
         say: Callable[[Mapping[str, Any]], None],
         show: Callable[[bytes], None],
+        after: Callable[[str], None],
     ) -> None:
         self.over = False
+        self._after, self._taught = after, False
         self._start, self._activity, self._resumed = start, activity, resumed
         self._identify, self._say, self._show = identify, say, show
         self._history: deque[list[Any]] = deque(maxlen=HISTORY)
@@ -63,12 +66,15 @@ class Run:
             "mode": self._start.mode,
             "gesture": names[0],
             "gestures": names,
+            "models": list(self._start.models),
             "source": self._start.source,
             "title": a.feed.title,
             "size": list(a.feed.source.size),
             **a.told,
             "folder": None if a.folder is None else f"{a.folder.parent.name}/{a.folder.name}",
             "resumed": self._resumed,
+            "then": list(self._start.then),
+            "before": len(self._start.taught),
             "history": list(self._history),
         }
 
@@ -108,17 +114,23 @@ class Run:
             why = str(error)
         except Exception as error:  # noqa: BLE001 - the thread's end must be told, and the work saved
             why = f"The session broke off ({type(error).__name__}: {error}); what was recorded is kept."
+        model = None
         try:
-            self._saved()
+            model = self._saved()
         except (HyposeError, OSError) as error:
             self._say({"t": "error", "error": str(error)})
         a.close()
         shut(a.feed)
         self.over = True
+        if self._taught and model is not None:
+            try:
+                return self._after(model)
+            except (HyposeError, OSError) as error:
+                why = str(error)
         self._say({"t": "ended", "why": why})
 
     def _loop(self) -> str | None:
-        """Until it is stopped (None) or the source ends (why)."""
+        """Until it is stopped, or one of several gestures is taught (None), or the source ends (why)."""
         a, last, seq = self._activity, None, 0
         behind = clock.monotonic()  # the moment at which a picture of time 0 is due
         saved = clock.monotonic()
@@ -141,6 +153,9 @@ class Run:
                 continue
             seq += 1
             self._publish(last, commands, fresh, seq)
+            if (self._start.then or self._start.taught) and a.asks == "test":
+                self._taught = True
+                return None
             if save or clock.monotonic() - saved > _SAVE_S:
                 self._saved()
                 saved = clock.monotonic()
@@ -181,16 +196,18 @@ class Run:
         if judged is not None:
             self._say(judged)
 
-    def _saved(self) -> None:
+    def _saved(self) -> str | None:
+        """Save what was taught; the id of the model."""
         path = self._activity.save(self._controls)
         if path is None:
-            return
-        folder = self._activity.folder
+            return None
+        folder, model = self._activity.folder, self._identify(path)
         self._say(
             {
                 "t": "saved",
-                "model": self._identify(path),
+                "model": model,
                 "path": f"{path.parent.name}/{path.name}",
                 "recording": None if folder is None else self._identify(folder),
             }
         )
+        return model

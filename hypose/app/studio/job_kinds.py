@@ -112,6 +112,7 @@ _OPTIONS: Mapping[str, Mapping[str, tuple[str, _Reader]]] = {
     "correct": {"until": ("--until", _number)},
     "export": {"formats": ("--formats", _formats)},
     "demo": {"seconds": ("--seconds", _number), "seed": ("--seed", _number)},
+    "fuse": {},
 }
 KINDS = tuple(_OPTIONS)
 _TITLES = {
@@ -126,6 +127,7 @@ _TITLES = {
     "correct": "Track {} again from frame {}",
     "export": "Export {}",
     "demo": "Make a demo recording and track it",
+    "fuse": "Fuse {}",
 }
 
 
@@ -156,6 +158,13 @@ def plan(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
     if kind == "export":
         item = catalog.find("result", _id(request, "result"))
         return Plan(("export", str(item.path), *arguments), _TITLES[kind].format(item.path.name), None, item.id)
+    if kind == "fuse":
+        item = catalog.find("skeletons", _id(request, "skeletons"))
+        out = fused_in(item.path)
+        if not catalog.contains(out):
+            raise InputError(f"The results of {item.path.name} lie outside the served folder; use the command line.")
+        command = ("fuse", str(item.path), "--out", str(out))
+        return Plan(command, _TITLES[kind].format(item.path.name), None, catalog.id_of("result", out), True)
     if kind == "correct":
         return _correct(catalog.find("result", _id(request, "result")), arguments, options, catalog)
     item = catalog.find("recording", _id(request, "recording"))
@@ -175,6 +184,11 @@ def plan(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
     extra = ("--refine",) if kind == "refine" else ()
     command = "check" if kind == "refine" else kind
     return Plan((command, str(item.path), *extra, *arguments), title, item.id)
+
+
+def fused_in(skeletons: Path) -> Path:
+    """Where a recording of live sensors is fused to."""
+    return skeletons / "results" / "fuse-fit"
 
 
 def _board_files(folder: Path) -> list[str]:

@@ -42,15 +42,15 @@ _EDGE = (70, 60, 255)  # BGR; the same pink as in the report
 
 @dataclass
 class _Open:
-    """A recording that is being worked on, by one thread at a time. images, masks: readers by view; lenses: what
-    undistorts, by (view, width)."""
+    """A recording that is being worked on, by one thread at a time. images, masks, backgrounds: readers and empty
+    rooms by view; lenses: what undistorts, by (view, width)."""
 
     recording: Recording
     lock: threading.Lock = field(default_factory=threading.Lock)
     images: dict[int, AnyFrame] = field(default_factory=dict)
     masks: dict[int, ViewSource] = field(default_factory=dict)
     lenses: dict[tuple[int, int], Preparer] = field(default_factory=dict)
-    backgrounds: tuple[BackgroundModel | None, ...] | None = None
+    backgrounds: dict[int, BackgroundModel | None] = field(default_factory=dict)
 
     def image(self, view: int, frame: int, small: Camera) -> Image:
         """The undistorted picture of a view with pictures, of the size of the camera `small`."""
@@ -71,7 +71,8 @@ class _Open:
         """Bytes of memory that it holds, about."""
         r = self.recording
         videos = sum(math.prod(r.rig[v].size) for v in (*self.images, *self.masks))
-        working = 0 if self.backgrounds is None else sum(math.prod(c.size) for c in working_rig(r.rig))
+        small = working_rig(r.rig) if self.backgrounds else ()
+        working = sum(math.prod(small[v].size) for v in list(self.backgrounds))
         return self._of_lenses + _PER_PIXEL * videos + _PER_WORKING_PIXEL * working
 
     @property
@@ -197,8 +198,8 @@ class Recordings:
         """The mask at working size, as tracking would get it but for the band around key points."""
         r = opened.recording
         small = working_rig(r.rig)[view]
-        if opened.backgrounds is None:
-            opened.backgrounds = build_backgrounds(r)
+        if view not in opened.backgrounds:  # one after the other: to make one takes many pictures
+            opened.backgrounds[view] = build_backgrounds(r, views=(view,))[view]
         background = opened.backgrounds[view]
         if background is not None:
             return make_segmenter(background, options)(opened.image(view, frame, small))

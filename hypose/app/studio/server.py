@@ -26,6 +26,7 @@ from hypose.app.studio import (
     clicks,
     fuse_socket,
     gesture_socket,
+    gesture_thumbnail,
     library,
     routes_jobs,
     routes_recordings,
@@ -74,7 +75,7 @@ class Studio:
         self.uploads = Uploads(self.catalog, options.upload_limit)
         self.results, self.recordings = Results(self.catalog), Recordings(self.catalog)
         self.library = Library(self.catalog, self.jobs.needs, self._let_go)
-        self.gestures, self.fusion = GestureRoom(places(self.catalog)), FuseHost()
+        self.gestures, self.fusion = GestureRoom(places(self.catalog)), FuseHost(self.catalog.root / fuse_socket.FOLDER)
         self.sockets = Sockets()
         self._routed = Starlette(
             routes=self._routes(), lifespan=self._lifespan, exception_handlers={Exception: _bug, 404: _nothing}
@@ -92,6 +93,7 @@ class Studio:
             *library.routes(self.catalog, self.library),
             *clicks.routes(self.catalog, self.recordings),
             *gesture_socket.routes(self.gestures, self.sockets),
+            *gesture_thumbnail.routes(self.catalog),
             *fuse_socket.routes(self.fusion, self.sockets),
             # an installation without the page has nothing there
             *([Mount("/static", StaticFiles(directory=STATIC))] if STATIC.is_dir() else []),
@@ -121,6 +123,7 @@ class Studio:
             "sessions": sessions_shown(catalog),
             "models": models_shown(catalog),
             "sources": sources_shown(catalog),
+            "skeletons": fuse_socket.recorded(catalog),
             "jobs": [j.shown() for j in self.jobs.every()],
         }
 

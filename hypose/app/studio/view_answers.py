@@ -58,9 +58,8 @@ class Results:
             folder = self._catalog.recording_of(item.path)
             if folder is None:
                 raise NotFound("The result has no recording beside it, so there are no pictures of it.")
-            motion = load_motion(item.path / "motion.npz")
-            frames = motion.provenance.get("settings", {}).get("frames")
-            return ViewPictures(load_recording(folder), int(frames[0]) if frames else 0, len(motion))
+            head = self.head(item)  # the motion itself is not needed, and may be large
+            return ViewPictures(load_recording(folder), head["first_frame"], head["frames"])
 
         return self._pictures.use((item.id, _stamp(item.path)), make)
 
@@ -73,11 +72,13 @@ class Results:
 
     def _read_head(self, item: Item) -> dict[str, Any]:
         folder = self._catalog.recording_of(item.path)
-        recipe, correctable, quality = "unknown", False, {}
+        recipe, correctable, quality, first = "unknown", False, {}, 0
         try:
             motion = load_motion(item.path / "motion.npz")
             frames, rate = len(motion), motion.frame_rate
             recipe = str(motion.provenance.get("recipe", recipe))
+            given = motion.provenance.get("settings", {}).get("frames")
+            first = int(given[0]) if given else 0
             correctable = folder is not None and motion.poses is not None and not (item.path / "modes.npz").exists()
             quality = quality_of(item.path, motion)
         except HyposeError:
@@ -90,6 +91,7 @@ class Results:
             "recording": self._catalog.id_of("recording", folder) if folder is not None else None,
             "recipe": recipe,
             "frames": frames,
+            "first_frame": first,
             "frame_rate": rate,
             "seconds": frames / rate if rate else 0.0,
             "complete": frames > 0 and not (item.path / "checkpoint.npz").exists(),

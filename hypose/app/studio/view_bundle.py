@@ -36,6 +36,8 @@ MAGIC = b"HYPOSEV1"
 LOST, EXTRAPOLATED, DOUBTFUL = 1, 2, 3
 MOST_RIVALS = 6
 _UNKNOWN_PERCENT = 255
+_AT_ONCE = 1 << 16
+"""Rotations that are worked on at a time."""
 _DTYPES = {"f4": "<f4", "f8": "<f8", "u1": "|u1", "u2": "<u2", "u4": "<u4"}
 
 
@@ -108,7 +110,7 @@ def view_bundle(result: ViewResult) -> bytes:
     text = json.dumps(plain(header), ensure_ascii=False, separators=(",", ":")).encode()
     parts = [MAGIC, struct.pack("<I", len(text)), text, b"\0" * (-(len(MAGIC) + 4 + len(text)) % 8)]
     for a in arrays.values():
-        parts += [a.tobytes(), b"\0" * (-a.nbytes % 8)]
+        parts += [np.ascontiguousarray(a).reshape(-1).view(np.uint8), b"\0" * (-a.nbytes % 8)]  # not copied twice
     return b"".join(parts)
 
 
@@ -128,24 +130,18 @@ def read_bundle(data: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
     m = result.motion
-    rows, columns = np.triu_indices(3)
     out = {
         "times": m.times.astype("<f8"),
         "joints": m.joints.astype("<f4"),
-        "joint_covariance": m.joint_covariance[..., rows, columns].astype("<f4"),
+        "joint_covariance": _upper(m.joint_covariance),
         "flags": _flags(m),
         "n_views": np.clip(m.n_views, 0, 255).astype("u1"),
         "cost": m.cost.astype("<f4"),
     }
     if m.poses is not None:
-        known = np.asarray(np.isfinite(m.poses).all(1))
-        rotations, centres = m.skeleton.forward(m.poses[known])
-        out["rotations"] = _in_rows(_quaternions(rotations), known)
-        if angles_known(m.skeleton):
-            turns = angles_of_frames(m.skeleton, rotations, centres) if known.any() else np.zeros((0, len(ANGLE_NAMES)))
-            out["angles"] = _in_degrees(ANGLE_NAMES, _in_rows(turns, known).T)
-            if m.angle_sd is not None:
-                out["angle_sd"] = _in_degrees(ANGLE_NAMES, m.angle_sd.T)
+        out |= _turns(m.skeleton, m.poses)
+        if "angles" in out and m.angle_sd is not None:
+            out["angle_sd"] = _in_degrees(ANGLE_NAMES, m.angle_sd.T)
         if result.body is not None:
             out |= _mesh("fine", result.body.fine) | _mesh("coarse", result.body.coarse)
             out["rest_joints"] = m.skeleton.rest_joints.astype("<f4")
@@ -162,6 +158,25 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
         if result.truth.joints is not None:
             out["truth_joints"] = result.truth.joints.astype("<f4")
         out["truth_distances"] = result.truth.distances.astype("<f4")
+    return out
+
+
+def _turns(skeleton: Skeleton, poses: Array) -> dict[str, np.ndarray]:
+    """How joints are turned in poses (T, D), and the anatomical angles where the skeleton has these."""
+    known = np.asarray(np.isfinite(poses).all(1))
+    rotations, centres = skeleton.forward(poses[known])
+    out = {"rotations": _in_rows(_quaternions(rotations), known)}
+    if angles_known(skeleton):
+        turns = angles_of_frames(skeleton, rotations, centres) if known.any() else np.zeros((0, len(ANGLE_NAMES)))
+        out["angles"] = _in_degrees(ANGLE_NAMES, _in_rows(turns, known).T)
+    return out
+
+
+def _upper(matrices: NDArray[np.floating]) -> np.ndarray:
+    """Symmetric matrices (..., 3, 3) as xx xy xz yy yz zz (..., 6) float32."""
+    out = np.empty((*matrices.shape[:-2], 6), "<f4")
+    for k, (i, j) in enumerate(zip(*np.triu_indices(3), strict=True)):
+        out[..., k] = matrices[..., i, j]
     return out
 
 
@@ -188,8 +203,12 @@ def _in_rows(values: Array, known: NDArray[np.bool_]) -> Array:
 
 def _quaternions(rotations: Array) -> np.ndarray:
     """World-from-joint rotations (N, J, 3, 3) as float32 quaternions (N, J, 4) x y z w."""
-    flat = Rotation.from_matrix(rotations.reshape(-1, 3, 3), assume_valid=True).as_quat()
-    return flat.reshape(*rotations.shape[:2], 4).astype("<f4")
+    flat = rotations.reshape(-1, 3, 3)
+    out = np.empty((len(flat), 4), "<f4")
+    for at in range(0, len(flat), _AT_ONCE):  # some at a time: what is made of them is larger than the rest
+        some = slice(at, at + _AT_ONCE)
+        out[some] = Rotation.from_matrix(flat[some], assume_valid=True).as_quat()
+    return out.reshape(*rotations.shape[:2], 4)
 
 
 def _mesh(level: str, mesh: Mesh) -> dict[str, np.ndarray]:

@@ -9,7 +9,7 @@ are asked for, where a run was resumed, or the number of threads.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -160,8 +160,10 @@ def build_backgrounds(
     options: FrameSettings | None = None,
     keypoints: Sequence[Keypoints] | None = None,
     covers: Covers | None = None,
+    views: Collection[int] | None = None,
 ) -> tuple[BackgroundModel | None, ...]:
-    """One background per view, None for views with masks of their own or without pictures.
+    """One background per view, None for views with masks of their own or without pictures, and for those that are not
+    among `views`, where these are given: all at once hold many pictures.
 
     A clip of the empty room is used as it is. Photos are combined with the recording itself; without
     either the recording alone is used (hypose.evidence.background.from_recording), with the key points'
@@ -174,7 +176,7 @@ def build_backgrounds(
 
     def build(c: int) -> BackgroundModel | None:
         view = recording.views[c]
-        if view.masks is not None or view.source is None:
+        if view.masks is not None or view.source is None or (views is not None and c not in views):
             return None
         prepare = Preparer(recording.rig[c], small[c], view.image_shift)
         plate = None

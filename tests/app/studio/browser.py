@@ -33,13 +33,14 @@ def chromium():
 
 
 def go(path, address, folder, pictures, timeout=1800):
-    """Go a path of web/tests; what the browser said is in the failure."""
+    """Go a path of web/tests; what the browser said is in the failure. Its pictures are kept in the folder that the
+    variable HYPOSE_PICTURES names, where there is one."""
     program, builder = chromium(), build()
     if not (WEB / "node_modules" / "playwright-core").is_dir():
         missing.skip("the studio's page", "python hatch_build.py --tests, with a network")
     node, _ = builder.find_node()
     environment = {**os.environ, "STUDIO": address, "FOLDER": str(folder), "CHROMIUM": program}
-    environment["PICTURES"] = str(pictures)
+    pictures = environment["PICTURES"] = os.environ.get("HYPOSE_PICTURES", str(pictures))
     with tempfile.TemporaryDirectory() as home:  # where Chromium keeps what it keeps, crash reports for one
         environment["HOME"] = home
         command = [node, str(path)]

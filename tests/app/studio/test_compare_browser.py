@@ -2,7 +2,6 @@
 
 import io
 import json
-import os
 import zipfile
 from dataclasses import replace
 
@@ -39,7 +38,6 @@ def two(served, tmp_path_factory):
     return root, motion, body
 
 
-@pytest.mark.slow
 def test_results_are_compared_and_plotted(two, page, tmp_path):
     root, motion, body = two
     found = gait_of(motion, body)
@@ -52,7 +50,7 @@ def test_results_are_compared_and_plotted(two, page, tmp_path):
     }
     (root / "expected.json").write_text(json.dumps(expected))
     with serving(root) as client:
-        go(WEB / "tests" / "compare.walk.mjs", client.address, root, os.environ.get("HYPOSE_PICTURES", tmp_path))
+        go(WEB / "tests" / "compare.walk.mjs", client.address, root, tmp_path)
 
 
 def test_all_files_of_a_result_in_one(two):

@@ -1,6 +1,7 @@
 """A gesture taught over the wire to the simulated person: what a closed page loses, resuming, and how good it gets."""
 
 import json
+import shutil
 import struct
 
 import cv2
@@ -90,6 +91,14 @@ def test_a_closed_page_loses_nothing_and_resuming_grows_the_same_forest(root):
             page.until("step", phase="test")
             page.send(t="stop")
             page.until("ended")
+        shown = f"/api/models/{model_of(client)['id']}/thumbnail.jpg"
+        status, headers, data = client.ask(shown)
+        assert status == 200 and headers["content-type"] == "image/jpeg"
+        assert cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR).shape == (96, 96, 3)
+        for session in client.get("/api/state")["sessions"]:
+            shutil.rmtree(root / session["path"])
+        assert client.ask(shown)[0] == 204
+        assert client.ask("/api/models/0123456789ab/thumbnail.jpg")[0] == 404
         after = load_model(root / model_of(client)["path"])
         assert len(client.get("/api/state")["models"]) == 1 and len(after.history) > len(before.history)
         # what had grown is still there: tests of nodes that were split stay as they were
@@ -127,6 +136,10 @@ def test_a_session_that_cannot_be_is_refused_in_a_sentence(root):
             {"rounds": 10**9},
             {"seconds": {"positive": -1}},
             {"mode": "run", "models": []},
+            {"then": ["tee"]},
+            {"then": ["../x"]},
+            {"then": "ok"},
+            {"then": ["ok"] * 9},
         ):
             page.send(**{"t": "start", "mode": "train", "gesture": "tee", "source": "simulated:0", **change})
             assert page.until("error")["error"].endswith(".")

@@ -1,7 +1,6 @@
 """From raw footage to a result, by the page only: what `hypose synth --raw` writes, and a real Pose2Sim project."""
 
 import json
-import os
 import shutil
 import sys
 from pathlib import Path
@@ -36,11 +35,10 @@ def session(tmp_path_factory):
 
 
 def test_raw_footage_becomes_a_result_in_fifteen_clicks(session, page, tmp_path):
-    pictures = os.environ.get("HYPOSE_PICTURES", tmp_path)
     truth = session.parent / "truth.npz"
     (session / "session" / "truth.npz").replace(truth)
     with serving(session) as client:
-        said = go(WEB / "tests" / "raw.walk.mjs", client.address, session, pictures)
+        said = go(WEB / "tests" / "raw.walk.mjs", client.address, session, tmp_path)
     assert json.loads(said.strip().splitlines()[-1])["clicks"] <= MOST_CLICKS
     motion = load_motion(session / "mine" / "results" / "default" / "motion.npz")
     off = np.nanmean(compare(truth, motion, 0).distances)
@@ -60,9 +58,7 @@ def test_a_pose2sim_projects_own_files_become_a_result(page, tmp_path):
     root.mkdir()
     (root / "expected.json").write_text(json.dumps({"raw": str(raw)}))
     with serving(root) as client:
-        said = go(
-            WEB / "tests" / "balancing.walk.mjs", client.address, root, os.environ.get("HYPOSE_PICTURES", tmp_path)
-        )
+        said = go(WEB / "tests" / "balancing.walk.mjs", client.address, root, tmp_path)
     assert json.loads(said.strip().splitlines()[-1])["clicks"] <= MOST_CLICKS
     motion = load_motion(root / "beam" / "results" / "default" / "motion.npz")
     assert len(motion) == 100 and motion.lost.mean() < 0.05 and np.nanmedian(motion.cost) < 0.3

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from benchmarks.studio.long_results import long_result
 from hypose.app.cli import main
 from hypose.app.jobs.truth import compare
 from hypose.app.reports import report_viewer
@@ -32,19 +33,6 @@ def flagged(source, target):
     n = np.arange(len(motion))
     target.mkdir(parents=True)
     save_motion(replace(motion, lost=(n == 6) | (n == 7), extrapolated=n == 3), target / "motion.npz")
-    shutil.copy(source / "body.npz", target)
-
-
-def ten_minutes(source, target):
-    """15 000 frames: the run forth and back again and again."""
-    motion = load_motion(source / "motion.npz")
-    names = ("poses", "joints", "joint_covariance", "lost", "extrapolated", "n_views", "cost")
-    names += ("doubtful", "p_wrong", "doubtful_joints", "angle_sd", "rivals", "rival_weights")
-    there_and_back = {n: np.concatenate([getattr(motion, n), getattr(motion, n)[::-1]]) for n in names}
-    times = 15_000 // (2 * len(motion)) + 1
-    series = {n: np.concatenate([a] * times)[:15_000] for n, a in there_and_back.items()}
-    target.mkdir(parents=True)
-    save_motion(replace(motion, times=np.arange(15_000) / 25, **series), target / "motion.npz")
     shutil.copy(source / "body.npz", target)
 
 
@@ -78,7 +66,7 @@ def test_flags_comparison_and_ten_minutes(served, page, tmp_path):
     default = root / "walk" / "results" / "default"
     flagged(default, default.with_name("flagged"))
     one_camera(default, default.with_name("monocular"))
-    ten_minutes(default, root / "long")
+    long_result(default, root / "long", 15_000)
     (root / "expected.json").write_text(json.dumps(expected(load_recording(root / "walk"), default)))
     with serving(root) as client:
         said = go(WEB / "tests" / "view_own.walk.mjs", client.address, root, tmp_path, 1500)

@@ -2,6 +2,7 @@ import type { CameraInfo } from "../protocol";
 import { h, sharpCanvas } from "../ui/dom";
 import { colour, onTheme } from "../ui/theme";
 import { side } from "../lib/bundle";
+import { wheelFactor, Zoom, type XY } from "../lib/zoom";
 import type { ClickState, Point } from "./clicks";
 import { drawLoupe } from "./loupe";
 import { LINES } from "./skeleton";
@@ -10,8 +11,6 @@ import { LINES } from "./skeleton";
 const NEAR_PX = 11;
 const NEAR_PLACING_PX = 5;
 const STEP_PX = 4;
-
-type XY = [number, number];
 
 /** One camera's picture: a click places the joint whose turn it is, points are dragged, the wheel zooms. */
 export class ClickPicture {
@@ -22,12 +21,10 @@ export class ClickPicture {
   private image: HTMLImageElement | null = null;
   private camera: CameraInfo | null = null;
   private expected: Record<string, XY> = {};
-  private zoom = 1;
-  private offset: XY = [0, 0];
-  private size: XY = [1, 1];
+  private readonly zoom = new Zoom();
   /** Where the pointer or the keyboard's cross is, in pixels of the camera; null: outside. */
   private cursor: XY | null = null;
-  private drag: { kind: "point"; joint: string; moved: boolean } | { kind: "pan"; from: XY; offset: XY } | null = null;
+  private drag: { kind: "point"; joint: string; moved: boolean } | { kind: "pan"; from: XY } | null = null;
   private waiting = 0;
 
   constructor(
@@ -36,7 +33,7 @@ export class ClickPicture {
     private readonly moved: (dragging: boolean) => void,
   ) {
     const { canvas, redraw, stop } = sharpCanvas("The picture; Enter places the joint at the cross, arrows move it", (g, w, hgt) => {
-      this.size = [w, hgt];
+      this.zoom.screen = [w, hgt];
       this.draw(g);
     });
     this.canvas = canvas;
@@ -65,6 +62,7 @@ export class ClickPicture {
     await image.decode();
     this.image = image;
     this.camera = camera;
+    this.zoom.picture = camera.size;
     if (!same) this.fit();
     this.later();
   }
@@ -76,18 +74,12 @@ export class ClickPicture {
   }
 
   fit(): void {
-    this.zoom = 1;
-    this.offset = [0, 0];
+    this.zoom.fit();
     this.later();
   }
 
-  zoomBy(factor: number, at: XY = [this.size[0] / 2, this.size[1] / 2]): void {
-    const before = this.toPicture(at);
-    this.zoom = Math.min(16, Math.max(1, this.zoom * factor));
-    if (this.zoom === 1) this.offset = [0, 0];
-    const after = this.toScreen(before);
-    this.offset = [this.offset[0] + at[0] - after[0], this.offset[1] + at[1] - after[1]];
-    if (this.zoom === 1) this.offset = [0, 0];
+  zoomBy(factor: number, at?: XY): void {
+    this.zoom.by(factor, at);
     this.later();
   }
 
@@ -103,26 +95,6 @@ export class ClickPicture {
     });
   }
 
-  private get scale(): number {
-    const [w, h] = this.camera?.size ?? [1, 1];
-    return this.zoom * Math.min(this.size[0] / w, this.size[1] / h);
-  }
-
-  private toScreen([x, y]: XY): XY {
-    const [w, h] = this.camera?.size ?? [1, 1];
-    const s = this.scale;
-    return [
-      this.size[0] / 2 + this.offset[0] + (x + 0.5 - w / 2) * s,
-      this.size[1] / 2 + this.offset[1] + (y + 0.5 - h / 2) * s,
-    ];
-  }
-
-  private toPicture([u, v]: XY): XY {
-    const [w, h] = this.camera?.size ?? [1, 1];
-    const s = this.scale;
-    return [(u - this.size[0] / 2 - this.offset[0]) / s + w / 2 - 0.5, (v - this.size[1] / 2 - this.offset[1]) / s + h / 2 - 0.5];
-  }
-
   private inside([x, y]: XY): boolean {
     const [w, h] = this.camera?.size ?? [0, 0];
     return x >= -0.5 && y >= -0.5 && x <= w - 0.5 && y <= h - 0.5;
@@ -132,7 +104,7 @@ export class ClickPicture {
     let best: string | null = null;
     let least = this.state.points[this.state.joint] ? NEAR_PX : NEAR_PLACING_PX;
     for (const [joint, p] of Object.entries(this.state.points)) {
-      const [u, v] = this.toScreen([p.x, p.y]);
+      const [u, v] = this.zoom.toScreen([p.x, p.y]);
       const distance = Math.hypot(u - at[0], v - at[1]);
       if (distance < least) [best, least] = [joint, distance];
     }
@@ -145,11 +117,11 @@ export class ClickPicture {
     if (!this.camera) return;
     this.canvas.setPointerCapture(event.pointerId);
     if (event.button !== 0) {
-      this.drag = { kind: "pan", from: at, offset: [...this.offset] };
+      this.drag = { kind: "pan", from: at };
       return;
     }
     const joint = event.shiftKey ? null : this.nearest(at);
-    const p = this.toPicture(at);
+    const p = this.zoom.toPicture(at);
     if (joint) {
       this.drag = { kind: "point", joint, moved: false };
       this.state.choose(joint);
@@ -158,10 +130,11 @@ export class ClickPicture {
 
   private move(event: PointerEvent): void {
     const at: XY = [event.offsetX, event.offsetY];
-    const p = this.toPicture(at);
+    const p = this.zoom.toPicture(at);
     this.cursor = this.inside(p) ? p : null;
     if (this.drag?.kind === "pan") {
-      this.offset = [this.drag.offset[0] + at[0] - this.drag.from[0], this.drag.offset[1] + at[1] - this.drag.from[1]];
+      this.zoom.move(at[0] - this.drag.from[0], at[1] - this.drag.from[1]);
+      this.drag.from = at;
     } else if (this.drag?.kind === "point" && this.inside(p)) {
       if (!this.drag.moved) this.moved(true);
       this.state.move(this.drag.joint, ...p, !this.drag.moved);
@@ -179,7 +152,7 @@ export class ClickPicture {
 
   private wheel(event: WheelEvent): void {
     event.preventDefault();
-    this.zoomBy(Math.exp(-0.0015 * event.deltaY), [event.offsetX, event.offsetY]);
+    this.zoomBy(wheelFactor(event), [event.offsetX, event.offsetY]);
   }
 
   /** The keyboard's way: arrows move the cross, or the chosen joint when it is placed; Enter places it. */
@@ -206,22 +179,23 @@ export class ClickPicture {
 
   private draw(g: CanvasRenderingContext2D): void {
     g.fillStyle = colour("bg");
-    g.fillRect(0, 0, this.size[0], this.size[1]);
+    g.fillRect(0, 0, ...this.zoom.screen);
     if (!this.image || !this.camera) return;
-    const [left, top] = this.toScreen([-0.5, -0.5]);
+    const [left, top] = this.zoom.toScreen([-0.5, -0.5]);
     const [w, h] = this.camera.size;
-    g.imageSmoothingEnabled = this.scale < 3;
-    g.drawImage(this.image, left, top, w * this.scale, h * this.scale);
+    const { scale } = this.zoom;
+    g.imageSmoothingEnabled = scale < 3;
+    g.drawImage(this.image, left, top, w * scale, h * scale);
     this.drawExpected(g);
     this.drawPoints(g);
     if (!this.cursor) return;
-    this.drawCross(g, this.toScreen(this.cursor));
-    drawLoupe(g, this.image, this.camera.size, this.cursor, this.toScreen(this.cursor), this.size, this.state.points);
+    this.drawCross(g, this.zoom.toScreen(this.cursor));
+    drawLoupe(g, this.image, this.camera.size, this.cursor, this.zoom.toScreen(this.cursor), this.zoom.screen, this.state.points);
   }
 
   /** The fitted pose in the picture: thin lines, and a short line from every click to where the pose puts it. */
   private drawExpected(g: CanvasRenderingContext2D): void {
-    const at = (joint: string): XY | null => (this.expected[joint] ? this.toScreen(this.expected[joint]) : null);
+    const at = (joint: string): XY | null => (this.expected[joint] ? this.zoom.toScreen(this.expected[joint]) : null);
     for (const [style, width] of [["rgb(0 0 0 / 45%)", 4], ["rgb(255 255 255 / 90%)", 1.5]] as const) {
       g.strokeStyle = style;
       g.lineWidth = width;
@@ -240,7 +214,7 @@ export class ClickPicture {
     for (const [joint, p] of Object.entries(this.state.points)) {
       const q = at(joint);
       if (!q) continue;
-      g.moveTo(...this.toScreen([p.x, p.y]));
+      g.moveTo(...this.zoom.toScreen([p.x, p.y]));
       g.lineTo(...q);
     }
     g.stroke();
@@ -251,7 +225,7 @@ export class ClickPicture {
   }
 
   private drawPoint(g: CanvasRenderingContext2D, joint: string, p: Point, chosen: boolean): void {
-    const [u, v] = this.toScreen([p.x, p.y]);
+    const [u, v] = this.zoom.toScreen([p.x, p.y]);
     g.beginPath();
     g.arc(u, v, chosen ? 7 : 5, 0, 2 * Math.PI);
     g.fillStyle = p.occluded ? "rgb(0 0 0 / 35%)" : colour(side(joint));

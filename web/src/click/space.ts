@@ -37,6 +37,7 @@ export class FitSpace {
     this.box.visible = this.spread.mesh.visible = this.rival.group.visible = false;
     this.stage.scene.add(this.frusta.group);
     this.stage.over.add(this.spread.mesh, this.box);
+    this.stage.name("The fitted pose in three dimensions");
     host.append(this.stage.canvas);
     this.lay(0);
     this.stage.look(new Vector3(0, 0, 0.9), new Vector3(0.6, -1, 0.55), Math.min(9, 1.05 * ring));

@@ -40,7 +40,9 @@ export class Prompt {
     setText(this.hint, hint(state, session?.gestures ?? []));
     const left = state === "ended" || state === "test" ? null : (step?.left_s ?? null);
     setText(this.count, left === null ? "" : String(Math.ceil(left)));
-    setText(this.round, !session || session.mode === "run" || !step ? "" : `round ${Math.min(step.round, session.rounds)} of ${session.rounds}`);
+    const all = session ? session.before + 1 + session.then.length : 1;
+    const which = all > 1 && session ? `${name.replaceAll("_", " ")}, ${session.before + 1} of ${all} · ` : "";
+    setText(this.round, !session || session.mode === "run" || !step ? "" : `${which}round ${Math.min(step.round, session.rounds)} of ${session.rounds}`);
     this.fill(live);
     if (step && state !== "paused" && state !== "ended") this.sound(step.phase, left);
   }

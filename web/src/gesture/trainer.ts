@@ -7,6 +7,7 @@ import { bindKeys, type Key } from "../ui/keyboard";
 import { play, setMuted } from "../ui/sounds";
 import { onTheme } from "../ui/theme";
 import { signature, type Live } from "./live";
+import { Classes } from "./classes";
 import { Numbers } from "./numbers";
 import { Prompt } from "./prompt";
 import { ScorePlot } from "./scores";
@@ -21,6 +22,7 @@ export class Trainer {
   private readonly numbers = new Numbers();
   private readonly stage: DepthStage;
   private readonly scores: ScorePlot;
+  private readonly classes: Classes | null;
   private readonly pause: HTMLButtonElement;
   private readonly commands = new Map<GestureCommand, HTMLButtonElement>();
   private readonly saved = h("span", { class: "dim saved" });
@@ -48,6 +50,7 @@ export class Trainer {
       (seq) => void socket.send({ t: "ack", seq }),
       () => this.later(),
     );
+    this.classes = live.session && !teaches ? new Classes(live.session) : null;
     this.scores = new ScorePlot((value) => this.threshold(value));
     const keys = this.keys(teaches);
     this.pause = button("Pause", () => this.flipPause(), { icon: "pause", key: "Space" });
@@ -105,6 +108,7 @@ export class Trainer {
     this.shownBeside = performance.now();
     this.scores.show(this.live.history, this.live.step?.threshold ?? null);
     this.numbers.show(this.live);
+    this.classes?.show(this.live);
     this.showThreshold(this.live.step);
   }
 
@@ -249,6 +253,7 @@ export class Trainer {
         h("div", { class: "row threshold" }, h("span", { class: "field-name" }, "Threshold"), this.slider),
         h("div", { class: "row threshold" }, h("span", { class: "field-name" }), this.sliderValue, this.automatic),
         h("div", { class: "row threshold" }, h("span", { class: "field-name" }, "Hold it for"), hold, h("span", { class: "dim" }, "s until it counts")),
+        this.classes ? h("section", {}, h("h3", {}, "Watched for"), this.classes.element) : null,
         teaches ? h("section", {}, h("h3", {}, "Learned"), this.numbers.learned) : null,
         teaches ? h("section", {}, h("h3", {}, "How good it is"), this.numbers.good, this.numbers.curve) : null,
         h("section", { class: "event-log" }, h("h3", {}, "Seen"), this.numbers.log),

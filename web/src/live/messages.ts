@@ -12,9 +12,20 @@ export interface SensorStatus {
   rate: number;
   registered: boolean;
   residual: number | null;
+  /** (4, 4) to the frame of the first sensor, m. */
+  place: number[][] | null;
+}
+export interface Running {
+  udp: number;
+  ws: number;
+  simulated: boolean;
+  osc: string | null;
+  vmc: string | null;
+  record: string | null;
 }
 export type LiveMessage =
-  | { t: "hello"; running: false | { udp: number; ws: number }; joints: string[]; parents: number[] }
+  | { t: "hello"; running: false | Running; joints: string[]; parents: number[] }
   | { t: "frame"; n: number; time: number; latency_ms: number; people: Person[] }
   | { t: "status"; sensors: SensorStatus[]; received: number; ignored: number; frames: number; dropped: number }
+  | { t: "said"; text: string }
   | { t: "error"; error: string };

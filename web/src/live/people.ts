@@ -4,7 +4,8 @@ import { onTheme } from "../ui/theme";
 import { Ellipsoids } from "../view/ellipsoids";
 import { Sticks } from "../view/figure";
 import { Stage } from "../view/stage";
-import type { Person } from "./messages";
+import type { Person, SensorStatus } from "./messages";
+import { Standing } from "./standing";
 
 const HIPS = ["left_hip", "right_hip"];
 
@@ -14,13 +15,16 @@ interface Figure {
   joints: Float32Array;
 }
 
-/** Everybody who is seen just now, with the regions around the joints that hold them with 90 %. */
+/** Everybody who is seen just now, with the regions around the joints that hold them with 90 %, and the sensors. */
 export class People {
   readonly stage: Stage;
   drawn = 0;
   private readonly figures = new Map<number, Figure>();
   private readonly box = new Group();
   private readonly stops: (() => void)[];
+  readonly standing = new Standing((p) => this.upright(p));
+  private sensors: readonly SensorStatus[] = [];
+  private ring = 0;
   private waiting = 0;
   /** Which axis of the reference sensor points up, found when somebody is seen: index and sign. */
   private up: [number, number] | null = null;
@@ -32,6 +36,8 @@ export class People {
   ) {
     this.stage = new Stage(() => this.later());
     this.stage.over.add(this.box);
+    this.stage.scene.add(this.standing.group);
+    this.stage.name("Who is seen, in three dimensions");
     host.append(this.stage.canvas);
     this.stage.layFloor(0, 0, 0, 4);
     this.stage.look(new Vector3(0, 0, 0.9), new Vector3(0.5, -1, 0.4), 2.2);
@@ -42,6 +48,7 @@ export class People {
           f.sticks.recolour();
           f.spread.recolour();
         }
+        this.standing.recolour();
         this.stage.recolour();
       }),
     ];
@@ -58,6 +65,19 @@ export class People {
       this.figures.delete(id);
     }
     for (const person of people) this.place(this.figures.get(person.id) ?? this.add(person.id), person);
+    this.later();
+  }
+
+  /** Where the sensors stand, once it is known what is up; who looks is taken back until all of them are seen. */
+  stand(sensors: readonly SensorStatus[]): void {
+    this.sensors = sensors;
+    if (!this.up || !this.standing.show(sensors)) return;
+    const { target } = this.stage.controls;
+    const ring = Math.max(0, ...this.standing.places.map((p) => new Vector3(...p).distanceTo(target)));
+    if (ring > this.ring + 0.25) {
+      this.ring = ring;
+      this.stage.look(target.clone(), this.stage.camera.position.clone().sub(target).setZ(1.8), ring);
+    }
     this.later();
   }
 
@@ -98,6 +118,7 @@ export class People {
     const [x, y] = this.upright(hips.toArray());
     this.stage.layFloor(low, x, y, 4);
     this.stage.look(new Vector3(x, y, low + 0.9), new Vector3(0.5, -1, 0.35), 1.6);
+    this.stand(this.sensors);
   }
 
   /** A point of the sensor's frame in one whose z axis points up. */
@@ -113,6 +134,7 @@ export class People {
   private later(): void {
     this.waiting ||= requestAnimationFrame(() => {
       this.waiting = 0;
+      this.standing.fit(this.stage.camera, this.stage.canvas.clientHeight);
       this.stage.draw();
       this.drawn++;
     });

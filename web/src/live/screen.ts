@@ -2,35 +2,30 @@ import "./live.css";
 import { Socket } from "../api";
 import { count } from "../counters";
 import type { OpenScreen } from "../screen";
-import { button } from "../ui/buttons";
 import { h, setText } from "../ui/dom";
 import { shell } from "../ui/shell";
 import { toast } from "../ui/toast";
-import type { LiveMessage, SensorStatus } from "./messages";
+import { liveForm } from "./form";
+import type { LiveMessage, Running, SensorStatus } from "./messages";
 import { People } from "./people";
+import { recorded } from "./recorded";
 
 const TELL_MS = 250;
 
 /** Skeletons of several depth sensors, fused as they come: who is seen, and how the sensors do. */
 export const live: OpenScreen = (root) => {
   const box = shell(root, "live");
-  const space = h("div", { class: "live-space", role: "img", "aria-label": "The fused skeletons in 3D" });
   const nobody = h("p", { class: "live-nobody" });
-  space.append(nobody);
-  const side = h("aside", { class: "pane live-side" });
+  const space = h("div", { class: "live-space" }, nobody);
   const sensors = h("tbody", {});
-  const said = {
-    state: h("p", { class: "live-state", role: "status" }, "Connecting…"),
-    people: h("b", { class: "number" }, "–"),
-    rate: h("b", { class: "number" }, "–"),
-    latency: h("b", { class: "number" }, "–"),
-  };
-  const udp = h("input", { type: "number", min: 0, max: 65535, value: 9870, "aria-label": "UDP port" });
-  const ws = h("input", { type: "number", min: 0, max: 65535, value: 9871, "aria-label": "WebSocket port" });
-  const start = button("Start", () => socket.send({ t: "start", udp: Number(udp.value), ws: Number(ws.value), rate: 30 }), { kind: "primary", icon: "play" });
-  const stop = button("Stop", () => socket.send({ t: "stop" }), { icon: "pause" });
-  side.append(
-    h("div", { class: "live-head" }, h("h2", {}, "Live fusion"), said.state, h("div", { class: "row" }, h("label", {}, "UDP", udp), h("label", {}, "WebSocket", ws)), h("div", { class: "row" }, start, stop)),
+  const state = h("p", { class: "live-state", role: "status" }, "Connecting…");
+  const said = { people: h("b", { class: "number" }, "–"), rate: h("b", { class: "number" }, "–"), latency: h("b", { class: "number" }, "–") };
+  const form = liveForm((message) => socket.send(message) || toast("There is no connection to the server; is `hypose view` still running?", "error"));
+  const kept = recorded();
+  const side = h(
+    "aside",
+    { class: "pane live-side" },
+    h("div", { class: "live-head" }, h("h2", {}, "Live fusion"), state, form.element),
     h(
       "dl",
       { class: "live-figures" },
@@ -39,58 +34,73 @@ export const live: OpenScreen = (root) => {
       ),
     ),
     h("table", {}, h("thead", {}, h("tr", {}, ...["Sensor", "Rate", "Misfit"].map((t) => h("th", {}, t)))), sensors),
+    kept.element,
   );
   box.append(h("div", { class: "live" }, space, side));
 
   let people: People | undefined;
   let frames: number[] = [];
   let told = 0;
-  const counters = count("live", { frames: 0, people: 0 });
+  const counters = count("live", { frames: 0, people: 0, standing: 0 });
 
-  const showRunning = (running: false | { udp: number; ws: number }): void => {
-    start.hidden = udp.disabled = ws.disabled = running !== false;
-    stop.hidden = running === false;
-    if (running) [udp.valueAsNumber, ws.valueAsNumber] = [running.udp, running.ws];
-    said.state.textContent = running
-      ? `Skeletons are awaited at UDP 127.0.0.1:${running.udp} and ws://127.0.0.1:${running.ws}/in.`
-      : "Not running. Start it, then let each sensor's program send its skeletons as lines of JSON (docs/live.md).";
+  const showRunning = (running: false | Running): void => {
+    form.show(running);
+    state.textContent = running ? runningText(running) : "Not running. Start it, then let each sensor's program send its skeletons as lines of JSON (docs/live.md); or look at simulated sensors first.";
     setText(nobody, running ? "Nobody is seen yet" : "Press Start to see who the sensors see");
     nobody.hidden = false;
     sensors.replaceChildren(h("tr", {}, h("td", { class: "dim", colspan: 3 }, "No sensor has sent anything yet.")));
     if (running) return;
     people?.show([]);
-    for (const one of [said.people, said.rate, said.latency]) one.textContent = "–";
+    people?.stand([]);
+    for (const one of Object.values(said)) one.textContent = "–";
+    kept.look();
+  };
+  const showFrame = (message: LiveMessage & { t: "frame" }): void => {
+    const now = performance.now();
+    frames = [...frames.filter((t) => now - t < 1000), now];
+    counters["frames"] = message.n;
+    counters["people"] = message.people.length;
+    counters.pictures = people?.drawn ?? 0;
+    people?.show(message.people);
+    nobody.hidden = message.people.length > 0;
+    if (now - told < TELL_MS) return;
+    told = now;
+    said.people.textContent = String(message.people.length);
+    said.rate.textContent = String(frames.length);
+    said.latency.textContent = message.latency_ms.toFixed(1);
   };
   const heard = (message: LiveMessage): void => {
     if (message.t === "hello") {
       people ??= new People(message.joints, message.parents, space);
       showRunning(message.running);
-    } else if (message.t === "frame") {
-      const now = performance.now();
-      frames = [...frames.filter((t) => now - t < 1000), now];
-      counters["frames"] = message.n;
-      counters["people"] = message.people.length;
-      counters.pictures = people?.drawn ?? 0;
-      people?.show(message.people);
-      nobody.hidden = message.people.length > 0;
-      if (now - told < TELL_MS) return;
-      told = now;
-      said.people.textContent = String(message.people.length);
-      said.rate.textContent = String(frames.length);
-      said.latency.textContent = message.latency_ms.toFixed(1);
-    } else if (message.t === "status") sensors.replaceChildren(...message.sensors.map(sensorRow));
-    else toast(message.error, "error");
+    } else if (message.t === "frame") showFrame(message);
+    else if (message.t === "status") {
+      sensors.replaceChildren(...message.sensors.map(sensorRow));
+      people?.stand(message.sensors);
+      counters["standing"] = people?.standing.places.length ?? 0;
+    } else if (message.t === "said") toast(message.text, "done");
+    else {
+      form.answered();
+      toast(message.error, "error");
+    }
   };
   const socket = new Socket("ws/fuse", (m) => heard(m as LiveMessage), undefined, (open) => {
-    if (!open) said.state.textContent = "The server does not answer; is `hypose view` still running?";
+    if (!open) state.textContent = "The server does not answer; is `hypose view` still running?";
   });
   return {
     close: () => {
       socket.close();
       people?.close();
+      kept.close();
     },
   };
 };
+
+function runningText({ udp, ws, simulated, osc, vmc, record }: Running): string {
+  const from = simulated ? "Simulated sensors send; others are awaited" : "Skeletons are awaited";
+  const more = [osc ? `What is fused goes to ${osc} by OSC.` : "", vmc ? `The avatar at ${vmc} moves along.` : "", record ? `Everything is recorded in ${record}.` : ""];
+  return [`${from} at UDP 127.0.0.1:${udp} and ws://127.0.0.1:${ws}/in.`, ...more].filter(Boolean).join(" ");
+}
 
 function sensorRow(s: SensorStatus): HTMLElement {
   const chip = s.alive ? (s.registered ? ["good", "in place"] : ["warn", "not placed yet"]) : ["bad", "silent"];

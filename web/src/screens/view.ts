@@ -56,7 +56,10 @@ async function open(box: HTMLElement, id: string, row: number, clicks: string | 
       tools,
       back: h("a", { class: "button quiet only-icon", href: "#/view", "aria-label": "All results", title: "All results" }, icon("list")),
       ...(entry?.correctable ? { corrector: (shown: ResultView) => new Corrector(shown, data, entry) } : {}),
-      rested: (at) => history.replaceState(null, "", `#/view/${id}/${at}`),
+      rested: (at) => {
+        // who is on the way to another screen stays on it: the address has changed already, and that is told later
+        if (location.hash.startsWith(`#/view/${id}`)) history.replaceState(null, "", `#/view/${id}/${at}`);
+      },
     });
     const corrections = entry ? correctionsMenu(data, entry, state) : null;
     if (corrections) tools[0]!.before(corrections);

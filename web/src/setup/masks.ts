@@ -1,9 +1,10 @@
-import { address, post } from "../api";
+import { post } from "../api";
 import { answered, type Counters } from "../counters";
 import type { MaskSettings, Recording } from "../protocol";
 import { button, select, toggle } from "../ui/buttons";
 import { h } from "../ui/dom";
 import { toast } from "../ui/toast";
+import { CameraPictures } from "./pictures";
 
 interface Slider {
   name: string;
@@ -24,18 +25,15 @@ const SLIDERS: readonly Slider[] = [
   { name: "keep_share", title: "Smallest part", what: "share of the biggest part; smaller ones are dropped", low: 0, high: 1, step: 0.01 },
   { name: "keep_gap", title: "Farthest part", what: "share of the person's length; farther parts are dropped", low: 0, high: 1, step: 0.01 },
 ];
-const WAIT_MS = 60;
 
 /** The masks of a frame in all cameras, with the settings as they are being moved. */
 export class MaskStep {
   readonly element: HTMLElement;
   private settings: MaskSettings;
-  private frame: number;
   private shown: "edge" | "fill" | "only" = "edge";
-  private readonly pictures: HTMLImageElement[];
+  private readonly pictures: CameraPictures;
   private readonly sliders = h("div", { class: "mask-sliders" });
   private readonly save = button("Use these settings", () => void this.keep(), { kind: "primary", icon: "done" });
-  private waiting = 0;
   private asked = 0;
 
   constructor(
@@ -44,24 +42,9 @@ export class MaskStep {
     private readonly kept: () => void,
   ) {
     this.settings = { ...recording.mask_settings };
-    const [first, stop] = recording.frame_range ?? [0, recording.frames];
-    this.frame = Math.floor((first + stop - 1) / 2);
-    this.pictures = recording.cameras.map((c) => {
-      const image = h("img", { alt: `Mask of ${c.name}`, width: c.size[0], height: c.size[1] });
-      image.addEventListener("error", () => image.parentElement?.setAttribute("data-state", "failed"));
-      image.addEventListener("load", () => {
-        image.parentElement?.removeAttribute("data-state");
-        counters.pictures++;
-        if (this.asked) answered(counters, this.asked);
-      });
-      return image;
-    });
-    const frame = h("output", { class: "number" }, String(this.frame));
-    const slider = h("input", { type: "range", min: 0, max: recording.frames - 1, value: this.frame, class: "grow", "aria-label": "Frame" });
-    slider.addEventListener("input", () => {
-      this.frame = Number(slider.value);
-      frame.textContent = slider.value;
-      this.later();
+    this.pictures = new CameraPictures(recording, "Mask", () => ({ frame: this.pictures.frame, query: { mask: this.shown, ...this.different() } }), () => {
+      counters.pictures++;
+      if (this.asked) answered(counters, this.asked);
     });
     this.element = h(
       "div",
@@ -73,16 +56,14 @@ export class MaskStep {
         { class: "row" },
         select("Show the mask as", [{ value: "edge", label: "outline" }, { value: "fill", label: "filled" }, { value: "only", label: "mask only" }], this.shown, (v) => {
           this.shown = v as typeof this.shown;
-          this.later();
+          this.pictures.later();
         }),
-        h("span", { class: "dim" }, "Frame"),
-        slider,
-        frame,
+        ...this.pictures.chooser,
       ),
-      h("div", { class: "mask-layout" }, h("div", { class: "mask-pictures" }, ...this.pictures.map((p, k) => h("figure", {}, p, h("span", { class: "mask-wait", role: "status" }), h("figcaption", {}, recording.cameras[k]?.name ?? "")))), this.sliders),
+      h("div", { class: "mask-layout" }, h("div", { class: "mask-pictures" }, ...this.pictures.figures), this.sliders),
     );
     this.drawSliders();
-    this.load();
+    this.pictures.load();
   }
 
   private drawSliders(): void {
@@ -104,7 +85,7 @@ export class MaskStep {
     const reset = button("As before", () => {
       this.settings = { ...this.recording.mask_settings };
       this.drawSliders();
-      this.load();
+      this.pictures.load();
     }, { title: "Back to the settings of the recording" });
     this.sliders.replaceChildren(
       ...rows,
@@ -117,27 +98,15 @@ export class MaskStep {
   private changed(): void {
     this.asked = performance.now();
     this.save.disabled = false;
-    this.later();
+    this.pictures.later();
   }
 
-  private later(): void {
-    clearTimeout(this.waiting);
-    this.waiting = window.setTimeout(() => this.load(), WAIT_MS);
-  }
-
-  private load(): void {
+  /** The settings that are not those of the recording. */
+  private different(): Record<string, number | boolean | string> {
     const before = this.recording.mask_settings;
-    const different = Object.fromEntries(
+    return Object.fromEntries(
       Object.entries(this.settings).filter(([k, v]) => v !== before[k] && (typeof v === "number" || typeof v === "boolean" || typeof v === "string")),
     ) as Record<string, number | boolean | string>;
-    this.recording.cameras.forEach((c, k) => {
-      const path = `/api/recordings/${this.recording.id}/image/${encodeURIComponent(c.name)}/${this.frame}.jpg`;
-      const wanted = address(path, { width: Math.min(480, c.size[0]), mask: this.shown, ...different });
-      const picture = this.pictures[k];
-      if (!picture || picture.src === wanted) return;
-      picture.src = wanted;
-      picture.parentElement?.setAttribute("data-state", "coming");
-    });
   }
 
   private async keep(): Promise<void> {
@@ -151,6 +120,6 @@ export class MaskStep {
   }
 
   close(): void {
-    clearTimeout(this.waiting);
+    this.pictures.close();
   }
 }

@@ -1,11 +1,10 @@
-import { address } from "../api";
 import type { Recording } from "../protocol";
 import { button, select } from "../ui/buttons";
 import { h } from "../ui/dom";
 import { icon } from "../ui/icons";
 import { begin } from "./check";
+import { CameraPictures } from "./pictures";
 
-const WAIT_MS = 60;
 /** frames: cameras that differ by less show the same instant, for a person who walks. */
 const IN_STEP = 0.5;
 
@@ -14,11 +13,9 @@ export class SyncStep {
   readonly element: HTMLElement;
   private readonly late: number[];
   private readonly found: readonly number[] | null;
-  private frame: number;
   private by = "motion";
   private largest = 0.5;
-  private waiting = 0;
-  private readonly pictures: HTMLImageElement[];
+  private readonly pictures: CameraPictures;
   private readonly numbers: HTMLElement[];
   private readonly sliders: HTMLInputElement[];
   private readonly verdict = h("p", { class: "verdict" });
@@ -30,14 +27,9 @@ export class SyncStep {
     this.found = known ? offsets(sync.views) : null;
     this.late = this.found ? [...this.found] : recording.views.map(() => 0);
     this.by = known && sync.by !== "given" ? sync.by : "motion";
-    const [first, stop] = recording.frame_range ?? [0, recording.frames];
-    this.frame = Math.floor((first + stop - 1) / 2);
-    this.pictures = recording.cameras.map((c) => {
-      const image = h("img", { alt: `Picture of ${c.name}`, width: c.size[0], height: c.size[1] });
-      image.addEventListener("error", () => image.parentElement?.setAttribute("data-state", "failed"));
-      image.addEventListener("load", () => image.parentElement?.removeAttribute("data-state"));
-      return image;
-    });
+    this.pictures = new CameraPictures(recording, "Picture", (k) => ({
+      frame: Math.min(recording.frames - 1, Math.max(0, this.pictures.frame + Math.round(this.late[k]!))),
+    }));
     this.numbers = recording.views.map(() => h("output", { class: "number" }));
     const reach = Math.max(10, Math.ceil(recording.frame_rate), ...this.late.map((x) => Math.ceil(Math.abs(x)) + 5));
     this.sliders = recording.views.map((v, k) => {
@@ -50,13 +42,6 @@ export class SyncStep {
     });
     this.write = button("Bring it in step", () => void begin(this.recording, "in_step", { offsets: this.late }), {
       icon: "done", title: "Makes a recording of masks and key points on one clock; this one stays as it is",
-    });
-    const frame = h("output", { class: "number" }, String(this.frame));
-    const slider = h("input", { type: "range", min: 0, max: recording.frames - 1, value: this.frame, class: "grow", "aria-label": "Frame" });
-    slider.addEventListener("input", () => {
-      this.frame = Number(slider.value);
-      frame.textContent = slider.value;
-      this.later();
     });
     const seconds = select("How far apart at most", [0.5, 2, 10, 60].map((s) => ({ value: s, label: `up to ${s} s apart` })), this.largest, (v) => (this.largest = v));
     this.element = h(
@@ -72,15 +57,15 @@ export class SyncStep {
         button(this.found ? "Find out again" : "Find out", () => void begin(this.recording, "sync", { by: this.by, largest: this.largest }), { icon: "follow", ...(this.found ? {} : { kind: "primary" as const }) }),
       ),
       this.verdict,
-      h("div", { class: "row" }, h("span", { class: "dim" }, "Frame"), slider, frame),
+      h("div", { class: "row" }, ...this.pictures.chooser),
       h(
         "div",
         { class: "mask-pictures sync-pictures" },
-        ...recording.views.map((v, k) =>
+        ...recording.views.map((_, k) =>
           h(
             "div",
             { class: "sync-view" },
-            h("figure", {}, this.pictures[k]!, h("span", { class: "mask-wait", role: "status" }), h("figcaption", {}, v.name)),
+            this.pictures.figures[k]!,
             h("div", { class: "row" }, this.sliders[k]!, this.numbers[k]!),
             sync && this.found ? h("small", { class: "dim" }, `found: ${words(this.found[k]!)} (${sync.views[k]!.told})`) : null,
           ),
@@ -92,7 +77,7 @@ export class SyncStep {
   }
 
   close(): void {
-    clearTimeout(this.waiting);
+    this.pictures.close();
   }
 
   private set(late: readonly number[]): void {
@@ -115,23 +100,7 @@ export class SyncStep {
     );
     this.write.disabled = apart === 0;
     this.write.classList.toggle("primary", !ready);
-    this.later();
-  }
-
-  private later(): void {
-    clearTimeout(this.waiting);
-    this.waiting = window.setTimeout(() => this.load(), WAIT_MS);
-  }
-
-  private load(): void {
-    this.recording.cameras.forEach((c, k) => {
-      const picture = this.pictures[k]!;
-      const frame = Math.min(this.recording.frames - 1, Math.max(0, this.frame + Math.round(this.late[k]!)));
-      const wanted = address(`/api/recordings/${this.recording.id}/image/${encodeURIComponent(c.name)}/${frame}.jpg`, { width: Math.min(480, c.size[0]) });
-      if (picture.src === wanted) return;
-      picture.src = wanted;
-      picture.parentElement?.setAttribute("data-state", "coming");
-    });
+    this.pictures.later();
   }
 }
 

@@ -13,7 +13,7 @@ const STEP_MS = 40;
 
 /** The motion as it is being tracked: what has come since the last look is played, then the newest pose stands. */
 export class LiveFigure {
-  readonly element = h("div", { class: "live-figure", "aria-label": "The motion tracked so far" });
+  readonly element = h("div", { class: "live-figure" });
   private readonly caption = h("span", { class: "chip number" });
   private stage: Stage | null = null;
   private sticks: Sticks | null = null;
@@ -70,6 +70,7 @@ export class LiveFigure {
     const stage = (this.stage = new Stage(() => this.later()));
     this.sticks = new Sticks(data.header.parents, data.header.joint_names, null, 1.6);
     stage.over.add(this.sticks.group);
+    stage.name("The motion tracked so far");
     this.element.prepend(stage.canvas);
     const at = new Vector3().fromArray(data.positions, 0);
     stage.layFloor(data.header.floor, at.x, at.y, 4);

@@ -79,7 +79,19 @@ export class Plot {
       onResize(this.holder, (w, height) => this.size(w, height)),
       onTheme(() => this.make()),
     );
+    this.tellWhat();
     if (options.chosen) this.pointer(options.chosen);
+  }
+
+  /** Says to who hears the page what is plotted. Over time it is a slider: with the focus on it the keys of the screen move
+   * through the frames, and the values there are told. */
+  private tellWhat(): void {
+    const { title, unit } = this.options;
+    const over = this.cycle ? " over the gait cycle" : "";
+    const ranges = this.series.map((s) => `${s.label} ${range(s.values, digits(unit))}`.trim());
+    const facts = { role: "img", "aria-label": `${title} (${unit})${over}: ${ranges.join("; ")}` };
+    const slider = { role: "slider", tabindex: "0", "aria-valuemin": "0", "aria-valuemax": String(this.times.length - 1) };
+    for (const [name, value] of Object.entries(this.options.chosen ? { ...facts, ...slider } : facts)) this.holder.setAttribute(name, value);
   }
 
   /** Whether it is over a cycle. */
@@ -108,6 +120,10 @@ export class Plot {
       const text = value === undefined || !Number.isFinite(value) ? "–" : value.toFixed(digits(this.options.unit));
       setText(this.figures[i]!, text);
     });
+    if (!this.options.chosen) return;
+    const values = this.series.map((s, i) => `${s.label} ${this.figures[i]!.textContent}`.trim());
+    this.holder.setAttribute("aria-valuenow", String(this.at));
+    this.holder.setAttribute("aria-valuetext", `${clock(this.times[this.at] ?? 0)}: ${values.join(", ")} ${this.options.unit}`);
   }
 
   /** Shows so many seconds at a time, 0 = all. */
@@ -367,6 +383,17 @@ function gaps(values: ArrayLike<number>): (number | null)[] | ArrayLike<number> 
     if (!Number.isFinite(values[i])) return Array.from(values, (v) => (Number.isFinite(v) ? v : null));
   }
   return values;
+}
+
+/** The values' range in words. */
+function range(values: ArrayLike<number>, digits: number): string {
+  let [low, high] = [Infinity, -Infinity];
+  for (let t = 0; t < values.length; t++) {
+    const v = values[t]!;
+    if (v < low) low = v;
+    if (v > high) high = v;
+  }
+  return low <= high ? `from ${low.toFixed(digits)} to ${high.toFixed(digits)}` : "not known";
 }
 
 function digits(unit: string): number {

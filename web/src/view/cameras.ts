@@ -1,5 +1,6 @@
 import type { ViewData } from "../lib/bundle";
 import { Skin } from "../lib/skin";
+import { wheelFactor, Zoom, type XY } from "../lib/zoom";
 import { button, toggle } from "../ui/buttons";
 import { h, memory, onResize } from "../ui/dom";
 import { onTheme } from "../ui/theme";
@@ -9,6 +10,8 @@ import type { Outlines, Source } from "./source";
 
 const GAP = 4;
 const WIDTHS = [240, 320, 480, 640, 960, 1280, 1920];
+const CLOSER = 1.3; // by one press of a key
+const STEP_PX = 40;
 
 interface Tile {
   box: HTMLElement;
@@ -44,6 +47,9 @@ export class CameraPane {
   private beside: Beside | null = null;
   private besideSkin: Skin | null = null;
   private enlarged = -1;
+  /** What is shown of the enlarged picture. */
+  private readonly zoom = new Zoom();
+  private shownWidth = 480;
   private width = 480;
   private wanted = 0;
   private fetched = "";
@@ -119,25 +125,71 @@ export class CameraPane {
   private listen(tile: Tile, index: number): void {
     const { canvas, overlay } = tile;
     const at = (event: PointerEvent): [number, number, number] => {
+      if (this.enlarged === index) return [...this.zoom.toPicture([event.offsetX, event.offsetY]), 1 / this.zoom.scale];
       const px = overlay.camera.size[0] / canvas.clientWidth;
       return [event.offsetX * px - 0.5, event.offsetY * px - 0.5, px];
     };
-    let held = false;
+    let held: "joint" | XY | null = null;
     canvas.addEventListener("pointerdown", (event) => {
-      if (event.button !== 0 || !this.editing?.down(index, overlay, ...at(event))) return;
-      held = true;
+      if (event.button === 0 && this.editing?.down(index, overlay, ...at(event))) held = "joint";
+      else if (this.enlarged === index && this.zoom.times > 1) held = [event.clientX, event.clientY];
+      else return;
       canvas.setPointerCapture(event.pointerId);
       event.preventDefault();
     });
     canvas.addEventListener("pointermove", (event) => {
-      if (!held) return;
-      const [x, y] = at(event);
-      this.editing?.move(overlay, x, y);
+      if (held === "joint") {
+        const [x, y] = at(event);
+        this.editing?.move(overlay, x, y);
+      } else if (held) {
+        this.pan(event.clientX - held[0], event.clientY - held[1]);
+        held = [event.clientX, event.clientY];
+      }
     });
     canvas.addEventListener("lostpointercapture", () => {
-      held = false;
-      this.editing?.up();
+      if (held === "joint") this.editing?.up();
+      held = null;
     });
+    // with the focus by a click, arrows would no longer mean frames
+    canvas.addEventListener("mousedown", (event) => event.preventDefault());
+    canvas.addEventListener("contextmenu", (event) => this.enlarged === index && event.preventDefault());
+    canvas.addEventListener("wheel", (event) => {
+      if (this.enlarged !== index) return;
+      event.preventDefault();
+      this.zoomBy(wheelFactor(event), [event.offsetX, event.offsetY]);
+    }, { passive: false });
+    canvas.addEventListener("keydown", (event) => {
+      const [dx, dy] = PANS[event.key] ?? [0, 0];
+      if (this.zoom.times === 1 || !(dx || dy) || event.ctrlKey || event.metaKey || event.altKey) return;
+      this.pan(STEP_PX * dx, STEP_PX * dy);
+      event.preventDefault();
+    });
+  }
+
+  /** The enlarged picture larger (+1) or smaller (-1); false when none is enlarged. */
+  closer(direction: 1 | -1): boolean {
+    if (this.enlarged < 0) return false;
+    this.zoomBy(CLOSER ** direction);
+    return true;
+  }
+
+  private zoomBy(factor: number, at?: XY): void {
+    this.zoom.by(factor, at);
+    this.tiles[this.enlarged]!.canvas.toggleAttribute("data-closer", this.zoom.times > 1);
+    this.need();
+    this.draw();
+  }
+
+  private pan(dx: number, dy: number): void {
+    this.zoom.move(dx, dy);
+    this.draw();
+  }
+
+  /** Pictures as large as they are shown. */
+  private need(): void {
+    const wide = this.shownWidth * this.zoom.times;
+    this.width = WIDTHS.find((x) => x >= wide) ?? 1920;
+    this.show(this.wanted);
   }
 
   /** Another result in the pictures as well; null takes it away. */
@@ -151,7 +203,14 @@ export class CameraPane {
   enlarge(index: number): void {
     if (index >= this.tiles.length) return;
     this.enlarged = index;
-    this.tiles.forEach((t, i) => (t.box.hidden = index >= 0 && i !== index));
+    this.zoom.fit();
+    this.tiles.forEach((t, i) => {
+      t.box.hidden = index >= 0 && i !== index;
+      t.canvas.removeAttribute("data-closer");
+      // an enlarged picture is moved with the keys once it has the focus
+      if (i === index) t.canvas.tabIndex = 0;
+      else t.canvas.removeAttribute("tabindex");
+    });
     this.layout(this.grid.clientWidth, this.grid.clientHeight);
   }
 
@@ -165,7 +224,10 @@ export class CameraPane {
   close(): void {
     this.abort.abort();
     for (const stop of this.stop) stop();
-    for (const tile of this.tiles) tile.image?.close();
+    for (const tile of this.tiles) {
+      tile.image?.close();
+      tile.image = null; // what comes later must not draw it
+    }
   }
 
   private async fetch(): Promise<void> {
@@ -238,10 +300,11 @@ export class CameraPane {
       tile.box.style.height = tile.canvas.style.height = `${hgt}px`;
       tile.canvas.width = Math.round(w * ratio);
       tile.canvas.height = Math.round(hgt * ratio);
+      if (i === this.enlarged) [this.zoom.picture, this.zoom.screen] = [size, [w, hgt]];
     });
-    this.width = WIDTHS.find((x) => x >= best.w * ratio) ?? 1920;
+    this.shownWidth = best.w * ratio;
+    this.need();
     this.draw();
-    this.show(this.wanted);
   }
 
   draw(): void {
@@ -255,18 +318,29 @@ export class CameraPane {
       const c = tile.canvas.getContext("2d", { alpha: false });
       if (!c || tile.box.hidden) return;
       const { width, height } = tile.canvas;
-      if (tile.image) c.drawImage(tile.image, 0, 0, width, height);
-      else {
+      const [times, [left, top]] = this.placed(i, width);
+      c.setTransform(1, 0, 0, 1, 0, 0);
+      if (!tile.image || times > 1) {
         c.fillStyle = "#22282e";
         c.fillRect(0, 0, width, height);
       }
+      c.setTransform(1, 0, 0, 1, left, top);
+      if (tile.image) c.drawImage(tile.image, 0, 0, width * times, height * times);
       if (this.row < 0) return;
-      const scale = width / tile.overlay.camera.size[0];
+      const scale = (width * times) / tile.overlay.camera.size[0];
       tile.overlay.draw(c, row, posed, this.shown, scale);
       const edges = this.shown.masks ? this.outlines.get(row)?.[i] : null;
       if (edges) tile.overlay.masks(c, edges, scale);
       this.editing?.draw(c, i, tile.overlay, row, scale);
     });
+  }
+
+  /** How many times larger than the tile a picture is drawn, and where it begins (px of the canvas). */
+  private placed(index: number, width: number): [number, XY] {
+    if (index !== this.enlarged || this.zoom.times === 1) return [1, [0, 0]];
+    const ratio = width / this.zoom.screen[0];
+    const [x, y] = this.zoom.toScreen([-0.5, -0.5]);
+    return [this.zoom.times, [x * ratio, y * ratio]];
   }
 
   private empty(): HTMLElement {
@@ -280,3 +354,6 @@ export class CameraPane {
     );
   }
 }
+
+/** Where the picture goes when one looks to the left, right, up or down. */
+const PANS: Readonly<Record<string, XY>> = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };

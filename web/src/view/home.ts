@@ -1,3 +1,4 @@
+import "./home.css";
 import { address, get, post } from "../api";
 import type { Job, ResultEntry, State } from "../protocol";
 import { button, select } from "../ui/buttons";

@@ -34,6 +34,8 @@ export function viewKeys(view: ResultView): Key[] {
       what: "enlarge that camera's picture",
       act: () => view.cameras.enlarge(n - 1),
     })),
+    { keys: ["+", "="], shown: "+ −", what: "the enlarged picture larger, smaller (the wheel too; drag to move it)", act: () => void view.cameras.closer(1) },
+    { keys: ["-"], shown: "", what: "", act: () => void view.cameras.closer(-1) },
     { keys: ["Escape"], shown: "Esc", what: "all pictures again", act: () => void (view.cameras.shrink() || view.corrector?.leave()) },
   ];
 }

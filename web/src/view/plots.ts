@@ -1,3 +1,4 @@
+import "./plots.css";
 import { stretches, type ViewData } from "../lib/bundle";
 import { button, menu, select, tabs } from "../ui/buttons";
 import { h, memory } from "../ui/dom";

@@ -100,7 +100,7 @@ export class ResultView {
     }, { icon: "follow", title: "Keep the person in the middle" });
     const holder = h("div", { class: "space-canvas" }, this.space.stage.canvas, this.doubts, this.legend, this.open);
     this.stop.push(onResize(holder, (w, height) => this.space.resize(w, height)));
-    this.space.stage.canvas.setAttribute("aria-label", "The person in three dimensions; drag to turn, wheel to come closer");
+    this.space.stage.name("The person in three dimensions");
     const space = h(
       "section",
       { class: "pane space", "aria-label": "3D" },

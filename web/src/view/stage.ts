@@ -52,6 +52,7 @@ export class Stage {
     this.controls.minDistance = 0.3;
     this.controls.maxDistance = 60;
     this.controls.addEventListener("change", dirty);
+    steer(this);
     const sun = new DirectionalLight(0xffffff, 2.4);
     sun.position.set(2, -3, 6);
     const back = new DirectionalLight(0xffffff, 0.7);
@@ -60,6 +61,47 @@ export class Stage {
     const light = new DirectionalLight(0xffffff, 1.6);
     light.position.set(2, -3, 6);
     this.over.add(light, new AmbientLight(0xffffff, 1.6));
+  }
+
+  /** Says what is shown, to who hears the page. */
+  name(what: string): void {
+    this.canvas.setAttribute("aria-label", `${what}; arrows turn it, Shift and arrows move it, + and − come closer and go away`);
+  }
+
+  /** Turns by angles (radians) about the target: to the side, and up. */
+  turn(aside: number, up: number): void {
+    const { target } = this.controls;
+    const arm = this.camera.position.clone().sub(target);
+    const flat = Math.hypot(arm.x, arm.y);
+    const low = Math.PI / 2 - this.controls.maxPolarAngle;
+    const height = Math.min(Math.PI / 2 - 0.02, Math.max(low, Math.atan2(arm.z, flat) + up));
+    const heading = Math.atan2(arm.y, arm.x) + aside;
+    const r = arm.length();
+    arm.set(r * Math.cos(height) * Math.cos(heading), r * Math.cos(height) * Math.sin(heading), r * Math.sin(height));
+    this.camera.position.copy(target).add(arm);
+    this.controls.update();
+    this.dirty();
+  }
+
+  /** Comes closer (below 1) or goes away. */
+  approach(factor: number): void {
+    const { target, minDistance, maxDistance } = this.controls;
+    const arm = this.camera.position.clone().sub(target);
+    arm.setLength(Math.min(maxDistance, Math.max(minDistance, factor * arm.length())));
+    this.camera.position.copy(target).add(arm);
+    this.controls.update();
+    this.dirty();
+  }
+
+  /** Moves what is looked at by shares of its distance: to the right, and up. */
+  shift(right: number, up: number): void {
+    const distance = this.camera.position.distanceTo(this.controls.target);
+    const [x, y] = [0, 1].map((k) => new Vector3().setFromMatrixColumn(this.camera.matrix, k));
+    const step = x!.multiplyScalar(right * distance).addScaledVector(y!, up * distance);
+    this.camera.position.add(step);
+    this.controls.target.add(step);
+    this.controls.update();
+    this.dirty();
   }
 
   /** Lays a floor of squares of 0.5 m at a height (m) around a point; it fades out at `radius`. */
@@ -185,5 +227,40 @@ function plainMaterial(): ShaderMaterial {
     uniforms: { plain: { value: new Color() } },
     vertexShader: "void main() { gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0); }",
     fragmentShader: "uniform vec3 plain; void main() { gl_FragColor = vec4(plain, 1.0); }",
+  });
+}
+
+const TURN = Math.PI / 24;
+const SHIFT = 0.06;
+const CLOSER = 0.88;
+
+/** Steers with the keys while the picture has the focus. A click does not give it that: arrows then go on to mean frames. */
+function steer(stage: Stage): void {
+  const { canvas } = stage;
+  const keys: Record<string, () => void> = {
+    ArrowLeft: () => stage.turn(-TURN, 0),
+    ArrowRight: () => stage.turn(TURN, 0),
+    ArrowUp: () => stage.turn(0, TURN),
+    ArrowDown: () => stage.turn(0, -TURN),
+    "Shift+ArrowLeft": () => stage.shift(-SHIFT, 0),
+    "Shift+ArrowRight": () => stage.shift(SHIFT, 0),
+    "Shift+ArrowUp": () => stage.shift(0, SHIFT),
+    "Shift+ArrowDown": () => stage.shift(0, -SHIFT),
+    "+": () => stage.approach(CLOSER),
+    "=": () => stage.approach(CLOSER),
+    "-": () => stage.approach(1 / CLOSER),
+  };
+  canvas.tabIndex = 0;
+  canvas.setAttribute("role", "application");
+  canvas.addEventListener("mousedown", (event) => {
+    event.preventDefault();
+    if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
+  });
+  canvas.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const act = keys[(event.shiftKey && event.key.length > 1 ? "Shift+" : "") + event.key];
+    if (!act) return;
+    act();
+    event.preventDefault();
   });
 }

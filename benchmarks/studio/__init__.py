@@ -1,0 +1,1 @@
+"""How long the studio's page lets one wait, and what its server needs."""

@@ -1,0 +1,63 @@
+import { button, select } from "../ui/buttons";
+import { h, memory } from "../ui/dom";
+import type { Running } from "./messages";
+
+const SOURCES = [
+  { value: 0, label: "Sensors that send" },
+  { value: 2, label: "2 simulated sensors" },
+  { value: 3, label: "3 simulated sensors" },
+  { value: 4, label: "4 simulated sensors" },
+];
+
+/** Where skeletons come from, where fused ones go, and whether all is recorded. send: to the server. */
+export function liveForm(send: (message: Record<string, unknown>) => void): {
+  element: HTMLElement;
+  show: (running: false | Running) => void;
+  answered: () => void;
+} {
+  let simulated = 0;
+  const source = select("Who is seen", SOURCES, simulated, (n) => (simulated = n));
+  const port = (name: string, value: number): HTMLInputElement => h("input", { type: "number", min: 0, max: 65535, value, "aria-label": `${name} port` });
+  const [udp, ws] = [port("UDP", 9870), port("WebSocket", 9871)];
+  const target = (kind: string, port: number, what: string): HTMLInputElement =>
+    h("input", {
+      type: "text", maxlength: 100, placeholder: `127.0.0.1:${port}`, value: memory.get(`live.${kind}`) ?? "", "aria-label": `${kind.toUpperCase()} target`, spellcheck: "false",
+      title: `HOST:PORT of a program that ${what}; empty: none`,
+    });
+  const [osc, vmc] = [target("osc", 9000, "takes Open Sound Control"), target("vmc", 39539, "moves an avatar (VMC protocol)")];
+  const record = h("input", { type: "checkbox" });
+  const start = button("Start", () => {
+    const [toOsc, toVmc] = [osc.value.trim(), vmc.value.trim()];
+    memory.set("live.osc", toOsc);
+    memory.set("live.vmc", toVmc);
+    start.disabled = true;
+    send({ t: "start", udp: Number(udp.value), ws: Number(ws.value), rate: 30, simulated, osc: toOsc || null, vmc: toVmc || null, record: record.checked });
+  }, { kind: "primary", icon: "play" });
+  const stop = button("Stop", () => send({ t: "stop" }), { icon: "pause" });
+  const inputs = [source, udp, ws, osc, vmc, record];
+  const row = (name: string, ...more: HTMLElement[]): HTMLElement => h("div", { class: "live-row" }, h("span", { class: "field-name" }, name), ...more);
+  return {
+    element: h(
+      "div",
+      { class: "live-form" },
+      row("Seen by", source),
+      h("div", { class: "live-row" }, h("label", {}, "UDP", udp), h("label", {}, "WebSocket", ws)),
+      row("OSC to", osc),
+      row("Avatar at", vmc),
+      row("Record", h("label", {}, record, "all that the sensors send")),
+      h("div", { class: "row" }, start, stop),
+    ),
+    show: (running) => {
+      start.disabled = false;
+      start.hidden = running !== false;
+      stop.hidden = running === false;
+      for (const input of inputs) input.disabled = running !== false;
+      if (!running) return;
+      [udp.valueAsNumber, ws.valueAsNumber] = [running.udp, running.ws];
+      osc.value = running.osc ?? "";
+      vmc.value = running.vmc ?? "";
+      record.checked = running.record !== null;
+    },
+    answered: () => (start.disabled = false),
+  };
+}
