@@ -39,4 +39,19 @@ _PEOPLE = Page(
     ),
 )
 
-PEOPLE_PAGES = (_PEOPLE,)
+_PLAYERS = Page(
+    "players",
+    """Both people on the court of court-4: one serves, one walks, 80 px tall, cameras up to two frames late, 4 s. Late:
+    tracked as they are; in step: after `hypose sync` from the same masks. Errors at the cameras' mean time. Silently
+    wrong: more than 40 mm off and called good.""",
+    (Column("mean, mm", "mean_mm", spread=True), Column("alone, mm", "alone_mm", spread=True)),
+    (
+        *(Line(f"{who}, {case}", f"{who}/{case}") for case in ("late", "in step") for who in ("server", "walker")),
+        Line("silently wrong, late", "late", (most(0),), "silent"),
+        Line("silently wrong, in step", "in step", (most(0),), "silent"),
+        Line("silently wrong, late, each alone", "late, alone", metric="silent"),
+        Line("frames by which a lag is missed", "all", metric="offset_frames"),
+    ),
+)
+
+PEOPLE_PAGES = (_PEOPLE, _PLAYERS)
