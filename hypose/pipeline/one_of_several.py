@@ -84,7 +84,7 @@ def chosen_people(text: str, wanted: Sequence[Wanted]) -> tuple[int | None, str 
 def people_frames(recording: Recording, options: TrackOptions) -> FrameStream:
     """The frames of a recording with all people in the masks, if masks are wanted."""
     silhouettes = None if options.looks_at == "keypoints" else recording.silhouettes
-    return FrameStream(recording, FrameSettings(silhouettes=silhouettes, people=True))
+    return FrameStream(recording, FrameSettings(silhouettes=silhouettes, people=True, colours=True))
 
 
 def frames_to_examine(recording: Recording) -> tuple[FrameStream, bool]:
@@ -113,7 +113,7 @@ def with_everybody(source: FrameStream, options: TrackOptions) -> FrameStream | 
     settings = source.options
     if settings.silhouettes is None or options.of_picture or len(source.rig) < 3:
         return None
-    whole = FrameSettings(settings.longer_side, settings.factor, settings.silhouettes, people=True)
+    whole = FrameSettings(settings.longer_side, settings.factor, settings.silhouettes, people=True, colours=True)
     everybody = FrameStream(source.recording, whole, source.backgrounds or None)
     if several_seen(everybody, options):
         return everybody
