@@ -1,7 +1,7 @@
 """`bench clothes`: people of one body whom place, motion and size do not tell apart, with the pictures and without.
 
-Twins in different clothes: one leaves and the other comes to the same place a second later; or both walk towards each
-other until they nearly touch, and turn back, where their motion says that they go on past each other.
+Twins in different clothes: one leaves and the other comes to the same place a second later; or both leave, and each
+comes back where the other one stood.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from hypose.pipeline.run import TrackOptions
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.tracked_people import OnePerson
 from hypose.synthetic.motions import act
-from hypose.synthetic.performance import Performance, moved
+from hypose.synthetic.performance import Performance
 from hypose.synthetic.scenes import Scene, make_scene
 
 FIRST_SEED = 330
 RATE = 25.0
-SETTINGS = {"another comes": 3.2, "turning back": 3.2}
+SETTINGS = {"another comes": 3.2, "places exchanged": 3.2}
 """s of each."""
-_LEAVES, _COMES, _NEAR_M, _HERE_M = 1.0, 2.0, 0.3, 0.5
+_LEAVES, _COMES, _BESIDE_M, _HERE_M = 1.0, 2.0, 0.6, 0.5
 
 
 def clothes(options: BenchOptions) -> BenchReport:
@@ -74,29 +74,22 @@ def _twins(setting: str, seed: int) -> tuple[Scene, NDArray[np.bool_]]:
         one = other = act("wave", twin, seconds, RATE, rng)
         there = np.stack([one.times < _LEAVES, one.times >= _COMES])
     else:
-        one = _turning_back(act("walk", twin, seconds, RATE, rng))
-        yaw = np.pi  # the other one comes from the opposite side
-        other = moved(one, yaw, (0.0, 0.0))
-        gap = _NEAR_M * _towards(one)
-        one, other = moved(one, 0.0, tuple(-gap / 2)), moved(other, 0.0, tuple(gap / 2))
-        there = np.ones((2, len(one)), dtype=bool)
+        here = act("wave", twin, seconds, RATE, rng)
+        back = here.times >= _COMES
+        side = np.where(back, _BESIDE_M, -_BESIDE_M)
+        one, other = _shifted(here, side), _shifted(here, -side)
+        there = np.tile(back | (here.times < _LEAVES), (2, 1))
     scene = make_scene(one, twin, "ring-5", seed=seed, corruption=("level-1",))
     first, second = (_away(p, ~t) for p, t in zip((one, other), there, strict=True))
     return replace(scene, performance=first, others=((scene.subject, second),)), there
 
 
-def _towards(p: Performance) -> Array:
-    """(2,) the direction in which somebody walks to the middle of the clip."""
-    way = p.root[len(p) // 2, :2] - p.root[0, :2]
-    return way / np.linalg.norm(way)
-
-
-def _turning_back(p: Performance) -> Performance:
-    """Somebody who walks to the origin for half of the clip, and backwards again."""
-    half = len(p) // 2
-    rows = np.r_[: half + 1, np.arange(half - 1, half - 1 - (len(p) - half - 1), -1)]
-    back = Performance(p.name, p.times, p.rotations[rows], p.root[rows], p.joints[rows])
-    return moved(back, 0.0, (-float(back.root[half, 0]), -float(back.root[half, 1])))
+def _shifted(p: Performance, x: Array) -> Performance:
+    """Somebody x (T,) m further along the first axis."""
+    root, joints = p.root.copy(), p.joints.copy()
+    root[:, 0] += x
+    joints[..., 0] += x[:, None]
+    return Performance(p.name, p.times, p.rotations, root, joints)
 
 
 def _away(p: Performance, away: NDArray[np.bool_]) -> Performance:
