@@ -17,6 +17,7 @@ from benchmarks.bench_origin import beside_yardstick, command, commit, machine, 
 from benchmarks.bench_report import BenchOptions, BenchReport, Progress, Row
 from benchmarks.cameras import (
     board_accuracy,
+    caliscope_person,
     cameras_bench,
     doctor_real,
     gait_bench,
@@ -95,6 +96,7 @@ def benchmarks() -> dict[str, Benchmark]:
         "opensim": Benchmark(opensim_ik_bench.opensim, "data"),
         "inputs": Benchmark(inputs.bench_inputs),
         "gait": Benchmark(gait_bench.gait, "seeds", "first_seed", "data", "parts"),
+        "caliscope": Benchmark(caliscope_person.caliscope, "data"),
         "cameras": Benchmark(cameras_bench.cameras, "seeds", "first_seed", "data", "parts"),
         "calibration": Benchmark(board_accuracy.boards, "seeds", "first_seed", "data"),
         "doctor": Benchmark(planted_faults.doctor, "seeds", "first_seed"),

@@ -11,7 +11,7 @@ CAPTURED = (
         """Captured walking, running, boxing (CMU, on other bodies) and a run measured by Vicon, through three cameras
         of three real calibrations; key points err by 4 px of the pictures, slowly, with outliers, gaps and exchanged
         sides. Mean error of 12 limb joints without a constant offset of each, the body from the clip itself. In uu4cam
-        the person is a third as large. Knees hold the regions down: feet that point outwards turn the legs.""",
+        the person is a third as large: its regions are too small, those of the others too large.""",
         (
             Column("mean error, mm", "mean_mm", spread=True),
             Column("with offsets", "raw_mm"),
@@ -47,5 +47,23 @@ CAPTURED = (
         ),
         notebook="cameras.md#captured-movement",
         picture=Panels(("coverage_90", "foot_strike_frames", "step_length_mm")),
+    ),
+    Page(
+        "caliscope",
+        """A public recording of Caliscope: a person behind a desk, four webcams without a trigger, MediaPipe's points
+        without scores and no pictures. Each camera left out in turn: median distance there, in pixels, of what the
+        other three say; theirs are the same points triangulated as Caliscope does. Last column: distance of our
+        body's points, and of our form of its triangulation, from the 3D file that it wrote.""",
+        (
+            Column("camera left out, px", "loco_px"),
+            Column("shoulders to wrists, px", "loco_px", "{}, arms"),
+            Column("from their file, mm", "agreement_mm"),
+        ),
+        (
+            Line("hypose", "hypose", (most(1.0, 0, "caliscope"),)),
+            Line("Caliscope's triangulation", "caliscope"),
+        ),
+        notebook="cameras.md#captured-movement",
+        picture=Panels(("loco_px",)),
     ),
 )

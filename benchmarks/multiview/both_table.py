@@ -1,4 +1,4 @@
-"""Both kinds of evidence against the better one alone, with key points and calibrations spoilt in ten ways."""
+"""Both kinds of evidence against the better one alone, with key points and calibrations spoilt in twelve ways."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hypose.synthetic.metrics import EVALUATED
 from hypose.synthetic.spoilt_keypoints import SPOILS
 
 DEGRADATIONS = (*SPOILS, "moved_camera")
-"""Nine ways to spoil key points; the last one spoils the calibration, of the masks as well."""
+"""Eleven ways to spoil key points; the last one spoils the calibration, of the masks as well."""
 SCENES = ("walk", "box", "serve", "cross-arms")
 
 

@@ -123,7 +123,7 @@ def _told(clips: Sequence[Tracked], judges: Sequence[Tracked]) -> list[Row]:
     if scores:
         value = auroc(np.concatenate(scores), np.concatenate(wrong))
         rows.append(Row("auroc", "spoilt", value, "1", n=sum(map(len, scores))))
-    if any(c.seed < JUDGES for c in clips):
+    if any(c.seed < JUDGES and c.evidence == "silhouettes" for c in clips):
         r = rows_of(clips, "silhouettes", ALONE)
         at = (r.seed >= JUDGES) & r.whole
         p = left_out(r, "silhouettes")

@@ -251,9 +251,10 @@ def left_out(rows: Rows, evidence: str) -> Array:
 
 
 def report_fit(clips: Sequence[Tracked], write: bool = True) -> None:
-    """Fits every evidence on the seeds below JUDGES, prints how it does on the others, and writes the asset."""
-    models = {}
-    for evidence in EVIDENCE:
+    """Fits every evidence on the seeds below JUDGES, prints how it does on the others, and writes the asset; an
+    evidence without clips keeps what it has."""
+    models = dict(doubt_models())
+    for evidence in (e for e in EVIDENCE if any(c.evidence == e for c in clips)):
         rows = rows_of(clips, evidence, ALONE)
         rows = rows.take((rows.seed < JUDGES) | rows.whole)
         train, judge = rows.take(rows.seed < JUDGES), rows.take(rows.seed >= JUDGES)

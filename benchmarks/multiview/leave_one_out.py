@@ -98,17 +98,28 @@ def _full_size(keypoints: Keypoints, rig: CameraRig) -> Array:
 
 def _methods(frames: Sequence[Frame], rig: CameraRig, rate: float) -> dict[str, Array]:
     """Points (T, K, 3) m of each method from the frames of three cameras."""
-    keypoints = [_given(f) for f in frames]
+    subject, poses = solved_clip(frames, rate)
+    return {
+        "triangulation": triangulate_keypoints([_given(f) for f in frames])[0],
+        "pose2sim": pose2sim_of(frames, rig, rate),
+        "keypoints": body_points(subject, poses),
+        "both": body_points(subject, both_clip(subject, frames, poses, rate)),
+    }
+
+
+def solved_clip(frames: Sequence[Frame], rate: float) -> tuple[Subject, Array]:
+    """The subject of key points alone and its poses (T, D), the clip solved as one."""
     subject = find_subject(lambda i: frames[i], len(frames), SubjectOptions("keypoints", frame_rate=rate, body=human()))
     assert subject.keypoints is not None
-    poses, _ = solve_keypoint_clip(subject.body, subject.keypoints, keypoints, subject.start, rate)
-    both = both_clip(subject, frames, poses, rate)
-    return {
-        "triangulation": triangulate_keypoints(keypoints)[0],
-        "pose2sim": pose2sim_of(frames, rig, rate),
-        "keypoints": subject.keypoints.positions(subject.body, poses),
-        "both": subject.keypoints.positions(subject.body, both),
-    }
+    poses, _ = solve_keypoint_clip(subject.body, subject.keypoints, [_given(f) for f in frames], subject.start, rate)
+    return subject, poses
+
+
+def body_points(subject: Subject, poses: Array) -> Array:
+    """(T, K, 3) m: where a subject's key points are; NaN for those that the body does not have."""
+    assert subject.keypoints is not None
+    model = subject.keypoints
+    return np.where(model.known[:, None], model.positions(subject.body, poses), np.nan)
 
 
 def both_clip(subject: Subject, frames: Sequence[Frame], poses: Array, rate: float, weight: float = 0.05) -> Array:

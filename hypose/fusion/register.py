@@ -283,6 +283,15 @@ def upward(positions: ArrayLike) -> Array:
     return up / np.linalg.norm(up)
 
 
+def upright_axes(up: Array) -> Array:
+    """(3, 3) world_from_sensor rotation of which z is `up` (3,) and y points away from the sensor."""
+    away: Array = np.array([0.0, 0.0, 1.0]) - up[2] * up
+    if np.linalg.norm(away) < 0.2:  # the sensor looks straight down
+        away = np.array([1.0, 0.0, 0.0]) - up[0] * up
+    y: Array = away / np.linalg.norm(away)
+    return np.stack([np.cross(y, up), y, up]).astype(np.float64)
+
+
 def alone(sensors: int, reference: int = 0) -> Registration:
     """Before anything was seen: only the reference is registered."""
     return Registration(

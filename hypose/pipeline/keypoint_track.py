@@ -1,17 +1,21 @@
-"""A recording's motion from its key points alone: all frames solved together, without a picture being decoded."""
+"""A recording's motion from its key points alone: all frames solved together, without a picture being decoded; and what
+they say beside masks of left and right."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.errors import EvidenceError
+from hypose.evidence.frame import Frame, Keypoints
+from hypose.io.recordings.frames import FrameStream
 from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.track_loop import FrameSource, Progress
+from hypose.pipeline.track_loop import FrameList, FrameSource, Progress
 from hypose.tracking.audit import audit_frame
-from hypose.tracking.keypoint_clip import track_keypoint_clip
+from hypose.tracking.keypoint_clip import real_names, track_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.smooth_motion import Smoothed
 
@@ -33,3 +37,32 @@ def track_keypoints(
     assert solved.motion.poses is not None
     audits = [audit_frame(subject.body, q, f, model) for q, f in zip(solved.motion.poses, frames, strict=True)]
     return solved, np.stack(audits)
+
+
+@dataclass(frozen=True)
+class NamedSides:
+    """The frames of a source with key points whose sides the clip has told."""
+
+    source: FrameSource
+    keypoints: Sequence[Keypoints | None]
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def frame(self, index: int, /) -> Frame:
+        """Frame number index."""
+        return replace(self.source.frame(index), keypoints=self.keypoints[index])
+
+
+def with_named_sides(source: FrameSource, frame_rate: float, subject: Subject) -> tuple[FrameSource, Subject]:
+    """A source in which key points stand beside masks, and its subject, with the sides of limbs as the names of all
+    views and frames have them: a tracker that goes from frame to frame would rename them by where it takes the limbs to
+    be. A source that does not hold its key points in memory stays as it is."""
+    if isinstance(source, FrameStream):
+        seen = source.keypoints
+    else:
+        seen = [f.keypoints for f in source.frames] if isinstance(source, FrameList) else None
+    if seen is None or subject.keypoints is None or all(k is None for k in seen):
+        return source, subject
+    start, named = real_names(subject.body, subject.keypoints, seen, subject.start, frame_rate)
+    return NamedSides(source, named), replace(subject, start=start)

@@ -28,13 +28,13 @@ from hypose.pipeline.doubts import with_doubts
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
 from hypose.pipeline.first_look import first_look, sentences
 from hypose.pipeline.kept_findings import SUBJECT, keep_subject, kept_subject
-from hypose.pipeline.keypoint_track import track_keypoints
+from hypose.pipeline.keypoint_track import track_keypoints, with_named_sides
 from hypose.pipeline.mend_sides import mend_sides, sides_notes
 from hypose.pipeline.picture_start import picture_options, subject_in_picture
 from hypose.pipeline.pictures import depth_note, one_view
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
 from hypose.pipeline.verdict import Verdict, verdict_of
-from hypose.tracking.doubt import evidence_of, judged
+from hypose.tracking.doubt import as_mixture, evidence_of, judged
 from hypose.tracking.fitted_spread import beyond_usual, pose_covariance, with_fitted_angles, with_fitted_joints
 from hypose.tracking.frame_evidence import OwnEvidence
 from hypose.tracking.pose_covariance import unpacked
@@ -203,6 +203,8 @@ def track_source(
         wrong, looks = against_the_clip(audit, motion.n_views, evidence_of(audit))
         said = {"faults": (*faults, *wrong), "looks": looks}
         return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, **said), results)
+    if method is None and not options.of_picture:
+        source, subject = with_named_sides(source, frame_rate, subject)
     before = tracked_before(results.checkpoint, key, total) if resume and results is not None else None
     begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
     done = track_frames(source, range(total), tracker, begin, subject, keep=keep, before=before, progress=report)
@@ -288,14 +290,14 @@ def _doubted(
     motion: Motion, subject: Subject, one_by_one: Array, audit: NDArray[np.float32], covariance: Array
 ) -> Motion:
     """The motion with the probability that a joint is wrong, what is doubtful for that, and standard deviations that
-    hold; covariance (T, D, D) of the poses."""
+    hold, of what is doubtful too; covariance (T, D, D) of the poses."""
     evidence = evidence_of(audit)
     # by what the curvature says
     p, joints = judged(motion, subject.body.joints(one_by_one), audit, subject.unsure)
     beyond = beyond_usual(audit, evidence)
     motion = with_fitted_angles(with_fitted_joints(motion, evidence, beyond), covariance, evidence, beyond)
     frames = joints.any(1) if motion.doubtful is None else motion.doubtful | joints.any(1)
-    return replace(motion, p_wrong=p, doubtful_joints=joints, doubtful=frames)
+    return as_mixture(replace(motion, p_wrong=p, doubtful_joints=joints, doubtful=frames))
 
 
 def _written(result: TrackResult, results: ResultsFolder | None) -> TrackResult:

@@ -133,6 +133,49 @@ def hidden_arm(points: Array, names: Sequence[str], rng: np.random.Generator) ->
     return out
 
 
+def guessed(points: Array, names: Sequence[str], rng: np.random.Generator) -> Array:
+    """One limb in one or two views where it is not, as sure as what is seen: detectors without a score for what they
+    cannot see guess it, and go on guessing. For the whole clip, or in stretches that fill about 40 % of it."""
+    out, size, views = points.copy(), _size(points), points.shape[1]
+    limb = _limb(names, rng)
+    for view in rng.permutation(views)[: int(rng.integers(1, 3))].tolist():
+        at = np.ones(len(points), bool) if rng.random() < 0.5 else _stretches(rng, len(points), 0.4, 20)
+        out[:, view] = _guess(points[:, view], limb, at, size[view], rng)
+    return out
+
+
+def close_up(points: Array, names: Sequence[str], rng: np.random.Generator) -> Array:
+    """One limb, or both legs, in the pictures of two views only, and mostly guessed in one of these two."""
+    out, size = points.copy(), _size(points)
+    part = _limb(names, rng)
+    if rng.random() < 0.5:
+        part = [k for k, n in enumerate(names) if n.endswith(_CHAINS[1][1:])]
+    two = rng.permutation(points.shape[1])[:2]
+    out[:, np.setdiff1d(np.arange(points.shape[1]), two)[:, None], part] = 0.0
+    if rng.random() < 0.7:
+        view, always = int(two[0]), np.ones(len(points), bool)
+        out[:, view] = _guess(out[:, view], part, always, size[view], rng)
+    return out
+
+
+def _limb(names: Sequence[str], rng: np.random.Generator) -> list[int]:
+    """Columns of one limb's points, without its root."""
+    chain, side = _CHAINS[int(rng.integers(2))][1:], "left" if rng.random() < 0.5 else "right"
+    return [k for k, n in enumerate(names) if n.removeprefix(f"{side}_") in chain]
+
+
+def _guess(points: Array, part: list[int], at: NDArray[np.bool_], size: float, rng: np.random.Generator) -> Array:
+    """Points (T, K, 3) of one view with those of a part off by about a sixth of the height at these frames, the same
+    way for long, more so further from the root."""
+    out, t = points.copy(), len(points)
+    angle, far = rng.uniform(0, 2 * np.pi), rng.uniform(0.06, 0.25) * size
+    way = far * np.array([np.cos(angle), np.sin(angle)]) + 0.04 * size * _slow(rng, (t, 2), 15)
+    reach = np.linspace(0.6, 1.1, max(len(part), 1))
+    for k, share in zip(part, reach, strict=False):
+        out[at, k, :2] += share * way[at]
+    return np.where(points[..., 2:] > 0, out, 0.0)
+
+
 def bystander(points: Array, names: Sequence[str], rng: np.random.Generator) -> Array:
     """In one view the points of somebody else, who does the same a little later and 60 % of the height aside, in
     stretches that fill about 40 % of the clip."""
@@ -153,6 +196,8 @@ SPOILS: Mapping[str, Callable[[Array, Sequence[str], np.random.Generator], Array
     "noisy": noisy,
     "outliers": outliers,
     "hidden_arm": hidden_arm,
+    "guessed": guessed,
+    "close_up": close_up,
     "bystander": bystander,
 }
 """All of them by name. `moved_camera` is the calibration's."""

@@ -18,13 +18,14 @@ from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.geometry import Array
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, checked, pixels_per_metre
+from hypose.tracking.named_sides import views_by_names
 from hypose.tracking.reach_table import ArmReach, arm_reach, ends, in_practice
 from hypose.tracking.view_shifts import apart, shift_of_mask
 
 AUDITED = (
     *("bare", "bare_second", "bare_reach", "exposed", "exposed_second", "outside"),
     *("rival", "elsewhere", "elsewhere_by", "exchanged", "points_median", "points_worst", "points_views", "points_all"),
-    *("points_agree", "points_against", "apart"),
+    *("points_agree", "points_against", "renamed", "named", "apart"),
 )
 """Columns of an audit: m^2 of bare mask within NEAR_M of the joint, summed over the views, and in the second-barest
 one; within the limb's reach of its root, summed; share of the joint's part that no other part covers, summed over the
@@ -34,8 +35,9 @@ joints, NaN in frames in which it is not its turn), and by how much of its energ
 that is plainly worse; by how much the body with its sides exchanged overlaps the
 masks better (NaN: not looked at in this frame); m, distance of the joint's key points from it, median and largest over
 the views; views with one; m, median over all points of the frame; views with one, as it was detected, that agrees with
-the joint, and with one that speaks against it; m, by how much the views' masks as a whole contradict each
-other (`hypose.tracking.view_shifts`), the same of all joints (NaN: not looked at in this frame).
+the joint, and with one that speaks against it; views whose points of both its legs, or arms, are called by the other
+side's names where the body has them, and by their own (0 of joints of no limb); m, by how much the views' masks as a
+whole contradict each other (`hypose.tracking.view_shifts`), the same of all joints (NaN: not looked at in this frame).
 """
 NEAR_M = 0.25
 _TALL = 110
@@ -230,17 +232,23 @@ def _arms(body: Body) -> tuple[ArmReach, ...]:
 
 
 def _points(names: tuple[str, ...], rotations: Array, joints: Array, seen: Keypoints, model: KeypointModel) -> Array:
-    """(J, 6): median, largest, number of views, median of the frame, how many agree, and do not; see AUDITED."""
+    """(J, 8): median, largest, number of views, median of the frame, how many agree, and do not, and by which names;
+    see AUDITED."""
     points = np.nan_to_num(seen.points)
     expected = joints[model.joint] + np.einsum("kab,kb->ka", rotations[model.joint], model.offset)
     uv = np.stack([camera.project_pinhole(expected) for camera in seen.rig])
     size = pixels_per_metre(seen, joints[0])
     points[~(points[..., 2] > MIN_CONFIDENCE)] = 0.0
+    sides = np.zeros((len(names), 2))
+    for limb, below in _BELOW.items():
+        sides[[n.endswith(below) for n in names]] = views_by_names(model, limb, points, uv, size)
     own = _columns(names, model.names)  # (J, M), -1: none
     raw = np.linalg.norm(points[..., :2] - uv, axis=-1) / size[:, None]
     there = (own >= 0)[None] & ((points[..., 2] > 0) & model.known & np.isfinite(uv).all(-1))[:, own]
     agree, against = (there & (raw[:, own] < _AGREE_M)).any(-1), (there & (raw[:, own] > 2 * _AGREE_M)).any(-1)
-    points = checked(points, uv, model.names, size, model.known)
+    if seen.really is not None:
+        points = np.take_along_axis(points, seen.really[..., None], 1)
+    points = checked(points, uv, model.names, size, model.known, sides=seen.really is None)
     known = (points[..., 2] > 0) & model.known & np.isfinite(uv).all(-1)
     away = np.minimum(np.linalg.norm(points[..., :2] - uv, axis=-1) / size[:, None], _FAR_M)
     away = np.where(known, away, np.inf)
@@ -251,7 +259,11 @@ def _points(names: tuple[str, ...], rotations: Array, joints: Array, seen: Keypo
     at = np.arange(len(names))
     middle, worst = (np.where(count > 0, row[at, np.maximum(k, 0)], _FAR_M) for k in ((count - 1) // 2, count - 1))
     usual = float(np.median(away[known])) if known.any() else _FAR_M
-    return np.stack([middle, worst, views, np.full(len(names), usual), agree.sum(0), against.sum(0)], 1)
+    found = [middle, worst, views, np.full(len(names), usual), agree.sum(0), against.sum(0), *sides.T]
+    return np.stack(found, 1)
+
+
+_BELOW = {"legs": ("knee", "ankle"), "arms": ("elbow", "wrist")}
 
 
 @lru_cache(8)

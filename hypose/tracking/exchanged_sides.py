@@ -24,7 +24,7 @@ from hypose.tracking.starts import turned
 
 _TO_JOINTS = SolveSettings(iterations=30, coarse_iterations=15)
 _TO_MASKS = SolveSettings(iterations=12, coarse_iterations=8)
-_BELOW_HIP = ("knee", "ankle")
+_PARTS = {"legs": ("hip", "knee", "ankle"), "arms": ("shoulder", "elbow", "wrist")}
 
 
 def turned_around(body: Body, pose: Array) -> Array:
@@ -38,14 +38,15 @@ def turned_around(body: Body, pose: Array) -> Array:
     return _with_joints_at(body, wanted, start)
 
 
-def legs_exchanged(body: Body, pose: Array) -> Array:
-    """(D,) the pose in which each knee and ankle lies where the other one lies in `pose` (D,), all else as it is, as
-    far as anatomy allows."""
+def limbs_exchanged(body: Body, pose: Array, limb: str = "legs") -> Array:
+    """(D,) the pose in which each knee and ankle, or each elbow and wrist ("arms"), lies where the other one lies in
+    `pose` (D,), all else as it is, as far as anatomy allows."""
     s = body.skeleton
+    root, *below = _PARTS[limb]
     joints = body.joints(pose[None])[0]
-    wanted = joints[[s.joint(_other_side(n) if n.endswith(_BELOW_HIP) else n) for n in s.joint_names]]
+    wanted = joints[[s.joint(_other_side(n) if n.endswith(tuple(below)) else n) for n in s.joint_names]]
     start = pose.copy()
-    for part in ("hip", *_BELOW_HIP):
+    for part in (root, *below):
         left, right = (s.dofs_of(f"{side}_{part}") for side in ("left", "right"))
         start[left], start[right] = pose[right], pose[left]
     return _with_joints_at(body, wanted, s.clamp(start))
@@ -79,7 +80,7 @@ def look_for_exchange(pose: Array, frame: PreparedFrame, /) -> tuple[float, Arra
         return float(np.nanmean(silhouette_iou(body, q, frame))) - float(strain(body.skeleton, q[None])[0])
 
     now, best = worth(pose), (-1.0, pose)
-    for rival in (turned_around, legs_exchanged):
+    for rival in (turned_around, limbs_exchanged):
         start = rival(body, pose)
         found = refine(body, start[None], replace(frame, prediction=start), _TO_MASKS)[0].pose
         gain = worth(found) - now

@@ -1,8 +1,8 @@
 """Key points of a whole clip solved at once: no frame is final before the last one has been seen.
 
-First frame after frame, which puts exchanged sides right, leaves strangers out and finds the pose's branch; then all
-frames together on the key points themselves, with feet that stand. For a camera that is still running, the tracker
-looks at key points frame by frame.
+First frame after frame, which puts exchanged sides right, leaves strangers out and finds the pose's branch; again from
+where that has gone on with the wrong leg or arm by the names of most points; then all frames together on the key points
+themselves, with feet that stand. For a camera that is still running, the tracker looks at key points frame by frame.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from hypose.body.body import Body
 from hypose.body.motion import Motion
@@ -20,7 +21,18 @@ from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.fitting import KeypointTerm, PointTerm, SolveSettings, fit_clip, fit_pose
 from hypose.geometry import Array
-from hypose.tracking.keypoint_evidence import STRANGER_M, KeypointModel, keypoint_term, shows_somebody_else
+from hypose.tracking.exchanged_sides import limbs_exchanged
+from hypose.tracking.keypoint_evidence import (
+    MIN_CONFIDENCE,
+    STRANGER_M,
+    SWAPPED_M,
+    KeypointModel,
+    checked,
+    keypoint_term,
+    pixels_per_metre,
+    shows_somebody_else,
+)
+from hypose.tracking.named_sides import LIMBS, exchanged_by_names, votes_by_names
 from hypose.tracking.pinned_hinges import unpinned
 from hypose.tracking.pose_covariance import joint_covariance_of
 from hypose.tracking.refinement import anatomical_prior
@@ -42,6 +54,9 @@ _LIMBS = [
     for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
 ]
 _LOOK_EVERY = 5  # frames; looking everywhere is dear
+AROUND_S, CLEAR_NAMES = 0.5, 0.3
+"""s, and by which share more views must call limbs by their own side's name than by the other's, for the clip's word to
+go for more than what masks say."""
 LEAST_POINTS = 6
 """A frame with fewer points (in all views together) says nothing of the pose by itself."""
 _QUICK = SolveSettings(iterations=6, coarse_iterations=0, tolerance=3e-3)
@@ -61,7 +76,7 @@ def solve_keypoint_clip(
     """Poses (T, D) of a clip from its key points alone, and the rows they came from (None: no evidence).
 
     start (D,): pose in the first frame."""
-    first, terms = _one_by_one(body, model, keypoints, start, frame_rate)
+    first, terms = _on_named_sides(body, model, keypoints, start, frame_rate)
     return _together(body, first, terms, frame_rate, settings or ClipSettings()), terms
 
 
@@ -80,7 +95,7 @@ def track_keypoint_clip(
     second), and their sd grows with the distance from the others. progress(done, total) is called after every frame of
     the first pass. An EvidenceError when fewer than two frames have so many points."""
     settings = settings or ClipSettings()
-    first, terms = _one_by_one(body, model, keypoints, start, frame_rate, progress)
+    first, terms = _on_named_sides(body, model, keypoints, start, frame_rate, progress)
     seen = [np.zeros((1, 1), dtype=bool) if term is None else term.points[..., 2] > 0 for term in terms]
     known = np.array([points.any(0).sum() >= LEAST_POINTS for points in seen])
     if known.sum() < 2:
@@ -111,6 +126,61 @@ def track_keypoint_clip(
         return _together(body, free, terms, frame_rate, settings, contacts)
 
     return replace(with_feet(body, motion, own, free, held, settings), one_by_one=first)
+
+
+def real_names(
+    body: Body, model: KeypointModel, keypoints: Sequence[Keypoints | None], start: Array, frame_rate: float
+) -> tuple[Array, list[Keypoints | None]]:
+    """The key points of a clip with what the clip as a whole says of their sides (`Keypoints.really`), where their
+    names agree with it in most views nearby in time, and the pose (D,) in the first frame by them; start (D,): what it
+    was taken for."""
+    poses, _ = _on_named_sides(body, model, keypoints, start, frame_rate)
+    size, clear = 2 * max(1, round(AROUND_S * frame_rate)) + 1, np.ones(len(poses), np.bool_)
+    for limb in LIMBS:
+        votes = votes_by_names(body, model, poses, keypoints, limb)
+        renamed, kept = uniform_filter1d(votes, size, axis=0, mode="nearest").T
+        clear &= kept - renamed >= CLEAR_NAMES * (kept + renamed)
+    out = [
+        _named_by(body, model, q, k) if k is not None and sure else k
+        for q, k, sure in zip(poses, keypoints, clear, strict=True)
+    ]
+    other = np.linalg.norm(body.joints(poses[:1]) - body.joints(start[None]), axis=-1).max() > SWAPPED_M
+    return poses[0] if other else start, out
+
+
+def _named_by(body: Body, model: KeypointModel, pose: Array, seen: Keypoints) -> Keypoints:
+    uv = np.stack([camera.project_pinhole(model.positions(body, pose)) for camera in seen.rig])
+    points = np.nan_to_num(seen.points)
+    points[~(points[..., 2] > MIN_CONFIDENCE)] = 0.0
+    number = np.broadcast_to(np.arange(points.shape[1]), points.shape[:2])[..., None]
+    numbered = np.concatenate([points, number], -1)
+    found = checked(numbered, uv, model.names, pixels_per_metre(seen, pose[:3]), model.known)
+    return replace(seen, really=found[..., 3].astype(np.int64))
+
+
+def _on_named_sides(
+    body: Body,
+    model: KeypointModel,
+    keypoints: Sequence[Keypoints | None],
+    start: Array,
+    frame_rate: float,
+    progress: Report | None = None,
+) -> tuple[Array, list[KeypointTerm | None]]:
+    """As `_one_by_one`, and from where legs or arms lie on the wrong side by their names, once more with them
+    exchanged, as long as that leaves less to be exchanged."""
+    poses, terms = _one_by_one(body, model, keypoints, start, frame_rate, progress)
+    for limb in LIMBS:
+        wrong, worth = exchanged_by_names(body, model, poses, keypoints, limb)
+        while wrong.any():
+            at = int(np.argmax(wrong))
+            begin = limbs_exchanged(body, poses[at], limb)
+            anew, own = _one_by_one(body, model, keypoints[at:], begin, frame_rate)
+            found = np.concatenate([poses[:at], anew])
+            wrong, left = exchanged_by_names(body, model, found, keypoints, limb)
+            if left >= worth:
+                break
+            poses, terms, worth = found, [*terms[:at], *own], left
+    return poses, terms
 
 
 def _one_by_one(

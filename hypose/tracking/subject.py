@@ -22,7 +22,7 @@ from hypose.geometry import Array
 from hypose.tracking.costs import xor_energy
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model
-from hypose.tracking.keypoint_offsets import offset_limits
+from hypose.tracking.keypoint_offsets import leg_weights, offset_limits
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.starts import start_from_keypoints
 
@@ -156,13 +156,14 @@ def _solve_frames(body: Body, points: Array, model: KeypointModel, frames: np.nd
     """Solves the chosen frames in order, each from the last; fills poses (T, D) in place."""
     last: Array | None = None
     joint, offset = model.joint[model.known], model.offset[model.known]
+    weights = leg_weights(model.names)[model.known]
     for t in frames:
         seen = points[t][model.known]
         if last is None:
             poses[t] = start_from_keypoints(body, seen, joint, offset).pose
         else:
             start = poses[t] if np.isfinite(poses[t]).all() else last
-            term = PointTerm(seen, np.ones(len(seen)), joint, offset, 0.03)
+            term = PointTerm(seen, weights, joint, offset, 0.03)
             options = SolveSettings(iterations=20, coarse_iterations=8)
             poses[t] = fit_pose(
                 body, start, points=term, priors=(anatomical_prior(body.skeleton, keypoints=True),), options=options

@@ -5,7 +5,6 @@ import json
 import shutil
 import signal
 import socket
-import struct
 import subprocess
 import sys
 
@@ -26,6 +25,7 @@ from hypose.geometry import transform
 from hypose.io.sensors.skeleton_formats import read_skeletons
 from hypose.io.sensors.skeleton_lines import format_line
 from tests.depth_sensors import camera, places, walker
+from tests.osc_packets import parse_osc
 
 ANGLES = (0, 60, -60)
 
@@ -283,34 +283,6 @@ def test_the_command_does_not_end_well_when_its_recording_was_removed(tmp_path):
 # ---- OSC ----
 
 
-def parse_osc(data):
-    """An independent reading of OSC 1.0 packets."""
-
-    def text(at):
-        end = data.index(b"\0", at)
-        return data[at:end].decode(), (end + 4) & ~3
-
-    if data.startswith(b"#bundle\0"):
-        out, at = [], 16
-        while at < len(data):
-            (size,) = struct.unpack_from(">i", data, at)
-            out += parse_osc(data[at + 4 : at + 4 + size])
-            at += 4 + size
-        return out
-    address, at = text(0)
-    tags, at = text(at)
-    values = []
-    for tag in tags[1:]:
-        if tag == "s":
-            value, at = text(at)
-        else:
-            kind, size = {"i": (">i", 4), "f": (">f", 4), "d": (">d", 8)}[tag]
-            (value,), at = struct.unpack_from(kind, data, at), at + size
-        values.append(value)
-    assert len(data) % 4 == 0 and at == len(data)
-    return [(address, values)]
-
-
 def test_osc_messages_read_back():
     made = osc_message("/a/b", 3, -1.5, "text", double(1e9 + 0.125))
     assert parse_osc(made) == [("/a/b", [3, -1.5, "text", 1e9 + 0.125])]
@@ -320,26 +292,39 @@ def test_osc_messages_read_back():
     assert [v for b in bundles for _, v in parse_osc(b)] == [[float(n)] for n in range(200)]
 
 
-def test_fused_skeletons_by_osc():
+def received(**options):
+    """The messages that reach the target named by an option while somebody walks for a second."""
+    (name,) = options
+
+    async def play(server):
+        await feed(server, 1.0)
+
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sink:
         sink.bind(("127.0.0.1", 0))
-        sink.settimeout(1)
-
-        async def play(server):
-            await feed(server, 1.0)
-
-        live(play, osc=f"127.0.0.1:{sink.getsockname()[1]}")
+        live(play, **{name: f"127.0.0.1:{sink.getsockname()[1]}"})
         found = []
         sink.setblocking(False)
         try:
             while True:
                 found += parse_osc(sink.recv(65536))
         except BlockingIOError:
-            pass
+            return found
+
+
+def test_fused_skeletons_by_osc():
+    found = received(osc=True)
     heads = [v for a, v in found if a == "/hypose/frame"]
     assert [v[0] for v in heads] == list(range(len(heads))) and len(heads) >= 25
     joints = [v for a, v in found if a == "/hypose/person/1/left_hand"]
     assert len(joints) >= 20 and len(joints[0]) == 4
+
+
+def test_the_fused_skeleton_moves_an_avatar():
+    found = received(vmc=True)
+    seen = [v[3] for a, v in found if a == "/VMC/Ext/OK"]
+    assert len(seen) >= 25 and sum(seen) >= 20
+    thighs = [v[4:] for a, v in found if a == "/VMC/Ext/Bone/Pos" and v[0] == "LeftUpperLeg"]
+    assert len(thighs) == len(seen) and np.ptp(thighs, 0).max() > 0.05  # it walks
 
 
 @pytest.mark.slow

@@ -100,6 +100,29 @@ def test_coco_in_25_slots(tmp_path):
     assert (found[..., :17, 2] > 0).any() and not found[..., 17:, 2].any()
 
 
+def test_standard_deviations_of_points_weigh_them(tmp_path):
+    """The ensemble Kalman smoother's columns beside DeepLabCut's: x_posterior_var before x_ens_var."""
+    names = keypoint_names("HALPE_26")
+    points = detections("HALPE_26", RIG, FRAMES)[0]
+    points[2, 4, 2] = 0.1  # hardly seen, whatever its variance says
+    sd = np.full((FRAMES, len(names)), 2.0)
+    sd[:, 3], sd[:, 5], sd[:, 7] = 1.0, 2.0 * np.sqrt(2), 20.0
+    labels = ["x", "y", "likelihood", "x_ens_var", "y_ens_var", "x_posterior_var", "y_posterior_var"]
+    spread = np.repeat(sd[..., None] ** 2, 2, -1)
+    rows = np.concatenate([points, np.full_like(spread, 9.0), spread], -1).reshape(FRAMES, -1)
+    lines = [",".join(["scorer", *["eks"] * rows.shape[1]])]
+    lines += [",".join(["bodyparts", *np.repeat(names, len(labels))]), ",".join(["coords", *labels * len(names)])]
+    lines += [",".join([str(t), *map(repr, row.tolist())]) for t, row in enumerate(rows)]
+    (tmp_path / "eks.csv").write_text("\n".join(lines) + "\n")
+    (view,), notes = keypoints_of_views([tmp_path / "eks.csv"], ["a"], ["a"])
+    assert view is not None and "weighed by the standard deviations that it gives" in notes[0]
+    scores = np.array([view.table.people[t][0, :, 2] for t in range(FRAMES)])
+    seen = points[..., 2] > 0.3
+    assert scores[2, 4] == 0.1 and (scores[seen] > 0.3).all()
+    for k, score in ((3, 1.0), (5, 0.5), (7, 0.31), (8, 1.0)):
+        np.testing.assert_allclose(scores[seen[:, k], k], score)
+
+
 def test_every_set_fits_itself_alone():
     for kind in KEYPOINT_SETS:
         points = detections(kind, RIG, 12).reshape(-1, len(keypoint_names(kind)), 3)
@@ -266,6 +289,19 @@ def test_cameras_of_one_file_are_found_by_name(tmp_path):
         keypoints_of_views(paths[:2], ["left", "right"], ["a", "b"])
 
 
+@pytest.mark.parametrize("layout", ["deeplabcut-csv", "sleap-csv"])
+def test_a_frame_number_that_is_damaged_is_told(tmp_path, layout):
+    folder, _ = written(tmp_path, layout)
+    path = sorted((folder / "points").iterdir())[0]
+    at = {"deeplabcut-csv": 0, "sleap-csv": 1}[layout]
+    *lines, last = path.read_text().splitlines()
+    cells = last.split(",")
+    cells[at] = "734219876543"
+    path.write_text("\n".join([*lines, ",".join(cells)]) + "\n")
+    with pytest.raises(InputError, match=r"a frame has the number 734219876543, the first 0; the file is damaged"):
+        load_recording(folder)
+
+
 def test_clocks_of_caliscope_that_count_differently(tmp_path):
     """Points counted from 0 beside times that go on from the calibration's are frames from the first on."""
     points = detections("BLAZEPOSE_33", RIG, FRAMES)
@@ -280,6 +316,9 @@ def test_clocks_of_caliscope_that_count_differently(tmp_path):
     assert counted.first == 0 and counted.frame_rate == as_written.frame_rate
     assert np.array_equal(counted.people[3], as_written.people[min(numbers) + 3])
     clock = clock_file(path)
+    for name in ("frametimes.csv", "frame_time_history.csv"):  # as other versions call it
+        clock = clock.rename(clock.with_name(name))
+        assert next(iter(read_keypoints(path).values())).frame_rate == as_written.frame_rate
     clock.write_text("sync_index,cam_id,frame_time\n1549,0,1.0\n1550,0,1.03\n")
     with pytest.raises(InputError, match="the two are of different recordings"):
         read_keypoints(path)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from hypose.app.cli import main
+from hypose.app.reports.gait_plot import gait_section
 from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
@@ -82,6 +83,34 @@ def test_uncertain_feet_give_wide_intervals():
     assert unsure.events[0].sd > 3 * sure.events[0].sd
 
 
+def test_what_a_definition_adds_is_no_uncertainty_of_times():
+    """A joint that lies elsewhere all along moves no event, and both heels alike."""
+    motion, body = walking(sd=0.01)
+    known = Motion(**{**motion.__dict__, "definition_sd": np.full(motion.joints.shape[1], 0.008, np.float32)})
+    wide, narrow = gait_of(motion, body), gait_of(known, body)
+    assert [e.time for e in wide.events] == [e.time for e in narrow.events]
+    ratio = np.median([n.sd / w.sd for n, w in zip(narrow.events, wide.events, strict=True)])
+    assert ratio == pytest.approx(0.6, abs=0.03)  # 10 mm less 8 mm in squares is 6 mm
+
+
+def test_an_event_at_the_ends_of_a_clip_is_found():
+    """The foot's way before it is seen in part only."""
+    motion, body = walking()
+    second = [e for e in gait_of(motion, body).events if e.time > 0.5][0]
+    first = round(second.time * RATE) - 8
+    rows = slice(first, first + 100)
+    cut = Motion(
+        motion.skeleton,
+        motion.times[rows],
+        *(v[rows] for v in (motion.joints, motion.poses, motion.joint_covariance, motion.lost, motion.extrapolated)),
+        motion.n_views[rows],
+        motion.cost[rows],
+    )
+    found = gait_of(cut, body).events[0]
+    assert (found.side, found.kind) == (second.side, second.kind)
+    assert found.time == pytest.approx(second.time, abs=0.5 / RATE)
+
+
 def test_cycles_lay_strides_over_each_other():
     """A hip swings as a sine whose cycle is the stride: the mean of the strides is that sine, and they are alike."""
     motion, body = walking(seconds=6.0)
@@ -115,6 +144,14 @@ def test_nobody_walks():
     motion, body = walking()
     with pytest.raises(InputError, match="gait needs poses"):
         gait_of(Motion(**{**motion.__dict__, "poses": None}), body)
+
+
+def test_a_report_has_the_gait_of_who_walks():
+    shown = gait_section(*walking(seconds=6.0))
+    assert "<h2>Gait</h2>" in shown and "cadence" in shown and "steps/min" in shown and "gait cycle (%)" in shown
+    assert gait_section(*walking(still=True)) == ""
+    motion, body = walking()
+    assert gait_section(motion, None) == "" == gait_section(Motion(**{**motion.__dict__, "poses": None}), body)
 
 
 def test_the_command_and_its_files(tmp_path, capsys):

@@ -44,6 +44,20 @@ def test_what_is_spoilt_is_what_is_meant(frames):
     assert not changed[BODY_25.index("nose")]
 
 
+def test_what_is_guessed_stays_as_sure_and_is_of_one_limb(frames):
+    given = points(frames)
+    for seed in range(6):
+        found = points(spoilt(frames, "guessed", np.random.default_rng(seed)))
+        np.testing.assert_array_equal(found[..., 2], given[..., 2])
+        off = np.linalg.norm((found - given)[..., :2], axis=-1).max(0)  # (C, K)
+        moved = [BODY_25[k] for k in np.flatnonzero((off > 1).any(0))]
+        assert 1 <= np.count_nonzero((off > 1).any(1)) <= 2 and 1 < len(moved) <= 5
+        assert len({n.split("_")[0] for n in moved}) == 1 and not {"left_hip", "left_shoulder"} & set(moved)
+        close = points(spoilt(frames, "close_up", np.random.default_rng(seed)))
+        views = (close[..., 2] > 0).any(0).sum(0)  # of each point
+        assert set(np.unique(views)) == {2, 4} and views[BODY_25.index("nose")] == 4
+
+
 def test_errors_of_a_detector_are_as_large_and_as_slow_as_said():
     given = np.concatenate([np.full((600, 3, 25, 2), 500.0), np.ones((600, 3, 25, 1))], -1)
     given[:, 2, 0] = 0.0  # not seen

@@ -1,12 +1,25 @@
 """The probability that a joint is wrong: from what an audit found, with weights that speak one way."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import human
 from hypose.tracking.audit import AUDITED
-from hypose.tracking.doubt import FEATURES, GROUPS, clip_features, doubt_models, evidence_of, group_of, judged
+from hypose.tracking.doubt import (
+    ELSEWHERE_M,
+    FEATURES,
+    GROUPS,
+    as_mixture,
+    clip_features,
+    doubt_models,
+    evidence_of,
+    group_of,
+    judged,
+)
 
 NAMES = human().skeleton.joint_names
 
@@ -86,3 +99,20 @@ def test_every_joint_belongs_to_a_group():
         "trunk",
         "trunk",
     ]
+
+
+def test_a_doubtful_joint_may_be_elsewhere_and_its_sd_says_so():
+    walk, _, _ = clip()
+    names = walk.skeleton.joint_names
+    ankle, shape = names.index("left_ankle"), walk.joints.shape[:2]
+    p, doubtful = np.full(shape, 0.02, np.float32), np.zeros(shape, bool)
+    p[:, ankle], doubtful[:, ankle] = 0.3, True
+    sd = np.full((len(walk), len(ANGLE_NAMES)), 0.05, np.float32)
+    motion = replace(walk, p_wrong=p, doubtful_joints=doubtful, angle_sd=sd)
+    told = as_mixture(motion)
+    others = np.arange(len(names)) != ankle
+    np.testing.assert_allclose(told.joint_covariance[:, others], walk.joint_covariance[:, others], rtol=1e-6)
+    more = told.joint_covariance[:, ankle] - walk.joint_covariance[:, ankle]
+    np.testing.assert_allclose(more, np.broadcast_to(0.3 * ELSEWHERE_M**2 / 3 * np.eye(3), more.shape), rtol=1e-4)
+    wider = {n for n, s in zip(ANGLE_NAMES, told.angle_sd[0], strict=True) if s > 0.1}
+    assert wider == {"knee_angle_l"}

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.tracking.exchanged_sides import legs_exchanged, look_for_exchange, turned_around
+from hypose.tracking.exchanged_sides import limbs_exchanged, look_for_exchange, turned_around
 from hypose.tracking.frame_evidence import prepare
 
 
@@ -53,7 +53,7 @@ def test_legs_exchanged_leaves_the_rest_in_place(body, standing):
     s = body.skeleton
     pose[s.dofs_of("left_hip")[0]] -= 0.5
     pose[s.dofs_of("right_hip")[0]] += 0.2
-    joints, other = body.joints(np.stack([pose, legs_exchanged(body, pose)]))
+    joints, other = body.joints(np.stack([pose, limbs_exchanged(body, pose)]))
     for side, across in (("left", "right"), ("right", "left")):
         ankle, wrist = s.joint(f"{side}_ankle"), s.joint(f"{side}_wrist")
         assert np.linalg.norm(joints[s.joint(f"{across}_ankle")] - other[ankle]) < 0.1
@@ -63,7 +63,7 @@ def test_legs_exchanged_leaves_the_rest_in_place(body, standing):
 def test_silhouettes_prefer_each_leg_in_its_place(body, standing, frame_of):
     pose = striding(body, standing)
     frame = prepare(frame_of(body, pose, 0), body, pose)
-    gain, found = look_for_exchange(legs_exchanged(body, pose), frame)
+    gain, found = look_for_exchange(limbs_exchanged(body, pose), frame)
     assert gain > 0.01
     s = body.skeleton
     joints, back = body.joints(np.stack([pose, found]))

@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from hypose.app.commands.console import say
-from hypose.errors import InputError
 
 
 def gait(
@@ -18,15 +17,11 @@ def gait(
     """Write strikes, steps, cadence and speed (CSV, C3D with events), and joint angles over the gait cycle."""
     from hypose.app.jobs.gait_job import write_gait
     from hypose.io.claims import claimed
-    from hypose.io.motions.bodies import load_body
-    from hypose.io.motions.compared_files import load_result
+    from hypose.io.motions.bodies import load_result_body
     from hypose.pipeline.gait_events import gait_of
 
-    motion = load_result(results)
+    motion, body = load_result_body(results)
     source = results if results.is_dir() else results.parent
-    body = load_body(source / "body.npz")
-    if body.skeleton.joint_names != motion.skeleton.joint_names:
-        raise InputError(f"{source}: body.npz and the motion belong to different bodies; track the recording again.")
     found = gait_of(motion, body)
     with claimed(out or source):
         written = write_gait(out or source, motion, found)

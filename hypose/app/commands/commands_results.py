@@ -22,23 +22,15 @@ def export(
 ) -> None:
     """Write motion files (TRC, C3D, BVH, GLB, CSV, MOT; OpenSim, AMASS, VRM, Rerun) from a tracked motion."""
     from hypose.io.claims import claimed
-    from hypose.io.motions.bodies import load_body
+    from hypose.io.motions.bodies import load_result_body
     from hypose.io.motions.export import export_motion
-    from hypose.io.motions.results import ResultsFolder, load_motion
 
-    if not results.exists():
-        raise InputError(f"{results} does not exist; give the results folder that hypose track wrote.")
-    folder = ResultsFolder(results if results.is_dir() else results.parent)
-    motion = load_motion(folder.motion if results.is_dir() else results)
-    body = load_body(folder.file("body.npz"))
-    if body.skeleton.joint_names != motion.skeleton.joint_names:
-        raise InputError(
-            f"{folder.path}: body.npz and the motion belong to different bodies; track the recording again."
-        )
+    motion, body = load_result_body(results)
+    target = out or (results if results.is_dir() else results.parent)
     names = split_names(formats)
-    with claimed(out or folder.path), Stages() as progress:
+    with claimed(target), Stages() as progress:
         progress("export", 0, 1)
-        written = export_motion(motion, body, out or folder.path, names)
+        written = export_motion(motion, body, target, names)
         progress("export", 1, 1)
     for path in written:
         say(str(path))

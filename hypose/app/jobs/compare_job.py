@@ -15,7 +15,8 @@ from hypose.app.reports.check_page import STYLE
 from hypose.app.reports.plots import svg
 from hypose.errors import InputError
 from hypose.io.files import write_text
-from hypose.io.motions.compared_files import load_result, read_other
+from hypose.io.motions.compared_files import read_other
+from hypose.io.motions.results import load_result
 from hypose.pipeline.comparison import LEVELS, Agreement, CompareOptions, Comparison, compare_motions
 
 _AXES = ("x", "y", "z")

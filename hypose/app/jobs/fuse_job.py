@@ -21,7 +21,7 @@ from hypose.fusion.clocks import offset_by_movement
 from hypose.fusion.fuse import METHODS, Fused, FusionSettings, fuse_clip
 from hypose.fusion.joints import COMMON, joint_set
 from hypose.fusion.people import PeopleTracker
-from hypose.fusion.register import Registration, check_same_person, common_joints, register, upward
+from hypose.fusion.register import Registration, check_same_person, common_joints, register, upright_axes, upward
 from hypose.fusion.saved import ClipSoFar
 from hypose.geometry import Array, se3, transform
 from hypose.io.files import write_text
@@ -325,15 +325,10 @@ def world_from_sensor(motion: Motion, up: str) -> Array:
     joints = motion.joints[:, [motion.skeleton.joint(n) for n in COMMON]]
     person = upward(joints[~motion.lost] if (~motion.lost).any() else joints)
     z = np.array([0.0, np.sign(person[1]) or -1.0, 0.0]) if up == "sensor" else person
-    away = np.array([0.0, 0.0, 1.0]) - z[2] * z
-    if np.linalg.norm(away) < 0.2:  # the sensor looks straight down
-        away = np.array([1.0, 0.0, 0.0]) - z[0] * z
-    y = away / np.linalg.norm(away)
-    rotation = np.stack([np.cross(y, z), y, z])
     feet = joints[:, [COMMON.index("left_foot"), COMMON.index("right_foot")]] @ z
     feet = feet[np.isfinite(feet)]
     floor = float(np.percentile(feet, 2)) - _FOOT_HEIGHT_M if len(feet) else 0.0
-    return se3(rotation, np.array([0.0, 0.0, -floor]))
+    return se3(upright_axes(z), np.array([0.0, 0.0, -floor]))
 
 
 def _write(job: FuseJob, fused: Fused, world: Array, folder: ResultsFolder, notes: Sequence[str]) -> PersonResult:

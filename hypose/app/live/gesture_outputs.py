@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import re
-import socket
 import threading
 from collections.abc import Coroutine, Sequence
 from contextlib import suppress
@@ -16,7 +15,7 @@ from websockets.exceptions import ConnectionClosed
 
 from hypose.app.jobs.gesture_job import Watched
 from hypose.app.live.door import Door, fold_logs
-from hypose.app.live.osc import osc_bundles, osc_message
+from hypose.app.live.osc import OscTarget, osc_message
 from hypose.errors import InputError
 from hypose.gestures.events import Event
 
@@ -58,14 +57,7 @@ class OscOut:
     (each gesture's score over its threshold, at most 1)."""
 
     def __init__(self, target: str, names: Sequence[str], limits: Sequence[float]) -> None:
-        host, _, port = target.rpartition(":")
-        if not host or not port.isdigit() or not 0 < int(port) < 65536:
-            raise InputError(f"{target!r} is no address for OSC; give HOST:PORT, for example 127.0.0.1:12000.")
-        try:
-            family, kind, _, _, self._target = socket.getaddrinfo(host, int(port), type=socket.SOCK_DGRAM)[0]
-            self._socket = socket.socket(family, kind)
-        except OSError as error:
-            raise InputError(f"{target!r} cannot be reached ({error}); give HOST:PORT.") from None
+        self._target = OscTarget(target)
         self._names, self._limits = list(names), list(limits)
 
     def send(self, watched: Watched) -> None:
@@ -78,15 +70,11 @@ class OscOut:
             messages.append(osc_message(f"/gesture/{self._names[e.gesture - 1]}/{e.kind}", float(e.score)))
         shares = [min(1.0, f.score / limit) for f, limit in zip(watched.found, self._limits, strict=True)]
         messages.append(osc_message("/wek/outputs", *shares))
-        for bundle in osc_bundles(messages):
-            try:
-                self._socket.sendto(bundle, self._target)
-            except OSError:  # nobody listens: the next frame counts
-                pass
+        self._target.send(messages)
 
     def close(self) -> None:
         """Let go of the socket."""
-        self._socket.close()
+        self._target.close()
 
 
 class WebSocketOut:

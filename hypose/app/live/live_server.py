@@ -31,7 +31,8 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from hypose.app.live.door import Door, fold_logs, same_secret, shows_secret
-from hypose.app.live.osc import double, osc_bundles, osc_message
+from hypose.app.live.osc import OscTarget, double, osc_message
+from hypose.app.live.vmc_live import VmcLive
 from hypose.errors import InputError
 from hypose.fusion.joints import COMMON
 from hypose.fusion.live import LiveFrame, LiveFuser, LiveSettings
@@ -49,15 +50,16 @@ _REPORT_S = 10.0
 
 @dataclass(frozen=True)
 class LiveOptions:
-    """host: address to listen on; udp, ws: ports (0 = any free one, None = none); osc: HOST:PORT or None; token: what
-    senders and listeners must show (made when the host is not this computer alone); record: a new folder; lines_per_s,
-    burst: what is taken from outside; clients: WebSocket connections; waiting: messages kept for a slow
+    """host: address to listen on; udp, ws: ports (0 = any free one, None = none); osc, vmc: HOST:PORT or None; token:
+    what senders and listeners must show (made when the host is not this computer alone); record: a new folder;
+    lines_per_s, burst: what is taken from outside; clients: WebSocket connections; waiting: messages kept for a slow
     listener."""
 
     host: str = "127.0.0.1"
     udp: int | None = 9870
     ws: int | None = 9871
     osc: str | None = None
+    vmc: str | None = None
     token: str | None = None
     record: Path | None = None
     settings: LiveSettings = field(default_factory=LiveSettings)
@@ -111,7 +113,8 @@ class LiveServer:
         self._outs: set[asyncio.Queue[str]] = set()
         self._connections = 0
         self._door = Door()
-        self._osc: tuple[socket.socket, Any] | None = None
+        self._osc: OscTarget | None = None
+        self._vmc: VmcLive | None = None
         self._status_at = 0.0
 
     def now(self) -> float:
@@ -125,7 +128,9 @@ class LiveServer:
         o, loop = self.options, asyncio.get_running_loop()
         fold_logs()
         if o.osc is not None:
-            self._osc = _osc_target(o.osc)
+            self._osc = OscTarget(o.osc)
+        if o.vmc is not None:
+            self._vmc = VmcLive(OscTarget(o.vmc, "--vmc"))
         try:
             if o.udp is not None:
                 transport, _ = await loop.create_datagram_endpoint(lambda: _Datagrams(self), local_addr=(o.host, o.udp))
@@ -168,8 +173,9 @@ class LiveServer:
             self._server.close()
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._server.wait_closed(), 3)
-        if self._osc is not None:
-            self._osc[0].close()
+        for out in (self._osc, self._vmc):
+            if out is not None:
+                out.close()
         self._record(lambda writer: writer.close())
         self._writer = None
 
@@ -254,10 +260,9 @@ class LiveServer:
         if self._outs:
             self._post(frame_json(frame, latency))
         if self._osc is not None:
-            send, target = self._osc
-            for bundle in osc_bundles(frame_osc(frame, latency)):
-                with contextlib.suppress(OSError):  # nobody listens, or the buffer is full: the next frame counts
-                    send.sendto(bundle, target)
+            self._osc.send(frame_osc(frame, latency))
+        if self._vmc is not None:
+            self._vmc.send(frame)
 
     def listen(self, queue: asyncio.Queue[str]) -> None:
         """From now on the queue gets every message, as text; when it is full, the newest take the oldest's places."""
@@ -412,19 +417,6 @@ def _printable(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in text)[:200]
 
 
-def _osc_target(text: str) -> tuple[socket.socket, Any]:
-    host, colon, port = text.rpartition(":")
-    try:
-        if not colon or not 1 <= int(port) <= 65535:
-            raise ValueError
-        found = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_DGRAM)[0]
-    except (ValueError, OSError):
-        raise InputError(f"--osc {text} cannot be reached; give HOST:PORT, for example 127.0.0.1:9000.") from None
-    out = socket.socket(found[0], socket.SOCK_DGRAM)
-    out.setblocking(False)
-    return out, found[4]
-
-
 async def run_live(options: LiveOptions, say: Say, note: Say) -> None:
     """Serve until Ctrl-C or SIGTERM, telling now and then how it goes."""
     server = LiveServer(options, note)
@@ -442,6 +434,8 @@ async def run_live(options: LiveOptions, say: Say, note: Say) -> None:
         say(f"Fused out:     ws://{host}:{server.ws_port}/out")
     if options.osc is not None:
         say(f"Fused out:     osc {options.osc}")
+    if options.vmc is not None:
+        say(f"Avatar out:    vmc {options.vmc}")
     if server.token:
         say(f"Token:         {server.token}")
     say("Stop with Ctrl-C.")

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import socket
 import struct
 from collections.abc import Sequence
+
+from hypose.errors import InputError
 
 MAX_BUNDLE = 1400
 """Bytes: fits one Ethernet packet."""
@@ -44,3 +48,33 @@ def osc_bundles(messages: Sequence[bytes]) -> list[bytes]:
 def _text(text: str) -> bytes:
     data = text.encode("utf-8") + b"\0"
     return data + b"\0" * (-len(data) % 4)
+
+
+class OscTarget:
+    """A UDP address, HOST:PORT, that messages are sent to. Nothing waits: what nobody takes is lost, and the next frame
+    counts. An InputError when there is no such address; option: what the user gave it as."""
+
+    def __init__(self, address: str, option: str = "--osc") -> None:
+        host, colon, port = address.rpartition(":")
+        try:
+            if not colon or not host or not 1 <= int(port) <= 65535:
+                raise ValueError
+            family, kind, _, _, self._address = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_DGRAM)[
+                0
+            ]
+            self._socket = socket.socket(family, kind)
+        except (ValueError, OSError):
+            raise InputError(
+                f"{option} {address} cannot be reached; give HOST:PORT, for example 127.0.0.1:9000."
+            ) from None
+        self._socket.setblocking(False)
+
+    def send(self, messages: Sequence[bytes]) -> None:
+        """Messages of `osc_message`, in bundles."""
+        for bundle in osc_bundles(messages):
+            with contextlib.suppress(OSError):
+                self._socket.sendto(bundle, self._address)
+
+    def close(self) -> None:
+        """Let go of the socket."""
+        self._socket.close()

@@ -1,14 +1,19 @@
-"""The picture of a gait cycle: joint angles from strike to strike, mean and spread of the strides."""
+"""Gait in a report: its figures, and the picture of its cycle, joint angles from strike to strike with the mean and
+spread of the strides."""
 
 from __future__ import annotations
 
+import html
 from collections.abc import Sequence
 
 import numpy as np
 
 from hypose.app.reports.figures import Figure
 from hypose.app.reports.plots import LEFT, MIDDLE, RIGHT, svg
-from hypose.pipeline.gait_cycles import PERCENT, AngleCycle
+from hypose.body.body import Body
+from hypose.body.motion import Motion
+from hypose.pipeline.gait_cycles import PERCENT, AngleCycle, angle_cycles
+from hypose.pipeline.gait_events import gait_of
 
 _PANELS = (
     ("hip flexion", "hip_flexion"),
@@ -52,3 +57,21 @@ def cycle_plot(cycles: Sequence[AngleCycle]) -> str:
             axes.set_xlabel("gait cycle (%)")
 
     return svg(draw, (10.6, 4.6))
+
+
+def gait_section(motion: Motion, body: Body | None) -> str:
+    """HTML: means with their intervals and the cycle; "" where nobody walks two steps, or poses are not known."""
+    if motion.poses is None or body is None or not (found := gait_of(motion, body)).figures:
+        return ""
+    rows = "".join(
+        f'<tr><td>{html.escape(f.name.replace("_", " "))}</td><td class="n">{f.mean:.3g} {html.escape(f.unit)}</td>'
+        f'<td class="n">{f.low:.3g} to {f.high:.3g}</td><td class="n">{f.n}</td></tr>'
+        for f in found.figures
+    )
+    head = "<tr><th></th><th>mean</th><th>with 90 %</th><th>n</th></tr>"
+    out = f"<h2>Gait</h2><table>{head}{rows}</table>"
+    if cycles := angle_cycles(found.events, motion):
+        caption = "From strike to strike of the same foot. Bands: one standard deviation between strides, or of the "
+        caption += "tracking where there is one. hypose gait writes the numbers, and each event and step."
+        out += f"<figure>{cycle_plot(cycles)}<figcaption>{caption}</figcaption></figure>"
+    return out

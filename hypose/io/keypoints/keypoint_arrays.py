@@ -19,7 +19,14 @@ from hypose.geometry import Array
 from hypose.io.calibrations.calibration_opencap import read_plain_pickle
 from hypose.io.files import readable_size
 from hypose.io.keypoints.keypoint_csv import deeplabcut_table
-from hypose.io.keypoints.keypoint_table import MAX_BYTES, MAX_FRAMES, MAX_POINTS, KeypointTable, checked_people
+from hypose.io.keypoints.keypoint_table import (
+    MAX_BYTES,
+    MAX_FRAMES,
+    MAX_POINTS,
+    KeypointTable,
+    checked_people,
+    whole_number,
+)
 
 _KIND = "an array of key points"
 
@@ -133,4 +140,5 @@ def _deeplabcut(group: Any, where: str) -> KeypointTable:
     if len(numbers) > MAX_FRAMES:
         raise InputError(f"{where} has {len(numbers)} frames, too many; cut the recording into pieces.")
     named = [(c[1] if len(c) == 4 else "", c[-2], c[-1]) for c in wide]
-    return deeplabcut_table(named, [int(n) for n in numbers], values, where)
+    counted = [whole_number(n, where, "a frame's number") for n in np.asarray(numbers).tolist()]
+    return deeplabcut_table(named, counted, values, where)

@@ -1,6 +1,7 @@
 """Key points as tables: DeepLabCut, SLEAP and Caliscope CSV.
 
-Sources: DeepLabCut's CSV of analysed videos (three header lines scorer, bodyparts, coords; four with individuals);
+Sources: DeepLabCut's CSV of analysed videos (three header lines scorer, bodyparts, coords; four with individuals),
+the ensemble Kalman smoother's in the same layout (eks: x_ens_var, x_posterior_var and so on beside x, y, likelihood);
 SLEAP's analysis CSV (track, frame_idx, instance.score, then node.x, node.y, node.score); Caliscope's xy_<tracker>.csv
 (sync_index, cam_id - port in old ones -, frame_index, frame_time, point_id - keypoint_id in new ones -, img_loc_x,
 img_loc_y, ...), one row per point that was found, pixels of the picture as the camera delivers it, no scores.
@@ -24,11 +25,14 @@ from hypose.io.keypoints.keypoint_table import (
     KeypointTable,
     checked_people,
     grouped,
+    weighed,
     whole_number,
 )
 from hypose.io.text_in import bounded_lines
 
 _KIND = "a CSV of key points of DeepLabCut, SLEAP or Caliscope"
+_VARIANCES = (("x_posterior_var", "y_posterior_var"), ("x_ens_var", "y_ens_var"))
+"""px^2, by the ensemble Kalman smoother of Lightning Pose; the better first."""
 
 
 def read_keypoint_csv(path: Path) -> dict[str, KeypointTable]:
@@ -58,16 +62,18 @@ def _number(cell: str) -> float:
 
 def by_individual(columns: Sequence[tuple[str, ...]], where: str) -> dict[str, list[tuple[str, list[int]]]]:
     """DeepLabCut's columns (individual, body part, coordinate) -> per individual the body parts with the places of
-    x, y, likelihood."""
+    x, y, likelihood, and of the variances of x and y where all parts have them."""
     people: dict[str, dict[str, dict[str, int]]] = {}
     for i, (individual, part, coordinate) in enumerate(columns):
         people.setdefault(individual, {}).setdefault(part, {})[coordinate] = i
     out: dict[str, list[tuple[str, list[int]]]] = {}
+    every = [set(at) for parts in people.values() for at in parts.values()]
+    variances = next((v for v in _VARIANCES if all(set(v) <= at for at in every)), ())
     for individual, parts in people.items():
         for part, at in parts.items():
             if not {"x", "y", "likelihood"} <= at.keys():
                 raise InputError(f"{where}: {part} lacks x, y or likelihood; analyse the video again.")
-            out.setdefault(individual, []).append((part, [at["x"], at["y"], at["likelihood"]]))
+            out.setdefault(individual, []).append((part, [at[c] for c in ("x", "y", "likelihood", *variances)]))
     names = [tuple(p for p, _ in parts) for parts in out.values()]
     return {k: v for k, v in out.items() if {p for p, _ in v} == set(max(names, key=len))}  # not the single points
 
@@ -80,12 +86,15 @@ def deeplabcut_table(
     if not people:
         raise InputError(f"{where} has no body parts; analyse the video again.")
     names = tuple(p for p, _ in next(iter(people.values())))
-    places = [[dict(parts)[n] for n in names] for parts in people.values()]  # (P, K, 3)
+    places = np.array([[dict(parts)[n] for n in names] for parts in people.values()])  # (P, K, 3 or 5)
+    whole = values[:, places]
+    spread = places.shape[2] == 5
+    points = weighed(whole[..., :3], whole[..., 3:]) if spread else whole
     found = {}
-    for number, row in zip(numbers, values, strict=True):
-        points = checked_people(row[np.array(places)], f"{where}, frame {number}")
-        found[number] = points[(points[..., 2] > 0).any(1)]
-    return KeypointTable("DeepLabCut", found, min(found, default=0), names)
+    for number, row in zip(numbers, points, strict=True):
+        people_there = checked_people(row, f"{where}, frame {number}")
+        found[number] = people_there[(people_there[..., 2] > 0).any(1)]
+    return KeypointTable("DeepLabCut", found, min(found, default=0), names, spread=spread)
 
 
 def _deeplabcut(first: list[str], rows: Iterator[list[str]], where: str) -> KeypointTable:
@@ -211,7 +220,7 @@ def _point_order(stem: str, ids: set[int]) -> list[int]:
 
 def clock_file(path: Path) -> Path | None:
     """Caliscope's table of times beside its points, or one folder above; None when there is none."""
-    names = ("timestamps.csv", "frame_timestamps.csv", "frame_time_history.csv")
+    names = ("timestamps.csv", "frame_timestamps.csv", "frametimes.csv", "frame_time_history.csv")
     places = (folder / name for folder in (path.parent, path.parent.parent) for name in names)
     return next((p for p in places if p.is_file()), None)
 

@@ -14,6 +14,9 @@ from hypose.geometry import Array
 MAX_BYTES = 512 * 2**20
 MAX_POINTS = 1000
 MAX_FRAMES = 5_000_000
+SEEN = 0.3
+"""Points of less score are not there for tracking."""
+WEIGHED = 0.31
 _SAMPLED = 60
 
 
@@ -25,7 +28,8 @@ class KeypointTable:
     score 0 where a point is missing; K is the same in all frames with people. first: the number that the video's first
     frame has; None when the layout does not say, so that the smallest of all views' numbers counts. names: of the
     points, where the file gives them. stated: the set that it states. shares: positions are shares of the picture's
-    width and height. scored: the file has scores. frame_rate: where it tells.
+    width and height. scored: the file has scores. spread: it has standard deviations of the points too, which are in
+    the scores (`weighed`). frame_rate: where it tells.
     """
 
     layout: str
@@ -35,6 +39,7 @@ class KeypointTable:
     stated: str | None = None
     shares: bool = False
     scored: bool = True
+    spread: bool = False
     frame_rate: float | None = None
 
     def sample(self) -> Array:
@@ -69,6 +74,20 @@ def checked_people(values: Any, where: str) -> Array:
         raise InputError(f"{where}: a key point is infinite; export it again.")
     missing = ~np.isfinite(p).all(-1) | ~(np.nan_to_num(p[..., 2]) > 0) | (p[..., :2] == 0).all(-1)
     return np.where(missing[..., None], 0.0, p)
+
+
+def weighed(points: Array, variance: Array) -> Array:
+    """Points (..., 3) with a variance (..., 2) px^2 of each as those of which the score says how much they weigh: 1 for
+    a point as sure as the median one or surer, else its share of that one's information; not below WEIGHED, since what
+    is less sure is told from what is not there by the score that it has. Points without a variance stay as they are."""
+    given = np.isfinite(variance).all(-1) & (variance > 0).all(-1) & (points[..., 2] > SEEN)
+    if not given.any():
+        return points
+    spread = variance.mean(-1)
+    share = np.clip(np.median(spread[given]) / np.where(given, spread, 1.0), WEIGHED, 1.0)
+    out = points.copy()
+    out[..., 2] = np.where(given, share, points[..., 2])
+    return out
 
 
 def scored_points(positions: Any, scores: Any, where: str) -> Array:

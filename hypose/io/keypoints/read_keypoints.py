@@ -29,7 +29,7 @@ from hypose.io.keypoints.keypoint_arrays import read_keypoint_h5, read_keypoint_
 from hypose.io.keypoints.keypoint_csv import clock_file, read_keypoint_csv
 from hypose.io.keypoints.keypoint_folder import read_keypoint_folder
 from hypose.io.keypoints.keypoint_json import read_keypoint_json
-from hypose.io.keypoints.keypoint_table import KeypointTable
+from hypose.io.keypoints.keypoint_table import MAX_FRAMES, KeypointTable
 from hypose.io.matching_names import match_names
 
 _ENDINGS = "a folder of OpenPose, EasyMocap or Ultralytics files, .json, .csv, .h5 or .npy"
@@ -186,6 +186,8 @@ def _told(
 ) -> tuple[ViewKeypoints | None, str]:
     if len(sample) == 0:
         return None, ""
+    if (last := max(table.people)) - first > MAX_FRAMES:
+        raise InputError(f"a frame has the number {last}, the first {first}; the file is damaged: export it again.")
     if table.names is not None:
         kind, sample, left = arranged(table.names, sample)
         how = "by their names" + (f", without {', '.join(left[:6])}{', ...' if len(left) > 6 else ''}" if left else "")
@@ -214,6 +216,8 @@ def _sentence(name: str, view: ViewKeypoints, how: str) -> str:
     parts = [f"{table.layout}, {view.keypoint_set} ({how})"]
     if not table.scored:
         parts.append("without scores, so all count alike")
+    elif table.spread:
+        parts.append("weighed by the standard deviations that it gives")
     elif view.score_scale != 1:
         parts.append(f"scores divided by {view.score_scale:.3g}, since they exceed 1")
     else:

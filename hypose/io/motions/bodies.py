@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from hypose.body.body import Body, Landmarks, Mesh
+from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.errors import HyposeError, InputError
-from hypose.io.motions.results import load_archive, write_archive
+from hypose.io.motions.results import load_archive, load_result, write_archive
 
 _FORMAT = 1
 _SKELETON = {
@@ -81,6 +82,17 @@ def load_body(path: str | Path) -> Body:
     except HyposeError as error:
         reason = str(error).rstrip(".")
         raise InputError(f"{path} is not a body of hypose, or is damaged: {reason}; {next_step}.") from None
+
+
+def load_result_body(results: Path) -> tuple[Motion, Body]:
+    """The motion of a results folder, or of its motion.npz, and the body beside it; an InputError when there is none,
+    or they belong to different bodies."""
+    motion = load_result(results)
+    folder = results if results.is_dir() else results.parent
+    body = load_body(folder / "body.npz")
+    if body.skeleton.joint_names != motion.skeleton.joint_names:
+        raise InputError(f"{folder}: body.npz and the motion belong to different bodies; track the recording again.")
+    return motion, body
 
 
 def _problem(arrays: Mapping[str, np.ndarray]) -> str:

@@ -21,7 +21,7 @@ from hypose.evidence.keypoint_sets import common_name
 from hypose.geometry import Array
 from hypose.io.motions.c3d import read_c3d
 from hypose.io.motions.opensim import read_mot
-from hypose.io.motions.results import load_motion
+from hypose.io.motions.results import load_result
 from hypose.io.motions.trc import read_trc
 
 _PARTS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
@@ -36,16 +36,6 @@ class OtherMotion:
     times: Array
     points: Mapping[str, Array] = field(default_factory=dict)
     angles: Mapping[str, Array] = field(default_factory=dict)
-
-
-def load_result(path: Path) -> Motion:
-    """The motion of a results folder, or of a motion.npz."""
-    if not path.exists():
-        raise InputError(f"{path} does not exist; give the results folder that hypose track wrote.")
-    file = path / "motion.npz" if path.is_dir() else path
-    if file.suffix.lower() != ".npz":
-        raise InputError(f"{path} is no result of hypose; give the results folder, or its motion.npz, first.")
-    return load_motion(file)
 
 
 def read_other(

@@ -408,6 +408,23 @@ class Checkpoint:
         return Checkpoint(frame, {k.removeprefix("state."): v for k, v in arrays.items()}, meta, stored)
 
 
+def load_result(path: Path) -> Motion:
+    """The motion of a results folder, or of a motion.npz."""
+    if not path.exists():
+        raise InputError(f"{path} does not exist; give the results folder that hypose track wrote.")
+    file = path / "motion.npz" if path.is_dir() else path
+    if path.is_dir() and not file.exists():
+        people = sorted(p.parent for p in path.glob("*/motion.npz"))
+        if people:
+            raise InputError(
+                f"{path} holds the results of {', '.join(p.name for p in people)}; give one of them, for example "
+                f"{people[0]}."
+            )
+    if file.suffix.lower() != ".npz":
+        raise InputError(f"{path} is no result of hypose; give the results folder, or its motion.npz, first.")
+    return load_motion(file)
+
+
 def _first_difference(stored: Any, current: Any, where: str = "") -> str:
     if isinstance(stored, dict) and isinstance(current, dict):
         for key in sorted(set(stored) | set(current)):

@@ -28,6 +28,7 @@ from pygltflib import (
 
 from hypose.body.body import Body
 from hypose.body.motion import Motion
+from hypose.body.skeleton import Skeleton
 from hypose.geometry import Array, quaternion_from_matrix, so3_exp
 from hypose.io.motions.amass import BODY_JOINTS, SMPL_AXES, smpl_rotations, t_pose_frames
 from hypose.io.motions.animation import Y_UP, filled_poses, without_flips
@@ -63,14 +64,13 @@ BONES: dict[str, tuple[str, str, tuple[str, ...]]] = _TRUNK | {
 def write_vrma(path: str | Path, motion: Motion, body: Body) -> None:
     """Write a motion with poses; frames without one hold the last. An InputError when it has none."""
     poses = filled_poses(motion, path)
-    turns = so3_exp(smpl_rotations(motion.skeleton, poses))
-    rest, store = _rest(body), BinaryBuffer()
+    hips, turns = bone_turns(motion.skeleton, poses)
+    offsets, store = rest_offsets(body), BinaryBuffer()
     names = list(BONES)
-    places = np.stack([rest[n] for n in names])
     nodes = [
         Node(
             name=name,
-            translation=(places[k] - (rest[BONES[name][0]] if k else 0.0)).tolist(),
+            translation=offsets[k].tolist(),
             children=[c for c, other in enumerate(names) if BONES[other][0] == name],
         )
         for k, name in enumerate(names)
@@ -83,15 +83,10 @@ def write_vrma(path: str | Path, motion: Motion, body: Body) -> None:
         whole.channels.append(AnimationChannel(sampler=len(whole.samplers), target=target))
         whole.samplers.append(AnimationSampler(input=clock, output=store.add(values, kind), interpolation="LINEAR"))
 
-    _, centres = motion.skeleton.forward(poses)
-    channel(0, "translation", centres[:, motion.skeleton.joint("pelvis")] @ Y_UP.T, "VEC3")
-    for k, name in enumerate(names):
-        turn = np.broadcast_to(np.eye(3), (len(poses), 3, 3))
-        for joint in BONES[name][2]:
-            turn = turn @ turns[:, BODY_JOINTS.index(joint)]
-        if k == 0:
-            turn = Y_UP @ turn  # world_from_hips
-        channel(k, "rotation", without_flips(quaternion_from_matrix(turn))[:, [1, 2, 3, 0]], "VEC4")
+    channel(0, "translation", hips, "VEC3")
+    for k in range(len(names)):
+        quaternions = without_flips(quaternion_from_matrix(turns[:, k]))
+        channel(k, "rotation", quaternions[:, [1, 2, 3, 0]], "VEC4")
     bones = {name: {"node": k} for k, name in enumerate(names)}
     gltf = GLTF2(
         asset=Asset(version="2.0", generator="hypose"),
@@ -110,8 +105,24 @@ def write_vrma(path: str | Path, motion: Motion, body: Body) -> None:
         gltf.save_binary(str(temporary))
 
 
-def _rest(body: Body) -> dict[str, Array]:
-    """Place (3,) m of every bone in VRM's T pose: x left, y up, z forwards, the soles at y = 0."""
+def bone_turns(skeleton: Skeleton, poses: Array) -> tuple[Array, Array]:
+    """Of poses (T, D): places of the hips (T, 3) m, y up, and rotations (T, B, 3, 3) of every bone against its parent
+    in VRM's T pose, in the order of `BONES`; the hips' turns the avatar into the world. An InputError when the skeleton
+    lacks one of the human joints."""
+    turns = so3_exp(smpl_rotations(skeleton, poses))
+    out = np.empty((len(poses), len(BONES), 3, 3))
+    for k, (_, _, joints) in enumerate(BONES.values()):
+        turn = np.broadcast_to(np.eye(3), (len(poses), 3, 3))
+        for joint in joints:
+            turn = turn @ turns[:, BODY_JOINTS.index(joint)]
+        out[:, k] = turn
+    out[:, 0] = Y_UP @ out[:, 0]  # world_from_hips
+    return skeleton.forward(poses)[1][:, skeleton.joint("pelvis")] @ Y_UP.T, out
+
+
+def rest_offsets(body: Body) -> Array:
+    """(B, 3) m from every bone's parent to it in VRM's T pose (x left, y up, z forwards), in the order of `BONES`; of
+    the hips from the ground, the soles at y = 0."""
     skeleton, frames = body.skeleton, t_pose_frames(body.skeleton)
     places = np.zeros((len(skeleton.joint_names), 3))
     for j, parent in enumerate(skeleton.parents):
@@ -124,4 +135,6 @@ def _rest(body: Body) -> dict[str, Array]:
         if name.endswith("_sole_heel")
     ]
     floor = min(p[1] for p in soles) if soles else places[:, 1].min()
-    return {name: places[skeleton.joint(ours)] - [0.0, floor, 0.0] for name, (_, ours, _) in BONES.items()}
+    at = {name: places[skeleton.joint(ours)] for name, (_, ours, _) in BONES.items()}
+    ground = np.array([0.0, floor, 0.0])
+    return np.stack([at[name] - (at[above] if above else ground) for name, (above, _, _) in BONES.items()])

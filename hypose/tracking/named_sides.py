@@ -1,0 +1,102 @@
+"""Limbs of a tracked clip that lie where the names of its key points put the other side's.
+
+A detector exchanges left and right in one view or another for a while, so that each view's points are named anew by
+where the body is expected (`hypose.tracking.keypoint_evidence.checked`). Where two limbs have met, that expectation may
+go on with the wrong one, and from then on renames all views for ever. What is called left is left more often than not:
+the names of all views and frames are counted together, and limbs that are apart do not change places.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.evidence.frame import Keypoints
+from hypose.geometry import Array
+from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, SWAPPED_M, KeypointModel, pixels_per_metre
+
+LIMBS = {"legs": ("knee", "ankle", "big_toe", "small_toe", "heel"), "arms": ("elbow", "wrist")}
+_FAR_M = 0.5  # points further away are no worse
+_MEETING, _APART, _APART_M = 8.0, 24.0, 0.5
+"""views: what it costs that two limbs change places where they touch, and how much more where they are _APART_M apart.
+Half a second in which, by chance, one view more is called by the other side's names than not is worth 12, and has two
+ends."""
+
+
+def exchanged_by_names(
+    body: Body, model: KeypointModel, poses: Array, keypoints: Sequence[Keypoints | None], limb: str
+) -> tuple[NDArray[np.bool_], float]:
+    """(T,) frames of poses (T, D) in which the limbs of LIMBS[limb] lie on each other's side by what the key points are
+    called, and by how many views that wins, by a Viterbi search over the frames."""
+    pairs = _pairs(model, LIMBS[limb])
+    if not len(pairs):
+        return np.zeros(len(poses), np.bool_), 0.0
+    places = model.positions(body, poses)
+    apart = np.linalg.norm(places[:, pairs[:, 0]] - places[:, pairs[:, 1]], axis=-1).mean(1)
+    renamed, kept = votes_by_names(body, model, poses, keypoints, limb).T
+    change = _MEETING + _APART * (apart / _APART_M) ** 2
+    change[0] = _MEETING  # a start may be wrong, however far apart they are
+    return _best_stretches(renamed - kept, change)
+
+
+def votes_by_names(
+    body: Body, model: KeypointModel, poses: Array, keypoints: Sequence[Keypoints | None], limb: str
+) -> Array:
+    """(T, 2) of poses (T, D): see `views_by_names`."""
+    places = model.positions(body, poses)
+    votes = np.zeros((len(poses), 2))
+    for t, seen in enumerate(keypoints):
+        if seen is not None and seen.names == model.names:
+            uv = np.stack([camera.project_pinhole(places[t]) for camera in seen.rig])
+            votes[t] = views_by_names(model, limb, seen.points, uv, pixels_per_metre(seen, poses[t, :3]))
+    return votes
+
+
+def _pairs(model: KeypointModel, parts: Sequence[str]) -> NDArray[np.int64]:
+    """(N, 2) columns of the left and the right point of each part that the body has."""
+    column = {n: k for k, n in enumerate(model.names) if model.known[k]}
+    both = [(column.get(f"left_{p}", -1), column.get(f"right_{p}", -1)) for p in parts]
+    return np.array([b for b in both if min(b) >= 0], dtype=np.int64).reshape(-1, 2)
+
+
+def views_by_names(model: KeypointModel, limb: str, points: Array, expected: Array, size: Array) -> tuple[int, int]:
+    """In how many views the points (C, K, 3) px, as they are called, lie on the other side's limb, and in how many on
+    their own; of expected (C, K, 2) px and pixels per metre (C,). Views in which they are alike count as neither."""
+    pairs, seen = _pairs(model, LIMBS[limb]), np.nan_to_num(points)
+    if not len(pairs):
+        return 0, 0
+    there = (seen[..., 2] > MIN_CONFIDENCE) & np.isfinite(expected).all(-1)
+
+    def gap(named: NDArray[np.int64], body: NDArray[np.int64]) -> Array:
+        """(C,) m: mean distance of points from where the body has them, NaN where there are none."""
+        both = there[:, named] & np.isfinite(expected[:, body]).all(-1)
+        d = np.linalg.norm(seen[:, named, :2] - expected[:, body], axis=-1) / size[:, None]
+        count = both.sum(1)
+        return np.where(count > 0, np.where(both, np.minimum(d, _FAR_M), 0.0).sum(1) / np.maximum(count, 1), np.nan)
+
+    own, other = pairs.ravel(), pairs[:, ::-1].ravel()
+    as_named, exchanged = gap(own, own), gap(own, other)
+    renamed = (as_named > SWAPPED_M) & (exchanged < 0.5 * as_named)
+    kept = (exchanged > SWAPPED_M) & (as_named < 0.5 * exchanged)
+    return int(renamed.sum()), int(kept.sum())
+
+
+def _best_stretches(worth: Array, change: Array) -> tuple[NDArray[np.bool_], float]:
+    """(T,) frames to exchange that win most of worth (T,), less the change (T,) that each of their ends costs, and what
+    they win."""
+    frames = len(worth)
+    best, came = np.array([0.0, -change[0]]), np.zeros((frames, 2), np.int64)
+    for t in range(frames):
+        if t:
+            crossing = best[::-1] - change[t]
+            came[t] = np.where(crossing > best, [1, 0], [0, 1])
+            best = np.maximum(best, crossing)
+        best = best + [0.0, worth[t]]
+    out, state = np.zeros(frames, np.bool_), int(best[1] > best[0])
+    for t in range(frames - 1, -1, -1):
+        out[t] = state == 1
+        state = int(came[t, state])
+    return out, float(max(best[1], best[0]))

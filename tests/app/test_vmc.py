@@ -1,0 +1,247 @@
+"""Avatars by VMC: packets decoded as a receiver does, the bones point where the limbs do."""
+
+import socket
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from hypose.app.cli import main
+from hypose.app.live.osc import OscTarget, osc_bundles
+from hypose.app.live.vmc import play_motion
+from hypose.app.live.vmc_live import VmcLive, bone_turns_of_points
+from hypose.body.motion import Motion, isotropic
+from hypose.body.ready_bodies import human
+from hypose.errors import InputError
+from hypose.fusion.joints import COMMON
+from hypose.fusion.live import LiveFrame, LivePerson
+from hypose.fusion.point_motion import points_motion
+from hypose.geometry import transform
+from hypose.io.motions.bodies import save_body
+from hypose.io.motions.results import save_motion
+from hypose.io.motions.vrm import BONES, rest_offsets
+from tests.depth_sensors import camera, walker
+from tests.osc_packets import parse_osc
+
+UNITY_BONES = ["Hips", "Spine", "Chest", "Neck", "Head"] + [
+    f"{s}{b}"
+    for s in ("Left", "Right")
+    for b in ("Shoulder", "UpperArm", "LowerArm", "Hand", "UpperLeg", "LowerLeg", "Foot")
+]
+LIMBS = [
+    (f"{s}{a}", f"{s}{b}", f"{s.lower()}_{c}", f"{s.lower()}_{d}")
+    for s in ("Left", "Right")
+    for a, b, c, d in (
+        ("UpperArm", "LowerArm", "shoulder", "elbow"),
+        ("LowerArm", "Hand", "elbow", "wrist"),
+        ("UpperLeg", "LowerLeg", "hip", "knee"),
+        ("LowerLeg", "Foot", "knee", "ankle"),
+    )
+]
+
+
+class Avatar:
+    """What a receiver makes of one frame: local (place, turn) of every bone, in Unity's axes."""
+
+    def __init__(self, messages):
+        found = [m for packet in osc_bundles(messages) for m in parse_osc(packet)]
+        one = {address: values for address, values in found if address != "/VMC/Ext/Bone/Pos"}
+        assert set(one) == {"/VMC/Ext/OK", "/VMC/Ext/T", "/VMC/Ext/Root/Pos"}
+        assert one["/VMC/Ext/Root/Pos"] == ["root", 0, 0, 0, 0, 0, 0, 1]
+        self.tracked, (self.seconds,) = one["/VMC/Ext/OK"][3], one["/VMC/Ext/T"]
+        assert one["/VMC/Ext/OK"][:3] == [1, 3, 0]
+        bones = [values for address, values in found if address == "/VMC/Ext/Bone/Pos"]
+        assert [b[0] for b in bones] == [n[0].upper() + n[1:] for n in BONES]
+        self.place, self.turn = {}, {}
+        for (name, *values), (parent, _, _) in zip(bones, BONES.values(), strict=True):
+            above = parent[:1].upper() + parent[1:]
+            turn = Rotation.from_quat(values[3:])
+            self.place[name] = (self.place[above] + self.turn[above].apply(values[:3])) if parent else values[:3]
+            self.turn[name] = self.turn[above] * turn if parent else turn
+
+
+def unity(points):
+    """World (x, y, z up) -> Unity's left-handed axes; who looks along -y of the world looks along +z there."""
+    return points @ np.array([[-1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+
+
+@pytest.fixture(scope="module")
+def moving():
+    body, rng = human(), np.random.default_rng(4)
+    s = body.skeleton
+    poses = rng.uniform(np.maximum(s.lower, -1), np.minimum(s.upper, 1), (6, s.dof))
+    poses[3] = np.nan
+    lost = np.isnan(poses).any(1)
+    joints = body.joints(np.where(lost[:, None], 0, poses))
+    sds = isotropic(np.full(joints.shape[:2], 0.01))
+    return Motion(s, np.arange(6) / 30, joints, poses, sds, lost, ~lost & False, np.full(6, 4), np.zeros(6)), body
+
+
+class Time:
+    def __init__(self):
+        self.now = 100.0
+
+    def wait(self, seconds):
+        self.now += seconds
+
+
+def played(motion, body, **options):
+    out, time = [], Time()
+    play_motion(
+        motion, body, lambda m: out.append((time.now, Avatar(m))), wait=time.wait, clock=lambda: time.now, **options
+    )
+    return out
+
+
+def test_bones_are_where_the_tracked_joints_are(moving):
+    motion, body = moving
+    frames = played(motion, body)
+    assert sorted(frames[0][1].place) == sorted(UNITY_BONES)
+    for k, (_, avatar) in enumerate(frames):
+        joints = unity(motion.joints[k if k != 3 else 2])  # the lost frame holds the last pose
+        at = {n: joints[i] for i, n in enumerate(motion.skeleton.joint_names)}
+        np.testing.assert_allclose(avatar.place["Hips"], at["pelvis"], atol=1e-5)
+        for upper, lower, a, b in LIMBS:
+            got = np.subtract(avatar.place[lower], avatar.place[upper])
+            np.testing.assert_allclose(got, at[b] - at[a], atol=1e-5)
+    assert [a.tracked for _, a in frames] == [1, 1, 1, 0, 1, 1]
+
+
+def test_frames_come_at_their_pace_and_late_ones_are_left_out(moving):
+    frames = played(*moving, speed=2.0)
+    np.testing.assert_allclose([t - 100 for t, _ in frames], np.arange(6) / 60)
+    np.testing.assert_allclose([a.seconds for _, a in frames], np.arange(6) / 60, atol=1e-6)
+    time, sent = Time(), []
+
+    def slow(messages):
+        time.now += 0.05  # three frames' time for two
+        sent.append(Avatar(messages).seconds)
+        if len(sent) == 40:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        play_motion(*moving, slow, loop=True, wait=time.wait, clock=lambda: time.now)
+    assert np.ptp(np.diff(sent)) < 0.04 and sent[-1] == pytest.approx(39 * 0.05, abs=0.05)
+
+
+def test_a_motion_without_poses_is_refused(moving):
+    motion, body = moving
+    with pytest.raises(InputError, match="no poses"):
+        play_motion(Motion(**{**motion.__dict__, "poses": None}), body, lambda m: None)
+
+
+@pytest.mark.parametrize(
+    "address", ["nowhere", "127.0.0.1", "127.0.0.1:0", ":39539", "127.0.0.1:seven", "no.such.host.:1"]
+)
+def test_an_address_that_is_none_is_refused(address):
+    with pytest.raises(InputError, match="--vmc .* cannot be reached; give HOST:PORT"):
+        OscTarget(address, "--vmc")
+
+
+def test_turns_of_fifteen_points_point_where_the_limbs_do():
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        points = rng.normal(size=(15, 3))
+        turns = bone_turns_of_points(points)
+        np.testing.assert_allclose(np.linalg.det(turns), 1, atol=1e-9)
+        world = {}
+        for k, (name, (parent, _, _)) in enumerate(BONES.items()):
+            world[name] = (world[parent] if parent else np.eye(3)) @ turns[k]
+        for side, sign in (("left", 1.0), ("right", -1.0)):
+            for bone, rest, a, b in (
+                ("UpperArm", [sign, 0, 0], "shoulder", "elbow"),
+                ("LowerArm", [sign, 0, 0], "elbow", "hand"),
+                ("UpperLeg", [0, -1, 0], "hip", "knee"),
+                ("LowerLeg", [0, -1, 0], "knee", "foot"),
+            ):
+                way = points[COMMON.index(f"{side}_{b}")] - points[COMMON.index(f"{side}_{a}")]
+                np.testing.assert_allclose(world[f"{side}{bone}"] @ rest, way / np.linalg.norm(way), atol=1e-6)
+
+
+def test_a_bent_elbow_and_knee_bend_as_hinges_do():
+    points = np.zeros((15, 3))
+    at = {"head": [0, 1.7, 0], "neck": [0, 1.5, 0], "torso": [0, 1.2, 0]}
+    for side, x in (("left", 1), ("right", -1)):
+        at |= {
+            f"{side}_shoulder": [0.2 * x, 1.5, 0],
+            f"{side}_elbow": [0.2 * x, 1.2, 0],
+            f"{side}_hand": [0.2 * x, 1.2, 0.3],
+        }
+        at |= {
+            f"{side}_hip": [0.1 * x, 1.0, 0],
+            f"{side}_knee": [0.1 * x, 1.0, 0.4],
+            f"{side}_foot": [0.1 * x, 0.6, 0.4],
+        }
+    for name, place in at.items():
+        points[COMMON.index(name)] = place
+    turns = dict(zip(BONES, bone_turns_of_points(points), strict=True))
+    np.testing.assert_allclose(turns["hips"], np.eye(3), atol=1e-12)
+    for side, sign in (("left", 1), ("right", -1)):
+        elbow = Rotation.from_matrix(turns[f"{side}LowerArm"]).as_rotvec()
+        np.testing.assert_allclose(elbow, [0, -sign * np.pi / 2, 0], atol=1e-6)  # forwards, about the upright axis
+        knee = Rotation.from_matrix(turns[f"{side}LowerLeg"]).as_rotvec()
+        np.testing.assert_allclose(knee, [np.pi / 2, 0, 0], atol=1e-6)
+
+
+def test_points_that_are_missing_leave_the_rest():
+    points = np.full((15, 3), np.nan)
+    np.testing.assert_array_equal(bone_turns_of_points(points), np.tile(np.eye(3), (len(BONES), 1, 1)))
+
+
+def test_live_frames_reach_a_listener():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.settimeout(20)
+        sender = VmcLive(OscTarget(f"127.0.0.1:{listener.getsockname()[1]}", "--vmc"))
+        last = None
+        for n in range(30):
+            joints = transform(camera(0), walker(n / 30))
+            people = (LivePerson(7, joints, np.full(15, 0.01), ("a",), np.ones((15, 1)), True),) if n != 29 else ()
+            sender.send(LiveFrame(n, 50 + n / 30, people, ("a",)))
+            got = []
+            while sum(address == "/VMC/Ext/Bone/Pos" for address, _ in got) < len(BONES):
+                got += parse_osc(listener.recv(65536))
+            last = {values[0]: values[1:] for address, values in got if address == "/VMC/Ext/Bone/Pos"}
+            ok = next(values for address, values in got if address == "/VMC/Ext/OK")
+            assert ok == [1, 3, 0, int(bool(people))]
+        sender.close()
+    assert abs(last["Hips"][1] - rest_offsets(human())[0, 1]) < 0.2  # above the ground, by the feet
+    assert last["Hips"][2] < -2  # as far from the sensor as the person is, who looks at it along +z
+    assert Rotation.from_quat(last["Hips"][3:]).apply([0, 0, 1])[2] > 0.9
+
+
+def run_play(capsys, *arguments):
+    with pytest.raises(SystemExit) as ended:
+        main(["play", *map(str, arguments)])
+    return ended.value.code or 0, capsys.readouterr()
+
+
+def test_the_command_plays_results(moving, tmp_path, capsys):
+    motion, body = moving
+    save_motion(motion, tmp_path / "motion.npz")
+    save_body(body, tmp_path / "body.npz")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.settimeout(20)
+        code, said = run_play(capsys, tmp_path, "--vmc", f"127.0.0.1:{listener.getsockname()[1]}", "--speed", 10)
+        assert code == 0 and "6 frames at 30 Hz" in said.out
+        assert parse_osc(listener.recv(65536))[0] == ("/VMC/Ext/OK", [1, 3, 0, 1])
+
+
+def test_results_of_depth_sensors_are_posed_first(tmp_path, capsys):
+    joints, none = np.stack([walker(n / 30) for n in range(12)]), np.zeros(12, bool)
+    sd, times = np.full((12, 15), 0.01), np.arange(12) / 30
+    motion = points_motion(COMMON, joints, sd, times, none, np.full(12, 2), np.full(18, 0.3), {})
+    save_motion(motion, tmp_path / "motion.npz")
+    code, said = run_play(capsys, tmp_path, "--speed", 10)
+    assert code == 0 and "12 frames" in said.out
+
+
+def test_what_cannot_be_played_is_told(moving, tmp_path, capsys):
+    assert "does not exist" in run_play(capsys, tmp_path / "none")[1].err
+    for name in ("anna", "ben"):
+        save_motion(moving[0], tmp_path / name / "motion.npz")
+    code, said = run_play(capsys, tmp_path)
+    assert code == 2 and "holds the results of anna, ben; give one of them" in said.err
+    code, said = run_play(capsys, tmp_path / "anna")
+    assert code == 2 and "body.npz" in said.err
