@@ -1,6 +1,6 @@
 """`bench clothes`: people of one body whom place, motion and size do not tell apart, with the pictures and without.
 
-Twins in different clothes: one leaves and the other comes to the same place a second later; or both leave, and each
+Twins in clothes that are drawn by lot: one leaves and the other comes to the same place a second later; or both leave, and each
 comes back where the other one stood.
 """
 
@@ -31,6 +31,8 @@ FIRST_SEED = 330
 RATE = 25.0
 SETTINGS = {"another comes": 3.2, "places exchanged": 3.2}
 """s of each."""
+_ASKED = {"another comes": 1, "places exchanged": 2}
+"""People who are there at the end."""
 _LEAVES, _COMES, _BESIDE_M, _HERE_M = 1.0, 2.0, 0.6, 0.5
 
 
@@ -46,7 +48,7 @@ def clothes(options: BenchOptions) -> BenchReport:
             found.setdefault(setting, []).append(part)
     options.progress("done", 1, 1)
     rows = [
-        Row("wrong", f"{setting}/{case}", float(sum(p[case] for p in parts)), "people", n=2 * len(parts))
+        Row("wrong", f"{setting}/{case}", float(sum(p[case] for p in parts)), "people", n=_ASKED[setting] * len(parts))
         for setting, parts in found.items()
         for case in ("pictures", "masks alone")
     ]
