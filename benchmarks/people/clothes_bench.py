@@ -1,7 +1,7 @@
 """`bench clothes`: people of one body whom place, motion and size do not tell apart, with the pictures and without.
 
-Twins in clothes that are drawn by lot: one leaves and the other comes to the same place a second later; or both leave, and each
-comes back where the other one stood.
+Twins in clothes that are drawn by lot: one leaves and the other comes to the same place a second later; or both leave,
+and each comes back where the other one stood.
 """
 
 from __future__ import annotations
