@@ -20,7 +20,7 @@ from hypose.pipeline.kept_findings import kept_subject
 from hypose.pipeline.people_points import per_frame
 from hypose.pipeline.run import TrackResult
 from hypose.pipeline.verdict import Verdict, verdict_of
-from hypose.pipeline.wardrobe import Wardrobe
+from hypose.tracking.clothes import Wardrobe
 from hypose.tracking.several import Member
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, estimates_from_arrays, estimates_to_arrays
 

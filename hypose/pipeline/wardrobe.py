@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from hypose.evidence.frame import Frame
+from hypose.pipeline.tracked_people import Followed
 from hypose.tracking.clothes import Clothes, clothes_in, nothing_seen
-
-if TYPE_CHECKING:
-    from hypose.pipeline.tracked_people import Followed
 
 NEAR_M = 0.7
 """m between two people in which they may be taken for each other, and are not learnt from."""
@@ -21,35 +18,6 @@ LOOKS = 3
 UNLIKE, CLEARLY = 0.7, 0.2
 """Likeness of clothes below which it is somebody else, and by which others must be more alike for two to have been
 exchanged. On walks past each other (seeds 20 to 23) one and the same had 0.98 and more, two people 0.5 and less."""
-
-
-@dataclass(eq=False)
-class Wardrobe:
-    """Of one person. worn: before others came near; lately, looks: since then, and how often; met: with whom, by name,
-    from which frame on (where they were nearest)."""
-
-    worn: Clothes = field(default_factory=nothing_seen)
-    lately: Clothes = field(default_factory=nothing_seen)
-    looks: int = 0
-    met: dict[str, int] = field(default_factory=dict)
-
-    def settle(self) -> None:
-        """It is the same one: what was seen lately is theirs."""
-        self.worn, self.lately, self.looks, self.met = self.worn + self.lately, nothing_seen(), 0, {}
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """For a checkpoint; see `of_arrays`."""
-        return {"worn": self.worn.counts, "lately": self.lately.counts}
-
-    @classmethod
-    def of_arrays(cls, arrays: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> Wardrobe:
-        """What `arrays` and `about` gave."""
-        return cls(Clothes(arrays["worn"]), Clothes(arrays["lately"]), int(about["looks"]), dict(about["met"]))
-
-    @property
-    def about(self) -> dict[str, Any]:
-        """The rest, for a checkpoint."""
-        return {"looks": self.looks, "met": self.met}
 
 
 def _apart(a: Followed, b: Followed, t: int = -1) -> float:

@@ -6,7 +6,9 @@ the same shirt to another camera.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +53,35 @@ class Clothes:
 def nothing_seen() -> Clothes:
     """Of somebody who has not been looked at."""
     return Clothes(np.zeros((len(ZONES), COLOURS), np.float32))
+
+
+@dataclass(eq=False)
+class Wardrobe:
+    """Of one person. worn: before others came near; lately, looks: since then, and how often; met: with whom, by name,
+    from which frame on (where they were nearest)."""
+
+    worn: Clothes = field(default_factory=nothing_seen)
+    lately: Clothes = field(default_factory=nothing_seen)
+    looks: int = 0
+    met: dict[str, int] = field(default_factory=dict)
+
+    def settle(self) -> None:
+        """It is the same one: what was seen lately is theirs."""
+        self.worn, self.lately, self.looks, self.met = self.worn + self.lately, nothing_seen(), 0, {}
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """For a checkpoint; see `of_arrays`."""
+        return {"worn": self.worn.counts, "lately": self.lately.counts}
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> Wardrobe:
+        """What `arrays` and `about` gave."""
+        return cls(Clothes(arrays["worn"]), Clothes(arrays["lately"]), int(about["looks"]), dict(about["met"]))
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """The rest, for a checkpoint."""
+        return {"looks": self.looks, "met": self.met}
 
 
 def clothes_in(body: Body, pose: Array, frame: Frame) -> Clothes:

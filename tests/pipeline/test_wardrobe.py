@@ -10,9 +10,9 @@ from hypose.evidence.colours import COLOURS
 from hypose.evidence.frame import Colours, Frame, Silhouettes
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.tracked_people import Followed
-from hypose.pipeline.wardrobe import LOOKS, Wardrobe, exchange, look_at_clothes, same_clothes
+from hypose.pipeline.wardrobe import LOOKS, exchange, look_at_clothes, same_clothes
 from hypose.synthetic.rigs import rig as named_rig
-from hypose.tracking.clothes import Clothes, clothes_in, nothing_seen
+from hypose.tracking.clothes import Clothes, Wardrobe, clothes_in, nothing_seen
 from hypose.tracking.recipes import recipe
 from hypose.tracking.several import Member, nobody_in, shape_of
 from hypose.tracking.starts import known_pose
