@@ -52,7 +52,7 @@ from benchmarks.multiview import (
     uncertainty,
 )
 from benchmarks.one_camera import mono_benchmarks, mono_real
-from benchmarks.people import mixed_up, shelf, together, two_people
+from benchmarks.people import clothes_bench, mixed_up, players, shelf, together, two_people
 from benchmarks.robustness import batch_scale, faults, inputs, kills
 from benchmarks.studio import page_bench
 from hypose.errors import InputError
@@ -85,6 +85,8 @@ def benchmarks() -> dict[str, Benchmark]:
         "people": Benchmark(together.people, "seeds", "first_seed", "data", "parts"),
         "shelf": Benchmark(shelf.shelf, "data"),
         "two-people": Benchmark(two_people.two_people, "data"),
+        "clothes": Benchmark(clothes_bench.clothes, "seeds", "first_seed", "parts"),
+        "players": Benchmark(players.players, "seeds", "first_seed", "parts"),
         "mixed-up": Benchmark(mixed_up.mixed_up, "seeds", "first_seed", "parts"),
         "court-4": Benchmark(court.court_4, "seeds", "first_seed", "parts"),
         "arms": Benchmark(lost_arms.arms, "seeds", "first_seed", "data", "parts"),

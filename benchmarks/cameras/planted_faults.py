@@ -389,7 +389,7 @@ def judged(fault: Planted, findings: Sequence[Finding]) -> tuple[bool, int]:
         for f in findings
         if f.kind in fault.kinds and (not fault.views or not f.views or set(f.views) & set(fault.views))
     ]
-    wrong = [f for f in findings if f not in right and f.kind != "people"]  # who else is there is no fault
+    wrong = [f for f in findings if f not in right and f.fault]
     return bool(right), len(wrong)
 
 

@@ -23,8 +23,9 @@ WHO_IS_WHO = (
     Page(
         "two-people",
         """The man of Pose2Sim's balancing clip with a second person beside him and an observer in two views (the trial
-        of two people of Pose2Sim's repository, not part of this project), against the same man tracked alone. Masks
-        are made with the key points; both people are in them where they overlap.""",
+        of two people of Pose2Sim's repository, not part of this project), against the same man tracked alone. That film
+        was cut and scaled otherwise, up to 11 px, and is laid onto the other by its still background first. Masks are
+        made with the key points; both people are in them where they overlap.""",
         (Column("mean, mm", "man_mm"), Column("worst frame, mm", "largest_mm")),
         tuple(Line(e, e, (most(20),)) for e in ("keypoints", "both", "silhouettes")),
     ),

@@ -5,10 +5,11 @@ Nothing is given: neither heights nor bodies nor starts. Captured boxing where t
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.multiview.action_scenes import captured, subject_of_seed
+from hypose import compute
 from hypose.body.motion import Motion
 from hypose.body.ready_bodies import human
 from hypose.errors import HyposeError
@@ -164,8 +166,20 @@ def people(options: BenchOptions) -> BenchReport:
 SEED = 300
 
 
+@cache
+def _warm() -> None:
+    """What is compiled or loaded at the first call belongs to nobody's time."""
+    compute.warm_up()
+    scenes = [make_scene(p, s, RIGS["4"], seconds=0.6, seed=7) for s, p in SETTINGS["beside"].make(1, None)]
+    frames = list(replace(scenes[0], others=((scenes[1].subject, scenes[1].performance),)).mask_frames(1.0))[:15]
+    with contextlib.suppress(HyposeError):
+        PeopleRun(FrameList(frames, RATE), RATE, TrackOptions(evidence="silhouettes"))()
+    _alone(scenes[0], 15, False)
+
+
 def run(name: str, views: str, seed: int, options: BenchOptions) -> dict[str, Any]:
     """One setting: everybody together, and each alone."""
+    _warm()
     setting = SETTINGS[name]
     performers = setting.make(seed, options.folder("mocap") if captured(options) else None)
     seconds = 1.6 if options.quick else SECONDS

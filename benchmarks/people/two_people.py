@@ -7,12 +7,15 @@ before July 2024, Config.toml and calibration of its single-person demo. An obse
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.multiview.real_recordings import balancing_recording, in_memory
+from benchmarks.people.same_pictures import laid_onto
 from hypose.geometry import Array
 from hypose.io.recordings.frames import working_rig
 from hypose.io.recordings.recording import Recording, load_recording
@@ -21,6 +24,7 @@ from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
 
 _FAR = 0.5  # m from him: somebody else
+_LATER = 1  # frames by which the film of two shows the same later, in all four views
 
 
 def two_people(options: BenchOptions) -> BenchReport:
@@ -28,7 +32,26 @@ def two_people(options: BenchOptions) -> BenchReport:
     between the man tracked with a second person in the recording, and alone), another_followed (frames in which the key
     points followed are more than 0.5 m from his), people (whom two views or more see)."""
     alone = balancing_recording(options.folder("pose2sim_balancing"))
-    both = replace(load_recording(options.folder("two_people")), rig=alone.rig, keypoint_lag=alone.keypoint_lag)
+    with tempfile.TemporaryDirectory(prefix="two-people-") as folder:
+        return _measured(options, alone, _beside(options.folder("two_people"), alone, Path(folder)))
+
+
+def _beside(folder: Path, alone: Recording, work: Path) -> Recording:
+    """The recording with a second person, its pictures laid onto those of the man alone."""
+    both = load_recording(folder)
+    views = []
+    for view, one, camera in zip(both.views, alone.views, alone.rig, strict=True):
+        assert view.video is not None and one.video is not None
+        images = laid_onto(view.video, one.video, camera.size, _LATER, work / view.name)
+        plain = replace(one, video=None, images=images)  # the man's alone: shift, background
+        views.append(replace(plain, keypoints=view.keypoints))
+    n = len(both.frames) - _LATER
+    return replace(
+        both, views=tuple(views), rig=alone.rig, keypoint_lag=alone.keypoint_lag, frame_range=None, n_frames=n
+    )
+
+
+def _measured(options: BenchOptions, alone: Recording, both: Recording) -> BenchReport:
     n = 20 if options.quick else len(both.frames)
     small = working_rig(alone.rig)
     him, followed = (load_person(r, small) for r in (alone, both))

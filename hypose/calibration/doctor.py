@@ -76,10 +76,7 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
     o = limits or Limits()
     n = len(observed.rig)
     findings = list(clip_findings(observed.rig, observed.clips, observed.frame_rate))
-    findings += [
-        Finding("people", (), text, "nothing, if the right one is followed", 0.0, fault=False)
-        for text in observed.people
-    ]
+    findings += [Finding("people", (), text, "nothing, if that is right", 0.0, fault=False) for text in observed.people]
     if observed.keypoints is None or (observed.keypoints[..., 2] > 0.3).any((1, 2)).sum() < 2:
         if observed.silhouettes is None:
             raise EvidenceError(

@@ -10,8 +10,14 @@ from numpy.typing import NDArray
 from hypose.calibration.doctor_findings import Finding, Limits
 from hypose.calibration.doctor_points import sizes, undistorted
 from hypose.calibration.refine_camera import CameraChange, changes, gauge, in_world
-from hypose.calibration.refine_points import PointAdjustment, PointSettings, adjust, point_residual
-from hypose.cameras.camera import Camera, CameraRig
+from hypose.calibration.refine_points import (
+    PointAdjustment,
+    PointSettings,
+    adjust,
+    bent,
+    point_residual,
+)
+from hypose.cameras.camera import Camera, CameraRig, triangulate
 from hypose.errors import EvidenceError
 from hypose.geometry import Array, transform
 
@@ -62,7 +68,7 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
     if lens is not None:
         radial, radial_sd = lens.radial, lens.radial_sd
         findings += _lenses(rig, ideal, lens, uv, confidence, rest, found, person, o)
-    if not findings and after < o.extrinsics * before and before - after > o.gain * person:
+    if not any(f.fault for f in findings) and after < o.extrinsics * before and before - after > o.gain * person:
         own = np.array([m.image_px for m in moved]) / np.where(size > 0, size, person)
         against = _witnesses(confidence)
         unsure = []
@@ -78,7 +84,7 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
                 )
                 cure = "run hypose check --refine and use the calibration that it writes"
                 findings.append(Finding("extrinsics", (m.name,), text, cure, float(m.image_px)))
-        if unsure and not findings:
+        if unsure and not any(f.fault for f in findings):
             findings.append(_undecided(rig, unsure, confidence, before, after, max(moved[k].image_px for k in unsure)))
     return Extrinsics(tuple(findings), moved, before, after, radial, radial_sd, rig, _with_lenses(refined, rig))
 
@@ -131,28 +137,42 @@ def _lenses(
     person: float,
     o: Limits,
 ) -> list[Finding]:
-    """Cameras whose images bend straight lines otherwise than their coefficients say."""
-    c = len(rig)
+    """Cameras whose images bend straight lines otherwise than their coefficients say: faults when frames that were not
+    used fit better with terms of their own, else a note, for many points make a term certain that changes nothing."""
+    c, filmed = len(rig), uv[:, rest].reshape(len(rig), -1, 2)
     seen = confidence[:, rest].reshape(c, -1)
-    straight = np.stack([_bent_back(k, uv[n, rest], lens.radial[n]) for n, k in enumerate(ideal)])
-    without = _residual(plain.rig, uv[:, rest].reshape(c, -1, 2), seen)
-    freed = _residual(lens.rig, straight.reshape(c, -1, 2), seen)
-    z = float(np.sqrt(np.mean((lens.radial / np.maximum(lens.radial_sd, 1e-12)) ** 2)))
-    if freed > o.lens_gain * without and z < o.lens_z:
-        return []
+    without, freed = _residual(plain.rig, filmed, seen), _bent_residual(lens, filmed, seen)
+    off, largest = list[str](), 0.0
     out = []
     for n, camera in enumerate(ideal):
         radius = np.linalg.norm((uv[n][confidence[n] > 0.3] - camera.K[:2, 2]) / camera.K[0, 0], axis=1)
         far = float(np.percentile(radius, 90)) if len(radius) else 0.0
         effect = abs(lens.radial[n]) * far**3 * camera.K[0, 0]
         if abs(lens.radial[n]) > o.lens_z * lens.radial_sd[n] and effect > o.lens_px * person:
+            off.append(rig[n].name)
+            largest = max(largest, effect)
             text = (
                 f"{camera.name}: its lens coefficients do not fit: a radial term of {lens.radial[n]:+.2f} is missing, "
                 f"{effect:.1f} px where the person is; the residual falls from {without:.1f} to {freed:.1f} px"
             )
             cure = "calibrate the lens again (hypose calibrate), or correct the sign and order of its coefficients"
             out.append(Finding("distortion", (rig[n].name,), text, cure, effect))
-    return out
+    if not off or freed <= o.lens_gain * without:
+        return out
+    text = (
+        f"{', '.join(off)}: other lens coefficients would fit as well, but the views would hardly agree better "
+        f"({freed:.1f} instead of {without:.1f} px)"
+    )
+    return [Finding("distortion", tuple(off), text, "nothing, if the lenses were calibrated", largest, fault=False)]
+
+
+def _bent_residual(lens: PointAdjustment, pixels: Array, confidence: Array) -> float:
+    """px between points (C, N, 2) as they were filmed and where the cameras with their radial terms see them: pixels
+    made straight first would be another size, and no measure beside those as they are."""
+    straight = np.stack([_bent_back(k, pixels[n], lens.radial[n]) for n, k in enumerate(lens.rig)])
+    points, _ = triangulate(lens.rig, straight, np.where(confidence > 0.3, confidence, 0.0))
+    r = np.stack([bent(k, k.project_pinhole(points), lens.radial[n]) for n, k in enumerate(lens.rig)]) - pixels
+    return float(np.nanmedian(np.where(confidence > 0.3, np.linalg.norm(r, axis=-1), np.nan)))
 
 
 def _bent_back(camera: Camera, pixels: Array, radial: float) -> Array:

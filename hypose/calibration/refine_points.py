@@ -114,7 +114,7 @@ class _Bundle:
         """(C, N, 2) px, (C, N) weights of squared px, and the robust cost."""
         r = np.zeros_like(self.uv)
         for c, camera in enumerate(cameras):
-            r[c] = _with_radial(camera, camera.project_pinhole(points), radial[c]) - self.uv[c]
+            r[c] = bent(camera, camera.project_pinhole(points), radial[c]) - self.uv[c]
         seen = self.confidence > 0
         behind = seen & ~np.isfinite(r).all(-1)
         r = np.where(np.isfinite(r), r, 0.0)
@@ -208,7 +208,8 @@ class _Bundle:
         return float(np.median(np.linalg.norm(r, axis=-1)[self.confidence > 0]))
 
 
-def _with_radial(camera: Camera, pixels: Array, radial: float) -> Array:
+def bent(camera: Camera, pixels: Array, radial: float) -> Array:
+    """Where a camera with a radial term shows the pixels (N, 2) of a pinhole camera."""
     if radial == 0:
         return pixels
     centre = camera.K[:2, 2]

@@ -35,6 +35,7 @@ from hypose.io.recordings.recording import Recording
 from hypose.io.recordings.recording_people import RecordedPerson, load_person
 from hypose.io.recordings.recording_views import View, open_pictures
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
+from hypose.pipeline.one_of_several import frames_to_examine
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term
@@ -92,22 +93,26 @@ def observe(recording: Recording, most: int = 100, progress: Progress = _ignore)
     person = raw_person(few)
     points, names = (None, ()) if person is None else (person.raw, person.keypoints[0].names)
     silhouettes: list[Silhouettes | None] | None = None
+    together = False
     blind = replace(few, views=tuple(replace(v, keypoints=None) for v in few.views), keypoint_set=None)
     if all(v.source is not None or v.masks is not None for v in few.views):
         progress("background", 0, 1)
-        with FrameStream(blind) as stream:
+        stream, together = frames_to_examine(blind)
+        with stream:
             progress("background", 1, 1)
             silhouettes = []
             for i in range(len(stream)):
                 progress("masks", i, len(stream))
                 silhouettes.append(stream.frame(i).silhouettes)
             progress("masks", len(stream), len(stream))
-        if person is not None and person.one.several:
+        if person is not None and (together or person.one.several):
             silhouettes = [
                 None if s is None else _near(s, k) for s, k in zip(silhouettes, person.keypoints, strict=True)
             ]
     clips = tuple(replace(_clip(v), accepted=v.accept_scaled) for v in recording.views)
     notes = () if person is None else person.one.notes
+    if together and person is None:
+        notes = ("several people stand in the masks, and are looked at together",)
     return Observed(few.rig, points, names, silhouettes, clips, recording.frame_rate, recording.subject_height, notes)
 
 

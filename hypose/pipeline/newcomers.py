@@ -15,6 +15,8 @@ from hypose.evidence.shared_masks import Other, own_silhouettes, without
 from hypose.geometry import Array
 from hypose.pipeline.hull_paths import OTHERS_WIDENED
 from hypose.pipeline.tracked_people import Followed
+from hypose.pipeline.wardrobe import UNLIKE, same_clothes
+from hypose.tracking.clothes import clothes_in
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.start_search import start_from_hull
@@ -58,8 +60,9 @@ def returned(
 ) -> tuple[Followed, Array] | None:
     """Which of those who are away this is, and the pose (D,) in which they are back; None: nobody of them.
 
-    Place and motion: nobody walks faster than WALKING from where they were seen last. Body: of several the one whose
-    body overlaps the masks best, if it is about as tall as their hull."""
+    Place and motion: nobody walks faster than WALKING from where they were seen last. Clothes, where pictures show
+    them: not too different. Body: of several the one whose clothes are most alike and whose body overlaps the masks
+    best, if it is about as tall as their hull."""
     best: tuple[float, Followed, Array] | None = None
     for p in people:
         if p.member.sure:
@@ -73,9 +76,10 @@ def returned(
         with contextlib.suppress(EvidenceError):
             prepared = prepare(own, body, np.zeros(body.skeleton.dof))
             pose = start_from_hull(body, prepared).pose
-            iou = mean_overlap(body, pose, prepared)
-            if best is None or iou > best[0]:
-                best = (iou, p, pose)
+            like = same_clothes(p, clothes_in(body, pose, own))
+            score = mean_overlap(body, pose, prepared) + like
+            if like > UNLIKE and (best is None or score > best[0]):
+                best = (score, p, pose)
     if best is None:
         return None
     higher = person.hull.height - best[1].subject.body.stature

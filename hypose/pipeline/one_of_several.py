@@ -11,9 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.keypoints import keypoint_names
+from hypose.evidence.people_apart import several_apart
 from hypose.io.motions.results import ResultsFolder, save_motion
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
@@ -27,6 +30,7 @@ from hypose.pipeline.track_loop import FrameSource, Progress
 from hypose.pipeline.tracked_people import Wanted
 
 _EVERYBODY = "everybody"
+_LOOKS = 7
 _COUNT = re.compile(r"[1-9][0-9]?")
 
 
@@ -80,7 +84,21 @@ def chosen_people(text: str, wanted: Sequence[Wanted]) -> tuple[int | None, str 
 def people_frames(recording: Recording, options: TrackOptions) -> FrameStream:
     """The frames of a recording with all people in the masks, if masks are wanted."""
     silhouettes = None if options.looks_at == "keypoints" else recording.silhouettes
-    return FrameStream(recording, FrameSettings(silhouettes=silhouettes, people=True))
+    return FrameStream(recording, FrameSettings(silhouettes=silhouettes, people=True, colours=True))
+
+
+def frames_to_examine(recording: Recording) -> tuple[FrameStream, bool]:
+    """The frames of a recording whose calibration is in doubt, with all people in the masks when several stand beside
+    each other there, and whether they do: what a view shows of whom cannot be told before the calibration is right."""
+    one = FrameStream(recording)
+    if one.options.silhouettes is None or not recording.has_pictures:
+        return one, False
+    whole = replace(one.options, people=True)
+    everybody = FrameStream(recording, whole, one.backgrounds or None)
+    rows = np.unique(np.linspace(0, len(everybody) - 1, _LOOKS).astype(int)).tolist()
+    several = several_apart([s for i in rows if (s := everybody.frame(i).silhouettes) is not None])
+    (one if several else everybody).close()
+    return (everybody, True) if several else (one, False)
 
 
 def several_seen(source: FrameSource, options: TrackOptions) -> bool:
@@ -95,7 +113,7 @@ def with_everybody(source: FrameStream, options: TrackOptions) -> FrameStream | 
     settings = source.options
     if settings.silhouettes is None or options.of_picture or len(source.rig) < 3:
         return None
-    whole = FrameSettings(settings.longer_side, settings.factor, settings.silhouettes, people=True)
+    whole = FrameSettings(settings.longer_side, settings.factor, settings.silhouettes, people=True, colours=True)
     everybody = FrameStream(source.recording, whole, source.backgrounds or None)
     if several_seen(everybody, options):
         return everybody

@@ -42,6 +42,7 @@ from hypose.pipeline.tracked_people import (
     said_of,
     save_people,
 )
+from hypose.pipeline.wardrobe import exchange, look_at_clothes
 from hypose.tracking.several import Member, nobody_in, shape_of, step_together, visible_share
 from hypose.tracking.tracker import Tracker
 
@@ -245,7 +246,7 @@ class PeopleRun:
 
     def _track(self, people: list[Followed], coming: list[Array]) -> bool:
         """All frames that are not done; False when it was interrupted."""
-        total, look = len(self.source), max(1, round(LOOK_S * self.frame_rate))
+        total, look = len(self.source), self._look_every
         first = saved = len(people[0].estimates)
         before = self.source.frame(first - 1) if first else None
         try:
@@ -304,7 +305,14 @@ class PeopleRun:
             p.estimates.append(looked)
             p.present.append(there)
             p.hidden.append(bool(there and len(s := visible_share(own)) and (s > HIDDEN).sum() < 2))
+        if t % self._look_every == 0:
+            for p, q, since in look_at_clothes(people, seen):
+                exchange(p, q, since)
         self._one_of_two(people)
+
+    @property
+    def _look_every(self) -> int:
+        return max(1, round(LOOK_S * self.frame_rate))
 
     def _one_of_two(self, people: Sequence[Followed]) -> None:
         """Of two bodies in one place for long, the one that explains less has left."""
@@ -371,7 +379,7 @@ class PeopleRun:
         present, hidden = np.array(p.present, dtype=np.bool_), np.array(p.hidden, dtype=np.bool_)
         source = _OwnFrames(self.source, p, people, self._points)
         out = finish(source, p.subject, p.member.tracker, tracked, self.options, p.results, self.record, self.progress)
-        motion, notes = replace(out.motion, lost=out.motion.lost | ~present), list(out.notes)
+        motion, notes = replace(out.motion, lost=out.motion.lost | ~present), [*out.notes, *p.said]
         if hidden.any():
             motion = replace(motion, doubtful=hidden if motion.doubtful is None else motion.doubtful | hidden)
             notes.append(f"others hide this person from all views but one in {in_words(runs(hidden))}")

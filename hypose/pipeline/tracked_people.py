@@ -20,6 +20,7 @@ from hypose.pipeline.kept_findings import kept_subject
 from hypose.pipeline.people_points import per_frame
 from hypose.pipeline.run import TrackResult
 from hypose.pipeline.verdict import Verdict, verdict_of
+from hypose.tracking.clothes import Wardrobe
 from hypose.tracking.several import Member
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, estimates_from_arrays, estimates_to_arrays
 
@@ -113,7 +114,7 @@ def free_name(taken: Sequence[str], wanted: Sequence[Wanted]) -> str:
 class Followed:
     """Somebody who is tracked. results: where theirs are kept, None: nowhere; estimates, present, hidden: of each frame
     so far, the last two as in OnePerson; gone: frames since anything was seen of them; track: number of the track of
-    key points that they have."""
+    key points that they have; wardrobe: their clothes; said: notes for their report."""
 
     name: str
     subject: Subject
@@ -125,6 +126,8 @@ class Followed:
     hidden: list[bool] = field(default_factory=list)
     gone: int = 0
     track: int | None = None
+    wardrobe: Wardrobe = field(default_factory=Wardrobe)
+    said: list[str] = field(default_factory=list)
 
     @property
     def last_seen(self) -> tuple[Array, int] | None:
@@ -148,9 +151,18 @@ def save_people(
         arrays |= {f"{k}_{n}": v for n, v in p.member.state.to_arrays().items()}
         arrays |= {f"{k}_done_{n}": v for n, v in estimates_to_arrays(p.estimates).items()}
         arrays |= {f"{k}_present": np.array(p.present), f"{k}_hidden": np.array(p.hidden)}
+        arrays |= {f"{k}_{n}": v for n, v in p.wardrobe.arrays().items()}
     meta = {
         "people": [
-            {"name": p.name, "there": p.member.present, "gone": p.gone, "track": p.track, "asked_for": p.asked_for}
+            {
+                "name": p.name,
+                "there": p.member.present,
+                "gone": p.gone,
+                "track": p.track,
+                "asked_for": p.asked_for,
+                "clothes": p.wardrobe.about,
+                "said": p.said,
+            }
             for p in people
         ]
     }
@@ -178,5 +190,6 @@ def kept_people(
         kept = Followed(about["name"], subject, member, own_results, about["asked_for"], estimates_from_arrays(done))
         kept.present, kept.hidden = flags
         kept.gone, kept.track = int(about["gone"]), about["track"]
+        kept.wardrobe, kept.said = Wardrobe.of_arrays(own, about["clothes"]), list(about["said"])
         people.append(kept)
     return people, list(saved.arrays.get("coming", ()))

@@ -103,7 +103,7 @@ def colour_scores(poses: Array, frame: PreparedFrame, settings: ColourSettings) 
     known = known_colours(frame, settings)
     if known is None:
         return np.zeros(len(poses))
-    faces, part, _ = _layout(frame.body)
+    faces, part, _ = layout(frame.body)
     sums = compute.colour_sums(frame.body.skin(poses), faces, part, known.masks, known.codes, known.table)
     use = known.masks.usable
     return -(sums[:, use] / np.maximum(known.masks.areas[use], 1)).mean(1)
@@ -118,7 +118,7 @@ def hands_by_colours(pose: Array, frame: PreparedFrame, settings: ColourSettings
     if known is None:
         return None
     body, o, masks = frame.body, settings, known.masks
-    faces, part, arm = _layout(body)
+    faces, part, arm = layout(body)
     s = body.skeleton
     rotations, centres = s.forward(pose)
     vertices = body.skin(pose)
@@ -209,7 +209,7 @@ class LearnColours:
         colours, o = frame.frame.colours, self.settings
         if colours is None or frame.masks is None or h.weights.max() < o.surely:
             return memory
-        body, (faces, part, arm) = frame.body, _layout(frame.body)
+        body, (faces, part, arm) = frame.body, layout(frame.body)
         vertices = body.skin(pose)
         doubted = self._doubted(pose, h, body)
         for side in np.flatnonzero(doubted):
@@ -219,7 +219,7 @@ class LearnColours:
         for c in np.flatnonzero(use).tolist():
             w, height = frame.masks.sizes[c].tolist()
             shown, box = compute.shown_parts(vertices, faces, part, frame.masks.projections[c], (height, w))
-            found[c] = _counted(shown[box], frame.masks.masks[c][box], colours.codes[c][box])
+            found[c] = counted_colours(shown[box], frame.masks.masks[c][box], colours.codes[c][box])
         before = memory.get(COUNTS)
         if before is None or before.shape != found.shape:
             return {**memory, COUNTS: found}
@@ -235,7 +235,9 @@ class LearnColours:
         return np.array(apart) > self.settings.elsewhere
 
 
-def _counted(shown: NDArray[np.uint8], mask: NDArray[np.uint8], codes: NDArray[np.uint16]) -> NDArray[np.float32]:
+def counted_colours(
+    shown: NDArray[np.uint8], mask: NDArray[np.uint8], codes: NDArray[np.uint16]
+) -> NDArray[np.float32]:
     """(P, COLOURS): how often each part has each colour, away from its rim."""
     if not shown.size:
         return np.zeros((len(PARTS), COLOURS), np.float32)
@@ -248,7 +250,7 @@ def _counted(shown: NDArray[np.uint8], mask: NDArray[np.uint8], codes: NDArray[n
     return np.stack(spread).reshape(len(PARTS), COLOURS).astype(np.float32)
 
 
-def _layout(body: Body) -> tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[np.int64]]:
+def layout(body: Body) -> tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[np.int64]]:
     """Faces of the coarse mesh, the part of each (F,), and its arm: 0 left, 1 right, -1 none."""
     names = body.skeleton.joint_names
     number = np.array([next((k for k, own in enumerate(PARTS) if n in own), 1) for n in names])

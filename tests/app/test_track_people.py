@@ -4,6 +4,7 @@ import json
 import shutil
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -81,3 +82,19 @@ def test_of_one_at_most_it_is_the_first_who_is_named(hypose, two, tmp_path):
 def test_who_is_nobody_is_refused_with_the_names_there_are(hypose, two, who):
     code, _, err = hypose("track", two, "--people", who)
     assert code == 2 and "Anna, Bert" in err
+
+
+def test_masks_that_are_brought_in_step_show_everybody_and_check_says_so(hypose, two, tmp_path):
+    code, _, err = hypose("sync", two, "--offsets", "0,1,0,0", "--out", tmp_path / "step")
+    assert code == 0, err
+    shown = [len(components(path)) for path in sorted((tmp_path / "step" / "masks").glob("*/000001.png"))]
+    assert len(shown) == 4 and sum(n == 2 for n in shown) >= 3, shown  # they stand behind each other in one view
+    code, out, err = hypose("check", tmp_path / "step", "--samples", "1")
+    assert "Several people stand in the masks" in out and "note: several people" in out, out + err
+
+
+def components(path):
+    """Areas of the large parts of a mask."""
+    _, _, stats, _ = cv2.connectedComponentsWithStats(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    return areas[areas > 0.3 * areas.max()]

@@ -64,6 +64,18 @@ def test_of_two_cameras_that_disagree_neither_is_accused(walk):
     assert set(finding.views) == set(pair.names) and "which of them is off cannot be told" in finding.text
 
 
+def test_lens_terms_that_change_nothing_worth_telling_accuse_no_camera():
+    twice_as_bent = planted(healthy(21), "distortion", 21)
+    points = twice_as_bent.observed.keypoints
+    assert points is not None
+    found = judge_extrinsics(twice_as_bent.observed.rig, points, Limits())
+    assert found is not None
+    (note,) = found.findings  # certain by their sd, but the views agree no better
+    assert (np.abs(found.radial) > 4.8 * found.radial_sd).sum() >= 4
+    assert note.kind == "distortion"
+    assert not note.fault
+
+
 def test_a_late_camera_is_found_and_its_key_points_are_put_in_step(walk):
     fault = planted(walk, "late", SEED)
     report, cured = examine_and_cure(fault.observed)

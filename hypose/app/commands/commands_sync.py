@@ -14,7 +14,9 @@ from hypose.errors import EvidenceError, InputError
 
 if TYPE_CHECKING:
     from hypose.app.commands.console import ProgressCall
+    from hypose.geometry import Array
     from hypose.io.recordings.recording import Recording
+    from hypose.io.recordings.recording_people import RecordedPerson
 
 
 def sync(
@@ -158,13 +160,14 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
     from hypose.io.file_names import folder_for
     from hypose.io.files import write_text
     from hypose.io.motions.results import atomic_path
-    from hypose.io.recordings.frames import FrameStream
     from hypose.io.recordings.recording import write_recording
     from hypose.io.recordings.view_source import SIDECAR
-    from hypose.pipeline.examine import raw_keypoints
+    from hypose.pipeline.examine import raw_person
+    from hypose.pipeline.one_of_several import frames_to_examine
 
     progress("background", 0, 1)
-    with FrameStream(recording) as stream:
+    stream, _ = frames_to_examine(recording)
+    with stream:
         progress("background", 1, 1)
         source = Resampled(stream, late)
         masks = [folder_for(folder / "masks", view.name) for view in recording.views]
@@ -180,18 +183,17 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
                 with atomic_path(path / f"{i:06d}.png") as temporary:
                     temporary.write_bytes(data.tobytes())
         progress("masks", len(source), len(source))
-    points, _ = raw_keypoints(recording)
+    people = _people(raw_person(recording))
     views = []
     for c, view in enumerate(recording.views):
         keypoints = None
-        if points is not None and view.keypoints is not None:
+        if people and view.keypoints is not None:
             keypoints = folder_for(folder / "keypoints", view.name)
-            for t, p in enumerate(points_at(points[c], late[c])):
-                person = {"pose_keypoints_2d": [round(float(x), 4) for x in p.ravel()]}
-                people = [person] if (p[:, 2] > 0).any() else []
-                write_text(
-                    keypoints / f"{keypoints.name}_{t:012d}_keypoints.json", json.dumps({"people": people}) + "\n"
-                )
+            for t, shown in enumerate(zip(*(points_at(p[c], late[c]) for p in people), strict=True)):
+                said = [
+                    {"pose_keypoints_2d": [round(float(x), 4) for x in p.ravel()]} for p in shown if (p[:, 2] > 0).any()
+                ]
+                write_text(keypoints / f"{keypoints.name}_{t:012d}_keypoints.json", json.dumps({"people": said}) + "\n")
         views.append(
             replace(
                 view,
@@ -214,3 +216,18 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
         name=f"{recording.name} in step",
     )
     return write_recording(made, folder)
+
+
+def _people(found: RecordedPerson | None) -> list[Array]:
+    """(C, T, K, 3) px of the calibrated pictures: of the person whom the recording is about, then of the others whom
+    several views show; nobody without key points."""
+    import numpy as np
+
+    if found is None:
+        return []
+    out = [found.raw]
+    for one in found.one.people[1:]:
+        raw = np.zeros_like(found.raw)
+        raw[:, one.first : one.last + 1] = one.points[..., [3, 4, 2]].transpose(1, 0, 2, 3)
+        out.append(raw)
+    return out

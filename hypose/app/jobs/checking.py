@@ -23,6 +23,7 @@ from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, View
 from hypose.io.recordings.recording_views import open_pictures
 from hypose.pipeline.examine import observe
+from hypose.pipeline.one_of_several import frames_to_examine
 
 _LOW_IOU = 0.6  # hull against mask: below this a view contradicts the others
 _HEIGHTS = (0.5, 2.6)  # m: what a person's hull can measure
@@ -94,8 +95,10 @@ def check_recording(recording: Recording, sheet: Path, samples: int, progress: P
     facts: list[str] = []
     warnings: list[str] = []
     progress("background", 0, 1)
-    with FrameStream(recording) as source:
+    source, several = frames_to_examine(recording)
+    with source:
         progress("background", 1, 1)
+        facts += ["Several people stand in the masks; their hulls are looked at together."] if several else []
         facts += [f"note: {text}" for text in source.notes]
         rows = np.unique(np.linspace(0, len(source) - 1, min(samples, len(source))).astype(int)).tolist()
         ious, heights, shown, why = [], [], _points_seen(source), ""
@@ -109,7 +112,7 @@ def check_recording(recording: Recording, sheet: Path, samples: int, progress: P
             warnings += _mask_warnings(frame.silhouettes, frame.index)
             if len(recording.views) == 1:
                 continue
-            found = _hull_facts(frame.silhouettes, frame.index, facts, warnings)
+            found = _hull_facts(frame.silhouettes, frame.index, facts, warnings, several)
             if found is not None:
                 heights.append(found[0])
                 ious.append(found[1])
@@ -188,11 +191,11 @@ def _mask_warnings(silhouettes: Silhouettes, number: int) -> list[str]:
 
 
 def _hull_facts(
-    silhouettes: Silhouettes, number: int, facts: list[str], warnings: list[str]
+    silhouettes: Silhouettes, number: int, facts: list[str], warnings: list[str], several: bool
 ) -> tuple[float, np.ndarray] | None:
     """Height (m) of the visual hull and its IoU with each view's mask (C,)."""
     try:
-        hull = visual_hull(silhouettes)
+        hull = visual_hull(silhouettes, largest=not several)
     except EvidenceError as error:
         warnings.append(str(error) if str(number) in str(error) else f"frame {number}: {error}")
         return None

@@ -87,7 +87,7 @@ def check_size(view: View, camera: Camera, path: Path, size: tuple[int, int], no
             f"View {view.name}: {path} is {w} x {h} px, camera {camera.name} is calibrated for {cw} x {ch} "
             f"px; {advice}."
         )
-    if notes is not None:
+    if notes is not None and not (path / SIDECAR).is_file():  # masks made here are smaller as a rule
         notes.append(
             f"View {view.name}: {path.name} is {w} x {h} px, the calibration {cw} x {ch} px; the images are "
             "taken as scaled."

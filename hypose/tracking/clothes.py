@@ -1,0 +1,100 @@
+"""Whom one sees by the colours of their clothes: people of one size at one place are told apart by nothing else.
+
+What covers trunk and legs where the body is in front is counted by colour, all views together: who turns round shows
+the same shirt to another camera.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose import compute
+from hypose.body.body import Body
+from hypose.evidence.colours import COLOURS
+from hypose.evidence.frame import Frame
+from hypose.geometry import Array
+from hypose.tracking.part_colours import counted_colours, layout
+
+ZONES = ((1, 2), (5, 6))
+"""Of part_colours.PARTS: trunk and sleeves, thighs and shanks."""
+FEW = 150.0
+"""Pixels that a zone must have shown to be compared."""
+
+
+@dataclass(frozen=True)
+class Clothes:
+    """counts (Z, COLOURS): how often each zone showed each colour."""
+
+    counts: NDArray[np.float32]
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """(Z,) zones of which enough was seen."""
+        return self.counts.sum(1) >= FEW
+
+    def __add__(self, other: Clothes) -> Clothes:
+        return Clothes(self.counts + other.counts)
+
+    def likeness(self, other: Clothes) -> float:
+        """From 0 (no colour in common) to 1 (the same): mean over the zones of the Bhattacharyya coefficient of how the
+        colours are distributed; NaN where no zone is known of both."""
+        both = self.known & other.known
+        if not both.any():
+            return float("nan")
+        a, b = (c.counts[both] / c.counts[both].sum(1, keepdims=True) for c in (self, other))
+        return float(np.sqrt(a * b).sum(1).mean())
+
+
+def nothing_seen() -> Clothes:
+    """Of somebody who has not been looked at."""
+    return Clothes(np.zeros((len(ZONES), COLOURS), np.float32))
+
+
+@dataclass(eq=False)
+class Wardrobe:
+    """Of one person. worn: before others came near; lately, looks: since then, and how often; met: with whom, by name,
+    from which frame on (where they were nearest)."""
+
+    worn: Clothes = field(default_factory=nothing_seen)
+    lately: Clothes = field(default_factory=nothing_seen)
+    looks: int = 0
+    met: dict[str, int] = field(default_factory=dict)
+
+    def settle(self) -> None:
+        """It is the same one: what was seen lately is theirs."""
+        self.worn, self.lately, self.looks, self.met = self.worn + self.lately, nothing_seen(), 0, {}
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """For a checkpoint; see `of_arrays`."""
+        return {"worn": self.worn.counts, "lately": self.lately.counts}
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> Wardrobe:
+        """What `arrays` and `about` gave."""
+        return cls(Clothes(arrays["worn"]), Clothes(arrays["lately"]), int(about["looks"]), dict(about["met"]))
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """The rest, for a checkpoint."""
+        return {"looks": self.looks, "met": self.met}
+
+
+def clothes_in(body: Body, pose: Array, frame: Frame) -> Clothes:
+    """What a frame shows of the clothes of somebody at a pose (D,): in the person's mask, where nobody else covers it;
+    nothing where the frame has no pictures."""
+    out, s, colours = nothing_seen(), frame.silhouettes, frame.colours
+    if s is None or colours is None:
+        return out
+    vertices, (faces, part, _) = body.skin(pose), layout(body)
+    told = s.told
+    for c in np.flatnonzero(s.usable & colours.seen).tolist():
+        w, h = s.rig[c].size
+        shown, box = compute.shown_parts(vertices, faces, part, s.rig.projections[c], (h, w))
+        found = counted_colours(shown[box], told[c][box].astype(np.uint8), colours.codes[c][box])
+        out = out + Clothes(np.stack([found[list(zone)].sum(0) for zone in ZONES]))
+    return out

@@ -1,0 +1,118 @@
+"""Who is who by the clothes: after a meeting, after having been away, and where pictures say nothing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.body.ready_bodies import human
+from hypose.evidence.colours import COLOURS
+from hypose.evidence.frame import Colours, Frame, Silhouettes
+from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.tracked_people import Followed
+from hypose.pipeline.wardrobe import LOOKS, exchange, look_at_clothes, same_clothes
+from hypose.synthetic.rigs import rig as named_rig
+from hypose.tracking.clothes import Clothes, Wardrobe, clothes_in, nothing_seen
+from hypose.tracking.recipes import recipe
+from hypose.tracking.several import Member, nobody_in, shape_of
+from hypose.tracking.starts import known_pose
+from hypose.tracking.tracker import Tracker, TrackerSettings
+
+RIG = named_rig("ring-3").scaled(0.5).pinhole()
+BODY = human()
+RED, BLUE = (Clothes(np.eye(COLOURS, dtype=np.float32)[[k, k]] * 1000) for k in (40, 300))
+
+
+def standing(x):
+    pose = known_pose(BODY, "standing")
+    pose[2] -= BODY.skin(pose)[:, 2].min()
+    pose[0] += x
+    return pose
+
+
+def frame_of(people):
+    """Whoever stands at (x, colour) m, as all cameras see it."""
+    w, h = RIG.sizes.max(0)
+    masks, codes = np.zeros((len(RIG), h, w), np.uint8), np.zeros((len(RIG), h, w), np.uint16)
+    for x, colour in people:
+        shape = shape_of(BODY, standing(x), RIG)
+        for c, (y0, y1, x0, x1) in enumerate(shape.boxes):
+            drawn = shape.drawn(c) > 0
+            masks[c, y0:y1, x0:x1] |= drawn
+            codes[c, y0:y1, x0:x1][drawn] = colour
+    seen = np.ones(len(RIG), bool)
+    return Frame(0.0, 0, Silhouettes(masks, RIG, seen, ("",) * len(RIG)), colours=Colours(codes, seen))
+
+
+def followed(name, places):
+    """Somebody who was at these x, m, in one frame after the other."""
+    tracker = Tracker(BODY, recipe("default", BODY, frame_rate=25.0), TrackerSettings(frame_rate=25.0))
+    state = tracker.start(standing(places[-1]))
+    _, estimate = tracker.step(state, nobody_in(frame_of([])))
+    out = Followed(name, Subject(BODY, None, standing(places[0]), ()), Member(tracker, state))
+    out.estimates = [replace(estimate, pose=standing(x)) for x in places]
+    out.present, out.hidden = [True] * len(places), [False] * len(places)
+    return out
+
+
+def test_what_a_person_wears_is_what_the_pictures_show_where_the_body_is():
+    red, blue = (clothes_in(BODY, standing(0.0), frame_of([(0.0, code)])) for code in (40, 300))
+    assert red.known.all()
+    assert red.likeness(red) == pytest.approx(1.0)
+    assert red.likeness(blue) < 0.2
+    assert not clothes_in(BODY, standing(0.0), replace(frame_of([(0.0, 40)]), colours=None)).known.any()
+    assert np.isnan(red.likeness(nothing_seen()))
+
+
+def met(anna, bert):
+    """They were nearest in the frame before the last; since then both were looked at often enough."""
+    since = len(anna.estimates) - 2
+    for p, q in ((anna, bert), (bert, anna)):
+        p.wardrobe.met, p.wardrobe.looks = {q.name: since}, LOOKS
+
+
+def test_two_who_wear_each_others_clothes_after_a_meeting_were_exchanged():
+    anna, bert = followed("anna", [-1.0, -0.2, -1.0]), followed("bert", [1.0, 0.2, 1.0])
+    met(anna, bert)
+    anna.wardrobe.worn, anna.wardrobe.lately = RED, BLUE
+    bert.wardrobe.worn, bert.wardrobe.lately = BLUE, RED
+    (found,) = look_at_clothes([anna, bert], [replace(frame_of([]), colours=None)] * 2)
+    assert {found[0].name, found[1].name} == {"anna", "bert"} and found[2] == 1
+    exchange(*found)
+    assert [round(e.pose[0] - standing(0)[0], 1) for e in anna.estimates] == [-1.0, 0.2, 1.0]
+    assert anna.member.state.pose[0] == pytest.approx(standing(1.0)[0])
+    assert anna.hidden == bert.hidden == [False, True, True]
+    assert "taken for bert from frame 1 to 2" in anna.said[0]
+    assert anna.wardrobe.worn.likeness(RED) > 0.99  # and they are not exchanged again
+    assert look_at_clothes([anna, bert], [replace(frame_of([]), colours=None)] * 2) == []
+
+
+def test_two_who_wear_their_own_or_the_same_clothes_stay_who_they_are():
+    for worn, other in ((RED, BLUE), (RED, RED)):
+        anna, bert = followed("anna", [-1.0, -0.2, -1.0]), followed("bert", [1.0, 0.2, 1.0])
+        met(anna, bert)
+        anna.wardrobe.worn = anna.wardrobe.lately = worn
+        bert.wardrobe.worn = bert.wardrobe.lately = other
+        assert look_at_clothes([anna, bert], [replace(frame_of([]), colours=None)] * 2) == []
+        assert not anna.wardrobe.met and anna.wardrobe.worn.known.all()
+
+
+def test_nobody_is_learnt_from_beside_somebody_else():
+    anna, bert = followed("anna", [-0.2]), followed("bert", [0.2])
+    frame = frame_of([(-0.2, 40), (0.2, 300)])
+    assert look_at_clothes([anna, bert], [frame, frame]) == []
+    assert anna.wardrobe.met == {"bert": 0} and not anna.wardrobe.worn.known.any()
+
+
+def test_who_comes_in_other_clothes_is_somebody_else():
+    anna = followed("anna", [0.0])
+    assert same_clothes(anna, RED) == 1.0  # nothing is known of her
+    anna.wardrobe.worn = RED
+    assert same_clothes(anna, RED) > 0.99 and same_clothes(anna, BLUE) < 0.2
+
+
+def test_a_wardrobe_is_kept_with_a_run_that_is_interrupted():
+    w = Wardrobe(RED, BLUE, 2, {"bert": 7})
+    again = Wardrobe.of_arrays(w.arrays(), w.about)
+    assert again.worn.likeness(RED) > 0.99 and again.lately.likeness(BLUE) > 0.99
+    assert (again.looks, again.met) == (2, {"bert": 7})
