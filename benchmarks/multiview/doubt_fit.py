@@ -30,6 +30,8 @@ _NEGATIVE = ("exposed", "exposed_second", "points_agree")
 _POINTS = tuple(n for n in FEATURES if n.startswith("points"))
 _NEUTRAL = ("log_sd", "moved", "accel")
 _RIDGE = 30.0
+_FEW = 100
+"""Clips: fewer than that move the slope and the level of known weights only; 42 clips made their ranking worse."""
 _WHOLE, _LESS = 0.1, 0.25
 """Clips in which more than the share _WHOLE of the joint-frames is wrong weigh less: a body that is wrong as a whole is
 easily told, and its frames are many. Chosen, as _RIDGE, by motions left out of the seeds trained on."""
@@ -155,6 +157,12 @@ def _weights(rows: Rows, evidence: str, known: DoubtModel | None) -> DoubtModel:
         own = g == _GROUP
         z = np.clip((rows.x[:, own] - middle) / scale, -6, 6).reshape(-1, len(FEATURES))
         counts = np.repeat(count, np.count_nonzero(own))
+        if known is not None and len(np.unique(np.stack([rows.case, rows.seed.astype(str)]), axis=1).T) < _FEW:
+            y = wrong[:, own].ravel().astype(float)
+            slope, offset[g] = _level((z * known.weights[g]).sum(1) + known.offset[g], y, counts)
+            weights[g] = slope * known.weights[g]
+            offset[g] += slope * known.offset[g]
+            continue
         weights[g], offset[g] = _logistic(z, wrong[:, own].ravel().astype(float), counts, on, sign, begin[g], level[g])
     return DoubtModel(middle, scale, weights, offset, np.full(len(GROUPS), LEAST_P))
 
@@ -164,6 +172,18 @@ def _wholly_wrong(rows: Rows) -> NDArray[np.bool_]:
     clip = np.unique(np.stack([rows.case, rows.seed.astype(str)]), axis=1, return_inverse=True)[1].ravel()
     share = (rows.error > WRONG_M).mean(1)
     return np.asarray((np.bincount(clip, share) / np.bincount(clip))[clip] > _WHOLE)
+
+
+def _level(odds: Array, y: Array, count: Array) -> tuple[float, float]:
+    """Slope and offset that make known log-odds (N,) those of y (N,), as Platt (1999) does; the slope at most 1."""
+
+    def value(x: Array) -> tuple[float, Array]:
+        told = x[0] * odds + x[1]
+        gap = count * (1 / (1 + np.exp(-np.clip(told, -40, 40))) - y)
+        return float((count * (np.logaddexp(0, told) - y * told)).sum()), np.array([gap @ odds, gap.sum()])
+
+    slope, offset = minimize(value, np.array([1.0, 0.0]), jac=True, method="L-BFGS-B", bounds=[(0.2, 1), (-9, 9)]).x
+    return float(slope), float(offset)
 
 
 def _logistic(
