@@ -140,7 +140,7 @@ def guessed(points: Array, names: Sequence[str], rng: np.random.Generator) -> Ar
     limb = _limb(names, rng)
     for view in rng.permutation(views)[: int(rng.integers(1, 3))].tolist():
         at = np.ones(len(points), bool) if rng.random() < 0.5 else _stretches(rng, len(points), 0.4, 20)
-        out[:, view] = _guess(points[:, view], limb, at, size[view], rng)
+        out[:, view] = _guess(points[:, view], limb, at, float(size[view]), rng)
     return out
 
 
@@ -154,7 +154,7 @@ def close_up(points: Array, names: Sequence[str], rng: np.random.Generator) -> A
     out[:, np.setdiff1d(np.arange(points.shape[1]), two)[:, None], part] = 0.0
     if rng.random() < 0.7:
         view, always = int(two[0]), np.ones(len(points), bool)
-        out[:, view] = _guess(out[:, view], part, always, size[view], rng)
+        out[:, view] = _guess(out[:, view], part, always, float(size[view]), rng)
     return out
 
 
