@@ -21,10 +21,10 @@ from hypose.tracking.smooth_motion import Smoothed
 
 
 def track_keypoints(
-    source: FrameSource, frame_rate: float, subject: Subject, progress: Progress
+    source: FrameSource, frame_rate: float, subject: Subject, progress: Progress, *, sure_start: bool = False
 ) -> tuple[Smoothed, NDArray[np.float32]]:
-    """The motion of the frames of a source (hypose.tracking.keypoint_clip), and their audits (T, J, A). An
-    EvidenceError when they have no key points."""
+    """The motion of the frames of a source (hypose.tracking.keypoint_clip), and their audits (T, J, A);
+    sure_start: the start is the right way round. An EvidenceError when they have no key points."""
     frames = [replace(source.frame(i), silhouettes=None) for i in range(len(source))]
     seen = [f.keypoints for f in frames]
     named = next((k.names for k in seen if k is not None), None)
@@ -32,7 +32,9 @@ def track_keypoints(
         raise EvidenceError("No frame carries key points; choose an evidence that the recording has.")
     model = subject.keypoints or keypoint_model(subject.body, named)
     solved = track_keypoint_clip(
-        subject.body, model, seen, subject.start, frame_rate, progress=lambda done, all_: progress("track", done, all_)
+        *(subject.body, model, seen, subject.start, frame_rate),
+        progress=lambda done, all_: progress("track", done, all_),
+        sure_start=sure_start,
     )
     assert solved.motion.poses is not None
     audits = [audit_frame(subject.body, q, f, model) for q, f in zip(solved.motion.poses, frames, strict=True)]
@@ -54,15 +56,18 @@ class NamedSides:
         return replace(self.source.frame(index), keypoints=self.keypoints[index])
 
 
-def with_named_sides(source: FrameSource, frame_rate: float, subject: Subject) -> tuple[FrameSource, Subject]:
+def with_named_sides(
+    source: FrameSource, frame_rate: float, subject: Subject, *, sure_start: bool = False
+) -> tuple[FrameSource, Subject]:
     """A source in which key points stand beside masks, and its subject, with the sides of limbs as the names of all
     views and frames have them: a tracker that goes from frame to frame would rename them by where it takes the limbs to
-    be. A source that does not hold its key points in memory stays as it is."""
+    be. sure_start: that of the subject stands. A source that does not hold its key points in memory stays as it is."""
     if isinstance(source, FrameStream):
         seen = source.keypoints
     else:
         seen = [f.keypoints for f in source.frames] if isinstance(source, FrameList) else None
     if seen is None or subject.keypoints is None or all(k is None for k in seen):
         return source, subject
-    start, named = real_names(subject.body, subject.keypoints, seen, subject.start, frame_rate)
+    given = (subject.body, subject.keypoints, seen, subject.start, frame_rate)
+    start, named = real_names(*given, sure_start=sure_start)
     return NamedSides(source, named), replace(subject, start=start)

@@ -195,7 +195,7 @@ def track_source(
         keep = Keep(results.checkpoint, key, options.checkpoint_every, finished=True)
     tracker = tracker_of(subject, options, frame_rate, method, own)
     if options.whole_clip and method is None and not own:
-        solved, audit = track_keypoints(source, frame_rate, subject, report)
+        solved, audit = track_keypoints(source, frame_rate, subject, report, sure_start=options.sure_start)
         motion = replace(solved.motion, provenance=record or {})
         notes = (*subject.notes, *solved.notes)
         motion = _doubted(motion, subject, solved.one_by_one, audit, solved.covariance)
@@ -204,7 +204,7 @@ def track_source(
         said = {"faults": (*faults, *wrong), "looks": looks}
         return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, **said), results)
     if method is None and not options.of_picture:
-        source, subject = with_named_sides(source, frame_rate, subject)
+        source, subject = with_named_sides(source, frame_rate, subject, sure_start=options.sure_start)
     before = tracked_before(results.checkpoint, key, total) if resume and results is not None else None
     begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
     done = track_frames(source, range(total), tracker, begin, subject, keep=keep, before=before, progress=report)

@@ -88,14 +88,17 @@ def track_keypoint_clip(
     frame_rate: float,
     settings: ClipSettings | None = None,
     progress: Report | None = None,
+    *,
+    sure_start: bool = False,
 ) -> Smoothed:
-    """The motion of a clip from its key points alone; start (D,): pose in the first frame.
+    """The motion of a clip from its key points alone; start (D,): pose in the first frame, with sure_start the right
+    way round whatever its points are called.
 
     Frames with fewer than LEAST_POINTS are bridged from their neighbours, flagged as extrapolated (as lost after a
     second), and their sd grows with the distance from the others. progress(done, total) is called after every frame of
     the first pass. An EvidenceError when fewer than two frames have so many points."""
     settings = settings or ClipSettings()
-    first, terms = _on_named_sides(body, model, keypoints, start, frame_rate, progress)
+    first, terms = _on_named_sides(body, model, keypoints, start, frame_rate, progress, sure_start=sure_start)
     seen = [np.zeros((1, 1), dtype=bool) if term is None else term.points[..., 2] > 0 for term in terms]
     known = np.array([points.any(0).sum() >= LEAST_POINTS for points in seen])
     if known.sum() < 2:
@@ -129,12 +132,18 @@ def track_keypoint_clip(
 
 
 def real_names(
-    body: Body, model: KeypointModel, keypoints: Sequence[Keypoints | None], start: Array, frame_rate: float
+    body: Body,
+    model: KeypointModel,
+    keypoints: Sequence[Keypoints | None],
+    start: Array,
+    frame_rate: float,
+    *,
+    sure_start: bool = False,
 ) -> tuple[Array, list[Keypoints | None]]:
     """The key points of a clip with what the clip as a whole says of their sides (`Keypoints.really`), where their
     names agree with it in most views nearby in time, and the pose (D,) in the first frame by them; start (D,): what it
-    was taken for."""
-    poses, _ = _on_named_sides(body, model, keypoints, start, frame_rate)
+    was taken for, with sure_start for good."""
+    poses, _ = _on_named_sides(body, model, keypoints, start, frame_rate, sure_start=sure_start)
     size, clear = 2 * max(1, round(AROUND_S * frame_rate)) + 1, np.ones(len(poses), np.bool_)
     for limb in LIMBS:
         votes = votes_by_names(body, model, poses, keypoints, limb)
@@ -145,7 +154,7 @@ def real_names(
         for q, k, sure in zip(poses, keypoints, clear, strict=True)
     ]
     other = np.linalg.norm(body.joints(poses[:1]) - body.joints(start[None]), axis=-1).max() > SWAPPED_M
-    return poses[0] if other else start, out
+    return poses[0] if other and not sure_start else start, out
 
 
 def _named_by(body: Body, model: KeypointModel, pose: Array, seen: Keypoints) -> Keypoints:
@@ -165,18 +174,20 @@ def _on_named_sides(
     start: Array,
     frame_rate: float,
     progress: Report | None = None,
+    *,
+    sure_start: bool = False,
 ) -> tuple[Array, list[KeypointTerm | None]]:
     """As `_one_by_one`, and from where legs or arms lie on the wrong side by their names, once more with them
     exchanged, as long as that leaves less to be exchanged."""
     poses, terms = _one_by_one(body, model, keypoints, start, frame_rate, progress)
     for limb in LIMBS:
-        wrong, worth = exchanged_by_names(body, model, poses, keypoints, limb)
+        wrong, worth = exchanged_by_names(body, model, poses, keypoints, limb, sure_start=sure_start)
         while wrong.any():
             at = int(np.argmax(wrong))
             begin = limbs_exchanged(body, poses[at], limb)
             anew, own = _one_by_one(body, model, keypoints[at:], begin, frame_rate)
             found = np.concatenate([poses[:at], anew])
-            wrong, left = exchanged_by_names(body, model, found, keypoints, limb)
+            wrong, left = exchanged_by_names(body, model, found, keypoints, limb, sure_start=sure_start)
             if left >= worth:
                 break
             poses, terms, worth = found, [*terms[:at], *own], left

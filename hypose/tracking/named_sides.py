@@ -27,10 +27,16 @@ ends."""
 
 
 def exchanged_by_names(
-    body: Body, model: KeypointModel, poses: Array, keypoints: Sequence[Keypoints | None], limb: str
+    body: Body,
+    model: KeypointModel,
+    poses: Array,
+    keypoints: Sequence[Keypoints | None],
+    limb: str,
+    *,
+    sure_start: bool = False,
 ) -> tuple[NDArray[np.bool_], float]:
     """(T,) frames of poses (T, D) in which the limbs of LIMBS[limb] lie on each other's side by what the key points are
-    called, and by how many views that wins, by a Viterbi search over the frames."""
+    called, and by how many views that wins, by a Viterbi search over the frames. sure_start: frame 0 is right."""
     pairs = _pairs(model, LIMBS[limb])
     if not len(pairs):
         return np.zeros(len(poses), np.bool_), 0.0
@@ -38,7 +44,7 @@ def exchanged_by_names(
     apart = np.linalg.norm(places[:, pairs[:, 0]] - places[:, pairs[:, 1]], axis=-1).mean(1)
     renamed, kept = votes_by_names(body, model, poses, keypoints, limb).T
     change = _MEETING + _APART * (apart / _APART_M) ** 2
-    change[0] = _MEETING  # a start may be wrong, however far apart they are
+    change[0] = np.inf if sure_start else _MEETING  # a start may be wrong, however far apart they are
     return _best_stretches(renamed - kept, change)
 
 

@@ -81,6 +81,16 @@ def test_a_start_on_the_wrong_legs_ends_on_the_right_ones(body, model, walk, see
     assert knees_off(body, found.motion.poses, walk).max() < 0.06
 
 
+def test_a_start_that_a_person_has_put_right_is_not_exchanged_by_names(body, model, walk, seen):
+    called_otherwise = other_sides(seen, [0, 1, 2, 3])
+    found, _ = exchanged_by_names(body, model, walk, called_otherwise, "legs")
+    assert found[0]
+    found, _ = exchanged_by_names(body, model, walk, called_otherwise, "legs", sure_start=True)
+    assert not found[0]
+    start, _ = real_names(body, model, called_otherwise, walk[0], RATE, sure_start=True)
+    np.testing.assert_array_equal(start, walk[0])
+
+
 def test_a_tracker_beside_masks_is_told_which_leg_is_which(body, model, walk, seen):
     wrong = limbs_exchanged(body, walk[0])
     given = other_sides(seen, [2])
