@@ -38,7 +38,7 @@ HIP_FAULT_M, HIP_LEVER_M = 0.04 / 3**0.5, 0.1
 """m per axis: detectors' hips lie 30 to 50 mm from the joints' centres, always to the same side (Needham et al. 2021,
 doi 10.1038/s41598-021-00212-x); m: from the hips' axis up to the lumbar joint of the body. No scene shows this, since
 its points are the joints."""
-_TILTED = ("pelvis_tilt", "hip_flexion", "lumbar_extension")
+TILTED = ("pelvis_tilt", "hip_flexion", "lumbar_extension")
 Pairs = Mapping[str, tuple[float, float]]
 
 
@@ -122,7 +122,7 @@ def fit_spread(clips: Sequence[Tracked], without: int | None = None) -> dict[str
         out["joints"][evidence] = joints
         kinds = dict.fromkeys(kind_of(n) for n in ANGLE_NAMES)
         angles = {kind: fit_angle([_of_angle(f, kind) for f in families]) for kind in kinds}
-        for kind in _TILTED:
+        for kind in TILTED:
             angles[kind] = angles[kind][0], max(angles[kind][1], pelvis_floor(evidence))
         out["angles"][evidence] = angles
         if len(calm) < len(own):

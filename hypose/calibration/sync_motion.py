@@ -17,11 +17,11 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize
 
@@ -31,6 +31,9 @@ from hypose.errors import EvidenceError
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.silhouettes import biggest_parts
 from hypose.geometry import Array, skew
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 BINS = 8
 """pieces of the pencil of planes in which activity is counted"""
@@ -239,6 +242,8 @@ def solve_offsets(curves: Curves, n_views: int) -> Offsets:
         raise EvidenceError(
             "No two views see the person move at the same time; give a longer range of frames, or offsets by hand."
         )
+    from scipy.interpolate import CubicSpline  # takes long to import
+
     splines = {curves.pairs[p]: CubicSpline(lags, curves.cost[p] - curves.cost[p].min()) for p in known}
     low, high = lags[0], lags[-1]
 
@@ -334,6 +339,8 @@ def _two(values: Array) -> tuple[int, int]:
 
 
 def _spline(values: Array) -> CubicSpline:
+    from scipy.interpolate import CubicSpline
+
     return CubicSpline(np.arange(len(values)), values, axis=0)
 
 

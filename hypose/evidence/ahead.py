@@ -71,9 +71,14 @@ def look_ahead(frames: Iterable[Frame], count: int = 2) -> Generator[Frame, None
 def _next(source: Iterator[Frame]) -> Frame | None:
     frame = next(source, None)
     if frame is not None and frame.silhouettes is not None:
-        s = frame.silhouettes
-        _keep(s, _Made(None, outlines(s, OUTLINE_POINTS, WORKING_HEIGHT), prepared_masks(s)))
+        make_now(frame.silhouettes)
     return frame
+
+
+def make_now(silhouettes: Silhouettes) -> None:
+    """Makes all that tracking wants of these masks, and keeps it with them for whoever tracks them more than once."""
+    made = outlines(silhouettes, OUTLINE_POINTS, WORKING_HEIGHT)
+    _keep(silhouettes, _Made(None, made, prepared_masks(silhouettes)))
 
 
 def outlines(silhouettes: Silhouettes, count: int = OUTLINE_POINTS, working_height: int | None = None) -> Outlines:

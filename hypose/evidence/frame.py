@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import InputError
+from hypose.evidence.depth_evidence import Depth
 from hypose.geometry import Array
 
 NOT_TRACKED, INFERRED, TRACKED = 0, 1, 2
@@ -198,3 +199,4 @@ class Frame:
     sensor_joints: SensorJoints | None = None
     picture: Picture | None = None
     colours: Colours | None = None
+    depth: Depth | None = None

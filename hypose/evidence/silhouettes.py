@@ -8,7 +8,7 @@ that size.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol
 
 import cv2
@@ -79,6 +79,11 @@ class SilhouetteSettings:
     keep_gap: float = 0.1
     grabcut: bool = False
     rim_px: int = 3
+
+    @property
+    def of_everybody(self) -> SilhouetteSettings:
+        """The same for several people, who may be anywhere in the picture."""
+        return replace(self, keep_gap=_RANGES["keep_gap"][1])
 
     def __post_init__(self) -> None:
         if self.method not in ("gaussian", "mog2"):

@@ -22,11 +22,13 @@ from hypose.fitting.articulated import (
     workspace_for,
 )
 from hypose.fitting.clip_solve import Coupling, Gaussian, fit_clip
+from hypose.fitting.depth_surface import DepthTerm, depth_term
 from hypose.fitting.own_rows import RowTerm
 
 __all__ = [
     "ContourTerm",
     "Coupling",
+    "DepthTerm",
     "Gaussian",
     "KeypointTerm",
     "PointTerm",
@@ -35,6 +37,7 @@ __all__ = [
     "Quadratic",
     "SolveSettings",
     "contour_term",
+    "depth_term",
     "fit_clip",
     "fit_pose",
     "fit_poses",

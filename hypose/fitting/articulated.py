@@ -35,6 +35,7 @@ from hypose.evidence.ahead import outlines
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.outlines import OUTLINE_POINTS as REFERENCE_OUTLINE
 from hypose.evidence.outlines import SMALLEST, shrunk_projection
+from hypose.fitting.depth_surface import DepthTerm, depth_arrays
 from hypose.fitting.least_squares import Rule
 from hypose.fitting.own_rows import RowTerm, row_sums
 from hypose.fitting.own_rows import solve as solve_with_rows
@@ -245,6 +246,7 @@ def fit_pose(
     options: SolveSettings | None = None,
     workspace: Workspace | None = None,
     rows: Sequence[RowTerm] = (),
+    depth: DepthTerm | None = None,
 ) -> PoseFit:
     """The pose near start (D,) that explains the evidence best, inside the joint limits. rows: of one's own; they cost
     a call of Python for every evaluation.
@@ -252,7 +254,8 @@ def fit_pose(
     A SolverError when the start has the wrong size or its cost is not finite. A step is taken when its cost is finite
     and at most 0.2 % higher (contour costs jump when the outline changes); no joint turns more than 0.35 rad per
     step."""
-    return _Problem(body, contours, keypoints, points, priors, options or SolveSettings(), rows).fit(start, workspace)
+    problem = _Problem(body, contours, keypoints, points, priors, options or SolveSettings(), rows, depth)
+    return problem.fit(start, workspace)
 
 
 def fit_poses(
@@ -266,11 +269,12 @@ def fit_poses(
     options: SolveSettings | None = None,
     threads: int | None = None,
     rows: Sequence[RowTerm] = (),
+    depth: DepthTerm | None = None,
 ) -> list[PoseFit]:
     """Independent solves from starts (N, D) on the same evidence, over threads; the same results for any number of
     them."""
     q = np.asarray(starts, dtype=np.float64)
-    problem = _Problem(body, contours, keypoints, points, priors, options or SolveSettings(), rows)
+    problem = _Problem(body, contours, keypoints, points, priors, options or SolveSettings(), rows, depth)
     fits: list[PoseFit | None] = [None] * len(q)
 
     def work(first: int, last: int) -> None:
@@ -305,6 +309,7 @@ class _Problem:
         priors: Sequence[Quadratic],
         options: SolveSettings,
         rows: Sequence[RowTerm] = (),
+        depth: DepthTerm | None = None,
     ) -> None:
         self.body, self.contour_term, self.rows = body, contours, tuple(rows)
         for term in self.rows:
@@ -313,6 +318,7 @@ class _Problem:
         self.contours = contour_arrays(contours)
         self.keypoints = keypoint_arrays(keypoints, len(self.tree.parents))
         self.points = point_arrays(points, len(self.tree.parents))
+        self.depth = depth_arrays(depth, body)
         self.centre, self.weight = prior_arrays(priors, body.skeleton.dof)
         self.lower = np.ascontiguousarray(body.skeleton.lower, dtype=np.float64)
         self.upper = np.ascontiguousarray(body.skeleton.upper, dtype=np.float64)
@@ -361,7 +367,7 @@ class _Problem:
         )
 
     def _solve(self, q: Array, priors: PriorArrays, ws: Workspace) -> compute.Solution:
-        evidence = self.tree, self.mesh, self.contours, self.keypoints, self.points, priors
+        evidence = self.tree, self.mesh, self.contours, self.keypoints, self.points, self.depth, priors
         o = self.settings
         if not self.rows:
             return compute.solve(q, *evidence, o, ws)

@@ -99,6 +99,35 @@ class Performance:
         return float((len(self.times) - 1) / (self.times[-1] - self.times[0])) if len(self.times) > 1 else 25.0
 
 
+class OfPerformance:
+    """What whoever has a `performance` says of it."""
+
+    performance: Performance
+
+    def __len__(self) -> int:
+        return len(self.performance)
+
+    @property
+    def times(self) -> Array:
+        """(T,) s."""
+        return self.performance.times
+
+    @property
+    def frame_rate(self) -> float:
+        """Frames per second."""
+        return self.performance.frame_rate
+
+    @property
+    def joints(self) -> Array:
+        """(T, 19, 3) true joint centres, m, world."""
+        return self.performance.joints
+
+    @property
+    def rotations(self) -> Array:
+        """(T, 19, 3, 3) true world_from_joint rotations; identity in the subject's rest pose."""
+        return self.performance.rotations
+
+
 def assemble(name: str, subject: Subject, times: Array, rotations: Array, root: Array) -> Performance:
     """A Performance with the joint centres that the subject's own bones give."""
     return Performance(name, times, rotations, root, subject.place_joints(rotations, root))

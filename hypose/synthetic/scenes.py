@@ -30,7 +30,7 @@ from hypose.synthetic.corruptions import (
     occluder_mesh,
 )
 from hypose.synthetic.motions import act
-from hypose.synthetic.performance import Performance, moved
+from hypose.synthetic.performance import OfPerformance, Performance, moved
 from hypose.synthetic.render_rgb import (
     Backdrop,
     Image,
@@ -55,7 +55,7 @@ _CLOTHES, _MOTION, _ROOM, _RIG, _DROPS, _MASKS, _NOISE, _PHASE, _OTHER = range(9
 
 
 @dataclass(frozen=True)
-class Scene:
+class Scene(OfPerformance):
     """subject: the truth body (dressed). performance: what it does. rig: the cameras as they are, given_rig:
     the calibration that the user has. corruption: what goes wrong. seed: of everything random. others:
     further people in view (subject, performance) that are not to be tracked. hands_only: the clothes leave only face
@@ -71,29 +71,6 @@ class Scene:
     others: tuple[tuple[Subject, Performance], ...] = ()
     sensor: Sensor = field(default_factory=Sensor)
     hands_only: bool = False
-
-    def __len__(self) -> int:
-        return len(self.performance)
-
-    @property
-    def times(self) -> Array:
-        """(T,) s."""
-        return self.performance.times
-
-    @property
-    def frame_rate(self) -> float:
-        """Frames per second."""
-        return self.performance.frame_rate
-
-    @property
-    def joints(self) -> Array:
-        """(T, 19, 3) true joint centres, m, world."""
-        return self.performance.joints
-
-    @property
-    def rotations(self) -> Array:
-        """(T, 19, 3, 3) true world_from_joint rotations; identity in the subject's rest pose."""
-        return self.performance.rotations
 
     def vertices(self, index: int) -> Array:
         """(V, 3) m: the subject's skin (and clothes) in frame `index`."""

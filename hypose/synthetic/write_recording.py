@@ -14,6 +14,7 @@ from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import InputError
 from hypose.evidence.detector import openpose_document
+from hypose.geometry import Array
 from hypose.io.file_names import file_name
 from hypose.io.files import write_text
 from hypose.io.motions.results import atomic_path
@@ -34,16 +35,21 @@ def check_folder(folder: Path) -> None:
 
 
 def write_truth(scene: Scene, folder: Path) -> None:
+    """`save_truth` of a scene."""
+    save_truth(folder, scene.times, scene.joints, scene.rotations, scene.subject.stature)
+
+
+def save_truth(folder: Path, times: Array, joints: Array, rotations: Array, stature: float) -> None:
     """truth.npz: times (T,), joints (T, 19, 3) m, rotations (T, 19, 3, 3), joint_names, stature m. To be written first,
     for a folder that is not finished is known by it (`check_folder`)."""
     with atomic_path(folder / "truth.npz") as temporary, open(temporary, "wb") as file:
         np.savez_compressed(
             file,
-            times=scene.times,
-            joints=scene.joints,
-            rotations=scene.rotations,
+            times=times,
+            joints=joints,
+            rotations=rotations,
             joint_names=np.array(JOINT_NAMES),
-            stature=np.array(scene.subject.stature),
+            stature=np.array(stature),
         )
 
 

@@ -12,6 +12,7 @@ from hypose.body.body import Body
 from hypose.fitting.articulated import KeypointTerm
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
+from hypose.tracking.depth_costs import depth_cost, depth_views
 from hypose.tracking.frame_evidence import PreparedFrame
 
 
@@ -39,9 +40,21 @@ def frame_energy(
     moving: NDArray[np.bool_] | None = None,
     rest: compute.Standing | None = None,
 ) -> Array:
-    """(N,) what poses (N, D) of the frame's body cost: eq. 2.8, and the user's own evidence. rest: what does not move,
-    where it has been drawn."""
-    return xor_energy(frame.body, poses, frame, moving, rest) + frame.own_energy(poses)
+    """(N,) what poses (N, D) of the frame's body cost: eq. 2.8, what depth cameras say, and the user's own evidence.
+    rest: what does not move, where it has been drawn."""
+    return evidence_energy(frame.body, poses, frame, moving, rest) + frame.own_energy(poses)
+
+
+def evidence_energy(
+    body: Body,
+    poses: Array,
+    frame: PreparedFrame,
+    moving: NDArray[np.bool_] | None = None,
+    rest: compute.Standing | None = None,
+) -> Array:
+    """(N,) the same of any body, without the user's own evidence."""
+    cost = xor_energy(body, poses, frame, moving, rest)
+    return cost if frame.depth is None else cost + depth_cost(body, poses, frame, moving)
 
 
 def xor_energy(
@@ -92,6 +105,19 @@ def mean_overlap(body: Body, pose: Array, frame: PreparedFrame) -> float:
     """Mean IoU over the views that tell; 0 when none does."""
     overlap = silhouette_iou(body, pose, frame)
     return float(np.nanmean(overlap)) if np.isfinite(overlap).any() else 0.0
+
+
+def agreement(body: Body, pose: Array, frame: PreparedFrame) -> float:
+    """How well a pose (D,) agrees with the masks: mean IoU over the views, less half of what it is off in depth where
+    depth cameras see; NaN when no view tells. Who stands back to front has nearly the same outline, but other
+    depths."""
+    overlap = silhouette_iou(body, pose, frame)
+    if not np.isfinite(overlap).any():
+        return float("nan")
+    mean = float(np.nanmean(overlap))
+    if frame.depth is None:
+        return mean
+    return mean - 0.5 * float(depth_cost(body, pose[None], frame)[0]) / depth_views(frame)
 
 
 VISIBLE = 0.2

@@ -18,6 +18,7 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.frame import Frame
 from hypose.evidence.outlines import WORKING_HEIGHT
+from hypose.fitting import DepthTerm, depth_term
 from hypose.fitting.articulated import ContourTerm, KeypointTerm, PointTerm, contour_term
 from hypose.fitting.own_rows import RowTerm
 from hypose.geometry import Array
@@ -68,7 +69,8 @@ class PreparedFrame:
     keypoints is None when there are no key points; points, rows: what `own`, the user's evidence, says. prediction
     (D,): the pose expected before looking at the evidence, and prediction_weight: how strongly solves are pulled to
     it (1 / rad^2 in units of the robust rows' cost). usual_iou: how well the body has overlapped the masks so far
-    (NaN: not known). rivals: the hypotheses that the last frame left, each where it is expected now (None: the set
+    (NaN: not known). depth: what depth cameras
+    see. rivals: the hypotheses that the last frame left, each where it is expected now (None: the set
     moves as one). done: frames tracked before this one. memory: what the recipe has remembered so far. counts: of the
     silhouettes of single poses, (C, 3); hessians: of their solves, (D, D); shared: whatever else one layer of a
     recipe has found out for the next ones."""
@@ -89,12 +91,13 @@ class PreparedFrame:
     memory: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     counts: PoseMemory[NDArray[np.int64]] = field(default_factory=PoseMemory, compare=False, repr=False)
     hessians: PoseMemory[Array] = field(default_factory=PoseMemory, compare=False, repr=False)
-    shared: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
+    shared: dict[Any, Any] = field(default_factory=dict, compare=False, repr=False)
+    depth: DepthTerm | None = None
 
     @property
     def usable(self) -> bool:
         """True when some evidence is left."""
-        pieces = (self.masks, self.keypoints, self.points, self.frame.picture)
+        pieces = (self.masks, self.keypoints, self.points, self.frame.picture, self.depth)
         return any(piece is not None for piece in pieces) or bool(self.rows)
 
     def own_energy(self, poses: Array) -> Array:
@@ -158,7 +161,8 @@ def prepare(
     points = _joined([one for one in said if isinstance(one, PointTerm)], frame)
     rows = tuple(one for one in said if isinstance(one, RowTerm))
     pieces = (masks, contours, term, prediction_weight, usual_iou, points, rows, tuple(own), done)
-    return PreparedFrame(frame, body, prediction, *pieces)
+    depth = None if frame.depth is None or masks is None else depth_term(frame.depth)
+    return PreparedFrame(frame, body, prediction, *pieces, depth=depth)
 
 
 def _joined(terms: Sequence[PointTerm], frame: Frame) -> PointTerm | None:

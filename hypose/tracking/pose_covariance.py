@@ -26,6 +26,8 @@ CURVATURE_FACTOR: Mapping[str, Mapping[str, float]] = {
     "silhouettes": {"torso": 0.70, "arms": 0.58, "legs": 0.49, "head": 0.14},
     "keypoints": {"torso": 0.48, "arms": 0.44, "legs": 0.42, "head": 0.60},
     "both": {"torso": 0.55, "arms": 0.51, "legs": 0.41, "head": 0.63},
+    # with depth cameras the whole calibration is that of hypose.tracking.fitted_spread
+    "depth": {"torso": 0.5, "arms": 0.5, "legs": 0.5, "head": 0.5},
 }
 FLOOR = 0.004
 """m; no joint centre of a fitted body is known better than this. With more, a head seen in silhouettes cannot have a
@@ -59,7 +61,7 @@ def uncertainty_of_pose(pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> 
         hessian = refine(body, pose[None], frame, SolveSettings(iterations=0, coarse_iterations=0))[0].hessian
     information = hessian - frame.prediction_weight * np.eye(len(pose))
     evidence = "keypoints" if frame.contours is None else "silhouettes" if frame.keypoints is None else "both"
-    around = joint_covariance_of(body, pose, hessian, evidence)
+    around = joint_covariance_of(body, pose, hessian, evidence if frame.depth is None else "depth")
     if (rivals := h.has(RIVAL)).any():
         joints = body.joints(np.concatenate([pose[None], h.values[rivals]]))
         apart = joints[1:] - joints[0]

@@ -52,6 +52,8 @@ CONTOURS = "Particles as proposals, bounded robust Gauss-Newton on two-way conto
 _TURNS = (0, 1, 0, 1)
 """the frames (modulo 2) in which each of LIMB_LAYERS is searched: one leg and one arm in every frame; one limb per
 frame costs a tenth of the accuracy where the body is not the person's own"""
+_SELDOM = 4
+"""How many times seldomer limbs are searched with depth. Chosen on the seeds 0 to 6 (benchmark `depth`)."""
 
 
 def default(
@@ -93,7 +95,7 @@ def default(
         kernel = Except(Compose(tuple(moves)), (SOLVED, COMPOSITE))
         moving = np.isin(np.arange(len(s.joint_names)), [s.joint(j) for j in joints])
         weigh = Annealed(SilhouetteXor(moving), FixedSelectivity(1.0))  # the best is best under any exponent
-        rows.append(Layer(kernel, weigh, Elite(1, mask, but=SOLVED), name, InTurn(turn, period)))
+        rows.append(Layer(kernel, weigh, Elite(1, mask, but=SOLVED), name, InTurn(turn, period, seldom=_SELDOM)))
     rows.append(_rivals(body, turns, rivals, options))
     base = Recipe("default", rows, particles, rivals=rivals)
     return _solving(replace(base, learn=LearnColours(), likes=("colours",)) if colours else base)

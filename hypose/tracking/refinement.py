@@ -120,17 +120,27 @@ class InTurn:
 
     A lost limb hardly changes the overlap with the masks: neither the overlap nor the cost of the solve tells the
     frames in which a search pays (area under the curve 0.6), so each limb has its turn, which also costs the same in
-    every frame."""
+    every frame. With depth a limb's turn comes seldom times later: what a mask leaves open depth mostly tells the
+    solve."""
 
     turn: int
     period: int
     unsettled: float = 1.15
+    seldom: int = 1
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame) -> bool:
         """True when the limb is to be searched in this frame."""
         if frame.masks is None:
             return False  # particles are weighed by silhouettes only
-        return frame.frame.index % self.period == self.turn or not self._is_settled(member(h, SOLVED), frame)
+        times = 1 if frame.depth is None else self.seldom
+        if frame.frame.index % (self.period * times) == self.turn * times:
+            return True
+        pose = member(h, SOLVED)
+        key = "settled", self.unsettled, pose.tobytes()  # every limb asks the same
+        settled: bool | None = frame.shared.get(key)
+        if settled is None:
+            settled = frame.shared[key] = self._is_settled(pose, frame)
+        return not settled
 
     def _is_settled(self, pose: Array, frame: PreparedFrame) -> bool:
         if not np.isfinite(frame.usual_iou):
@@ -184,6 +194,7 @@ def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettin
         keypoints=frame.keypoints,
         points=frame.points,
         rows=frame.rows,
+        depth=frame.depth,
         priors=priors,
         options=options,
     )

@@ -23,9 +23,11 @@ from hypose.body.anthropometry import body_of, length_rows, prior_covariance, pr
 from hypose.body.body import Body, Landmarks, Mesh
 from hypose.compute import NOT_KNOWN, SharedEquations, geman_mcclure, silhouette, weighted_squares
 from hypose.errors import EvidenceError
+from hypose.fitting import DepthTerm
 from hypose.fitting.articulated import ContourTerm
 from hypose.fitting.least_squares import Rule, descend
 from hypose.geometry import Array
+from hypose.tracking.depth_shape_rows import depth_shape_rows
 from hypose.tracking.refinement import anatomical_prior
 
 BORDER = 3
@@ -33,6 +35,8 @@ BORDER = 3
 EFFECTIVE = 9.0
 """Rows per independent observation: neighbours err together, and so do all rows where the template is another person.
 Measured on the subjects of the anthropometry benchmark, where the errors are about three times the formal ones."""
+CONTOUR_WEIGHT = 0.05
+"""of a contour row in the pose solver"""
 DENSITY = 1000.0
 """kg/m^3 of a person with air in the lungs, with the mesh's volume"""
 
@@ -94,11 +98,13 @@ def refine_shape(
     known: Known | None = None,
     options: ShapeSettings | None = None,
     start: Array | None = None,
+    depths: Sequence[DepthTerm | None] | None = None,
 ) -> ShapeFit:
     """Shape of `body` and poses that explain the contours of F frames best.
 
     body: the template, whose log factors are 0; start (K,): log factors to begin with (default 0, and the prior is
-    about 0 except for the scale). poses (F, D), contours F terms. An EvidenceError when there is no frame.
+    about 0 except for the scale). poses (F, D), contours F terms; depths: F terms of depth
+    cameras, if any. An EvidenceError when there is no frame.
     """
     if len(poses) == 0 or len(poses) != len(contours):
         raise EvidenceError("The subject's shape needs at least one frame with silhouettes and its pose.")
@@ -107,7 +113,8 @@ def refine_shape(
     light = replace(body, fine=body.coarse, landmarks=marks)  # nothing but the scoring mesh is needed
     light.coarse.edges  # noqa: B018 - built once, shared by all deformed copies
     ratio = body.stature / float(np.ptp(body.coarse.vertices[:, 2]))  # decimation cuts the crown
-    problem = _ShapeProblem(light, list(contours), known, options, np.asarray(poses, dtype=np.float64), ratio)
+    anchor = np.asarray(poses, dtype=np.float64)
+    problem = _ShapeProblem(light, list(contours), known, options, anchor, ratio, depths or [None] * len(poses))
     x = prior_mean() if start is None else np.array(start, dtype=np.float64)
     q = np.array(poses, dtype=np.float64)
     before = problem.linearise(x, q, options.coarse[-1]).cost
@@ -139,7 +146,9 @@ class _ShapeProblem:
         options: ShapeSettings,
         anchor: Array,
         height_ratio: float,
+        depths: Sequence[DepthTerm | None],
     ) -> None:
+        self.depths = depths
         self.body, self.contours, self.known, self.options, self.anchor = body, contours, known, options, anchor
         # (V, D) share of a dof's motion at a vertex
         self.moves = body.coarse.dense_weights(len(body.skeleton.joint_names)) @ body.skeleton.moves.T.astype(
@@ -151,7 +160,7 @@ class _ShapeProblem:
         rows, _, sd = length_rows(body)
         self.precision = self.precision + options.prior * (rows / sd[:, None]).T @ (rows / sd[:, None])
         # in the same balance with the contours as in the pose solver, whose rows weigh 0.05
-        self.pose_weight = anatomical_prior(body.skeleton).weight * options.weight / 0.05
+        self.pose_weight = anatomical_prior(body.skeleton).weight * options.weight / CONTOUR_WEIGHT
         self.anchor_weight = np.full(body.skeleton.dof, options.pose_sd**-2)
         self.anchor_weight[:6] = 0
 
@@ -167,6 +176,7 @@ class _ShapeProblem:
         here = shaped.skin(q)
         slopes = (skins - here[:, None]) / step
         rows = [self._frame_rows(shaped, q[f], here[f], slopes[f], self.contours[f], factor) for f in range(len(q))]
+        rows = [self._with_depth(r, shaped, q[f], here[f], slopes[f], factor, f) for f, r in enumerate(rows)]
         h, g = self.precision.copy(), self.precision @ (x - self.mean)
         cost = 0.5 * (x - self.mean) @ self.precision @ (x - self.mean)
         for value, target, sd, gradient in self._known_rows(shaped, varied, step):
@@ -229,6 +239,18 @@ class _ShapeProblem:
         dq *= np.minimum(1, 0.3 / np.maximum(np.abs(dq[:, 3:]).max(1, keepdims=True), 1e-9))
         x, q = state
         return (x + dx, self.body.skeleton.clamp(q + dq)), float(np.abs(dx).max())
+
+    def _with_depth(
+        self, rows: _Rows, shaped: Body, pose: Array, vertices: Array, slopes: Array, factor: float, frame: int
+    ) -> _Rows:
+        term = self.depths[frame]
+        if term is None:
+            return rows
+        twists = shaped.skeleton.world_twists(pose)
+        gain = self.options.weight / CONTOUR_WEIGHT
+        own = depth_shape_rows(shaped.coarse, vertices, slopes, twists, self.moves, term, factor, gain)
+        pairs = zip((rows.residual, rows.weight, rows.by_shape, rows.by_pose), own[:4], strict=True)
+        return _Rows(*(np.concatenate(p) for p in pairs), cost=rows.cost + own.cost)
 
     def _frame_rows(
         self, shaped: Body, pose: Array, vertices: Array, slopes: Array, term: ContourTerm, factor: float

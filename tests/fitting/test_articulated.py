@@ -76,6 +76,7 @@ def evaluate(pose, contours=None, keypoints=None, points=None, forward=None):
         rows,
         keypoint_arrays(keypoints, JOINTS),
         point_arrays(points, JOINTS),
+        compute.no_depth(),
         priors,
         ws,
     )

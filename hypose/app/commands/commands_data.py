@@ -61,6 +61,10 @@ def synth(
     ] = "walk",
     subject: Annotated[str, typer.Option(help="Name or number of a subject. [default: chosen by the seed]")] = "",
     rig: Annotated[str, typer.Option(help="humaneva-4, humaneva-7, ixmas-5, court-4 or ring-N.")] = "humaneva-4",
+    sensors: Annotated[
+        str,
+        typer.Option(help="Depth cameras instead of a rig: depth-1 (in front), depth-2 (and beside), depth-3 (round)."),
+    ] = "",
     seconds: Seconds = 4.0,
     frame_rate: Annotated[float, number("Frames per second.", 1, 1000)] = 25.0,
     corruption: Annotated[
@@ -91,6 +95,13 @@ def synth(
     if raw and keypoints:
         raise InputError("--raw writes what cameras give, and key points are not; leave one of the two out.")
     check_folder(folder)
+    if sensors:
+        if raw or keypoints or corruption:
+            raise InputError(
+                "Depth cameras write depth maps with their own faults; leave --raw, --keypoints, --corruption out."
+            )
+        _depth_cameras(folder, motion, _subject_name(subject), sensors, seconds, frame_rate, seed, clothing)
+        return
     scene = make_scene(
         motion,
         _subject_name(subject),
@@ -118,6 +129,30 @@ def synth(
     say(f"{path}: {scene.name}, {len(scene)} frames, {len(scene.rig)} cameras")
     if raw:
         say(f"The board has {BOARD.columns} x {BOARD.rows} inner corners and squares of {1000 * BOARD.square:g} mm.")
+
+
+def _depth_cameras(
+    folder: Path,
+    motion: str,
+    subject: str,
+    sensors: str,
+    seconds: float,
+    frame_rate: float,
+    seed: int,
+    clothing: float,
+) -> None:
+    from hypose.io.claims import claimed
+    from hypose.synthetic.write_depth import walking_scene, write_depth_scene
+
+    about = {"seconds": seconds, "frame_rate": frame_rate, "seed": seed, "clothing_m": clothing}
+    scene = walking_scene(motion, subject, sensors, **about)
+    try:
+        with claimed(folder, "OUT"), Stages() as progress:
+            path = write_depth_scene(scene, folder, progress=lambda done, total: progress("render", done, total))
+    except KeyboardInterrupt:
+        say(f"Stopped; {folder} is not complete. Start again with the same command.")
+        raise typer.Exit(130) from None
+    say(f"{path}: {scene.name}, {len(scene)} frames, {len(scene.rig)} depth cameras (simulated)")
 
 
 def _subject_name(text: str) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from hypose.compute.compiled import kernel
 from hypose.compute.cpu_kinematics import camera_about_root, joint_frames, skin_about_root
 from hypose.compute.solver.cpu_cholesky import backward, factorise, forward
+from hypose.compute.solver.cpu_depth_rows import depth_rows
 from hypose.compute.solver.cpu_rows import add_row, contour_rows, keypoint_rows, point_rows, sum_rows
 
 LARGEST_TURN = 0.35
@@ -135,9 +136,9 @@ def bounded_step(hessian, gradient, q, lower, upper, damping, step):
 
 
 @kernel
-def cost_at(q, tree, mesh, contours, scale, keypoints, points, priors, ws, counts):
-    """Cost at pose q (D,), and how many contour rows wait in the workspace for `normal_equations`; counts (C + 2, 2):
-    forward and reverse rows of each view, then the key points, then the points."""
+def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, counts):
+    """Cost at pose q (D,), and how many contour rows wait in the workspace for `normal_equations`; counts (C + 3, 2):
+    forward and reverse rows of each view, then the key points, the points, and those of depth."""
     joint_frames(q, tree, ws.rotations, ws.centres, ws.twists)
     ws.wrench_hessian[:] = 0.0
     ws.wrench_gradient[:] = 0.0
@@ -145,9 +146,11 @@ def cost_at(q, tree, mesh, contours, scale, keypoints, points, priors, ws, count
     counts[n_views:] = 0
     cost = 0.0
     kept = np.zeros(1, np.int64)
+    n_points = depth.points.shape[0]
+    if n_views > 0 or n_points > 0:
+        skin_about_root(ws.rotations, ws.centres, tree, mesh, ws.vertices)
     if n_views > 0:
         p = np.empty((3, 4), np.float32)
-        skin_about_root(ws.rotations, ws.centres, tree, mesh, ws.vertices)
         for c in range(n_views):
             counts[c, 0] = 0
             counts[c, 1] = 0
@@ -158,6 +161,11 @@ def cost_at(q, tree, mesh, contours, scale, keypoints, points, priors, ws, count
         q, keypoints, ws.rotations, ws.centres, ws.wrench_hessian, ws.wrench_gradient, counts[n_views]
     )
     cost += point_rows(q, points, ws.rotations, ws.centres, ws.wrench_hessian, ws.wrench_gradient, counts[n_views + 1])
+    if n_points > 0:
+        factor = scale / contours.scale
+        cost += depth_rows(
+            q, mesh, depth, factor, ws.vertices, ws.wrench_hessian, ws.wrench_gradient, counts[n_views + 2]
+        )
     for i in range(priors.centre.shape[0]):
         for d in range(q.shape[0]):
             w = priors.weight[i, d]
@@ -181,15 +189,15 @@ def normal_equations(q, kept, tree, priors, ws, hessian, gradient):
 
 
 @kernel
-def evaluate(q, tree, mesh, contours, scale, keypoints, points, priors, ws, hessian, gradient, counts):
+def evaluate(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, hessian, gradient, counts):
     """Cost, hessian, gradient and counts at pose q; see `cost_at` and `normal_equations`."""
-    cost, kept = cost_at(q, tree, mesh, contours, scale, keypoints, points, priors, ws, counts)
+    cost, kept = cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, counts)
     normal_equations(q, kept, tree, priors, ws, hessian, gradient)
     return cost
 
 
 @kernel
-def solve(q, tree, mesh, contours, keypoints, points, priors, settings, ws, hessian, gradient, counts, info):
+def solve(q, tree, mesh, contours, keypoints, points, depth, priors, settings, ws, hessian, gradient, counts, info):
     """Bounded Levenberg-Marquardt from pose q (D,), which is overwritten; hessian and gradient are those at the result.
 
     info (4,): cost, iterations, evaluations, converged (1 when the last step was below the tolerance). Returns False
@@ -204,7 +212,7 @@ def solve(q, tree, mesh, contours, keypoints, points, priors, settings, ws, hess
     damping = settings.damping
     coarse = settings.coarse_iterations if contours.sdf.shape[0] > 0 else 0
     scale = contours.coarse_scale if coarse > 0 else contours.scale
-    cost = evaluate(q, tree, mesh, contours, scale, keypoints, points, priors, ws, hessian, gradient, counts)
+    cost = evaluate(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, hessian, gradient, counts)
     evaluations = 1
     if not math.isfinite(cost):
         return False
@@ -213,7 +221,7 @@ def solve(q, tree, mesh, contours, keypoints, points, priors, settings, ws, hess
         if coarse > 0 and done >= coarse:
             coarse = 0
             cost = evaluate(
-                q, tree, mesh, contours, contours.scale, keypoints, points, priors, ws, hessian, gradient, counts
+                q, tree, mesh, contours, contours.scale, keypoints, points, depth, priors, ws, hessian, gradient, counts
             )
             scale = contours.scale
             evaluations += 1
@@ -231,7 +239,9 @@ def solve(q, tree, mesh, contours, keypoints, points, priors, settings, ws, hess
             for d in range(n):
                 trial[d] = min(max(q[d] + shorten * step[d], priors.lower[d]), priors.upper[d])
                 moved = max(moved, abs(shorten * step[d]) * (1.0 if d > 2 else 2.0))
-            new_cost, kept = cost_at(trial, tree, mesh, contours, scale, keypoints, points, priors, ws, new_counts)
+            new_cost, kept = cost_at(
+                trial, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, new_counts
+            )
             evaluations += 1
             if math.isfinite(new_cost) and new_cost < cost * ACCEPT:
                 accepted = True
@@ -257,7 +267,7 @@ def solve(q, tree, mesh, contours, keypoints, points, priors, settings, ws, hess
             done = coarse
     if coarse > 0:  # no fine iteration was asked for: report the fine cost all the same
         cost = evaluate(
-            q, tree, mesh, contours, contours.scale, keypoints, points, priors, ws, hessian, gradient, counts
+            q, tree, mesh, contours, contours.scale, keypoints, points, depth, priors, ws, hessian, gradient, counts
         )
         evaluations += 1
     info[0], info[1], info[2], info[3] = cost, used, evaluations, converged

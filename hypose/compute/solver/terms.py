@@ -109,6 +109,50 @@ class PointArrays(NamedTuple):
     """m, 1 sd"""
 
 
+class DepthArrays(NamedTuple):
+    """Depth maps of sensors C: points of the person's surface, and how far each sensor sees. Geman-McClure cost of the
+    distance in m."""
+
+    points: NDArray[np.float64]
+    """(M, 3) m, world"""
+    normals: NDArray[np.float64]
+    """(M, 3) unit, outward"""
+    weight: NDArray[np.float64]
+    """(M,)"""
+    first: NDArray[np.int64]
+    """(C + 1,): points first[c] to first[c + 1] are those of sensor c"""
+    eyes: NDArray[np.float64]
+    """(C, 3) m, world: where the sensors are"""
+    maps: NDArray[np.float32]
+    """(C, h, w) m along the optical axis; 0: not known"""
+    sizes: NDArray[np.int64]
+    """(C, 2) width, height"""
+    projections: NDArray[np.float64]
+    """(C, 3, 4) of the maps' pixels; the last row has unit length, so that it tells metres"""
+    face_first: NDArray[np.int64]
+    """(V + 1,): faces face_of[face_first[v]] and on, to that of v + 1, hold vertex v"""
+    face_of: NDArray[np.int64]
+    """(3 F,)"""
+    scale: float
+    """m, Geman-McClure scale of the points"""
+    free_weight: float
+    """weight of the rows of body before what was seen, all of them together, per point of the sensor"""
+    free_scale: float
+    """m"""
+    slack: float
+    """m before what was seen that cost nothing"""
+
+
+def no_depth() -> DepthArrays:
+    """Of a frame without depth maps."""
+    none, nobody = np.zeros((0, 3)), np.zeros(0, np.int64)
+    maps, sizes = np.zeros((0, 1, 1), np.float32), np.zeros((0, 2), np.int64)
+    first = np.zeros(1, np.int64)
+    return DepthArrays(
+        none, none, np.zeros(0), first, none, maps, sizes, np.zeros((0, 3, 4)), first, nobody, 1.0, 0.0, 1.0, 0.0
+    )
+
+
 class PriorArrays(NamedTuple):
     """Sum of quadratics 1/2 weight (q - centre)^2 and the limits."""
 

@@ -26,8 +26,9 @@ from hypose.errors import InputError
 from hypose.evidence.ahead import make_ahead
 from hypose.evidence.background import BackgroundModel, Image, from_frames, from_plates, from_recording
 from hypose.evidence.colours import colour_codes
+from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.doubted_limbs import with_doubted_limbs
-from hypose.evidence.frame import Colours, Frame, Keypoints
+from hypose.evidence.frame import Colours, Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import person_size, thick_skeleton
 from hypose.evidence.outlines import WORKING_HEIGHT, ViewOutline, view_outline
 from hypose.evidence.silhouettes import (
@@ -87,10 +88,19 @@ def working_rig(rig: CameraRig, options: FrameSettings | None = None) -> CameraR
     return rig.scaled(o.factor or min(1.0, o.longer_side / float(rig.sizes.max()))).pinhole()
 
 
+def _rig_of(recording: Recording, options: FrameSettings | None = None) -> CameraRig:
+    """The working size of a recording's views. A depth camera has one of its own: made smaller as large pictures beside
+    it are, its maps would show arms that are a pixel wide."""
+    common, o = working_rig(recording.rig, options), options or FrameSettings()
+    alone = [working_rig(CameraRig((c,)), o)[0] for c in recording.rig]
+    views = zip(recording.views, common, alone, strict=True)
+    return CameraRig(tuple(own if view.depth is not None else small for view, small, own in views))
+
+
 def load_keypoints(recording: Recording, options: FrameSettings | None = None) -> list[Keypoints] | None:
     """Key points of the recording's person for every frame of recording.frames, None when it has none
     (`hypose.io.recordings.recording_people`); a frame in which the person is not seen has confidence 0."""
-    found = load_person(recording, working_rig(recording.rig, options))
+    found = load_person(recording, _rig_of(recording, options))
     return None if found is None else found.keypoints
 
 
@@ -171,12 +181,17 @@ def build_backgrounds(
     are held per view.
     """
     o = options or FrameSettings()
-    small = working_rig(recording.rig, o)
+    small = _rig_of(recording, o)
     skeletons = _skeletons(keypoints, recording.frames[0]) if keypoints else None
 
     def build(c: int) -> BackgroundModel | None:
         view = recording.views[c]
-        if view.masks is not None or view.source is None or (views is not None and c not in views):
+        if (
+            view.masks is not None
+            or view.depth is not None
+            or view.source is None
+            or (views is not None and c not in views)
+        ):
             return None
         prepare = Preparer(recording.rig[c], small[c], view.image_shift)
         plate = None
@@ -297,9 +312,8 @@ class FrameStream:
     ) -> None:
         self.recording, self.options = recording, options or FrameSettings(silhouettes=recording.silhouettes)
         if self.options.people and self.options.silhouettes is not None:
-            whole = replace(self.options.silhouettes, keep_gap=1e6)
-            self.options = replace(self.options, silhouettes=whole, band=False)
-        self.rig = working_rig(recording.rig, self.options)
+            self.options = replace(self.options, silhouettes=self.options.silhouettes.of_everybody, band=False)
+        self.rig = _rig_of(recording, self.options)
         self.frames = recording.frames
         if len(self.frames) == 0:
             raise InputError(f"Recording {recording.name} has no frames to work on; check frame_range.")
@@ -378,7 +392,7 @@ class FrameStream:
         if not 0 <= index < len(self.frames):
             raise InputError(f"The recording has the frames 0 to {len(self.frames) - 1}; {index} was asked for.")
         number = self.frames[index]
-        silhouettes = colours = None
+        silhouettes = colours = depth = None
         if self._lanes:
             history, pending = self._look(index)
             masks, reasons = pending.masks()
@@ -390,8 +404,24 @@ class FrameStream:
             silhouettes = make_silhouettes(masks, self.rig, why)
             make_ahead(silhouettes, pending.outlines)
             colours = pending.colours(silhouettes.masks.shape) if self.options.colours else None
+            depth = self._depth(number, silhouettes)
         keypoints = None if self.keypoints is None else self.keypoints[index]
-        return Frame(number / self.recording.frame_rate, number, silhouettes, keypoints, colours=colours)
+        return Frame(number / self.recording.frame_rate, number, silhouettes, keypoints, colours=colours, depth=depth)
+
+    def _depth(self, number: int, silhouettes: Silhouettes) -> Depth | None:
+        """What the depth cameras measured; None when there are none. silhouettes: of the same frame."""
+        sources = [s.depth for s in self._sources]
+        if all(s is None for s in sources):
+            return None
+        maps = np.zeros(silhouettes.masks.shape, np.float32)
+        usable = silhouettes.usable & np.array([s is not None for s in sources])
+        for c in np.flatnonzero(usable):
+            source = sources[int(c)]
+            assert source is not None
+            found = self._lanes[int(c)].submit(source.map, number).result()
+            maps[c, : found.shape[0], : found.shape[1]] = found
+        person = silhouettes.masks * usable.astype(np.uint8)[:, None, None]
+        return Depth(maps, person, silhouettes.rig, usable)
 
     def image(self, view: int, index: int) -> Image:
         """The undistorted working-size picture (h, w, 3) BGR of a view, for overlays."""

@@ -45,7 +45,7 @@ from hypose.io.recordings.recording_keys import (
     read_toml,
     silhouette_options,
 )
-from hypose.io.recordings.recording_views import View, check_size, common_frames, frame_rate_of, look
+from hypose.io.recordings.recording_views import View, check_background, check_size, common_frames, frame_rate_of, look
 from hypose.io.videos.video import frame_size
 
 _UP = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
@@ -234,7 +234,7 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
         for clip in found:
             check_size(view, camera, clip.path, clip.size, notes)
         if view.background is not None:
-            check_size(view, camera, view.background, frame_size(view.background), None)
+            check_background(view, camera, found[0].size if found else None)
     pixels = choice(where, "keypoint_pixels", settings.get("keypoint_pixels", "calibration"), ("calibration", "image"))
     lag = settings.get("keypoint_lag", 0)
     stored = [found[0].size if found and view.source else None for view, found in zip(views, clips, strict=True)]
@@ -353,15 +353,21 @@ def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> Vie
         path = _named(folder, where, key, table[key])
         if not path.exists():
             raise InputError(f"{where}: the {key} {path} does not exist; correct the path or copy the file there.")
-        if key == "images" and not path.is_dir() or key == "video" and not path.is_file():
+        if key in ("images", "depth") and not path.is_dir() or key == "video" and not path.is_file():
             wanted = "a file" if key == "video" else "a folder"
             raise InputError(f"{where}: {key} must be {wanted}, {path} is not; correct the path.")
         paths[key] = path
     if "video" in paths and "images" in paths:
         raise InputError(f"{where}: video and images are both given; keep the one to use.")
-    if not paths.keys() & {"video", "images", "masks", "keypoints"}:
+    if "depth" in paths and (others := sorted(paths.keys() & {"video", "images", "masks"})):
         raise InputError(
-            f"{where}: neither video, images, masks nor keypoints are given; add one of them, or remove the view."
+            f"{where}: depth and {', '.join(others)} are both given; a depth "
+            "camera is a view of its own, with its own camera in the calibration."
+        )
+    if not paths.keys() & {"video", "images", "masks", "keypoints", "depth"}:
+        raise InputError(
+            f"{where}: neither video, images, depth, masks nor keypoints are given; add one of them, or remove the "
+            "view."
         )
     shift = numbers(where, "image_shift", table.get("image_shift", [0.0, 0.0]), 2, whole=False)
     return View(

@@ -21,6 +21,9 @@ With the defaults; paths are relative to it:
     images = "images/cam01"           # a folder of images in natural order
     masks = "masks/cam01"             # silhouettes made elsewhere: folder of images or video; needs no video.
                                       # Of several objects: see hypose.io.recordings.object_masks
+    depth = "depth/cam01"             # of a depth camera, in place of pictures: a folder of 16-bit PNG in millimetres,
+                                      # 0 = hole; background is such a folder of the empty room then, and without
+                                      # it the person is who stands on the floor (z = 0)
     background = "background/cam01"   # an image, a folder of images or a video of the empty scene
     keypoints = "pose/cam01_json"     # file or folder of hypose.io.keypoints.read_keypoints; needs no video
     image_shift = [0.0, 0.0]          # px to add to this view's image coordinates (after scaling to the
@@ -73,7 +76,7 @@ RECORDING_KEYS: dict[str, type | tuple[type, ...]] = {
     "person": list,
     "silhouettes": dict,
 }
-PATH_KEYS = ("video", "images", "masks", "background", "keypoints")
+PATH_KEYS = ("video", "images", "masks", "background", "keypoints", "depth")
 VIEW_KEYS: dict[str, type | tuple[type, ...]] = {
     "name": str,
     "camera": str,

@@ -11,7 +11,7 @@ import numpy as np
 from hypose.cameras.camera import Camera
 from hypose.errors import CalibrationError, InputError
 from hypose.io.recordings.object_masks import ObjectMasks, open_masks
-from hypose.io.videos.video import VideoReader, check_numbers, open_video
+from hypose.io.videos.video import VideoReader, check_numbers, frame_size, open_video
 
 SIDECAR = "hypose-masks.json"
 """lies beside masks that are undistorted already, which are found by their frames' numbers"""
@@ -27,13 +27,14 @@ class View:
     masks: Path | None = None
     background: Path | None = None
     keypoints: Path | None = None
+    depth: Path | None = None
     image_shift: tuple[float, float] = (0.0, 0.0)
     accept_scaled: bool = False
 
     @property
     def source(self) -> Path | None:
-        """The video file or image folder, None when only masks are given."""
-        return self.video or self.images
+        """The video file or image folder, or the folder of depth maps; None when only masks are given."""
+        return self.video or self.images or self.depth
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,25 @@ def check_size(view: View, camera: Camera, path: Path, size: tuple[int, int], no
         notes.append(
             f"View {view.name}: {path.name} is {w} x {h} px, the calibration {cw} x {ch} px; the images are "
             "taken as scaled."
+        )
+
+
+def check_background(view: View, camera: Camera, size: tuple[int, int] | None) -> None:
+    """An InputError when the background cannot be that of a view, whose pictures have this size."""
+    assert view.background is not None
+    if view.depth is None:
+        check_size(view, camera, view.background, frame_size(view.background), None)
+        return
+    if not view.background.is_dir():
+        raise InputError(
+            f"View {view.name}: the background of a depth view is a folder of 16-bit PNG of the empty room, "
+            f"{view.background} is not; leave it out to go by the floor."
+        )
+    room = frame_size(view.background)
+    if room != size:
+        raise InputError(
+            f"View {view.name}: the empty room in {view.background} is {room[0]} x {room[1]} px, the maps in "
+            f"{view.depth} are not; record both in the same mode of the camera, or leave the background out."
         )
 
 

@@ -14,6 +14,7 @@ from hypose.compute import Box, Glance, Lens, differing_box, make_lens, shrink_u
 from hypose.errors import InputError
 from hypose.evidence.background import Image
 from hypose.evidence.silhouettes import Mask, Segmenter, as_mask, bounding_box
+from hypose.io.recordings.depth_views import DepthSource
 from hypose.io.recordings.object_masks import ObjectMasks, open_masks
 from hypose.io.recordings.recording_views import SIDECAR, View
 from hypose.io.videos.video import VideoReader, list_images, open_video, read_image
@@ -51,6 +52,16 @@ class Preparer:
         if image.shape[1] >= self.size[0] and image.shape[0] >= self.size[1]:
             return image
         return np.asarray(cv2.resize(image, self.size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def mask_in(image: Image, prepare: Preparer, segment: Segmenter, band: Mask | None = None) -> tuple[Mask, Image]:
+    """The mask of a stored image, and the undistorted image, known within it; band: where the person can be."""
+    box: Box | None = None
+    if segment.glance is not None:  # then nothing outside the person's box is looked at
+        found = prepare.differing_box(image, segment.glance) if band is None else bounding_box(band)
+        box = found or (0, 0, 0, 0)
+    prepared = prepare(image, box)
+    return segment(prepared, band, box), prepared
 
 
 class _MaskSource:
@@ -100,6 +111,7 @@ class ViewSource:
         self.view = view
         self._prepare = Preparer(camera, small, view.image_shift)
         self._masks = None if view.masks is None else _MaskSource(view.masks, self._prepare, small.size)
+        self.depth = None if view.depth is None else DepthSource(view, camera, small)
         self._reader: VideoReader | None = None
         self.segment: Segmenter | None = None
         self._broken: tuple[int, str] | None = None
@@ -144,32 +156,26 @@ class ViewSource:
         if self._broken is not None and frame >= self._broken[0]:
             return None, f"{self.view.name}, frame {frame}: {self._broken[1]}"
         try:
-            if self._masks is not None:
-                mask = self._masks.read(frame)
+            given = self.depth.person if self.depth is not None else None if self._masks is None else self._masks.read
+            if given is not None:
+                mask = given(frame)
                 within = mask if band is None else mask & band
                 wide = None if widened is None else widened(within)
                 return (within if wide is None else mask & wide), ""
             if self.segment is None:
                 return None, f"{self.view.name}, frame {frame}: it has no pictures"
-            image, box = self._stored(frame), None
-            if self.segment.glance is not None:  # then nothing outside the person's box is looked at
-                glance = self.segment.glance
-                found = self._prepare.differing_box(image, glance) if band is None else bounding_box(band)
-                box = found or (0, 0, 0, 0)
-            prepared = self._prepare(image, box)
-            self._shown = frame, prepared
-            within = self.segment(prepared, band, box)
+            image = self._stored(frame)
+            within, prepared = mask_in(image, self._prepare, self.segment, band)
             wide = None if widened is None else widened(within)
-            if wide is None:
-                return within, ""
-            box = None if self.segment.glance is None else bounding_box(wide) or (0, 0, 0, 0)
-            prepared = self._prepare(image, box)
+            if wide is not None:
+                within, prepared = mask_in(image, self._prepare, self.segment, wide)
             self._shown = frame, prepared
-            return self.segment(prepared, wide, box), ""
+            return within, ""
         except InputError as problem:
             self._problems[frame] = str(problem)
             # a damaged video stays damaged: do not decode it from its start again and again
-            if self._masks is None and not (self._reader is not None and self._reader.is_sequence):
+            files = self.depth is not None or (self._reader is not None and self._reader.is_sequence)
+            if self._masks is None and not files:
                 self._broken = (frame, str(problem))
             return None, f"{self.view.name}, frame {frame}: {problem}"
 

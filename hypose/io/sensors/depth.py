@@ -5,7 +5,6 @@ A depth map is (h, w) float32 in metres, 0 = hole, pixel centres at whole number
 
 from __future__ import annotations
 
-import importlib
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.errors import InputError
+from hypose.errors import InputError, extra
 from hypose.geometry import Array
 from hypose.io.file_names import utf8_path
 from hypose.io.files import readable_size, unreadable
@@ -100,14 +99,9 @@ class DepthFrame:
 def read_azure_mkv(path: str | Path) -> tuple[dict[str, Any], Iterator[DepthFrame]]:
     """Calibration (the recording's calibration.json) and depth frames of an Azure Kinect recording (.mkv).
 
-    Needs PyAV (pip install hypose[azure]). The depth track is 16-bit big-endian grey in millimetres, named DEPTH.
+    Needs PyAV (extra azure). The depth track is 16-bit big-endian grey in millimetres, named DEPTH.
     """
-    try:
-        library: Any = importlib.import_module("av")  # an extra: not there for everyone, type checkers included
-    except ImportError:
-        raise InputError(
-            "Azure Kinect recordings need PyAV, which is not installed; run: pip install hypose[azure]."
-        ) from None
+    library = extra("av", "An Azure Kinect recording", "azure", "PyAV")
     readable_size(path, "an Azure Kinect recording (.mkv)", 64 * 2**30)
     try:
         with utf8_path(Path(path)) as name:

@@ -1,0 +1,1 @@
+"""Bodies against depth maps: what hypotheses cost."""

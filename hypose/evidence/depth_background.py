@@ -1,0 +1,138 @@
+"""The person in a depth map: what stands before the empty room as a sensor saw it, or above the floor.
+
+A room that was learnt tells per pixel how far the sensor sees without anybody; where it never saw anything it tells
+nothing. Without a picture of the empty room the floor is taken away, and of what stands on it, cut apart at jumps of
+depth, the piece that is most like a person is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.cameras.camera import Camera
+from hypose.errors import InputError
+from hypose.evidence.depth_evidence import JUMP_M, back_projected, in_world
+
+DepthMap = NDArray[np.float32]
+Mask = NDArray[np.uint8]
+_LEAST_M, _SDS = 0.03, 4.0
+"""m, and standard deviations: how far before the room somebody has to stand"""
+_USUAL_SD = 0.006
+_ABOVE_FLOOR_M = 0.05
+_TALL_M, _SMALL_M, _WIDE_M = 2.4, 0.5, 2.2
+"""m: what a person's visible surface spans upwards, at most and at least, and across"""
+_LEAST_PX, _REACH_M = 15, 0.6
+
+
+@dataclass(frozen=True)
+class DepthBackground:
+    """depth (h, w) m of the empty room, 0 where the sensor sees nothing; sd (h, w) m of its values."""
+
+    depth: DepthMap
+    sd: DepthMap
+
+
+def learn_background(maps: Sequence[DepthMap]) -> DepthBackground:
+    """The empty room from maps (h, w) m of it: median of what was measured, where that was at least a quarter of the
+    time. An InputError without maps or when their sizes differ."""
+    if not maps:
+        raise InputError("The empty room needs at least one depth map; give the folder of its recording.")
+    if len({m.shape for m in maps}) > 1:
+        raise InputError(f"Depth maps of one sensor must have one size, got {sorted({m.shape for m in maps})}.")
+    stack = np.stack(maps).astype(np.float32)
+    stack[stack <= 0] = np.nan
+    seen = np.isfinite(stack).mean(0)
+    known = seen >= 0.25
+    some = np.where(known, stack, 0.0)
+    middle = np.nanmedian(np.where(np.isfinite(some), some, np.nan), axis=0)
+    away = np.abs(stack - middle)
+    spread = 1.4826 * np.nanmedian(np.where(known, np.where(np.isfinite(away), away, np.nan), 0.0), axis=0)
+    sd = np.maximum(np.where(known, spread, 0.0), 0.0 if len(maps) > 3 else _USUAL_SD)
+    return DepthBackground(np.where(known, middle, 0.0).astype(np.float32), sd.astype(np.float32))
+
+
+def person_before(depth: DepthMap, background: DepthBackground) -> Mask:
+    """(h, w) 0/1: what stands before the empty room, its holes filled; the largest thing and what is near it."""
+    if depth.shape != background.depth.shape:
+        raise InputError(
+            f"The depth map is {depth.shape[1]} x {depth.shape[0]} px, the empty room "
+            f"{background.depth.shape[1]} x {background.depth.shape[0]} px; record both in the same mode."
+        )
+    room = np.where(background.depth > 0, background.depth, np.inf)
+    before = (depth > 0) & (room - depth > np.maximum(_SDS * background.sd, _LEAST_M))
+    return _one_thing(before, depth, background.depth > 0)
+
+
+def person_on_floor(depth: DepthMap, camera: Camera) -> Mask:
+    """(h, w) 0/1: of what stands on the floor (z = 0 in the world), cut apart at jumps of depth, what is most like a
+    person; nobody when nothing is of a person's size."""
+    v, u = np.indices(depth.shape)
+    world = in_world(camera, back_projected(camera, u, v, depth))
+    above = (depth > 0) & (world[..., 2] > _ABOVE_FLOOR_M)
+    labels, n = _pieces(above, depth)
+    best, kept = 0.0, 0
+    at: dict[int, tuple[NDArray[np.float64], float]] = {}
+    areas = np.bincount(labels.ravel(), minlength=n + 1)
+    per_px = (depth / camera.K[0, 0]) * (depth / camera.K[1, 1])
+    for k in np.flatnonzero(areas[1:] >= _LEAST_PX) + 1:
+        own = labels == k
+        points = world[own]
+        tall = float(np.ptp(np.percentile(points[:, 2], (1, 99))))
+        wide = float(np.linalg.norm(np.ptp(np.percentile(points[:, :2], (2, 98), axis=0), axis=0)))
+        at[int(k)] = np.median(points[:, :2], axis=0), wide
+        if not _SMALL_M < tall < _TALL_M or wide > _WIDE_M or own[0].any():
+            continue
+        area = float(per_px[own].sum())  # m^2; a person shows some 0.4 to 0.8
+        value = np.exp(-(np.log(area / 0.55) ** 2)) * min(tall / 1.2, 1.0)
+        if value > best:
+            best, kept = value, int(k)
+    everywhere = np.zeros(depth.shape, dtype=np.bool_)
+    # a limb before or behind the trunk is a piece of its own
+    near = [k for k, (p, wide) in at.items() if kept and wide < 1 and np.linalg.norm(p - at[kept][0]) < _REACH_M]
+    own = np.isin(labels, [kept, *near]).astype(np.uint8)
+    own = (cv2.dilate(own, np.ones((3, 3), np.uint8)) > 0) & above  # the rim, which no piece has
+    return _one_thing(own, depth, everywhere) if kept else np.zeros(depth.shape, np.uint8)
+
+
+def _pieces(mask: NDArray[np.bool_], depth: DepthMap) -> tuple[NDArray[np.int32], int]:
+    """Labels (h, w) of the pieces of a mask that hang together without a jump, and their number."""
+    kernel = np.ones((3, 3), np.uint8)
+    far = np.where(mask, depth, 0.0).astype(np.float32)
+    near = np.where(mask, depth, 1e3).astype(np.float32)
+    calm = mask & (cv2.dilate(far, kernel) - cv2.erode(near, kernel) < 2 * JUMP_M)
+    labels, n = _labelled(calm)
+    # edge pixels go to the piece beside them
+    grown = cv2.dilate(labels.astype(np.float32), kernel).astype(np.int32)
+    return np.where(mask & (labels == 0), grown, labels).astype(np.int32), n
+
+
+def _labelled(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int32], int]:
+    """Labels (h, w) of the pieces of a mask, 0 outside, and their number."""
+    n, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
+    return np.asarray(labels, dtype=np.int32), n - 1
+
+
+def _one_thing(before: NDArray[np.bool_], depth: DepthMap, solid: NDArray[np.bool_]) -> Mask:
+    """The largest thing of a mask and what is near it in space, its holes filled; solid (h, w): where the sensor would
+    see something behind it, so that a hole is the person's."""
+    labels, n = _labelled(cv2.medianBlur(before.astype(np.uint8), 3) > 0)
+    if n == 0:
+        return np.zeros(depth.shape, np.uint8)
+    areas = np.bincount(np.asarray(labels).ravel())[1:]
+    main = int(areas.argmax()) + 1
+    usual = float(np.median(depth[(labels == main) & (depth > 0)]))
+    keep = np.zeros(n + 1, dtype=np.bool_)
+    for k in np.flatnonzero(areas >= max(12, 0.01 * areas[main - 1])) + 1:  # specks are many, and each costs a look
+        own = depth[(labels == k) & (depth > 0)]
+        keep[k] = len(own) > 0 and abs(np.median(own) - usual) < 0.8
+    keep[main] = True
+    out = keep[labels].astype(np.uint8)
+    # what the sensor did not measure between what it did measure of the person is the person's
+    narrow, wide = (cv2.morphologyEx(out, cv2.MORPH_CLOSE, np.ones((k, k), np.uint8)) for k in (3, 5))
+    closed = np.where(solid, wide, narrow)
+    return ((out > 0) | ((closed > 0) & (depth <= 0))).astype(np.uint8)

@@ -1,0 +1,136 @@
+"""Depth maps of one frame as a term of the solver: points on the body's surface, and space that is empty.
+
+Source: points drawn to the surface as in articulated ICP (Knoop et al. 2006; Ganapathi et al. 2012, who also keep the
+body out of what was seen to be empty). Deviation: the nearest place is looked for among all of the body that faces the
+sensor and looks about as the point does, instead of drawing the body in every iteration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.compute import DepthArrays, no_depth
+from hypose.errors import InputError
+from hypose.evidence.depth_evidence import Depth
+from hypose.geometry import Array
+
+BODY_SD = 0.012
+"""m: how far a person's surface lies beside that of a body of the right size: clothes, folds, flesh"""
+WEIGHT, SCALE_M = 0.1, 0.025
+"""Of one point, the robust scale of its distance. Chosen on simulated recordings of the seeds 0 to 9
+(benchmark `depth`)."""
+FREE_SHARE, FREE_SCALE_M, SLACK_M = 0.5, 0.06, 0.02
+_MAP_SIDE = 160
+"""px: maps in which the body is looked up need no more"""
+
+
+@dataclass(frozen=True)
+class DepthTerm:
+    """Built by `depth_term`. points, normals (M, 3) m, world; weight (M,); first (C + 1,): the points of each sensor;
+    eyes (C, 3) m; maps (C, h, w) float32 m, 0: not known; sizes (C, 2) width, height; projections (C, 3, 4); scale_m:
+    Geman-McClure scale; free_share: weight of body before what was seen, per point; free_scale_m; slack_m before what
+    was seen that cost nothing."""
+
+    points: Array
+    normals: Array
+    weight: Array
+    first: NDArray[np.int64]
+    eyes: Array
+    maps: NDArray[np.float32]
+    sizes: NDArray[np.int64]
+    projections: Array
+    scale_m: float = SCALE_M
+    free_share: float = FREE_SHARE * WEIGHT
+    free_scale_m: float = FREE_SCALE_M
+    slack_m: float = SLACK_M
+
+    def __post_init__(self) -> None:
+        m, c = len(self.points), len(self.eyes)
+        shapes = self.points.shape, self.normals.shape, self.weight.shape, self.first.shape, self.projections.shape
+        if shapes != ((m, 3), (m, 3), (m,), (c + 1,), (c, 3, 4)) or len(self.maps) != c:
+            raise InputError(
+                f"DepthTerm of {c} sensors needs points and normals (M, 3), weight (M,), first ({c + 1},), projections "
+                f"({c}, 3, 4) and {c} maps, got {shapes} and {len(self.maps)} maps."
+            )
+        if not (self.scale_m > 0 and self.free_scale_m > 0):
+            raise InputError("DepthTerm.scale_m and free_scale_m must be positive.")
+
+
+def depth_term(depth: Depth, weight: float = WEIGHT, scale_m: float = SCALE_M) -> DepthTerm | None:
+    """The depth evidence of a frame; None when no sensor shows a surface of the person.
+
+    weight: of one point that the sensor knows as well as one can know where a body's surface is; noisier points weigh
+    less."""
+    surface = depth.surface
+    if len(surface.points) == 0:
+        return None
+    sure = BODY_SD**2 / (BODY_SD**2 + surface.sd**2)
+    rig = depth.rig
+    step = max(1, -(-int(rig.sizes.max()) // _MAP_SIDE))
+    maps = np.ascontiguousarray(depth.maps[:, ::step, ::step])
+    return DepthTerm(
+        surface.points,
+        surface.normals,
+        weight * sure,
+        surface.first,
+        rig.positions,
+        maps,
+        -(-rig.sizes // step),
+        shrunk(rig.projections, step),
+        scale_m,
+        FREE_SHARE * weight,
+    )
+
+
+def shrunk(projections: Array, step: int) -> Array:
+    """Projections (C, 3, 4) of pictures of which every step-th pixel is kept, the first one included."""
+    out = np.array(projections, dtype=np.float64)
+    out[:, :2] /= step
+    return out
+
+
+_FACES: dict[int, tuple[Body, NDArray[np.int64], NDArray[np.int64]]] = {}
+
+
+def faces_of_vertices(body: Body) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The faces around each vertex of the scoring mesh: first (V + 1,) and faces (3 F,); kept for the last bodies."""
+    kept = _FACES.get(id(body.coarse))
+    if kept is None or kept[0].coarse is not body.coarse:
+        while len(_FACES) > 15:
+            _FACES.pop(next(iter(_FACES)))
+        corners = np.asarray(body.coarse.faces).ravel()
+        order = np.argsort(corners, kind="stable")
+        first = np.searchsorted(corners[order], np.arange(len(body.coarse.vertices) + 1)).astype(np.int64)
+        kept = _FACES[id(body.coarse)] = body, first, (order // 3).astype(np.int64)
+    return kept[1], kept[2]
+
+
+def depth_arrays(term: DepthTerm | None, body: Body) -> DepthArrays:
+    """Flat arrays of a depth term for a body (nothing when None)."""
+    if term is None:
+        return no_depth()
+    first, faces = faces_of_vertices(body)
+
+    def f8(a: Array) -> Array:
+        return np.require(a, np.float64, ["C", "W"])
+
+    return DepthArrays(
+        f8(term.points),
+        f8(term.normals),
+        f8(term.weight),
+        np.require(term.first, np.int64, ["C", "W"]),
+        f8(term.eyes),
+        np.require(term.maps, np.float32, ["C", "W"]),
+        np.require(term.sizes, np.int64, ["C", "W"]),
+        f8(term.projections),
+        np.require(first, np.int64, ["C", "W"]),
+        np.require(faces, np.int64, ["C", "W"]),
+        float(term.scale_m),
+        float(term.free_share),
+        float(term.free_scale_m),
+        float(term.slack_m),
+    )

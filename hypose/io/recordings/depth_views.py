@@ -1,0 +1,98 @@
+"""The depth maps of one view of a recording, by frame number, undistorted and at working size, and who is in them."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.cameras.camera import Camera
+from hypose.errors import InputError
+from hypose.evidence.depth_background import (
+    DepthBackground,
+    DepthMap,
+    learn_background,
+    person_before,
+    person_on_floor,
+)
+from hypose.io.recordings.recording_views import View
+from hypose.io.sensors.depth import read_depth_png
+from hypose.io.videos.video import frame_size, list_images
+
+_KEPT = 8
+_ROOM_FRAMES = 30
+"""maps of the empty room that are looked at, at most"""
+
+
+class DepthSource:
+    """Depth maps of a view whose `depth` is a folder of 16-bit PNG in millimetres; `background`: one of the empty room.
+    Used by one thread at a time, but for maps that are kept."""
+
+    def __init__(self, view: View, camera: Camera, small: Camera) -> None:
+        if view.depth is None:
+            raise InputError(f"View {view.name} has no depth; give its folder of 16-bit PNG in millimetres.")
+        self.view, self._small = view, small
+        self._files = list_images(view.depth)
+        self._maps = camera.undistort_maps(small.size, small.size)
+        # a fisheye lens bends rays without coefficients, too
+        self._plain = not (camera.fisheye or np.any(camera.distortion)) and tuple(view.image_shift) == (0, 0)
+        self._stored: tuple[int, int] | None = None
+        scale = small.size[0] / camera.size[0], small.size[1] / camera.size[1]
+        self._shift = view.image_shift[0] * scale[0], view.image_shift[1] * scale[1]
+        self._kept: OrderedDict[int, DepthMap] = OrderedDict()
+
+    def map(self, frame: int) -> DepthMap:
+        """(h, w) float32 m of a frame, 0 = hole; an InputError names what cannot be read."""
+        found = self._kept.get(frame)
+        if found is None:
+            if not 0 <= frame < len(self._files):
+                raise InputError(f"{self.view.depth} has the frames 0 to {len(self._files) - 1}, not {frame}.")
+            found = self._kept[frame] = self._prepared(self._read(self._files[frame]))
+            while len(self._kept) > _KEPT:
+                self._kept.popitem(last=False)
+        return found
+
+    def person(self, frame: int) -> NDArray[np.uint8]:
+        """(h, w) 0/1: who stands before the empty room, or on the floor where that is not known."""
+        room = self.room
+        depth = self.map(frame)
+        return person_on_floor(depth, self._small) if room is None else person_before(depth, room)
+
+    @cached_property
+    def room(self) -> DepthBackground | None:
+        """The empty room, None when there is no recording of it."""
+        if self.view.background is None:
+            return None
+        files = list_images(self.view.background)
+        chosen = np.unique(np.linspace(0, len(files) - 1, min(_ROOM_FRAMES, len(files))).round().astype(int))
+        return learn_background([self._prepared(self._read(files[k])) for k in chosen])
+
+    def _read(self, file: Path) -> DepthMap:
+        """A map as it is stored; an InputError when it has not the size of the view's first."""
+        if self._stored is None:
+            self._stored = frame_size(self._files[0])
+        depth = read_depth_png(file)
+        if depth.shape[::-1] != self._stored:
+            raise InputError(
+                f"{file} is {depth.shape[1]} x {depth.shape[0]} px, the first map of {self.view.depth} "
+                f"{self._stored[0]} x {self._stored[1]} px; give maps of one mode of the camera, the empty room's as "
+                "well."
+            )
+        return depth
+
+    def _prepared(self, depth: DepthMap) -> DepthMap:
+        stored = depth.shape[1], depth.shape[0]
+        if self._plain and stored == self._small.size:
+            return depth
+        # the nearest pixel: between two values lies nothing that was measured
+        x, y = (m - np.float32(s) for m, s in zip(self._maps, self._shift, strict=True))
+        sx, sy = stored[0] / self._small.size[0], stored[1] / self._small.size[1]
+        x, y = (
+            (x + np.float32(0.5)) * np.float32(sx) - np.float32(0.5),
+            (y + np.float32(0.5)) * np.float32(sy) - np.float32(0.5),
+        )
+        return np.asarray(cv2.remap(depth, x, y, cv2.INTER_NEAREST, borderValue=0), dtype=np.float32)

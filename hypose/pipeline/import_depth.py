@@ -1,0 +1,277 @@
+"""A recording folder from what depth cameras recorded: maps in millimetres, lenses, and where the cameras stood."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.cameras.camera import Camera, CameraRig
+from hypose.errors import EvidenceError, HyposeError, InputError
+from hypose.evidence.depth_floor import camera_on_floor
+from hypose.evidence.frame import Frame
+from hypose.geometry import Array, se3_inverse
+from hypose.io.file_names import file_name, text_of
+from hypose.io.recordings.depth_views import DepthSource
+from hypose.io.recordings.frames import FrameStream
+from hypose.io.recordings.recording import Recording, View, write_recording
+from hypose.io.sensors.depth import write_depth_png
+from hypose.io.sensors.depth_files import FOLDER_RATE, DepthFile, open_depth
+from hypose.io.videos.video import list_images
+from hypose.pipeline.register_depth import register_depth
+
+LOOKED_AT = 400
+"""frames from which places are found; the person should have walked and turned by then"""
+_MADE = ("read", "depth", "background", "calibration.toml", "recording.toml")
+_CALM = 9
+_HIGHEST_M = 4.0
+"""m: no depth camera that sees a person hangs higher above the floor: larger distances are another unit"""
+_NEAR = 0.6
+"""share of a frame's time by which a map may have been seen before or after its instant"""
+_LEAST_SHARE = 0.003
+"""of a picture: what is smaller is nobody"""
+Report = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class FolderUnits:
+    """What a folder of maps does not tell: frames per second (None: nobody knows, 30 are taken), and the millimetres
+    that one step of a value stands for."""
+
+    frame_rate: float | None = None
+    millimetres: float = 1.0
+
+
+def import_depth(
+    sources: Sequence[str | Path],
+    folder: str | Path,
+    *,
+    empty: Sequence[str | Path] = (),
+    units: FolderUnits | None = None,
+    seed: int = 0,
+    progress: Report | None = None,
+) -> tuple[Path, tuple[str, ...]]:
+    """Writes a recording folder; returns recording.toml's path and sentences for the user.
+
+    sources: recordings of the cameras, one each (`hypose.io.sensors.depth_files`); empty: those of the empty room in
+    the same order, or none; units: of folders of maps. Each camera finds the floor in its maps; several are brought
+    together by the person who moves before them, clocks included, and frames before the last one began are left out.
+    Map k is what was seen at k / frame rate: where frames were lost there are empty maps. An InputError names what
+    cannot be used; then, as when it is interrupted, nothing of it is left in the folder."""
+    if empty and len(empty) != len(sources):
+        raise InputError(f"Give the empty room of every camera, in the same order: {len(sources)}, not {len(empty)}.")
+    folder = Path(folder)
+    if there := [name for name in _MADE if os.path.lexists(folder / name)]:
+        raise InputError(f"{folder} holds {', '.join(there)} already; give a new folder.")
+    try:
+        return _imported(sources, folder, empty, units or FolderUnits(), seed, progress or (lambda *_: None))
+    except BaseException:  # half of it would be tracked as if it were whole
+        for name in _MADE:
+            shutil.rmtree(folder / name, ignore_errors=True)
+            with contextlib.suppress(OSError):
+                (folder / name).unlink(missing_ok=True)
+        raise
+
+
+def _imported(
+    sources: Sequence[str | Path],
+    folder: Path,
+    empty: Sequence[str | Path],
+    units: FolderUnits,
+    seed: int,
+    report: Report,
+) -> tuple[Path, tuple[str, ...]]:
+    views, cameras, times, notes = list[View](), list[Camera](), list[Array](), list[str]()
+    for n, source in enumerate(sources):
+        report("read", n, len(sources))
+        name = _free(file_name(Path(source).stem), [v.name for v in views])
+        camera, seen = _written(source, folder / "read" / name, units)
+        if Path(source).is_dir() and units.frame_rate is None:
+            notes.append(f"{name}: a folder of maps does not tell its frame rate; {FOLDER_RATE:g} per s are taken.")
+        room = None
+        if empty:
+            room = folder / "background" / name
+            lens, _ = _written(empty[n], room, units)
+            if lens.size != camera.size:
+                raise InputError(
+                    f"{empty[n]} has maps of {lens.size[0]} x {lens.size[1]} px, {source} of {camera.size[0]} x "
+                    f"{camera.size[1]} px; record both in the same mode."
+                )
+        floor = _on_floor(source, room or folder / "read" / name, camera)
+        views.append(View(name, depth=folder / "depth" / name, background=room))
+        cameras.append(replace(camera, name=name, camera_from_world=floor))
+        notes.append(f"{name}: {cameras[-1].position[2]:.2f} m above the floor.")
+        times.append(seen)
+    report("read", len(sources), len(sources))
+    rates = [_rate(t, source) for t, source in zip(times, sources, strict=True)]
+    if max(rates) / min(rates) > 1.02:
+        said = ", ".join(f"{v.name} {r:.1f}" for v, r in zip(views, rates, strict=True))
+        raise InputError(
+            f"The cameras have different frame rates ({said} per s); record all at one rate, and give that of folders."
+        )
+    rate = float(np.round(np.median(rates), 1))
+    for view, camera, seen in zip(views, cameras, times, strict=True):
+        number, known = _in_step(seen, rate)
+        if lost := int((~known).sum()):
+            notes.append(f"{view.name}: {lost} of {len(known)} frames were lost while recording; their maps are empty.")
+        _moved(folder / "read" / view.name, folder / "depth" / view.name, number, known, camera.size)
+    shutil.rmtree(folder / "read")
+    recording = _recording(folder, CameraRig(tuple(cameras)), views, rate)
+    if len(views) > 1:
+        clips = []
+        for k, (view, camera) in enumerate(zip(views, cameras, strict=True)):
+            report("masks", k, len(views))
+            clips.append(_clip(_recording(folder, CameraRig((camera,)), [view], rate)))
+        report("masks", len(views), len(views))
+        try:
+            found = register_depth(clips, rate, seed=seed, progress=report)
+        except HyposeError as error:
+            places = ", ".join(f"{c.name} {c.position[2]:.2f} m" for c in cameras)
+            raise type(error)(f"{error} By their maps the cameras hang above the floor: {places}.") from error
+        late = np.rint((found.seconds.max() - found.seconds) * rate).astype(int)
+        for view, skip in zip(views, late, strict=True):
+            _without_first(view, int(skip))
+        # the lenses are those of the maps as they were written; the clips have smaller ones without distortion
+        placed = [replace(c, camera_from_world=f.camera_from_world) for c, f in zip(cameras, found.rig, strict=True)]
+        recording = _recording(folder, CameraRig(tuple(placed)), views, rate)
+        for view, rough, seconds in zip(views[1:], found.rough, found.seconds[1:], strict=True):
+            notes.append(
+                f"{view.name}: brought together by the person; clock {seconds:+.3f} s, {1000 * rough.apart:.0f} mm "
+                "between the two motions at first."
+            )
+    return write_recording(recording, folder), tuple(notes)
+
+
+def _written(source: str | Path, folder: Path, units: FolderUnits) -> tuple[Camera, Array]:
+    """The camera of a recording whose maps are written to a folder, and their times (T,) s, which increase."""
+    opened: DepthFile = open_depth(source, units.frame_rate or FOLDER_RATE, units.millimetres)
+    folder.mkdir(parents=True, exist_ok=True)
+    times, read = list[float](), 0
+    for frame in opened.frames:
+        read += 1
+        if not times or frame.time > times[-1]:
+            write_depth_png(folder / f"{len(times):06d}.png", frame.depth)
+            times.append(frame.time)
+    if not times:
+        raise InputError(f"{source} has no depth frames; record again.")
+    if len(times) <= read // 2:
+        raise InputError(f"{source} does not tell when its frames were seen; record again.")
+    return opened.camera, np.array(times)
+
+
+def _on_floor(source: str | Path, folder: Path, camera: Camera) -> Array:
+    """camera_from_world (4, 4) by the floor in what a camera saw in most of its first maps, holes filled from others;
+    an error names the source."""
+    maps = DepthSource(View(camera.name, depth=folder), camera, camera.pinhole())
+    first = np.stack([maps.map(k) for k in range(min(_CALM, len(list_images(folder))))])
+    first[first <= 0] = np.nan
+    known = np.isfinite(first).any(0)
+    calm = np.zeros(first.shape[1:], np.float32)
+    calm[known] = np.nanmedian(first[:, known], axis=0)
+    try:
+        found = camera_on_floor(calm, camera)
+    except EvidenceError as error:
+        raise EvidenceError(f"{source}: {error}") from None
+    height = float(se3_inverse(found)[2, 3])
+    if height > _HIGHEST_M:
+        raise InputError(
+            f"{source}: the camera would hang {height:.1f} m above the floor; if the steps of its values are no "
+            "millimetres, say with --millimetres how many one is."
+        )
+    return found
+
+
+def _rate(times: Array, source: str | Path) -> float:
+    """Frames per second, lost ones included."""
+    if len(times) < 2:
+        return FOLDER_RATE
+    steps = np.diff(times)
+    usual = float(steps[steps < 1.5 * np.median(steps)].mean())  # times are rounded to milliseconds
+    count = np.rint(steps / usual).sum()
+    if count > 2 * len(steps):
+        raise InputError(
+            f"{source}: {count - len(steps):.0f} of {count + 1:.0f} frames are missing between its first and its last; "
+            "give what lies before and after the gap one by one."
+        )
+    found = float(count / (times[-1] - times[0]))
+    if not 1 <= found <= 1000:
+        raise InputError(f"{source} has {found:g} frames per s by its times, which cannot be; record again.")
+    return found
+
+
+def _in_step(times: Array, rate: float) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Which of the maps seen at times (T,) s is that of instant k / rate after the first, and whether there is one."""
+    after = times - times[0]
+    at = np.arange(round(after[-1] * rate) + 1) / rate
+    right = np.minimum(np.searchsorted(after, at), len(after) - 1)
+    left = np.maximum(right - 1, 0)
+    nearest = np.where(at - after[left] < after[right] - at, left, right)
+    return nearest, np.abs(after[nearest] - at) <= _NEAR / rate
+
+
+def _moved(
+    read: Path, folder: Path, number: NDArray[np.int64], known: NDArray[np.bool_], size: tuple[int, int]
+) -> None:
+    """Moves the maps of these numbers to a folder, in this order; an empty one where it is not known."""
+    files = list_images(read)
+    folder.mkdir(parents=True, exist_ok=True)
+    for k, n in enumerate(number.tolist()):
+        target = folder / f"{k:06d}.png"
+        if not known[k]:
+            write_depth_png(target, np.zeros((size[1], size[0])))
+        elif n in number[k + 1 : k + 3]:
+            shutil.copyfile(files[n], target)
+        else:
+            os.replace(files[n], target)
+
+
+def _recording(folder: Path, rig: CameraRig, views: Sequence[View], rate: float) -> Recording:
+    count = min(len(list_images(v.depth)) for v in views if v.depth is not None)
+    name = text_of(folder.resolve().name)
+    return Recording(folder, name, rig, tuple(views), rate, None, keypoint_set=None, n_frames=count)
+
+
+def _clip(recording: Recording) -> list[Frame]:
+    """The first frames of a camera in which somebody is seen, without those at both ends that show little of them: who
+    starts the cameras has to walk in first."""
+    found, areas = list[Frame](), list[int]()
+    with FrameStream(recording) as frames:
+        for frame in frames:
+            assert frame.silhouettes is not None
+            area = int(frame.silhouettes.areas[0]) if frame.silhouettes.usable[0] else 0
+            if found or area > _LEAST_SHARE * frame.silhouettes.masks[0].size:
+                found.append(frame)
+                areas.append(area)
+            if len(found) == LOOKED_AT:
+                break
+    if not found:
+        raise EvidenceError(
+            f"{recording.views[0].name} shows nobody; record somebody who walks about and turns before all cameras."
+        )
+    shown = np.array(areas)
+    whole = np.flatnonzero(shown > 0.5 * np.median(shown[shown > 0]))
+    return found[whole[0] : whole[-1] + 1]
+
+
+def _without_first(view: View, count: int) -> None:
+    """Takes the first maps of a view away, so that all views begin at the same instant."""
+    assert view.depth is not None
+    files = list_images(view.depth)
+    if count >= len(files):
+        raise InputError(f"{view.name} ended before the others began; start all cameras together.")
+    for file in files[:count]:
+        file.unlink()
+    for k, file in enumerate(files[count:]):
+        file.rename(file.with_name(f"{k:06d}.png"))
+
+
+def _free(name: str, taken: Sequence[str]) -> str:
+    """The name, or with a number that makes it another than those that are taken."""
+    numbered = (f"{name}_{n}" for n in range(2, len(taken) + 3))
+    return name if name not in taken else next(n for n in numbered if n not in taken)

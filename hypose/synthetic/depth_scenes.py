@@ -1,0 +1,275 @@
+"""Whole recordings of depth cameras, simulated: a known person who moves in a room, as sensors would deliver them.
+
+The person is of another shape space than the tracker's body; the room has a floor, walls and things. What the sensors
+do wrong is that of time of flight: noise that grows with the square of the distance and at grazing angles, values
+between both sides of an edge (flying pixels), light that came by another way (multipath), a pattern that stays, holes
+in hair and at grazing surfaces, and disturbance by the other sensors. The figures are checked against real frames in
+docs/depth.md; everything made here is simulated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.cameras.camera import Camera, CameraRig
+from hypose.compute import rasterize
+from hypose.errors import InputError
+from hypose.evidence.depth_background import DepthBackground, learn_background, person_before
+from hypose.evidence.depth_evidence import Depth
+from hypose.evidence.frame import Frame
+from hypose.evidence.silhouettes import make_silhouettes
+from hypose.geometry import Array, so3_exp
+from hypose.synthetic.corruptions import smooth_noise
+from hypose.synthetic.performance import OfPerformance, Performance, assemble
+from hypose.synthetic.rigs import look_at
+from hypose.synthetic.subjects import Subject
+
+DepthMap = NDArray[np.float32]
+SIZE, FOCAL_PX = (320, 288), 252.0
+"""the Azure Kinect's narrow binned mode"""
+AZIMUTHS = {1: (0.0,), 2: (0.0, 90.0), 3: (0.0, 120.0, 240.0)}
+"""degrees from straight in front of a person who faces -y, towards the person's left"""
+_PATTERN, _EMPTY, _FRAME = range(3)
+
+
+@dataclass(frozen=True)
+class SensorFaults:
+    """What a depth camera does wrong. constant_m, square: sd of a value, as `DepthNoise`; pattern_m: sd of what stays
+    the same per pixel, smooth; flying: share of the pixels on an edge whose value lies between both sides, half of
+    which are holes; multipath: share of the depth round about that is mixed into a value; grazing: cosine below which
+    holes begin; holes: share at random; hair: share of the head's crown; disturbed: share of a frame that each other
+    sensor disturbs, where noise is three times as large and a tenth are holes; near_m, far_m: range."""
+
+    constant_m: float = 0.0015
+    square: float = 0.0012
+    pattern_m: float = 0.003
+    flying: float = 0.6
+    multipath: float = 0.02
+    grazing: float = 0.2
+    holes: float = 0.003
+    hair: float = 0.25
+    disturbed: float = 0.05
+    near_m: float = 0.4
+    far_m: float = 5.5
+
+
+NO_FAULTS = SensorFaults(0, 0, 0, 0, 0, 0, 0, 0, 0, 0.1, 20)
+
+
+def depth_rig(name: str, distance: float = 2.7, height: float = 1.2) -> CameraRig:
+    """depth-1 (in front), depth-2 (front and side), depth-3 (all round) or depth-N, up to 8, in a ring."""
+    count = name.removeprefix("depth-")
+    if not count.isdigit() or not 1 <= int(count) <= 8:
+        raise InputError(f"There are no sensors {name!r}; give depth-1 to depth-8.")
+    n = int(count)
+    azimuths = AZIMUTHS.get(n) or tuple(360.0 * k / n for k in range(n))
+    cameras = []
+    for k, a in enumerate(np.radians(azimuths)):
+        eye = [distance * np.sin(a), -distance * np.cos(a), height]
+        cameras.append(look_at(f"depth{k + 1}", eye, (0, 0, 0.95), FOCAL_PX, SIZE))
+    return CameraRig(tuple(cameras))
+
+
+def turning(performance: Performance, subject: Subject, heading: Array) -> Performance:
+    """The performance turned about the vertical axis of the world by heading (T,) rad, frame by frame."""
+    r = so3_exp(np.asarray(heading, dtype=np.float64)[:, None] * np.array([0, 0, 1.0]))
+    rotations = np.einsum("tab,tjbc->tjac", r, performance.rotations)
+    root = np.einsum("tab,tb->ta", r, performance.root)
+    return assemble(performance.name, subject, performance.times, rotations, root)
+
+
+def to_profile(frames: int, seed: int) -> Array:
+    """(T,) rad: facing the first sensor, one profile, back, the other one, and back; the seed says which first."""
+    x = np.linspace(0, 1, frames)
+    side = 1.0 if seed % 2 else -1.0
+    return side * np.radians(90) * np.sin(2 * np.pi * x)
+
+
+@dataclass(frozen=True)
+class DepthScene(OfPerformance):
+    """subject: the truth body (dressed); performance; rig: the sensors, pinhole; faults; seed of everything random."""
+
+    name: str
+    subject: Subject
+    performance: Performance
+    rig: CameraRig
+    faults: SensorFaults = SensorFaults()
+    seed: int = 0
+
+    def clean_map(self, view: int, index: int) -> tuple[DepthMap, NDArray[np.uint8]]:
+        """What sensor `view` would measure of frame `index` without any fault, (h, w) m, and the person's pixels."""
+        camera, p = self.rig[view], self.performance
+        vertices = self.subject.skin(p.rotations[index], p.root[index])
+        own = _drawn(camera, vertices, self.subject.faces)
+        room = self._rooms[view]
+        return np.minimum(own, room), (own < room).astype(np.uint8)
+
+    def depth_map(self, view: int, index: int) -> DepthMap:
+        """What sensor `view` measures of frame `index`, (h, w) m, 0 = hole, in whole millimetres."""
+        camera, p = self.rig[view], self.performance
+        vertices = self.subject.skin(p.rotations[index], p.root[index])
+        clean, person = self.clean_map(view, index)
+        rng = np.random.default_rng([self.seed, _FRAME, view, index])
+        hair = np.zeros(clean.shape, dtype=np.bool_)
+        if self.faults.hair > 0:
+            head = p.joints[index, 4]
+            crown = vertices[(np.linalg.norm(vertices - head, axis=1) < 0.25) & (vertices[:, 2] > head[2] + 0.08)]
+            if len(crown):
+                uv = camera.project_pinhole(crown)
+                hull = cv2.convexHull(np.rint(uv).astype(np.int32))
+                drawn = np.zeros(clean.shape, np.uint8)
+                cv2.fillConvexPoly(drawn, np.asarray(hull), 1)
+                hair = (drawn > 0) & (person > 0)
+        return sensed(clean, camera, self.faults, self._patterns[view], rng, len(self.rig) - 1, hair)
+
+    def empty_map(self, view: int, index: int) -> DepthMap:
+        """A map (h, w) m of the room without anybody."""
+        rng = np.random.default_rng([self.seed, _EMPTY, view, index])
+        return sensed(
+            self._rooms[view], self.rig[view], self.faults, self._patterns[view], rng, len(self.rig) - 1, None
+        )
+
+    def backgrounds(self, frames: int = 20) -> list[DepthBackground]:
+        """What is learnt of the empty room, sensor by sensor."""
+        return [learn_background([self.empty_map(c, k) for k in range(frames)]) for c in range(len(self.rig))]
+
+    def frames(self) -> Iterator[Frame]:
+        """Frames with depth and the silhouettes that come with it: the room taken away as it is for recordings."""
+        rooms = self.backgrounds()
+        for t in range(len(self)):
+            maps = [self.depth_map(c, t) for c in range(len(self.rig))]
+            masks = [person_before(m, room) for m, room in zip(maps, rooms, strict=True)]
+            silhouettes = make_silhouettes(masks, self.rig)
+            depth = Depth(np.stack(maps), silhouettes.masks, self.rig, silhouettes.usable.copy())
+            yield Frame(float(self.times[t]), t, silhouettes, depth=depth)
+
+    @cached_property
+    def _rooms(self) -> list[DepthMap]:
+        things = _things(np.random.default_rng([self.seed, _PATTERN]))
+        return [_room(camera, things) for camera in self.rig]
+
+    @cached_property
+    def _patterns(self) -> list[DepthMap]:
+        out = []
+        for c, camera in enumerate(self.rig):
+            rng = np.random.default_rng([self.seed, _PATTERN, c + 1])
+            shape = (camera.size[1], camera.size[0])
+            out.append((self.faults.pattern_m / 0.8 * smooth_noise(rng, shape, 40)).astype(np.float32))
+        return out
+
+
+def depth_scene(
+    performance: Performance,
+    subject: Subject,
+    sensors: str | CameraRig,
+    *,
+    seed: int = 0,
+    faults: SensorFaults | None = None,
+) -> DepthScene:
+    """The scene of a performance of that subject before sensors (`depth_rig`)."""
+    rig = depth_rig(sensors) if isinstance(sensors, str) else sensors
+    what = sensors if isinstance(sensors, str) else f"{len(rig)} sensors"
+    name = f"{performance.name}-{subject.name}-{what}-{seed}"
+    return DepthScene(name, subject, performance, rig, faults or SensorFaults(), seed)
+
+
+def without_faults(scene: DepthScene) -> DepthScene:
+    """The same scene before perfect sensors."""
+    return replace(scene, faults=NO_FAULTS)
+
+
+def sensed(
+    clean: DepthMap,
+    camera: Camera,
+    faults: SensorFaults,
+    pattern: DepthMap,
+    rng: np.random.Generator,
+    others: int,
+    hair: NDArray[np.bool_] | None,
+) -> DepthMap:
+    """A map (h, w) m without faults as a sensor with `faults` delivers it, beside so many others; hair (h, w): dark."""
+    z = clean.astype(np.float32)
+    h, w = z.shape
+    kernel = np.ones((3, 3), np.uint8)
+    near, far = cv2.erode(z, kernel), cv2.dilate(z, kernel)
+    edge = far - near > 0.08
+    out = z + pattern * (z / 2.5) + np.float32(0.4 * faults.pattern_m) * np.sin(z * np.float32(2 * np.pi / 0.75))
+    if faults.multipath > 0:
+        round_about = cv2.boxFilter(np.clip(z, near.min(), faults.far_m), -1, (21, 21))
+        out = out + np.float32(faults.multipath) * np.clip(round_about - z, -0.1, 0.4)
+    cosine = _cosines(z, camera)
+    sd = (faults.constant_m + faults.square * z * z) / np.maximum(cosine, 0.15)
+    wild = np.ones((h, w), np.float32)
+    gone = rng.random((h, w), dtype=np.float32) < faults.holes
+    for _ in range(others):
+        rows = rng.random((h, 1), dtype=np.float32) < faults.disturbed  # beats fall on rows
+        wild = np.where(rows, 3.0, wild).astype(np.float32)
+        gone |= rows & (rng.random((h, w), dtype=np.float32) < 0.1)
+    out = out + sd * wild * rng.standard_normal((h, w), dtype=np.float32)
+    if faults.grazing > 0:
+        gone |= rng.random((h, w), dtype=np.float32) > np.clip(cosine / faults.grazing, 0, 1)
+    if hair is not None:
+        gone |= hair & (rng.random((h, w), dtype=np.float32) < faults.hair)
+    mixed = edge & (rng.random((h, w), dtype=np.float32) < faults.flying)
+    share = rng.random((h, w), dtype=np.float32)
+    out = np.where(mixed, share * near + (1 - share) * far, out)
+    gone |= mixed & (rng.random((h, w), dtype=np.float32) < 0.5)
+    gone |= (out < faults.near_m) | (out > faults.far_m)
+    return np.where(gone, 0, np.rint(1000 * out) / 1000).astype(np.float32)
+
+
+def _cosines(z: DepthMap, camera: Camera) -> DepthMap:
+    """(h, w) of the angle between ray and normal; of the two one-sided differences the smaller."""
+    ax = np.minimum(np.abs(np.diff(z, axis=1, append=z[:, -1:])), np.abs(np.diff(z, axis=1, prepend=z[:, :1])))
+    ay = np.minimum(np.abs(np.diff(z, axis=0, append=z[-1:])), np.abs(np.diff(z, axis=0, prepend=z[:1])))
+    slope = np.hypot(ax * camera.K[0, 0] / z, ay * camera.K[1, 1] / z)
+    return (1 / np.sqrt(1 + slope**2)).astype(np.float32)
+
+
+def _drawn(camera: Camera, vertices: Array, faces: NDArray[np.int32]) -> DepthMap:
+    z = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
+    return rasterize(camera.project_pinhole(vertices), z, faces, camera.size)[0]
+
+
+def _room(camera: Camera, things: tuple[Array, NDArray[np.int32]]) -> DepthMap:
+    """(h, w) m: floor, four walls and ceiling, and things in it."""
+    v, u = np.indices((camera.size[1], camera.size[0]))
+    k, r = camera.K, camera.camera_from_world[:3, :3]
+    rays = np.stack([(u - k[0, 2]) / k[0, 0], (v - k[1, 2]) / k[1, 1], np.ones(u.shape)], -1) @ r
+    eye = camera.position
+    depth = np.full(u.shape, np.inf)
+    for axis, low, high in ((0, -3.4, 3.4), (1, -3.4, 3.4), (2, 0.0, 2.8)):
+        with np.errstate(divide="ignore"):
+            t = np.maximum((low - eye[axis]) / rays[..., axis], (high - eye[axis]) / rays[..., axis])
+        depth = np.minimum(depth, np.where(t > 0, t, np.inf))
+    return np.minimum(depth.astype(np.float32), _drawn(camera, *things))
+
+
+_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
+_SIDES = np.array(
+    [
+        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+        [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
+    ],
+    np.int32,
+)  # fmt: skip
+
+
+def _things(rng: np.random.Generator) -> tuple[Array, NDArray[np.int32]]:
+    """Boxes on the floor, beside the space in which people move and not before the sensors of AZIMUTHS."""
+    vertices, faces = [], []
+    for k, azimuth in enumerate((45, 160, 200, 285, 315)):
+        angle, away = np.radians(azimuth) + rng.uniform(-0.15, 0.15), rng.uniform(2.4, 2.9)
+        size = rng.uniform((0.3, 0.3, 0.3), (0.8, 0.8, 1.2))
+        corners = (_CORNERS * size) @ so3_exp(np.array([0, 0, rng.uniform(0, 3)])).T
+        faces.append(_SIDES + 8 * k)
+        vertices.append(corners + [away * np.sin(angle), -away * np.cos(angle), 0])
+    flipped = np.concatenate(faces)
+    both = np.concatenate([flipped, flipped[:, ::-1]])  # seen from either side
+    return np.concatenate(vertices), both.astype(np.int32)

@@ -1,0 +1,41 @@
+"""Fit the spread of depth: simulated recordings are tracked and compared with their truth.
+
+    python scripts/train_depth_spread.py FOLDER DATA --seeds 20:30    tracks, keeps what was found in FOLDER, fits,
+                                                                      prints what regions hold of seeds left out
+
+DATA holds the captured motion (mocap). With --write the asset is written.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from benchmarks.depth_sensors.depth_spread import TRAINED, collect, held_left_out, write
+
+CASES = ("one", "two", "three")
+
+
+def main() -> None:
+    """See the module."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--seeds", default="20:30")
+    parser.add_argument("--write", action="store_true")
+    given = parser.parse_args()
+    first, stop = (int(x) for x in given.seeds.split(":"))
+    if first not in TRAINED or stop > TRAINED.stop:
+        parser.error(f"seeds of {TRAINED.start} to {TRAINED.stop - 1} are trained on; the others report")
+    clips = []
+    for seed in range(first, stop):
+        for case in CASES:
+            clips.append(collect(given.folder, case, seed, given.data))
+            print(case, seed, flush=True)
+    print({case: (round(j, 3), round(a, 3)) for case, (j, a) in held_left_out(clips).items()})
+    if given.write:
+        write(clips)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,164 @@
+"""Depth as evidence: points of the surface, noise, the person before the room or on the floor, and the floor itself."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.body.ready_bodies import human
+from hypose.cameras.camera import CameraRig
+from hypose.errors import EvidenceError, InputError
+from hypose.evidence.depth_background import learn_background, person_before, person_on_floor
+from hypose.evidence.depth_evidence import Depth, DepthNoise, back_projected, in_world, surface_points
+from hypose.evidence.depth_floor import camera_on_floor
+from hypose.evidence.depth_space import space_behind
+from hypose.geometry import se3, se3_inverse
+from hypose.synthetic.depth_scenes import depth_scene, without_faults
+from hypose.synthetic.motions import act
+from hypose.synthetic.rigs import look_at
+from hypose.synthetic.subjects import load_subjects
+from hypose.tracking.starts import known_pose
+from tests.depth_pictures import WALL_M, frame_of, seen_in_room, sensors
+
+
+def standing(place=(0.0, 0.0, 0.95)):
+    body = human()
+    pose = known_pose(body, "standing")
+    pose[:3] = place
+    return body, pose
+
+
+def test_pixels_go_to_the_world_and_back(rng):
+    camera = sensors()[1]
+    points = rng.uniform((-0.4, -0.4, 0.3), (0.4, 0.4, 1.6), (50, 3))
+    uv, z = camera.project_pinhole(points), points @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
+    assert np.abs(in_world(camera, back_projected(camera, uv[:, 0], uv[:, 1], z)) - points).max() < 1e-9
+
+
+def test_points_lie_on_the_surface_that_the_sensor_sees():
+    body, pose = standing()
+    depth = frame_of(body, pose, sensors()).depth
+    found = depth.surface
+    assert 150 < found.first[1] <= 200 and found.first[-1] == len(found.points)
+    vertices = body.skin(pose)
+    corners = vertices[body.coarse.faces]
+    gap = np.array([np.linalg.norm(corners.mean(1) - p, axis=1).min() for p in found.points])
+    assert np.percentile(gap, 95) < 0.06  # the mesh's faces are some centimetres wide
+    for c, camera in enumerate(depth.rig):
+        own = slice(*found.first[c : c + 2])
+        ray = found.points[own] - camera.position
+        assert ((found.normals[own] * ray).sum(1) < 0).all()
+        assert np.abs(np.linalg.norm(found.normals[own], axis=1) - 1).max() < 1e-9
+
+
+def test_values_between_both_sides_of_an_edge_are_no_points():
+    body, pose = standing()
+    frame = frame_of(body, pose, sensors(1))
+    maps = frame.depth.maps.copy()
+    edge = (frame.depth.person[0] > 0) & (np.roll(frame.depth.person[0], 1, 1) == 0)
+    maps[0][edge] = 0.5 * (maps[0][edge] + WALL_M)
+    spoilt = Depth(maps, frame.depth.person, frame.depth.rig, frame.depth.usable)
+    clean = frame.depth.surface.points
+    for p in spoilt.surface.points:
+        assert np.linalg.norm(clean - p, axis=1).min() < 0.15
+    far = spoilt.surface.points @ spoilt.rig[0].camera_from_world[2, :3] + spoilt.rig[0].camera_from_world[2, 3]
+    assert far.max() < 3.2  # none hangs between the person and the wall
+
+
+def test_noise_grows_with_the_square_of_the_distance_and_at_grazing_angles():
+    noise = DepthNoise(0.001, 0.002)
+    assert noise.sd(2.0) == pytest.approx(0.009)
+    assert noise.sd(2.0, 0.5) == pytest.approx(0.018)
+    assert np.isfinite(noise.sd(2.0, 0.0))
+
+
+def test_a_view_without_depth_gives_no_points_and_wrong_shapes_are_named():
+    body, pose = standing()
+    depth = frame_of(body, pose, sensors(2)).depth
+    half = Depth(depth.maps, depth.person, depth.rig, np.array([False, True]))
+    assert half.surface.first.tolist()[:2] == [0, 0]
+    nobody = Depth(depth.maps, 0 * depth.person, depth.rig, depth.usable)
+    assert len(surface_points(nobody, 50).points) == 0 and nobody.centre is None
+    with pytest.raises(EvidenceError, match="no depth camera|No depth camera"):
+        space_behind(nobody)
+    with pytest.raises(InputError, match="2 views"):
+        Depth(depth.maps[:1], depth.person[:1], depth.rig, depth.usable)
+
+
+def test_the_space_behind_holds_the_person():
+    body, pose = standing()
+    hull = space_behind(frame_of(body, pose, sensors(1)).depth)
+    vertices = body.skin(pose)
+    assert abs(hull.height - np.ptp(vertices[:, 2])) < 0.12
+    assert np.linalg.norm((hull.centroid - vertices.mean(0))[:2]) < 0.1
+
+
+@pytest.fixture(scope="module")
+def scene():
+    subject = load_subjects()["neutral"]
+    p = act("walk", subject, 0.4, 25.0, np.random.default_rng(4))
+    return depth_scene(p, subject, "depth-2", seed=3)
+
+
+def overlap(a, b):
+    return ((a > 0) & (b > 0)).sum() / ((a > 0) | (b > 0)).sum()
+
+
+def test_the_person_before_a_room_that_was_learnt(scene):
+    rooms = scene.backgrounds(8)
+    for view in (0, 1):
+        found = person_before(scene.depth_map(view, 4), rooms[view])
+        assert overlap(found, scene.clean_map(view, 4)[1]) > 0.9
+        assert person_before(scene.empty_map(view, 99), rooms[view]).sum() < 60
+
+
+def test_the_person_on_the_floor_where_the_room_is_not_known(scene):
+    for view in (0, 1):
+        found = person_on_floor(scene.depth_map(view, 4), scene.rig[view])
+        assert overlap(found, scene.clean_map(view, 4)[1]) > 0.85
+    assert person_on_floor(np.zeros((288, 320), np.float32), scene.rig[0]).sum() == 0
+    floor = np.where(scene.empty_map(0, 5) < 2.6, scene.empty_map(0, 5), 0).astype(np.float32)
+    assert person_on_floor(floor, scene.rig[0]).sum() == 0
+
+
+def test_rooms_of_another_size_or_without_maps_are_named(scene):
+    room = learn_background([scene.empty_map(0, 0)])
+    with pytest.raises(InputError, match="same mode"):
+        person_before(np.zeros((10, 20), np.float32), room)
+    with pytest.raises(InputError, match="at least one"):
+        learn_background([])
+    with pytest.raises(InputError, match="one size"):
+        learn_background([np.ones((4, 4), np.float32), np.ones((4, 5), np.float32)])
+
+
+def test_the_floor_tells_which_way_is_up_and_how_high_the_sensor_hangs(scene):
+    for view, camera in enumerate(scene.rig):
+        found = camera_on_floor(scene.empty_map(view, 0), camera)
+        up = camera.camera_from_world[:3, :3] @ [0, 0, 1.0]
+        assert np.degrees(np.arccos(min(found[:3, 2] @ up, 1.0))) < 0.3
+        assert abs(se3_inverse(found)[2, 3] - camera.position[2]) < 0.01
+        assert np.allclose(found[:3, :3] @ found[:3, :3].T, np.eye(3), atol=1e-9)
+        assert np.linalg.det(found[:3, :3]) == pytest.approx(1.0)
+    with pytest.raises(EvidenceError, match="floor"):
+        camera_on_floor(np.zeros((20, 30), np.float32), scene.rig[0])
+
+
+def test_a_table_is_not_the_floor():
+    own = look_at("d", (0, 0, 1.4), (0, 2.0, 0.4), 110.0, (160, 120))
+    floor = seen_in_room(own, person=False)
+    higher = replace(own, camera_from_world=own.camera_from_world @ se3(np.eye(3), np.array([0, 0, 0.75])))
+    table = seen_in_room(higher, person=False)  # the same, but its floor is 0.75 m up
+    seen = np.where(np.arange(160) < 110, np.minimum(table, floor), floor).astype(np.float32)
+    assert (seen < floor).mean() > 2 * ((seen == floor) & (floor < 3.3)).mean()
+    assert se3_inverse(camera_on_floor(seen, own))[2, 3] == pytest.approx(1.4, abs=0.01)
+
+
+def test_a_perfect_sensor_measures_what_is_there(scene):
+    perfect = without_faults(scene)
+    clean, person = perfect.clean_map(0, 2)
+    assert np.abs(perfect.depth_map(0, 2) - clean)[person > 0].max() < 0.0006
+    rig = CameraRig((scene.rig[0],))
+    depth = Depth(perfect.depth_map(0, 2)[None], person[None], rig, np.ones(1, bool))
+    truth = scene.subject.skin(scene.performance.rotations[2], scene.performance.root[2])
+    gap = [np.linalg.norm(truth - p, axis=1).min() for p in depth.surface.points]
+    assert np.percentile(gap, 90) < 0.03

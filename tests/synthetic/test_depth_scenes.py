@@ -1,0 +1,114 @@
+"""Simulated depth cameras: repeatable, with the faults they are said to have, and recordings that are read back."""
+
+import numpy as np
+import pytest
+
+from hypose.errors import InputError
+from hypose.geometry import se3_inverse
+from hypose.io.recordings.frames import FrameStream
+from hypose.io.recordings.recording import load_recording
+from hypose.pipeline.one_of_several import people_frames
+from hypose.pipeline.run import TrackOptions, check_views
+from hypose.synthetic.depth_scenes import depth_rig, depth_scene, to_profile, turning, without_faults
+from hypose.synthetic.motions import act
+from hypose.synthetic.subjects import load_subjects
+from hypose.synthetic.write_depth import walking_scene, write_depth_scene
+
+
+@pytest.fixture(scope="module")
+def scene():
+    subject = load_subjects()["neutral"]
+    p = act("walk", subject, 0.4, 25.0, np.random.default_rng(4))
+    return depth_scene(p, subject, "depth-2", seed=3)
+
+
+def test_the_same_seed_gives_the_same_maps_in_any_order(scene):
+    again = depth_scene(scene.performance, scene.subject, "depth-2", seed=3)
+    assert np.array_equal(again.depth_map(1, 5), scene.depth_map(1, 5))
+    assert np.array_equal(scene.depth_map(0, 2), scene.depth_map(0, 2))
+    other = depth_scene(scene.performance, scene.subject, "depth-2", seed=4)
+    assert not np.array_equal(other.depth_map(1, 5), scene.depth_map(1, 5))
+
+
+def test_noise_is_as_large_as_it_is_said_to_be(scene):
+    clean, person = without_faults(scene).clean_map(0, 3)
+    measured = np.stack([scene.empty_map(0, k) for k in range(40)])
+    room = scene._rooms[0]
+    floor = (room > 2.2) & (room < 2.6) & np.isfinite(measured).all(0) & (measured > 0).all(0)
+    assert floor.sum() > 300
+    sd = np.median(measured[:, floor].std(0))
+    least = scene.faults.constant_m + scene.faults.square * 2.2**2
+    assert least < sd < 6 * least  # the floor is seen at a grazing angle
+    assert person.sum() > 2000 and clean.shape == (288, 320)
+
+
+def test_edges_have_holes_and_values_between_both_sides(scene):
+    clean, person = scene.clean_map(0, 3)
+    inner = np.zeros_like(person, dtype=bool)
+    edge = (person > 0) & (np.roll(person, 2, 1) == 0) & (clean < 4.9)
+    inner[1:-1, 1:-1] = person[1:-1, 1:-1] > 0
+    inner &= ~edge
+    seen = scene.depth_map(0, 3)
+    assert (seen[edge] == 0).mean() > 0.15 > 3 * (seen[inner] == 0).mean() / 2
+    between = (seen[edge] > clean[edge] + 0.1) & (seen[edge] < 4.9)
+    assert between.mean() > 0.02
+
+
+def test_two_sensors_disturb_each_other(scene):
+    alone = depth_scene(scene.performance, scene.subject, depth_rig("depth-1"), seed=3)
+    near = scene._rooms[0] < 4.0
+    holes = [np.mean([(s.empty_map(0, k) == 0)[near].mean() for k in range(8)]) for s in (alone, scene)]
+    assert holes[0] + 0.002 < holes[1] < holes[0] + 0.01  # one row in twenty, a tenth of it
+
+
+def test_turning_turns_and_keeps_the_bones(scene):
+    heading = to_profile(len(scene.performance), 1)
+    assert abs(np.degrees(heading)).max() == pytest.approx(90, abs=12)
+    p = turning(scene.performance, scene.subject, heading)
+    before, after = (np.linalg.norm(np.diff(x.joints[:, 13:16], axis=1), axis=-1) for x in (scene.performance, p))
+    assert np.abs(before - after).max() < 1e-9
+    assert np.abs(p.joints[..., 2] - scene.performance.joints[..., 2]).max() < 1e-9
+
+
+def test_sensors_by_name():
+    assert len(depth_rig("depth-3")) == 3
+    front, side = (c.position for c in depth_rig("depth-2"))
+    assert abs(front[:2] @ side[:2]) < 1e-9 and front[1] < 0
+    for name in ("depth-0", "depth-9", "kinect"):
+        with pytest.raises(InputError, match="depth-1 to depth-8"):
+            depth_rig(name)
+
+
+def test_a_recording_is_read_back_as_depth(tmp_path):
+    made = walking_scene("walk", "", "depth-1", seconds=0.2, frame_rate=25.0, seed=2)
+    write_depth_scene(made, tmp_path / "rec")
+    loaded = load_recording(tmp_path / "rec")
+    assert loaded.views[0].depth is not None and loaded.n_frames == len(made)
+    check_views(loaded)  # one depth camera is enough
+    with pytest.raises(InputError, match="depth1 is a depth camera"):
+        check_views(loaded, of_picture=True)
+    with pytest.raises(InputError, match=r"depth cameras \(depth1\) people are not told apart"):
+        people_frames(loaded, TrackOptions())
+    with FrameStream(loaded) as frames:
+        frame = frames.frame(2)
+        assert frame.depth is not None and frame.silhouettes is not None
+        assert np.array_equal(frame.depth.maps[0], made.depth_map(0, 2))
+        assert frame.silhouettes.masks[0].sum() == pytest.approx(made.clean_map(0, 2)[1].sum(), rel=0.1)
+        assert frames.image(0, 2).shape == (288, 320, 3)
+        later, earlier = frames.frame(4).depth, frames.frame(0).depth
+        assert np.array_equal(later.maps[0], made.depth_map(0, 4))
+        assert np.array_equal(earlier.maps[0], made.depth_map(0, 0))
+    assert np.allclose(loaded.rig[0].camera_from_world, made.rig[0].camera_from_world, atol=1e-6)
+    assert se3_inverse(loaded.rig[0].camera_from_world)[2, 3] == pytest.approx(1.2, abs=1e-6)
+
+
+def test_what_is_wrong_with_a_depth_view_is_named(tmp_path):
+    made = walking_scene("walk", "", "depth-1", seconds=0.1, frame_rate=25.0, seed=2)
+    toml = write_depth_scene(made, tmp_path / "rec")
+    text = toml.read_text()
+    toml.write_text(text.replace('background = "background/depth1"', 'background = "truth.npz"'))
+    with pytest.raises(InputError, match="View depth1: the background of a depth view is a folder"):
+        load_recording(toml)
+    toml.write_text(text.replace("depth = ", 'masks = "background/depth1"\ndepth = '))
+    with pytest.raises(InputError, match="a depth camera is a view of its own"):
+        load_recording(toml)
