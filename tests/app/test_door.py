@@ -133,6 +133,26 @@ def test_who_takes_nothing_of_what_is_sent_is_ended():
     through(entrance, play)
 
 
+def test_a_connection_that_ended_while_it_sent_is_left_alone():
+    class Answer(Echo):
+        def data_received(self, data):
+            self.transport.write(bytes(8 << 20))
+            self.transport.close()
+
+    async def play(connect):
+        asyncio.get_running_loop().set_exception_handler(lambda loop, context: wrong.append(context))
+        reader, writer = await connect()
+        writer.write(b"known")
+        assert len(await reader.read(-1)) == 8 << 20
+        await asyncio.sleep(0.3)
+
+    wrong, entrance = [], Door(silent_s=0.1)
+    usual = entrance.letting_in
+    entrance.letting_in = lambda make: usual(lambda: Answer(entrance))
+    through(entrance, play)
+    assert wrong == []
+
+
 def test_few_files_make_few_places(monkeypatch):
     resource = pytest.importorskip("resource")
     monkeypatch.setattr(resource, "getrlimit", lambda kind: (80, 80))

@@ -28,10 +28,10 @@ def sync(
     ] = 0.5,
     frames: Annotated[int, number("Consecutive frames that motion is taken from.", 24, 100_000)] = 250,
     to: Annotated[
-        Path | None, typer.Option("--out", help="New folder for masks and key points that are in step.")
+        Path | None, typer.Option("--out", help="New folder for masks, depth maps and key points that are in step.")
     ] = None,
 ) -> None:
-    """How many frames each view is late. With --out, masks and key points are resampled in time and written."""
+    """How many frames each view is late. With --out, masks, depth maps and key points in step are written."""
     from hypose.io.claims import claimed
     from hypose.io.motions.results import check_writable
     from hypose.io.recordings.recording import load_recording
@@ -62,7 +62,7 @@ def sync(
         return
     with claimed(to), Stages() as progress:
         path = _write(loaded, late, to, progress)
-    say(f"Masks and key points in step: {path}", "green")
+    say(f"Evidence in step: {path}", "green")
 
 
 def _keep(recording: Recording, by: str, late: list[float], words: list[str]) -> None:
@@ -78,7 +78,9 @@ def _keep(recording: Recording, by: str, late: list[float], words: list[str]) ->
 
 def _unfinished(folder: Path) -> bool:
     """True for an empty folder, and for one that this command has begun and not finished."""
-    return folder.is_dir() and all(p.name in ("masks", "keypoints") or p.name[0] == "." for p in folder.iterdir())
+    return folder.is_dir() and all(
+        p.name in ("masks", "depth", "keypoints") or p.name[0] == "." for p in folder.iterdir()
+    )
 
 
 def _given(text: str, count: int) -> list[float]:
@@ -150,7 +152,7 @@ def _by_light(recording: Recording, progress: ProgressCall) -> tuple[list[float]
 
 
 def _write(recording: Recording, late: list[float], folder: Path, progress: ProgressCall) -> Path:
-    """Masks (PNG, undistorted) and key points (OpenPose JSON) on the common clock, and a recording.toml."""
+    """Masks (PNG, undistorted), depth maps and key points (OpenPose JSON) on the common clock, and a recording.toml."""
     from dataclasses import replace
 
     import cv2
@@ -170,14 +172,17 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
     with stream:
         progress("background", 1, 1)
         source = Resampled(stream, late)
-        masks = [folder_for(folder / "masks", view.name) for view in recording.views]
+        masks = [None if v.depth is not None else folder_for(folder / "masks", v.name) for v in recording.views]
         for path, camera in zip(masks, stream.rig, strict=True):
-            write_text(path / SIDECAR, json.dumps({"undistorted": True, "size": list(camera.size)}) + "\n")
+            if path is not None:
+                write_text(path / SIDECAR, json.dumps({"undistorted": True, "size": list(camera.size)}) + "\n")
         for i in range(len(source)):
             progress("masks", i, len(source))
             silhouettes = source.frame(i).silhouettes
             assert silhouettes is not None
             for c, (path, camera) in enumerate(zip(masks, stream.rig, strict=True)):
+                if path is None:
+                    continue
                 w, h = camera.size
                 data = cv2.imencode(".png", silhouettes.masks[c, :h, :w] * np.uint8(255))[1]
                 with atomic_path(path / f"{i:06d}.png") as temporary:
@@ -194,6 +199,10 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
                     {"pose_keypoints_2d": [round(float(x), 4) for x in p.ravel()]} for p in shown if (p[:, 2] > 0).any()
                 ]
                 write_text(keypoints / f"{keypoints.name}_{t:012d}_keypoints.json", json.dumps({"people": said}) + "\n")
+        if view.depth is not None:
+            maps = _depth_in_step(view.depth, recording.frames, late[c], folder_for(folder / "depth", view.name))
+            views.append(replace(view, depth=maps, keypoints=keypoints))
+            continue
         views.append(
             replace(
                 view,
@@ -216,6 +225,26 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
         name=f"{recording.name} in step",
     )
     return write_recording(made, folder)
+
+
+def _depth_in_step(depth: Path, frames: range, late: float, folder: Path) -> Path:
+    """The maps of a folder on the common clock, those of the nearest frame, empty where there is none; returns where
+    they are."""
+    import shutil
+
+    import numpy as np
+
+    from hypose.io.sensors.depth import write_depth_png
+    from hypose.io.videos.video import frame_size, list_images
+
+    files, (width, height) = list_images(depth), frame_size(depth)
+    for i in range(len(frames)):
+        nearest = round(i + late)
+        if 0 <= nearest < len(frames):
+            shutil.copyfile(files[frames[nearest]], folder / f"{i:06d}.png")
+        else:
+            write_depth_png(folder / f"{i:06d}.png", np.zeros((height, width)))
+    return folder
 
 
 def _people(found: RecordedPerson | None) -> list[Array]:

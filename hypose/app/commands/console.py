@@ -41,9 +41,10 @@ TITLES = {
     "board": "Look for the board",
     "solve": "Solve",
     "plan": "Look at the recordings",
+    "read": "Read the recordings",
 }
 """What a stage is called in front of the user."""
-COUNTED_IN_FRAMES = frozenset({"track", "overlay", "masks", "render", "detect"})
+COUNTED_IN_FRAMES = frozenset({"track", "overlay", "masks", "render", "detect", "each sensor alone"})
 _PLAIN_SECONDS = 10.0  # without a terminal a line at most this often
 _JSON_SECONDS = 0.2
 JSON_PROGRESS = "HYPOSE_JSON_PROGRESS"

@@ -66,7 +66,8 @@ class _Guest:
         """End it now."""
         if self.timer is not None:
             self.timer.cancel()
-        self.transport.abort()
+        if not self.gone:  # a transport that has ended while it still had something to send knows no loop any more
+            self.transport.abort()
 
 
 class Door:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import shlex
 import shutil
@@ -11,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 from hypose.app.jobs.gesture_job import Watched
-from hypose.errors import InputError
+from hypose.errors import InputError, extra
 
 FIRST_NOTE, FIRST_CONTROL = 60, 20
 """MIDI note and controller of the first gesture; the others follow."""
@@ -64,7 +63,7 @@ class MidiOut:
 def open_midi(name: str) -> MidiPort:
     """The output port of this name or with this in its name; "virtual": a new one called hypose that other programs see
     (not on Windows)."""
-    library = _extra("mido", "midi", "MIDI")
+    library = extra("mido", "--midi", "midi", or_else="use --osc")
     try:
         there = [] if name == "virtual" else list(library.get_output_names())
         fitting = [n for n in there if name == n] or [n for n in there if name.lower() in n.lower()]
@@ -143,7 +142,7 @@ def keys_of(texts: Sequence[str], names: Sequence[str]) -> dict[int, str]:
 
 def open_keys(keys: Mapping[int, str]) -> KeysOut:
     """Keys of this computer's keyboard: single characters, or names such as space, enter, page_down, left, f5."""
-    library = _extra("pynput.keyboard", "keys", "Key presses")
+    library = extra("pynput.keyboard", "--key", "keys", or_else="use --command or --osc")
     special = library.Key
     for key in keys.values():
         if len(key) > 1 and not hasattr(special, key):
@@ -177,14 +176,3 @@ class CommandOut:
 
     def close(self) -> None:
         """What still runs goes on by itself."""
-
-
-def _extra(module: str, extra: str, what: str) -> Any:
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        package = module.partition(".")[0]
-        if error.name == package:
-            raise InputError(f"{what} need {package}, which is not installed: pip install hypose[{extra}].") from None
-        reason = str(error).partition("\n")[0]
-        raise InputError(f"{what} cannot be used here ({reason}); use --command or --osc.") from None

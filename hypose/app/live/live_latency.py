@@ -20,6 +20,7 @@ from hypose.fusion.joints import COMMON
 from hypose.geometry import Array, transform
 from hypose.io.sensors.skeleton_lines import format_line
 from hypose.synthetic.sensors import builtin_joints, ring_sensors
+from hypose.synthetic.virtual_cameras import there_and_back
 
 
 @dataclass(frozen=True)
@@ -135,18 +136,12 @@ def _lines(
             for p in range(people):
                 place = np.array([(p % 3 - 1) * 2.0, (p // 3) * 2.0, 0.0]) if people > 1 else np.zeros(3)
                 joints = (
-                    walk[_there_and_back(round(t * 30) + 17 * p, len(walk))] + place + rng.normal(size=(15, 3)) * 0.007
+                    walk[there_and_back(round(t * 30) + 17 * p, len(walk))] + place + rng.normal(size=(15, 3)) * 0.007
                 )
                 state = np.full(15, 2, dtype=np.uint8)
                 line = SensorReport(f"s{k}", 100.0 * k + t, p, COMMON, transform(camera, joints), state)
                 out.append((t, format_line(line).encode()))
     return sorted(out, key=lambda x: x[0])
-
-
-def _there_and_back(n: int, count: int) -> int:
-    """Frame n of a clip that is played forwards and backwards, so that nobody jumps at its end."""
-    n %= 2 * count - 2
-    return n if n < count else 2 * count - 2 - n
 
 
 def _send(lines: list[tuple[float, bytes]], port: int, stop: threading.Event) -> None:

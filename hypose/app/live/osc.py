@@ -68,12 +68,18 @@ class OscTarget:
                 f"{option} {address} cannot be reached; give HOST:PORT, for example 127.0.0.1:9000."
             ) from None
         self._socket.setblocking(False)
+        with contextlib.suppress(OSError):  # else what goes to all of a network is lost without a word
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
 
     def send(self, messages: Sequence[bytes]) -> None:
         """Messages of `osc_message`, in bundles."""
         for bundle in osc_bundles(messages):
-            with contextlib.suppress(OSError):
-                self._socket.sendto(bundle, self._address)
+            self.put(bundle)
+
+    def put(self, datagram: bytes) -> None:
+        """Bytes as they are."""
+        with contextlib.suppress(OSError):  # nobody has to listen
+            self._socket.sendto(datagram, self._address)
 
     def close(self) -> None:
         """Let go of the socket."""

@@ -4,30 +4,26 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import shutil
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from starlette.concurrency import run_in_threadpool
-from starlette.routing import BaseRoute, WebSocketRoute
-from starlette.websockets import WebSocket
 
 from hypose.app.live import simulated_sensors
 from hypose.app.live.live_server import LiveOptions, LiveServer
 from hypose.app.studio.answers import NotNow
-from hypose.app.studio.asked import number, text, whole
+from hypose.app.studio.asked import number, whole
 from hypose.app.studio.catalog import Catalog
-from hypose.app.studio.job_kinds import free_folder, fused_in
-from hypose.app.studio.sockets import Sockets, hear, tell
-from hypose.errors import HyposeError, InputError
+from hypose.app.studio.job_kinds import fused_in
+from hypose.app.studio.live_socket import recording_folder, target
+from hypose.errors import InputError
 from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON, PARENT
 from hypose.fusion.live import LiveSettings
 
-_WAITING = 32
-"""Messages that wait for a slow page; it then misses the oldest."""
 FOLDER = "live"
 """Where recordings go, in the served folder."""
 
@@ -40,6 +36,7 @@ class FuseHost:
         self._recordings = recordings
         self._server: LiveServer | None = None
         self._simulated: asyncio.Task[None] | None = None
+        self.acts: Mapping[str, Callable[[], None]] = {}
         self._changing = asyncio.Lock()  # of two pages that start at once the second finds it running
 
     def hello(self) -> dict[str, Any]:
@@ -62,12 +59,12 @@ class FuseHost:
         made_up = message.get("simulated") or 0
         if made_up:
             whole(made_up, "the number of simulated sensors", 2, simulated_sensors.MOST)
-        osc, vmc = (_target(message.get(k), port) for k, port in (("osc", 9000), ("vmc", 39539)))
+        osc, vmc = (target(message.get(k), port) for k, port in (("osc", 9000), ("vmc", 39539)))
         async with self._changing:
             if self._server is not None:
                 raise NotNow("The fusion is running already; stop it first.")
             seen = await run_in_threadpool(_seen, made_up) if made_up else None
-            record = free_folder(self._recordings, "live") if message.get("record") is True else None
+            record = recording_folder(self._recordings, "live") if message.get("record") is True else None
             settings = LiveSettings(AlignSettings(rate=rate))
             server = LiveServer(LiveOptions(udp=udp, ws=ws, osc=osc, vmc=vmc, record=record, settings=settings))
             try:
@@ -119,73 +116,5 @@ def recorded(catalog: Catalog) -> list[dict[str, Any]]:
     return out
 
 
-def routes(host: FuseHost, sockets: Sockets) -> list[BaseRoute]:
-    """The WebSocket."""
-    pages: set[asyncio.Queue[str]] = set()
-
-    def tell_all() -> None:
-        for queue in pages:
-            host.listen(queue)
-            _put(queue, host.hello())
-
-    async def heard(message: dict[str, Any]) -> None:
-        if message["t"] == "start":
-            await host.start(message)
-        elif message["t"] == "stop":
-            said = await host.stop()
-            if said:
-                for queue in pages:
-                    _put(queue, {"t": "said", "text": said})
-        else:
-            raise InputError(f"There is nothing to {message['t'][:20]!r} here; start or stop.")
-        tell_all()
-
-    async def read(ws: WebSocket, queue: asyncio.Queue[str]) -> None:
-        while True:
-            try:
-                await heard(await hear(ws))
-            except HyposeError as error:
-                _put(queue, {"t": "error", "error": str(error)})
-
-    async def talk(ws: WebSocket) -> None:
-        queue: asyncio.Queue[str] = asyncio.Queue(_WAITING)
-        pages.add(queue)
-        host.listen(queue)
-        _put(queue, host.hello())
-        reading = asyncio.ensure_future(read(ws, queue))
-        try:
-            while True:
-                waiting = asyncio.ensure_future(queue.get())
-                await asyncio.wait({waiting, reading}, return_when=asyncio.FIRST_COMPLETED)
-                if reading.done():
-                    waiting.cancel()
-                    reading.result()
-                    return
-                await tell(ws, waiting.result().replace('"type":', '"t":', 1))
-        finally:
-            pages.discard(queue)
-            host.unlisten(queue)
-            reading.cancel()
-            await asyncio.gather(reading, return_exceptions=True)
-
-    async def socket(ws: WebSocket) -> None:
-        await sockets.serve(ws, talk)
-
-    return [WebSocketRoute("/ws/fuse", socket)]
-
-
-def _target(value: Any, port: int) -> str | None:
-    """Where fused skeletons are sent to; None for nowhere."""
-    if value is None or value == "":
-        return None
-    return text(value, "address to send to", 100, f"give HOST:PORT, for example 127.0.0.1:{port}").strip()
-
-
 def _seen(sensors: int) -> simulated_sensors.SensorRecording:
     return simulated_sensors.simulated_sensors(sensors, np.random.default_rng(0))
-
-
-def _put(queue: asyncio.Queue[str], message: dict[str, Any]) -> None:
-    if queue.full():
-        queue.get_nowait()
-    queue.put_nowait(json.dumps(message))

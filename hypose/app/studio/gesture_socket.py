@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -64,14 +65,21 @@ def models_shown(catalog: Catalog) -> list[dict[str, Any]]:
     """The models that can be used, for a list."""
     out = []
     for item in catalog.items("model"):
-        try:
-            model = load_model(item.path)
-        except HyposeError:
-            continue
-        shown = {"id": item.id, "name": item.path.stem, "path": catalog.shown(item.path)}
-        facts = {"gestures": model.names, "growing": model.learner is not None, "thresholds": model.thresholds}
-        out.append({**shown, **facts})
+        facts = _facts_of_model(item.path, item.changed)
+        if facts is not None:
+            shown = {"id": item.id, "name": item.path.stem, "path": catalog.shown(item.path)}
+            out.append({**shown, **facts})
     return out
+
+
+@lru_cache(maxsize=512)
+def _facts_of_model(path: Path, changed: float) -> dict[str, Any] | None:
+    """What a list says of a model as it was changed last; None where it cannot be used."""
+    try:
+        model = load_model(path)
+    except HyposeError:
+        return None
+    return {"gestures": model.names, "growing": model.learner is not None, "thresholds": model.thresholds}
 
 
 def sources_shown(catalog: Catalog) -> list[dict[str, Any]]:

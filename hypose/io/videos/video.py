@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 # FFmpeg's own complaints would appear between our sentences; read by OpenCV when it first opens a video.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -46,7 +47,7 @@ _CODECS = {
 
 
 @contextlib.contextmanager
-def _quiet() -> Iterator[None]:
+def quiet() -> Iterator[None]:
     """OpenCV prints to the terminal what we say better."""
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -63,15 +64,27 @@ def read_image(path: str | Path) -> Image:
         data = path.read_bytes()  # cv2.imread fails on some names under Windows
     except OSError as error:
         raise InputError(f"The image {path} cannot be read ({error.strerror}); check the path.") from None
-    with _quiet():
+    with quiet():
         try:
             usable = len(data) > 0 and not is_cut_png(data)
-            image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR) if usable else None
+            image = _in_colours(np.frombuffer(data, dtype=np.uint8)) if usable else None
         except cv2.error:
             image = None
     if image is None:
         raise InputError(f"{path} is not an image or is damaged; replace it with a PNG or JPEG file.")
     return np.asarray(image, dtype=np.uint8)
+
+
+def _in_colours(data: NDArray[np.uint8]) -> NDArray[Any] | None:
+    """A file's picture in colours. A grey one of 16 bits is a depth map: near is bright, holes are black."""
+    # the header of a 16-bit PNG says so; everything else is decoded as it is
+    if len(data) < 33 or data[12:16].tobytes() != b"IHDR" or data[24] != 16 or data[25] != 0:
+        return cv2.imdecode(data, cv2.IMREAD_COLOR)
+    depth = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    if depth is None or depth.ndim != 2:
+        return None
+    shade = np.where(depth > 0, np.clip(255 - depth.astype(np.float32) * (200 / 6000), 40, 255), 0)
+    return cv2.cvtColor(shade.astype(np.uint8), cv2.COLOR_GRAY2BGR)
 
 
 def list_images(folder: Path) -> list[Path]:
@@ -323,7 +336,7 @@ def open_capture(path: Path) -> cv2.VideoCapture:
         raise InputError(f"The video {path} does not exist; check the file name in recording.toml.")
     if path.stat().st_size == 0:
         raise InputError(f"The video {path} is empty (0 bytes); record or copy it again.")
-    with _quiet(), utf8_path(path) as name:
+    with quiet(), utf8_path(path) as name:
         try:
             capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG)
         except cv2.error:
@@ -373,7 +386,7 @@ class VideoWriter:
     def _open(self) -> cv2.VideoWriter:
         self._temporary.touch()  # an unwritable folder shows here with its reason; OpenCV would give none
         for codec in self._codecs:
-            with _quiet(), utf8_path(self._temporary) as name:
+            with quiet(), utf8_path(self._temporary) as name:
                 fourcc = cv2.VideoWriter.fourcc(*codec)
                 writer = cv2.VideoWriter(name, cv2.CAP_FFMPEG, fourcc, self.frame_rate, self.size)
             if writer.isOpened():

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hypose.app.jobs.gesture_job import evaluate
+from hypose.app.studio import gesture_socket
 from hypose.app.studio.sockets import IN_FLIGHT, MAP
 from hypose.gestures.depth_pictures import KINECT
 from hypose.pipeline.gesture_files import SessionWriter, load_model, read_recording
@@ -63,7 +64,7 @@ def root(tmp_path):
     return tmp_path / "root"
 
 
-def test_a_closed_page_loses_nothing_and_resuming_grows_the_same_forest(root):
+def test_a_closed_page_loses_nothing_and_resuming_grows_the_same_forest(root, monkeypatch):
     with serving(root) as client:
         with client.socket("/ws/gesture") as socket:
             page = Page(socket)
@@ -101,6 +102,8 @@ def test_a_closed_page_loses_nothing_and_resuming_grows_the_same_forest(root):
         assert client.ask("/api/models/0123456789ab/thumbnail.jpg")[0] == 404
         after = load_model(root / model_of(client)["path"])
         assert len(client.get("/api/state")["models"]) == 1 and len(after.history) > len(before.history)
+        monkeypatch.setattr(gesture_socket, "load_model", lambda path: pytest.fail(f"{path} is read again"))
+        assert len(client.get("/api/state")["models"]) == 1  # it has not changed since the last list
         # what had grown is still there: tests of nodes that were split stay as they were
         for tree in range(len(before.forest.arrays.size)):
             inner = np.flatnonzero(before.forest.arrays.left[tree] >= 0)

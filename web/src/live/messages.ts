@@ -15,6 +15,30 @@ export interface SensorStatus {
   /** (4, 4) to the frame of the first sensor, m. */
   place: number[][] | null;
 }
+/** How live cameras run (/ws/cameras). played: the recording's own videos. */
+export interface CamerasRunning {
+  recording: string;
+  cameras: string[];
+  ws: number;
+  osc: string | null;
+  vmc: string | null;
+  record: string | null;
+  played: boolean;
+}
+export interface CameraSensor extends SensorStatus {
+  lost: number;
+  trouble: string;
+}
+export type CamerasMessage =
+  | { t: "hello"; running: false | CamerasRunning; joints: string[]; parents: number[] }
+  | { t: "frame"; n: number; time: number; latency_ms: number; people: (Person & { doubtful: string[] })[] }
+  | {
+      t: "status"; phase: string; words: string[]; sensors: CameraSensor[]; poses: number; per_second: number; skipped: number;
+      latency_ms: (number | null)[]; stages_ms: Record<string, number | null>; fitted: boolean;
+    }
+  | { t: "pictures"; cameras: { name: string; jpeg: string | null }[] }
+  | { t: "said"; text: string }
+  | { t: "error"; error: string };
 export interface Running {
   udp: number;
   ws: number;

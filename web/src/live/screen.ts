@@ -5,7 +5,9 @@ import type { OpenScreen } from "../screen";
 import { h, setText } from "../ui/dom";
 import { shell } from "../ui/shell";
 import { toast } from "../ui/toast";
+import { camerasLive } from "./cameras";
 import { liveForm } from "./form";
+import { kinds } from "./kinds";
 import type { LiveMessage, Running, SensorStatus } from "./messages";
 import { People } from "./people";
 import { recorded } from "./recorded";
@@ -13,7 +15,8 @@ import { recorded } from "./recorded";
 const TELL_MS = 250;
 
 /** Skeletons of several depth sensors, fused as they come: who is seen, and how the sensors do. */
-export const live: OpenScreen = (root) => {
+export const live: OpenScreen = (root, rest) => {
+  if (rest[0] === "cameras") return camerasLive(root);
   const box = shell(root, "live");
   const nobody = h("p", { class: "live-nobody" });
   const space = h("div", { class: "live-space" }, nobody);
@@ -25,7 +28,7 @@ export const live: OpenScreen = (root) => {
   const side = h(
     "aside",
     { class: "pane live-side" },
-    h("div", { class: "live-head" }, h("h2", {}, "Live fusion"), state, form.element),
+    h("div", { class: "live-head" }, h("h2", {}, "Live fusion"), kinds("sensors"), state, form.element),
     h(
       "dl",
       { class: "live-figures" },
@@ -85,7 +88,10 @@ export const live: OpenScreen = (root) => {
     }
   };
   const socket = new Socket("ws/fuse", (m) => heard(m as LiveMessage), undefined, (open) => {
-    if (!open) state.textContent = "The server does not answer; is `hypose view` still running?";
+    if (open) return;
+    state.textContent = "The server does not answer; is `hypose view` still running?";
+    people?.show([]); // nobody knows any longer
+    sensors.replaceChildren();
   });
   return {
     close: () => {

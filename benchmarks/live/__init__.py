@@ -1,0 +1,1 @@
+"""Live tracking from virtual cameras, everything on this computer."""

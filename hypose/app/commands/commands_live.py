@@ -1,0 +1,190 @@
+"""`hypose live`: cameras in, poses out, while it happens."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import math
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hypose.app.commands.commands_track import set_threads
+from hypose.app.commands.console import Stages, note, say
+from hypose.app.commands.options import HEIGHT, Seed, Threads, number
+from hypose.errors import InputError
+
+if TYPE_CHECKING:
+    from hypose.pipeline.live.engine import LiveStatus, Seen
+    from hypose.pipeline.live.recorder import LiveRecorder
+
+_OUT = "Out"
+_SWITCH_S = 0.0005  # who sends or takes pictures must not wait for who computes
+_REPORT_S = 10.0
+
+
+def live(
+    rig: Annotated[
+        Path, typer.Argument(help="Calibration file, or a recording, whose videos are played without --source.")
+    ],
+    source: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="CAMERA=WHERE: number of a device (0), http:// (motion JPEG), rtsp://, a video, a folder of pictures. "
+            "Once for each camera."
+        ),
+    ] = None,
+    rate: Annotated[
+        float | None, number("Pictures per second of the cameras. [default: 30, or the recording's]", 1, 240)
+    ] = None,
+    countdown: Annotated[
+        float, number("Seconds in which to leave the view before the empty room is learnt.", 0, 600)
+    ] = 5.0,
+    people: Annotated[int, number("Follow so many people at most.", 1, 8)] = 1,
+    height: Annotated[float | None, number("The person's height in metres, when known.", *HEIGHT)] = None,
+    subject: Annotated[
+        Path | None, typer.Option(help="The person's body, as hypose subject writes it; else it is fitted on the way.")
+    ] = None,
+    seconds: Annotated[float, number("Stop after so many seconds; 0 = never.", 0, 10**6)] = 0.0,
+    ws: Annotated[
+        int, number("WebSocket port on this computer: /out (JSON), /binary.", 0, 65535, rich_help_panel=_OUT)
+    ] = 9872,
+    udp: Annotated[str | None, typer.Option(help="HOST:PORT for a JSON line per pose.", rich_help_panel=_OUT)] = None,
+    osc: Annotated[str | None, typer.Option(help="HOST:PORT to send OSC to.", rich_help_panel=_OUT)] = None,
+    vmc: Annotated[
+        str | None, typer.Option(help="HOST:PORT of a program that moves an avatar (VMC).", rich_help_panel=_OUT)
+    ] = None,
+    lsl: Annotated[
+        str | None, typer.Option(help="Name of a stream of the lab streaming layer.", rich_help_panel=_OUT)
+    ] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(help="New folder for a recording that hypose track solves again.", rich_help_panel=_OUT),
+    ] = None,
+    seed: Seed = 0,
+    threads: Threads = None,
+) -> None:
+    """Follow people with calibrated cameras while it happens. See docs/cameras-live.md."""
+    set_threads(threads)
+    from hypose import compute
+    from hypose.app.live.pose_outputs import PoseOutputs
+    from hypose.pipeline.live.engine import LiveEngine, LiveOptions
+    from hypose.pipeline.live.eyes import EyesOptions
+    from hypose.pipeline.live.live_rig import live_rig
+    from hypose.pipeline.live.live_search import LivePersonOptions
+    from hypose.pipeline.live.recorder import LiveRecorder
+    from hypose.pipeline.run import TrackOptions
+    from hypose.pipeline.subject_from_motion import load_subject
+
+    cameras = live_rig(rig, _sources(source or []), rate)
+    for text in cameras.notes:
+        note(f"note: {text}")
+    body = None if subject is None else load_subject(subject)
+    person = LivePersonOptions(TrackOptions(seed=seed), height or cameras.height, body)
+    eyes = EyesOptions(cameras.rate, countdown, cameras.silhouettes)
+    names = tuple(v.name for v in cameras.views)
+    with Stages() as progress:  # the first time it takes a while, and Ctrl-C still ends it
+        progress("compile", 0, 1)
+        compute.warm_up(load=False)
+        progress("compile", 1, 1)
+    ended, recorder = threading.Event(), None
+    with contextlib.ExitStack() as closing:
+        closing.enter_context(_ended_by_signals(ended))
+        if record is not None:
+            recorder = LiveRecorder(record, cameras.rig, cameras.views, cameras.silhouettes, person.height)
+            closing.callback(recorder.close)
+        outputs = PoseOutputs(names, cameras.rate, ws=ws, udp=udp, osc=osc, vmc=vmc, lsl=lsl, clock=time.monotonic)
+        closing.callback(outputs.close)
+        listeners = [outputs, _Told(recorder), *([] if recorder is None else [recorder])]
+        options = LiveOptions(eyes, person, people, pictures=recorder is not None)
+        engine = LiveEngine(cameras.rig, cameras.views, options, listeners, ended)
+        closing.callback(engine.stop)
+        engine.start()
+        closing.callback(sys.setswitchinterval, sys.getswitchinterval())
+        sys.setswitchinterval(_SWITCH_S)
+        if outputs.listeners is not None:
+            say(f"Poses out:  ws://127.0.0.1:{outputs.listeners.port}/out  (/binary)")
+        for name, target in (("udp", udp), ("osc", osc), ("vmc", vmc), ("lsl", lsl)):
+            if target is not None:
+                say(f"Poses out:  {name} {target}")
+        say("Stop with Ctrl-C.")
+        gc.collect()
+        gc.freeze()  # what is loaded now stays: a collection that walks it makes a frame late
+        closing.callback(gc.unfreeze)
+        until = time.monotonic() + seconds if seconds else math.inf
+        while not ended.is_set() and not engine.ended.is_set() and time.monotonic() < until:
+            ended.wait(0.1)
+        status, interrupted = engine.status(), ended.is_set()
+        engine.stop()
+        if recorder is not None:  # whoever is in a hurry and asks for an end again still gets all that was recorded
+            kept = recorder.close()
+            without = f", without {recorder.left_out} instants" if recorder.left_out else ""
+            nothing = "Nothing was recorded: there were no pictures of two cameras."
+            say(f"Recorded: {record}{without}" if kept else nothing)
+    if engine.failed is not None and not interrupted:  # what stops this may stop its processes first
+        raise engine.failed
+    say(f"{status.poses} poses. {_summary(status)}")
+
+
+@contextlib.contextmanager
+def _ended_by_signals(ended: threading.Event) -> Iterator[None]:
+    """Meanwhile Ctrl-C, SIGTERM and a terminal that is closed set the event, and cut nothing off."""
+    hung_up = getattr(signal, "SIGHUP", None)
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if hung_up is not None and signal.getsignal(hung_up) != signal.SIG_IGN:  # nohup: it is to go on
+        numbers.append(hung_up)
+    before = {n: signal.signal(n, lambda number, frame: ended.set()) for n in numbers}
+    try:
+        yield
+    finally:
+        for n, handler in before.items():
+            signal.signal(n, handler)
+
+
+def _sources(given: list[str]) -> dict[str, str]:
+    out: dict[str, str] = {}
+    for text in given:
+        name, equals, where = text.partition("=")
+        if not equals or not name or not where:
+            raise InputError(f"--source {text} is not possible; give CAMERA=WHERE, for example --source cam1=0.")
+        if name in out:
+            raise InputError(f"--source {name} is given twice; give each camera once.")
+        out[name] = where
+    return out
+
+
+class _Told:
+    """What changes is said at once, how it goes now and then; and when a recording ends before its time."""
+
+    def __init__(self, recorder: LiveRecorder | None) -> None:
+        self._phase, self._words, self._at = "", (), -math.inf
+        self._recorder = recorder
+
+    def seen(self, seen: Seen) -> None:
+        """See `Listener`."""
+
+    def status(self, status: LiveStatus) -> None:
+        """See `Listener`."""
+        if status.phase != self._phase:
+            note(f"{status.phase.capitalize()}.")
+        failed = () if self._recorder is None or not self._recorder.failed else (self._recorder.failed,)
+        words = (*status.words, *failed)
+        for text in words:
+            if text not in self._words:
+                note(text)
+        self._phase, self._words = status.phase, words
+        if time.monotonic() - self._at >= _REPORT_S and status.poses:
+            self._at = time.monotonic()
+            note(_summary(status))
+
+
+def _summary(status: LiveStatus) -> str:
+    p50, p99 = status.latency
+    late = "" if math.isnan(p50) else f", latency {p50:.0f} ms (p99 {p99:.0f} ms)"
+    return f"{status.per_second:.1f} poses/s{late}, {100 * status.skipped:.0f} % of the instants skipped."

@@ -1,0 +1,250 @@
+"""Poses as they leave live tracking: WebSocket (JSON, binary), UDP lines, OSC, VMC, LSL (docs/cameras-live.md)."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from hypose.app.live.osc import OscTarget, double, osc_message
+from hypose.app.live.socket_listeners import SocketListeners
+from hypose.app.live.vmc import vmc_messages
+from hypose.body.body import Body
+from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.errors import InputError
+from hypose.geometry import Array
+from hypose.io.motions.vrm import bone_turns, rest_offsets
+from hypose.pipeline.live.engine import LiveStatus, Seen
+from hypose.pipeline.live.live_person import LivePose
+
+MAGIC = b"hyp1"
+"""A binary pose begins with it; then little endian: u4 frame, f8 time (s), f4 latency (ms), u4 flags (1: lost), u4
+person, u4 joints J, then f4 of joints (J, 3) m, sd (J), probability of being wrong (J), covariance (J, 6) m^2: xx, xy,
+xz, yy, yz, zz."""
+_HEAD = struct.Struct("<4sIdfIII")
+_UPPER = np.triu_indices(3)
+_WAITING = 8
+
+
+def pose_json(pose: LivePose, latency: float, cameras: tuple[str, ...]) -> str:
+    """One pose as a line of JSON; latency s."""
+    m = pose.motion
+    assert m.p_wrong is not None and m.doubtful_joints is not None
+    names = np.array(m.skeleton.joint_names)
+    value = {
+        "type": "pose",
+        "n": pose.frame,
+        "time": round(pose.time, 6),
+        "latency_ms": round(1e3 * latency, 2),
+        "id": pose.person,
+        "lost": pose.lost,
+        "cameras": [c for c, seen in zip(cameras, pose.views, strict=True) if seen],
+        "joints": pose.joints.round(5).tolist(),
+        "sd": m.joint_sd[0].astype(np.float64).round(5).tolist(),
+        "covariance": [[float(f"{v:.3g}") for v in row] for row in _covariance(pose).tolist()],
+        "wrong": m.p_wrong[0].astype(np.float64).round(3).tolist(),
+        "doubtful": names[m.doubtful_joints[0]].tolist(),
+    }
+    return json.dumps(value, separators=(",", ":"))
+
+
+def pose_bytes(pose: LivePose, latency: float) -> bytes:
+    """One pose as `MAGIC` describes it."""
+    m = pose.motion
+    assert m.p_wrong is not None
+    head = pose.frame & 0xFFFFFFFF, pose.time, 1e3 * latency, int(pose.lost), pose.person, len(pose.joints)
+    rest = (pose.joints, m.joint_sd[0], m.p_wrong[0], _covariance(pose))
+    return _HEAD.pack(MAGIC, *head) + b"".join(np.ascontiguousarray(a, dtype="<f4").tobytes() for a in rest)
+
+
+def _covariance(pose: LivePose) -> Array:
+    """(J, 6) m^2, the upper triangle of each joint's."""
+    return np.asarray(pose.motion.joint_covariance[0][:, *_UPPER], np.float64)
+
+
+def poses_osc(poses: Sequence[LivePose], latency: float) -> list[bytes]:
+    """/hypose/frame n time latency_ms people, then /hypose/person/ID/JOINT x y z sd, as fused skeletons are sent."""
+    first, there = poses[0], sum(not p.lost for p in poses)
+    out = [osc_message("/hypose/frame", first.frame & 0x7FFFFFFF, double(first.time), 1e3 * latency, there)]
+    for pose in poses:
+        m = pose.motion
+        rows = zip(m.skeleton.joint_names, pose.joints.tolist(), m.joint_sd[0].tolist(), strict=True)
+        out += [osc_message(f"/hypose/person/{pose.person}/{name}", *xyz, sd) for name, xyz, sd in rows]
+    return out
+
+
+class _Vmc:
+    """An avatar's pose, in VRM's bones: of who came first."""
+
+    def __init__(self, target: OscTarget) -> None:
+        self._target = target
+        self._body: Body | None = None
+        self._offsets: Array | None = None
+        self._begin: float | None = None
+
+    def send(self, poses: Sequence[LivePose], latency: float) -> None:
+        pose = poses[0]
+        if self._offsets is None or pose.body is not self._body:
+            self._body, self._offsets = pose.body, rest_offsets(pose.body)
+        self._begin = pose.time if self._begin is None else self._begin
+        assert pose.motion.poses is not None
+        hips, turns = bone_turns(pose.body.skeleton, pose.motion.poses)
+        self._offsets[0] = hips[0]
+        self._target.send(vmc_messages(self._offsets, turns[0], pose.time - self._begin, not pose.lost))
+
+    def close(self) -> None:
+        self._target.close()
+
+
+class _Osc:
+    def __init__(self, target: OscTarget) -> None:
+        self._target = target
+
+    def send(self, poses: Sequence[LivePose], latency: float) -> None:
+        self._target.send(poses_osc(poses, latency))
+
+    def close(self) -> None:
+        self._target.close()
+
+
+class _Lines:
+    """A JSON line per pose, by UDP."""
+
+    def __init__(self, target: OscTarget, cameras: tuple[str, ...]) -> None:
+        self._target, self._cameras = target, cameras
+
+    def send(self, poses: Sequence[LivePose], latency: float) -> None:
+        for pose in poses:
+            self._target.put(pose_json(pose, latency, self._cameras).encode() + b"\n")
+
+    def close(self) -> None:
+        self._target.close()
+
+
+class _Lsl:
+    """A stream of the lab streaming layer: x, y, z and sd of every joint, m, of who came first."""
+
+    def __init__(self, name: str, rate: float) -> None:
+        try:
+            lsl: Any = import_module("pylsl")
+        except (ImportError, RuntimeError) as error:
+            raise InputError(f"--lsl needs pylsl ({error}); install it with: pip install 'hypose[lsl]'.") from None
+        count = 4 * len(JOINT_NAMES)
+        info = lsl.StreamInfo(name, "MoCap", count, rate, lsl.cf_float32, f"hypose-{name}")
+        channels = info.desc().append_child("channels")
+        for joint in JOINT_NAMES:
+            for what in ("x", "y", "z", "sd"):
+                channels.append_child("channel").append_child_value("label", f"{joint}_{what}").append_child_value(
+                    "unit", "m"
+                )
+        self._outlet = lsl.StreamOutlet(info)
+        self._clock: Callable[[], float] = lsl.local_clock
+
+    def send(self, poses: Sequence[LivePose], latency: float) -> None:
+        pose = poses[0]
+        row = np.concatenate([pose.joints, pose.motion.joint_sd[0][:, None]], 1)
+        self._outlet.push_sample(row.ravel().tolist(), self._clock() - latency)
+
+    def close(self) -> None:
+        del self._outlet
+
+
+class PoseOutputs:
+    """A listener of the live engine. cameras: their names; rate Hz; ws: port on this computer, with /out for JSON and
+    /binary; udp, osc, vmc: HOST:PORT; lsl: the stream's name; clock: s, by which shots arrive."""
+
+    def __init__(
+        self,
+        cameras: tuple[str, ...],
+        rate: float,
+        *,
+        ws: int | None = None,
+        udp: str | None = None,
+        osc: str | None = None,
+        vmc: str | None = None,
+        lsl: str | None = None,
+        clock: Callable[[], float],
+    ) -> None:
+        self._cameras, self._clock, self._rate = cameras, clock, rate
+        self._outs: list[_Vmc | _Osc | _Lines | _Lsl] = []
+        self.listeners: SocketListeners | None = None
+        try:
+            if udp is not None:
+                self._outs.append(_Lines(OscTarget(udp, "--udp"), cameras))
+            if osc is not None:
+                self._outs.append(_Osc(OscTarget(osc)))
+            if vmc is not None:
+                self._outs.append(_Vmc(OscTarget(vmc, "--vmc")))
+            if lsl is not None:
+                self._outs.append(_Lsl(lsl, rate))
+            self.listeners = None if ws is None else SocketListeners(ws, _WAITING, self._hello)
+        except InputError:
+            self.close()
+            raise
+
+    def _hello(self, path: str) -> str | None:
+        if path not in ("/out", "/binary"):
+            return None
+        hello = {"type": "hello", "version": 1, "joints": JOINT_NAMES, "cameras": self._cameras, "rate": self._rate}
+        return json.dumps(hello)
+
+    def seen(self, seen: Seen) -> None:
+        """See `Listener`."""
+        if not seen.poses:
+            return
+        latency = self._clock() - seen.sight.arrival
+        for out in self._outs:
+            out.send(seen.poses, latency)
+        if self.listeners is not None:
+            for pose in seen.poses:
+                if self.listeners.wanted("/out"):
+                    self.listeners.post(pose_json(pose, latency, self._cameras), "/out")
+                if self.listeners.wanted("/binary"):
+                    self.listeners.post(pose_bytes(pose, latency), "/binary")
+
+    def status(self, status: LiveStatus) -> None:
+        """See `Listener`."""
+        if self.listeners is not None:
+            self.listeners.post(status_json(status), "/out")
+
+    def close(self) -> None:
+        """Let go of everything."""
+        for out in self._outs:
+            out.close()
+        if self.listeners is not None:
+            self.listeners.close()
+
+
+def status_json(status: LiveStatus) -> str:
+    """How it goes, as a line of JSON."""
+    cameras = [
+        {
+            "name": c.name,
+            "rate": round(c.rate, 1),
+            "received": c.received,
+            "lost": c.lost,
+            "returns": c.returns,
+            "trouble": c.trouble,
+            "offset_ms": round(1e3 * late, 1),
+        }
+        for c, late in zip(status.cameras, status.offsets or (0.0,) * len(status.cameras), strict=False)
+    ]
+    p50, p99 = (None if math.isnan(v) else round(v, 1) for v in status.latency)
+    value = {
+        "type": "status",
+        "phase": status.phase,
+        "words": status.words,
+        "cameras": cameras,
+        "poses": status.poses,
+        "per_second": round(status.per_second, 1),
+        "skipped": round(status.skipped, 3),
+        "latency_ms": [p50, p99],
+        "stages_ms": {k: None if math.isnan(v) else round(v, 1) for k, v in status.stages.items()},
+        "fitted": status.fitted,
+    }
+    return json.dumps(value, separators=(",", ":"))

@@ -1,0 +1,357 @@
+"""Cameras as they deliver: devices, streams from the network, and files played at their own pace.
+
+A source gives shots one after the other, each with when it was taken; `picture` decodes only what is looked at, at a
+half, quarter or eighth of its size where that is enough: most of the work of a large picture is its decoding.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import http.client
+import math
+import re
+import time
+import urllib.parse
+import urllib.request
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.errors import HyposeError, InputError
+from hypose.io.videos.video import Image, VideoReader, open_video, quiet
+
+LARGEST_PART = 32 << 20
+"""Bytes of one picture of a stream; anything larger is no camera."""
+_LONGEST_LINE = 4096
+_REDUCED = ((8, cv2.IMREAD_REDUCED_COLOR_8), (4, cv2.IMREAD_REDUCED_COLOR_4), (2, cv2.IMREAD_REDUCED_COLOR_2))
+
+
+class StreamEnded(HyposeError):
+    """A source has nothing more to give: a file is over, or a camera has gone, which may come back."""
+
+
+@dataclass(frozen=True)
+class Shot:
+    """What a camera showed at one instant. arrival: s of this computer's monotonic clock at which it was here; stamp: s
+    of the camera's own clock, None where it tells none; data: the picture, or the bytes of a JPEG."""
+
+    arrival: float
+    stamp: float | None
+    data: Image | bytes
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """(width, height) px as the camera sent it; None where a picture's head does not tell."""
+        if isinstance(self.data, np.ndarray):
+            return self.data.shape[1], self.data.shape[0]
+        return _jpeg_size(self.data)
+
+    def picture(self, least: tuple[int, int] | None = None) -> Image | None:
+        """(h, w, 3) uint8 BGR, None when it is damaged; least (width, height): decoded smaller where that is still as
+        large."""
+        if isinstance(self.data, np.ndarray):
+            return self.data
+        raw = np.frombuffer(self.data, np.uint8)
+        how = cv2.IMREAD_COLOR
+        size = self.size
+        if size is not None and least is not None:
+            fits = (flag for n, flag in _REDUCED if size[0] >= n * least[0] and size[1] >= n * least[1])
+            how = next(fits, cv2.IMREAD_COLOR)
+        with quiet(), contextlib.suppress(cv2.error):
+            image = cv2.imdecode(raw, how)
+            return None if image is None else np.asarray(image, dtype=np.uint8)
+        return None
+
+
+class CameraSource(Protocol):
+    """live: the camera does not wait, and what is not taken is lost."""
+
+    live: bool
+
+    def read(self) -> Shot:
+        """The next shot; waits for it, a few seconds at most. StreamEnded when there is none."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the camera."""
+        ...
+
+
+def open_camera(address: str, rate: float, size: tuple[int, int], begin: float | None = None) -> CameraSource:
+    """A camera by its address: the number of a device (0), the address of a stream (http://, https://, rtsp://), a
+    video file or a folder of pictures.
+
+    rate Hz and size (width, height) px are asked of a device; files are played at `rate`, the first picture at `begin`
+    (s, monotonic), the same for all that belong together. An InputError says what cannot be opened."""
+    if is_device(address):
+        return _Device(int(address), rate, size)
+    if address.lower().startswith(("http://", "https://")):
+        return _MotionJpeg(address)
+    if "://" in address:
+        return _Stream(address)
+    if not Path(address).exists():
+        raise InputError(
+            f"There is no file {address}; a camera is the number of a device (0), an address (http://, rtsp://), a "
+            "video or a folder of pictures."
+        )
+    return _Played(open_video(Path(address)), rate, time.monotonic() if begin is None else begin)
+
+
+def is_device(address: str) -> bool:
+    """Whether an address is the number of a camera of this computer."""
+    return address.isascii() and address.isdigit() and len(address) < 3  # to OpenCV hundreds are back ends
+
+
+# ---- devices and streams that OpenCV reads ---------------------------------------------------------------------
+
+
+class _Device:
+    """A camera of this computer, by OpenCV's own back end for it (V4L2, DirectShow, AVFoundation)."""
+
+    live = True
+
+    def __init__(self, number: int, rate: float, size: tuple[int, int]) -> None:
+        self._what = f"Camera {number} of this computer"
+        with quiet():
+            self._capture = cv2.VideoCapture(number)
+        if not self._capture.isOpened():
+            raise InputError(
+                f"{self._what} cannot be opened; is it plugged in, and does no other program use it? Devices are "
+                "numbered from 0."
+            )
+        # raw pictures of two cameras are more than one USB bus carries
+        self._capture.set(cv2.CAP_PROP_FOURCC, float(cv2.VideoWriter.fourcc(*"MJPG")))
+        for key, value in (
+            (cv2.CAP_PROP_FRAME_WIDTH, size[0]),
+            (cv2.CAP_PROP_FRAME_HEIGHT, size[1]),
+            (cv2.CAP_PROP_FPS, rate),
+            (cv2.CAP_PROP_BUFFERSIZE, 1),
+        ):
+            self._capture.set(key, float(value))
+
+    def read(self) -> Shot:
+        """See `CameraSource`."""
+        return _read(self._capture, self._what)
+
+    def close(self) -> None:
+        """See `CameraSource`."""
+        self._capture.release()
+
+
+class _Stream:
+    """A stream of the network that FFmpeg reads."""
+
+    live = True
+
+    def __init__(self, address: str) -> None:
+        self._what = f"The stream {without_password(address)}"
+        waits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, 5000, cv2.CAP_PROP_READ_TIMEOUT_MSEC, 5000]
+        with quiet():
+            self._capture = cv2.VideoCapture(address, cv2.CAP_FFMPEG, waits)
+        if not self._capture.isOpened():
+            raise InputError(f"{self._what} cannot be opened; check the address, and that the camera is on.")
+
+    def read(self) -> Shot:
+        """See `CameraSource`."""
+        return _read(self._capture, self._what)
+
+    def close(self) -> None:
+        """See `CameraSource`."""
+        self._capture.release()
+
+
+def _read(capture: cv2.VideoCapture, what: str) -> Shot:
+    image: NDArray[np.uint8] | None = None
+    arrival = 0.0
+    with quiet(), contextlib.suppress(cv2.error):  # what a damaged picture of a device ends in
+        ok = capture.grab()
+        arrival = time.monotonic()
+        if ok:
+            ok, found = capture.retrieve()
+            image = np.asarray(found, dtype=np.uint8) if ok else None
+    if image is None:
+        raise StreamEnded(f"{what} delivers nothing more.")
+    return Shot(arrival, None, image)
+
+
+def without_password(address: str) -> str:
+    """The address as it may be shown: also a password with characters that an address may not have is left out."""
+    return re.sub(r"(://[^/:@]*):.*@", r"\1:...@", address)
+
+
+# ---- motion JPEG over HTTP -----------------------------------------------------------------------------------------
+
+
+class _MotionJpeg:
+    """multipart/x-mixed-replace as IP cameras and phones send it. The part's X-Timestamp (s), where there is one, is
+    the camera's own time."""
+
+    live = True
+
+    def __init__(self, address: str) -> None:
+        self._what = f"The stream {without_password(address)}"
+        try:
+            answer = _asked(address, 5.0)
+        except OSError as error:
+            reason = getattr(error, "reason", None) or error
+            raise InputError(f"{self._what} cannot be opened ({reason}); check the address.") from None
+        except (http.client.HTTPException, ValueError):  # which quote the address, password and all
+            raise InputError(
+                f"{self._what} cannot be opened (that is no address, or no camera answers there); check the address. "
+                "In names and passwords / is written %2F, @ %40, # %23."
+            ) from None
+        self._answer: BinaryIO | _Again = answer
+        kind = str(answer.headers.get("Content-Type", ""))
+        if not kind.lower().startswith("multipart/"):
+            self.close()
+            raise InputError(
+                f"{self._what} is {kind.partition(';')[0] or 'of no known kind'}, and motion JPEG (multipart/"
+                "x-mixed-replace) is needed; cameras have an address for it, often ending in /video or /mjpeg."
+            )
+        self._boundary = (answer.headers.get_boundary("") or "").lstrip("-").encode()
+
+    def read(self) -> Shot:
+        """See `CameraSource`."""
+        try:
+            length, stamp = self._head()
+            data = self._body(length)
+        except (OSError, ValueError, http.client.HTTPException) as error:
+            raise StreamEnded(f"{self._what} broke off ({error}).") from None
+        return Shot(time.monotonic(), stamp, data)
+
+    def _head(self) -> tuple[int | None, float | None]:
+        """Length and time that the head of the next part tells."""
+        length: int | None = None
+        stamp: float | None = None
+        begun = False
+        for _ in range(64):
+            line = self._answer.readline(_LONGEST_LINE)
+            if not line:
+                raise ValueError("the connection was closed")
+            text = line.strip()
+            name, _, value = text.lower().partition(b":")
+            # empty lines, and the line between two parts, which some cameras leave out before the first
+            if not begun and not name.startswith(b"content-"):
+                begun = text.startswith(b"--")
+                continue
+            begun = True
+            if not text:
+                return length, stamp
+            if name == b"content-length":
+                length = int(value)
+            elif name == b"x-timestamp":
+                with contextlib.suppress(ValueError):
+                    stamp = float(value) if math.isfinite(float(value)) else None
+        raise ValueError("a part begins with too many lines")
+
+    def _body(self, length: int | None) -> bytes:
+        if length is not None:
+            if not 0 < length <= LARGEST_PART:
+                raise ValueError(f"a picture of {length} bytes")
+            data = self._answer.read(length)
+            if len(data) < length:
+                raise ValueError("the connection was closed")
+            return data
+        lines: list[bytes] = []
+        total = 0
+        while True:  # up to the next boundary, which stays for the next head
+            line = self._answer.readline(1 << 16)
+            if not line or total > LARGEST_PART:
+                raise ValueError("the connection was closed" if not line else "a picture without an end")
+            if line.startswith(b"--" + self._boundary):
+                self._answer = _Again(line, self._answer)
+                return b"".join(lines).rstrip(b"\r\n")
+            lines.append(line)
+            total += len(line)
+
+    def close(self) -> None:
+        """See `CameraSource`."""
+        with contextlib.suppress(OSError):
+            self._answer.close()
+
+
+class _Again:
+    """A stream with one line put back in front."""
+
+    def __init__(self, line: bytes, rest: BinaryIO | _Again) -> None:
+        self._line, self._rest = line, rest._rest if isinstance(rest, _Again) else rest
+
+    def readline(self, limit: int = -1) -> bytes:
+        line, self._line = self._line, b""
+        return line or self._rest.readline(limit)
+
+    def read(self, count: int = -1) -> bytes:
+        return self._rest.read(count)
+
+    def close(self) -> None:
+        self._rest.close()
+
+
+def _asked(address: str, seconds: float) -> http.client.HTTPResponse:
+    """What an address answers, to the name and password in it as cameras ask for them: Basic, which many do not even
+    ask for, or Digest."""
+    parts, known = urllib.parse.urlsplit(address), urllib.request.HTTPPasswordMgrWithDefaultRealm()
+    where = urllib.parse.urlunsplit(parts._replace(netloc=parts.netloc.rpartition("@")[2]))
+    request = urllib.request.Request(where)
+    if parts.username is not None:
+        name, password = urllib.parse.unquote(parts.username), urllib.parse.unquote(parts.password or "")
+        known.add_password(None, where, name, password)
+        secret = base64.b64encode(f"{name}:{password}".encode()).decode()
+        request.add_header("Authorization", f"Basic {secret}")
+    digest = urllib.request.HTTPDigestAuthHandler(known)
+    return urllib.request.build_opener(urllib.request.ProxyHandler({}), digest).open(request, timeout=seconds)
+
+
+# ---- files -----------------------------------------------------------------------------------------------------------
+
+
+class _Played:
+    """A video or a folder of pictures at its own pace: a picture whose time has passed is left out, as a camera would
+    have it. The pictures carry the times at which they were due."""
+
+    live = False
+
+    def __init__(
+        self,
+        reader: VideoReader,
+        rate: float,
+        begin: float,
+        wait: Callable[[float], None] = time.sleep,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._reader, self._rate, self._begin = reader, reader.frame_rate or rate, begin
+        self._wait, self._clock = wait, clock
+
+    def read(self) -> Shot:
+        """See `CameraSource`."""
+        due = int((self._clock() - self._begin) * self._rate)
+        number = max(self._reader.position, min(due, self._reader.n_frames - 1))
+        if self._reader.position >= self._reader.n_frames:
+            raise StreamEnded(f"{self._reader.path} is over.")
+        image = self._reader.read(number)
+        at = self._begin + number / self._rate
+        left = at - self._clock()
+        if left > 0:
+            self._wait(left)
+        return Shot(self._clock(), at, image)
+
+    def close(self) -> None:
+        """See `CameraSource`."""
+        self._reader.close()
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+    """(width, height) that a JPEG's head tells; None where it tells none."""
+    at = 2
+    while data[:2] == b"\xff\xd8" and at + 9 < len(data) and data[at] == 0xFF:
+        marker = data[at + 1]
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            return int.from_bytes(data[at + 7 : at + 9], "big"), int.from_bytes(data[at + 5 : at + 7], "big")
+        at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+    return None

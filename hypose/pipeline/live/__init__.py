@@ -1,0 +1,1 @@
+"""Cameras in, poses out, while it happens: nothing here knows a socket or a page."""

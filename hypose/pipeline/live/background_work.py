@@ -1,0 +1,135 @@
+"""Work that takes seconds, beside live tracking: in a process of its own, which yields to whoever must not be late."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.body.ready_bodies import human
+from hypose.calibration.sync_motion import mask_tracks, silhouette_curves, solve_offsets
+from hypose.cameras.camera import CameraRig
+from hypose.errors import EvidenceError
+from hypose.evidence.frame import Expected, Frame, Silhouettes
+from hypose.geometry import Array
+from hypose.pipeline.live.child_processes import belong_to_parent, deaf_to_ctrl_c
+from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
+
+T = TypeVar("T")
+LARGEST_LAG_S = 0.4
+"""s by which a camera's pictures may come later than another's"""
+_SURE, _GAIN = 0.2, 6.0
+"""Frames: sd of an offset that is believed; half a log likelihood by which the offsets must be better than none"""
+_SCALE_PX = 1.5
+
+
+@dataclass(frozen=True)
+class KeptMasks:
+    """Masks (C, h, w) of one instant, eight pixels to a byte, so that seconds of them take little room. time: s;
+    ignored: likewise what others hide, and expected, where somebody does."""
+
+    time: float
+    bits: NDArray[np.uint8]
+    usable: NDArray[np.bool_]
+    reasons: tuple[str, ...]
+    ignored: NDArray[np.uint8] | None = None
+    expected: Expected | None = None
+
+    @staticmethod
+    def of(frame: Frame) -> KeptMasks:
+        """The masks of a frame that has some."""
+        s = frame.silhouettes
+        assert s is not None
+        ignored = None if s.ignored is None else np.packbits(s.ignored, axis=-1)
+        return KeptMasks(frame.time, np.packbits(s.masks, axis=-1), s.usable, s.reasons, ignored, s.expected)
+
+    def silhouettes(self, rig: CameraRig) -> Silhouettes:
+        """The masks as they were."""
+        width = int(rig.sizes[:, 0].max())
+        masks, ignored = (
+            None if bits is None else np.unpackbits(bits, axis=-1, count=width) for bits in (self.bits, self.ignored)
+        )
+        assert masks is not None
+        return Silhouettes(masks, rig, self.usable, self.reasons, ignored, self.expected)
+
+
+def fitted_body(kept: Sequence[KeptMasks], rig: CameraRig, rate: float, height: float | None, seed: int) -> Body | None:
+    """The body of who is in the masks, at `rate` Hz; None where they do not tell."""
+    frames = [Frame(k.time, i, k.silhouettes(rig)) for i, k in enumerate(kept)]
+    options = AnthropometryOptions(height=height, seed=seed, frames=8, tracked=len(frames), passes=1, rate=rate)
+    with contextlib.suppress(EvidenceError):
+        return estimate_subject(lambda i: frames[i], len(frames), rate, human(), options).body
+    return None
+
+
+def offsets_of(kept: Sequence[KeptMasks], rig: CameraRig, rate: float) -> Array | None:
+    """(C,) s by which each camera's pictures come late, from the masks of a moving person; None where they do not tell,
+    or where no camera is late."""
+    tracks = mask_tracks([k.silhouettes(rig) for k in kept])
+    try:
+        found = solve_offsets(silhouette_curves(rig, tracks, LARGEST_LAG_S * rate, _SCALE_PX), len(rig))
+    except EvidenceError:
+        return None
+    told = np.isfinite(found.sd) & (found.sd < _SURE)
+    if found.gain < _GAIN or not told.any() or np.abs(found.frames[told]).max() < 0.5:
+        return None
+    return np.where(told, found.frames, 0.0) / rate
+
+
+class BackgroundWork:
+    """One process; `body` and `offsets` return at once, with a future."""
+
+    def __init__(self) -> None:
+        self._pool = _one_process()
+
+    def body(
+        self, kept: Sequence[KeptMasks], rig: CameraRig, rate: float, height: float | None, seed: int
+    ) -> Future[Body | None]:
+        """See `fitted_body`."""
+        return self._submit(fitted_body, list(kept), rig, rate, height, seed)
+
+    def offsets(self, kept: Sequence[KeptMasks], rig: CameraRig, rate: float) -> Future[Array | None]:
+        """See `offsets_of`."""
+        return self._submit(offsets_of, list(kept), rig, rate)
+
+    def _submit(self, work: Callable[..., T], *arguments: Any) -> Future[T]:
+        with deaf_to_ctrl_c():  # the first work starts the process
+            try:
+                return self._pool.submit(work, *arguments)
+            except BrokenExecutor:  # it was ended: see `outcome`
+                self._pool = _one_process()
+                return self._pool.submit(work, *arguments)
+
+    def close(self) -> None:
+        """End the process, whatever it does."""
+        running = list((self._pool._processes or {}).values())  # a fit that nobody waits for takes seconds
+        self._pool.shutdown(wait=False, cancel_futures=True)
+        for process in running:
+            process.terminate()
+
+
+def outcome(work: Future[T | None]) -> T | None:
+    """What was found; None where the process was ended meanwhile, as systems do that are out of memory: whoever is
+    followed goes on being followed."""
+    try:
+        return work.result()
+    except BrokenExecutor:
+        return None
+
+
+def _one_process() -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_begin)
+
+
+def _begin() -> None:
+    belong_to_parent()
+    if hasattr(os, "nice"):
+        os.nice(15)

@@ -1,0 +1,372 @@
+"""The eyes of the live engine: cameras -> instants -> masks, in a process of their own, so that whoever follows the
+person has the interpreter to themselves.
+
+`Eyes.look` gives the newest instant that has not been looked at; nothing queues up, so whoever is slow skips instants
+instead of falling behind. `EyesProcess` is the same in another process: what is asked for is made while the answer to
+the question before is being worked on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import multiprocessing
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose import compute
+from hypose.cameras.camera import CameraRig
+from hypose.errors import HyposeError, InputError
+from hypose.evidence.background import BackgroundModel, Image
+from hypose.evidence.outlines import ViewOutline
+from hypose.evidence.shared_masks import BodyShape
+from hypose.evidence.silhouettes import Mask, SilhouetteSettings
+from hypose.geometry import Array
+from hypose.io.recordings.frames import working_rig
+from hypose.io.videos.camera_sources import Shot, open_camera
+from hypose.pipeline.live.child_processes import belong_to_parent, deaf_to_ctrl_c
+from hypose.pipeline.live.feeds import Feed, FeedStatus
+from hypose.pipeline.live.pairing import newest_instant
+from hypose.pipeline.live.view_room import ViewRoom
+
+ROOM_S, ROOM_PICTURES = 2.0, 12
+"""s and pictures from which the empty room is learnt"""
+_MOVED, _MOVED_SHARE = 12.0, 0.01
+"""grey levels, and share of a picture, that change in an empty room where somebody has not left"""
+_OTHER_SHAPE = 0.01
+"""share by which width over height may differ from the calibration's"""
+_QUALITY = 85
+_LOOK_S = 0.2
+"""s after which whoever waits for the other process looks whether it is to go on waiting"""
+_CLOSING_S = 5.0
+"""s in which it may let go of its cameras"""
+
+
+@dataclass(frozen=True)
+class LiveView:
+    """address: as `open_camera` takes it; shift: px of the calibrated size added to image positions; background: the
+    empty room, where it is known; stretched: pictures of another shape than calibrated are taken as they are."""
+
+    name: str
+    address: str
+    shift: tuple[float, float] = (0.0, 0.0)
+    background: BackgroundModel | None = None
+    stretched: bool = False
+
+
+@dataclass(frozen=True)
+class EyesOptions:
+    """rate Hz: of the cameras, asked of devices and taken for files that do not say; countdown s: before the empty room
+    is learnt; silhouettes: how masks are made; adapt: what changes in the room is learnt."""
+
+    rate: float = 30.0
+    countdown: float = 5.0
+    silhouettes: SilhouetteSettings = field(default_factory=SilhouetteSettings)
+    adapt: bool = True
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is to be looked at. pause s: after the last instant before the next is wanted; bodies: vertices (V, 3) m and
+    faces (F, 3) of those who are followed, none: not known where they are; following: somebody is; pictures: they are
+    wanted too; room: learn the empty room anew; offsets (C,) s of the cameras, None: as before."""
+
+    pause: float = 0.0
+    bodies: tuple[tuple[Array, NDArray[np.int32]], ...] = ()
+    following: bool = False
+    pictures: bool = False
+    room: bool = False
+    offsets: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Sight:
+    """An instant as the cameras showed it, or why there is none (time NaN). arrival s: of its last picture, on this
+    computer's clock; views: packed mask (h, ceil(w / 8)) and outline of each camera, None without a picture; jpegs: its
+    pictures as they were stored, where they are wanted; cameras: what they do; instants: how many there were until
+    now; words: what has to be done, or is wrong; room: that is being learnt; made s: spent on the masks."""
+
+    time: float
+    arrival: float
+    views: tuple[tuple[NDArray[np.uint8], ViewOutline | None] | None, ...]
+    jpegs: tuple[bytes | None, ...]
+    cameras: tuple[FeedStatus, ...]
+    instants: int
+    words: tuple[str, ...]
+    room: bool
+    made: float = 0.0
+
+
+class Eyes:
+    """`look` again and again; `close` at the end. An InputError when a camera cannot be opened."""
+
+    def __init__(self, rig: CameraRig, views: Sequence[LiveView], options: EyesOptions) -> None:
+        self._views, self._options, self.small = tuple(views), options, working_rig(rig)
+        self._sizes, self._misshapen = tuple(c.size for c in rig), [""] * len(views)
+        self._arrived = threading.Condition()
+        begin = time.monotonic() + 0.3
+        self._feeds = [
+            Feed(v.name, _opener(v, c.size, options.rate, begin), self._arrived)
+            for v, c in zip(views, rig, strict=True)
+        ]
+        shapes = zip(views, rig, self.small, strict=True)
+        self._rooms = [ViewRoom(c, small, v.shift, options.silhouettes, v.background) for v, c, small in shapes]
+        self._pool = ThreadPoolExecutor(2, thread_name_prefix="masks")
+        self._last, self._instants = -np.inf, 0
+        self._room_from: float | None = None
+        self._pictures: list[list[Image]] = [[] for _ in views]
+        self._moved: tuple[str, ...] = ()
+        opened: list[Feed] = []
+        try:
+            for feed in self._feeds:
+                feed.start()
+                opened.append(feed)
+        except InputError:
+            for feed in opened:
+                feed.stop()
+            raise
+        if any(r.background is None for r in self._rooms):
+            self._learn_room()
+
+    def close(self) -> None:
+        """Let go of the cameras."""
+        for feed in self._feeds:
+            feed.end()
+        for feed in self._feeds:
+            feed.stop()
+        self._pool.shutdown(cancel_futures=True)
+
+    @property
+    def ended(self) -> bool:
+        """All files are over."""
+        return all(f.status().ended for f in self._feeds)
+
+    def look(self, question: Question, wait: float = 0.1) -> Sight:
+        """The newest instant; without one after so many seconds, how it goes."""
+        if question.room:
+            self._learn_room()
+        if question.offsets is not None:
+            with self._arrived:
+                for feed, late in zip(self._feeds, question.offsets, strict=True):
+                    feed.offset, feed.ahead = late, max(question.offsets) - late
+        until = time.monotonic() + wait
+        while (found := self._newest(question.pause, until)) is None:
+            if time.monotonic() >= until:
+                return self._sight()
+        at, shots = found
+        self._count(at)
+        self._last = at
+        if self._room_from is not None:
+            self._learn(shots)
+            return self._sight()
+        begin = time.perf_counter()
+        tasks = [
+            None if shot is None else self._pool.submit(self._view, c, shot, at, question)
+            for c, shot in enumerate(shots)
+        ]
+        views = tuple(None if task is None else task.result() for task in tasks)
+        jpegs = tuple(None if shot is None or not question.pictures else _jpeg(shot) for shot in shots)
+        arrival = max(s.arrival for s in shots if s is not None)
+        return self._sight(at, arrival, views, jpegs, time.perf_counter() - begin)
+
+    def _sight(
+        self,
+        at: float = float("nan"),
+        arrival: float = float("nan"),
+        views: tuple[tuple[NDArray[np.uint8], ViewOutline | None] | None, ...] = (),
+        jpegs: tuple[bytes | None, ...] = (),
+        made: float = 0.0,
+    ) -> Sight:
+        cameras, words = tuple(f.status() for f in self._feeds), self._words()
+        room = self._room_from is not None
+        return Sight(at, arrival, views, jpegs, cameras, self._instants, words, room, made)
+
+    def _newest(self, pause: float, until: float) -> tuple[float, list[Shot | None]] | None:
+        with self._arrived:
+            now = time.monotonic()
+            told = [feed.delivered() for feed in self._feeds]
+            instant, wait = newest_instant([d for d, _ in told], self._last + pause, now)
+            if instant is None:
+                self._arrived.wait(max(min(wait, until) - now, 0.0005))
+                return None
+            pairs = zip(told, instant.shots, strict=True)
+            return instant.time, [None if k is None else shots[k] for (_, shots), k in pairs]
+
+    def _count(self, at: float) -> None:
+        """How many instants have passed since the last one that was looked at."""
+        periods = [1 / s.rate for s in (f.status() for f in self._feeds) if s.rate > 0]
+        known = periods and np.isfinite(self._last)
+        self._instants += max(1, round((at - self._last) / float(np.median(periods)))) if known else 1
+
+    def _view(
+        self, view: int, shot: Shot, at: float, question: Question
+    ) -> tuple[NDArray[np.uint8], ViewOutline | None] | None:
+        room, image = self._rooms[view], self._picture(view, shot)
+        if image is None:
+            return None
+        mask, outline = room.mask(image)
+        turn = int(at * len(self._rooms)) % len(self._rooms) == view  # not all in one instant
+        if self._options.adapt and turn and (question.bodies or not question.following):
+            room.follow(image, at, self._covered(view, question.bodies) if question.bodies else None)
+        return np.packbits(mask, axis=1), outline
+
+    def _picture(self, view: int, shot: Shot) -> Image | None:
+        """None when it is damaged, or of another shape than calibrated: a telephone that was turned, a wide picture of
+        a camera that was calibrated with a narrow one."""
+        image, (cw, ch) = shot.picture(self._rooms[view].size), self._sizes[view]
+        if image is None:
+            return None
+        w, h = shot.size or (image.shape[1], image.shape[0])
+        wrong = not self._views[view].stretched and abs(w * ch - h * cw) > _OTHER_SHAPE * h * cw
+        turned = abs(w * cw - h * ch) <= _OTHER_SHAPE * h * ch
+        self._misshapen[view] = (
+            f"{self._views[view].name} shows pictures of {w} x {h} px and is calibrated for {cw} x {ch} px; "
+            + ("turn it back." if turned else "set it to pictures of that shape, or calibrate it as it is.")
+            if wrong
+            else ""
+        )
+        return None if wrong else image
+
+    def _covered(self, view: int, bodies: Sequence[tuple[Array, NDArray[np.int32]]]) -> Mask:
+        """Where bodies are in a view."""
+        out = np.zeros(self.small[view].size[::-1], np.uint8)
+        for vertices, faces in bodies:
+            shape = BodyShape(vertices, faces, self.small)
+            y0, y1, x0, x1 = shape.boxes[view]
+            out[y0:y1, x0:x1] |= shape.drawn(view)
+        return out
+
+    # ---- the empty room ----------------------------------------------------------------------------------------------
+
+    def _learn_room(self) -> None:
+        self._room_from = time.monotonic() + self._options.countdown
+        self._pictures = [[] for _ in self._views]
+
+    def _learn(self, shots: Sequence[Shot | None]) -> None:
+        assert self._room_from is not None
+        passed = time.monotonic() - self._room_from
+        if passed < 0:
+            return
+        for view, (kept, shot) in enumerate(zip(self._pictures, shots, strict=True)):
+            if shot is not None and len(kept) <= min(passed / ROOM_S, 1.0) * ROOM_PICTURES:
+                image = self._picture(view, shot)
+                if image is not None:
+                    kept.append(image)
+        if passed < ROOM_S or any(len(k) < 3 for k in self._pictures):
+            return
+        moved = []
+        for view, room, images in zip(self._views, self._rooms, self._pictures, strict=True):
+            room.learn(images)
+            assert room.background is not None
+            if float((room.background.sd.max(2) > _MOVED).mean()) > _MOVED_SHARE:
+                moved.append(
+                    f"{view.name} saw something move while the empty room was learnt; leave its view, and learn it "
+                    "again."
+                )
+        self._moved, self._room_from, self._pictures = tuple(moved), None, [[] for _ in self._views]
+
+    def _words(self) -> tuple[str, ...]:
+        out = [*self._moved, *filter(None, self._misshapen)]
+        if self._room_from is not None:
+            left = self._room_from - time.monotonic()
+            out.append(f"Leave the cameras' view: {left:.0f} s." if left > 0 else "Learning the empty room.")
+        return tuple(out)
+
+
+def _jpeg(shot: Shot) -> bytes | None:
+    if isinstance(shot.data, bytes):
+        return shot.data
+    ok, data = cv2.imencode(".jpg", shot.data, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    return data.tobytes() if ok else None
+
+
+def _opener(view: LiveView, size: tuple[int, int], rate: float, begin: float) -> Callable:
+    return lambda: open_camera(view.address, rate, size, begin)
+
+
+# ---- in a process of their own -------------------------------------------------------------------------------------
+
+
+class EyesProcess:
+    """Eyes in another process. `ask`, then `answer`; between the two there is time for other work. stop: nothing is
+    waited for any more, also while cameras are being opened; then only `close` is of use."""
+
+    def __init__(
+        self, rig: CameraRig, views: Sequence[LiveView], options: EyesOptions, stop: threading.Event | None = None
+    ) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._stop, self._closing_s = stop or threading.Event(), 0.0
+        self._pipe, there = context.Pipe()
+        self._process = context.Process(target=_see, args=(there, rig, tuple(views), options), daemon=True)
+        with deaf_to_ctrl_c():
+            self._process.start()
+        there.close()
+        opened = self._received(math.inf)  # every camera says itself when it has taken too long
+        if isinstance(opened, HyposeError):
+            self._process.join(5)
+            raise opened
+        if opened is not None:
+            self._closing_s = _CLOSING_S
+
+    def ask(self, question: Question) -> None:
+        """Have an instant looked at."""
+        with contextlib.suppress(OSError):  # `answer` tells
+            self._pipe.send(question)
+
+    def answer(self) -> Sight | None:
+        """What was seen; None: files are over, or it is to stop."""
+        found = self._received(10.0)
+        if isinstance(found, HyposeError):
+            raise found
+        return found
+
+    def close(self) -> None:
+        """End."""
+        self._pipe.close()  # it may be about to send something large that nobody takes any more
+        self._process.join(self._closing_s)
+        if self._process.is_alive():  # a camera that does not answer holds it up
+            self._process.kill()
+            self._process.join(1)
+
+    def _received(self, wait: float):  # noqa: ANN202 - what the other side sends
+        waited = 0.0
+        try:
+            while waited < wait:  # counted, not by the clock: who was stopped and goes on has not waited
+                if self._pipe.poll(_LOOK_S):
+                    return self._pipe.recv()
+                if self._stop.is_set():
+                    return None
+                waited += _LOOK_S
+            what = f"has not answered for {wait:.0f} s"
+        except (EOFError, OSError):
+            what = "has ended"
+        raise InputError(f"The process that looks at the cameras {what}; start again.")
+
+
+def _see(pipe: Connection, rig: CameraRig, views: tuple[LiveView, ...], options: EyesOptions) -> None:
+    belong_to_parent()
+    compute.warm_up("pictures")  # the first pictures are not late
+    try:
+        eyes = Eyes(rig, views, options)
+    except HyposeError as error:
+        with contextlib.suppress(OSError):  # whoever asked is gone
+            pipe.send(error)
+        return
+    try:
+        pipe.send("open")
+        while True:
+            sight = eyes.look(pipe.recv())
+            over = eyes.ended and not np.isfinite(sight.time)
+            pipe.send(None if over else sight)
+    except (EOFError, OSError):  # likewise
+        pass
+    finally:
+        eyes.close()

@@ -1,0 +1,152 @@
+"""Feeds: one thread per camera takes what it delivers, keeps the newest, and comes back when the camera does."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from hypose.errors import HyposeError
+from hypose.fusion.clocks import SensorClock
+from hypose.io.videos.camera_sources import CameraSource, Shot
+from hypose.pipeline.live.pairing import GONE_S, Delivered
+
+KEPT = 12
+"""pictures of each camera that are kept, beside those that others have not come to yet"""
+_PACE = 31
+"""pictures by which the rate is judged"""
+_NONSENSE = 45
+"""pictures with times that cannot be, more than with others, after which a camera's own times are left alone"""
+_AGAIN_S, _LONGEST_S = 0.2, 2.0
+"""s after which a camera that has gone is asked for again: at first, at most"""
+
+
+@dataclass(frozen=True)
+class FeedStatus:
+    """What a camera does. received, lost: pictures that came, and that should have come between them; rate Hz;
+    returns: how often it had gone and come back; trouble: why it is not there, "" when it is; ended: a file is over."""
+
+    name: str
+    received: int
+    lost: int
+    rate: float
+    returns: int
+    trouble: str
+    ended: bool
+
+
+class Feed:
+    """One camera. `arrived` is notified at every picture. offset: s by which what it shows is older than what the
+    others show at the same time; ahead: s by which others may be later than this one."""
+
+    def __init__(self, name: str, opener: Callable[[], CameraSource], arrived: threading.Condition) -> None:
+        self.name, self.offset, self.ahead = name, 0.0, 0.0
+        self._opener, self._arrived = opener, arrived
+        self._shots: deque[tuple[float, Shot]] = deque()
+        self._pace: deque[float] = deque(maxlen=_PACE)
+        self._clock, self._nonsense = SensorClock(), 0
+        self._received = self._lost = self._returns = 0
+        self._trouble, self._ended = "", False
+        self._begun = time.monotonic()
+        self._stop = threading.Event()
+        self._source: CameraSource | None = None
+        self._thread = threading.Thread(target=self._run, name=f"camera {name}", daemon=True)
+
+    def start(self) -> None:
+        """Open the camera, an InputError when that fails, and begin to take its pictures."""
+        self._source = self._opener()
+        self._thread.start()
+
+    def end(self) -> None:
+        """No more pictures; nothing is waited for."""
+        self._stop.set()
+
+    def stop(self) -> None:
+        """No more pictures, and the camera is let go of."""
+        self.end()
+        if self._thread.is_alive():
+            self._thread.join(6)
+
+    def delivered(self) -> tuple[Delivered, list[Shot]]:
+        """The newest pictures and their times; to be called with `arrived` held."""
+        times = np.array([t for t, _ in self._shots]) - self.offset
+        arrivals = np.array([s.arrival for _, s in self._shots])
+        return Delivered(times, arrivals, self._period()), [s for _, s in self._shots]
+
+    def status(self) -> FeedStatus:
+        """What it does."""
+        with self._arrived:
+            period, trouble = self._period(), self._trouble
+            silent = time.monotonic() - (self._shots[-1][1].arrival if self._shots else self._begun)
+            if not trouble and silent > 2 * GONE_S:
+                trouble = f"no picture for {silent:.0f} s"
+            rate = 1 / period if np.isfinite(period) and not trouble else 0.0
+            return FeedStatus(self.name, self._received, self._lost, rate, self._returns, trouble, self._ended)
+
+    def _period(self) -> float:
+        if len(self._pace) < 4:
+            return float("nan")
+        steps = np.diff(self._pace)
+        usual = float(np.median(steps))
+        mean = float(steps[steps < max(GONE_S, 2 * usual)].mean())
+        return usual if usual > 0.5 * mean else mean  # a network may deliver pictures in bunches
+
+    def _run(self) -> None:
+        source, wait, back = self._source, _AGAIN_S, False
+        while not self._stop.is_set():
+            try:
+                if source is None:
+                    source, back = self._opener(), True
+                self._take(source.read())
+                self._returns += back
+                wait, back = _AGAIN_S, False
+            except HyposeError as error:
+                over = source is not None and not source.live  # a damaged file stays damaged
+                if source is not None:
+                    source.close()
+                source = None
+                with self._arrived:
+                    self._trouble, self._ended = str(error), over
+                    self._pace.clear()
+                    self._arrived.notify_all()
+                if over:
+                    return
+                self._stop.wait(wait)
+                wait = min(2 * wait, _LONGEST_S)
+        if source is not None:
+            with contextlib.suppress(HyposeError):
+                source.close()
+
+    def _when(self, shot: Shot) -> float | None:
+        """When it was taken, on this computer's clock; None: that is not known. Many programs send a time that never
+        changes, or in another unit."""
+        if shot.stamp is None or self._nonsense >= _NONSENSE:
+            return shot.arrival
+        at = self._clock.update(shot.stamp, shot.arrival)
+        known = at is not None and not (self._shots and at <= self._shots[-1][0])
+        self._nonsense = max(0, self._nonsense - 1) if known else self._nonsense + 1
+        return at
+
+    def _take(self, shot: Shot) -> None:
+        with self._arrived:
+            at = self._when(shot)
+            if at is None or (self._shots and at <= self._shots[-1][0]):
+                if self._shots and shot.arrival - self._shots[-1][1].arrival > 1.0:
+                    self._shots.clear()  # the clock was set back
+                return
+            period = self._period()
+            if self._pace and np.isfinite(period):
+                # what comes too soon after another was only late, and not lost before
+                self._lost = max(0, self._lost + round((at - self._pace[-1]) / period) - 1)
+            self._shots.append((at, shot))
+            while len(self._shots) > KEPT and self._shots[KEPT][0] <= at - self.ahead:
+                self._shots.popleft()
+            self._pace.append(at)
+            self._received += 1
+            self._trouble = ""
+            self._arrived.notify_all()

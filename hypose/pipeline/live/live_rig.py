@@ -1,0 +1,114 @@
+"""The cameras of a live run: a recording, or a calibration and where each camera is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from hypose.cameras.camera import CameraRig
+from hypose.errors import InputError
+from hypose.evidence.silhouettes import SilhouetteSettings
+from hypose.io.calibrations.calibration_formats import read_any
+from hypose.io.calibrations.calibration_toml import find_calibration
+from hypose.io.recordings.frames import build_backgrounds
+from hypose.io.recordings.recording import Recording, load_recording
+from hypose.io.recordings.recording_views import View
+from hypose.io.videos.camera_sources import is_device, without_password
+from hypose.pipeline.live.eyes import LiveView
+
+USUAL_RATE = 30.0
+
+
+@dataclass(frozen=True)
+class LiveRig:
+    """rig and views in one order; rate Hz; silhouettes: how masks are made; height m of the person, when known; notes
+    for the user."""
+
+    rig: CameraRig
+    views: tuple[LiveView, ...]
+    rate: float
+    silhouettes: SilhouetteSettings = SilhouetteSettings()
+    height: float | None = None
+    notes: tuple[str, ...] = ()
+
+
+def live_rig(path: str | Path, sources: Mapping[str, str], rate: float | None = None) -> LiveRig:
+    """The cameras of a recording (its folder or recording.toml), or of a calibration (its file or folder).
+
+    sources: where cameras are, by their names (see `open_camera`). With them only these cameras are used, and the empty
+    room is learnt at the start; without, a recording's own videos are played, with the room they know. An InputError
+    names what is missing."""
+    path = Path(path)
+    if not path.exists():
+        raise InputError(f"{path} does not exist; give a recording, or a calibration file.")
+    recording = _recording(path)
+    notes: tuple[str, ...] = ()
+    if recording is None:
+        found = find_calibration(path) if path.is_dir() else path
+        if found is None:
+            raise InputError(f"{path} holds neither a recording nor a calibration; calibrate the cameras first.")
+        rig, notes = read_any(found)
+    else:
+        rig = recording.rig
+    if not sources:
+        return _played(recording, rig, path, rate)
+    names = rig.names if recording is None else tuple(v.name for v in recording.views)
+    unknown = sorted(set(sources) - set(names))
+    if unknown:
+        raise InputError(f"There is no camera {unknown[0]}; the cameras are {', '.join(names)}.")
+    _check_places(sources)
+    known = [View(name) for name in names] if recording is None else recording.views
+    used = [k for k, name in enumerate(names) if name in sources]
+    views = tuple(
+        LiveView(v.name, sources[v.name], v.image_shift, stretched=v.accept_scaled) for v in (known[k] for k in used)
+    )
+    return LiveRig(
+        CameraRig(tuple(rig[k] for k in used)),
+        views,
+        rate or USUAL_RATE,
+        SilhouetteSettings() if recording is None else recording.silhouettes,
+        None if recording is None else recording.subject_height,
+        notes,
+    )
+
+
+def _check_places(sources: Mapping[str, str]) -> None:
+    """An InputError when two cameras are at one place."""
+    first: dict[str, str] = {}
+    for name, where in sources.items():
+        place = str(int(where)) if is_device(where) else where
+        if first.setdefault(place, name) != name:
+            both = f"{first[place]} and {name} are both at {without_password(where)}"
+            raise InputError(f"The cameras {both}; say where each of them is.")
+
+
+def _played(recording: Recording | None, rig: CameraRig, path: Path, rate: float | None) -> LiveRig:
+    if recording is None:
+        raise InputError(
+            f"Where are the cameras of {path}? Say so for each, for example --source {rig.names[0]}=0 for the first "
+            f"camera of this computer, or --source {rig.names[0]}=http://... ; they are {', '.join(rig.names)}."
+        )
+    without = [v.name for v in recording.views if v.source is None]
+    if without:
+        raise InputError(
+            f"View {without[0]} of {recording.name} has no video to play; give the camera with --source, or a "
+            "recording with videos."
+        )
+    # masks that were made elsewhere are none of what is to come
+    shown = replace(recording, keypoint_set=None, views=tuple(replace(v, masks=None) for v in recording.views))
+    views = tuple(
+        LiveView(v.name, str(v.source), v.image_shift, b, v.accept_scaled)
+        for v, b in zip(recording.views, build_backgrounds(shown), strict=True)
+    )
+    notes = tuple(f"View {v.name}: {v.background.note}" for v in views if v.background and v.background.note)
+    return LiveRig(rig, views, rate or recording.frame_rate, recording.silhouettes, recording.subject_height, notes)
+
+
+def _recording(path: Path) -> Recording | None:
+    """The recording, None when this is a calibration alone."""
+    if path.is_dir():
+        is_one = (path / "recording.toml").is_file() or (path / "Config.toml").is_file()
+    else:
+        is_one = path.name.lower() in ("recording.toml", "config.toml")
+    return load_recording(path) if is_one else None

@@ -1,0 +1,219 @@
+"""Who is there, live: found in the masks whatever they do. It takes a second or two, in another thread, while the masks
+go on being kept; what happened meanwhile is then followed faster than it came, until the present is reached."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hypose.body.body import Body
+from hypose.body.ready_bodies import human
+from hypose.body.skeleton import Skeleton
+from hypose.errors import EvidenceError
+from hypose.evidence.frame import Frame
+from hypose.evidence.hull_people import people_in_hull
+from hypose.evidence.shared_masks import Other
+from hypose.geometry import Array
+from hypose.inference.hypotheses import BEFORE
+from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.newcomers import evidence_of, somebody_more
+from hypose.pipeline.run import TrackOptions, tracker_of
+from hypose.tracking.costs import mean_overlap
+from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.several import Member, step_together
+from hypose.tracking.start_search import starts_in_frame, weighed
+from hypose.tracking.tracker import Tracker, TrackerState
+
+NOBODY, LOOKING = "nobody", "looking"
+"""What `LiveSearch.phase` can be."""
+SLOWLY_HZ = 12.5
+"""at which a start is looked for, and a body is fitted"""
+GAP_S = 1.0
+"""s without pictures after which nobody goes on as before"""
+_DECIDE, _LONGEST = 6, 250
+"""instants that decide on a start; that are kept while it is looked for"""
+_PLAIN = 0.5
+"""mean IoU from which on a start is believed"""
+_LEAST_AREA = 0.002
+"""share of a picture that a person takes"""
+_STRIDE = 0.4
+"""m that somebody goes between two frames in which they are looked for"""
+_AGAIN_S, _SELDOM_S = 2.0, 60.0
+"""s until somebody more is looked for again where nobody was found, doubled each time; at most"""
+
+
+@dataclass(frozen=True)
+class LivePersonOptions:
+    """track: the recipe and its seed; height m, when known; body: the person's own, when known: none is fitted then."""
+
+    track: TrackOptions = TrackOptions()
+    height: float | None = None
+    body: Body | None = None
+
+    def tracker(self, body: Body, rate: float) -> Tracker:
+        """Of a body, for frames of so many Hz."""
+        return tracker_of(Subject(body, None, np.zeros(body.skeleton.dof), ()), self.track, rate)
+
+
+@dataclass(frozen=True)
+class Found:
+    """Somebody followed to the present: the body, the state and when that was, s; the last step, s."""
+
+    body: Body
+    state: TrackerState
+    time: float
+    step_s: float
+
+
+@dataclass(frozen=True)
+class _Look:
+    """A frame in which somebody is looked for, and who is known to be in it."""
+
+    frame: Frame
+    others: Sequence[Other]
+
+
+class LiveSearch:
+    """`look` with every frame in which somebody may be whom nobody follows; it never waits. beside: runs the search;
+    several: there may be more than one person, so each is found in what the others leave of the masks."""
+
+    def __init__(self, options: LivePersonOptions, beside: Executor, several: bool) -> None:
+        self.options, self.several = options, several
+        self.phase = NOBODY
+        self._beside = beside
+        self._first: list[_Look] = []
+        self._waiting: deque[_Look] = deque()
+        self._lock = threading.Lock()
+        self._search: Future[None] | None = None
+        self._found: list[Found] = []
+        self._failed, self._not_before = 0, -np.inf
+
+    def take(self) -> list[Found]:
+        """Who has been found since this was asked last."""
+        with self._lock:
+            found, self._found = self._found, []
+            if found:
+                self._search, self._first, self.phase = None, [], NOBODY
+                self._failed, self._not_before = 0, -np.inf
+        return found
+
+    def look(self, frame: Frame, others: Sequence[Other], most: int, body: Body | None, height: float | None) -> None:
+        """Keep what a search needs, and begin it. others: who is known to be there; most: so many are looked for; body,
+        height m: of who comes, when known."""
+        with self._lock:
+            if not self._found:
+                self._look(_Look(frame, others), most, body, height)
+
+    def _look(self, look: _Look, most: int, body: Body | None, height: float | None) -> None:
+        frame = look.frame
+        if self._search is not None and self._search.done():
+            failed = self._search.exception()
+            if failed is not None and not isinstance(failed, EvidenceError):
+                raise failed
+            self._search, self._first = None, []
+            self._waiting.clear()
+            if look.others:  # whatever it is that no body explains, those who are followed need the processor
+                self._failed += 1
+                self._not_before = frame.time + min(_AGAIN_S * 2**self._failed, _SELDOM_S)
+        if frame.time < self._not_before:
+            return
+        kept = self._waiting if self._search is not None else self._first
+        if kept and frame.time - kept[-1].frame.time < 0.9 / SLOWLY_HZ:
+            return
+        if not _somebody(look):
+            if self._search is None:
+                self.phase, self._first = NOBODY, []
+            return
+        if self._search is not None:
+            if len(self._waiting) < _LONGEST:
+                self._waiting.append(look)
+            return
+        if self._first and frame.time - self._first[-1].frame.time > GAP_S:
+            self._first = []
+        self._first.append(look)
+        self.phase = LOOKING
+        if len(self._first) == _DECIDE:
+            self._search = self._beside.submit(self._find, self._first, most, body or human(), height)
+
+    def _find(self, looks: list[_Look], most: int, template: Body, height: float | None) -> None:
+        """In another thread: starts from the first frames, and what came since then."""
+        options, zero = self.options, np.zeros(template.skeleton.dof)
+        members = list[Member]()
+        for frames in _each_alone(looks, most) if self.several else [[k.frame for k in looks]]:
+            prepared = [prepare(f, template, zero) for f in frames]
+            best = weighed(starts_in_frame(template, prepared[0], height), prepared[1:]).best
+            if mean_overlap(best.body, best.pose, prepared[0]) >= _PLAIN:
+                slow = options.tracker(best.body, SLOWLY_HZ)
+                members.append(Member(slow, slow.start(best.pose)))
+        if not members:
+            raise EvidenceError("Nobody's body explains the masks.")
+        last, step_s, spent = looks[0].frame.time, 1 / SLOWLY_HZ, 0.0
+        for look in looks:
+            members, last = self._step(members, look), look.frame.time
+        while True:
+            with self._lock:
+                # a computer on which a step takes longer than it has would never reach the present
+                while len(self._waiting) > 1 and self._waiting[1].frame.time - last < min(1.5 * spent, GAP_S):
+                    self._waiting.popleft()
+                if not self._waiting:
+                    self._found = [Found(m.tracker.body, m.state, last, step_s) for m in members]
+                    return
+                look = self._waiting.popleft()
+            begin, before_s, step_s = time.monotonic(), step_s, look.frame.time - last
+            share = 0.0 if step_s > GAP_S else step_s / before_s
+            members = [replace(m, state=paced(m.state, share, m.tracker.body.skeleton)) for m in members]
+            members = self._step(members, look)
+            last, spent = look.frame.time, time.monotonic() - begin
+
+    def _step(self, members: Sequence[Member], look: _Look) -> list[Member]:
+        if self.several:
+            return step_together(members, look.frame, others=look.others)[0]
+        return [replace(m, state=m.tracker.step(m.state, look.frame)[0]) for m in members]
+
+
+def paced(state: TrackerState, share: float, skeleton: Skeleton) -> TrackerState:
+    """The state for a frame that comes after `share` times the time of the step before: velocities are per frame."""
+    if abs(share - 1) < 0.02:
+        return state
+    share, h = min(share, 4.0), state.hypotheses
+    if BEFORE in h.columns:
+        step = h.values - skeleton.on_branch(h.columns[BEFORE], h.values)
+        h = replace(h, columns={**h.columns, BEFORE: h.values - share * step})
+    step = state.pose - skeleton.on_branch(state.previous, state.pose)
+    return replace(state, previous=state.pose - share * step, hypotheses=h)
+
+
+def _somebody(look: _Look) -> bool:
+    """Two views show something of the size of a person, beside those who are known."""
+    s = look.frame.silhouettes
+    if s is None:
+        return False
+    if look.others:
+        return somebody_more(look.others, s)
+    large = s.areas > _LEAST_AREA * s.rig.sizes.prod(1)
+    return int((large & s.usable).sum()) >= 2
+
+
+def _each_alone(looks: Sequence[_Look], most: int) -> list[list[Frame]]:
+    """What of the frames is evidence for each of those in the hull of the first whom nobody explains, the largest
+    first, if they are in most of the frames."""
+    axes, own = list[Array](), list[list[Frame]]()
+    for look in looks:
+        assert look.frame.silhouettes is not None
+        found = people_in_hull(look.frame.silhouettes, look.others)
+        if not own:
+            axes = [p.axis for p in found[:most]]
+            own = [[] for _ in axes]
+        for k, axis in enumerate(axes):
+            near = [p for p in found if np.linalg.norm(p.axis - axis) < _STRIDE]
+            if near:
+                person = min(near, key=lambda p: float(np.linalg.norm(p.axis - axis)))
+                own[k].append(evidence_of(person, look.frame, look.others, found))
+                axes[k] = person.axis
+    return [frames for frames in own if len(frames) > len(looks) // 2]

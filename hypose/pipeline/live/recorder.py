@@ -1,0 +1,188 @@
+"""What was seen live as a recording that `hypose track` solves again: pictures, masks, and the poses."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import queue
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TextIO
+
+import cv2
+import numpy as np
+
+from hypose.cameras.camera import CameraRig
+from hypose.errors import HyposeError, InputError
+from hypose.evidence.silhouettes import SilhouetteSettings
+from hypose.io.file_names import folder_for
+from hypose.io.files import RecordingFolder, write_text
+from hypose.io.recordings.frames import working_rig
+from hypose.io.recordings.recording import Recording, write_recording
+from hypose.io.recordings.recording_views import SIDECAR, View
+from hypose.pipeline.live.engine import LiveStatus, Seen
+from hypose.pipeline.live.eyes import LiveView
+
+_WAITING = 90
+"""instants that may wait to be written; more are left out, and counted"""
+_PAUSE_S = 1.0
+"""s from one instant to the next, at a usual pace: that is a pause, not the pace"""
+_POSES = "poses.jsonl"
+
+
+class LiveRecorder:
+    """A listener of the live engine, which must give pictures. folder: new, and empty until there is something to
+    record; height m of the person, when known; closed by `close`, when everything is written. An InputError when the
+    folder holds something or cannot be made. failed: why recording has ended before that, "" while it goes on."""
+
+    def __init__(
+        self,
+        folder: Path,
+        rig: CameraRig,
+        views: Sequence[LiveView],
+        silhouettes: SilhouetteSettings,
+        height: float | None = None,
+    ) -> None:
+        self._made = not folder.exists()
+        RecordingFolder(folder)
+        self.folder, self._rig, self._views, self._silhouettes = folder, rig, tuple(views), silhouettes
+        self._height = height
+        self.left_out = self.written = 0
+        self.failed, self._closed = "", False
+        self._small = working_rig(rig)
+        self._times: list[float] = []
+        self._followed: list[bool] = []
+        self._rows = 0
+        self._last: list[bytes | None] = [None] * len(views)
+        self._waiting: queue.Queue[Seen | None] = queue.Queue(_WAITING)
+        self._masks: list[Path] = []
+        self._pictures: list[Path] = []
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    def seen(self, seen: Seen) -> None:
+        """See `Listener`."""
+        if self.failed:
+            return
+        try:
+            self._waiting.put_nowait(seen)
+        except queue.Full:
+            self.left_out += 1
+
+    def status(self, status: LiveStatus) -> None:
+        """See `Listener`."""
+
+    def close(self) -> bool:
+        """Write what waits, and recording.toml; whether there was anything to record. An InputError when not all of it
+        could be written; what was is a recording all the same."""
+        recorded = self._closed or self._close()
+        if self.failed:
+            kept = f"the {self.written} instants before that are" if recorded else "nothing is"
+            raise InputError(f"{self.failed.rstrip('.')}; {kept} recorded.")
+        return recorded
+
+    def _close(self) -> bool:
+        self._waiting.put(None)
+        self._thread.join()
+        self._closed = len(self._times) > 1
+        if self._closed:
+            self._describe()
+        elif self._made:
+            with contextlib.suppress(OSError):  # there is something in it
+                self.folder.rmdir()
+        return self._closed
+
+    def _describe(self) -> None:
+        views = tuple(
+            View(v.name, images=pictures, masks=masks, image_shift=v.shift, accept_scaled=v.stretched)
+            for v, pictures, masks in zip(self._views, self._pictures, self._masks, strict=True)
+        )
+        recording = Recording(
+            self.folder,
+            self.folder.name,
+            self._rig,
+            views,
+            self._rate(),
+            None,
+            None,
+            subject_height=self._height,
+            n_frames=len(self._times),
+            silhouettes=self._silhouettes,
+        )
+        write_recording(recording, self.folder)
+
+    def _rate(self) -> float:
+        """Hz at which somebody was followed: before that instants are looked at more seldom, and while no two cameras
+        showed anything there were none."""
+        steps, followed = np.diff(self._times), np.array(self._followed)
+        known = followed[1:] & followed[:-1]
+        steps = steps[known] if known.any() else steps
+        return float(1 / steps[steps < max(_PAUSE_S, 2 * np.median(steps))].mean())
+
+    def _run(self) -> None:
+        poses: TextIO | None = None
+        while (seen := self._waiting.get()) is not None:
+            if self.failed:
+                continue
+            try:
+                poses = poses or self._opened()
+                self._write(seen, poses)
+            except OSError as error:
+                self.failed = f"{self.folder} cannot be written to ({error.strerror}); the recording ends there."
+            except HyposeError as error:  # a link that leads out of the folder
+                self.failed = str(error)
+        with contextlib.suppress(OSError):  # what it still holds is of an instant that could not be written
+            if poses is not None:
+                poses.close()
+        if self.failed:
+            self._forget()
+
+    def _opened(self) -> TextIO:
+        """The folders, and where poses go."""
+        self._masks = [folder_for(self.folder / "masks", v.name) for v in self._views]
+        self._pictures = [folder_for(self.folder / "pictures", v.name) for v in self._views]
+        for path, camera in zip(self._masks, self._small, strict=True):
+            write_text(path / SIDECAR, json.dumps({"undistorted": True, "size": list(camera.size)}) + "\n")
+        return open(self.folder / _POSES, "w", encoding="utf-8", newline="\n")
+
+    def _write(self, seen: Seen, poses: TextIO) -> None:
+        number = self.written
+        for c, (view, jpeg) in enumerate(zip(seen.sight.views, seen.sight.jpegs, strict=True)):
+            width, height = self._small[c].size
+            mask = np.zeros((height, width), np.uint8) if view is None else np.unpackbits(view[0], 1, width)
+            ok, data = cv2.imencode(".png", mask * np.uint8(255))
+            (self._masks[c] / f"{number:06d}.png").write_bytes(data.tobytes() if ok else b"")
+            self._last[c] = (None if view is None else jpeg) or self._last[c] or _black(self._rig[c].size)
+            (self._pictures[c] / f"{number:06d}.jpg").write_bytes(self._last[c] or b"")
+        people = []
+        for pose in seen.poses:
+            m = pose.motion
+            assert m.poses is not None
+            row = {"id": pose.person, "lost": pose.lost, "pose": m.poses[0].round(6).tolist()}
+            row |= {"joints": pose.joints.round(5).tolist(), "sd": m.joint_sd[0].astype(float).round(5).tolist()}
+            people.append(row)
+        instant = {"n": number, "time": round(seen.frame.time, 6), "people": people}
+        line = json.dumps(instant, separators=(",", ":")) + "\n"
+        poses.write(line)
+        poses.flush()
+        self._rows += len(line)
+        self._times.append(seen.frame.time)
+        self._followed.append(len(people) > 0)
+        self.written += 1
+
+    def _forget(self) -> None:
+        """What is there of the instant that could not be written, which also makes room for recording.toml."""
+        with contextlib.suppress(OSError):
+            os.truncate(self.folder / _POSES, self._rows)
+        for folder in (*self._pictures, *self._masks):
+            for path in folder.glob(f"{self.written:06d}.*"):
+                with contextlib.suppress(OSError):
+                    path.unlink()
+
+
+def _black(size: tuple[int, int]) -> bytes:
+    """Of a camera that has not shown anything yet."""
+    ok, data = cv2.imencode(".jpg", np.zeros((size[1], size[0], 3), np.uint8))
+    return data.tobytes() if ok else b""

@@ -1,0 +1,90 @@
+"""What one camera sees when nobody is there, learnt at the start and kept up to date; masks and outlines from that.
+
+The room is learnt from pictures of it without anybody, and then follows slowly what changes: the light, the camera's
+own exposure, a chair that was moved. Where the person is nothing is learnt.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from hypose.cameras.camera import Camera
+from hypose.evidence.background import BackgroundModel, Image, from_frames, match_gain
+from hypose.evidence.outlines import WORKING_HEIGHT, ViewOutline, view_outline
+from hypose.evidence.silhouettes import Mask, Segmenter, SilhouetteSettings, bounding_box, make_segmenter
+from hypose.io.recordings.view_source import Preparer, mask_in
+
+EVERY_S = 1.0
+"""s between two looks at what has changed"""
+_LIGHT_S, _THING_S = 10.0, 30.0
+"""Time constants: of the room where it looks like the room, and of what is not the room and not the person"""
+_MARGIN = 0.15
+"""of the person's height in the picture, about the person, in which nothing is learnt"""
+
+
+class ViewRoom:
+    """One view. camera: as calibrated; small: pinhole, of the working size; background: where it is known already. Used
+    by one thread at a time."""
+
+    def __init__(
+        self,
+        camera: Camera,
+        small: Camera,
+        shift: tuple[float, float],
+        options: SilhouetteSettings,
+        background: BackgroundModel | None = None,
+    ) -> None:
+        self._prepare, self._options = Preparer(camera, small, shift), options
+        self.size = small.size
+        self.background: BackgroundModel | None = None
+        self._segment: Segmenter | None = None
+        self._learnt = -np.inf
+        if background is not None:
+            self._take(background)
+
+    def learn(self, images: Sequence[Image]) -> None:
+        """Take stored pictures (H, W, 3) for those of the empty room."""
+        self._take(from_frames([self._prepare(image) for image in images]))
+
+    def mask(self, image: Image) -> tuple[Mask, ViewOutline | None]:
+        """What is not the room in a stored picture, (h, w), and its outline for tracking (None: it is empty). The room
+        must be known."""
+        assert self._segment is not None
+        mask, _ = mask_in(image, self._prepare, self._segment)
+        return mask, view_outline(mask, working_height=WORKING_HEIGHT) if mask.any() else None
+
+    def follow(self, image: Image, time: float, person: Mask | None) -> None:
+        """Learn what has changed, now and then. person (h, w): where the person is, None where that is not known: then
+        nothing that stands out is taken for a part of the room."""
+        passed = time - self._learnt
+        if self.background is None or passed < EVERY_S:
+            return
+        self._learnt = time
+        if not np.isfinite(passed):
+            return
+        picture = self._prepare(image).astype(np.float32)
+        found = self.mask(image)[0]
+        room = match_gain(self.background, picture)
+        light, thing = (-np.expm1(-passed / lasting) for lasting in (_LIGHT_S, _THING_S))
+        share = np.where(_around(found) > 0, 0.0 if person is None else thing, light)
+        if person is not None:
+            share[_around(person) > 0] = 0.0
+        mean = room.mean + share[..., None].astype(np.float32) * (picture - room.mean)
+        self._take(replace(room, mean=mean))
+
+    def _take(self, background: BackgroundModel) -> None:
+        self.background = background
+        self._segment = make_segmenter(background, self._options)
+
+
+def _around(mask: Mask) -> Mask:
+    """The mask and what is near it."""
+    box = bounding_box(mask)
+    if box is None:
+        return mask
+    size = 2 * max(2, round(_MARGIN * (box[1] - box[0]))) + 1
+    return np.asarray(cv2.dilate(mask, np.ones((size, size), np.uint8)), dtype=np.uint8)

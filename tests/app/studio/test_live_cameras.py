@@ -1,0 +1,189 @@
+"""Live cameras in the studio: the engine of `hypose live` behind a WebSocket, and the page that shows it."""
+
+import base64
+import contextlib
+import json
+import socket
+import threading
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hypose.app.studio import camera_socket
+from hypose.cameras.camera import CameraRig
+from hypose.errors import InputError
+from hypose.io.recordings.frames import working_rig
+from hypose.io.recordings.recording import load_recording
+from hypose.io.videos.camera_sources import Shot
+from hypose.pipeline.live.engine import LiveStatus
+from hypose.synthetic.rigs import circle
+from hypose.synthetic.scenes import make_scene
+from hypose.synthetic.write_recording import write_scene
+from tests.app.studio.browser import WEB, go
+from tests.app.studio.conftest import serving
+
+
+@pytest.fixture(scope="module")
+def served_live(tmp_path_factory):
+    """A studio whose folder holds a recording of 30 s by four small cameras."""
+    root = tmp_path_factory.mktemp("live")
+    rig = CameraRig(tuple(circle((35, 145, 215, 325), 4.1, (1.2, 1.6, 2.0, 1.4), 240, (256, 192))))
+    write_scene(
+        make_scene("walk", rig=rig, seconds=30.0, frame_rate=10.0, seed=644), root / "walk", background_frames=12
+    )
+    with serving(root) as client:
+        yield client
+
+
+def walk_of(client):
+    """The id of the recording `walk`."""
+    return next(r["id"] for r in client.get("/api/state")["recordings"] if r["path"] == "walk")
+
+
+def until(socket, kind, wanted=lambda message: True):
+    while True:
+        message = json.loads(socket.recv(150))
+        assert message["t"] != "error", message
+        if message["t"] == kind and wanted(message):
+            return message
+
+
+def test_a_person_is_followed_recorded_and_shown(served_live):
+    client = served_live
+    recording = client.get("/api/state")["recordings"][0]["id"]
+    with client.socket("/ws/cameras") as socket:
+        hello = until(socket, "hello")
+        assert hello["running"] is False and len(hello["joints"]) == len(hello["parents"]) == 19
+        socket.send(json.dumps({"t": "start", "recording": recording, "record": True}))
+        running = until(socket, "hello")["running"]
+        assert running["cameras"] == ["cam1", "cam2", "cam3", "cam4"] and running["played"]
+        frame = until(socket, "frame")
+        person = frame["people"][0]
+        assert len(person["joints"]) == 19 and person["sensors"] and frame["latency_ms"] > 0
+        status = until(socket, "status", lambda m: m["poses"] > 0)
+        assert status["phase"] == "following" and all(s["alive"] for s in status["sensors"])
+        pictures = until(socket, "pictures")["cameras"]
+        shown = Shot(0.0, None, base64.b64decode(pictures[0]["jpeg"])).picture()
+        assert shown is not None and shown.shape[1] == 320
+        socket.send(json.dumps({"t": "start", "recording": recording}))
+        while (message := json.loads(socket.recv(60)))["t"] != "error":
+            pass
+        assert "running already" in message["error"]
+        socket.send('{"t": "stop"}')
+        assert until(socket, "said")["text"] == "Recorded as live/cameras."
+        until(socket, "hello", lambda m: m["running"] is False)
+    assert (client.studio.catalog.root / "live" / "cameras" / "recording.toml").is_file()
+
+
+@pytest.mark.parametrize(
+    "more, why",
+    [
+        ({"t": "room"}, "learnt while the cameras run"),
+        ({"t": "dance"}, "start, room or stop"),
+        ({"recording": "nothing"}, "There is no recording"),
+        ({"sources": {"cam1": "/etc/passwd"}}, "give the number of a camera of this computer"),
+        ({"sources": {"cam9": "0", "cam1": "0"}}, "There is no camera cam9"),
+        ({"sources": {"cam1": "http://127.0.0.1:9/"}}, "two cameras or more"),
+    ],
+)
+def test_what_cannot_be_started_is_said(served_live, more, why):
+    recording = served_live.get("/api/state")["recordings"][0]["id"]
+    with served_live.socket("/ws/cameras") as socket:
+        socket.send(json.dumps({"t": "start", "recording": recording, **more}))
+        while (message := json.loads(socket.recv(60)))["t"] != "error":
+            pass
+        assert why in message["error"]
+
+
+def test_what_could_not_be_started_leaves_nothing_behind(served_live):
+    recording = served_live.get("/api/state")["recordings"][0]["id"]
+    before = {t.name for t in threading.enumerate()}
+    folders = sorted((served_live.studio.catalog.root / "live").glob("*"))
+    with served_live.socket("/ws/cameras") as socket:
+        # nobody listens at these
+        sources = {f"cam{k}": f"http://127.0.0.1:{k}/" for k in (1, 2)}
+        socket.send(json.dumps({"t": "start", "recording": recording, "sources": sources, "record": True}))
+        while (message := json.loads(socket.recv(60)))["t"] != "error":
+            pass
+        assert "cannot be opened" in message["error"]
+        assert not {"pictures", "recorder", "live"} & ({t.name for t in threading.enumerate()} - before)
+    assert sorted((served_live.studio.catalog.root / "live").glob("*")) == folders
+
+
+def test_a_page_opens_no_files_whatever_they_are_called():
+    for where in ("walk.mp4", "123", "²", "file:///etc/passwd"):
+        with pytest.raises(InputError, match="give the number of a camera of this computer"):
+            camera_socket._sources({"cam1": where})
+    assert camera_socket._sources({"cam1": "0", "cam2": "http://10.0.0.1/v"}) == {
+        "cam1": "0",
+        "cam2": "http://10.0.0.1/v",
+    }
+
+
+class Engine:
+    """Shows two instants with nobody in them. failing: then it fails; else it runs, and takes a while to stop."""
+
+    def __init__(self, rig, views, options, listeners, failing):
+        self.listeners, self.failed, self._failing = listeners, None, failing
+        self.ended, self._shapes = threading.Event(), [c.size for c in working_rig(rig)]
+
+    def start(self):
+        for time_s in (0.1, 0.2):
+            views = [(np.zeros((h, -(-w // 8)), np.uint8), None) for w, h in self._shapes]
+            sight = SimpleNamespace(views=views, jpegs=[None] * len(views), arrival=0.0)
+            for listener in self.listeners:
+                listener.seen(SimpleNamespace(sight=sight, frame=SimpleNamespace(time=time_s), poses=()))
+        if self._failing:
+            self.failed = InputError("The process that looks at the cameras has ended; start again.")
+            self.ended.set()
+
+    def stop(self):
+        for _ in range(0 if self._failing else 20):
+            for listener in self.listeners:
+                listener.status(LiveStatus("nobody", (), (), 0, 0.0, 0.0, (np.nan, np.nan), {}, (), False))
+            time.sleep(0.05)
+        self.ended.set()
+
+
+@pytest.mark.parametrize("failing", [True, False])
+def test_what_was_recorded_is_kept_whatever_ends_it(served_live, monkeypatch, failing):
+    """The cameras' process, or a page that says stop and is closed at once."""
+    monkeypatch.setattr(camera_socket, "LiveEngine", lambda *given: Engine(*given, failing))
+    host = served_live.studio.cameras
+    recording = walk_of(served_live)
+    with served_live.socket("/ws/cameras") as ws:
+        ws.send(json.dumps({"t": "start", "recording": recording, "record": True}))
+        running = until(ws, "hello", lambda m: m["running"])["running"]
+        if failing:
+            said = until(ws, "said")["text"]
+            assert said.startswith("It ended: The process") and said.endswith(f"Recorded as {running['record']}.")
+        else:
+            ws.send('{"t": "stop"}')
+    folder = served_live.studio.catalog.root / running["record"]
+    for _ in range(200):
+        if (folder / "recording.toml").exists():
+            break
+        time.sleep(0.05)
+    assert load_recording(folder).n_frames == 2 and host.hello()["running"] is False
+    with contextlib.closing(socket.socket()) as probe:
+        assert probe.connect_ex(("127.0.0.1", running["ws"])) != 0  # nobody listens there any more
+
+
+def test_nothing_is_recorded_outside_of_the_served_folder(own_studio, tmp_path):
+    """Neither of cameras nor of depth sensors."""
+    (tmp_path / "elsewhere").mkdir()
+    (own_studio.studio.catalog.root / "live").symlink_to(tmp_path / "elsewhere")
+    recording = walk_of(own_studio)
+    for path, more in (("/ws/cameras", {"recording": recording}), ("/ws/fuse", {"udp": 0, "ws": 0})):
+        with own_studio.socket(path) as ws:
+            ws.send(json.dumps({"t": "start", "record": True, **more}))
+            while (message := json.loads(ws.recv(60)))["t"] != "error":
+                assert not message.get("running")
+            assert "leads out of the served folder" in message["error"]
+    assert not list((tmp_path / "elsewhere").iterdir())
+
+
+def test_the_page_follows_a_person(served_live, tmp_path):
+    go(WEB / "tests" / "live_cameras.walk.mjs", served_live.address, served_live.studio.catalog.root, tmp_path)

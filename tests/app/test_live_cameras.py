@@ -1,0 +1,171 @@
+"""`hypose live`: what cannot be used is one sentence; a recording is followed, recorded, and solved again."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from types import SimpleNamespace
+
+import pytest
+
+from benchmarks.robustness.small_recordings import small_scene, write_masks
+from hypose.app.commands.commands_live import _Told
+from hypose.io.calibrations.calibration_toml import write_calibration
+from hypose.io.recordings.recording import load_recording
+from tests.app.conftest import write_tiny
+from tests.conftest import ROOT
+
+
+def said(result, *fragments):
+    """The one sentence with which the command failed."""
+    code, _, err = result
+    assert code == 2 and "Traceback" not in err, err
+    sentence = err[err.index("error: ") :].strip()
+    assert "\n" not in sentence
+    for fragment in fragments:
+        assert fragment in sentence, sentence
+    return sentence
+
+
+@pytest.fixture
+def calibration(tmp_path):
+    write_calibration(small_scene(1, 2).rig, tmp_path / "calibration.toml")
+    return tmp_path / "calibration.toml"
+
+
+@pytest.mark.parametrize("source", ["cam1", "=0", "cam1=", ""])
+def test_a_source_without_a_camera_or_a_place(hypose, calibration, source):
+    said(hypose("live", calibration, "--source", source), "give CAMERA=WHERE, for example --source cam1=0")
+
+
+def test_a_source_given_twice(hypose, calibration):
+    said(hypose("live", calibration, "--source", "cam1=0", "--source", "cam1=1"), "--source cam1 is given twice")
+
+
+def test_two_cameras_in_one_place(hypose, calibration):
+    said(hypose("live", calibration, "--source", "cam1=0", "--source", "cam2=00"), "cam1 and cam2 are both at 00;")
+    sources = [f"--source={name}=http://me:secret@10.0.0.1/video" for name in ("cam1", "cam2")]
+    assert "secret" not in said(hypose("live", calibration, *sources), "both at http://me:...@10.0.0.1/video;")
+
+
+def test_an_unknown_camera_names_those_there_are(hypose, calibration):
+    sentence = said(hypose("live", calibration, "--source", "left=0"), "There is no camera left")
+    assert "cam1, cam2, cam3, cam4" in sentence
+
+
+def test_a_calibration_without_sources_shows_how(hypose, calibration):
+    said(hypose("live", calibration), "Where are the cameras of", "--source cam1=0", "cam1, cam2, cam3, cam4")
+
+
+def test_a_rig_that_is_not_there_or_none(hypose, tmp_path):
+    said(hypose("live", tmp_path / "nothing"), "does not exist; give a recording, or a calibration file")
+    said(hypose("live", tmp_path), "holds neither a recording nor a calibration")
+    (tmp_path / "notes.txt").write_text("mine")
+    said(hypose("live", tmp_path / "notes.txt", "--source", "cam1=0"), "notes.txt")
+
+
+def test_a_recording_of_masks_alone_has_nothing_to_play(hypose, tmp_path):
+    said(hypose("live", write_masks(small_scene(1, 2), tmp_path / "walk")), "has no video to play", "--source")
+
+
+def test_one_camera_is_not_enough(hypose, calibration):
+    said(hypose("live", calibration, "--source", "cam1=0", "--ws", 0), "needs two cameras or more, and 1 is given")
+
+
+def test_a_camera_that_is_not_there_is_named_and_no_folder_is_made_to_record_to(hypose, calibration, tmp_path):
+    arguments = [calibration, "--ws", 0, "--record", tmp_path / "monday"]
+    for name in ("cam1", "cam2"):
+        arguments += ["--source", f"{name}={tmp_path / name}.mp4"]
+    for _ in range(2):
+        said(hypose("live", *arguments), "There is no file", "cam1.mp4", "a camera is the number of a device")
+        assert not (tmp_path / "monday").exists()
+
+
+@pytest.mark.parametrize("option", ["--udp", "--osc", "--vmc"])
+def test_a_target_that_is_none(hypose, calibration, option):
+    sources = ["--source", "cam1=0", "--source", "cam2=1"]
+    said(hypose("live", calibration, *sources, "--ws", 0, option, "nowhere"), f"{option} nowhere")
+
+
+def test_a_folder_that_holds_something_is_not_recorded_to(hypose, calibration, tmp_path):
+    sources = ["--source", "cam1=0", "--source", "cam2=1"]
+    said(hypose("live", calibration, *sources, "--record", tmp_path), "is not empty; give a new folder")
+
+
+# ---- all of it, with files as cameras ----
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory):
+    return write_tiny(tmp_path_factory.mktemp("live") / "walk", 8.0)
+
+
+def begun(*arguments):
+    command = [sys.executable, "-m", "hypose.app", "live", *map(str, arguments)]
+    return subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+
+
+def test_a_recording_is_played_recorded_and_loaded(hypose, walk, tmp_path):
+    with begun(walk, "--ws", 0, "--record", tmp_path / "monday") as process:
+        try:
+            out, err = process.communicate(timeout=120)
+        finally:
+            process.kill()
+    assert process.returncode == 0, err
+    assert "Poses out:  ws://127.0.0.1:" in out and "Recorded: " in out and "Traceback" not in err
+    rows = [json.loads(line) for line in (tmp_path / "monday" / "poses.jsonl").read_text().splitlines()]
+    assert len(rows) > 20 and [r["n"] for r in rows] == list(range(len(rows)))
+    code, printed, err = hypose("silhouettes", tmp_path / "monday", "--out", tmp_path / "masks")
+    assert code in (0, 1), err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="NOT tested: Ctrl-C in a console; run it on Linux")
+def test_ctrl_c_in_a_terminal_ends_all_of_it_well_also_for_who_is_in_a_hurry(walk, tmp_path):
+    rows = tmp_path / "monday" / "poses.jsonl"
+    with begun(walk, "--ws", 0, "--record", tmp_path / "monday") as process:
+        try:
+            assert process.stdout is not None
+            while process.stdout.readline().strip() != "Stop with Ctrl-C.":
+                assert process.poll() is None
+            while not rows.exists() or rows.read_text().count("\n") < 5:
+                assert process.poll() is None
+                time.sleep(0.05)
+            for _ in range(2):
+                os.killpg(process.pid, signal.SIGINT)  # as a terminal: to all its processes
+                time.sleep(0.02)
+            out, err = process.communicate(timeout=60)
+        finally:
+            process.kill()
+    assert process.returncode == 0 and "error" not in err and "Traceback" not in err, err
+    assert "poses. " in out and load_recording(tmp_path / "monday").n_frames >= 5
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="NOT tested: Ctrl-C in a console; run it on Linux")
+def test_ctrl_c_while_cameras_are_opened_ends_it_without_a_word_of_trouble(calibration):
+    """Cameras that let nobody wait in vain: they take the connection and never answer."""
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        where = f"http://127.0.0.1:{silent.getsockname()[1]}/"
+        with begun(calibration, "--ws", 0, *(f"--source={c}={where}{c}" for c in ("cam1", "cam2"))) as process:
+            try:
+                with silent.accept()[0]:
+                    os.killpg(process.pid, signal.SIGINT)
+                    out, err = process.communicate(timeout=60)
+            finally:
+                process.kill()
+    assert process.returncode == 0 and "error" not in err and "Traceback" not in err, err
+    assert "0 poses. " in out
+
+
+def test_a_recording_that_ends_before_its_time_is_told_once(capsys):
+    recorder = SimpleNamespace(failed="")
+    told, status = _Told(recorder), SimpleNamespace(phase="following", words=(), poses=0)
+    told.status(status)
+    recorder.failed = "monday cannot be written to (No space left on device); the recording ends there."
+    for _ in range(3):
+        told.status(status)
+    assert capsys.readouterr().err.count(recorder.failed) == 1

@@ -1,0 +1,352 @@
+"""Poses as programs get them: JSON, bytes, UDP lines, OSC, avatars, LSL; nobody waits for anybody."""
+
+import json
+import re
+import runpy
+import socket
+import struct
+import sys
+import threading
+import time
+import types
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from benchmarks.robustness.small_recordings import small_scene
+from hypose.app.live.pose_outputs import MAGIC, PoseOutputs, pose_bytes, pose_json, status_json
+from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.errors import InputError
+from hypose.io.motions.vrm import BONES
+from hypose.pipeline.live.engine import LiveStatus
+from hypose.pipeline.live.feeds import FeedStatus
+from tests.conftest import ROOT
+from tests.live_scenes import Beside, follow, people_for, seen
+from tests.osc_packets import parse_osc
+
+CAMERAS = ("cam1", "cam2", "cam3", "cam4")
+J = len(JOINT_NAMES)
+
+
+@pytest.fixture(scope="module")
+def followed():
+    """(frame, pose) of a second of walking."""
+    frames, beside = list(small_scene(1, 40).mask_frames()), Beside()
+    poses = follow(people_for(frames, beside), frames, beside)
+    assert len(poses) > 15
+    return [(frames[p.frame], p) for p in poses]
+
+
+def outputs(**options):
+    return PoseOutputs(CAMERAS, 25.0, clock=lambda: 5.0, **options)
+
+
+def told(out, followed):
+    for frame, pose in followed:
+        out.seen(seen(frame, pose))
+
+
+def no_constants(name):
+    raise AssertionError(f"{name} is no JSON")
+
+
+def read(text):
+    return json.loads(text, parse_constant=no_constants)
+
+
+# ---- what a pose is ----
+
+
+def test_a_pose_in_json(followed):
+    _, pose = followed[-1]
+    pose = replace(pose, views=np.array([True, False, True, True]))
+    value = read(pose_json(pose, 0.0123, CAMERAS))
+    assert value["type"] == "pose" and value["n"] == pose.frame and value["id"] == 1 and value["lost"] is False
+    assert value["latency_ms"] == pytest.approx(12.3) and value["time"] == pytest.approx(pose.time)
+    assert value["cameras"] == ["cam1", "cam3", "cam4"]
+    assert value["joints"] == pytest.approx(pose.joints, abs=1e-5) and np.shape(value["joints"]) == (J, 3)
+    assert len(value["sd"]) == len(value["wrong"]) == J
+    assert read_covariance(value["covariance"]) == pytest.approx(pose.motion.joint_covariance[0], rel=0.01, abs=1e-7)
+    assert all(0 < s < 1 for s in value["sd"]) and all(0 <= w <= 1 for w in value["wrong"])
+    assert set(value["doubtful"]) <= set(JOINT_NAMES)
+
+
+def test_whoever_is_just_found_is_doubtful_in_all_joints(followed):
+    value = read(pose_json(followed[0][1], 0.0, CAMERAS))
+    assert value["doubtful"] == list(JOINT_NAMES) and min(value["wrong"]) >= 0.5
+
+
+def read_covariance(upper):
+    """(J, 3, 3) from xx, xy, xz, yy, yz, zz of each."""
+    return np.asarray(upper)[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+
+
+def test_a_pose_in_bytes(followed):
+    """As a receiver decodes it, by what the documentation says."""
+    _, pose = followed[-1]
+    data = pose_bytes(pose, 0.0123)
+    magic, n, at, latency, flags, person, joints = struct.unpack_from("<4sIdfIII", data)
+    assert (magic, n, flags, person, joints) == (b"hyp1", pose.frame, 0, 1, J) and magic == MAGIC
+    assert at == pose.time and latency == pytest.approx(12.3, abs=1e-4)
+    rest = np.frombuffer(data, "<f4", offset=32)
+    assert len(data) == 32 + 4 * 11 * J
+    assert rest[: 3 * J].reshape(J, 3) == pytest.approx(pose.joints, abs=1e-6)
+    assert rest[3 * J : 4 * J] == pytest.approx(pose.motion.joint_sd[0], abs=1e-6)
+    assert rest[4 * J : 5 * J] == pytest.approx(pose.motion.p_wrong[0], abs=1e-6)
+    known = pose.motion.joint_covariance[0]
+    assert read_covariance(rest[5 * J :].reshape(J, 6)) == pytest.approx(known, rel=1e-5, abs=1e-9)
+    lost = replace(pose, motion=replace(pose.motion, lost=np.ones(1, np.bool_)))
+    assert struct.unpack_from("<I", pose_bytes(lost, 0.0), 20) == (1,)
+
+
+STATUS = LiveStatus(
+    "following",
+    ("cam2 is missing: no picture for 3 s",),
+    (FeedStatus("cam1", 100, 2, 29.97, 0, "", False), FeedStatus("cam2", 10, 0, 0.0, 1, "no picture for 3 s", False)),
+    90,
+    29.5,
+    0.02,
+    (31.2, float("nan")),
+    {"masks": 12.34, "track": float("nan")},
+    (0.0, 0.04),
+    True,
+)
+
+
+def test_how_it_goes_in_json():
+    value = read(status_json(STATUS))
+    assert value["type"] == "status" and value["phase"] == "following" and value["words"] == list(STATUS.words)
+    assert [c["name"] for c in value["cameras"]] == ["cam1", "cam2"]
+    assert [c["offset_ms"] for c in value["cameras"]] == [0.0, 40.0] and value["cameras"][1]["returns"] == 1
+    assert value["latency_ms"] == [31.2, None] and value["stages_ms"] == {"masks": 12.3, "track": None}
+    assert value["fitted"] is True and value["poses"] == 90 and value["skipped"] == 0.02
+    assert read(status_json(replace(STATUS, cameras=(), offsets=())))["cameras"] == []
+
+
+# ---- by WebSocket ----
+
+
+def test_json_and_bytes_by_websocket(followed):
+    out = outputs(ws=0)
+    try:
+        base = f"ws://127.0.0.1:{out.listeners.port}"
+        with connect(base + "/out") as text, connect(base + "/binary?x=1") as raw:
+            hello = [read(c.recv(20)) for c in (text, raw)]
+            assert (
+                hello[0]
+                == hello[1]
+                == {
+                    "type": "hello",
+                    "version": 1,
+                    "joints": list(JOINT_NAMES),
+                    "cameras": list(CAMERAS),
+                    "rate": 25.0,
+                }
+            )
+            for frame, pose in followed:
+                out.seen(seen(frame, pose))
+                value = read(text.recv(20))
+                data = raw.recv(20)
+                assert isinstance(data, bytes) and data[:4] == b"hyp1"
+                assert value["n"] == pose.frame == struct.unpack_from("<I", data, 4)[0]
+                assert value["latency_ms"] == pytest.approx(1e3 * (5.0 - frame.time - 0.01), abs=0.01)
+            out.status(STATUS)
+            assert read(text.recv(20))["type"] == "status"
+            out.seen(seen(followed[0][0], None))  # nobody: nothing is told
+            with pytest.raises(TimeoutError):
+                raw.recv(0.05)
+    finally:
+        out.close()
+
+
+def test_who_leaves_while_nobody_is_followed_takes_nobodys_place():
+    out = outputs(ws=0)
+    try:
+        for _ in range(20):  # more than may listen at once
+            with connect(f"ws://127.0.0.1:{out.listeners.port}/binary") as raw:
+                assert read(raw.recv(20))["type"] == "hello"
+        end = time.monotonic() + 20
+        while out.listeners.wanted("/binary"):
+            assert time.monotonic() < end
+            time.sleep(0.01)
+    finally:
+        out.close()
+
+
+def test_the_receiver_of_the_documentation(followed, tmp_path, capsys):
+    text = (ROOT / "docs" / "cameras-live.md").read_text(encoding="utf-8")
+    program = next(p for p in text.split("```python\n")[1:] if "/binary" in p).split("```")[0]
+    out = outputs(ws=0)
+    (tmp_path / "receiver.py").write_text(program.replace("9872", str(out.listeners.port)))
+    receiver = threading.Thread(target=runpy.run_path, args=(tmp_path / "receiver.py",))
+    receiver.start()
+    while not out.listeners.wanted("/binary"):
+        assert receiver.is_alive()
+        time.sleep(0.01)
+    told(out, followed[:5])
+    out.close()
+    receiver.join(20)
+    numbers = re.findall(r"^(\d+) 1 \[", capsys.readouterr().out, re.MULTILINE)
+    assert numbers == [str(pose.frame) for _, pose in followed[:5]]
+
+
+@pytest.mark.parametrize("path", ["/", "/in", "/out/x", "/Binary"])
+def test_other_paths_are_refused(path):
+    out = outputs(ws=0)
+    try:
+        with connect(f"ws://127.0.0.1:{out.listeners.port}{path}") as there, pytest.raises(ConnectionClosed) as closed:
+            there.recv(20)
+        assert closed.value.rcvd.code == 1008 and "no such path" in closed.value.rcvd.reason
+    finally:
+        out.close()
+
+
+def test_who_does_not_read_costs_nobody_a_pose(followed):
+    out = outputs(ws=0)
+    ask = "GET /out HTTP/1.1\r\nHost: x\r\nConnection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
+    try:
+        with socket.create_connection(("127.0.0.1", out.listeners.port)) as silent:
+            silent.sendall(f"{ask}Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n".encode())
+            assert silent.recv(12) == b"HTTP/1.1 101"
+            with connect(f"ws://127.0.0.1:{out.listeners.port}/out") as reading:
+                reading.recv(20)
+                for _ in range(150):  # what the system keeps for who does not read is full
+                    out.listeners.post("x" * 100_000, "/out")
+                    assert len(reading.recv(20)) == 100_000
+                assert out.listeners.dropped > 50
+                dropped, took = out.listeners.dropped, []
+                for frame, pose in followed:
+                    one, begin = seen(frame, pose), time.perf_counter()
+                    out.seen(one)
+                    took.append(time.perf_counter() - begin)
+                    assert read(reading.recv(20))["n"] == pose.frame
+                assert out.listeners.dropped == dropped + len(followed) and np.median(took) < 0.05
+    finally:
+        begin = time.monotonic()
+        out.close()
+        assert time.monotonic() - begin < 20
+
+
+def test_a_taken_port_and_bad_targets_are_one_sentence_and_nothing_stays_open(followed):
+    out = outputs(ws=0)
+    port = out.listeners.port
+    try:
+        with pytest.raises(InputError, match=f"Port {port} cannot be used .*; choose another with --ws"):
+            outputs(ws=port, udp="127.0.0.1:9")
+    finally:
+        out.close()
+    outputs(ws=port).close()
+    for option in ("udp", "osc", "vmc"):
+        for address in ("nowhere", "127.0.0.1:", "127.0.0.1:70000", ":9000"):
+            with pytest.raises(InputError, match=f"--{option} "):
+                outputs(**{option: address})
+
+
+# ---- by UDP ----
+
+
+def received(followed, option):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sink:
+        sink.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+        sink.bind(("127.0.0.1", 0))
+        out = outputs(**{option: f"127.0.0.1:{sink.getsockname()[1]}"})
+        told(out, followed)
+        out.close()
+        packets = []
+        sink.setblocking(False)
+        try:
+            while True:
+                packets.append(sink.recv(65536))
+        except BlockingIOError:
+            return packets
+
+
+def test_a_line_per_pose_by_udp(followed):
+    packets = received(followed, "udp")
+    assert len(packets) == len(followed) and all(p.endswith(b"\n") and p.count(b"\n") == 1 for p in packets)
+    assert [read(p)["n"] for p in packets] == [pose.frame for _, pose in followed]
+
+
+def test_osc(followed):
+    found = [m for p in received(followed, "osc") for m in parse_osc(p)]
+    heads = [v for a, v in found if a == "/hypose/frame"]
+    assert [v[0] for v in heads] == [pose.frame for _, pose in followed]
+    assert [v[1] for v in heads] == [pose.time for _, pose in followed] and all(v[3] == 1 for v in heads)
+    for k, name in enumerate(JOINT_NAMES):
+        rows = np.array([v for a, v in found if a == f"/hypose/person/1/{name}"])
+        assert rows[:, :3] == pytest.approx(np.array([pose.joints[k] for _, pose in followed]), abs=1e-5)
+        assert (rows[:, 3] > 0).all()
+
+
+def test_an_avatar_moves(followed):
+    found = [m for p in received(followed, "vmc") for m in parse_osc(p)]
+    assert [v[3] for a, v in found if a == "/VMC/Ext/OK"] == [1] * len(followed)
+    seconds = [v[0] for a, v in found if a == "/VMC/Ext/T"]
+    assert seconds == pytest.approx([p.time - followed[0][1].time for _, p in followed], abs=1e-4)
+    bones = [v[0] for a, v in found if a == "/VMC/Ext/Bone/Pos"]
+    assert len(bones) == len(BONES) * len(followed)
+    thighs = np.array([v[4:] for a, v in found if a == "/VMC/Ext/Bone/Pos" and v[0] == "LeftUpperLeg"])
+    assert np.ptp(thighs, 0).max() > 0.05 and np.linalg.norm(thighs, axis=1) == pytest.approx(1, abs=1e-5)
+    hips = np.array([v[1:4] for a, v in found if a == "/VMC/Ext/Bone/Pos" and v[0] == "Hips"])
+    assert 0.7 < hips[:, 1].mean() < 1.2  # y is up
+
+
+def test_nobody_at_the_other_end_is_no_error(followed):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
+        s.bind(("127.0.0.1", 0))
+        port = s.getsockname()[1]
+    out = outputs(udp=f"127.0.0.1:{port}", osc=f"127.0.0.1:{port}", vmc=f"127.0.0.1:{port}")
+    told(out, followed)
+    out.close()
+
+
+# ---- the lab streaming layer ----
+
+
+def test_lsl_that_is_not_installed_says_how_to_get_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pylsl", None)
+    with pytest.raises(InputError, match=r"--lsl needs pylsl .*pip install 'hypose\[lsl\]'"):
+        outputs(lsl="poses")
+
+
+def test_samples_for_lsl(followed, monkeypatch):
+    """Against a stand-in for pylsl of the same calls: its library is not there everywhere."""
+    samples, labels = [], []
+
+    class Node:
+        def append_child(self, name):
+            return self
+
+        def append_child_value(self, name, value):
+            if name == "label":
+                labels.append(value)
+            return self
+
+    class Info:
+        def __init__(self, name, kind, count, rate, form, source):
+            assert (name, kind, count, rate, source) == ("poses", "MoCap", 4 * J, 25.0, "hypose-poses")
+
+        def desc(self):
+            return Node()
+
+    class Outlet:
+        def __init__(self, info):
+            pass
+
+        def push_sample(self, row, at):
+            samples.append((row, at))
+
+    stand_in = types.ModuleType("pylsl")
+    stand_in.__dict__.update(StreamInfo=Info, StreamOutlet=Outlet, cf_float32=1, local_clock=lambda: 100.0)
+    monkeypatch.setitem(sys.modules, "pylsl", stand_in)
+    out = outputs(lsl="poses")
+    told(out, followed)
+    out.close()
+    assert len(samples) == len(followed) and labels[:5] == ["pelvis_x", "pelvis_y", "pelvis_z", "pelvis_sd", labels[4]]
+    row, at = samples[-1]
+    frame, pose = followed[-1]
+    assert np.reshape(row, (J, 4))[:, :3] == pytest.approx(pose.joints)
+    assert at == pytest.approx(100.0 - (5.0 - frame.time - 0.01))

@@ -1,0 +1,126 @@
+"""The eyes: pictures of the right shape become masks, and whoever ends them is not kept waiting."""
+
+import socket
+import threading
+import time
+
+import cv2
+import numpy as np
+import pytest
+
+from hypose.evidence.background import from_frames
+from hypose.pipeline.live.eyes import Eyes, EyesOptions, EyesProcess, LiveView, Question
+from hypose.synthetic.rigs import rig
+
+RATE = 20.0
+
+
+@pytest.fixture(scope="module")
+def cameras():
+    """Two of 160 x 120 px."""
+    return rig("humaneva-4").scaled(0.25).select(["cam1", "cam2"])
+
+
+def folder(path, size, rng, count=60):
+    """Pictures of noise, which no JPEG makes small."""
+    path.mkdir()
+    data = cv2.imencode(".jpg", rng.integers(0, 255, (size[1], size[0], 3), dtype=np.uint8))[1].tobytes()
+    for n in range(count):
+        (path / f"{n:03d}.jpg").write_bytes(data)
+    return str(path)
+
+
+def room(camera):
+    w, h = camera.size
+    return from_frames([np.full((h, w, 3), 100 + n, np.uint8) for n in range(3)])
+
+
+def looked(eyes, met, seconds=30.0):
+    end = time.monotonic() + seconds
+    while not met(sight := eyes.look(Question())):
+        assert time.monotonic() < end, sight
+    return sight
+
+
+@pytest.mark.parametrize(
+    "size, why",
+    [
+        ((120, 160), "cam2 shows pictures of 120 x 160 px and is calibrated for 160 x 120 px; turn it back."),
+        (
+            (160, 90),
+            "cam2 shows pictures of 160 x 90 px and is calibrated for 160 x 120 px; set it to pictures of that",
+        ),
+    ],
+)
+def test_pictures_of_another_shape_are_not_used_and_named(cameras, tmp_path, rng, size, why):
+    sizes, known = {"cam1": (160, 120), "cam2": size}, dict(zip(cameras.names, map(room, cameras), strict=True))
+    places = {name: folder(tmp_path / name, sizes[name], rng) for name in cameras.names}
+
+    def views(stretched=False):
+        return [LiveView(n, places[n], background=known[n], stretched=stretched) for n in cameras.names]
+
+    eyes = Eyes(cameras, views(), EyesOptions(RATE))
+    try:
+        sight = looked(eyes, lambda s: np.isfinite(s.time))
+        assert sight.views[0] is not None and sight.views[1] is None
+        assert len(sight.words) == 1 and sight.words[0].startswith(why)
+    finally:
+        eyes.close()
+    eyes = Eyes(cameras, views(stretched=True), EyesOptions(RATE))  # the calibration is of pictures that were stretched
+    try:
+        sight = looked(eyes, lambda s: np.isfinite(s.time))
+        assert None not in sight.views and not sight.words
+    finally:
+        eyes.close()
+
+
+def test_the_same_shape_in_another_size_is_used(cameras, tmp_path, rng):
+    sizes = {"cam1": (640, 480), "cam2": (321, 241)}
+    views = [LiveView(c.name, folder(tmp_path / c.name, sizes[c.name], rng), background=room(c)) for c in cameras]
+    eyes = Eyes(cameras, views, EyesOptions(RATE))
+    try:
+        sight = looked(eyes, lambda s: np.isfinite(s.time))
+        assert None not in sight.views and not sight.words
+    finally:
+        eyes.close()
+
+
+def test_an_empty_room_is_not_learnt_from_a_camera_that_was_turned(cameras, tmp_path, rng):
+    sizes = {"cam1": (160, 120), "cam2": (120, 160)}
+    views = [LiveView(c.name, folder(tmp_path / c.name, sizes[c.name], rng)) for c in cameras]
+    eyes = Eyes(cameras, views, EyesOptions(RATE, countdown=0.0))
+    try:
+        sight = looked(eyes, lambda s: s.words and "turn it back" in s.words[0])
+        assert sight.room and "Learning the empty room." in sight.words
+    finally:
+        eyes.close()
+
+
+def test_eyes_that_nobody_listens_to_any_more_end_by_themselves(cameras, tmp_path, rng):
+    """What they are about to say is more than waits in a pipe."""
+    views = [LiveView(c.name, folder(tmp_path / c.name, (1600, 1200), rng), background=room(c)) for c in cameras]
+    eyes = EyesProcess(cameras, views, EyesOptions(RATE))
+    while True:
+        eyes.ask(Question(pictures=True))
+        sight = eyes.answer()
+        assert sight is not None
+        if np.isfinite(sight.time):
+            break
+    assert sum(len(jpeg) for jpeg in sight.jpegs) > 1 << 20
+    eyes.ask(Question(pictures=True))
+    time.sleep(0.5)
+    eyes.close()
+    assert eyes._process.exitcode == 0
+
+
+def test_nobody_waits_for_cameras_that_are_being_opened_when_it_is_to_stop(cameras):
+    stop = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        views = [LiveView(n, f"http://127.0.0.1:{silent.getsockname()[1]}/{n}") for n in cameras.names]
+        held = []
+        asked = threading.Thread(target=lambda: (held.append(silent.accept()), stop.set()), daemon=True)
+        asked.start()
+        eyes = EyesProcess(cameras, views, EyesOptions(RATE), stop)  # and it is no error
+        eyes.close()
+        held[0][0].close()
+    assert not eyes._process.is_alive()

@@ -1,0 +1,228 @@
+"""A camera's thread: what it delivers, what it loses, and what is said while it is away."""
+
+import contextlib
+import queue
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from hypose.errors import InputError
+from hypose.io.videos.camera_sources import Shot, StreamEnded
+from hypose.pipeline.live import feeds
+from hypose.pipeline.live.feeds import KEPT, Feed
+
+PICTURE = np.zeros((4, 4, 3), np.uint8)
+BEGIN = 1000.0
+
+
+class Camera:
+    """A source whose shots a test puts in; an error put in is raised. opened: how often."""
+
+    def __init__(self, live=True):
+        self.live, self.opened, self.closed = live, 0, 0
+        self.shots = queue.Queue()
+        self.refuse = ""
+
+    def open(self):
+        if self.refuse:
+            raise InputError(self.refuse)
+        self.opened += 1
+        return self
+
+    def read(self):
+        try:
+            shot = self.shots.get(timeout=5)
+        except queue.Empty:
+            raise StreamEnded("The test is over.") from None
+        if isinstance(shot, Exception):
+            raise shot
+        return shot
+
+    def close(self):
+        self.closed += 1
+
+
+@contextlib.contextmanager
+def feed(camera):
+    arrived = threading.Condition()
+    made = Feed("left", camera.open, arrived)
+    made.start()
+    try:
+        yield made, arrived
+    finally:
+        made._stop.set()
+        camera.shots.put(StreamEnded("The test is over."))
+        made.stop()
+        assert not made._thread.is_alive()
+
+
+def until(arrived, met, seconds=20.0):
+    end = time.monotonic() + seconds
+    with arrived:
+        while not met():
+            assert time.monotonic() < end
+            arrived.wait(0.05)
+
+
+def play(camera, numbers, stamps=False, begin=BEGIN, rate=20.0):
+    for n in numbers:
+        camera.shots.put(Shot(begin + n / rate, 7.0 + n / rate if stamps else None, PICTURE))
+
+
+def test_the_newest_pictures_are_kept_with_their_times():
+    camera = Camera()
+    with feed(camera) as (made, arrived):
+        play(camera, range(20))
+        until(arrived, lambda: made.status().received == 20)
+        told, shots = made.delivered()
+        assert len(shots) == KEPT and told.times == pytest.approx(BEGIN + np.arange(8, 20) / 20)
+        assert told.period == pytest.approx(0.05) and (told.arrivals == told.times).all()
+        status = made.status()
+        assert (status.lost, status.returns, status.ended) == (0, 0, False)
+        made.offset = 0.25  # what it shows is older
+        assert made.delivered()[0].times == pytest.approx(BEGIN - 0.25 + np.arange(8, 20) / 20)
+
+
+def test_pictures_that_a_later_camera_has_not_come_to_yet_are_kept():
+    camera = Camera()
+    with feed(camera) as (made, arrived):
+        made.ahead = 0.4  # eight pictures
+        play(camera, range(40))
+        until(arrived, lambda: made.status().received == 40)
+        told, shots = made.delivered()
+        assert len(shots) == KEPT + 8 and told.times == pytest.approx(BEGIN + np.arange(20, 40) / 20)
+
+
+def test_lost_pictures_are_counted():
+    camera = Camera()
+    with feed(camera) as (made, arrived):
+        play(camera, [n for n in range(40) if n not in (12, 20, 21, 22)])
+        until(arrived, lambda: made.status().received == 36)
+        assert made.status().lost == 4
+
+
+def test_pictures_that_come_in_bunches_are_not_taken_for_lost():
+    """As wireless networks deliver them: three at once, ten times a second."""
+    camera = Camera()
+    with feed(camera) as (made, arrived):
+        for n in range(90):
+            camera.shots.put(Shot(BEGIN + (n // 3) / 10 + 0.001 * (n % 3), None, PICTURE))
+        until(arrived, lambda: made.status().received == 90)
+        assert made.delivered()[0].period == pytest.approx(1 / 30, rel=0.1) and made.status().lost < 6
+
+
+def test_what_the_camera_tells_of_time_is_kept_to():
+    camera = Camera()
+    with feed(camera) as (made, arrived):
+        late = np.abs(np.random.default_rng(1).normal(0, 0.02, 30))
+        late[0] = 0.0
+        for n in range(30):
+            camera.shots.put(Shot(BEGIN + n / 20 + late[n], 7.0 + n / 20, PICTURE))
+        until(arrived, lambda: made.status().received == 30)
+        told, _ = made.delivered()
+        assert np.abs(told.times - (BEGIN + np.arange(18, 30) / 20)).max() < 1e-6  # as if nothing came late
+
+
+def test_a_camera_comes_back_and_its_absence_is_no_loss(monkeypatch):
+    monkeypatch.setattr(feeds, "_AGAIN_S", 0.01)
+    camera = Camera()
+    with feed(camera) as (made, arrived):
+        play(camera, range(10))
+        until(arrived, lambda: made.status().received == 10)
+        camera.refuse = "The stream cannot be opened (Connection refused); check the address."
+        camera.shots.put(StreamEnded("The stream broke off (the connection was closed)."))
+        until(arrived, lambda: "refused" in made.status().trouble)
+        status = made.status()
+        assert status.rate == 0.0 and status.returns == 0 and not status.ended and camera.closed == 1
+        camera.refuse = ""
+        until(arrived, lambda: camera.opened == 2)
+        play(camera, range(110, 130))
+        until(arrived, lambda: made.status().received == 30)
+        status = made.status()
+        assert (status.lost, status.returns) == (0, 1)
+        told, _ = made.delivered()
+        assert told.times[-1] == pytest.approx(BEGIN + 129 / 20) and told.period == pytest.approx(0.05)
+
+
+def test_a_camera_that_is_opened_and_shows_nothing_has_not_come_back(monkeypatch):
+    monkeypatch.setattr(feeds, "_AGAIN_S", 0.01)
+    monkeypatch.setattr(feeds, "_LONGEST_S", 0.02)
+    camera = Camera()
+    with feed(camera) as (made, arrived):
+        play(camera, range(5))
+        for _ in range(4):
+            camera.shots.put(StreamEnded("The stream broke off (timed out)."))
+        until(arrived, lambda: camera.closed == 4)
+        assert made.status().returns == 0 and made.status().trouble.startswith("The stream broke off")
+
+
+def test_a_camera_that_stalls_is_told():
+    camera = Camera()
+    now = time.monotonic()
+    with feed(camera) as (made, arrived):
+        play(camera, range(10), begin=now - 5.0)
+        until(arrived, lambda: made.status().received == 10)
+        status = made.status()
+        assert status.trouble.startswith("no picture for") and status.rate == 0.0 and not status.ended
+        play(camera, [0], begin=time.monotonic())
+        until(arrived, lambda: made.status().received == 11)
+        assert made.status().trouble == ""
+
+
+def test_a_clock_that_is_set_back_costs_a_second():
+    camera = Camera()
+    with feed(camera) as (made, arrived):
+        play(camera, range(20), begin=BEGIN)
+        for n in range(40):  # the pictures go on, and tell a time that has been
+            camera.shots.put(Shot(BEGIN + 1 + n / 20, None, PICTURE))
+        until(arrived, lambda: made.status().received >= 59)
+        assert made.delivered()[0].times[-1] == pytest.approx(BEGIN + 1 + 39 / 20)
+
+
+def test_a_camera_that_restarts_its_clock_goes_on():
+    camera = Camera()
+    with feed(camera) as (made, arrived):
+        play(camera, range(20), stamps=True)
+        for n in range(20, 60):  # its own clock begins anew
+            camera.shots.put(Shot(BEGIN + n / 20, 0.1 + (n - 20) / 20, PICTURE))
+        until(arrived, lambda: camera.shots.empty())
+        until(arrived, lambda: made.delivered()[0].times[-1] > BEGIN + 59 / 20 - 0.01)
+        assert made.status().received >= 55 and made.status().lost <= 4
+
+
+@pytest.mark.parametrize("stamp", [lambda at: 0.0, lambda at: 1000.0 * at])
+def test_times_that_never_change_or_are_in_another_unit_cost_seconds_and_not_the_camera(stamp):
+    """Many programs send "X-Timestamp: 0.000000"."""
+    camera = Camera()
+    with feed(camera) as (made, arrived):
+        for n in range(300):
+            camera.shots.put(Shot(BEGIN + n / 20, stamp(BEGIN + n / 20), PICTURE))
+        until(arrived, lambda: camera.shots.empty() and made.delivered()[0].times[-1] > BEGIN + 298.5 / 20)
+        assert made.status().received > 200 and made.delivered()[0].period == pytest.approx(0.05)
+
+
+def test_a_file_that_is_damaged_is_not_decoded_again_and_again():
+    camera = Camera(live=False)
+    with feed(camera) as (made, arrived):
+        play(camera, range(3))
+        camera.shots.put(InputError("The video walk.mp4 cannot be decoded beyond frame 2 of 9; copy it again."))
+        until(arrived, lambda: made.status().ended)
+        assert "cannot be decoded beyond frame 2" in made.status().trouble and camera.opened == camera.closed == 1
+
+
+def test_a_file_ends_and_is_not_opened_again():
+    camera = Camera(live=False)
+    with feed(camera) as (made, arrived):
+        play(camera, range(3))
+        camera.shots.put(StreamEnded("walk.mp4 is over."))
+        until(arrived, lambda: made.status().ended)
+        assert made.status().trouble == "walk.mp4 is over." and camera.opened == camera.closed == 1
+
+
+def test_a_camera_that_cannot_be_opened_at_the_start_is_an_error():
+    camera = Camera()
+    camera.refuse = "Camera 5 of this computer cannot be opened."
+    with pytest.raises(InputError, match="Camera 5"):
+        Feed("left", camera.open, threading.Condition()).start()

@@ -1,0 +1,80 @@
+"""What is doubtful about the newest frame is told with what is known by then."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.body.ready_bodies import human
+from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.live.live_doubt import LiveDoubt
+from hypose.pipeline.run import TrackOptions, tracker_of
+from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.starts import KNOWN_POSES, start_in_pose
+from hypose.tracking.subject import scaled_to_height
+from tests.live_scenes import RATE
+
+
+@pytest.fixture(scope="module")
+def followed(walk, frames):
+    """A tracker, and (frame, estimate) of one second."""
+    body = scaled_to_height(human(), walk.subject.stature)
+    tracker = tracker_of(Subject(body, None, np.zeros(body.skeleton.dof), ()), TrackOptions(), RATE)
+    start = start_in_pose(body, prepare(frames[0], body, np.zeros(body.skeleton.dof)), KNOWN_POSES).pose
+    state, out = tracker.start(start), []
+    for frame in frames[:25]:
+        state, estimate = tracker.step(state, frame)
+        out.append((frame, estimate))
+    return tracker, out
+
+
+def test_the_first_frame_is_doubtful_and_then_it_is_known(followed):
+    tracker, known = followed
+    doubt, told = LiveDoubt(), []
+    for frame, estimate in known:
+        told.append(doubt.told(tracker, estimate, frame))
+        doubt.look(tracker, estimate, frame)
+    first, last = told[0], told[-1]
+    assert first.doubtful_joints is not None and first.doubtful_joints.all() and (first.p_wrong >= 0.5).all()
+    assert not last.doubtful_joints.all() and np.median(last.p_wrong) < 0.3
+    for motion in told:
+        assert len(motion) == 1 and motion.joints.shape[1] == motion.p_wrong.shape[1]
+        assert np.isfinite(motion.joint_sd).all() and (motion.joint_sd > 0).all()
+        assert ((motion.p_wrong >= 0) & (motion.p_wrong <= 1)).all()
+
+
+def test_who_is_lost_is_doubtful_whatever_was_known(followed):
+    tracker, known = followed
+    doubt = LiveDoubt()
+    for frame, estimate in known:
+        doubt.told(tracker, estimate, frame)
+        doubt.look(tracker, estimate, frame)
+    frame, estimate = known[-1]
+    before = doubt.told(tracker, estimate, frame)
+    lost = doubt.told(tracker, replace(estimate, lost=True), frame)
+    assert lost.lost[0] and lost.doubtful_joints.all()
+    assert (lost.p_wrong >= np.maximum(before.p_wrong, 0.5) - 1e-6).all()
+    after = doubt.told(tracker, estimate, frame)  # found again: what was known
+    assert (after.p_wrong == before.p_wrong).all()
+
+
+def test_frames_are_looked_at_a_few_times_a_second(followed, monkeypatch):
+    from hypose.pipeline.live import live_doubt
+
+    tracker, known = followed
+    counted = {"audited": 0, "judged": 0}
+
+    def count(name, made):
+        def counting(*arguments):
+            counted[name] += 1
+            return made(*arguments)
+
+        return counting
+
+    monkeypatch.setattr(live_doubt, "looked_at", count("audited", live_doubt.looked_at))
+    monkeypatch.setattr(live_doubt, "judged", count("judged", live_doubt.judged))
+    doubt = LiveDoubt()
+    for frame, estimate in known:  # 25 frames in a second
+        doubt.look(tracker, estimate, frame)
+    assert abs(counted["judged"] - 1 / live_doubt.EVERY_S) <= 2
+    assert abs(counted["audited"] - live_doubt.AUDIT_HZ) <= 4

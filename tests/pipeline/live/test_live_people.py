@@ -1,0 +1,215 @@
+"""Somebody is found, followed, lost and found again; work beside is done when the test says so."""
+
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.body.ready_bodies import human
+from hypose.inference.hypotheses import BEFORE
+from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.live.live_people import FOLLOWING, LOST
+from hypose.pipeline.live.live_person import on_body
+from hypose.pipeline.live.live_search import LOOKING, NOBODY, paced
+from hypose.pipeline.run import TrackOptions, tracker_of
+from hypose.tracking.exchanged_sides import turned_around
+from hypose.tracking.subject import scaled_to_height
+from tests.live_scenes import RATE, at, follow, nobody, people_for
+
+
+def errors(poses, walk):
+    """m, mean over the joints, of each pose whose frame's number is that of the scene."""
+    return np.array([np.linalg.norm(p.joints - walk.joints[p.frame], axis=-1).mean() for p in poses])
+
+
+def test_somebody_is_found_without_a_pose_asked_and_followed(walk, frames, beside):
+    people = people_for(frames, beside)
+    assert people.phase == NOBODY
+    poses = follow(people, frames, beside)
+    assert people.phase == FOLLOWING and len(poses) > 80
+    assert [p.frame for p in poses] == list(range(poses[0].frame, 100))
+    off = errors(poses, walk)
+    assert off[5:].mean() < 0.06 and off[5:].max() < 0.15
+    assert all(p.views.all() and not p.lost for p in poses)
+    assert not people.fitted  # nothing was measured
+
+
+def test_the_same_frames_give_the_same_poses(frames, beside):
+    first, second = (follow(people_for(frames, beside), frames[:30], beside) for _ in range(2))
+    assert first and all((a.joints == b.joints).all() for a, b in zip(first, second, strict=True))
+
+
+def test_a_step_never_waits_for_the_search(frames, beside):
+    people = people_for(frames, beside)
+    assert not any(people.step(f) for f in frames[:40])
+    assert people.phase == LOOKING and len(beside.waiting) == 1
+    beside.work()
+    (stepped,) = people.step(frames[40])  # what came meanwhile was followed too
+    assert people.phase == FOLLOWING and not stepped.estimate.lost
+
+
+def test_an_empty_room_is_nobody(frames, beside):
+    people = people_for(frames, beside)
+    assert follow(people, [nobody(f) for f in frames[:30]], beside) == []
+    assert people.phase == NOBODY and not beside.waiting
+
+
+def test_who_comes_and_goes_again_is_not_searched_in_frames_that_have_nothing_to_do_with_each_other(frames, beside):
+    people = people_for(frames, beside)
+    for second in range(8):  # twice a second somebody seems to be there
+        people.step(at(frames[second], 5.0 * second))
+    assert not beside.waiting
+
+
+def test_masks_that_are_nobody_are_searched_and_left(frames, beside):
+    people = people_for(frames, beside)
+
+    def noise(frame):
+        s = frame.silhouettes
+        masks = np.zeros_like(s.masks)
+        masks[:, 10:110, 10:150] = 1
+        return replace(frame, silhouettes=replace(s, masks=masks))
+
+    assert follow(people, [noise(f) for f in frames[:40]], beside) == []
+    assert people.phase in (LOOKING, NOBODY)
+    later = [at(f, f.time + 10, f.index) for f in frames[:40]]
+    assert follow(people, later, beside)  # somebody who comes after that is found
+
+
+def test_who_is_lost_is_told_and_looked_for_as_at_the_start(walk, frames, beside):
+    people = people_for(frames, beside)
+    follow(people, frames[:30], beside)
+    away = [at(nobody(frames[30 + k % 60]), 30 / RATE + k / RATE) for k in range(150)]
+    phases = []
+    for frame in away:
+        stepped = people.step(frame)
+        phases.append(people.phase)
+        assert (not stepped) == (people.phase == NOBODY)
+        if stepped and people.phase == LOST:
+            told = stepped[0].told()
+            assert told.lost and told.motion.doubtful_joints is not None and told.motion.doubtful_joints.all()
+    assert LOST in phases and phases[-1] == NOBODY
+    back = [at(f, 20.0 + f.time) for f in frames[40:]]
+    poses = follow(people, back, beside)
+    assert people.phase == FOLLOWING and errors(poses[5:], walk).mean() < 0.06
+
+
+def test_a_gap_in_the_pictures_is_survived(walk, frames, beside):
+    people = people_for(frames, beside)
+    follow(people, frames[:40], beside)
+    poses = follow(people, [at(f, f.time + 0.2) for f in frames[46:]], beside)  # a moment without pictures
+    assert errors(poses[8:], walk).mean() < 0.07
+
+
+def test_frames_at_half_the_rate_are_followed_at_that_rate(walk, frames):
+    with ThreadPoolExecutor(1) as pool:
+        people = people_for(frames, pool)
+        poses = [s.told() for f in frames[::2] for s in step_with_duels(people, f)]
+        assert people.people[0].tracker.settings.frame_rate == pytest.approx(12.5, rel=0.35)
+        end_duel(people)
+    # so few pictures of so few pixels may be taken for somebody who turns around: not for long
+    off = errors(poses, walk)
+    assert len(poses) > 35 and np.median(off) < 0.04 and off[-8:].mean() < 0.06
+
+
+def test_a_missing_view_is_not_among_the_views(frames, beside):
+    people = people_for(frames, beside)
+    follow(people, frames[:30], beside)
+    s = frames[30].silhouettes
+    usable = s.usable.copy()
+    usable[2] = False
+    gone = replace(s, usable=usable, reasons=("", "", "no picture", ""))
+    (pose,) = follow(people, [replace(frames[30], silhouettes=gone)], beside)
+    assert pose.views.tolist() == [True, True, False, True] and not pose.lost
+
+
+def test_a_known_body_is_followed_as_it_is(walk, frames, beside):
+    body = scaled_to_height(human(), walk.subject.stature)
+    people = people_for(frames, beside, body=body)
+    poses = follow(people, frames[:50], beside)
+    assert all(p.body.stature == pytest.approx(body.stature, rel=1e-6) for p in poses)
+
+
+def step_with_duels(people, frame):
+    """A step, and what there is to do beside, so that nothing depends on how fast this computer is."""
+    stepped, end = people.step(frame), time.monotonic() + 60
+    if people._search._search is not None:
+        people._search._search.result(60)
+    duel = people.people[0]._duel if people.people else None
+    while duel is not None and not duel.won.done() and duel.frames.qsize() and time.monotonic() < end:
+        time.sleep(0.002)
+    return stepped
+
+
+def end_duel(people):
+    if people.people[0]._duel is not None:
+        people.people[0]._duel.won.result(60)
+
+
+# ---- who was started back to front ----
+
+
+def test_the_duel_turns_a_body_that_was_started_back_to_front(walk, frames):
+    with ThreadPoolExecutor(1) as pool:
+        people = people_for(frames, pool, height=walk.subject.stature)
+        k = next(f.index for f in frames if step_with_duels(people, f))
+        (person,) = people.people
+        body = person.tracker.body
+        person.state = person.tracker.start(turned_around(body, person.state.pose))
+        s = body.skeleton
+        left, right = s.joint("left_hip"), s.joint("right_hip")
+        turned, duels = [], 0
+        for frame in frames[k + 1 :]:
+            (stepped,) = step_with_duels(people, frame)
+            joints = stepped.told().joints
+            duels += person._duel is not None
+            across = joints[left] - joints[right]
+            true = walk.joints[frame.index, left] - walk.joints[frame.index, right]
+            turned.append(float(across[:2] @ true[:2]) < 0)
+        assert turned[0] and not any(turned[-10:]) and duels
+        end_duel(people)
+
+
+# ---- small things ----
+
+
+@pytest.fixture
+def tracker(walk):
+    body = scaled_to_height(human(), walk.subject.stature)
+    return tracker_of(Subject(body, None, np.zeros(body.skeleton.dof), ()), TrackOptions(), RATE)
+
+
+def moving(tracker, step=0.02):
+    pose = np.zeros(tracker.body.skeleton.dof)
+    pose[2] = 1.0
+    state = tracker.start(pose)
+    previous = pose.copy()
+    previous[0] -= step
+    h = state.hypotheses
+    if BEFORE in h.columns:
+        h = replace(h, columns={**h.columns, BEFORE: h.values - np.eye(len(pose))[0] * step})
+    return replace(state, previous=previous, hypotheses=h)
+
+
+@pytest.mark.parametrize(("share", "steps"), [(1.0, 1.0), (2.0, 2.0), (0.5, 0.5), (0.0, 0.0), (9.0, 4.0)])
+def test_a_state_is_paced_to_the_time_that_has_passed(tracker, share, steps):
+    state = moving(tracker)
+    made = paced(state, share, tracker.body.skeleton)
+    assert (made is state) == (share == 1.0) and (made.pose == state.pose).all()
+    assert made.pose[0] - made.previous[0] == pytest.approx(0.02 * steps)
+    if BEFORE in made.hypotheses.columns:
+        before = made.hypotheses.values - made.hypotheses.columns[BEFORE]
+        assert before[:, 0] == pytest.approx(0.02 * steps)
+    predicted = tracker.predicted(made)[0] - state.pose[0]
+    assert predicted == pytest.approx(steps * (tracker.predicted(state)[0] - state.pose[0]), abs=1e-6)
+
+
+def test_a_pose_goes_from_one_body_to_another_where_it_was(tracker):
+    other = scaled_to_height(tracker.body, 1.1 * tracker.body.stature)
+    pose = np.zeros(tracker.body.skeleton.dof)
+    pose[:6] = [0.4, -0.2, 1.0, 0.1, 0.0, 0.7]
+    moved = on_body(pose, tracker.body, other)
+    assert (moved[3:] == pose[3:]).all()
+    assert other.joints(moved).mean(0) == pytest.approx(tracker.body.joints(pose).mean(0), abs=1e-9)

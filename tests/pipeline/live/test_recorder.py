@@ -1,0 +1,200 @@
+"""What was seen live is a recording like any other."""
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from hypose.errors import InputError
+from hypose.evidence.silhouettes import SilhouetteSettings
+from hypose.io.recordings.frames import FrameStream
+from hypose.io.recordings.recording import load_recording
+from hypose.io.videos.video import open_video
+from hypose.pipeline.live import recorder as recorder_module
+from hypose.pipeline.live.eyes import LiveView
+from hypose.pipeline.live.recorder import LiveRecorder
+from tests.live_scenes import at, follow, nobody, people_for, seen
+
+
+@pytest.fixture(scope="module")
+def poses(frames):
+    from tests.live_scenes import Beside
+
+    beside = Beside()
+    return follow(people_for(frames, beside), frames[:30], beside)
+
+
+def recorder(folder, walk, **of_views):
+    views = [LiveView(name, "", **of_views) for name in walk.given_rig.names]
+    return LiveRecorder(folder, walk.given_rig, views, SilhouetteSettings(), 1.8)
+
+
+def masks_of(recording):
+    return [f.silhouettes for f in FrameStream(recording)]
+
+
+def test_what_is_recorded_is_loaded_with_the_masks_that_were_seen(tmp_path, walk, frames, poses):
+    made = recorder(tmp_path / "live", walk)
+    by_frame = {p.frame: p for p in poses}
+    for frame in frames[:20]:
+        made.seen(seen(frame, by_frame.get(frame.index)))
+    assert made.close() and made.written == 20 and made.left_out == 0
+    recording = load_recording(tmp_path / "live")
+    assert recording.n_frames == 20 and recording.frame_rate == pytest.approx(25.0)
+    assert recording.rig.names == walk.given_rig.names and recording.subject_height == 1.8
+    for kept, frame in zip(masks_of(recording), frames, strict=False):
+        assert (kept.masks == frame.silhouettes.masks).all() and kept.usable.all()
+    with open_video(recording.views[0].source) as reader:
+        assert [round(float(p.mean())) for p in reader] == [90] * 20
+    rows = [json.loads(line) for line in (tmp_path / "live" / "poses.jsonl").read_text().splitlines()]
+    assert [r["n"] for r in rows] == list(range(20))
+    assert [r["time"] for r in rows] == pytest.approx([f.time for f in frames[:20]])
+    told = [{"n": r["n"], **p} for r in rows for p in r["people"]]
+    assert [p["id"] for p in told] == [1] * len(told)
+    assert len(told) == sum(n < 20 for n in by_frame) > 0
+    for row in told:
+        assert row["joints"] == pytest.approx(by_frame[row["n"]].joints, abs=1e-5) and row["lost"] is False
+
+
+def test_a_missing_camera_repeats_its_picture_and_has_an_empty_mask(tmp_path, walk, frames):
+    made = recorder(tmp_path / "live", walk)
+    for k, frame in enumerate(frames[:6]):
+        made.seen(seen(frame, None, missing=(2,) if k in (0, 3, 4) else (), grey=20 * k + 20))
+    assert made.close()
+    recording = load_recording(tmp_path / "live")
+    usable = [m.usable.tolist() for m in masks_of(recording)]
+    assert usable == [[True, True, k not in (0, 3, 4), True] for k in range(6)]
+    with open_video(recording.views[2].source) as reader:
+        greys = [round(float(p.mean())) for p in reader]
+    assert greys == pytest.approx([0, 40, 60, 60, 60, 120], abs=1)  # black, as long as there was none
+
+
+def test_a_damaged_picture_is_not_recorded(tmp_path, walk, frames):
+    made = recorder(tmp_path / "live", walk)
+    for k, frame in enumerate(frames[:4]):
+        one = seen(frame, None)
+        if k == 2:  # it came, and could not be decoded
+            sight = replace(
+                one.sight, views=(None, *one.sight.views[1:]), jpegs=(b"\xff\xd8 damaged", *one.sight.jpegs[1:])
+            )
+            one = replace(one, sight=sight)
+        made.seen(one)
+    assert made.close()
+    with open_video(load_recording(tmp_path / "live").views[0].source) as reader:
+        assert [round(float(p.mean())) for p in reader] == [90] * 4
+
+
+def test_what_was_known_of_a_view_goes_with_it(tmp_path, walk, frames):
+    made = recorder(tmp_path / "live", walk, shift=(3.0, -2.0), stretched=True)
+    for frame in frames[:3]:
+        made.seen(seen(frame, None))
+    assert made.close()
+    assert all(v.image_shift == (3.0, -2.0) and v.accept_scaled for v in load_recording(tmp_path / "live").views)
+
+
+def test_the_rate_is_that_at_which_somebody_was_followed(tmp_path, walk, frames, poses):
+    """Before that instants are looked at more seldom, for a minute the cameras were unplugged, and some are skipped."""
+    made = recorder(tmp_path / "live", walk)
+    known = np.delete(np.arange(30), np.r_[3:13, 20:24]) / 25
+    times = [*np.arange(30) / 10, *(3 + known), *(70 + known)]
+    for k, time in enumerate(times):
+        made.seen(seen(at(frames[0], time), poses[-1] if k >= 30 else None))
+    assert made.close()
+    assert load_recording(tmp_path / "live").frame_rate == pytest.approx(25.0 * 15 / 29)
+
+
+def test_a_folder_that_holds_something_is_refused(tmp_path, walk):
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="old is not empty; give a new folder"):
+        recorder(tmp_path / "old", walk)
+    with pytest.raises(InputError, match=r"notes\.txt is not empty"):
+        recorder(tmp_path / "old" / "notes.txt", walk)
+    with pytest.raises(InputError, match="live cannot be written .not a directory.; choose another folder"):
+        recorder(tmp_path / "old" / "notes.txt" / "live", walk)
+    assert [p.name for p in (tmp_path / "old").iterdir()] == ["notes.txt"]
+
+
+def test_where_nothing_was_recorded_nothing_stays_that_was_not_there(tmp_path, walk, frames):
+    assert not recorder(tmp_path / "live", walk).close()  # the cameras could not be opened
+    assert not (tmp_path / "live").exists()
+    (tmp_path / "live").mkdir()
+    assert not recorder(tmp_path / "live", walk).close()
+    assert (tmp_path / "live").exists()
+    again = recorder(tmp_path / "live", walk)
+    for frame in frames[:3]:
+        again.seen(seen(nobody(frame), None))
+    assert again.close() and load_recording(tmp_path / "live").n_frames == 3
+
+
+def test_a_disk_that_is_full_is_told_at_the_end(tmp_path, walk, frames, monkeypatch):
+    made = recorder(tmp_path / "live", walk)
+
+    def full(seen, poses):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(made, "_write", full)
+    for frame in frames[:3]:
+        made.seen(seen(frame, None))
+    with pytest.raises(InputError, match="cannot be written to .No space left on device.; the recording ends there"):
+        made.close()
+
+
+def test_what_was_written_before_the_disk_was_full_is_a_recording(tmp_path, walk, frames, poses, monkeypatch):
+    """The disk is full in the middle of an instant, of which nothing is left."""
+    made, write = recorder(tmp_path / "live", walk), LiveRecorder._write
+
+    def full(size):
+        raise OSError(28, "No space left on device")
+
+    def until_full(seen, rows):
+        if made.written == 5:
+            rows.write('{"n":5')
+            rows.flush()
+            made._last[2], seen = (
+                None,
+                replace(seen, sight=replace(seen.sight, jpegs=(seen.sight.jpegs[0], *[None] * 3))),
+            )
+            monkeypatch.setattr(recorder_module, "_black", full)
+        write(made, seen, rows)
+
+    monkeypatch.setattr(made, "_write", until_full)
+    for frame in frames[:8]:
+        made.seen(seen(frame, poses[-1]))
+    with pytest.raises(InputError, match="No space left on device.; the recording ends there; the 5 instants before"):
+        made.close()
+    assert "the recording ends there" in made.failed
+    assert load_recording(tmp_path / "live").n_frames == 5
+    assert [len(list(p.glob("*.*g"))) for p in sorted((tmp_path / "live").glob("*/*"))] == [5] * 8
+    rows = (tmp_path / "live" / "poses.jsonl").read_text().splitlines()
+    assert [json.loads(row)["n"] for row in rows] == list(range(5))
+
+
+def test_a_disk_that_is_too_slow_costs_instants_and_nobody_waits(tmp_path, walk, frames, monkeypatch):
+    from threading import Event
+
+    made, go, write = recorder(tmp_path / "live", walk), Event(), LiveRecorder._write
+
+    def slow(seen, poses):
+        go.wait(30)
+        write(made, seen, poses)
+
+    monkeypatch.setattr(made, "_write", slow)
+    one = seen(frames[0], None)
+    for k in range(120):
+        made.seen(replace(one, frame=replace(frames[0], time=k / 25)))
+    go.set()
+    assert made.close() and made.left_out in (29, 30) and made.written + made.left_out == 120
+
+
+def test_a_picture_is_what_the_camera_sent_byte_for_byte(tmp_path, walk, frames):
+    made = recorder(tmp_path / "live", walk)
+    sent = [seen(f, None, grey=30 + k) for k, f in enumerate(frames[:3])]
+    for one in sent:
+        made.seen(one)
+    assert made.close()
+    folder = load_recording(tmp_path / "live").views[1].source
+    assert [p.read_bytes() for p in sorted(folder.glob("*.jpg"))] == [one.sight.jpegs[1] for one in sent]
+    assert cv2.imdecode(np.frombuffer(sent[0].sight.jpegs[1], np.uint8), 1).shape == (120, 160, 3)

@@ -1,0 +1,125 @@
+"""The empty room of a view: learnt, followed while it changes, and never a place in which somebody stands."""
+
+import numpy as np
+import pytest
+
+from hypose.cameras.camera import Camera
+from hypose.evidence.silhouettes import SilhouetteSettings
+from hypose.pipeline.live.view_room import ViewRoom
+from hypose.synthetic.rigs import rig
+
+W, H = 160, 120
+PERSON = (slice(30, 100), slice(40, 62))
+CHAIR = (slice(70, 100), slice(110, 135))
+
+
+@pytest.fixture
+def camera() -> Camera:
+    return rig("humaneva-4").scaled(0.25)[0]
+
+
+@pytest.fixture
+def wall(rng):
+    """(H, W, 3): a room with a pattern."""
+    coarse = rng.integers(60, 190, (H // 10, W // 10, 3)).astype(np.float32)
+    return np.repeat(np.repeat(coarse, 10, 0), 10, 1)
+
+
+def picture(wall, rng, gain=1.0, *things):
+    """The room under a light, with noise, and things of one colour in it."""
+    out = wall * gain
+    for where, colour in things:
+        out = out.copy()
+        out[where] = colour
+    return np.clip(out + rng.normal(0, 2, out.shape), 0, 255).astype(np.uint8)
+
+
+@pytest.fixture
+def room(camera, wall, rng):
+    made = ViewRoom(camera, camera, (0.0, 0.0), SilhouetteSettings())
+    assert made.background is None
+    made.learn([picture(wall, rng) for _ in range(12)])
+    return made
+
+
+RED, BLUE = (10, 20, 240), (240, 30, 10)
+
+
+def marked(mask, where):
+    return float(mask[where].mean())
+
+
+def test_what_stands_in_the_room_is_found_with_its_outline(room, wall, rng):
+    mask, outline = room.mask(picture(wall, rng, 1.0, (PERSON, RED)))
+    assert mask.shape == (H, W) and outline is not None
+    assert marked(mask, PERSON) > 0.95 and mask.sum() < 1.15 * mask[PERSON].size
+    empty, none = room.mask(picture(wall, rng))
+    assert empty.sum() < 0.002 * empty.size
+    assert none is None or empty.any()
+
+
+def test_light_that_changes_is_followed(room, wall, rng):
+    """The light of a window falls upon the left half: not what the gain of a camera explains."""
+    before = np.asarray(room.background.mean).copy()
+    lamp = wall.copy()
+    for second in range(60):
+        lamp[:, : W // 2] = wall[:, : W // 2] * (1 + 0.35 * second / 60)
+        room.follow(picture(lamp, rng), float(second), None)
+    mask, _ = room.mask(picture(lamp, rng, 1.0, (PERSON, RED)))
+    away = np.abs(np.asarray(room.background.mean) - lamp).mean()
+    assert away < 0.5 * np.abs(before - lamp).mean()
+    assert marked(mask, PERSON) > 0.95 and mask.sum() < 1.3 * mask[PERSON].size
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_who_stands_still_stays_out_of_the_room(room, wall, rng, known):
+    person = np.zeros((H, W), np.uint8)
+    person[PERSON] = 1
+    for second in range(120):
+        room.follow(picture(wall, rng, 1.0, (PERSON, RED)), float(second), person if known else None)
+    mask, _ = room.mask(picture(wall, rng, 1.0, (PERSON, RED)))
+    assert marked(mask, PERSON) > 0.95
+    gone, _ = room.mask(picture(wall, rng))
+    assert gone.sum() < 0.01 * gone.size  # and leaves no hole
+
+
+def test_a_chair_that_was_moved_becomes_a_part_of_the_room_outside_the_person(room, wall, rng):
+    person = np.zeros((H, W), np.uint8)
+    person[PERSON] = 1
+    things = ((CHAIR, BLUE), (PERSON, RED))
+    assert marked(room.mask(picture(wall, rng, 1.0, (CHAIR, BLUE)))[0], CHAIR) > 0.9
+    for second in range(120):
+        room.follow(picture(wall, rng, 1.0, *things), float(second), person)
+    assert room.mask(picture(wall, rng, 1.0, (CHAIR, BLUE)))[0].mean() < 0.002
+    assert marked(room.mask(picture(wall, rng, 1.0, *things))[0], PERSON) > 0.95
+
+
+def test_of_who_is_not_known_nothing_is_learnt(room, wall, rng):
+    for second in range(120):
+        room.follow(picture(wall, rng, 1.0, (CHAIR, BLUE)), float(second), None)
+    assert marked(room.mask(picture(wall, rng, 1.0, (CHAIR, BLUE)))[0], CHAIR) > 0.9
+
+
+def test_after_a_long_pause_the_room_is_what_it_is_and_not_more(room, wall, rng):
+    """A camera that had gone for minutes shows a wall that is a little brighter on one side."""
+    room.follow(picture(wall, rng), 0.0, None)
+    brighter = wall.copy()
+    brighter[:, : W // 2] += 6
+    room.follow(picture(brighter, rng), 200.0, None)
+    assert np.abs(np.asarray(room.background.mean) - brighter).max() < 14
+    assert room.mask(picture(brighter, rng))[0].mean() < 0.002
+
+
+def test_it_is_looked_at_once_a_second(room, wall, rng):
+    room.follow(picture(wall, rng), 0.0, None)
+    before = np.asarray(room.background.mean)
+    room.follow(picture(0.8 * wall, rng), 0.5, None)
+    assert room.background.mean is before or (np.asarray(room.background.mean) == before).all()
+    room.follow(picture(wall + 4, rng), 1.1, None)
+    assert not (np.asarray(room.background.mean) == before).all()
+
+
+def test_a_room_that_is_known_need_not_be_learnt(camera, room, wall, rng):
+    other = ViewRoom(camera, camera, (0.0, 0.0), SilhouetteSettings(), room.background)
+    seen = picture(wall, rng, 1.0, (PERSON, RED))
+    assert (other.mask(seen)[0] == room.mask(seen)[0]).all()
