@@ -15,19 +15,22 @@ from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.fitting import SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
+from hypose.pipeline.start_choice import best_ways
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
 from hypose.tracking.frame_evidence import PreparedFrame, prepare
 from hypose.tracking.keypoint_clip import LEAST_POINTS
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, keypoint_model, keypoint_term
 from hypose.tracking.keypoint_offsets import calibrate_keypoints
 from hypose.tracking.refinement import anatomical_prior
-from hypose.tracking.start_search import start_from_hull
+from hypose.tracking.start_search import Start, start_from_hull
 from hypose.tracking.starts import KNOWN_POSES, hull_of, start_from_keypoints
 from hypose.tracking.subject import fit_girths, scaled_to_height, subject_from_keypoints
 from hypose.tracking.view_noise import view_factors
 
 FrameAt = Callable[[int], Frame]
 GIVEN = "the subject's body is given"
+TRACKED = 24
+"""instants from which a body is fitted"""
 _AS_MANY, _AS_WELL = 0.8, 0.03
 """Share of the most points of a frame from which on a start is as good, and by how much fewer of its detections may
 agree: one limb of one view is 3 of 100."""
@@ -51,7 +54,8 @@ class Subject:
 class SubjectOptions:
     """start: 'auto', 'keypoints', 'hull' or a known pose's name. height: m, None = from key points or the hull.
     girths: fit girths to the silhouettes. body: the template, or with `known` the subject's own body, of which only the
-    start pose is looked for. frame_rate: Hz. seed."""
+    start pose is looked for. frame_rate: Hz. seed. shared, tried: as for `best_ways`, the masks show others as well,
+    and starts that may be right."""
 
     start: str = "auto"
     height: float | None = None
@@ -60,6 +64,8 @@ class SubjectOptions:
     frame_rate: float = 25.0
     seed: int = 0
     known: bool = False
+    shared: bool = False
+    tried: tuple[tuple[int, Start], ...] = ()
 
     def __post_init__(self) -> None:
         allowed = ("auto", "keypoints", "hull", *KNOWN_POSES)
@@ -86,6 +92,11 @@ def find_subject(frame_at: FrameAt, n_frames: int, options: SubjectOptions) -> S
             return _known_by_points(template, frame_at, sampled, n_frames, options)
         return _from_keypoints(template, frame_at, sampled, n_frames, options)
     if options.known:
+        if options.tried:
+            frames = [frame_at(k) for k in range(min(n_frames, TRACKED))]
+            known = {"height": template.stature, "seed": options.seed, "tried": options.tried}
+            way = best_ways(template, frames, options.frame_rate, shared=options.shared, **known).ways[0]
+            return Subject(template, None, way.poses[0], (GIVEN,))
         poses = KNOWN_POSES if options.start in ("auto", "hull") else (options.start,)
         prepared = prepare(first, template, np.zeros(template.skeleton.dof))
         return Subject(template, None, start_from_hull(template, prepared, poses).pose, (GIVEN,))
@@ -190,7 +201,14 @@ def _from_hull(
     poses = KNOWN_POSES if options.start in ("auto", "hull") else (options.start,)
     if options.girths:
         how = AnthropometryOptions(
-            height=options.height, poses=poses, seed=options.seed, frames=8, tracked=24, passes=1
+            height=options.height,
+            poses=poses,
+            seed=options.seed,
+            frames=8,
+            tracked=TRACKED,
+            passes=1,
+            shared=options.shared,
+            tried=options.tried,
         )
         estimate = estimate_subject(frame_at, n_frames, options.frame_rate, template, how)
         notes = [f"height {estimate.body.stature:.3f} m from the silhouettes"] if options.height is None else []

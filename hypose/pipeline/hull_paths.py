@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -12,9 +12,8 @@ from scipy.optimize import linear_sum_assignment
 from hypose.errors import HyposeError
 from hypose.evidence.frame import Frame
 from hypose.evidence.hull_people import HullPerson, people_in_hull
-from hypose.evidence.shared_masks import Other, own_silhouettes
+from hypose.evidence.shared_masks import Other
 from hypose.geometry import Array
-from hypose.tracking.several import nobody_in
 
 SURPRISE = 1.0
 """m/s: by which somebody moves otherwise than expected."""
@@ -92,24 +91,6 @@ def follow_places(
 def lasting(paths: Sequence[Path], looks: int) -> list[Path]:
     """Those who are found in most of so many looks."""
     return [p for p in paths if len(p.found) >= max(2, SEEN_SHARE * looks)]
-
-
-def own_frame(frame: Frame, number: int, who: int, paths: Sequence[Path], known: Sequence[Other] = ()) -> Frame:
-    """Frame `number` as evidence for one of the people on paths alone; the others, and those who are known, are left
-    out."""
-    s = frame.silhouettes
-    if s is None:
-        return frame
-    here = paths[who].found.get(number)
-    if here is None:
-        return nobody_in(frame)
-    own = here.shape(s.rig)
-    others = [
-        Other(there.shape(s.rig, CORE_M), OTHERS_WIDENED)
-        for k, p in enumerate(paths)
-        if k != who and (there := p.found.get(number)) is not None
-    ]
-    return replace(frame, silhouettes=own_silhouettes(s, own, [*known, *others]))
 
 
 CLEARLY_M = 0.6

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from hypose.body.ready_bodies import human
 from hypose.errors import EvidenceError, HyposeError, InputError
 from hypose.evidence.ahead import pack_once
 from hypose.evidence.frame import Frame, Keypoints
@@ -23,12 +24,13 @@ from hypose.evidence.shared_masks import SOLVED, Other, own_silhouettes
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder, save_motion
 from hypose.io.recordings.provenance import identity
-from hypose.pipeline.doubts import in_words, looked_at, mask_change, runs
+from hypose.pipeline.doubts import as_now, in_words, looked_at, mask_change, runs
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
-from hypose.pipeline.hull_paths import Path, follow_places, lasting, own_frame
+from hypose.pipeline.hull_paths import Path, follow_places, lasting
 from hypose.pipeline.kept_findings import keep_subject, kept_subject
 from hypose.pipeline.newcomers import evidence_of, explained_by, returned, somebody_more
 from hypose.pipeline.people_points import KeypointPeople, PointFrames, padded
+from hypose.pipeline.rough_bodies import HIDDEN, Rough, least_hidden, own_frame, rough_bodies
 from hypose.pipeline.run import TrackOptions, finish, track_source, tracker_of
 from hypose.pipeline.track_loop import FrameSource, Progress, Tracked
 from hypose.pipeline.tracked_people import (
@@ -52,16 +54,12 @@ LOOK_S = 0.12
 """s between two looks for somebody new, who must be there in two."""
 FIT_S, FIT_HZ = 3.0, 12.5
 """s of frames, and their rate, from which a body is fitted."""
-FEW_SEEN = 16
-"""frames from which a body is fitted, at least, if there are so many"""
 FEWEST = 6
 """frames in which somebody new must be found to be fitted"""
 GONE_S = 0.4
 """s without evidence after which a person has left."""
 TOGETHER_M, TOGETHER_S = 0.2, 0.3
 """m, s: two bodies whose roots stay so near to each other for so long are one person."""
-HIDDEN = 0.5
-"""A view shows a person when no more than this share of the body is hidden."""
 
 
 @dataclass(frozen=True)
@@ -177,13 +175,31 @@ class PeopleRun:
         names = names_at_places(self.wanted, len(paths), lambda k, t: paths[k].axis(t), self.frame_rate)
         order = sorted(range(len(paths)), key=lambda k: (self._rank(names[k]), k))
         numbers, people = self._fit_numbers(0), list[Followed]()
-        followed = self._followed(paths, numbers)
+        followed, names = self._followed(paths, numbers), list(names)
         for k in order:
-            name = names[k] or free_name([p.name for p in people], self.wanted)
-            one = self._fitted(name, followed, k, numbers, alone=len(paths) == 1)
+            names[k] = names[k] or free_name([n for n in names if n is not None], self.wanted)
+        rough = self._roughly(followed, [str(n) for n in names], numbers)
+        for k in order:
+            one = self._fitted(str(names[k]), followed, k, numbers, rough, alone=len(paths) == 1)
             one.asked_for = self.count is None or len(people) < self.count
             people.append(one)
         return people
+
+    def _roughly(self, paths: Sequence[Path], names: Sequence[str], numbers: Sequence[int]) -> list[Rough | None]:
+        """Everybody's body and poses in the frames `numbers`, roughly; nobody's where key points tell who is where, and
+        where somebody is alone."""
+        if len(paths) < 2 or self._points is not None:
+            return [None] * len(paths)
+        known = [self._known(n) for n in names]
+        sizes = [(human(), w.height) if w.body is None else (w.body, w.body.stature) for w in known]
+        return rough_bodies(self.source.frame, numbers, paths, self._rate_of(numbers), sizes, self.options.seed)
+
+    def _known(self, name: str) -> Wanted:
+        return next((w for w in self.wanted if w.name == name), Wanted(name))
+
+    def _rate_of(self, numbers: Sequence[int]) -> float:
+        """Hz of the frames `numbers`."""
+        return self.frame_rate / max(1, numbers[1] - numbers[0]) if len(numbers) > 1 else self.frame_rate
 
     def _middle(self) -> Array:
         """(2,) m: where the cameras look."""
@@ -211,26 +227,33 @@ class PeopleRun:
         return out
 
     def _fitted(
-        self, name: str, paths: Sequence[Path], who: int, numbers: Sequence[int], alone: bool = False
+        self,
+        name: str,
+        paths: Sequence[Path],
+        who: int,
+        numbers: Sequence[int],
+        rough: Sequence[Rough | None] | None = None,
+        alone: bool = False,
     ) -> Followed:
-        """A person with a body fitted to what is theirs alone in the frames `numbers`."""
-        known = next((w for w in self.wanted if w.name == name), Wanted(name))
+        """A person with a body fitted to what is theirs alone in the frames `numbers`; rough: what is known of all."""
+        known = self._known(name)
         o, key, results = self.options, identity(self.record), self._results_of(name)
         subject = kept_subject(results, key) if self.resume and results is not None else None
         if subject is None:
-            own = {t: own_frame(self.source.frame(t), t, who, paths) for t in numbers if t in paths[who].found}
-            seen = _least_hidden(own)
+            own = {t: own_frame(self.source.frame(t), t, who, paths, rough) for t in numbers if t in paths[who].found}
+            seen = least_hidden(own)
 
             def frame_at(k: int) -> Frame:
                 t = seen[k]
                 points = None if self._points is None else self._points.at(t, paths[who].axis(t), ())
                 return replace(own[t], keypoints=None if points is None else points[1])
 
-            rate = self.frame_rate / max(1, numbers[1] - numbers[0]) if len(numbers) > 1 else self.frame_rate
+            rate, mine = self._rate_of(numbers), None if rough is None else rough[who]
+            tried = () if mine is None else mine.starts(seen)
             start = "hull" if self._points is None else "keypoints"
             height = known.height or (o.height if alone else None)
             given = known.body is not None
-            wanted = SubjectOptions(start, height, o.girths, known.body, rate, o.seed, given)
+            wanted = SubjectOptions(start, height, o.girths, known.body, rate, o.seed, given, not alone, tried)
             subject = find_subject(frame_at, len(seen), wanted)
             earlier = [own[t] for t in sorted(own, reverse=True) if t < seen[0]]
             if earlier:  # what was fitted begins where the person is seen well
@@ -293,7 +316,7 @@ class PeopleRun:
             pack_once(frame.silhouettes)
         change = mask_change(frame, before)  # of the whole masks: what is ignored changes by itself
         for p, member, estimate, own in zip(people, members, estimates, seen, strict=True):
-            looked = looked_at(member.tracker, estimate, own, _as_now(own, before), change)
+            looked = looked_at(member.tracker, estimate, own, None if before is None else as_now(own, before), change)
             there = p.member.present
             p.gone = p.gone + 1 if member.state.lost or member.state.blind > 0 else 0
             if there and p.gone > GONE_S * self.frame_rate:
@@ -378,7 +401,17 @@ class PeopleRun:
         tracked = Tracked(range(len(p.estimates)), p.estimates, p.member.state, complete)
         present, hidden = np.array(p.present, dtype=np.bool_), np.array(p.hidden, dtype=np.bool_)
         source = _OwnFrames(self.source, p, people, self._points)
-        out = finish(source, p.subject, p.member.tracker, tracked, self.options, p.results, self.record, self.progress)
+        out = finish(
+            source,
+            p.subject,
+            p.member.tracker,
+            tracked,
+            self.options,
+            p.results,
+            self.record,
+            self.progress,
+            shared=len(people) > 1 and p.present[0],
+        )
         motion, notes = replace(out.motion, lost=out.motion.lost | ~present), [*out.notes, *p.said]
         if hidden.any():
             motion = replace(motion, doubtful=hidden if motion.doubtful is None else motion.doubtful | hidden)
@@ -388,26 +421,6 @@ class PeopleRun:
         if p.results is not None:
             save_motion(motion, p.results.motion)
         return OnePerson(p.name, replace(out, motion=motion, notes=tuple(notes)), present, hidden)
-
-
-def _least_hidden(own: Mapping[int, Frame]) -> list[int]:
-    """In which of the frames a person is seen well, by all views but one; those least hidden, when they are few."""
-    numbers = sorted(own)
-    share = np.array([np.sort(visible_share(own[t])) for t in numbers])
-    if not share.size:
-        return numbers
-    good = np.flatnonzero(share[:, min(1, share.shape[1] - 1)] > HIDDEN)
-    if len(good) < FEW_SEEN:
-        good = np.sort(np.argsort(-share.sum(1), kind="stable")[:FEW_SEEN])
-    return [numbers[k] for k in good]
-
-
-def _as_now(own: Frame, before: Frame | None) -> Frame | None:
-    """The frame before, with what is ignored now: what was then may have been ignored otherwise."""
-    s, then = own.silhouettes, None if before is None else before.silhouettes
-    if before is None or s is None or then is None:
-        return None
-    return replace(before, silhouettes=replace(then, ignored=s.ignored, expected=s.expected))
 
 
 class _OwnFrames:

@@ -212,9 +212,18 @@ def as_mixture(motion: Motion) -> Motion:
     """The motion with the covariances of its doubtful joints those of two cases: the joint is where it is believed to
     be, or, with the probability that it is wrong, ELSEWHERE_M away in any direction; likewise the sd of the angles
     that turn such a joint."""
+    return _with_other_case(motion, 1.0)
+
+
+def without_mixture(motion: Motion) -> Motion:
+    """What `as_mixture` was given: for fitting anew."""
+    return _with_other_case(motion, -1.0)
+
+
+def _with_other_case(motion: Motion, times: float) -> Motion:
     p, doubtful = motion.p_wrong, motion.doubtful_joints
     assert p is not None and doubtful is not None
-    wrong = np.where(doubtful, p, 0.0)
+    wrong = times * np.where(doubtful, p, 0.0)
     around = motion.joint_covariance + (wrong * ELSEWHERE_M**2 / 3)[..., None, None] * np.eye(3)
     sd = motion.angle_sd
     if sd is not None:
@@ -225,7 +234,7 @@ def as_mixture(motion: Motion) -> Motion:
             joint = None if turned is None else f"{'right' if name.endswith('_r') else 'left'}_{turned}"
             if joint in names:
                 variance[:, angle] += wrong[:, names.index(joint)] * ELSEWHERE_RAD**2
-        sd = np.sqrt(variance).astype(np.float32)
+        sd = np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
     return replace(motion, joint_covariance=around.astype(np.float32), angle_sd=sd)
 
 

@@ -17,7 +17,7 @@ from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
 from hypose.fitting.articulated import PointTerm, SolveSettings, fit_pose
 from hypose.geometry import Array
-from hypose.tracking.costs import silhouette_iou
+from hypose.tracking.costs import agreement
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.refinement import anatomical_prior, refine
 from hypose.tracking.starts import turned
@@ -77,7 +77,7 @@ def look_for_exchange(pose: Array, frame: PreparedFrame, /) -> tuple[float, Arra
     body = frame.body
 
     def worth(q: Array) -> float:
-        return float(np.nanmean(silhouette_iou(body, q, frame))) - float(strain(body.skeleton, q[None])[0])
+        return agreement(body, q, frame) - float(strain(body.skeleton, q[None])[0])
 
     now, best = worth(pose), (-1.0, pose)
     for rival in (turned_around, limbs_exchanged):

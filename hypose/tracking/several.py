@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.cameras.camera import CameraRig
+from hypose.evidence.ahead import pack_once
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.shared_masks import PREDICTED, SOLVED, BodyShape, Other, own_silhouettes
 from hypose.geometry import Array
@@ -49,11 +50,14 @@ def shape_of(body: Body, pose: Array, rig: CameraRig) -> BodyShape:
 
 
 def step_together(
-    members: Sequence[Member], frame: Frame, keypoints: Sequence[Keypoints | None] | None = None
+    members: Sequence[Member],
+    frame: Frame,
+    keypoints: Sequence[Keypoints | None] | None = None,
+    others: Sequence[Other] = (),
 ) -> tuple[list[Member], list[FrameEstimate], list[Frame]]:
     """One frame: everybody's next state and estimate, and the frame as each saw it, without what others hide.
 
-    keypoints: those of each person, already told apart; None: the frame's are nobody's."""
+    keypoints: those of each person, already told apart; None: the frame's are nobody's. others: who else is there."""
     count, after = len(members), list(members)
     estimates: list[FrameEstimate | None] = [None] * count
     seen = [frame] * count
@@ -67,11 +71,13 @@ def step_together(
         if not m.present:
             own = nobody_in(own)
         elif shapes is not None and frame.silhouettes is not None:
-            others = [
+            beside = [
                 Other(shapes[j], SOLVED if done[j] else PREDICTED) for j in range(count) if j != i and after[j].sure
             ]
             lost = m.state.lost or m.state.blind > BLIND
-            own = replace(own, silhouettes=own_silhouettes(frame.silhouettes, shapes[i], others, anywhere=lost))
+            silhouettes = own_silhouettes(frame.silhouettes, shapes[i], [*others, *beside], anywhere=lost)
+            pack_once(silhouettes)  # the tracker wants them, and whoever judges what it has found
+            own = replace(own, silhouettes=silhouettes)
         state, estimate = m.tracker.step(m.state, own)
         after[i], estimates[i], seen[i], done[i] = replace(m, state=state), estimate, own, True
         if shapes is not None and rig is not None:

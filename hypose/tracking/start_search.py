@@ -18,6 +18,7 @@ from hypose.body.body import Body
 from hypose.evidence.hull import Hull
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array, so3_exp, so3_log
+from hypose.tracking.depth_costs import depth_cost
 from hypose.tracking.exchanged_sides import strain, turned_around
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.postures import postures
@@ -58,7 +59,8 @@ class Start:
 
 
 def mask_cost(body: Body, poses: Array, frame: PreparedFrame) -> Array:
-    """(N,) of poses (N, D): body outside the masks and, less, bare mask; shares of the masks, mean over the views."""
+    """(N,) of poses (N, D): body outside the masks and, less, bare mask; shares of the masks, mean over the views.
+    Where depth cameras see, also how far the body is off."""
     assert frame.masks is not None
     flat = np.ascontiguousarray(poses, dtype=np.float64)
     counts = compute.silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, frame.masks)
@@ -66,7 +68,8 @@ def mask_cost(body: Body, poses: Array, frame: PreparedFrame) -> Array:
     area, whole = frame.masks.areas[use].astype(np.float64), frame.masks.norm[use]
     bare = area - counts[:, use, 2]
     outside = counts[:, use, 0] - bare
-    return ((outside + BARE * bare) / whole).mean(1)
+    cost = ((outside + BARE * bare) / whole).mean(1)
+    return cost if frame.depth is None else cost + depth_cost(body, flat, frame) / use.sum()
 
 
 def starts_in_frame(
@@ -149,15 +152,23 @@ def weighed(starts: Sequence[Start], frames: Sequence[PreparedFrame]) -> Starts:
     some = [s for s in starts if s.cost < starts[0].cost + _HOPELESS][:_FOLLOWED]
     ways = [_followed(s, frames) for s in some]
     costs = np.array([(s.cost + c.sum()) / (1 + len(frames)) for s, (_, c) in zip(some, ways, strict=True)])
+    return by_their_ways(
+        some, [np.concatenate([s.pose[None], w]) for s, (w, _) in zip(some, ways, strict=True)], costs
+    )[0]
+
+
+def by_their_ways(starts: Sequence[Start], ways: Sequence[Array], costs: Array) -> tuple[Starts, list[int]]:
+    """Starts weighed by what they cost (K,) on their ways through the same frames, K of (T, D); and their numbers, the
+    best first."""
     order = np.argsort(costs, kind="stable")
     weights = np.exp(-(costs[order] - costs[order[0]]) / _SOFT)
     weights /= weights.sum()
-    joints = np.stack([some[k].body.joints(np.concatenate([some[k].pose[None], ways[k][0]])) for k in order])
+    joints = np.stack([starts[k].body.joints(ways[k]) for k in order])
     away = np.linalg.norm(joints - joints[0], axis=-1)
-    arm = np.array([n.endswith(("elbow", "wrist")) for n in some[0].body.skeleton.joint_names])
+    arm = np.array([n.endswith(("elbow", "wrist")) for n in starts[0].body.skeleton.joint_names])
     other = away[..., ~arm].mean((1, 2)) > _APART_M  # arms that alone differ are found by whoever tracks
     far = (away > _FAR_M).mean(1) * other[:, None]
-    return Starts(tuple(some[k] for k in order), weights, np.asarray(weights @ far))
+    return Starts(tuple(starts[k] for k in order), weights, np.asarray(weights @ far)), order.tolist()
 
 
 def start_from_hull(body: Body, frame: PreparedFrame, poses: Sequence[str] = KNOWN_POSES) -> Start:

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.errors import EvidenceError, InputError
+from hypose.evidence.depth_space import space_behind
 from hypose.evidence.hull import Hull, visual_hull
 from hypose.fitting.articulated import PointTerm, PoseFit, SolveSettings, fit_pose
 from hypose.geometry import Array, procrustes, rotation_between, so3_exp, so3_log
-from hypose.tracking.costs import xor_energy
+from hypose.tracking.costs import evidence_energy
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.refinement import SETTLING, anatomical_prior, refine
 
@@ -157,7 +158,9 @@ def hull_of(frame: PreparedFrame, bounds: Array | None = None) -> Hull:
     silhouettes = frame.frame.silhouettes
     if silhouettes is None or frame.masks is None:
         raise EvidenceError(f"Frame {frame.frame.index} has no usable silhouette to start from; choose another frame.")
-    hull = visual_hull(silhouettes, bounds)
+    hull = (
+        space_behind(frame.frame.depth, bounds) if frame.frame.depth is not None else visual_hull(silhouettes, bounds)
+    )
     if len(hull.points) == 0:
         raise EvidenceError(
             f"Frame {frame.frame.index}: the silhouettes of the views have no common volume; check the calibration and "
@@ -181,9 +184,9 @@ def _best_refined(
 ) -> PoseFit:
     """Ranks candidates (N, D) by XOR, solves the `tried` best briefly and the `keep` best of those at length; gives
     the best by XOR: a wrong heading may overlap better than the right one until the limbs have moved."""
-    order = np.argsort(xor_energy(body, candidates, frame), kind="stable")[:tried]
+    order = np.argsort(evidence_energy(body, candidates, frame), kind="stable")[:tried]
     brief = SolveSettings(iterations=8, coarse_iterations=8)
     moved = np.stack([f.pose for f in refine(body, candidates[order], frame, brief)])
-    order = np.argsort(xor_energy(body, moved, frame), kind="stable")[:keep]
+    order = np.argsort(evidence_energy(body, moved, frame), kind="stable")[:keep]
     fits = refine(body, moved[order], frame, options)
-    return fits[int(np.argmin(xor_energy(body, np.stack([f.pose for f in fits]), frame)))]
+    return fits[int(np.argmin(evidence_energy(body, np.stack([f.pose for f in fits]), frame)))]

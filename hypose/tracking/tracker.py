@@ -22,7 +22,7 @@ from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, Hypotheses
 from hypose.inference.layer import Memory, Recipe, Recovery, search, stand_still
 from hypose.inference.random_streams import stream
-from hypose.tracking.costs import silhouette_iou
+from hypose.tracking.costs import agreement, silhouette_iou
 from hypose.tracking.frame_evidence import OwnEvidence, PreparedFrame, prepare, view_count
 from hypose.tracking.keypoint_evidence import KeypointModel
 from hypose.tracking.pose_covariance import PoseUncertainty, nothing_known, uncertainty_of_set
@@ -65,8 +65,8 @@ class TrackerSettings:
 
 @dataclass(frozen=True)
 class FrameEstimate:
-    """pose (D,), its uncertainty, cost: 1 - mean IoU (NaN without silhouettes), flags, number of views. overlap (C,):
-    IoU of the body with each view's mask, NaN where that is not usable, empty when not looked at. exchanged: by
+    """pose (D,), its uncertainty, cost: 1 - `agreement` with the masks (NaN without), flags, number of views. overlap
+    (C,): IoU of the body with each view's mask, NaN where that is not usable, empty when not looked at. exchanged: by
     how much a rival (the body with its sides exchanged) overlaps the masks better, or a body that was lost and found
     than where it was held to be, NaN when not looked at.
     seen (C, 3): what hypose.pipeline.doubts keeps of each view, (0, 3) when nothing; audit (J, A): what speaks for and
@@ -396,8 +396,7 @@ class Tracker:
 def _mean_iou(body: Body, pose: Array, prepared: PreparedFrame) -> float:
     if prepared.masks is None:
         return float("nan")
-    overlap = silhouette_iou(body, pose, prepared)
-    return float(np.nanmean(overlap)) if np.isfinite(overlap).any() else float("nan")
+    return agreement(body, pose, prepared)
 
 
 def motion_of(

@@ -9,12 +9,12 @@ from benchmarks.robustness.small_recordings import small_scene
 from hypose.body.ready_bodies import human
 from hypose.pipeline.doubts import what_was_seen
 from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.mend_sides import mend_sides, sides_notes
+from hypose.pipeline.mend_sides import look_back, look_back_notes, mend_sides, sides_notes
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.tracking.exchanged_sides import turned_around
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.recipes import default
-from hypose.tracking.starts import KNOWN_POSES, start_in_pose
+from hypose.tracking.starts import KNOWN_POSES, known_pose, start_in_pose
 from hypose.tracking.subject import scaled_to_height
 from hypose.tracking.tracker import Tracker
 
@@ -138,3 +138,26 @@ def test_a_recording_tracked_from_a_turned_start_comes_out_the_right_way_round(c
     left, right = across
     assert (((left - right) * true).sum(1) > 0).all()
     assert any("exchanged in frames 0-" in note for note in result.notes)
+
+
+def test_what_the_start_got_wrong_is_tracked_again_from_what_came_after_it(clip):
+    _, frames, tracker, good = clip
+    s, lost = tracker.body.skeleton, good[0].pose.copy()
+    for arm in ("left_shoulder", "right_shoulder", "left_elbow", "right_elbow"):
+        lost[s.dofs_of(arm)] = known_pose(tracker.body, "hands-up")[s.dofs_of(arm)]
+    cost = good[0].cost + 0.1
+    spoilt = [*(replace(e, pose=lost, cost=cost) for e in good[:6]), *good[6:]]
+    mended, replaced = look_back(tracker, spoilt, reader(frames))
+    assert replaced == range(6) and look_back_notes(replaced)[0].endswith("tracked again backwards")
+    joints, true = (tracker.body.joints(np.stack([e.pose for e in es[:6]])) for es in (mended, good))
+    assert np.linalg.norm(joints - true, axis=-1).mean() < 0.02
+    assert all(a is b for a, b in zip(mended[25:], good[25:], strict=True))
+
+
+def test_a_start_that_was_right_stays(clip):
+    _, frames, tracker, good = clip
+    same, replaced = look_back(tracker, good, reader(frames))
+    assert not replaced and look_back_notes(replaced) == ()
+    assert all(a is b for a, b in zip(same, good, strict=True))
+    alone = replace(tracker, recipe=replace(tracker.recipe, recover=None))
+    assert look_back(alone, good, reader(frames))[0] == good

@@ -19,6 +19,7 @@ from hypose.tracking.doubt import (
     evidence_of,
     group_of,
     judged,
+    without_mixture,
 )
 
 NAMES = human().skeleton.joint_names
@@ -116,3 +117,6 @@ def test_a_doubtful_joint_may_be_elsewhere_and_its_sd_says_so():
     np.testing.assert_allclose(more, np.broadcast_to(0.3 * ELSEWHERE_M**2 / 3 * np.eye(3), more.shape), rtol=1e-4)
     wider = {n for n, s in zip(ANGLE_NAMES, told.angle_sd[0], strict=True) if s > 0.1}
     assert wider == {"knee_angle_l"}
+    before = without_mixture(told)
+    np.testing.assert_allclose(before.joint_covariance, walk.joint_covariance, atol=1e-8)
+    np.testing.assert_allclose(before.angle_sd, sd, rtol=1e-5)

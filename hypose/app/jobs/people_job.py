@@ -58,7 +58,7 @@ def run_people(job: Job, people: str, progress: ProgressCall = ignore) -> Outcom
     record = record_of(job)
     record = {**record, "settings": {**record["settings"], "people": people}}
     progress("compile", 0, 1)
-    compute.warm_up()
+    compute.warm_up(load=False)
     progress("compile", 1, 1)
     progress("background", 0, 1)
     with people_frames(recording, options) as source:
@@ -98,9 +98,9 @@ def worst_verdict(people: Sequence[OnePerson]) -> Verdict:
     verdicts = {p.name: p.verdict for p in people}
     order = ("good", "look", UNTRUSTED)
     word = max((v.word for v in verdicts.values()), key=order.index)
-    because = [f"{name}: {v.sentence}" for name, v in verdicts.items() if v.word == word and word != "good"]
+    because = [f"{name}: {v.sentence}" for name, v in verdicts.items() if v.word == word and v.because]
     frames = tuple(r for v in verdicts.values() if v.word == word for r in v.frames)
-    return Verdict(word, tuple(because), frames if word == "look" else ())
+    return Verdict(word, tuple(because), () if word == UNTRUSTED else frames)
 
 
 def _written(one: OnePerson, results: ResultsFolder) -> list[Path]:

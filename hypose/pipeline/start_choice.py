@@ -1,0 +1,242 @@
+"""Which of the starts that several frames allow is the right one.
+
+A single frame, and the half second after it, may not tell front from back, above all where others hide an arm or the
+feet. So where the masks are shared with others, the starts of several frames are each tracked through all of them;
+where nobody else is, the frame that its start explains best decides.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hypose.body.body import Body
+from hypose.errors import EvidenceError
+from hypose.evidence.ahead import make_now
+from hypose.evidence.frame import Frame
+from hypose.geometry import Array
+from hypose.inference.layer import Recovery
+from hypose.pipeline.subject_checks import check_named_pose, check_start
+from hypose.tracking.costs import mean_overlap
+from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.recipes import default
+from hypose.tracking.start_search import Start, Starts, by_their_ways, starts_in_frame, weighed
+from hypose.tracking.starts import KNOWN_POSES, hull_of, recover, start_in_pose
+from hypose.tracking.subject import scaled_to_height
+from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings
+
+_PLAIN, _SURE = 0.6, 0.9
+"""Mean IoU and weight from which on a start needs no other frame."""
+_CLEARLY = 0.02
+"""mean IoU by which another frame's start must be better, where nobody else hides anything"""
+_LATER = (1, 2, 3, 4, 5)
+"""Instants after a start that decide between its rivals; no step is so long that who walks is lost in it."""
+_BEST, _LIKELY = 2, 0.05
+"""How many starts of a frame are tracked through the others, and how much each must be believed for it."""
+_ENOUGH, _HOPELESS = 6, 0.04
+"""After so many frames a way that costs so much more than the best one is not gone on."""
+_PARTICLES, _NEVER_S = 32, 1e6
+
+
+def follow(tracker: Tracker, start: Array, frames: Sequence[Frame], tick: Callable[[], None]) -> list[FrameEstimate]:
+    """The frames tracked one after the other, the first from a pose (D,)."""
+    found: list[FrameEstimate] = []
+    for _, estimate in tracker.follow(tracker.start(start), frames):
+        found.append(estimate)
+        tick()
+    return found
+
+
+@dataclass(frozen=True)
+class Way:
+    """A start in frame number `at`, tracked through all frames: poses (T, D), and what each costs (T,), 1 - IoU, NaN
+    where nothing is seen."""
+
+    start: Start
+    at: int
+    poses: Array
+    costs: Array
+
+    @property
+    def cost(self) -> float:
+        """Mean over the frames."""
+        known = self.costs[np.isfinite(self.costs)]
+        return float(known.mean()) if len(known) else np.inf
+
+
+def way_of(
+    start: Start, at: int, frames: Sequence[Frame], rate: float, seed: int = 0, best: Way | None = None
+) -> Way | None:
+    """A start tracked through the frames after it and before it, with few particles and without looking for rivals;
+    rate Hz. None as soon as it is clear that it costs more than the `best` one so far."""
+    body = start.body
+    recipe = replace(default(body, _PARTICLES, rate, rivals=1), recover=Recovery(find=recover))
+    tracker = Tracker(body, recipe, TrackerSettings(seed=seed, frame_rate=rate, rival_every=_NEVER_S))
+    found: dict[int, FrameEstimate] = {}
+    pose = start.pose
+    for numbers in (range(at, len(frames)), range(at - 1, -1, -1)):
+        for k, (_, estimate) in zip(
+            numbers, tracker.follow(tracker.start(pose), (frames[k] for k in numbers)), strict=True
+        ):
+            found[k] = estimate
+            if best is not None and len(found) >= _ENOUGH and _mean_more(found, best) > _HOPELESS:
+                return None
+        pose = found[at].pose
+    costs = np.array([found[k].cost for k in range(len(frames))])
+    return Way(start, at, np.stack([found[k].pose for k in range(len(frames))]), costs)
+
+
+def _mean_more(found: Mapping[int, FrameEstimate], best: Way) -> float:
+    """By how much more the frames cost than on the best way, in the mean."""
+    more = np.array([e.cost - best.costs[k] for k, e in found.items()])
+    return float(np.nan_to_num(more).mean())
+
+
+@dataclass(frozen=True)
+class BestWays:
+    """starts, and the number of the frame of the best one; ways: those that were tracked through all frames, best
+    first, none where one frame decided."""
+
+    starts: Starts
+    at: int
+    ways: tuple[Way, ...] = ()
+
+    def check(self, frames: Sequence[Frame]) -> None:
+        """An EvidenceError when the best one does not explain its frame, of those that it was looked for in."""
+        check_start(_overlap(self.starts.best, frames[self.at]), frames[self.at].index)
+
+
+def best_ways(
+    template: Body,
+    frames: Sequence[Frame],
+    rate: float,
+    poses: Sequence[str] = KNOWN_POSES,
+    *,
+    height: float | None = None,
+    seed: int = 0,
+    shared: bool = False,
+    tried: Sequence[tuple[int, Start]] = (),
+) -> BestWays:
+    """The starts that explain the silhouettes of frames, at `rate` Hz, best, with how far each is believed, the number
+    of the best one's frame, and the ways of those that were compared.
+
+    A hole in one mask cuts the hull, so other frames are looked at where the first one leaves a doubt, and always where
+    the masks are `shared` with others, who hide what would raise it: then all frames decide. The median of their hulls'
+    heights is the person's extent. poses: one, which the first frame shows, or all; height m, when known; tried:
+    numbers of frames, and starts that may be right as well, for which fewer are looked for. An EvidenceError when no
+    frame has a hull."""
+    numbers = sorted({0, len(frames) // 3, (2 * len(frames)) // 3}) if not tried else [len(frames) // 2]
+    extent = _extent(template, frames, sorted({*numbers, 0, len(frames) // 6, len(frames) // 2, len(frames) - 1}))
+    named = poses[0] if len(poses) == 1 else None
+    found: list[tuple[int, Starts]] = []
+    alone: tuple[float, BestWays] | None = None
+    failed: EvidenceError | None = None
+    for k in numbers:
+        try:
+            if named is not None and k == 0:  # only the first frame is promised to show the named pose
+                starts = _in_named_pose(template, frames[0], named, height, extent)
+            else:
+                starts = _searched(template, frames, k, height, extent)
+        except EvidenceError as error:
+            failed = failed or error
+            continue
+        if named is not None and k == 0:
+            _check_named(template, frames[0], named, starts.best, extent)
+        found.append((k, starts))
+        value = _overlap(starts.best, frames[k])
+        if alone is None or value > alone[0] + _CLEARLY:
+            alone = value, BestWays(starts, k)
+        if not shared and alone[0] > _PLAIN and alone[1].starts.weights[0] > _SURE:
+            break
+    if not found and not tried:
+        raise failed or EvidenceError("No frame has a visual hull to start from; check the calibration and the masks.")
+    if alone is not None and not tried and (len(found) == 1 or not shared):
+        return alone[1]
+    return _by_all_frames(frames, rate, [*tried, *_likely(found)], seed)
+
+
+def _likely(found: Sequence[tuple[int, Starts]]) -> list[tuple[int, Start]]:
+    return [
+        (k, start)
+        for k, starts in found
+        for start, weight in list(zip(starts.starts, starts.weights, strict=True))[:_BEST]
+        if weight > _LIKELY
+    ]
+
+
+def _by_all_frames(frames: Sequence[Frame], rate: float, tried: Sequence[tuple[int, Start]], seed: int) -> BestWays:
+    """The starts by how well they explain all frames."""
+    for frame in frames:
+        if frame.silhouettes is not None:
+            make_now(frame.silhouettes)
+    ways: list[Way] = []
+    for k, start in tried:
+        way = way_of(start, k, frames, rate, seed, min(ways, key=lambda w: w.cost, default=None))
+        if way is not None:
+            ways.append(way)
+    starts, order = by_their_ways([w.start for w in ways], [w.poses for w in ways], np.array([w.cost for w in ways]))
+    return BestWays(starts, ways[order[0]].at, tuple(ways[k] for k in order))
+
+
+def _extent(template: Body, frames: Sequence[Frame], numbers: Sequence[int]) -> float | None:
+    """m: the median of the hulls' heights in frames of these numbers; None where there is no hull."""
+    heights = []
+    for k in numbers:
+        with contextlib.suppress(EvidenceError):
+            heights.append(hull_of(prepare(frames[k], template, np.zeros(template.skeleton.dof))).height)
+    return float(np.median(heights)) if heights else None
+
+
+def _searched(template: Body, frames: Sequence[Frame], at: int, height: float | None, extent: float | None) -> Starts:
+    """The starts in frame number `at` of the instants looked at, weighed by those that follow, or by those before it
+    where none follow."""
+    zero = np.zeros(template.skeleton.dof)
+    others = [at + k for k in _LATER if at + k < len(frames)] or [at - k for k in _LATER if at - k >= 0]
+    later = [prepare(frames[k], template, zero) for k in others]
+    here = prepare(frames[at], template, zero)
+    return weighed(starts_in_frame(template, here, height, extent), [f for f in later if f.masks is not None])
+
+
+def _in_named_pose(template: Body, frame: Frame, name: str, height: float | None, extent: float | None) -> Starts:
+    """The start in the pose that was named."""
+    body, pose, value = named_start(template, frame, name, height, extent)
+    start = Start(body, pose, 1 - value)
+    return Starts((start,), np.ones(1), np.zeros(len(body.skeleton.joint_names)))
+
+
+def _check_named(template: Body, frame: Frame, name: str, start: Start, extent: float | None) -> None:
+    """An EvidenceError when the frame shows another known pose than the named one, in which the start is."""
+    others = [p for p in KNOWN_POSES if p != name]
+    overlap = {p: named_start(template, frame, p, start.body.stature, extent)[2] for p in others}
+    check_named_pose(name, 1 - start.cost, overlap, frame.index)
+
+
+def _overlap(start: Start, frame: Frame) -> float:
+    return mean_overlap(start.body, start.pose, prepare(frame, start.body, start.pose))
+
+
+def named_start(
+    template: Body, frame: Frame, pose: str, height: float | None = None, extent: float | None = None
+) -> tuple[Body, Array, float]:
+    """The template scaled to the person, its pose in one frame and the mean IoU there: a known pose at the visual hull,
+    at the given height, or at several scales about the hull's (`extent` m, default this frame's), of which the best
+    explained is taken."""
+    prepared = prepare(frame, template, np.zeros(template.skeleton.dof))
+    if height is not None:
+        heights = [height]
+    else:
+        extent = extent or hull_of(prepared).height
+        # standing people are as high as their hull, raised arms add up to a third, strides and bends take some away
+        heights = [h for h in (extent, extent / 1.05, extent / 1.28, 1.05 * extent) if 0.8 < h < 2.3] or [1.7]
+    best: tuple[float, Body, Array] | None = None
+    for h in heights:
+        body = scaled_to_height(template, float(np.clip(h, 0.8, 2.3)))
+        found = start_in_pose(body, prepared, (pose,)).pose
+        value = mean_overlap(body, found, prepared)
+        if best is None or value > best[0] + 0.002:
+            best = (value, body, found)
+    assert best is not None
+    return best[1], best[2], best[0]
