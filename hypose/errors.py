@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import re
+from typing import Any
 
 # C0 and C1 but tab and newline, line and paragraph separators, marks that turn the direction, halves of pairs
 _UNSEEN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
@@ -44,3 +46,20 @@ class EvidenceError(HyposeError):
 
 class SolverError(HyposeError):
     """A numerical search that was started from an unusable point (non-finite cost, wrong dimension)."""
+
+
+def extra(module: str, needed_by: str, name: str, package: str = "", or_else: str = "") -> Any:  # noqa: ANN401 (a module)
+    """A module of the optional dependencies called `name`; without it an InputError tells what needs its package (by
+    default called like the module), how to install it or what it fails to load, and or_else: what does without it."""
+    package, root = package or module.partition(".")[0], module.partition(".")[0]
+    try:
+        return importlib.import_module(module)
+    except Exception as error:  # noqa: BLE001 (of the system's libraries, of another numpy: each package has its own)
+        if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] == root:
+            what, cure = "is not installed", f'run: pip install "hypose[{name}]"'
+        else:
+            reason = f"{type(error).__name__}: {error}".partition("\n")[0].rstrip(".: ")
+            what, cure = f"cannot be loaded ({reason})", f"install what that names, or {package} again"
+        raise InputError(
+            f"{needed_by} needs {package}, which {what}; {cure}{or_else and f', or {or_else}'}."
+        ) from error

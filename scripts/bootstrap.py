@@ -30,10 +30,10 @@ LAST_TEST_FILE = os.path.join(CACHE, "last-test")
 MINIMUM = (3, 11)
 PIP_WITH_PYTHON_OPTION = (22, 3)  # the first pip that can install into another environment
 
-# What a command needs: `core` is hypose itself, `dev` adds the developers' tools, `oracles` adds, where they
-# can be had, the programs that tests compare with and the extras that tests use.
+# What a command needs: `core` is hypose itself, `dev` adds the developers' tools and what benchmarks use, `oracles`
+# adds, where they can be had, the programs that tests compare with and the extras that tests use.
 PROFILES = ("core", "dev", "oracles")
-PROFILE_OF_COMMAND = {"test": "oracles", "setup": "oracles", "lint": "dev"}
+PROFILE_OF_COMMAND = {"test": "oracles", "setup": "oracles", "lint": "dev", "bench": "dev"}
 
 
 class SetupError(Exception):
@@ -440,7 +440,7 @@ def main(arguments: List[str]) -> int:
         folder = prepare(machine, PROFILE_OF_COMMAND.get(name, "core"), again=name == "setup")
         python = program(folder, "python") if folder == OWN_ENVIRONMENT else machine.python
         # hypose's own commands get file names as the user typed them; the others work on the project.
-        place = ROOT if name in PROFILE_OF_COMMAND else None
+        place = ROOT if name in ("test", "setup", "lint") else None
         if PROFILE_OF_COMMAND.get(name) == "oracles":
             prepare_page(python)
         worst = 0

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
+from benchmarks.multiview.procedural import procedural_body
 from hypose.body.body import Body
 from hypose.body.fit_skeleton import SCAN_POSES, scan_pose
-from hypose.body.procedural import procedural_body
 from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.body.skin_weights import Bones, body_bones, heat_weights
 from hypose.geometry import Array

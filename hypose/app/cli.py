@@ -25,16 +25,19 @@ from hypose.app.commands import (
     commands_compare,
     commands_correct,
     commands_data,
+    commands_depth,
     commands_fuse,
     commands_gait,
     commands_gesture,
     commands_keypoints,
+    commands_live,
     commands_play,
     commands_results,
     commands_studio,
     commands_subject,
     commands_sync,
     commands_track,
+    commands_warm_up,
 )
 from hypose.errors import HyposeError
 
@@ -59,6 +62,7 @@ _COMMANDS = (
     ("correct", commands_correct.correct, "Track a result again from a frame corrected in the studio."),
     ("subject", commands_subject.subject, "Measure a person: lengths, girths, a body for track."),
     ("fuse", commands_fuse.fuse, "One skeleton per person from several depth sensors."),
+    ("live", commands_live.live, "Cameras in, poses out, while it happens."),
     ("batch", commands_batch.batch, "Many recordings, many settings, all cores or a cluster."),
     ("view", commands_studio.view, "The studio in the browser: look at results, correct, set up."),
     ("export", commands_results.export, "Write TRC, C3D, BVH, GLB, CSV, MOT of a tracked motion."),
@@ -66,7 +70,9 @@ _COMMANDS = (
     ("gait", commands_gait.gait, "Foot strikes, steps, cadence and speed of a tracked motion."),
     ("compare", commands_compare.compare, "How far a result agrees with markers or another motion."),
     ("report", commands_results.report, "Write the report of a result again."),
+    ("depth-import", commands_depth.depth_import, "A recording from what depth cameras recorded."),
     ("synth", commands_data.synth, "Make a synthetic recording with known truth."),
+    ("warm-up", commands_warm_up.warm_up, "Compile now what the first run would compile."),
     ("cite", commands_cite.cite, "Print the papers behind the method that gave a result."),
 )
 for _name, _command, _line in _COMMANDS:

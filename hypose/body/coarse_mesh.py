@@ -14,7 +14,7 @@ from scipy.sparse import coo_matrix, csc_matrix, identity
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import KDTree
 
-from hypose.errors import InputError
+from hypose.errors import InputError, extra
 from hypose.geometry import Array
 
 Faces = NDArray[np.int32]
@@ -26,8 +26,7 @@ def decimated(vertices: ArrayLike, faces: ArrayLike, target: int) -> tuple[Array
     """A closed manifold with about `target` vertices, or the mesh itself when it has no more.
 
     vertices (V, 3) m, faces (F, 3) of a closed manifold. An InputError when no closed mesh of that size comes out."""
-    import fast_simplification
-
+    library = extra("fast_simplification", "A mesh of a person", "mesh", "fast-simplification")
     v = np.ascontiguousarray(vertices, dtype=np.float64)
     f = np.ascontiguousarray(faces, dtype=np.int32)
     if len(v) <= target:
@@ -39,7 +38,7 @@ def decimated(vertices: ArrayLike, faces: ArrayLike, target: int) -> tuple[Array
         smooth = _smoothed(v - centre, f, passes)
         for wanted in (target, int(0.93 * target), int(1.06 * target)):
             for aggressiveness in _AGGRESSIVENESS:
-                w, g, *_ = fast_simplification.simplify(smooth, f, target_count=2 * wanted, agg=aggressiveness)
+                w, g, *_ = library.simplify(smooth, f, target_count=2 * wanted, agg=aggressiveness)
                 w, g = _used(np.asarray(w, dtype=np.float64) + centre, np.asarray(g, dtype=np.int32))
                 if len(g) and abs(len(w) - target) <= 0.1 * target and is_closed(g) and _sound(g):
                     return w, g

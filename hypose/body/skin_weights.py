@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.body.body import Body, Landmarks
 from hypose.body.skeleton import Skeleton
 from hypose.compute import nearest_visible
-from hypose.errors import InputError
+from hypose.errors import InputError, extra
 from hypose.geometry import Array
 
 SMALLEST = 0.01
@@ -114,10 +114,10 @@ def heat_weights(
     wider transitions. visible: only bones that a vertex sees are sources. An
     InputError when the mesh has no face or a vertex without face.
     """
-    import robust_laplacian
     from scipy.sparse import csc_matrix, diags
     from scipy.sparse.linalg import splu
 
+    library = extra("robust_laplacian", "A mesh of a person", "mesh", "robust-laplacian")
     v = np.ascontiguousarray(vertices, dtype=np.float64)
     f = np.ascontiguousarray(faces, dtype=np.int64)
     unused = len(v) - len(np.unique(f))
@@ -137,7 +137,7 @@ def heat_weights(
     # a bone that touches the skin would be an infinite source
     floor = 1e-3 * float(np.ptp(v, axis=0).max())
     strength = np.where(count > 0, count * heat / np.maximum(np.where(count > 0, nearest, 1.0), floor) ** 2, 0.0)
-    stiffness, mass = robust_laplacian.mesh_laplacian(v, f)
+    stiffness, mass = library.mesh_laplacian(v, f)
     pull = strength * mass.diagonal()
     right = pull[:, None] * share / np.maximum(count, 1)[:, None]
     weights = np.asarray(splu(csc_matrix(stiffness + diags(pull))).solve(right))

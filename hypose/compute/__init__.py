@@ -7,6 +7,7 @@ is the room's only door: what is not named here is nobody else's business (check
 
 from __future__ import annotations
 
+import sys
 import time
 from functools import lru_cache
 from importlib import import_module
@@ -27,6 +28,7 @@ from hypose.compute.depth_forests.forest_arrays import (
     ScanPlan,
     TreeArraysOffline,
 )
+from hypose.compute.depth_maps.depth_energy import SeenDepth, depth_energy
 from hypose.compute.monocular import mono
 from hypose.compute.monocular.mono_terms import (
     GAUSSIAN,
@@ -50,7 +52,7 @@ from hypose.compute.pictures.picture_to_mask import Box, Lens, make_lens, order_
 from hypose.compute.pictures.shown_parts import colour_sums, shown_parts
 from hypose.compute.pictures.visibility import nearest_visible
 from hypose.compute.selection import default_threads, over_chunks, require_cuda, use
-from hypose.compute.silhouettes import glance, lane_mesh, reach
+from hypose.compute.silhouettes import lane_mesh, reach
 from hypose.compute.silhouettes.glance import Glance, differing_box, glance_at, stored_pixels
 from hypose.compute.silhouettes.lane_scratch import lane_scratch
 from hypose.compute.silhouettes.mask_distance import signed_distance
@@ -61,6 +63,7 @@ from hypose.compute.solver.normal import SharedEquations, bounded_step, weighted
 from hypose.compute.solver.terms import (
     NOT_KNOWN,
     ContourArrays,
+    DepthArrays,
     KeypointArrays,
     PointArrays,
     PreparedMasks,
@@ -68,6 +71,7 @@ from hypose.compute.solver.terms import (
     SolveLimits,
     Standing,
     Workspace,
+    no_depth,
 )
 from hypose.errors import InputError, SolverError
 
@@ -97,6 +101,7 @@ __all__ = [
     "Box",
     "ContourArrays",
     "Depth",
+    "DepthArrays",
     "EdgeArrays",
     "Evaluation",
     "FIXED",
@@ -124,6 +129,7 @@ __all__ = [
     "PreparedMasks",
     "PriorArrays",
     "ScanPlan",
+    "SeenDepth",
     "SharedEquations",
     "Solution",
     "SolveLimits",
@@ -139,6 +145,7 @@ __all__ = [
     "colour_sums",
     "darken",
     "default_threads",
+    "depth_energy",
     "differing_box",
     "evaluate",
     "expose",
@@ -150,11 +157,13 @@ __all__ = [
     "huber",
     "interpolate",
     "joint_covariances",
+    "kept",
     "lorentzian",
     "lorentzian_weight",
     "make_lens",
     "mono",
     "nearest_visible",
+    "no_depth",
     "order_statistic",
     "outline_points",
     "over_chunks",
@@ -335,7 +344,7 @@ def workspace(tree: TreeArrays, mesh: MeshArrays, height: int, width: int) -> Wo
 
 
 class Evaluation(NamedTuple):
-    """Cost (half the weighted robust squares), its gradient (D,), Gauss-Newton matrix (D, D), rows per cue (C + 2,
+    """Cost (half the weighted robust squares), its gradient (D,), Gauss-Newton matrix (D, D), rows per cue (C + 3,
     2)."""
 
     cost: float
@@ -351,6 +360,7 @@ def evaluate(
     contours: ContourArrays,
     keypoints: KeypointArrays,
     points: PointArrays,
+    depth: DepthArrays,
     priors: PriorArrays,
     ws: Workspace,
     *,
@@ -359,10 +369,22 @@ def evaluate(
     """Cost and derivatives of all evidence at one pose (D,); the numba kernel, on either back end."""
     d = len(pose)
     gradient, hessian = np.empty(d), np.empty((d, d))
-    counts = np.zeros((len(contours.sdf) + 2, 2), dtype=np.int64)
+    counts = np.zeros((len(contours.sdf) + 3, 2), dtype=np.int64)
     scale = float(contours.coarse_scale if coarse else contours.scale)
     cost = native("solver.solver").evaluate(
-        plain(pose, np.float64), tree, mesh, contours, scale, keypoints, points, priors, ws, hessian, gradient, counts
+        plain(pose, np.float64),
+        tree,
+        mesh,
+        contours,
+        scale,
+        keypoints,
+        points,
+        depth,
+        priors,
+        ws,
+        hessian,
+        gradient,
+        counts,
     )
     return Evaluation(float(cost), gradient, hessian, counts)
 
@@ -384,6 +406,7 @@ def solve(
     contours: ContourArrays,
     keypoints: KeypointArrays,
     points: PointArrays,
+    depth: DepthArrays,
     priors: PriorArrays,
     settings: SolveLimits,
     ws: Workspace,
@@ -392,9 +415,9 @@ def solve(
     q = np.array(start, dtype=np.float64)
     d = len(q)
     gradient, hessian, info = np.zeros(d), np.zeros((d, d)), np.zeros(4)
-    counts = np.zeros((len(contours.sdf) + 2, 2), dtype=np.int64)
+    counts = np.zeros((len(contours.sdf) + 3, 2), dtype=np.int64)
     ok = native("solver.solver").solve(
-        q, tree, mesh, contours, keypoints, points, priors, settings, ws, hessian, gradient, counts, info
+        q, tree, mesh, contours, keypoints, points, depth, priors, settings, ws, hessian, gradient, counts, info
     )
     if not ok:
         raise SolverError(
@@ -433,61 +456,22 @@ def joint_covariances(pose: Array, tree: TreeArrays, hessian: Array, ridge: floa
     return out
 
 
-def warm_up(*, monocular: bool = False) -> float:
-    """Compile (or load from disk) every kernel on a toy body, those of one camera only when asked for; returns the
-    seconds it took.
+def warm_up(*parts: str, load: bool = True) -> float:
+    """Compile what these parts of the room need (`warming.PARTS`; default: what following a person in silhouettes
+    needs), in one process per core where that is worth it; returns the seconds it took.
 
-    The first time on a machine this takes some tens of seconds; afterwards the compiled code is on disk.
+    The first time on a machine this takes some tens of seconds; afterwards the compiled code is on disk. load: have it
+    in this process as well when it was on disk; without, kernels are read when they are first called.
     """
+    from hypose.compute.warming import warm
+
     began = time.perf_counter()
-    tree = TreeArrays(
-        np.array([-1, 0]),
-        np.array([BALL, FIXED]),
-        np.array([3, 0]),
-        np.array([3, 0]),
-        np.tile(np.eye(3), (2, 1)),
-        np.zeros((2, 3)),
-        np.zeros(6, dtype=np.int64),
-    )
-    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=np.float32)
-    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int32)
-    edges = np.array(
-        [[0, 2, 0, 2], [2, 1, 0, 3], [1, 0, 0, 1], [1, 3, 1, 3], [3, 0, 1, 2], [3, 2, 2, 3]], dtype=np.int32
-    )
-    mesh = MeshArrays(
-        corners,
-        faces,
-        edges,
-        np.zeros((4, 4), dtype=np.int32),
-        np.tile(np.float32([1, 0, 0, 0]), (4, 1)),
-        np.ones(4, dtype=np.int32),
-    )
-    q, projection = np.array([0.0, 0, 4, 0, 0, 0]), np.array([[[40.0, 0, 16, 0], [0, 40, 16, 0], [0, 0, 1, 0]]])
-    mask = np.zeros((1, 32, 32), dtype=np.uint8)
-    mask[:, 8:24, 8:24] = 1
-    sizes, usable = np.array([[32, 32]]), np.array([True])
-    with use("numba"):
-        skin(*forward_kinematics(q[None], tree), tree, mesh)
-        prepared = prepare_masks(mask, usable, sizes, projection)
-        limb = np.array([False, True])
-        silhouette_xor(q[None], tree, mesh, prepared, np.array([[0, 32, 0, 32]]), moving=limb)
-        rest = reach.standing(q, tree, mesh, prepared, limb)
-        reach.score_points(np.zeros((1, 1, 3)), np.ones(1), np.eye(3), q[:3], prepared, rest)
-        picture_to_mask.warm_up()
-        glance.warm_up()
-    sdf = signed_distance(mask, sizes)
-    outline = outline_points(sdf[0], (32, 32), 16)[0]
-    contours = ContourArrays(
-        sdf, outline[None], usable, sizes, projection, 1.0, 1.0, 2.0, 4.0, 2.0, 2, np.ones(1), 0 * sizes, sizes
-    )
-    none = np.zeros((0, 3))
-    keypoints = KeypointArrays(np.zeros((0, 0, 3)), np.zeros((0, 3, 4)), np.zeros(0, dtype=np.int64), none, 1.0)
-    points = PointArrays(none, np.zeros(0), np.zeros(0, dtype=np.int64), none, 1.0)
-    priors = PriorArrays(np.zeros((1, 6)), np.ones((1, 6)), np.full(6, -np.inf), np.full(6, np.inf))
-    ws = workspace(tree, mesh, 32, 32)
-    evaluate(q, tree, mesh, contours, keypoints, points, priors, ws)
-    solve(q, tree, mesh, contours, keypoints, points, priors, SolveLimits(1, 0, 1e-3, 1e-2), ws)
-    joint_covariances(q, tree, np.eye(6))
-    if monocular:
-        mono.warm_up(tree, mesh, q, projection[0])
+    warm(sys.modules[__name__], parts or ("depth", "solver", "scorer", "pictures"), load)
     return time.perf_counter() - began
+
+
+def kept(*parts: str) -> bool:
+    """Whether all kernels of these parts of the room are on disk, for later starts."""
+    from hypose.compute import warming
+
+    return warming.kept(parts)

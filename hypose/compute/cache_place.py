@@ -29,20 +29,25 @@ def note(text: str) -> None:
 @cache
 def cache_folder() -> Path | None:
     """The folder of this process, or None where no folder can be used; it may be read-only when it is filled."""
-    wanted = os.environ.get(VARIABLE, "")
     for folder in _candidates():
         problem = _problem(folder)
         if not problem:
             return folder
-        if wanted and folder == Path(wanted):
-            note(f"{VARIABLE}={wanted!r} cannot be used ({problem}); another place is taken for the cache.")
+        if folder == _named():
+            note(f"{VARIABLE}={str(folder)!r} cannot be used ({problem}); another place is taken for the cache.")
     note(f"No folder can be written for the cache, so every start compiles again; name one with {VARIABLE}.")
     return None
 
 
+def _named() -> Path | None:
+    """The folder that the variable names; a ~ that no shell has read is the home."""
+    name = os.environ.get(VARIABLE)
+    return Path(os.path.expanduser(name)) if name else None
+
+
 def _candidates() -> Iterator[Path]:
-    if wanted := os.environ.get(VARIABLE):
-        yield Path(wanted)
+    if named := _named():
+        yield named
     home = os.path.expanduser("~")
     if sys.platform == "win32":
         user = os.environ.get("LOCALAPPDATA", "")
@@ -66,7 +71,7 @@ def _problem(folder: Path) -> str:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         status = folder.stat()
         if hasattr(os, "getuid"):
-            named = os.environ.get(VARIABLE) == str(folder)
+            named = folder == _named()
             if not named and status.st_uid not in (os.getuid(), 0):
                 return "it belongs to another user"
             if status.st_mode & stat.S_IWOTH or (status.st_mode & stat.S_IWGRP and not named):

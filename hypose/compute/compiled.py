@@ -12,7 +12,9 @@ import contextlib
 import hashlib
 import os
 import re
+import stat
 import sys
+import tempfile
 import time
 import uuid
 from collections.abc import Callable
@@ -30,7 +32,11 @@ import llvmlite  # noqa: E402
 import numba  # noqa: E402
 from numba.core.caching import NullCache  # noqa: E402
 from numba.core.compiler import CompileResult  # noqa: E402
+from numba.core.registry import cpu_target  # noqa: E402
+from numba.core.runtime.nrt import rtsys  # noqa: E402
 from numba.core.serialize import dumps  # noqa: E402
+from numba.core.sigutils import normalize_signature  # noqa: E402
+from numba.core.types import unliteral  # noqa: E402
 
 _MAGIC = b"hypose kernel 1\n"
 _DIGEST = 32
@@ -47,10 +53,30 @@ def kernel(function: Callable[..., Any] | None = None, *, inline: bool = False) 
     """
     if function is None:
         return partial(kernel, inline=inline)
-    options = dict(nogil=True, boundscheck=False, error_model="numpy", inline="always" if inline else "never")
-    compiled = numba.njit(**options)(function)
-    compiled._cache = KernelCache(function)
+    options: dict[str, Any] = dict(nogil=True, boundscheck=False, error_model="numpy", no_cfunc_wrapper=True)
+    options["inline"] = "always" if inline else "never"
+    compiled, inner = numba.njit(**options)(function), numba.njit(**options, no_cpython_wrapper=True)(function)
+    compiled._cache, inner._cache = KernelCache(function), KernelCache(function, "inner")
+    ask = compiled.get_call_template
+
+    def for_kernels(args: Any, kws: Any) -> Any:
+        """What a kernel calls: of constants their types alone, and, unless there is one, without the way in from
+        Python, each of which would be compiled."""
+        plain = tuple(map(unliteral, args)), {k: unliteral(v) for k, v in kws.items()}
+        known = tuple(compiled._compiler.fold_argument_types(*plain)[1]) in compiled.overloads
+        return (ask if known else inner.get_call_template)(*plain)
+
+    def overload(sig: Any) -> Any:
+        args = tuple(normalize_signature(sig)[0])
+        return (compiled if args in compiled.overloads else inner).overloads[args].entry_point
+
+    compiled.get_call_template, compiled.get_overload = for_kernels, overload
     return compiled
+
+
+def compile_for_kernels(function: Any, *examples: Any) -> None:
+    """Compile a kernel as another one calls it with arguments like these."""
+    function.get_call_template(tuple(numba.typeof(e) for e in examples), {})
 
 
 class KernelCache(NullCache):
@@ -59,12 +85,13 @@ class KernelCache(NullCache):
     Nothing here raises: what cannot be read is compiled, what cannot be written is compiled again the next time.
     """
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = function
+    def __init__(self, function: Callable[..., Any], kind: str = "") -> None:
+        self._function, self._kind = function, kind
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The kernel compiled for a signature, or None."""
-        target_context.refresh()
+        # what is loaded needs no more of numba; the rest, a tenth of a second, whoever compiles loads by himself
+        rtsys.initialize(target_context)
         path = self._path(sig, target_context.codegen())
         if path is None:
             return None
@@ -89,8 +116,11 @@ class KernelCache(NullCache):
 
     def save_overload(self, sig: Any, cres: Any) -> None:
         """Keep a compiled kernel, unless it holds what is true in this process only."""
+        if cres.library.has_dynamic_globals or any(not lifted.can_cache for lifted in cres.lifted):
+            return
         path = self._path(sig, cres.codegen)
-        if path is None or cres.library.has_dynamic_globals or any(not lifted.can_cache for lifted in cres.lifted):
+        if path is None:
+            _not_kept.append(self._function.__name__)
             return
         temporary = path.with_name(f"{uuid.uuid4().hex[:16]}.tmp")
         try:
@@ -100,6 +130,7 @@ class KernelCache(NullCache):
         except OSError as error:
             with contextlib.suppress(OSError):
                 temporary.unlink(missing_ok=True)
+            _not_kept.append(self._function.__name__)
             reason = (error.strerror or str(error)).lower()
             note(f"Compiled code cannot be kept in {path.parent} ({reason}); the next start compiles it again.")
 
@@ -115,8 +146,39 @@ class KernelCache(NullCache):
             return None
         name = f"{self._function.__module__.rpartition('.')[2]}.{self._function.__qualname__}"
         line = self._function.__code__.co_firstlineno
-        key = repr((sources, name, line, sig, codegen.magic_tuple(), sys.byteorder, sys.maxsize))
+        key = repr((sources, name, line, self._kind, sig, codegen.magic_tuple(), sys.byteorder, sys.maxsize))
         return place / _VERSIONS / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:24]}.kernel"
+
+
+def ready(part: str) -> Path | None:
+    """The file that tells, by being there, that all kernels of a part of the room have been kept."""
+    place = cache_folder()
+    if place is None:
+        return None
+    processor = cpu_target.target_context.codegen().magic_tuple()
+    key = repr((_digest_of_room(Path(__file__).parent), part, processor))
+    return place / _VERSIONS / f"{part}-{hashlib.sha256(key.encode()).hexdigest()[:24]}.ready"
+
+
+def can_keep() -> bool:
+    """Whether other processes will find what is compiled now."""
+    place = cache_folder()
+    if place is None:
+        return False
+    try:
+        _folder_for_writing(place / _VERSIONS)
+        tempfile.TemporaryFile(dir=place / _VERSIONS).close()
+    except OSError:
+        return False
+    return True
+
+
+def not_kept() -> int:
+    """How many kernels this process has compiled and could not keep."""
+    return len(_not_kept)
+
+
+_not_kept: list[str] = []
 
 
 _VERSIONS = (
@@ -131,13 +193,22 @@ def _sealed(payload: bytes) -> bytes:
 
 @cache
 def _folder_for_writing(folder: Path) -> None:
-    """Make the folder of these versions, and forget what nobody has used for long."""
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    """Make the folder of these versions, for whom the cache is for, and forget what nobody has used for long, of other
+    versions too."""
+    if not folder.is_dir():
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with contextlib.suppress(OSError):  # somebody else has made it in this moment
+            folder.chmod(stat.S_IMODE(folder.parent.stat().st_mode))
     oldest = time.time() - _UNUSED_DAYS * 86400
-    for path in folder.iterdir():
+    for path in folder.parent.glob("kernels-*/*"):
         with contextlib.suppress(OSError):
             if path.stat().st_mtime < oldest:
                 path.unlink()
+
+
+@cache
+def _digest_of_room(room: Path) -> str:
+    return hashlib.sha256(b"\0".join(p.read_bytes() for p in sorted(room.rglob("*.py")))).hexdigest()
 
 
 @cache

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
+from benchmarks.multiview.procedural import Proportions, procedural_body
 from hypose.body.body import Body, Mesh
-from hypose.body.procedural import Proportions, procedural_body
 from hypose.body.ready_bodies import JOINT_NAMES, PARENTS, human, human_skeleton
 from hypose.errors import InputError
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.multiview.procedural import procedural_body
 from hypose import compute
 from hypose.body.body import Body, Mesh
 from hypose.body.coarse_mesh import coarse_mesh, decimated, enclosed_volume, is_closed
 from hypose.body.fit_skeleton import scan_pose
-from hypose.body.procedural import procedural_body
 from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.body.skin_weights import (
     Bones,

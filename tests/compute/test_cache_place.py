@@ -56,6 +56,10 @@ def test_the_order_is_the_variable_the_users_cache_a_temporary_folder_none(tmp_p
     ]
 
 
+def test_a_home_that_no_shell_has_read_is_the_home(tmp_path, choose):
+    assert choose("~/cache") == tmp_path / "home" / "cache"
+
+
 def test_a_missing_home_is_not_made(tmp_path, choose):
     (tmp_path / "home").rmdir()
     assert choose().parent == tmp_path / "tmp"
@@ -78,6 +82,7 @@ def test_a_folder_that_others_may_write_to_is_not_trusted(tmp_path, choose, capl
     assert "other users may write there" in caplog.text
     own.chmod(0o775)  # a group that shares a cache says so by name
     assert choose(own) == own
+    assert choose(f"{own}/") == own
     users = tmp_path / "home" / ".cache" / "hypose"
     users.chmod(0o775)
     assert choose().parent == tmp_path / "tmp"

@@ -110,7 +110,10 @@ def test_settings(good, settings, message):
         ({"vidoe": "a.avi"}, r"view cam_1: the key vidoe is unknown \(did you mean video\?\); correct"),
         ({"video": "none.avi"}, r"view cam_1: the video .*none\.avi does not exist; correct the path or copy"),
         ({"video": "."}, r"view cam_1: video must be a file"),
-        ({"video": None}, r"view cam_1: neither video, images, masks nor keypoints are given; add one of them, or"),
+        (
+            {"video": None},
+            r"view cam_1: neither video, images, depth, masks nor keypoints are given; add one of them, or",
+        ),
         ({"images": "."}, r"view cam_1: video and images are both given; keep the one to use"),
         ({"video": None, "images": "cam_1.avi"}, r"view cam_1: images must be a folder, .*cam_1\.avi is not"),
         ({"video": None, "images": "none"}, r"view cam_1: the images .*none does not exist"),

@@ -110,7 +110,7 @@ def test_what_cannot_be_used_is_told_in_a_sentence(monkeypatch, model, tmp_path)
         return str(told.value)
 
     monkeypatch.setitem(sys.modules, "mediapipe", None)  # as if it were not installed
-    assert "pip install hypose[mediapipe]" in error(model)
+    assert 'pip install "hypose[mediapipe]"' in error(model)
     assert "none.task does not exist" in error(tmp_path / "none.task")
     other = tmp_path / "other.task"
     other.write_bytes(b"no archive")

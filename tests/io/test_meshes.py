@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import sys
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -113,10 +114,19 @@ def test_specks_small_holes_and_inward_faces_are_mended():
         "2 small holes were closed",
         "its faces looked inward and were turned",
     }
+
+
+def test_faces_that_turn_either_way_are_turned_without_another_package(monkeypatch):
+    monkeypatch.setitem(sys.modules, "trimesh", None)  # whose way of doing it needs networkx, which no extra brings
+    v, f = t_pose()
     mixed = f.copy()
     mixed[::3] = mixed[::3, ::-1]
     turned = closed_surface(PersonMesh(v, mixed))
+    assert is_closed(turned.faces)
     assert enclosed_volume(turned.vertices, turned.faces) == pytest.approx(enclosed_volume(v, f), rel=1e-9)
+    strip = np.array([[0, 1, 2], [1, 3, 2], [2, 3, 4], [3, 5, 4], [4, 5, 1], [5, 0, 1]])  # Moebius's
+    with pytest.raises(InputError, match="no inside and outside"):
+        closed_surface(PersonMesh(np.random.default_rng(0).normal(size=(6, 3)), strip))
 
 
 def glb_of(path: Path, body: Body) -> Path:

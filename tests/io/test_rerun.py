@@ -92,9 +92,11 @@ def test_the_real_package_reads_it(tmp_path, small_motion, small_body):
 
 def test_without_rerun_one_sentence_before_anything_is_written(tmp_path, small_motion, small_body, monkeypatch):
     def absent(name):
-        raise ImportError(name)
+        raise ModuleNotFoundError(name, name=name)
 
     monkeypatch.setattr(importlib, "import_module", absent)
-    with pytest.raises(InputError, match=r"need rerun-sdk, which is not installed; run: pip install hypose\[rerun\]\."):
+    with pytest.raises(
+        InputError, match=r'needs rerun-sdk, which is not installed; run: pip install "hypose\[rerun\]"\.'
+    ):
         export_motion(small_motion, small_body, tmp_path / "out", ["trc", "rrd"])
     assert not (tmp_path / "out").exists()

@@ -49,10 +49,12 @@ def batch(
     """Track many recordings with many sets of parameters; what is finished is skipped, what was begun goes on."""
     _check(workers, threads, scheduler, slurm)
     from hypose.app.sweeps.batch_worker import finished
-    from hypose.app.sweeps.cluster import Place, run_batch
+    from hypose.app.sweeps.cluster import Place, require_dask, run_batch
     from hypose.app.sweeps.sweep import is_recording, plan, read_sweep, sweep_of
     from hypose.io.claims import claimed
 
+    if not dry_run:
+        require_dask(slurm)  # before all files are read
     wanted = sweep_of(sweep) if is_recording(sweep) else read_sweep(sweep)
     if chunk is not None:
         wanted = replace(wanted, chunk_s=chunk)

@@ -106,7 +106,7 @@ def run_chunk(task: Task, chunk: int | None, stop: Path, report: Report) -> dict
         job = job_of(task)
         assert job.chunk_s is not None
         record = record_of(job)
-        compute.warm_up()
+        compute.warm_up(load=False)
         with open_frames(job, record) as source:
             run = chunk_run(job, job.options, source, record, job.chunk_s)
             if chunk is None:

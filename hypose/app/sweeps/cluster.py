@@ -19,10 +19,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hypose import compute
 from hypose.app.commands.console import ProgressCall, ignore
 from hypose.app.sweeps.batch_worker import Report, finished, run_chunk, run_task
 from hypose.app.sweeps.sweep import Task
-from hypose.errors import InputError
+from hypose.errors import InputError, extra
 from hypose.io.motions.results import check_writable
 
 if TYPE_CHECKING:
@@ -97,6 +98,10 @@ def run_batch(
     check_writable(results)
     stop = results / f".stop-{os.getpid()}-{time.time_ns()}"
     heard = _Progress()
+    if place.scheduler is None and place.slurm is None:
+        progress("compile", 0, 1)
+        compute.warm_up(load=False)  # once, and not by every worker at the same time
+        progress("compile", 1, 1)
     try:
         with _client(place) as client:
             announce(_dashboard(client))
@@ -224,12 +229,19 @@ def _keep_up(client: Client, place: Place) -> None:
         client.cluster.scale(place.workers)
 
 
+def require_dask(slurm: bool) -> tuple[Any, Any]:
+    """dask.config and distributed; an InputError names what of them, or of SLURM's part, is not installed."""
+    if slurm and importlib.util.find_spec("dask_jobqueue") is None:  # which leaves a file when it is imported
+        extra("dask_jobqueue", "--slurm", "slurm", "dask-jobqueue")
+    return extra("dask.config", "hypose batch", "cluster", "dask"), extra(
+        "distributed", "hypose batch", "cluster", "dask"
+    )
+
+
 @contextlib.contextmanager
 def _client(place: Place) -> Iterator[Client]:
     """A client of the place's cluster; a cluster that was made here is closed with it."""
-    from dask import config
-    from distributed import Client
-
+    config, distributed = require_dask(place.slurm is not None)
     threads = place.threads or max(1, (os.cpu_count() or 1) // place.workers)
     environment = {name: str(threads) for name in _THREADS}
     with (
@@ -249,7 +261,7 @@ def _client(place: Place) -> Iterator[Client]:
     ):
         if place.scheduler is not None:
             try:
-                client = Client(place.scheduler, timeout="15s")
+                client = distributed.Client(place.scheduler, timeout="15s")
             except (OSError, ValueError) as error:
                 raise InputError(
                     f"No Dask scheduler answers at {place.scheduler} ({error}); start one with dask scheduler, and "
@@ -258,7 +270,7 @@ def _client(place: Place) -> Iterator[Client]:
             with client:
                 yield client
             return
-        with _cluster(place, environment) as cluster, Client(cluster) as client:
+        with _cluster(place, environment) as cluster, distributed.Client(cluster) as client:
             yield client
 
 
@@ -294,15 +306,13 @@ def slurm_cluster(keywords: Mapping[str, Any], environment: Mapping[str, str]) -
     ensure_file = dask.config.ensure_file
     try:
         dask.config.ensure_file = lambda *_, **__: None  # to be imported is enough for it to leave a file in the home
-        from dask_jobqueue import SLURMCluster  # pyright: ignore[reportMissingImports, reportPrivateImportUsage] (extra)
-    except ImportError:
-        raise InputError("--slurm needs dask-jobqueue; install it with pip install 'hypose[slurm]'.") from None
+        made = extra("dask_jobqueue", "--slurm", "slurm", "dask-jobqueue").SLURMCluster
     finally:
         dask.config.ensure_file = ensure_file
     exports = [f"export {name}={value}" for name, value in environment.items()]
     options = {"cores": 1, "processes": 1, "memory": "4GB", "walltime": "04:00:00", **keywords}
     options["job_script_prologue"] = [*exports, *options.get("job_script_prologue", [])]
-    return SLURMCluster(**options)
+    return made(**options)
 
 
 def _dashboard(client: Client) -> str:

@@ -9,7 +9,6 @@ Source: the Pose Landmarker guide for Python, ai.google.dev/edge/mediapipe/solut
 from __future__ import annotations
 
 import contextlib
-import importlib
 import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.errors import InputError
+from hypose.errors import InputError, extra
 from hypose.evidence.keypoints import BLAZEPOSE_33
 from hypose.geometry import Array
 from hypose.io.files import readable_size
@@ -109,15 +108,8 @@ def _checked_model(path: Path) -> str:
 
 
 def _library() -> Any:
-    try:
-        return importlib.import_module("mediapipe")  # an extra: not there for everyone, type checkers included
-    except ImportError:
-        raise InputError(
-            "Detecting key points needs mediapipe, which is not installed; run: pip install hypose[mediapipe]. Key "
-            "points of any other detector can be named in recording.toml (docs/recordings.md)."
-        ) from None
-    except OSError as error:  # it loads libraries of the system that servers may lack
-        raise InputError(f"mediapipe is installed but cannot be loaded ({error}); install what it names.") from None
+    named = "name the key points of any other detector in recording.toml (docs/recordings.md)"
+    return extra("mediapipe", "Detecting key points", "mediapipe", or_else=named)
 
 
 def _version(library: Any) -> str:

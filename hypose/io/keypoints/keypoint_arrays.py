@@ -8,13 +8,12 @@ DeepLabCut's analysed video (pandas, df_with_missing, format table or fixed); SL
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hypose.errors import InputError
+from hypose.errors import InputError, extra
 from hypose.geometry import Array
 from hypose.io.calibrations.calibration_opencap import read_plain_pickle
 from hypose.io.files import readable_size
@@ -76,13 +75,7 @@ def read_keypoint_h5(path: Path) -> KeypointTable:
 
 
 def _library() -> Any:
-    try:
-        return importlib.import_module("h5py")  # an extra: not there for everyone, type checkers included
-    except ImportError:
-        raise InputError(
-            "HDF5 files need h5py, which is not installed; run: pip install hypose[h5]. Or export CSV, which needs "
-            "nothing."
-        ) from None
+    return extra("h5py", "Reading HDF5", "h5", or_else="export CSV, which needs nothing")
 
 
 def _sized(dataset: Any, where: str) -> Any:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hypose.body.coarse_mesh import enclosed_volume
 from hypose.body.joint_names import SMPL_JOINTS
-from hypose.errors import InputError
+from hypose.errors import InputError, extra
 from hypose.geometry import Array
 from hypose.io.files import readable_size, unreadable
 
@@ -82,8 +82,7 @@ def read_person(path: str | Path) -> PersonMesh:
 
 
 def _read_geometry(path: Path, data: bytes, kind: str) -> tuple[Array, NDArray[np.int32]]:
-    import trimesh
-
+    trimesh = extra("trimesh", "A mesh of a person", "mesh")
     try:
         # from memory and without a resolver, so that no file or address named inside is opened
         scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, process=False, skip_materials=True)
@@ -223,6 +222,9 @@ def _main_part(v: Array, f: NDArray[np.int64], source: str) -> tuple[NDArray[np.
 
 def _same_turn(f: NDArray[np.int64], source: str) -> NDArray[np.int64]:
     """An InputError for edges of three faces; faces that turn the other way than their neighbours are turned."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
     n = int(f.max()) + 1
     edges = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]])
     key = edges.min(1) * n + edges.max(1)
@@ -232,18 +234,21 @@ def _same_turn(f: NDArray[np.int64], source: str) -> NDArray[np.int64]:
             f"{source} is not a manifold: {int((count > 2).sum())} edges belong to three or more faces; remesh the "
             "scan (Blender: Remesh modifier, or Mesh > Clean Up > Merge by Distance)."
         )
-    if len(np.unique(edges @ [n, 1])) < len(edges):
-        import trimesh
-
-        mesh = trimesh.Trimesh(np.zeros((n, 3)), f, process=False)
-        trimesh.repair.fix_winding(mesh)
-        f = np.asarray(mesh.faces, dtype=np.int64)
-        edges = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]])
-        if len(np.unique(edges @ [n, 1])) < len(edges):
-            raise InputError(
-                f"{source} has no inside and outside (its faces cannot all turn one way); remesh the scan."
-            )
-    return f
+    order = np.argsort(key, kind="stable")
+    first = np.flatnonzero(np.diff(key[order]) == 0)
+    one, other = order[first], order[first + 1]  # the two sides of each edge
+    same = edges[one, 0] == edges[other, 0]
+    if not same.any():
+        return f
+    # every face stands twice, as it is and turned (+ count); what fits together hangs together
+    count = len(f)
+    a, b = one % count, other % count + count * same
+    a, b = np.concatenate([a, a + count]), np.concatenate([b, (b + count) % (2 * count)])
+    _, part = connected_components(coo_matrix((np.ones(len(a), np.int8), (a, b)), shape=(2 * count, 2 * count)))
+    if (part[:count] == part[count:]).any():
+        raise InputError(f"{source} has no inside and outside (its faces cannot all turn one way); remesh the scan.")
+    turned = part[:count] > part[count:]
+    return np.where(turned[:, None], f[:, ::-1], f)
 
 
 def _holes_closed(

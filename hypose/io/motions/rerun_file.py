@@ -6,16 +6,15 @@ another colour, and say so. Needs the extra [rerun]; nothing else of hypose does
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from hypose.body.body import Body
 from hypose.body.motion import Motion
-from hypose.errors import InputError
+from hypose.errors import extra
 from hypose.io.motions.results import atomic_path
 
 _SURE, _UNSURE = (51, 122, 183), (217, 83, 79)
@@ -30,7 +29,8 @@ def write_rrd(path: str | Path, motion: Motion, body: Body) -> None:
     bones = [(int(p), j) for j, p in enumerate(skeleton.parents) if p >= 0]
     unsure = (motion.lost | motion.extrapolated).astype(bool)
     values, axes = np.linalg.eigh(np.nan_to_num(np.asarray(motion.joint_covariance, dtype=np.float64)))
-    reach = np.sqrt(chi2.ppf(0.9, 3) * np.maximum(values, 0.0))
+    within = 2 * gammaincinv(1.5, 0.9)  # chi-square quantile with 3 degrees of freedom
+    reach = np.sqrt(within * np.maximum(values, 0.0))
     axes[np.linalg.det(axes) < 0, :, 0] *= -1  # rotations, not reflections
     with atomic_path(path) as temporary:
         stream = rr.RecordingStream("hypose", recording_id=Path(path).stem)
@@ -69,9 +69,4 @@ def _regions(rr: Any, centres: np.ndarray, reach: np.ndarray, axes: np.ndarray, 
 
 def rerun_module() -> Any:  # noqa: ANN401 (a module)
     """Rerun's package; an InputError says how to get it."""
-    try:
-        return importlib.import_module("rerun")
-    except ImportError:
-        raise InputError(
-            "Rerun recordings need rerun-sdk, which is not installed; run: pip install hypose[rerun]."
-        ) from None
+    return extra("rerun", "A Rerun recording", "rerun", "rerun-sdk")

@@ -17,7 +17,7 @@ import zipfile
 from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from hypose.json_text import parse_json
 FULL = (errno.ENOSPC, errno.EDQUOT)
 """The system's numbers for a disk that is full."""
 _MAX_ARCHIVE_BYTES = 4 << 30
+_PIECE = 1 << 20
 _FORMAT = 1
 # name: (kinds of dtype, stored dtype, number of dimensions); those in _OPTIONAL may be absent
 _MOTION_ARRAYS: dict[str, tuple[str, str, int]] = {
@@ -227,12 +228,13 @@ def _read_archive(path: Path, only: Container[str] | None = None) -> dict[str, n
             if name in out:
                 raise ValueError(f"{name} occurs twice")
             if only is None or name in only:
-                out[name] = _parse_array(name, archive.read(entry))
+                with archive.open(entry) as stream:
+                    out[name] = _parse_array(name, stream, entry.file_size)
     return out
 
 
-def _parse_array(name: str, data: bytes) -> np.ndarray:
-    stream = io.BytesIO(data)
+def _parse_array(name: str, stream: IO[bytes], size: int) -> np.ndarray:
+    """The array that an entry of so many bytes holds."""
     version = np.lib.format.read_magic(stream)
     if version != (1, 0):
         raise ValueError(f"{name} has another version of the array format")
@@ -247,13 +249,17 @@ def _parse_array(name: str, data: bytes) -> np.ndarray:
         if n < 0:
             raise ValueError(f"{name} has shape {shape}")
         count *= n  # Python integers do not overflow
-    rest = data[stream.tell() :]
-    if count * dtype.itemsize != len(rest):
-        raise ValueError(f"{name} of shape {shape} does not fit its {len(rest)} bytes")
+    rest = size - stream.tell()
+    if count * dtype.itemsize != rest:
+        raise ValueError(f"{name} of shape {shape} does not fit its {rest} bytes")
     if dtype.itemsize == 0:
         return np.zeros(shape, dtype)
-    array = np.frombuffer(rest, dtype)
-    return (array.reshape(shape[::-1]).T if fortran else array.reshape(shape)).copy()
+    data = np.empty(rest, np.uint8)
+    for at in range(0, rest, _PIECE):  # whole, it would lie in memory twice
+        piece = stream.read(min(_PIECE, rest - at))
+        data[at : at + len(piece)] = np.frombuffer(piece, np.uint8)
+    array = data.view(dtype)
+    return array.reshape(shape[::-1]).T.copy() if fortran else array.reshape(shape)
 
 
 def load_archive(path: Path, what: str, next_step: str, only: Container[str] | None = None) -> dict[str, np.ndarray]:

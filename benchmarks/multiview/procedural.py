@@ -1,6 +1,6 @@
 """A body without any data file: tapered capsules around a skeleton's bones, joined smoothly and meshed.
 
-A fallback when the baked template is missing, and an independent double of it in tests: it shares nothing with the
+An independent double of the baked template, for tests and the benchmark of rigging: it shares nothing with the
 template but the joint tree. Deterministic.
 """
 

@@ -1,0 +1,30 @@
+"""`hypose warm-up`: what it compiles is not compiled again."""
+
+import pytest
+
+from hypose import compute
+from hypose.compute import warming
+
+
+@pytest.mark.slow
+def test_nothing_is_left_to_compile_after_it(hypose, monkeypatch):
+    code, out, _ = hypose("warm-up")
+    assert code == 0 and out.startswith("Compiled; kept in ")
+    began = []
+    monkeypatch.setattr(warming, "run", lambda *_: began.append(1))
+    compute.warm_up(load=False)
+    assert not began
+
+
+def test_without_a_place_one_sentence(hypose, monkeypatch):
+    monkeypatch.setattr(compute, "cache_folder", lambda: None)
+    code, _, err = hypose("warm-up")
+    assert code == 2 and "name a folder with HYPOSE_CACHE_DIR." in " ".join(err.split())
+
+
+def test_what_cannot_be_kept_is_not_called_kept(hypose, monkeypatch):
+    monkeypatch.setattr(compute, "warm_up", lambda *_, **__: 0.0)
+    monkeypatch.setattr(compute, "kept", lambda *_: False)
+    monkeypatch.setattr("hypose.app.jobs.job.run_job", lambda *_: None)
+    code, out, err = hypose("warm-up")
+    assert code == 2 and "could not all be kept in" in " ".join(err.split()) and "Compiled" not in out
