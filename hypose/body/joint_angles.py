@@ -29,6 +29,8 @@ neck_flexion, with the sign used here.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -42,6 +44,25 @@ BODY_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
 GROUND_AXES = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 
 _SIDES = (("r", "right", 1.0), ("l", "left", -1.0))
+_BALLS = (
+    *(("pelvis", "chest"), ("chest", "head")),
+    *(
+        (parent, child)
+        for _, side, _ in _SIDES
+        for parent, child in (
+            ("pelvis", f"{side}_hip"),
+            (f"{side}_knee", f"{side}_ankle"),
+            ("chest", f"{side}_shoulder"),
+        )
+    ),
+)
+_HINGES = tuple(
+    (f"{side}_{parent}", f"{side}_{child}")
+    for _, side, _ in _SIDES
+    for parent, child in (("hip", "knee"), ("shoulder", "elbow"))
+)
+TURNS = 3 + 3 * len(_BALLS) + len(_HINGES) + 3
+"""Numbers that are read off a frame."""
 ANGLE_NAMES: tuple[str, ...] = (
     *("pelvis_tilt", "pelvis_list", "pelvis_rotation", "pelvis_tx", "pelvis_ty", "pelvis_tz"),
     *(
@@ -94,51 +115,62 @@ def joint_angles(skeleton: Skeleton, poses: ArrayLike) -> tuple[tuple[str, ...],
 def angles_of_frames(skeleton: Skeleton, world_from_joint: Array, centres: Array) -> Array:
     """(T, A) as `joint_angles` gives them, of joints' frames (T, J, 3, 3), identity in the skeleton's rest pose, and
     centres (T, J, 3) m."""
-    columns = _columns(skeleton, world_from_joint, centres)
-    return np.stack([columns[name] for name in ANGLE_NAMES], axis=1)
+    return angles_in_time(turns_reader(skeleton)(world_from_joint, centres)).T
 
 
-def _columns(skeleton: Skeleton, world_from_joint: Array, centres: Array) -> dict[str, Array]:
+def turns_reader(skeleton: Skeleton) -> Callable[[Array, Array], Array]:
+    """What reads each frame by itself: of joints' frames and centres, as in `angles_of_frames`, (TURNS, T): (z, x, y)
+    of the pelvis in the world and of all balls, the turns of the hinges, and where the pelvis is."""
     neutral = neutral_frames(skeleton)
+    joint = {name: skeleton.joint(name) for pair in (*_BALLS, *_HINGES) for name in pair}
+    hinges = [(*pair, hinge_axis(skeleton, pair[1]), straight_offset(skeleton, pair[1])) for pair in _HINGES]
+
+    def read(world_from_joint: Array, centres: Array) -> Array:
+        # the frames last: products of many matrices of three rows are made one by one else
+        parts = {n: np.ascontiguousarray(np.moveaxis(world_from_joint[:, j], 0, -1)) for n, j in joint.items()}
+        out = np.empty((TURNS, len(world_from_joint)))
+        out[:3] = _zxy(_product(GROUND_AXES, _product(parts["pelvis"], (BODY_AXES @ neutral["pelvis"]).T)))
+        for n, (parent, child) in enumerate(_BALLS, 1):
+            r = _product(parts[parent].swapaxes(0, 1), parts[child])
+            r = _product(BODY_AXES @ neutral[parent], _product(r, (BODY_AXES @ neutral[child]).T))
+            out[3 * n : 3 * n + 3] = _zxy(r)
+        for n, (parent, child, axis, straight) in enumerate(hinges, 3 + 3 * len(_BALLS)):
+            out[n] = _turn_about(_product(parts[parent].swapaxes(0, 1), parts[child]), axis) + straight
+        out[-3:] = (centres[:, joint["pelvis"]] @ GROUND_AXES.T).T
+        return out
+
+    return read
+
+
+def angles_in_time(turns: Array) -> Array:
+    """(A, T) as `joint_angles` gives them, of what a `turns_reader` read of consecutive frames (TURNS, T)."""
     out: dict[str, Array] = {}
-
-    def anatomical(name: str) -> Array:
-        """world_from_segment (T, 3, 3), where the segment frame equals the model frame in the neutral."""
-        return world_from_joint[:, skeleton.joint(name)] @ neutral[name].T
-
-    def relative(parent: str, child: str) -> Array:
-        r = np.swapaxes(anatomical(parent), -1, -2) @ anatomical(child)
-        return BODY_AXES @ r @ BODY_AXES.T
-
-    def hinge(name: str) -> Array:
-        j = skeleton.joint(name)
-        r = np.swapaxes(world_from_joint[:, skeleton.parents[j]], -1, -2) @ world_from_joint[:, j]
-        return _turn_about(r, hinge_axis(skeleton, name)) + straight_offset(skeleton, name)
-
-    pelvis = GROUND_AXES @ anatomical("pelvis") @ BODY_AXES.T
-    turn = continuous_euler_zxy(pelvis[:, None], prior_axis=1)[:, 0]
-    out["pelvis_tilt"], out["pelvis_list"], out["pelvis_rotation"] = turn.T
-    ground = centres[:, skeleton.joint("pelvis")] @ GROUND_AXES.T
-    out["pelvis_tx"], out["pelvis_ty"], out["pelvis_tz"] = ground.T
-
-    pairs = [("pelvis", "chest"), ("chest", "head")]
-    for _, side, _ in _SIDES:
-        pairs += [
-            ("pelvis", f"{side}_hip"),
-            (f"{side}_knee", f"{side}_ankle"),
-            ("chest", f"{side}_shoulder"),
-        ]
-    euler = continuous_euler_zxy(np.stack([relative(a, b) for a, b in pairs], axis=1))
-    angle = {child: euler[:, i] for i, (_, child) in enumerate(pairs)}
+    out["pelvis_tilt"], out["pelvis_list"], out["pelvis_rotation"] = _continuous(turns[:3], prior_axis=1)
+    out["pelvis_tx"], out["pelvis_ty"], out["pelvis_tz"] = turns[-3:]
+    angle = {child: _continuous(turns[3 * n : 3 * n + 3]) for n, (_, child) in enumerate(_BALLS, 1)}
+    hinge = {child: turns[n] for n, (_, child) in enumerate(_HINGES, 3 + 3 * len(_BALLS))}
     for joint, name in (("chest", "lumbar"), ("head", "neck")):
-        out[f"{name}_extension"], out[f"{name}_bending"], out[f"{name}_rotation"] = angle[joint].T
+        out[f"{name}_extension"], out[f"{name}_bending"], out[f"{name}_rotation"] = angle[joint]
     for s, side, sign in _SIDES:
-        hip, ankle, arm = (angle[f"{side}_{j}"] * [1, sign, sign] for j in ("hip", "ankle", "shoulder"))
-        out[f"hip_flexion_{s}"], out[f"hip_adduction_{s}"], out[f"hip_rotation_{s}"] = hip.T
-        out[f"knee_angle_{s}"] = hinge(f"{side}_knee")
-        out[f"ankle_angle_{s}"], out[f"subtalar_angle_{s}"] = ankle[:, 0], ankle[:, 1]
-        out[f"arm_flex_{s}"], out[f"arm_add_{s}"], out[f"arm_rot_{s}"] = arm.T
-        out[f"elbow_flex_{s}"] = hinge(f"{side}_elbow")
+        for joint, names in (
+            ("hip", ("hip_flexion", "hip_adduction", "hip_rotation")),
+            ("ankle", ("ankle_angle", "subtalar_angle")),
+            ("shoulder", ("arm_flex", "arm_add", "arm_rot")),
+        ):
+            z, *mirrored = angle[f"{side}_{joint}"]
+            out |= {f"{n}_{s}": a for n, a in zip(names, (z, *(sign * a for a in mirrored)), strict=False)}
+        out[f"knee_angle_{s}"], out[f"elbow_flex_{s}"] = hinge[f"{side}_knee"], hinge[f"{side}_elbow"]
+    return np.stack([out[name] for name in ANGLE_NAMES])
+
+
+def _product(a: Array, b: Array) -> Array:
+    """a @ b of matrices (3, 3) or (3, 3, T), one of which is of the latter kind."""
+    out = np.empty((3, 3, max(a.size, b.size) // 9))
+    for i in range(3):
+        for k in range(3):
+            np.multiply(a[i, 0], b[0, k], out=out[i, k])
+            out[i, k] += a[i, 1] * b[1, k]
+            out[i, k] += a[i, 2] * b[2, k]
     return out
 
 
@@ -168,12 +200,11 @@ def straight_offset(skeleton: Skeleton, name: str) -> float:
     return float(np.arctan2(axis @ np.cross(a, b), a @ b - (a @ axis) * (b @ axis)))
 
 
-def _turn_about(rotations: Array, axis: Array) -> Array:
-    """(T,) rad in (-pi, pi]: the turn about an axis (3,) that is nearest to rotations (T, 3, 3)."""
-    skew = np.stack([rotations[:, 2, 1] - rotations[:, 1, 2], rotations[:, 0, 2] - rotations[:, 2, 0]], -1)
-    skew = np.concatenate([skew, (rotations[:, 1, 0] - rotations[:, 0, 1])[:, None]], -1)
-    trace, along = np.trace(rotations, axis1=1, axis2=2), np.einsum("i,tij,j->t", axis, rotations, axis)
-    return np.arctan2(skew @ axis, trace - along)
+def _turn_about(r: Array, axis: Array) -> Array:
+    """(T,) rad in (-pi, pi]: the turn about an axis (3,) that is nearest to rotations (3, 3, T)."""
+    skew = axis[0] * (r[2, 1] - r[1, 2]) + axis[1] * (r[0, 2] - r[2, 0]) + axis[2] * (r[1, 0] - r[0, 1])
+    along = sum(axis[i] * axis[k] * r[i, k] for i in range(3) for k in range(3))
+    return np.arctan2(skew, r[0, 0] + r[1, 1] + r[2, 2] - along)
 
 
 def hinge_axis(skeleton: Skeleton, name: str) -> Array:
@@ -201,48 +232,73 @@ def continuous_euler_zxy(rotations: ArrayLike, prior_axis: int = 2) -> Array:
     2: y) leaves what a body does: near |x| = 90 deg noise alone would decide the branch otherwise. At |x| =
     90 deg, where only z +- y is defined, y keeps its last value. The angles always give back the rotation.
     """
-    r = np.asarray(rotations, dtype=np.float64)
-    cosine = np.hypot(r[..., 2, 0], r[..., 2, 2])
-    x = np.arctan2(r[..., 2, 1], cosine)
-    y = _hold(np.arctan2(-r[..., 2, 0], r[..., 2, 2]), cosine > 1e-9)
+    r = np.moveaxis(np.asarray(rotations, dtype=np.float64), (-2, -1), (0, 1))
+    return np.stack(_continuous(_zxy(r), prior_axis), -1)
+
+
+def _zxy(r: Array) -> tuple[Array, Array, Array]:
+    """z, x, y of rotations (3, 3, ...), |x| <= 90 deg. Where |x| is 90 deg, y is NaN and z that for y = 0."""
+    cosine = np.hypot(r[2, 0], r[2, 2])
+    x, y = np.arctan2(r[2, 1], cosine), np.arctan2(-r[2, 0], r[2, 2])
+    locked = cosine <= 1e-9
+    if locked.any():
+        y = np.where(locked, 0.0, y)
     # z from R Ry(-y): stays exact where x is +-90 deg
     cy, sy = np.cos(y), np.sin(y)
-    z = np.arctan2(r[..., 1, 0] * cy + r[..., 1, 2] * sy, r[..., 0, 0] * cy + r[..., 0, 2] * sy)
-    first = np.stack([z, x, y], -1)
-    second = np.stack([z + np.pi, np.pi - x, y + np.pi], -1)
-    both = _wrap(np.stack([first, second], axis=2))
-    chosen = np.take_along_axis(both, _branch(both, prior_axis)[..., None, None], axis=2)[:, :, 0]
-    return np.unwrap(chosen, axis=0)
+    z = np.arctan2(r[1, 0] * cy + r[1, 2] * sy, r[0, 0] * cy + r[0, 2] * sy)
+    return z, x, np.where(locked, np.nan, y) if locked.any() else y
+
+
+def _continuous(zxy: Sequence[Array] | Array, prior_axis: int = 2) -> tuple[Array, Array, Array]:
+    """z, x, y (T, ...) of consecutive frames as `continuous_euler_zxy` gives them, of those of `_zxy`."""
+    z, x, y = zxy
+    locked = np.isnan(y)
+    if locked.any():
+        y = _hold(y, ~locked)
+        z = z - np.where(locked, np.sign(x) * y, 0.0)
+    other = _second_branch(z, x, y, prior_axis)
+    if other.any():
+        turned = (_wrap(z + np.pi), _wrap(np.pi - x), _wrap(y + np.pi))
+        z, x, y = (np.where(other, a, b) for a, b in zip(turned, (z, x, y), strict=True))
+    return _unwrapped(z), _unwrapped(x), _unwrapped(y)
+
+
+def _unwrapped(angle: Array) -> Array:
+    """(T, ...) without the jumps of whole turns."""
+    turns = np.rint(np.diff(angle, axis=0) / (2 * np.pi))
+    if not turns.any():
+        return angle
+    return np.concatenate([angle[:1], angle[1:] - 2 * np.pi * np.cumsum(turns, axis=0)])
 
 
 def _wrap(angle: Array) -> Array:
-    return (angle + np.pi) % (2 * np.pi) - np.pi
+    return angle - 2 * np.pi * np.rint(angle / (2 * np.pi))
 
 
 def _hold(values: Array, defined: NDArray[np.bool_]) -> Array:
-    """Values (T, K) with the undefined ones replaced by the last defined one before (0 where there is
-    none)."""
-    index = np.where(defined, np.arange(len(values))[:, None], -1)
-    last = np.maximum.accumulate(index, axis=0)
+    """Values (T, ...) with the undefined ones replaced by the last defined one before (0 where there is none)."""
+    rows = np.arange(len(values)).reshape(-1, *[1] * (values.ndim - 1))
+    last = np.maximum.accumulate(np.where(defined, rows, -1), axis=0)
     return np.where(last >= 0, np.take_along_axis(values, np.maximum(last, 0), 0), 0.0)
 
 
-def _branch(both: Array, prior_axis: int) -> NDArray[np.int64]:
-    """Branch (T, K) of the two triples (T, K, 2, 3) with the least change plus the price of unlikely
-    angles.
+def _second_branch(z: Array, x: Array, y: Array, prior_axis: int) -> NDArray[np.bool_]:
+    """Where (T, ...) the other one of the triples (z, x, y), each (T, ...), is on the sequence with the
+    least change plus the price of unlikely angles.
 
     From frame to frame both branches cost the same to stay on and the same to leave for the other, for they are each
-    other's mirror. So all that has to be known of the way so far is by how much the second one is dearer."""
+    other's mirror. So all that has to be known of the way so far is by how much the second one is dearer. To change
+    costs 3 pi - |dz| - |dy| - |x + x'| where to stay costs |dz| + |dy| + |x - x'|, for |x| <= pi / 2."""
     usual, price = np.radians(100.0), 0.2
-    node = price * np.maximum(np.abs(both[..., prior_axis]) - usual, 0)
-    t, k = both.shape[:2]
-    stay = np.abs(_wrap(both[1:, :, 0] - both[:-1, :, 0])).sum(-1)
-    change = np.abs(_wrap(both[1:, :, 0] - both[:-1, :, 1])).sum(-1)
-    dearer, extra = change - stay, node[..., 1] - node[..., 0]
-    out = np.zeros((t, k), dtype=np.int64)
+    here, aside = np.abs((x, y)[prior_axis - 1]), np.abs(x)
+    extra = price * (np.maximum(np.pi - here - usual, 0) - np.maximum(here - usual, 0))
+    dz, dy = (np.abs(_wrap(np.diff(a, axis=0))) for a in (z, y))
+    dearer = 3 * np.pi - 2 * (dz + dy + np.maximum(aside[1:], aside[:-1]))
+    out = np.zeros(here.shape, dtype=bool)
     # where neither to leave the first one nor to be on the second is ever cheaper, the first one it is
-    for c in np.flatnonzero((dearer < 0).any(0) | (extra < 0).any(0)):
-        out[:, c] = _cheapest(dearer[:, c].tolist(), extra[:, c].tolist())
+    for c in np.argwhere((dearer < 0).any(0) | (extra < 0).any(0)):
+        column = (slice(None), *c)
+        out[column] = _cheapest(dearer[column].tolist(), extra[column].tolist())
     return out
 
 

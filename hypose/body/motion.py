@@ -179,4 +179,5 @@ def isotropic(joint_sd: ArrayLike) -> NDArray[np.float32]:
 
 def sd_per_axis(joint_covariance: ArrayLike) -> Array:
     """(..., J) m: root mean square over the axes, of covariances (..., J, 3, 3) m^2."""
-    return np.sqrt(np.trace(np.asarray(joint_covariance, dtype=np.float64), axis1=-2, axis2=-1) / 3)
+    xx, yy, zz = (np.asarray(joint_covariance)[..., k, k].astype(np.float64) for k in range(3))
+    return np.sqrt((xx + yy + zz) / 3)

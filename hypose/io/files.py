@@ -62,9 +62,9 @@ class RecordingFolder:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._tables: dict[str, os.stat_result] = {}
-        if self.path.is_file() or (self.path.is_dir() and any(self.path.iterdir())):
-            raise InputError(f"{self.path} is not empty; give a new folder to record to.")
         with self.writing():
+            if self.path.is_file() or (self.path.is_dir() and any(self.path.iterdir())):
+                raise InputError(f"{self.path} is not empty; give a new folder to record to.")
             self.path.mkdir(parents=True, exist_ok=True)
 
     @contextmanager

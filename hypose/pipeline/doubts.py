@@ -51,7 +51,9 @@ def looked_at(
     where it is known (of the masks of several people)."""
     seen = what_was_seen(estimate, tracker.body, frame, last, change)
     pictures = frame.silhouettes or frame.keypoints
-    if pictures is None or len(pictures.rig) == 1:  # one camera's other poses are told otherwise
+    if pictures is None or (
+        len(pictures.rig) == 1 and frame.depth is None
+    ):  # one camera's other poses are told otherwise
         return replace(estimate, seen=seen)
     wanted = tracker.settings.evidence
     own = replace(
@@ -95,6 +97,15 @@ def mask_change(frame: Frame, last: Frame | None) -> NDArray[np.float32] | None:
         differ = int(np.bitwise_count(now.bits[c] ^ then.bits[c]).sum())
         out[c] = differ / max(int(now.areas[c]), int(then.areas[c]), 1)
     return out
+
+
+def as_now(own: Frame, before: Frame) -> Frame | None:
+    """The frame before with what is ignored now: what was then may have been ignored otherwise. None without
+    silhouettes of both."""
+    s, then = own.silhouettes, before.silhouettes
+    if s is None or then is None:
+        return None
+    return replace(before, silhouettes=replace(then, ignored=s.ignored, expected=s.expected))
 
 
 def with_doubts(motion: Motion, seen: Sequence[NDArray[np.float32]]) -> tuple[Motion, list[str]]:

@@ -59,9 +59,9 @@ def angle_cycles(events: Sequence[GaitEvent], motion: Motion) -> list[AngleCycle
         spans = whole["left" if name.endswith("_l") else "right"]
         if is_length(name) or name == "pelvis_rotation" or not spans:  # where somebody walks is no cycle
             continue
-        own, own_sd = np.ascontiguousarray(values[:, k]), np.array(given[:, k], dtype=np.float64)
-        curves = np.stack([_over(motion.times, own, span) for span in spans])
-        sds = np.stack([_over(motion.times, own_sd, span) for span in spans])
+        begin, end = np.array(spans).T[..., None]
+        at = begin + PERCENT / 100 * (end - begin)
+        curves, sds = (np.interp(at, motion.times, a[:, k]) for a in (values, given))
         # strides lie farther apart than an error lasts, so each counts anew
         apart = min(1.0, CORRELATION / np.mean([b - a for a, b in spans]))
         count = max(1.0, len(spans) * (1 - apart) + apart)
@@ -69,10 +69,3 @@ def angle_cycles(events: Sequence[GaitEvent], motion: Motion) -> list[AngleCycle
         uncertainty = np.sqrt((sds**2).mean(0) / count)
         out.append(AngleCycle(name, curves.mean(0), sd, uncertainty, len(spans)))
     return out
-
-
-def _over(times: Array, series: Array, span: tuple[float, float]) -> Array:
-    """(101,) of a series (T,) from the first to the second time."""
-    first, stop = np.searchsorted(times, span)
-    inside = slice(max(first - 1, 0), stop + 1)
-    return np.interp(span[0] + PERCENT / 100 * (span[1] - span[0]), times[inside], series[inside])

@@ -11,17 +11,18 @@ the sole, and the times are refined between frames by a parabola.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import find_peaks, peak_prominences
 
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.geometry import Array
+from hypose.pipeline.summits import lowest_beside, summits
 from hypose.tracking.contacts import soles_of
 
 CORRELATION = 0.15
@@ -99,27 +100,26 @@ def gait_of(motion: Motion, body: Body) -> Gait:
     skeleton = body.skeleton
     pelvis = motion.joints[:, skeleton.joint("pelvis")]
     facing = facing_of(skeleton.forward(motion.poses)[0][:, skeleton.joint("pelvis")], rate)
-    covariance = _moving(motion)
-    pelvis_covariance = covariance[:, skeleton.joint("pelvis")]
+    covariance = {n: _moving(motion, skeleton.joint(n)) for n in ("pelvis", "left_ankle", "right_ankle")}
     events: list[GaitEvent] = []
     for side, heel, ball in (("left", 0, 1), ("right", 2, 3)):
-        spread = covariance[:, skeleton.joint(f"{side}_ankle")] + pelvis_covariance
+        spread = covariance[f"{side}_ankle"] + covariance["pelvis"]
         along_sd = np.sqrt(np.einsum("ta,tab,tb->t", facing, spread, facing))
         for kind, point, sign in (("strike", heel, 1.0), ("off", ball, -1.0)):
             series = sign * np.einsum("ta,ta->t", feet[:, point] - pelvis, facing)
             for time, sd, index in turns(series, motion.times, along_sd, rate, known):
                 events.append(GaitEvent(time, sd, side, kind, feet[index, point]))
     events.sort(key=lambda e: e.time)
-    steps = _steps(events, motion, body, feet, facing, covariance)
+    steps = _steps(events, motion, feet, facing, covariance)
     return Gait(tuple(events), tuple(steps), tuple(_figures(events, steps, motion, pelvis, known)))
 
 
-def _moving(motion: Motion) -> Array:
-    """(T, J, 3, 3) covariances without what does not change over the clip; at least a hundredth of them is left."""
-    whole = np.array(motion.joint_covariance, dtype=np.float64)
+def _moving(motion: Motion, joint: int) -> Array:
+    """(T, 3, 3) covariance of a joint without what does not change over the clip; at least 1 % is left."""
+    whole = np.array(motion.joint_covariance[:, joint], dtype=np.float64)
     if motion.definition_sd is None:
         return whole
-    constant = np.asarray(motion.definition_sd, dtype=np.float64) ** 2
+    constant = float(motion.definition_sd[joint]) ** 2
     least = 0.99 * np.linalg.eigvalsh(np.nan_to_num(whole))[..., 0]
     return whole - np.minimum(constant, least)[..., None, None] * np.eye(3)
 
@@ -138,7 +138,7 @@ def turns(
     """Times s, their sd and frames of the maxima of a series (T,) m that is known to sd (T,) m; none next to frames
     that are not known."""
     filled = np.where(np.isfinite(series), series, np.nanmin(series) if np.isfinite(series).any() else 0.0)
-    peaks, _ = find_peaks(filled, distance=max(1, round(_LEAST_STEP * rate)))
+    peaks = summits(filled, max(1, round(_LEAST_STEP * rate)))
     out = []
     reach = max(1, round(0.04 * rate))
     for k in peaks[_swings(filled, peaks)].tolist():
@@ -154,23 +154,22 @@ def turns(
     return out
 
 
-def _swings(series: Array, peaks: NDArray[np.intp]) -> NDArray[np.bool_]:
+def _swings(series: Array, peaks: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Which peaks of a series stand out by a foot's swing on both sides, as far as the clip shows them."""
-    _, left, right = peak_prominences(series, peaks)
+    left, right = lowest_beside(series, peaks)
     tops = series[peaks]
     first = np.maximum.accumulate(series)[peaks] <= tops  # nothing before is higher
     last = np.maximum.accumulate(series[::-1])[::-1][peaks] <= tops
     needed = [np.where(edge, _LEAST_SEEN, _LEAST_SWING) for edge in (first, last)]
-    swing = np.maximum(tops - series[left], tops - series[right]) >= _LEAST_SWING
-    return np.asarray(swing & (tops - series[left] >= needed[0]) & (tops - series[right] >= needed[1]))
+    swing = np.maximum(tops - left, tops - right) >= _LEAST_SWING
+    return np.asarray(swing & (tops - left >= needed[0]) & (tops - right >= needed[1]))
 
 
 def _steps(
-    events: list[GaitEvent], motion: Motion, body: Body, feet: Array, facing: Array, covariance: Array
+    events: list[GaitEvent], motion: Motion, feet: Array, facing: Array, covariance: Mapping[str, Array]
 ) -> list[GaitStep]:
     strikes = [e for e in events if e.kind == "strike"]
     offs = {s: np.array([e.time for e in events if e.kind == "off" and e.side == s]) for s in ("left", "right")}
-    ankle = {s: body.skeleton.joint(f"{s}_ankle") for s in ("left", "right")}
     heel = {"left": 0, "right": 2}
     out = []
     for before, now in zip(strikes, strikes[1:], strict=False):
@@ -179,7 +178,7 @@ def _steps(
         t = int(np.argmin(np.abs(motion.times - now.time)))
         across = np.array([-facing[t, 1], facing[t, 0], 0.0])
         apart = feet[t, heel[now.side]] - feet[t, heel[before.side]]
-        both = covariance[t, ankle["left"]] + covariance[t, ankle["right"]] + 2 * HEEL_SD**2 * np.eye(3)
+        both = covariance["left_ankle"][t] + covariance["right_ankle"][t] + 2 * HEEL_SD**2 * np.eye(3)
         left = offs[before.side]
         after = int(np.searchsorted(left, now.time, "right"))
         off = left[after] if after < len(left) else np.nan

@@ -29,7 +29,7 @@ from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
 from hypose.pipeline.first_look import first_look, sentences
 from hypose.pipeline.kept_findings import SUBJECT, keep_subject, kept_subject
 from hypose.pipeline.keypoint_track import track_keypoints, with_named_sides
-from hypose.pipeline.mend_sides import mend_sides, sides_notes
+from hypose.pipeline.mend_sides import look_back, look_back_notes, mend_sides, sides_notes
 from hypose.pipeline.picture_start import picture_options, subject_in_picture
 from hypose.pipeline.pictures import depth_note, one_view
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
@@ -118,8 +118,10 @@ def frames_wanted(recording: Recording, options: TrackOptions) -> FrameSettings 
 def check_views(recording: Recording, of_picture: bool = False) -> None:
     """An InputError when nothing can be done with that number of cameras: two or more, or the picture of one."""
     if of_picture:
-        one_view(recording, None)
-    elif len(recording.views) == 1:
+        view = one_view(recording, None).views[0]
+        if view.depth is not None:
+            raise InputError(f"{view.name} is a depth camera, and this recipe looks at pictures; leave --recipe out.")
+    elif len(recording.views) == 1 and recording.views[0].depth is None:
         name = recording.views[0].name
         raise InputError(
             f"{recording.name} has one camera, {name}, and this needs two or more; track one with --recipe monocular "
@@ -253,8 +255,10 @@ def finish(
     record: Mapping[str, Any] | None,
     progress: Progress,
     faults: tuple[str, ...] = (),
+    shared: bool = False,
 ) -> TrackResult:
-    """The motion of what was tracked, stretches with exchanged sides mended, smoothed, judged and written."""
+    """The motion of what was tracked, stretches with exchanged sides mended, smoothed, judged and written. shared:
+    others are in the masks, who make starts unsure."""
     estimates, notes, recipe = done.estimates, subject.notes, tracker.recipe
 
     def again(frames: range) -> Iterator[Frame]:
@@ -266,6 +270,9 @@ def finish(
             tracker, estimates, again, sure_start=options.sure_start, memory=done.state.memory
         )
         notes = (*notes, *sides_notes(exchanged))
+        if shared and not options.sure_start:
+            estimates, anew = look_back(tracker, estimates, again, memory=done.state.memory)
+            notes = (*notes, *look_back_notes(anew))
         progress("sides", 1, 1)
     tracked = _tracked(subject, estimates, tracker.settings.frame_rate, record)
     motion = tracked.motion
@@ -280,18 +287,25 @@ def finish(
     own, audit = np.stack([e.pose for e in estimates]), np.stack([e.audit for e in estimates])
     information = np.stack([e.uncertainty.information for e in estimates])
     covariance = pose_covariance(unpacked(information, subject.body.skeleton.dof))
-    motion = _doubted(motion, subject, own, audit, covariance)
+    depth = source.frame(0).depth is not None
+    motion = _doubted(motion, subject, own, audit, covariance, "depth" if depth else None)
     wrong, looks = against_the_clip(audit, motion.n_views, evidence_of(audit))
     out = TrackResult(motion, subject.body, done.complete, notes, None, own, audit, (*faults, *wrong), looks)
     return _written(out, results)
 
 
 def _doubted(
-    motion: Motion, subject: Subject, one_by_one: Array, audit: NDArray[np.float32], covariance: Array
+    motion: Motion,
+    subject: Subject,
+    one_by_one: Array,
+    audit: NDArray[np.float32],
+    covariance: Array,
+    known: str | None = None,
 ) -> Motion:
     """The motion with the probability that a joint is wrong, what is doubtful for that, and standard deviations that
-    hold, of what is doubtful too; covariance (T, D, D) of the poses."""
-    evidence = evidence_of(audit)
+    hold, of what is doubtful too; covariance (T, D, D) of the poses; known: what the evidence was, where the audit does
+    not tell."""
+    evidence = known or evidence_of(audit)
     # by what the curvature says
     p, joints = judged(motion, subject.body.joints(one_by_one), audit, subject.unsure)
     beyond = beyond_usual(audit, evidence)

@@ -7,7 +7,6 @@ the thesis' layered filter for one held pose is hypose.tracking.layered_anthropo
 
 from __future__ import annotations
 
-import contextlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -19,21 +18,23 @@ from hypose.body.anthropometry import CLOTHING_UNIT, ENTITY_NAMES, Sizes, body_o
 from hypose.body.body import Body
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame
+from hypose.fitting import DepthTerm, depth_term
 from hypose.fitting.articulated import ContourTerm, SolveSettings, contour_term
 from hypose.geometry import Array
 from hypose.io.files import write_text
 from hypose.io.motions.bodies import load_body, save_body
 from hypose.pipeline.mend_sides import mend_sides
-from hypose.pipeline.subject_checks import check_borders, check_named_pose, check_size, check_start, no_two_views
-from hypose.tracking.costs import mean_overlap, silhouette_iou
+from hypose.pipeline.start_choice import best_ways, follow
+from hypose.pipeline.subject_checks import check_borders, check_size, no_two_views
+from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.frame_evidence import PreparedFrame, prepare
 from hypose.tracking.recipes import default
 from hypose.tracking.refinement import refine
 from hypose.tracking.shape_refinement import Known, ShapeSettings, refine_shape
-from hypose.tracking.start_search import Start, Starts, starts_in_frame, weighed
-from hypose.tracking.starts import KNOWN_POSES, hull_of, start_in_pose
+from hypose.tracking.start_search import Start
+from hypose.tracking.starts import KNOWN_POSES
 from hypose.tracking.subject import scaled_to_height
-from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings
+from hypose.tracking.tracker import Tracker, TrackerSettings
 
 FrameAt = Callable[[int], Frame]
 Progress = Callable[[int, int], None]
@@ -43,7 +44,8 @@ Progress = Callable[[int, int], None]
 class AnthropometryOptions:
     """frames: how many different poses are fitted; tracked: how many instants are looked at to find them; rate: their
     rate in Hz; passes: the second one tracks again with the fitted body; height m, mass kg: when known; poses: what the
-    person may be doing at the start; seed; shape: of the solver."""
+    person may be doing at the start; seed; shape: of the solver; shared, tried: of the start, see `best_ways`, tried
+    with the numbers of the frames of the recording."""
 
     frames: int = 10
     tracked: int = 36
@@ -55,6 +57,8 @@ class AnthropometryOptions:
     poses: tuple[str, ...] = KNOWN_POSES
     seed: int = 0
     shape: ShapeSettings = ShapeSettings()
+    shared: bool = False
+    tried: tuple[tuple[int, Start], ...] = ()
 
     def __post_init__(self) -> None:
         for name, value, low, high in (("height", self.height, 0.5, 2.5), ("mass", self.mass, 8.0, 350.0)):
@@ -126,7 +130,9 @@ def estimate_subject(
     for i in indices:
         frames.append(frame_at(i))
         tick()
-    usable = [f.silhouettes is not None and int(f.silhouettes.usable.sum()) >= 2 for f in frames]
+    usable = [
+        f.silhouettes is not None and int(f.silhouettes.usable.sum()) >= (2 if f.depth is None else 1) for f in frames
+    ]
     seen = [f for f, ok in zip(frames, usable, strict=True) if ok]
     numbers = [i for i, ok in zip(indices, usable, strict=True) if ok]
     if not usable or not usable[0]:
@@ -135,8 +141,19 @@ def estimate_subject(
     border_notes = check_borders(seen, options.height)
     height, known = options.height, Known(options.height, options.mass)
     if start is None:
-        starts, at = _best_start(template, seen, options)
-        body, start_pose, unsure = starts.best.body, starts.best.pose, starts.unsure
+        found = best_ways(
+            template,
+            seen,
+            rate,
+            options.poses,
+            height=height,
+            seed=options.seed,
+            shared=options.shared,
+            tried=[(numbers.index(i), s) for i, s in options.tried if i in numbers],
+        )
+        found.check(seen)
+        best, at, unsure = found.starts.best, found.at, found.starts.unsure
+        body, start_pose = best.body, best.pose
     else:
         body = template if height is None else scaled_to_height(template, height)
         start_pose, at, unsure = start, 0, np.zeros(len(template.skeleton.joint_names))
@@ -144,15 +161,15 @@ def estimate_subject(
     x[0] = np.log(body.stature / template.stature)
     by_template, iou = _both_ways(body, start_pose, at, seen, rate, options, tick)
     chosen, tracked = different_poses(body, by_template, iou, options.frames), by_template
-    fit = refine_shape(template, tracked[chosen], _contours(seen, chosen), known=known, options=options.shape, start=x)
+    contours, depths = _contours(seen, chosen), _depths(seen, chosen)
+    fit = refine_shape(template, tracked[chosen], contours, known=known, options=options.shape, start=x, depths=depths)
     for _ in range(options.passes - 1):
         # the fitted body loses fewer limbs, so other frames and better poses are there to be fitted
         tracked, iou = _both_ways(fit.body, tracked[at], at, seen, rate, options, tick)
         chosen = different_poses(fit.body, tracked, iou, options.frames)
         again = replace(options.shape, iterations=(0, *options.shape.iterations[1:]))
-        fit = refine_shape(
-            template, tracked[chosen], _contours(seen, chosen), known=known, options=again, start=fit.log_factors
-        )
+        contours, depths, x = _contours(seen, chosen), _depths(seen, chosen), fit.log_factors
+        fit = refine_shape(template, tracked[chosen], contours, known=known, options=again, start=x, depths=depths)
     if progress is not None:
         progress(total, total)
     before = by_template[chosen]
@@ -181,75 +198,6 @@ def estimate_subject(
     )
 
 
-def _best_start(template: Body, frames: Sequence[Frame], options: AnthropometryOptions) -> tuple[Starts, int]:
-    """The starts in the frame where they explain the silhouettes best, and its number. A hole in one mask cuts the
-    hull, so other frames are tried where the first one leaves a doubt; the median of their hulls' heights is the
-    person's extent."""
-    tried = sorted({0, len(frames) // 3, (2 * len(frames)) // 3})
-    extents = []
-    for k in sorted({*tried, len(frames) // 6, len(frames) // 2, len(frames) - 1}):
-        with contextlib.suppress(EvidenceError):
-            extents.append(hull_of(_prepared(frames[k], template, np.zeros(template.skeleton.dof))).height)
-    extent = float(np.median(extents)) if extents else None
-    named = options.poses[0] if len(options.poses) == 1 else None
-    best: tuple[float, Starts, int] | None = None
-    failed: EvidenceError | None = None
-    for k in tried:
-        try:
-            if named is not None and k == 0:  # only the first frame is promised to show the named pose
-                found = _in_named_pose(template, frames[0], options, extent)
-            else:
-                found = _searched(template, frames, k, options.height, extent)
-        except EvidenceError as error:
-            failed = failed or error
-            continue
-        if named is not None and k == 0:
-            _check_named(template, frames[0], named, found.best, extent)
-        value = _overlap(found.best, frames[k])
-        if best is None or value > best[0] + 0.02:
-            best = (value, found, k)
-        if best[0] > _PLAIN and best[1].weights[0] > _SURE:
-            break
-    if best is None:
-        raise failed or EvidenceError("No frame has a visual hull to start from; check the calibration and the masks.")
-    check_start(best[0], frames[best[2]].index)
-    return best[1], best[2]
-
-
-_PLAIN, _SURE = 0.6, 0.9
-"""Mean IoU and weight from which on a start needs no other frame."""
-_LATER = (1, 2, 3, 4, 5)
-"""Instants after a start that decide between its rivals; no step is so long that who walks is lost in it."""
-
-
-def _searched(template: Body, frames: Sequence[Frame], at: int, height: float | None, extent: float | None) -> Starts:
-    """The starts in frame number `at` of the instants looked at, weighed by those that follow, or by those before it
-    where none follow."""
-    here, zero = _prepared(frames[at], template, np.zeros(template.skeleton.dof)), np.zeros(template.skeleton.dof)
-    others = [at + k for k in _LATER if at + k < len(frames)] or [at - k for k in _LATER if at - k >= 0]
-    later = [_prepared(frames[k], template, zero) for k in others]
-    return weighed(starts_in_frame(template, here, height, extent), [f for f in later if f.masks is not None])
-
-
-def _in_named_pose(template: Body, frame: Frame, options: AnthropometryOptions, extent: float | None) -> Starts:
-    """The start in the pose that was named."""
-    name = options.poses[0]
-    body, pose, value = named_start(template, frame, name, options.height, extent)
-    start = Start(body, pose, 1 - value)
-    return Starts((start,), np.ones(1), np.zeros(len(body.skeleton.joint_names)))
-
-
-def _check_named(template: Body, frame: Frame, name: str, start: Start, extent: float | None) -> None:
-    """An EvidenceError when the frame shows another known pose than the named one, in which the start is."""
-    others = [p for p in KNOWN_POSES if p != name]
-    overlap = {p: named_start(template, frame, p, start.body.stature, extent)[2] for p in others}
-    check_named_pose(name, 1 - start.cost, overlap, frame.index)
-
-
-def _overlap(start: Start, frame: Frame) -> float:
-    return mean_overlap(start.body, start.pose, _prepared(frame, start.body, start.pose))
-
-
 def _both_ways(
     body: Body,
     start: Array,
@@ -263,43 +211,10 @@ def _both_ways(
     the order of the frames; mended where left and right were exchanged."""
     recipe = default(body, particles=options.particles, frame_rate=rate)
     tracker = Tracker(body, recipe, TrackerSettings(seed=options.seed, frame_rate=rate))
-    later = _follow(tracker, start, frames[at:], tick)
-    earlier = _follow(tracker, later[0].pose, frames[at - 1 :: -1], tick) if at else []
+    later = follow(tracker, start, frames[at:], tick)
+    earlier = follow(tracker, later[0].pose, frames[at - 1 :: -1], tick) if at else []
     tracked, _ = mend_sides(tracker, [*earlier[::-1], *later], lambda numbers: (frames[t] for t in numbers))
     return np.stack([e.pose for e in tracked]), np.array([1 - e.cost for e in tracked])
-
-
-def named_start(
-    template: Body, frame: Frame, pose: str, height: float | None = None, extent: float | None = None
-) -> tuple[Body, Array, float]:
-    """The template scaled to the person, its pose in one frame and the mean IoU there: a known pose at the visual hull,
-    at the given height, or at several scales about the hull's (`extent` m, default this frame's), of which the best
-    explained is taken."""
-    prepared = prepare(frame, template, np.zeros(template.skeleton.dof))
-    if height is not None:
-        heights = [height]
-    else:
-        extent = extent or hull_of(prepared).height
-        # standing people are as high as their hull, raised arms add up to a third, strides and bends take some away
-        heights = [h for h in (extent, extent / 1.05, extent / 1.28, 1.05 * extent) if 0.8 < h < 2.3] or [1.7]
-    best: tuple[float, Body, Array] | None = None
-    for h in heights:
-        body = scaled_to_height(template, float(np.clip(h, 0.8, 2.3)))
-        found = start_in_pose(body, prepared, (pose,)).pose
-        value = mean_overlap(body, found, prepared)
-        if best is None or value > best[0] + 0.002:
-            best = (value, body, found)
-    assert best is not None
-    return best[1], best[2], best[0]
-
-
-def _follow(tracker: Tracker, start: Array, frames: Sequence[Frame], tick: Callable[[], None]) -> list[FrameEstimate]:
-    """The frames tracked one after the other, the first from a pose (D,)."""
-    found: list[FrameEstimate] = []
-    for _, estimate in tracker.follow(tracker.start(start), frames):
-        found.append(estimate)
-        tick()
-    return found
 
 
 def different_poses(body: Body, poses: Array, iou: Array, count: int) -> list[int]:
@@ -325,6 +240,11 @@ def different_poses(body: Body, poses: Array, iou: Array, count: int) -> list[in
 def _contours(frames: Sequence[Frame], chosen: Sequence[int]) -> list[ContourTerm]:
     found = [frames[k].silhouettes for k in chosen]
     return [contour_term(f) for f in found if f is not None]
+
+
+def _depths(frames: Sequence[Frame], chosen: Sequence[int]) -> list[DepthTerm | None]:
+    found = [frames[k].depth for k in chosen]
+    return [None if d is None else depth_term(d) for d in found]
 
 
 def _prepared(frame: Frame, body: Body, pose: Array) -> PreparedFrame:

@@ -23,13 +23,13 @@ rest does not know what to believe of it."""
 LOST_SHARE = 0.3
 """Share of the frames without the person from which on the motion is not that of the recording."""
 FEW_S = 0.12
-"""s: doubtful stretches that are shorter are not worth a look by themselves"""
+"""s: doubtful stretches that are shorter are not worth a look by themselves: they are named as what is not good"""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """word: GOOD, LOOK or UNTRUSTED; because: sentences; frames: to look at; beside: sentences on what else is
-    there."""
+    """word: GOOD, LOOK or UNTRUSTED; because: sentences; frames: to look at, of what is good those that are doubtful
+    all the same; beside: sentences on what else is there."""
 
     word: str
     because: tuple[str, ...] = ()
@@ -47,6 +47,8 @@ class Verdict:
             return "Not to be trusted, because: " + " ".join(_ended(b) for b in self.because)
         if self.word == LOOK:
             return f"Look at {in_words(self.frames)}: " + " ".join(_ended(b) for b in self.because)
+        if self.frames:
+            return f"Good but for {in_words(self.frames)}: " + " ".join(_ended(b) for b in self.because)
         return "Good: nothing in the evidence speaks against it."
 
     def document(self) -> dict[str, Any]:
@@ -88,10 +90,13 @@ def verdict_of(motion: Motion, faults: Sequence[str] = (), looks: Sequence[str] 
         return Verdict(UNTRUSTED, (*because, *looks))
     frames = np.zeros(len(motion), dtype=bool) if motion.doubtful is None else motion.doubtful.astype(bool)
     least = max(2, round(FEW_S * motion.frame_rate))
-    stretches = tuple(r for r in runs(frames) if len(r) >= least)
-    if not stretches:
-        return Verdict(LOOK, tuple(looks), (range(len(motion)),)) if looks else Verdict(GOOD)
-    return Verdict(LOOK, (*looks, _what(motion, doubtful, stretches)), stretches)
+    found = runs(frames)
+    stretches = tuple(r for r in found if len(r) >= least)
+    if stretches:
+        return Verdict(LOOK, (*looks, _what(motion, doubtful, stretches)), stretches)
+    if looks:
+        return Verdict(LOOK, tuple(looks), (range(len(motion)),))
+    return Verdict(GOOD, (_what(motion, doubtful, found),), tuple(found)) if found else Verdict(GOOD)
 
 
 def _too_doubtful(motion: Motion, doubtful: NDArray[np.bool_], seen: NDArray[np.bool_]) -> list[str]:

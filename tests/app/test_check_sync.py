@@ -12,8 +12,11 @@ import pytest
 from hypose.calibration.refine_camera import CameraChange
 from hypose.geometry import so3_exp, so3_log
 from hypose.io.calibrations.calibration_formats import read_any
+from hypose.io.recordings.recording import load_recording
+from hypose.io.sensors.depth import read_depth_png
 from hypose.pipeline import examine
 from hypose.pipeline.examine import Refinement
+from hypose.synthetic.write_depth import walking_scene, write_depth_scene
 
 
 def test_the_command_writes_evidence_in_step(hypose, tiny, tmp_path):
@@ -24,6 +27,19 @@ def test_the_command_writes_evidence_in_step(hypose, tiny, tmp_path):
     assert json.loads((tmp_path / "step" / "masks" / "cam2" / "hypose-masks.json").read_text())["undistorted"]
     code, out, err = hypose("sync", tmp_path / "step", "--offsets", "0,0,0,0")
     assert code == 0, err
+
+
+def test_depth_maps_are_brought_in_step(hypose, tmp_path):
+    scene = walking_scene("walk", "", "depth-2", seconds=0.2, frame_rate=25.0, seed=2)
+    write_depth_scene(scene, tmp_path / "rec")
+    code, _, err = hypose("sync", tmp_path / "rec", "--offsets", "0,2", "--out", tmp_path / "step")
+    assert code == 0, err
+    made = load_recording(tmp_path / "step")
+    for view, late in zip(made.views, (0, 2), strict=True):
+        for k, file in enumerate(sorted(view.depth.iterdir())):
+            seen = read_depth_png(tmp_path / "rec/depth" / view.name / f"{k + late:06d}.png") if k + late < 5 else 0.0
+            assert np.array_equal(read_depth_png(file), np.broadcast_to(seen, (288, 320)))
+    assert made.n_frames == 5 and made.views[0].background is not None
 
 
 @pytest.mark.parametrize(

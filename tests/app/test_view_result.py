@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 import struct
+import tracemalloc
 from base64 import b64decode
 from dataclasses import replace
 
@@ -23,6 +24,7 @@ from hypose.geometry import so3_exp
 from hypose.io.motions.results import load_motion, save_motion
 from hypose.io.recordings.recording import load_recording
 from hypose.io.videos.video import VideoWriter, open_video
+from tests.io.test_pose2sim import make_project
 
 
 @pytest.fixture
@@ -41,6 +43,32 @@ def test_every_frame_has_its_gravest_flag(folder):
     marked = replace(motion, lost=n == 1, extrapolated=(n == 1) | (n == 2), doubtful=n < 4)
     flags = read_bundle(view_bundle(replace(load_view(folder), motion=marked)))[1]["flags"]
     assert flags.tolist() == [3, 1, 2, 3] + [0] * (len(motion) - 4)
+
+
+def test_pictures_that_are_moved_are_drawn_on_where_they_lie(folder):
+    """As the report does."""
+    toml = folder.parents[1] / "recording.toml"
+    toml.write_text(toml.read_text().replace('name = "cam2"', 'name = "cam2"\nimage_shift = [3.0, -2.0]', 1))
+    cameras = read_bundle(view_bundle(load_view(folder)))[0]["cameras"]
+    assert [c["image_shift"] for c in cameras] == [[0, 0], [3, -2], [0, 0], [0, 0]]
+
+
+def test_a_long_result_is_made_into_a_block_beside_little_else(folder):
+    """Ten minutes at 25 Hz: what it takes on the way is less than twice the block and the motion."""
+    motion = load_motion(folder / "motion.npz")
+    times = 1000
+    series = ("joints", "poses", "joint_covariance", "lost", "extrapolated", "n_views", "cost", "angle_sd")
+    long = {n: np.concatenate([getattr(motion, n)] * times) for n in series}
+    none = dict.fromkeys(("doubtful", "p_wrong", "doubtful_joints", "rivals", "rival_weights"))
+    many = replace(motion, times=np.arange(8 * times) / 25, **long, **none)
+    result = replace(load_view(folder), motion=many, rivals=None, truth=None)
+    view_bundle(result)
+    tracemalloc.start()
+    try:
+        block = view_bundle(result)
+        assert tracemalloc.get_traced_memory()[1] < 3.5 * len(block)
+    finally:
+        tracemalloc.stop()
 
 
 def test_covariances_of_the_joints_come_with_the_motion(folder):
@@ -155,6 +183,16 @@ def test_a_folder_alone_is_shown_without_cameras(tracked, tmp_path):
     result = load_view(alone)
     assert result.rig is None and result.truth is None and result.title == "alone" and find_recording(alone) is None
     assert load_view(alone / "motion.npz").motion.times.tolist() == result.motion.times.tolist()
+
+
+def test_results_in_a_pose2sim_project_have_its_cameras(tracked, tmp_path):
+    project = make_project(tmp_path / "Demo")
+    results = shutil.copytree(tracked, project / "results" / "default")
+    shown = load_view(results)
+    assert shown.title == "Demo" and shown.rig is not None and shown.rig.names == ("cam_01", "cam_02")
+    assert find_recording(results).folder == project
+    cameras = read_bundle(view_bundle(shown))[0]["cameras"]
+    assert all(c["pictures"] for c in cameras)  # though its videos are called cam01 and cam02
 
 
 def test_what_cannot_be_read_is_left_out_and_named(folder):

@@ -7,11 +7,14 @@ from hypose.body.joint_angles import (
     ANGLE_NAMES,
     BODY_AXES,
     GROUND_AXES,
+    angles_in_time,
+    angles_of_frames,
     continuous_euler_zxy,
     is_length,
     joint_angles,
     neutral_frames,
     straight_offset,
+    turns_reader,
 )
 from hypose.body.ready_bodies import JOINT_NAMES, human_skeleton
 from hypose.errors import InputError
@@ -249,6 +252,13 @@ def test_frames_without_a_pose_are_nan_and_disturb_nothing(skeleton, neutral):
     holed = joint_angles(skeleton, q)[1]
     assert np.isnan(holed[2]).all()
     np.testing.assert_array_equal(np.delete(holed, 2, 0), np.delete(whole, 2, 0))
+
+
+def test_frames_read_in_pieces_are_those_read_at_once(skeleton, rng):
+    frames, centres = skeleton.forward(np.cumsum(rng.normal(0, 0.2, (40, skeleton.dof)), axis=0))
+    read = turns_reader(skeleton)
+    pieces = np.concatenate([read(frames[a:b], centres[a:b]) for a, b in ((0, 13), (13, 14), (14, 40))], axis=1)
+    np.testing.assert_array_equal(angles_in_time(pieces).T, angles_of_frames(skeleton, frames, centres))
 
 
 def test_wrong_shape_is_one_sentence(skeleton):

@@ -1,6 +1,8 @@
 /** The token of the address the page was opened with; "" on this computer. */
 const token = typeof location === "undefined" ? "" : (new URLSearchParams(location.search).get("token") ?? "");
 
+const GONE = "The server does not answer; is `hypose view` still running?";
+
 /** An answer that is an error; the message is the server's sentence, fit for the user. */
 export class ApiError extends Error {
   constructor(
@@ -25,7 +27,7 @@ async function ask(path: string, init: RequestInit): Promise<Response> {
     answer = await fetch(address(path), init);
   } catch (error) {
     if (init.signal?.aborted) throw error;
-    throw new ApiError("The server does not answer; is `hypose view` still running?", 0);
+    throw new ApiError(GONE, 0);
   }
   if (answer.ok) return answer;
   const value: unknown = await answer.json().catch(() => null);
@@ -38,7 +40,23 @@ export async function get<T>(path: string, signal?: AbortSignal): Promise<T> {
 }
 
 export async function getBytes(path: string, signal?: AbortSignal): Promise<ArrayBuffer> {
-  return (await ask(path, signal ? { signal } : {})).arrayBuffer();
+  const answer = await ask(path, signal ? { signal } : {});
+  const size = Number(answer.headers.get("Content-Length"));
+  if (!size || !answer.body) return answer.arrayBuffer();
+  // straight to where it stays: a long result would otherwise be gathered first, and then lie twice in memory
+  const out = new Uint8Array(size);
+  let at = 0;
+  for (const reader = answer.body.getReader(); ; ) {
+    const { done, value } = await reader.read().catch((error: unknown) => {
+      throw signal?.aborted ? error : new ApiError(GONE, 0);
+    });
+    if (done) break;
+    if (at + value.length > size) throw new Error("The studio sent more than it had announced; reload the page.");
+    out.set(value, at);
+    at += value.length;
+  }
+  if (at < size) throw new Error("What the studio sent broke off; reload the page.");
+  return out.buffer;
 }
 
 export async function post<T>(path: string, value: unknown = {}, signal?: AbortSignal): Promise<T> {
@@ -99,8 +117,8 @@ export class Socket {
       else this.onPicture(data);
     };
     socket.onclose = () => {
+      if (this.closed) return; // whoever closed it has gone
       this.onState(false);
-      if (this.closed) return;
       setTimeout(() => this.closed || this.open(), this.wait);
       this.wait = Math.min(5000, 2 * this.wait);
     };

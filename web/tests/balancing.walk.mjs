@@ -1,5 +1,5 @@
-// slow: A Pose2Sim project's own photos, videos and key points become a result in View, by the page only, in at most 15
-// clicks. FOLDER/expected.json: {"raw": folder that is dropped}.
+// A Pose2Sim project's own photos, videos and key points become a result in View, by the page only, in at most 15
+// clicks. FOLDER/expected.json: {"raw": folder that is dropped, "frames": of each camera}.
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { join } from "node:path";
@@ -8,7 +8,7 @@ import { staysCutOff, walk } from "./harness.mjs";
 await walk(
   async ({ page, folder, picture }) => {
     page.setDefaultTimeout(600_000); // on a machine that is busy with other things
-    const { raw } = JSON.parse(readFileSync(join(folder, "expected.json"), "utf-8"));
+    const { raw, frames } = JSON.parse(readFileSync(join(folder, "expected.json"), "utf-8"));
     let clicks = 0;
     const click = async (what) => {
       await what.click();
@@ -28,7 +28,7 @@ await walk(
     await picture("balancing-dropped");
     await page.getByLabel("Name of the recording").fill("beam");
     await click(button("Make the recording"));
-    await page.getByText("4 cameras · 100 frames").waitFor();
+    await page.getByText(`4 cameras · ${frames} frames`).waitFor();
 
     // what is wrong is found, and mended with its button
     await page.locator("[data-step=check]").click();

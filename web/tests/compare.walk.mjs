@@ -104,8 +104,30 @@ await walk(
     await page.setViewportSize({ width: 1440, height: 900 });
     await page.getByRole("button", { name: "Dark or light" }).click();
     await picture("compare-light");
-    await page.getByLabel("Compare with another run").selectOption("");
+    const other = page.getByLabel("Compare with another run");
+    await other.selectOption("");
     await page.getByRole("tab", { name: "Difference" }).waitFor({ state: "hidden" });
+
+    // one that does not come is not said to be there, and who has left meanwhile hears nothing of it
+    await page.route("**/view", (route) => route.abort());
+    await other.selectOption({ label: "second" });
+    await page.getByText("The server does not answer").waitFor();
+    assert.equal(await other.inputValue(), "");
+    await page.getByRole("button", { name: "Close" }).click();
+    await page.unroute("**/view");
+    let [asked, answer] = [() => undefined, () => undefined];
+    const [coming, held] = [new Promise((done) => (asked = done)), new Promise((done) => (answer = done))];
+    await page.route("**/view", async (route) => (asked(), await held, route.abort().catch(() => undefined))); // or it went with the screen
+    await other.selectOption({ label: "second" });
+    await coming;
+    await page.evaluate(() => (location.hash = "#/view"));
+    await page.getByRole("heading", { name: "Results" }).waitFor();
+    answer();
+    await page.unroute("**/view");
+    await page.waitForTimeout(200);
+    assert.equal(await page.locator(".toast.error").count(), 0);
+    await page.evaluate((one) => (location.hash = `#/view/${one}`), id);
+    await page.waitForFunction(() => window.hypose?.pictureRow() === 0);
 
     // everything of a result in one file
     const zip = await download(async () => {
@@ -115,5 +137,5 @@ await walk(
     assert.equal(zip.name, "walk-first.zip");
     assert.ok(zip.data.subarray(0, 2).toString() === "PK" && zip.data.includes("first/motion.npz") && zip.data.includes("first/body.npz"));
   },
-  { at: "#/view", colorScheme: "dark", acceptDownloads: true, viewport: { width: 1440, height: 900 } },
+  { at: "#/view", colorScheme: "dark", acceptDownloads: true, expected: /ERR_FAILED/, viewport: { width: 1440, height: 900 } },
 );

@@ -78,7 +78,9 @@ const cutOff = (page) =>
     const faults = [];
     const told = (e) => `${e.tagName.toLowerCase()}.${e.className?.baseVal ?? e.className} "${(e.getAttribute("aria-label") || e.textContent || "").trim().slice(0, 40)}"`;
     if (document.scrollingElement.scrollWidth > innerWidth + 1) faults.push(`the page is ${document.scrollingElement.scrollWidth} px wide`);
-    const wanted = "button, a, select, input:not(.sr-only), output, h1, h2, h3, legend, .chip, .field-name, .plot-title, summary, [role=slider], [role=tab]";
+    // words beside others of their kind, into which they would run
+    const NARROW = ".plot-title, .prompt-bar span";
+    const wanted = `${NARROW}, button, a, select, input:not(.sr-only), output, h1, h2, h3, legend, .chip, .field-name, summary, [role=slider], [role=tab]`;
     // what lies behind a dialog is behind it
     for (const e of (document.querySelector("dialog:modal") ?? document).querySelectorAll(wanted)) {
       const box = e.getBoundingClientRect();
@@ -90,6 +92,8 @@ const cutOff = (page) =>
         const scrolled = (() => { for (let p = e.parentElement; p; p = p.parentElement) if (/auto|scroll/.test(getComputedStyle(p).overflowX)) return true; return false; })();
         if (!scrolled) faults.push(`${told(e)}: ${Math.round(box.left)} to ${Math.round(box.right)} of ${innerWidth}`);
       }
+      const around = e.parentElement.getBoundingClientRect();
+      if (e.matches(NARROW) && (box.left < around.left - 1 || box.right > around.right + 1)) faults.push(`${told(e)}: out of its place`);
       let hidden = false;
       for (let p = e.parentElement; p && p !== document.body; p = p.parentElement) {
         const { overflowX, overflowY } = getComputedStyle(p);

@@ -39,10 +39,10 @@ await walk(
     writeFileSync(at("calibration.toml"), calibration);
 
     // findings of a check, the cause of others first
-    const finding = (kind, views, text) => ({ fault: true, kind, views, sentence: text });
+    const finding = (kind, views, text, cure = "") => ({ fault: true, kind, views, sentence: cure ? `${text} Next: ${cure}.` : text, cure });
     writeFileSync(at("results", "check.json"), JSON.stringify({
       healthy: false, facts: [], warnings: [], views: [], page: null,
-      findings: [finding("keypoint_lag", ["cam1"], "cam1: its key points come late."), finding("extrinsics", ["cam2"], "cam2: it was moved since.")],
+      findings: [finding("keypoint_lag", ["cam1"], "cam1: its key points come late."), finding("extrinsics", ["cam2"], "cam2: it was moved since.", "run hypose check --refine and use the calibration that it writes")],
     }));
     cpSync(at("calibration.toml"), at("results", "calibration_refined.toml"));
     await open();
@@ -50,6 +50,9 @@ await walk(
     await page.getByText("2 things should be mended.").waitFor();
     const found = await page.locator(".finding").allInnerTexts();
     assert.ok(found.findIndex((t) => /moved since/.test(t)) < found.findIndex((t) => /come late/.test(t)), "the cause comes first");
+    assert.ok(!found.some((t) => /Next:|hypose check/.test(t)), "a line to be typed stands beside the button that does it");
+    await page.locator(".finding", { hasText: "moved since" }).getByRole("button", { name: "Refine the calibration" }).waitFor();
+    assert.equal(await page.getByRole("button", { name: "Refine the calibration" }).count(), 1);
     await picture("mend-findings");
     assert.deepEqual(await staysCutOff(page), []);
     await page.getByRole("button", { name: "Leave cam2 out" }).click();
@@ -65,6 +68,28 @@ await walk(
     await page.getByText("cam3 has another empty room").waitFor();
     assert.match(toml(), /background = .backgrounds\/cam4\.mp4/);
     await picture("mend-done");
+
+    // all frames can be tracked of a recording that says which are to be
+    writeFileSync(at("recording.toml"), `frame_range = [2, 6]\n${toml()}`);
+    await open();
+    await page.locator("[data-step=track]").click();
+    let asked;
+    await page.route("**/api/jobs", (route) => {
+      asked = route.request().postDataJSON();
+      return route.fulfill({ status: 400, json: { error: "Not now." } });
+    });
+    const [first, last] = [page.getByLabel("First frame"), page.getByLabel("Frame after the last")];
+    const track = async () => {
+      asked = undefined;
+      const answer = page.waitForResponse(/api\/jobs$/);
+      await page.getByRole("button", { name: "Track", exact: true }).click();
+      await answer;
+      return asked.options.frames;
+    };
+    assert.deepEqual([await first.inputValue(), await last.inputValue(), await track()], ["2", "6", undefined]);
+    await first.fill("0");
+    await last.fill("8");
+    assert.equal(await track(), "0:8");
   },
   { at: "#/setup", expected: /400/ },
 );

@@ -39,7 +39,7 @@ await walk(async ({ page, picture }) => {
       await page.evaluate((hash) => (location.hash = hash), `#/${screen}${rest}`);
       await page.locator(`main[data-screen=${screen}]`).waitFor();
       await ready();
-      assert.equal(await page.locator("nav [aria-current=page]").count(), 1);
+      assert.equal(await page.locator(".bar nav [aria-current=page]").count(), 1);
       assert.equal(await page.evaluate(() => document.documentElement.dataset.theme), colorScheme);
       await picture(`shell-${k}-${screen}-${colorScheme}`);
       const faults = await barriers(page);

@@ -51,7 +51,7 @@ await walk(
       assert.deepEqual(await cameras(), { "cam_01.mp4": "cam1", "cam_02.mp4": "cam2", "cam_03.mp4": "cam3", "cam_04.mp4": "cam4" }, answered.join());
       if (round < ORDERS - 1) await remove();
     }
-    assert.ok(seen.size > 10, `the uploads ended in ${seen.size} orders only`);
+    assert.ok(seen.size > 10, `the uploads ended in ${seen.size} orders only: ${[...seen].join("|")}`);
     await page.waitForFunction(() => [...document.querySelectorAll(".dropped-picture img")].filter((i) => i.naturalWidth > 0).length === 4);
 
     // the same files again, a photo of the board, and a video of a camera that has one already

@@ -35,6 +35,16 @@ await walk(
     await page.reload({ waitUntil: "commit" });
     await frame(4);
 
+    // the bar between the panes goes with the hand
+    const bar = page.getByRole("separator", { name: "Height of the plots" });
+    const from = await bar.boundingBox();
+    await page.mouse.move(from.x + 60, from.y + 2);
+    await page.mouse.down();
+    await page.mouse.move(from.x + 60, from.y - 38);
+    await page.mouse.up();
+    assert.ok(Math.abs((await bar.boundingBox()).y - (from.y - 40)) < 3, "the bar lies where it was let go");
+    await bar.dblclick();
+
     // what is drawn in 3D can be chosen, with the button and its key
     const before = await resting(still);
     await page.getByRole("button", { name: "Body", exact: true }).click();
@@ -66,9 +76,28 @@ await walk(
     assert.deepEqual(await page.locator(".tile:visible .tile-name").allInnerTexts(), ["cam2"]);
     await page.keyboard.press("Escape");
     assert.equal(await page.locator(".tile:visible").count(), 4);
+    let made;
+    const ready = new Promise((done) => (made = done));
+    await page.route("**/outlines/0*", async (route) => (await ready, route.continue()));
     const asked = page.waitForResponse(/outlines\/0/);
     await page.getByRole("button", { name: "Edge of the masks" }).click();
-    assert.equal((await asked).status(), 200);
+    const waiting = page.getByText("The masks are being made…");
+    await waiting.waitFor();
+    await picture("view-masks-coming");
+    // meanwhile pictures come, and of frames that are passed by no edges are asked for
+    const edges = [];
+    page.on("request", (request) => /outlines/.test(request.url()) && edges.push(request.url().split("/").pop()));
+    for (const n of [1, 2, 3, 4, 5]) {
+      await page.keyboard.press("ArrowRight");
+      await page.waitForFunction((row) => window.hypose.pictureRow() === row, n);
+    }
+    assert.deepEqual(edges, []);
+    const last = page.waitForResponse(/outlines\/5/);
+    made();
+    assert.deepEqual([(await asked).status(), (await last).status(), edges], [200, 200, ["5"]]);
+    await waiting.waitFor({ state: "hidden" });
+    await page.keyboard.press("Home");
+    await frame(0);
 
     // plots and details
     await page.getByRole("tab", { name: "Quality" }).click();
@@ -90,6 +119,14 @@ await walk(
     await page.getByRole("menuitem", { name: /motion.trc/ }).click();
     const file = await readFile(await (await coming).path(), "utf8");
     assert.match(file, /^PathFileType/);
+    // what is not there is written first, under the name that it then has
+    await page.keyboard.press("Escape");
+    await page.getByRole("button", { name: /Export/ }).click();
+    const written = page.waitForEvent("download");
+    await page.getByRole("menuitem", { name: /motion_amass\.npz/ }).click();
+    const amass = await written;
+    assert.equal(amass.suggestedFilename(), "motion_amass.npz");
+    assert.ok((await readFile(await amass.path())).subarray(0, 2).toString() === "PK");
     await page.keyboard.press("Escape");
 
     // help, and dark and light

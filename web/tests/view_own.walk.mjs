@@ -80,6 +80,8 @@ await walk(
     // ---- another run of the same recording beside it
     await page.evaluate((id) => (location.hash = `#/view/${id}`), result("walk/results/flagged"));
     await page.getByLabel("Compare with another run").selectOption({ label: "default" });
+    await page.getByRole("tab", { name: "Difference", selected: true }).waitFor();
+    await page.getByRole("tab", { name: "Legs" }).click();
     await page.locator("figcaption .dashed").first().waitFor();
     await picture("view-compare");
 

@@ -94,7 +94,7 @@ def correct(
     known_formats(formats)
     check_writable(out.path)
     progress("compile", 0, 1)
-    compute.warm_up()
+    compute.warm_up(load=False)
     progress("compile", 1, 1)
     record: dict[str, Any] = {"frame": correction.frame, "until": first + stop}
     record |= {"clicks": correction.name, "of": old.path.name}

@@ -11,12 +11,10 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hypose import compute
 from hypose.app.commands.console import ProgressCall, ignore
-from hypose.app.jobs.truth import Truth
-from hypose.app.reports.result_pictures import Image
 from hypose.app.reports.summary import DESCRIPTIONS
 from hypose.body.body import Body
 from hypose.body.motion import Motion
@@ -41,6 +39,10 @@ from hypose.pipeline.run import MODES, TrackOptions, TrackResult, check_views, f
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
 from hypose.pipeline.verdict import Verdict
 from hypose.tracking.recipes import RECIPES, citation_of
+
+if TYPE_CHECKING:
+    from hypose.app.jobs.truth import Truth
+    from hypose.app.reports.result_pictures import Image
 
 VERDICT = "verdict.json"
 
@@ -115,7 +117,7 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
     check_writable(results.path)
     record = record_of(job)
     progress("compile", 0, 1)
-    compute.warm_up(monocular=options.of_picture)
+    compute.warm_up(*_kernels(options), load=False)
     progress("compile", 1, 1)
     finished = finished_before(job, record) if job.resume else None
     progress("background", 0, 1)
@@ -143,6 +145,13 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
     remove_stale(results, files)
     shutil.rmtree(results.path / CHUNKS, ignore_errors=True)  # of a run that was killed when they were joined
     return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth, verdict)
+
+
+def _kernels(options: TrackOptions) -> tuple[str, ...]:
+    """The parts of compute that a run needs."""
+    if options.of_picture:
+        return ("depth", "solver", "scorer", "pictures", "monocular")
+    return ("depth", "solver") if options.looks_at == "keypoints" else ("depth", "solver", "scorer", "pictures")
 
 
 def _verdict(tracked: TrackResult, results: ResultsFolder, before: bool) -> Verdict:

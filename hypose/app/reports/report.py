@@ -21,7 +21,7 @@ from hypose.app.reports.overlay import still_rows, write_overlay
 from hypose.app.reports.report_viewer import PLACE, Viewer, make_viewer
 from hypose.app.reports.result_pictures import Image
 from hypose.app.reports.summary import subject_rows, summarize
-from hypose.app.studio.view_bundle import Rivals, ViewResult
+from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
 from hypose.app.studio.view_pictures import ViewPictures
 from hypose.body.body import Body
 from hypose.body.motion import Motion
@@ -146,7 +146,7 @@ def report_html(what: ReportInput) -> str:
 def _viewer(what: ReportInput) -> Viewer | None:
     """The View screen for this report, None when the front end was not built."""
     m, recording = what.motion, what.recording
-    seen = [v.name for v in recording.views if v.source or v.masks] if recording is not None else []
+    seen = pictured(recording) if recording is not None else []
     result = ViewResult(
         title=what.title,
         motion=m,

@@ -158,7 +158,7 @@ def draw_body(
         return
     window = np.s_[y : y + height, x : x + width]
     tint = (0.65 * np.arange(256)[:, None] + 0.35 * np.array(colour)).astype(np.uint8)
-    np.copyto(image[window], cv2.LUT(image[window], tint[None]), where=shape[window][..., None] > 0)
+    cv2.copyTo(cv2.LUT(image[window], tint[None]), shape[window], image[window])
     outline, _ = cv2.findContours(shape, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(image, outline, -1, colour, 1, cv2.LINE_AA)
 
@@ -176,12 +176,12 @@ def draw_skeleton(image: Image, view: View, camera: Camera, body: Body, joints: 
     h, w = image.shape[:2]
     uv = image_points(view, camera, joints, (w, h))
     width = 2 if max(w, h) > 480 else 1
+    seen = np.isfinite(uv.sum(1))
+    at = np.rint(np.clip(np.nan_to_num(uv), -1e5, 1e5) * 2**_SHIFT).astype(int).tolist()
     for a, b, colour in bones(body):
-        if np.isfinite(uv[[a, b]]).all():
-            ends = np.rint(np.clip(uv[[a, b]], -1e5, 1e5) * 2**_SHIFT).astype(int)
-            first, last = (int(ends[0, 0]), int(ends[0, 1])), (int(ends[1, 0]), int(ends[1, 1]))
-            cv2.line(image, first, last, (20, 20, 20), width + 2, cv2.LINE_AA, _SHIFT)
-            cv2.line(image, first, last, colour, width, cv2.LINE_AA, _SHIFT)
+        if seen[a] and seen[b]:
+            cv2.line(image, at[a], at[b], (20, 20, 20), width + 2, cv2.LINE_AA, _SHIFT)
+            cv2.line(image, at[a], at[b], colour, width, cv2.LINE_AA, _SHIFT)
 
 
 def write_text(image: Image, text: str, x: int, y: int, colour: tuple[int, int, int] = (255, 255, 255)) -> None:

@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import JSONResponse, Response, StreamingResponse
 
 from hypose.app.studio.asked import object_of
 from hypose.app.studio.catalog import NotFound
@@ -17,6 +17,8 @@ from hypose.errors import HyposeError, InputError
 MAX_JSON = 1 << 20
 _BODY_S = 30.0
 """s that a request may take from one piece of its body to the next."""
+_SLICE = 1 << 18
+"""Bytes of a block that are sent at once."""
 Endpoint = Callable[[Request], Awaitable[Response]]
 
 
@@ -35,6 +37,18 @@ class TooSlow(InputError):
 def answer(value: Any, status: int = 200) -> JSONResponse:
     """JSON; numpy values become plain ones, NaN becomes null. Never kept by the browser: files change."""
     return JSONResponse(plain(value), status, headers={"Cache-Control": "no-store"})
+
+
+def block_answer(block: bytes | bytearray) -> Response:
+    """A block of a result (`view_bundle`). It goes slice after slice, as the page takes them: whole, it would lie twice
+    more in memory on its way."""
+
+    async def slices() -> AsyncIterator[memoryview]:
+        for at in range(0, len(block), _SLICE):
+            yield memoryview(block)[at : at + _SLICE]
+
+    headers = {"Cache-Control": "no-store", "Content-Length": str(len(block))}
+    return StreamingResponse(slices(), media_type="application/octet-stream", headers=headers)
 
 
 def refusal(status: int, sentence: str) -> JSONResponse:

@@ -7,6 +7,7 @@ The page never names a path. It names an id, which is looked up here, and only w
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import threading
@@ -104,7 +105,9 @@ class Catalog:
 
 def is_recording(folder: Path) -> bool:
     """A folder that `hypose track` takes."""
-    return (folder / "recording.toml").is_file() or pose2sim.is_project(folder)
+    with contextlib.suppress(OSError):  # what may not be looked into is none
+        return (folder / "recording.toml").is_file() or pose2sim.is_project(folder)
+    return False
 
 
 def _changed(path: Path) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,13 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from hypose.app.studio import click_fit
-from hypose.app.studio.answers import answer, body_of, told
+from hypose.app.studio.answers import answer, block_answer, body_of, told
 from hypose.app.studio.asked import choice, number, whole
 from hypose.app.studio.catalog import Catalog, Item
 from hypose.app.studio.job_kinds import is_name
 from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.view_bundle import ViewResult, view_bundle
+from hypose.app.studio.view_result import first_frame
 from hypose.body.body import Body
 from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import JOINT_NAMES, human
@@ -49,7 +51,7 @@ def routes(catalog: Catalog, recordings: Recordings) -> list[Route]:
     async def body(request: Request) -> Response:
         asked = dict(request.query_params)
         data = await run_in_threadpool(lambda: _body_block(asked, catalog, recordings))
-        return Response(data, media_type="application/octet-stream", headers={"Cache-Control": "no-store"})
+        return block_answer(data)
 
     async def save(request: Request) -> Response:
         value, item = await body_of(request), catalog.find("recording", request.path_params["id"])
@@ -108,7 +110,7 @@ def _height(value: Any, measured: bool, recording: Recording) -> float | None:
     return None if height is None else number(height, "the height (m)", 0.4, 2.8)
 
 
-def _body_block(asked: dict[str, str], catalog: Catalog, recordings: Recordings) -> bytes:
+def _body_block(asked: dict[str, str], catalog: Catalog, recordings: Recordings) -> bytearray:
     """The body that clicks are fitted with, as a block of one frame in which it stands at rest."""
     item = _recording(asked, catalog)
     try:
@@ -141,14 +143,21 @@ def _body(value: dict[str, Any], item: Item, catalog: Catalog) -> tuple[Body, Ar
     frame = whole(value.get("frame"), "the frame in which the joints were clicked", 0, 10**9)
     if isinstance(value.get("result"), str):
         folder = ResultsFolder(catalog.find("result", value["result"]).path)
-        motion, body = load_motion(folder.motion), load_body(folder.file("body.npz"))
-        frames = motion.provenance.get("settings", {}).get("frames")
-        row = frame - (int(frames[0]) if frames else 0)
-        if motion.poses is None or not 0 <= row < len(motion) or not np.isfinite(motion.poses[row]).all():
-            return body, None, True
-        return body, motion.poses[row], True
+        changed = folder.motion.stat().st_mtime_ns if folder.motion.is_file() else 0
+        return *_corrected(folder, changed, frame), True
     measured = item.path / "subject" / "body.npz"
     return (load_body(measured), None, True) if measured.is_file() else (human(), None, False)
+
+
+@lru_cache(maxsize=4)
+def _corrected(folder: ResultsFolder, changed: int, frame: int) -> tuple[Body, Array | None]:
+    """The body of a result as it was written last, and its pose in a frame of the recording. Asked again and again
+    while a joint is dragged, and a long motion takes long to read."""
+    motion, body = load_motion(folder.motion), load_body(folder.file("body.npz"))
+    row = frame - first_frame(motion)
+    if motion.poses is None or not 0 <= row < len(motion) or not np.isfinite(motion.poses[row]).all():
+        return body, None
+    return body, motion.poses[row].copy()
 
 
 def _pose(value: Any, body: Body) -> Array:

@@ -13,7 +13,8 @@ from typing import Generic, TypeVar
 
 IDLE_S = 300.0
 """s after which what nobody has asked for is let go."""
-_MMAP_THRESHOLD, _ARENA_MAX = -3, -8  # of glibc's mallopt
+_TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8  # of glibc's mallopt
+_LARGE, _SPARE = 4 << 20, 8 << 20
 V = TypeVar("V")
 
 
@@ -50,6 +51,7 @@ class Kept(Generic[V]):
         with self._lock:
             entry = self._entries.get(key)
             if entry is None:
+                self._make_room()
                 entry = self._entries[key] = _Entry(make())
             entry.users += 1
             self._entries.move_to_end(key)
@@ -76,6 +78,15 @@ class Kept(Generic[V]):
                 self._timer.daemon = True
                 self._timer.start()
 
+    def _make_room(self) -> None:
+        """For a value that is as large as the largest: while it is made, not more is to be there than afterwards."""
+        weights = {k: self._weigh(e.value) for k, e in self._entries.items()}
+        total = sum(weights.values()) + max(weights.values(), default=0)
+        for key in [k for k, e in self._entries.items() if not e.users]:
+            if total > self._most:
+                total -= weights[key]
+                self._let_go(self._entries.pop(key).value)
+
     def drop(self) -> None:
         """Let go of what is not in use."""
         with self._lock:
@@ -98,10 +109,12 @@ class Kept(Generic[V]):
 
 
 def give_back_large_blocks() -> None:
-    """From now on memory of 256 KB and more goes back to the system when it is freed. glibc otherwise comes to keep
+    """From now on memory of 4 MB and more goes back to the system when it is freed. glibc otherwise comes to keep
     blocks of up to 32 MB for reuse, in every thread's arena, which for a server that decodes a picture now and then is
-    several times what it needs. Elsewhere nothing changes."""
-    _of_libc("mallopt", _MMAP_THRESHOLD, 1 << 18)
+    several times what it needs. Smaller ones are what a long result is worked through with, some frames at a time: to
+    get each of these afresh takes longer than the work. Elsewhere nothing changes."""
+    _of_libc("mallopt", _MMAP_THRESHOLD, _LARGE)
+    _of_libc("mallopt", _TRIM_THRESHOLD, _SPARE)
     _of_libc("mallopt", _ARENA_MAX, 2)  # what is left over of small blocks is less in fewer arenas
 
 

@@ -7,14 +7,14 @@ import numpy as np
 from hypose.app.studio.catalog import Catalog, NotFound
 from hypose.app.studio.job_kinds import Plan
 from hypose.app.studio.recordings import Recordings
-from hypose.app.studio.view_bundle import ViewResult, view_bundle
+from hypose.app.studio.view_bundle import ViewResult, pictured, view_bundle
 from hypose.app.studio.view_result import load_view
 from hypose.io.motions.bodies import load_body
 from hypose.io.motions.results import Checkpoint
 from hypose.tracking.tracker import estimates_from_arrays, motion_of
 
 
-def block_so_far(plan: Plan, began: float | None, catalog: Catalog, recordings: Recordings) -> bytes | None:
+def block_so_far(plan: Plan, began: float | None, catalog: Catalog, recordings: Recordings) -> bytearray | None:
     """The block of a result under way, or of the finished one; None while there is nothing, NotFound when there never
     will be. began: when the job did (s); what lies there from before is not its own."""
     folder = plan.folder
@@ -39,7 +39,7 @@ def block_so_far(plan: Plan, began: float | None, catalog: Catalog, recordings: 
         body,
         recording.rig,
         [v.image_shift for v in recording.views],
-        [v.name for v in recording.views if v.source],
+        pictured(recording),
         int(frames[0]) if frames else 0,
         complete=False,
     )

@@ -94,7 +94,8 @@ class Recordings:
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
-        self._open: Kept[_Open] = Kept(_OPEN, lambda o: o.held, _Open.close)
+        # however large it is, the one that is worked on stays: its empty rooms take seconds to make
+        self._open: Kept[_Open] = Kept(_OPEN, lambda o: o.held, _Open.close, one_more=True)
 
     def load(self, item: Item) -> Recording:
         """The recording of an item; an InputError says what is wrong with it."""

@@ -13,7 +13,7 @@ from starlette.responses import Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
-from hypose.app.studio.answers import answer, body_of, pieces_of, told
+from hypose.app.studio.answers import answer, block_answer, body_of, pieces_of, told
 from hypose.app.studio.asked import digits
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.jobs import Job, Jobs
@@ -56,7 +56,7 @@ def routes(
         data = await run_in_threadpool(block_so_far, job.plan, job.began, catalog, recordings)
         if data is None:
             return Response(status_code=204)
-        return Response(data, media_type="application/octet-stream", headers={"Cache-Control": "no-store"})
+        return block_answer(data)
 
     async def upload(request: Request) -> Response:
         stated = request.headers.get("content-length")

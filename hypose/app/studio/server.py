@@ -33,6 +33,7 @@ from hypose.app.studio import (
     view_answers,
 )
 from hypose.app.studio.answers import answer, refusal, told
+from hypose.app.studio.camera_socket import CameraHost
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.fuse_socket import FuseHost
 from hypose.app.studio.gesture_room import GestureRoom
@@ -40,6 +41,7 @@ from hypose.app.studio.gesture_socket import models_shown, places, sessions_show
 from hypose.app.studio.guard import Access, Guard
 from hypose.app.studio.jobs import Jobs
 from hypose.app.studio.library import Library
+from hypose.app.studio.live_socket import live_route
 from hypose.app.studio.memory_cache import give_back_large_blocks
 from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.sockets import MAX_MESSAGE, Sockets
@@ -75,7 +77,9 @@ class Studio:
         self.uploads = Uploads(self.catalog, options.upload_limit)
         self.results, self.recordings = Results(self.catalog), Recordings(self.catalog)
         self.library = Library(self.catalog, self.jobs.needs, self._let_go)
-        self.gestures, self.fusion = GestureRoom(places(self.catalog)), FuseHost(self.catalog.root / fuse_socket.FOLDER)
+        live = self.catalog.root / fuse_socket.FOLDER
+        self.gestures, self.fusion = GestureRoom(places(self.catalog)), FuseHost(live)
+        self.cameras = CameraHost(self.catalog, live)
         self.sockets = Sockets()
         self._routed = Starlette(
             routes=self._routes(), lifespan=self._lifespan, exception_handlers={Exception: _bug, 404: _nothing}
@@ -94,7 +98,8 @@ class Studio:
             *clicks.routes(self.catalog, self.recordings),
             *gesture_socket.routes(self.gestures, self.sockets),
             *gesture_thumbnail.routes(self.catalog),
-            *fuse_socket.routes(self.fusion, self.sockets),
+            live_route("/ws/fuse", self.fusion, self.sockets),
+            live_route("/ws/cameras", self.cameras, self.sockets),
             # an installation without the page has nothing there
             *([Mount("/static", StaticFiles(directory=STATIC))] if STATIC.is_dir() else []),
         ]
@@ -133,6 +138,7 @@ class Studio:
         warm.start()
         yield
         await self.fusion.stop()
+        await self.cameras.stop()
         await run_in_threadpool(self.close)
 
     def _let_go(self) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
@@ -20,14 +22,28 @@ _QUALITY = 82
 _LEFT, _RIGHT, _MIDDLE = (74, 160, 245), (245, 178, 91), (247, 245, 242)  # BGR; as in View
 
 
-def thumbnail(motion: Motion, pictures: ViewPictures) -> bytes:
-    """A JPEG of the frame in the middle, or of the first that has a picture where the pictures end before, as the first
-    camera with one sees it; NotFound when none has."""
+@dataclass(frozen=True)
+class Glimpse:
+    """What is kept of a motion for its picture: rows with their joints (J, 3) m, of which the first that has a picture
+    is shown."""
+
+    rows: tuple[tuple[int, Array], ...]
+    skeleton: Skeleton
+
+
+def glimpse_of(motion: Motion) -> Glimpse:
+    """The frame in the middle, and the first one, for where the pictures end before."""
     seen = np.flatnonzero(np.isfinite(motion.joints).all((1, 2)))
-    for k in (len(seen) // 2, 0) if len(seen) else ():
-        found = pictures.seen(int(seen[k]), motion.joints[seen[k]])
+    rows = [int(seen[k]) for k in (len(seen) // 2, 0)] if len(seen) else []
+    return Glimpse(tuple((t, motion.joints[t].copy()) for t in rows), motion.skeleton)
+
+
+def thumbnail(glimpse: Glimpse, pictures: ViewPictures) -> bytes:
+    """A JPEG of it as the first camera with a picture sees it; NotFound when none has one."""
+    for row, joints in glimpse.rows:
+        found = pictures.seen(row, joints)
         if found is not None:
-            return _drawn(*found, motion.skeleton)
+            return _drawn(*found, glimpse.skeleton)
     raise NotFound("There are no pictures of this result.")
 
 

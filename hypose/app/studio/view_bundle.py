@@ -12,6 +12,7 @@ import json
 import math
 import struct
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -23,21 +24,24 @@ from hypose import __version__
 from hypose.app.jobs.truth import Truth
 from hypose.app.reports.summary import subject_rows, summarize
 from hypose.body.body import Body, Mesh
-from hypose.body.joint_angles import ANGLE_NAMES, angles_of_frames, is_length
+from hypose.body.joint_angles import ANGLE_NAMES, TURNS, angles_in_time, is_length, turns_reader
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError, visible
 from hypose.geometry import Array
 from hypose.io.motions.export import FORMATS
+from hypose.io.recordings.recording import Recording
 from hypose.pipeline.verdict import Verdict
 
 MAGIC = b"HYPOSEV1"
 LOST, EXTRAPOLATED, DOUBTFUL = 1, 2, 3
 MOST_RIVALS = 6
 _UNKNOWN_PERCENT = 255
-_AT_ONCE = 1 << 16
-"""Rotations that are worked on at a time."""
+_AT_ONCE = 1 << 11
+"""Frames that are worked on at a time."""
+_THREADS = 2
+"""Of which each works on some frames."""
 _DTYPES = {"f4": "<f4", "f8": "<f8", "u1": "|u1", "u2": "<u2", "u4": "<u4"}
 
 
@@ -98,7 +102,12 @@ class ViewResult:
     verdict: Verdict | None = None
 
 
-def view_bundle(result: ViewResult) -> bytes:
+def pictured(recording: Recording) -> list[str]:
+    """Names of the cameras of which a recording has pictures, or masks in their place; its views may have others."""
+    return [c.name for v, c in zip(recording.views, recording.rig, strict=True) if v.source or v.masks]
+
+
+def view_bundle(result: ViewResult) -> bytearray:
     """The block of bytes."""
     arrays = _arrays(result)
     header = _header(result)
@@ -108,13 +117,17 @@ def view_bundle(result: ViewResult) -> bytes:
         offset += -(-a.nbytes // 8) * 8
     header["arrays"] = index
     text = json.dumps(plain(header), ensure_ascii=False, separators=(",", ":")).encode()
-    parts = [MAGIC, struct.pack("<I", len(text)), text, b"\0" * (-(len(MAGIC) + 4 + len(text)) % 8)]
-    for a in arrays.values():
-        parts += [np.ascontiguousarray(a).reshape(-1).view(np.uint8), b"\0" * (-a.nbytes % 8)]  # not copied twice
-    return b"".join(parts)
+    start = -(-(len(MAGIC) + 4 + len(text)) // 8) * 8
+    block = bytearray(start + offset)
+    struct.pack_into(f"<{len(MAGIC)}sI{len(text)}s", block, 0, MAGIC, len(text), text)
+    for name in list(arrays):  # each is let go as soon as it is in the block: two long motions do not lie side by side
+        a = np.ascontiguousarray(arrays.pop(name)).reshape(-1).view(np.uint8)
+        at = start + index[name]["offset"]
+        block[at : at + len(a)] = a.data
+    return block
 
 
-def read_bundle(data: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def read_bundle(data: bytes | bytearray) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Header and arrays of a block; an InputError when it is none."""
     if data[:8] != MAGIC:
         raise InputError("These bytes are no result of hypose's View; make them again with this version.")
@@ -130,7 +143,9 @@ def read_bundle(data: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
     m = result.motion
-    out = {
+    # first what needs most memory on the way, while nothing else is there
+    turns = {} if m.poses is None else _turns(m.skeleton, m.poses)
+    out = turns | {
         "times": m.times.astype("<f8"),
         "joints": m.joints.astype("<f4"),
         "joint_covariance": _upper(m.joint_covariance),
@@ -139,7 +154,6 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
         "cost": m.cost.astype("<f4"),
     }
     if m.poses is not None:
-        out |= _turns(m.skeleton, m.poses)
         if "angles" in out and m.angle_sd is not None:
             out["angle_sd"] = _in_degrees(ANGLE_NAMES, m.angle_sd.T)
         if result.body is not None:
@@ -162,14 +176,29 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
 
 
 def _turns(skeleton: Skeleton, poses: Array) -> dict[str, np.ndarray]:
-    """How joints are turned in poses (T, D), and the anatomical angles where the skeleton has these."""
-    known = np.asarray(np.isfinite(poses).all(1))
-    rotations, centres = skeleton.forward(poses[known])
-    out = {"rotations": _in_rows(_quaternions(rotations), known)}
-    if angles_known(skeleton):
-        turns = angles_of_frames(skeleton, rotations, centres) if known.any() else np.zeros((0, len(ANGLE_NAMES)))
-        out["angles"] = _in_degrees(ANGLE_NAMES, _in_rows(turns, known).T)
-    return out
+    """How joints are turned in poses (T, D), and the anatomical angles where the skeleton has these. Some frames at a
+    time: what is made of them on the way is several times a long motion."""
+    known = np.flatnonzero(np.isfinite(poses).all(1))
+    rotations = np.full((len(poses), len(skeleton.joint_names), 4), np.nan, "<f4")
+    read = turns_reader(skeleton) if angles_known(skeleton) else None
+    turns = np.empty((TURNS if read else 0, len(known)))
+
+    def fill(at: int) -> None:
+        rows = known[at : at + _AT_ONCE]
+        frames, centres = skeleton.forward(poses[rows])
+        quaternions = Rotation.from_matrix(frames.reshape(-1, 3, 3), assume_valid=True).as_quat()
+        rotations[rows] = quaternions.reshape(*frames.shape[:2], 4)
+        if read:
+            turns[:, at : at + _AT_ONCE] = read(frames, centres)
+
+    with ThreadPoolExecutor(_THREADS) as pool:
+        list(pool.map(fill, range(0, len(known), _AT_ONCE)))
+    if not read:
+        return {"rotations": rotations}
+    angles = np.full((len(ANGLE_NAMES), len(poses)), np.nan, "<f4")
+    if len(known):
+        angles[:, known] = _in_degrees(ANGLE_NAMES, angles_in_time(turns))
+    return {"rotations": rotations, "angles": angles}
 
 
 def _upper(matrices: NDArray[np.floating]) -> np.ndarray:
@@ -182,7 +211,10 @@ def _upper(matrices: NDArray[np.floating]) -> np.ndarray:
 
 def _in_degrees(names: Sequence[str], values: Array | NDArray[np.float32]) -> np.ndarray:
     """(A, T) as the page shows them: angles in degrees, lengths in metres."""
-    return np.stack([v if is_length(n) else np.degrees(v) for n, v in zip(names, values, strict=True)]).astype("<f4")
+    out = np.empty(values.shape, "<f4")
+    for n, (name, value) in enumerate(zip(names, values, strict=True)):
+        out[n] = value if is_length(name) else np.degrees(value)
+    return out
 
 
 def _flags(motion: Motion) -> np.ndarray:
@@ -190,25 +222,6 @@ def _flags(motion: Motion) -> np.ndarray:
     doubtful = np.zeros(len(motion), dtype=bool) if motion.doubtful is None else motion.doubtful
     cases = [motion.lost.astype(bool), motion.extrapolated.astype(bool), doubtful]
     return np.select(cases, [LOST, EXTRAPOLATED, DOUBTFUL], 0).astype("u1")
-
-
-def _in_rows(values: Array, known: NDArray[np.bool_]) -> Array:
-    """Values (N, ...) of the N known rows in all rows (T, ...); NaN in the others."""
-    if known.all():
-        return values
-    out = np.full((len(known), *values.shape[1:]), np.nan, values.dtype)
-    out[known] = values
-    return out
-
-
-def _quaternions(rotations: Array) -> np.ndarray:
-    """World-from-joint rotations (N, J, 3, 3) as float32 quaternions (N, J, 4) x y z w."""
-    flat = rotations.reshape(-1, 3, 3)
-    out = np.empty((len(flat), 4), "<f4")
-    for at in range(0, len(flat), _AT_ONCE):  # some at a time: what is made of them is larger than the rest
-        some = slice(at, at + _AT_ONCE)
-        out[some] = Rotation.from_matrix(flat[some], assume_valid=True).as_quat()
-    return out.reshape(*rotations.shape[:2], 4)
 
 
 def _mesh(level: str, mesh: Mesh) -> dict[str, np.ndarray]:

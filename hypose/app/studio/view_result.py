@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from hypose.app.jobs.truth import Truth, compare
 from hypose.app.reports.summary import DESCRIPTIONS, summarize
-from hypose.app.studio.view_bundle import Rivals, ViewResult
+from hypose.app.studio.catalog import is_recording
+from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import HyposeError, InputError
@@ -38,8 +40,7 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
     body = _body(folder, motion, notes)
     if recording is None:
         recording = find_recording(folder.path, notes)
-    frames = motion.provenance.get("settings", {}).get("frames")
-    first = int(frames[0]) if frames else 0
+    first = first_frame(motion)
     truth = None
     if recording is not None:
         notes += recording.notes
@@ -49,7 +50,8 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
         motion=motion,
         body=body,
         rig=recording.rig if recording is not None else None,
-        pictures=[v.name for v in recording.views if v.source or v.masks] if recording is not None else (),
+        image_shifts=[v.image_shift for v in recording.views] if recording is not None else (),
+        pictures=pictured(recording) if recording is not None else (),
         first_frame=first,
         files=[(n, w, p.stat().st_size) for n, w in DESCRIPTIONS.items() if (p := folder.file(n)).is_file()],
         notes=notes,
@@ -61,10 +63,17 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
     )
 
 
+def first_frame(motion: Motion) -> int:
+    """The recording's frame of row 0, as far as a motion tells; others than hypose may have written it."""
+    with contextlib.suppress(TypeError, KeyError, IndexError, ValueError, OverflowError):
+        return int(motion.provenance["settings"]["frames"][0])
+    return 0
+
+
 def find_recording(results: Path, notes: list[str] | None = None) -> Recording | None:
     """The recording whose folder holds the results (results/RECIPE/ in it), None when there is none that loads."""
     for folder in list(results.resolve().parents)[:3]:
-        if (folder / "recording.toml").is_file():
+        if is_recording(folder):
             try:
                 return load_recording(folder)
             except HyposeError as error:
@@ -76,8 +85,9 @@ def find_recording(results: Path, notes: list[str] | None = None) -> Recording |
 
 def _citation(motion: Motion) -> str:
     """Where the method of a motion comes from, "" for one that is not known."""
-    settings = motion.provenance.get("settings", {})
-    return citation_of(str(motion.provenance.get("recipe")), bool(settings.get("refine")))
+    settings = motion.provenance.get("settings")
+    refined = isinstance(settings, Mapping) and bool(settings.get("refine"))
+    return citation_of(str(motion.provenance.get("recipe")), refined)
 
 
 def _body(folder: ResultsFolder, motion: Motion, notes: list[str]) -> Body | None:

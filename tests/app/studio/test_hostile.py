@@ -11,6 +11,7 @@ import pytest
 from starlette.websockets import WebSocketDisconnect
 from websockets.exceptions import ConnectionClosed
 
+from hypose.app.studio import recordings, view_answers
 from hypose.app.studio.asked import choice, digits, number, object_of, text, whole
 from hypose.app.studio.memory_cache import Kept
 from hypose.app.studio.sockets import tell
@@ -130,7 +131,7 @@ def test_a_body_that_means_nothing_is_a_sentence(studio, body):
     assert got == 400 and json.loads(answer)["error"].endswith(".")
 
 
-@pytest.mark.parametrize("path", ["/ws/gesture", "/ws/fuse", "/ws/jobs"])
+@pytest.mark.parametrize("path", ["/ws/gesture", "/ws/fuse", "/ws/cameras", "/ws/jobs"])
 def test_any_frame_is_answered_or_ends_the_connection(studio, log, path):
     with studio.socket(path) as ws:
         ws.recv(30)
@@ -158,7 +159,7 @@ def test_any_frame_is_answered_or_ends_the_connection(studio, log, path):
     assert not any("Traceback" in line for line in log)
 
 
-@pytest.mark.parametrize("path", ["/ws/gesture", "/ws/fuse", "/ws/jobs"])
+@pytest.mark.parametrize("path", ["/ws/gesture", "/ws/fuse", "/ws/cameras", "/ws/jobs"])
 def test_answers_to_a_page_that_has_broken_the_rules_go_nowhere(studio, log, path):
     for _ in range(5):
         with studio.socket(path) as ws:
@@ -285,6 +286,47 @@ def test_what_is_kept_is_bounded_in_bytes():
     assert len(gone) == 6 and len(gone[-1]) == 10
     kept.close()
     assert len(gone[-1]) == 20
+
+
+def test_a_large_recording_is_opened_once(served, monkeypatch):
+    """Though its videos, once open, are more than is kept of several."""
+    opened = []
+    for module, most, name in ((view_answers, "_PICTURES", "ViewPictures"), (recordings, "_OPEN", "_Open")):
+        make = getattr(module, name)
+        monkeypatch.setattr(module, most, 1)
+        monkeypatch.setattr(make, "__init__", counted(make.__init__, opened, name))
+    with serving(served) as client:
+        state = client.get("/api/state")
+        result, recording = state["results"][0]["id"], state["recordings"][0]["id"]
+        for row in range(3):
+            assert client.ask(f"/api/results/{result}/pictures/{row}")[0] == 200
+            assert client.ask(f"/api/recordings/{recording}/image/cam1/{row}.jpg?mask=edge")[0] == 200
+    assert sorted(opened) == ["ViewPictures", "_Open"]
+
+
+def counted(call, calls, name):
+    def counting(*given, **more):
+        calls.append(name)
+        return call(*given, **more)
+
+    return counting
+
+
+def test_for_what_is_made_there_is_room():
+    """Another one as large as the largest: while it is made the memory holds no more than afterwards."""
+    there, before = [], []
+    kept = Kept(100, len, lambda value: there.remove(len(value)), one_more=True)
+
+    def make(size):
+        before.append(sum(there))
+        there.append(size)
+        return bytes(size)
+
+    for size in (70, 71, 20, 5, 72):
+        with kept.use(size, lambda size=size: make(size)):
+            pass
+    assert before == [0, 0, 0, 20, 25] and there == [20, 5, 72]
+    kept.close()
 
 
 def test_what_is_made_at_once_by_many_is_made_once():

@@ -18,5 +18,4 @@ def test_unit(path):
     except builder.PageError as error:
         missing.skip("the studio's page", f"have Node ({str(error).replace(';', ',')})")
     done = subprocess.run([node, str(path)], cwd=WEB, capture_output=True, text=True, timeout=120)
-    if done.returncode:
-        pytest.fail(f"{path.name}:\n{done.stdout[-2000:]}\n{done.stderr[-4000:]}", False)
+    assert done.returncode == 0, f"{path.name}:\n{done.stdout[-2000:]}\n{done.stderr[-4000:]}"

@@ -19,6 +19,7 @@ from hypose.app.studio.view_result import load_view
 from hypose.io.motions.bodies import load_body
 from hypose.io.motions.results import load_motion, save_motion
 from hypose.io.recordings.recording import load_recording
+from hypose.pipeline.verdict import verdict_of
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import make_scene
 from hypose.synthetic.write_recording import write_scene
@@ -98,7 +99,6 @@ def longer(tmp_path_factory):
     return root
 
 
-@pytest.mark.slow
 def test_a_spoilt_arm_is_seen_and_put_right(longer, page, tmp_path):
     """Seen by `n`, corrected in six actions, and below 40 mm from the truth in the frames around afterwards."""
     root = shutil.copytree(longer, tmp_path / "root")
@@ -118,6 +118,18 @@ def test_a_spoilt_arm_is_seen_and_put_right(longer, page, tmp_path):
         f"\nArm, mm from the truth: spoilt {off['spoilt'].mean():.0f}, corrected {off['now'].mean():.0f}\n"
     )
     assert off["spoilt"].mean() > 200 and off["now"].mean(0).max() < 40
+
+
+def test_much_said_of_a_result_covers_nothing(served, page, tmp_path, monkeypatch):
+    """A long verdict and the button to the next doubt, in all sizes of the window."""
+    root = shutil.copytree(served, tmp_path / "root")
+    results = root / "walk" / "results" / "default"
+    spoilt = spoil_arm(results, slice(2, 6))
+    told = verdict_of(spoilt, looks=[f"camera {k} may be late by {k} frames" for k in range(8)])
+    (results / "verdict.json").write_text(json.dumps(told.document()))
+    monkeypatch.setenv("ONLY", "view,view-quality")
+    with serving(root) as client:
+        go(WEB / "tests" / "layout.path.mjs", client.address, root, tmp_path)
 
 
 @pytest.mark.slow

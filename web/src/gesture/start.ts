@@ -246,7 +246,7 @@ function taught(state: State, wish: Wish, begin: (request: GestureRequest) => vo
 
 /** What the depth camera saw of a gesture when it was taught; a sign where no session is left that shows it. */
 export function gesturePicture(model: string): HTMLElement {
-  const box = h("span", { class: "gesture-picture", "aria-hidden": "true" }, icon("hand"));
+  const box = h("span", { class: "thumbnail gesture-picture", "aria-hidden": "true" }, icon("hand"));
   const image = h("img", { alt: "", src: address(`/api/models/${model}/thumbnail.jpg`), onload: () => box.replaceChildren(image) });
   return box;
 }

@@ -211,13 +211,29 @@ export function stretches(flags: Uint8Array): Stretch[] {
  * apart is one. */
 export function toLookAt(data: ViewData, gap: number): Stretch[] {
   const out: Stretch[] = [];
+  const counts = doubtfulCounts(data);
   for (let t = 0; t < data.frames; t++) {
-    const flag = data.flags[t] || (doubtfulAt(data, t).length ? DOUBTFUL : 0);
+    const flag = data.flags[t] || (counts[t] ? DOUBTFUL : 0);
     if (!flag) continue;
     const open = out[out.length - 1];
     if (open && open.flag === flag && t - open.last <= gap) open.last = t;
     else out.push({ first: t, last: t, flag });
   }
+  return out;
+}
+
+/** How many joints may be wrong at each row. */
+export function doubtfulCounts({ doubtful, joints, frames }: ViewData): Uint8Array {
+  return column(new Uint8Array(frames), (t) => {
+    let count = 0;
+    if (doubtful) for (let j = 0; j < joints; j++) count += Number(doubtful[t * joints + j]! > 0);
+    return count;
+  });
+}
+
+/** `out` with f(t) at every t; from(), which asks for an iterator, takes ten times as long on a long result. */
+export function column<T extends Numbers>(out: T, f: (t: number) => number): T {
+  for (let t = 0; t < out.length; t++) out[t] = f(t);
   return out;
 }
 

@@ -101,28 +101,44 @@ function comparable(entry: ResultEntry, state: State): ResultEntry[] {
 
 function compare(made: ResultView, data: ViewData, others: readonly ResultEntry[], signal: AbortSignal): HTMLElement {
   const choices = [{ value: "", label: "Compare with…" }, ...others.map((r) => ({ value: r.id, label: r.name }))];
-  return select("Compare with another run", choices, "", (id) => {
+  let wanted = "";
+  const chooser = select("Compare with another run", choices, "", (id) => {
+    wanted = id;
     if (!id) return made.compare(null);
     new ServerSource(id).data(signal).then(
       (other) => {
+        if (id !== wanted) return; // another one was chosen meanwhile
         const name = others.find((r) => r.id === id)?.name ?? "";
         made.compare({ data: other, shift: data.header.first_frame - other.header.first_frame, name });
       },
-      (error: Error) => toast(error.message, "error"),
+      (error: Error) => {
+        if (signal.aborted || id !== wanted) return;
+        chooser.value = wanted = "";
+        made.compare(null);
+        toast(error.message, "error");
+      },
     );
   });
+  return chooser;
 }
 
-const FILES: Record<string, readonly string[]> = { csv: ["angles.csv", "joints.csv"] };
+/** What a format writes, where that is not motion.FORMAT. */
+const FILES: Record<string, readonly string[]> = {
+  csv: ["angles.csv", "joints.csv"],
+  osim: ["motion.osim", "motion_markers.trc", "motion_ik.xml"],
+  amass: ["motion_amass.npz"],
+};
 
 /** Downloads what is there and writes what is not. */
 function exportMenu(source: ServerSource, data: ViewData): HTMLElement {
   const there = new Map(data.header.files.map((f) => [f.name, f]));
+  // joint positions alone have no angles
+  const files = (format: string): string[] => (FILES[format] ?? [`motion.${format}`]).filter((name) => data.angles || name !== "angles.csv");
   const write = async (format: string): Promise<void> => {
     try {
       toast(`Writing ${format.toUpperCase()}…`);
       await finished(await source.export([format]));
-      for (const name of FILES[format] ?? [`motion.${format}`]) {
+      for (const name of files(format)) {
         there.set(name, { name, what: "", bytes: 0 });
         h("a", { href: source.file(name), download: name }).click();
       }
@@ -136,7 +152,7 @@ function exportMenu(source: ServerSource, data: ViewData): HTMLElement {
     () => [
       h("a", { role: "menuitem", href: source.everything(), download: "" }, h("span", {}, "Everything"), h("small", {}, "all files of the result as .zip")),
       ...data.header.formats.flatMap((format) =>
-        (FILES[format] ?? [`motion.${format}`]).map((name) => {
+        files(format).map((name) => {
           const file = there.get(name);
           if (!file) return { label: name, hint: "write it", act: () => void write(format) };
           return h(

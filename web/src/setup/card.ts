@@ -1,7 +1,7 @@
 import { post } from "../api";
 import type { Job, Stage } from "../protocol";
 import { button } from "../ui/buttons";
-import { h } from "../ui/dom";
+import { h, setText } from "../ui/dom";
 import { toast } from "../ui/toast";
 import { active } from "./feed";
 
@@ -17,7 +17,6 @@ export class JobCard {
   private readonly error = h("p", { class: "bad" });
   private readonly actions = h("div", { class: "row job-actions" });
   private shownState = "";
-  private lines = -1;
 
   constructor(job: Job) {
     this.element = h(
@@ -42,10 +41,7 @@ export class JobCard {
     this.state.className = `chip ${job.state === "failed" ? "bad" : job.state === "done" ? "good" : ""}`;
     this.error.textContent = job.error ?? "";
     this.showStages(job.stages);
-    if (job.lines.length !== this.lines) {
-      this.lines = job.lines.length;
-      this.said.textContent = job.lines.join("\n");
-    }
+    setText(this.said, job.lines.join("\n")); // of many lines only the last come, so their number says nothing
     const key = `${job.state} ${job.result} ${job.resumable} ${known}`;
     if (key === this.shownState) return;
     this.shownState = key;
@@ -87,8 +83,8 @@ function detail(stage: Stage): string {
 
 export function duration(seconds: number): string {
   if (seconds < 10) return `${seconds.toFixed(1)} s`;
-  if (seconds < 120) return `${Math.round(seconds)} s`;
-  return `${Math.floor(seconds / 60)} min ${Math.round(seconds % 60)} s`;
+  const whole = Math.round(seconds);
+  return whole < 120 ? `${whole} s` : `${Math.floor(whole / 60)} min ${whole % 60} s`;
 }
 
 async function farther(job: Job): Promise<void> {

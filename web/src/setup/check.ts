@@ -40,18 +40,31 @@ export function checkStep(recording: Recording): HTMLElement {
 function found(recording: Recording, check: Check): HTMLElement {
   const faults = check.findings.filter((f) => f.fault);
   const sure = faults.length === 0 && check.healthy;
+  const refine = button("Refine the calibration", () => void begin(recording, "refine"), { icon: "fit", title: "Move the cameras so that they agree with what they see of the person" });
+  let offered = false;
+  const shown = [...check.findings].sort((a, b) => order(a) - order(b)).map((f) => {
+    const mends = f.fault ? cures(recording, f) : [];
+    const refines = f.fault && /--refine/.test(f.cure ?? "");
+    if (refines && !offered) mends.unshift(refine); // one button, where it is said first
+    offered ||= refines;
+    return sentence(f.fault ? "bad" : "dim", refines || mends.some((b) => !LEAVES.test(b.textContent ?? "")) ? withoutNext(f.sentence) : f.sentence, f.views, mends);
+  });
   return h(
     "div",
     { class: "found" },
     h("p", { class: `verdict ${sure ? "good" : "warn"}` }, icon(sure ? "done" : "warning"), sure ? "Nothing speaks against this calibration." : `${faults.length || "Some"} ${faults.length === 1 ? "thing" : "things"} should be mended.`),
-    ...[...check.findings].sort((a, b) => order(a) - order(b)).map((f) => sentence(f.fault ? "bad" : "dim", f.sentence, f.views, f.fault ? cures(recording, f) : [])),
+    ...shown,
     ...folded(check.warnings.map((w) => sentence("warn", w, []))),
-    faults.length ? h("div", { class: "row" }, button("Refine the calibration", () => void begin(recording, "refine"), { icon: "fit", title: "Move the cameras so that they agree with what they see of the person" })) : null,
+    faults.length && !offered ? h("div", { class: "row" }, refine) : null,
     check.views.length ? residuals(check) : null,
-    h("details", {}, h("summary", { class: "dim" }, `${check.facts.length} facts`), ...check.facts.map((f) => h("p", {}, f))),
+    check.facts.length ? h("details", {}, h("summary", { class: "dim" }, `${check.facts.length} facts`), ...check.facts.map((f) => h("p", {}, f))) : null,
     check.page ? h("a", { href: address(`/api/recordings/${recording.id}/file/${check.page}`), target: "_blank" }, "The whole page with pictures") : null,
   );
 }
+
+/** A finding without the line to be typed that ends it: its buttons do that. */
+const withoutNext = (text: string): string => text.replace(/ Next: .*$/s, "");
+const LEAVES = /^Leave .* out$/;
 
 /** The first of many sentences, and the others behind a click: a bad frame says the same of every camera. */
 function folded(sentences: HTMLElement[]): HTMLElement[] {

@@ -38,7 +38,7 @@ export class CameraPictures {
       });
       return image;
     });
-    this.figures = this.images.map((image, k) => h("figure", {}, image, h("span", { class: "mask-wait", role: "status" }), h("figcaption", {}, recording.cameras[k]!.name)));
+    this.figures = this.images.map((image, k) => h("figure", { "data-state": "coming" }, image, h("span", { class: "mask-wait", role: "status" }), h("figcaption", {}, recording.cameras[k]!.name)));
     const told = h("output", { class: "number" }, String(this.frame));
     const slider = h("input", { type: "range", min: 0, max: recording.frames - 1, value: this.frame, class: "grow", "aria-label": "Frame" });
     slider.addEventListener("input", () => {

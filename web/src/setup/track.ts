@@ -28,7 +28,7 @@ export function trackStep(recording: Recording, named: (id: string) => string): 
     const options: Record<string, unknown> = { recipe: wish.recipe, evidence: wish.evidence, start: wish.start };
     if (wish.subject) options["subject"] = true;
     if (name.value) options["name"] = name.value;
-    if (Number(from.value) !== 0 || Number(to.value) !== recording.frames) options["frames"] = `${from.value}:${to.value}`;
+    if (Number(from.value) !== first || Number(to.value) !== stop) options["frames"] = `${from.value}:${to.value}`;
     void begin(recording, "track", options);
   };
   return h(

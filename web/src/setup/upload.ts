@@ -106,7 +106,7 @@ export class NewRecordingForm {
       const one: Ready = {
         file, path, upload: null, error: null, role: "none", camera: "", said: { role: false, camera: false },
         bar: h("progress", { max: 1, value: 0, "aria-label": `Sending ${file.name}` }),
-        thumbnail: h("span", { class: "dropped-picture" }),
+        thumbnail: h("span", { class: "thumbnail dropped-picture" }),
       };
       this.files.push(one);
       this.queue.push(one);
@@ -208,7 +208,7 @@ export class NewRecordingForm {
     return h(
       "div",
       { class: "dropped-file", "data-file": f.path },
-      f.thumbnail.hasChildNodes() ? f.thumbnail : h("span", { class: "dropped-picture" }, icon(kind === "video" ? "camera" : kind === "image" || kind === "images" ? "picture" : kind === "keypoints" ? "skeleton" : "report")),
+      f.thumbnail.hasChildNodes() ? f.thumbnail : h("span", { class: "thumbnail dropped-picture" }, icon(kind === "video" ? "camera" : kind === "image" || kind === "images" ? "picture" : kind === "keypoints" ? "skeleton" : "report")),
       h("div", { class: "grow" }, h("b", {}, folders ? h("span", { class: "dim" }, folders) : null, name), h("div", { class: f.error || f.upload?.problem ? "bad" : "dim" }, facts), f.upload || f.error ? null : f.bar),
       this.coming || !roles.length
         ? null

@@ -1,5 +1,5 @@
 import { Vector3 } from "three";
-import { address } from "../api";
+import { getBytes, type ApiError } from "../api";
 import { readBundle, type ViewData } from "../lib/bundle";
 import type { Job } from "../protocol";
 import { h, onResize } from "../ui/dom";
@@ -52,9 +52,11 @@ export class LiveFigure {
     clearTimeout(this.timer);
     const tracking = this.job.stages.some((s) => s.name === "track" && s.done > 0);
     if (tracking) {
-      const answer = await fetch(address(`/api/jobs/${this.job.id}/view`)).catch(() => null);
+      const found = await getBytes(`/api/jobs/${this.job.id}/view`).catch((error: ApiError) => error);
       if (this.closed) return;
-      if (answer?.status === 200) this.take(readBundle(await answer.arrayBuffer()));
+      if (!(found instanceof ArrayBuffer)) {
+        if (found.status === 404 && !this.data) this.caption.textContent = "shown when it is done";
+      } else if (found.byteLength) this.take(readBundle(found));
     }
     if (!this.closed && active(this.job)) this.timer = window.setTimeout(() => void this.ask(), EVERY_MS);
   }
@@ -89,7 +91,7 @@ export class LiveFigure {
     if (!data || this.row >= data.frames - 1) return clearInterval(this.steps);
     this.row = Math.max(this.row + 1, data.frames - 60);
     this.sticks?.place(data.positions, 3 * this.row * data.joints);
-    this.caption.textContent = `frame ${this.row + 1}`;
+    this.caption.textContent = `frame ${this.row + data.header.first_frame}`;
     this.later();
   }
 

@@ -1,6 +1,6 @@
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
-import { DOUBTFUL, flagName, type Stretch } from "../lib/bundle";
+import { column, DOUBTFUL, flagName, type Stretch } from "../lib/bundle";
 import { h, onResize, setText } from "./dom";
 import { colour, onTheme } from "./theme";
 import { clock } from "./timeline";
@@ -72,7 +72,7 @@ export class Plot {
     this.element = h(
       "figure",
       { class: "plot" },
-      h("figcaption", {}, h("span", { class: "plot-title" }, `${options.title} (${options.unit})`), ...legend),
+      h("figcaption", {}, h("span", { class: "plot-title", title: `${options.title} (${options.unit})` }, `${options.title} (${options.unit})`), ...legend),
       this.holder,
     );
     this.stop.push(
@@ -243,7 +243,7 @@ export class Plot {
       [
         this.times,
         ...this.series.map((s) => gaps(s.values)),
-        ...banded.flatMap((s) => [-wide, wide].map((by) => gaps(Float64Array.from(s.values, (v, t) => v + by * s.sd![t]!)))),
+        ...banded.flatMap((s) => [-wide, wide].map((by) => gaps(column(new Float64Array(s.values.length), (t) => s.values[t]! + by * s.sd![t]!)))),
       ] as unknown as uPlot.AlignedData,
       this.holder,
     );
@@ -258,7 +258,7 @@ export class Plot {
   private timeText(seconds: number, step: number): string {
     if (this.cycle) return `${Math.round(seconds)} %`;
     const long = (this.times[this.times.length - 1] ?? 0) >= 60;
-    return long ? clock(seconds, step) : seconds.toFixed(decimals(step));
+    return long ? clock(seconds, step) : `${seconds.toFixed(decimals(step))} s`;
   }
 
   /** How far the bands reach, where the curves lie between these values. */

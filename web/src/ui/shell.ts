@@ -22,7 +22,8 @@ export function shell(root: HTMLElement, active: ScreenName, ...tools: HTMLEleme
   mark.setAttribute("viewBox", "0 0 20 20");
   mark.setAttribute("aria-hidden", "true");
   mark.innerHTML = MARK;
-  const brand = h("a", { class: "brand", href: "#/view" });
+  // names of their own: on small screens the words are not shown
+  const brand = h("a", { class: "brand", href: "#/view", "aria-label": "hypose" });
   put(brand, mark, h("span", {}, "hypose"));
   const bar = h(
     "header",
@@ -32,7 +33,12 @@ export function shell(root: HTMLElement, active: ScreenName, ...tools: HTMLEleme
       "nav",
       { "aria-label": "Screens" },
       ...SCREENS.map((s) =>
-        h("a", { href: `#/${s.name}`, "aria-current": s.name === active ? "page" : null }, icon(s.icon), h("span", {}, s.label)),
+        h(
+          "a",
+          { href: `#/${s.name}`, "aria-label": s.label, title: s.label, "aria-current": s.name === active ? "page" : null },
+          icon(s.icon),
+          h("span", {}, s.label),
+        ),
       ),
     ),
     h("span", { class: "grow" }),

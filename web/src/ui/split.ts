@@ -29,10 +29,11 @@ export function splitter(
   });
   bar.addEventListener("pointerdown", (down) => {
     bar.setPointerCapture(down.pointerId);
+    const before = share; // from where it was taken: what lies behind the pane is no part of it
     const move = (event: PointerEvent): void => {
       const r = box.getBoundingClientRect();
-      const along = direction === "columns" ? (r.right - event.clientX) / r.width : (r.bottom - event.clientY) / r.height;
-      set(100 * along);
+      const by = direction === "columns" ? (down.clientX - event.clientX) / r.width : (down.clientY - event.clientY) / r.height;
+      set(before + 100 * by);
     };
     bar.addEventListener("pointermove", move);
     bar.addEventListener("lostpointercapture", () => {

@@ -31,6 +31,8 @@ export interface PictureEdit {
   up(): void;
 }
 
+const LATE_MS = 300; // sooner nobody waits
+
 /** The recorded pictures of all cameras at the frame shown, with what was found drawn over them. */
 export class CameraPane {
   readonly element: HTMLElement;
@@ -43,6 +45,9 @@ export class CameraPane {
   private readonly stop: (() => void)[] = [];
   private readonly abort = new AbortController();
   private readonly outlines = new Map<number, Outlines | null>();
+  /** Says that the edges of the masks are on their way: the first time that takes seconds. */
+  private readonly coming = h("output", { class: "masks-coming", hidden: true }, "The masks are being made…");
+  private making = false;
   private editing: PictureEdit | null = null;
   private beside: Beside | null = null;
   private besideSkin: Skin | null = null;
@@ -78,7 +83,7 @@ export class CameraPane {
       return tile;
     });
     this.grid = h("div", { class: "tiles" }, ...this.tiles.map((t) => t.box));
-    this.element = h("div", { class: "cameras" }, this.tiles.length ? this.grid : this.empty());
+    this.element = h("div", { class: "cameras" }, this.tiles.length ? this.grid : this.empty(), this.coming);
     this.stop.push(
       onResize(this.grid, (w, height) => this.layout(w, height)),
       onTheme(() => this.draw()),
@@ -260,20 +265,32 @@ export class CameraPane {
     return this.data.header.cameras.some((c) => c.pictures);
   }
 
+  /** One question at a time, always of the frame that is shown: of those that are played past nobody waits for the edges,
+   * and they would keep the pictures waiting. */
   private async needOutlines(): Promise<void> {
-    const row = this.row;
-    if (!this.shown.masks || row < 0 || this.outlines.has(row) || this.source.id === null) return;
-    this.outlines.set(row, null);
+    const wanted = (): boolean => this.shown.masks && this.row >= 0 && !this.outlines.has(this.row) && this.source.id !== null;
+    if (this.making) return;
+    this.making = true;
+    let late = 0;
     try {
-      this.outlines.set(row, await this.source.outlines(row, this.abort.signal));
+      while (wanted()) {
+        const row = this.row;
+        late = window.setTimeout(() => (this.coming.hidden = false), LATE_MS);
+        this.outlines.set(row, await this.source.outlines(row, this.abort.signal));
+        clearTimeout(late);
+        this.coming.hidden = true;
+        for (const old of this.outlines.keys()) {
+          if (this.outlines.size <= 100) break;
+          this.outlines.delete(old);
+        }
+        if (row === this.row) this.draw();
+      }
     } catch (error) {
       if (!this.abort.signal.aborted) this.failed((error as Error).message);
     }
-    for (const old of this.outlines.keys()) {
-      if (this.outlines.size <= 100) break;
-      this.outlines.delete(old);
-    }
-    if (row === this.row) this.draw();
+    clearTimeout(late);
+    this.coming.hidden = true;
+    this.making = false;
   }
 
   /** Tiles as large as possible: the number of columns that wastes least. */

@@ -206,7 +206,7 @@ export class Corrector implements PictureEdit {
         const found = views.length
           ? await post<Fit>("/api/fit-clicks", { result: this.entry.id, frame: row + this.data.header.first_frame, views })
           : null;
-        if (this.closed || !this.on || row !== this.row) break;
+        if (this.closed || !this.on || row !== this.row) continue; // another frame may have been asked for meanwhile
         this.fit = found;
         if (found) this.patch(found);
         else this.restore();

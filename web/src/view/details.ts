@@ -11,7 +11,7 @@ export function details(data: ViewData, source: Source, doctor: HTMLElement | nu
   const figure = (value: string, label: string, tone = ""): HTMLElement =>
     h("div", { class: "figure" }, h("b", { class: `number ${tone}` }, value), h("span", {}, label));
   const figures = [
-    figure(String(s.frames), `frames, ${clock(s.seconds, 0.1)} min`),
+    figure(String(s.frames), `frames, ${clock(s.seconds, 0.1)}`),
     figure(String(header.cameras.length), "cameras"),
     figure(String(s.lost), "frames lost", s.lost ? "bad" : ""),
     figure(String(s.extrapolated), "extrapolated", s.extrapolated ? "warn" : ""),

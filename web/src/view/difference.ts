@@ -1,6 +1,6 @@
 import type { Series } from "../ui/plot";
 import { angle, ANGLE_GROUPS, REGIONS, rms, shifted, type Beside, type Panel } from "./panels";
-import type { ViewData } from "../lib/bundle";
+import { column, type ViewData } from "../lib/bundle";
 
 /** How far two results are apart: between their joints, and in their angles, each with its root mean square. */
 export function difference(data: ViewData, beside: Beside | null): Panel[] {
@@ -19,7 +19,7 @@ export function difference(data: ViewData, beside: Beside | null): Panel[] {
       if (both.some(([a, b]) => !a || !b)) return [];
       const each = both.map(([a, b]) => [a!, shifted(b!, beside.shift, data.frames)] as const);
       // of both sides the larger one, so that none hides behind the other
-      const values = Float32Array.from({ length: data.frames }, (_, t) => Math.max(...each.map(([a, b]) => Math.abs(a[t]! - b[t]!))));
+      const values = column(new Float32Array(data.frames), (t) => Math.max(...each.map(([a, b]) => Math.abs(a[t]! - b[t]!))));
       const off = Math.sqrt(each.reduce((sum, [a, b]) => sum + rms(a, b) ** 2, 0) / each.length);
       return [{ label: named[i]!, colour: (["first", "second", "third"] as const)[i % 3]!, values, note: `RMS ${off.toFixed(1)}` }];
     });
@@ -34,7 +34,7 @@ function apart(data: ViewData, beside: Beside, which: (name: string) => boolean)
     const k = beside.data.header.joint_names.indexOf(name);
     return k >= 0 && which(name) ? [[j, k] as const] : [];
   });
-  return Float32Array.from({ length: data.frames }, (_, t) => {
+  return column(new Float32Array(data.frames), (t) => {
     const at = t + beside.shift;
     if (at < 0 || at >= beside.data.frames || !pairs.length) return NaN;
     let sum = 0;

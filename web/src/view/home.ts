@@ -113,7 +113,7 @@ class Library {
 
 /** The person in the middle of the result, or a sign where there are no pictures. */
 function thumbnail(result: ResultEntry): HTMLElement {
-  const box = h("span", { class: "result-picture" }, icon("skeleton"));
+  const box = h("span", { class: "thumbnail result-picture" }, icon("skeleton"));
   if (!result.pictured) return box;
   const picture = h("img", { src: address(`/api/results/${result.id}/thumbnail.jpg`, { v: Math.round(result.changed) }), alt: "", loading: "lazy", width: 96, height: 72 });
   picture.addEventListener("error", () => box.replaceChildren(icon("skeleton")));
@@ -131,7 +131,7 @@ function quality(result: ResultEntry): HTMLElement {
   const figures = [
     result.iou ? `overlap ${result.iou.toFixed(2)}` : "",
     result.sd_mm ? `± ${result.sd_mm.toFixed(0)} mm` : "",
-    result.lost ? `${(100 * result.lost).toFixed(0)} % lost` : "",
+    result.lost ? `${(100 * result.lost).toFixed(result.lost < 0.01 ? 1 : 0)} % not found` : "",
   ].filter(Boolean);
   return h(
     "span",

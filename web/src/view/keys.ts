@@ -24,7 +24,7 @@ export function viewKeys(view: ResultView): Key[] {
     layer("b", "body", "body"),
     layer("s", "skeleton", "skeleton"),
     layer("u", "spread", "uncertainty"),
-    layer("o", "rivals", "other poses of a track with one camera"),
+    layer("o", "rivals", "other poses that explain the pictures as well"),
     layer("t", "trails", "trails"),
     layer("c", "cameras", "cameras"),
     layer("g", "truth", "truth, where it is known"),

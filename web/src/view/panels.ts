@@ -1,4 +1,4 @@
-import { side, type ViewData } from "../lib/bundle";
+import { column, side, type ViewData } from "../lib/bundle";
 import type { PlotOptions, Series } from "../ui/plot";
 
 /** Another run beside the one shown: row `i` of this result is row `i + shift` of the other. */
@@ -92,7 +92,7 @@ function wrongAngle(data: ViewData, name: string): Uint8Array | null {
 function wrongJoints({ header, doubtful, joints, frames }: ViewData, names: readonly string[]): Uint8Array | null {
   if (!doubtful) return null;
   const columns = names.map((n) => header.joint_names.indexOf(n)).filter((j) => j >= 0);
-  return Uint8Array.from({ length: frames }, (_, t) => Number(columns.some((j) => doubtful[t * joints + j])));
+  return column(new Uint8Array(frames), (t) => Number(columns.some((j) => doubtful[t * joints + j])));
 }
 
 /** Root mean square of the difference of two curves, where both are known. */
@@ -107,7 +107,7 @@ export function rms(a: ArrayLike<number>, b: ArrayLike<number>): number {
 
 /** Values of another run at the rows of this one. */
 export function shifted(values: Float32Array, shift: number, frames: number): Float32Array {
-  return Float32Array.from({ length: frames }, (_, i) => values[i + shift] ?? NaN);
+  return column(new Float32Array(frames), (i) => values[i + shift] ?? NaN);
 }
 
 /** Where xx, yy and zz stand in a covariance of six numbers. */
@@ -117,14 +117,14 @@ const DIAGONAL = [0, 3, 5] as const;
 export function coordinate(data: ViewData, joint: string, axis: number): Float32Array | null {
   const j = data.header.joint_names.indexOf(joint);
   if (j < 0) return null;
-  return Float32Array.from({ length: data.frames }, (_, t) => data.positions[3 * (t * data.joints + j) + axis]!);
+  return column(new Float32Array(data.frames), (t) => data.positions[3 * (t * data.joints + j) + axis]!);
 }
 
 /** Curves of [label, joint, axis, colour]. */
 function lines(data: ViewData, beside: Beside | null, named: readonly [string, string, number, string][]): Series[] {
   const spread = (joint: string, axis: number): Float32Array => {
     const j = data.header.joint_names.indexOf(joint);
-    return Float32Array.from({ length: data.frames }, (_, t) => Math.sqrt(data.covariance[6 * (t * data.joints + j) + DIAGONAL[axis]!]!));
+    return column(new Float32Array(data.frames), (t) => Math.sqrt(data.covariance[6 * (t * data.joints + j) + DIAGONAL[axis]!]!));
   };
   return named.flatMap(([label, joint, axis, tone]): Series[] => {
     const values = coordinate(data, joint, axis);
@@ -158,7 +158,7 @@ export const REGIONS: readonly [string, string, RegExp][] = [
 export function quality(data: ViewData): Panel[] {
   const { frames, joints } = data;
   const mean = (values: Float32Array, columns: readonly number[], stride: number): Float32Array =>
-    Float32Array.from({ length: frames }, (_, t) => {
+    column(new Float32Array(frames), (t) => {
       let sum = 0;
       let n = 0;
       for (const c of columns) {
@@ -176,7 +176,7 @@ export function quality(data: ViewData): Panel[] {
   }
   if (data.wrong) {
     const { wrong } = data;
-    const worst = Float32Array.from({ length: frames }, (_, t) => {
+    const worst = column(new Float32Array(frames), (t) => {
       let most = NaN;
       for (let j = 0; j < joints; j++) {
         const percent = wrong[t * joints + j]!;
@@ -195,7 +195,7 @@ export function quality(data: ViewData): Panel[] {
   }
   if (data.rivals) {
     const each = data.rivals.count + 1;
-    const values = Float32Array.from({ length: frames }, (_, t) => data.rivals!.weights[t * each]!);
+    const values = column(new Float32Array(frames), (t) => data.rivals!.weights[t * each]!);
     panels.push({ title: "Weight of the pose shown", unit: "of 1", range: [0, 1], series: [{ label: "", colour: "accent", values }] });
   }
   const names = data.header.truth?.names ?? [];

@@ -14,7 +14,7 @@ export type { Beside } from "./panels";
 
 const WINDOWS = [0, 5, 20, 60];
 const LONG_S = 60; // longer results begin with a part of themselves: whole, their curves would be solid blocks
-const WALK_MS = 800; // after which it is asked how somebody walks
+const WALK_MS = 800; // after the first picture, it is asked how somebody walks: the server is busy with that for long
 export const MOST_PANELS = 5;
 
 /** Joint angles and the quality of the fit over time or over the gait cycle, in groups. */
@@ -32,6 +32,7 @@ export class PlotPane {
   private gait: Gait | null = null;
   private over: "time" | "cycle" = "time";
   private later = 0;
+  private readonly closed = new AbortController();
   private readonly span: HTMLSelectElement;
   private readonly axis: HTMLSelectElement;
 
@@ -39,7 +40,7 @@ export class PlotPane {
   constructor(
     private readonly data: ViewData,
     private readonly chosen: (row: number) => void,
-    private readonly askGait: (() => Promise<Gait>) | null = null,
+    private readonly askGait: ((signal: AbortSignal) => Promise<Gait>) | null = null,
   ) {
     this.element = h("div", { class: "plots" });
     this.chosenChannels = (memory.get("plots-own") ?? "").split(",").filter(Boolean);
@@ -65,7 +66,8 @@ export class PlotPane {
       ], { icon: "download", kind: "quiet", title: "These plots as files" }),
     ];
     this.drawTabs(memory.get("plots") ?? "");
-    this.later = window.setTimeout(() => void this.walk(), WALK_MS); // pictures first
+    const drawn = (): number => (this.later = window.setTimeout(() => void this.walk(), WALK_MS));
+    requestAnimationFrame(() => requestAnimationFrame(() => this.closed.signal.aborted || drawn()));
   }
 
   private groups(): Group[] {
@@ -103,6 +105,7 @@ export class PlotPane {
 
   close(): void {
     clearTimeout(this.later);
+    this.closed.abort(); // what nobody looks at any more is not to keep the next result waiting
     this.empty();
   }
 
@@ -113,7 +116,7 @@ export class PlotPane {
 
   private async walk(): Promise<void> {
     if (!this.askGait || !this.data.angles) return;
-    const gait = await this.askGait().catch(() => null); // who does not walk is looked at over time
+    const gait = await this.askGait(this.closed.signal).catch(() => null); // who does not walk is looked at over time
     if (!gait?.events.length || !this.element.isConnected) return;
     this.gait = gait;
     this.axis.hidden = !gait.cycles.length;

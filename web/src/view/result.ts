@@ -1,4 +1,4 @@
-import { DOUBTFUL, doubtfulAt, toLookAt, type Stretch, type ViewData } from "../lib/bundle";
+import { DOUBTFUL, doubtfulAt, doubtfulCounts, toLookAt, type Stretch, type ViewData } from "../lib/bundle";
 import { button, select, tabs, toggle, type Toggle } from "../ui/buttons";
 import { h, onResize, setText } from "../ui/dom";
 import { icon, type IconName } from "../ui/icons";
@@ -86,10 +86,10 @@ export class ResultView {
     const go = (row: number): void => this.go(row);
     this.space = new Space(data, () => this.schedule());
     this.cameras = new CameraPane(data, source, (message) => toast(message, "error"));
-    this.plots = new PlotPane(data, go, source.gait ? () => source.gait!() : null);
+    this.plots = new PlotPane(data, go, source.gait ? (signal) => source.gait!(signal) : null);
     this.corrector = options.corrector?.(this) ?? null;
     const curve = data.cost.some(Number.isFinite) ? data.cost.map((c) => 1 - c) : null;
-    const many = data.doubtful && Uint8Array.from({ length: data.frames }, (_, t) => doubtfulAt(data, t).length);
+    const many = data.doubtful && doubtfulCounts(data);
     this.timeline = new Timeline({ times: data.times, flags: data.flags, doubtful: many, curve }, go);
     this.suspects = toLookAt(data, Math.round(TOGETHER_S * header.frame_rate));
 
@@ -132,32 +132,34 @@ export class ResultView {
       this.timeline.element,
       this.where,
     );
-    this.element = h(
-      "div",
-      { class: "view" },
+    this.element = h("div", { class: "view" });
+    this.element.append(
       h(
         "div",
-        { class: "view-head" },
-        options.back ?? null,
-        h("h1", { title: header.title }, header.title),
-        h("span", { class: "chip" }, header.recipe),
-        h("span", { class: "dim number" }, `${header.frames} frames · ${round(header.frame_rate)} fps`),
-        header.summary.lost ? h("span", { class: "chip bad" }, `${header.summary.lost} lost`) : null,
-        header.summary.extrapolated ? h("span", { class: "chip warn" }, `${header.summary.extrapolated} extrapolated`) : null,
-        doubtful ? h("span", { class: "chip warn", title: "There the evidence speaks against itself" }, `${doubtful} doubtful`) : null,
-        header.complete ? null : h("span", { class: "chip warn" }, "not complete"),
-        h("span", { class: "grow" }),
-        ...(options.tools ?? []),
-        button("", keys.help, { icon: "help", title: "Keys", key: "?", kind: "quiet" }),
-        header.verdict ? verdict(header.verdict) : null,
-        this.corrector?.element ?? null,
+        { class: "view-parts" },
+        h(
+          "div",
+          { class: "view-head" },
+          options.back ?? null,
+          h("h1", { title: header.title }, header.title),
+          h("span", { class: "chip" }, header.recipe),
+          h("span", { class: "dim number" }, `${header.frames} frames · ${round(header.frame_rate)} fps`),
+          header.summary.lost ? h("span", { class: "chip bad" }, `${header.summary.lost} lost`) : null,
+          header.summary.extrapolated ? h("span", { class: "chip warn" }, `${header.summary.extrapolated} extrapolated`) : null,
+          doubtful ? h("span", { class: "chip warn", title: "There the evidence speaks against itself" }, `${doubtful} doubtful`) : null,
+          header.complete ? null : h("span", { class: "chip warn" }, "not complete"),
+          h("span", { class: "grow" }),
+          ...(options.tools ?? []),
+          button("", keys.help, { icon: "help", title: "Keys", key: "?", kind: "quiet" }),
+          header.verdict ? verdict(header.verdict) : null,
+          this.corrector?.element ?? null,
+        ),
+        main,
+        splitter(this.element, "plots", "rows", "Height of the plots", 25, [8, 60]),
+        h("section", { class: "pane plots-pane", "aria-label": "Plots" }, h("div", { class: "pane-head" }, this.plots.tabs, h("span", { class: "grow" }), ...this.plots.tools), this.plots.element),
       ),
-      main,
-      h("section", { class: "pane plots-pane", "aria-label": "Plots" }, h("div", { class: "pane-head" }, this.plots.tabs, h("span", { class: "grow" }), ...this.plots.tools), this.plots.element),
       transport,
     );
-    const bar = splitter(this.element, "plots", "rows", "Height of the plots", 25, [8, 60]);
-    this.element.insertBefore(bar, this.element.children[2]!);
     // as wide as it will ever be, so that the line of time keeps its place
     this.where.style.width = `${this.place(data.frames - 1).length + 1}ch`;
     this.player.show(options.row ?? 0);

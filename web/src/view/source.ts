@@ -22,7 +22,7 @@ export interface Source {
   /** Address of a file of the result, null where it cannot be had. */
   file(name: string): string | null;
   /** How somebody walks; absent where nobody can be asked. */
-  gait?(): Promise<Gait>;
+  gait?(signal: AbortSignal): Promise<Gait>;
   /** Starts writing motion files; resolves when the server has begun. */
   export(formats: readonly string[]): Promise<string>;
 }
@@ -55,8 +55,8 @@ export class ServerSource implements Source {
     return (await get<{ views: Outlines }>(`${this.path}/outlines/${row}`, signal)).views;
   }
 
-  gait(): Promise<Gait> {
-    return get<Gait>(`${this.path}/gait`);
+  gait(signal: AbortSignal): Promise<Gait> {
+    return get<Gait>(`${this.path}/gait`, signal);
   }
 
   file(name: string): string {
