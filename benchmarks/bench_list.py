@@ -32,7 +32,8 @@ from benchmarks.depth_gestures import (
     gesture_speed,
     gesture_sweeps,
 )
-from benchmarks.depth_sensors import fusion_benchmarks, fusion_speed, sensor_choice
+from benchmarks.depth_sensors import depth_noise, depth_tracking, fusion_benchmarks, fusion_speed, sensor_choice
+from benchmarks.live import live_bench
 from benchmarks.multiview import (
     body_measures,
     body_measures_real,
@@ -53,7 +54,7 @@ from benchmarks.multiview import (
 )
 from benchmarks.one_camera import mono_benchmarks, mono_real
 from benchmarks.people import clothes_bench, mixed_up, players, shelf, together, two_people
-from benchmarks.robustness import batch_scale, faults, inputs, kills
+from benchmarks.robustness import batch_scale, faults, inputs, kills, start_bench
 from benchmarks.studio import page_bench
 from hypose.errors import InputError
 
@@ -114,6 +115,8 @@ def benchmarks() -> dict[str, Benchmark]:
         "fusion-human4d": Benchmark(fusion_benchmarks.human4d, "seeds", "first_seed", "data"),
         "fusion-real": Benchmark(fusion_benchmarks.real, "data"),
         "fusion-speed": Benchmark(fusion_speed.speed, "data"),
+        "depth": Benchmark(depth_tracking.depth, "seeds", "first_seed", "data", "parts"),
+        "depth-noise": Benchmark(depth_noise.depth_noise, "data"),
         "gesture-table-3.1": Benchmark(gesture_benchmarks.table_3_1, "seeds", "first_seed", "parts"),
         "gesture-table-3.2": Benchmark(gesture_benchmarks.table_3_2, "seeds", "first_seed", "parts"),
         "gesture-sweeps": Benchmark(gesture_sweeps.sweeps, "seeds", "first_seed", "parts"),
@@ -124,8 +127,10 @@ def benchmarks() -> dict[str, Benchmark]:
         "batch": Benchmark(batch_scale.batch, "seeds", "first_seed"),
         "faults": Benchmark(faults.faults, "seeds", "first_seed"),
         "studio": Benchmark(page_bench.studio),
+        "live": Benchmark(live_bench.live, "seeds", "first_seed", "parts"),
         "front-back": Benchmark(front_back.front_back, "seeds", "first_seed"),
         "starts": Benchmark(starts_bench.starts, "seeds", "first_seed", "parts"),
+        "start": Benchmark(start_bench.start),
         "kills": Benchmark(kills.kills, "seeds", "first_seed"),
         "mono-arm": Benchmark(mono_benchmarks.mono_arm, "seeds", "first_seed"),
         "mono-body": Benchmark(mono_benchmarks.mono_body, "seeds", "first_seed", "data"),

@@ -72,6 +72,7 @@ _CAMERAS = (
     ),
 )
 
+_NOISE_BINS = ((0.6, 0.9), (0.9, 1.5), (1.5, 2.5), (2.5, 3.5), (3.5, 5.5))
 _CYCLES = {"t50": "t = 50", "t100": "t = 100", "adaptive": "adaptive"}
 _FUSION = (
     Page(
@@ -153,6 +154,44 @@ _FUSION = (
         ),
         notebook="fusion.md#speed",
         picture=Panels(("ms_per_frame",)),
+    ),
+    Page(
+        "depth",
+        """Depth cameras as evidence, all simulated ([how](depth.md)): captured motion with turns to both profiles, one
+        sensor in front, two at 90 degrees, three all round; body and start found in the clip. Errors over 15 joints;
+        `sdk`: simulated skeletons of the same sensors, fused. Coverage: share of the joints in their 90 % regions.
+        Seeds from 710 on, on which nothing was chosen.""",
+        (
+            Column("mean, mm", "mean_mm", spread=True),
+            Column("95 %, mm", "p95_mm"),
+            Column("in 90 % regions", "coverage_90"),
+            Column("degrees", "registration_deg", spread=True),
+            Column("mm", "registration_mm", spread=True),
+            Column("ms/frame", "ms_per_frame"),
+        ),
+        (
+            Line("one sensor", "one", (most(45, 0), most(8, 5))),
+            Line("two", "two", (most(28, 0), most(0.5, 3), most(15, 4))),
+            Line("three", "three", (most(22, 0),)),
+            Line("one and a colour camera", "one+colour", (most(1, 0, "one"), most(1, 0, "colour alone"))),
+            Line("colour camera alone, body and start given", "colour alone"),
+            Line("sdk skeletons of two", "sdk/two"),
+            Line("sdk skeletons of three", "sdk/three"),
+            Line("all", "all", (least(0.85, 2), most(0.95, 2))),
+        ),
+        picture=Panels(("mean_mm",)),
+    ),
+    Page(
+        "depth-noise",
+        """Real and simulated depth cameras: noise about planes of 9 x 9 px (the calmest fifth), holes, and values
+        between both sides at jumps of 10 cm. Azure Kinect: one frame of a desk; Kinect: hands before the first
+        generation's; simulated: walls, and a person's edges.""",
+        (
+            *(Column(f"{a:g}-{b:g} m, mm", "noise_mm", f"{{}}/{a:g}-{b:g}") for a, b in _NOISE_BINS),
+            Column("holes at edges", "edge_holes"),
+            Column("between both sides", "edge_between"),
+        ),
+        (Line("Azure Kinect", "azure"), Line("Kinect", "kinect"), Line("simulated", "simulated")),
     ),
 )
 
@@ -293,6 +332,21 @@ _ONE_CAMERA = (
 
 _ROBUSTNESS = (
     Page(
+        "start",
+        """A wheel installed by pip into an empty environment, its size and time; then from the start of a process to
+        the first pose, less the work on the recording itself, with nothing compiled yet and later. Last: all of
+        `hypose track` over what comes before exports, overlay and report.""",
+        lines=(
+            Line("installed, MiB", "core", (most(500),), "install_mib"),
+            Line("installing, s", "core", (most(60),), "install_seconds"),
+            Line("first start, s: track", "track", (most(15),), "cold_seconds"),
+            Line("first start, s: fuse", "fuse", (most(15),), "cold_seconds"),
+            Line("later starts, s: track", "track", (most(1),), "warm_seconds"),
+            Line("later starts, s: fuse", "fuse", (most(1),), "warm_seconds"),
+            Line("all of track over tracking, 60 s", "60 s", (most(1.5),), "whole_over_tracking"),
+        ),
+    ),
+    Page(
         "inputs",
         """The same detections of a walk (100 frames, four cameras) in every layout of key points that is read: largest
         distance of a joint from the track of the OpenPose files, and of 40 spoilt sets (y upwards, mirrored, other
@@ -359,6 +413,28 @@ _STUDIO = (
     ),
 )
 
+_LIVE = (
+    Page(
+        "live",
+        """Four virtual cameras send motion JPEG over the loopback, in a process of their own, and everything runs on
+        the same processor: synthetic people of another shape space than the tracker's, whose bodies are fitted while
+        they are followed. Errors are compared with those of `hypose track` frame by frame on the same pictures.""",
+        lines=(
+            Line("poses a second, 640 x 480 at 30", "480p/30", (least(29),), "poses_per_second"),
+            Line("latency there, ms (median)", "480p/30", (most(40),), "latency_p50_ms"),
+            Line("latency there, ms (99 %)", "480p/30", (most(80),), "latency_p99_ms"),
+            Line("poses a second, 640 x 480 at 60", "480p/60", (), "poses_per_second"),
+            Line("instants skipped there, %", "480p/60", (most(50),), "skipped"),
+            Line("poses a second, 1920 x 1080 at 30", "1080p/30", (least(20),), "poses_per_second"),
+            Line("error over that of `hypose track`, walk", "walk", (most(1.25),), "error_ratio"),
+            Line("the same, combo", "combo", (most(1.25),), "error_ratio"),
+            Line("the same, with faults", "faults", (most(1.25),), "error_ratio"),
+            Line("growth of memory in half an hour, MiB", "30 min", (most(20),), "memory_growth_mib"),
+            Line("poses lost beside a slow listener", "slow client", (most(0),), "frames_lost"),
+        ),
+    ),
+)
+
 SECTIONS: dict[str, tuple[Page, ...]] = {
     "Several cameras": SEVERAL_CAMERAS,
     "Several people": PEOPLE_PAGES,
@@ -366,6 +442,7 @@ SECTIONS: dict[str, tuple[Page, ...]] = {
     "Captured movement": CAPTURED,
     "Bodies": BODIES,
     "Calibration, faults, timing": _CAMERAS,
+    "Live": _LIVE,
     "Depth sensors": _FUSION,
     "Gestures": _GESTURES,
     "One camera": _ONE_CAMERA,

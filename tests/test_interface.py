@@ -1,6 +1,7 @@
 """The public interface: what `import hypose` offers, that it is lazy, and that the types agree."""
 
 import importlib
+import json
 import re
 import subprocess
 import sys
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import hypose
+from hypose.errors import InputError, extra
 
 
 def test_every_name_is_there_and_is_documented():
@@ -37,3 +39,21 @@ def test_importing_it_imports_nothing_else():
 def test_the_command_line_begins_without_numpy():
     code = "import sys, hypose.app.cli; print([m for m in sys.modules if m in ('numpy', 'cv2', 'numba', 'dask')])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip() == "[]"
+
+
+def test_what_is_not_installed_is_told_with_what_brings_it():
+    assert extra("json", "A test", "none") is json
+    with pytest.raises(
+        InputError, match=r'^A test needs un-there, which is not installed; run: pip install "hypose\[x\]"\.$'
+    ):
+        extra("un_there", "A test", "x", "un-there")
+
+
+@pytest.mark.parametrize("raised", ["ImportError('libx.so.1: cannot open')", "RuntimeError('libx.so.1: cannot open')"])
+def test_what_is_installed_but_cannot_be_loaded_is_told_with_the_reason(tmp_path, monkeypatch, raised):
+    (tmp_path / "hypose_tests_broken.py").write_text(f"raise {raised}")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(
+        InputError, match=r"needs broken, which cannot be loaded \(\w+: libx.so.1: .*, or use another\.$"
+    ):
+        extra("hypose_tests_broken", "A test", "x", "broken", "use another")

@@ -30,6 +30,7 @@ from hypose.geometry import Array, procrustes, se3, transform
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.synthetic.depth_scenes import DepthScene
 from hypose.synthetic.retarget import retarget
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.simulated_keypoints import keypoint_detections
@@ -346,7 +347,7 @@ def angles_of(motion: Motion) -> Array:
     return joint_angles(motion.skeleton, motion.poses)[1]
 
 
-def true_angles(scene: Scene) -> Array:
+def true_angles(scene: Scene | DepthScene) -> Array:
     """(T, A) rad: joint angles of the subject by its own bones, as the tracker's are by its body's."""
     s, rest = human().skeleton, scene.subject.joints
     offsets = np.stack([rest[j] - (rest[p] if p >= 0 else 0) for j, p in enumerate(s.parents)])

@@ -39,8 +39,10 @@ def test_some_frames_are_to_be_looked_at_and_the_joint_is_named():
     assert "frames 10-19" in found.sentence and "right wrist" in found.sentence
 
 
-def test_a_single_frame_is_passed_over():
-    assert verdict_of(motion(probabilities(["right_wrist"], slice(10, 11)))).word == GOOD
+def test_a_single_frame_is_no_reason_to_look_and_named_all_the_same():
+    found = verdict_of(motion(probabilities(["right_wrist"], slice(10, 11))))
+    assert found.word == GOOD and found.frames == (range(10, 11),)
+    assert found.sentence == "Good but for frame 10: right wrist may be wrong there."
 
 
 def test_a_body_that_the_evidence_speaks_against_is_not_to_be_trusted():
