@@ -15,7 +15,8 @@ from hypose.evidence.hull import hull_iou, visual_hull
 from hypose.evidence.keypoints import BODY_25B, triangulate_keypoints
 from hypose.evidence.silhouettes import SilhouetteSettings, as_mask, biggest_parts
 from hypose.geometry import se3, so3_exp
-from hypose.io.recordings.frames import FrameSettings, FrameStream, build_backgrounds, working_rig, write_masks
+from hypose.io.recordings.frames import FrameSettings, FrameStream, build_backgrounds, working_rig
+from hypose.io.recordings.mask_folders import write_masks
 from hypose.io.recordings.recording import Recording, View
 from tests.evidence.scenes import ellipse, iou, picture, ring, room
 

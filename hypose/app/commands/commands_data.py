@@ -26,7 +26,8 @@ def silhouettes(
     from hypose.app.jobs.checking import write_sheet
     from hypose.app.jobs.job import choose_frames
     from hypose.io.claims import claimed
-    from hypose.io.recordings.frames import FrameStream, write_masks
+    from hypose.io.recordings.frames import FrameStream
+    from hypose.io.recordings.mask_folders import write_masks
     from hypose.io.recordings.recording import load_recording
 
     loaded = choose_frames(load_recording(recording), frames)
