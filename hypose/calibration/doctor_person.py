@@ -134,7 +134,8 @@ def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: 
         if abs(mean[int(np.argmax(np.abs(mean)))]) > 0.8 and float(cameras_up(rig) @ mean) > _UPRIGHT:
             sign = "-" if mean["xyz".index(axis)] < 0 else ""
             text = f"All cameras: the person stands along the world's {sign}{axis} axis, not along z"
-            yield Finding("up", (), text, f"set world_up in recording.toml so that {sign}{axis} points up", 1.0)
+            cure = f"set world_up in recording.toml so that what is now {sign}{axis} points up"
+            yield Finding("up", (), text, cure, 1.0)
     sided = _sidedness(points_world, names)
     if len(sided) >= 3 and not turned and (sided < -0.3).mean() > MOST:
         text = (
@@ -153,7 +154,7 @@ def up_by_cameras(rig: CameraRig) -> Iterator[Finding]:
         k = int(np.argmax(np.abs(mean)))
         axis = ("-" if mean[k] < 0 else "") + "xyz"[k]
         text = f"All cameras: the top of their images points along the world's {axis} axis, which should be z"
-        cure = f"set world_up in recording.toml so that {axis} points up, unless the cameras hang that way"
+        cure = f"set world_up in recording.toml so that what is now {axis} points up, unless the cameras hang that way"
         yield Finding("up", (), text, cure, 1.0)
 
 
