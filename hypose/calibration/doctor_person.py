@@ -40,6 +40,7 @@ _PAIRS = tuple(
 ) + (("left_shoulder", "right_shoulder"),)
 _LEAST_BONES = 6
 _UPRIGHT = 0.5  # cosine
+_BENT = 0.4  # sine
 
 
 def wrong_set(points_world: Array, names: Sequence[str]) -> Finding | None:
@@ -139,8 +140,8 @@ def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: 
     sided = _sidedness(points_world, names)
     if len(sided) >= 3 and not turned and (sided < -0.3).mean() > MOST:
         text = (
-            "All cameras: the person's left and right are exchanged (the toes or the nose point backwards): mirrored "
-            "images, or the sides' names"
+            "All cameras: the person's left and right are exchanged (toes, nose or bent knees point backwards): "
+            "mirrored images, or the sides' names"
         )
         cure = "mirror the videos back, or check keypoint_set in recording.toml"
         yield Finding("sides", (), text, cure, 1.0)
@@ -187,9 +188,18 @@ def _sidedness(points_world: Array, names: Sequence[str]) -> Array:
     toes = [at(f"{s}_big_toe") - at(f"{s}_heel") for s in ("left", "right")]
     nose = at("nose") - 0.5 * (at("left_ear") + at("right_ear"))
     ahead = _unit(_mean_known([*(_unit(t) for t in toes), _unit(nose)]))
+    knees = [_knee_ahead(at(f"{s}_hip"), at(f"{s}_knee"), at(f"{s}_ankle")) for s in ("left", "right")]
+    ahead = np.where(np.isfinite(ahead), ahead, _unit(_mean_known(knees)))
     left = at("left_hip") - at("right_hip")
     found = (_unit(np.cross(up, ahead)) * _unit(left)).sum(-1)
     return found[np.isfinite(found)]
+
+
+def _knee_ahead(hip: Array, knee: Array, ankle: Array) -> Array:
+    """(T, 3) from a bent knee ahead, since it bends one way only; NaN where it is nearly straight."""
+    thigh, shank = _unit(knee - hip), _unit(ankle - knee)
+    ahead = (thigh * shank).sum(-1, keepdims=True) * thigh - shank
+    return np.where(np.linalg.norm(ahead, axis=-1, keepdims=True) > _BENT, _unit(ahead), np.nan)
 
 
 def _middle(points_world: Array, names: Sequence[str], part: str) -> Array:
