@@ -224,6 +224,18 @@ class Skeleton:
             q[..., s : s + 3] = nearest_branch(q[..., s : s + 3], ref[..., s : s + 3])
         return q
 
+    def unwound(self, pose: ArrayLike, reference: ArrayLike | None = None) -> Array:
+        """Pose (D,) with every ball but the root on the branch nearest to the reference pose's (D,), or to rest, where
+        the limits allow it."""
+        q = np.array(pose, dtype=np.float64)
+        ref = np.zeros(self.dof) if reference is None else np.asarray(reference, dtype=np.float64)
+        for s in self.ball_starts[1:]:
+            own = slice(s, s + 3)
+            other = nearest_branch(q[own], ref[own])
+            if (other >= self.lower[own]).all() and (other <= self.upper[own]).all():
+                q[own] = other
+        return q
+
     def canonical(self, pose: ArrayLike) -> Array:
         """Pose (D,) with the root's rotation vector of norm <= pi."""
         q = np.array(pose, dtype=np.float64)

@@ -40,6 +40,7 @@ _PAIRS = tuple(
 ) + (("left_shoulder", "right_shoulder"),)
 _LEAST_BONES = 6
 _UPRIGHT = 0.5  # cosine
+_BENT = 0.4  # sine
 
 
 def wrong_set(points_world: Array, names: Sequence[str]) -> Finding | None:
@@ -134,12 +135,13 @@ def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: 
         if abs(mean[int(np.argmax(np.abs(mean)))]) > 0.8 and float(cameras_up(rig) @ mean) > _UPRIGHT:
             sign = "-" if mean["xyz".index(axis)] < 0 else ""
             text = f"All cameras: the person stands along the world's {sign}{axis} axis, not along z"
-            yield Finding("up", (), text, f"set world_up in recording.toml so that {sign}{axis} points up", 1.0)
+            cure = f"set world_up in recording.toml so that what is now {sign}{axis} points up"
+            yield Finding("up", (), text, cure, 1.0)
     sided = _sidedness(points_world, names)
     if len(sided) >= 3 and not turned and (sided < -0.3).mean() > MOST:
         text = (
-            "All cameras: the person's left and right are exchanged (the toes or the nose point backwards): mirrored "
-            "images, or the sides' names"
+            "All cameras: the person's left and right are exchanged (toes, nose or bent knees point backwards): "
+            "mirrored images, or the sides' names"
         )
         cure = "mirror the videos back, or check keypoint_set in recording.toml"
         yield Finding("sides", (), text, cure, 1.0)
@@ -153,7 +155,7 @@ def up_by_cameras(rig: CameraRig) -> Iterator[Finding]:
         k = int(np.argmax(np.abs(mean)))
         axis = ("-" if mean[k] < 0 else "") + "xyz"[k]
         text = f"All cameras: the top of their images points along the world's {axis} axis, which should be z"
-        cure = f"set world_up in recording.toml so that {axis} points up, unless the cameras hang that way"
+        cure = f"set world_up in recording.toml so that what is now {axis} points up, unless the cameras hang that way"
         yield Finding("up", (), text, cure, 1.0)
 
 
@@ -186,9 +188,18 @@ def _sidedness(points_world: Array, names: Sequence[str]) -> Array:
     toes = [at(f"{s}_big_toe") - at(f"{s}_heel") for s in ("left", "right")]
     nose = at("nose") - 0.5 * (at("left_ear") + at("right_ear"))
     ahead = _unit(_mean_known([*(_unit(t) for t in toes), _unit(nose)]))
+    knees = [_knee_ahead(at(f"{s}_hip"), at(f"{s}_knee"), at(f"{s}_ankle")) for s in ("left", "right")]
+    ahead = np.where(np.isfinite(ahead), ahead, _unit(_mean_known(knees)))
     left = at("left_hip") - at("right_hip")
     found = (_unit(np.cross(up, ahead)) * _unit(left)).sum(-1)
     return found[np.isfinite(found)]
+
+
+def _knee_ahead(hip: Array, knee: Array, ankle: Array) -> Array:
+    """(T, 3) from a bent knee ahead, since it bends one way only; NaN where it is nearly straight."""
+    thigh, shank = _unit(knee - hip), _unit(ankle - knee)
+    ahead = (thigh * shank).sum(-1, keepdims=True) * thigh - shank
+    return np.where(np.linalg.norm(ahead, axis=-1, keepdims=True) > _BENT, _unit(ahead), np.nan)
 
 
 def _middle(points_world: Array, names: Sequence[str], part: str) -> Array:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from hypose import compute
 from hypose.body.body import Body
@@ -75,9 +75,10 @@ def fit_clip(
     weights = np.asarray(acceleration, dtype=np.float64)
     if weights.ndim == 0:
         weights = default_acceleration(dof, float(weights))
-    coupling = Coupling(n_frames, weights, np.broadcast_to(np.asarray(velocity, dtype=np.float64), (dof,)))
+    q = np.clip(q, body.skeleton.lower, body.skeleton.upper)
+    speed = np.broadcast_to(np.asarray(velocity, dtype=np.float64), (dof,))
+    coupling = Coupling(n_frames, weights, speed, _cuts(body, q))
     problem = _Clip(body, coupling, points, keypoints, contours, gaussians, priors)
-    q = np.clip(q, problem.lower, problem.upper)
     rule = Rule(
         o.damping, least=1e-6, most=1e6, tries=5, slack=1.002 if problem.has_contours else 1.0, moved=o.tolerance
     )
@@ -103,19 +104,23 @@ def _turns(r: Array) -> Array:
 
 
 class Coupling:
-    """The penalties between T frames: weights (D,) on squared second and first differences. Their matrix is the same
-    for all frames but for the ends: bands (3, T, D), the weights between a frame and the one s later, dof by dof."""
+    """The penalties between T frames: weights (D,) on squared second and first differences, which do not count where
+    the way from one frame to the next is cut, (T - 1, D). bands (3, T, D): their matrix, the weights between a frame
+    and the one s later, dof by dof."""
 
-    def __init__(self, n_frames: int, acceleration: Array, velocity: Array) -> None:
+    def __init__(
+        self, n_frames: int, acceleration: Array, velocity: Array, cut: NDArray[np.bool_] | None = None
+    ) -> None:
         self.n_frames = n_frames
-        self.acceleration, self.velocity = np.asarray(acceleration), np.asarray(velocity)
-        self.bands = np.zeros((3, n_frames, len(self.acceleration)))
+        dof = len(acceleration)
+        goes_on = np.ones((max(n_frames - 1, 0), dof)) if cut is None else 1.0 - cut
+        self.acceleration = np.asarray(acceleration) * goes_on[1:] * goes_on[:-1]
+        self.velocity = np.asarray(velocity) * goes_on
+        self.bands = np.zeros((3, n_frames, dof))
         for weight, stencil in ((self.acceleration, (1.0, -2.0, 1.0)), (self.velocity, (-1.0, 1.0))):
             for first in range(len(stencil)):
                 for second in range(first, len(stencil)):
-                    last = n_frames - len(stencil) + 1 + first
-                    if last > first:
-                        self.bands[second - first, first:last] += stencil[first] * stencil[second] * weight
+                    self.bands[second - first, first : first + len(weight)] += stencil[first] * stencil[second] * weight
 
     def cost(self, q: Array) -> tuple[float, Array]:
         """Cost of poses (T, D) and its gradient (T, D), for the root's rotation to small turns in the world."""
@@ -131,6 +136,17 @@ class Coupling:
         pull[1:] += _by_turn(by_v, v)
         pull[:-1] -= _by_turn(by_v, -v)
         return cost, pull
+
+
+def _cuts(body: Body, q: Array) -> NDArray[np.bool_]:
+    """(T - 1, D): where a ball's rotation vector changes its branch from one frame of poses (T, D) to the next, so that
+    the difference of the two says nothing of how it turned. Not of the root, whose turns are rotations."""
+    out = np.zeros((len(q) - 1, q.shape[1]), dtype=np.bool_)
+    for s in body.skeleton.ball_starts[1:]:
+        r = q[:, s : s + 3]
+        other = nearest_branch(r[1:], r[:-1])
+        out[:, s : s + 3] = (np.abs(other - r[1:]).max(1) > 1e-6)[:, None]
+    return out
 
 
 def _by_turn(by_v: Array, v: Array) -> Array:

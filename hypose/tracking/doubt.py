@@ -200,8 +200,11 @@ def judged(
     frames in which the person was lost nothing is believed: 0.5 at least, and doubtful."""
     names = motion.skeleton.joint_names
     groups = np.array([group_of(n) for n in names])
-    model = doubt_models()[evidence_of(audit)]
+    evidence = evidence_of(audit)
+    model = doubt_models()[evidence]
     p = model.probability(clip_features(motion, raw_joints, audit), groups)
+    if evidence == "keypoints":
+        p = np.maximum(p, _by_one_view(motion, audit))
     if unsure is not None:
         p = 1 - (1 - p) * (1 - _open(audit) * unsure * _as_at_start(motion)[:, None])
     p = np.where(motion.lost[:, None], np.maximum(p, 0.5), p)
@@ -236,6 +239,18 @@ def _with_other_case(motion: Motion, times: float) -> Motion:
                 variance[:, angle] += wrong[:, names.index(joint)] * ELSEWHERE_RAD**2
         sd = np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
     return replace(motion, joint_covariance=around.astype(np.float32), angle_sd=sd)
+
+
+ONE_VIEW = {"elbow": 0.5, "wrist": 0.5, "knee": 0.4, "ankle": 0.4}
+"""How likely a joint is wrong that one view alone shows, by its name without the side: a view says where it is, and not
+how far away. Shares of the frames of scenes whose points err like a detector's, one limb in one view."""
+
+
+def _by_one_view(motion: Motion, audit: ArrayLike) -> Array:
+    """(T, J) ONE_VIEW of the joints whose key points one view alone shows, and no second one nearby in time; else 0."""
+    views = np.nan_to_num(np.asarray(audit, dtype=np.float64)[..., AUDITED.index("points_views")])
+    alone = (views == 1) & (_away(views >= 2, motion.frame_rate) > AROUND_S)
+    return alone * np.array([ONE_VIEW.get(n.partition("_")[2], 0.0) for n in motion.skeleton.joint_names])
 
 
 ELSEWHERE_M, ELSEWHERE_RAD = 0.2, 0.5

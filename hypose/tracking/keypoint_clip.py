@@ -207,7 +207,7 @@ def _one_by_one(
     s = body.skeleton
     prior = (anatomical_prior(s, keypoints=True),)
     poses, terms = np.empty((len(keypoints), s.dof)), []
-    last, before = start, start
+    last, before = start.copy(), start
     unseen = frame_rate * EXTRAPOLATE_S  # the start may be that of a frame within the first second
     for t, seen in enumerate(keypoints):
         expected = s.clamp(last + VELOCITY_GAIN * (last - s.on_branch(before, last)))
@@ -225,11 +225,22 @@ def _one_by_one(
         poses[t] = expected  # unseen: ever less of the last velocity
         if term is not None:
             found = fit_pose(body, expected, keypoints=term, priors=prior, options=_QUICK).pose
-            poses[t] = unpinned(body, found, term, prior, _QUICK)
-        before, last = (last, poses[t]) if t else (poses[t], poses[t])
+            found = unpinned(body, found, term, prior, _QUICK)
+            # beyond half a turn a shoulder would run into the corner of its limits, though the arm goes on
+            poses[t] = s.unwound(found)
+            last += poses[t] - found  # the step stays what it was
+        before, last = (last, poses[t].copy()) if t else (poses[t], poses[t].copy())
         if progress is not None:
             progress(t + 1, len(keypoints))
-    return bridged(poses, np.array([t is not None for t in terms])), terms
+    return bridged(_in_a_row(body, poses), np.array([t is not None for t in terms])), terms
+
+
+def _in_a_row(body: Body, poses: Array) -> Array:
+    """Poses (T, D) with every ball's rotation vector on the branch of the frame before, where limits allow."""
+    out = poses.copy()
+    for t in range(1, len(out)):
+        out[t] = body.skeleton.unwound(out[t], out[t - 1])
+    return out
 
 
 def _returned(body: Body, model: KeypointModel, seen: Keypoints) -> Array | None:
@@ -257,6 +268,7 @@ def _together(
 ) -> Array:
     """All frames on their rows, from the poses given (T, D)."""
     weight, slow = (f(body.skeleton, frame_rate, settings) for f in (acceleration_weight, speed_weight))
+    given = _in_a_row(body, given)
 
     def solve(part: slice) -> Array:
         return fit_clip(

@@ -15,6 +15,7 @@ import numpy as np
 
 from hypose import compute
 from hypose.body.body import Body
+from hypose.errors import EvidenceError
 from hypose.evidence.hull import Hull
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array, so3_exp, so3_log
@@ -78,7 +79,7 @@ def starts_in_frame(
     """The starts that a frame allows, best first, which differ from each other.
 
     frame: prepared for any body; height m of the person, when known; extent m of the hull, where another frame's is
-    truer. An EvidenceError when the views have no common hull."""
+    truer. An EvidenceError when the views have no common hull, or one that is nobody's."""
     hull = hull_of(frame)
     tall = extent or hull.height
     base = postures(template)
@@ -92,6 +93,11 @@ def starts_in_frame(
         for first in range(0, len(places), HEADINGS):
             for i in first + np.argsort(cost[first : first + HEADINGS], kind="stable")[:_PER_POSTURE]:
                 found.append(Start(body, places[i], float(cost[i])))
+    if not found:
+        raise EvidenceError(
+            f"Frame {frame.frame.index}: what all views have in common is {tall:.2f} m high, and no person; check the "
+            "calibration, and that every view has the camera that filmed it."
+        )
     found.sort(key=lambda s: s.cost)
     kept = _different(_solved(found[:_TRIED], frame, height, _BRIEF), _KEPT)
     kept = _solved(kept, frame, height, SETTLING)

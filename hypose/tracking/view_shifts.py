@@ -14,7 +14,7 @@ from hypose.geometry import Array
 
 _SCALE_M = 0.025
 """Outlines that lie further apart count less (Tukey's weight, zero at three times that): they are of something else."""
-_ROUNDS = 8
+_ROUNDS, _SETTLED_PX = 8, 0.01
 _LEAST = 30
 """points of the outline without which a view's shift is not known"""
 
@@ -34,6 +34,10 @@ def shift_of_mask(
     x, y = x[inside], y[inside]
     if len(x) < _LEAST:
         return np.full(2, np.nan)
+    # what lies further from the outline than this has no weight
+    margin = int(2 * 3 * _SCALE_M * metre) + 2
+    low, high = np.maximum((x.min() - margin, y.min() - margin), 0), (x.max() + margin + 1, y.max() + margin + 1)
+    mask, x, y = np.ascontiguousarray(mask[low[1] : high[1], low[0] : high[0]]), x - low[0], y - low[1]
     distance = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5) - cv2.distanceTransform(mask, cv2.DIST_L2, 5)
     distance += mask - np.float32(0.5)  # the edge lies between the pixels
     smooth = cv2.GaussianBlur(distance, (0, 0), 1.0)
@@ -44,7 +48,9 @@ def shift_of_mask(
     for _ in range(_ROUNDS):
         weight = np.maximum(1 - ((residual + across @ found) / limit) ** 2, 0.0) ** 2
         weighted = across * weight[:, None]
-        found = -np.linalg.solve(weighted.T @ across + 1e-3 * np.eye(2), weighted.T @ residual)
+        last, found = found, -np.linalg.solve(weighted.T @ across + 1e-3 * np.eye(2), weighted.T @ residual)
+        if np.abs(found - last).max() < _SETTLED_PX:
+            break
     return found / metre
 
 

@@ -1,5 +1,7 @@
 """Forward kinematics and its derivatives against independent routes; poses as a manifold."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -153,6 +155,22 @@ def test_mean_of_poses_is_invariant_to_the_branch(body, rng):
     np.testing.assert_allclose(s.forward(s.mean(turned, w))[1], s.forward(mean)[1], atol=1e-9)
     spread = np.linalg.norm(so3_log(so3_exp(q[:, 3:6]) @ so3_exp(mean[3:6]).T), axis=1)
     assert spread.max() < 1.2  # not the quarter-turn-off average of raw angles
+
+
+def test_balls_are_unwound_where_the_limits_allow(body):
+    s = body.skeleton
+    shoulder, root = s.dofs_of("left_shoulder"), slice(3, 6)
+    pose = s.rest_pose()
+    pose[shoulder] = 2.2, -2.2, 1.8  # 206 degrees
+    pose[root] = 0.0, 0.0, 4.0
+    found = s.unwound(pose)
+    assert np.linalg.norm(found[shoulder]) < np.pi
+    np.testing.assert_allclose(so3_exp(found[shoulder]), so3_exp(pose[shoulder]), atol=1e-12)
+    np.testing.assert_allclose(found[root], pose[root])  # the root has no limits to run into
+    np.testing.assert_allclose(s.unwound(found, pose), pose, atol=1e-12)
+    held = replace(s, upper=np.where(np.isin(np.arange(s.dof), shoulder), 2.5, s.upper))
+    held = replace(held, lower=np.where(np.isin(np.arange(s.dof), shoulder), -0.3, s.lower))
+    np.testing.assert_allclose(held.unwound(pose), pose)  # the other way is none that the joint goes
 
 
 def test_mean_of_one_pose_is_that_pose(body, poses):

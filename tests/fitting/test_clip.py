@@ -52,17 +52,23 @@ def test_frames_without_evidence_are_bridged(motion, rng):
     assert np.linalg.norm(BODY.joints(clip) - BODY.joints(motion), axis=-1).max() < 0.02
 
 
-def test_step_is_the_dense_step(motion, rng):
-    velocity = np.full(S.dof, 3.0)
-    coupling = Coupling(6, default_acceleration(S.dof, 2.0), velocity)
+@pytest.mark.parametrize("cut_at", [None, 3])
+def test_step_is_the_dense_step(motion, rng, cut_at):
+    velocity, cut = np.full(S.dof, 3.0), np.zeros((5, S.dof), bool)
+    if cut_at is not None:  # the way of one shoulder from frame 3 to 4 does not count
+        cut[cut_at, S.dofs_of("left_shoulder")] = True
+    coupling = Coupling(6, default_acceleration(S.dof, 2.0), velocity, cut)
     problem = _Clip(BODY, coupling, point_terms(motion[:6], rng, 0.02), None, None, None, ())
     q = motion[:6] + 0.02 * rng.normal(size=(6, S.dof))
     gradient, hessian = problem.evaluate(q, False)[1]()
     problem.lower, problem.upper = np.full(S.dof, -np.inf), np.full(S.dof, np.inf)
     step = problem.step(gradient, hessian, q, 1e-2)
-    d2 = np.diff(np.eye(6), 2, axis=0)
-    d1 = np.diff(np.eye(6), 1, axis=0)
-    dense = np.kron(d2.T @ d2, np.diag(default_acceleration(S.dof, 2.0))) + np.kron(d1.T @ d1, np.diag(velocity))
+    dense = np.zeros((6 * S.dof, 6 * S.dof))
+    for d, weight in enumerate(default_acceleration(S.dof, 2.0)):
+        goes_on = 1.0 - cut[:, d, None]
+        d1 = goes_on * np.diff(np.eye(6), 1, axis=0)
+        d2 = goes_on[1:] * goes_on[:-1] * np.diff(np.eye(6), 2, axis=0)
+        dense[d :: S.dof, d :: S.dof] += weight * d2.T @ d2 + velocity[d] * d1.T @ d1
     for t in range(6):
         dense[t * S.dof : (t + 1) * S.dof, t * S.dof : (t + 1) * S.dof] += hessian[t]
     dense += 1e-2 * np.diag(np.maximum(np.diag(dense), 1))

@@ -110,6 +110,18 @@ def test_exchanged_and_mirrored_cameras_are_named(frames):
     assert [f.kind for f in found] == ["mirrored"] and found[0].views == ("cam3",)
 
 
+@pytest.mark.parametrize("parts", [("toe", "heel"), ("toe", "heel", "nose", "eye", "ear")])
+def test_exchanged_names_are_told_by_face_and_knees_where_there_are_no_feet(frames, parts):
+    gone = [k for k, n in enumerate(BODY_25) if any(p in n for p in parts)]
+
+    def bare(points):
+        points[:, gone] = 0.0
+        return points
+
+    assert kinds(with_points(frames, bare)) == []
+    assert kinds(with_points(frames, lambda p: bare(p)[:, mirrored_names(BODY_25)])) == ["sides"]
+
+
 def test_y_from_the_bottom_is_told(frames):
     high = frames[0].keypoints.rig.sizes[0, 1]
 

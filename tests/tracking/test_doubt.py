@@ -71,6 +71,20 @@ def test_a_clean_clip_is_not_doubted_and_an_arm_that_disagrees_is(masks, points,
     assert again[28, NAMES.index("left_knee")] == pytest.approx(p[28, NAMES.index("left_knee")], abs=1e-6)
 
 
+def test_what_one_view_alone_shows_is_doubted_unless_a_second_one_is_near_in_time():
+    motion, joints, audit = clip(points=True, masks=False)
+    ankle, views = NAMES.index("left_ankle"), AUDITED.index("points_views")
+    audit[:, ankle, views] = 1
+    p, doubtful = judged(motion, joints, audit)
+    assert doubtful[:, ankle].all() and p[:, ankle].min() >= 0.4
+    assert not np.delete(doubtful, ankle, 1).any()
+    audit[::6, ankle, views] = 2  # a limb is where it was a tenth of a second ago
+    assert not judged(motion, joints, audit)[1].any()
+    both = clip(points=True)
+    both[2][:, ankle, views] = 1
+    assert not judged(*both)[1].any()  # masks show it as well
+
+
 def test_features_are_finite_whatever_is_missing():
     motion, joints, audit = clip(frames=2)
     audit[0] = np.nan

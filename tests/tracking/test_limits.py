@@ -48,3 +48,17 @@ def test_limits_hold_for_key_points(body, standing, broken, small_rig):
     assert within(body, poses)
     hinges = body.skeleton.dofs_of(*HINGES)
     assert (poses[-1, hinges] < body.skeleton.lower[hinges] + 0.1).all()  # as far as it goes
+
+
+def test_a_shoulder_goes_on_beyond_half_a_turn(body, standing, small_rig):
+    """The rotation vector of a shoulder that turns on would end in the corner of its limits, the other branch's not."""
+    s, model = body.skeleton, keypoint_model(body, BODY_25B)
+    axis = np.array([1.0, -1.0, 0.7]) / np.linalg.norm([1.0, -1.0, 0.7])
+    turning = np.repeat(standing[None], 14, 0)
+    turning[:, s.dofs_of("left_shoulder")] = np.linspace(2.4, 5.0, 14)[:, None] * axis
+    turning[:, s.dofs_of("left_elbow")] = 0.8
+    assert (turning[-1] > s.upper + 0.3).any()
+    seen = [seen_by(small_rig, model, body, q) for q in turning]
+    found = track_keypoint_clip(body, model, seen, turning[0], 25.0).motion
+    assert within(body, found.poses)
+    assert np.linalg.norm(found.joints - body.joints(turning), axis=-1).max() < 0.03

@@ -8,6 +8,7 @@ import pytest
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
 from hypose.compute import silhouette
+from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.synthetic.rigs import rig
 from hypose.tracking.frame_evidence import prepare
@@ -117,3 +118,21 @@ def test_what_the_frames_do_not_decide_is_unsure(body, cameras):
     arm = best.pose.copy()
     arm[body.skeleton.dofs_of("left_shoulder")] += 0.9
     assert weighed([best, replace(best, pose=arm, cost=best.cost + 0.002)], []).unsure.max() == 0
+
+
+def test_what_is_too_small_for_a_person_is_said(body, cameras):
+    """Calibrations of another size, or views of other cameras, leave a hull that may be anywhere, and tiny."""
+    pose = np.zeros(body.skeleton.dof)
+    pose[2] = 0.9
+    box = np.array([(x, y, z) for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (0.9, 1.1)])
+    nobody = []
+    for camera in cameras:
+        uv = camera.project_pinhole(box)
+        mask = np.zeros((camera.size[1], camera.size[0]), np.uint8)
+        (x0, y0), (x1, y1) = uv.min(0).astype(int), uv.max(0).astype(int)
+        mask[y0:y1, x0:x1] = 1
+        nobody.append(mask)
+    masks = Silhouettes(np.stack(nobody), cameras, np.ones(len(nobody), bool), ("",) * len(nobody))
+    frame = prepare(Frame(0.0, 0, masks), body, pose)
+    with pytest.raises(EvidenceError, match="no person; check the calibration"):
+        starts_in_frame(body, frame)
