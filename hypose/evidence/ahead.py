@@ -103,7 +103,7 @@ def _outline(
     """The outline of one view, of size (w, h); of what is told where a part is ignored."""
     w, h = size
     mask, ignored = silhouettes.masks[view, :h, :w], silhouettes.ignored
-    if ignored is None or silhouettes.expected is None or not ignored[view].any():
+    if ignored is None or silhouettes.expected is None or not silhouettes.shared[view]:
         return view_outline(mask, count, working_height)
     box = silhouettes.expected.boxes[view]
     return shared_outline(mask, ignored[view, :h, :w], box, count, working_height)
@@ -127,8 +127,8 @@ def prepared_masks(silhouettes: Silhouettes) -> compute.PreparedMasks:
     rig = silhouettes.rig
     norm = None
     if silhouettes.ignored is not None and silhouettes.expected is not None:
-        hidden = silhouettes.ignored.any((1, 2))
-        norm = np.where(hidden, np.maximum(silhouettes.expected.areas, LEAST_AREA), silhouettes.areas)
+        expected = np.maximum(silhouettes.expected.areas, LEAST_AREA)
+        norm = np.where(silhouettes.shared, expected, silhouettes.areas)
     made = compute.prepare_masks(
         silhouettes.masks, silhouettes.usable, rig.sizes, rig.projections, silhouettes.ignored, norm
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -51,10 +52,17 @@ class Silhouettes:
     ahead: Any = field(default=None, init=False, compare=False, repr=False)
     """what hypose.evidence.ahead keeps of these very masks, so that it is made once; a copy begins without"""
 
-    @property
+    @cached_property
     def areas(self) -> NDArray[np.int64]:
         """(C,) foreground pixels."""
         return np.array([np.count_nonzero(view) for view in self.told], dtype=np.int64)
+
+    @cached_property
+    def shared(self) -> NDArray[np.bool_]:
+        """(C,) views in which pixels are ignored."""
+        if self.ignored is None:
+            return np.zeros(len(self.masks), dtype=np.bool_)
+        return np.array([view.any() for view in self.ignored], dtype=np.bool_)
 
     @property
     def told(self) -> NDArray[np.uint8]:

@@ -37,7 +37,7 @@ class OnePerson:
     """points (T, C, K, 3 or more): as they were given, confidence 0 where the person is not seen. several: somebody
     else is there for a good part of the clip. people: those seen by two views or more, the one meant first. by_rays:
     whether rays told who is who; else motion did. apart: views whose detections do not fit the person's place. notes:
-    sentences for the user."""
+    sentences for the user; of_all: those of them that hold as well where everybody is followed."""
 
     points: Array
     several: bool
@@ -45,6 +45,7 @@ class OnePerson:
     by_rays: bool
     apart: tuple[int, ...]
     notes: tuple[str, ...]
+    of_all: tuple[str, ...] = ()
 
 
 def one_person(
@@ -102,7 +103,8 @@ def one_person(
             f"{sides[0]} show somebody at one place, {sides[1]} at another, and no view shows both: it may be one "
             "person, and the key points or the calibration of two views exchanged; run hypose check"
         )
-    elif others:
+    of_all = tuple(notes)
+    if others and not twice:
         notes.append(
             f"several people ({1 + len(others)}) are seen by two views or more: followed is the one who is seen most, "
             f"in {int((person.seen.sum(1) > 1).sum())} of {frames} frames"
@@ -120,7 +122,7 @@ def one_person(
     strangers = [rig.names[c] for c in range(views) if c not in apart and _stranger(columns[c], tracks, c, frames)]
     if strangers and not others:
         notes.append(f"somebody whom only one view sees is left out ({', '.join(strangers)})")
-    return OnePerson(points, bool(others or strangers), (person, *others), True, apart, tuple(notes))
+    return OnePerson(points, bool(others or strangers), (person, *others), True, apart, tuple(notes), of_all)
 
 
 def _passes_by(person: PersonTrack, rig: CameraRig, absent: NDArray[np.bool_]) -> NDArray[np.bool_]:

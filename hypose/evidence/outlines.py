@@ -107,18 +107,18 @@ def shared_outline(
     least, most = mask & (1 - ignored), mask | ignored
     if factor > 1:
         least, most = _shrink(least, factor), _shrink(most, factor)
-    open_pixels = most & (1 - least)
     size = (least.shape[1], least.shape[0])
     reach = None if working_height is None else max(size)
     low = compute.signed_distance(least[None], np.array([size]), reach)[0]
     points, found = compute.outline_points(low, size, count)
-    if not found or not least.any():
+    if not found:
         return nothing
-    if not open_pixels.any():  # nobody is ignored so near to the person
+    open_pixels = most - least
+    if not cv2.countNonZero(open_pixels):  # nobody is ignored so near to the person
         corner = (left // factor, top // factor)
         return ViewOutline(low, points + np.array(corner, np.float32), found, extent, factor, corner, working_height)
     high = compute.signed_distance(most[None], np.array([size]), reach)[0]
-    distance = np.where((np.abs(low - high) > KNOWN_PX) | (open_pixels > 0), np.float32(compute.NOT_KNOWN), low)
+    distance = np.where(low - high > KNOWN_PX, np.float32(compute.NOT_KNOWN), low)  # as it is in all open pixels
     beside = cv2.dilate(open_pixels, _BESIDE)
     at = np.clip(np.rint(points), 0, np.array(size) - 1).astype(int)
     own = beside[at[:, 1], at[:, 0]] == 0

@@ -38,27 +38,22 @@ class BodyShape:
     rig: CameraRig
 
     @cached_property
-    def _projected(self) -> list[tuple[Array, Array]]:
-        out = []
-        for p in self.rig.projections:
-            x = self.vertices @ p[:, :3].T + p[:, 3]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                out.append((np.where(x[:, 2:] > _NEAR, x[:, :2] / x[:, 2:], np.nan), x[:, 2]))
-        return out
+    def _projected(self) -> tuple[Array, Array]:
+        """(C, 2, V) px, NaN beside and behind the camera, and (C, V) m along its axis."""
+        p = self.rig.projections
+        x = p[:, :, :3] @ self.vertices.T + p[:, :, 3:]
+        z = x[:, 2:]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(z > _NEAR, x[:, :2] / z, np.nan), x[:, 2]
 
     @cached_property
     def boxes(self) -> NDArray[np.int64]:
         """(C, 4) px, y0, y1, x0, x1, half open, in each view's image; empty where it is not in view."""
-        out = np.zeros((len(self.rig), 4), np.int64)
-        for c, ((uv, _), (w, h)) in enumerate(zip(self._projected, self.rig.sizes.tolist(), strict=True)):
-            seen = uv[np.isfinite(uv).all(1)]
-            if len(seen):
-                low, high = np.floor(seen.min(0)), np.ceil(seen.max(0)) + 1
-                x0, x1 = np.clip([low[0], high[0]], 0, w)
-                y0, y1 = np.clip([low[1], high[1]], 0, h)
-                if x1 > x0 and y1 > y0:
-                    out[c] = y0, y1, x0, x1
-        return out
+        uv, size = self._projected[0], self.rig.sizes
+        low, high = np.floor(np.fmin.reduce(uv, 2)), np.ceil(np.fmax.reduce(uv, 2)) + 1
+        low, high = (np.clip(np.nan_to_num(n), 0, size).astype(np.int64) for n in (low, high))
+        out = np.stack([low[:, 1], high[:, 1], low[:, 0], high[:, 0]], 1)
+        return np.where((high > low).all(1)[:, None], out, 0)
 
     @cached_property
     def _kept(self) -> dict[int, NDArray[np.uint8]]:
@@ -68,9 +63,9 @@ class BodyShape:
         """Its silhouette in a view, 0 and 1, in its box."""
         if view not in self._kept:
             y0, y1, x0, x1 = self.boxes[view].tolist()
-            uv, z = self._projected[view]
+            uv, z = (a[view] for a in self._projected)
             size = (max(x1 - x0, 0), max(y1 - y0, 0))
-            mask = silhouette(uv - (x0, y0), z, self.faces, size) if min(size) else np.zeros(size[::-1], np.uint8)
+            mask = silhouette(uv.T - (x0, y0), z, self.faces, size) if min(size) else np.zeros(size[::-1], np.uint8)
             self._kept[view] = mask.astype(np.uint8, copy=False)
         return self._kept[view]
 
@@ -104,24 +99,29 @@ class Other:
     shape: Shape
     widened: float = PREDICTED
 
-
-def _dilated(shape: Shape, view: int, share: float) -> tuple[NDArray[np.uint8], int, int]:
-    """The widened silhouette, and its corner x, y (which may lie outside the image)."""
-    y0, y1, x0, x1 = shape.boxes[view].tolist()
-    px = max(1, round(share * max(y1 - y0, x1 - x0)))
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * px + 1, 2 * px + 1))
-    return np.asarray(cv2.dilate(np.pad(shape.drawn(view), px), disc), np.uint8), x0 - px, y0 - px
+    def thinned(self, rig: CameraRig) -> Other:
+        """The same in every other pixel, as the cameras of such masks see it."""
+        s = self.shape
+        thin = BodyShape(s.vertices, s.faces, rig) if isinstance(s, BodyShape) else DrawnShape(s.masks[:, ::2, ::2])
+        return Other(thin, self.widened)
 
 
 def hide(ignored: NDArray[np.uint8], shape: Shape, view: int, share: float, within: Sequence[int]) -> None:
     """Sets the widened silhouette of a shape in ignored (h, w), inside y0, y1, x0, x1, in place."""
-    if not shape.boxes[view].any():
+    y0, y1, x0, x1 = shape.boxes[view].tolist()
+    px = max(1, round(share * max(y1 - y0, x1 - x0)))
+    top, bottom = max(y0, within[0] - px), min(y1, within[1] + px)  # what of it reaches in there
+    left, right = max(x0, within[2] - px), min(x1, within[3] + px)
+    if top >= bottom or left >= right:
         return
-    drawn, left, top = _dilated(shape, view, share)
-    y0, y1 = max(within[0], top), min(within[1], top + drawn.shape[0])
-    x0, x1 = max(within[2], left), min(within[3], left + drawn.shape[1])
-    if y0 < y1 and x0 < x1:
-        ignored[y0:y1, x0:x1] |= drawn[y0 - top : y1 - top, x0 - left : x1 - left]
+    drawn = shape.drawn(view)[top - y0 : bottom - y0, left - x0 : right - x0]
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * px + 1, 2 * px + 1))
+    framed = cv2.copyMakeBorder(drawn, px, px, px, px, cv2.BORDER_CONSTANT, value=0)
+    wide = np.asarray(cv2.dilate(framed, disc), np.uint8)
+    top, left = top - px, left - px
+    y0, y1 = max(within[0], top), min(within[1], bottom + px)
+    x0, x1 = max(within[2], left), min(within[3], right + px)
+    ignored[y0:y1, x0:x1] |= wide[y0 - top : y1 - top, x0 - left : x1 - left]
 
 
 def without(silhouettes: Silhouettes, others: Sequence[Other]) -> Silhouettes:
@@ -167,7 +167,7 @@ def own_silhouettes(
             ignored = np.zeros_like(masks) if ignored is None else ignored
             for one in near:
                 hide(ignored[c], one.shape, c, one.widened, part)
-            areas[c] = int(own.drawn(c).sum())
+            areas[c] = np.count_nonzero(own.drawn(c))
         if anywhere and y1 <= y0:
             boxes[c] = part
         told = masks[at] if ignored is None else masks[at] & (1 - ignored[at])

@@ -136,7 +136,8 @@ def _while_better(
     until_met: bool = True,
 ) -> tuple[list[FrameEstimate], float, int]:
     """Estimates from the state `start` on, up to the frame where most is won over the old ones, without those at
-    their end that are much the same; how much is won, and how many frames were tracked."""
+    their end that are much the same; how much is won, and how many frames were tracked. until_met=False: all that were
+    tracked, whatever their end is like."""
     state, new = start, list[FrameEstimate]()
     won = best = 0.0
     kept = met = 0
@@ -151,6 +152,8 @@ def _while_better(
         both = until_met and met >= _MET_FRAMES * pace
         if won < best - _GIVE_UP * pace or len(new) - kept > _UNDECIDED * pace or both:
             break
+    if not until_met:
+        return new, won, len(new)
     while kept and _much_the_same(tracker.body, old[numbers[kept - 1]], new[kept - 1]):
         kept -= 1
     return new[:kept], best, len(new)

@@ -35,16 +35,16 @@ def explained_by(people: Sequence[Followed], silhouettes: Silhouettes) -> list[O
 
 
 def somebody_more(known: Sequence[Other], silhouettes: Silhouettes) -> bool:
-    """Is enough of the masks unexplained to look for a person in the hull?"""
+    """Is enough of the masks unexplained to look for a person in the hull? Every other pixel tells."""
     if not known:
         return True
-    left = without(silhouettes, known).told[:, ::2, ::2]
-    more = 4 * np.array([np.count_nonzero(m) for m in left])
+    s, rig = silhouettes, silhouettes.rig.scaled(0.5)
+    thin, known = Silhouettes(s.masks[:, ::2, ::2], rig, s.usable, s.reasons), [o.thinned(rig) for o in known]
     boxes = np.concatenate([o.shape.boxes for o in known])
     sizes = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
     usual = float(np.median(sizes[sizes > 0])) if (sizes > 0).any() else 0.0
-    views = silhouettes.usable & (more > LEFT_SHARE * usual)
-    return int(views.sum()) >= min(VIEWS, int(silhouettes.usable.sum()))
+    views = thin.usable & (without(thin, known).areas > LEFT_SHARE * usual)
+    return int(views.sum()) >= min(VIEWS, int(thin.usable.sum()))
 
 
 def evidence_of(person: HullPerson, frame: Frame, known: Sequence[Other], beside: Sequence[HullPerson] = ()) -> Frame:

@@ -96,7 +96,7 @@ def frames_to_examine(recording: Recording) -> tuple[FrameStream, bool]:
     """The frames of a recording whose calibration is in doubt, with all people in the masks when several stand beside
     each other there, and whether they do: what a view shows of whom cannot be told before the calibration is right."""
     one = FrameStream(recording)
-    if one.options.silhouettes is None or not recording.has_pictures:
+    if one.options.silhouettes is None or not recording.has_pictures or one.tells_apart:
         return one, False
     whole = replace(one.options, people=True)
     everybody = FrameStream(recording, whole, one.backgrounds or None)
@@ -118,7 +118,7 @@ def with_everybody(source: FrameStream, options: TrackOptions) -> FrameStream | 
     settings = source.options
     # depth cameras keep one person, who stands apart in space
     with_depth = any(view.depth is not None for view in source.recording.views)
-    if settings.silhouettes is None or options.of_picture or len(source.rig) < 3 or with_depth:
+    if settings.silhouettes is None or options.of_picture or len(source.rig) < 3 or with_depth or source.tells_apart:
         return None
     whole = FrameSettings(settings.longer_side, settings.factor, settings.silhouettes, people=True, colours=True)
     everybody = FrameStream(source.recording, whole, source.backgrounds or None)

@@ -21,13 +21,16 @@ def strangers_share(now: Silhouettes, before: Silhouettes, skeleton: Skeleton, j
     NaN where it touches nothing, or the mask is not usable. joints (J, 3): m, world, of the tracked body.
 
     Only what was there in the frame before as well is looked at: noise comes and goes."""
-    points, seen, then = _points(skeleton, joints), now.told, before.told
+    points = _points(skeleton, joints)
     cameras = now.rig
     step = max(1, round(int(cameras.sizes.max()) / _LOOKED_AT))
     out = np.full(len(cameras), np.nan, np.float32)
     for c in np.flatnonzero(now.usable & before.usable).tolist():
         w, h = (int(n) for n in cameras.sizes[c])
-        thin = seen[c, :h:step, :w:step] & then[c, :h:step, :w:step]
+        part = (c, slice(0, h, step), slice(0, w, step))
+        thin = now.masks[part] & before.masks[part]
+        for ignored in (s.ignored for s in (now, before) if s.ignored is not None):
+            thin = thin & (1 - ignored[part])
         labels = np.zeros(thin.shape, dtype=np.int32)
         label(thin, _TOUCHING, output=labels)  # OpenCV would wake its threads for so small a picture
         area = np.bincount(labels.ravel())

@@ -105,9 +105,9 @@ def visible_share(frame: Frame) -> NDArray[np.float64]:
         return np.zeros(0)
     out = np.ones(len(s.rig))
     if s.ignored is not None and s.expected is not None:
-        for c in np.flatnonzero(s.ignored.any((1, 2))):
+        for c in np.flatnonzero(s.shared):
             y0, y1, x0, x1 = s.expected.boxes[c]
             own = s.masks[c, y0:y1, x0:x1]
             open_ = own & (1 - s.ignored[c, y0:y1, x0:x1])
-            out[c] = min(1.0, open_.sum() / max(int(s.expected.areas[c]), 1))
+            out[c] = min(1.0, np.count_nonzero(open_) / max(int(s.expected.areas[c]), 1))
     return np.where(s.usable, out, 0.0)

@@ -153,6 +153,14 @@ def test_what_the_start_got_wrong_is_tracked_again_from_what_came_after_it(clip)
     assert np.linalg.norm(joints - true, axis=-1).mean() < 0.02
     assert all(a is b for a, b in zip(mended[25:], good[25:], strict=True))
 
+    near = [good[0], *spoilt[:6], *good[7:]]  # that the very first frame is much the same spoils nothing
+    mended, replaced = look_back(tracker, near, reader(frames))
+    assert replaced == range(7)
+    assert all(
+        tracker.body.joints(m.pose) == pytest.approx(tracker.body.joints(g.pose), abs=0.1)
+        for m, g in zip(mended[:7], good[:7], strict=True)
+    )
+
 
 def test_a_start_that_was_right_stays(clip):
     _, frames, tracker, good = clip

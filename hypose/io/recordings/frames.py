@@ -315,7 +315,8 @@ class FrameStream:
             raise InputError(f"Recording {recording.name} has no frames to work on; check frame_range.")
         person = load_person(recording, self.rig)
         self.keypoints = None if person is None else person.keypoints
-        self.people_notes = () if person is None else person.one.notes
+        whose = None if person is None else person.one
+        self.people_notes = () if whose is None else whose.of_all if self.options.people else whose.notes
         self.doubted = self.keypoints
         if person is not None and person.one.apart:
             doubted = load_person(recording, self.rig, doubting=True)
@@ -344,7 +345,8 @@ class FrameStream:
             if background is not None:
                 source.segment = make_segmenter(background, self.options.silhouettes)
             self._sources.append(source)
-        objects, notes = persons_objects(r, self.rig, [s.objects for s in self._sources], self.keypoints)
+        masks = [s.objects for s in self._sources]
+        objects, notes = persons_objects(r, self.rig, masks, self.keypoints, self.options.people)
         for source, chosen in zip(self._sources, objects, strict=True):
             if chosen is not None:
                 source.choose(chosen)
@@ -353,6 +355,11 @@ class FrameStream:
         # are fewer cores, for more threads than cores mostly wait for each other
         pools = [ThreadPoolExecutor(1, thread_name_prefix=v.name) for v in r.views[: default_threads()]]
         self._lanes = [pools[c % len(pools)] for c in range(len(r.views))]
+
+    @property
+    def tells_apart(self) -> bool:
+        """Do the masks of a view tell several objects apart?"""
+        return any(s.objects is not None and len(s.objects.objects) > 1 for s in self._sources)
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -3,7 +3,7 @@ about."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,13 +99,16 @@ def persons_objects(
     small: CameraRig,
     masks: Sequence[ObjectMasks | None],
     keypoints: Sequence[Keypoints] | None,
+    everybody: bool = False,
 ) -> tuple[list[frozenset[str] | None], tuple[str, ...]]:
     """Per view the objects that are the recording's person (None: the view's masks know no objects), and a sentence
     when there are others: those in which the key points lie; without key points those that belong together across most
-    views and frames."""
+    views and frames. everybody: all objects that another view shows as well."""
     if not any(m is not None and len(m.objects) > 1 for m in masks):
         return [None if m is None else frozenset(m.objects) for m in masks], ()
     people = objects_of_people(recording, small, masks)
+    if everybody:
+        return _everybodys(recording, masks, people)
     chosen: list[frozenset[str] | None] = []
     for c, view in enumerate(masks):
         if view is None:
@@ -124,6 +127,21 @@ def persons_objects(
     )
     how = "their key points" if keypoints is not None else "the rays through them"
     return chosen, (f"The masks hold several objects; followed is, by {how}: {named}.",)
+
+
+def _everybodys(
+    recording: Recording, masks: Sequence[ObjectMasks | None], people: Sequence[Mapping[int, str]]
+) -> tuple[list[frozenset[str] | None], tuple[str, ...]]:
+    """Per view the objects of people whom another view shows as well, and a sentence when others are left out."""
+    seen = [p for p in people if len(p) > 1]
+    chosen = [None if m is None else frozenset(p[c] for p in seen if c in p) for c, m in enumerate(masks)]
+    rest = [
+        f"{v.name} {' and '.join(sorted(left))}"
+        for v, m, own in zip(recording.views, masks, chosen, strict=True)
+        if m is not None and own is not None and (left := set(m.objects) - own)
+    ]
+    said = f"The masks hold objects that no other view shows, and these are left out: {', '.join(rest)}."
+    return chosen, (said,) if rest else ()
 
 
 def _sampled(recording: Recording) -> list[int]:
