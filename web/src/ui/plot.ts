@@ -7,7 +7,7 @@ import { clock } from "./timeline";
 
 export interface Series {
   label: string;
-  /** Name of a colour of style.css. */
+  /** Name of a colour of theme.css. */
   colour: string;
   values: ArrayLike<number>;
   dashed?: boolean;
