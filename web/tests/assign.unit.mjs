@@ -114,3 +114,7 @@ const rival = { path: "old/refined.json", kind: "calibration", cameras: ["1", "2
 assert.equal(chosenCalibration([whole, rival]), undefined);
 assert.equal(chosenCalibration([whole, { ...rival, role: "none" }]), 0);
 assert.equal(chosenCalibration([{ ...whole, role: "none" }, each[0]]), 1);
+for (const order of orders(each, 2)) {
+  const filmed = [video("cam1.mp4"), video("cam2.mp4"), video("board_cam1.mp4"), video("board_cam2.mp4")];
+  assert.deepEqual(assign([...order, ...filmed], []).map((a) => `${a.role} ${a.camera}`.trim()), ["none", "none", "video cam1", "video cam2", "board cam1", "board cam2"]);
+}

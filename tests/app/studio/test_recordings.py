@@ -195,6 +195,14 @@ def test_drops_are_bounded_and_named_harmlessly(folder):
     assert not (folder / ".studio-uploads").exists()
 
 
+def test_files_of_pages_that_were_closed_make_room(own_studio, folder):
+    """However often a page is loaded again and the same is dropped, the last files come in, and the oldest go."""
+    ids = [own_studio.get("/api/uploads/note.txt", data=b"a", method="PUT", status=201)["upload"] for _ in range(70)]
+    lying = {p.name for p in (folder / ".studio-uploads").iterdir()}
+    assert lying == set(ids[6:])
+    own_studio.get(f"/api/uploads/{ids[0]}/picture.jpg", status=404)
+
+
 def test_names_of_dropped_files():
     assert harmless("../../etc/passwd").strip("_.") == "etc_passwd"
     assert harmless("") == "file_" and harmless("-rf") == "file_-rf" and harmless(".hidden") == "hidden"

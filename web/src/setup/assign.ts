@@ -45,7 +45,10 @@ export function assign(files: readonly Seen[], cameras: readonly string[]): Assi
   const calibrated = cameras.length > 0;
   const out = files.map((f): Assigned => ({ role: f.role ?? roleOf(f, calibrated), camera: "" }));
   const chosen = chosenCalibration(files);
-  if (chosen !== undefined) out.forEach((a, k) => { if (a.role === "calibration" && k !== chosen && !files[k]!.role) a.role = "none"; });
+  const offered = chosen === undefined ? calibrations(files) : [chosen];
+  files.forEach((f, k) => {
+    if (f.kind === "calibration" && !f.role && !offered.includes(k)) out[k]!.role = "none";
+  });
   const names = calibrated ? cameras : camerasOf(files.map((f, k) => ({ path: f.path, role: out[k]!.role })));
   for (const role of OF_A_CAMERA) {
     const mine = out.flatMap((a, k) => (a.role === role ? [k] : []));
@@ -93,17 +96,20 @@ function shortened(names: readonly string[]): string[] {
   return rest.map((r) => (r ? word + r : ""));
 }
 
-/** Which file is the calibration: what the user has said, or the only one. Of several, the only one of more than one
- * camera (the others say of one camera each what it was made of), or one that lies in a folder with all others, as of a
- * Pose2Sim project. undefined where there is none, or where the user has to choose. */
-export function chosenCalibration(files: readonly Seen[]): number | undefined {
+/** Files that may be the calibration: those the user says, or all but those of one camera each, which say what another
+ * was made of. */
+function calibrations(files: readonly Seen[]): number[] {
   const all = files.flatMap((f, k) => (f.kind === "calibration" && (f.role ?? "calibration") === "calibration" ? [k] : []));
   const said = all.filter((k) => files[k]!.role);
-  const offered = said.length ? said : all;
-  const several = offered.filter((k) => (files[k]!.cameras?.length ?? 0) > 1);
-  const mine = several.length === 1 ? several : offered;
+  return said.length ? said : all.length > 1 ? all.filter((k) => files[k]!.cameras?.length !== 1) : all;
+}
+
+/** Which file is the calibration: the only one, or of several that lie in one folder, as of a Pose2Sim project, the
+ * first. undefined where there is none, or where the user has to choose. */
+export function chosenCalibration(files: readonly Seen[]): number | undefined {
+  const mine = calibrations(files);
   const folder = (k: number): string => files[k]!.path.split("/").slice(0, -1).join("/");
-  if (mine.length > 1 && (said.length || new Set(mine.map(folder)).size > 1)) return undefined;
+  if (mine.length > 1 && (files[mine[0]!]!.role || new Set(mine.map(folder)).size > 1)) return undefined;
   const toml = (k: number): number => Number(/\.toml$/i.test(files[k]!.path));
   return [...mine].sort((a, b) => toml(b) - toml(a) || files[a]!.path.localeCompare(files[b]!.path))[0];
 }

@@ -151,8 +151,7 @@ export class NewRecordingForm {
   private get calibrated(): string[] {
     const all = this.files.filter((f) => f.upload);
     const chosen = chosenCalibration(all.map(seen));
-    const offered = all.filter((f) => f.upload?.kind === "calibration" && !(f.said.role && f.role === "none")).sort((a, b) => a.path.localeCompare(b.path));
-    return (chosen === undefined ? offered[0] : all[chosen])?.upload?.cameras ?? [];
+    return chosen === undefined ? [] : (all[chosen]!.upload!.cameras ?? []);
   }
 
   private assign(): void {
