@@ -32,7 +32,7 @@ export interface CameraInfo {
 }
 export interface ViewInfo {
   name: string; camera: string; video: string | null; background: string | null; masks: string | null;
-  keypoints: string | null;
+  keypoints: string | null; depth: string | null;
 }
 export type MaskSettings = Record<string, number | boolean | string>;
 export interface Finding { fault: boolean; sentence: string; views: string[]; kind: string; cure?: string }

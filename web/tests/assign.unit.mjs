@@ -2,7 +2,7 @@
 import assert from "node:assert/strict";
 import { load } from "./unit.mjs";
 
-const { assign, camerasOf, obstacle, words } = await load("src/setup/assign.ts");
+const { assign, camerasOf, chosenCalibration, obstacle, words } = await load("src/setup/assign.ts");
 const { packed } = await load("src/setup/pack.ts");
 
 /** Orders of a list, all different, reproducible. */
@@ -105,3 +105,16 @@ const tar = bundled.find((f) => f.path === "pose/cam1_json").file;
 assert.equal(tar.name, "cam1_json.folder");
 assert.equal(tar.size, 512 * (2 * frames.length + 2));
 assert.match(await tar.text(), /^cam1_000000000000_keypoints\.json[^]*ustar[^]*of pose\/cam1_json/);
+// nor do files of one camera each stand beside the one of all of them, wherever they lie
+const each = [1, 2].map((k) => ({ path: `u/cam${k}/config.xml`, kind: "calibration", cameras: [`serial ${k}`] }));
+const whole = { path: "u/refined.json", kind: "calibration", cameras: ["1", "2"] };
+for (const order of orders([...each, whole], 6)) assert.equal(order[chosenCalibration(order)], whole);
+assert.deepEqual(found([...each, whole], ["1", "2"]), { "u/cam1/config.xml": "none", "u/cam2/config.xml": "none", "u/refined.json": "calibration" });
+const rival = { path: "old/refined.json", kind: "calibration", cameras: ["1", "2"] };
+assert.equal(chosenCalibration([whole, rival]), undefined);
+assert.equal(chosenCalibration([whole, { ...rival, role: "none" }]), 0);
+assert.equal(chosenCalibration([{ ...whole, role: "none" }, each[0]]), 1);
+for (const order of orders(each, 2)) {
+  const filmed = [video("cam1.mp4"), video("cam2.mp4"), video("board_cam1.mp4"), video("board_cam2.mp4")];
+  assert.deepEqual(assign([...order, ...filmed], []).map((a) => `${a.role} ${a.camera}`.trim()), ["none", "none", "video cam1", "video cam2", "board cam1", "board cam2"]);
+}

@@ -14,7 +14,7 @@ const SEEN_BY = {
 };
 const TOGETHER = [["first", "second", "third"], ["left", "right", "beside"]];
 
-const css = readFileSync(join(dirname(fileURLToPath(import.meta.url)), "..", "src", "style.css"), "utf-8");
+const css = readFileSync(join(dirname(fileURLToPath(import.meta.url)), "..", "src", "ui", "theme.css"), "utf-8");
 const blocks = [...css.matchAll(/:root([^{]*)\{([^}]*)\}/g)];
 const colours = (theme) =>
   Object.fromEntries(blocks.filter(([, which]) => !which.includes("data-theme") || which.includes(theme)).flatMap(([, , body]) => [...body.matchAll(/--([\w-]+): (#[0-9a-f]{6});/g)].map(([, name, value]) => [name, value])));

@@ -53,8 +53,12 @@ await walk(
     assert.match((await moved)[0].toString("latin1"), /\/VMC\/Ext\//);
     const drawn = await page.evaluate(() => globalThis.__app.pictures);
     await page.waitForFunction((before) => globalThis.__app.pictures > before + 30, drawn);
-    assert.deepEqual(await staysCutOff(page), []);
-    assert.deepEqual(await barriers(page), []);
+    for (const [width, height, colorScheme] of [[1440, 900, "light"], [1024, 700, "dark"], [390, 844, "light"], [1280, 800, "dark"]]) {
+      await page.setViewportSize({ width, height });
+      await page.emulateMedia({ colorScheme });
+      assert.deepEqual(await staysCutOff(page), []);
+      assert.deepEqual(await barriers(page), []);
+    }
     await picture("live");
     // a page that comes later sees the same
     await page.reload({ waitUntil: "commit" });

@@ -32,8 +32,9 @@ await walk(
     assert.deepEqual(await barriers(page), []);
     await page.getByText(/Poses: ws:\/\/127\.0\.0\.1:\d+\/out/).waitFor(); // while it runs, not for a moment
     await picture("live-cameras");
-    for (const [width, height] of [[1024, 700], [390, 844]]) {
+    for (const [width, height, colorScheme] of [[1440, 900, "light"], [1280, 720, "dark"], [1024, 700, "light"], [390, 844, "dark"]]) {
       await page.setViewportSize({ width, height });
+      await page.emulateMedia({ colorScheme });
       assert.deepEqual(await staysCutOff(page), []);
       assert.deepEqual(await barriers(page), []);
       await picture(`live-cameras-${width}`);

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { existsSync, readFileSync } from "node:fs";
 import { join } from "node:path";
-import { staysCutOff, walk } from "./harness.mjs";
+import { barriers, staysCutOff, walk } from "./harness.mjs";
 
 await walk(
   async ({ page, folder, picture }) => {
@@ -20,6 +20,18 @@ await walk(
       return all.length > 0 && all.every((i) => i.complete && i.naturalWidth > 0);
     }, selector);
 
+    const everybody = async () => {
+      for (const colorScheme of ["light", "dark"]) {
+        await page.emulateMedia({ colorScheme });
+        for (const [width, height] of [[390, 844], [1024, 700], [1280, 720], [1440, 900]]) {
+          await page.setViewportSize({ width, height });
+          assert.deepEqual(await staysCutOff(page), []);
+        }
+        assert.deepEqual(await barriers(page), []);
+      }
+      await page.emulateMedia({ colorScheme: "light" });
+    };
+
     // a folder with all that was filmed; every file finds its use and its camera
     await page.getByRole("heading", { name: "Set up a recording" }).waitFor();
     clicks += 2; // the button and the system's dialog that Chromium shows for it
@@ -34,6 +46,7 @@ await walk(
     }
     await shown(".dropped-picture img");
     await picture("raw-dropped");
+    await everybody();
     await page.getByLabel("Name of the recording").fill("mine");
     await click(button("Make the recording"));
 
@@ -50,7 +63,7 @@ await walk(
     await shown(".contact-sheet img");
     await page.getByText("4 cameras · 30 frames").waitFor();
     await picture("raw-calibrated");
-    assert.deepEqual(await staysCutOff(page), []);
+    await everybody();
 
     // in step: side by side, moved by hand and back
     await click(button("Next: In step"));
@@ -70,7 +83,7 @@ await walk(
     await page.getByText(/The cameras are in step/).waitFor();
     await shown(".sync-pictures img");
     await picture("raw-in-step");
-    assert.deepEqual(await staysCutOff(page), []);
+    await everybody();
 
     await click(button("Next: Check"));
     await click(button("Check the recording"));
@@ -86,6 +99,7 @@ await walk(
     await click(page.locator(".job[data-job=track]").getByRole("link", { name: "Open in View" }));
     await page.waitForFunction(() => location.hash.startsWith("#/view/") && window.hypose?.pictureRow() === 0);
     await picture("raw-result");
+    await everybody();
     console.log(JSON.stringify({ clicks }));
     assert.ok(clicks <= 15, `${clicks} clicks`);
     const made = join(folder, "mine");

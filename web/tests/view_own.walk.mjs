@@ -79,6 +79,8 @@ await walk(
 
     // ---- another run of the same recording beside it
     await page.evaluate((id) => (location.hash = `#/view/${id}`), result("walk/results/flagged"));
+    // the result shown before, which is there until this one is loaded, can be compared as well
+    await page.locator(".view-head", { hasText: /2 lost/ }).waitFor();
     await page.getByLabel("Compare with another run").selectOption({ label: "default" });
     await page.getByRole("tab", { name: "Difference", selected: true }).waitFor();
     await page.getByRole("tab", { name: "Legs" }).click();
@@ -104,7 +106,8 @@ await walk(
     await page.evaluate(() => (window.hypose.frames.length = window.hypose.latency.length = 0));
     await page.mouse.move(x(0), y);
     await page.mouse.down();
-    for (let i = 1; i <= 240; i++) {
+    const seen = () => page.evaluate(() => window.hypose.frames.length);
+    for (let i = 1; i <= 240 || (await seen()) <= 20; i++) { // longer where a busy machine draws few frames
       await page.mouse.move(x((i * 0.0131) % 1), y);
       await page.waitForTimeout(12);
     }
@@ -112,7 +115,6 @@ await walk(
     await page.waitForFunction(() => window.hypose.row() >= 14900);
     await page.mouse.up();
     const scrub = await page.evaluate(() => ({ frames: [...window.hypose.frames], latency: [...window.hypose.latency] }));
-    assert.ok(scrub.frames.length > 20);
 
     // ---- memory over playing
     const memory = async () => {

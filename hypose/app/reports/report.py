@@ -32,7 +32,7 @@ from hypose.io.recordings.recording import Recording
 from hypose.pipeline.camera_worth import camera_worth
 from hypose.pipeline.left_out import KeptFrames, LeftOut, evidence_said, left_out
 
-# The colours are those of web/src/style.css, which is part of a report only where the front end was built.
+# The colours are those of web/src/ui/theme.css, which is part of a report only where the front end was built.
 _STYLE = """
 :root { color-scheme: light; --bg: #eef1f4; --panel: #fff; --raised: #f3f6f8; --line: #d5dde4; --ink: #15202a;
   --dim: #566470; --bad: #b9262b; }

@@ -138,7 +138,7 @@ def _search(root: Path) -> Iterator[tuple[Kind, Path]]:
         for entry in entries:
             if entry.suffix == ".npz" and _is_model(entry):
                 yield "model", entry
-            hidden = entry.name.startswith(".") or entry.name in _SKIPPED
+            hidden = entry.name.startswith(".") or (entry.name in _SKIPPED and not is_recording(entry))
             if depth < _DEPTH and not hidden and not entry.is_symlink() and entry.is_dir():
                 waiting.append((entry, depth + 1))
 

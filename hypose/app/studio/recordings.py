@@ -133,7 +133,10 @@ class Recordings:
                     "name": v.name,
                     "camera": c.name,
                     "video": v.source.name if v.source else None,
-                    **{k: p.name if (p := getattr(v, k)) else None for k in ("background", "masks", "keypoints")},
+                    **{
+                        k: p.name if (p := getattr(v, k)) else None
+                        for k in ("background", "masks", "keypoints", "depth")
+                    },
                 }
                 for v, c in zip(r.views, r.rig, strict=True)
             ],

@@ -1,7 +1,7 @@
 """Files that are dropped onto the page, and the recordings made of them.
 
 An upload is streamed to a hidden folder of the served root under a name of the server's; a recording takes it over by
-renaming. What no recording has taken over is gone when the server ends.
+renaming. What no recording has taken over is gone when the server ends, or when many others have come since.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, open_video
 FOLDER = ".studio-uploads"
 _LARGEST_CALIBRATION = 20 << 20
 _MOST = 64
+"""Files that lie ready or are on their way; a page sends 60."""
 _QUALITY = 80
 FOLDER_ENDING = ".folder"
 """Of the name of a dropped folder, which comes as a tar archive."""
@@ -62,9 +63,14 @@ class Uploads:
         if stated is not None:
             self._check_size(stated, name)
         with self._lock:
-            if len(self._uploads) + self._coming >= _MOST:
-                raise NotNow(f"{_MOST} files wait already; make a recording of them, or remove some.")
+            if self._coming >= _MOST:
+                raise NotNow(f"{_MOST} files are on their way already; send this one when they are here.")
             self._coming += 1
+            # the oldest are of pages that were closed: one that is open sends fewer
+            too_many = list(self._uploads)[: max(0, len(self._uploads) + self._coming - _MOST)]
+        for id in too_many:
+            with contextlib.suppress(NotFound):
+                self.forget(id)
         path = self._folder / secrets.token_hex(6) / harmless(name)
         try:
             path.parent.mkdir(parents=True)

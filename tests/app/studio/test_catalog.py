@@ -32,6 +32,15 @@ def test_kinds_are_told_apart_and_ids_say_nothing(tmp_path):
         catalog.find("recording", result.id)
 
 
+def test_a_recording_is_found_whatever_it_is_called(tmp_path):
+    """Folders of frames are passed over by their names, recordings are not."""
+    catalog = make(tmp_path)
+    for name in ("depth", "videos"):
+        (tmp_path / name / "images" / "cam1").mkdir(parents=True)
+        (tmp_path / name / "recording.toml").write_text("")
+    assert {catalog.shown(i.path) for i in catalog.items("recording")} == {"a", "depth", "videos"}
+
+
 def test_what_is_new_is_found_and_what_is_gone_is_not(tmp_path):
     catalog = make(tmp_path)
     (result,) = catalog.items("result")

@@ -9,9 +9,11 @@ import pytest
 
 from hypose.app.studio.recordings import without_table
 from hypose.app.studio.uploads import harmless
+from hypose.app.studio.view_pictures import ViewPictures
 from hypose.io.motions.bodies import load_body
 from hypose.io.motions.results import load_motion
 from hypose.io.recordings.recording import load_recording
+from hypose.synthetic.write_depth import walking_scene, write_depth_scene
 from tests.app.studio.conftest import serving
 
 
@@ -50,6 +52,25 @@ def test_pictures_are_undistorted_and_masks_follow_the_settings(studio):
     # frames in any order are the same frames
     later, again = image(studio, f"{base}/7.jpg"), image(studio, f"{base}/4.jpg?width=120")
     assert later.shape == (120, 160, 3) and np.array_equal(again, plain)
+
+
+def test_depth_views_are_pictures_and_cut_out_by_depth(tmp_path):
+    """In Set up and in View; near is bright, and what no setting changes is said to have none."""
+    scene = walking_scene("wave", "", "depth-1", seconds=0.2, frame_rate=25.0, seed=5)
+    write_depth_scene(scene, tmp_path / "depth")
+    with serving(tmp_path) as client:
+        id = recording_of(client)
+        (view,) = client.get(f"/api/recordings/{id}")["views"]
+        assert view["depth"] == view["name"] and view["masks"] is None
+        base = f"/api/recordings/{id}/image/{view['name']}/2.jpg"
+        plain, person = image(client, base), image(client, f"{base}?mask=only") > 127
+        assert plain[person].mean() > 1.5 * plain[~person].mean() and 0.02 < person.mean() < 0.3
+    pictures = ViewPictures(load_recording(tmp_path / "depth"), 0, 5)
+    (jpeg,) = pictures.files(2, 640)
+    (lines,) = pictures.outlines(2)
+    pictures.close()
+    shown = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+    assert shown.std() > 30 and max(map(len, lines)) > 40
 
 
 def test_mask_settings_are_kept_in_the_recording_and_used(own_studio, folder):
@@ -193,6 +214,14 @@ def test_drops_are_bounded_and_named_harmlessly(folder):
         for bad in ({}, {"name": "../x"}, {"name": "x", "views": []}, {"name": "x", "views": [{"video": "0"}]}):
             assert client.ask("/api/recordings", bad)[0] in (400, 404)
     assert not (folder / ".studio-uploads").exists()
+
+
+def test_files_of_pages_that_were_closed_make_room(own_studio, folder):
+    """However often a page is loaded again and the same is dropped, the last files come in, and the oldest go."""
+    ids = [own_studio.get("/api/uploads/note.txt", data=b"a", method="PUT", status=201)["upload"] for _ in range(70)]
+    lying = {p.name for p in (folder / ".studio-uploads").iterdir()}
+    assert lying == set(ids[6:])
+    own_studio.get(f"/api/uploads/{ids[0]}/picture.jpg", status=404)
 
 
 def test_names_of_dropped_files():

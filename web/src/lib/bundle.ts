@@ -104,7 +104,7 @@ export interface ViewData {
 
 export const LOST = 1;
 export const DOUBTFUL = 3;
-/** What a flag of a frame is called; a colour of style.css has the same name. */
+/** What a flag of a frame is called; a colour of theme.css has the same name. */
 export const flagName = (flag: number): "lost" | "extrapolated" | "doubtful" =>
   flag === LOST ? "lost" : flag === 2 ? "extrapolated" : "doubtful";
 

@@ -25,6 +25,8 @@ export class People {
   readonly standing = new Standing((p) => this.upright(p));
   private sensors: readonly SensorStatus[] = [];
   private ring = 0;
+  /** Its height, and the place in it below the person who was seen first (m). */
+  private floor: [number, number, number] = [0, 0, 0];
   private waiting = 0;
   /** Which axis of the reference sensor points up, found when somebody is seen: index and sign. */
   private up: [number, number] | null = null;
@@ -76,7 +78,9 @@ export class People {
     const ring = Math.max(0, ...this.standing.places.map((p) => new Vector3(...p).distanceTo(target)));
     if (ring > this.ring + 0.25) {
       this.ring = ring;
-      this.stage.look(target.clone(), this.stage.camera.position.clone().sub(target).setZ(1.8), ring);
+      this.stage.layFloor(...this.floor, Math.max(4, 1.5 * ring)); // its fog begins behind them
+      const closer = this.stage.camera.aspect > 1.4 ? 0.75 : 1; // they stand beside each other rather than above
+      this.stage.look(target.clone(), this.stage.camera.position.clone().sub(target).setZ(1.8), closer * ring);
     }
     this.later();
   }
@@ -116,7 +120,8 @@ export class People {
     const places = person.joints.map((j) => this.upright(j)).filter((p) => Number.isFinite(p[2]));
     const low = Math.min(...places.map((p) => p[2])) - 0.08;
     const [x, y] = this.upright(hips.toArray());
-    this.stage.layFloor(low, x, y, 4);
+    this.floor = [low, x, y];
+    this.stage.layFloor(...this.floor, 4);
     this.stage.look(new Vector3(x, y, low + 0.9), new Vector3(0.5, -1, 0.35), 1.6);
     this.stand(this.sensors);
   }

@@ -13,6 +13,8 @@ export interface Seen {
   path: string;
   kind: Kind;
   role?: Role | undefined;
+  /** Of a calibration: the cameras that it calibrates. */
+  cameras?: readonly string[] | undefined;
 }
 
 /** camera: "" while it is not known. */
@@ -42,7 +44,11 @@ export function words(text: string): string[] {
 export function assign(files: readonly Seen[], cameras: readonly string[]): Assigned[] {
   const calibrated = cameras.length > 0;
   const out = files.map((f): Assigned => ({ role: f.role ?? roleOf(f, calibrated), camera: "" }));
-  oneCalibration(files, out);
+  const chosen = chosenCalibration(files);
+  const offered = chosen === undefined ? calibrations(files) : [chosen];
+  files.forEach((f, k) => {
+    if (f.kind === "calibration" && !f.role && !offered.includes(k)) out[k]!.role = "none";
+  });
   const names = calibrated ? cameras : camerasOf(files.map((f, k) => ({ path: f.path, role: out[k]!.role })));
   for (const role of OF_A_CAMERA) {
     const mine = out.flatMap((a, k) => (a.role === role ? [k] : []));
@@ -90,14 +96,22 @@ function shortened(names: readonly string[]): string[] {
   return rest.map((r) => (r ? word + r : ""));
 }
 
-/** Of several calibrations that lie in one folder one is taken, as of a Pose2Sim project: the others are what it was
- * made of. */
-function oneCalibration(files: readonly Seen[], out: readonly Assigned[]): void {
-  const mine = out.flatMap((a, k) => (a.role === "calibration" && !files[k]!.role ? [k] : []));
+/** Files that may be the calibration: those the user says, or all but those of one camera each, which say what another
+ * was made of. */
+function calibrations(files: readonly Seen[]): number[] {
+  const all = files.flatMap((f, k) => (f.kind === "calibration" && (f.role ?? "calibration") === "calibration" ? [k] : []));
+  const said = all.filter((k) => files[k]!.role);
+  return said.length ? said : all.length > 1 ? all.filter((k) => files[k]!.cameras?.length !== 1) : all;
+}
+
+/** Which file is the calibration: the only one, or of several that lie in one folder, as of a Pose2Sim project, the
+ * first. undefined where there is none, or where the user has to choose. */
+export function chosenCalibration(files: readonly Seen[]): number | undefined {
+  const mine = calibrations(files);
   const folder = (k: number): string => files[k]!.path.split("/").slice(0, -1).join("/");
-  if (mine.length < 2 || new Set(mine.map(folder)).size > 1) return;
-  const [best] = [...mine].sort((a, b) => Number(/\.toml$/i.test(files[b]!.path)) - Number(/\.toml$/i.test(files[a]!.path)) || files[a]!.path.localeCompare(files[b]!.path));
-  for (const k of mine) if (k !== best) out[k]!.role = "none";
+  if (mine.length > 1 && (files[mine[0]!]!.role || new Set(mine.map(folder)).size > 1)) return undefined;
+  const toml = (k: number): number => Number(/\.toml$/i.test(files[k]!.path));
+  return [...mine].sort((a, b) => toml(b) - toml(a) || files[a]!.path.localeCompare(files[b]!.path))[0];
 }
 
 const CALLED: Record<Role, readonly [string, string]> = {

@@ -46,11 +46,14 @@ export class MaskStep {
       counters.pictures++;
       if (this.asked) answered(counters, this.asked);
     });
+    // given masks and depth are taken as they are
+    const made = recording.views.some((v) => !v.depth && !v.masks);
+    const why = made ? "usually the settings are right as they are" : "these are cut out by their depth, or were given, and there is nothing to set";
     this.element = h(
       "div",
       { class: "step" },
       h("h2", {}, "Masks"),
-      h("p", { class: "dim" }, "In every frame the person should be cut out whole, and nothing else; usually the settings are right as they are."),
+      h("p", { class: "dim" }, `In every frame the person should be cut out whole, and nothing else; ${why}.`),
       h(
         "div",
         { class: "row" },
@@ -60,7 +63,7 @@ export class MaskStep {
         }),
         ...this.pictures.chooser,
       ),
-      h("div", { class: "mask-layout" }, h("div", { class: "mask-pictures" }, ...this.pictures.figures), this.sliders),
+      h("div", { class: made ? "mask-layout" : "" }, h("div", { class: "mask-pictures" }, ...this.pictures.figures), made ? this.sliders : null),
     );
     this.drawSliders();
     this.pictures.load();

@@ -4,7 +4,7 @@ import { button, select } from "../ui/buttons";
 import { h } from "../ui/dom";
 import { icon } from "../ui/icons";
 import { toast } from "../ui/toast";
-import { assign, camerasOf, obstacle, OF_A_CAMERA, type Role } from "./assign";
+import { assign, camerasOf, chosenCalibration, obstacle, OF_A_CAMERA, type Role, type Seen } from "./assign";
 import { filesOfInput, onDrop, type DroppedFile } from "./dropped";
 import { packed } from "./pack";
 
@@ -149,20 +149,17 @@ export class NewRecordingForm {
   }
 
   private get calibrated(): string[] {
-    return this.calibration?.upload?.cameras ?? [];
-  }
-
-  private get calibration(): Ready | undefined {
-    const all = this.files.filter((f) => f.upload?.kind === "calibration" && !(f.said.role && f.role === "none"));
-    return all.find((f) => f.role === "calibration") ?? all[0];
+    const all = this.files.filter((f) => f.upload);
+    const chosen = chosenCalibration(all.map(seen));
+    return chosen === undefined ? [] : (all[chosen]!.upload!.cameras ?? []);
   }
 
   private assign(): void {
-    const seen = this.files.filter((f) => f.upload);
-    const found = assign(seen.map((f) => ({ path: f.path, kind: f.upload!.kind, role: f.said.role ? f.role : undefined })), this.calibrated);
-    seen.forEach((f, k) => (f.role = found[k]!.role));
+    const all = this.files.filter((f) => f.upload);
+    const found = assign(all.map(seen), this.calibrated);
+    all.forEach((f, k) => (f.role = found[k]!.role));
     const { cameras } = this;
-    seen.forEach((f, k) => {
+    all.forEach((f, k) => {
       if (!f.said.camera || !cameras.includes(f.camera)) f.camera = found[k]!.camera;
     });
   }
@@ -277,6 +274,10 @@ export class NewRecordingForm {
       }, { icon: "done" }));
     }
   }
+}
+
+function seen(f: Ready): Seen {
+  return { path: f.path, kind: f.upload!.kind, role: f.said.role ? f.role : undefined, cameras: f.upload!.cameras };
 }
 
 /** The same file again: dropped twice, or once by itself and once with its folder. */

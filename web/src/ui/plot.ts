@@ -7,7 +7,7 @@ import { clock } from "./timeline";
 
 export interface Series {
   label: string;
-  /** Name of a colour of style.css. */
+  /** Name of a colour of theme.css. */
   colour: string;
   values: ArrayLike<number>;
   dashed?: boolean;
@@ -37,7 +37,9 @@ export interface PlotOptions {
 }
 
 const NINETY = 1.645; // standard deviations to either side that hold 90 % of a normal distribution
-const MOST_BAND = 0.6; // of the curves' range that bands may add to it: what is hardly known would flatten all the rest
+/** Of the curves' range that bands may add to it, unless most of them are wider: a part that is hardly known would flatten
+ * all the rest. */
+const MOST_BAND = 0.6;
 const TURN_MS = 160; // longer than from one click to the next of somebody who looks around
 /** Units in which nothing is more than 1. */
 const SHARES: ReadonlySet<string> = new Set(["IoU", "of 1"]);
@@ -188,6 +190,7 @@ export class Plot {
     const least = this.options.range;
     const banded = this.series.filter((s) => s.sd);
     const wide = this.wide;
+    const usual = wide * Math.max(0, ...banded.map((s) => middle(s.sd!)));
     const edge = { width: 0, auto: false, points: { show: false } } satisfies uPlot.Series;
     this.chart = new uPlot(
       {
@@ -209,7 +212,7 @@ export class Plot {
               if (!Number.isFinite(low)) return [...(least ?? [0, 1])] as [number, number];
               const missing = least ? 0 : Math.max(0, (LEAST_SPAN[this.options.unit] ?? 0) - (high - low)) / 2;
               [low, high] = [low - missing, high + missing];
-              const add = MOST_BAND * (high - low || 1);
+              const add = Math.max(MOST_BAND * (high - low || 1), usual);
               const band = this.reach(low, high);
               const [a, b] = [Math.min(low, least?.[0] ?? low, Math.max(band[0], low - add)), Math.max(high, least?.[1] ?? high, Math.min(band[1], high + add))];
               const room = Math.max(1e-3, (b - a) * 0.06);
@@ -383,6 +386,12 @@ function gaps(values: ArrayLike<number>): (number | null)[] | ArrayLike<number> 
     if (!Number.isFinite(values[i])) return Array.from(values, (v) => (Number.isFinite(v) ? v : null));
   }
   return values;
+}
+
+/** The median of what is known; 0 where nothing is. */
+function middle(values: ArrayLike<number>): number {
+  const sorted = Float64Array.from(values).filter(Number.isFinite).sort();
+  return sorted[sorted.length >> 1] ?? 0;
 }
 
 /** The values' range in words. */

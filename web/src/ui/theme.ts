@@ -27,7 +27,7 @@ export function onTheme(call: () => void): () => void {
   return () => changed.delete(call);
 }
 
-/** The value of a colour variable of style.css, as "#rrggbb" or "rgb(...)". */
+/** The value of a colour variable of theme.css, as "#rrggbb" or "rgb(...)". */
 export function colour(name: string): string {
   return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 }

@@ -130,8 +130,9 @@ export class Timeline {
     c.strokeStyle = colour("line-strong");
     c.lineWidth = 1;
     c.beginPath();
-    for (let t = 0; t <= seconds + 1e-9; t += step) {
-      const at = Math.round((w * t) / Math.max(1e-9, seconds + seconds / Math.max(1, n - 1))) + 0.5;
+    const first = times[0] ?? 0;
+    for (let t = step * Math.ceil(first / step - 1e-6); t <= first + seconds + 1e-9; t += step) {
+      const at = Math.round((w * (t - first)) / Math.max(1e-9, seconds + seconds / Math.max(1, n - 1))) + 0.5;
       c.moveTo(at, top - 4);
       c.lineTo(at, top);
       const text = clock(t, step);

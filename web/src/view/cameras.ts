@@ -268,7 +268,7 @@ export class CameraPane {
   /** One question at a time, always of the frame that is shown: of those that are played past nobody waits for the edges,
    * and they would keep the pictures waiting. */
   private async needOutlines(): Promise<void> {
-    const wanted = (): boolean => this.shown.masks && this.row >= 0 && !this.outlines.has(this.row) && this.source.id !== null;
+    const wanted = (): boolean => this.shown.masks && this.tiles.length > 0 && this.row >= 0 && !this.outlines.has(this.row) && this.source.id !== null;
     if (this.making) return;
     this.making = true;
     let late = 0;
@@ -365,9 +365,9 @@ export class CameraPane {
       "div",
       { class: "empty" },
       h("h2", {}, "No cameras"),
-      h("p", {}, "These results lie outside a recording folder, so their cameras and pictures are not known. Put them into "),
+      h("p", {}, "What is fused of skeletons has no pictures. The pictures of other results are seen where these lie in their recording: put them into "),
       h("code", {}, "RECORDING/results/NAME"),
-      h("p", {}, "and open that recording's folder to see them here."),
+      h("p", {}, "and open that recording's folder."),
     );
   }
 }
