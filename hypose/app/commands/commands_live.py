@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import gc
 import math
 import signal
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -25,7 +23,6 @@ if TYPE_CHECKING:
     from hypose.pipeline.live.recorder import LiveRecorder
 
 _OUT = "Out"
-_SWITCH_S = 0.0005  # who sends or takes pictures must not wait for who computes
 _REPORT_S = 10.0
 
 
@@ -106,17 +103,12 @@ def live(
         engine = LiveEngine(cameras.rig, cameras.views, options, listeners, ended)
         closing.callback(engine.stop)
         engine.start()
-        closing.callback(sys.setswitchinterval, sys.getswitchinterval())
-        sys.setswitchinterval(_SWITCH_S)
         if outputs.listeners is not None:
             say(f"Poses out:  ws://127.0.0.1:{outputs.listeners.port}/out  (/binary)")
         for name, target in (("udp", udp), ("osc", osc), ("vmc", vmc), ("lsl", lsl)):
             if target is not None:
                 say(f"Poses out:  {name} {target}")
         say("Stop with Ctrl-C.")
-        gc.collect()
-        gc.freeze()  # what is loaded now stays: a collection that walks it makes a frame late
-        closing.callback(gc.unfreeze)
         until = time.monotonic() + seconds if seconds else math.inf
         while not ended.is_set() and not engine.ended.is_set() and time.monotonic() < until:
             ended.wait(0.1)

@@ -10,6 +10,7 @@ from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -131,5 +132,9 @@ def _one_process() -> ProcessPoolExecutor:
 
 def _begin() -> None:
     belong_to_parent()
-    if hasattr(os, "nice"):
+    os.environ["NUMBA_NUM_THREADS"] = "1"  # it has time, and whoever is followed needs the other cores
+    cv2.setNumThreads(1)
+    if hasattr(os, "SCHED_IDLE"):  # gives way at once, where a nice process is given its slice to the end
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    elif hasattr(os, "nice"):
         os.nice(15)

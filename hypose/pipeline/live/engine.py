@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections import deque
@@ -26,6 +27,7 @@ from hypose.pipeline.live.feeds import FeedStatus
 from hypose.pipeline.live.live_people import FOLLOWING, LOST, LivePeople
 from hypose.pipeline.live.live_person import LivePose
 from hypose.pipeline.live.live_search import LOOKING, NOBODY, SLOWLY_HZ, LivePersonOptions
+from hypose.pipeline.live.punctual import punctual
 
 EMPTY_ROOM = "empty room"
 """What `LiveEngine.phase` is while the room is learnt; then it is the person's."""
@@ -131,6 +133,7 @@ class LiveEngine:
         self._offsets: tuple[float, ...] | None = None
         self._late: tuple[float, ...] = (0.0,) * len(views)
         self._stop = stop or threading.Event()
+        self._until_stop = contextlib.ExitStack()
         self._thread = threading.Thread(target=self._run, name="live", daemon=True)
 
     def _new_people(self) -> LivePeople:
@@ -146,6 +149,7 @@ class LiveEngine:
             self._eyes.close()
             return
         warm.result()
+        self._until_stop.enter_context(punctual())
         self._thread.start()
 
     def stop(self) -> None:
@@ -153,6 +157,7 @@ class LiveEngine:
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(15)
+        self._until_stop.close()
         if self._eyes is not None:
             self._eyes.close()
         self._beside.shutdown(wait=False, cancel_futures=True)

@@ -35,6 +35,7 @@ from hypose.io.videos.camera_sources import Shot, open_camera
 from hypose.pipeline.live.child_processes import belong_to_parent, deaf_to_ctrl_c
 from hypose.pipeline.live.feeds import Feed, FeedStatus
 from hypose.pipeline.live.pairing import newest_instant
+from hypose.pipeline.live.punctual import punctual
 from hypose.pipeline.live.view_room import ViewRoom
 
 ROOM_S, ROOM_PICTURES = 2.0, 12
@@ -106,7 +107,8 @@ class Sight:
 
 
 class Eyes:
-    """`look` again and again; `close` at the end. An InputError when a camera cannot be opened."""
+    """`look` again and again, and `keep_up` when what was seen is told; `close` at the end. An InputError when a camera
+    cannot be opened."""
 
     def __init__(self, rig: CameraRig, views: Sequence[LiveView], options: EyesOptions) -> None:
         self._views, self._options, self.small = tuple(views), options, working_rig(rig)
@@ -124,6 +126,7 @@ class Eyes:
         self._room_from: float | None = None
         self._pictures: list[list[Image]] = [[] for _ in views]
         self._moved: tuple[str, ...] = ()
+        self._to_follow: list[tuple[int, Image, float, Question]] = []
         opened: list[Feed] = []
         try:
             for feed in self._feeds:
@@ -177,6 +180,13 @@ class Eyes:
         arrival = max(s.arrival for s in shots if s is not None)
         return self._sight(at, arrival, views, jpegs, time.perf_counter() - begin)
 
+    def keep_up(self) -> None:
+        """Learn what has changed in the rooms, which nobody waits for."""
+        for view, image, at, question in self._to_follow:
+            person = self._covered(view, question.bodies) if question.bodies else None
+            self._rooms[view].follow(image, at, person)
+        self._to_follow = []
+
     def _sight(
         self,
         at: float = float("nan"),
@@ -214,8 +224,8 @@ class Eyes:
             return None
         mask, outline = room.mask(image)
         turn = int(at * len(self._rooms)) % len(self._rooms) == view  # not all in one instant
-        if self._options.adapt and turn and (question.bodies or not question.following):
-            room.follow(image, at, self._covered(view, question.bodies) if question.bodies else None)
+        if self._options.adapt and turn and room.due(at) and (question.bodies or not question.following):
+            self._to_follow.append((view, image, at, question))
         return np.packbits(mask, axis=1), outline
 
     def _picture(self, view: int, shot: Shot) -> Image | None:
@@ -361,11 +371,13 @@ def _see(pipe: Connection, rig: CameraRig, views: tuple[LiveView, ...], options:
             pipe.send(error)
         return
     try:
-        pipe.send("open")
-        while True:
-            sight = eyes.look(pipe.recv())
-            over = eyes.ended and not np.isfinite(sight.time)
-            pipe.send(None if over else sight)
+        with punctual():
+            pipe.send("open")
+            while True:
+                sight = eyes.look(pipe.recv())
+                over = eyes.ended and not np.isfinite(sight.time)
+                pipe.send(None if over else sight)
+                eyes.keep_up()
     except (EOFError, OSError):  # likewise
         pass
     finally:
