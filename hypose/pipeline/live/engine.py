@@ -38,8 +38,8 @@ _HISTORY = 11
 _LATENCIES = 1800
 _SEARCHES = 2
 """searches and duels at one time"""
-_MISSES = 0.05
-"""share of its pictures that a camera may lose without a word"""
+_MISSES = (0.05, 0.1, 0.2, 0.5)
+"""shares of its pictures that a camera loses, from the one on that is worth a word"""
 
 
 @dataclass(frozen=True)
@@ -296,6 +296,7 @@ def _words(cameras: Sequence[FeedStatus]) -> list[str]:
     if sum(not c.trouble for c in cameras) < 2 <= len(cameras):
         out.append("Fewer than two cameras show anything, so nobody can be followed.")
     for c in cameras:
-        if c.received > 100 and c.lost > _MISSES * (c.received + c.lost):
-            out.append(f"{c.name} loses {100 * c.lost / (c.received + c.lost):.0f} % of its pictures.")
+        if c.received > 100 and c.loss > _MISSES[0]:  # in steps: what changes is said anew
+            share = max(m for m in _MISSES if c.loss > m)
+            out.append(f"{c.name} loses more than {100 * share:.0f} % of its pictures.")
     return out

@@ -31,7 +31,7 @@ from hypose.evidence.shared_masks import BodyShape
 from hypose.evidence.silhouettes import Mask, SilhouetteSettings
 from hypose.geometry import Array
 from hypose.io.recordings.frames import working_rig
-from hypose.io.videos.camera_sources import Shot, open_camera
+from hypose.io.videos.camera_sources import CameraSource, Shot, open_camera
 from hypose.pipeline.live.child_processes import belong_to_parent, deaf_to_ctrl_c
 from hypose.pipeline.live.feeds import Feed, FeedStatus
 from hypose.pipeline.live.pairing import newest_instant
@@ -44,6 +44,8 @@ _MOVED, _MOVED_SHARE = 12.0, 0.01
 """grey levels, and share of a picture, that change in an empty room where somebody has not left"""
 _OTHER_SHAPE = 0.01
 """share by which width over height may differ from the calibration's"""
+_DAMAGED = 5
+"""pictures in a row that cannot be read before a word is said"""
 _QUALITY = 85
 _LOOK_S = 0.2
 """s after which whoever waits for the other process looks whether it is to go on waiting"""
@@ -112,7 +114,7 @@ class Eyes:
 
     def __init__(self, rig: CameraRig, views: Sequence[LiveView], options: EyesOptions) -> None:
         self._views, self._options, self.small = tuple(views), options, working_rig(rig)
-        self._sizes, self._misshapen = tuple(c.size for c in rig), [""] * len(views)
+        self._sizes, self._wrong, self._damaged = tuple(c.size for c in rig), [""] * len(views), [0] * len(views)
         self._arrived = threading.Condition()
         begin = time.monotonic() + 0.3
         self._feeds = [
@@ -231,14 +233,17 @@ class Eyes:
     def _picture(self, view: int, shot: Shot) -> Image | None:
         """None when it is damaged, or of another shape than calibrated: a telephone that was turned, a wide picture of
         a camera that was calibrated with a narrow one."""
-        image, (cw, ch) = shot.picture(self._rooms[view].size), self._sizes[view]
+        image, (cw, ch), name = shot.picture(self._rooms[view].size), self._sizes[view], self._views[view].name
+        self._damaged[view] = self._damaged[view] + 1 if image is None else 0
         if image is None:
+            if self._damaged[view] >= _DAMAGED:
+                self._wrong[view] = f"{name} sends pictures that cannot be read; look what the address shows."
             return None
         w, h = shot.size or (image.shape[1], image.shape[0])
         wrong = not self._views[view].stretched and abs(w * ch - h * cw) > _OTHER_SHAPE * h * cw
         turned = abs(w * cw - h * ch) <= _OTHER_SHAPE * h * ch
-        self._misshapen[view] = (
-            f"{self._views[view].name} shows pictures of {w} x {h} px and is calibrated for {cw} x {ch} px; "
+        self._wrong[view] = (
+            f"{name} shows pictures of {w} x {h} px and is calibrated for {cw} x {ch} px; "
             + ("turn it back." if turned else "set it to pictures of that shape, or calibrate it as it is.")
             if wrong
             else ""
@@ -284,7 +289,7 @@ class Eyes:
         self._moved, self._room_from, self._pictures = tuple(moved), None, [[] for _ in self._views]
 
     def _words(self) -> tuple[str, ...]:
-        out = [*self._moved, *filter(None, self._misshapen)]
+        out = [*self._moved, *filter(None, self._wrong)]
         if self._room_from is not None:
             left = self._room_from - time.monotonic()
             out.append(f"Leave the cameras' view: {left:.0f} s." if left > 0 else "Learning the empty room.")
@@ -298,7 +303,7 @@ def _jpeg(shot: Shot) -> bytes | None:
     return data.tobytes() if ok else None
 
 
-def _opener(view: LiveView, size: tuple[int, int], rate: float, begin: float) -> Callable:
+def _opener(view: LiveView, size: tuple[int, int], rate: float, begin: float) -> Callable[[], CameraSource]:
     return lambda: open_camera(view.address, rate, size, begin)
 
 
