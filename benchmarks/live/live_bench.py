@@ -3,10 +3,8 @@ clips as motion JPEG over the loopback, and everything else runs on the same pro
 
 from __future__ import annotations
 
-import gc
 import multiprocessing
 import os
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -38,7 +36,6 @@ from hypose.synthetic.scenes import make_scene
 from hypose.synthetic.virtual_cameras import CameraFaults, VirtualCameras, there_and_back
 from hypose.synthetic.write_recording import write_scene
 
-_SWITCH_S = 0.0005  # as `hypose live`
 _CLIP_S = 6.0
 _QUALITY = 85
 _WITHOUT = CameraFaults()
@@ -231,20 +228,14 @@ def _run(
     options = LiveOptions(EyesOptions(rate, silhouettes=cameras.silhouettes))
     listeners = [x for x in (kept if keep else None, listener) if x is not None]
     engine = LiveEngine(cameras.rig, views, options, listeners)
-    switch = sys.getswitchinterval()
     try:
         engine.start()
-        sys.setswitchinterval(_SWITCH_S)
-        gc.collect()
-        gc.freeze()
         until = time.monotonic() + 60
         while engine.status().poses == 0 and time.monotonic() < until:
             time.sleep(0.1)
         engine.ended.wait(seconds)
         status = engine.status()
     finally:
-        sys.setswitchinterval(switch)
-        gc.unfreeze()
         engine.stop()
         here.send(None)
         server.join(5)

@@ -124,6 +124,8 @@ def main(arguments: Sequence[str] | None = None, command: typer.Typer = app, nam
     except HyposeError as error:
         _fail(str(error), debug)
         sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(130)
     except Exception as error:  # a bug: still no traceback unless asked for
         reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         if isinstance(error, MemoryError):

@@ -158,7 +158,7 @@ def _room(background: BackgroundModel, options: SilhouetteSettings) -> picture_t
         np.clip(np.ceil(mean - reach), 0, 255).astype(np.uint8),
         np.clip(np.floor(mean + reach), 0, 255).astype(np.uint8),
         mean,
-        np.maximum((mean * mean).sum(2), np.float32(1)),
+        np.maximum(mean[..., 0] ** 2 + mean[..., 1] ** 2 + mean[..., 2] ** 2, np.float32(1)),
         options.shadow,
         *options.shadow_range,
         options.shadow_chroma**2,

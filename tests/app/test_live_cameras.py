@@ -72,7 +72,10 @@ def test_a_recording_of_masks_alone_has_nothing_to_play(hypose, tmp_path):
 
 
 def test_one_camera_is_not_enough(hypose, calibration):
-    said(hypose("live", calibration, "--source", "cam1=0", "--ws", 0), "needs two cameras or more, and 1 is given")
+    said(
+        hypose("live", calibration, "--source", "cam1=0", "--ws", 0),
+        "needs two cameras or more; give the place of another with --source: cam2",
+    )
 
 
 def test_a_camera_that_is_not_there_is_named_and_no_folder_is_made_to_record_to(hypose, calibration, tmp_path):
@@ -159,6 +162,13 @@ def test_ctrl_c_while_cameras_are_opened_ends_it_without_a_word_of_trouble(calib
                 process.kill()
     assert process.returncode == 0 and "error" not in err and "Traceback" not in err, err
     assert "0 poses. " in out
+
+
+def test_what_goes_on_is_said_once(capsys):
+    told = _Told(None)
+    for n in (2, 3, 4):
+        told.status(SimpleNamespace(phase="lost", words=(f"cam2 is missing: no picture for {n} s",), poses=0))
+    assert capsys.readouterr().err.count("cam2 is missing") == 1
 
 
 def test_a_recording_that_ends_before_its_time_is_told_once(capsys):

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import gc
 import math
+import re
 import signal
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -25,7 +24,8 @@ if TYPE_CHECKING:
     from hypose.pipeline.live.recorder import LiveRecorder
 
 _OUT = "Out"
-_SWITCH_S = 0.0005  # who sends or takes pictures must not wait for who computes
+_SINCE = re.compile(r" for \d+ s$")
+"""what grows while nothing changes"""
 _REPORT_S = 10.0
 
 
@@ -72,15 +72,19 @@ def live(
 ) -> None:
     """Follow people with calibrated cameras while it happens. See docs/cameras-live.md."""
     set_threads(threads)
-    from hypose import compute
-    from hypose.app.live.pose_outputs import PoseOutputs
-    from hypose.pipeline.live.engine import LiveEngine, LiveOptions
-    from hypose.pipeline.live.eyes import EyesOptions
-    from hypose.pipeline.live.live_rig import live_rig
-    from hypose.pipeline.live.live_search import LivePersonOptions
-    from hypose.pipeline.live.recorder import LiveRecorder
-    from hypose.pipeline.run import TrackOptions
-    from hypose.pipeline.subject_from_motion import load_subject
+    ended = threading.Event()
+    with _ended_by_signals(ended):  # an interrupt between two imports can be lost
+        from hypose import compute
+        from hypose.app.live.pose_outputs import PoseOutputs
+        from hypose.pipeline.live.engine import LiveEngine, LiveOptions
+        from hypose.pipeline.live.eyes import EyesOptions
+        from hypose.pipeline.live.live_rig import live_rig
+        from hypose.pipeline.live.live_search import LivePersonOptions
+        from hypose.pipeline.live.recorder import LiveRecorder
+        from hypose.pipeline.run import TrackOptions
+        from hypose.pipeline.subject_from_motion import load_subject
+    if ended.is_set():
+        raise typer.Exit(130)
 
     cameras = live_rig(rig, _sources(source or []), rate)
     for text in cameras.notes:
@@ -93,7 +97,7 @@ def live(
         progress("compile", 0, 1)
         compute.warm_up(load=False)
         progress("compile", 1, 1)
-    ended, recorder = threading.Event(), None
+    recorder = None
     with contextlib.ExitStack() as closing:
         closing.enter_context(_ended_by_signals(ended))
         if record is not None:
@@ -106,17 +110,12 @@ def live(
         engine = LiveEngine(cameras.rig, cameras.views, options, listeners, ended)
         closing.callback(engine.stop)
         engine.start()
-        closing.callback(sys.setswitchinterval, sys.getswitchinterval())
-        sys.setswitchinterval(_SWITCH_S)
         if outputs.listeners is not None:
             say(f"Poses out:  ws://127.0.0.1:{outputs.listeners.port}/out  (/binary)")
         for name, target in (("udp", udp), ("osc", osc), ("vmc", vmc), ("lsl", lsl)):
             if target is not None:
                 say(f"Poses out:  {name} {target}")
         say("Stop with Ctrl-C.")
-        gc.collect()
-        gc.freeze()  # what is loaded now stays: a collection that walks it makes a frame late
-        closing.callback(gc.unfreeze)
         until = time.monotonic() + seconds if seconds else math.inf
         while not ended.is_set() and not engine.ended.is_set() and time.monotonic() < until:
             ended.wait(0.1)
@@ -175,8 +174,9 @@ class _Told:
             note(f"{status.phase.capitalize()}.")
         failed = () if self._recorder is None or not self._recorder.failed else (self._recorder.failed,)
         words = (*status.words, *failed)
+        known = {_SINCE.sub("", text) for text in self._words}
         for text in words:
-            if text not in self._words:
+            if _SINCE.sub("", text) not in known:
                 note(text)
         self._phase, self._words = status.phase, words
         if time.monotonic() - self._at >= _REPORT_S and status.poses:

@@ -6,7 +6,6 @@ import asyncio
 import base64
 import contextlib
 import json
-import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -35,7 +34,6 @@ from hypose.pipeline.live.recorder import LiveRecorder
 PICTURES_S = 0.25
 """s between two pictures of the cameras on the page"""
 _WIDTH, _QUALITY = 320, 70
-_SWITCH_S = 0.0005  # as `hypose live`: who takes pictures must not wait for who computes
 _TINT = np.array([90, 200, 255], np.float32)
 _STREAMS = ("http://", "https://", "rtsp://")
 FOLDER = "live"
@@ -51,7 +49,6 @@ class CameraHost:
         self._recorder: LiveRecorder | None = None
         self._page: _Page | None = None
         self._told: dict[str, Any] = {}
-        self._switch = sys.getswitchinterval()
         self.acts: Mapping[str, Callable[[], None]] = {"room": self._learn_room}
         self._changing = asyncio.Lock()
         self._watching: asyncio.Task[None] | None = None
@@ -92,7 +89,6 @@ class CameraHost:
                 undone.push_async_callback(run_in_threadpool, engine.stop)
                 await run_in_threadpool(engine.start)
                 undone.pop_all()
-            sys.setswitchinterval(_SWITCH_S)
             self._watching = asyncio.ensure_future(self._watch(engine, page))
             self._engine, self._outputs, self._recorder, self._page = engine, outputs, recorder, page
             port = outputs.listeners.port if outputs.listeners is not None else 0
@@ -127,7 +123,6 @@ class CameraHost:
             engine, self._engine = self._engine, None
             if engine is None:
                 return None
-            sys.setswitchinterval(self._switch)
             await run_in_threadpool(engine.stop)
             assert self._outputs is not None and self._page is not None
             await run_in_threadpool(self._outputs.close)

@@ -12,6 +12,7 @@ import http.client
 import math
 import re
 import time
+import urllib.error
 import urllib.parse
 import urllib.request
 from collections.abc import Callable
@@ -199,6 +200,10 @@ class _MotionJpeg:
         try:
             answer = _asked(address, 5.0)
         except OSError as error:
+            if isinstance(error, urllib.error.HTTPError) and error.code in (401, 403):
+                raise InputError(
+                    f"{self._what} asks for another name or password; write http://NAME:PASSWORD@ADDRESS."
+                ) from None
             reason = getattr(error, "reason", None) or error
             raise InputError(f"{self._what} cannot be opened ({reason}); check the address.") from None
         except (http.client.HTTPException, ValueError):  # which quote the address, password and all

@@ -5,11 +5,13 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -85,10 +87,12 @@ def offsets_of(kept: Sequence[KeptMasks], rig: CameraRig, rate: float) -> Array 
 
 
 class BackgroundWork:
-    """One process; `body` and `offsets` return at once, with a future."""
+    """One process, while there is something to do: it takes as much memory as all the rest. `body` and `offsets` return
+    at once, with a future."""
 
     def __init__(self) -> None:
-        self._pool = _one_process()
+        self._pool: ProcessPoolExecutor | None = None
+        self._going, self._changing = 0, threading.RLock()
 
     def body(
         self, kept: Sequence[KeptMasks], rig: CameraRig, rate: float, height: float | None, seed: int
@@ -101,17 +105,32 @@ class BackgroundWork:
         return self._submit(offsets_of, list(kept), rig, rate)
 
     def _submit(self, work: Callable[..., T], *arguments: Any) -> Future[T]:
-        with deaf_to_ctrl_c():  # the first work starts the process
+        with self._changing, deaf_to_ctrl_c():  # the first work starts the process
+            self._pool = self._pool or _one_process()
             try:
-                return self._pool.submit(work, *arguments)
+                future = self._pool.submit(work, *arguments)
             except BrokenExecutor:  # it was ended: see `outcome`
                 self._pool = _one_process()
-                return self._pool.submit(work, *arguments)
+                future = self._pool.submit(work, *arguments)
+            self._going += 1
+            future.add_done_callback(self._done)
+            return future
+
+    def _done(self, work: Future[Any]) -> None:
+        with self._changing:
+            self._going -= 1
+            if self._going == 0 and self._pool is not None:
+                self._pool.shutdown(wait=False)
+                self._pool = None
 
     def close(self) -> None:
         """End the process, whatever it does."""
-        running = list((self._pool._processes or {}).values())  # a fit that nobody waits for takes seconds
-        self._pool.shutdown(wait=False, cancel_futures=True)
+        with self._changing:
+            pool, self._pool = self._pool, None
+        if pool is None:
+            return
+        running = list((pool._processes or {}).values())  # a fit that nobody waits for takes seconds
+        pool.shutdown(wait=False, cancel_futures=True)
         for process in running:
             process.terminate()
 
@@ -131,5 +150,9 @@ def _one_process() -> ProcessPoolExecutor:
 
 def _begin() -> None:
     belong_to_parent()
-    if hasattr(os, "nice"):
+    os.environ["NUMBA_NUM_THREADS"] = "1"  # it has time, and whoever is followed needs the other cores
+    cv2.setNumThreads(1)
+    if hasattr(os, "SCHED_IDLE"):  # gives way at once, where a nice process is given its slice to the end
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    elif hasattr(os, "nice"):
         os.nice(15)

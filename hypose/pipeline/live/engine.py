@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections import deque
@@ -26,6 +27,7 @@ from hypose.pipeline.live.feeds import FeedStatus
 from hypose.pipeline.live.live_people import FOLLOWING, LOST, LivePeople
 from hypose.pipeline.live.live_person import LivePose
 from hypose.pipeline.live.live_search import LOOKING, NOBODY, SLOWLY_HZ, LivePersonOptions
+from hypose.pipeline.live.punctual import punctual
 
 EMPTY_ROOM = "empty room"
 """What `LiveEngine.phase` is while the room is learnt; then it is the person's."""
@@ -36,8 +38,8 @@ _HISTORY = 11
 _LATENCIES = 1800
 _SEARCHES = 2
 """searches and duels at one time"""
-_MISSES = 0.05
-"""share of its pictures that a camera may lose without a word"""
+_MISSES = (0.05, 0.1, 0.2, 0.5)
+"""shares of its pictures that a camera loses, from the one on that is worth a word"""
 
 
 @dataclass(frozen=True)
@@ -131,6 +133,7 @@ class LiveEngine:
         self._offsets: tuple[float, ...] | None = None
         self._late: tuple[float, ...] = (0.0,) * len(views)
         self._stop = stop or threading.Event()
+        self._until_stop = contextlib.ExitStack()
         self._thread = threading.Thread(target=self._run, name="live", daemon=True)
 
     def _new_people(self) -> LivePeople:
@@ -146,6 +149,7 @@ class LiveEngine:
             self._eyes.close()
             return
         warm.result()
+        self._until_stop.enter_context(punctual())
         self._thread.start()
 
     def stop(self) -> None:
@@ -153,6 +157,7 @@ class LiveEngine:
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(15)
+        self._until_stop.close()
         if self._eyes is not None:
             self._eyes.close()
         self._beside.shutdown(wait=False, cancel_futures=True)
@@ -291,6 +296,7 @@ def _words(cameras: Sequence[FeedStatus]) -> list[str]:
     if sum(not c.trouble for c in cameras) < 2 <= len(cameras):
         out.append("Fewer than two cameras show anything, so nobody can be followed.")
     for c in cameras:
-        if c.received > 100 and c.lost > _MISSES * (c.received + c.lost):
-            out.append(f"{c.name} loses {100 * c.lost / (c.received + c.lost):.0f} % of its pictures.")
+        if c.received > 100 and c.loss > _MISSES[0]:  # in steps: what changes is said anew
+            share = max(m for m in _MISSES if c.loss > m)
+            out.append(f"{c.name} loses more than {100 * share:.0f} % of its pictures.")
     return out

@@ -31,10 +31,11 @@ from hypose.evidence.shared_masks import BodyShape
 from hypose.evidence.silhouettes import Mask, SilhouetteSettings
 from hypose.geometry import Array
 from hypose.io.recordings.frames import working_rig
-from hypose.io.videos.camera_sources import Shot, open_camera
+from hypose.io.videos.camera_sources import CameraSource, Shot, open_camera
 from hypose.pipeline.live.child_processes import belong_to_parent, deaf_to_ctrl_c
 from hypose.pipeline.live.feeds import Feed, FeedStatus
 from hypose.pipeline.live.pairing import newest_instant
+from hypose.pipeline.live.punctual import punctual
 from hypose.pipeline.live.view_room import ViewRoom
 
 ROOM_S, ROOM_PICTURES = 2.0, 12
@@ -43,6 +44,8 @@ _MOVED, _MOVED_SHARE = 12.0, 0.01
 """grey levels, and share of a picture, that change in an empty room where somebody has not left"""
 _OTHER_SHAPE = 0.01
 """share by which width over height may differ from the calibration's"""
+_DAMAGED = 5
+"""pictures in a row that cannot be read before a word is said"""
 _QUALITY = 85
 _LOOK_S = 0.2
 """s after which whoever waits for the other process looks whether it is to go on waiting"""
@@ -106,11 +109,12 @@ class Sight:
 
 
 class Eyes:
-    """`look` again and again; `close` at the end. An InputError when a camera cannot be opened."""
+    """`look` again and again, and `keep_up` when what was seen is told; `close` at the end. An InputError when a camera
+    cannot be opened."""
 
     def __init__(self, rig: CameraRig, views: Sequence[LiveView], options: EyesOptions) -> None:
         self._views, self._options, self.small = tuple(views), options, working_rig(rig)
-        self._sizes, self._misshapen = tuple(c.size for c in rig), [""] * len(views)
+        self._sizes, self._wrong, self._damaged = tuple(c.size for c in rig), [""] * len(views), [0] * len(views)
         self._arrived = threading.Condition()
         begin = time.monotonic() + 0.3
         self._feeds = [
@@ -124,6 +128,7 @@ class Eyes:
         self._room_from: float | None = None
         self._pictures: list[list[Image]] = [[] for _ in views]
         self._moved: tuple[str, ...] = ()
+        self._to_follow: list[tuple[int, Image, float, Question]] = []
         opened: list[Feed] = []
         try:
             for feed in self._feeds:
@@ -177,6 +182,13 @@ class Eyes:
         arrival = max(s.arrival for s in shots if s is not None)
         return self._sight(at, arrival, views, jpegs, time.perf_counter() - begin)
 
+    def keep_up(self) -> None:
+        """Learn what has changed in the rooms, which nobody waits for."""
+        for view, image, at, question in self._to_follow:
+            person = self._covered(view, question.bodies) if question.bodies else None
+            self._rooms[view].follow(image, at, person)
+        self._to_follow = []
+
     def _sight(
         self,
         at: float = float("nan"),
@@ -214,21 +226,24 @@ class Eyes:
             return None
         mask, outline = room.mask(image)
         turn = int(at * len(self._rooms)) % len(self._rooms) == view  # not all in one instant
-        if self._options.adapt and turn and (question.bodies or not question.following):
-            room.follow(image, at, self._covered(view, question.bodies) if question.bodies else None)
+        if self._options.adapt and turn and room.due(at) and (question.bodies or not question.following):
+            self._to_follow.append((view, image, at, question))
         return np.packbits(mask, axis=1), outline
 
     def _picture(self, view: int, shot: Shot) -> Image | None:
         """None when it is damaged, or of another shape than calibrated: a telephone that was turned, a wide picture of
         a camera that was calibrated with a narrow one."""
-        image, (cw, ch) = shot.picture(self._rooms[view].size), self._sizes[view]
+        image, (cw, ch), name = shot.picture(self._rooms[view].size), self._sizes[view], self._views[view].name
+        self._damaged[view] = self._damaged[view] + 1 if image is None else 0
         if image is None:
+            if self._damaged[view] >= _DAMAGED:
+                self._wrong[view] = f"{name} sends pictures that cannot be read; look what the address shows."
             return None
         w, h = shot.size or (image.shape[1], image.shape[0])
         wrong = not self._views[view].stretched and abs(w * ch - h * cw) > _OTHER_SHAPE * h * cw
         turned = abs(w * cw - h * ch) <= _OTHER_SHAPE * h * ch
-        self._misshapen[view] = (
-            f"{self._views[view].name} shows pictures of {w} x {h} px and is calibrated for {cw} x {ch} px; "
+        self._wrong[view] = (
+            f"{name} shows pictures of {w} x {h} px and is calibrated for {cw} x {ch} px; "
             + ("turn it back." if turned else "set it to pictures of that shape, or calibrate it as it is.")
             if wrong
             else ""
@@ -274,7 +289,7 @@ class Eyes:
         self._moved, self._room_from, self._pictures = tuple(moved), None, [[] for _ in self._views]
 
     def _words(self) -> tuple[str, ...]:
-        out = [*self._moved, *filter(None, self._misshapen)]
+        out = [*self._moved, *filter(None, self._wrong)]
         if self._room_from is not None:
             left = self._room_from - time.monotonic()
             out.append(f"Leave the cameras' view: {left:.0f} s." if left > 0 else "Learning the empty room.")
@@ -288,7 +303,7 @@ def _jpeg(shot: Shot) -> bytes | None:
     return data.tobytes() if ok else None
 
 
-def _opener(view: LiveView, size: tuple[int, int], rate: float, begin: float) -> Callable:
+def _opener(view: LiveView, size: tuple[int, int], rate: float, begin: float) -> Callable[[], CameraSource]:
     return lambda: open_camera(view.address, rate, size, begin)
 
 
@@ -361,11 +376,13 @@ def _see(pipe: Connection, rig: CameraRig, views: tuple[LiveView, ...], options:
             pipe.send(error)
         return
     try:
-        pipe.send("open")
-        while True:
-            sight = eyes.look(pipe.recv())
-            over = eyes.ended and not np.isfinite(sight.time)
-            pipe.send(None if over else sight)
+        with punctual():
+            pipe.send("open")
+            while True:
+                sight = eyes.look(pipe.recv())
+                over = eyes.ended and not np.isfinite(sight.time)
+                pipe.send(None if over else sight)
+                eyes.keep_up()
     except (EOFError, OSError):  # likewise
         pass
     finally:

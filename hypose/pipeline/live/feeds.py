@@ -11,15 +11,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hypose.errors import HyposeError
+from hypose.errors import HyposeError, InputError
 from hypose.fusion.clocks import SensorClock
+from hypose.geometry import Array
 from hypose.io.videos.camera_sources import CameraSource, Shot
 from hypose.pipeline.live.pairing import GONE_S, Delivered
 
 KEPT = 12
 """pictures of each camera that are kept, beside those that others have not come to yet"""
-_PACE = 31
-"""pictures by which the rate is judged"""
+_PACE, _KNOWN = 31, 4
+"""pictures by which the rate is judged, and from which on it is"""
+_RECENT = 300
+"""pictures by which it is judged how many are lost"""
 _NONSENSE = 45
 """pictures with times that cannot be, more than with others, after which a camera's own times are left alone"""
 _AGAIN_S, _LONGEST_S = 0.2, 2.0
@@ -29,7 +32,8 @@ _AGAIN_S, _LONGEST_S = 0.2, 2.0
 @dataclass(frozen=True)
 class FeedStatus:
     """What a camera does. received, lost: pictures that came, and that should have come between them; rate Hz;
-    returns: how often it had gone and come back; trouble: why it is not there, "" when it is; ended: a file is over."""
+    returns: how often it had gone and come back; trouble: why it is not there, "" when it is; ended: a file is over;
+    loss: share of the last pictures that was lost."""
 
     name: str
     received: int
@@ -38,6 +42,7 @@ class FeedStatus:
     returns: int
     trouble: str
     ended: bool
+    loss: float = 0.0
 
 
 class Feed:
@@ -51,6 +56,7 @@ class Feed:
         self._pace: deque[float] = deque(maxlen=_PACE)
         self._clock, self._nonsense = SensorClock(), 0
         self._received = self._lost = self._returns = 0
+        self._recent: deque[int] = deque(maxlen=_RECENT)
         self._trouble, self._ended = "", False
         self._begun = time.monotonic()
         self._stop = threading.Event()
@@ -59,7 +65,10 @@ class Feed:
 
     def start(self) -> None:
         """Open the camera, an InputError when that fails, and begin to take its pictures."""
-        self._source = self._opener()
+        try:
+            self._source = self._opener()
+        except InputError as error:
+            raise InputError(f"{self.name}: {error}") from None
         self._thread.start()
 
     def end(self) -> None:
@@ -86,14 +95,16 @@ class Feed:
             if not trouble and silent > 2 * GONE_S:
                 trouble = f"no picture for {silent:.0f} s"
             rate = 1 / period if np.isfinite(period) and not trouble else 0.0
-            return FeedStatus(self.name, self._received, self._lost, rate, self._returns, trouble, self._ended)
+            lost = max(sum(self._recent), 0)
+            loss = lost / max(lost + len(self._recent), 1)
+            return FeedStatus(self.name, self._received, self._lost, rate, self._returns, trouble, self._ended, loss)
 
     def _period(self) -> float:
-        if len(self._pace) < 4:
+        if len(self._pace) < _KNOWN:
             return float("nan")
         steps = np.diff(self._pace)
         usual = float(np.median(steps))
-        mean = float(steps[steps < max(GONE_S, 2 * usual)].mean())
+        mean = float(_without_pauses(steps).mean())
         return usual if usual > 0.5 * mean else mean  # a network may deliver pictures in bunches
 
     def _run(self) -> None:
@@ -139,10 +150,10 @@ class Feed:
                 if self._shots and shot.arrival - self._shots[-1][1].arrival > 1.0:
                     self._shots.clear()  # the clock was set back
                 return
-            period = self._period()
-            if self._pace and np.isfinite(period):
+            if len(self._pace) >= _KNOWN:
                 # what comes too soon after another was only late, and not lost before
-                self._lost = max(0, self._lost + round((at - self._pace[-1]) / period) - 1)
+                self._recent.append(round((at - self._pace[-1]) / _usual(np.diff([*self._pace, at]))) - 1)
+                self._lost = max(0, self._lost + self._recent[-1])
             self._shots.append((at, shot))
             while len(self._shots) > KEPT and self._shots[KEPT][0] <= at - self.ahead:
                 self._shots.popleft()
@@ -150,3 +161,13 @@ class Feed:
             self._received += 1
             self._trouble = ""
             self._arrived.notify_all()
+
+
+def _without_pauses(steps: Array) -> Array:
+    return steps[steps < max(GONE_S, 2 * float(np.median(steps)))]
+
+
+def _usual(steps: Array) -> float:
+    """s from one picture to the next for half of the time, however many came at once when whoever reads was held up."""
+    ordered = np.sort(_without_pauses(steps))
+    return float(ordered[np.searchsorted(np.cumsum(ordered), ordered.sum() / 2)])

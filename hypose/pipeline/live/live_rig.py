@@ -59,6 +59,9 @@ def live_rig(path: str | Path, sources: Mapping[str, str], rate: float | None = 
         raise InputError(f"There is no camera {unknown[0]}; the cameras are {', '.join(names)}.")
     _check_places(sources)
     known = [View(name) for name in names] if recording is None else recording.views
+    if len(sources) < 2:
+        others = ", ".join(n for n in names if n not in sources)
+        raise InputError(f"Live tracking needs two cameras or more; give the place of another with --source: {others}.")
     used = [k for k, name in enumerate(names) if name in sources]
     views = tuple(
         LiveView(v.name, sources[v.name], v.image_shift, stretched=v.accept_scaled) for v in (known[k] for k in used)

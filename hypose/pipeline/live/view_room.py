@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from hypose.cameras.camera import Camera
-from hypose.evidence.background import BackgroundModel, Image, from_frames, match_gain
+from hypose.evidence.background import BackgroundModel, Image, from_frames, gain_between
 from hypose.evidence.outlines import WORKING_HEIGHT, ViewOutline, view_outline
 from hypose.evidence.silhouettes import Mask, Segmenter, SilhouetteSettings, bounding_box, make_segmenter
 from hypose.io.recordings.view_source import Preparer, mask_in
@@ -22,6 +22,8 @@ EVERY_S = 1.0
 """s between two looks at what has changed"""
 _LIGHT_S, _THING_S = 10.0, 30.0
 """Time constants: of the room where it looks like the room, and of what is not the room and not the person"""
+_SPARSE = 3
+"""px between two that tell how much brighter the light is"""
 _MARGIN = 0.15
 """of the person's height in the picture, about the person, in which nothing is learnt"""
 
@@ -57,24 +59,29 @@ class ViewRoom:
         mask, _ = mask_in(image, self._prepare, self._segment)
         return mask, view_outline(mask, working_height=WORKING_HEIGHT) if mask.any() else None
 
+    def due(self, time: float) -> bool:
+        """Whether it is time to look at what has changed."""
+        return self.background is not None and time - self._learnt >= EVERY_S
+
     def follow(self, image: Image, time: float, person: Mask | None) -> None:
-        """Learn what has changed, now and then. person (h, w): where the person is, None where that is not known: then
-        nothing that stands out is taken for a part of the room."""
-        passed = time - self._learnt
-        if self.background is None or passed < EVERY_S:
+        """Learn what has changed, if it is time for that. person (h, w): where the person is, None where that is not
+        known: then nothing that stands out is taken for a part of the room."""
+        if not self.due(time):
             return
-        self._learnt = time
-        if not np.isfinite(passed):
+        passed, self._learnt = time - self._learnt, time
+        if self.background is None or not np.isfinite(passed):
             return
-        picture = self._prepare(image).astype(np.float32)
-        found = self.mask(image)[0]
-        room = match_gain(self.background, picture)
-        light, thing = (-np.expm1(-passed / lasting) for lasting in (_LIGHT_S, _THING_S))
-        share = np.where(_around(found) > 0, 0.0 if person is None else thing, light)
+        assert self._segment is not None
+        found, picture = mask_in(image, self._prepare, self._segment)[0], self._prepare(image)
+        sparse, before = np.s_[::_SPARSE, ::_SPARSE], self.background.mean
+        gain = gain_between(before[sparse], picture[sparse].astype(np.float32))
+        mean = np.clip(before * gain, 0, 255)
+        other = _around(found)
+        free = np.ones_like(other) if person is None else 1 - _around(person)
+        cv2.accumulateWeighted(picture, mean, -np.expm1(-passed / _LIGHT_S), free & (1 - other))
         if person is not None:
-            share[_around(person) > 0] = 0.0
-        mean = room.mean + share[..., None].astype(np.float32) * (picture - room.mean)
-        self._take(replace(room, mean=mean))
+            cv2.accumulateWeighted(picture, mean, -np.expm1(-passed / _THING_S), free & other)
+        self._take(replace(self.background, mean=mean))
 
     def _take(self, background: BackgroundModel) -> None:
         self.background = background
@@ -82,7 +89,7 @@ class ViewRoom:
 
 
 def _around(mask: Mask) -> Mask:
-    """The mask and what is near it."""
+    """The mask and what is near it, 0 or 1."""
     box = bounding_box(mask)
     if box is None:
         return mask

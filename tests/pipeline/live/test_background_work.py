@@ -82,3 +82,21 @@ def test_a_process_that_is_killed_costs_what_it_was_doing_and_no_more():
         assert outcome(work._submit(os.getpid)) not in (None, number)
     finally:
         work.close()
+
+
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="NOT tested: whether a process is there; run it on Linux"
+)
+def test_the_process_is_there_while_there_is_something_to_do():
+    work = BackgroundWork()
+    try:
+        first, second = work._submit(os.getpid), work._submit(os.getpid)
+        number = first.result()
+        assert second.result() == number
+        end = time.monotonic() + 30
+        while os.path.exists(f"/proc/{number}"):
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        assert work._submit(os.getpid).result() != number
+    finally:
+        work.close()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hypose.evidence.background import from_frames
+from hypose.io.videos.camera_sources import Shot
 from hypose.pipeline.live.eyes import Eyes, EyesOptions, EyesProcess, LiveView, Question
 from hypose.synthetic.rigs import rig
 
@@ -124,3 +125,17 @@ def test_nobody_waits_for_cameras_that_are_being_opened_when_it_is_to_stop(camer
         eyes.close()
         held[0][0].close()
     assert not eyes._process.is_alive()
+
+
+def test_pictures_that_cannot_be_read_are_told(cameras, tmp_path, rng, monkeypatch):
+    whole = Shot.picture
+    monkeypatch.setattr(Shot, "picture", lambda shot, least: whole(shot, least) if shot.size == (160, 120) else None)
+    sizes = {"cam1": (160, 120), "cam2": (320, 240)}
+    views = [LiveView(c.name, folder(tmp_path / c.name, sizes[c.name], rng), background=room(c)) for c in cameras]
+    eyes = Eyes(cameras, views, EyesOptions(RATE))
+    try:
+        assert looked(eyes, lambda s: s.words != ()).words == (
+            "cam2 sends pictures that cannot be read; look what the address shows.",
+        )
+    finally:
+        eyes.close()

@@ -226,3 +226,26 @@ def test_a_camera_that_cannot_be_opened_at_the_start_is_an_error():
     camera.refuse = "Camera 5 of this computer cannot be opened."
     with pytest.raises(InputError, match="Camera 5"):
         Feed("left", camera.open, threading.Condition()).start()
+
+
+def test_whoever_was_held_up_has_lost_nothing():
+    """Pictures wait in the network's buffers while nobody reads: then they come all at once."""
+    camera = Camera()
+    with feed(camera) as (made, arrived):
+        for n in range(60):
+            camera.shots.put(Shot(BEGIN + 0.0005 * n, None, PICTURE))
+        play(camera, range(1, 60), begin=BEGIN + 0.03)
+        until(arrived, lambda: made.status().received == 119)
+        assert made.status().lost <= 2 and made.status().loss < 0.02
+
+
+def test_what_was_lost_long_ago_is_forgiven(monkeypatch):
+    monkeypatch.setattr(feeds, "_RECENT", 40)
+    camera = Camera()
+    with feed(camera) as (made, arrived):
+        play(camera, [n for n in range(48) if n % 6])
+        until(arrived, lambda: made.status().received == 40)
+        assert made.status().loss == pytest.approx(1 / 6, abs=0.03)
+        play(camera, range(48, 108))
+        until(arrived, lambda: made.status().received == 100)
+        assert made.status().loss == 0.0 and made.status().lost == 7
