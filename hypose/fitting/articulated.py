@@ -160,6 +160,7 @@ class SolveSettings:
     coarse_iterations: int = 4
     tolerance: float = 1e-3
     damping: float = 1e-2
+    tries: int = 4
 
 
 @dataclass(frozen=True)
@@ -327,6 +328,7 @@ class _Problem:
             int(options.coarse_iterations),
             float(options.tolerance),
             float(options.damping),
+            int(options.tries),
         )
 
     def start(self, start: ArrayLike) -> Array:
