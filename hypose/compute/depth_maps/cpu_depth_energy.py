@@ -22,10 +22,10 @@ def _off(own, other, most):
 
 @kernel
 def _draw(faces, chosen, u, v, z, seen, most, depth, size, touched, count):
-    """Draws the chosen faces that look at the camera into depth (h, w) f4 m, the nearest counts; returns by how much
-    the cost of the picture against seen (h, w), of which size (2,) = width and height are used, has grown. Pixels that
-    change are noted in touched, count[0] of them. Distances are taken as a plane over the picture, which over a face of a body differs from the truth by less than
-    noise."""
+    """Draws the chosen faces that look at the camera into depth (h, w) f4 m, of which size (2,) = width and height are
+    used; the nearest counts. Returns by how much the cost of the picture against seen (h, w) has grown. Pixels that
+    change are noted in touched, count[0] of them. Distances are taken as a plane over the picture, which over a face of
+    a body differs from the truth by less than noise."""
     w, h = size[0], size[1]
     grown = 0.0
     n = count[0]

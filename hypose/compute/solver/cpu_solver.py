@@ -137,8 +137,8 @@ def bounded_step(hessian, gradient, q, lower, upper, damping, step):
 
 @kernel
 def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, counts):
-    """Cost at pose q (D,), and how many rows of contours and depth wait in the workspace for `normal_equations`; counts (C + 3, 2):
-    forward and reverse rows of each view, then the key points, the points, and those of depth."""
+    """Cost at pose q (D,), and how many rows of contours and depth wait in the workspace for `normal_equations`; counts
+    (C + 3, 2): forward and reverse rows of each view, then the key points, the points, and those of depth."""
     joint_frames(q, tree, ws.rotations, ws.centres, ws.twists)
     ws.wrench_hessian[:] = 0.0
     ws.wrench_gradient[:] = 0.0
