@@ -154,7 +154,8 @@ class Quadratic:
 @dataclass(frozen=True)
 class SolveSettings:
     """iterations: all, the first coarse_iterations of them with the contours' coarse scale; tolerance: stop when no dof
-    moves further than this (rad; twice the metres); damping: initial, relative to the Hessian's diagonal."""
+    moves further than this (rad; twice the metres); damping: initial, relative to the Hessian's diagonal;
+    tries: of a step, each with more damping, before the solve ends there (a coarse one: goes on with the fine ones)."""
 
     iterations: int = 8
     coarse_iterations: int = 4

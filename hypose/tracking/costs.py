@@ -130,7 +130,7 @@ def agreement(body: Body, pose: Array, frame: PreparedFrame) -> float:
     return mean - 0.5 * float(depth_cost(body, pose[None], frame)[0]) / depth_views(frame)
 
 
-_MEASURED = 48
+_MEASURED = 32
 """poses of a limb that are drawn into depth maps, of more that are looked at roughly. Chosen on the seeds 0 to 9
 (benchmark `depth`)."""
 VISIBLE = 0.2

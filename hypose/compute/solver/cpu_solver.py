@@ -200,7 +200,7 @@ def solve(q, tree, mesh, contours, keypoints, points, depth, priors, settings, w
 
     info (4,): cost, iterations, evaluations, converged (1 when the last step was below the tolerance). Returns False
     when the cost at the start is not finite. The first coarse_iterations use the coarse contour scale. A step that
-    raises the cost is retried with 6 times the damping at most 3 times; near the end the cost jitters with the
+    raises the cost is retried with 6 times the damping, `tries` times in all; near the end the cost jitters with the
     outline, so a rejected step below the tolerance stops."""
     n = q.shape[0]
     step, trial = np.empty(n), np.empty(n)
