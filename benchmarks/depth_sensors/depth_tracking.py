@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
+from benchmarks.depth_sensors.depth_live import live_depth
 from benchmarks.multiview.action_scenes import captured, subject_of_seed
 from hypose.body.motion import Motion
 from hypose.body.ready_bodies import human
@@ -77,7 +78,8 @@ def depth(options: BenchOptions) -> BenchReport:
     camera: the product as it is, body and start found in the clip, all frames solved together. sdk: skeletons that
     simulated sensors report of the same scenes, fused. registration_*: two sensors brought together by the person.
     coverage_90: share of true joints in their 90 % regions. ms_per_frame: processor time of one sensor's frame, with
-    its evidence."""
+    its evidence. latency_*: from the later map's arrival to the pose, of two simulated sensors whose maps the live
+    engine plays at their pace."""
     seeds = options.seed_range(10, first=FRESH_SEED, quick=1)
     seconds = 1.2 if options.quick else 2.0
     found: dict[tuple[str, str, str], list[float]] = {}
@@ -88,6 +90,7 @@ def depth(options: BenchOptions) -> BenchReport:
 
     jobs = [(seed, case) for seed in seeds for case in (*SENSORS, "one+colour")]
     jobs += [(seed, "registration") for seed in seeds[:_REGISTERED]]
+    jobs.append((seeds[0], "live"))
     inside: dict[str, list[float]] = {}
     for n, (seed, case) in enumerate(jobs):
         options.progress(f"{case} seed {seed}", n, len(jobs))
@@ -102,6 +105,9 @@ def depth(options: BenchOptions) -> BenchReport:
         for name, unit in (("registration_deg", "degrees"), ("registration_mm", "mm"), ("clock_ms", "ms")):
             if name in part:
                 keep(name, "two", unit, part[name])
+        for name in ("latency_p50_ms", "latency_p99_ms"):
+            if name in part:
+                keep(name, "two", "ms", part[name])
         if "ms_per_frame" in part:
             keep("ms_per_frame", "one", "ms", part["ms_per_frame"])
         if "error" in part:
@@ -128,11 +134,17 @@ def _measured(seed: int, case: str, seconds: float, options: BenchOptions) -> di
     try:
         if case == "registration":
             return _registration(seed, options)
+        if case == "live":
+            return live_depth(seed, options.quick)
         if case == "one+colour":
             return _with_colour(seed, seconds, options)
         return _tracked(seed, case, seconds, options)
     except HyposeError as error:  # a clip that the product refuses is a miss, and not left out
-        return {"refused": str(error), "mean_mm": 1000.0} if case != "registration" else {"refused": str(error)}
+        return (
+            {"refused": str(error), "mean_mm": 1000.0}
+            if case not in ("registration", "live")
+            else {"refused": str(error)}
+        )
 
 
 def _tracked(seed: int, case: str, seconds: float, options: BenchOptions) -> dict[str, Any]:

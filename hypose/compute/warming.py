@@ -90,7 +90,7 @@ def _pictures(compute: Any) -> None:
 def _depth(compute: Any) -> None:
     tree, mesh, q, _ = _toy()
     ws = compute.workspace(tree, mesh, 32, 32)
-    given = (q, mesh, no_depth(), 1.0, ws.vertices, ws.wrench_hessian, ws.wrench_gradient, np.zeros(2, np.int64))
+    given = (q, mesh, no_depth(), 1.0, ws, np.zeros(1, np.int64), np.zeros(2, np.int64))
     compile_for_kernels(native("solver.depth_rows").depth_rows, *given)
 
 
@@ -109,7 +109,7 @@ def _solver(compute: Any) -> None:
     given = (tree, mesh, contours, keypoints, points, no_depth(), priors)
     ws = compute.workspace(tree, mesh, 32, 32)
     compute.evaluate(q, *given, ws)
-    compute.solve(q, *given, SolveLimits(1, 0, 1e-3, 1e-2), ws)
+    compute.solve(q, *given, SolveLimits(1, 0, 1e-3, 1e-2, 4), ws)
     compute.joint_covariances(q, tree, np.eye(6))
 
 

@@ -154,12 +154,14 @@ class Quadratic:
 @dataclass(frozen=True)
 class SolveSettings:
     """iterations: all, the first coarse_iterations of them with the contours' coarse scale; tolerance: stop when no dof
-    moves further than this (rad; twice the metres); damping: initial, relative to the Hessian's diagonal."""
+    moves further than this (rad; twice the metres); damping: initial, relative to the Hessian's diagonal;
+    tries: of a step, each with more damping, before the solve ends there (a coarse one: goes on with the fine ones)."""
 
     iterations: int = 8
     coarse_iterations: int = 4
     tolerance: float = 1e-3
     damping: float = 1e-2
+    tries: int = 4
 
 
 @dataclass(frozen=True)
@@ -327,6 +329,7 @@ class _Problem:
             int(options.coarse_iterations),
             float(options.tolerance),
             float(options.damping),
+            int(options.tries),
         )
 
     def start(self, start: ArrayLike) -> Array:

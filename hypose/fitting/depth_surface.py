@@ -93,19 +93,22 @@ def shrunk(projections: Array, step: int) -> Array:
     return out
 
 
-_FACES: dict[int, tuple[Body, NDArray[np.int64], NDArray[np.int64]]] = {}
+_RINGS: dict[int, tuple[Body, NDArray[np.int64], NDArray[np.int32]]] = {}
 
 
-def faces_of_vertices(body: Body) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The faces around each vertex of the scoring mesh: first (V + 1,) and faces (3 F,); kept for the last bodies."""
-    kept = _FACES.get(id(body.coarse))
+def rings(body: Body) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """The faces around each vertex of the scoring mesh: first (V + 1,), and their other corners (3 F, 2) in the face's
+    order; kept for the last bodies."""
+    kept = _RINGS.get(id(body.coarse))
     if kept is None or kept[0].coarse is not body.coarse:
-        while len(_FACES) > 15:
-            _FACES.pop(next(iter(_FACES)))
-        corners = np.asarray(body.coarse.faces).ravel()
+        while len(_RINGS) > 15:
+            _RINGS.pop(next(iter(_RINGS)))
+        faces = np.asarray(body.coarse.faces)
+        corners = faces.ravel()
         order = np.argsort(corners, kind="stable")
         first = np.searchsorted(corners[order], np.arange(len(body.coarse.vertices) + 1)).astype(np.int64)
-        kept = _FACES[id(body.coarse)] = body, first, (order // 3).astype(np.int64)
+        others = np.stack([np.roll(faces, -k, axis=1)[:, 1:] for k in range(3)], 1).reshape(-1, 2)
+        kept = _RINGS[id(body.coarse)] = body, first, np.ascontiguousarray(others[order], dtype=np.int32)
     return kept[1], kept[2]
 
 
@@ -113,7 +116,7 @@ def depth_arrays(term: DepthTerm | None, body: Body) -> DepthArrays:
     """Flat arrays of a depth term for a body (nothing when None)."""
     if term is None:
         return no_depth()
-    first, faces = faces_of_vertices(body)
+    first, ring = rings(body)
 
     def f8(a: Array) -> Array:
         return np.require(a, np.float64, ["C", "W"])
@@ -128,7 +131,7 @@ def depth_arrays(term: DepthTerm | None, body: Body) -> DepthArrays:
         np.require(term.sizes, np.int64, ["C", "W"]),
         f8(term.projections),
         np.require(first, np.int64, ["C", "W"]),
-        np.require(faces, np.int64, ["C", "W"]),
+        np.require(ring, np.int32, ["C", "W"]),
         float(term.scale_m),
         float(term.free_share),
         float(term.free_scale_m),

@@ -7,8 +7,9 @@ skeletons' joints as points beside the other rows.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from hypose.fitting import PointTerm
 from hypose.fusion import joints as jt
 from hypose.fusion.register import LARGEST_RESIDUAL_M, Registration, common_joints, register
 from hypose.geometry import Array
+from hypose.io.motions.results import ResultsFolder
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.track_loop import FrameSource, Progress
 from hypose.tracking.refinement import KEYPOINT_SHARE
@@ -66,33 +68,54 @@ class SkeletonRows:
 def fuse_mixture(
     source: FrameSource,
     frame_rate: float,
-    skeletons: Sequence[SensorJoints],
+    skeletons: Sequence[SensorJoints] | Callable[[Motion], Sequence[SensorJoints]],
     options: TrackOptions,
     *,
     progress: Progress | None = None,
+    results: ResultsFolder | None = None,
+    record: Mapping[str, Any] | None = None,
 ) -> TrackResult:
     """The motion from cameras and skeletons in one solve.
 
     source: frames with depth maps, silhouettes or both, in a world with z up; skeletons: one per frame, of K sensors
     of any set of joints that is known (`hypose.fusion.register.common_joints`), each in its own frame and at the
-    frame's time. A sensor that moves otherwise than the person before the cameras is left out. An InputError when their
+    frame's time; or what makes them of the motion that the cameras give alone. results, record: as for `track_source`.
+    A sensor that moves otherwise than the person before the cameras is left out. An InputError when their
     numbers differ, or when no sensor is left. What is interrupted gives the motion of the cameras until then."""
-    if len(skeletons) != len(source):
-        raise InputError(f"There are {len(skeletons)} skeletons for {len(source)} frames; give one per frame.")
-    skeletons = [common_joints(s) for s in skeletons]
-    if len(sensors := {s.sensor_names for s in skeletons}) > 1:
-        raise InputError(f"Every frame needs the same sensors, got {sorted(sensors)}; a missing one has NaN.")
+    made = None if callable(skeletons) else _checked(skeletons, len(source))
     first = track_source(source, frame_rate, options, progress=progress)
     if not first.complete:
         return first
+    if made is None:
+        assert callable(skeletons)
+        made = _checked(skeletons(first.motion), len(source))
     indices = [source.frame(n).index for n in range(len(source))]
-    own, place = skeleton_rows(first.motion, skeletons, indices)
+    own, place = skeleton_rows(first.motion, made, indices)
     if not place.registered[1:].any():
         raise InputError(
             "No sensor's skeletons move as the person before the cameras does; check that they are of the same "
             "recording and that the clocks agree."
         )
-    return track_source(source, frame_rate, options, body=first.body, progress=progress, own=(own,))
+    return track_source(
+        source,
+        frame_rate,
+        options,
+        body=first.body,
+        progress=progress,
+        own=(own,),
+        results=results,
+        record=record,
+    )
+
+
+def _checked(skeletons: Sequence[SensorJoints], frames: int) -> list[SensorJoints]:
+    """The common joints of one skeleton per frame."""
+    if len(skeletons) != frames:
+        raise InputError(f"There are {len(skeletons)} skeletons for {frames} frames; give one per frame.")
+    common = [common_joints(s) for s in skeletons]
+    if len(sensors := {s.sensor_names for s in common}) > 1:
+        raise InputError(f"Every frame needs the same sensors, got {sorted(sensors)}; a missing one has NaN.")
+    return common
 
 
 def skeleton_rows(

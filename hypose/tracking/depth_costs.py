@@ -22,13 +22,16 @@ TALL = 60
 _SEEN = "seen depth"
 
 
-def depth_cost(body: Body, poses: Array, frame: PreparedFrame, moving: NDArray[np.bool_] | None = None) -> Array:
+def depth_cost(
+    body: Body, poses: Array, frame: PreparedFrame, moving: NDArray[np.bool_] | None = None, rough: bool = False
+) -> Array:
     """(N,) of poses (N, D): mean difference of depth over the pixels of the person that the body covers, sum over the
-    sensors; what is not covered is the silhouettes' affair. moving: as for `SilhouetteXor`; 0 without depth."""
+    sensors; what is not covered is the silhouettes' affair. moving: as for `SilhouetteXor`; rough: about
+    that, and faster (`compute.depth_energy`); 0 without depth."""
     if frame.frame.depth is None:
         return np.zeros(len(poses))
     seen = _seen(frame, frame.frame.depth)
-    energy = compute.depth_energy(poses, body.skeleton.tree, body.coarse.arrays, seen, MOST_M, moving)
+    energy = compute.depth_energy(poses, body.skeleton.tree, body.coarse.arrays, seen, MOST_M, moving, rough)
     return SHARE * energy.sum(1)
 
 

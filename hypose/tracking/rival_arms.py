@@ -62,8 +62,8 @@ class RefineRivals:
 
     arms: tables, and when each is looked up; keep: how many hypotheses live; margin: share of the energy that the
     search must win before its result is solved; options, near: of solves from a prediction, and of those that begin
-    near their end. Scores are those of `contest`; log-weights tell them, origins the parents, and `before` what each
-    was in the last frame: its parent, but an arm found elsewhere has not moved.
+    near their end, as with depth all do. Scores are those of `contest`; log-weights tell them, origins the parents, and
+    `before` what each was in the last frame: its parent, but an arm found elsewhere has not moved.
     """
 
     arms: tuple[tuple[ArmReach, Callable[[Hypotheses, PreparedFrame], bool]], ...]
@@ -173,7 +173,9 @@ class RefineRivals:
 
     def _solved(self, starts: list[Array], old: Array, frame: PreparedFrame) -> list[Array]:
         """The solutions (D,) from starts and from the predictions (K, D) of rivals, over threads."""
-        tasks = [(q, frame, self.near) for q in starts] + [(q, replace(frame, prediction=q), self.options) for q in old]
+        tasks = [(q, frame, self.near) for q in starts] + [
+            (q, replace(frame, prediction=q), self.options if frame.depth is None else self.near) for q in old
+        ]
         solved = [winner for winner, _, _ in tasks]
 
         def work(first: int, last: int) -> None:

@@ -15,7 +15,10 @@ from hypose.app.commands.options import Seed, Threads, number
 from hypose.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from hypose.app.jobs.fuse_job import FuseOutcome
+    from hypose.io.sensors.skeleton_streams import SkeletonRecording
 
 _RECORDED, _LIVE = "Recorded", "Live"
 
@@ -49,6 +52,13 @@ def fuse(
         bool,
         typer.Option("--diagnose", help="Add the swarm's choice of sensors to sensors.csv.", rich_help_panel=_RECORDED),
     ] = False,
+    cameras: Annotated[
+        Path | None,
+        typer.Option(
+            help="Recording of depth or colour cameras that saw the same; all is then solved together.",
+            rich_help_panel=_RECORDED,
+        ),
+    ] = None,
     seed: Seed = 0,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on where an interrupted run stopped.", rich_help_panel=_RECORDED)
@@ -87,7 +97,8 @@ def fuse(
     ] = None,
     threads: Threads = None,
 ) -> None:
-    """Fuse the skeletons of several depth sensors: one skeleton per person with its uncertainty. See docs/live.md."""
+    """Fuse the skeletons of several depth sensors, and what cameras saw beside: one skeleton per person with its
+    uncertainty. See docs/fusion.md, docs/live.md."""
     set_threads(threads)
     if live:
         if recording is not None:
@@ -104,6 +115,14 @@ def fuse(
     from hypose.io.sensors.skeleton_formats import read_skeletons
 
     loaded = read_skeletons(recording)
+    if cameras is not None:
+        if method != "fit" or resume or diagnose or reference is not None or rate is not None:
+            raise InputError(
+                "With --cameras everything is one solve at the cameras' rate; leave --method, --reference, --rate, "
+                "--diagnose and --resume out."
+            )
+        _with_cameras(loaded, cameras, out, split_names(formats), seed, threads)
+        return
     folder = recording if recording.is_dir() else recording.parent
     name = f"fuse-{method}" if recording.is_dir() else f"{file_name(loaded.name)}-fuse-{method}"
     results = ResultsFolder(out) if out is not None else ResultsFolder.of(folder, name)
@@ -134,6 +153,41 @@ def fuse(
         raise typer.Exit(130)
     if all(p.motion.lost.all() for p in outcome.people):
         require_found(outcome.people[0].motion, loaded.name, results.path)
+
+
+def _with_cameras(
+    skeletons: SkeletonRecording,
+    cameras: Path,
+    out: Path | None,
+    formats: Sequence[str],
+    seed: int,
+    threads: int | None,
+) -> None:
+    """Skeletons, depth maps and silhouettes as one solve."""
+    from hypose.app.jobs.job import Job, run_job
+    from hypose.app.reports.summary import require_found
+    from hypose.io.claims import claimed
+    from hypose.io.motions.results import ResultsFolder
+    from hypose.io.recordings.recording import load_recording
+    from hypose.pipeline.run import TrackOptions
+
+    recording = load_recording(cameras)
+    results = ResultsFolder(out) if out is not None else ResultsFolder.of(recording.folder, "fuse-cameras")
+    job = Job(
+        recording, TrackOptions(seed=seed), results, formats=formats, run={"threads": threads}, skeletons=skeletons
+    )
+    with claimed(results.path), Stages() as progress:
+        outcome = run_job(job, progress)
+    for text in outcome.notes:
+        note(f"note: {text}")
+    if not outcome.complete:
+        say("Stopped. Start again with the same command.")
+        raise typer.Exit(130)
+    m = outcome.motion
+    sensors = f"{len(recording.views)} cameras and {len(skeletons.streams)} sensors of skeletons"
+    say(f"{recording.name}: {len(m)} frames of {sensors} at {m.frame_rate:g} Hz, {int(m.lost.sum())} lost")
+    say(f"Results: {results.path}")
+    require_found(m, recording.name, results.path)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

@@ -26,15 +26,18 @@ from hypose.io.motions.results import ResultsFolder, check_writable, load_motion
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.provenance import identity, provenance
 from hypose.io.recordings.recording import Recording
+from hypose.io.sensors.skeleton_streams import SkeletonRecording
 from hypose.json_text import parse_json
 from hypose.pipeline.chunked import FOLDER as CHUNKS
 from hypose.pipeline.chunked import ChunkRun
 from hypose.pipeline.first_frame import SubjectOptions
+from hypose.pipeline.fuse_mixture import fuse_mixture
 from hypose.pipeline.kept_findings import kept_backgrounds
 from hypose.pipeline.left_out import KeptFrames, LeftOut, left_out
 from hypose.pipeline.one_of_several import keypoint_people, track_one_of, wanted_first, with_everybody
 from hypose.pipeline.picture_start import POINT_STARTS, clicks_of
 from hypose.pipeline.pictures import depth_note
+from hypose.pipeline.recorded_skeletons import skeletons_at_frames
 from hypose.pipeline.run import MODES, TrackOptions, TrackResult, check_views, frames_wanted, track_source
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
 from hypose.pipeline.verdict import Verdict
@@ -53,7 +56,8 @@ class Job:
     overlay: write overlay.mp4. resume: go on from a checkpoint, or fill in what is missing of a complete run. threads:
     for the record only. truth: compares the motion with a known truth, for synthetic recordings. chunk_s: track in
     overlapping chunks of about so many seconds and join them; what is kept of them in `results` is used. people: None =
-    one person, or 'all', how many at most, or a name (hypose.app.jobs.people_job)."""
+    one person, or 'all', how many at most, or a name (hypose.app.jobs.people_job). skeletons: that sensors reported
+    beside, solved together with the rest."""
 
     recording: Recording
     options: TrackOptions
@@ -65,6 +69,7 @@ class Job:
     truth: Callable[[Motion, Body], Truth] | None = None
     chunk_s: float | None = None
     people: str | None = None
+    skeletons: SkeletonRecording | None = None
 
 
 @dataclass(frozen=True)
@@ -177,6 +182,16 @@ def backgrounds_file(job: Job) -> Path:
 def _track(
     job: Job, options: TrackOptions, source: FrameStream, record: Mapping[str, Any], progress: ProgressCall
 ) -> TrackResult:
+    if (skeletons := job.skeletons) is not None:
+        return fuse_mixture(
+            source,
+            job.recording.frame_rate,
+            lambda motion: skeletons_at_frames(skeletons, motion),
+            options,
+            progress=progress,
+            results=job.results,
+            record=record,
+        )
     if job.chunk_s is not None:
         return chunk_run(job, options, source, record, job.chunk_s).whole(progress)
     everybody = with_everybody(source, options)
@@ -252,7 +267,7 @@ def record_of(job: Job) -> dict[str, Any]:
     }
     if job.chunk_s is not None:
         settings["chunk_s"] = job.chunk_s
-    inputs = dict(recording.inputs)
+    inputs = {**recording.inputs, **({} if job.skeletons is None else job.skeletons.inputs)}
     toml = recording.folder / "recording.toml"
     if toml.is_file():
         inputs["recording"] = toml

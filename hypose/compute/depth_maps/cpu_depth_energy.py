@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from hypose.compute.arrays import BALL
 from hypose.compute.compiled import kernel
-from hypose.compute.cpu_kinematics import camera_about_root, joint_frames
+from hypose.compute.cpu_kinematics import camera_about_root, joint_frames, multiply, so3_exp_and_jacobian
 
 f4 = np.float32
 _FAR = f4(1e9)
@@ -20,12 +21,12 @@ def _off(own, other, most):
 
 
 @kernel
-def _draw(faces, chosen, u, v, z, seen, most, depth, touched, count):
-    """Draws the chosen faces that look at the camera into depth (h, w) f4 m, the nearest counts; returns by how much
-    the cost of the picture against seen (h, w) has grown. Pixels that change are noted in touched, count[0] of them.
-    Distances are taken as a plane over the picture, which over a face of a body differs from the truth by less than
-    noise."""
-    h, w = depth.shape
+def _draw(faces, chosen, u, v, z, seen, most, depth, size, touched, count):
+    """Draws the chosen faces that look at the camera into depth (h, w) f4 m, of which size (2,) = width and height are
+    used; the nearest counts. Returns by how much the cost of the picture against seen (h, w) has grown. Pixels that
+    change are noted in touched, count[0] of them. Distances are taken as a plane over the picture, which over a face of
+    a body differs from the truth by less than noise."""
+    w, h = size[0], size[1]
     grown = 0.0
     n = count[0]
     for k in range(chosen.shape[0]):
@@ -66,11 +67,66 @@ def _draw(faces, chosen, u, v, z, seen, most, depth, touched, count):
 
 
 @kernel
-def _skin(rotations, centres, tree, mesh, chosen, vertices):
-    """The chosen vertices about the root's position: linear blend skinning in float32."""
-    n_joints = rotations.shape[0]
-    maps = np.empty((n_joints, 12), np.float32)
-    for j in range(n_joints):
+def _roughly(faces, chosen, u, v, z, seen, most, standing, width, height):
+    """About what `_draw` says of the chosen faces before what stands (h, w) f4 m: each as one thing at its middle, as
+    large as its area, whatever lies before it."""
+    grown = f4(0)
+    third, half = f4(1 / 3), f4(0.5)
+    for k in range(chosen.shape[0]):
+        f = chosen[k]
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        xa, ya, xb, yb, xc, yc = u[a], v[a], u[b], v[b], u[c], v[c]
+        twice = (xc - xa) * (yb - ya) - (xb - xa) * (yc - ya)
+        if not twice > f4(0) or z[a] < f4(0.05) or z[b] < f4(0.05) or z[c] < f4(0.05):
+            continue
+        left, top = (xa + xb + xc) * third + half, (ya + yb + yc) * third + half
+        if not (left >= f4(0) and top >= f4(0) and left < f4(width) and top < f4(height)):
+            continue
+        x, y = int(left), int(top)
+        own, before = (z[a] + z[b] + z[c]) * third, standing[y, x]
+        if own < before:
+            grown += half * twice * (_off(own, seen[y, x], most) - _off(before, seen[y, x], most))
+    return grown
+
+
+@kernel
+def _turned(q, tree, joints, rotations, centres):
+    """The frames of some joints, in the tree's order, at pose q (D,), where those of all others are known: as
+    `joint_frames`, without the twists."""
+    local, jacobian, frame = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    for n in range(joints.shape[0]):
+        j = joints[n]
+        a = tree.parents[j]
+        r = rotations[a]
+        for i in range(3):
+            centres[j, i] = centres[a, i]
+            for k in range(3):
+                centres[j, i] += r[i, k] * (tree.joints[j, k] - tree.joints[a, k])
+                frame[i, k] = r[i, k]
+        first = tree.dof_start[j]
+        if tree.kind[j] == BALL:
+            so3_exp_and_jacobian(q[first], q[first + 1], q[first + 2], local, jacobian)
+            multiply(frame, local, rotations[j])
+            continue
+        for m in range(tree.dof_count[j]):
+            d = first + m
+            so3_exp_and_jacobian(
+                q[d] * tree.axes[d, 0], q[d] * tree.axes[d, 1], q[d] * tree.axes[d, 2], local, jacobian
+            )
+            multiply(frame, local, rotations[j])
+            for i in range(3):
+                for k in range(3):
+                    frame[i, k] = rotations[j, i, k]
+        for i in range(3):
+            for k in range(3):
+                rotations[j, i, k] = frame[i, k]
+
+
+@kernel
+def _bone_maps(rotations, centres, tree, joints, maps):
+    """maps (J, 12) f4 of some joints: what carries a vertex of the resting body with them."""
+    for n in range(joints.shape[0]):
+        j = joints[n]
         r = rotations[j]
         x, y, z = tree.joints[j, 0], tree.joints[j, 1], tree.joints[j, 2]
         for i in range(3):
@@ -78,6 +134,11 @@ def _skin(rotations, centres, tree, mesh, chosen, vertices):
             maps[j, 4 * i + 1] = r[i, 1]
             maps[j, 4 * i + 2] = r[i, 2]
             maps[j, 4 * i + 3] = centres[j, i] - r[i, 0] * x - r[i, 1] * y - r[i, 2] * z
+
+
+@kernel
+def _skin(maps, mesh, chosen, vertices):
+    """The chosen vertices about the root's position: linear blend skinning in float32."""
     for k in range(chosen.shape[0]):
         v = chosen[k]
         x, y, z = mesh.vertices[v, 0], mesh.vertices[v, 1], mesh.vertices[v, 2]
@@ -106,45 +167,70 @@ def _project(projection, q, vertices, chosen, u, v, z):
 
 
 @kernel
-def energies(poses, first, last, tree, mesh, moving, moved, still, stood, seen, projections, sizes, most, out):
+def energies(poses, first, last, tree, mesh, seen, projections, sizes, most, out):
     """out (N, C): cost of the drawn poses (N, D), of which first to last are done, against seen (C, h, w) f4: sum of
-    `_off`, over most. moving: faces that differ from pose to pose, and moved: their vertices; still, stood: the
-    others, which stand as in the last pose."""
+    `_off`, over most."""
     n_vertices, n_joints = mesh.vertices.shape[0], tree.parents.shape[0]
     rotations, centres = np.empty((n_joints, 3, 3)), np.empty((n_joints, 3))
-    twists = np.empty((poses.shape[1], 6))
+    twists, maps = np.empty((poses.shape[1], 6)), np.empty((n_joints, 12), np.float32)
+    joints, every, faces = np.arange(n_joints), np.arange(n_vertices), np.arange(mesh.faces.shape[0])
     vertices = np.empty((n_vertices, 3), np.float32)
     u, v, z = np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32)
-    n_views, h, w = seen.shape
-    standing = np.full(seen.shape, _FAR, np.float32)
-    cost = np.zeros(n_views)
-    touched = np.empty(8 * h * w, np.int64)
-    count = np.zeros(1, np.int64)
-    if still.shape[0] > 0:
-        q = poses[poses.shape[0] - 1]
-        joint_frames(q, tree, rotations, centres, twists)
-        _skin(rotations, centres, tree, mesh, stood, vertices)
-        for c in range(n_views):
-            _project(projections[c], q, vertices, stood, u, v, z)
-            part = standing[c, : sizes[c, 1], : sizes[c, 0]]
-            count[0] = touched.shape[0]  # nobody takes it back
-            cost[c] = _draw(mesh.faces, still, u, v, z, seen[c], most, part, touched, count)
-    drawn = standing.copy()
+    drawn = np.empty(seen.shape, np.float32)
+    touched, count = np.empty(0, np.int64), np.zeros(1, np.int64)
     for n in range(first, last):
         joint_frames(poses[n], tree, rotations, centres, twists)
-        _skin(rotations, centres, tree, mesh, moved, vertices)
-        for c in range(n_views):
+        _bone_maps(rotations, centres, tree, joints, maps)
+        _skin(maps, mesh, every, vertices)
+        for c in range(seen.shape[0]):
+            _project(projections[c], poses[n], vertices, every, u, v, z)
+            drawn[c] = _FAR
+            grown = _draw(mesh.faces, faces, u, v, z, seen[c], most, drawn[c], sizes[c], touched, count)
+            out[n, c] = grown / most
+
+
+@kernel
+def limb_energies(
+    poses, first, last, tree, mesh, joints, moving, moved, still, stood, seen, projections, sizes, most, rough, out
+):
+    """The same of poses that differ in some joints and those below them alone: what stands is drawn once, as in the
+    last pose. moving: faces that differ, and moved: their vertices; still, stood: the others. rough: `_roughly`."""
+    n_vertices, n_joints = mesh.vertices.shape[0], tree.parents.shape[0]
+    rotations, centres = np.empty((n_joints, 3, 3)), np.empty((n_joints, 3))
+    twists, maps = np.empty((poses.shape[1], 6)), np.empty((n_joints, 12), np.float32)
+    vertices = np.empty((n_vertices, 3), np.float32)
+    u, v, z = np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32)
+    standing = np.full(seen.shape, _FAR, np.float32)
+    cost = np.zeros(seen.shape[0])
+    touched, count = np.empty(8 * seen.shape[1] * seen.shape[2], np.int64), np.zeros(1, np.int64)
+    q = poses[poses.shape[0] - 1]
+    joint_frames(q, tree, rotations, centres, twists)
+    _bone_maps(rotations, centres, tree, np.arange(n_joints), maps)
+    _skin(maps, mesh, stood, vertices)
+    for c in range(seen.shape[0]):
+        _project(projections[c], q, vertices, stood, u, v, z)
+        count[0] = touched.shape[0]  # nobody takes it back
+        cost[c] = _draw(mesh.faces, still, u, v, z, seen[c], most, standing[c], sizes[c], touched, count)
+    drawn = standing.copy()
+    for n in range(first, last):
+        _turned(poses[n], tree, joints, rotations, centres)
+        _bone_maps(rotations, centres, tree, joints, maps)
+        _skin(maps, mesh, moved, vertices)
+        for c in range(seen.shape[0]):
             _project(projections[c], poses[n], vertices, moved, u, v, z)
-            width = sizes[c, 0]
-            part = drawn[c, : sizes[c, 1], :width]
+            width, height = sizes[c, 0], sizes[c, 1]
+            if rough:
+                grown = _roughly(mesh.faces, moving, u, v, z, seen[c], most, standing[c], width, height)
+                out[n, c] = (cost[c] + grown) / most
+                continue
             count[0] = 0
-            out[n, c] = cost[c] + _draw(mesh.faces, moving, u, v, z, seen[c], most, part, touched, count)
-            out[n, c] /= most
+            grown = _draw(mesh.faces, moving, u, v, z, seen[c], most, drawn[c], sizes[c], touched, count)
+            out[n, c] = (cost[c] + grown) / most
             if count[0] <= touched.shape[0]:
                 for k in range(count[0]):
                     y, x = touched[k] // width, touched[k] % width
-                    part[y, x] = standing[c, y, x]
+                    drawn[c, y, x] = standing[c, y, x]
             else:
-                for y in range(sizes[c, 1]):
+                for y in range(height):
                     for x in range(width):
-                        part[y, x] = standing[c, y, x]
+                        drawn[c, y, x] = standing[c, y, x]

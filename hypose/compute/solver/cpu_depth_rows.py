@@ -8,7 +8,7 @@ import numpy as np
 
 from hypose.compute.compiled import kernel
 from hypose.compute.solver.cpu_losses import geman_mcclure
-from hypose.compute.solver.cpu_rows import add_row
+from hypose.compute.solver.cpu_rows import sum_rows
 
 f4, i4 = np.float32, np.int32
 _PER_M2 = 4e6
@@ -43,38 +43,30 @@ def vertex_normals(vertices, faces, normals):
 
 
 @kernel
-def closest_on_triangle(px, py, pz, a, b, c, share):
-    """share (3,): weights of the corners a, b, c (3,) at the point of the triangle nearest to p. Source: Ericson 2005,
-    Real-Time Collision Detection, section 5.1.5."""
-    abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    apx, apy, apz = px - a[0], py - a[1], pz - a[2]
-    d1, d2 = abx * apx + aby * apy + abz * apz, acx * apx + acy * apy + acz * apz
-    s = t = f4(0)  # weights of b and c
+def closest_on_triangle(ux, uy, uz, vx, vy, vz, px, py, pz):
+    """Shares (s, t) of the corners u and v at the point of a triangle nearest to p, all relative to its third corner.
+    Source: Ericson 2005, Real-Time Collision Detection, section 5.1.5."""
+    d1, d2 = ux * px + uy * py + uz * pz, vx * px + vy * py + vz * pz
     if d1 <= 0 and d2 <= 0:
-        share[0], share[1], share[2] = 1, 0, 0
-        return
-    bpx, bpy, bpz = px - b[0], py - b[1], pz - b[2]
-    d3, d4 = abx * bpx + aby * bpy + abz * bpz, acx * bpx + acy * bpy + acz * bpz
-    cpx, cpy, cpz = px - c[0], py - c[1], pz - c[2]
-    d5, d6 = abx * cpx + aby * cpy + abz * cpz, acx * cpx + acy * cpy + acz * cpz
-    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+        return f4(0), f4(0)
+    uu, uv, vv = ux * ux + uy * uy + uz * uz, ux * vx + uy * vy + uz * vz, vx * vx + vy * vy + vz * vz
+    d3, d4, d5, d6 = d1 - uu, d2 - uv, d1 - uv, d2 - vv
     if d3 >= 0 and d4 <= d3:
-        s = f4(1)
-    elif d6 >= 0 and d5 <= d6:
-        t = f4(1)
-    elif vc <= 0 and d1 >= 0 and d3 <= 0:
-        s = d1 / (d1 - d3)
-    elif vb <= 0 and d2 >= 0 and d6 <= 0:
-        t = d2 / (d2 - d6)
-    elif va <= 0 and d4 - d3 >= 0 and d5 - d6 >= 0:
+        return f4(1), f4(0)
+    if d6 >= 0 and d5 <= d6:
+        return f4(0), f4(1)
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    if vc <= 0 and d1 >= 0 and d3 <= 0:
+        return d1 / uu, f4(0)
+    if vb <= 0 and d2 >= 0 and d6 <= 0:
+        return f4(0), d2 / vv
+    if va <= 0 and d4 - d3 >= 0 and d5 - d6 >= 0:
         t = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        s = f4(1) - t
-    else:
-        whole = va + vb + vc
-        if whole > f4(1e-20):
-            s, t = vb / whole, vc / whole
-    share[0], share[1], share[2] = f4(1) - s - t, s, t
+        return f4(1) - t, t
+    whole = va + vb + vc
+    if whole > f4(1e-20):
+        return vb / whole, vc / whole
+    return f4(0), f4(0)
 
 
 @kernel
@@ -92,36 +84,55 @@ def _nearest(fx, fy, fz, nx, ny, nz, whole, px, py, pz, ox, oy, oz):
 
 
 @kernel
-def _spread_row(mesh, corners, share, w, r, px, py, pz, gx, gy, gz, joints, parts, hessian, gradient):
-    """Adds the row of a skinned point, a blend of up to three vertices, to each joint that moves it."""
-    n = 0
-    for k in range(corners.shape[0]):
-        if share[k] <= 0:
-            continue
-        v = corners[k]
-        for m in range(mesh.skin_count[v]):
-            j = mesh.skin_index[v, m]
-            at = 0
-            while at < n and joints[at] != j:
-                at += 1
-            if at == n:
-                joints[n] = j
-                parts[n] = 0.0
-                n += 1
-            parts[at] += share[k] * mesh.skin_weight[v, m]
-    for k in range(n):
-        add_row(hessian, gradient, joints[k], w * parts[k], r, px, py, pz, gx, gy, gz)
+def _form_rows(n, corners, found, n_rows, vertices, skin_index, skin_weight, skin_count, rows, joints):
+    """Appends the rows of n points of the surface to rows (M, 8) and joints (M,), as cpu_rows.form_rows does.
+
+    corners (n, 3): vertices of which a point is a blend; found (n, 8) f4: their shares, direction of the residual,
+    weight, residual."""
+    for i in range(n):
+        own = found[i]
+        gx, gy, gz, w, r = own[3], own[4], own[5], own[6], own[7]
+        x = y = z = f4(0)
+        first = n_rows
+        for k in range(3):
+            share, v = own[k], corners[i, k]
+            if share <= f4(0):
+                continue
+            x += share * vertices[v, 0]
+            y += share * vertices[v, 1]
+            z += share * vertices[v, 2]
+            for m in range(skin_count[v]):
+                j = skin_index[v, m]
+                at = first  # the corners of a face mostly hang on the same joints
+                while at < n_rows and joints[at] != j:
+                    at += 1
+                if at == n_rows:
+                    joints[at] = j
+                    rows[at, 6] = 0.0
+                    n_rows += 1
+                rows[at, 6] += share * skin_weight[v, m] * w
+        for m in range(first, n_rows):
+            line = rows[m]
+            line[0] = y * gz - z * gy
+            line[1] = z * gx - x * gz
+            line[2] = x * gy - y * gx
+            line[3] = gx
+            line[4] = gy
+            line[5] = gz
+            line[7] = r
+    return n_rows
 
 
 @kernel
-def depth_rows(q, mesh, depth, factor, vertices, hessian, gradient, count):
-    """Rows of depth maps; returns their cost. vertices (V, 3) f4 m about the root's position q[:3]; factor: of the
-    scale. count[0] gets the rows of surface points, count[1] those of body before what was seen.
+def depth_rows(q, mesh, depth, factor, ws, kept, count):
+    """Rows of depth maps, kept in ws.rows as `contour_rows` keeps its own; returns their cost. factor: of the scale.
+    count[0] gets the rows of surface points, count[1] those of body before what was seen.
 
     A point of the surface is drawn to the nearest place on the body among what faces its sensor and looks about as it
     does: 1/2 w e^2 / (1 + e^2), e = distance / scale (Geman & McClure 1985). A vertex that faces the sensor and lies
     nearer to it than what was seen in its pixel is pushed back along the optical axis, with the same loss. Which place
     is nearest is held fixed in the derivatives."""
+    vertices = ws.vertices
     n_vertices = vertices.shape[0]
     normals = np.empty((n_vertices, 3), np.float32)
     vertex_normals(vertices, mesh.faces, normals)
@@ -129,9 +140,8 @@ def depth_rows(q, mesh, depth, factor, vertices, hessian, gradient, count):
     fx, fy, fz = np.empty(room, np.float32), np.empty(room, np.float32), np.empty(room, np.float32)
     nx, ny, nz = np.empty(room, np.float32), np.empty(room, np.float32), np.empty(room, np.float32)
     which = np.empty(room, np.int32)
-    joints, parts = np.empty(16, np.int64), np.empty(16)
-    share, best_share = np.empty(3, np.float32), np.empty(3, np.float32)
-    one, own = np.ones(1, np.float32), np.empty(1, np.int32)
+    most = depth.points.shape[0] + n_vertices
+    corners, found = np.empty((most, 3), np.int32), np.empty((most, 8), np.float32)
     cost = 0.0
     scale = depth.scale * factor
     i2, free_i2 = 1.0 / (scale * scale), 1.0 / (depth.free_scale * depth.free_scale)
@@ -155,6 +165,7 @@ def depth_rows(q, mesh, depth, factor, vertices, hessian, gradient, count):
         for i in range(n, whole):
             fx[i], fy[i], fz[i] = f4(1e3), f4(1e3), f4(1e3)
             nx[i], ny[i], nz[i] = f4(0), f4(0), f4(0)
+        n_found = 0
         for m in range(first, last):
             w = depth.weight[m]
             px, py, pz = f4(depth.points[m, 0] - q[0]), f4(depth.points[m, 1] - q[1]), f4(depth.points[m, 2] - q[2])
@@ -163,52 +174,49 @@ def depth_rows(q, mesh, depth, factor, vertices, hessian, gradient, count):
             if (best >> 11) >= i4(_MOST) - 1:
                 cost += 0.5 * w  # nothing near: it costs what it costs at infinite distance
                 continue
-            at = which[best & 2047]
-            nearest = f4(1e9)
-            face = -1
-            for k in range(depth.face_first[at], depth.face_first[at + 1]):
-                f = depth.face_of[k]
-                corner = mesh.faces[f]
-                a, b, d = vertices[corner[0]], vertices[corner[1]], vertices[corner[2]]
-                closest_on_triangle(px, py, pz, a, b, d, share)
-                dx = share[0] * a[0] + share[1] * b[0] + share[2] * d[0] - px
-                dy = share[0] * a[1] + share[1] * b[1] + share[2] * d[1] - py
-                dz = share[0] * a[2] + share[1] * b[2] + share[2] * d[2] - pz
-                away = dx * dx + dy * dy + dz * dz
+            a = which[best & 2047]
+            ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+            qx, qy, qz = px - ax, py - ay, pz - az
+            nearest, side, u, v = f4(1e9), depth.ring_first[a], f4(0), f4(0)
+            for k in range(depth.ring_first[a], depth.ring_first[a + 1]):
+                b, d = depth.ring[k, 0], depth.ring[k, 1]
+                bx, by, bz = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[b, 2] - az
+                dx, dy, dz = vertices[d, 0] - ax, vertices[d, 1] - ay, vertices[d, 2] - az
+                s, t = closest_on_triangle(bx, by, bz, dx, dy, dz, qx, qy, qz)
+                x, y, z = s * bx + t * dx - qx, s * by + t * dy - qy, s * bz + t * dz - qz
+                away = x * x + y * y + z * z
                 if away < nearest:
-                    nearest, face = away, f
-                    best_share[0], best_share[1], best_share[2] = share[0], share[1], share[2]
-            corner = mesh.faces[face]
-            x = y = z = f4(0)
-            gx = gy = gz = f4(0)
-            for k in range(3):
-                v = corner[k]
-                x += best_share[k] * vertices[v, 0]
-                y += best_share[k] * vertices[v, 1]
-                z += best_share[k] * vertices[v, 2]
-                gx += best_share[k] * normals[v, 0]
-                gy += best_share[k] * normals[v, 1]
-                gz += best_share[k] * normals[v, 2]
-            dx, dy, dz = x - px, y - py, z - pz
+                    nearest, side, u, v = away, k, s, t
+            b, d = depth.ring[side, 0], depth.ring[side, 1]
+            own = found[n_found]
+            own[0], own[1], own[2] = f4(1) - u - v, u, v
+            corners[n_found, 0], corners[n_found, 1], corners[n_found, 2] = a, b, d
             r = math.sqrt(nearest)
+            dx = own[0] * ax + u * vertices[b, 0] + v * vertices[d, 0] - px
+            dy = own[0] * ay + u * vertices[b, 1] + v * vertices[d, 1] - py
+            dz = own[0] * az + u * vertices[b, 2] + v * vertices[d, 2] - pz
             if r > f4(_ON_SURFACE):
                 gx, gy, gz = dx / r, dy / r, dz / r
             else:
+                gx = own[0] * normals[a, 0] + u * normals[b, 0] + v * normals[d, 0]
+                gy = own[0] * normals[a, 1] + u * normals[b, 1] + v * normals[d, 1]
+                gz = own[0] * normals[a, 2] + u * normals[b, 2] + v * normals[d, 2]
                 length = math.sqrt(gx * gx + gy * gy + gz * gz)
                 gx, gy, gz = gx / length, gy / length, gz / length
                 r = gx * dx + gy * dy + gz * dz
             rho, slope, _ = geman_mcclure(r * r * i2, w * i2, 1.0)
             cost += 0.5 * w * rho
-            _spread_row(mesh, corner, best_share, slope, r, x, y, z, gx, gy, gz, joints, parts, hessian, gradient)
-            count[0] += 1
+            own[3], own[4], own[5], own[6], own[7] = gx, gy, gz, slope, r
+            n_found += 1
+        count[0] += n_found
         # body before what was seen
         p = depth.projections[c]
-        ax, ay, az = p[2, 0], p[2, 1], p[2, 2]
+        sx, sy, sz = f4(p[2, 0]), f4(p[2, 1]), f4(p[2, 2])
         h, width = depth.sizes[c, 1], depth.sizes[c, 0]
         free = depth.free_weight * (last - first) / n
         for i in range(n):
             x, y, z = fx[i] + q[0], fy[i] + q[1], fz[i] + q[2]
-            away = ax * x + ay * y + az * z + p[2, 3]
+            away = p[2, 0] * x + p[2, 1] * y + p[2, 2] * z + p[2, 3]
             if away < 0.05:
                 continue
             u = int(math.floor((p[0, 0] * x + p[0, 1] * y + p[0, 2] * z + p[0, 3]) / away + 0.5))
@@ -221,9 +229,17 @@ def depth_rows(q, mesh, depth, factor, vertices, hessian, gradient, count):
                 continue
             rho, slope, _ = geman_mcclure(before * before * free_i2, free * free_i2, 1.0)
             cost += 0.5 * free * rho
-            own[0] = which[i]
-            _spread_row(
-                mesh, own, one, slope, before, fx[i], fy[i], fz[i], -ax, -ay, -az, joints, parts, hessian, gradient
-            )
+            own = found[n_found]
+            own[0], own[1], own[2] = f4(1), f4(0), f4(0)
+            corners[n_found, 0] = which[i]
+            own[3], own[4], own[5], own[6], own[7] = -sx, -sy, -sz, slope, before
+            n_found += 1
             count[1] += 1
+        index, weight, count_of = mesh.skin_index, mesh.skin_weight, mesh.skin_count
+        if kept[0] + 3 * index.shape[1] * n_found > ws.rows.shape[0]:
+            sum_rows(kept[0], ws.rows, ws.row_joints, ws.lanes, ws.place, ws.wrench_hessian, ws.wrench_gradient)
+            kept[0] = 0
+        kept[0] = _form_rows(
+            n_found, corners, found, kept[0], vertices, index, weight, count_of, ws.rows, ws.row_joints
+        )
     return cost

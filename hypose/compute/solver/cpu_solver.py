@@ -137,8 +137,8 @@ def bounded_step(hessian, gradient, q, lower, upper, damping, step):
 
 @kernel
 def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, counts):
-    """Cost at pose q (D,), and how many contour rows wait in the workspace for `normal_equations`; counts (C + 3, 2):
-    forward and reverse rows of each view, then the key points, the points, and those of depth."""
+    """Cost at pose q (D,), and how many rows of contours and depth wait in the workspace for `normal_equations`; counts
+    (C + 3, 2): forward and reverse rows of each view, then the key points, the points, and those of depth."""
     joint_frames(q, tree, ws.rotations, ws.centres, ws.twists)
     ws.wrench_hessian[:] = 0.0
     ws.wrench_gradient[:] = 0.0
@@ -163,9 +163,7 @@ def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws
     cost += point_rows(q, points, ws.rotations, ws.centres, ws.wrench_hessian, ws.wrench_gradient, counts[n_views + 1])
     if n_points > 0:
         factor = scale / contours.scale
-        cost += depth_rows(
-            q, mesh, depth, factor, ws.vertices, ws.wrench_hessian, ws.wrench_gradient, counts[n_views + 2]
-        )
+        cost += depth_rows(q, mesh, depth, factor, ws, kept, counts[n_views + 2])
     for i in range(priors.centre.shape[0]):
         for d in range(q.shape[0]):
             w = priors.weight[i, d]
@@ -202,7 +200,7 @@ def solve(q, tree, mesh, contours, keypoints, points, depth, priors, settings, w
 
     info (4,): cost, iterations, evaluations, converged (1 when the last step was below the tolerance). Returns False
     when the cost at the start is not finite. The first coarse_iterations use the coarse contour scale. A step that
-    raises the cost is retried with 6 times the damping at most 3 times; near the end the cost jitters with the
+    raises the cost is retried with 6 times the damping, `tries` times in all; near the end the cost jitters with the
     outline, so a rejected step below the tolerance stops."""
     n = q.shape[0]
     step, trial = np.empty(n), np.empty(n)
@@ -227,7 +225,7 @@ def solve(q, tree, mesh, contours, keypoints, points, depth, priors, settings, w
             evaluations += 1
         accepted = False
         moved = 0.0
-        for _ in range(4):
+        for _ in range(settings.tries):
             if not bounded_step(hessian, gradient, q, priors.lower, priors.upper, damping, step):
                 damping *= 6
                 continue

@@ -129,10 +129,10 @@ class DepthArrays(NamedTuple):
     """(C, 2) width, height"""
     projections: NDArray[np.float64]
     """(C, 3, 4) of the maps' pixels; the last row has unit length, so that it tells metres"""
-    face_first: NDArray[np.int64]
-    """(V + 1,): faces face_of[face_first[v]] and on, to that of v + 1, hold vertex v"""
-    face_of: NDArray[np.int64]
-    """(3 F,)"""
+    ring_first: NDArray[np.int64]
+    """(V + 1,): ring[ring_first[v]] and on, to that of v + 1, are the faces around vertex v"""
+    ring: NDArray[np.int32]
+    """(3 F, 2) their other corners, in the face's order"""
     scale: float
     """m, Geman-McClure scale of the points"""
     free_weight: float
@@ -145,7 +145,7 @@ class DepthArrays(NamedTuple):
 
 def no_depth() -> DepthArrays:
     """Of a frame without depth maps."""
-    none, nobody = np.zeros((0, 3)), np.zeros(0, np.int64)
+    none, nobody = np.zeros((0, 3)), np.zeros((0, 2), np.int32)
     maps, sizes = np.zeros((0, 1, 1), np.float32), np.zeros((0, 2), np.int64)
     first = np.zeros(1, np.int64)
     return DepthArrays(
@@ -176,6 +176,8 @@ class SolveLimits(NamedTuple):
     """stop when no dof moves further (rad; twice the metres)"""
     damping: float
     """initial Levenberg-Marquardt damping relative to the diagonal"""
+    tries: int
+    """of a step, each with more damping, before the solve is given up (the coarse iterations: before the fine ones)"""
 
 
 class Workspace(NamedTuple):
@@ -205,7 +207,7 @@ class Workspace(NamedTuple):
     found: NDArray[np.float32]
     """(R, 5) what was found there, see cpu_rows.form_rows"""
     rows: NDArray[np.float64]
-    """(M, 8) contour rows that wait to be summed"""
+    """(M, 8) rows of contours and depth that wait to be summed"""
     row_joints: NDArray[np.int32]
     """(M,)"""
     lanes: NDArray[np.float64]

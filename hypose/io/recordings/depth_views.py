@@ -28,6 +28,33 @@ _ROOM_FRAMES = 30
 """maps of the empty room that are looked at, at most"""
 
 
+class DepthPreparer:
+    """Stored depth maps of a camera as those of the pinhole `small`; shift: px of the calibrated size added to image
+    positions."""
+
+    def __init__(self, camera: Camera, small: Camera, shift: tuple[float, float]) -> None:
+        self._small = small
+        self._maps = camera.undistort_maps(small.size, small.size)
+        # a fisheye lens bends rays without coefficients, too
+        self._plain = not (camera.fisheye or np.any(camera.distortion)) and tuple(shift) == (0, 0)
+        scale = small.size[0] / camera.size[0], small.size[1] / camera.size[1]
+        self._shift = shift[0] * scale[0], shift[1] * scale[1]
+
+    def __call__(self, depth: DepthMap) -> DepthMap:
+        """(h, w) m of the working size."""
+        stored = depth.shape[1], depth.shape[0]
+        if self._plain and stored == self._small.size:
+            return depth
+        # the nearest pixel: between two values lies nothing that was measured
+        x, y = (m - np.float32(s) for m, s in zip(self._maps, self._shift, strict=True))
+        sx, sy = stored[0] / self._small.size[0], stored[1] / self._small.size[1]
+        x, y = (
+            (x + np.float32(0.5)) * np.float32(sx) - np.float32(0.5),
+            (y + np.float32(0.5)) * np.float32(sy) - np.float32(0.5),
+        )
+        return np.asarray(cv2.remap(depth, x, y, cv2.INTER_NEAREST, borderValue=0), dtype=np.float32)
+
+
 class DepthSource:
     """Depth maps of a view whose `depth` is a folder of 16-bit PNG in millimetres; `background`: one of the empty room.
     Used by one thread at a time, but for maps that are kept."""
@@ -37,12 +64,8 @@ class DepthSource:
             raise InputError(f"View {view.name} has no depth; give its folder of 16-bit PNG in millimetres.")
         self.view, self._small = view, small
         self._files = list_images(view.depth)
-        self._maps = camera.undistort_maps(small.size, small.size)
-        # a fisheye lens bends rays without coefficients, too
-        self._plain = not (camera.fisheye or np.any(camera.distortion)) and tuple(view.image_shift) == (0, 0)
+        self._prepared = DepthPreparer(camera, small, view.image_shift)
         self._stored: tuple[int, int] | None = None
-        scale = small.size[0] / camera.size[0], small.size[1] / camera.size[1]
-        self._shift = view.image_shift[0] * scale[0], view.image_shift[1] * scale[1]
         self._kept: OrderedDict[int, DepthMap] = OrderedDict()
 
     def map(self, frame: int) -> DepthMap:
@@ -83,16 +106,3 @@ class DepthSource:
                 "well."
             )
         return depth
-
-    def _prepared(self, depth: DepthMap) -> DepthMap:
-        stored = depth.shape[1], depth.shape[0]
-        if self._plain and stored == self._small.size:
-            return depth
-        # the nearest pixel: between two values lies nothing that was measured
-        x, y = (m - np.float32(s) for m, s in zip(self._maps, self._shift, strict=True))
-        sx, sy = stored[0] / self._small.size[0], stored[1] / self._small.size[1]
-        x, y = (
-            (x + np.float32(0.5)) * np.float32(sx) - np.float32(0.5),
-            (y + np.float32(0.5)) * np.float32(sy) - np.float32(0.5),
-        )
-        return np.asarray(cv2.remap(depth, x, y, cv2.INTER_NEAREST, borderValue=0), dtype=np.float32)

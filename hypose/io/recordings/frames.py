@@ -78,19 +78,20 @@ class FrameSettings:
             raise InputError(f"The working size factor must lie in (0, 1], got {self.factor:g}.")
 
 
-def working_rig(rig: CameraRig, options: FrameSettings | None = None) -> CameraRig:
-    """The pinhole cameras of the working size."""
+def working_rig(rig: CameraRig, options: FrameSettings | None = None, depth: Sequence[bool] = ()) -> CameraRig:
+    """The pinhole cameras of the working size. depth: which are depth cameras. These have a size of their own: made
+    smaller as large pictures beside it are, their maps would show arms that are a pixel wide."""
     o = options or FrameSettings()
-    return rig.scaled(o.factor or min(1.0, o.longer_side / float(rig.sizes.max()))).pinhole()
+    small = rig.scaled(o.factor or min(1.0, o.longer_side / float(rig.sizes.max()))).pinhole()
+    if not any(depth):
+        return small
+    alone = [working_rig(CameraRig((c,)), o)[0] for c in rig]
+    return CameraRig(tuple(a if own else c for c, a, own in zip(small, alone, depth, strict=True)))
 
 
 def _rig_of(recording: Recording, options: FrameSettings | None = None) -> CameraRig:
-    """The working size of a recording's views. A depth camera has one of its own: made smaller as large pictures beside
-    it are, its maps would show arms that are a pixel wide."""
-    common, o = working_rig(recording.rig, options), options or FrameSettings()
-    alone = [working_rig(CameraRig((c,)), o)[0] for c in recording.rig]
-    views = zip(recording.views, common, alone, strict=True)
-    return CameraRig(tuple(own if view.depth is not None else small for view, small, own in views))
+    """The working size of a recording's views."""
+    return working_rig(recording.rig, options, [v.depth is not None for v in recording.views])
 
 
 def load_keypoints(recording: Recording, options: FrameSettings | None = None) -> list[Keypoints] | None:

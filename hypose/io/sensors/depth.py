@@ -27,7 +27,7 @@ DepthMap = NDArray[np.float32]
 MAX_SIDE = 4096
 # Steps of a noisy depth picture are no better predicted from the pixel beside: without a filter files are a third
 # smaller, and no slower to write.
-_PNG = (cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE, cv2.IMWRITE_PNG_COMPRESSION, 1)
+DEPTH_PNG = (cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE, cv2.IMWRITE_PNG_COMPRESSION, 1)
 _MAX_BYTES = 64 * 2**20
 
 
@@ -39,7 +39,7 @@ def write_depth_png(path: str | Path, depth: ArrayLike) -> None:
 
 def write_millimetres_png(path: str | Path, depth: NDArray[np.uint16]) -> None:
     """Write a depth map (h, w) that is in whole millimetres already, 0 = hole, as 16-bit PNG."""
-    ok, data = cv2.imencode(".png", depth, _PNG)
+    ok, data = cv2.imencode(".png", depth, DEPTH_PNG)
     if not ok:
         raise InputError(f"{path}: a depth map of shape {depth.shape} cannot be written; it must be (height, width).")
     with atomic_path(path) as temporary:

@@ -18,14 +18,14 @@ import urllib.request
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import Any, BinaryIO, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.errors import HyposeError, InputError
-from hypose.io.videos.video import Image, VideoReader, open_video, quiet
+from hypose.io.videos.video import open_video, quiet
 
 LARGEST_PART = 32 << 20
 """Bytes of one picture of a stream; anything larger is no camera."""
@@ -40,11 +40,12 @@ class StreamEnded(HyposeError):
 @dataclass(frozen=True)
 class Shot:
     """What a camera showed at one instant. arrival: s of this computer's monotonic clock at which it was here; stamp: s
-    of the camera's own clock, None where it tells none; data: the picture, or the bytes of a JPEG."""
+    of the camera's own clock, None where it tells none; data: the picture, the bytes of a JPEG, or a depth map (h, w)
+    float32 m."""
 
     arrival: float
     stamp: float | None
-    data: Image | bytes
+    data: NDArray[Any] | bytes
 
     @property
     def size(self) -> tuple[int, int] | None:
@@ -53,7 +54,7 @@ class Shot:
             return self.data.shape[1], self.data.shape[0]
         return _jpeg_size(self.data)
 
-    def picture(self, least: tuple[int, int] | None = None) -> Image | None:
+    def picture(self, least: tuple[int, int] | None = None) -> NDArray[Any] | None:
         """(h, w, 3) uint8 BGR, None when it is damaged; least (width, height): decoded smaller where that is still as
         large."""
         if isinstance(self.data, np.ndarray):
@@ -316,6 +317,32 @@ def _asked(address: str, seconds: float) -> http.client.HTTPResponse:
 # ---- files -----------------------------------------------------------------------------------------------------------
 
 
+class Film(Protocol):
+    """What can be played: numbered pictures, of which `position` comes next; frame_rate Hz, None: not known."""
+
+    path: Path
+    frame_rate: float | None
+    n_frames: int
+
+    @property
+    def position(self) -> int:
+        """The number of the next."""
+        ...
+
+    def read(self, number: int, /) -> NDArray[Any]:
+        """Picture `number`."""
+        ...
+
+    def close(self) -> None:
+        """Let go of it."""
+        ...
+
+
+def played(film: Film, rate: float, begin: float) -> CameraSource:
+    """A film at its own pace, or at `rate` Hz where that is not known, the first picture at `begin` (s, monotonic)."""
+    return _Played(film, rate, begin)
+
+
 class _Played:
     """A video or a folder of pictures at its own pace: a picture whose time has passed is left out, as a camera would
     have it. The pictures carry the times at which they were due."""
@@ -324,7 +351,7 @@ class _Played:
 
     def __init__(
         self,
-        reader: VideoReader,
+        reader: Film,
         rate: float,
         begin: float,
         wait: Callable[[float], None] = time.sleep,

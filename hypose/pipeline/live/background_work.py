@@ -23,6 +23,7 @@ from hypose.errors import EvidenceError
 from hypose.evidence.frame import Expected, Frame, Silhouettes
 from hypose.geometry import Array
 from hypose.pipeline.live.child_processes import belong_to_parent, deaf_to_ctrl_c
+from hypose.pipeline.live.depth_room import KeptDepth
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
 
 T = TypeVar("T")
@@ -36,7 +37,8 @@ _SCALE_PX = 1.5
 @dataclass(frozen=True)
 class KeptMasks:
     """Masks (C, h, w) of one instant, eight pixels to a byte, so that seconds of them take little room. time: s;
-    ignored: likewise what others hide, and expected, where somebody does."""
+    ignored: likewise what others hide, and expected, where somebody does;
+    depth: where depth cameras see."""
 
     time: float
     bits: NDArray[np.uint8]
@@ -44,6 +46,7 @@ class KeptMasks:
     reasons: tuple[str, ...]
     ignored: NDArray[np.uint8] | None = None
     expected: Expected | None = None
+    depth: KeptDepth | None = None
 
     @staticmethod
     def of(frame: Frame) -> KeptMasks:
@@ -51,7 +54,14 @@ class KeptMasks:
         s = frame.silhouettes
         assert s is not None
         ignored = None if s.ignored is None else np.packbits(s.ignored, axis=-1)
-        return KeptMasks(frame.time, np.packbits(s.masks, axis=-1), s.usable, s.reasons, ignored, s.expected)
+        depth = None if frame.depth is None else KeptDepth.of(frame.depth)
+        return KeptMasks(frame.time, np.packbits(s.masks, axis=-1), s.usable, s.reasons, ignored, s.expected, depth)
+
+    def frame(self, number: int, rig: CameraRig) -> Frame:
+        """The frame as it was, with this number."""
+        silhouettes = self.silhouettes(rig)
+        depth = None if self.depth is None else self.depth.depth(silhouettes)
+        return Frame(self.time, number, silhouettes, depth=depth)
 
     def silhouettes(self, rig: CameraRig) -> Silhouettes:
         """The masks as they were."""
@@ -65,7 +75,7 @@ class KeptMasks:
 
 def fitted_body(kept: Sequence[KeptMasks], rig: CameraRig, rate: float, height: float | None, seed: int) -> Body | None:
     """The body of who is in the masks, at `rate` Hz; None where they do not tell."""
-    frames = [Frame(k.time, i, k.silhouettes(rig)) for i, k in enumerate(kept)]
+    frames = [k.frame(i, rig) for i, k in enumerate(kept)]
     options = AnthropometryOptions(height=height, seed=seed, frames=8, tracked=len(frames), passes=1, rate=rate)
     with contextlib.suppress(EvidenceError):
         return estimate_subject(lambda i: frames[i], len(frames), rate, human(), options).body

@@ -20,9 +20,17 @@ from hypose.errors import InputError
 from hypose.evidence.ahead import make_ahead
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import flag_collapsed, make_silhouettes
-from hypose.io.recordings.frames import working_rig
 from hypose.pipeline.live.background_work import BackgroundWork
-from hypose.pipeline.live.eyes import EyesOptions, EyesProcess, LiveView, Question, Sight
+from hypose.pipeline.live.depth_room import depth_of
+from hypose.pipeline.live.eyes import (
+    EyesOptions,
+    EyesProcess,
+    LiveView,
+    Question,
+    Sight,
+    least_cameras,
+    live_working_rig,
+)
 from hypose.pipeline.live.feeds import FeedStatus
 from hypose.pipeline.live.live_people import FOLLOWING, LOST, LivePeople
 from hypose.pipeline.live.live_person import LivePose
@@ -106,13 +114,17 @@ class LiveEngine:
         listeners: Sequence[Listener] = (),
         stop: threading.Event | None = None,
     ) -> None:
-        if len(views) < 2:
-            raise InputError(f"Live tracking needs two cameras or more, and {len(views)} is given.")
+        if len(views) < least_cameras(views):
+            raise InputError(
+                f"Live tracking needs two cameras or more, or one depth camera, and {len(views)} is given."
+            )
+        if any(v.depth for v in views) and (options or LiveOptions()).people > 1:
+            raise InputError("Depth cameras follow one person; leave --people out.")
         self.options, self.views, self.rig = options or LiveOptions(), tuple(views), rig
         if self.options.people > 1:
             eyes = replace(self.options.eyes, silhouettes=self.options.eyes.silhouettes.of_everybody)
             self.options = replace(self.options, eyes=eyes)
-        self.small = working_rig(rig)
+        self.small = live_working_rig(rig, views)
         self.listeners = list(listeners)
         self.ended = threading.Event()
         self.failed: BaseException | None = None
@@ -245,7 +257,8 @@ class LiveEngine:
         silhouettes = make_silhouettes(masks, self.small, reasons)
         outlines = [None if v is None else v[1] for v in sight.views]
         make_ahead(silhouettes, lambda: outlines)
-        frame = Frame(sight.time, self._frames, silhouettes)
+        depth = depth_of(silhouettes, sight.depths) if any(v.depth for v in self.views) else None
+        frame = Frame(sight.time, self._frames, silhouettes, depth=depth)
         self._frames += 1
         return frame
 
@@ -279,7 +292,7 @@ class LiveEngine:
             skipped = max(0.0, 1 - (self._frames - self._since[1]) / (sight.instants - self._since[0]))
         return LiveStatus(
             self.phase,
-            (*_words(cameras), *(() if sight is None else sight.words)),
+            (*_words(cameras, least_cameras(self.views)), *(() if sight is None else sight.words)),
             cameras,
             self._poses,
             float((now - given < 2.0).sum()) / 2.0,
@@ -291,10 +304,11 @@ class LiveEngine:
         )
 
 
-def _words(cameras: Sequence[FeedStatus]) -> list[str]:
+def _words(cameras: Sequence[FeedStatus], least: int) -> list[str]:
     out = [f"{c.name} {'has ended' if c.ended else 'is missing'}: {c.trouble}" for c in cameras if c.trouble]
-    if sum(not c.trouble for c in cameras) < 2 <= len(cameras):
-        out.append("Fewer than two cameras show anything, so nobody can be followed.")
+    if sum(not c.trouble for c in cameras) < least <= len(cameras):
+        some = "Fewer than two cameras show" if least > 1 else "No camera shows"
+        out.append(f"{some} anything, so nobody can be followed.")
     for c in cameras:
         if c.received > 100 and c.loss > _MISSES[0]:  # in steps: what changes is said anew
             share = max(m for m in _MISSES if c.loss > m)

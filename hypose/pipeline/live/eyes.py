@@ -15,8 +15,9 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,14 +26,18 @@ from numpy.typing import NDArray
 from hypose import compute
 from hypose.cameras.camera import CameraRig
 from hypose.errors import HyposeError, InputError
-from hypose.evidence.background import BackgroundModel, Image
+from hypose.evidence.background import BackgroundModel
+from hypose.evidence.depth_background import DepthBackground
 from hypose.evidence.outlines import ViewOutline
 from hypose.evidence.shared_masks import BodyShape
 from hypose.evidence.silhouettes import Mask, SilhouetteSettings
 from hypose.geometry import Array
 from hypose.io.recordings.frames import working_rig
+from hypose.io.sensors.depth import DEPTH_PNG
+from hypose.io.sensors.depth_sources import open_depth_camera
 from hypose.io.videos.camera_sources import CameraSource, Shot, open_camera
 from hypose.pipeline.live.child_processes import belong_to_parent, deaf_to_ctrl_c
+from hypose.pipeline.live.depth_room import DepthRoom
 from hypose.pipeline.live.feeds import Feed, FeedStatus
 from hypose.pipeline.live.pairing import newest_instant
 from hypose.pipeline.live.punctual import punctual
@@ -56,13 +61,16 @@ _CLOSING_S = 5.0
 @dataclass(frozen=True)
 class LiveView:
     """address: as `open_camera` takes it; shift: px of the calibrated size added to image positions; background: the
-    empty room, where it is known; stretched: pictures of another shape than calibrated are taken as they are."""
+    empty room, where it is known; stretched: pictures of another shape than calibrated are taken as they are; depth:
+    it is a depth camera (`open_depth_camera`), and depth_room its empty room, where that is known."""
 
     name: str
     address: str
     shift: tuple[float, float] = (0.0, 0.0)
     background: BackgroundModel | None = None
     stretched: bool = False
+    depth: bool = False
+    depth_room: DepthBackground | None = None
 
 
 @dataclass(frozen=True)
@@ -95,7 +103,8 @@ class Sight:
     """An instant as the cameras showed it, or why there is none (time NaN). arrival s: of its last picture, on this
     computer's clock; views: packed mask (h, ceil(w / 8)) and outline of each camera, None without a picture; jpegs: its
     pictures as they were stored, where they are wanted; cameras: what they do; instants: how many there were until
-    now; words: what has to be done, or is wrong; room: that is being learnt; made s: spent on the masks."""
+    now; words: what has to be done, or is wrong; room: that is being learnt; made s: spent on the masks; depths: mm,
+    what each depth camera measured."""
 
     time: float
     arrival: float
@@ -106,6 +115,7 @@ class Sight:
     words: tuple[str, ...]
     room: bool
     made: float = 0.0
+    depths: tuple[NDArray[np.uint16] | None, ...] = ()
 
 
 class Eyes:
@@ -113,7 +123,7 @@ class Eyes:
     cannot be opened."""
 
     def __init__(self, rig: CameraRig, views: Sequence[LiveView], options: EyesOptions) -> None:
-        self._views, self._options, self.small = tuple(views), options, working_rig(rig)
+        self._views, self._options, self.small = tuple(views), options, live_working_rig(rig, views)
         self._sizes, self._wrong, self._damaged = tuple(c.size for c in rig), [""] * len(views), [0] * len(views)
         self._arrived = threading.Condition()
         begin = time.monotonic() + 0.3
@@ -122,13 +132,19 @@ class Eyes:
             for v, c in zip(views, rig, strict=True)
         ]
         shapes = zip(views, rig, self.small, strict=True)
-        self._rooms = [ViewRoom(c, small, v.shift, options.silhouettes, v.background) for v, c, small in shapes]
+        self._rooms = [
+            DepthRoom(c, small, v.shift, v.depth_room)
+            if v.depth
+            else ViewRoom(c, small, v.shift, options.silhouettes, v.background)
+            for v, c, small in shapes
+        ]
+        self._least = least_cameras(views)
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="masks")
         self._last, self._instants = -np.inf, 0
         self._room_from: float | None = None
-        self._pictures: list[list[Image]] = [[] for _ in views]
+        self._pictures: list[list[NDArray[Any]]] = [[] for _ in views]
         self._moved: tuple[str, ...] = ()
-        self._to_follow: list[tuple[int, Image, float, Question]] = []
+        self._to_follow: list[tuple[ViewRoom, int, NDArray[Any], float, Question]] = []
         opened: list[Feed] = []
         try:
             for feed in self._feeds:
@@ -180,13 +196,16 @@ class Eyes:
         views = tuple(None if task is None else task.result() for task in tasks)
         jpegs = tuple(None if shot is None or not question.pictures else _jpeg(shot) for shot in shots)
         arrival = max(s.arrival for s in shots if s is not None)
-        return self._sight(at, arrival, views, jpegs, time.perf_counter() - begin)
+        depths = tuple(
+            r.seen if isinstance(r, DepthRoom) and v is not None else None
+            for r, v in zip(self._rooms, views, strict=True)
+        )
+        return replace(self._sight(at, arrival, views, jpegs, time.perf_counter() - begin), depths=depths)
 
     def keep_up(self) -> None:
         """Learn what has changed in the rooms, which nobody waits for."""
-        for view, image, at, question in self._to_follow:
-            person = self._covered(view, question.bodies) if question.bodies else None
-            self._rooms[view].follow(image, at, person)
+        for room, view, image, at, question in self._to_follow:
+            room.follow(image, at, self._covered(view, question.bodies) if question.bodies else None)
         self._to_follow = []
 
     def _sight(
@@ -205,7 +224,7 @@ class Eyes:
         with self._arrived:
             now = time.monotonic()
             told = [feed.delivered() for feed in self._feeds]
-            instant, wait = newest_instant([d for d, _ in told], self._last + pause, now)
+            instant, wait = newest_instant([d for d, _ in told], self._last + pause, now, self._least)
             if instant is None:
                 self._arrived.wait(max(min(wait, until) - now, 0.0005))
                 return None
@@ -226,11 +245,12 @@ class Eyes:
             return None
         mask, outline = room.mask(image)
         turn = int(at * len(self._rooms)) % len(self._rooms) == view  # not all in one instant
-        if self._options.adapt and turn and room.due(at) and (question.bodies or not question.following):
-            self._to_follow.append((view, image, at, question))
+        wanted = self._options.adapt and turn and (question.bodies or not question.following)
+        if wanted and isinstance(room, ViewRoom) and room.due(at):
+            self._to_follow.append((room, view, image, at, question))
         return np.packbits(mask, axis=1), outline
 
-    def _picture(self, view: int, shot: Shot) -> Image | None:
+    def _picture(self, view: int, shot: Shot) -> NDArray[Any] | None:
         """None when it is damaged, or of another shape than calibrated: a telephone that was turned, a wide picture of
         a camera that was calibrated with a narrow one."""
         image, (cw, ch), name = shot.picture(self._rooms[view].size), self._sizes[view], self._views[view].name
@@ -280,8 +300,7 @@ class Eyes:
         moved = []
         for view, room, images in zip(self._views, self._rooms, self._pictures, strict=True):
             room.learn(images)
-            assert room.background is not None
-            if float((room.background.sd.max(2) > _MOVED).mean()) > _MOVED_SHARE:
+            if room.moved if isinstance(room, DepthRoom) else _has_moved(room.background):
                 moved.append(
                     f"{view.name} saw something move while the empty room was learnt; leave its view, and learn it "
                     "again."
@@ -296,14 +315,33 @@ class Eyes:
         return tuple(out)
 
 
+def live_working_rig(rig: CameraRig, views: Sequence[LiveView]) -> CameraRig:
+    """The cameras of the working size."""
+    return working_rig(rig, depth=[v.depth for v in views])
+
+
+def least_cameras(views: Sequence[LiveView]) -> int:
+    """How many cameras somebody can be followed with: a depth camera is enough by itself."""
+    return 1 if any(v.depth for v in views) else 2
+
+
+def _has_moved(room: BackgroundModel | None) -> bool:
+    return room is not None and float((room.sd.max(2) > _MOVED).mean()) > _MOVED_SHARE
+
+
 def _jpeg(shot: Shot) -> bytes | None:
     if isinstance(shot.data, bytes):
         return shot.data
+    if shot.data.ndim == 2:  # a depth map, in millimetres
+        ok, data = cv2.imencode(".png", np.minimum(shot.data * 1000 + 0.5, 65535).astype(np.uint16), DEPTH_PNG)
+        return data.tobytes() if ok else None
     ok, data = cv2.imencode(".jpg", shot.data, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
     return data.tobytes() if ok else None
 
 
 def _opener(view: LiveView, size: tuple[int, int], rate: float, begin: float) -> Callable[[], CameraSource]:
+    if view.depth:
+        return lambda: open_depth_camera(view.address, rate, begin)
     return lambda: open_camera(view.address, rate, size, begin)
 
 

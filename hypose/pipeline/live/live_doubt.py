@@ -42,7 +42,7 @@ class LiveDoubt:
         if p is None or doubtful is None or estimate.lost:
             p = np.maximum(np.zeros(count, np.float32) if p is None else p, np.float32(0.5))
             doubtful = np.ones(count, np.bool_)
-        now = with_fitted_joints(now, "silhouettes", self._beyond)
+        now = with_fitted_joints(now, "silhouettes" if frame.depth is None else "depth", self._beyond)
         return as_mixture(replace(now, p_wrong=p, doubtful_joints=doubtful))
 
     def look(self, tracker: Tracker, estimate: FrameEstimate, frame: Frame, whole: Frame | None = None) -> None:

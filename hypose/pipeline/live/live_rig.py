@@ -11,9 +11,11 @@ from hypose.errors import InputError
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.calibrations.calibration_toml import find_calibration
-from hypose.io.recordings.frames import build_backgrounds
+from hypose.io.recordings.depth_views import DepthSource
+from hypose.io.recordings.frames import build_backgrounds, working_rig
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.recordings.recording_views import View
+from hypose.io.sensors.depth_sources import FOLDER, is_depth
 from hypose.io.videos.camera_sources import is_device, without_password
 from hypose.pipeline.live.eyes import LiveView
 
@@ -64,7 +66,8 @@ def live_rig(path: str | Path, sources: Mapping[str, str], rate: float | None = 
         raise InputError(f"Live tracking needs two cameras or more; give the place of another with --source: {others}.")
     used = [k for k, name in enumerate(names) if name in sources]
     views = tuple(
-        LiveView(v.name, sources[v.name], v.image_shift, stretched=v.accept_scaled) for v in (known[k] for k in used)
+        LiveView(v.name, where, v.image_shift, stretched=v.accept_scaled, depth=is_depth(where))
+        for v, where in ((known[k], _address(known[k], sources)) for k in used)
     )
     return LiveRig(
         CameraRig(tuple(rig[k] for k in used)),
@@ -74,6 +77,12 @@ def live_rig(path: str | Path, sources: Mapping[str, str], rate: float | None = 
         None if recording is None else recording.subject_height,
         notes,
     )
+
+
+def _address(view: View, sources: Mapping[str, str]) -> str:
+    """Where a camera is; the folder of a depth view is one of depth maps."""
+    where = sources[view.name]
+    return where if view.depth is None or is_depth(where) else f"{FOLDER}{where}"
 
 
 def _check_places(sources: Mapping[str, str]) -> None:
@@ -100,9 +109,14 @@ def _played(recording: Recording | None, rig: CameraRig, path: Path, rate: float
         )
     # masks that were made elsewhere are none of what is to come
     shown = replace(recording, keypoint_set=None, views=tuple(replace(v, masks=None) for v in recording.views))
+    small = working_rig(rig, depth=[v.depth is not None for v in recording.views])
     views = tuple(
         LiveView(v.name, str(v.source), v.image_shift, b, v.accept_scaled)
-        for v, b in zip(recording.views, build_backgrounds(shown), strict=True)
+        if v.depth is None
+        else LiveView(
+            v.name, f"{FOLDER}{v.depth}", v.image_shift, depth=True, depth_room=DepthSource(v, camera, own).room
+        )
+        for v, b, camera, own in zip(recording.views, build_backgrounds(shown), rig, small, strict=True)
     )
     notes = tuple(f"View {v.name}: {v.background.note}" for v in views if v.background and v.background.note)
     return LiveRig(rig, views, rate or recording.frame_rate, recording.silhouettes, recording.subject_height, notes)

@@ -190,14 +190,14 @@ def paced(state: TrackerState, share: float, skeleton: Skeleton) -> TrackerState
 
 
 def _somebody(look: _Look) -> bool:
-    """Two views show something of the size of a person, beside those who are known."""
+    """Two views, or one depth camera, show something of the size of a person, beside those who are known."""
     s = look.frame.silhouettes
     if s is None:
         return False
     if look.others:
         return somebody_more(look.others, s)
     large = s.areas > _LEAST_AREA * s.rig.sizes.prod(1)
-    return int((large & s.usable).sum()) >= 2
+    return int((large & s.usable).sum()) >= (2 if look.frame.depth is None else 1)
 
 
 def _each_alone(looks: Sequence[_Look], most: int) -> list[list[Frame]]:

@@ -43,13 +43,16 @@ class Instant:
     shots: tuple[int | None, ...]
 
 
-def newest_instant(cameras: Sequence[Delivered], last: float, now: float) -> tuple[Instant | None, float]:
+def newest_instant(
+    cameras: Sequence[Delivered], last: float, now: float, least: int = 2
+) -> tuple[Instant | None, float]:
     """The newest instant after `last` (s, common clock) that every camera which is there has told of, or will not tell
-    of, by `now` (s, this computer's clock); and until when it is worth waiting for more. Two cameras at least show it.
+    of, by `now` (s, this computer's clock); and until when it is worth waiting for more. So many cameras at
+    least show it.
     """
     there = [c for c, d in enumerate(cameras) if is_there(d, now)]
     known = [cameras[c].period for c in there if np.isfinite(cameras[c].period)]
-    if len(there) < 2 or not known:
+    if len(there) < least or not known:
         return None, now + 0.05
     period = float(np.median(known))
     times = np.unique(np.concatenate([cameras[c].times for c in there]))
@@ -58,7 +61,7 @@ def newest_instant(cameras: Sequence[Delivered], last: float, now: float) -> tup
     told = times < min(begin for begin, _ in waits)
     for time in times[told][::-1][:_CANDIDATES]:
         shots = [_nearest(d, float(time), period) if c in there else None for c, d in enumerate(cameras)]
-        if sum(s is not None for s in shots) >= 2:
+        if sum(s is not None for s in shots) >= least:
             return Instant(float(time), tuple(shots)), now
     next_one = times[~told][:1]
     return None, min([now + period, *(max(until for begin, until in waits if begin <= t) for t in next_one)])

@@ -19,11 +19,10 @@ from hypose.errors import HyposeError, InputError
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.io.file_names import folder_for
 from hypose.io.files import RecordingFolder, write_text
-from hypose.io.recordings.frames import working_rig
 from hypose.io.recordings.recording import Recording, write_recording
 from hypose.io.recordings.recording_views import SIDECAR, View
 from hypose.pipeline.live.engine import LiveStatus, Seen
-from hypose.pipeline.live.eyes import LiveView
+from hypose.pipeline.live.eyes import LiveView, live_working_rig
 
 _WAITING = 90
 """instants that may wait to be written; more are left out, and counted"""
@@ -51,7 +50,7 @@ class LiveRecorder:
         self._height = height
         self.left_out = self.written = 0
         self.failed, self._closed = "", False
-        self._small = working_rig(rig)
+        self._small = live_working_rig(rig, views)
         self._times: list[float] = []
         self._followed: list[bool] = []
         self._rows = 0
@@ -96,7 +95,9 @@ class LiveRecorder:
 
     def _describe(self) -> None:
         views = tuple(
-            View(v.name, images=pictures, masks=masks, image_shift=v.shift, accept_scaled=v.stretched)
+            View(v.name, depth=pictures, image_shift=v.shift)
+            if v.depth
+            else View(v.name, images=pictures, masks=masks, image_shift=v.shift, accept_scaled=v.stretched)
             for v, pictures, masks in zip(self._views, self._pictures, self._masks, strict=True)
         )
         recording = Recording(
@@ -141,15 +142,25 @@ class LiveRecorder:
 
     def _opened(self) -> TextIO:
         """The folders, and where poses go."""
-        self._masks = [folder_for(self.folder / "masks", v.name) for v in self._views]
-        self._pictures = [folder_for(self.folder / "pictures", v.name) for v in self._views]
-        for path, camera in zip(self._masks, self._small, strict=True):
-            write_text(path / SIDECAR, json.dumps({"undistorted": True, "size": list(camera.size)}) + "\n")
+        places = ("depth" if v.depth else "pictures" for v in self._views)
+        self._pictures = [folder_for(self.folder / p, v.name) for p, v in zip(places, self._views, strict=True)]
+        # what a depth camera sees needs no masks
+        self._masks = [
+            p if v.depth else folder_for(self.folder / "masks", v.name)
+            for p, v in zip(self._pictures, self._views, strict=True)
+        ]
+        for view, path, camera in zip(self._views, self._masks, self._small, strict=True):
+            if not view.depth:
+                write_text(path / SIDECAR, json.dumps({"undistorted": True, "size": list(camera.size)}) + "\n")
         return open(self.folder / _POSES, "w", encoding="utf-8", newline="\n")
 
     def _write(self, seen: Seen, poses: TextIO) -> None:
         number = self.written
         for c, (view, jpeg) in enumerate(zip(seen.sight.views, seen.sight.jpegs, strict=True)):
+            if self._views[c].depth:
+                self._last[c] = (None if view is None else jpeg) or self._last[c] or _black(self._rig[c].size, True)
+                (self._pictures[c] / f"{number:06d}.png").write_bytes(self._last[c] or b"")
+                continue
             width, height = self._small[c].size
             mask = np.zeros((height, width), np.uint8) if view is None else np.unpackbits(view[0], 1, width)
             ok, data = cv2.imencode(".png", mask * np.uint8(255))
@@ -182,7 +193,8 @@ class LiveRecorder:
                     path.unlink()
 
 
-def _black(size: tuple[int, int]) -> bytes:
+def _black(size: tuple[int, int], depth: bool = False) -> bytes:
     """Of a camera that has not shown anything yet."""
-    ok, data = cv2.imencode(".jpg", np.zeros((size[1], size[0], 3), np.uint8))
+    nothing = np.zeros((size[1], size[0]), np.uint16) if depth else np.zeros((size[1], size[0], 3), np.uint8)
+    ok, data = cv2.imencode(".png" if depth else ".jpg", nothing)
     return data.tobytes() if ok else b""

@@ -1,0 +1,88 @@
+"""Depth cameras of the live engine: rooms, what is kept of a frame, addresses, and one camera alone."""
+
+import time
+
+import numpy as np
+import pytest
+
+from hypose.body.ready_bodies import human
+from hypose.errors import InputError
+from hypose.io.sensors.depth import write_depth_png
+from hypose.io.sensors.depth_sources import is_depth, open_depth_camera
+from hypose.io.videos.camera_sources import StreamEnded
+from hypose.pipeline.live.background_work import KeptMasks
+from hypose.pipeline.live.depth_room import DepthRoom, depth_of
+from hypose.pipeline.live.eyes import LiveView, least_cameras
+from hypose.pipeline.live.pairing import Delivered, newest_instant
+from hypose.tracking.starts import known_pose
+from tests.depth_pictures import WALL_M, frame_of, sensors
+
+
+@pytest.fixture(scope="module")
+def frame():
+    body = human()
+    pose = known_pose(body, "standing")
+    pose[:3] = 0.0, 0.0, 0.95
+    return frame_of(body, pose, sensors(2))
+
+
+def test_the_person_stands_before_the_room_that_was_learnt(frame):
+    camera = frame.depth.rig[0]
+    room = DepthRoom(camera, camera, (0.0, 0.0))
+    room.learn([np.full(camera.size[::-1], WALL_M, np.float32)] * 3)
+    assert not room.moved
+    mask, outline = room.mask(frame.depth.maps[0])
+    person = frame.depth.person[0]
+    assert outline is not None and (mask != person).sum() < 0.05 * person.sum()
+    assert np.abs(room.seen / 1000 - frame.depth.maps[0]).max() < 0.001
+    assert room.mask(np.full(camera.size[::-1], WALL_M, np.float32))[1] is None
+
+
+def test_who_walks_through_while_the_room_is_learnt_is_told(frame):
+    camera = frame.depth.rig[0]
+    room = DepthRoom(camera, camera, (0.0, 0.0))
+    rng = np.random.default_rng(0)
+    room.learn([(WALL_M - rng.uniform(0, 1, camera.size[::-1])).astype(np.float32) for _ in range(6)])
+    assert room.moved
+
+
+def test_depth_travels_beside_the_masks_and_is_kept_of_the_person(frame):
+    millimetres = [(m * 1000 + 0.5).astype(np.uint16) for m in frame.depth.maps]
+    depth = depth_of(frame.silhouettes, [millimetres[0], None])
+    assert depth is not None and depth.usable.tolist() == [True, False]
+    assert not depth.person[1].any()
+    assert depth_of(frame.silhouettes, [None, None]) is None
+    again = KeptMasks.of(frame).frame(3, frame.depth.rig).depth
+    person = frame.depth.person > 0
+    assert np.array_equal(again.person, frame.depth.person)
+    assert np.abs(again.maps - frame.depth.maps)[person].max() < 0.001
+    assert not again.maps[~person.any(0)[None].repeat(2, 0)].any()
+
+
+def test_a_folder_of_maps_is_played_at_its_pace(tmp_path):
+    for k in range(3):
+        write_depth_png(tmp_path / f"{k:03d}.png", np.full((4, 6), 1.0 + k))
+    begin = time.monotonic()
+    source = open_depth_camera(f"depth:{tmp_path}", 20.0, begin)
+    shots = [source.read() for _ in range(3)]
+    assert shots[-1].arrival - begin >= 0.1
+    assert [round(float(s.data.mean())) for s in shots] == [1, 2, 3]
+    assert shots[0].size == (6, 4)
+    with pytest.raises(StreamEnded, match="is over"):
+        source.read()
+
+
+def test_addresses_of_depth_cameras(tmp_path):
+    assert [is_depth(a) for a in ("realsense", "realsense:123", "depth:x", "0", "clip.mp4")] == [True] * 3 + [False] * 2
+    with pytest.raises(InputError, match="There is no folder"):
+        open_depth_camera(f"depth:{tmp_path / 'none'}", 30.0)
+
+
+def test_one_depth_camera_alone_makes_instants():
+    views = [LiveView("front", "depth:x", depth=True)]
+    assert least_cameras(views) == 1 and least_cameras([LiveView("a", "0"), LiveView("b", "1")]) == 2
+    times = np.arange(5) / 30
+    alone = [Delivered(times, times + 0.001, 1 / 30)]
+    assert newest_instant(alone, -np.inf, 0.14)[0] is None
+    instant = newest_instant(alone, -np.inf, 0.14, least_cameras(views))[0]
+    assert instant is not None and instant.shots == (4,)
