@@ -115,15 +115,22 @@ def mask_outline(
 ) -> list[NDArray[np.int32]]:
     """Outlines of an undistorted mask (h, w) of the camera `working` as polygons in the recorded image at `size`."""
     w, h = working.size
-    found, _ = cv2.findContours(np.ascontiguousarray(mask[:h, :w]), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     out = []
-    for contour in found:
+    for contour in _edges(mask[:h, :w], cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE):
         _, directions = working.rays(contour[:, 0].astype(np.float64))
         # 10 m along the ray: the distance does not matter, only the direction is projected again
         uv = image_points(view, camera, working.position + 10.0 * directions, size)
         if len(uv) > 2 and np.isfinite(uv).all():
             out.append(_fixed(uv))
     return out
+
+
+def _edges(mask: NDArray[np.uint8], which: int, points: int) -> Sequence[NDArray[np.int32]]:
+    """Contours of a mask (h, w), looked for no further than it reaches: what is empty costs OpenCV as much."""
+    x, y, width, height = cv2.boundingRect(mask)
+    window = np.ascontiguousarray(mask[y : y + height, x : x + width])
+    found = cv2.findContours(window, which, points, offset=(x, y))[0] if width else ()
+    return [np.asarray(contour, dtype=np.int32) for contour in found]
 
 
 _SHIFT = 4  # OpenCV draws at 1/16 px
@@ -152,15 +159,18 @@ def draw_body(
     depth = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
     if not np.isfinite(uv).all():
         return  # the body reaches behind the camera: nothing sensible to draw
-    shape = np.ascontiguousarray(silhouette(uv, depth, faces, (w, h))).astype(np.uint8)
+    u, v = np.ascontiguousarray(uv.T, dtype=np.float32)
+    a, b, c = faces.T
+    turned = (u[b] - u[a]) * (v[c] - v[a]) <= (u[c] - u[a]) * (v[b] - v[a])
+    front = faces[turned]  # the mesh is closed: they cover what all of them cover
+    shape = np.ascontiguousarray(silhouette(uv, depth, front, (w, h)), dtype=np.uint8)
     x, y, width, height = cv2.boundingRect(shape)
     if not width:
         return
     window = np.s_[y : y + height, x : x + width]
     tint = (0.65 * np.arange(256)[:, None] + 0.35 * np.array(colour)).astype(np.uint8)
     cv2.copyTo(cv2.LUT(image[window], tint[None]), shape[window], image[window])
-    outline, _ = cv2.findContours(shape, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    cv2.drawContours(image, outline, -1, colour, 1, cv2.LINE_AA)
+    cv2.polylines(image, _edges(shape, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE), True, colour, 1, cv2.LINE_AA)
 
 
 def bones(body: Body) -> Iterator[tuple[int, int, tuple[int, int, int]]]:

@@ -9,7 +9,7 @@ are asked for, where a run was resumed, or the number of threads.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -26,9 +26,8 @@ from hypose.evidence.background import BackgroundModel, Image, from_frames, from
 from hypose.evidence.colours import colour_codes
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.doubted_limbs import with_doubted_limbs
-from hypose.evidence.frame import Colours, Frame, Keypoints, Silhouettes
+from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import person_size, thick_skeleton
-from hypose.evidence.outlines import WORKING_HEIGHT, ViewOutline, view_outline
 from hypose.evidence.silhouettes import (
     Mask,
     SilhouetteSettings,
@@ -38,6 +37,7 @@ from hypose.evidence.silhouettes import (
     make_silhouettes,
 )
 from hypose.geometry import Array
+from hypose.io.recordings.masks_in_work import KeptMasks, PackedMask, PendingMasks, packed_mask
 from hypose.io.recordings.recording import Recording
 from hypose.io.recordings.recording_people import load_person, persons_objects
 from hypose.io.recordings.view_source import Preparer, ViewSource
@@ -227,67 +227,6 @@ def _spread(frames: range, count: int) -> list[int]:
     return [frames[int(i)] for i in picked]
 
 
-@dataclass(frozen=True)
-class _PackedMask:
-    """A mask (h, w) = shape in an eighth of its memory, its area, or why there is none; its colours, where they are
-    wanted and known, in the box (y0, y1, x0, x1) around it."""
-
-    bits: NDArray[np.uint8] | None
-    shape: tuple[int, ...]
-    area: int
-    reason: str
-    codes: NDArray[np.uint16] | None = None
-    box: tuple[int, int, int, int] = (0, 0, 0, 0)
-
-    def mask(self) -> Mask | None:
-        return None if self.bits is None else np.unpackbits(self.bits, axis=1, count=self.shape[1])
-
-
-class _Pending:
-    """The masks and outlines of one frame, in the making: a task per view in that view's lane."""
-
-    def __init__(self, masks: list[Future[_PackedMask]]) -> None:
-        self._masks = masks
-        self._outlines: list[Future[ViewOutline | None]] | None = None
-
-    def masks(self) -> tuple[list[Mask | None], list[str]]:
-        done = [f.result() for f in self._masks]
-        return [d.mask() for d in done], [d.reason for d in done]
-
-    def areas(self) -> NDArray[np.int64]:
-        return np.array([f.result().area for f in self._masks])
-
-    def colours(self, shape: tuple[int, ...]) -> Colours | None:
-        """Of masks (C, h, w) = shape; None when no view has any."""
-        codes, seen = np.zeros(shape, np.uint16), np.zeros(shape[0], np.bool_)
-        for c, future in enumerate(self._masks):
-            found = future.result()
-            if found.codes is not None:
-                y0, y1, x0, x1 = found.box
-                codes[c, y0:y1, x0:x1], seen[c] = found.codes, True
-        return Colours(codes, seen) if seen.any() else None
-
-    def begin_outlines(self, lanes: Sequence[ThreadPoolExecutor]) -> None:
-        """In the lane of each view, behind its mask, which is therefore done by then."""
-        if self._outlines is None:
-            self._outlines = [lane.submit(_outline, f) for lane, f in zip(lanes, self._masks, strict=True)]
-
-    def outlines(self) -> list[ViewOutline | None] | None:
-        try:
-            return None if self._outlines is None else [f.result() for f in self._outlines]
-        except CancelledError:  # the stream was closed
-            return None
-
-    def cancel(self) -> None:
-        for future in [*self._masks, *(self._outlines or [])]:
-            future.cancel()
-
-
-def _outline(mask: Future[_PackedMask]) -> ViewOutline | None:
-    found = mask.result().mask()
-    return None if found is None else view_outline(found, working_height=WORKING_HEIGHT)
-
-
 class FrameStream:
     """The frames of a recording: `len(stream)`, `stream.frame(i)`, iteration, `with` to close.
 
@@ -328,7 +267,9 @@ class FrameStream:
         self.backgrounds: tuple[BackgroundModel | None, ...] = ()
         self._sources: list[ViewSource] = []
         self._lanes: list[ThreadPoolExecutor] = []
-        self._ahead: dict[int, _Pending] = {}
+        self._ahead: dict[int, PendingMasks] = {}
+        self._given: PendingMasks | None = None
+        self._kept = KeptMasks()
         self._last = -1
         self._areas: dict[int, NDArray[np.int64]] = {}
         if self.options.silhouettes is not None and recording.has_pictures:
@@ -392,7 +333,7 @@ class FrameStream:
 
     def frame(self, index: int, /) -> Frame:
         """Frame number `index`, 0 <= index < len(stream); going forward is fast, other orders give the
-        same frames."""
+        same frames. A mask is made once, as long as there is room to keep it."""
         if not 0 <= index < len(self.frames):
             raise InputError(f"The recording has the frames 0 to {len(self.frames) - 1}; {index} was asked for.")
         number = self.frames[index]
@@ -444,7 +385,7 @@ class FrameStream:
             widened = partial(self._skeletons.widened, view, frame, band)
         return self._sources[view].mask(frame, band, widened)
 
-    def _look(self, index: int) -> tuple[NDArray[np.int64], _Pending]:
+    def _look(self, index: int) -> tuple[NDArray[np.int64], PendingMasks]:
         """The areas (C, H) that say what is usual at this frame, and the frame's masks; and what comes next is begun.
 
         The frames of the areas are a fixed choice, so that it does not matter where a run was resumed. At the start
@@ -459,26 +400,28 @@ class FrameStream:
             self._ahead.pop(other).cancel()
         for i in wanted:
             if i not in self._ahead:
-                self._ahead[i] = _Pending([lane.submit(self._packed, c, i) for c, lane in enumerate(self._lanes)])
+                self._ahead[i] = PendingMasks([lane.submit(self._packed, c, i) for c, lane in enumerate(self._lanes)])
         for i in missing:
             self._areas[i] = self._ahead[i].areas()
             if i < index:
                 del self._ahead[i]
-        for i in range(index, ahead + 1):
-            self._ahead[i].begin_outlines(self._lanes)
+        if self._given is not None and self._given.asked:
+            for i in range(index, ahead + 1):
+                self._ahead[i].begin_outlines(self._lanes)
         for old in [s for s in self._areas if s < samples[0] - 500 or s > samples[-1] + 500]:
             del self._areas[old]
-        pending = self._ahead.pop(index)
+        self._given = pending = self._ahead.pop(index)
         if index % _SAMPLE_STEP == 0:
             self._areas[index] = pending.areas()
         return np.stack([self._areas[s] for s in samples], 1), pending
 
-    def _packed(self, view: int, index: int) -> _PackedMask:
+    def _packed(self, view: int, index: int) -> PackedMask:
+        return self._kept.get(view, index) or self._kept.keep(view, index, self._made(view, index))
+
+    def _made(self, view: int, index: int) -> PackedMask:
         mask, reason = self._mask(view, self.frames[index])
-        if mask is None:
-            return _PackedMask(None, (0, 0), 0, reason)
-        packed = _PackedMask(np.packbits(mask, axis=1), mask.shape, cv2.countNonZero(mask), reason)
-        box = bounding_box(mask) if self.options.colours else None
+        packed = packed_mask(mask, reason)
+        box = None if mask is None or not self.options.colours else bounding_box(mask)
         image = None if box is None else self._sources[view].image_of_mask(self.frames[index])
         if box is None or image is None:
             return packed

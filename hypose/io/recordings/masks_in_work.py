@@ -1,0 +1,117 @@
+"""The masks of a stream's frames: packed, in the making, and kept for whoever asks for a frame again."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.evidence.frame import Colours
+from hypose.evidence.outlines import WORKING_HEIGHT, ViewOutline, view_outline
+from hypose.evidence.silhouettes import Mask
+
+KEPT_BYTES = 64 << 20
+"""of masks that are kept: ten minutes of four cameras"""
+
+
+@dataclass(frozen=True)
+class PackedMask:
+    """A mask (h, w) = shape, its bits deflated to about a thousand bytes, its area, or why there is none; its colours,
+    where they are wanted and known, in the box (y0, y1, x0, x1) around it."""
+
+    bits: bytes | None
+    shape: tuple[int, ...]
+    area: int
+    reason: str
+    codes: NDArray[np.uint16] | None = None
+    box: tuple[int, int, int, int] = (0, 0, 0, 0)
+
+    def mask(self) -> Mask | None:
+        """The mask (h, w) again, or None."""
+        if self.bits is None:
+            return None
+        rows = np.frombuffer(zlib.decompress(self.bits), np.uint8).reshape(self.shape[0], -1)
+        return np.unpackbits(rows, axis=1, count=self.shape[1])
+
+
+def packed_mask(mask: Mask | None, reason: str) -> PackedMask:
+    """A mask (h, w), or why there is none."""
+    if mask is None:
+        return PackedMask(None, (0, 0), 0, reason)
+    bits = zlib.compress(np.packbits(mask, axis=1).tobytes(), 1)
+    return PackedMask(bits, mask.shape, cv2.countNonZero(mask), reason)
+
+
+class KeptMasks:
+    """Masks that have been made once, by view and frame, as long as there is room; those with colours take too much."""
+
+    def __init__(self) -> None:
+        self._masks, self._bytes = dict[tuple[int, int], PackedMask](), 0
+
+    def get(self, view: int, index: int) -> PackedMask | None:
+        """The one that is kept."""
+        return self._masks.get((view, index))
+
+    def keep(self, view: int, index: int, mask: PackedMask) -> PackedMask:
+        """Keeps a mask, and returns it."""
+        size = 0 if mask.bits is None else len(mask.bits)
+        if mask.codes is None and self._bytes + size <= KEPT_BYTES:
+            self._masks[view, index] = mask
+            self._bytes += size
+        return mask
+
+
+class PendingMasks:
+    """The masks and outlines of one frame, in the making: a task per view in that view's lane."""
+
+    def __init__(self, masks: list[Future[PackedMask]]) -> None:
+        self._masks = masks
+        self._outlines: list[Future[ViewOutline | None]] | None = None
+        self.asked = False  # for the outlines, which a picture of the masks does without
+
+    def masks(self) -> tuple[list[Mask | None], list[str]]:
+        """Of all views, and why there is none; waits for them."""
+        done = [f.result() for f in self._masks]
+        return [d.mask() for d in done], [d.reason for d in done]
+
+    def areas(self) -> NDArray[np.int64]:
+        """(C,) px; waits for them."""
+        return np.array([f.result().area for f in self._masks])
+
+    def colours(self, shape: tuple[int, ...]) -> Colours | None:
+        """Of masks (C, h, w) = shape; None when no view has any."""
+        codes, seen = np.zeros(shape, np.uint16), np.zeros(shape[0], np.bool_)
+        for c, future in enumerate(self._masks):
+            found = future.result()
+            if found.codes is not None:
+                y0, y1, x0, x1 = found.box
+                codes[c, y0:y1, x0:x1], seen[c] = found.codes, True
+        return Colours(codes, seen) if seen.any() else None
+
+    def begin_outlines(self, lanes: Sequence[ThreadPoolExecutor]) -> None:
+        """In the lane of each view, behind its mask, which is therefore done by then."""
+        if self._outlines is None:
+            self._outlines = [lane.submit(_outline, f) for lane, f in zip(lanes, self._masks, strict=True)]
+
+    def outlines(self) -> list[ViewOutline | None] | None:
+        """Those that were begun; None when they are not made, or no more."""
+        self.asked = True
+        try:
+            return None if self._outlines is None else [f.result() for f in self._outlines]
+        except CancelledError:  # the stream was closed
+            return None
+
+    def cancel(self) -> None:
+        """Nobody wants them any more."""
+        for future in [*self._masks, *(self._outlines or [])]:
+            future.cancel()
+
+
+def _outline(mask: Future[PackedMask]) -> ViewOutline | None:
+    found = mask.result().mask()
+    return None if found is None else view_outline(found, working_height=WORKING_HEIGHT)
