@@ -25,7 +25,7 @@ from hypose.compute import default_threads
 from hypose.errors import InputError
 from hypose.evidence.ahead import make_ahead
 from hypose.evidence.background import BackgroundModel, Image, from_frames, from_plates, from_recording
-from hypose.evidence.colours import colour_codes
+from hypose.evidence.colours import colour_codes, colour_edges
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.doubted_limbs import with_doubted_limbs
 from hypose.evidence.frame import Colours, Frame, Keypoints, Silhouettes
@@ -233,13 +233,13 @@ def _spread(frames: range, count: int) -> list[int]:
 @dataclass(frozen=True)
 class _PackedMask:
     """A mask (h, w) = shape in an eighth of its memory, its area, or why there is none; its colours, where they are
-    wanted and known, in the box (y0, y1, x0, x1) around it."""
+    wanted and known, and their edges in the box (y0, y1, x0, x1) around it."""
 
     bits: NDArray[np.uint8] | None
     shape: tuple[int, ...]
     area: int
     reason: str
-    codes: NDArray[np.uint16] | None = None
+    colours: tuple[NDArray[np.uint16], NDArray[np.uint8]] | None = None
     box: tuple[int, int, int, int] = (0, 0, 0, 0)
 
     def mask(self) -> Mask | None:
@@ -263,12 +263,14 @@ class _Pending:
     def colours(self, shape: tuple[int, ...]) -> Colours | None:
         """Of masks (C, h, w) = shape; None when no view has any."""
         codes, seen = np.zeros(shape, np.uint16), np.zeros(shape[0], np.bool_)
+        edges = np.zeros((shape[0], 2, *shape[1:]), np.uint8)
         for c, future in enumerate(self._masks):
             found = future.result()
-            if found.codes is not None:
+            if found.colours is not None:
                 y0, y1, x0, x1 = found.box
-                codes[c, y0:y1, x0:x1], seen[c] = found.codes, True
-        return Colours(codes, seen) if seen.any() else None
+                codes[c, y0:y1, x0:x1], edges[c, :, y0:y1, x0:x1] = found.colours
+                seen[c] = True
+        return Colours(codes, seen, edges) if seen.any() else None
 
     def begin_outlines(self, lanes: Sequence[ThreadPoolExecutor]) -> None:
         """In the lane of each view, behind its mask, which is therefore done by then."""
@@ -479,7 +481,8 @@ class FrameStream:
         if box is None or image is None:
             return packed
         y0, y1, x0, x1 = box
-        return replace(packed, codes=colour_codes(image[y0:y1, x0:x1]), box=box)
+        image = image[y0:y1, x0:x1]
+        return replace(packed, colours=(colour_codes(image), colour_edges(image)), box=box)
 
 
 def write_masks(stream: FrameStream, folder: str | Path, progress: Callable[[int, int], None] | None = None) -> int:
