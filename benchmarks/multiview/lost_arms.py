@@ -18,6 +18,8 @@ from benchmarks.multiview.product import estimated_body
 from benchmarks.multiview.real_recordings import balancing_recording, in_memory
 from hypose.body.body import Body
 from hypose.body.ready_bodies import JOINT_NAMES, human
+from hypose.evidence.colours import colour_codes, colour_edges
+from hypose.evidence.frame import Colours, Frame
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
@@ -32,8 +34,10 @@ from hypose.tracking.rival_arms import RefineRivals
 from hypose.tracking.tracker import Tracker, TrackerSettings
 
 _ARMS = [list(EVALUATED).index(JOINT_NAMES.index(f"{s}_{j}")) for s in ("left", "right") for j in ("elbow", "wrist")]
+_COLOURED = "/colours"
 _OTHERS = {
     "folded": ("cross_arms", "humaneva-4"),
+    f"folded{_COLOURED}": ("cross_arms", "humaneva-4"),
     "serve": ("serve", "humaneva-4"),
     "ixmas-5/walk": ("walk", "ixmas-5"),
     "ixmas-5/punch": ("punch", "ixmas-5"),
@@ -48,7 +52,8 @@ def arms(options: BenchOptions) -> BenchReport:
 
     Cases: `all` and each action: the product (a body estimated from another clip, the default recipe, the clip solved
     at the end) on walk, box, run, combo, 2 s, masks with level-1 corruption, two draws of the particles each;
-    `unsmoothed`: the same, frame after frame. folded, serve, ixmas-5/ACTION: built-in motions, the first four seeds.
+    `unsmoothed`: the same, frame after frame. folded, serve, ixmas-5/ACTION: built-in motions, the first four seeds;
+    CASE/colours: with the rendered pictures beside the masks, as `hypose track --colours`.
     demo: the recording of `hypose demo` (seed 1), draws 0 to 4. draw_difference_mm: by how much two draws differ at
     most in any joint of any frame. ms_added: per frame by looking arms up and carrying rivals, four views, against the
     same recipe without. Seeds from 600 on; the settings were chosen on 500 to 507."""
@@ -86,15 +91,25 @@ def _seed(seed: int, others: Sequence[str], draws: int, options: BenchOptions) -
         scenes[case] = make_scene(motion, subject, rig, seconds=_SECONDS, seed=seed, corruption=("level-1",))
     out: dict[str, Any] = {}
     for case, scene in scenes.items():
-        frames = FrameList(list(scene.mask_frames(1.0)), scene.frame_rate)
-        runs = [_distances(scene, frames, body, draw) for draw in range(draws)]
+        coloured = case.endswith(_COLOURED)
+        found = [_with_pictures(f, scene) if coloured else f for f in scene.mask_frames(1.0)]
+        frames = FrameList(found, scene.frame_rate)
+        runs = [_distances(scene, frames, body, draw, coloured) for draw in range(draws)]
         out[case] = [[np.round(1e3 * d, 2).tolist() for d in pair] for pair in runs]
     return out
 
 
-def _distances(scene: Scene, source: FrameList, body: Body, draw: int) -> tuple[Array, Array]:
+def _with_pictures(frame: Frame, scene: Scene) -> Frame:
+    """The frame with what its pictures tell of colours."""
+    assert frame.silhouettes is not None
+    pictures = [scene.rgb_frame(c, frame.index) for c in range(len(scene.rig))]
+    codes, edges = np.stack([colour_codes(p) for p in pictures]), np.stack([colour_edges(p) for p in pictures])
+    return replace(frame, colours=Colours(codes, frame.silhouettes.usable, edges))
+
+
+def _distances(scene: Scene, source: FrameList, body: Body, draw: int, colours: bool) -> tuple[Array, Array]:
     """(T, 15) m: of the smoothed clip, and frame after frame."""
-    subject, options = known_subject(scene, body), TrackOptions(seed=draw)
+    subject, options = known_subject(scene, body), TrackOptions(seed=draw, own={"colours": True} if colours else {})
     tracker = tracker_of(subject, options, scene.frame_rate)
     begin = tracker.start(subject.start)
     done = track_frames(source, range(len(source)), tracker, begin, subject, progress=_silent)

@@ -49,7 +49,7 @@ from hypose.compute.native import native, plain, tidy
 from hypose.compute.pictures import picture_to_mask
 from hypose.compute.pictures.parts import parts_against_mask
 from hypose.compute.pictures.picture_to_mask import Box, Lens, make_lens, order_statistic, shrink_undistort
-from hypose.compute.pictures.shown_parts import colour_sums, shown_parts
+from hypose.compute.pictures.shown_parts import colour_sums, rim_edges, shown_parts
 from hypose.compute.pictures.visibility import nearest_visible
 from hypose.compute.selection import default_threads, over_chunks, require_cuda, use
 from hypose.compute.silhouettes import lane_mesh, reach
@@ -173,6 +173,7 @@ __all__ = [
     "rasterize",
     "reach",
     "require_cuda",
+    "rim_edges",
     "row_sums",
     "selection",
     "shown_parts",

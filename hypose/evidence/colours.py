@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,3 +25,14 @@ def colour_codes(image: NDArray[np.uint8]) -> NDArray[np.uint16]:
     )
     bright = np.clip(np.log2(np.maximum(whole, 1) / _DARKEST), 0, SHADES[0] - 1).astype(np.uint16)
     return (bright * SHADES[1] + red) * SHADES[2] + green
+
+
+_STEEP = 8.0
+"""What one grey level per pixel counts in edges, which end at 255."""
+
+
+def colour_edges(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(2, h, w): how fast the colour changes along the rows and along the columns of an image (h, w, 3) BGR."""
+    smooth = cv2.GaussianBlur(image, (0, 0), 1.0).astype(np.float32)
+    slopes = [cv2.Sobel(smooth, cv2.CV_32F, 1 - k, k) / 8 for k in (0, 1)]
+    return np.stack([np.minimum(_STEEP * np.sqrt((s**2).sum(-1)), 255) for s in slopes]).astype(np.uint8)

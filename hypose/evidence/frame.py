@@ -189,10 +189,12 @@ class Picture:
 @dataclass(frozen=True)
 class Colours:
     """Colours of the pictures that the masks were made from, as numbers (hypose.evidence.colours): codes (C, h, w) at
-    the masks' pixels, known within the person's masks; seen (C,): False for a view without a picture."""
+    the masks' pixels, known within the person's masks; seen (C,): False for a view without a picture; edges
+    (C, 2, h, w): how fast colours change along rows and columns there, None: not looked at."""
 
     codes: NDArray[np.uint16]
     seen: NDArray[np.bool_]
+    edges: NDArray[np.uint8] | None = None
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from hypose import compute
 from hypose.body.body import Body
 from hypose.evidence.colours import COLOURS, SHADES
-from hypose.fitting.articulated import KeypointTerm
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Memory
@@ -36,8 +35,6 @@ PARTS = (
     ("left_ankle", "right_ankle"),
 )
 """Joints whose skin is one part; both sides wear the same."""
-_HEAD, _FOREARM, _HAND = 0, 3, 4
-_NEAR = 0.05
 _ARMS = tuple(tuple(f"{side}_{n}" for n in ("shoulder", "elbow", "wrist")) for side in ("left", "right"))
 _CROSS = np.ones((3, 3), np.uint8)
 _KERNEL = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]], np.float32) / 16
@@ -50,39 +47,38 @@ class ColourSettings:
 
     surely: weight among its rivals that a pose must have to be learnt from; elsewhere: m, a rival's arm that is farther
     off is not learnt from; memory: share of what was counted before that counts in the next frame; few: pixels that a
-    part must have shown to be half known; most: log-likelihood ratio of one pixel, at most. weight: of the colours'
-    score beside the mismatch of rivals.
-    reach: m in which a hand is looked for; least: pixels of it that must be in front; stay: log-likelihood ratio per
-    pixel of the hand that it costs to lie as far as that off; told: that its pixels must have in the mean to say where
-    it is; enough: pixels of a person in which it is looked for, larger
-    pictures are made smaller; sd, pull: m and weight of its key points in a solve.
+    part must have shown to be half known; most: log-likelihood ratio of one pixel, at most. weight: of the pictures'
+    score beside the mismatch of rivals; edges: of the rims of arms in it, beside the colours. tried: rivals whose arms
+    are looked for nearby, with so many draws at each of the steps (rad, sd); ratio: of their energy to that of where
+    they are held to be, at most; hold, strength: m (one sd) and weight of the points that hold them in a solve.
 
-    Chosen on folded arms of the seeds 500 to 506."""
+    Chosen on folded arms of the seeds 503 and 505."""
 
     surely: float = 0.8
     elsewhere: float = 0.08
     memory: float = 0.99
     few: float = 100.0
     most: float = 3.0
-    weight: float = 0.15
-    reach: float = 0.2
-    least: int = 8
-    stay: float = 1.0
-    told: float = 1.0
-    enough: int = 3000
-    sd: float = 0.03
-    pull: float = 1.0
+    weight: float = 0.3
+    edges: float = 0.3
+    tried: int = 1
+    draws: int = 64
+    steps: tuple[float, ...] = (0.3, 0.15, 0.07)
+    ratio: float = 1.04
+    hold: float = 0.02
+    strength: float = 4.0
 
 
 @dataclass(frozen=True)
 class KnownColours:
     """What is known of a person's colours, and what a frame shows of them. codes (C, h, w); table (C, P, COLOURS):
     log-likelihood ratios of each colour, in a part against anywhere on the person; masks: usable where there is a
-    picture."""
+    picture; edges: of `compute.rim_edges`."""
 
     codes: NDArray[np.uint16]
     table: NDArray[np.float32]
     masks: compute.PreparedMasks
+    edges: tuple[NDArray[np.float32], ...]
 
 
 def known_colours(frame: PreparedFrame, settings: ColourSettings) -> KnownColours | None:
@@ -91,7 +87,9 @@ def known_colours(frame: PreparedFrame, settings: ColourSettings) -> KnownColour
         counts, colours, masks, known = frame.memory.get(COUNTS), frame.frame.colours, frame.masks, None
         if counts is not None and colours is not None and masks is not None and len(counts) == len(masks.masks):
             seen = masks._replace(usable=masks.usable & colours.seen)
-            known = KnownColours(colours.codes, table_of(counts, settings), seen) if seen.usable.any() else None
+            if seen.usable.any():
+                table, edges = table_of(counts, settings), compute.rim_edges(seen, colours.edges)
+                known = KnownColours(colours.codes, table, seen, edges)
         frame.shared["known colours"] = known
     return frame.shared["known colours"]
 
@@ -99,95 +97,18 @@ def known_colours(frame: PreparedFrame, settings: ColourSettings) -> KnownColour
 def colour_scores(poses: Array, frame: PreparedFrame, settings: ColourSettings) -> Array:
     """(N,) how badly the colours of the pictures fit poses (N, D): the mean over the views of the negative
     log-likelihood ratio (the part that is shown against the whole person), summed over the pixels, per pixel of the
-    mask. Zeros where nothing is known."""
+    mask; and how badly edges lie along the rims of arms that are before the rest, per square root of these pixels.
+    Zeros where nothing is known."""
     known = known_colours(frame, settings)
     if known is None:
         return np.zeros(len(poses))
-    faces, part, _ = layout(frame.body)
-    sums = compute.colour_sums(frame.body.skin(poses), faces, part, known.masks, known.codes, known.table)
+    faces, part, arm = layout(frame.body)
+    limb = (1 + arm).astype(np.uint8)
+    about = known.masks, known.codes, known.table, limb, known.edges
+    sums, rims = compute.colour_sums(frame.body.skin(poses), faces, part, *about)
     use = known.masks.usable
-    return -(sums[:, use] / np.maximum(known.masks.areas[use], 1)).mean(1)
-
-
-def hands_by_colours(pose: Array, frame: PreparedFrame, settings: ColourSettings) -> KeypointTerm | None:
-    """Where the colours around the hands of a pose (D,) say that these are, None where they say nothing.
-
-    In each view the pixels in which a hand and its forearm are in front are moved about, to where the colours are most
-    those of a hand and a forearm; wrist and hand are moved with them."""
-    known = known_colours(frame, settings)
-    if known is None:
-        return None
-    body, o, masks = frame.body, settings, known.masks
-    faces, part, arm = layout(body)
-    s = body.skeleton
-    rotations, centres = s.forward(pose)
-    vertices = body.skin(pose)
-    wrists = [s.joint(names[2]) for names in _ARMS]
-    tips = [body.landmarks.offset[body.landmarks.index(f"{side}_hand_tip")] for side in ("left", "right")]
-    joint = np.repeat(wrists, 2)
-    offset = np.stack([f * tip for tip in tips for f in (0.0, 0.6)])
-    at = centres[joint] + np.einsum("kij,kj->ki", rotations[joint], offset)
-    own = (part + 16 * (arm == 1)).astype(np.uint8)
-    points, sizes = np.zeros((len(masks.usable), len(joint), 3)), list[float]()
-    for c in np.flatnonzero(masks.usable).tolist():
-        step = max(1, round(float(np.sqrt(masks.areas[c] / o.enough))))
-        p, (w, h) = masks.projections[c], masks.sizes[c].tolist()
-        x = at @ p[:, :3].T + p[:, 3]
-        if x[:, 2].min() < _NEAR:
-            continue
-        across = p[0, :3] - (p[0, :3] @ p[2, :3]) * p[2, :3]
-        uv, per_metre = x[:, :2] / x[:, 2:], float(np.linalg.norm(across) / x[:, 2].mean())
-        mask, codes = masks.masks[c, :h:step, :w:step] > 0, known.codes[c, :h:step, :w:step]
-        shown, box = compute.shown_parts(vertices, faces, own, p / [[step], [step], [1]], mask.shape)
-        for side in (0, 1):
-            moved = _moved(shown, box, side, mask, codes, known.table[c], round(o.reach * per_metre / step), o)
-            if moved is not None:
-                at_once = slice(2 * side, 2 * side + 2)
-                points[c, at_once, :2], points[c, at_once, 2] = uv[at_once] + step * moved, 1.0
-                sizes.append(per_metre)
-    if not sizes:
-        return None
-    return KeypointTerm(points, masks.projections, joint, offset, o.sd * float(np.median(sizes)), o.pull)
-
-
-def _moved(
-    shown: NDArray[np.uint8],
-    box: tuple[slice, slice],
-    side: int,
-    mask: NDArray[np.bool_],
-    codes: NDArray[np.uint16],
-    table: NDArray[np.float32],
-    reach: int,
-    o: ColourSettings,
-) -> Array | None:
-    """(2,) px by which the hand of a side is to be moved, None where its colours are nowhere near."""
-    hand, forearm = (shown[box] == 1 + part + 16 * side for part in (_HAND, _FOREARM))
-    size = int(hand.sum())
-    if size < o.least:
-        return None
-    x, y, wide, high = cv2.boundingRect((hand | forearm).view(np.uint8))
-    hand, forearm = (cells[y : y + high, x : x + wide].astype(np.float32) for cells in (hand, forearm))
-    h, w = shown.shape
-    top, left = box[0].start + y - reach, box[1].start + x - reach
-    pad = np.full((high + 2 * reach, wide + 2 * reach), -o.most, np.float32)
-    ys, xs = slice(max(top, 0), min(top + len(pad), h)), slice(max(left, 0), min(left + pad.shape[1], w))
-    inside = (slice(ys.start - top, ys.stop - top), slice(xs.start - left, xs.stop - left))
-    mask, codes, there = mask[ys, xs], codes[ys, xs], shown[ys, xs]
-    taken = (there == 1 + _HEAD) | (there == 1 + _HAND + 16 * (1 - side))  # these colours are explained
-    total, hands = np.zeros((2 * reach + 1, 2 * reach + 1), np.float32), None
-    for part, cells in ((_HAND, hand), (_FOREARM, forearm)):
-        field = pad.copy()
-        field[inside] = np.where(mask, np.where(taken, 0.0, table[part][codes]), -o.most)
-        found = cv2.matchTemplate(field, cells, cv2.TM_CCORR)
-        hands = found if hands is None else hands
-        total += found
-    assert hands is not None
-    v, u = np.mgrid[-reach : reach + 1, -reach : reach + 1] / max(reach, 1)
-    total -= o.stay * size * (u**2 + v**2).astype(np.float32)
-    best = np.unravel_index(int(total.argmax()), total.shape)
-    if hands[best] < o.told * size:
-        return None
-    return np.array([best[1] - reach, best[0] - reach], np.float64)
+    area = np.maximum(known.masks.areas[use], 1)
+    return -(sums[:, use] / area + settings.edges * rims[:, use] / np.sqrt(area)).mean(1)
 
 
 def table_of(counts: NDArray[np.float32], settings: ColourSettings) -> NDArray[np.float32]:

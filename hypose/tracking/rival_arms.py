@@ -20,7 +20,8 @@ from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, Hypotheses
 from hypose.tracking.costs import frame_energy
 from hypose.tracking.frame_evidence import PreparedFrame
-from hypose.tracking.part_colours import ColourSettings, colour_scores, hands_by_colours
+from hypose.tracking.part_colours import ColourSettings, colour_scores, known_colours
+from hypose.tracking.pictured_arms import pictured_arms
 from hypose.tracking.reach_table import ArmReach, ends, ends_of
 from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, member, mismatch, refine
 
@@ -95,7 +96,7 @@ class RefineRivals:
         fresh = np.zeros(len(poses), np.bool_)
         fresh[1 + len(composite) : 1 + len(starts)] = True
         expected = np.stack([*[frame.prediction] * (1 + len(starts)), *old])
-        poses, costs, colours = self._by_colours(poses, expected, frame)
+        poses, costs, colours = self._by_pictures(poses, expected, frame, rng)
         scores = (
             costs + colours + c.doubt * costs[0] * fresh - c.memory * c.softness * alive.relative_log_weights[parents]
         )
@@ -109,28 +110,29 @@ class RefineRivals:
         found = Hypotheses(s.clamp(poses), -scores / c.softness, parents, columns={BEFORE: before})
         return _roles(found.take(self._living(scores, costs, at.reshape(len(poses), -1, 3))))
 
-    def _by_colours(self, poses: Array, expected: Array, frame: PreparedFrame) -> tuple[Array, Array, Array]:
-        """The poses (N, D), with the hands of the best put where the colours say that they are; their mismatches (N,),
-        and what the colours say against them (N,)."""
+    def _by_pictures(
+        self, poses: Array, expected: Array, frame: PreparedFrame, rng: np.random.Generator
+    ) -> tuple[Array, Array, Array]:
+        """The poses (N, D), with the arms of the best put where the pictures show them; their mismatches (N,), and what
+        the pictures say against them (N,)."""
         costs = mismatch(poses, frame, expected=expected)
-        colours = self.colours.weight * colour_scores(poses, frame, self.colours)
-        if frame.keypoints is not None:  # these know better where hands are
-            return poses, costs, colours
-        moved = dict[int, Array]()
-        for n in np.argsort(costs + colours, kind="stable")[: self.keep].tolist():
-            hands = hands_by_colours(poses[n], frame, self.colours)
-            if hands is not None:
-                own = replace(frame, keypoints=hands, prediction=expected[n])
-                moved[n] = refine(frame.body, poses[n][None], own, self.near)[0].pose
-        if not moved:
-            return poses, costs, colours
-        which, found = np.array(list(moved)), np.stack(list(moved.values()))
-        again = mismatch(found, frame, expected=expected[which])
-        said = self.colours.weight * colour_scores(found, frame, self.colours)
-        won = again + said < (costs + colours)[which]
-        poses, costs, colours = poses.copy(), costs.copy(), colours.copy()
-        poses[which[won]], costs[which[won]], colours[which[won]] = found[won], again[won], said[won]
-        return poses, costs, colours
+        said = self.colours.weight * colour_scores(poses, frame, self.colours)
+        # key points know better where hands are
+        if frame.keypoints is not None or frame.points is not None or known_colours(frame, self.colours) is None:
+            return poses, costs, said
+        arms = [arm for arm, _ in self.arms]
+        poses, costs, said = poses.copy(), costs.copy(), said.copy()
+        for n in np.argsort(costs + said, kind="stable")[: self.colours.tried].tolist():
+            found = pictured_arms(arms, poses[n], frame, self.colours, rng)
+            if found is None:
+                continue
+            own = replace(frame, points=found[1], prediction=expected[n])
+            pose = refine(frame.body, found[0][None], own, self.near)[0].pose
+            cost = mismatch(pose[None], frame, expected=expected[n][None])[0]
+            say = self.colours.weight * colour_scores(pose[None], frame, self.colours)[0]
+            if cost + say < costs[n] + said[n]:
+                poses[n], costs[n], said[n] = pose, cost, say
+        return poses, costs, said
 
     def _composite(self, h: Hypotheses, winner: Array, frame: PreparedFrame) -> list[Array]:
         """The pose (D,) that the search put together, when it has won anything."""

@@ -21,9 +21,10 @@ from hypose.tracking.part_colours import (
     ColourSettings,
     LearnColours,
     colour_scores,
-    hands_by_colours,
     table_of,
 )
+from hypose.tracking.pictured_arms import pictured_arms
+from hypose.tracking.reach_table import arm_reach, in_practice
 from hypose.tracking.recipes import default
 from hypose.tracking.refinement import refine
 from hypose.tracking.tracker import Tracker, TrackerState
@@ -114,7 +115,8 @@ def test_sums_are_those_over_the_pixels(body, folded, standing, frame_of, rng):
     table = rng.normal(size=(4, len(PARTS), COLOURS)).astype(np.float32)
     poses, part = np.stack([folded, standing]), part_of_face(body)
     codes = rng.integers(COLOURS, size=frame.masks.masks.shape).astype(np.uint16)
-    sums = compute.colour_sums(body.skin(poses), body.coarse.faces, part, frame.masks, codes, table)
+    sums, rims = compute.colour_sums(body.skin(poses), body.coarse.faces, part, frame.masks, codes, table)
+    assert not rims.any()  # no edges were given
     for n, pose in enumerate(poses):
         for c, p in enumerate(frame.masks.projections):
             shown, _ = compute.shown_parts(body.skin(pose), body.coarse.faces, part, p, codes[c].shape)
@@ -149,20 +151,62 @@ def test_the_arm_that_lies_where_its_colours_are_is_better(body, folded, painted
     assert scores[0] < min(scores[1:]) - 0.01
 
 
+@pytest.fixture(scope="module")
+def left_arm(body):
+    return arm_reach(body, ("left_clavicle", "left_shoulder", "left_elbow"), *in_practice(body.skeleton), count=8)
+
+
 @pytest.mark.parametrize("by", [-0.35, -0.25])
-def test_a_hand_is_moved_to_its_colours(body, folded, painted, learnt, by):
+def test_an_arm_is_found_where_its_colours_are(body, folded, painted, learnt, left_arm, by, rng):
     frame = seen(body, folded, learnt, painted)
     wrong = with_elbow(body, folded, by)
-    hands = hands_by_colours(wrong, frame, SETTINGS)
-    found = refine(
+    found = pictured_arms([left_arm], wrong, frame, SETTINGS, rng)
+    assert found is not None
+    pose, points = found
+    held = refine(
         body,
-        wrong[None],
-        replace(frame, keypoints=hands, prediction=wrong),
+        pose[None],
+        replace(frame, points=points, prediction=wrong),
         SolveSettings(iterations=5, coarse_iterations=0),
     )[0].pose
     k = body.skeleton.joint("left_wrist")
-    before, after = (np.linalg.norm(body.joints(q)[k] - body.joints(folded)[k]) for q in (wrong, found))
+    before, after = (np.linalg.norm(body.joints(q)[k] - body.joints(folded)[k]) for q in (wrong, held))
     assert before > 0.05 and after < 0.4 * before
+    others = np.setdiff1d(np.arange(body.skeleton.dof), left_arm.own)
+    assert (pose[others] == wrong[others]).all()
+
+
+def test_nothing_is_looked_for_without_pictures(body, folded, frame_of, left_arm, rng):
+    frame = prepare(frame_of(body, folded), body, folded)
+    assert pictured_arms([left_arm], folded, frame, SETTINGS, rng) is None
+
+
+def with_edges(frame, body, pose):
+    """The frame, all of one colour, with edges where the left arm of a pose ends before the rest."""
+    arm, v = part_labels(body), body.skin(pose)
+    edges = np.zeros((len(frame.colours.codes), 2, *frame.colours.codes.shape[1:]), np.uint8)
+    for c, p in enumerate(frame.silhouettes.rig.projections):
+        shown, _ = compute.shown_parts(v, body.coarse.faces, arm, p, edges.shape[2:])
+        edges[c, 0, :, :-1] = 200 * ((shown[:, 1:] != shown[:, :-1]) & (shown[:, 1:] * shown[:, :-1] > 0))
+        edges[c, 1, :-1] = 200 * ((shown[1:] != shown[:-1]) & (shown[1:] * shown[:-1] > 0))
+    return replace(frame, colours=replace(frame.colours, edges=edges))
+
+
+def part_labels(body):
+    names = body.skeleton.joint_names
+    left = np.isin(body.coarse.main_joint, [names.index(f"left_{n}") for n in ("shoulder", "elbow", "wrist")])
+    return left[body.coarse.faces].all(1).astype(np.uint8)
+
+
+def test_the_arm_whose_rims_lie_on_edges_is_better(body, folded, standing, painted):
+    alike, memory = (100,) * len(PARTS), {}
+    for t in range(3):
+        frame = prepare(painted(standing, t, alike), body, standing)
+        memory = LearnColours()(memory, standing, Hypotheses.uniform(standing[None]), frame)
+    frame = with_edges(painted(folded, clothes=alike), body, folded)
+    poses = np.stack([folded, with_elbow(body, folded, 0.4), with_elbow(body, folded, -0.4)])
+    scores = colour_scores(poses, replace(prepare(frame, body, folded), memory=memory), SETTINGS)
+    assert scores[0] < min(scores[1:]) - 0.01
 
 
 def test_what_is_all_of_one_colour_says_nothing(body, folded, standing, painted):
@@ -173,7 +217,6 @@ def test_what_is_all_of_one_colour_says_nothing(body, folded, standing, painted)
     frame = seen(body, folded, memory, painted, alike)
     scores = colour_scores(np.stack([folded, with_elbow(body, folded, 0.5)]), frame, SETTINGS)
     assert np.abs(scores).max() < 0.02 * ColourSettings().most
-    assert hands_by_colours(with_elbow(body, folded, 0.3), frame, SETTINGS) is None
 
 
 def run(tracker, frames, state):

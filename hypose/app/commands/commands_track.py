@@ -84,7 +84,7 @@ def track(
         int | None, number("How many hypotheses are followed. [default: the recipe's own number]", 1, 100_000)
     ] = None,
     colours: Annotated[
-        bool, typer.Option("--colours", help="Ask the person's colours where hands are, from silhouettes; slower.")
+        bool, typer.Option("--colours", help="Ask the pictures where arms are, from silhouettes; slower.")
     ] = False,
     floor: Annotated[
         float | None,

@@ -11,6 +11,11 @@ from hypose.compute.compiled import kernel
 NEAR = 0.05
 """Triangles with a corner nearer than this (m) are not drawn."""
 
+LIMB = 32
+"""Labels of one limb; there are at most so many parts."""
+GAP = 0.04
+"""m: who lies so far before another has a rim."""
+
 
 @kernel
 def draw_front(vertices, faces, part, projection, depth, shown, box):
@@ -67,18 +72,31 @@ def clear(depth, box):
 
 
 @kernel
-def colour_sums(vertices, faces, part, projection, mask, codes, table, depth, shown, out):
+def _rim(shown, mask, depth, r, x, s, y):
+    """Whether two neighbouring pixels show different limbs, one before the other."""
+    if shown[s, y] == 0 or mask[s, y] == 0 or (shown[r, x] - 1) // LIMB == (shown[s, y] - 1) // LIMB:
+        return False
+    return abs(1.0 / depth[r, x] - 1.0 / depth[s, y]) > GAP
+
+
+@kernel
+def colour_sums(vertices, faces, part, projection, mask, codes, table, edges, depth, shown, out, rims):
     """out (N,): sum of table (P, K), by part and colour, over the pixels of the mask (h, w) that show a part of a body
-    with vertices (N, V, 3). depth, shown: empty, and empty again afterwards."""
+    with vertices (N, V, 3); rims (N,): sum of edges (2, h, w) where one limb begins before another. part (F,): LIMB
+    times the limb, and the part. depth, shown: empty, and empty again afterwards."""
     box = np.empty(4, np.int64)
     for n in range(vertices.shape[0]):
         draw_front(vertices[n], faces, part, projection, depth, shown, box)
-        total = 0.0
+        total, rim = 0.0, 0.0
         for r in range(box[0], box[1]):
             for x in range(box[2], box[3]):
-                if shown[r, x] > 0:
-                    if mask[r, x] != 0:
-                        total += table[shown[r, x] - 1, codes[r, x]]
-                    shown[r, x] = 0
-                    depth[r, x] = np.float32(0.0)
-        out[n] = total
+                if shown[r, x] > 0 and mask[r, x] != 0:
+                    label = shown[r, x] - 1
+                    total += table[label % LIMB, codes[r, x]]
+                    if x + 1 < box[3] and _rim(shown, mask, depth, r, x, r, x + 1):
+                        rim += edges[0, r, x]
+                    if r + 1 < box[1] and _rim(shown, mask, depth, r, x, r + 1, x):
+                        rim += edges[1, r, x]
+                shown[r, x] = 0
+                depth[r, x] = np.float32(0.0)
+        out[n], rims[n] = total, rim

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -17,6 +18,10 @@ _OWN = threading.local()
 _SHAPES = 16
 _ENOUGH = 1500
 """Pixels of a person that tell as much as all."""
+_STRONG = 3.0
+"""Times of what colours usually change within a person that is a strong edge."""
+_LIMB = 32
+"""As the kernel's LIMB."""
 
 
 def _scratch(shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
@@ -47,6 +52,29 @@ def shown_parts(
     return out, (slice(y0, max(y0, y1)), slice(x0, max(x0, x1)))
 
 
+def _step(area: float) -> int:
+    """Of a mask of this area every so many-th row and column is looked at."""
+    return max(1, round(math.sqrt(area / _ENOUGH)))
+
+
+def rim_edges(masks: PreparedMasks, edges: NDArray[np.uint8] | None) -> tuple[NDArray[np.float32], ...]:
+    """For `colour_sums`: per view (2, h, w), at the pixels that it looks at, by how much the colours change more than
+    within the mask on average, in times of what they usually change, at most 1. edges (C, 2, h, w); None: zeros."""
+    out = list[NDArray[np.float32]]()
+    for c, (w, h) in enumerate(masks.sizes.tolist()):
+        step = _step(masks.areas[c])
+        mask = masks.masks[c, :h:step, :w:step] > 0
+        found = np.zeros((2, *mask.shape), np.float32)
+        if edges is not None and masks.usable[c] and mask.any():
+            near = np.ones((step, step), np.uint8)
+            for k in range(2):
+                seen = cv2.dilate(edges[c, k, :h, :w], near)[::step, ::step].astype(np.float32)
+                seen = np.minimum(seen / (_STRONG * max(float(np.median(seen[mask])), 1.0)), 1.0)
+                found[k] = seen - seen[mask].mean()
+        out.append(found)
+    return tuple(out)
+
+
 def colour_sums(
     vertices: ArrayLike,
     faces: NDArray[np.int32],
@@ -54,24 +82,30 @@ def colour_sums(
     masks: PreparedMasks,
     codes: NDArray[np.uint16],
     table: NDArray[np.float32],
-) -> Array:
+    limb: NDArray[np.uint8] | None = None,
+    edges: tuple[NDArray[np.float32], ...] | None = None,
+) -> tuple[Array, Array]:
     """(N, C): the sum of table (C, P, K), by part and colour, over the pixels of each view's mask in which a body with
-    vertices (N, V, 3) m shows a part (F,); codes (C, h, w): the colours; 0 in views that are not usable. Of large masks
-    every second pixel or so stands for those around it."""
+    vertices (N, V, 3) m shows a part (F,); codes (C, h, w): the colours. And (N, C): the sum of edges (`rim_edges`)
+    along the rims of limbs (F,) before others. 0 in views that are not usable. Of large masks every second pixel or so
+    stands for those around it."""
     v = plain(vertices, np.float64)
-    out = np.zeros((len(masks.usable), len(v)))
+    out, rims = np.zeros((2, len(masks.usable), len(v)))
     use, f = np.flatnonzero(masks.usable), plain(faces, np.int32)
     sums = native("pictures.shown_parts").colour_sums
+    label = part if limb is None else (part + _LIMB * limb).astype(np.uint8)
+    edges = rim_edges(masks, None) if edges is None else edges
 
     def work(first: int, last: int) -> None:
         for k in use[first:last].tolist():
             w, h = masks.sizes[k].tolist()
-            step = max(1, round(math.sqrt(masks.areas[k] / _ENOUGH)))
+            step = _step(masks.areas[k])
             mask, colour = (np.ascontiguousarray(a[k, :h:step, :w:step]) for a in (masks.masks, codes))
             projection = plain(masks.projections[k] / [[step], [step], [1]], np.float64)
             depth, shown = _scratch(mask.shape)
-            sums(v, f, part, projection, mask, colour, table[k], depth, shown, out[k])
+            sums(v, f, label, projection, mask, colour, table[k], edges[k], depth, shown, out[k], rims[k])
             out[k] *= step * step
+            rims[k] *= step
 
     over_chunks(work, len(use), None)
-    return out.T
+    return out.T, rims.T

@@ -23,7 +23,7 @@ from hypose.compute import default_threads
 from hypose.errors import InputError
 from hypose.evidence.ahead import make_ahead
 from hypose.evidence.background import BackgroundModel, Image, from_frames, from_plates, from_recording
-from hypose.evidence.colours import colour_codes
+from hypose.evidence.colours import colour_codes, colour_edges
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.doubted_limbs import with_doubted_limbs
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
@@ -426,4 +426,5 @@ class FrameStream:
         if box is None or image is None:
             return packed
         y0, y1, x0, x1 = box
-        return replace(packed, codes=colour_codes(image[y0:y1, x0:x1]), box=box)
+        image = image[y0:y1, x0:x1]
+        return replace(packed, colours=(colour_codes(image), colour_edges(image)), box=box)

@@ -22,13 +22,13 @@ KEPT_BYTES = 64 << 20
 @dataclass(frozen=True)
 class PackedMask:
     """A mask (h, w) = shape, its bits deflated to about a thousand bytes, its area, or why there is none; its colours,
-    where they are wanted and known, in the box (y0, y1, x0, x1) around it."""
+    where they are wanted and known, and their edges in the box (y0, y1, x0, x1) around it."""
 
     bits: bytes | None
     shape: tuple[int, ...]
     area: int
     reason: str
-    codes: NDArray[np.uint16] | None = None
+    colours: tuple[NDArray[np.uint16], NDArray[np.uint8]] | None = None
     box: tuple[int, int, int, int] = (0, 0, 0, 0)
 
     def mask(self) -> Mask | None:
@@ -60,7 +60,7 @@ class KeptMasks:
     def keep(self, view: int, index: int, mask: PackedMask) -> PackedMask:
         """Keeps a mask, and returns it."""
         size = 0 if mask.bits is None else len(mask.bits)
-        if mask.codes is None and self._bytes + size <= KEPT_BYTES:
+        if mask.colours is None and self._bytes + size <= KEPT_BYTES:
             self._masks[view, index] = mask
             self._bytes += size
         return mask
@@ -86,12 +86,14 @@ class PendingMasks:
     def colours(self, shape: tuple[int, ...]) -> Colours | None:
         """Of masks (C, h, w) = shape; None when no view has any."""
         codes, seen = np.zeros(shape, np.uint16), np.zeros(shape[0], np.bool_)
+        edges = np.zeros((shape[0], 2, *shape[1:]), np.uint8)
         for c, future in enumerate(self._masks):
             found = future.result()
-            if found.codes is not None:
+            if found.colours is not None:
                 y0, y1, x0, x1 = found.box
-                codes[c, y0:y1, x0:x1], seen[c] = found.codes, True
-        return Colours(codes, seen) if seen.any() else None
+                codes[c, y0:y1, x0:x1], edges[c, :, y0:y1, x0:x1] = found.colours
+                seen[c] = True
+        return Colours(codes, seen, edges) if seen.any() else None
 
     def begin_outlines(self, lanes: Sequence[ThreadPoolExecutor]) -> None:
         """In the lane of each view, behind its mask, which is therefore done by then."""
