@@ -137,11 +137,16 @@ def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: 
             text = f"All cameras: the person stands along the world's {sign}{axis} axis, not along z"
             cure = f"set world_up in recording.toml so that what is now {sign}{axis} points up"
             yield Finding("up", (), text, cure, 1.0)
+    elif (np.abs(up) < _UPRIGHT).mean() > MOST and not in_images > _UPRIGHT:
+        # cameras that hang on their side show neither
+        text = "All cameras: the person lies in the calibration's world from beginning to end"
+        cure = "if they stand, set world_up in recording.toml to the axis along which they do"
+        yield Finding("lying", (), text, cure, 1.0, fault=False)
     sided = _sidedness(points_world, names)
     if len(sided) >= 3 and not turned and (sided < -0.3).mean() > MOST:
         text = (
             "All cameras: the person's left and right are exchanged (toes, nose or bent knees point backwards): "
-            "mirrored images, or the sides' names"
+            "mirrored images, exchanged cameras, or the sides' names"
         )
         cure = "mirror the videos back, or check keypoint_set in recording.toml"
         yield Finding("sides", (), text, cure, 1.0)

@@ -115,7 +115,7 @@ class ChunkRun:
     def whole(self, progress: Progress) -> TrackResult:
         """All chunks, those that are missing tracked one after the other, joined, smoothed, and written."""
         o = self.options
-        faults = () if o.of_picture else sentences(first_look(self.source, o.looks_at, o.height))
+        seen = () if o.of_picture else first_look(self.source, o.looks_at, o.height)
         subject = self.subject(progress)
         chunks: list[Tracked] = []
         total, done = len(self.source), 0
@@ -136,7 +136,8 @@ class ChunkRun:
 
         joined, seams = join(subject.body, chunks, follow, done)
         joined = replace(joined, complete=chunks[-1].complete and done == total)
-        out = finish(self.source, subject, tracker, joined, self.options, self.results, self.record, progress, faults)
+        said = sentences(seen), sentences(seen, fault=False)
+        out = finish(self.source, subject, tracker, joined, self.options, self.results, self.record, progress, *said)
         if out.complete:
             shutil.rmtree(self.results.path / FOLDER, ignore_errors=True)
         return replace(out, notes=(*out.notes, *seam_notes(seams)))

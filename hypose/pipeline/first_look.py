@@ -54,9 +54,9 @@ def first_look(source: FrameSource, evidence: str, height: float | None = None) 
     return tuple(found)
 
 
-def sentences(found: Sequence[Finding]) -> tuple[str, ...]:
-    """The faults among the findings, each with its next step."""
-    return tuple(f.sentence for f in found if f.fault)
+def sentences(found: Sequence[Finding], *, fault: bool = True) -> tuple[str, ...]:
+    """The faults among the findings, each with its next step; or else what only has to be looked at."""
+    return tuple(f.sentence for f in found if f.fault == fault)
 
 
 def _by_points(keypoints: Sequence[Keypoints], height: float | None, o: Limits) -> Iterator[Finding]:

@@ -182,7 +182,8 @@ def track_source(
         raise InputError("The recording has no frame to track; check the frame range and the videos.")
     key = identity(record or {})
     report("look", 0, 1)
-    faults = () if options.of_picture else sentences(first_look(source, options.looks_at, options.height))
+    found = () if options.of_picture else first_look(source, options.looks_at, options.height)
+    faults, noticed = sentences(found), sentences(found, fault=False)
     report("look", 1, 1)
     if subject is None:
         try:
@@ -203,7 +204,7 @@ def track_source(
         motion = _doubted(motion, subject, solved.one_by_one, audit, solved.covariance)
         result = TrackResult(motion, subject.body, True, notes)
         wrong, looks = against_the_clip(audit, motion.n_views, evidence_of(audit))
-        said = {"faults": (*faults, *wrong), "looks": looks}
+        said = {"faults": (*faults, *wrong), "looks": (*noticed, *looks)}
         return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, **said), results)
     if method is None and not options.of_picture:
         source, subject = with_named_sides(source, frame_rate, subject, sure_start=options.sure_start)
@@ -217,7 +218,7 @@ def track_source(
             f"{done.error} The {len(done.estimates)} frames before are kept in {results.path}; see --resume."
         ) from done.error
     try:
-        return finish(source, subject, tracker, done, options, results, record, report, faults)
+        return finish(source, subject, tracker, done, options, results, record, report, faults, noticed)
     except KeyboardInterrupt:
         return _written(_tracked(subject, done.estimates, frame_rate, record), results)
 
@@ -255,10 +256,11 @@ def finish(
     record: Mapping[str, Any] | None,
     progress: Progress,
     faults: tuple[str, ...] = (),
+    noticed: tuple[str, ...] = (),
     shared: bool = False,
 ) -> TrackResult:
-    """The motion of what was tracked, stretches with exchanged sides mended, smoothed, judged and written. shared:
-    others are in the masks, who make starts unsure."""
+    """The motion of what was tracked, stretches with exchanged sides mended, smoothed, judged and written. faults,
+    noticed: what the first look found; shared: others are in the masks, who make starts unsure."""
     estimates, notes, recipe = done.estimates, subject.notes, tracker.recipe
 
     def again(frames: range) -> Iterator[Frame]:
@@ -290,7 +292,8 @@ def finish(
     depth = source.frame(0).depth is not None
     motion = _doubted(motion, subject, own, audit, covariance, "depth" if depth else None)
     wrong, looks = against_the_clip(audit, motion.n_views, evidence_of(audit))
-    out = TrackResult(motion, subject.body, done.complete, notes, None, own, audit, (*faults, *wrong), looks)
+    said = (*faults, *wrong), (*noticed, *looks)
+    out = TrackResult(motion, subject.body, done.complete, notes, None, own, audit, *said)
     return _written(out, results)
 
 

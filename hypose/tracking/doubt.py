@@ -241,7 +241,7 @@ def _with_other_case(motion: Motion, times: float) -> Motion:
     return replace(motion, joint_covariance=around.astype(np.float32), angle_sd=sd)
 
 
-ONE_VIEW = {"elbow": 0.5, "wrist": 0.5, "knee": 0.4, "ankle": 0.4}
+ONE_VIEW = {"elbow": 0.5, "wrist": 0.6, "knee": 0.3, "ankle": 0.4}
 """How likely a joint is wrong that one view alone shows, by its name without the side: a view says where it is, and not
 how far away. Shares of the frames of scenes whose points err like a detector's, one limb in one view."""
 

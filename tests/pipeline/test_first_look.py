@@ -122,6 +122,35 @@ def test_exchanged_names_are_told_by_face_and_knees_where_there_are_no_feet(fram
     assert kinds(with_points(frames, lambda p: bare(p)[:, mirrored_names(BODY_25)])) == ["sides"]
 
 
+def test_a_world_on_its_side_is_noticed_by_cameras_that_hang_on_theirs(frames):
+    """Nothing in such images says what is up: it is said that the person lies, and no fault."""
+    roll = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # (u, v) -> (-v, u)
+    aside = se3(np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]), np.zeros(3))
+
+    def hung(camera, world):
+        w, h = camera.size
+        k = camera.K
+        turned = np.array([[k[1, 1], 0.0, h - 1 - k[1, 2]], [0.0, k[0, 0], k[0, 2]], [0.0, 0.0, 1.0]])
+        pose = se3(roll, np.zeros(3)) @ camera.camera_from_world @ world
+        return replace(camera, K=turned, camera_from_world=pose, size=(h, w))
+
+    def seen(world):
+        out = []
+        for f in frames:
+            points, rig = f.keypoints.points.copy(), f.keypoints.rig
+            for c, camera in enumerate(rig):
+                u, v, score = points[c].T
+                points[c] = np.where(score[:, None] > 0, np.stack([camera.size[1] - 1 - v, u, score], 1), 0.0)
+            cameras = CameraRig(tuple(hung(k, world) for k in rig))
+            out.append(replace(f, silhouettes=None, keypoints=Keypoints(points, f.keypoints.names, cameras)))
+        return first_look(FrameList(out), "keypoints")
+
+    assert seen(np.eye(4)) == ()
+    (found,) = seen(aside)
+    assert found.kind == "lying" and not found.fault and "world_up" in found.cure
+    assert sentences((found,)) == () and sentences((found,), fault=False) == (found.sentence,)
+
+
 def test_y_from_the_bottom_is_told(frames):
     high = frames[0].keypoints.rig.sizes[0, 1]
 
