@@ -315,8 +315,11 @@ class PeopleRun:
         if frame.silhouettes is not None:
             pack_once(frame.silhouettes)
         change = mask_change(frame, before)  # of the whole masks: what is ignored changes by itself
-        for p, member, estimate, own in zip(people, members, estimates, seen, strict=True):
-            looked = looked_at(member.tracker, estimate, own, None if before is None else as_now(own, before), change)
+        looked = [
+            looked_at(m.tracker, estimate, own, None if before is None else as_now(own, before), change)
+            for m, estimate, own in zip(members, estimates, seen, strict=True)
+        ]
+        for p, member, estimate, own in zip(people, members, looked, seen, strict=True):
             there = p.member.present
             p.gone = p.gone + 1 if member.state.lost or member.state.blind > 0 else 0
             if there and p.gone > GONE_S * self.frame_rate:
@@ -325,7 +328,7 @@ class PeopleRun:
                 p.present[since:] = [False] * len(p.present[since:])
                 p.hidden[since:] = [False] * len(p.hidden[since:])
             p.member = member
-            p.estimates.append(looked)
+            p.estimates.append(estimate)
             p.present.append(there)
             p.hidden.append(bool(there and len(s := visible_share(own)) and (s > HIDDEN).sum() < 2))
         if t % self._look_every == 0:
