@@ -63,7 +63,9 @@ class RecordingFolder:
         self.path = Path(path)
         self._tables: dict[str, os.stat_result] = {}
         with self.writing():
-            if self.path.is_file() or (self.path.is_dir() and any(self.path.iterdir())):
+            if self.path.is_file():
+                raise InputError(f"{self.path} is a file; give a new folder to record to.")
+            if self.path.is_dir() and any(self.path.iterdir()):
                 raise InputError(f"{self.path} is not empty; give a new folder to record to.")
             self.path.mkdir(parents=True, exist_ok=True)
 

@@ -98,7 +98,7 @@ def live(play, **options):
                 listening = asyncio.ensure_future(listen())
                 await asyncio.wait_for(until(lambda: out), 120)  # the hello: it misses nothing from here
                 result = await asyncio.wait_for(play(server), 120)
-                assert server.dropped == 0
+                assert server.outbox.dropped == 0
                 await asyncio.wait_for(until(lambda: sum(m["type"] == "frame" for m in out) == server.frames), 120)
                 listening.cancel()
         finally:

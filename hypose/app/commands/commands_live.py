@@ -5,10 +5,8 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-import signal
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +15,7 @@ import typer
 from hypose.app.commands.commands_track import set_threads
 from hypose.app.commands.console import Stages, note, say
 from hypose.app.commands.options import HEIGHT, Seed, Threads, number
+from hypose.app.live.until_ended import ended_by_signals
 from hypose.errors import InputError
 
 if TYPE_CHECKING:
@@ -73,7 +72,7 @@ def live(
     """Follow people with calibrated cameras while it happens. See docs/cameras-live.md."""
     set_threads(threads)
     ended = threading.Event()
-    with _ended_by_signals(ended):  # an interrupt between two imports can be lost
+    with ended_by_signals(ended):  # an interrupt between two imports can be lost
         from hypose import compute
         from hypose.app.live.pose_outputs import PoseOutputs
         from hypose.pipeline.live.engine import LiveEngine, LiveOptions
@@ -99,7 +98,7 @@ def live(
         progress("compile", 1, 1)
     recorder = None
     with contextlib.ExitStack() as closing:
-        closing.enter_context(_ended_by_signals(ended))
+        closing.enter_context(ended_by_signals(ended))
         if record is not None:
             recorder = LiveRecorder(record, cameras.rig, cameras.views, cameras.silhouettes, person.height)
             closing.callback(recorder.close)
@@ -129,21 +128,6 @@ def live(
     if engine.failed is not None and not interrupted:  # what stops this may stop its processes first
         raise engine.failed
     say(f"{status.poses} poses. {_summary(status)}")
-
-
-@contextlib.contextmanager
-def _ended_by_signals(ended: threading.Event) -> Iterator[None]:
-    """Meanwhile Ctrl-C, SIGTERM and a terminal that is closed set the event, and cut nothing off."""
-    hung_up = getattr(signal, "SIGHUP", None)
-    numbers = [signal.SIGINT, signal.SIGTERM]
-    if hung_up is not None and signal.getsignal(hung_up) != signal.SIG_IGN:  # nohup: it is to go on
-        numbers.append(hung_up)
-    before = {n: signal.signal(n, lambda number, frame: ended.set()) for n in numbers}
-    try:
-        yield
-    finally:
-        for n, handler in before.items():
-            signal.signal(n, handler)
 
 
 def _sources(given: list[str]) -> dict[str, str]:

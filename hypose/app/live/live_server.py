@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import gc
 import ipaddress
 import json
 import math
 import re
 import secrets
-import signal
 import socket
-import sys
+import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -31,7 +30,10 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from hypose.app.live.door import Door, fold_logs, same_secret, shows_secret
-from hypose.app.live.osc import OscTarget, double, osc_message
+from hypose.app.live.osc import OscTarget, people_osc
+from hypose.app.live.outbox import ORIGINS, Outbox, Queue
+from hypose.app.live.socket_listeners import refusal
+from hypose.app.live.until_ended import ended_by_signals
 from hypose.app.live.vmc_live import VmcLive
 from hypose.errors import InputError
 from hypose.fusion.joints import COMMON
@@ -39,13 +41,14 @@ from hypose.fusion.live import LiveFrame, LiveFuser, LiveSettings
 from hypose.geometry import Array
 from hypose.io.sensors.skeleton_folder import FolderWriter
 from hypose.io.sensors.skeleton_lines import MAX_SKELETON_LINE, parse_line
+from hypose.pipeline.live.punctual import punctual
 
 Say = Callable[[str], None]
-_LOCAL = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d{1,5})?")
 _TOKEN = re.compile(r"[A-Za-z0-9_.-]{8,128}")
 _COMPLAINT_S = 5.0
 _STATUS_S = 1.0
-_REPORT_S = 10.0
+_REPORT_S, _LOOK_S = 10.0, 0.1
+"""s between two words on how it goes, and two looks at whether it is to end"""
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,7 @@ class LiveServer:
         self.options = options
         self.token = options.token or ("" if is_loopback(options.host) else secrets.token_urlsafe(16))
         self.fuser = LiveFuser(options.settings)
-        self.received = self.used = self.ignored = self.frames = self.dropped = 0
+        self.received = self.used = self.ignored = self.frames = 0
         self.latencies: deque[float] = deque(maxlen=3000)
         self.people = 0
         self.udp_port = self.ws_port = 0
@@ -110,7 +113,7 @@ class LiveServer:
         self._timer: asyncio.TimerHandle | None = None
         self._datagrams: asyncio.DatagramTransport | None = None
         self._server: Server | None = None
-        self._outs: set[asyncio.Queue[str]] = set()
+        self.outbox = Outbox()
         self._connections = 0
         self._door = Door()
         self._osc: OscTarget | None = None
@@ -146,8 +149,7 @@ class LiveServer:
                     process_request=self._admit,
                     create_connection=self._door.letting_in(ServerConnection),  # type: ignore[arg-type] - as any factory
                     backlog=self._door.backlog,
-                    # a web page of somebody else must not talk to this port behind the user's back
-                    origins=None if self.token else [None, _LOCAL],
+                    origins=None if self.token else ORIGINS,
                     compression=None,
                     max_size=1 << 16,
                     max_queue=16,
@@ -157,9 +159,8 @@ class LiveServer:
                 self.ws_port = next(iter(self._server.sockets)).getsockname()[1]
         except (OSError, OverflowError) as error:
             await self.stop()
-            reason = getattr(error, "strerror", None) or str(error)
             raise InputError(
-                f"The ports {o.udp} (UDP) and {o.ws} (WebSocket) on {o.host} cannot be opened ({reason.lower()}); "
+                f"The ports {o.udp} (UDP) and {o.ws} (WebSocket) on {o.host} cannot be opened ({refusal(error)}); "
                 "choose others with --udp and --ws."
             ) from None
 
@@ -248,8 +249,8 @@ class LiveServer:
         self._timer = loop.call_later(max(0.0, due - now), self.tick) if due < math.inf else None
         if now - self._status_at >= _STATUS_S:
             self._status_at = now
-            if self._outs:
-                self._post(self._status(now))
+            if self.outbox:
+                self.outbox.post(self._status(now))
             self._record(lambda writer: writer.flush())
 
     def _send(self, frame: LiveFrame, now: float) -> None:
@@ -257,27 +258,13 @@ class LiveServer:
         self.frames += 1
         self.latencies.append(latency)
         self.people = len(frame.people)
-        if self._outs:
-            self._post(frame_json(frame, latency))
+        if self.outbox:
+            self.outbox.post(frame_json(frame, latency))
         if self._osc is not None:
-            self._osc.send(frame_osc(frame, latency))
+            people = [(p.id, COMMON, p.joints, p.sd) for p in frame.people]
+            self._osc.send(people_osc(frame.index, frame.time, latency, people, len(people)))
         if self._vmc is not None:
             self._vmc.send(frame)
-
-    def listen(self, queue: asyncio.Queue[str]) -> None:
-        """From now on the queue gets every message, as text; when it is full, the newest take the oldest's places."""
-        self._outs.add(queue)
-
-    def unlisten(self, queue: asyncio.Queue[str]) -> None:
-        """No more of it."""
-        self._outs.discard(queue)
-
-    def _post(self, text: str) -> None:
-        for queue in self._outs:
-            if queue.full():  # a slow listener gets the newest
-                queue.get_nowait()
-                self.dropped += 1
-            queue.put_nowait(text)
 
     def _status(self, now: float) -> str:
         residuals, places = self.fuser.people.residuals, self.fuser.people.transforms
@@ -297,7 +284,12 @@ class LiveServer:
             }
             for s in self.fuser.status(now)
         ]
-        counts = {"received": self.received, "ignored": self.ignored, "frames": self.frames, "dropped": self.dropped}
+        counts = {
+            "received": self.received,
+            "ignored": self.ignored,
+            "frames": self.frames,
+            "dropped": self.outbox.dropped,
+        }
         return json.dumps({"type": "status", "sensors": sensors, **counts}, separators=(",", ":"))
 
     # ---- WebSocket ----
@@ -337,22 +329,10 @@ class LiveServer:
                 await connection.send(json.dumps({"type": "error", "reason": reasons[0], "lines": len(reasons)}))
 
     async def _serve(self, connection: ServerConnection) -> None:
-        queue: asyncio.Queue[str] = asyncio.Queue(maxsize=self.options.waiting)
+        queue: Queue = asyncio.Queue(self.options.waiting)
         hello = {"type": "hello", "version": 1, "joints": COMMON, "rate": self.options.settings.align.rate}
         queue.put_nowait(json.dumps(hello))
-        self.listen(queue)  # who has the hello misses no frame from then on
-        reading = asyncio.ensure_future(_drain(connection))
-        try:
-            while not reading.done():
-                waiting = asyncio.ensure_future(queue.get())
-                done, _ = await asyncio.wait({waiting, reading}, return_when=asyncio.FIRST_COMPLETED)
-                if waiting not in done:
-                    waiting.cancel()
-                    break
-                await connection.send(waiting.result())
-        finally:
-            self.unlisten(queue)
-            reading.cancel()
+        await self.outbox.serve(connection, queue)  # who has the hello misses no frame from then on
 
 
 class _Datagrams(asyncio.DatagramProtocol):
@@ -366,13 +346,6 @@ class _Datagrams(asyncio.DatagramProtocol):
 
     def error_received(self, exc: Exception) -> None:
         """Somebody else's port was closed; nothing to do."""
-
-
-async def _drain(connection: ServerConnection) -> None:
-    """Listeners have nothing to say; reading notices when they leave."""
-    with contextlib.suppress(ConnectionClosed):
-        async for _ in connection:
-            pass
 
 
 def frame_json(frame: LiveFrame, latency: float) -> str:
@@ -389,18 +362,6 @@ def frame_json(frame: LiveFrame, latency: float) -> str:
     ]
     head = {"type": "frame", "n": frame.index, "time": round(frame.time, 6), "latency_ms": round(1000 * latency, 3)}
     return json.dumps({**head, "people": people}, separators=(",", ":"))
-
-
-def frame_osc(frame: LiveFrame, latency: float) -> list[bytes]:
-    """/hypose/frame n time latency_ms people, then /hypose/person/ID/JOINT x y z sd."""
-    head = osc_message(
-        "/hypose/frame", frame.index & 0x7FFFFFFF, double(frame.time), 1000.0 * latency, len(frame.people)
-    )
-    out = [head]
-    for p in frame.people:
-        for name, xyz, sd in zip(COMMON, p.joints.tolist(), p.sd.tolist(), strict=True):
-            out.append(osc_message(f"/hypose/person/{p.id}/{name}", *xyz, sd))
-    return out
 
 
 def _rounded(values: Array) -> Any:
@@ -420,13 +381,25 @@ def _printable(text: str) -> str:
 
 async def run_live(options: LiveOptions, say: Say, note: Say) -> None:
     """Serve until Ctrl-C or SIGTERM, telling now and then how it goes."""
-    server = LiveServer(options, note)
-    await server.start()
-    ended = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    if sys.platform != "win32":
-        for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, ended.set)
+    server, ended = LiveServer(options, note), threading.Event()
+    with ended_by_signals(ended):
+        await server.start()
+        try:
+            _say_where(server, say)
+            with punctual():
+                await _serve_until(ended, server, note)
+        finally:
+            await server.stop()
+    if server.frames:
+        say(f"{server.frames} frames sent. {_summary(server)}")
+    if server.unrecorded:
+        raise InputError(server.unrecorded)
+    if options.record is not None:
+        say(f"Recorded: {options.record}")
+
+
+def _say_where(server: LiveServer, say: Say) -> None:
+    options = server.options
     host = f"[{options.host}]" if ":" in options.host else options.host
     if options.udp is not None:
         say(f"Skeletons in:  udp {host}:{server.udp_port}")
@@ -440,22 +413,15 @@ async def run_live(options: LiveOptions, say: Say, note: Say) -> None:
     if server.token:
         say(f"Token:         {server.token}")
     say("Stop with Ctrl-C.")
-    gc.collect()
-    gc.freeze()  # what is loaded now stays: a collection that walks it makes a frame late
-    try:
-        while not ended.is_set():
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(ended.wait(), _REPORT_S)
-            if server.frames:
-                note(_summary(server))
-    finally:
-        await server.stop()
-        if server.frames:
-            say(f"{server.frames} frames sent. {_summary(server)}")
-        if options.record is not None and not server.unrecorded:
-            say(f"Recorded: {options.record}")
-    if server.unrecorded:
-        raise InputError(server.unrecorded)
+
+
+async def _serve_until(ended: threading.Event, server: LiveServer, note: Say) -> None:
+    reported = time.monotonic()
+    while not ended.is_set():
+        await asyncio.sleep(_LOOK_S)
+        if server.frames and time.monotonic() - reported >= _REPORT_S:
+            reported = time.monotonic()
+            note(_summary(server))
 
 
 def _summary(server: LiveServer) -> str:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import socket
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from hypose.errors import InputError
+from hypose.geometry import Array
 
 MAX_BUNDLE = 1400
 """Bytes: fits one Ethernet packet."""
@@ -43,6 +44,22 @@ def osc_bundles(messages: Sequence[bytes]) -> list[bytes]:
             now = head
         now += struct.pack(">i", len(m)) + m
     return [*out, now] if now != head else out
+
+
+def people_osc(
+    number: int,
+    time: float,
+    latency: float,
+    people: Iterable[tuple[int, Sequence[str], Array, Array]],
+    there: int,
+) -> list[bytes]:
+    """/hypose/frame n time latency_ms people, then /hypose/person/ID/JOINT x y z sd. time, latency s; people: id, names
+    of joints (J), joints (J, 3) m, sd (J) m; there: how many of them are where they are said to be."""
+    out = [osc_message("/hypose/frame", number & 0x7FFFFFFF, double(time), 1000.0 * latency, there)]
+    for who, names, joints, sd in people:
+        rows = zip(names, joints.tolist(), sd.tolist(), strict=True)
+        out += [osc_message(f"/hypose/person/{who}/{name}", *xyz, s) for name, xyz, s in rows]
+    return out
 
 
 def _text(text: str) -> bytes:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from hypose.app.live.osc import OscTarget, double, osc_message
+from hypose.app.live.osc import OscTarget, people_osc
 from hypose.app.live.socket_listeners import SocketListeners
 from hypose.app.live.vmc import vmc_messages
 from hypose.body.body import Body
@@ -67,17 +67,6 @@ def _covariance(pose: LivePose) -> Array:
     return np.asarray(pose.motion.joint_covariance[0][:, *_UPPER], np.float64)
 
 
-def poses_osc(poses: Sequence[LivePose], latency: float) -> list[bytes]:
-    """/hypose/frame n time latency_ms people, then /hypose/person/ID/JOINT x y z sd, as fused skeletons are sent."""
-    first, there = poses[0], sum(not p.lost for p in poses)
-    out = [osc_message("/hypose/frame", first.frame & 0x7FFFFFFF, double(first.time), 1e3 * latency, there)]
-    for pose in poses:
-        m = pose.motion
-        rows = zip(m.skeleton.joint_names, pose.joints.tolist(), m.joint_sd[0].tolist(), strict=True)
-        out += [osc_message(f"/hypose/person/{pose.person}/{name}", *xyz, sd) for name, xyz, sd in rows]
-    return out
-
-
 class _Vmc:
     """An avatar's pose, in VRM's bones: of who came first."""
 
@@ -106,7 +95,10 @@ class _Osc:
         self._target = target
 
     def send(self, poses: Sequence[LivePose], latency: float) -> None:
-        self._target.send(poses_osc(poses, latency))
+        names = poses[0].motion.skeleton.joint_names
+        people = [(p.person, names, p.joints, p.motion.joint_sd[0]) for p in poses]
+        there = sum(not p.lost for p in poses)
+        self._target.send(people_osc(poses[0].frame, poses[0].time, latency, people, there))
 
     def close(self) -> None:
         self._target.close()

@@ -1,24 +1,21 @@
-"""Whoever listens by WebSocket on this computer: everybody gets what is posted, nobody is waited for."""
+"""A port of this computer on which programs and pages listen by WebSocket, in a thread of its own."""
 
 from __future__ import annotations
 
 import asyncio
-import re
+import os
 import threading
 from collections.abc import Callable, Coroutine
-from contextlib import suppress
 from typing import Any, TypeVar
 
 from websockets.asyncio.server import Server, ServerConnection, serve
-from websockets.exceptions import ConnectionClosed
 
 from hypose.app.live.door import Door, fold_logs
+from hypose.app.live.outbox import ORIGINS, Outbox, Post, Queue
 from hypose.errors import InputError
 
 T = TypeVar("T")
-Post = str | bytes
 MOST = 16
-_LOCAL = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d{1,5})?")
 
 
 class SocketListeners:
@@ -31,8 +28,7 @@ class SocketListeners:
     ) -> None:
         if not 0 <= port < 65536:
             raise InputError(f"--ws {port} is no port; give 0 (any free one) to 65535.")
-        self.dropped = 0
-        self._queues = dict[asyncio.Queue[Post | None], str]()
+        self._outbox = Outbox()
         self._waiting, self._hello, self._most = waiting, hello, most
         self._door, self._loop = Door(), asyncio.new_event_loop()
         fold_logs()
@@ -43,9 +39,13 @@ class SocketListeners:
         except OSError as error:
             self._end_loop()
             raise InputError(
-                f"Port {port} cannot be used ({(error.strerror or str(error)).lower()}); choose another with --ws, 0 "
-                "takes any free one."
+                f"Port {port} cannot be used ({refusal(error)}); choose another with --ws, 0 takes any free one."
             ) from None
+
+    @property
+    def dropped(self) -> int:
+        """What slow listeners have lost."""
+        return self._outbox.dropped
 
     @property
     def port(self) -> int:
@@ -54,15 +54,15 @@ class SocketListeners:
 
     def wanted(self, path: str) -> bool:
         """Whether anybody listens there."""
-        return path in self._queues.values()
+        return self._outbox.wanted(path)
 
     def post(self, what: Post, path: str | None = None) -> None:
         """To all, or to those of a path."""
-        self._loop.call_soon_threadsafe(self._put, what, path)
+        self._loop.call_soon_threadsafe(self._outbox.post, what, path)
 
     def close(self) -> None:
         """Stop listening, after what was posted."""
-        self._loop.call_soon_threadsafe(self._put, None, None)
+        self._loop.call_soon_threadsafe(self._outbox.post, None)
         self._in_loop(self._close())
         self._end_loop()
 
@@ -81,7 +81,7 @@ class SocketListeners:
             self._listen,
             "127.0.0.1",
             port,
-            origins=[None, _LOCAL],
+            origins=ORIGINS,
             compression=None,
             max_size=1 << 16,
             open_timeout=5,
@@ -92,7 +92,7 @@ class SocketListeners:
 
     async def _close(self) -> None:
         for _ in range(100):  # listeners take what waits for them, if they take anything
-            if not self._queues:
+            if not self._outbox:
                 break
             await asyncio.sleep(0.02)
         self._server.close()
@@ -101,41 +101,18 @@ class SocketListeners:
     async def _listen(self, connection: ServerConnection) -> None:
         path = connection.request.path.partition("?")[0] if connection.request is not None else "/"
         hello = self._hello(path)
-        if len(self._queues) >= self._most or hello is None:
+        if len(self._outbox) >= self._most or hello is None:
             full = hello is not None
             await connection.close(1013 if full else 1008, "too many listeners" if full else "there is no such path")
             return
-        queue: asyncio.Queue[Post | None] = asyncio.Queue(self._waiting)
+        queue: Queue = asyncio.Queue(self._waiting)
         if hello:
             queue.put_nowait(hello)
-        self._queues[queue] = path
-        reading = asyncio.ensure_future(_until_gone(connection, queue))
-        try:
-            with self._door.answering(connection.remote_address, True), suppress(ConnectionClosed):
-                while (what := await queue.get()) is not None:
-                    await connection.send(what)
-        finally:
-            del self._queues[queue]
-            reading.cancel()
-
-    def _put(self, what: Post | None, path: str | None) -> None:
-        for queue, own in self._queues.items():
-            if path is None or own == path:
-                self.dropped += _newest(queue, what)
+        with self._door.answering(connection.remote_address, True):
+            await self._outbox.serve(connection, queue, path)
 
 
-def _newest(queue: asyncio.Queue[Post | None], what: Post | None) -> bool:
-    """Put something into a queue, where it is full instead of the oldest; whether it was."""
-    full = queue.full()
-    if full:
-        queue.get_nowait()
-    queue.put_nowait(what)
-    return full
-
-
-async def _until_gone(connection: ServerConnection, queue: asyncio.Queue[Post | None]) -> None:
-    """Listeners have nothing to say; reading notices when they leave, also while there is nothing to send."""
-    with suppress(ConnectionClosed):
-        async for _ in connection:
-            pass
-    _newest(queue, None)
+def refusal(error: OSError | OverflowError) -> str:
+    """Why a port cannot be listened on, in the system's words alone."""
+    number = getattr(error, "errno", None)
+    return (str(error) if number is None else os.strerror(number)).lower()

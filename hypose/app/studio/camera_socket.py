@@ -16,11 +16,12 @@ import cv2
 import numpy as np
 from starlette.concurrency import run_in_threadpool
 
+from hypose.app.live.outbox import Outbox
 from hypose.app.live.pose_outputs import PoseOutputs, pose_json, status_json
 from hypose.app.studio.answers import NotNow
 from hypose.app.studio.asked import number, text, whole
 from hypose.app.studio.catalog import Catalog
-from hypose.app.studio.live_socket import put, recording_folder, target
+from hypose.app.studio.live_socket import recording_folder, target
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
@@ -136,12 +137,12 @@ class CameraHost:
     def listen(self, queue: asyncio.Queue[str]) -> None:
         """See `LiveHost`."""
         if self._page is not None and self._engine is not None:
-            self._page.queues.add(queue)
+            self._page.outbox.join(queue)
 
     def unlisten(self, queue: asyncio.Queue[str]) -> None:
         """See `LiveHost`."""
         if self._page is not None:
-            self._page.queues.discard(queue)
+            self._page.outbox.leave(queue)
 
 
 def _recorded(recorder: LiveRecorder) -> str:
@@ -179,7 +180,7 @@ class _Page:
     """A listener of the engine that tells pages: every pose, how it goes, and now and then small pictures."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, cameras: tuple[str, ...], rig: CameraRig) -> None:
-        self.queues: set[asyncio.Queue[str]] = set()
+        self.outbox = Outbox()
         self._loop, self._cameras = loop, cameras
         self._places = [np.linalg.inv(c.camera_from_world).round(4).tolist() for c in rig]
         self._newest: Seen | None = None
@@ -222,15 +223,14 @@ class _Page:
 
     def tell(self, message: dict[str, Any] | str) -> None:
         """A message to all pages; in the server's loop."""
-        for queue in self.queues:
-            put(queue, message)
+        self.outbox.post(message if isinstance(message, str) else json.dumps(message))
 
     def _draw(self) -> None:
         while not self._ended:
             self._wake.wait()
             self._wake.clear()
             seen = self._newest
-            if seen is not None and self.queues:
+            if seen is not None and self.outbox:
                 views = zip(self._cameras, seen.sight.jpegs, seen.sight.views, strict=True)
                 pictures = [{"name": n, "jpeg": _picture(j, None if v is None else v[0])} for n, j, v in views]
                 self._post({"t": "pictures", "cameras": pictures})

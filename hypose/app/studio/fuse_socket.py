@@ -98,12 +98,12 @@ class FuseHost:
     def listen(self, queue: asyncio.Queue[str]) -> None:
         """From now on a queue gets what is sent, while the fusion runs."""
         if self._server is not None:
-            self._server.listen(queue)
+            self._server.outbox.join(queue)
 
     def unlisten(self, queue: asyncio.Queue[str]) -> None:
         """No more of it."""
         if self._server is not None:
-            self._server.unlisten(queue)
+            self._server.outbox.leave(queue)
 
 
 def recorded(catalog: Catalog) -> list[dict[str, Any]]:

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 from starlette.routing import WebSocketRoute
 from starlette.websockets import WebSocket
 
+from hypose.app.live.outbox import put_newest
 from hypose.app.studio.asked import text
 from hypose.app.studio.job_kinds import free_folder
 from hypose.app.studio.sockets import Sockets, hear, tell
@@ -109,9 +110,7 @@ def live_route(path: str, host: LiveHost, sockets: Sockets) -> WebSocketRoute:
 
 def put(queue: asyncio.Queue[str], message: dict[str, Any] | str) -> None:
     """A message to a page; when it is slow it misses the oldest."""
-    if queue.full():
-        queue.get_nowait()
-    queue.put_nowait(message if isinstance(message, str) else json.dumps(message))
+    put_newest(queue, message if isinstance(message, str) else json.dumps(message))
 
 
 def target(value: Any, port: int) -> str | None:

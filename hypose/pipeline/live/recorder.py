@@ -7,6 +7,7 @@ import json
 import os
 import queue
 import threading
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TextIO
@@ -28,6 +29,8 @@ _WAITING = 90
 """instants that may wait to be written; more are left out, and counted"""
 _PAUSE_S = 1.0
 """s from one instant to the next, at a usual pace: that is a pause, not the pace"""
+_DESCRIBE_S = 5.0
+"""s after which what has been written since is a part of the recording"""
 _POSES = "poses.jsonl"
 
 
@@ -53,7 +56,7 @@ class LiveRecorder:
         self._small = live_working_rig(rig, views)
         self._times: list[float] = []
         self._followed: list[bool] = []
-        self._rows = 0
+        self._rows, self._described = 0, -np.inf
         self._last: list[bytes | None] = [None] * len(views)
         self._waiting: queue.Queue[Seen | None] = queue.Queue(_WAITING)
         self._masks: list[Path] = []
@@ -182,6 +185,11 @@ class LiveRecorder:
         self._times.append(seen.frame.time)
         self._followed.append(len(people) > 0)
         self.written += 1
+        if (
+            self.written > 1 and time.monotonic() - self._described >= _DESCRIBE_S
+        ):  # whoever is killed has recorded, too
+            self._describe()
+            self._described = time.monotonic()
 
     def _forget(self) -> None:
         """What is there of the instant that could not be written, which also makes room for recording.toml."""

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from time import sleep
 
 import cv2
 import numpy as np
@@ -58,6 +59,17 @@ def test_what_is_recorded_is_loaded_with_the_masks_that_were_seen(tmp_path, walk
         assert row["joints"] == pytest.approx(by_frame[row["n"]].joints, abs=1e-5) and row["lost"] is False
 
 
+def test_who_is_killed_has_recorded_too(tmp_path, walk, frames, monkeypatch):
+    monkeypatch.setattr(recorder_module, "_DESCRIBE_S", 0.0)
+    made = recorder(tmp_path / "live", walk)
+    for frame in frames[:8]:
+        made.seen(seen(frame, None))
+    while made.written < 8:
+        sleep(0.01)
+    assert load_recording(tmp_path / "live").n_frames >= 7  # and nothing was closed
+    made.close()
+
+
 def test_a_missing_camera_repeats_its_picture_and_has_an_empty_mask(tmp_path, walk, frames):
     made = recorder(tmp_path / "live", walk)
     for k, frame in enumerate(frames[:6]):
@@ -110,7 +122,7 @@ def test_a_folder_that_holds_something_is_refused(tmp_path, walk):
     (tmp_path / "old" / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="old is not empty; give a new folder"):
         recorder(tmp_path / "old", walk)
-    with pytest.raises(InputError, match=r"notes\.txt is not empty"):
+    with pytest.raises(InputError, match=r"notes\.txt is a file"):
         recorder(tmp_path / "old" / "notes.txt", walk)
     with pytest.raises(InputError, match="live cannot be written .not a directory.; choose another folder"):
         recorder(tmp_path / "old" / "notes.txt" / "live", walk)
