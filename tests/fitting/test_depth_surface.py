@@ -6,7 +6,7 @@ import pytest
 from hypose import compute, fitting
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
-from hypose.fitting.depth_surface import DepthTerm, depth_arrays, depth_term, faces_of_vertices
+from hypose.fitting.depth_surface import DepthTerm, depth_arrays, depth_term, rings
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import frame_of, sensors
 
@@ -92,11 +92,13 @@ def test_terms_of_wrong_shape_are_named(term):
 
 
 def test_every_vertex_knows_its_faces():
-    first, faces = faces_of_vertices(BODY)
-    assert len(faces) == 3 * len(BODY.coarse.faces)
+    first, ring = rings(BODY)
+    faces = np.asarray(BODY.coarse.faces)
+    assert len(ring) == 3 * len(faces)
     for v in (0, 7, len(first) - 2):
-        own = faces[first[v] : first[v + 1]]
-        assert sorted(own.tolist()) == np.flatnonzero((BODY.coarse.faces == v).any(1)).tolist()
+        own = [(v, *others) for others in ring[first[v] : first[v + 1]].tolist()]
+        expected = [tuple(np.roll(f, -int(np.flatnonzero(f == v)[0])).tolist()) for f in faces if v in f]
+        assert sorted(own) == sorted(expected)
 
 
 def test_a_frame_without_depth_costs_nothing():
