@@ -19,7 +19,7 @@ from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, Hypotheses
 from hypose.tracking.costs import frame_energy
-from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PoseMemory, PreparedFrame
 from hypose.tracking.part_colours import ColourSettings, colour_scores, hands_by_colours
 from hypose.tracking.reach_table import ArmReach, ends, ends_of
 from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, member, mismatch, refine
@@ -120,7 +120,7 @@ class RefineRivals:
         for n in np.argsort(costs + colours, kind="stable")[: self.keep].tolist():
             hands = hands_by_colours(poses[n], frame, self.colours)
             if hands is not None:
-                own = replace(frame, keypoints=hands, prediction=expected[n])
+                own = replace(frame, keypoints=hands, prediction=expected[n], hessians=PoseMemory())
                 moved[n] = refine(frame.body, poses[n][None], own, self.near)[0].pose
         if not moved:
             return poses, costs, colours
