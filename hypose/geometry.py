@@ -6,6 +6,8 @@ All functions take leading batch axes. Angles in radians, lengths in metres. A r
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -87,6 +89,13 @@ def nearest_branch(rotation_vector: ArrayLike, reference: ArrayLike) -> Array:
     """
     r = np.asarray(rotation_vector, dtype=np.float64)
     ref = np.asarray(reference, dtype=np.float64)
+    if r.ndim == ref.ndim == 1:  # the same, many times sooner
+        (x, y, z), (a, b, c) = r.tolist(), ref.tolist()
+        squared = x * x + y * y + z * z
+        angle = math.sqrt(squared)
+        if not (angle > 1e-9 and x * a + y * b + z * c < squared - math.pi * angle):
+            return r.copy()
+        return r - 2 * np.pi * r / max(angle, 1e-12)
     squared = (r * r).sum(-1, keepdims=True)
     # the other branch is r - 2 pi r / |r|: nearer when r.ref lies more than pi |r| below |r|^2
     angle = np.sqrt(squared)

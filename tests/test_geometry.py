@@ -134,3 +134,11 @@ def test_procrustes_of_a_mirror_image_is_still_a_rotation(rng):
     a = rng.normal(size=(8, 3))
     m, _ = procrustes(a, a * [1, 1, -1])
     assert np.linalg.det(m[:3, :3]) == pytest.approx(1)
+
+
+def test_nearest_branch_of_one_vector_is_that_of_many():
+    rng = np.random.default_rng(0)
+    vectors, references = rng.normal(0, 3, (200, 3)), rng.normal(0, 3, (200, 3))
+    vectors[0] = 0
+    alone = [nearest_branch(v, r) for v, r in zip(vectors, references, strict=True)]
+    np.testing.assert_array_equal(np.stack(alone), nearest_branch(vectors, references))

@@ -15,6 +15,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -88,6 +89,11 @@ class ContourTerm:
         for name in ("scale_px", "coarse_scale_px", "row_spacing_px", "height_px"):
             if not getattr(self, name) > 0:
                 raise InputError(f"ContourTerm.{name} must be positive, got {getattr(self, name)}.")
+
+    @cached_property
+    def arrays(self) -> ContourArrays:
+        """What the solver takes, made once for all solves of a frame."""
+        return contour_arrays(self)
 
 
 @dataclass(frozen=True)
@@ -317,7 +323,7 @@ class _Problem:
         for term in self.rows:
             _joints(term.joint, len(body.skeleton.tree.parents), "RowTerm")
         self.tree, self.mesh = body.skeleton.tree, body.coarse.arrays
-        self.contours = contour_arrays(contours)
+        self.contours = contour_arrays(None) if contours is None else contours.arrays
         self.keypoints = keypoint_arrays(keypoints, len(self.tree.parents))
         self.points = point_arrays(points, len(self.tree.parents))
         self.depth = depth_arrays(depth, body)

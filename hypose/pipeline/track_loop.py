@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -84,21 +87,25 @@ def track_frames(
     that is nothing.
     """
     state, estimates = (before.state, list(before.estimates)) if before is not None else (begin, [])
-    saved, total = len(estimates), len(frames)
+    saved, total, looks = len(estimates), len(frames), _Looks(state, estimates)
     error: HyposeError | None = None
     try:
         rest = frames[saved:]
         last = source.frame(rest[0] - 1) if rest and rest[0] > 0 else None
-        with contextlib.closing(look_ahead(tracked_frames(source, rest, tracker.recipe.needs, subject))) as coming:
+        with (
+            contextlib.closing(look_ahead(tracked_frames(source, rest, tracker.recipe.needs, subject))) as coming,
+            contextlib.closing(looks),
+        ):
             for done in range(saved, total):
                 progress("track", done, total)
                 frame = next(coming)
                 state, estimate = tracker.step(state, frame)
-                estimates.append(looked_at(tracker, estimate, frame, last))
+                looks.begin(state, partial(looked_at, tracker, estimate, frame, last))
                 last = frame
                 # all frames are written every time, so ever fewer times: the work of an hour of film stays linear
                 if keep is not None and done + 1 - saved >= max(keep.every, saved // 20) and done + 1 < total:
-                    _save(keep, Tracked(frames, estimates, state))
+                    looks.end()
+                    _save(keep, Tracked(frames, estimates, looks.state))
                     saved = done + 1
         progress("track", total, total)
     except KeyboardInterrupt:
@@ -108,13 +115,44 @@ def track_frames(
         if not estimates or keep is None:
             raise
         error = problem
-    out = Tracked(frames[: len(estimates)], estimates, state, error is None and len(estimates) == total, error)
+    out = Tracked(frames[: len(estimates)], estimates, looks.state, error is None and len(estimates) == total, error)
     if keep is not None and (keep.finished or not out.complete):
         with (
             contextlib.suppress(HyposeError) if error is not None else contextlib.nullcontext()
         ):  # the first one counts
             _save(keep, out)
     return out
+
+
+class _Looks:
+    """What was seen in each frame, found out by another thread while the next one is tracked: tracking does not ask.
+
+    state, estimates: after the last frame that has been looked at."""
+
+    def __init__(self, state: TrackerState, estimates: list[FrameEstimate]) -> None:
+        self.state, self.estimates = state, estimates
+        self._context = copy_context()  # which back end to use is said there
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="look")
+        self._coming: tuple[TrackerState, Future[FrameEstimate]] | None = None
+
+    def begin(self, state: TrackerState, look: Callable[[], FrameEstimate]) -> None:
+        """Of the next frame, whose estimate `look` returns; waits for the one before."""
+        self.end()
+        self._coming = state, self._pool.submit(self._context.run, look)
+
+    def end(self) -> None:
+        """Waits for the last one."""
+        coming, self._coming = self._coming, None
+        if coming is not None:
+            self.estimates.append(coming[1].result())
+            self.state = coming[0]
+
+    def close(self) -> None:
+        """The same, and no more after it."""
+        try:
+            self.end()
+        finally:
+            self._pool.shutdown()
 
 
 def tracked_before(path: Path, identity: Mapping[str, Any], stop: int) -> Tracked | None:

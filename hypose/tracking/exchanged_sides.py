@@ -15,6 +15,7 @@ import numpy as np
 
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
+from hypose.compute import over_chunks
 from hypose.fitting.articulated import PointTerm, SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.tracking.costs import agreement
@@ -79,10 +80,16 @@ def look_for_exchange(pose: Array, frame: PreparedFrame, /) -> tuple[float, Arra
     def worth(q: Array) -> float:
         return agreement(body, q, frame) - float(strain(body.skeleton, q[None])[0])
 
+    ways, tried = (turned_around, limbs_exchanged), [pose, pose]
+
+    def work(first: int, last: int) -> None:
+        for n in range(first, last):
+            start = ways[n](body, pose)
+            tried[n] = refine(body, start[None], replace(frame, prediction=start), _TO_MASKS)[0].pose
+
+    over_chunks(work, len(ways), None)
     now, best = worth(pose), (-1.0, pose)
-    for rival in (turned_around, limbs_exchanged):
-        start = rival(body, pose)
-        found = refine(body, start[None], replace(frame, prediction=start), _TO_MASKS)[0].pose
+    for found in tried:
         gain = worth(found) - now
         if gain > best[0]:
             best = (gain, found)

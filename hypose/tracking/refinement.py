@@ -203,8 +203,8 @@ def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettin
         priors=priors,
         options=options,
     )
-    for fit in fits:
-        frame.hessians.keep(body, fit.pose, fit.hessian)
+    for fit in fits:  # poses go on clamped, by less than the last digits of a Hessian
+        frame.hessians.keep(body, body.skeleton.clamp(fit.pose), fit.hessian)
     return fits
 
 

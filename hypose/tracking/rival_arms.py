@@ -19,7 +19,7 @@ from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, Hypotheses
 from hypose.tracking.costs import frame_energy
-from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PoseMemory, PreparedFrame
 from hypose.tracking.part_colours import ColourSettings, colour_scores, known_colours
 from hypose.tracking.pictured_arms import pictured_arms
 from hypose.tracking.reach_table import ArmReach, ends, ends_of
@@ -126,7 +126,7 @@ class RefineRivals:
             found = pictured_arms(arms, poses[n], frame, self.colours, rng)
             if found is None:
                 continue
-            own = replace(frame, points=found[1], prediction=expected[n])
+            own = replace(frame, points=found[1], prediction=expected[n], hessians=PoseMemory())
             pose = refine(frame.body, found[0][None], own, self.near)[0].pose
             cost = mismatch(pose[None], frame, expected=expected[n][None])[0]
             say = self.colours.weight * colour_scores(pose[None], frame, self.colours)[0]

@@ -72,6 +72,18 @@ def test_any_order_and_a_new_stream_give_the_same_frames(film):
             resumed.frame(14)
 
 
+def test_a_mask_is_made_once(film, monkeypatch):
+    with FrameStream(film[0], OPTIONS) as stream:
+        first = [frame.silhouettes.masks for frame in stream]
+
+        def made_again(*_):
+            raise AssertionError("this mask has been made before")
+
+        monkeypatch.setattr(stream, "_mask", made_again)
+        for i in (2, 0, 1):
+            np.testing.assert_array_equal(stream.frame(i).silhouettes.masks, first[i])
+
+
 def test_colours_are_those_of_the_pictures_within_the_masks(film, tmp_path):
     recording, _ = film
     coloured = replace(OPTIONS, colours=True)

@@ -22,13 +22,18 @@ from hypose.compute.silhouettes.cpu_silhouettes import (
 )
 
 f4 = np.float32
+_GATHER = np.uint64(0x0102040810204080)
+"""times eight bytes of 0 or 1: their bits in the highest byte, the first one lowest"""
 
 
 @kernel
 def stamp(mask, x0, y0, width, height, difference, running, own, bits, counts):
     """Sets the bits (h, B) of the silhouette whose winding differences are given in the window with corner (x0, y0);
-    counts (2,): pixels set, those of them in the mask (h, w)."""
-    acc, inside = running[:width], own[:width]
+    counts (2,): pixels set, those of them in the mask (h, w); running, own: scratch, own (8 (B + 1),) all zero."""
+    shift = x0 & 7
+    acc, inside = running[:width], own[shift : shift + width]
+    words, first = own.view(np.uint64), x0 >> 3
+    n_words = (shift + width + 7) >> 3
     acc[:] = 0
     model, hit = 0, 0
     for r in range(height):
@@ -42,8 +47,9 @@ def stamp(mask, x0, y0, width, height, difference, running, own, bits, counts):
         model += n_model
         hit += n_hit
         if n_model > 0:
-            for x in range(width):
-                line[(x0 + x) >> 3] |= inside[x] << np.uint8((x0 + x) & 7)
+            for w in range(n_words):
+                line[first + w] |= np.uint8((words[w] * _GATHER) >> np.uint64(56))
+    inside[:] = 0
     counts[0] = model
     counts[1] = hit
 
@@ -61,7 +67,7 @@ def draw_standing(pose, tree, mesh, faces, standing, prepared, boxes, bits, coun
     front = np.empty(mesh.faces.shape[0], np.uint8)
     start, end = np.empty(mesh.edges.shape[0], np.int32), np.empty(mesh.edges.shape[0], np.int32)
     views, _, columns = prepared.masks.shape
-    running, own = np.empty(columns, np.int16), np.empty(columns, np.uint8)
+    running, own = np.empty(columns, np.int16), np.zeros(8 * (bits.shape[2] + 1), np.uint8)
     joint_frames(pose, tree, rotations, centres, twists)
     skin_about_root(rotations, centres, tree, mesh, vertices)
     for c in range(views):
