@@ -75,7 +75,7 @@ def default(
     worse than usual, and below 20 frames per second, where more happens between two frames. In the same frames an arm's
     whole reach is looked up; of what is found there the best live on beside the estimate, `rivals` poses in all. With
     `colours` it learns, where there are pictures, what colours the person's parts have, and asks them, and the edges of
-    sleeves, where arms are: it helps folded arms and costs as much again, so it is asked for.
+    sleeves, where arms are: it helps folded arms and costs half as much again, so it is asked for.
     """
     s = body.skeleton
     sigma = 2.0 * step_sigma(s, frame_rate)
