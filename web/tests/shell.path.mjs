@@ -31,7 +31,7 @@ await walk(async ({ page, picture }) => {
   const found = {};
   for (const colorScheme of ["dark", "light"]) {
     await page.emulateMedia({ colorScheme, reducedMotion: "reduce" });
-    await page.reload({ waitUntil: "commit" });
+    await page.waitForFunction((name) => document.documentElement.dataset.theme === name, colorScheme); // as the computer is set
     for (const [k, [screen, rest, ready]] of screens.entries()) {
       await page.evaluate(() => {
         document.querySelector("dialog[open]")?.close();

@@ -163,12 +163,16 @@ def test_what_was_recorded_is_kept_whatever_ends_it(served_live, monkeypatch, fa
             ws.send('{"t": "stop"}')
     folder = served_live.studio.catalog.root / running["record"]
     for _ in range(200):
-        if (folder / "recording.toml").exists():
+        if not _listening(running["ws"]) and (folder / "recording.toml").exists():
             break
         time.sleep(0.05)
+    assert not _listening(running["ws"])
     assert load_recording(folder).n_frames == 2 and host.hello()["running"] is False
+
+
+def _listening(port):
     with contextlib.closing(socket.socket()) as probe:
-        assert probe.connect_ex(("127.0.0.1", running["ws"])) != 0  # nobody listens there any more
+        return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
 def test_nothing_is_recorded_outside_of_the_served_folder(own_studio, tmp_path):

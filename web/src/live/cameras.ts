@@ -84,21 +84,24 @@ export function camerasLive(root: HTMLElement): Screen {
       memory.set("cameras.recording", chosen);
       setup.href = `#/setup/${chosen}`;
       const asked = chosen;
+      inputs.clear();
+      where.replaceChildren(); // nothing is written where other cameras will be
       const found = await get<Recording>(`/api/recordings/${asked}`).catch(() => null);
       if (asked !== chosen) return;
-      inputs.clear();
-      for (const view of found?.views ?? []) {
-        inputs.set(view.name, h("input", { type: "text", maxlength: 500, spellcheck: "false", "aria-label": `Where ${view.name} is`, value: memory.get(`cameras.at.${view.name}`) ?? "", oninput: () => tellEmpty(inputs) }));
+      for (const { name } of found?.views ?? []) {
+        const input = h("input", { type: "text", maxlength: 500, spellcheck: "false", "aria-label": `Where ${name} is`, value: memory.get(`cameras.at.${name}`) ?? "" });
+        input.addEventListener("input", () => {
+          memory.set(`cameras.at.${name}`, input.value.trim()); // the form may be made anew while somebody writes
+          tellEmpty(inputs);
+        });
+        inputs.set(name, input);
       }
       tellEmpty(inputs);
       where.replaceChildren(...[...inputs].map(([name, input]) => h("div", { class: "live-row" }, h("span", { class: "field-name" }, name), input)));
     };
     const start = button("Start", () => {
       const sources: Record<string, string> = {};
-      for (const [name, input] of inputs) {
-        memory.set(`cameras.at.${name}`, input.value.trim());
-        if (input.value.trim()) sources[name] = input.value.trim();
-      }
+      for (const [name, input] of inputs) if (input.value.trim()) sources[name] = input.value.trim();
       memory.set("cameras.people", most.value);
       start.disabled = true;
       send({ t: "start", recording: chosen, sources, people: Number(most.value), record: record.checked, osc: osc.value.trim() || null, vmc: vmc.value.trim() || null });

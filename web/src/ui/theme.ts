@@ -9,10 +9,12 @@ export function theme(): Theme {
   return document.documentElement.dataset["theme"] === "light" ? "light" : "dark";
 }
 
-/** As chosen before; else as the computer is set. */
+/** As chosen before; else as the computer is set, also when that changes. */
 export function startTheme(): void {
-  const light = matchMedia("(prefers-color-scheme: light)").matches;
-  setTheme((memory.get("theme") as Theme | null) ?? (light ? "light" : "dark"), false);
+  const light = matchMedia("(prefers-color-scheme: light)");
+  const follow = (): void => setTheme((memory.get("theme") as Theme | null) ?? (light.matches ? "light" : "dark"), false);
+  light.addEventListener("change", follow);
+  follow();
 }
 
 export function setTheme(value: Theme, keep = true): void {
