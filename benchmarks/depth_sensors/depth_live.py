@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import gc
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -19,7 +17,6 @@ from hypose.pipeline.live.live_search import LivePersonOptions
 from hypose.pipeline.run import TrackOptions
 from hypose.synthetic.write_depth import walking_scene, write_depth_scene
 
-_SWITCH_S = 0.0005  # as `hypose live`
 _RATE = 25.0
 
 
@@ -42,7 +39,7 @@ def live_depth(seed: int, quick: bool) -> dict[str, Any]:
     """latency_p50_ms, latency_p99_ms of somebody who walks; an EvidenceError when nobody was found."""
     seconds = 15.0 if quick else 40.0
     scene = walking_scene("walk", "", "depth-2", seconds=seconds, frame_rate=_RATE, seed=seed)
-    listener, before = _Late(), sys.getswitchinterval()
+    listener = _Late()
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) / "depth"
         write_depth_scene(scene, folder)
@@ -50,16 +47,11 @@ def live_depth(seed: int, quick: bool) -> dict[str, Any]:
         person = LivePersonOptions(TrackOptions(seed=seed), None, None)
         eyes = EyesOptions(found.rate, 0.0, found.silhouettes)
         engine = LiveEngine(found.rig, found.views, LiveOptions(eyes, person), [listener])
-        sys.setswitchinterval(_SWITCH_S)
         try:
             engine.start()
-            gc.collect()
-            gc.freeze()
             engine.ended.wait(seconds + 10)
         finally:
             engine.stop()
-            gc.unfreeze()
-            sys.setswitchinterval(before)
     if engine.failed is not None:
         raise engine.failed
     if len(listener.late) < 2 * _RATE:
