@@ -38,6 +38,8 @@ def shift_of_mask(
     margin = int(2 * 3 * _SCALE_M * metre) + 2
     low, high = np.maximum((x.min() - margin, y.min() - margin), 0), (x.max() + margin + 1, y.max() + margin + 1)
     mask, x, y = np.ascontiguousarray(mask[low[1] : high[1], low[0] : high[0]]), x - low[0], y - low[1]
+    if not mask.any() or mask.all():  # no edge is anywhere near
+        return np.full(2, np.nan)
     distance = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5) - cv2.distanceTransform(mask, cv2.DIST_L2, 5)
     distance += mask - np.float32(0.5)  # the edge lies between the pixels
     smooth = cv2.GaussianBlur(distance, (0, 0), 1.0)

@@ -98,7 +98,7 @@ def test_cameras_in_and_poses_out_while_one_is_unplugged():
 
 def test_one_camera_is_not_enough():
     cameras = rig("humaneva-4")
-    with pytest.raises(InputError, match="needs two cameras or more, and 1 is given"):
+    with pytest.raises(InputError, match="needs two cameras or more, or one depth camera, and 1 is given"):
         LiveEngine(cameras.select(["cam1"]), [LiveView("cam1", "0")])
 
 
