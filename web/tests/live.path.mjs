@@ -55,7 +55,7 @@ await walk(
     await page.waitForFunction((before) => globalThis.__app.pictures > before + 30, drawn);
     for (const [width, height, colorScheme] of [[1440, 900, "light"], [1024, 700, "dark"], [390, 844, "light"], [1280, 800, "dark"]]) {
       await page.setViewportSize({ width, height });
-      await page.emulateMedia({ colorScheme });
+      await page.emulateMedia({ colorScheme, reducedMotion: "reduce" }); // no colours on their way
       assert.deepEqual(await staysCutOff(page), []);
       assert.deepEqual(await barriers(page), []);
     }

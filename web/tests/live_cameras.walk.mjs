@@ -34,7 +34,7 @@ await walk(
     await picture("live-cameras");
     for (const [width, height, colorScheme] of [[1440, 900, "light"], [1280, 720, "dark"], [1024, 700, "light"], [390, 844, "dark"]]) {
       await page.setViewportSize({ width, height });
-      await page.emulateMedia({ colorScheme });
+      await page.emulateMedia({ colorScheme, reducedMotion: "reduce" }); // no colours on their way
       assert.deepEqual(await staysCutOff(page), []);
       assert.deepEqual(await barriers(page), []);
       await picture(`live-cameras-${width}`);

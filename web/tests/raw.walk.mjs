@@ -22,7 +22,7 @@ await walk(
 
     const everybody = async (sizes) => {
       for (const colorScheme of ["light", "dark"]) {
-        await page.emulateMedia({ colorScheme });
+        await page.emulateMedia({ colorScheme, reducedMotion: "reduce" }); // no colours on their way
         for (const [width, height] of sizes) {
           await page.setViewportSize({ width, height });
           assert.deepEqual(await staysCutOff(page), []);
