@@ -85,7 +85,7 @@ def test_convert_calibration(tmp_path):
 @pytest.mark.slow
 def test_read_results(tmp_path):
     write_masks(small_scene(1, 6), tmp_path / "walk")
-    run("-m", "hypose.app", "track", tmp_path / "walk", "--no-overlay", "--formats", "csv")
+    run("-m", "hypose", "track", tmp_path / "walk", "--no-overlay", "--formats", "csv")
     assert "6 of 6 frames; right knee" in run(
         ROOT / "examples/python/read_results.py", tmp_path / "walk" / "results" / "default"
     )
