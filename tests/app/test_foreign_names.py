@@ -223,7 +223,7 @@ def test_whatever_the_system_refuses_is_one_sentence(hypose, masks, tmp_path, mo
 @on_linux
 def test_output_to_a_full_disk_is_one_sentence():
     with open("/dev/full", "w") as full:
-        command = [sys.executable, "-m", "hypose.app", "--version"]
+        command = [sys.executable, "-m", "hypose", "--version"]
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.startswith("error: The output cannot be written (no space left on device)")
