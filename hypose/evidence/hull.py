@@ -151,7 +151,8 @@ def visual_hull(
             # nobody looks again at what is out already
             left = len(views) - 1 - k
             open_ = (free <= miss) & (hits + left >= min_views) & (plain + left >= sure if not level else True)
-            index, centres, free, hits, plain = (a[open_] for a in (index, centres, free, hits, plain))
+            index, centres = index[open_], centres[open_]
+            free, hits, plain = free[open_], hits[open_], plain[open_]
         if level:
             index = (2 * index[:, None] + corner).reshape(-1, 3)
             if len(index) > _MAX_CELLS:
