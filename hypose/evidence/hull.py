@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -140,14 +141,18 @@ def visual_hull(
         edge = voxel * 2**level
         centres = box[0] + (index + 0.5) * edge
         free, hits, plain = (np.zeros(len(index), np.int16) for _ in range(3))
-        for c in views:
+        for k, c in enumerate(views):
             camera = silhouettes.rig[int(c)]
             empty, hit = _free_cells(camera, free_of[c], sums[int(c)], centres, edge if level else 0.0)
             free += empty
             hits += hit
             if sure and not level:
                 plain += _free_cells(camera, told[c], sums[int(c)], centres, 0.0)[1]
-        index = index[(free <= miss) & (hits >= min_views) & (plain >= sure if not level else True)]
+            # nobody looks again at what is out already
+            left = len(views) - 1 - k
+            open_ = (free <= miss) & (hits + left >= min_views) & (plain + left >= sure if not level else True)
+            index, centres = index[open_], centres[open_]
+            free, hits, plain = free[open_], hits[open_], plain[open_]
         if level:
             index = (2 * index[:, None] + corner).reshape(-1, 3)
             if len(index) > _MAX_CELLS:
@@ -170,12 +175,12 @@ def visual_hull(
     return Hull(occupancy, box[0] + (low + 0.5) * voxel, voxel)
 
 
-def _summed(mask: NDArray[np.uint8]) -> NDArray[np.int64]:
-    return np.pad(mask.astype(np.int32).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+def _summed(mask: NDArray[np.uint8]) -> NDArray[np.int32]:
+    return np.asarray(cv2.integral(mask), np.int32)
 
 
 def _free_cells(
-    camera: Camera, mask: NDArray[np.uint8], sums: NDArray[np.int64], centres: Array, edge: float
+    camera: Camera, mask: NDArray[np.uint8], sums: NDArray[np.int32], centres: Array, edge: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """For cubes (M,): surely without person in this view; and possibly with. edge 0: judged at the centre."""
     w, h = camera.size

@@ -38,6 +38,8 @@ seated person's knees, an arm held out."""
 _SPREAD, _FINE = 0.12, 0.06
 _WIDENED = 0.01
 _NEAR_CAMERA = 0.2
+_RIM = 12
+"""cells around the hull's plan, so that its density falls to nothing inside it"""
 
 
 @dataclass(frozen=True)
@@ -104,19 +106,22 @@ def people_in_hull(
 def _axes(hull: Hull, floor: float, most: int) -> list[tuple[Array, NDArray[np.bool_]]]:
     """Where people stand (2,) m, by how much of the hull is near, and which of its voxels (M,) are theirs."""
     litre, points = 1e3 * hull.voxel**3, hull.points
-    plan = np.pad(hull.occupancy.sum(2).astype(np.float64), 12) * litre
+    filled = hull.occupancy.sum(2)
+    plan = np.pad(filled.astype(np.float64), _RIM) * litre
     density = np.asarray(ndimage.gaussian_filter(plan, _SPREAD / hull.voxel))
-    u, v = np.ogrid[: density.shape[0], : density.shape[1]]
+    x, y = (hull.origin[k] + np.arange(hull.occupancy.shape[k]) * hull.voxel for k in (0, 1))
     axes: list[Array] = []
     while len(axes) < most and density.max() > 0:
         peak = np.array(np.unravel_index(int(density.argmax()), density.shape))
-        axis = hull.origin[:2] + (peak - 12) * hull.voxel
-        from_peak = np.hypot(u - peak[0], v - peak[1]) * hull.voxel
-        near = points[np.linalg.norm(points[:, :2] - axis, axis=1) < ABOUT]
-        if _stands(near, litre, floor):
-            axes.append(axis)
-            density[from_peak < APART] = 0
-        density[from_peak < _FINE] = 0
+        axis = hull.origin[:2] + (peak - _RIM) * hull.voxel
+        # most places have too little around them for anybody
+        part = np.ix_(*(np.flatnonzero(np.abs(at - axis[k]) < ABOUT) for k, at in enumerate((x, y))))
+        near = np.sqrt((x[part[0]] - axis[0]) ** 2 + (y[part[1]] - axis[1]) ** 2) < ABOUT
+        if int(filled[part][near].sum()) * litre > LITRES:
+            if _stands(points[np.linalg.norm(points[:, :2] - axis, axis=1) < ABOUT], litre, floor):
+                axes.append(axis)
+                _taken(density, peak, APART / hull.voxel)
+        _taken(density, peak, _FINE / hull.voxel)
     if not axes:
         return []
     # judged again by what is nearest to each: knees and arms before a trunk are nobody
@@ -128,6 +133,14 @@ def _axes(hull: Hull, floor: float, most: int) -> list[tuple[Array, NDArray[np.b
             return [(axis, (nearest == k) & (away[:, k] < REACH)) for k, axis in enumerate(axes)]
         worst = max(k for k, ok in enumerate(stands) if not ok)  # they come in the order of their density
         del axes[worst]
+
+
+def _taken(density: Array, peak: NDArray[np.int64], radius: float) -> None:
+    """Nobody else stands within a radius, cells, of a peak of the density: it is 0 there, in place."""
+    low = np.maximum(peak - int(radius) - 1, 0)
+    part = density[low[0] : peak[0] + int(radius) + 2, low[1] : peak[1] + int(radius) + 2]
+    u, v = np.ogrid[: part.shape[0], : part.shape[1]]
+    part[np.hypot(u + low[0] - peak[0], v + low[1] - peak[1]) < radius] = 0
 
 
 def _stands(near: Array, litre: float, floor: float) -> bool:

@@ -15,6 +15,7 @@ from hypose.body.motion import Motion
 from hypose.geometry import Array
 from hypose.io.motions.results import Checkpoint, ResultsFolder
 from hypose.io.recordings.provenance import identity
+from hypose.pipeline.doubts import runs
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.kept_findings import kept_subject
 from hypose.pipeline.people_points import per_frame
@@ -52,8 +53,15 @@ class OnePerson:
 
     @property
     def verdict(self) -> Verdict:
-        """Of the frames in which the person is there."""
-        return verdict_of(while_present(self.result.motion, self.present), self.result.faults, self.result.looks)
+        """Of the frames in which the person is there; frames are counted as in the recording."""
+        found = verdict_of(while_present(self.result.motion, self.present), self.result.faults, self.result.looks)
+        at = np.flatnonzero(self.present)
+        if self.present.all() or not len(at):
+            return found
+        marked = np.zeros(len(self.present), dtype=np.bool_)
+        for frames in found.frames:
+            marked[at[frames.start : frames.stop]] = True
+        return replace(found, frames=tuple(runs(marked)))
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,10 @@ filter is an addition (compare Gall et al. 2009 for contours, Carranza et al. 20
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ from hypose.fitting import DepthTerm
 from hypose.fitting.articulated import ContourTerm
 from hypose.fitting.least_squares import Rule, descend
 from hypose.geometry import Array
-from hypose.tracking.depth_shape_rows import depth_shape_rows
+from hypose.tracking.depth_shape_rows import ShapeRows, depth_shape_rows
 from hypose.tracking.refinement import anatomical_prior
 
 BORDER = 3
@@ -78,16 +79,23 @@ class ShapeFit:
     cost: float
 
 
+OutlineRows = tuple[NDArray[np.int64], NDArray[np.int64], Array, Array, Array, Array]
+"""What `outline_rows` returns."""
+
+
 @dataclass(frozen=True)
 class _Rows:
-    """Linearised contour rows of one frame: residual (R,) px, weight (R,), jacobian over shape (R, K) and pose (R, D),
-    and the robust cost."""
+    """Linearised rows of one frame: residual (R,) px, weight (R,), jacobian over shape (R, K) and pose (R, D)."""
 
     residual: Array
     weight: Array
     by_shape: Array
     by_pose: Array
-    cost: float
+
+    def and_those(self, more: ShapeRows) -> _Rows:
+        """With the rows of depth after them."""
+        pairs = zip((self.residual, self.weight, self.by_shape, self.by_pose), more[:4], strict=True)
+        return _Rows(*(np.concatenate(p) for p in pairs))
 
 
 def refine_shape(
@@ -121,18 +129,58 @@ def refine_shape(
     for n, factor in zip(options.iterations, options.coarse, strict=True):
         x, q = problem.solve(x, q, n, factor)
     system = problem.linearise(x, q, options.coarse[-1])
-    hessian = problem.equations(system, q).reduced().hessian
-    evidence = (hessian - system.prior_hessian) / EFFECTIVE
-    covariance = np.asarray(np.linalg.inv(evidence + system.prior_hessian), dtype=np.float64)
+    hessian, prior = problem.equations(system, q).reduced().hessian, system.prior()[0]
+    covariance = np.asarray(np.linalg.inv((hessian - prior) / EFFECTIVE + prior), dtype=np.float64)
     return ShapeFit(body_of(body, x), x, covariance, q, before, system.cost)
 
 
 @dataclass(frozen=True)
 class _System:
-    rows: list[_Rows]
-    prior_hessian: Array
-    prior_gradient: Array
+    """Rows of the frames, and Hessian (K, K) and gradient (K,) of the priors, made when they are wanted: a step that is
+    refused needs but its cost."""
+
+    rows: Callable[[], list[_Rows]]
+    prior: Callable[[], tuple[Array, Array]]
     cost: float
+
+
+class _Place:
+    """A shape (K,) and poses (F, D), and what follows from them alone: where one stage ends the next one begins."""
+
+    STEP = 0.01
+
+    def __init__(self, problem: _ShapeProblem, x: Array, q: Array) -> None:
+        self.x, self.q, self._problem = x, q, problem
+        self.body = problem.deformed(x)
+        self.vertices = self.body.skin(q)
+        terms = problem.contours
+        self.outlines = [problem.outlines(self.body, v, term) for v, term in zip(self.vertices, terms, strict=True)]
+
+    @cached_property
+    def varied(self) -> list[Body]:
+        """The body with each factor changed by STEP."""
+        return [self._problem.deformed(self.x + self.STEP * e) for e in np.eye(len(self.x))]
+
+    @cached_property
+    def slopes(self) -> Array:
+        """(F, K, V, 3) of the vertices by the shape."""
+        skins = np.stack([b.skin(self.q) for b in self.varied], 1)
+        return (skins - self.vertices[:, None]) / self.STEP
+
+    @cached_property
+    def derivatives(self) -> list[tuple[Array, Array]]:
+        """Of the outlines' rows of each frame, by shape (R, K) and pose (R, D)."""
+        return [self._derivatives(f) for f in range(len(self.q))]
+
+    def _derivatives(self, frame: int) -> tuple[Array, Array]:
+        made, slopes = self.outlines[frame], self.slopes[frame]
+        if made is None:
+            return np.zeros((0, len(self.x))), np.zeros((0, self.q.shape[1]))
+        a, b, t, _, g, _ = made
+        s, e = (1 - t)[:, None], t[:, None]
+        by_shape = np.einsum("rc,krc->rk", s * g, slopes[:, a]) + np.einsum("rc,krc->rk", e * g, slopes[:, b])
+        twists = self.body.skeleton.world_twists(self.q[frame])
+        return by_shape, rows_by_pose(twists, self._problem.moves, self.vertices[frame], a, b, t, g)[1]
 
 
 class _ShapeProblem:
@@ -163,54 +211,61 @@ class _ShapeProblem:
         self.pose_weight = anatomical_prior(body.skeleton).weight * options.weight / CONTOUR_WEIGHT
         self.anchor_weight = np.full(body.skeleton.dof, options.pose_sd**-2)
         self.anchor_weight[:6] = 0
+        self._places = deque[_Place](maxlen=6)  # no more than the steps of one iteration, and where it began
+        # what may be known: its logarithm, the sd of that, and how it is measured
+        self._measures: dict[str, tuple[float, float, Callable[[Body], float]]] = {}
+        if known.height is not None:
+            crown = lambda b: self.height_ratio * float(np.ptp(b.coarse.vertices[:, 2]))  # noqa: E731
+            self._measures["height"] = float(np.log(known.height)), 0.01 / known.height, crown
+        if known.mass is not None:
+            self._measures["mass"] = float(np.log(known.mass)), 0.06, lambda b: DENSITY * b.coarse.volume
 
     def deformed(self, x: Array) -> Body:
         return body_of(self.body, x)
 
     def linearise(self, x: Array, q: Array, factor: float) -> _System:
         """Rows of all frames and the priors at shape x (K,) and poses q (F, D)."""
-        k, step = len(x), 0.01
-        shaped = self.deformed(x)
-        varied = [self.deformed(x + step * e) for e in np.eye(k)]
-        skins = np.stack([b.skin(q) for b in varied], 1)  # (F, K, V, 3)
-        here = shaped.skin(q)
-        slopes = (skins - here[:, None]) / step
-        rows = [self._frame_rows(shaped, q[f], here[f], slopes[f], self.contours[f], factor) for f in range(len(q))]
-        rows = [self._with_depth(r, shaped, q[f], here[f], slopes[f], factor, f) for f, r in enumerate(rows)]
-        h, g = self.precision.copy(), self.precision @ (x - self.mean)
+        place = self._place(x, q)
+        known = self._known_residuals(place.body)
         cost = 0.5 * (x - self.mean) @ self.precision @ (x - self.mean)
-        for value, target, sd, gradient in self._known_rows(shaped, varied, step):
-            r = (value - target) / sd
-            h += np.outer(gradient, gradient) / sd**2
-            g += gradient * r / sd
+        for r in known.values():
             cost += 0.5 * r * r
         cost += 0.5 * float((self.pose_weight * q**2).sum())
         cost += 0.5 * float((self.anchor_weight * (q - self.anchor) ** 2).sum())
-        total = float(cost) + sum(r.cost for r in rows)
-        return _System(rows, np.asarray(h, dtype=np.float64), g, total)
+        robust = [self._robust(made, term, factor) for made, term in zip(place.outlines, self.contours, strict=True)]
+        deep = [self._depth_rows(place, f, factor) for f in range(len(q))]
+        costs = [c if d is None else c + d.cost for (_, c), d in zip(robust, deep, strict=True)]
+        rows = partial(self._rows, place, [weight for weight, _ in robust], deep)
+        return _System(rows, partial(self._prior, place, known), float(cost) + sum(costs))
 
-    def _known_rows(self, shaped: Body, varied: list[Body], step: float) -> list[tuple[float, float, float, Array]]:
-        out = []
-        for wanted, sd, of in (
-            (
-                self.known.height,
-                0.01 / (self.known.height or 1),
-                lambda b: self.height_ratio * np.ptp(b.coarse.vertices[:, 2]),
-            ),
-            (self.known.mass, 0.06, lambda b: DENSITY * b.coarse.volume),
-        ):
-            if wanted is not None:
-                value = float(np.log(of(shaped)))
-                gradient = np.array([(float(np.log(of(b))) - value) / step for b in varied])
-                out.append((value, float(np.log(wanted)), sd, gradient))
-        return out
+    def _place(self, x: Array, q: Array) -> _Place:
+        found = next((p for p in self._places if np.array_equal(p.x, x) and np.array_equal(p.q, q)), None)
+        if found is None:
+            found = _Place(self, x, q)
+            self._places.append(found)
+        return found
+
+    def _prior(self, place: _Place, known: Mapping[str, float]) -> tuple[Array, Array]:
+        """Hessian (K, K) and gradient (K,) of what is known of the shape without the views."""
+        h, g = self.precision.copy(), self.precision @ (place.x - self.mean)
+        for name, r in known.items():
+            _, sd, of = self._measures[name]
+            value = float(np.log(of(place.body)))
+            gradient = np.array([(float(np.log(of(b))) - value) / place.STEP for b in place.varied])
+            h += np.outer(gradient, gradient) / sd**2
+            g += gradient * r / sd
+        return np.asarray(h, dtype=np.float64), g
+
+    def _known_residuals(self, shaped: Body) -> dict[str, float]:
+        """By how many standard deviations what is known is missed."""
+        return {name: (float(np.log(of(shaped))) - at) / sd for name, (at, sd, of) in self._measures.items()}
 
     def equations(self, system: _System, q: Array) -> SharedEquations:
         """Of the shape (K,), shared by the frames' poses (F, D)."""
-        hessian, gradient = system.prior_hessian.copy(), system.prior_gradient.copy()
+        hessian, gradient = system.prior()
         (n, dof), shape = q.shape, len(gradient)
         own, own_gradient, cross = np.empty((n, dof, dof)), np.empty((n, dof)), np.empty((n, dof, shape))
-        for f, r in enumerate(system.rows):
+        for f, r in enumerate(system.rows()):
             h, g = weighted_squares(np.concatenate([r.by_pose, r.by_shape], 1), r.weight, r.residual)
             own[f], cross[f] = h[:dof, :dof] + np.diag(self.pose_weight + self.anchor_weight), h[:dof, dof:]
             own_gradient[f] = g[:dof] + self.pose_weight * q[f] + self.anchor_weight * (q[f] - self.anchor[f])
@@ -240,43 +295,44 @@ class _ShapeProblem:
         x, q = state
         return (x + dx, self.body.skeleton.clamp(q + dq)), float(np.abs(dx).max())
 
-    def _with_depth(
-        self, rows: _Rows, shaped: Body, pose: Array, vertices: Array, slopes: Array, factor: float, frame: int
-    ) -> _Rows:
+    def _depth_rows(self, place: _Place, frame: int, factor: float) -> ShapeRows | None:
         term = self.depths[frame]
         if term is None:
-            return rows
-        twists = shaped.skeleton.world_twists(pose)
+            return None
+        twists = place.body.skeleton.world_twists(place.q[frame])
         gain = self.options.weight / CONTOUR_WEIGHT
-        own = depth_shape_rows(shaped.coarse, vertices, slopes, twists, self.moves, term, factor, gain)
-        pairs = zip((rows.residual, rows.weight, rows.by_shape, rows.by_pose), own[:4], strict=True)
-        return _Rows(*(np.concatenate(p) for p in pairs), cost=rows.cost + own.cost)
+        about = place.vertices[frame], place.slopes[frame], twists, self.moves
+        return depth_shape_rows(place.body.coarse, *about, term, factor, gain)
 
-    def _frame_rows(
-        self, shaped: Body, pose: Array, vertices: Array, slopes: Array, term: ContourTerm, factor: float
-    ) -> _Rows:
-        """vertices (V, 3), slopes (K, V, 3) of one frame."""
-        twists = shaped.skeleton.world_twists(pose)
-        parts = []
-        for c in np.flatnonzero(term.usable):
-            made = outline_rows(
-                shaped.coarse, vertices, term, int(c), self.options.row_spacing_px, self.options.normals
-            )
-            if made is not None:
-                parts.append(made)
-        if not parts:
-            zero = np.zeros(0)
-            return _Rows(zero, zero, np.zeros((0, len(slopes))), np.zeros((0, len(pose))), 0.0)
-        a, b = (np.concatenate([p[k] for p in parts]) for k in (0, 1))
-        t, r, g, weight = (np.concatenate([p[k] for p in parts]) for k in (2, 3, 4, 5))
+    def outlines(self, shaped: Body, vertices: Array, term: ContourTerm) -> OutlineRows | None:
+        """The rows of all views of one frame, with the body's vertices (V, 3)."""
+        spacing, normals = self.options.row_spacing_px, self.options.normals
+        views = np.flatnonzero(term.usable).tolist()
+        parts = [outline_rows(shaped.coarse, vertices, term, c, spacing, normals) for c in views]
+        seen = [p for p in parts if p is not None]
+        if not seen:
+            return None
+        a, b, t, r, g, weight = (np.concatenate(column) for column in zip(*seen, strict=True))
+        return a, b, t, r, g, weight
+
+    def _robust(self, made: OutlineRows | None, term: ContourTerm, factor: float) -> tuple[Array, float]:
+        """(R,) what the rows of one frame weigh, and what they cost."""
+        if made is None:
+            return np.zeros(0), 0.0
+        *_, r, _, weight = made
         scale = term.scale_px * factor
         w0 = self.options.weight * weight
         rho, slope, _ = geman_mcclure((r / scale) ** 2, w0 / scale**2)
-        cost = 0.5 * float((w0 * rho).sum())
-        s = (1 - t)[:, None]
-        by_shape = np.einsum("rc,krc->rk", s * g, slopes[:, a]) + np.einsum("rc,krc->rk", t[:, None] * g, slopes[:, b])
-        by_pose = rows_by_pose(twists, self.moves, vertices, a, b, t, g)[1]
-        return _Rows(r, slope, by_shape, by_pose, cost)
+        return slope, 0.5 * float((w0 * rho).sum())
+
+    def _rows(self, place: _Place, weights: Sequence[Array], deep: Sequence[ShapeRows | None]) -> list[_Rows]:
+        out = []
+        for made, weight, own, (by_shape, by_pose) in zip(
+            place.outlines, weights, deep, place.derivatives, strict=True
+        ):
+            rows = _Rows(np.zeros(0) if made is None else made[3], weight, by_shape, by_pose)
+            out.append(rows if own is None else rows.and_those(own))
+        return out
 
 
 def _product(a: Array, b: Array) -> Array:
@@ -304,7 +360,7 @@ def rows_by_pose(
 
 def outline_rows(
     mesh: Mesh, vertices: Array, term: ContourTerm, view: int, spacing_px: float, least_cosine: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array, Array, Array] | None:
+) -> OutlineRows | None:
     """Two-way contour rows of one view with the body's vertices (V, 3) m.
 
     Returns (a (R,), b (R,), t (R,)): the row's point is (1 - t) a + t b of two mesh vertices; residual (R,) px;

@@ -14,7 +14,7 @@ from hypose.io.motions.results import ResultsFolder
 from hypose.pipeline.hull_paths import count_people
 from hypose.pipeline.people_points import KeypointPeople, padded
 from hypose.pipeline.people_run import PeopleRun
-from hypose.pipeline.run import TrackOptions
+from hypose.pipeline.run import TrackOptions, TrackResult
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.tracked_people import OnePerson, Wanted, free_name, names_at_places, while_present
 from hypose.synthetic.scenes import make_scene
@@ -142,6 +142,10 @@ def test_a_motion_is_padded_with_flags(rig):
     np.testing.assert_array_equal(out.joints[2:6], motion.joints)
     one = OnePerson("x", None, np.r_[[False] * 2, [True] * 4, [False] * 2], np.zeros(8, bool))
     assert len(while_present(out, one.present)) == 4
+    # what is to be looked at is counted as in the recording, not from when the person came
+    marked = replace(out, doubtful=np.isin(np.arange(8), (0, 3, 4)), doubtful_joints=None, lost=np.zeros(8, bool))
+    told = replace(one, result=TrackResult(marked, human(), True, ()))
+    assert told.verdict.frames == (range(3, 5),)
 
 
 def test_several_people_of_one_camera_or_of_nothing_are_refused(rig):
