@@ -8,7 +8,7 @@ them that explains the masks best without jumping is the clip's. What else is li
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +23,7 @@ from hypose.inference.paths import likeliest_path
 from hypose.pipeline.doubts import looked_at
 from hypose.pipeline.mend_sides import FrameRange, backwards, pace_of
 from hypose.tracking.costs import agreement, silhouette_iou
+from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.pose_covariance import uncertainty_of_pose
 from hypose.tracking.published_recipes import step_sigma
 from hypose.tracking.refinement import RIVAL, mismatch
@@ -36,8 +37,9 @@ class BothWays:
     """When and how it is looked back. Frames are those of 25 frames/s; at more they are more. jump: m, by which an
     elbow or a wrist must leave its straight line from one frame to the next; lead, after: frames before a jump that are
     looked at in any case, and behind it, where tracking backwards begins; met, met_frames: m, how near all arms must be
-    for so many frames, for both ways to be one; apart: m, nearer arms are one pose; softness: mismatch per unit of
-    log-likelihood; motion: mismatch per mean square of a step in large steps (three usual motions).
+    for so many frames, for both ways to be one; longest: frames that are looked at from one jump; apart: m, nearer arms
+    are one pose; softness: mismatch per unit of log-likelihood; motion: mismatch per mean square of a step in large
+    steps (three usual motions).
 
     Chosen on scenes (walk, box, run, combo) of the seeds 500 to 507."""
 
@@ -46,6 +48,7 @@ class BothWays:
     after: int = 2
     met: float = 0.04
     met_frames: int = 2
+    longest: int = 100
     apart: float = 0.04
     softness: float = 0.005
     motion: float = 0.002
@@ -53,10 +56,10 @@ class BothWays:
 
 @dataclass(frozen=True)
 class _Seen:
-    """What is known of one frame. frame, last: it and the one before; poses (N, D): alive either way, the first one
-    that of the estimate; costs (N,): their mismatches."""
+    """What is known of one frame. prepared, last: it and the one before; poses (N, D): alive either way, best first;
+    costs (N,): their mismatches."""
 
-    frame: Frame
+    prepared: PreparedFrame
     last: Frame | None
     poses: Array
     costs: Array
@@ -69,9 +72,10 @@ def look_both_ways(
     *,
     memory: Memory | None = None,
     settings: BothWays | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[list[FrameEstimate], int]:
     """The estimates of frames 0, 1, ... with those replaced that are told better by what comes after them, and in how
-    many an arm lies elsewhere now. memory: what has been remembered of the person."""
+    many an arm lies elsewhere now. memory: what has been remembered of the person; progress(done, total): frames."""
     o, out = settings or BothWays(), list(estimates)
     if not tracker.recipe.rivals or tracker.settings.evidence != "silhouettes" or len(out) < 3:
         return out, 0
@@ -84,6 +88,7 @@ def look_both_ways(
         if not near[t] or not _known(out[t]):
             t -= 1
             continue
+        progress(len(out) - t, len(out))
         seen = _looked_back(tracker, out, t, near, frames, memory, o)
         if not seen:
             t -= 1
@@ -140,7 +145,8 @@ def _looked_back(
     """What is seen in frame `stop` and those before it, last first, until both ways are one."""
     out, met, pace = list[_Seen](), 0, pace_of(tracker)
     state = _turned(tracker, old, stop, memory)
-    for t, (frame, last) in zip(range(stop, -1, -1), backwards(frames, stop + 1), strict=False):
+    most = range(stop, max(-1, stop - round(o.longest * pace)), -1)
+    for t, (frame, last) in zip(most, backwards(frames, stop + 1), strict=False):
         if frame.depth is not None or not _known(old[t]):
             break
         state, back = tracker.step(state, frame)
@@ -170,12 +176,13 @@ def _seen(
     alive = [old.pose[None], old.rivals, back.pose[None], back.rivals]
     poses = np.concatenate([p.reshape(-1, s.dof) for p in alive]).astype(np.float64)
     poses = s.on_branch(poses[np.isfinite(poses).all(1)], old.pose)
-    costs = mismatch(poses, tracker.prepare_frame(frame, old.pose), step_penalty=0.0)
+    prepared = tracker.prepare_frame(frame, old.pose)
+    costs = mismatch(poses, prepared, step_penalty=0.0)
     ends, kept = _arms(tracker.body, poses), list[int]()
     for n in np.argsort(costs, kind="stable").tolist():
         if all(_farthest(ends[n], ends[k]) > o.apart for k in kept):
             kept.append(n)
-    return _Seen(frame, last, poses[kept], costs[kept])
+    return _Seen(prepared, last, poses[kept], costs[kept])
 
 
 def _chosen(
@@ -208,7 +215,7 @@ def _estimate(tracker: Tracker, old: FrameEstimate, seen: _Seen, best: int, weig
     order = [best, *(n for n in np.argsort(-weights, kind="stable").tolist() if n != best)][: tracker.recipe.rivals]
     h = Hypotheses(seen.poses[order], np.log(np.maximum(weights[order], 1e-12)))
     h = h.marked(RIVAL, np.arange(1, h.count))
-    prepared, pose = tracker.prepare_frame(seen.frame, h.values[0]), h.values[0]
+    prepared, pose = seen.prepared, h.values[0]
     known = (tracker.recipe.uncertainty or uncertainty_of_pose)(pose, h, prepared)
     rivals, shares = np.full_like(old.rivals, np.nan), np.zeros_like(old.rival_weights)
     rivals[: h.count - 1], shares[: h.count - 1] = h.values[1:], h.weights[1:]
@@ -222,4 +229,4 @@ def _estimate(tracker: Tracker, old: FrameEstimate, seen: _Seen, best: int, weig
         rivals=rivals,
         rival_weights=shares,
     )
-    return looked_at(tracker, found, seen.frame, seen.last)
+    return looked_at(tracker, found, prepared.frame, seen.last)

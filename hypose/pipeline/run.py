@@ -278,10 +278,11 @@ def finish(
             notes = (*notes, *look_back_notes(anew))
         progress("sides", 1, 1)
         if options.smooth and recipe.smooth is not None:
-            progress("arms", 0, 1)
-            estimates, moved = look_both_ways(tracker, estimates, again, memory=done.state.memory)
+            estimates, moved = look_both_ways(
+                tracker, estimates, again, memory=done.state.memory, progress=partial(progress, "arms")
+            )
             notes = (*notes, *both_ways_notes(moved))
-            progress("arms", 1, 1)
+            progress("arms", len(estimates), len(estimates))
     tracked = _tracked(subject, estimates, tracker.settings.frame_rate, record)
     motion = tracked.motion
     if options.smooth and recipe.smooth is not None and done.complete:
