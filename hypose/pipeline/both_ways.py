@@ -35,16 +35,14 @@ _ENDS = ("left_elbow", "left_wrist", "right_elbow", "right_wrist")
 @dataclass(frozen=True)
 class BothWays:
     """When and how it is looked back. Frames are those of 25 frames/s; at more they are more. jump: m, by which an
-    elbow or a wrist must leave its straight line from one frame to the next; lead, after: frames before a jump that are
-    looked at in any case, and behind it, where tracking backwards begins; met, met_frames: m, how near all arms must be
-    for so many frames, for both ways to be one; longest: frames that are looked at from one jump; apart: m, nearer arms
-    are one pose; softness: mismatch per unit of log-likelihood; motion: mismatch per mean square of a step in large
-    steps (three usual motions).
+    elbow or a wrist must leave its straight line from one frame to the next; after: frames behind a jump at which
+    tracking backwards begins; met, met_frames: m, how near all arms must be for so many frames, for both ways to be
+    one; longest: frames that are looked at from one jump; apart: m, nearer arms are one pose; softness: mismatch per
+    unit of log-likelihood; motion: mismatch per mean square of a step in large steps (three usual motions).
 
     Chosen on scenes (walk, box, run, combo) of the seeds 500 to 507."""
 
     jump: float = 0.1
-    lead: int = 5
     after: int = 2
     met: float = 0.04
     met_frames: int = 2
@@ -82,7 +80,7 @@ def look_both_ways(
     jumps, pace = _jumps(tracker.body, out, o.jump), pace_of(tracker)
     near = np.zeros(len(out), np.bool_)
     for t in np.flatnonzero(jumps):
-        near[max(0, t - round(o.lead * pace)) : t + round(o.after * pace) + 1] = True
+        near[t : t + round(o.after * pace) + 1] = True
     t, moved = len(out) - 1, 0
     while t > 0:
         if not near[t] or not _known(out[t]):
