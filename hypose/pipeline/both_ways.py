@@ -145,12 +145,13 @@ def _looked_back(
     state = _turned(tracker, old, stop, memory)
     most = range(stop, max(-1, stop - round(o.longest * pace)), -1)
     for t, (frame, last) in zip(most, backwards(frames, stop + 1), strict=False):
-        if frame.depth is not None or not _known(old[t]):
+        prepared = tracker.prepare_frame(frame, old[t].pose)
+        if prepared.masks is None or frame.depth is not None or not _known(old[t]):
             break
         state, back = tracker.step(state, frame)
         if not _known(back):
             break
-        out.append(_seen(tracker, old[t], back, frame, last, o))
+        out.append(_seen(tracker.body, old[t], back, prepared, last, o))
         ends = _arms(tracker.body, np.stack([old[t].pose, back.pose]))
         met = met + 1 if _farthest(ends[0], ends[1]) < o.met else 0
         if not near[t] and met >= o.met_frames * pace:
@@ -168,15 +169,15 @@ def _turned(tracker: Tracker, old: Sequence[FrameEstimate], stop: int, memory: M
 
 
 def _seen(
-    tracker: Tracker, old: FrameEstimate, back: FrameEstimate, frame: Frame, last: Frame | None, o: BothWays
+    body: Body, old: FrameEstimate, back: FrameEstimate, prepared: PreparedFrame, last: Frame | None, o: BothWays
 ) -> _Seen:
-    s = tracker.body.skeleton
+    """The poses of both estimates of a frame and their rivals, those that are much the same once."""
+    s = body.skeleton
     alive = [old.pose[None], old.rivals, back.pose[None], back.rivals]
     poses = np.concatenate([p.reshape(-1, s.dof) for p in alive]).astype(np.float64)
     poses = s.on_branch(poses[np.isfinite(poses).all(1)], old.pose)
-    prepared = tracker.prepare_frame(frame, old.pose)
     costs = mismatch(poses, prepared, step_penalty=0.0)
-    ends, kept = _arms(tracker.body, poses), list[int]()
+    ends, kept = _arms(body, poses), list[int]()
     for n in np.argsort(costs, kind="stable").tolist():
         if all(_farthest(ends[n], ends[k]) > o.apart for k in kept):
             kept.append(n)

@@ -86,3 +86,11 @@ def test_frames_without_the_person_and_key_points_are_not_looked_at(clip):
     both = replace(tracker, settings=TrackerSettings(evidence="both"))
     lost = with_a_lost_arm(tracker, estimates)
     assert look_both_ways(both, lost, reader(frames, read)) == (lost, 0) and not read
+
+
+def test_frames_without_masks_say_nothing(clip):
+    frames, tracker, estimates, _ = clip
+    lost = with_a_lost_arm(tracker, estimates)
+    blind = [replace(f, silhouettes=replace(f.silhouettes, usable=np.zeros(4, np.bool_))) for f in frames]
+    found, moved = look_both_ways(tracker, lost, reader(blind, []))
+    assert moved == 0 and all(a is b for a, b in zip(found, lost, strict=True))
