@@ -24,11 +24,13 @@ from hypose.pipeline.doubts import looked_at
 from hypose.pipeline.mend_sides import FrameRange, backwards, pace_of
 from hypose.tracking.costs import agreement, silhouette_iou
 from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.part_colours import ColourSettings, colour_scores
 from hypose.tracking.pose_covariance import uncertainty_of_pose
 from hypose.tracking.published_recipes import step_sigma
 from hypose.tracking.refinement import RIVAL, mismatch
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
 
+_COLOURS = ColourSettings()
 _ENDS = ("left_elbow", "left_wrist", "right_elbow", "right_wrist")
 
 
@@ -145,7 +147,7 @@ def _looked_back(
     state = _turned(tracker, old, stop, memory)
     most = range(stop, max(-1, stop - round(o.longest * pace)), -1)
     for t, (frame, last) in zip(most, backwards(frames, stop + 1), strict=False):
-        prepared = tracker.prepare_frame(frame, old[t].pose)
+        prepared = replace(tracker.prepare_frame(frame, old[t].pose), memory=memory or {})
         if prepared.masks is None or frame.depth is not None or not _known(old[t]):
             break
         state, back = tracker.step(state, frame)
@@ -171,12 +173,13 @@ def _turned(tracker: Tracker, old: Sequence[FrameEstimate], stop: int, memory: M
 def _seen(
     body: Body, old: FrameEstimate, back: FrameEstimate, prepared: PreparedFrame, last: Frame | None, o: BothWays
 ) -> _Seen:
-    """The poses of both estimates of a frame and their rivals, those that are much the same once."""
+    """The poses of both estimates of a frame and their rivals, those that are much the same once, by what masks, and
+    pictures where their colours are known, say of them."""
     s = body.skeleton
     alive = [old.pose[None], old.rivals, back.pose[None], back.rivals]
     poses = np.concatenate([p.reshape(-1, s.dof) for p in alive]).astype(np.float64)
     poses = s.on_branch(poses[np.isfinite(poses).all(1)], old.pose)
-    costs = mismatch(poses, prepared, step_penalty=0.0)
+    costs = mismatch(poses, prepared, step_penalty=0.0) + _COLOURS.weight * colour_scores(poses, prepared, _COLOURS)
     ends, kept = _arms(body, poses), list[int]()
     for n in np.argsort(costs, kind="stable").tolist():
         if all(_farthest(ends[n], ends[k]) > o.apart for k in kept):
