@@ -180,26 +180,38 @@ def _demo(options: BenchOptions) -> list[Row]:
     scene = make_scene("walk", rig="humaneva-4", seconds=4.0, seed=1, distorted=True)
     distances, joints = list[Array](), list[Array]()
     with tempfile.TemporaryDirectory() as folder:
-        write_scene(scene, Path(folder) / "demo")
+        recording = Path(folder) / "demo"
+
+        def measure(draw: int) -> dict[str, Any]:
+            if not recording.exists():
+                write_scene(scene, recording)
+            result = track(recording, TrackOptions(seed=draw))
+            assert result.motion.poses is not None
+            away = 1e3 * _errors(result.body, result.motion.poses, scene)
+            return {"distances": away.tolist(), "joints": result.motion.joints.tolist()}
+
         for draw in range(_DEMO_DRAWS):
             options.progress("demo", draw, _DEMO_DRAWS)
-            result = track(Path(folder) / "demo", TrackOptions(seed=draw))
-            assert result.motion.poses is not None
-            distances.append(1e3 * _errors(result.body, result.motion.poses, scene))
-            joints.append(result.motion.joints)
+            found = options.part(f"arms-demo-{draw}", lambda draw=draw: measure(draw))
+            distances.append(np.array(found["distances"]))
+            joints.append(np.array(found["joints"]))
     return [*_rows("demo", distances, whole=False), _difference("demo", joints)]
 
 
 def _balancing(options: BenchOptions) -> Row:
     """The balancing clip from silhouettes alone, subject and start from its key points."""
-    recording = balancing_recording(options.folder("pose2sim_balancing"))
-    source, rate = in_memory(recording, len(recording.frames)), recording.frame_rate
-    subject = find_subject(source.frame, len(source), SubjectOptions("keypoints", frame_rate=rate))
-    joints = list[Array]()
-    for draw in range(_BALANCING_DRAWS):
-        options.progress("balancing", draw, _BALANCING_DRAWS)
-        joints.append(track_source(source, rate, TrackOptions(seed=draw), subject=subject).motion.joints)
-    return _difference("balancing", joints)
+
+    def measure() -> dict[str, Any]:
+        recording = balancing_recording(options.folder("pose2sim_balancing"))
+        source, rate = in_memory(recording, len(recording.frames)), recording.frame_rate
+        subject = find_subject(source.frame, len(source), SubjectOptions("keypoints", frame_rate=rate))
+        joints = list[Array]()
+        for draw in range(_BALANCING_DRAWS):
+            options.progress("balancing", draw, _BALANCING_DRAWS)
+            joints.append(track_source(source, rate, TrackOptions(seed=draw), subject=subject).motion.joints)
+        return {"joints": [j.tolist() for j in joints]}
+
+    return _difference("balancing", [np.array(j) for j in options.part("arms-balancing", measure)["joints"]])
 
 
 def _difference(case: str, joints: Sequence[Array]) -> Row:

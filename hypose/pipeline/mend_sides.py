@@ -55,7 +55,7 @@ def mend_sides(
     tried, replaced = set[int](), np.zeros(len(out), dtype=bool)
     while (at := _most_suspicious(out, tried)) is not None:
         anew = _tracked_anew(tracker, out, at, frames, memory)
-        if anew.won < _LEAST * _pace(tracker) or (sure_start and anew.first == 0):
+        if anew.won < _LEAST * pace_of(tracker) or (sure_start and anew.first == 0):
             tried.update(anew.compared)  # what fits as well both ways is gone through once
             continue
         tried.add(at)
@@ -69,12 +69,12 @@ def look_back(
 ) -> tuple[list[FrameEstimate], range]:
     """The estimates with those of the first frames replaced that tracking backwards explains better, from where it had
     found its way, and which these are: what a start got wrong is put right by what came after it."""
-    out, pace = list(estimates), _pace(tracker)
+    out, pace = list(estimates), pace_of(tracker)
     at = min(round(_FOUND_BY * pace), len(out) - 1)
     if at < 1 or tracker.recipe.recover is None:
         return out, range(0)
     start = tracker.start(out[at].pose, memory)
-    better, won, _ = _while_better(tracker, start, out, range(at - 1, -1, -1), _backwards(frames, at), False)
+    better, won, _ = _while_better(tracker, start, out, range(at - 1, -1, -1), backwards(frames, at), False)
     if len(better) < at or won < _LEAST_BACK * pace:  # not as far as the first frame
         return out, range(0)
     moved = [t for t in range(at) if _apart(tracker.body, out[t], better[at - 1 - t]) > _MET_M]
@@ -122,7 +122,7 @@ def _tracked_anew(
     start = tracker.start(tracker.rival(old[at].pose, next(iter(frames(range(at, at + 1))))), memory)
     ahead, back = range(at, len(old)), range(at - 1, -1, -1)
     later, won, after = _while_better(tracker, start, old, ahead, _forwards(frames, at, len(old)))
-    earlier, won_earlier, before = _while_better(tracker, start, old, back, _backwards(frames, at))
+    earlier, won_earlier, before = _while_better(tracker, start, old, back, backwards(frames, at))
     compared = range(at - before, at + after)
     return _Anew(at - len(earlier), [*earlier[::-1], *later], won + won_earlier, compared)
 
@@ -141,7 +141,7 @@ def _while_better(
     state, new = start, list[FrameEstimate]()
     won = best = 0.0
     kept = met = 0
-    pace = _pace(tracker)
+    pace = pace_of(tracker)
     for t, (frame, before) in zip(numbers, frames, strict=False):
         state, estimate = tracker.step(state, frame)
         new.append(looked_at(tracker, estimate, frame, before))
@@ -159,7 +159,8 @@ def _while_better(
     return new[:kept], best, len(new)
 
 
-def _pace(tracker: Tracker) -> float:
+def pace_of(tracker: Tracker) -> float:
+    """Frames that last as long as one at 25 frames/s, at least one."""
     return max(1.0, tracker.settings.frame_rate / 25)
 
 
@@ -173,7 +174,7 @@ def _forwards(frames: FrameRange, first: int, stop: int) -> Iterator[tuple[Frame
         before = frame
 
 
-def _backwards(frames: FrameRange, stop: int) -> Iterator[tuple[Frame, Frame | None]]:
+def backwards(frames: FrameRange, stop: int) -> Iterator[tuple[Frame, Frame | None]]:
     """The frames stop - 1, stop - 2, ..., 0 with the one before each."""
     while stop > 0:
         begin = max(0, stop - _BLOCK)

@@ -22,6 +22,7 @@ from hypose.io.motions.results import ResultsFolder, save_motion
 from hypose.io.recordings.frames import FrameSettings
 from hypose.io.recordings.provenance import identity
 from hypose.io.recordings.recording import Recording
+from hypose.pipeline.both_ways import both_ways_notes, look_both_ways
 from hypose.pipeline.colour_detections import tracked_frames
 from hypose.pipeline.contradictions import against_the_clip
 from hypose.pipeline.doubts import with_doubts
@@ -259,8 +260,8 @@ def finish(
     noticed: tuple[str, ...] = (),
     shared: bool = False,
 ) -> TrackResult:
-    """The motion of what was tracked, stretches with exchanged sides mended, smoothed, judged and written. faults,
-    noticed: what the first look found; shared: others are in the masks, who make starts unsure."""
+    """The motion of what was tracked, stretches with exchanged sides or lost arms mended, smoothed, judged and written.
+    faults, noticed: what the first look found; shared: others are in the masks, who make starts unsure."""
     estimates, notes, recipe = done.estimates, subject.notes, tracker.recipe
 
     def again(frames: range) -> Iterator[Frame]:
@@ -276,6 +277,12 @@ def finish(
             estimates, anew = look_back(tracker, estimates, again, memory=done.state.memory)
             notes = (*notes, *look_back_notes(anew))
         progress("sides", 1, 1)
+        if options.smooth and recipe.smooth is not None:
+            estimates, moved = look_both_ways(
+                tracker, estimates, again, memory=done.state.memory, progress=partial(progress, "arms")
+            )
+            notes = (*notes, *both_ways_notes(moved))
+            progress("arms", len(estimates), len(estimates))
     tracked = _tracked(subject, estimates, tracker.settings.frame_rate, record)
     motion = tracked.motion
     if options.smooth and recipe.smooth is not None and done.complete:

@@ -195,7 +195,7 @@ class Tracker:
         recipe = self.recipe
         state, step = self._ahead(state)
         prediction = self._within(state.pose + step)
-        prepared = replace(self._prepare(frame, prediction, state), memory=state.memory)
+        prepared = replace(self.prepare_frame(frame, prediction, state), memory=state.memory)
         if not prepared.usable:
             return self._extrapolate(state, prediction, self._expected(state, step))
         if state.frames == 0:
@@ -273,7 +273,7 @@ class Tracker:
     def rival(self, pose: Array, frame: Frame) -> Array:
         """Where tracking may begin anew from a pose (D,), on a frame's evidence: its rival, or the body looked for as
         one that is lost, or the pose if neither is better."""
-        how, prepared = self.recipe.recover, self._prepare(frame, pose)
+        how, prepared = self.recipe.recover, self.prepare_frame(frame, pose)
         if how is None or prepared.masks is None:
             return pose
         tried = [pose, how.find(pose, pose, prepared)]
@@ -337,7 +337,8 @@ class Tracker:
             hypotheses=replace(state.hypotheses, values=values),
         )
 
-    def _prepare(self, frame: Frame, prediction: Array, state: TrackerState | None = None) -> PreparedFrame:
+    def prepare_frame(self, frame: Frame, prediction: Array, state: TrackerState | None = None) -> PreparedFrame:
+        """A frame ready to be searched, the pose (D,) expected in it; state: after the frame before."""
         wanted = self.settings.evidence
         return prepare(
             frame,

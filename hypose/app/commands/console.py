@@ -29,6 +29,7 @@ TITLES = {
     "subject": "Subject",
     "track": "Track",
     "sides": "Left and right",
+    "arms": "Arms both ways",
     "smooth": "Smooth",
     "export": "Export",
     "overlay": "Overlay video",

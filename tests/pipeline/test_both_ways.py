@@ -1,0 +1,96 @@
+"""An arm that was lost until it jumped back is found from behind; what needs nothing is left as it is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.robustness.small_recordings import small_scene
+from hypose.body.ready_bodies import human
+from hypose.pipeline.both_ways import both_ways_notes, look_both_ways
+from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.recipes import default
+from hypose.tracking.starts import KNOWN_POSES, start_in_pose
+from hypose.tracking.subject import scaled_to_height
+from hypose.tracking.tracker import Tracker, TrackerSettings
+
+N, LOST = 30, range(12, 18)
+
+
+@pytest.fixture(scope="module")
+def clip():
+    """A walk's frames, its tracker, its estimates, and where the right wrist (T, 3) is."""
+    scene = small_scene(1, N)
+    frames = list(scene.mask_frames())
+    body = scaled_to_height(human(), scene.subject.stature)
+    start = start_in_pose(body, prepare(frames[0], body, np.zeros(body.skeleton.dof)), KNOWN_POSES).pose
+    tracker = Tracker(body, default(body, particles=64))
+    wrist = scene.joints[:, body.skeleton.joint("right_wrist")]
+    return frames, tracker, [e for _, e in tracker.follow(tracker.start(start), frames)], wrist
+
+
+def reader(frames, read):
+    def of(numbers):
+        read.extend(numbers)
+        return (frames[t] for t in numbers)
+
+    return of
+
+
+def wrists(tracker, estimates):
+    s = tracker.body.skeleton
+    return tracker.body.joints(np.stack([e.pose for e in estimates]))[:, s.joint("right_wrist")]
+
+
+def with_a_lost_arm(tracker, estimates):
+    """The estimates with the right arm held out to the side, where no mask is, in the frames LOST."""
+    own = tracker.body.skeleton.dofs_of("right_shoulder", "right_elbow")
+    out = list(estimates)
+    for t in LOST:
+        pose = out[t].pose.copy()
+        pose[own] = 0.0
+        out[t] = replace(out[t], pose=pose)
+    return out
+
+
+def test_an_arm_is_found_from_behind(clip):
+    frames, tracker, estimates, true = clip
+    lost = with_a_lost_arm(tracker, estimates)
+    usual, off = (np.linalg.norm(wrists(tracker, e) - true[:N], axis=1) for e in (estimates, lost))
+    assert off[LOST].min() > usual.max() + 0.1
+    read = []
+    found, moved = look_both_ways(tracker, lost, reader(frames, read))
+    assert np.linalg.norm(wrists(tracker, found) - true[:N], axis=1).max() < usual.max() + 0.02
+    assert moved >= len(LOST) and f"{moved} frames" in both_ways_notes(moved)[0]
+    after = LOST.stop + 4
+    assert all(a is b for a, b in zip(found[after:], lost[after:], strict=True)) and max(read) < after
+    assert all(e.audit.size and np.isfinite(e.pose).all() for e in (found[t] for t in LOST))
+    again, _ = look_both_ways(tracker, lost, reader(frames, read))
+    np.testing.assert_array_equal([e.pose for e in again], [e.pose for e in found])
+
+
+def test_arms_that_do_not_jump_are_left_alone(clip):
+    frames, tracker, estimates, _ = clip
+    still = [estimates[20]] * N
+    read = []
+    found, moved = look_both_ways(tracker, still, reader(frames, read))
+    assert moved == 0 and not read and all(a is b for a, b in zip(found, still, strict=True))
+    assert both_ways_notes(0) == ()
+
+
+def test_frames_without_the_person_and_key_points_are_not_looked_at(clip):
+    frames, tracker, estimates, _ = clip
+    unseen = [replace(e, lost=True) for e in with_a_lost_arm(tracker, estimates)]
+    read = []
+    assert look_both_ways(tracker, unseen, reader(frames, read)) == (unseen, 0) and not read
+    both = replace(tracker, settings=TrackerSettings(evidence="both"))
+    lost = with_a_lost_arm(tracker, estimates)
+    assert look_both_ways(both, lost, reader(frames, read)) == (lost, 0) and not read
+
+
+def test_frames_without_masks_say_nothing(clip):
+    frames, tracker, estimates, _ = clip
+    lost = with_a_lost_arm(tracker, estimates)
+    blind = [replace(f, silhouettes=replace(f.silhouettes, usable=np.zeros(4, np.bool_))) for f in frames]
+    found, moved = look_both_ways(tracker, lost, reader(blind, []))
+    assert moved == 0 and all(a is b for a, b in zip(found, lost, strict=True))
