@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
+from hypose.compute import before_room
 from hypose.errors import InputError
 from hypose.evidence.depth_evidence import JUMP_M, back_projected, in_world
 
@@ -27,6 +28,8 @@ _ABOVE_FLOOR_M = 0.05
 _TALL_M, _SMALL_M, _WIDE_M = 2.4, 0.5, 2.2
 """m: what a person's visible surface spans upwards, at most and at least, and across"""
 _LEAST_PX, _REACH_M = 15, 0.6
+_RIM = 3
+"""px around what stands before the room that may still be the person's"""
 
 
 @dataclass(frozen=True)
@@ -63,9 +66,12 @@ def person_before(depth: DepthMap, background: DepthBackground) -> Mask:
             f"The depth map is {depth.shape[1]} x {depth.shape[0]} px, the empty room "
             f"{background.depth.shape[1]} x {background.depth.shape[0]} px; record both in the same mode."
         )
-    room = np.where(background.depth > 0, background.depth, np.inf)
-    before = (depth > 0) & (room - depth > np.maximum(_SDS * background.sd, _LEAST_M))
-    return _one_thing(before, depth, background.depth > 0)
+    before = _calm(before_room(depth, background.depth, background.sd, _SDS, _LEAST_M))
+    x, y, w, h = cv2.boundingRect(before)
+    out = np.zeros(depth.shape, np.uint8)
+    own = slice(max(y - _RIM, 0), y + h + _RIM), slice(max(x - _RIM, 0), x + w + _RIM)
+    out[own] = _one_thing(before[own], depth[own], background.depth[own] > 0)
+    return out
 
 
 def person_on_floor(depth: DepthMap, camera: Camera) -> Mask:
@@ -96,7 +102,7 @@ def person_on_floor(depth: DepthMap, camera: Camera) -> Mask:
     near = [k for k, (p, wide) in at.items() if kept and wide < 1 and np.linalg.norm(p - at[kept][0]) < _REACH_M]
     own = np.isin(labels, [kept, *near]).astype(np.uint8)
     own = (cv2.dilate(own, np.ones((3, 3), np.uint8)) > 0) & above  # the rim, which no piece has
-    return _one_thing(own, depth, everywhere) if kept else np.zeros(depth.shape, np.uint8)
+    return _one_thing(_calm(own.astype(np.uint8)), depth, everywhere) if kept else np.zeros(depth.shape, np.uint8)
 
 
 def _pieces(mask: NDArray[np.bool_], depth: DepthMap) -> tuple[NDArray[np.int32], int]:
@@ -117,10 +123,15 @@ def _labelled(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int32], int]:
     return np.asarray(labels, dtype=np.int32), n - 1
 
 
-def _one_thing(before: NDArray[np.bool_], depth: DepthMap, solid: NDArray[np.bool_]) -> Mask:
+def _calm(mask: Mask) -> Mask:
+    """The mask without single pixels."""
+    return np.asarray(cv2.medianBlur(mask, 3), dtype=np.uint8)
+
+
+def _one_thing(before: Mask, depth: DepthMap, solid: NDArray[np.bool_]) -> Mask:
     """The largest thing of a mask and what is near it in space, its holes filled; solid (h, w): where the sensor would
     see something behind it, so that a hole is the person's."""
-    labels, n = _labelled(cv2.medianBlur(before.astype(np.uint8), 3) > 0)
+    labels, n = _labelled(before > 0)
     if n == 0:
         return np.zeros(depth.shape, np.uint8)
     areas = np.bincount(np.asarray(labels).ravel())[1:]
