@@ -9,7 +9,7 @@ docs/depth.md; everything made here is simulated.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -144,10 +144,7 @@ class DepthScene(OfPerformance):
         rooms = self.backgrounds()
         for t in range(len(self)):
             maps = [self.depth_map(c, t) for c in range(len(self.rig))]
-            masks = [person_before(m, room) for m, room in zip(maps, rooms, strict=True)]
-            silhouettes = make_silhouettes(masks, self.rig)
-            depth = Depth(np.stack(maps), silhouettes.masks, self.rig, silhouettes.usable.copy())
-            yield Frame(float(self.times[t]), t, silhouettes, depth=depth)
+            yield seen_before(rooms, maps, self.rig, float(self.times[t]), t)
 
     @cached_property
     def _rooms(self) -> list[DepthMap]:
@@ -162,6 +159,15 @@ class DepthScene(OfPerformance):
             shape = (camera.size[1], camera.size[0])
             out.append((self.faults.pattern_m / 0.8 * smooth_noise(rng, shape, 40)).astype(np.float32))
         return out
+
+
+def seen_before(
+    rooms: Sequence[DepthBackground], maps: Sequence[DepthMap], rig: CameraRig, at: float, index: int
+) -> Frame:
+    """The frame of maps (h, w) m at a time (s), whose rooms are known, as it is for recordings."""
+    silhouettes = make_silhouettes([person_before(m, room) for m, room in zip(maps, rooms, strict=True)], rig)
+    depth = Depth(np.stack(maps), silhouettes.masks, rig, silhouettes.usable.copy())
+    return Frame(at, index, silhouettes, depth=depth)
 
 
 def depth_scene(
