@@ -1,4 +1,5 @@
-"""Fit the spread of depth: simulated recordings are tracked and compared with their truth.
+"""Fit the spread of depth and how likely joints are wrong: simulated recordings are tracked and compared with their
+truth.
 
     python scripts/train_depth_spread.py FOLDER DATA --seeds 20:30    tracks, keeps what was found in FOLDER, fits,
                                                                       prints what regions hold of seeds left out
@@ -11,9 +12,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from benchmarks.depth_sensors.depth_spread import TRAINED, collect, held_left_out, write
-
-CASES = ("one", "two", "three")
+from benchmarks.depth_sensors.depth_spread import (
+    CASES,
+    TRAINED,
+    collect,
+    fit_doubt,
+    held_left_out,
+    told_and_true,
+    write,
+)
 
 
 def main() -> None:
@@ -33,6 +40,10 @@ def main() -> None:
             clips.append(collect(given.folder, case, seed, given.data))
             print(case, seed, flush=True)
     print({case: (round(j, 3), round(a, 3)) for case, (j, a) in held_left_out(clips).items()})
+    half = sorted({c.seed for c in clips})[::2]
+    fitted, rest = fit_doubt([c for c in clips if c.seed in half]), [c for c in clips if c.seed not in half]
+    for what, said in told_and_true(rest, fitted).items():
+        print(what, "wrong, told and error of the fit on other seeds, of silhouettes:", said)
     if given.write:
         write(clips)
 

@@ -66,8 +66,8 @@ class RefineRivals:
     from its own prediction, and hands on the best: the estimate in the role SOLVED, the others as RIVALs.
 
     arms: tables, and when each is looked up; keep: how many hypotheses live; margin: share of the energy that the
-    search must win before its result is solved; options, near: of solves from a prediction, and of those that begin
-    near their end, as with depth all do. Scores are those of `contest`; log-weights tell them, origins the parents, and
+    search must win before its result is solved; options, near, with_depth: of solves from a prediction, of those that
+    begin near their end, and of all where depth cameras see. Scores are those of `contest`; log-weights tell them, origins the parents, and
     `before` what each was in the last frame: its parent, but an arm found elsewhere has not moved.
     """
 
@@ -75,6 +75,7 @@ class RefineRivals:
     keep: int = 3
     options: SolveSettings = SolveSettings()
     near: SolveSettings = SolveSettings(iterations=5, coarse_iterations=0)
+    with_depth: SolveSettings = SolveSettings(iterations=4, coarse_iterations=0)
     margin: float = 0.02
     look: LookedUp = LookedUp()
     contest: Contest = Contest()
@@ -179,9 +180,9 @@ class RefineRivals:
 
     def _solved(self, starts: list[Array], old: Array, frame: PreparedFrame) -> list[Array]:
         """The solutions (D,) from starts and from the predictions (K, D) of rivals, over threads."""
-        tasks = [(q, frame, self.near) for q in starts] + [
-            (q, replace(frame, prediction=q), self.options if frame.depth is None else self.near) for q in old
-        ]
+        from_start, from_old = (self.near, self.options) if frame.depth is None else (self.with_depth, self.with_depth)
+        tasks = [(q, frame, from_start) for q in starts]
+        tasks += [(q, replace(frame, prediction=q), from_old) for q in old]
         solved = [winner for winner, _, _ in tasks]
 
         def work(first: int, last: int) -> None:
