@@ -67,8 +67,9 @@ class RefineRivals:
 
     arms: tables, and when each is looked up; keep: how many hypotheses live; margin: share of the energy that the
     search must win before its result is solved; options, near, with_depth: of solves from a prediction, of those that
-    begin near their end, and of all where depth cameras see. Scores are those of `contest`; log-weights tell them, origins the parents, and
-    `before` what each was in the last frame: its parent, but an arm found elsewhere has not moved.
+    begin near their end, and of all where depth cameras see. Scores are those of `contest`; log-weights tell them,
+    origins the parents, and `before` what each was in the last frame: its parent, but an arm found elsewhere has not
+    moved.
     """
 
     arms: tuple[tuple[ArmReach, Callable[[Hypotheses, PreparedFrame], bool]], ...]
