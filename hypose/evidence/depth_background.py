@@ -8,7 +8,7 @@ depth, the piece that is most like a person is kept.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from hypose.cameras.camera import Camera
 from hypose.compute import before_room
 from hypose.errors import InputError
-from hypose.evidence.depth_evidence import JUMP_M, back_projected, in_world
+from hypose.evidence.depth_evidence import JUMP_M, Depth, back_projected, in_world
+from hypose.evidence.frame import Expected, Silhouettes
 
 DepthMap = NDArray[np.float32]
 Mask = NDArray[np.uint8]
@@ -28,6 +29,10 @@ _ABOVE_FLOOR_M = 0.05
 _TALL_M, _SMALL_M, _WIDE_M = 2.4, 0.5, 2.2
 """m: what a person's visible surface spans upwards, at most and at least, and across"""
 _LEAST_PX, _REACH_M = 15, 0.6
+_SPAN_M, _AREA_M2 = 1.75, 0.55
+"""m, m^2: how tall somebody is, and shows"""
+_BEFORE_M, _BESIDE_M, _HIDES = 0.25, 0.4, 0.03
+"""m by which a thing stands before the middle of who is seen, and beside; share of a person's area that it covers"""
 _RIM = 3
 """px around what stands before the room that may still be the person's"""
 
@@ -94,7 +99,7 @@ def person_on_floor(depth: DepthMap, camera: Camera) -> Mask:
         if not _SMALL_M < tall < _TALL_M or wide > _WIDE_M or own[0].any():
             continue
         area = float(per_px[own].sum())  # m^2; a person shows some 0.4 to 0.8
-        value = np.exp(-(np.log(area / 0.55) ** 2)) * min(tall / 1.2, 1.0)
+        value = np.exp(-(np.log(area / _AREA_M2) ** 2)) * min(tall / 1.2, 1.0)
         if value > best:
             best, kept = value, int(k)
     everywhere = np.zeros(depth.shape, dtype=np.bool_)
@@ -103,6 +108,42 @@ def person_on_floor(depth: DepthMap, camera: Camera) -> Mask:
     own = np.isin(labels, [kept, *near]).astype(np.uint8)
     own = (cv2.dilate(own, np.ones((3, 3), np.uint8)) > 0) & above  # the rim, which no piece has
     return _one_thing(_calm(own.astype(np.uint8)), depth, everywhere) if kept else np.zeros(depth.shape, np.uint8)
+
+
+def behind_things(
+    silhouettes: Silhouettes, depth: Depth | None, rooms: Sequence[DepthBackground | None]
+) -> Silhouettes:
+    """The silhouettes with the pixels ignored in which a thing of the empty room stands before the person, who may be
+    behind it or not; the same ones where nothing does. rooms: of each view, None: not known."""
+    if depth is None:
+        return silhouettes
+    ignored = np.zeros_like(silhouettes.masks)
+    boxes, areas = np.zeros((len(rooms), 4), np.int64), np.array(silhouettes.areas)
+    for c in np.flatnonzero(depth.usable):
+        room, camera, (x0, y0, x1, y1) = rooms[int(c)], depth.rig[int(c)], depth.boxes[int(c)]
+        boxes[c] = y0, y1, x0, x1
+        own = depth.person[c, y0:y1, x0:x1] > 0
+        seen = depth.maps[c, y0:y1, x0:x1][own]
+        if room is None or not (seen > 0).any():
+            continue
+        away, (h, w) = float(np.median(seen[seen > 0])), room.depth.shape
+        metre = camera.K[0, 0] / away
+        whole = int(_SPAN_M * metre)
+        # what is seen may be all but the legs, or all but the head
+        top, low = max(min(y0, y1 - whole), 0), min(max(y1, y0 + whole), h)
+        left, right = max(int(x0 - _BESIDE_M * metre), 0), min(int(x1 + _BESIDE_M * metre), w)
+        near, free = room.depth[top:low, left:right], depth.person[c, top:low, left:right] == 0
+        before = _calm(((near > 0) & (near < away - _BEFORE_M) & free).astype(np.uint8))
+        v, u = np.nonzero(before)
+        world = in_world(camera, back_projected(camera, u + left, v + top, near[v, u]))
+        on_floor = world[:, 2] < _ABOVE_FLOOR_M
+        before[v[on_floor], u[on_floor]] = 0
+        if cv2.countNonZero(before) > _HIDES * _AREA_M2 * metre**2:
+            ignored[c, top:low, left:right] = before
+            boxes[c], areas[c] = (top, low, x0, x1), max(int(areas[c]), int(_AREA_M2 * metre**2))
+    if not ignored.any():
+        return silhouettes
+    return replace(silhouettes, ignored=ignored, expected=Expected(boxes, areas))
 
 
 def _pieces(mask: NDArray[np.bool_], depth: DepthMap) -> tuple[NDArray[np.int32], int]:
