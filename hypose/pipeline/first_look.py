@@ -63,9 +63,9 @@ def sentences(found: Sequence[Finding], *, fault: bool = True) -> tuple[str, ...
 
 
 FLOOR_M, FLOOR_DEGREES, PLAINLY = 0.03, 1.5, 4.0
-"""m and degrees by which the floor may lie beside z = 0, or be tilted, before a depth camera; from so many times that on
-its maps are not to be trusted. Through the right cameras it was 4 mm and 0.1 degrees at most (simulated, seeds 0 to 5);
-a scale that is 5 % off makes 60 mm."""
+"""m and degrees by which the floor may lie beside z = 0, or be tilted, before a depth camera; from so many times that
+on its maps are not to be trusted. Through the right cameras it was 4 mm and 0.1 degrees at most (simulated, seeds 0 to
+5); a scale that is 5 % off makes 60 mm."""
 
 
 def _by_depth(depth: Depth) -> Iterator[Finding]:
