@@ -4,7 +4,7 @@ truth.
     python scripts/train_depth_spread.py FOLDER DATA --seeds 20:30    tracks, keeps what was found in FOLDER, fits,
                                                                       prints what regions hold of seeds left out
 
-DATA holds the captured motion (mocap). With --write the asset is written.
+DATA holds the captured motion (mocap). With --write doubt, --write spread the assets are written.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from benchmarks.depth_sensors.depth_spread import (
     fit_doubt,
     held_left_out,
     told_and_true,
-    write,
+    write_doubt,
+    write_spread,
 )
 
 
@@ -29,7 +30,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("data", type=Path)
     parser.add_argument("--seeds", default="20:30")
-    parser.add_argument("--write", action="store_true")
+    parser.add_argument("--write", choices=("doubt", "spread"), action="append", default=[])
     given = parser.parse_args()
     first, stop = (int(x) for x in given.seeds.split(":"))
     if first not in TRAINED or stop > TRAINED.stop:
@@ -44,8 +45,8 @@ def main() -> None:
     fitted, rest = fit_doubt([c for c in clips if c.seed in half]), [c for c in clips if c.seed not in half]
     for what, said in told_and_true(rest, fitted).items():
         print(what, "wrong, told and error of the fit on other seeds, of silhouettes:", said)
-    if given.write:
-        write(clips)
+    for what in given.write:
+        {"doubt": write_doubt, "spread": write_spread}[what](clips)
 
 
 if __name__ == "__main__":

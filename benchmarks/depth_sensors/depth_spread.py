@@ -190,11 +190,15 @@ def told_and_true(clips: Sequence[DepthClip], fitted: DepthDoubt) -> dict[str, t
     return out
 
 
-def write(clips: Sequence[DepthClip]) -> None:
-    """Fits, and writes the assets; what they hold of other evidence stays."""
+def write_doubt(clips: Sequence[DepthClip]) -> None:
+    """Fits how likely joints are wrong, and writes the asset."""
     doubt = fit_doubt(clips)
     told = {"level": doubt.level.round(3).tolist(), "slope": doubt.slope.round(3).tolist()}
     DOUBT_ASSET.write_text(json.dumps(told) + "\n", encoding="utf-8")
+
+
+def write_spread(clips: Sequence[DepthClip]) -> None:
+    """Fits the spread, and writes the asset; what it holds of other evidence stays."""
     kept = json.loads(ASSET.read_text(encoding="utf-8"))
     for what, own in fit(clips).items():
         kept[what]["depth"] = {kind: [round(x, 5) for x in pair] for kind, pair in own.items()}

@@ -46,7 +46,8 @@ def first_look(source: FrameSource, evidence: str, height: float | None = None) 
     points = [f.keypoints for f in frames if f.keypoints is not None]
     if doubted is not None:
         points = [doubted[i] for i in rows.tolist() if i < len(doubted)]
-    masks = [f.silhouettes for f in frames if f.silhouettes is not None] if evidence != "keypoints" else []
+    shown = [f.silhouettes for f in frames if f.silhouettes is not None] if evidence != "keypoints" else []
+    masks = [s for s in shown if s.ignored is None]  # half of a person tells nothing of cameras
     limits = Limits()
     found: list[Finding] = []
     if evidence != "silhouettes" and points and len(points[0].rig) > 1:
