@@ -33,6 +33,8 @@ _SPAN_M, _AREA_M2 = 1.75, 0.55
 """m, m^2: how tall somebody is, and shows"""
 _BEFORE_M, _BESIDE_M, _HIDES = 0.25, 0.4, 0.03
 """m by which a thing stands before the middle of who is seen, and beside; share of a person's area that it covers"""
+_APART_M = 0.35
+"""m between the sides of the person and of a thing that is none of theirs"""
 _RIM = 3
 """px around what stands before the room that may still be the person's"""
 
@@ -64,8 +66,9 @@ def learn_background(maps: Sequence[DepthMap]) -> DepthBackground:
     return DepthBackground(np.where(known, middle, 0.0).astype(np.float32), sd.astype(np.float32))
 
 
-def person_before(depth: DepthMap, background: DepthBackground) -> Mask:
-    """(h, w) 0/1: what stands before the empty room, its holes filled; the largest thing and what is near it."""
+def person_before(depth: DepthMap, background: DepthBackground, focal_px: float | None = None) -> Mask:
+    """(h, w) 0/1: what stands before the empty room, its holes filled; the largest thing and what is near it, also to
+    its sides, where the focal length is known: somebody else who stands beside the person is left out."""
     if depth.shape != background.depth.shape:
         raise InputError(
             f"The depth map is {depth.shape[1]} x {depth.shape[0]} px, the empty room "
@@ -75,7 +78,7 @@ def person_before(depth: DepthMap, background: DepthBackground) -> Mask:
     x, y, w, h = cv2.boundingRect(before)
     out = np.zeros(depth.shape, np.uint8)
     own = slice(max(y - _RIM, 0), y + h + _RIM), slice(max(x - _RIM, 0), x + w + _RIM)
-    out[own] = _one_thing(before[own], depth[own], background.depth[own] > 0)
+    out[own] = _one_thing(before[own], depth[own], background.depth[own] > 0, focal_px)
     return out
 
 
@@ -107,7 +110,11 @@ def person_on_floor(depth: DepthMap, camera: Camera) -> Mask:
     near = [k for k, (p, wide) in at.items() if kept and wide < 1 and np.linalg.norm(p - at[kept][0]) < _REACH_M]
     own = np.isin(labels, [kept, *near]).astype(np.uint8)
     own = (cv2.dilate(own, np.ones((3, 3), np.uint8)) > 0) & above  # the rim, which no piece has
-    return _one_thing(_calm(own.astype(np.uint8)), depth, everywhere) if kept else np.zeros(depth.shape, np.uint8)
+    return (
+        _one_thing(_calm(own.astype(np.uint8)), depth, everywhere, camera.K[0, 0])
+        if kept
+        else np.zeros(depth.shape, np.uint8)
+    )
 
 
 def behind_things(
@@ -169,17 +176,22 @@ def _calm(mask: Mask) -> Mask:
     return np.asarray(cv2.medianBlur(mask, 3), dtype=np.uint8)
 
 
-def _one_thing(before: Mask, depth: DepthMap, solid: NDArray[np.bool_]) -> Mask:
+def _one_thing(before: Mask, depth: DepthMap, solid: NDArray[np.bool_], focal_px: float | None) -> Mask:
     """The largest thing of a mask and what is near it in space, its holes filled; solid (h, w): where the sensor would
     see something behind it, so that a hole is the person's."""
-    labels, n = _labelled(before > 0)
-    if n == 0:
+    n, found, stats, _ = cv2.connectedComponentsWithStats(before, connectivity=8)
+    if n < 2:
         return np.zeros(depth.shape, np.uint8)
-    areas = np.bincount(np.asarray(labels).ravel())[1:]
-    main = int(areas.argmax()) + 1
+    labels, about = np.asarray(found, dtype=np.int32), np.asarray(stats, dtype=np.int64)
+    left, areas = about[:, cv2.CC_STAT_LEFT], about[:, cv2.CC_STAT_AREA].copy()
+    right, areas[0] = left + about[:, cv2.CC_STAT_WIDTH], 0
+    main = int(areas.argmax())
     usual = float(np.median(depth[(labels == main) & (depth > 0)]))
-    keep = np.zeros(n + 1, dtype=np.bool_)
-    for k in np.flatnonzero(areas >= max(12, 0.01 * areas[main - 1])) + 1:  # specks are many, and each costs a look
+    beside = _APART_M / usual * (np.inf if focal_px is None else focal_px)
+    keep = np.zeros(n, dtype=np.bool_)
+    for k in np.flatnonzero(areas >= max(12, 0.01 * areas[main])):  # specks are many, and each costs a look
+        if left[k] - right[main] > beside or left[main] - right[k] > beside:
+            continue
         own = depth[(labels == k) & (depth > 0)]
         keep[k] = len(own) > 0 and abs(np.median(own) - usual) < 0.8
     keep[main] = True

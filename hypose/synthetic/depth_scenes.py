@@ -168,7 +168,9 @@ def seen_before(
     rooms: Sequence[DepthBackground], maps: Sequence[DepthMap], rig: CameraRig, at: float, index: int
 ) -> Frame:
     """The frame of maps (h, w) m at a time (s), whose rooms are known, as it is for recordings."""
-    silhouettes = make_silhouettes([person_before(m, room) for m, room in zip(maps, rooms, strict=True)], rig)
+    silhouettes = make_silhouettes(
+        [person_before(m, room, c.K[0, 0]) for m, room, c in zip(maps, rooms, rig, strict=True)], rig
+    )
     depth = Depth(np.stack(maps), silhouettes.masks, rig, silhouettes.usable.copy())
     return Frame(at, index, behind_things(silhouettes, depth, rooms), depth=depth)
 
