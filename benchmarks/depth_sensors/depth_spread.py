@@ -1,4 +1,5 @@
-"""Fits the spread of depth (`hypose.tracking.fitted_spread`) to errors on simulated recordings, and judges it.
+"""Fits the spread of depth (`hypose.tracking.fitted_spread`) and how likely a joint is wrong before depth cameras
+(`hypose.tracking.doubt.DepthDoubt`) to errors on simulated recordings, and judges both.
 
 Unlike with masks, what is far off counts too: an arm that the only sensor does not see is a guess, and its region has
 to say so. Clips before one, two and three sensors are families, none of which pays for another.
@@ -13,6 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import minimize
 from scipy.stats import chi2
 
 from benchmarks.bench_report import BenchOptions
@@ -25,19 +27,30 @@ from hypose.geometry import Array
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.metrics import EVALUATED
-from hypose.tracking.doubt import without_mixture
+from hypose.tracking.doubt import (
+    GROUPS,
+    WRONG_M,
+    DepthDoubt,
+    clip_features,
+    doubt_models,
+    group_of,
+    probability,
+)
 from hypose.tracking.fitted_spread import as_curved, kind_of
 
 TRAINED = range(100)
 """seeds that may be trained on; the benchmark reports others"""
+CASES = ("one", "two", "three")
 _FEW = 5
+_GROUP = np.array([group_of(n) for n in JOINT_NAMES])
+DOUBT_ASSET = ASSET.with_name("depth_doubt.json")
 _LIKE = (("spine", "pelvis"), ("chest", "neck"), ("clavicle", "shoulder"))
 
 
 @dataclass(frozen=True)
 class DepthClip:
     """One tracked clip. away (T, J, 3) m, angles (T, A) rad: estimate and truth apart; around (T, J, 3, 3) m^2, sd (T,
-    A) rad: what the curvature says of them."""
+    A) rad: what the curvature says of them; odds (T, J): log-odds by silhouettes that a joint is wrong."""
 
     case: str
     seed: int
@@ -45,6 +58,7 @@ class DepthClip:
     around: Array
     angles: Array
     sd: Array
+    odds: Array
 
 
 def collect(folder: Path, case: str, seed: int, data: Path, seconds: float = 2.0) -> DepthClip:
@@ -56,12 +70,15 @@ def collect(folder: Path, case: str, seed: int, data: Path, seconds: float = 2.0
     options = BenchOptions(False, 1, data, lambda stage, done, total: None, seed, None)
     scene = scene_of(seed, SENSORS[case], seconds, options)
     result = track_source(FrameList(list(scene.frames()), RATE), RATE, TrackOptions(seed=seed))
-    m = as_curved(without_mixture(result.motion), "depth")
-    assert m.angle_sd is not None
+    m = as_curved(result.motion, "depth")
+    assert m.angle_sd is not None and result.audit is not None and result.one_by_one is not None
+    features = clip_features(m, result.body.joints(result.one_by_one), result.audit)
+    odds = doubt_models()["silhouettes"].log_odds(features, _GROUP)
     off = angles_of(m) - true_angles(scene)[: len(m)]
     off = (off + np.pi) % (2 * np.pi) - np.pi
     away = scene.joints[: len(m)] - aligned(m, scene)
-    clip = DepthClip(case, seed, away, m.joint_covariance.astype(np.float64), off, m.angle_sd.astype(np.float64))
+    around, sd = m.joint_covariance.astype(np.float64), m.angle_sd.astype(np.float64)
+    clip = DepthClip(case, seed, away, around, off, sd, odds)
     path.write_bytes(pickle.dumps(clip))
     return clip
 
@@ -131,8 +148,57 @@ def held_left_out(clips: Sequence[DepthClip], folds: int = 4) -> dict[str, tuple
     return {case: (float(np.mean(v, 0)[0]), float(np.mean(v, 0)[1])) for case, v in sorted(found.items())}
 
 
-def write(clips: Sequence[DepthClip]) -> None:
-    """Fits, and writes the asset; what it holds of other evidence stays."""
+def fit_doubt(clips: Sequence[DepthClip]) -> DepthDoubt:
+    """Level of each case and group, and slope of each group, by maximum likelihood; every case weighs the same. Of
+    joints of the trunk, of which hardly one is ever wrong, what silhouettes say is left as it is."""
+    level, slope = np.zeros((len(CASES), len(GROUPS))), np.ones(len(GROUPS))
+    for g in range(1, len(GROUPS)):
+        families = [_odds_and_wrong([c for c in clips if c.case == case], g) for case in CASES]
+
+        def unlikely(v: Array, families: Sequence[tuple[Array, Array]] = families) -> float:
+            told = [v[k] + v[-1] * x for k, (x, _) in enumerate(families)]
+            # as if one more joint at log-odds of -4 were wrong, and one right: some cases hardly have any
+            prior = 2 * np.logaddexp(0, v[:-1] + v[-1] * -4.0) - (v[:-1] + v[-1] * -4.0)
+            fits = [(np.logaddexp(0, t) - y * t).sum() + p for t, (_, y), p in zip(told, families, prior, strict=True)]
+            return float(sum(f / len(y) for f, (_, y) in zip(fits, families, strict=True)))
+
+        found = minimize(unlikely, np.r_[np.zeros(len(CASES)), 1.0], method="BFGS").x
+        level[:, g], slope[g] = found[:-1], found[-1]
+    return DepthDoubt(level, slope)
+
+
+def _odds_and_wrong(clips: Sequence[DepthClip], group: int) -> tuple[Array, Array]:
+    """Log-odds by silhouettes of all joints of a group, and 1 for those that are wrong, else 0."""
+    own = [j for j in EVALUATED if _GROUP[j] == group]
+    wrong = [(np.linalg.norm(c.away[:, own], axis=-1) > WRONG_M).ravel() for c in clips]
+    return np.concatenate([c.odds[:, own].ravel() for c in clips]), np.concatenate(wrong).astype(np.float64)
+
+
+def told_and_true(clips: Sequence[DepthClip], fitted: DepthDoubt) -> dict[str, tuple[float, ...]]:
+    """{case and group: (share of joints that are wrong, mean of what is told, expected calibration error in ten bins)},
+    of what silhouettes say as well, after what the fit says."""
+    out = {}
+    for row, case in enumerate(CASES):
+        for g in range(1, len(GROUPS)):
+            odds, wrong = _odds_and_wrong([c for c in clips if c.case == case], g)
+            said = [wrong.mean()]
+            for p in (probability(fitted.level[row, g] + fitted.slope[g] * odds), probability(odds)):
+                bins = np.minimum((10 * p).astype(int), 9)
+                off = sum(abs((p - wrong)[bins == k].sum()) for k in range(10)) / len(p)
+                said += [p.mean(), off]
+            out[f"{case} {GROUPS[g]}"] = tuple(round(float(x), 4) for x in said)
+    return out
+
+
+def write_doubt(clips: Sequence[DepthClip]) -> None:
+    """Fits how likely joints are wrong, and writes the asset."""
+    doubt = fit_doubt(clips)
+    told = {"level": doubt.level.round(3).tolist(), "slope": doubt.slope.round(3).tolist()}
+    DOUBT_ASSET.write_text(json.dumps(told) + "\n", encoding="utf-8")
+
+
+def write_spread(clips: Sequence[DepthClip]) -> None:
+    """Fits the spread, and writes the asset; what it holds of other evidence stays."""
     kept = json.loads(ASSET.read_text(encoding="utf-8"))
     for what, own in fit(clips).items():
         kept[what]["depth"] = {kind: [round(x, 5) for x in pair] for kind, pair in own.items()}

@@ -18,6 +18,7 @@ from scipy.stats import chi2
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.depth_sensors.depth_live import live_depth
 from benchmarks.multiview.action_scenes import captured, subject_of_seed
+from benchmarks.multiview.doubt_fit import auroc, ece
 from hypose.body.motion import Motion
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
@@ -35,7 +36,7 @@ from hypose.pipeline.register_depth import place_error, register_depth
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.corruptions import corrupt_mask, corruptions
-from hypose.synthetic.depth_scenes import DepthScene, depth_rig, depth_scene, to_profile, turning
+from hypose.synthetic.depth_scenes import DepthScene, depth_rig, depth_scene, seen_before, to_profile, turning
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.motions import act
 from hypose.synthetic.retarget import retarget
@@ -43,6 +44,7 @@ from hypose.synthetic.rigs import look_at
 from hypose.synthetic.sensors import SensorModel, simulate
 from hypose.synthetic.subjects import dress
 from hypose.tracking.costs import silhouette_iou
+from hypose.tracking.doubt import WRONG_M
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.recipes import recipe
 from hypose.tracking.tracker import Tracker, TrackerSettings, motion_of
@@ -54,8 +56,8 @@ SENSORS = {"one": "depth-1", "two": "depth-2", "three": "depth-3"}
 _CLOCK = (5.0, 3)
 """s that the second sensor's clock is ahead, and frames by which it begins later"""
 _COVERED, _TIMED = 0.9, 30
-_REGISTERED = 3
-"""seeds of which two sensors are brought together: each takes as long as four of the others"""
+_FEW = 3
+"""seeds of which two sensors are brought together, and frames timed: the first takes as long as four of the others"""
 
 
 def scene_of(seed: int, sensors: str, seconds: float, options: BenchOptions, action: int | None = None) -> DepthScene:
@@ -77,9 +79,10 @@ def depth(options: BenchOptions) -> BenchReport:
     """mean_mm of 15 joints with one sensor in front, two at 90 degrees, three all round, and one beside a colour
     camera: the product as it is, body and start found in the clip, all frames solved together. sdk: skeletons that
     simulated sensors report of the same scenes, fused. registration_*: two sensors brought together by the person.
-    coverage_90: share of true joints in their 90 % regions. ms_per_frame: processor time of one sensor's frame, with
-    its evidence. latency_*: from the later map's arrival to the pose, of two simulated sensors whose maps the live
-    engine plays at their pace."""
+    coverage_90: share of true joints in their 90 % regions. wrong_auroc, wrong_ece: how well it is told which joints
+    are wrong by more than 100 mm, and how likely. ms_per_frame, ms_mean: processor time of one sensor's frame, from the
+    map to the pose, median and mean over a clip's frames: that of an instant over its sensors. latency_*: from the
+    later map's arrival to the pose, of two simulated sensors whose maps the live engine plays at their pace."""
     seeds = options.seed_range(10, first=FRESH_SEED, quick=1)
     seconds = 1.2 if options.quick else 2.0
     found: dict[tuple[str, str, str], list[float]] = {}
@@ -89,9 +92,10 @@ def depth(options: BenchOptions) -> BenchReport:
             found.setdefault((metric, case, unit), []).append(value)
 
     jobs = [(seed, case) for seed in seeds for case in (*SENSORS, "one+colour")]
-    jobs += [(seed, "registration") for seed in seeds[:_REGISTERED]]
+    jobs += [(seed, what) for what in ("registration", "speed") for seed in seeds[:_FEW]]
     jobs.append((seeds[0], "live"))
     inside: dict[str, list[float]] = {}
+    told: dict[str, list[tuple[NDArray[np.float64], NDArray[np.bool_]]]] = {}
     for n, (seed, case) in enumerate(jobs):
         options.progress(f"{case} seed {seed}", n, len(jobs))
         part = options.part(f"depth.{seed}.{case}", lambda s=seed, c=case: _measured(s, c, seconds, options))
@@ -108,15 +112,22 @@ def depth(options: BenchOptions) -> BenchReport:
         for name in ("latency_p50_ms", "latency_p99_ms"):
             if name in part:
                 keep(name, "two", "ms", part[name])
-        if "ms_per_frame" in part:
-            keep("ms_per_frame", "one", "ms", part["ms_per_frame"])
+        for name in ("ms_per_frame", "ms_mean"):
+            for at, value in part.get(name, {}).items():
+                keep(name, at, "ms", value)
         if "error" in part:
+            away = np.linalg.norm(np.asarray(part["error"]), axis=-1)
+            told.setdefault(case, []).append((np.asarray(part["p_wrong"]).ravel(), (away > WRONG_M).ravel()))
             inside.setdefault(case, []).append(float(_within(part).mean()))
     options.progress("done", len(jobs), len(jobs))
     rows: list[Row] = [row(metric, case, values, unit) for (metric, case, unit), values in found.items()]
     rows += [row("coverage_90", case, values, "1") for case, values in inside.items()]
     if inside:
         rows.append(row("coverage_90", "all", [np.mean(v) for v in zip(*inside.values(), strict=False)], "1"))
+    for case, clips in told.items():  # clips together: in most of them nothing is wrong
+        p, wrong = (np.concatenate(v) for v in zip(*clips, strict=True))
+        rows += [row("wrong_auroc", case, [auroc(p, wrong)], "1")] if wrong.any() else []
+        rows.append(row("wrong_ece", case, [ece(p, wrong)], "1"))
     settings = {"seeds": len(seeds), "first_seed": seeds.start, "seconds": seconds, "frame_rate": RATE}
     settings["motion"] = "captured" if captured(options) else "built-in"
     settings["sensors"] = "simulated"
@@ -134,6 +145,8 @@ def _measured(seed: int, case: str, seconds: float, options: BenchOptions) -> di
     try:
         if case == "registration":
             return _registration(seed, options)
+        if case == "speed":
+            return _speed(seed, seconds, options)
         if case == "live":
             return live_depth(seed, options.quick)
         if case == "one+colour":
@@ -142,7 +155,7 @@ def _measured(seed: int, case: str, seconds: float, options: BenchOptions) -> di
     except HyposeError as error:  # a clip that the product refuses is a miss, and not left out
         return (
             {"refused": str(error), "mean_mm": 1000.0}
-            if case not in ("registration", "live")
+            if case not in ("registration", "speed", "live")
             else {"refused": str(error)}
         )
 
@@ -154,18 +167,28 @@ def _tracked(seed: int, case: str, seconds: float, options: BenchOptions) -> dic
     out = _errors(result.motion, scene)
     if case != "one":
         out["sdk_mm"] = _sdk(scene, seed)
-    else:
+    return out
+
+
+def _speed(seed: int, seconds: float, options: BenchOptions) -> dict[str, Any]:
+    """Processor time of frames, by the sensors."""
+    out: dict[str, Any] = {"ms_per_frame": {}, "ms_mean": {}}
+    for case, sensors in SENSORS.items():
+        scene = scene_of(seed, sensors, seconds, options)
+        frames = list(scene.frames())
+        result = track_source(FrameList(frames, RATE), RATE, TrackOptions(seed=seed))
         tracker = Tracker(result.body, recipe("default", result.body, frame_rate=RATE), TrackerSettings(seed=seed))
         assert result.motion.poses is not None
         state = tracker.start(result.motion.poses[0])
-        spent = []
+        spent, rooms = [], scene.backgrounds()
         for frame in frames[:_TIMED]:
-            assert frame.depth is not None and frame.silhouettes is not None
-            frame = replace(frame, depth=replace(frame.depth), silhouettes=replace(frame.silhouettes))  # nothing made
+            assert frame.depth is not None
             began = time.process_time()
-            state, _ = tracker.step(state, frame)
+            seen = seen_before(rooms, list(frame.depth.maps), scene.rig, frame.time, frame.index)
+            state, _ = tracker.step(state, seen)
             spent.append(time.process_time() - began)
-        out["ms_per_frame"] = 1e3 * float(np.median(spent))
+        each = 1e3 * np.array(spent) / len(scene.rig)
+        out["ms_per_frame"][case], out["ms_mean"][case] = float(np.median(each)), float(each.mean())
     return out
 
 
@@ -184,6 +207,7 @@ def _errors(motion: Motion, scene: DepthScene) -> dict[str, Any]:
         "p95_mm": 1e3 * float(np.percentile(away, 95)),
         "error": np.round(error, 5),
         "covariance": np.asarray(motion.joint_covariance, dtype=np.float64)[:, EVALUATED],
+        "p_wrong": [] if motion.p_wrong is None else motion.p_wrong[:, EVALUATED],
     }
 
 

@@ -28,7 +28,8 @@ from hypose.compute.depth_forests.forest_arrays import (
     ScanPlan,
     TreeArraysOffline,
 )
-from hypose.compute.depth_maps.depth_energy import SeenDepth, depth_energy
+from hypose.compute.depth_maps.depth_energy import SeenDepth, depth_energy, limb_depth_energy, standing_depth
+from hypose.compute.depth_maps.depth_points import before_room, points_of_surface
 from hypose.compute.monocular import mono
 from hypose.compute.monocular.mono_terms import (
     GAUSSIAN,
@@ -139,6 +140,7 @@ __all__ = [
     "TreeArraysOffline",
     "VARIABLE",
     "Workspace",
+    "before_room",
     "blend_shaded",
     "bounded_step",
     "cache_folder",
@@ -158,6 +160,7 @@ __all__ = [
     "interpolate",
     "joint_covariances",
     "kept",
+    "limb_depth_energy",
     "lorentzian",
     "lorentzian_weight",
     "make_lens",
@@ -168,6 +171,7 @@ __all__ = [
     "outline_points",
     "over_chunks",
     "parts_against_mask",
+    "points_of_surface",
     "picture_to_mask",
     "prepare_masks",
     "rasterize",
@@ -181,6 +185,7 @@ __all__ = [
     "signed_distance",
     "silhouette",
     "silhouette_xor",
+    "standing_depth",
     "skin",
     "solve",
     "solve_coupled",

@@ -11,34 +11,44 @@ from hypose.compute.compiled import kernel
 
 
 @kernel
+def so3_exp(x, y, z, rotation):
+    """Rodrigues' formula: the rotation (3, 3) of the rotation vector (x, y, z)."""
+    a, b, _, t2 = _rodrigues(x, y, z)
+    _turning(x, y, z, t2, a, b, rotation)
+
+
+@kernel
 def so3_exp_and_jacobian(x, y, z, rotation, jacobian):
-    """Rodrigues' formula and the left Jacobian of the rotation vector (x, y, z), written into two (3, 3)."""
+    """The same, and the left Jacobian (3, 3) of the rotation vector."""
+    a, b, c, t2 = _rodrigues(x, y, z)
+    _turning(x, y, z, t2, a, b, rotation)
+    _turning(x, y, z, t2, b, c, jacobian)
+
+
+@kernel
+def _rodrigues(x, y, z):
+    """sin t / t, (1 - cos t) / t^2, (t - sin t) / t^3 and t^2 of a rotation vector of length t."""
     t2 = x * x + y * y + z * z
     t = math.sqrt(t2)
     if t < 1e-3:  # series: the error of the next term is below 1e-15
-        a = 1 - t2 / 6 + t2 * t2 / 120
-        b = 0.5 - t2 / 24 + t2 * t2 / 720
-        c = 1 / 6 - t2 / 120 + t2 * t2 / 5040
-    else:
-        a = math.sin(t) / t
-        h = math.sin(0.5 * t) / t
-        b = 2 * h * h  # (1 - cos t) / t^2 without cancellation
-        c = (1 - a) / t2
-    xx, yy, zz = x * x - t2, y * y - t2, z * z - t2
-    for k in range(2):
-        if k == 0:
-            p, s, m = a, b, rotation
-        else:
-            p, s, m = b, c, jacobian
-        m[0, 0] = 1 + s * xx
-        m[1, 1] = 1 + s * yy
-        m[2, 2] = 1 + s * zz
-        m[0, 1] = -p * z + s * x * y
-        m[1, 0] = p * z + s * x * y
-        m[0, 2] = p * y + s * x * z
-        m[2, 0] = -p * y + s * x * z
-        m[1, 2] = -p * x + s * y * z
-        m[2, 1] = p * x + s * y * z
+        return 1 - t2 / 6 + t2 * t2 / 120, 0.5 - t2 / 24 + t2 * t2 / 720, 1 / 6 - t2 / 120 + t2 * t2 / 5040, t2
+    a = math.sin(t) / t
+    h = math.sin(0.5 * t) / t
+    return a, 2 * h * h, (1 - a) / t2, t2  # (1 - cos t) / t^2 without cancellation
+
+
+@kernel
+def _turning(x, y, z, t2, p, s, m):
+    """m (3, 3) = 1 + p V + s V^2, V the matrix of the cross product with (x, y, z), whose squared length is t2."""
+    m[0, 0] = 1 + s * (x * x - t2)
+    m[1, 1] = 1 + s * (y * y - t2)
+    m[2, 2] = 1 + s * (z * z - t2)
+    m[0, 1] = -p * z + s * x * y
+    m[1, 0] = p * z + s * x * y
+    m[0, 2] = p * y + s * x * z
+    m[2, 0] = -p * y + s * x * z
+    m[1, 2] = -p * x + s * y * z
+    m[2, 1] = p * x + s * y * z
 
 
 @kernel
@@ -140,18 +150,24 @@ def skin_batch(rotations, centres, tree, mesh, out):
 
 
 @kernel
+def bone_map(rotation, centre, joint, out):
+    """out (12,) f4, row by row (3, 4): what carries a vertex of the resting body with a joint, from where that is at
+    rest (3,) to its frame: rotation (3, 3), centre (3,)."""
+    for i in range(3):
+        x, y, z = rotation[i, 0], rotation[i, 1], rotation[i, 2]
+        out[4 * i] = x
+        out[4 * i + 1] = y
+        out[4 * i + 2] = z
+        out[4 * i + 3] = centre[i] - x * joint[0] - y * joint[1] - z * joint[2]
+
+
+@kernel
 def skin_about_root(rotations, centres, tree, mesh, out):
     """Linear blend skinning of one pose in float32 about the root's position (float32 is then good to 1e-4 mm)."""
     n_joints = rotations.shape[0]
     maps = np.empty((n_joints, 12), np.float32)
     for j in range(n_joints):
-        r = rotations[j]
-        x, y, z = tree.joints[j, 0], tree.joints[j, 1], tree.joints[j, 2]
-        for i in range(3):
-            maps[j, 4 * i] = r[i, 0]
-            maps[j, 4 * i + 1] = r[i, 1]
-            maps[j, 4 * i + 2] = r[i, 2]
-            maps[j, 4 * i + 3] = centres[j, i] - r[i, 0] * x - r[i, 1] * y - r[i, 2] * z
+        bone_map(rotations[j], centres[j], tree.joints[j], maps[j])
     b = np.empty(12, np.float32)
     for v in range(mesh.vertices.shape[0]):
         w = mesh.skin_weight[v, 0]

@@ -8,15 +8,17 @@ depth, the piece that is most like a person is kept.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
+from hypose.compute import before_room
 from hypose.errors import InputError
-from hypose.evidence.depth_evidence import JUMP_M, back_projected, in_world
+from hypose.evidence.depth_evidence import JUMP_M, Depth, back_projected, in_world
+from hypose.evidence.frame import Expected, Silhouettes
 
 DepthMap = NDArray[np.float32]
 Mask = NDArray[np.uint8]
@@ -27,6 +29,14 @@ _ABOVE_FLOOR_M = 0.05
 _TALL_M, _SMALL_M, _WIDE_M = 2.4, 0.5, 2.2
 """m: what a person's visible surface spans upwards, at most and at least, and across"""
 _LEAST_PX, _REACH_M = 15, 0.6
+_SPAN_M, _AREA_M2 = 1.75, 0.55
+"""m, m^2: how tall somebody is, and shows"""
+_BEFORE_M, _BESIDE_M, _HIDES = 0.25, 0.4, 0.03
+"""m by which a thing stands before the middle of who is seen, and beside; share of a person's area that it covers"""
+_APART_M = 0.35
+"""m between the sides of the person and of a thing that is none of theirs"""
+_RIM = 3
+"""px around what stands before the room that may still be the person's"""
 
 
 @dataclass(frozen=True)
@@ -56,16 +66,20 @@ def learn_background(maps: Sequence[DepthMap]) -> DepthBackground:
     return DepthBackground(np.where(known, middle, 0.0).astype(np.float32), sd.astype(np.float32))
 
 
-def person_before(depth: DepthMap, background: DepthBackground) -> Mask:
-    """(h, w) 0/1: what stands before the empty room, its holes filled; the largest thing and what is near it."""
+def person_before(depth: DepthMap, background: DepthBackground, focal_px: float | None = None) -> Mask:
+    """(h, w) 0/1: what stands before the empty room, its holes filled; the largest thing and what is near it, also to
+    its sides, where the focal length is known: somebody else who stands beside the person is left out."""
     if depth.shape != background.depth.shape:
         raise InputError(
             f"The depth map is {depth.shape[1]} x {depth.shape[0]} px, the empty room "
             f"{background.depth.shape[1]} x {background.depth.shape[0]} px; record both in the same mode."
         )
-    room = np.where(background.depth > 0, background.depth, np.inf)
-    before = (depth > 0) & (room - depth > np.maximum(_SDS * background.sd, _LEAST_M))
-    return _one_thing(before, depth, background.depth > 0)
+    before = _calm(before_room(depth, background.depth, background.sd, _SDS, _LEAST_M))
+    x, y, w, h = cv2.boundingRect(before)
+    out = np.zeros(depth.shape, np.uint8)
+    own = slice(max(y - _RIM, 0), y + h + _RIM), slice(max(x - _RIM, 0), x + w + _RIM)
+    out[own] = _one_thing(before[own], depth[own], background.depth[own] > 0, focal_px)
+    return out
 
 
 def person_on_floor(depth: DepthMap, camera: Camera) -> Mask:
@@ -88,7 +102,7 @@ def person_on_floor(depth: DepthMap, camera: Camera) -> Mask:
         if not _SMALL_M < tall < _TALL_M or wide > _WIDE_M or own[0].any():
             continue
         area = float(per_px[own].sum())  # m^2; a person shows some 0.4 to 0.8
-        value = np.exp(-(np.log(area / 0.55) ** 2)) * min(tall / 1.2, 1.0)
+        value = np.exp(-(np.log(area / _AREA_M2) ** 2)) * min(tall / 1.2, 1.0)
         if value > best:
             best, kept = value, int(k)
     everywhere = np.zeros(depth.shape, dtype=np.bool_)
@@ -96,7 +110,47 @@ def person_on_floor(depth: DepthMap, camera: Camera) -> Mask:
     near = [k for k, (p, wide) in at.items() if kept and wide < 1 and np.linalg.norm(p - at[kept][0]) < _REACH_M]
     own = np.isin(labels, [kept, *near]).astype(np.uint8)
     own = (cv2.dilate(own, np.ones((3, 3), np.uint8)) > 0) & above  # the rim, which no piece has
-    return _one_thing(own, depth, everywhere) if kept else np.zeros(depth.shape, np.uint8)
+    return (
+        _one_thing(_calm(own.astype(np.uint8)), depth, everywhere, camera.K[0, 0])
+        if kept
+        else np.zeros(depth.shape, np.uint8)
+    )
+
+
+def behind_things(
+    silhouettes: Silhouettes, depth: Depth | None, rooms: Sequence[DepthBackground | None]
+) -> Silhouettes:
+    """The silhouettes with the pixels ignored in which a thing of the empty room stands before the person, who may be
+    behind it or not; the same ones where nothing does. rooms: of each view, None: not known."""
+    if depth is None:
+        return silhouettes
+    ignored = np.zeros_like(silhouettes.masks)
+    boxes, areas = np.zeros((len(rooms), 4), np.int64), np.array(silhouettes.areas)
+    for c in np.flatnonzero(depth.usable):
+        room, camera, (x0, y0, x1, y1) = rooms[int(c)], depth.rig[int(c)], depth.boxes[int(c)]
+        boxes[c] = y0, y1, x0, x1
+        own = depth.person[c, y0:y1, x0:x1] > 0
+        seen = depth.maps[c, y0:y1, x0:x1][own]
+        if room is None or not (seen > 0).any():
+            continue
+        away, (h, w) = float(np.median(seen[seen > 0])), room.depth.shape
+        metre = camera.K[0, 0] / away
+        whole = int(_SPAN_M * metre)
+        # what is seen may be all but the legs, or all but the head
+        top, low = max(min(y0, y1 - whole), 0), min(max(y1, y0 + whole), h)
+        left, right = max(int(x0 - _BESIDE_M * metre), 0), min(int(x1 + _BESIDE_M * metre), w)
+        near, free = room.depth[top:low, left:right], depth.person[c, top:low, left:right] == 0
+        before = _calm(((near > 0) & (near < away - _BEFORE_M) & free).astype(np.uint8))
+        v, u = np.nonzero(before)
+        world = in_world(camera, back_projected(camera, u + left, v + top, near[v, u]))
+        on_floor = world[:, 2] < _ABOVE_FLOOR_M
+        before[v[on_floor], u[on_floor]] = 0
+        if cv2.countNonZero(before) > _HIDES * _AREA_M2 * metre**2:
+            ignored[c, top:low, left:right] = before
+            boxes[c], areas[c] = (top, low, x0, x1), max(int(areas[c]), int(_AREA_M2 * metre**2))
+    if not ignored.any():
+        return silhouettes
+    return replace(silhouettes, ignored=ignored, expected=Expected(boxes, areas))
 
 
 def _pieces(mask: NDArray[np.bool_], depth: DepthMap) -> tuple[NDArray[np.int32], int]:
@@ -117,17 +171,27 @@ def _labelled(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int32], int]:
     return np.asarray(labels, dtype=np.int32), n - 1
 
 
-def _one_thing(before: NDArray[np.bool_], depth: DepthMap, solid: NDArray[np.bool_]) -> Mask:
+def _calm(mask: Mask) -> Mask:
+    """The mask without single pixels."""
+    return np.asarray(cv2.medianBlur(mask, 3), dtype=np.uint8)
+
+
+def _one_thing(before: Mask, depth: DepthMap, solid: NDArray[np.bool_], focal_px: float | None) -> Mask:
     """The largest thing of a mask and what is near it in space, its holes filled; solid (h, w): where the sensor would
     see something behind it, so that a hole is the person's."""
-    labels, n = _labelled(cv2.medianBlur(before.astype(np.uint8), 3) > 0)
-    if n == 0:
+    n, found, stats, _ = cv2.connectedComponentsWithStats(before, connectivity=8)
+    if n < 2:
         return np.zeros(depth.shape, np.uint8)
-    areas = np.bincount(np.asarray(labels).ravel())[1:]
-    main = int(areas.argmax()) + 1
+    labels, about = np.asarray(found, dtype=np.int32), np.asarray(stats, dtype=np.int64)
+    left, areas = about[:, cv2.CC_STAT_LEFT], about[:, cv2.CC_STAT_AREA].copy()
+    right, areas[0] = left + about[:, cv2.CC_STAT_WIDTH], 0
+    main = int(areas.argmax())
     usual = float(np.median(depth[(labels == main) & (depth > 0)]))
-    keep = np.zeros(n + 1, dtype=np.bool_)
-    for k in np.flatnonzero(areas >= max(12, 0.01 * areas[main - 1])) + 1:  # specks are many, and each costs a look
+    beside = _APART_M / usual * (np.inf if focal_px is None else focal_px)
+    keep = np.zeros(n, dtype=np.bool_)
+    for k in np.flatnonzero(areas >= max(12, 0.01 * areas[main])):  # specks are many, and each costs a look
+        if left[k] - right[main] > beside or left[main] - right[k] > beside:
+            continue
         own = depth[(labels == k) & (depth > 0)]
         keep[k] = len(own) > 0 and abs(np.median(own) - usual) < 0.8
     keep[main] = True

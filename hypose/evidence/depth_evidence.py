@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import Camera, CameraRig
+from hypose.compute import points_of_surface
 from hypose.errors import InputError
 from hypose.geometry import Array
 
@@ -24,7 +25,6 @@ POINTS = 200
 JUMP_M = 0.06
 """m: neighbours that lie further apart belong to different surfaces"""
 _LEAST_COSINE = 0.15
-_STEP = 1  # px to the neighbours that a normal is made of: forearms are six wide
 
 
 @dataclass(frozen=True)
@@ -77,6 +77,12 @@ class Depth:
             raise InputError(f"Depth needs one usable per view, {len(self.rig)}, got {self.usable.shape}.")
 
     @cached_property
+    def boxes(self) -> list[tuple[int, int, int, int]]:
+        """x0, y0, x1, y1 (half open, px) around each view's person; all 0 where there is nobody."""
+        around = [cv2.boundingRect(own) for own in self.person]
+        return [(x, y, x + w, y + h) for x, y, w, h in around]
+
+    @cached_property
     def surface(self) -> SurfacePoints:
         """At most POINTS points of each usable view, evenly over its person."""
         return surface_points(self, POINTS)
@@ -90,12 +96,16 @@ class Depth:
 def surface_points(depth: Depth, count: int) -> SurfacePoints:
     """At most `count` points per usable view of what the maps show of the person."""
     found, first = [], [0]
-    for c in range(len(depth.rig)):
-        w, h = depth.rig.sizes[c]
-        made = _of_view(depth.maps[c, :h, :w], depth.person[c, :h, :w], depth.rig[c], depth.noise, count)
+    for c, camera in enumerate(depth.rig):
+        made = 0
         if depth.usable[c]:
-            found.append(made)
-        first.append(first[-1] + (len(made[0]) if depth.usable[c] else 0))
+            w, h = camera.size
+            seen = depth.maps[c, :h, :w], depth.person[c, :h, :w], depth.boxes[c]
+            points, normals, cosines = points_of_surface(*seen, camera.K, JUMP_M, count)
+            sd = depth.noise.sd(points[:, 2], cosines)
+            found.append((in_world(camera, points), normals @ camera.camera_from_world[:3, :3], sd))
+            made = len(points)
+        first.append(first[-1] + made)
     if not found:
         none = np.zeros((0, 3))
         return SurfacePoints(none, none, np.zeros(0), np.array(first, dtype=np.int64))
@@ -122,42 +132,3 @@ def smooth_surface(depth: NDArray[np.float32], jump_m: float = JUMP_M) -> tuple[
     low, high = cv2.erode(depth, kernel), cv2.dilate(depth, kernel)
     sound = (low > 0) & (high - low < jump_m)
     return np.asarray(cv2.medianBlur(depth, 3), dtype=np.float32), sound
-
-
-def _of_view(
-    depth: NDArray[np.float32], person: NDArray[np.uint8], camera: Camera, noise: DepthNoise, count: int
-) -> tuple[Array, Array, Array]:
-    rows, columns = np.flatnonzero(person.any(1)), np.flatnonzero(person.any(0))
-    none = np.zeros((0, 3))
-    if not len(rows):
-        return none, none, np.zeros(0)
-    # only the box around the person is looked at
-    margin = _STEP + 2
-    y0, x0 = max(int(rows[0]) - margin, 0), max(int(columns[0]) - margin, 0)
-    box = slice(y0, int(rows[-1]) + margin + 1), slice(x0, int(columns[-1]) + margin + 1)
-    z, sound = smooth_surface(np.ascontiguousarray(depth[box]))
-    sound &= person[box] > 0
-    s = _STEP
-    if min(z.shape) <= 2 * s:
-        return none, none, np.zeros(0)
-    middle = z[s:-s, s:-s]
-    inner = sound[s:-s, s:-s]
-    for beside in (z[s:-s, : -2 * s], z[s:-s, 2 * s :], z[: -2 * s, s:-s], z[2 * s :, s:-s]):
-        inner &= (beside > 0) & (np.abs(beside - middle) < JUMP_M)
-    found = np.flatnonzero(inner)
-    if not len(found):
-        return none, none, np.zeros(0)
-    pick = np.linspace(0, len(found) - 1, min(count, len(found))).round().astype(int)
-    v, u = (k + s for k in np.divmod(found[pick], inner.shape[1]))
-    # the pixel and the four beside it
-    dv, du = np.array([0, 0, 0, s, -s])[:, None], np.array([0, s, -s, 0, 0])[:, None]
-    points, right, left, down, up = back_projected(camera, u + x0 + du, v + y0 + dv, z[v + dv, u + du])
-    across = np.cross(right - left, down - up)
-    length = np.linalg.norm(across, axis=1)
-    normals = -across / np.maximum(length, 1e-12)[:, None]  # x right, y down: the product looks away from the camera
-    ray = points / np.linalg.norm(points, axis=1, keepdims=True)
-    cosine = -(normals * ray).sum(1)
-    facing = (length > 1e-12) & (cosine > 0.05)
-    points, normals, cosine = points[facing], normals[facing], cosine[facing]
-    sd = noise.sd(points[:, 2], cosine)
-    return in_world(camera, points), normals @ camera.camera_from_world[:3, :3], sd

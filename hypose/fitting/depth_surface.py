@@ -8,6 +8,7 @@ sensor and looks about as the point does, instead of drawing the body in every i
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +59,19 @@ class DepthTerm:
             )
         if not (self.scale_m > 0 and self.free_scale_m > 0):
             raise InputError("DepthTerm.scale_m and free_scale_m must be positive.")
+
+    @cached_property
+    def flat(self) -> tuple[NDArray, ...]:
+        """The arrays as the solver takes them, in its order, made once for all solves of a frame."""
+        given: list[tuple[NDArray, type]] = [(self.points, np.float64), (self.normals, np.float64)]
+        given += [(self.weight, np.float64), (self.first, np.int64), (self.eyes, np.float64), (self.maps, np.float32)]
+        given += [(self.sizes, np.int64), (self.projections, np.float64)]
+        return tuple(np.require(a, kind, ["C", "W"]) for a, kind in given)
+
+    @property
+    def scales(self) -> tuple[float, float, float, float]:
+        """The numbers, in the solver's order."""
+        return float(self.scale_m), float(self.free_share), float(self.free_scale_m), float(self.slack_m)
 
 
 def depth_term(depth: Depth, weight: float = WEIGHT, scale_m: float = SCALE_M) -> DepthTerm | None:
@@ -116,24 +130,4 @@ def depth_arrays(term: DepthTerm | None, body: Body) -> DepthArrays:
     """Flat arrays of a depth term for a body (nothing when None)."""
     if term is None:
         return no_depth()
-    first, ring = rings(body)
-
-    def f8(a: Array) -> Array:
-        return np.require(a, np.float64, ["C", "W"])
-
-    return DepthArrays(
-        f8(term.points),
-        f8(term.normals),
-        f8(term.weight),
-        np.require(term.first, np.int64, ["C", "W"]),
-        f8(term.eyes),
-        np.require(term.maps, np.float32, ["C", "W"]),
-        np.require(term.sizes, np.int64, ["C", "W"]),
-        f8(term.projections),
-        np.require(first, np.int64, ["C", "W"]),
-        np.require(ring, np.int32, ["C", "W"]),
-        float(term.scale_m),
-        float(term.free_share),
-        float(term.free_scale_m),
-        float(term.slack_m),
-    )
+    return DepthArrays._make((*term.flat, *rings(body), *term.scales))

@@ -317,11 +317,12 @@ def _doubted(
     not tell."""
     evidence = known or evidence_of(audit)
     # by what the curvature says
-    p, joints = judged(motion, subject.body.joints(one_by_one), audit, subject.unsure)
+    p, joints = judged(motion, subject.body.joints(one_by_one), audit, subject.unsure, evidence == "depth")
     beyond = beyond_usual(audit, evidence)
     motion = with_fitted_angles(with_fitted_joints(motion, evidence, beyond), covariance, evidence, beyond)
     frames = joints.any(1) if motion.doubtful is None else motion.doubtful | joints.any(1)
-    return as_mixture(replace(motion, p_wrong=p, doubtful_joints=joints, doubtful=frames))
+    told = replace(motion, p_wrong=p, doubtful_joints=joints, doubtful=frames)
+    return told if evidence == "depth" else as_mixture(told)  # regions of depth hold what is elsewhere, too
 
 
 def _written(result: TrackResult, results: ResultsFolder | None) -> TrackResult:

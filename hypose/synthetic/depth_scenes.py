@@ -9,7 +9,7 @@ docs/depth.md; everything made here is simulated.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.compute import rasterize
 from hypose.errors import InputError
-from hypose.evidence.depth_background import DepthBackground, learn_background, person_before
+from hypose.evidence.depth_background import DepthBackground, behind_things, learn_background, person_before
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
@@ -93,7 +93,9 @@ def to_profile(frames: int, seed: int) -> Array:
 
 @dataclass(frozen=True)
 class DepthScene(OfPerformance):
-    """subject: the truth body (dressed); performance; rig: the sensors, pinhole; faults; seed of everything random."""
+    """subject: the truth body (dressed); performance; rig: the sensors, pinhole; faults; seed of everything random;
+    furniture: boxes that stand where they may hide the person, x, y of their middle, width along x, along y, height,
+    m."""
 
     name: str
     subject: Subject
@@ -101,6 +103,7 @@ class DepthScene(OfPerformance):
     rig: CameraRig
     faults: SensorFaults = SensorFaults()
     seed: int = 0
+    furniture: tuple[tuple[float, float, float, float, float], ...] = ()
 
     def clean_map(self, view: int, index: int) -> tuple[DepthMap, NDArray[np.uint8]]:
         """What sensor `view` would measure of frame `index` without any fault, (h, w) m, and the person's pixels."""
@@ -144,14 +147,11 @@ class DepthScene(OfPerformance):
         rooms = self.backgrounds()
         for t in range(len(self)):
             maps = [self.depth_map(c, t) for c in range(len(self.rig))]
-            masks = [person_before(m, room) for m, room in zip(maps, rooms, strict=True)]
-            silhouettes = make_silhouettes(masks, self.rig)
-            depth = Depth(np.stack(maps), silhouettes.masks, self.rig, silhouettes.usable.copy())
-            yield Frame(float(self.times[t]), t, silhouettes, depth=depth)
+            yield seen_before(rooms, maps, self.rig, float(self.times[t]), t)
 
     @cached_property
     def _rooms(self) -> list[DepthMap]:
-        things = _things(np.random.default_rng([self.seed, _PATTERN]))
+        things = _things(np.random.default_rng([self.seed, _PATTERN]), self.furniture)
         return [_room(camera, things) for camera in self.rig]
 
     @cached_property
@@ -162,6 +162,17 @@ class DepthScene(OfPerformance):
             shape = (camera.size[1], camera.size[0])
             out.append((self.faults.pattern_m / 0.8 * smooth_noise(rng, shape, 40)).astype(np.float32))
         return out
+
+
+def seen_before(
+    rooms: Sequence[DepthBackground], maps: Sequence[DepthMap], rig: CameraRig, at: float, index: int
+) -> Frame:
+    """The frame of maps (h, w) m at a time (s), whose rooms are known, as it is for recordings."""
+    silhouettes = make_silhouettes(
+        [person_before(m, room, c.K[0, 0]) for m, room, c in zip(maps, rooms, rig, strict=True)], rig
+    )
+    depth = Depth(np.stack(maps), silhouettes.masks, rig, silhouettes.usable.copy())
+    return Frame(at, index, behind_things(silhouettes, depth, rooms), depth=depth)
 
 
 def depth_scene(
@@ -261,15 +272,18 @@ _SIDES = np.array(
 )  # fmt: skip
 
 
-def _things(rng: np.random.Generator) -> tuple[Array, NDArray[np.int32]]:
-    """Boxes on the floor, beside the space in which people move and not before the sensors of AZIMUTHS."""
-    vertices, faces = [], []
-    for k, azimuth in enumerate((45, 160, 200, 285, 315)):
+def _things(
+    rng: np.random.Generator, furniture: Sequence[tuple[float, float, float, float, float]]
+) -> tuple[Array, NDArray[np.int32]]:
+    """Boxes on the floor, beside the space in which people move and not before the sensors of AZIMUTHS, and those that
+    are asked for."""
+    vertices = []
+    for azimuth in (45, 160, 200, 285, 315):
         angle, away = np.radians(azimuth) + rng.uniform(-0.15, 0.15), rng.uniform(2.4, 2.9)
         size = rng.uniform((0.3, 0.3, 0.3), (0.8, 0.8, 1.2))
         corners = (_CORNERS * size) @ so3_exp(np.array([0, 0, rng.uniform(0, 3)])).T
-        faces.append(_SIDES + 8 * k)
         vertices.append(corners + [away * np.sin(angle), -away * np.cos(angle), 0])
-    flipped = np.concatenate(faces)
+    vertices += [_CORNERS * [wide, deep, tall] + [x, y, 0] for x, y, wide, deep, tall in furniture]
+    flipped = np.concatenate([_SIDES + 8 * k for k in range(len(vertices))])
     both = np.concatenate([flipped, flipped[:, ::-1]])  # seen from either side
     return np.concatenate(vertices), both.astype(np.int32)

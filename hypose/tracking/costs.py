@@ -12,7 +12,7 @@ from hypose.body.body import Body
 from hypose.fitting.articulated import KeypointTerm
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.depth_costs import depth_cost, depth_views
+from hypose.tracking.depth_costs import MEASURED, depth_cost, depth_views, with_limb_depth
 from hypose.tracking.frame_evidence import PreparedFrame
 
 
@@ -57,14 +57,9 @@ def evidence_energy(
     cost = xor_energy(body, poses, frame, moving, rest)
     if frame.depth is None:
         return cost
-    if moving is None or len(poses) <= _MEASURED:
-        return cost + depth_cost(body, poses, frame, moving)
-    rough = cost + depth_cost(body, poses, frame, moving, rough=True)
-    best = np.argsort(rough[:-1], kind="stable")[: _MEASURED - 1]
-    best = np.append(best, len(poses) - 1)
-    out = np.full(len(poses), np.inf)
-    out[best] = cost[best] + depth_cost(body, poses[best], frame, moving)
-    return out
+    if moving is None or len(poses) <= MEASURED:
+        return cost + depth_cost(body, poses, frame)
+    return with_limb_depth(body, poses, frame, moving, cost)
 
 
 def xor_energy(
@@ -130,9 +125,6 @@ def agreement(body: Body, pose: Array, frame: PreparedFrame) -> float:
     return mean - 0.5 * float(depth_cost(body, pose[None], frame)[0]) / depth_views(frame)
 
 
-_MEASURED = 32
-"""poses of a limb that are drawn into depth maps, of more that are looked at roughly. Chosen on the seeds 0 to 9
-(benchmark `depth`)."""
 VISIBLE = 0.2
 """Share of a body that must be visible in a view which is to tell of its overlap."""
 _FEW = 12
@@ -143,12 +135,8 @@ def _counts(body: Body, poses: Array, frame: PreparedFrame) -> NDArray[np.int64]
     assert frame.masks is not None
     if len(poses) > _FEW:
         return _count(body, poses, frame.masks)
-    found = [frame.counts.get(body, pose) for pose in poses]
-    new = [n for n, counts in enumerate(found) if counts is None]
-    if new:
-        for n, counts in zip(new, _count(body, poses[new], frame.masks), strict=True):
-            found[n] = frame.counts.keep(body, poses[n], counts)
-    return np.stack([counts for counts in found if counts is not None])
+    masks = frame.masks
+    return frame.counts.all(body, poses, lambda new: _count(body, new, masks))
 
 
 def _count(

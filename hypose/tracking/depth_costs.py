@@ -10,7 +10,7 @@ from hypose.body.body import Body
 from hypose.evidence.depth_evidence import Depth
 from hypose.fitting.depth_surface import shrunk
 from hypose.geometry import Array
-from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PoseMemory, PreparedFrame
 
 SHARE = 1.0
 """What a pixel at the wrong depth costs against one outside the mask. Chosen on the seeds 0 to 9 (benchmark
@@ -19,20 +19,52 @@ MOST_M = 0.15
 """m: a pixel that is further off costs no more"""
 TALL = 60
 """px: how tall a person is in the pictures that are compared, at least"""
-_SEEN = "seen depth"
+MEASURED, HOPEFUL = 32, 1.1
+"""of many poses of a limb so many are drawn, and none that costs so much more than the last one by a rough look.
+Chosen on the seeds 0 to 29 (benchmark `depth`)."""
+_SEEN, _COSTS = "seen depth", "depth costs"
+_FEW = 12
+"""sets of no more poses are remembered: the same pose is judged several times in a frame"""
 
 
-def depth_cost(
-    body: Body, poses: Array, frame: PreparedFrame, moving: NDArray[np.bool_] | None = None, rough: bool = False
-) -> Array:
+def depth_cost(body: Body, poses: Array, frame: PreparedFrame) -> Array:
     """(N,) of poses (N, D): mean difference of depth over the pixels of the person that the body covers, sum over the
-    sensors; what is not covered is the silhouettes' affair. moving: as for `SilhouetteXor`; rough: about
-    that, and faster (`compute.depth_energy`); 0 without depth."""
+    sensors; what is not covered is the silhouettes' affair. 0 without depth."""
     if frame.frame.depth is None:
         return np.zeros(len(poses))
     seen = _seen(frame, frame.frame.depth)
-    energy = compute.depth_energy(poses, body.skeleton.tree, body.coarse.arrays, seen, MOST_M, moving, rough)
-    return SHARE * energy.sum(1)
+
+    def measured(of: Array) -> Array:
+        energy = compute.depth_energy(of, body.skeleton.tree, body.coarse.arrays, seen, MOST_M)
+        return np.asarray(SHARE * energy.sum(1))
+
+    if len(poses) > _FEW:
+        return measured(poses)
+    memory: PoseMemory[float] = frame.shared.setdefault(_COSTS, PoseMemory())
+    return memory.all(body, poses, measured)
+
+
+def with_limb_depth(body: Body, poses: Array, frame: PreparedFrame, moving: NDArray[np.bool_], before: Array) -> Array:
+    """(N,) the costs `before` (N,) of poses (N, D) that differ in the joints `moving` (J,) from the last one, with
+    `depth_cost` added; infinite for those that are not worth a measurement: only the best by a rough look are measured,
+    and the last one."""
+    assert frame.frame.depth is not None
+    seen = _seen(frame, frame.frame.depth)
+    given = body.skeleton.tree, body.coarse.arrays, seen, MOST_M
+    standing = compute.standing_depth(poses[-1], *given, moving)
+
+    def limb(chosen: NDArray[np.intp], rough: bool = False) -> Array:
+        return before[chosen] + SHARE * compute.limb_depth_energy(poses[chosen], *given, standing, rough).sum(1)
+
+    out = np.full(len(poses), np.inf)
+    out[-1:] = limb(np.array([len(poses) - 1]))
+    most = HOPEFUL * out[-1]
+    alone = before[:-1] + SHARE * float((standing.cost / np.maximum(seen.counts, 1)).sum())
+    chosen = np.flatnonzero(alone <= most)
+    rough = limb(chosen, rough=True)
+    chosen = chosen[np.argsort(rough, kind="stable")[: min(MEASURED - 1, int((rough <= most).sum()))]]
+    out[chosen] = limb(chosen)
+    return out
 
 
 def depth_views(frame: PreparedFrame) -> int:
@@ -49,23 +81,18 @@ def _seen(frame: PreparedFrame, depth: Depth) -> compute.SeenDepth:
 
 def seen_depth(depth: Depth, tall: int = TALL) -> compute.SeenDepth:
     """The person's pixels of a frame's maps, so small that the person is still `tall` px, and cut to its box."""
-    used = np.flatnonzero(depth.usable & (depth.person > 0).any((1, 2)))
+    used = [c for c in np.flatnonzero(depth.usable) if depth.boxes[c][2] > 0]
     maps, projections, counts = [], [], []
-    step = 1
-    if len(used):
-        heights = [np.ptp(np.flatnonzero(depth.person[c].any(1))) + 1 for c in used]
-        step = max(1, int(min(heights)) // tall)
+    step = max(1, min((depth.boxes[c][3] - depth.boxes[c][1] for c in used), default=0) // tall)
     for c in used:
-        small = np.where(depth.person[c, ::step, ::step] > 0, depth.maps[c, ::step, ::step], 0.0)
-        rows, columns = np.flatnonzero(small.any(1)), np.flatnonzero(small.any(0))
-        if not len(rows):
-            continue
-        box = small[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-        p = shrunk(depth.rig.projections[c][None], step)[0]
-        p[0] -= columns[0] * p[2]
-        p[1] -= rows[0] * p[2]
+        x0, y0, x1, y1 = depth.boxes[c]
+        every = slice(y0, y1, step), slice(x0, x1, step)
+        box = np.where(depth.person[c][every] > 0, depth.maps[c][every], 0.0)
+        p = depth.rig.projections[c].copy()
+        p[0] -= x0 * p[2]
+        p[1] -= y0 * p[2]
         maps.append(box)
-        projections.append(p)
+        projections.append(shrunk(p[None], step)[0])
         counts.append(int((box > 0).sum()))
     h, w = (max((m.shape[k] for m in maps), default=1) for k in (0, 1))
     out = np.zeros((len(maps), h, w), np.float32)

@@ -168,7 +168,7 @@ class DoubtModel:
 
     def probability(self, features: Array, groups: NDArray[np.int64]) -> Array:
         """(T, J) that the joint is wrong by more than WRONG_M."""
-        return 1 / (1 + np.exp(-np.clip(self.log_odds(features, groups), -30.0, 30.0)))
+        return probability(self.log_odds(features, groups))
 
 
 @cache
@@ -192,23 +192,59 @@ def evidence_of(audit: ArrayLike) -> str:
 
 
 def judged(
-    motion: Motion, raw_joints: Array, audit: ArrayLike, unsure: Array | None = None
+    motion: Motion, raw_joints: Array, audit: ArrayLike, unsure: Array | None = None, depth: bool = False
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """(T, J) probability that a joint is wrong by more than WRONG_M, and which joints are doubtful for that.
 
-    unsure (J,): how likely each is elsewhere at the start, which holds until the person has taken another pose. Of
-    frames in which the person was lost nothing is believed: 0.5 at least, and doubtful."""
+    unsure (J,): how likely each is elsewhere at the start, which holds until the person has taken another pose; depth:
+    what was seen, depth cameras saw. Of frames in which the person was lost nothing is believed: 0.5 at least, and
+    doubtful."""
     names = motion.skeleton.joint_names
     groups = np.array([group_of(n) for n in names])
     evidence = evidence_of(audit)
     model = doubt_models()[evidence]
-    p = model.probability(clip_features(motion, raw_joints, audit), groups)
+    odds = model.log_odds(clip_features(motion, raw_joints, audit), groups)
+    threshold = model.threshold[groups]
+    if depth:
+        odds = depth_doubt().log_odds(odds, groups, motion.n_views)
+        threshold = np.full(len(groups), DEPTH_DOUBTFUL)
+    p = probability(odds)
     if evidence == "keypoints":
         p = np.maximum(p, _by_one_view(motion, audit))
     if unsure is not None:
         p = 1 - (1 - p) * (1 - _open(audit) * unsure * _as_at_start(motion)[:, None])
     p = np.where(motion.lost[:, None], np.maximum(p, 0.5), p)
-    return p.astype(np.float32), np.asarray((p > model.threshold[groups]) | motion.lost[:, None])
+    return p.astype(np.float32), np.asarray((p > threshold) | motion.lost[:, None])
+
+
+def probability(odds: Array) -> Array:
+    """Of log-odds."""
+    return 1 / (1 + np.exp(-np.clip(odds, -30.0, 30.0)))
+
+
+@dataclass(frozen=True)
+class DepthDoubt:
+    """What the log-odds by silhouettes are worth where depth cameras saw, which keep little else wrong than what they
+    do not see: level (S, G) of a group's joint before one sensor, two, S or more; slope (G,)."""
+
+    level: Array
+    slope: Array
+
+    def log_odds(self, odds: Array, groups: NDArray[np.int64], sensors: ArrayLike) -> Array:
+        """(T, J) from those by silhouettes (T, J), of joints in groups (J,), with so many sensors (T,)."""
+        row = np.clip(np.asarray(sensors, dtype=np.int64), 1, len(self.level)) - 1
+        return self.level[row][:, groups] + self.slope[groups] * odds
+
+
+DEPTH_DOUBTFUL = 0.2
+"""probability from which on a joint is doubtful before depth cameras: there six of ten are wrong (seeds 20 to 29)"""
+
+
+@cache
+def depth_doubt() -> DepthDoubt:
+    """As scripts/train_depth_spread.py fitted it."""
+    kept = json.loads(files("hypose.assets").joinpath("depth_doubt.json").read_text(encoding="utf-8"))
+    return DepthDoubt(np.array(kept["level"]), np.array(kept["slope"]))
 
 
 def as_mixture(motion: Motion) -> Motion:

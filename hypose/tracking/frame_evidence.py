@@ -5,7 +5,7 @@ the prediction.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -61,6 +61,15 @@ class PoseMemory(Generic[_Found]):
         """Keeps what was found, and returns it."""
         self._found[id(body), pose.tobytes()] = body, found
         return found
+
+    def all(self, body: Body, poses: Array, find: Callable[[Array], NDArray[Any]]) -> NDArray[Any]:
+        """What is kept of all the poses (N, D), row by row; `find` finds it for those of which nothing is."""
+        found = [self.get(body, pose) for pose in poses]
+        new = [n for n, one in enumerate(found) if one is None]
+        if new:
+            for n, one in zip(new, find(poses[new]), strict=True):
+                found[n] = self.keep(body, poses[n], one)
+        return np.stack([np.asarray(one) for one in found])
 
 
 @dataclass(frozen=True)

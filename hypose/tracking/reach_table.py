@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,11 @@ class ArmReach:
     poses: Array
     points: Array
     area: Array
+
+    @cached_property
+    def ends(self) -> Array:
+        """(N, 3, 3) m: elbow, wrist and hand in its poses."""
+        return np.ascontiguousarray(ends(self.points))
 
     def here(self, poses: Array) -> Array:
         """(N, 8, 3) m: the arm's points in poses (N, D), as its parent sees them."""

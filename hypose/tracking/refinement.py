@@ -17,7 +17,7 @@ from hypose.fitting.articulated import PoseFit, Quadratic, SolveSettings, fit_po
 from hypose.geometry import Array
 from hypose.inference.estimates import TangentMean
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.costs import frame_energy, keypoint_cost, silhouette_iou
+from hypose.tracking.costs import frame_energy, keypoint_cost, mean_overlap
 from hypose.tracking.frame_evidence import PreparedFrame
 
 SOLVED, COMPOSITE, RIVAL = "solved", "composite", "rival"
@@ -148,8 +148,7 @@ class InTurn:
     def _is_settled(self, pose: Array, frame: PreparedFrame) -> bool:
         if not np.isfinite(frame.usual_iou):
             return False
-        iou = float(np.nanmean(silhouette_iou(frame.body, pose, frame)))
-        return 1 - iou <= self.unsettled * (1 - frame.usual_iou)
+        return 1 - mean_overlap(frame.body, pose, frame) <= self.unsettled * (1 - frame.usual_iou)
 
 
 def member(h: Hypotheses, role: str) -> Array:

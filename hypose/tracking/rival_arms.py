@@ -25,6 +25,10 @@ from hypose.tracking.pictured_arms import pictured_arms
 from hypose.tracking.reach_table import ArmReach, ends, ends_of
 from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, member, mismatch, refine
 
+DEPTH_KEEPS = 2
+"""hypotheses that live on where depth cameras see, which leave less open; a third one is no gain there. Chosen on the
+seeds 0 to 29 (benchmark `depth`)."""
+
 
 @dataclass(frozen=True)
 class LookedUp:
@@ -62,15 +66,17 @@ class RefineRivals:
     from its own prediction, and hands on the best: the estimate in the role SOLVED, the others as RIVALs.
 
     arms: tables, and when each is looked up; keep: how many hypotheses live; margin: share of the energy that the
-    search must win before its result is solved; options, near: of solves from a prediction, and of those that begin
-    near their end, as with depth all do. Scores are those of `contest`; log-weights tell them, origins the parents, and
-    `before` what each was in the last frame: its parent, but an arm found elsewhere has not moved.
+    search must win before its result is solved; options, near, with_depth: of solves from a prediction, of those that
+    begin near their end, and of all where depth cameras see. Scores are those of `contest`; log-weights tell them,
+    origins the parents, and `before` what each was in the last frame: its parent, but an arm found elsewhere has not
+    moved.
     """
 
     arms: tuple[tuple[ArmReach, Callable[[Hypotheses, PreparedFrame], bool]], ...]
     keep: int = 3
     options: SolveSettings = SolveSettings()
     near: SolveSettings = SolveSettings(iterations=5, coarse_iterations=0)
+    with_depth: SolveSettings = SolveSettings(iterations=4, coarse_iterations=0)
     margin: float = 0.02
     look: LookedUp = LookedUp()
     contest: Contest = Contest()
@@ -108,7 +114,7 @@ class RefineRivals:
         for row, (k, n) in enumerate(whose, start=1 + len(composite) + len(looked_up)):
             before[row, self.arms[n][0].own] = last[1 + k, self.arms[n][0].own]
         found = Hypotheses(s.clamp(poses), -scores / c.softness, parents, columns={BEFORE: before})
-        return _roles(found.take(self._living(scores, costs, at.reshape(len(poses), -1, 3))))
+        return _roles(found.take(self._living(scores, costs, at.reshape(len(poses), -1, 3), frame)))
 
     def _by_pictures(
         self, poses: Array, expected: Array, frame: PreparedFrame, rng: np.random.Generator
@@ -175,9 +181,9 @@ class RefineRivals:
 
     def _solved(self, starts: list[Array], old: Array, frame: PreparedFrame) -> list[Array]:
         """The solutions (D,) from starts and from the predictions (K, D) of rivals, over threads."""
-        tasks = [(q, frame, self.near) for q in starts] + [
-            (q, replace(frame, prediction=q), self.options if frame.depth is None else self.near) for q in old
-        ]
+        from_start, from_old = (self.near, self.options) if frame.depth is None else (self.with_depth, self.with_depth)
+        tasks = [(q, frame, from_start) for q in starts]
+        tasks += [(q, replace(frame, prediction=q), from_old) for q in old]
         solved = [winner for winner, _, _ in tasks]
 
         def work(first: int, last: int) -> None:
@@ -188,14 +194,14 @@ class RefineRivals:
         over_chunks(work, len(tasks), None)
         return solved
 
-    def _living(self, scores: Array, costs: Array, at: Array) -> list[int]:
+    def _living(self, scores: Array, costs: Array, at: Array, frame: PreparedFrame) -> list[int]:
         """Which hypotheses live on, best first: those with arms (E, 3) elsewhere that are not far behind."""
         kept: list[int] = []
         for n in np.argsort(scores, kind="stable"):
             alone = all(_farthest(at[n, None], at[k]) > self.contest.apart for k in kept)
             if alone and scores[n] - scores[[*kept, n][0]] <= self.contest.behind * costs[n]:
                 kept.append(int(n))
-            if len(kept) == self.keep:
+            if len(kept) == (self.keep if frame.depth is None else min(self.keep, DEPTH_KEEPS)):
                 break
         return kept
 
@@ -212,21 +218,31 @@ def rival_arms(
     limit = arm.score(here, pose, frame, rest, np.inf)[0] + look.cutoff
     score = arm.score(arm.points, pose, frame, rest, limit)
     good = np.flatnonzero(score <= limit)
-    for other in ends(there):
-        good = good[_farthest(ends(arm.points[good]), other) > look.far]
+    good = _apart(arm.ends, good[np.argsort(score[good], kind="stable")], ends(there), look)
     if not len(good):
         return []
-    good = good[np.argsort(score[good], kind="stable")[: look.pool]]
     poses = np.repeat(pose[None], len(good) + 1, 0)
     poses[:-1, arm.own] = arm.poses[good]  # the last one stands
     energy = frame_energy(poses, frame, arm.moving, rest)
-    at, chosen = ends(arm.points[good]), list[int]()
+    at, chosen = arm.ends[good], list[int]()
     for n in np.argsort(energy[:-1], kind="stable"):
         if energy[n] > look.ratio * energy[-1] or len(chosen) == look.most:
             break
         if all(_farthest(at[n, None], at[k]) > look.far for k in chosen):
             chosen.append(int(n))
     return [poses[n] for n in chosen]
+
+
+def _apart(at: Array, order: NDArray[np.intp], known: Array, look: LookedUp) -> NDArray[np.intp]:
+    """The first `pool` of an order of arms that lie at (N, E, 3) whose ends are all far from those known (K, E, 3);
+    only as many are looked at as it takes."""
+    found = [order[:0]]
+    while len(order) and sum(map(len, found)) < look.pool:
+        some, order = order[: 2 * look.pool], order[2 * look.pool :]
+        for other in known:
+            some = some[_farthest(at[some], other) > look.far]
+        found.append(some)
+    return np.concatenate(found)[: look.pool]
 
 
 def _farthest(ends: Array, other: Array) -> Array:

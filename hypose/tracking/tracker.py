@@ -22,7 +22,7 @@ from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, Hypotheses
 from hypose.inference.layer import Memory, Recipe, Recovery, search, stand_still
 from hypose.inference.random_streams import stream
-from hypose.tracking.costs import agreement, silhouette_iou
+from hypose.tracking.costs import agreement, mean_overlap, silhouette_iou
 from hypose.tracking.frame_evidence import OwnEvidence, PreparedFrame, prepare, view_count
 from hypose.tracking.keypoint_evidence import KeypointModel
 from hypose.tracking.pose_covariance import PoseUncertainty, nothing_known, uncertainty_of_set
@@ -255,7 +255,9 @@ class Tracker:
         and by how much the IoU has grown, when a lost person has been looked for and found (else NaN)."""
         lost, gain = self._is_lost(iou, state.usual_iou), float("nan")
         known = lost or state.lost or state.blind > 2
-        if known or (iou < LOOSE and self._has_look(state, LOOKS)):
+        looks = np.isfinite(iou) and self._has_look(state, LOOKS)
+        loose = looks and mean_overlap(self.body, pose, prepared) < LOOSE
+        if known or loose:
             found = how.find(pose, state.pose, prepared)
             found_iou = _mean_iou(self.body, found, prepared)
             # from nowhere only to a whole person: the rim of somebody else's hull is no find

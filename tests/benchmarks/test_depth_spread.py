@@ -14,9 +14,8 @@ def test_regions_hold_what_they_say_when_errors_are_as_wide(rng, factor, least, 
     frames, joints, angles = 400, len(JOINT_NAMES), len(ANGLE_NAMES)
     away = 0.02 * rng.standard_normal((frames, joints, 3))
     around = np.broadcast_to(0.02**2 * np.eye(3), (frames, joints, 3, 3))
-    clip = DepthClip(
-        "one", 0, away, around, 0.1 * rng.standard_normal((frames, angles)), np.full((frames, angles), 0.1)
-    )
+    off = 0.1 * rng.standard_normal((frames, angles))
+    clip = DepthClip("one", 0, away, around, off, np.full((frames, angles), 0.1), np.zeros((frames, joints)))
     pairs = {
         "joints": {kind_of(n): (factor, 0.0) for n in JOINT_NAMES},
         "angles": {kind_of(n): (factor, 0.0) for n in ANGLE_NAMES},

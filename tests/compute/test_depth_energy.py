@@ -61,13 +61,33 @@ def test_the_same_alone_among_others_and_for_any_number_of_threads(case, rng):
     assert np.array_equal(together[3:4], energy(poses[3:4], seen))
 
 
+def limb(*names):
+    s = BODY.skeleton
+    return np.isin(np.arange(len(s.joint_names)), [s.joint(name) for name in names])
+
+
+def limb_energy(poses, seen, moving, **more):
+    given = BODY.skeleton.tree, BODY.coarse.arrays, seen, MOST
+    return compute.limb_depth_energy(poses, *given, compute.standing_depth(poses[-1], *given, moving), **more)
+
+
 def test_a_limb_that_moves_alone_costs_as_the_whole_body(case, rng):
     pose, _, seen = case
-    s = BODY.skeleton
-    moving = np.isin(np.arange(len(s.joint_names)), [s.joint("left_shoulder"), s.joint("left_elbow")])
+    moving = limb("left_shoulder", "left_elbow")
     poses = some_poses(pose, rng, 12)
-    whole = np.where(moving[s.tree.joint_of_dof], poses, poses[-1:])
-    assert np.abs(energy(poses, seen, moving=moving) - energy(whole, seen)).max() < 1e-5
+    poses = np.where(moving[BODY.skeleton.tree.joint_of_dof], poses, poses[-1:])
+    found = limb_energy(poses, seen, moving, threads=2)
+    assert np.abs(found - energy(poses, seen)).max() < 1e-5
+    assert np.array_equal(found, limb_energy(poses, seen, moving, threads=1))
+
+
+def test_a_rough_look_ranks_limbs_as_a_close_one_does(case, rng):
+    pose, _, seen = case
+    moving = limb("left_shoulder", "left_elbow")
+    poses = np.stack([BODY.skeleton.clamp(pose + 0.5 * rng.normal(size=len(pose))) for _ in range(80)])
+    poses = np.where(moving[BODY.skeleton.tree.joint_of_dof], poses, pose)
+    rough, close = (limb_energy(poses, seen, moving, rough=r).sum(1) for r in (True, False))
+    assert np.corrcoef(rough.argsort().argsort(), close.argsort().argsort())[0, 1] > 0.8
 
 
 def test_small_maps_rank_poses_as_large_ones_do(case, rng):

@@ -121,6 +121,19 @@ def test_the_person_on_the_floor_where_the_room_is_not_known(scene):
     assert person_on_floor(floor, scene.rig[0]).sum() == 0
 
 
+def test_a_table_before_the_person_says_nothing_of_their_legs(scene):
+    free = next(scene.frames()).silhouettes
+    assert free.ignored is None
+    with_table = replace(scene, furniture=((0.0, -1.0, 1.0, 0.4, 0.7),))
+    hidden = next(with_table.frames()).silhouettes
+    person = scene.clean_map(0, 0)[1] > 0
+    behind = person & (with_table.clean_map(0, 0)[1] == 0)
+    assert behind.sum() > 300  # of the legs, from in front
+    assert hidden.ignored[0][behind].mean() > 0.9
+    assert hidden.told[0][person & ~behind].mean() > 0.85
+    assert hidden.areas[0] < free.areas[0] < 1.5 * hidden.expected.areas[0]
+
+
 def test_rooms_of_another_size_or_without_maps_are_named(scene):
     room = learn_background([scene.empty_map(0, 0)])
     with pytest.raises(InputError, match="same mode"):

@@ -14,10 +14,11 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import se3, se3_inverse, so3_exp, transform
 from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.first_look import first_look
 from hypose.pipeline.register_depth import place_error, register_depth
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
-from hypose.synthetic.depth_scenes import depth_scene, to_profile, turning
+from hypose.synthetic.depth_scenes import depth_scene, seen_before, to_profile, turning
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.motions import act
 from hypose.synthetic.subjects import load_subjects
@@ -104,6 +105,22 @@ def test_a_colour_camera_and_a_depth_camera_are_one_solve():
     _, estimate = tracker.step(tracker.start(start), replace(both, depth=half))
     assert np.linalg.norm(body.joints(estimate.pose) - body.joints(pose), axis=-1).mean() < 0.012
     assert estimate.n_views == 2
+
+
+@pytest.mark.parametrize(
+    "scale, lower, fault", [(1.0, 0.0, None), (1.05, 0.0, False), (4.0, 0.0, True), (1.0, 0.2, True)]
+)
+def test_maps_of_another_scale_and_moved_cameras_are_told_by_the_floor(scale, lower, fault):
+    scene = scene_of("walk", "depth-1", 0.2)
+    maps = [scene.depth_map(0, 0) * np.float32(scale)]
+    rig = scene.rig
+    if lower:
+        moved = rig[0].camera_from_world @ se3(np.eye(3), np.array([0, 0, lower]))
+        rig = CameraRig((replace(rig[0], camera_from_world=moved),))
+    rooms = [replace(r, depth=r.depth * np.float32(scale)) for r in scene.backgrounds(3)]
+    found = first_look(FrameList([seen_before(rooms, maps, rig, 0.0, 0)]), "silhouettes")
+    assert [f.fault for f in found if f.kind == "floor"] == ([] if fault is None else [fault])
+    assert all("sees the floor" in f.sentence and "depth-import" in f.sentence for f in found)
 
 
 # ---- registration ----

@@ -6,7 +6,14 @@ import numpy as np
 
 from hypose.compute.arrays import BALL
 from hypose.compute.compiled import kernel
-from hypose.compute.cpu_kinematics import camera_about_root, joint_frames, multiply, so3_exp_and_jacobian
+from hypose.compute.cpu_kinematics import (
+    bone_map,
+    camera_about_root,
+    joint_frames,
+    multiply,
+    skin_about_root,
+    so3_exp,
+)
 
 f4 = np.float32
 _FAR = f4(1e9)
@@ -93,7 +100,7 @@ def _roughly(faces, chosen, u, v, z, seen, most, standing, width, height):
 def _turned(q, tree, joints, rotations, centres):
     """The frames of some joints, in the tree's order, at pose q (D,), where those of all others are known: as
     `joint_frames`, without the twists."""
-    local, jacobian, frame = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    local, frame = np.empty((3, 3)), np.empty((3, 3))
     for n in range(joints.shape[0]):
         j = joints[n]
         a = tree.parents[j]
@@ -105,14 +112,12 @@ def _turned(q, tree, joints, rotations, centres):
                 frame[i, k] = r[i, k]
         first = tree.dof_start[j]
         if tree.kind[j] == BALL:
-            so3_exp_and_jacobian(q[first], q[first + 1], q[first + 2], local, jacobian)
+            so3_exp(q[first], q[first + 1], q[first + 2], local)
             multiply(frame, local, rotations[j])
             continue
         for m in range(tree.dof_count[j]):
             d = first + m
-            so3_exp_and_jacobian(
-                q[d] * tree.axes[d, 0], q[d] * tree.axes[d, 1], q[d] * tree.axes[d, 2], local, jacobian
-            )
+            so3_exp(q[d] * tree.axes[d, 0], q[d] * tree.axes[d, 1], q[d] * tree.axes[d, 2], local)
             multiply(frame, local, rotations[j])
             for i in range(3):
                 for k in range(3):
@@ -120,20 +125,6 @@ def _turned(q, tree, joints, rotations, centres):
         for i in range(3):
             for k in range(3):
                 rotations[j, i, k] = frame[i, k]
-
-
-@kernel
-def _bone_maps(rotations, centres, tree, joints, maps):
-    """maps (J, 12) f4 of some joints: what carries a vertex of the resting body with them."""
-    for n in range(joints.shape[0]):
-        j = joints[n]
-        r = rotations[j]
-        x, y, z = tree.joints[j, 0], tree.joints[j, 1], tree.joints[j, 2]
-        for i in range(3):
-            maps[j, 4 * i] = r[i, 0]
-            maps[j, 4 * i + 1] = r[i, 1]
-            maps[j, 4 * i + 2] = r[i, 2]
-            maps[j, 4 * i + 3] = centres[j, i] - r[i, 0] * x - r[i, 1] * y - r[i, 2] * z
 
 
 @kernel
@@ -152,10 +143,8 @@ def _skin(maps, mesh, chosen, vertices):
 
 
 @kernel
-def _project(projection, q, vertices, chosen, u, v, z):
-    """Pixels and distances of the chosen vertices, which are about the root of pose q."""
-    p = np.empty((3, 4), np.float32)
-    camera_about_root(projection, q, p)
+def _project(p, vertices, chosen, u, v, z):
+    """Pixels and distances of the chosen vertices under a camera p (3, 4) f4 about the root."""
     for k in range(chosen.shape[0]):
         i = chosen[k]
         x, y, d = vertices[i, 0], vertices[i, 1], vertices[i, 2]
@@ -170,67 +159,66 @@ def _project(projection, q, vertices, chosen, u, v, z):
 def energies(poses, first, last, tree, mesh, seen, projections, sizes, most, out):
     """out (N, C): cost of the drawn poses (N, D), of which first to last are done, against seen (C, h, w) f4: sum of
     `_off`, over most."""
-    n_vertices, n_joints = mesh.vertices.shape[0], tree.parents.shape[0]
-    rotations, centres = np.empty((n_joints, 3, 3)), np.empty((n_joints, 3))
-    twists, maps = np.empty((poses.shape[1], 6)), np.empty((n_joints, 12), np.float32)
-    joints, every, faces = np.arange(n_joints), np.arange(n_vertices), np.arange(mesh.faces.shape[0])
-    vertices = np.empty((n_vertices, 3), np.float32)
-    u, v, z = np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32)
-    drawn = np.empty(seen.shape, np.float32)
-    touched, count = np.empty(0, np.int64), np.zeros(1, np.int64)
+    every, drawn = np.arange(mesh.faces.shape[0]), np.empty(seen.shape, np.float32)
+    rotations, centres = np.empty((tree.parents.shape[0], 3, 3)), np.empty((tree.parents.shape[0], 3))
     for n in range(first, last):
-        joint_frames(poses[n], tree, rotations, centres, twists)
-        _bone_maps(rotations, centres, tree, joints, maps)
-        _skin(maps, mesh, every, vertices)
-        for c in range(seen.shape[0]):
-            _project(projections[c], poses[n], vertices, every, u, v, z)
-            drawn[c] = _FAR
-            grown = _draw(mesh.faces, faces, u, v, z, seen[c], most, drawn[c], sizes[c], touched, count)
-            out[n, c] = grown / most
+        stand(poses[n], tree, mesh, every, seen, projections, sizes, most, rotations, centres, drawn, out[n])
 
 
 @kernel
-def limb_energies(
-    poses, first, last, tree, mesh, joints, moving, moved, still, stood, seen, projections, sizes, most, rough, out
-):
-    """The same of poses that differ in some joints and those below them alone: what stands is drawn once, as in the
-    last pose. moving: faces that differ, and moved: their vertices; still, stood: the others. rough: `_roughly`."""
-    n_vertices, n_joints = mesh.vertices.shape[0], tree.parents.shape[0]
-    rotations, centres = np.empty((n_joints, 3, 3)), np.empty((n_joints, 3))
-    twists, maps = np.empty((poses.shape[1], 6)), np.empty((n_joints, 12), np.float32)
-    vertices = np.empty((n_vertices, 3), np.float32)
+def stand(q, tree, mesh, faces, seen, projections, sizes, most, rotations, centres, drawn, cost):
+    """drawn (C, h, w) f4: some faces of the body at pose q (D,), whose frames are rotations (J, 3, 3) and centres
+    (J, 3); cost (C,): theirs against seen (C, h, w) f4, over most. All overwritten."""
+    n_vertices = mesh.vertices.shape[0]
+    every, vertices = np.arange(n_vertices), np.empty((n_vertices, 3), np.float32)
     u, v, z = np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32)
-    standing = np.full(seen.shape, _FAR, np.float32)
-    cost = np.zeros(seen.shape[0])
-    touched, count = np.empty(8 * seen.shape[1] * seen.shape[2], np.int64), np.zeros(1, np.int64)
-    q = poses[poses.shape[0] - 1]
-    joint_frames(q, tree, rotations, centres, twists)
-    _bone_maps(rotations, centres, tree, np.arange(n_joints), maps)
-    _skin(maps, mesh, stood, vertices)
+    nothing, count, p = np.empty(0, np.int64), np.zeros(1, np.int64), np.empty((3, 4), np.float32)
+    joint_frames(q, tree, rotations, centres, np.empty((q.shape[0], 6)))
+    skin_about_root(rotations, centres, tree, mesh, vertices)
+    drawn[:] = _FAR
     for c in range(seen.shape[0]):
-        _project(projections[c], q, vertices, stood, u, v, z)
-        count[0] = touched.shape[0]  # nobody takes it back
-        cost[c] = _draw(mesh.faces, still, u, v, z, seen[c], most, standing[c], sizes[c], touched, count)
-    drawn = standing.copy()
+        camera_about_root(projections[c], q, p)
+        _project(p, vertices, every, u, v, z)
+        cost[c] = _draw(mesh.faces, faces, u, v, z, seen[c], most, drawn[c], sizes[c], nothing, count) / most
+
+
+@kernel
+def limb_energies(poses, first, last, tree, mesh, standing, seen, projections, sizes, most, rough, out):
+    """out (N, C): as `energies`, of poses that differ in a limb alone from what stands. rough: `_roughly`."""
+    joints, moving, moved = standing.joints, standing.faces, standing.vertices
+    n_vertices = mesh.vertices.shape[0]
+    rotations, centres, drawn = standing.rotations.copy(), standing.centres.copy(), standing.drawn
+    maps, vertices = np.empty((tree.parents.shape[0], 12), np.float32), np.empty((n_vertices, 3), np.float32)
+    u, v, z = np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32)
+    p = np.empty((seen.shape[0], 3, 4), np.float32)
+    for c in range(seen.shape[0]):
+        camera_about_root(projections[c], standing.pose, p[c])
+    for j in range(tree.parents.shape[0]):
+        bone_map(rotations[j], centres[j], tree.joints[j], maps[j])
+    touched, count = np.empty(0 if rough else 8 * seen.shape[1] * seen.shape[2], np.int64), np.zeros(1, np.int64)
+    if not rough:
+        drawn = drawn.copy()
     for n in range(first, last):
         _turned(poses[n], tree, joints, rotations, centres)
-        _bone_maps(rotations, centres, tree, joints, maps)
+        for k in range(joints.shape[0]):
+            j = joints[k]
+            bone_map(rotations[j], centres[j], tree.joints[j], maps[j])
         _skin(maps, mesh, moved, vertices)
         for c in range(seen.shape[0]):
-            _project(projections[c], poses[n], vertices, moved, u, v, z)
+            _project(p[c], vertices, moved, u, v, z)
             width, height = sizes[c, 0], sizes[c, 1]
             if rough:
-                grown = _roughly(mesh.faces, moving, u, v, z, seen[c], most, standing[c], width, height)
-                out[n, c] = (cost[c] + grown) / most
+                grown = _roughly(mesh.faces, moving, u, v, z, seen[c], most, drawn[c], width, height)
+                out[n, c] = standing.cost[c] + grown / most
                 continue
             count[0] = 0
             grown = _draw(mesh.faces, moving, u, v, z, seen[c], most, drawn[c], sizes[c], touched, count)
-            out[n, c] = (cost[c] + grown) / most
+            out[n, c] = standing.cost[c] + grown / most
             if count[0] <= touched.shape[0]:
                 for k in range(count[0]):
                     y, x = touched[k] // width, touched[k] % width
-                    drawn[c, y, x] = standing[c, y, x]
+                    drawn[c, y, x] = standing.drawn[c, y, x]
             else:
                 for y in range(height):
                     for x in range(width):
-                        drawn[c, y, x] = standing[c, y, x]
+                        drawn[c, y, x] = standing.drawn[c, y, x]

@@ -25,49 +25,92 @@ class SeenDepth(NamedTuple):
     """(C,) pixels of the person"""
 
 
+class StandingDepth(NamedTuple):
+    """What of a body stands still while a limb is searched, drawn once."""
+
+    pose: NDArray[np.float64]
+    """(D,)"""
+    rotations: NDArray[np.float64]
+    """(J, 3, 3) of all joints at this pose"""
+    centres: NDArray[np.float64]
+    """(J, 3) m, from the root's position"""
+    joints: NDArray[np.int64]
+    """those that turn, in the tree's order"""
+    faces: NDArray[np.int64]
+    """those that turn"""
+    vertices: NDArray[np.int64]
+    """theirs"""
+    drawn: NDArray[np.float32]
+    """(C, h, w) m: the faces that stand"""
+    cost: NDArray[np.float64]
+    """(C,) pixels: theirs"""
+
+
 def depth_energy(
+    poses: ArrayLike, tree: TreeArrays, mesh: MeshArrays, seen: SeenDepth, most_m: float, threads: int | None = None
+) -> NDArray[np.float64]:
+    """(N, C) of poses (N, D): sum over the pixels that show the person and the drawn body of min(|z - z'|, most_m) /
+    most_m, over the person's pixels; what only one of both shows is the silhouettes' affair. 0 for a view without the
+    person. The same for any number of threads, and for a pose alone or among others."""
+    q = plain(poses, np.float64)
+    out = np.zeros((len(q), len(seen.maps)))
+    score, given = native("depth_maps.depth_energy").energies, (tidy(tree), tidy(mesh), *_against(seen, most_m))
+    if len(q):
+        over_chunks(lambda first, last: score(q, first, last, *given, out), len(q), threads, 16)
+    return out / np.maximum(seen.counts, 1)
+
+
+def standing_depth(
+    pose: ArrayLike, tree: TreeArrays, mesh: MeshArrays, seen: SeenDepth, most_m: float, moving: ArrayLike
+) -> StandingDepth:
+    """What the joints `moving` (J,) bool, and those below them, do not move of a body at a pose (D,)."""
+    q = plain(pose, np.float64)
+    n = len(tree.parents)
+    joints, faces, vertices, still = _parts(tree, mesh, moving)
+    rotations, centres = np.empty((n, 3, 3)), np.empty((n, 3))
+    drawn, cost = np.empty(seen.maps.shape, np.float32), np.zeros(len(seen.maps))
+    against = _against(seen, most_m)
+    draw = native("depth_maps.depth_energy").stand
+    draw(q, tidy(tree), tidy(mesh), still, *against, rotations, centres, drawn, cost)
+    return StandingDepth(q, rotations, centres, joints, faces, vertices, drawn, cost)
+
+
+def limb_depth_energy(
     poses: ArrayLike,
     tree: TreeArrays,
     mesh: MeshArrays,
     seen: SeenDepth,
     most_m: float,
-    moving: ArrayLike | None = None,
+    standing: StandingDepth,
     rough: bool = False,
     threads: int | None = None,
 ) -> NDArray[np.float64]:
-    """(N, C) of poses (N, D): sum over the pixels that show the person and the drawn body of min(|z - z'|, most_m) /
-    most_m, over the person's pixels; what only one of both shows is the silhouettes' affair. 0 for a view without the
-    person. moving (J,) bool: only these joints turn, everything else stands as in the last pose; rough: what turns
-    is then not drawn, each of its faces counts at its middle, which takes a third of the time. The same for any number
-    of threads, and for a pose alone or among others."""
+    """`depth_energy` of poses that differ in a limb alone from what stands. rough: the limb is not drawn, each of its
+    faces counts at its middle, which takes half the time."""
     q = plain(poses, np.float64)
-    if moving is not None:
-        q = plain(np.where(np.asarray(moving, dtype=np.bool_)[tree.joint_of_dof], q, q[-1:]), np.float64)
     out = np.zeros((len(q), len(seen.maps)))
-    kernels, t, m = native("depth_maps.depth_energy"), tidy(tree), tidy(mesh)
-
-    against = seen.maps, seen.projections, seen.sizes, np.float32(most_m)
-    parts = None if moving is None else _parts(tree, mesh, moving)
-
-    def score(first: int, last: int) -> None:
-        if parts is None:
-            kernels.energies(q, first, last, t, m, *against, out)
-        else:
-            kernels.limb_energies(q, first, last, t, m, *parts, *against, rough, out)
-
+    score, given = native("depth_maps.depth_energy").limb_energies, (tidy(tree), tidy(mesh), standing)
+    against = _against(seen, most_m)
     if len(q):
-        over_chunks(score, len(q), threads, 16 if not rough else 96)
+        work = lambda first, last: score(q, first, last, *given, *against, rough, out)  # noqa: E731
+        over_chunks(work, len(q), threads, 96 if rough else 16)
     return out / np.maximum(seen.counts, 1)
 
 
+def _against(
+    seen: SeenDepth, most_m: float
+) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.int64], np.float32]:
+    return seen.maps, seen.projections, seen.sizes, np.float32(most_m)
+
+
 _Indices = NDArray[np.int64]
-_Parts = tuple[_Indices, _Indices, _Indices, _Indices, _Indices]
+_Parts = tuple[_Indices, _Indices, _Indices, _Indices]
 _KEPT: dict[tuple[int, bytes], tuple[MeshArrays, _Parts]] = {}
 
 
 def _parts(tree: TreeArrays, mesh: MeshArrays, moving: ArrayLike) -> _Parts:
-    """The joints that turn with the moving ones (J,), the faces that turn and their vertices; those that stand and
-    theirs. Kept for the last meshes."""
+    """The joints that turn with the moving ones (J,), the faces that turn, their vertices, and the faces that stand.
+    Kept for the last meshes."""
     turning = np.array(moving, dtype=np.bool_)
     key = id(mesh), turning.tobytes()
     kept = _KEPT.get(key)
@@ -77,11 +120,9 @@ def _parts(tree: TreeArrays, mesh: MeshArrays, moving: ArrayLike) -> _Parts:
         turning[j] |= parent >= 0 and turning[parent]
     carried = (turning[mesh.skin_index] & (mesh.skin_weight > 0)).any(1)
     turns = carried[mesh.faces].any(1)
-    faces = np.flatnonzero(turns), np.flatnonzero(~turns)
-    vertices = [np.unique(mesh.faces[f]).astype(np.int64) for f in faces]
+    faces = np.flatnonzero(turns)
     while len(_KEPT) > 63:
         _KEPT.pop(next(iter(_KEPT)))
-    found = [a.astype(np.int64) for a in (np.flatnonzero(turning), faces[0], vertices[0], faces[1], vertices[1])]
-    parts: _Parts = (found[0], found[1], found[2], found[3], found[4])
-    _KEPT[key] = mesh, parts
-    return parts
+    found = np.flatnonzero(turning), faces, np.unique(mesh.faces[faces]).astype(np.int64), np.flatnonzero(~turns)
+    _KEPT[key] = mesh, found
+    return found

@@ -16,6 +16,9 @@ _PER_M2 = 4e6
 _MOST = 1e6
 _TURNED = 0.0036
 """m^2 by which a surface that looks the other way counts as further off, half of it at right angles"""
+_BAND_M, _BANDS, _REACH = 0.12, 24, 2
+"""m: a point looks for its place in a band of height and so many on either side of it: what is further off pulls
+nowhere. The last band holds what is higher"""
 _ON_SURFACE = 0.004
 """m: nearer points pull along the surface's normal, for their own direction is noise"""
 _FARTHEST_BEFORE = 0.5
@@ -70,17 +73,74 @@ def closest_on_triangle(ux, uy, uz, vx, vy, vz, px, py, pz):
 
 
 @kernel
-def _nearest(fx, fy, fz, nx, ny, nz, whole, px, py, pz, ox, oy, oz):
-    """The nearest of the first `whole` points to p, those with other normals than o counting as further off: squared
+def _nearest(fx, fy, fz, nx, ny, nz, first, last, px, py, pz, ox, oy, oz):
+    """The nearest of the points first to last to p, those with other normals than o counting as further off: squared
     distance and index packed into one integer, as in cpu_rows.nearest. Its own kernel, for all stays in single
     precision here."""
     best = i4(2147483647)
-    for i in range(whole):
+    for k in range(last - first):
+        i = np.uint64(first) + np.uint64(k)  # of a signed number it would be asked whether it counts from the end
         dx, dy, dz = fx[i] - px, fy[i] - py, fz[i] - pz
         turned = f4(1) - (nx[i] * ox + ny[i] * oy + nz[i] * oz)
         far = (dx * dx + dy * dy + dz * dz + f4(_TURNED * 0.5) * turned) * f4(_PER_M2)
         best = min(best, i4(i4(i4(min(far, f4(_MOST))) << i4(11)) | i4(i)))
     return best
+
+
+@kernel
+def _nearest_face(vertices, ring, first, last, a, qx, qy, qz):
+    """Which of the faces first to last of the ring around vertex a holds the place nearest to q, which is relative to
+    a: its number and the shares of its two other corners there. It is one of the two beside the edge that is nearest
+    to q."""
+    ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+    nearest, edge = f4(1e9), first
+    for k in range(first, last):
+        b = ring[k, 0]
+        x, y, z = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[b, 2] - az
+        along, length = x * qx + y * qy + z * qz, x * x + y * y + z * z
+        t = min(max(along, f4(0)), length) / max(length, f4(1e-12))
+        away = t * (t * length - f4(2) * along)
+        if away < nearest:
+            nearest, edge = away, k
+    side, u, v, nearest = edge, f4(0), f4(0), f4(1e9)
+    for k in range(first, last):
+        if k != edge and ring[k, 1] != ring[edge, 0]:
+            continue
+        b, d = ring[k, 0], ring[k, 1]
+        bx, by, bz = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[b, 2] - az
+        dx, dy, dz = vertices[d, 0] - ax, vertices[d, 1] - ay, vertices[d, 2] - az
+        s, t = closest_on_triangle(bx, by, bz, dx, dy, dz, qx, qy, qz)
+        x, y, z = s * bx + t * dx - qx, s * by + t * dy - qy, s * bz + t * dz - qz
+        away = x * x + y * y + z * z
+        if away < nearest:
+            nearest, side, u, v = away, k, s, t
+    return side, u, v, nearest
+
+
+@kernel
+def _by_height(vertices, normals, ex, ey, ez, faces_it, place):
+    """Which vertices face an eye, from low to high in bands of _BAND_M: faces_it (V,) i4; place (B + 1,): where each
+    band begins; returns the height at which the first one does. All relative to the root."""
+    n_bands = place.shape[0] - 1
+    low = f4(1e9)
+    for v in range(vertices.shape[0]):
+        low = min(low, vertices[v, 2])
+    place[:] = 0
+    band = np.empty(vertices.shape[0], np.int32)
+    for v in range(vertices.shape[0]):
+        x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
+        band[v] = -1
+        if normals[v, 0] * (ex - x) + normals[v, 1] * (ey - y) + normals[v, 2] * (ez - z) > f4(0):
+            band[v] = min(int((z - low) * f4(1 / _BAND_M)), n_bands - 1)
+            place[band[v] + 1] += 1
+    for b in range(n_bands):
+        place[b + 1] += place[b]
+    at = place.copy()
+    for v in range(vertices.shape[0]):
+        if band[v] >= 0:
+            faces_it[at[band[v]]] = v
+            at[band[v]] += 1
+    return low
 
 
 @kernel
@@ -139,7 +199,7 @@ def depth_rows(q, mesh, depth, factor, ws, kept, count):
     room = (n_vertices + 15) // 16 * 16
     fx, fy, fz = np.empty(room, np.float32), np.empty(room, np.float32), np.empty(room, np.float32)
     nx, ny, nz = np.empty(room, np.float32), np.empty(room, np.float32), np.empty(room, np.float32)
-    which = np.empty(room, np.int32)
+    which, place = np.empty(room, np.int32), np.empty(_BANDS + 1, np.int64)
     most = depth.points.shape[0] + n_vertices
     corners, found = np.empty((most, 3), np.int32), np.empty((most, 8), np.float32)
     cost = 0.0
@@ -150,14 +210,12 @@ def depth_rows(q, mesh, depth, factor, ws, kept, count):
         if last <= first:
             continue
         ex, ey, ez = f4(depth.eyes[c, 0] - q[0]), f4(depth.eyes[c, 1] - q[1]), f4(depth.eyes[c, 2] - q[2])
-        n = 0
-        for v in range(n_vertices):
-            x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
-            if normals[v, 0] * (ex - x) + normals[v, 1] * (ey - y) + normals[v, 2] * (ez - z) > f4(0):
-                fx[n], fy[n], fz[n] = x, y, z
-                nx[n], ny[n], nz[n] = normals[v, 0], normals[v, 1], normals[v, 2]
-                which[n] = v
-                n += 1
+        low = _by_height(vertices, normals, ex, ey, ez, which, place)
+        n = place[_BANDS]
+        for i in range(n):
+            v = which[i]
+            fx[i], fy[i], fz[i] = vertices[v, 0], vertices[v, 1], vertices[v, 2]
+            nx[i], ny[i], nz[i] = normals[v, 0], normals[v, 1], normals[v, 2]
         if n == 0:
             cost += 0.5 * depth.weight[first:last].sum()
             continue
@@ -170,23 +228,19 @@ def depth_rows(q, mesh, depth, factor, ws, kept, count):
             w = depth.weight[m]
             px, py, pz = f4(depth.points[m, 0] - q[0]), f4(depth.points[m, 1] - q[1]), f4(depth.points[m, 2] - q[2])
             ox, oy, oz = f4(depth.normals[m, 0]), f4(depth.normals[m, 1]), f4(depth.normals[m, 2])
-            best = _nearest(fx, fy, fz, nx, ny, nz, whole, px, py, pz, ox, oy, oz)
+            band = int(math.floor((pz - low) * f4(1 / _BAND_M)))
+            # whole vectors, for what is left of them takes as long
+            begin = place[min(max(band - _REACH, 0), _BANDS)] // 8 * 8
+            end = (place[min(max(band + _REACH + 1, 0), _BANDS)] + 7) // 8 * 8
+            best = _nearest(fx, fy, fz, nx, ny, nz, begin, end, px, py, pz, ox, oy, oz)
             if (best >> 11) >= i4(_MOST) - 1:
                 cost += 0.5 * w  # nothing near: it costs what it costs at infinite distance
                 continue
             a = which[best & 2047]
             ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
             qx, qy, qz = px - ax, py - ay, pz - az
-            nearest, side, u, v = f4(1e9), depth.ring_first[a], f4(0), f4(0)
-            for k in range(depth.ring_first[a], depth.ring_first[a + 1]):
-                b, d = depth.ring[k, 0], depth.ring[k, 1]
-                bx, by, bz = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[b, 2] - az
-                dx, dy, dz = vertices[d, 0] - ax, vertices[d, 1] - ay, vertices[d, 2] - az
-                s, t = closest_on_triangle(bx, by, bz, dx, dy, dz, qx, qy, qz)
-                x, y, z = s * bx + t * dx - qx, s * by + t * dy - qy, s * bz + t * dz - qz
-                away = x * x + y * y + z * z
-                if away < nearest:
-                    nearest, side, u, v = away, k, s, t
+            begin, end = depth.ring_first[a], depth.ring_first[a + 1]
+            side, u, v, nearest = _nearest_face(vertices, depth.ring, begin, end, a, qx, qy, qz)
             b, d = depth.ring[side, 0], depth.ring[side, 1]
             own = found[n_found]
             own[0], own[1], own[2] = f4(1) - u - v, u, v

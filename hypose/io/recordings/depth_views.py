@@ -83,7 +83,7 @@ class DepthSource:
         """(h, w) 0/1: who stands before the empty room, or on the floor where that is not known."""
         room = self.room
         depth = self.map(frame)
-        return person_on_floor(depth, self._small) if room is None else person_before(depth, room)
+        return person_on_floor(depth, self._small) if room is None else person_before(depth, room, self._small.K[0, 0])
 
     @cached_property
     def room(self) -> DepthBackground | None:

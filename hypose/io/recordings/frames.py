@@ -24,6 +24,7 @@ from hypose.errors import InputError
 from hypose.evidence.ahead import make_ahead
 from hypose.evidence.background import BackgroundModel, Image, from_frames, from_plates, from_recording
 from hypose.evidence.colours import colour_codes, colour_edges
+from hypose.evidence.depth_background import behind_things
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.doubted_limbs import with_doubted_limbs
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
@@ -350,6 +351,8 @@ class FrameStream:
             make_ahead(silhouettes, pending.outlines)
             colours = pending.colours(silhouettes.masks.shape) if self.options.colours else None
             depth = self._depth(number, silhouettes)
+            rooms = [None if s.depth is None else s.depth.room for s in self._sources]
+            silhouettes = behind_things(silhouettes, depth, rooms)
         keypoints = None if self.keypoints is None else self.keypoints[index]
         return Frame(number / self.recording.frame_rate, number, silhouettes, keypoints, colours=colours, depth=depth)
 

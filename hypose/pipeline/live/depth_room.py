@@ -30,6 +30,7 @@ class DepthRoom:
         self, camera: Camera, small: Camera, shift: tuple[float, float], background: DepthBackground | None = None
     ) -> None:
         self._prepare, self.size, self.background = DepthPreparer(camera, small, shift), small.size, background
+        self._focal_px = float(small.K[0, 0])
         self.seen: Millimetres | None = None
         """(h, w) the last map that was looked at"""
 
@@ -52,7 +53,7 @@ class DepthRoom:
         assert self.background is not None
         own = self._prepare(depth)
         self.seen = np.minimum(own * 1000 + 0.5, 65535).astype(np.uint16)
-        mask = person_before(own, self.background)
+        mask = person_before(own, self.background, self._focal_px)
         return mask, view_outline(mask, working_height=WORKING_HEIGHT) if mask.any() else None
 
 

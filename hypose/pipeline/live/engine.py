@@ -28,6 +28,7 @@ from hypose.pipeline.live.eyes import (
     LiveView,
     Question,
     Sight,
+    any_depth,
     least_cameras,
     live_working_rig,
 )
@@ -118,7 +119,7 @@ class LiveEngine:
             raise InputError(
                 f"Live tracking needs two cameras or more, or one depth camera, and {len(views)} is given."
             )
-        if any(v.depth for v in views) and (options or LiveOptions()).people > 1:
+        if any_depth(views) and (options or LiveOptions()).people > 1:
             raise InputError("Depth cameras follow one person; leave --people out.")
         self.options, self.views, self.rig = options or LiveOptions(), tuple(views), rig
         if self.options.people > 1:
@@ -257,7 +258,7 @@ class LiveEngine:
         silhouettes = make_silhouettes(masks, self.small, reasons)
         outlines = [None if v is None else v[1] for v in sight.views]
         make_ahead(silhouettes, lambda: outlines)
-        depth = depth_of(silhouettes, sight.depths) if any(v.depth for v in self.views) else None
+        depth = depth_of(silhouettes, sight.depths) if any_depth(self.views) else None
         frame = Frame(sight.time, self._frames, silhouettes, depth=depth)
         self._frames += 1
         return frame

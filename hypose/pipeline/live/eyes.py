@@ -116,6 +116,7 @@ class Sight:
     room: bool
     made: float = 0.0
     depths: tuple[NDArray[np.uint16] | None, ...] = ()
+    empty: tuple[tuple[bytes, ...], ...] = ()
 
 
 class Eyes:
@@ -144,6 +145,7 @@ class Eyes:
         self._room_from: float | None = None
         self._pictures: list[list[NDArray[Any]]] = [[] for _ in views]
         self._moved: tuple[str, ...] = ()
+        self._empty: tuple[list[NDArray[Any]], ...] = ()
         self._to_follow: list[tuple[ViewRoom, int, NDArray[Any], float, Question]] = []
         opened: list[Feed] = []
         try:
@@ -200,7 +202,12 @@ class Eyes:
             r.seen if isinstance(r, DepthRoom) and v is not None else None
             for r, v in zip(self._rooms, views, strict=True)
         )
-        return replace(self._sight(at, arrival, views, jpegs, time.perf_counter() - begin), depths=depths)
+        made = time.perf_counter() - begin
+        empty = self._empty if question.pictures else ()
+        if empty:
+            self._empty = ()
+        stored = tuple(tuple(filter(None, map(_stored, maps))) for maps in empty)
+        return replace(self._sight(at, arrival, views, jpegs, made), depths=depths, empty=stored)
 
     def keep_up(self) -> None:
         """Learn what has changed in the rooms, which nobody waits for."""
@@ -305,6 +312,8 @@ class Eyes:
                     f"{view.name} saw something move while the empty room was learnt; leave its view, and learn it "
                     "again."
                 )
+        depth = zip(self._views, self._pictures, strict=True)
+        self._empty = tuple(images if view.depth else [] for view, images in depth) if any_depth(self._views) else ()
         self._moved, self._room_from, self._pictures = tuple(moved), None, [[] for _ in self._views]
 
     def _words(self) -> tuple[str, ...]:
@@ -322,7 +331,12 @@ def live_working_rig(rig: CameraRig, views: Sequence[LiveView]) -> CameraRig:
 
 def least_cameras(views: Sequence[LiveView]) -> int:
     """How many cameras somebody can be followed with: a depth camera is enough by itself."""
-    return 1 if any(v.depth for v in views) else 2
+    return 1 if any_depth(views) else 2
+
+
+def any_depth(views: Sequence[LiveView]) -> bool:
+    """Whether one of them is a depth camera."""
+    return any(v.depth for v in views)
 
 
 def _has_moved(room: BackgroundModel | None) -> bool:
@@ -330,12 +344,15 @@ def _has_moved(room: BackgroundModel | None) -> bool:
 
 
 def _jpeg(shot: Shot) -> bytes | None:
-    if isinstance(shot.data, bytes):
-        return shot.data
-    if shot.data.ndim == 2:  # a depth map, in millimetres
-        ok, data = cv2.imencode(".png", np.minimum(shot.data * 1000 + 0.5, 65535).astype(np.uint16), DEPTH_PNG)
-        return data.tobytes() if ok else None
-    ok, data = cv2.imencode(".jpg", shot.data, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    return shot.data if isinstance(shot.data, bytes) else _stored(shot.data)
+
+
+def _stored(image: NDArray[Any]) -> bytes | None:
+    """A picture as it is stored; a depth map (H, W) m in millimetres."""
+    if image.ndim == 2:
+        ok, data = cv2.imencode(".png", np.minimum(image * 1000 + 0.5, 65535).astype(np.uint16), DEPTH_PNG)
+    else:
+        ok, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
     return data.tobytes() if ok else None
 
 

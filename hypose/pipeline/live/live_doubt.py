@@ -43,7 +43,8 @@ class LiveDoubt:
             p = np.maximum(np.zeros(count, np.float32) if p is None else p, np.float32(0.5))
             doubtful = np.ones(count, np.bool_)
         now = with_fitted_joints(now, "silhouettes" if frame.depth is None else "depth", self._beyond)
-        return as_mixture(replace(now, p_wrong=p, doubtful_joints=doubtful))
+        now = replace(now, p_wrong=p, doubtful_joints=doubtful)
+        return as_mixture(now) if frame.depth is None else now  # regions of depth hold what is elsewhere, too
 
     def look(self, tracker: Tracker, estimate: FrameEstimate, frame: Frame, whole: Frame | None = None) -> None:
         """Audit the frame, if it is time for that, and judge it by those of the last seconds. whole: with everybody in
@@ -62,6 +63,6 @@ class LiveDoubt:
             self._looked = frame.time
             window = motion_of(tracker.body, np.array([t for t, _ in known]), [e for _, e in known])
             audits = np.stack([e.audit for _, e in known])
-            p, joints = judged(window, window.joints, audits)
-            self._beyond = beyond_usual(audits, evidence_of(audits))
+            p, joints = judged(window, window.joints, audits, depth=frame.depth is not None)
+            self._beyond = beyond_usual(audits, evidence_of(audits) if frame.depth is None else "depth")
             self._p, self._doubtful = p[-1:], joints[-1:]

@@ -61,6 +61,7 @@ class LiveRecorder:
         self._waiting: queue.Queue[Seen | None] = queue.Queue(_WAITING)
         self._masks: list[Path] = []
         self._pictures: list[Path] = []
+        self._empty: dict[int, Path] = {}
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -98,10 +99,10 @@ class LiveRecorder:
 
     def _describe(self) -> None:
         views = tuple(
-            View(v.name, depth=pictures, image_shift=v.shift)
+            View(v.name, depth=pictures, background=self._empty.get(c), image_shift=v.shift)
             if v.depth
             else View(v.name, images=pictures, masks=masks, image_shift=v.shift, accept_scaled=v.stretched)
-            for v, pictures, masks in zip(self._views, self._pictures, self._masks, strict=True)
+            for c, (v, pictures, masks) in enumerate(zip(self._views, self._pictures, self._masks, strict=True))
         )
         recording = Recording(
             self.folder,
@@ -157,8 +158,19 @@ class LiveRecorder:
                 write_text(path / SIDECAR, json.dumps({"undistorted": True, "size": list(camera.size)}) + "\n")
         return open(self.folder / _POSES, "w", encoding="utf-8", newline="\n")
 
+    def _write_room(self, empty: Sequence[Sequence[bytes]]) -> None:
+        """The maps from which the empty room was learnt, in place of those of a room that was learnt before."""
+        for c, maps in enumerate(empty):
+            if maps:
+                folder = self._empty[c] = folder_for(self.folder / "background", self._views[c].name)
+                for old in folder.glob("*.png"):
+                    old.unlink()
+                for k, data in enumerate(maps):
+                    (folder / f"{k:06d}.png").write_bytes(data)
+
     def _write(self, seen: Seen, poses: TextIO) -> None:
         number = self.written
+        self._write_room(seen.sight.empty)
         for c, (view, jpeg) in enumerate(zip(seen.sight.views, seen.sight.jpegs, strict=True)):
             if self._views[c].depth:
                 self._last[c] = (None if view is None else jpeg) or self._last[c] or _black(self._rig[c].size, True)

@@ -7,13 +7,19 @@ import pytest
 
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
+from hypose.evidence.frame import Frame
+from hypose.evidence.silhouettes import SilhouetteSettings
+from hypose.io.recordings.frames import FrameStream
+from hypose.io.recordings.recording import load_recording
 from hypose.io.sensors.depth import write_depth_png
 from hypose.io.sensors.depth_sources import is_depth, open_depth_camera
 from hypose.io.videos.camera_sources import StreamEnded
 from hypose.pipeline.live.background_work import KeptMasks
 from hypose.pipeline.live.depth_room import DepthRoom, depth_of
-from hypose.pipeline.live.eyes import LiveView, least_cameras
+from hypose.pipeline.live.engine import Seen
+from hypose.pipeline.live.eyes import Eyes, EyesOptions, LiveView, Question, least_cameras
 from hypose.pipeline.live.pairing import Delivered, newest_instant
+from hypose.pipeline.live.recorder import LiveRecorder
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import WALL_M, frame_of, sensors
 
@@ -86,3 +92,30 @@ def test_one_depth_camera_alone_makes_instants():
     assert newest_instant(alone, -np.inf, 0.14)[0] is None
     instant = newest_instant(alone, -np.inf, 0.14, least_cameras(views))[0]
     assert instant is not None and instant.shots == (4,)
+
+
+def test_what_is_recorded_keeps_the_empty_room(tmp_path):
+    rig = sensors(1)
+    w, h = rig[0].size
+    empty = np.full((h, w), 3.0)
+    someone = empty.copy()
+    someone[h // 4 : 3 * h // 4, w // 3 : w // 2] = 2.0
+    (tmp_path / "maps").mkdir()
+    for k in range(90):
+        write_depth_png(tmp_path / "maps" / f"{k:03d}.png", empty if k < 75 else someone)
+    view = LiveView(rig.names[0], f"depth:{tmp_path / 'maps'}", depth=True)
+    eyes = Eyes(rig, [view], EyesOptions(30.0, 0.0))
+    recorder = LiveRecorder(tmp_path / "live", rig, [view], SilhouetteSettings())
+    try:
+        while not eyes.ended:
+            sight = eyes.look(Question(pictures=True))
+            if np.isfinite(sight.time):
+                recorder.seen(Seen(sight, Frame(sight.time, recorder.written), ()))
+    finally:
+        eyes.close()
+    assert recorder.close()
+    recording = load_recording(tmp_path / "live")
+    room = recording.views[0].background
+    assert room is not None and len(list(room.glob("*.png"))) >= 3
+    masks = [f.silhouettes.masks[0] for f in FrameStream(recording) if f.silhouettes is not None]
+    assert max(m.sum() for m in masks) > 0.9 * (someone < 3).sum()

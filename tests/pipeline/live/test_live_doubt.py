@@ -65,9 +65,9 @@ def test_frames_are_looked_at_a_few_times_a_second(followed, monkeypatch):
     counted = {"audited": 0, "judged": 0}
 
     def count(name, made):
-        def counting(*arguments):
+        def counting(*arguments, **named):
             counted[name] += 1
-            return made(*arguments)
+            return made(*arguments, **named)
 
         return counting
 

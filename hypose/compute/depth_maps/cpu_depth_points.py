@@ -1,0 +1,112 @@
+"""numba: points of the surface that a depth map shows of a person, and what lies before an empty room."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hypose.compute.compiled import kernel
+
+f4 = np.float32
+_AROUND = 2
+"""px about a point that are looked at"""
+_LEAST_COSINE = 0.05
+
+
+@kernel
+def _median(depth, y, x, nine):
+    """Median of the 3 x 3 px about (x, y)."""
+    n = 0
+    for i in range(y - 1, y + 2):
+        for j in range(x - 1, x + 2):
+            value, k = depth[i, j], n
+            while k > 0 and nine[k - 1] > value:
+                nine[k] = nine[k - 1]
+                k -= 1
+            nine[k] = value
+            n += 1
+    return nine[4]
+
+
+@kernel
+def _sound(depth, person, x0, y0, x1, y1, jump, found):
+    """found (M,): number y * w + x of the person's pixels in a box whose 3 x 3 px lie on one surface: no hole, and no
+    jump. Returns how many."""
+    w = depth.shape[1]
+    low, high = np.empty(w, np.float32), np.empty(w, np.float32)
+    n = 0
+    for y in range(y0, y1):
+        above, row, below = depth[y - 1], depth[y], depth[y + 1]
+        for x in range(x0 - 1, x1 + 1):
+            low[x] = min(min(above[x], below[x]), row[x])
+            high[x] = max(max(above[x], below[x]), row[x])
+        for x in range(x0, x1):
+            if person[y, x] != 0:
+                least = min(min(low[x - 1], low[x + 1]), low[x])
+                if least > f4(0) and max(max(high[x - 1], high[x + 1]), high[x]) - least < jump:
+                    found[n] = y * w + x
+                    n += 1
+    return n
+
+
+@kernel
+def surface_points(depth, person, box, lens, jump, points, normals, cosines):
+    """Points (N, 3) m and unit outward normals (N, 3), both in the camera's frame, and cosines (N,) between normal and
+    ray, of places evenly over the person in a map (h, w) f4 m; returns how many were found.
+
+    box: x0, y0, x1, y1 around the person; lens: fx, fy, cx, cy. A place is the median of 3 x 3 px that lie on one
+    surface, its normal is that of the medians beside it, which must lie on the surface too."""
+    height, width = depth.shape
+    x0, y0 = max(box[0], _AROUND), max(box[1], _AROUND)
+    x1, y1 = min(box[2], width - _AROUND), min(box[3], height - _AROUND)
+    if x0 >= x1 or y0 >= y1:
+        return 0
+    found = np.empty((x1 - x0) * (y1 - y0), np.int64)
+    n = _sound(depth, person, x0, y0, x1, y1, f4(jump), found)
+    count = min(n, points.shape[0])
+    nine, beside = np.empty(9, np.float32), np.empty((5, 3))
+    made = 0
+    for k in range(count):
+        for i in range(k * n // count, (k + 1) * n // count):
+            y, x = found[i] // width, found[i] % width
+            z = _median(depth, y, x, nine)
+            smooth = True
+            for m in range(5):  # itself, right, left, below, above
+                v, u = y + (1 if m == 3 else -1 if m == 4 else 0), x + (1 if m == 1 else -1 if m == 2 else 0)
+                own = z if m == 0 else _median(depth, v, u, nine)
+                if not own > f4(0) or abs(own - z) >= f4(jump):
+                    smooth = False
+                    break
+                beside[m, 0], beside[m, 1] = (u - lens[2]) / lens[0] * own, (v - lens[3]) / lens[1] * own
+                beside[m, 2] = own
+            if not smooth:
+                continue
+            ax, ay, az = (beside[1, 0] - beside[2, 0], beside[1, 1] - beside[2, 1], beside[1, 2] - beside[2, 2])
+            bx, by, bz = (beside[3, 0] - beside[4, 0], beside[3, 1] - beside[4, 1], beside[3, 2] - beside[4, 2])
+            # x right, y down: the product looks away from the camera
+            nx, ny, nz = az * by - ay * bz, ax * bz - az * bx, ay * bx - ax * by
+            length = math.sqrt(nx * nx + ny * ny + nz * nz)
+            if not length > 1e-12:
+                continue
+            px, py, pz = beside[0, 0], beside[0, 1], beside[0, 2]
+            cosine = -(nx * px + ny * py + nz * pz) / (length * math.sqrt(px * px + py * py + pz * pz))
+            if not cosine > _LEAST_COSINE:
+                continue
+            points[made, 0], points[made, 1], points[made, 2] = px, py, pz
+            normals[made, 0], normals[made, 1], normals[made, 2] = nx / length, ny / length, nz / length
+            cosines[made] = cosine
+            made += 1
+            break
+    return made
+
+
+@kernel
+def before_room(depth, room, sd, sds, least, out):
+    """out (h, w) u1 = 1 where a map (h, w) f4 m lies before the room (h, w), 0 where that is not known, by more than
+    `sds` times its sd (h, w), and by `least`."""
+    for y in range(depth.shape[0]):
+        own, empty, wide, to = depth[y], room[y], sd[y], out[y]
+        for x in range(depth.shape[1]):
+            near = (empty[x] - own[x] > max(sds * wide[x], least)) | (empty[x] <= f4(0))
+            to[x] = near & (own[x] > f4(0))
