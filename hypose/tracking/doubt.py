@@ -199,8 +199,8 @@ def judged(
     """(T, J) probability that a joint is wrong by more than WRONG_M, and which joints are doubtful for that.
 
     unsure (J,): how likely each is elsewhere at the start, which holds until the person has taken another pose; known:
-    what the evidence was, where the audit does not tell. Nothing is surer than its covariance says. Of frames in which
-    the person was lost nothing is believed: 0.5 at least, and doubtful."""
+    what the evidence was, where the audit does not tell. With key points nothing is surer than its covariance says. Of
+    frames in which the person was lost nothing is believed: 0.5 at least, and doubtful."""
     names = motion.skeleton.joint_names
     groups = np.array([group_of(n) for n in names])
     evidence = evidence_of(audit)
@@ -208,8 +208,8 @@ def judged(
     p = model.probability(clip_features(motion, raw_joints, audit), groups)
     if evidence == "keypoints":
         p = np.maximum(p, _by_one_view(motion, audit))
-    spread = with_fitted_joints(motion, known or evidence, beyond_usual(audit, known or evidence))
-    p = np.maximum(p, _by_spread(spread.joint_covariance))
+    if (known or evidence) in ("keypoints", "both"):  # sets without some joints; masks show the whole body
+        p = np.maximum(p, _by_spread(with_fitted_joints(motion, evidence, beyond_usual(audit, evidence))))
     if unsure is not None:
         p = 1 - (1 - p) * (1 - _open(audit) * unsure * _as_at_start(motion)[:, None])
     p = np.where(motion.lost[:, None], np.maximum(p, 0.5), p)
@@ -246,10 +246,10 @@ def _with_other_case(motion: Motion, times: float) -> Motion:
     return replace(motion, joint_covariance=around.astype(np.float32), angle_sd=sd)
 
 
-def _by_spread(covariance: ArrayLike) -> Array:
-    """(T, J) how likely joints with covariances (T, J, 3, 3) m^2 are further than WRONG_M off along their least certain
-    axis alone: what no evidence shows is not told by what speaks against it."""
-    around = np.nan_to_num(np.asarray(covariance, dtype=np.float64), nan=1.0, posinf=1.0)
+def _by_spread(motion: Motion) -> Array:
+    """(T, J) how likely joints are further than WRONG_M off along the least certain axis of their covariance alone:
+    what no evidence shows is not told by what speaks against it."""
+    around = np.nan_to_num(motion.joint_covariance.astype(np.float64), nan=1.0, posinf=1.0)
     return 2 * ndtr(-WRONG_M / np.sqrt(np.maximum(np.linalg.eigvalsh(around)[..., -1], 1e-8)))
 
 
