@@ -42,8 +42,9 @@ GOOD_FLAGGED = {
 }
 """Share of good joint-frames of trunk, arms and legs that may be flagged on seeds that were left out. Of key points
 half of the clips are spoilt, so that of good ones far fewer are."""
-LEAST_P = 0.08
-"""What is less likely wrong than that is not doubtful, however few are flagged."""
+LEAST_P = {"silhouettes": 0.08, "keypoints": 0.08, "both": 0.02}
+"""What is less likely wrong than that is not doubtful, however few are flagged; of both, joints are wrong a tenth as
+often as from silhouettes."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,10 @@ def fit(rows: Rows, evidence: str, known: DoubtModel | None = None) -> DoubtMode
     some = rows.whole & ~_wholly_wrong(rows) & np.isin(rows.case, [n for n, c in ALL.items() if c.usual])
     p, good = p[some], rows.error[some] <= WRONG_M
     threshold = [
-        max(LEAST_P, float(np.quantile(p[:, g == _GROUP][good[:, g == _GROUP]], 1 - GOOD_FLAGGED[evidence][g])))
+        max(
+            LEAST_P[evidence],
+            float(np.quantile(p[:, g == _GROUP][good[:, g == _GROUP]], 1 - GOOD_FLAGGED[evidence][g])),
+        )
         for g in range(len(GROUPS))
     ]
     return replace(model, threshold=np.array(threshold))
@@ -164,7 +168,7 @@ def _weights(rows: Rows, evidence: str, known: DoubtModel | None) -> DoubtModel:
             offset[g] += slope * known.offset[g]
             continue
         weights[g], offset[g] = _logistic(z, wrong[:, own].ravel().astype(float), counts, on, sign, begin[g], level[g])
-    return DoubtModel(middle, scale, weights, offset, np.full(len(GROUPS), LEAST_P))
+    return DoubtModel(middle, scale, weights, offset, np.full(len(GROUPS), LEAST_P[evidence]))
 
 
 def _wholly_wrong(rows: Rows) -> NDArray[np.bool_]:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hypose.calibration.common_focal import focal_by_points, focal_findings
 from hypose.calibration.doctor_extrinsics import Extrinsics, judge_extrinsics
 from hypose.calibration.doctor_findings import Clip, Finding, Limits
 from hypose.calibration.doctor_masks import Alignment, align, tangency, tangency_by_view, view_masks
@@ -96,7 +97,9 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
     late = _timing(state, findings, o) if not gross & {"inverted"} else np.zeros(n)
     pixels = np.stack([points_at(p, x) for p, x in zip(state.pixels, late, strict=True)])
     extrinsics = None
-    if n > 1 and not gross & {"inverted"}:
+    focal = list(focal_findings(focal_by_points(state.rig, pixels))) if n > 1 and not gross else []
+    findings += focal
+    if not focal and n > 1 and not gross & {"inverted"}:
         extrinsics = judge_extrinsics(state.rig, pixels, o)
         if extrinsics is not None:
             state.rig = extrinsics.lens_cured

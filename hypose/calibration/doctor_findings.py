@@ -27,7 +27,8 @@ class Limits:
     shift_px: least, px of the masks. extrinsics: share of
     the residual that may be left after refinement, moved: share by which a camera's image of the person moves, gain:
     least fall of the residual. lens_z: sd of a radial term, lens_gain: share of the residual that may be left after
-    freeing it, lens_px: its effect on the person. heights: of a person, m; height_share: against the known height;
+    freeing it, lens_px: its effect on the person. heights: of a person, m, usual_heights: of nearly all;
+    height_share: against the known height, height_doubt: worth a look;
     tangency: disagreement of the silhouettes' tangent planes."""
 
     gross: float = 0.03
@@ -50,7 +51,9 @@ class Limits:
     lens_gain: float = 0.97
     lens_px: float = 0.006
     heights: tuple[float, float] = (1.0, 2.3)
+    usual_heights: tuple[float, float] = (1.4, 2.0)
     height_share: float = 0.12
+    height_doubt: float = 0.07
     tangency: float = 0.02
 
 

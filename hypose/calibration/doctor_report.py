@@ -154,3 +154,16 @@ def height_findings(found: float, height: float | None, o: Limits) -> Iterator[F
         text = f"All cameras: the person would be {found:.2f} m tall, {height:.2f} m is known"
         cure = "check the board's square size; hypose check --refine keeps the known height"
         yield Finding("unit", (), text, cure, abs(found / height - 1))
+    elif height is not None and abs(found / height - 1) > o.height_doubt:
+        text = (
+            f"All cameras: the person comes out {found:.2f} m tall, {height:.2f} m is known: joints are off by that "
+            "share of their distances"
+        )
+        cure = "check the board's square size and the focal lengths"
+        yield Finding("unit", (), text, cure, abs(found / height - 1), fault=False)
+    elif height is None and not o.usual_heights[0] <= found <= o.usual_heights[1]:
+        text = (
+            f"All cameras: the person comes out {found:.2f} m tall, as the calibration's unit and focal lengths have it"
+        )
+        cure = "give the person's height if it is right (--height), else check the board's square size"
+        yield Finding("unit", (), text, cure, abs(float(np.log(found / 1.7))), fault=False)

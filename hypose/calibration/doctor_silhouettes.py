@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
+from hypose.calibration.common_focal import focal_by_masks, focal_findings
 from hypose.calibration.doctor_findings import Finding, Limits
 from hypose.calibration.doctor_masks import tangency, tangency_by_view
 from hypose.calibration.doctor_report import ViewReport, height_findings
@@ -59,6 +60,8 @@ def examine_silhouettes(
     late = _timing(rig, small, tracks, size, findings, o)
     tracks = [_delayed(t, round(x)) for t, x in zip(tracks, late, strict=True)]
     if not findings or all(f.kind == "late" for f in findings):
+        findings += focal_findings(focal_by_masks(small, _few(tracks, _JUDGED)))
+    if not findings or all(f.kind == "late" for f in findings):
         findings += _poses(rig, small, tracks, size, silhouettes, late, o)
         findings += _unit(small, size, o)
     return findings, _reports(rig, residual, size * ratio), late
@@ -98,9 +101,11 @@ def _sizes(tracks: Sequence[MaskTrack]) -> Array:
 
 
 def _score(rig: CameraRig, tracks: Sequence[MaskTrack], size: Array) -> float:
-    """Mean over the views of their disagreement in shares of the person's size; 10 when planes never meet."""
-    by_view = tangency_by_view(tangency(rig, tracks), len(rig)) / np.where(size > 0, size, 1.0)
-    return float(np.nanmean(np.nan_to_num(np.minimum(by_view, 10.0), nan=10.0)))
+    """Mean over the views of their disagreement in shares of the person's size; 10 when planes never meet. Views
+    without a whole mask (size 0) say nothing."""
+    seen = size > 0
+    by_view = tangency_by_view(tangency(rig, tracks), len(rig))[seen] / size[seen]
+    return float(np.mean(np.nan_to_num(np.minimum(by_view, 10.0), nan=10.0))) if seen.sum() > 1 else 0.0
 
 
 def _few(tracks: Sequence[MaskTrack], count: int) -> list[MaskTrack]:
@@ -287,4 +292,6 @@ def _unit(rig: CameraRig, size: Array, o: Limits) -> Iterator[Finding]:
     seen = size > 0
     if seen.any():
         heights = size[seen] * distance[seen] / np.array([c.K[1, 1] for c in rig])[seen]
-        yield from height_findings(float(np.median(heights)), None, replace(o, heights=(0.6, 3.5)))
+        yield from height_findings(
+            float(np.median(heights)), None, replace(o, heights=(0.6, 3.5), usual_heights=(0.6, 3.5))
+        )

@@ -19,7 +19,7 @@ from scipy.ndimage import binary_closing, binary_opening, median_filter
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.evidence.ahead import prepared_masks
-from hypose.evidence.frame import Frame
+from hypose.evidence.frame import Frame, Keypoints
 from hypose.geometry import Array
 from hypose.pipeline.strangers import strangers_share
 from hypose.tracking.audit import audit_frame
@@ -37,6 +37,9 @@ them. Chosen, as LESS, on walks with and without somebody else (seeds 10 to 13).
 LESS = 0.06
 """After something doubtful tracking is not back while the mean overlap lies so far below that before it."""
 _STILL = 0.02
+_STILL_POINTS, _FEW_POINTS = 0.0005, 6
+"""Share of the person's size that key points move from frame to frame, beyond a detector's own digits; fewer points of
+a view tell nothing."""
 _AFTER_S = 0.4
 
 
@@ -117,8 +120,33 @@ def with_doubts(motion: Motion, seen: Sequence[NDArray[np.float32]]) -> tuple[Mo
     known = ~(motion.lost | motion.extrapolated)
     views = motion.provenance.get("settings", {}).get("views", [])
     names = [f"camera {v}" for v in views] if len(views) == table.shape[1] else _numbered(table.shape[1])
-    found = find_doubts(table[..., 0], table[..., 1], table[..., 2], known, motion.frame_rate, names)
-    marked = np.zeros(len(motion), dtype=bool)
+    return _marked(motion, find_doubts(table[..., 0], table[..., 1], table[..., 2], known, motion.frame_rate, names))
+
+
+def with_repeated_points(motion: Motion, keypoints: Sequence[Keypoints | None]) -> tuple[Motion, list[str]]:
+    """The motion with the frames marked in which key points come twice, to the last digit, although the person moves,
+    and sentences that say which."""
+    first = next((k for k in keypoints if k is not None), None)
+    if first is None or len(keypoints) < round(motion.frame_rate):
+        return motion, []
+    none = np.zeros((len(first.rig), len(first.names), 3))
+    points = np.stack([none if k is None else np.nan_to_num(k.points) for k in keypoints])
+    seen = points[..., 2] > 0
+    both = seen & np.concatenate([seen[:1], seen[:-1]])
+    moved = np.linalg.norm(np.diff(points[..., :2], axis=0, prepend=points[:1, ..., :2]), axis=-1)
+    moved = np.where(both, moved, 0.0).sum(-1) / np.maximum(both.sum(-1), 1)
+    low, high = (np.where(seen[..., None], points[..., :2], x) for x in (np.inf, -np.inf))
+    size = np.where(seen.sum(-1) >= _FEW_POINTS, (high.max(2) - low.min(2)).max(-1), np.nan)
+    change = np.where(both.sum(-1) >= _FEW_POINTS, moved / size, np.nan)
+    change[0] = np.nan
+    same = _repeats(change, motion.frame_rate, _STILL_POINTS)
+    found = _repeated(same, change, motion.frame_rate, first.rig.names)
+    return _marked(motion, [(what, frames) for what, frames in found if frames.any()])
+
+
+def _marked(motion: Motion, found: Sequence[tuple[str, NDArray[np.bool_]]]) -> tuple[Motion, list[str]]:
+    """The motion with its frames marked for what was found, and sentences."""
+    marked = np.zeros(len(motion), dtype=bool) if motion.doubtful is None else motion.doubtful.astype(bool)
     for _, frames in found:
         marked |= frames
     notes = [f"{what} in {in_words(runs(frames))}" for what, frames in found]
@@ -142,23 +170,17 @@ def find_doubts(
     if len(change) < round(frame_rate):
         return []
     same, jumps = _repeats(change, frame_rate), _jumps(change, frame_rate)
-    seen = np.isfinite(change)
-    views = np.maximum(seen.sum(1), 1)
-    all_same = (same.sum(1) == views) & seen.any(1)
+    repeated = _repeated(same, change, frame_rate, names)
     # a gap in all cameras shows in most of them; a person who moves along a camera's line of sight hardly moves in it
-    all_jump = (jumps.sum(1) >= np.maximum(2, 0.5 * views)) & ~all_same
-    out = [
-        ("all cameras repeat pictures", _during(all_same, frame_rate)),
-        ("time jumps", _during(all_jump, frame_rate)),
-    ]
+    views = np.maximum(np.isfinite(change).sum(1), 1)
+    all_jump = (jumps.sum(1) >= np.maximum(2, 0.5 * views)) & ~_in_all(same, change)
+    out = [*repeated[:1], ("time jumps", _during(all_jump, frame_rate))]
     gone = np.asarray(binary_opening(~known, np.ones(3)), dtype=bool)
     out.append(("somebody has just been found again", _during(gone, frame_rate) & known))
     out.append(("somebody or something else is in the masks", _strangers(others, known, frame_rate)))
     worse = _worse(overlap, known, frame_rate)
     for c, name in enumerate(names):
-        alone = same[:, c] & ~all_same
-        out.append((f"{name} repeats pictures while the others go on", _during(alone, frame_rate)))
-        out.append((f"{name} disagrees with the other views", worse[:, c]))
+        out += [repeated[1 + c], (f"{name} disagrees with the other views", worse[:, c])]
     doubted = np.any([frames for _, frames in out], axis=0)
     out.append(("the body fits less well than before that", _not_back(overlap, doubted, known, frame_rate)))
     return [(what, frames) for what, frames in out if frames.any()]
@@ -168,10 +190,30 @@ def _numbered(count: int) -> list[str]:
     return [f"view {c + 1}" for c in range(count)]
 
 
-def _repeats(change: Array, frame_rate: float) -> NDArray[np.bool_]:
-    """(T, C): the mask is that of the frame before, although the person moves."""
-    moving = _local(np.where(change > 0, change, np.nan), frame_rate) > _STILL
-    return (change == 0) & moving
+def _repeats(change: Array, frame_rate: float, still: float = _STILL) -> NDArray[np.bool_]:
+    """(T, C): what is seen is that of the frame before, although the person moves; where nothing else is seen for
+    longer than a second, what is usual in the clip tells."""
+    some = np.where(change > 0, change, np.nan)
+    usual, ever = _local(some, frame_rate), _local(some, len(change))
+    return (change == 0) & (np.where(np.isfinite(usual), usual, ever) > still)
+
+
+def _in_all(same: NDArray[np.bool_], change: Array) -> NDArray[np.bool_]:
+    """(T,): all views that are known repeat themselves (same, change (T, C))."""
+    seen = np.isfinite(change)
+    return (same.sum(1) == np.maximum(seen.sum(1), 1)) & seen.any(1)
+
+
+def _repeated(
+    same: NDArray[np.bool_], change: Array, frame_rate: float, names: Sequence[str]
+) -> list[tuple[str, NDArray[np.bool_]]]:
+    """That all views repeat themselves, and that each does alone, and during which frames (T,)."""
+    everywhere = _in_all(same, change)
+    out = [("all cameras repeat pictures", _during(everywhere, frame_rate))]
+    for c, name in enumerate(names):
+        alone = same[:, c] & ~everywhere
+        out.append((f"{name} repeats pictures while the others go on", _during(alone, frame_rate)))
+    return out
 
 
 def _jumps(change: Array, frame_rate: float) -> NDArray[np.bool_]:

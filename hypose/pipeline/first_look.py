@@ -14,11 +14,13 @@ from dataclasses import replace
 import numpy as np
 
 from hypose.body.ready_bodies import human
+from hypose.calibration.common_focal import focal_by_masks, focal_by_points, focal_findings
 from hypose.calibration.doctor_findings import Finding, Limits
 from hypose.calibration.doctor_person import up_by_cameras, wrong_set, wrong_way_up
 from hypose.calibration.doctor_points import best_trial, disagreement
 from hypose.calibration.doctor_report import height_findings
 from hypose.calibration.doctor_silhouettes import gross_silhouettes
+from hypose.calibration.sync_motion import mask_tracks
 from hypose.cameras.camera import triangulate
 from hypose.errors import EvidenceError, HyposeError
 from hypose.evidence.depth_evidence import Depth, in_world
@@ -122,6 +124,8 @@ def _by_points(keypoints: Sequence[Keypoints], height: float | None, o: Limits) 
     if other is not None or not agreed:
         return  # nothing else can be told of points with other names, or that lie anywhere
     yield from wrong_way_up(world, names, pixels, rig)
+    if rig is keypoints[0].rig:  # nothing else was wrong
+        yield from focal_findings(focal_by_points(rig, pixels))
     try:
         tall = float(shape_from_keypoints(human(), world, names).scale) * human().stature
     except EvidenceError:
@@ -133,4 +137,6 @@ def _by_points(keypoints: Sequence[Keypoints], height: float | None, o: Limits) 
 def _by_masks(silhouettes: Sequence[Silhouettes], frames: Sequence[Frame], o: Limits) -> Iterator[Finding]:
     """Of the masks of some frames."""
     yield from up_by_cameras(silhouettes[0].rig)
-    yield from gross_silhouettes(silhouettes[0].rig, silhouettes, replace(o, gross=0.04))
+    rig = silhouettes[0].rig
+    gross = gross_silhouettes(rig, silhouettes, replace(o, gross=0.04))
+    yield from gross or focal_findings(focal_by_masks(rig, mask_tracks(silhouettes)))

@@ -25,7 +25,7 @@ from hypose.io.recordings.recording import Recording
 from hypose.pipeline.both_ways import both_ways_notes, look_both_ways
 from hypose.pipeline.colour_detections import tracked_frames
 from hypose.pipeline.contradictions import against_the_clip
-from hypose.pipeline.doubts import with_doubts
+from hypose.pipeline.doubts import with_doubts, with_repeated_points
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
 from hypose.pipeline.first_look import first_look, sentences
 from hypose.pipeline.kept_findings import SUBJECT, keep_subject, kept_subject
@@ -201,7 +201,8 @@ def track_source(
     if options.whole_clip and method is None and not own:
         solved, audit = track_keypoints(source, frame_rate, subject, report, sure_start=options.sure_start)
         motion = replace(solved.motion, provenance=record or {})
-        notes = (*subject.notes, *solved.notes)
+        motion, doubts = with_repeated_points(motion, [source.frame(i).keypoints for i in range(total)])
+        notes = (*subject.notes, *solved.notes, *doubts)
         motion = _doubted(motion, subject, solved.one_by_one, audit, solved.covariance)
         result = TrackResult(motion, subject.body, True, notes)
         wrong, looks = against_the_clip(audit, motion.n_views, evidence_of(audit))
@@ -317,7 +318,7 @@ def _doubted(
     not tell."""
     evidence = known or evidence_of(audit)
     # by what the curvature says
-    p, joints = judged(motion, subject.body.joints(one_by_one), audit, subject.unsure, evidence == "depth")
+    p, joints = judged(motion, subject.body.joints(one_by_one), audit, subject.unsure, known)
     beyond = beyond_usual(audit, evidence)
     motion = with_fitted_angles(with_fitted_joints(motion, evidence, beyond), covariance, evidence, beyond)
     frames = joints.any(1) if motion.doubtful is None else motion.doubtful | joints.any(1)

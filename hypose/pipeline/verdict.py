@@ -20,6 +20,8 @@ WRONG_SHARE = 0.12
 LIMB_SHARE = 0.5
 """Share of the frames in which one and the same joint is doubtful, from which on nothing is trusted: who looks at the
 rest does not know what to believe of it."""
+_ALONE = ("neck", "head")
+"""joints on which no other depends: key points without a head leave the rest to be looked at"""
 LOST_SHARE = 0.3
 """Share of the frames without the person from which on the motion is not that of the recording."""
 FEW_S = 0.12
@@ -110,7 +112,7 @@ def _too_doubtful(motion: Motion, doubtful: NDArray[np.bool_], seen: NDArray[np.
             f"the evidence speaks against the body in {100 * share:.0f} % of the joints{what}: compare the overlay "
             "with the images, and give key points, --start with the first pose, or other masks"
         ]
-    bad = np.flatnonzero(often > LIMB_SHARE)
+    bad = np.array([j for j in np.flatnonzero(often > LIMB_SHARE) if names[j] not in _ALONE], dtype=np.int64)
     if len(bad):
         which = ", ".join(names[j].replace("_", " ") for j in bad)
         return [f"{which} cannot be told from the evidence in {100 * often[bad].max():.0f} % of the frames"]

@@ -16,11 +16,13 @@ from importlib.resources import files
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
+from scipy.special import ndtr
 
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.body.motion import Motion
 from hypose.geometry import Array
 from hypose.tracking.audit import AUDITED, views_apart
+from hypose.tracking.fitted_spread import beyond_usual, with_fitted_joints
 from hypose.tracking.pose_covariance import joint_group
 
 WRONG_M = 0.1
@@ -192,25 +194,27 @@ def evidence_of(audit: ArrayLike) -> str:
 
 
 def judged(
-    motion: Motion, raw_joints: Array, audit: ArrayLike, unsure: Array | None = None, depth: bool = False
+    motion: Motion, raw_joints: Array, audit: ArrayLike, unsure: Array | None = None, known: str | None = None
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """(T, J) probability that a joint is wrong by more than WRONG_M, and which joints are doubtful for that.
 
-    unsure (J,): how likely each is elsewhere at the start, which holds until the person has taken another pose; depth:
-    what was seen, depth cameras saw. Of frames in which the person was lost nothing is believed: 0.5 at least, and
-    doubtful."""
+    unsure (J,): how likely each is elsewhere at the start, which holds until the person has taken another pose; known:
+    what the evidence was, where the audit does not tell (depth is one). With key points nothing is surer than its
+    covariance says. Of frames in which the person was lost nothing is believed: 0.5 at least, and doubtful."""
     names = motion.skeleton.joint_names
     groups = np.array([group_of(n) for n in names])
     evidence = evidence_of(audit)
     model = doubt_models()[evidence]
     odds = model.log_odds(clip_features(motion, raw_joints, audit), groups)
     threshold = model.threshold[groups]
-    if depth:
+    if known == "depth":
         odds = depth_doubt().log_odds(odds, groups, motion.n_views)
         threshold = np.full(len(groups), DEPTH_DOUBTFUL)
     p = probability(odds)
     if evidence == "keypoints":
         p = np.maximum(p, _by_one_view(motion, audit))
+    if (known or evidence) in ("keypoints", "both"):  # sets without some joints; masks show the whole body
+        p = np.maximum(p, _by_spread(with_fitted_joints(motion, evidence, beyond_usual(audit, evidence))))
     if unsure is not None:
         p = 1 - (1 - p) * (1 - _open(audit) * unsure * _as_at_start(motion)[:, None])
     p = np.where(motion.lost[:, None], np.maximum(p, 0.5), p)
@@ -275,6 +279,13 @@ def _with_other_case(motion: Motion, times: float) -> Motion:
                 variance[:, angle] += wrong[:, names.index(joint)] * ELSEWHERE_RAD**2
         sd = np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
     return replace(motion, joint_covariance=around.astype(np.float32), angle_sd=sd)
+
+
+def _by_spread(motion: Motion) -> Array:
+    """(T, J) how likely joints are further than WRONG_M off along the least certain axis of their covariance alone:
+    what no evidence shows is not told by what speaks against it."""
+    around = np.nan_to_num(motion.joint_covariance.astype(np.float64), nan=1.0, posinf=1.0)
+    return 2 * ndtr(-WRONG_M / np.sqrt(np.maximum(np.linalg.eigvalsh(around)[..., -1], 1e-8)))
 
 
 ONE_VIEW = {"elbow": 0.5, "wrist": 0.6, "knee": 0.3, "ankle": 0.4}

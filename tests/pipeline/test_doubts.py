@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from benchmarks.robustness.small_recordings import small_scene
+from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import human
-from hypose.pipeline.doubts import find_doubts
+from hypose.evidence.frame import Keypoints
+from hypose.pipeline.doubts import find_doubts, with_repeated_points
 from hypose.pipeline.strangers import strangers_share
 
 T, C, RATE = 150, 4, 25.0
@@ -150,3 +152,40 @@ def test_parts_that_the_body_does_not_touch():
     assert share[1] == share[2] == 0 and np.isnan(share[3])
     assert strangers_share(with_corner(second), first, skeleton, joints)[0] == 0  # it was not there before
     assert np.isnan(strangers_share(second, first, skeleton, joints + (30.0, 0.0, 0.0))).all()
+
+
+def points_that_move(rng, frames=75):
+    """Motion and key points of somebody who walks, as a detector gives them."""
+    scene = small_scene(1, 5)
+    body = human()
+    joints = body.joints(np.zeros((frames, body.skeleton.dof)))
+    gone = np.zeros(frames, bool)
+    motion = Motion(
+        *(body.skeleton, np.arange(frames) / RATE, joints, None, isotropic(np.full(joints.shape[:2], 0.01))),
+        *(gone, gone.copy(), np.full(frames, 2), np.full(frames, np.nan), {}),
+    )
+    rig = scene.given_rig.pinhole()
+    names = ("nose", *(f"{s}_{n}" for s in ("left", "right") for n in ("hip", "knee", "ankle", "wrist")))
+    base = rng.uniform(50, 200, (len(rig), len(names), 2))
+    seen = []
+    for t in range(frames):
+        uv = base + 2.0 * t + rng.normal(0, 0.5, base.shape)
+        seen.append(Keypoints(np.concatenate([uv, np.ones((*uv.shape[:2], 1))], -1), names, rig))
+    return motion, seen
+
+
+def test_key_points_that_come_twice_are_told_by_view_and_frames(rng):
+    motion, seen = points_that_move(rng)
+    assert with_repeated_points(motion, seen)[1] == []
+    frozen = [seen[30] if 30 <= t < 55 else k for t, k in enumerate(seen)]
+    marked, notes = with_repeated_points(motion, frozen)
+    assert "all cameras repeat pictures in frames 31-" in notes[0] and marked.doubtful[31:55].all()
+    assert not marked.doubtful[:31].any()
+    one = [replace(k, points=np.r_[frozen[t].points[:1], k.points[1:]]) for t, k in enumerate(seen)]
+    name = seen[0].rig.names[0]
+    assert f"{name} repeats pictures while the others go on" in with_repeated_points(motion, one)[1][0]
+
+
+def test_key_points_of_somebody_who_stands_still_are_no_repeated_pictures(rng):
+    motion, seen = points_that_move(rng)
+    assert with_repeated_points(motion, [seen[0]] * len(seen))[1] == []

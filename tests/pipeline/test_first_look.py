@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hypose.calibration.common_focal import focal_by_points, focal_findings
 from hypose.calibration.doctor_points import mirrored_names
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Keypoints, Silhouettes
@@ -217,3 +218,50 @@ def test_a_real_recording_is_left_alone_and_told_when_its_set_is_wrong():
         FrameList([replace(f, keypoints=replace(f.keypoints, names=BODY_25)) for f in real]), "keypoints"
     )
     assert [f.kind for f in found] == ["keypoint_set"] and "BODY_25B" in found[0].cure
+
+
+@pytest.mark.parametrize("factor", [0.88, 1.13])
+@pytest.mark.parametrize("evidence", ["silhouettes", "keypoints"])
+def test_all_focal_lengths_wrong_are_told_where_the_person_walks(evidence, factor):
+    scene = make_scene("walk", rig="humaneva-4", seconds=3.0, seed=43, corruption=("level-1",))
+    frames = list(scene.mask_frames(0.5, keypoints=True))
+    assert kinds(frames, evidence) == []
+    zoomed = np.array([[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
+    wrong = with_rig(frames, lambda c: replace(c, K=c.K * zoomed))
+    found = [f for f in first_look(FrameList(wrong), evidence) if f.kind == "focal"]
+    told = float(found[0].text.split("were ")[1].split(" times")[0])
+    assert len(found) == 1 and abs(told * factor - 1) < 0.06
+
+
+def test_a_wrong_focal_length_of_two_views_cannot_be_told(frames):
+    first = [replace(f.keypoints, points=f.keypoints.points[:2], rig=CameraRig(f.keypoints.rig[:2])) for f in frames]
+    found = focal_by_points(first[0].rig, np.stack([k.points for k in first], 1))
+    assert found.sd == float("inf") and not list(focal_findings(found))
+
+
+def test_a_view_without_a_mask_does_not_speak_against_the_others(frames):
+    def without(s):
+        masks = s.masks.copy()
+        masks[0] = 0
+        return Silhouettes(masks, s.rig, s.usable & (np.arange(len(masks)) > 0), ("empty", "", "", ""))
+
+    assert kinds([replace(f, silhouettes=without(f.silhouettes)) for f in frames], "silhouettes") == []
+
+
+def test_a_height_that_is_known_tells_what_the_views_do_not():
+    scene = make_scene("walk", rig="humaneva-4", seconds=1.0, seed=40, corruption=("level-1",))
+    tall = float(np.ptp(scene.subject.vertices[:, 2]))
+    right = [replace(f, silhouettes=None) for f in scene.mask_frames(0.5, keypoints=True)]
+    assert first_look(FrameList(right), "keypoints", tall) == ()
+    large = [replace(f, keypoints=replace(f.keypoints, rig=moved_away(f.keypoints.rig, 1.1))) for f in right]
+    found = first_look(FrameList(large), "keypoints", tall)
+    assert [(f.kind, f.fault) for f in found] == [("unit", False)] and "is known" in found[0].text
+    huge = [replace(f, keypoints=replace(f.keypoints, rig=moved_away(f.keypoints.rig, 2.15 / tall))) for f in right]
+    found = first_look(FrameList(huge), "keypoints")
+    assert [(f.kind, f.fault) for f in found] == [("unit", False)] and "if it is right" in found[0].cure
+
+
+def moved_away(rig, factor):
+    """The same cameras in a world whose unit is another one."""
+    places = [se3(c.camera_from_world[:3, :3], factor * c.camera_from_world[:3, 3]) for c in rig]
+    return CameraRig(tuple(replace(c, camera_from_world=p) for c, p in zip(rig, places, strict=True)))

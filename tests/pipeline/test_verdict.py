@@ -54,6 +54,8 @@ def test_a_body_that_the_evidence_speaks_against_is_not_to_be_trusted():
 def test_one_limb_that_is_never_known_and_a_person_who_is_never_there():
     found = verdict_of(motion(probabilities(["left_wrist"])))
     assert found.word == UNTRUSTED and "left wrist" in found.sentence
+    found = verdict_of(motion(probabilities(["head"])))
+    assert found.word == LOOK and "head may be wrong" in found.sentence
     found = verdict_of(motion(probabilities(), lost=25))
     assert found.word == UNTRUSTED and "not found in 50 %" in found.sentence
 

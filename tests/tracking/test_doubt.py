@@ -134,3 +134,13 @@ def test_a_doubtful_joint_may_be_elsewhere_and_its_sd_says_so():
     before = without_mixture(told)
     np.testing.assert_allclose(before.joint_covariance, walk.joint_covariance, atol=1e-8)
     np.testing.assert_allclose(before.angle_sd, sd, rtol=1e-5)
+
+
+def test_nothing_is_surer_than_its_covariance():
+    motion, joints, audit = clip(points=True, masks=False)
+    head = NAMES.index("head")
+    wide = motion.joint_covariance.copy()
+    wide[:, head] = np.diag([0.15**2, 0.01**2, 0.01**2])
+    p, doubtful = judged(replace(motion, joint_covariance=wide), joints, audit)
+    assert doubtful[:, head].all() and (p[:, head] > 0.3).all()
+    assert np.delete(p, head, 1).max() < 0.05 and not np.delete(doubtful, head, 1).any()

@@ -63,6 +63,6 @@ class LiveDoubt:
             self._looked = frame.time
             window = motion_of(tracker.body, np.array([t for t, _ in known]), [e for _, e in known])
             audits = np.stack([e.audit for _, e in known])
-            p, joints = judged(window, window.joints, audits, depth=frame.depth is not None)
+            p, joints = judged(window, window.joints, audits, known="depth" if frame.depth is not None else None)
             self._beyond = beyond_usual(audits, evidence_of(audits) if frame.depth is None else "depth")
             self._p, self._doubtful = p[-1:], joints[-1:]
