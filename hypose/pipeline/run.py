@@ -280,10 +280,10 @@ def finish(
         progress("sides", 1, 1)
         if options.smooth and recipe.smooth is not None:
             estimates, moved = look_both_ways(
-                tracker, estimates, again, memory=done.state.memory, progress=partial(progress, "arms")
+                tracker, estimates, again, memory=done.state.memory, progress=partial(progress, "both ways")
             )
             notes = (*notes, *both_ways_notes(moved))
-            progress("arms", len(estimates), len(estimates))
+            progress("both ways", len(estimates), len(estimates))
     tracked = _tracked(subject, estimates, tracker.settings.frame_rate, record)
     motion = tracked.motion
     if options.smooth and recipe.smooth is not None and done.complete:

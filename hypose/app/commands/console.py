@@ -29,7 +29,7 @@ TITLES = {
     "subject": "Subject",
     "track": "Track",
     "sides": "Left and right",
-    "arms": "Arms both ways",
+    "both ways": "Arms both ways",
     "smooth": "Smooth",
     "export": "Export",
     "overlay": "Overlay video",
