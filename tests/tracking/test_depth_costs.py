@@ -1,0 +1,54 @@
+"""What depth maps cost poses in a search, and what silhouettes' doubts are worth where depth cameras see."""
+
+import numpy as np
+import pytest
+
+from hypose.body.ready_bodies import human
+from hypose.tracking.costs import evidence_energy, xor_energy
+from hypose.tracking.depth_costs import MEASURED, depth_cost
+from hypose.tracking.doubt import GROUPS, depth_doubt
+from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.starts import known_pose
+from tests.depth_pictures import frame_of, sensors
+
+BODY = human()
+
+
+@pytest.fixture(scope="module")
+def frame():
+    pose = known_pose(BODY, "standing")
+    pose[:3] = 0.0, 0.0, 0.95
+    return prepare(frame_of(BODY, pose, sensors(1)), BODY, pose)
+
+
+def test_of_many_arms_those_that_may_win_are_measured_and_the_best_is_the_best_of_all(frame, rng):
+    s = BODY.skeleton
+    moving = np.isin(np.arange(len(s.joint_names)), [s.joint("left_shoulder"), s.joint("left_elbow")])
+    own = moving[s.tree.joint_of_dof]
+    last = s.clamp(frame.prediction + 0.3 * own * rng.normal(size=s.dof))
+    poses = np.stack([s.clamp(last + 0.4 * own * rng.normal(size=s.dof)) for _ in range(150)] + [last])
+    found = evidence_energy(BODY, poses, frame, moving)
+    whole = xor_energy(BODY, poses, frame, moving) + depth_cost(BODY, poses, frame)
+    known = np.isfinite(found)
+    assert known[-1] and 1 < known.sum() <= MEASURED
+    assert found[known] == pytest.approx(whole[known], abs=1e-5)
+    assert found.argmin() == whole.argmin()
+
+
+def test_the_same_pose_is_looked_at_once(frame, monkeypatch):
+    from hypose.tracking import depth_costs
+
+    poses = np.stack([frame.prediction, frame.prediction + 1e-3])
+    first = depth_cost(BODY, poses, frame)
+    monkeypatch.setattr(depth_costs.compute, "depth_energy", None)
+    assert np.array_equal(depth_cost(BODY, poses, frame), first)
+
+
+def test_before_one_sensor_the_same_signs_make_arms_more_doubtful_than_before_two():
+    fitted, arms = depth_doubt(), GROUPS.index("arms")
+    odds, groups = np.full((3, 1), -4.0), np.array([arms])
+    told = fitted.log_odds(odds, groups, [1, 2, 5])
+    assert told.shape == (3, 1) and told[0] > told[1]
+    assert (fitted.log_odds(odds + 1, groups, [1, 2, 5]) > told).all()
+    trunk = fitted.log_odds(odds, np.array([GROUPS.index("trunk")]), [1, 1, 1])
+    assert np.array_equal(trunk, odds)
