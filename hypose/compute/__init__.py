@@ -51,7 +51,7 @@ from hypose.compute.pictures.parts import parts_against_mask
 from hypose.compute.pictures.picture_to_mask import Box, Lens, make_lens, order_statistic, shrink_undistort
 from hypose.compute.pictures.shown_parts import colour_sums, rim_edges, shown_parts
 from hypose.compute.pictures.visibility import nearest_visible
-from hypose.compute.selection import default_threads, over_chunks, require_cuda, use
+from hypose.compute.selection import beside, default_threads, over_chunks, require_cuda, use
 from hypose.compute.silhouettes import lane_mesh, reach
 from hypose.compute.silhouettes.glance import Glance, differing_box, glance_at, stored_pixels
 from hypose.compute.silhouettes.lane_scratch import lane_scratch
@@ -139,6 +139,7 @@ __all__ = [
     "TreeArraysOffline",
     "VARIABLE",
     "Workspace",
+    "beside",
     "blend_shaded",
     "bounded_step",
     "cache_folder",
