@@ -247,14 +247,13 @@ def silhouette_xor(
         bad = int(np.argmax(~(np.abs(q).max(1) < 1e6)))
         raise SolverError(f"Pose {bad} of {len(q)} is not finite; check the motion model that made it.")
     n, c = len(q), len(prepared.masks)
-    whole = np.stack(
-        [0 * prepared.sizes[:, 0], prepared.sizes[:, 0], 0 * prepared.sizes[:, 1], prepared.sizes[:, 1]], 1
-    )
-    b = whole if boxes is None else np.array(boxes, dtype=np.int64)
-    if b.shape != (c, 4):
-        raise InputError(f"boxes needs one row x0, x1, y0, y1 per view: shape {(c, 4)}, got {b.shape}.")
-    b = np.ascontiguousarray(np.clip(b, 0, whole[:, [1, 1, 3, 3]]))
-    b[:, 1::2] = np.maximum(b[:, 1::2], b[:, ::2])
+    b = reach.whole_images(prepared)
+    if boxes is not None:
+        whole, b = b, np.array(boxes, dtype=np.int64)
+        if b.shape != (c, 4):
+            raise InputError(f"boxes needs one row x0, x1, y0, y1 per view: shape {(c, 4)}, got {b.shape}.")
+        b = np.ascontiguousarray(np.clip(b, 0, whole[:, [1, 1, 3, 3]]))
+        b[:, 1::2] = np.maximum(b[:, 1::2], b[:, ::2])
     wanted = None if faces is None else plain(faces, np.bool_)
     if wanted is not None and wanted.shape != (len(mesh.faces),):
         raise InputError(f"faces needs a truth value per face: shape {(len(mesh.faces),)}, got {wanted.shape}.")
