@@ -467,7 +467,7 @@ def warm_up(*parts: str, load: bool = True) -> float:
     from hypose.compute.warming import warm
 
     began = time.perf_counter()
-    warm(sys.modules[__name__], parts or ("depth", "solver", "scorer", "pictures"), load)
+    warm(sys.modules[__name__], parts or ("depth", "solver", "scorer", "outlines", "pictures"), load)
     return time.perf_counter() - began
 
 
