@@ -52,7 +52,7 @@ from hypose.compute.pictures.parts import parts_against_mask
 from hypose.compute.pictures.picture_to_mask import Box, Lens, make_lens, order_statistic, shrink_undistort
 from hypose.compute.pictures.shown_parts import colour_sums, rim_edges, shown_parts
 from hypose.compute.pictures.visibility import nearest_visible
-from hypose.compute.selection import default_threads, over_chunks, require_cuda, use
+from hypose.compute.selection import beside, default_threads, over_chunks, require_cuda, use
 from hypose.compute.silhouettes import lane_mesh, reach
 from hypose.compute.silhouettes.glance import Glance, differing_box, glance_at, stored_pixels
 from hypose.compute.silhouettes.lane_scratch import lane_scratch
@@ -141,6 +141,7 @@ __all__ = [
     "VARIABLE",
     "Workspace",
     "before_room",
+    "beside",
     "blend_shaded",
     "bounded_step",
     "cache_folder",
@@ -251,14 +252,13 @@ def silhouette_xor(
         bad = int(np.argmax(~(np.abs(q).max(1) < 1e6)))
         raise SolverError(f"Pose {bad} of {len(q)} is not finite; check the motion model that made it.")
     n, c = len(q), len(prepared.masks)
-    whole = np.stack(
-        [0 * prepared.sizes[:, 0], prepared.sizes[:, 0], 0 * prepared.sizes[:, 1], prepared.sizes[:, 1]], 1
-    )
-    b = whole if boxes is None else np.array(boxes, dtype=np.int64)
-    if b.shape != (c, 4):
-        raise InputError(f"boxes needs one row x0, x1, y0, y1 per view: shape {(c, 4)}, got {b.shape}.")
-    b = np.ascontiguousarray(np.clip(b, 0, whole[:, [1, 1, 3, 3]]))
-    b[:, 1::2] = np.maximum(b[:, 1::2], b[:, ::2])
+    b = reach.whole_images(prepared)
+    if boxes is not None:
+        whole, b = b, np.array(boxes, dtype=np.int64)
+        if b.shape != (c, 4):
+            raise InputError(f"boxes needs one row x0, x1, y0, y1 per view: shape {(c, 4)}, got {b.shape}.")
+        b = np.ascontiguousarray(np.clip(b, 0, whole[:, [1, 1, 3, 3]]))
+        b[:, 1::2] = np.maximum(b[:, 1::2], b[:, ::2])
     wanted = None if faces is None else plain(faces, np.bool_)
     if wanted is not None and wanted.shape != (len(mesh.faces),):
         raise InputError(f"faces needs a truth value per face: shape {(len(mesh.faces),)}, got {wanted.shape}.")
@@ -472,7 +472,7 @@ def warm_up(*parts: str, load: bool = True) -> float:
     from hypose.compute.warming import warm
 
     began = time.perf_counter()
-    warm(sys.modules[__name__], parts or ("depth", "solver", "scorer", "pictures"), load)
+    warm(sys.modules[__name__], parts or ("depth", "solver", "scorer", "outlines", "pictures"), load)
     return time.perf_counter() - began
 
 

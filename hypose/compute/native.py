@@ -22,14 +22,16 @@ def native(name: str) -> ModuleType:
 
 def plain(a: ArrayLike, dtype: type) -> NDArray:
     """The array, contiguous and writable: numba compiles a kernel again for every layout and for read-only arrays."""
-    if type(a) is np.ndarray and a.flags.carray and a.dtype == dtype:
-        return a  # asking costs a tenth of what numpy takes for it
+    if type(a) is np.ndarray and a.dtype == dtype and a.flags.carray:  # as nearly always
+        return a
     return np.require(a, dtype, ["C", "W", "A"])
 
 
 def tidy(arrays: _Arrays) -> _Arrays:
     """The same for all arrays of a tuple."""
     for a in arrays:
-        if isinstance(a, np.ndarray) and not a.flags.carray:
-            return type(arrays)(*(plain(b, b.dtype.type) if isinstance(b, np.ndarray) else b for b in arrays))
-    return arrays
+        if type(a) is np.ndarray and not a.flags.carray:
+            break
+    else:
+        return arrays
+    return type(arrays)(*(np.require(a, None, ["C", "W", "A"]) if isinstance(a, np.ndarray) else a for a in arrays))

@@ -6,14 +6,16 @@ import contextlib
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextvars import ContextVar
+from contextvars import ContextVar, copy_context
 from functools import cache
+from typing import TypeVar
 
 from hypose.errors import InputError
 
 BACKENDS = ("auto", "cpu", "cuda", "reference", "numba", "numpy")
 """numba and numpy are the libraries' names for cpu and reference."""
 _MEANING = {"auto": "numba", "cpu": "numba", "reference": "numpy"}
+_Result = TypeVar("_Result")
 _backend: ContextVar[str] = ContextVar("hypose_backend", default="auto")
 
 
@@ -77,7 +79,7 @@ def over_chunks(work: Callable[[int, int], None], n: int, threads: int | None, s
             work(0, n)
         return
     # more chunks than threads, taken as they come: a core may be busy with the evidence of the next frame
-    pieces = min(count + 1, n // max(smallest, 1))
+    pieces = min(3 * count, n // max(smallest, 1))
     cuts = [n * k // pieces for k in range(pieces + 1)]
     chunks = iter(zip(cuts[:-1], cuts[1:], strict=True))  # next() on it is atomic
 
@@ -85,7 +87,7 @@ def over_chunks(work: Callable[[int, int], None], n: int, threads: int | None, s
         for first, last in chunks:
             work(first, last)
 
-    waiting = [_pool(count, os.getpid()).submit(take) for _ in range(count - 1)]
+    waiting = [_pool(count - 1, os.getpid()).submit(take) for _ in range(count - 1)]
     try:
         take()
     finally:  # whatever happened, nobody may go on working on the caller's arrays
@@ -93,3 +95,13 @@ def over_chunks(work: Callable[[int, int], None], n: int, threads: int | None, s
         wait(begun)
     for future in begun:
         future.result()
+
+
+def beside(work: Callable[[], _Result]) -> Callable[[], _Result]:
+    """Begin a call beside the caller's own work, where there is a thread for it; what is returned waits for its result,
+    or makes it, when nobody has begun."""
+    threads = default_threads()
+    if threads < 2:
+        return work
+    began = _pool(threads - 1, os.getpid()).submit(copy_context().run, work)
+    return lambda: work() if began.cancel() else began.result()

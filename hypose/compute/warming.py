@@ -83,6 +83,9 @@ def _scorer(compute: Any) -> None:
 def _pictures(compute: Any) -> None:
     picture_to_mask.warm_up()
     glance.warm_up()
+
+
+def _outlines(compute: Any) -> None:
     mask, sizes = _mask()
     compute.outline_points(compute.signed_distance(mask, sizes)[0], (32, 32), 16)
 
@@ -94,7 +97,8 @@ def _depth(compute: Any) -> None:
     compile_for_kernels(native("solver.depth_rows").depth_rows, *given)
 
 
-def _solver(compute: Any) -> None:
+def _evidence(compute: Any) -> tuple[np.ndarray, tuple[Any, ...], Any]:
+    """A pose, and all that the solver takes beside it."""
     tree, mesh, q, projection = _toy()
     mask, sizes = _mask()
     sdf = compute.signed_distance(mask, sizes)
@@ -107,10 +111,18 @@ def _solver(compute: Any) -> None:
     points = PointArrays(none, np.zeros(0), np.zeros(0, dtype=np.int64), none, 1.0)
     priors = PriorArrays(np.zeros((1, 6)), np.ones((1, 6)), np.full(6, -np.inf), np.full(6, np.inf))
     given = (tree, mesh, contours, keypoints, points, no_depth(), priors)
-    ws = compute.workspace(tree, mesh, 32, 32)
-    compute.evaluate(q, *given, ws)
+    return q, given, compute.workspace(tree, mesh, 32, 32)
+
+
+def _solver(compute: Any) -> None:
+    q, given, ws = _evidence(compute)
     compute.solve(q, *given, SolveLimits(1, 0, 1e-3, 1e-2, 4), ws)
-    compute.joint_covariances(q, tree, np.eye(6))
+    compute.joint_covariances(q, given[0], np.eye(6))
+
+
+def _clip(compute: Any) -> None:
+    q, given, ws = _evidence(compute)
+    compute.evaluate(q, *given, ws)
 
 
 def _monocular(compute: Any) -> None:
@@ -122,13 +134,16 @@ PARTS: dict[str, Callable[[Any], None]] = {
     "depth": _depth,
     "solver": _solver,
     "scorer": _scorer,
+    "outlines": _outlines,
     "pictures": _pictures,
+    "clip": _clip,
     "monocular": _monocular,
 }
 """By name; depth: rows of depth maps, a piece of the solver that compiles by itself; solver: poses from contours, key
-points, points and depth; scorer: silhouettes of many poses; pictures: masks from pictures; monocular: one camera."""
+points, points and depth; scorer: silhouettes of many poses; outlines: what is followed of masks; pictures: masks from
+pictures; clip: all frames solved together, which comes last, but for key points alone; monocular: one camera."""
 
-_COST = {"depth": 8, "solver": 34, "scorer": 19, "pictures": 14, "monocular": 30}
+_COST = {"depth": 8, "solver": 30, "scorer": 19, "outlines": 2, "pictures": 11, "clip": 5, "monocular": 30}
 """Compiling them, in any unit."""
 
 

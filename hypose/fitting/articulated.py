@@ -215,7 +215,7 @@ def contour_term(
             f"{n}: {r or 'no outline'}" for n, r in zip(silhouettes.rig.names, silhouettes.reasons, strict=True)
         )
         raise EvidenceError(f"No view has a usable silhouette ({reasons}); leave the contours out of this frame.")
-    height = float(np.median(made.extent[usable]))
+    height = _median(made.extent[usable])
     scale = scale_px if scale_px is not None else max(SCALE_OF_HEIGHT * height, 0.5)
     spacing = row_spacing_px if row_spacing_px is not None else max(SPACING_OF_HEIGHT * height, 1.0)
     return ContourTerm(
@@ -234,6 +234,12 @@ def contour_term(
         made.corners,
         made.sizes,
     )
+
+
+def _median(values: NDArray[np.int64]) -> float:
+    """Of a few numbers, for which numpy's takes longer than a limb's kinematics."""
+    ordered = sorted(values.tolist())
+    return 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
 
 
 def workspace_for(body: Body, contours: ContourTerm | None = None) -> Workspace:

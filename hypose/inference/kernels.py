@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -70,6 +71,11 @@ class HeavyTail:
         gain[np.ix_(_every(self.share, count), _mask(self.coordinates, dimension))] = self.factor
         return gain
 
+    def stretch(self, steps: FloatArray, own: NDArray[np.intp], dimension: int) -> None:
+        """`gain` of the coordinates own (d,) times steps (*B, N, d), in place."""
+        columns = np.flatnonzero(_mask(self.coordinates, dimension)[own])
+        steps[..., _every(self.share, steps.shape[-2])[:, None], columns] *= self.factor
+
 
 @dataclass(frozen=True)
 class GaussianDiffusion:
@@ -96,7 +102,7 @@ class GaussianDiffusion:
         own = np.flatnonzero(self.sigma > 0)
         step = rng.standard_normal((*h.values.shape[:-1], own.size)) * self.sigma[own]
         if self.heavy_tail is not None:
-            step *= self.heavy_tail.gain(h.count, h.dimension)[:, own]
+            self.heavy_tail.stretch(step, own, h.dimension)
         values = h.values.copy()
         lower, upper = (None if b is None else np.asarray(b)[own] for b in (self.lower, self.upper))
         values[..., own] = reflect(values[..., own] + step, lower, upper)
@@ -339,6 +345,7 @@ def semidefinite_cholesky(covariance: ArrayLike) -> FloatArray:
     return factor
 
 
+@lru_cache(64)
 def _every(share: float, count: int) -> NDArray[np.intp]:
     """The numbers of a share of `count` rows, spread evenly; which of the first rows does not depend on count."""
     return np.flatnonzero(np.diff(np.floor(np.arange(count + 1) * share)) > 0)

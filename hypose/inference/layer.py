@@ -150,14 +150,21 @@ class Recipe:
 
 @dataclass(frozen=True)
 class LayerReport:
-    """What one layer did: ess (*B,) after weighing, beta (*B,) used by its weigh (NaN if it does not tell),
-    lost (*B,).
-    """
+    """What one layer did: the set after weighing, and beta (*B,) used by its weigh (NaN if it does not tell)."""
 
     name: str
-    ess: FloatArray
+    weighted: Hypotheses
     beta: FloatArray
-    evidence_lost: np.ndarray
+
+    @property
+    def ess(self) -> FloatArray:
+        """(*B,) after weighing."""
+        return self.weighted.ess
+
+    @property
+    def evidence_lost(self) -> NDArray[np.bool_]:
+        """(*B,)"""
+        return self.weighted.evidence_lost
 
 
 @dataclass(frozen=True)
@@ -193,7 +200,7 @@ def search(h: Hypotheses, recipe: Recipe, frame: Any, rng_of_layer: RngOfLayer) 
         proposed = layer.propose(h, frame, rng)
         log_likelihood, beta = _measure(layer.weigh, proposed, frame)
         weighted = proposed.reweighted(log_likelihood)
-        reports.append(LayerReport(layer.name, weighted.ess, beta, weighted.evidence_lost))
+        reports.append(LayerReport(layer.name, weighted, beta))
         h = layer.select(weighted, rng)
     return SearchResult(recipe.estimate(weighted), weighted, h, tuple(reports))
 

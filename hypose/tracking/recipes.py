@@ -82,7 +82,8 @@ def default(
     options = SolveSettings(iterations=iterations, coarse_iterations=iterations // 2)
     turns = _turns(frame_rate)
     period = 1 + max(turns)
-    rows = [Layer(SolvePrediction(options), no_evidence, keep, "contours")]
+    rival_arms = _rivals(body, turns, rivals, options)
+    rows = [Layer(SolvePrediction(options, rival_arms), no_evidence, keep, "contours")]
     for (name, joints), turn in zip(LIMB_LAYERS, turns, strict=True):
         own = s.dofs_of(*joints)
         step = np.zeros(s.dof)
@@ -96,20 +97,20 @@ def default(
         moving = np.isin(np.arange(len(s.joint_names)), [s.joint(j) for j in joints])
         weigh = Annealed(SilhouetteXor(moving), FixedSelectivity(1.0))  # the best is best under any exponent
         rows.append(Layer(kernel, weigh, Elite(1, mask, but=SOLVED), name, InTurn(turn, period, seldom=_SELDOM)))
-    rows.append(_rivals(body, turns, rivals, options))
+    rows.append(Layer(rival_arms, no_evidence, keep, "rivals"))
     base = Recipe("default", rows, particles, rivals=rivals)
     return _solving(replace(base, learn=LearnColours(), likes=("colours",)) if colours else base)
 
 
-def _rivals(body: Body, turns: Sequence[int], rivals: int, options: SolveSettings) -> Layer:
-    """The layer that looks arms up in their turns (one for each of LIMB_LAYERS) and hands on so many hypotheses."""
+def _rivals(body: Body, turns: Sequence[int], rivals: int, options: SolveSettings) -> RefineRivals:
+    """The kernel that looks arms up in their turns (one for each of LIMB_LAYERS) and hands on so many hypotheses."""
     lower, upper = in_practice(body.skeleton)
     arms = [
         (arm_reach(body, joints, lower, upper), InTurn(turn, 1 + max(turns)))
         for (name, joints), turn in zip(LIMB_LAYERS, turns, strict=True)
         if name.endswith("arm")
     ]
-    return Layer(RefineRivals(tuple(arms), rivals, options), no_evidence, keep, "rivals")
+    return RefineRivals(tuple(arms), rivals, options)
 
 
 def _turns(frame_rate: float) -> tuple[int, ...]:
@@ -134,7 +135,7 @@ def dd_hpf_rivals(body: Body, particles: int = 500, frame_rate: float = 25.0, ri
     layers = (
         *base.layers,
         Layer(ContourRefinement(), no_evidence, keep, "refinement"),
-        _rivals(body, _turns(frame_rate), rivals, SolveSettings()),
+        Layer(_rivals(body, _turns(frame_rate), rivals, SolveSettings()), no_evidence, keep, "rivals"),
     )
     return _solving(replace(base, name="dd-hpf+rivals", layers=layers, rivals=rivals))
 

@@ -6,8 +6,10 @@ cure both. It is usable after any recipe; its result is the estimate, and the se
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Protocol
 
 import numpy as np
 
@@ -100,19 +102,38 @@ class ContourRefinement:
         return replace(h, values=values).marked(SOLVED, [0])
 
 
+class LaterLayer(Protocol):
+    """A layer that can begin with parts of its work before its turn, beside the others."""
+
+    def before_solve(self, frame: PreparedFrame, /) -> None:
+        """Begins with what depends on the last frame alone."""
+        ...
+
+    def before_search(self, h: Hypotheses, frame: PreparedFrame, /) -> None:
+        """Begins with what depends on the hypothesis in the role SOLVED, but on no search of limbs."""
+        ...
+
+
 @dataclass(frozen=True)
 class SolvePrediction:
     """Kernel: solves from the prediction and puts all hypotheses there: where a search of single limbs wants to start.
 
-    One of them is in the role SOLVED, and one in the role COMPOSITE, to which the search adds limb by limb.
+    One of them is in the role SOLVED, and one in the role COMPOSITE, to which the search adds limb by limb. later: a
+    layer that may begin beside this one and the next ones.
     """
 
     options: SolveSettings = SolveSettings()
+    later: LaterLayer | None = None
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """All hypotheses at the solution."""
+        if self.later is not None:
+            self.later.before_solve(frame)
         pose = refine(frame.body, frame.prediction[None], frame, self.options)[0].pose
-        return _all_at(pose, h).marked(COMPOSITE, [min(1, h.count - 1)])
+        moved = _all_at(pose, h).marked(COMPOSITE, [min(1, h.count - 1)])
+        if self.later is not None:
+            self.later.before_search(moved, frame)
+        return moved
 
 
 @dataclass(frozen=True)
@@ -187,11 +208,25 @@ def best_fit(fits: list[PoseFit], frame: PreparedFrame) -> PoseFit:
 
 def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettings) -> list[PoseFit]:
     """Independent robust solves from starts (N, D) on a frame's evidence, with anatomical and prediction priors."""
+    fits = solve(body, starts, frame, options)
+    keep_hessians(frame, fits, body)
+    return fits
+
+
+def keep_hessians(frame: PreparedFrame, fits: Sequence[PoseFit], body: Body | None = None) -> None:
+    """Keeps the fits' Hessians with the frame, where its uncertainty is read off; body: other than the frame's."""
+    body = body or frame.body
+    for fit in fits:  # poses go on clamped, by less than the last digits of a Hessian
+        frame.hessians.keep(body, body.skeleton.clamp(fit.pose), fit.hessian)
+
+
+def solve(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettings) -> list[PoseFit]:
+    """`refine` without keeping anything."""
     trunk = anatomical_prior(body.skeleton, frame.keypoints is not None)
     priors = (trunk, prediction_prior(frame.prediction, frame.prediction_weight))
     if frame.depth is not None:
         options = replace(options, tries=min(options.tries, DEPTH_TRIES))
-    fits = fit_poses(
+    return fit_poses(
         body,
         starts,
         contours=frame.contours,
@@ -202,9 +237,6 @@ def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettin
         priors=priors,
         options=options,
     )
-    for fit in fits:  # poses go on clamped, by less than the last digits of a Hessian
-        frame.hessians.keep(body, body.skeleton.clamp(fit.pose), fit.hessian)
-    return fits
 
 
 def pose_mean(skeleton: Skeleton) -> TangentMean:

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import over_chunks, reach
-from hypose.fitting.articulated import SolveSettings
+from hypose.compute import beside, over_chunks, reach
+from hypose.fitting.articulated import PoseFit, SolveSettings
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, Hypotheses
 from hypose.tracking.costs import frame_energy
@@ -23,7 +24,10 @@ from hypose.tracking.frame_evidence import PoseMemory, PreparedFrame
 from hypose.tracking.part_colours import ColourSettings, colour_scores, known_colours
 from hypose.tracking.pictured_arms import pictured_arms
 from hypose.tracking.reach_table import ArmReach, ends, ends_of
-from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, member, mismatch, refine
+from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, keep_hessians, member, mismatch, refine, solve
+
+_SOLVE, _LOOK = "rivals solved", "arms looked up"
+"""What has been begun beside other layers, in a frame's `shared`."""
 
 DEPTH_KEEPS = 2
 """hypotheses that live on where depth cameras see, which leave less open; a third one is no gain there. Chosen on the
@@ -89,13 +93,8 @@ class RefineRivals:
         if frame.masks is None:  # nothing to compare them by
             return _roles(Hypotheses(s.clamp(winner[None]), np.zeros(1), columns={BEFORE: last[:1]}))
         old = s.on_branch(alive.values[1:], frame.prediction)
-        elsewhere = self._elsewhere(winner, old)
-        crossed, whose = self._crossed(winner, old, elsewhere, frame)
-        tried = [
-            [k for k in range(len(old)) if elsewhere[k].sum() < 2 or (k, n) in whose] for n in range(len(self.arms))
-        ]
         composite = self._composite(h, winner, frame)
-        looked_up = self._looked_up(h, winner, [old[k] for k in tried], frame)
+        crossed, whose, looked_up = frame.shared.pop(_LOOK, partial(self._look, h, winner, old, frame))()
         starts = [*composite, *looked_up, *crossed]
         poses = np.stack([winner, *self._solved(starts, old, frame)])
         parents = np.array([0] * (1 + len(starts)) + [1 + k for k in range(len(old))])
@@ -115,6 +114,30 @@ class RefineRivals:
             before[row, self.arms[n][0].own] = last[1 + k, self.arms[n][0].own]
         found = Hypotheses(s.clamp(poses), -scores / c.softness, parents, columns={BEFORE: before})
         return _roles(found.take(self._living(scores, costs, at.reshape(len(poses), -1, 3), frame)))
+
+    def before_solve(self, frame: PreparedFrame, /) -> None:
+        """Begins with solving the rivals of the last frame."""
+        if frame.masks is not None and frame.rivals is not None:
+            for q in frame.body.skeleton.on_branch(_best_first(frame)[0].values[1:], frame.prediction):
+                frame.shared[_SOLVE, q.tobytes()] = beside(partial(self._solved_rival, q, frame))
+
+    def before_search(self, h: Hypotheses, frame: PreparedFrame, /) -> None:
+        """Begins with looking arms up, where no evidence of the user's own is asked, which may be in one thread
+        only."""
+        if frame.masks is not None and frame.rivals is not None and not frame.own:
+            old = frame.body.skeleton.on_branch(_best_first(frame)[0].values[1:], frame.prediction)
+            frame.shared[_LOOK] = beside(partial(self._look, h, member(h, SOLVED), old, frame))
+
+    def _look(
+        self, h: Hypotheses, winner: Array, old: Array, frame: PreparedFrame
+    ) -> tuple[list[Array], list[tuple[int, int]], list[Array]]:
+        """What `_crossed` and `_looked_up` find."""
+        elsewhere = self._elsewhere(winner, old)
+        crossed, whose = self._crossed(winner, old, elsewhere, frame)
+        tried = [
+            [k for k in range(len(old)) if elsewhere[k].sum() < 2 or (k, n) in whose] for n in range(len(self.arms))
+        ]
+        return crossed, whose, self._looked_up(h, winner, [old[k] for k in tried], frame)
 
     def _by_pictures(
         self, poses: Array, expected: Array, frame: PreparedFrame, rng: np.random.Generator
@@ -181,18 +204,24 @@ class RefineRivals:
 
     def _solved(self, starts: list[Array], old: Array, frame: PreparedFrame) -> list[Array]:
         """The solutions (D,) from starts and from the predictions (K, D) of rivals, over threads."""
-        from_start, from_old = (self.near, self.options) if frame.depth is None else (self.with_depth, self.with_depth)
-        tasks = [(q, frame, from_start) for q in starts]
-        tasks += [(q, replace(frame, prediction=q), from_old) for q in old]
-        solved = [winner for winner, _, _ in tasks]
+        near = self.near if frame.depth is None else self.with_depth
+        tasks = [partial(solve, frame.body, q[None], frame, near) for q in starts]
+        tasks += [frame.shared.pop((_SOLVE, q.tobytes()), partial(self._solved_rival, q, frame)) for q in old]
+        solved: dict[int, PoseFit] = {}
 
         def work(first: int, last: int) -> None:
             for n in range(first, last):
-                q, own, options = tasks[n]
-                solved[n] = refine(frame.body, q[None], own, options)[0].pose
+                solved[n] = tasks[n]()[0]
 
         over_chunks(work, len(tasks), None)
-        return solved
+        in_order = [solved[n] for n in range(len(tasks))]
+        keep_hessians(frame, in_order)
+        return [fit.pose for fit in in_order]
+
+    def _solved_rival(self, q: Array, frame: PreparedFrame) -> list[PoseFit]:
+        """The fit of a rival from where it is expected (D,)."""
+        options = self.options if frame.depth is None else self.with_depth
+        return solve(frame.body, q[None], replace(frame, prediction=q), options)
 
     def _living(self, scores: Array, costs: Array, at: Array, frame: PreparedFrame) -> list[int]:
         """Which hypotheses live on, best first: those with arms (E, 3) elsewhere that are not far behind."""

@@ -49,13 +49,13 @@ def test_what_another_process_could_not_do_is_done_here_and_nothing_twice(parts)
 def test_a_process_that_fails_leaves_its_parts_to_whoever_asked(parts):
     here, others = parts
     compute.warm_up(load=False)
-    assert others == [["depth", "scorer", "pictures"]]
-    assert here == ["solver", *others[0]]
+    assert others == [["scorer", "outlines", "pictures"]]
+    assert here == ["depth", "solver", *others[0]]
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
 def test_shares_hold_every_part_once_the_dearest_first(count):
-    names = ["depth", "solver", "scorer", "pictures"]
+    names = ["depth", "solver", "scorer", "outlines", "pictures", "clip"]
     shares = warming._shared_out(names, count)
     assert len(shares) == count and "solver" in shares[0]
     assert sorted(n for share in shares for n in share) == sorted(names)

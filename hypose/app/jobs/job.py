@@ -122,7 +122,7 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
     check_writable(results.path)
     record = record_of(job)
     progress("compile", 0, 1)
-    compute.warm_up(*_kernels(options), load=False)
+    compute.warm_up(*_kernels(recording, options), load=False)
     progress("compile", 1, 1)
     finished = finished_before(job, record) if job.resume else None
     progress("background", 0, 1)
@@ -152,11 +152,14 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
     return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth, verdict)
 
 
-def _kernels(options: TrackOptions) -> tuple[str, ...]:
-    """The parts of compute that a run needs."""
+def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
+    """The parts of compute that a run needs until its first poses are there."""
     if options.of_picture:
-        return ("depth", "solver", "scorer", "pictures", "monocular")
-    return ("depth", "solver") if options.looks_at == "keypoints" else ("depth", "solver", "scorer", "pictures")
+        return ("depth", "solver", "scorer", "outlines", "pictures", "monocular")
+    if options.looks_at == "keypoints":
+        return ("depth", "solver", "clip")
+    masks = ("depth", "solver", "scorer", "outlines")
+    return masks if all(view.masks is not None for view in recording.views) else (*masks, "pictures")
 
 
 def _verdict(tracked: TrackResult, results: ResultsFolder, before: bool) -> Verdict:

@@ -2,11 +2,33 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from hypose.compute.compiled import kernel
+
+_BLOCK = 128
+"""poses that are looked at together, in vector lanes"""
+
+
+@kernel
+def pixels(m, x, y, z, n, width, height, place):
+    """place (n,) i4: 65536 row + column of the pixels in which points x, y, z (n,) lie under a projection m (3, 4); -1
+    outside the image, and nearer than 0.05 m."""
+    m00, m01, m02, m03 = m[0, 0], m[0, 1], m[0, 2], m[0, 3]
+    m10, m11, m12, m13 = m[1, 0], m[1, 1], m[1, 2], m[1, 3]
+    m20, m21, m22, m23 = m[2, 0], m[2, 1], m[2, 2], m[2, 3]
+    w, h = np.float64(width), np.float64(height)
+    for i in range(n):
+        depth = m20 * x[i] + m21 * y[i] + m22 * z[i] + m23
+        u = (m00 * x[i] + m01 * y[i] + m02 * z[i] + m03) / depth + 0.5
+        v = (m10 * x[i] + m11 * y[i] + m12 * z[i] + m13) / depth + 0.5
+        u = u if depth >= 0.05 else -1.0  # one choice after the other is what the compiler makes vectors of
+        u = u if u < w else -1.0
+        u = u if v >= 0 else -1.0
+        u = u if v < h else -1.0
+        v = v if u >= 0 else 0.0
+        u = u if u >= 0 else -1.0
+        place[i] = np.int32(v) * np.int32(65536) + np.int32(u)
 
 
 @kernel
@@ -31,26 +53,36 @@ def score_points(points, weights, rotation, centre, prepared, bits, cutoff, out)
     worth = 0.0
     for p in range(weights.shape[0]):
         worth += weights[p] * seen
-    for n in range(points.shape[0]):
-        total, left = 0.0, worth
+    x, y, z = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
+    place, total, alive = np.empty(_BLOCK, np.int32), np.empty(_BLOCK), np.empty(_BLOCK, np.int64)
+    worth_of, hidden = np.zeros(3), prepared.hidden.size > 0
+    for first in range(0, points.shape[0], _BLOCK):
+        n_alive = min(_BLOCK, points.shape[0] - first)
+        for n in range(n_alive):
+            alive[n], total[n] = n, 0.0
+        n_block, left = n_alive, worth
         for p in range(points.shape[1] - 1, -1, -1):
-            if total - left > cutoff:  # what is left cannot make up for it
-                break
+            n = 0
+            for i in range(n_alive):
+                alive[n] = alive[i]
+                n += not total[alive[i]] - left > cutoff  # else what is left cannot make up for it
+            n_alive = n
             left -= weights[p] * seen
-            x, y, z = points[n, p, 0], points[n, p, 1], points[n, p, 2]
+            worth_of[0], worth_of[1] = weights[p], -weights[p]  # no mask; a mask alone; what stands, or nothing
+            for i in range(n_alive):
+                point = points[first + alive[i], p]
+                x[i], y[i], z[i] = point[0], point[1], point[2]
             for c in range(views):
-                if not prepared.usable[c]:
-                    continue
-                depth = m[c, 2, 0] * x + m[c, 2, 1] * y + m[c, 2, 2] * z + m[c, 2, 3]
-                if depth < 0.05:
-                    continue
-                u = math.floor((m[c, 0, 0] * x + m[c, 0, 1] * y + m[c, 0, 2] * z + m[c, 0, 3]) / depth + 0.5)
-                v = math.floor((m[c, 1, 0] * x + m[c, 1, 1] * y + m[c, 1, 2] * z + m[c, 1, 3]) / depth + 0.5)
-                if not (0 <= u < prepared.sizes[c, 0] and 0 <= v < prepared.sizes[c, 1]):
-                    continue
-                column, row = int(u), int(v)
-                if prepared.open_masks[c, row, column] == 0:
-                    total += weights[p]
-                elif not (bits[c, row, column >> 3] >> np.uint8(column & 7)) & np.uint8(1):
-                    total -= weights[p]
-        out[n] = total
+                if prepared.usable[c]:
+                    pixels(m[c], x, y, z, n_alive, prepared.sizes[c, 0], prepared.sizes[c, 1], place)
+                    mask, drawn = prepared.bits[c], bits[c]
+                    for i in range(n_alive):  # without branches, which nobody could foretell
+                        at = max(place[i], np.int32(0))
+                        row, byte, bit = at >> 16, (at & 0xFFFF) >> 3, np.uint8(at & 7)
+                        told = mask[row, byte]
+                        if hidden:
+                            told |= prepared.hidden[c, row, byte]
+                        kind = ((told >> bit) & 1) + (((told & drawn[row, byte]) >> bit) & 1)
+                        total[alive[i]] += worth_of[kind if place[i] >= 0 else 2]
+        for n in range(n_block):
+            out[first + n] = total[n]

@@ -36,13 +36,19 @@ def standing(
             counts[c] = drawn.sum(), (drawn & (prepared.masks[c, :h, :w] != 0)).sum()
         hide(prepared, bits, counts)
         return Standing(bits, counts)
-    s, masks = prepared.sizes, tidy(prepared)
-    boxes = np.ascontiguousarray(np.stack([0 * s[:, 0], s[:, 0], 0 * s[:, 1], s[:, 1]], 1))
+    masks, boxes = tidy(prepared), whole_images(prepared)
     native("silhouettes.standing").draw_standing(
         q, tidy(tree), tidy(mesh), parts.corners, parts.standing, masks, boxes, bits, counts
     )
     hide(prepared, bits, counts)
     return Standing(bits, counts)
+
+
+def whole_images(prepared: PreparedMasks) -> NDArray[np.int64]:
+    """(C, 4) the boxes x0, x1, y0, y1 of whole views."""
+    boxes = np.zeros((len(prepared.sizes), 4), dtype=np.int64)
+    boxes[:, 1], boxes[:, 3] = prepared.sizes[:, 0], prepared.sizes[:, 1]
+    return boxes
 
 
 def hide(prepared: PreparedMasks, bits: NDArray[np.uint8], counts: NDArray[np.int64]) -> None:

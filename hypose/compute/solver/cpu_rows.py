@@ -16,8 +16,8 @@ import numpy as np
 
 from hypose.compute.compiled import kernel
 from hypose.compute.silhouettes.cpu_silhouettes import NEAR, contour_edges, emit_contours, front_faces, project
-from hypose.compute.solver.cpu_cholesky import dot
 from hypose.compute.solver.cpu_losses import geman_mcclure, lorentzian
+from hypose.compute.solver.cpu_sums import EIGHT, SUMS, wrench_sums
 from hypose.compute.solver.terms import NOT_KNOWN
 
 f4, i4 = np.float32, np.int32
@@ -79,19 +79,25 @@ def sum_rows(n, rows, joints, lanes, place, hessian, gradient):
             lanes[k, to] = line[k]
         place[joints[i]] = to + 1
     first = 0
+    sums = np.empty(SUMS)
     for j in range(n_joints):
         last = place[j]  # filled: place[j] has moved to the joint's end
         if last > first:
-            k = 0
-            weight, residual, weighted = lanes[6, first:last], lanes[7, first:last], lanes[8, first:last]
+            whole = first + (last - first) // EIGHT * EIGHT
+            wrench_sums(lanes, lanes.shape[1], first, whole, sums)
+            at, k = 0, 0
             for x in range(6):
-                own = lanes[x, first:last]
-                for m in range(last - first):
-                    weighted[m] = weight[m] * own[m]
-                gradient[j, x] += dot(weighted, residual, last - first)
-                for y in range(x + 1):
-                    hessian[j, k] += dot(weighted, lanes[y, first:last], last - first)
-                    k += 1
+                for y in range(x + 2):
+                    other = y if y <= x else 7
+                    s = sums[at]
+                    for m in range(whole, last):
+                        s += lanes[6, m] * lanes[x, m] * lanes[other, m]
+                    at += 1
+                    if y <= x:
+                        hessian[j, k] += s
+                        k += 1
+                    else:
+                        gradient[j, x] += s
         first = last
 
 

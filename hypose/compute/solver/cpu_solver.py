@@ -209,20 +209,22 @@ def solve(q, tree, mesh, contours, keypoints, points, depth, priors, settings, w
         q[d] = min(max(q[d], priors.lower[d]), priors.upper[d])
     damping = settings.damping
     coarse = settings.coarse_iterations if contours.sdf.shape[0] > 0 else 0
-    scale = contours.coarse_scale if coarse > 0 else contours.scale
-    cost = evaluate(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, hessian, gradient, counts)
-    evaluations = 1
-    if not math.isfinite(cost):
-        return False
-    done, used, converged = 0, 0, 0.0
-    while done < settings.iterations:
-        if coarse > 0 and done >= coarse:
-            coarse = 0
-            cost = evaluate(
-                q, tree, mesh, contours, contours.scale, keypoints, points, depth, priors, ws, hessian, gradient, counts
-            )
-            scale = contours.scale
+    scale, evaluated = contours.coarse_scale if coarse > 0 else contours.scale, False
+    cost, evaluations, done, used, converged = 0.0, 0, 0, 0, 0.0
+    while True:
+        ends = done >= settings.iterations
+        # a fine cost is reported all the same where no fine iteration was asked for
+        if coarse > 0 and (ends or done >= coarse):
+            coarse, scale, evaluated = 0, contours.scale, False
+        if not evaluated:
+            cost, kept = cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, counts)
+            normal_equations(q, kept, tree, priors, ws, hessian, gradient)
             evaluations += 1
+            evaluated = True
+            if evaluations == 1 and not math.isfinite(cost):
+                return False
+        if ends:
+            break
         accepted = False
         moved = 0.0
         for _ in range(settings.tries):
@@ -263,10 +265,5 @@ def solve(q, tree, mesh, contours, keypoints, points, depth, priors, settings, w
                 converged = 1.0 if moved < settings.tolerance else 0.0
                 break
             done = coarse
-    if coarse > 0:  # no fine iteration was asked for: report the fine cost all the same
-        cost = evaluate(
-            q, tree, mesh, contours, contours.scale, keypoints, points, depth, priors, ws, hessian, gradient, counts
-        )
-        evaluations += 1
     info[0], info[1], info[2], info[3] = cost, used, evaluations, converged
     return True

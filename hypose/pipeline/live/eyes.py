@@ -423,7 +423,7 @@ class EyesProcess:
 
 def _see(pipe: Connection, rig: CameraRig, views: tuple[LiveView, ...], options: EyesOptions) -> None:
     belong_to_parent()
-    compute.warm_up("pictures")  # the first pictures are not late
+    compute.warm_up("outlines", "pictures")  # the first pictures are not late
     try:
         eyes = Eyes(rig, views, options)
     except HyposeError as error:
