@@ -4,6 +4,20 @@ from __future__ import annotations
 
 from benchmarks.bench_tables import Column, Line, Page, least, most
 
+MIXED_UP = (
+    "sides exchanged, 10 %",
+    "sides exchanged, 30 %",
+    "sides exchanged, 1 s",
+    "legs exchanged, 1 s",
+    "another camera's",
+    "two cameras exchanged",
+    "bystander in one view",
+    "bystander instead, 40 %",
+    "bystander in all views",
+    "mirror in two views",
+)
+"""The ways of `bench mixed-up`."""
+
 WHO_IS_WHO = (
     Page(
         "shelf",
@@ -39,6 +53,12 @@ WHO_IS_WHO = (
             Column("mean", "mean_mm", "{}/keypoints"),
             Column("both, largest", "max_mm", "{}/both", spread=True),
             Column("mean", "mean_mm", "{}/both"),
+            Column("count, share"),
+        ),
+        (
+            *(Line(way, way, (most(130), most(130, 2))) for way in MIXED_UP),
+            *(Line(f"runs beyond 130 mm, {e}", e, metric="beyond_130") for e in ("keypoints", "both")),
+            *(Line(f"share of them that is said, {e}", e, (least(1, 4),), "said") for e in ("keypoints", "both")),
         ),
     ),
 )

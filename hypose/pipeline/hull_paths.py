@@ -19,8 +19,9 @@ SURPRISE = 1.0
 """m/s: by which somebody moves otherwise than expected."""
 SLACK = 0.25
 """m: by which the axis of a hull may jump besides."""
-SEEN_SHARE = 0.6
-"""Share of the looks in which somebody must be found to be there."""
+SEEN_SHARE = 0.5
+"""Share of the looks in which somebody must be found to be there: of two whose arms touch, the hull keeps one apart in
+every other look."""
 OTHERS_WIDENED = 0.02
 CORE_M = 0.3
 """m about their axis: what of another's hull hides a person. The rest may be the person's own."""

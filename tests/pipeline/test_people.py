@@ -11,7 +11,7 @@ from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.person_tracks import PersonTrack
 from hypose.io.motions.results import ResultsFolder
-from hypose.pipeline.hull_paths import count_people
+from hypose.pipeline.hull_paths import Path, count_people, lasting
 from hypose.pipeline.people_points import KeypointPeople, padded
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import TrackOptions, TrackResult
@@ -107,6 +107,11 @@ def test_who_leaves_and_returns_is_the_same_person(rig):
     assert away[:6].max() < 0.06 and away[-4:].max() < 0.08
     assert len(while_present(bert.result.motion, bert.present)) == bert.present.sum()
     assert bert.verdict.word in ("good", "look", "not to be trusted")
+
+
+def test_whoever_is_found_in_half_of_the_looks_is_there():
+    one, two, ghost = Path(dict.fromkeys(range(6))), Path(dict.fromkeys((0, 2, 7))), Path(dict.fromkeys((1, 2)))
+    assert lasting([one, two, ghost], 6) == [one, two] and lasting([ghost], 2) == [ghost]
 
 
 def test_wanted_people_are_those_who_stand_at_their_places():
