@@ -238,8 +238,8 @@ def contour_term(
 
 def _median(values: NDArray[np.int64]) -> float:
     """Of a few numbers, for which numpy's takes longer than a limb's kinematics."""
-    ordered = sorted(values.tolist())
-    return 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
+    v = sorted(values.tolist())
+    return 0.5 * (v[(len(v) - 1) // 2] + v[len(v) // 2])
 
 
 def workspace_for(body: Body, contours: ContourTerm | None = None) -> Workspace:
@@ -303,8 +303,7 @@ _OWN = threading.local()
 
 
 def _own_workspace(body: Body, contours: ContourTerm | None) -> Workspace:
-    """This thread's scratch memory: made anew, its pages are touched for the first time, which takes as long as two
-    evaluations."""
+    """This thread's scratch memory: made anew, touching its pages takes as long as two evaluations."""
     known: Workspace | None = getattr(_OWN, "workspace", None)
     if known is None or not _fits(known, body, contours):
         known = _OWN.workspace = workspace_for(body, contours)
