@@ -159,9 +159,10 @@ _FUSION = (
         "depth",
         """Depth cameras as evidence, all simulated ([how](depth.md)): captured motion with turns to both profiles, one
         sensor in front, two at 90 degrees, three all round; body and start found in the clip. Errors over 15 joints;
-        `sdk`: simulated skeletons of the same sensors, fused. Coverage: share of the joints in their 90 % regions; told:
-        which joints are wrong by more than 100 mm, area under the curve. ms/frame: of one sensor's map, one thread,
-        median. Late: poses of the live engine, two simulated sensors. Seeds from 710 on, on which nothing was chosen.""",
+        `sdk`: simulated skeletons of the same sensors, fused. Coverage: share of the joints in their 90 % regions.
+        Told: which joints are wrong by more than 100 mm, area under the curve. ms/frame: of one sensor's map, one
+        thread, median. Late: poses of the live engine, two simulated sensors. Seeds from 710 on, on which nothing was
+        chosen.""",
         (
             Column("mean, mm", "mean_mm", spread=True),
             Column("95 %, mm", "p95_mm"),
