@@ -22,8 +22,17 @@ if __name__ == "__main__":
 """
 
 
+@pytest.fixture
+def hears_ctrl_c():
+    """Whoever begins the tests in the background of a shell makes them deaf, which their children would inherit."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="NOT tested: signals of a console; run it on Linux")
 @pytest.mark.parametrize("deaf", [True, False])
+@pytest.mark.usefixtures("hears_ctrl_c")
 def test_a_process_that_was_started_does_not_hear_ctrl_c_from_its_first_moment_on(deaf):
     def begun():
         return subprocess.Popen([sys.executable, "-c", SLEEPS], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
