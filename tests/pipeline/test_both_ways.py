@@ -5,14 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.robustness.small_recordings import small_scene
-from hypose.body.ready_bodies import human
 from hypose.pipeline.both_ways import both_ways_notes, look_both_ways
-from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.recipes import default
-from hypose.tracking.starts import KNOWN_POSES, start_in_pose
-from hypose.tracking.subject import scaled_to_height
-from hypose.tracking.tracker import Tracker, TrackerSettings
+from hypose.tracking.tracker import TrackerSettings
+from tests.walking_clip import walking_clip
 
 N, LOST = 30, range(12, 18)
 
@@ -20,12 +15,8 @@ N, LOST = 30, range(12, 18)
 @pytest.fixture(scope="module")
 def clip():
     """A walk's frames, its tracker, its estimates, and where the right wrist (T, 3) is."""
-    scene = small_scene(1, N)
-    frames = list(scene.mask_frames())
-    body = scaled_to_height(human(), scene.subject.stature)
-    start = start_in_pose(body, prepare(frames[0], body, np.zeros(body.skeleton.dof)), KNOWN_POSES).pose
-    tracker = Tracker(body, default(body, particles=64))
-    wrist = scene.joints[:, body.skeleton.joint("right_wrist")]
+    scene, frames, tracker, start = walking_clip(N)
+    wrist = scene.joints[:, tracker.body.skeleton.joint("right_wrist")]
     return frames, tracker, [e for _, e in tracker.follow(tracker.start(start), frames)], wrist
 
 

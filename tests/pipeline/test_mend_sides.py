@@ -5,18 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.robustness.small_recordings import small_scene
-from hypose.body.ready_bodies import human
 from hypose.pipeline.doubts import what_was_seen
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.mend_sides import look_back, look_back_notes, mend_sides, sides_notes
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.tracking.exchanged_sides import turned_around
-from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.recipes import default
-from hypose.tracking.starts import KNOWN_POSES, known_pose, start_in_pose
-from hypose.tracking.subject import scaled_to_height
-from hypose.tracking.tracker import Tracker
+from hypose.tracking.starts import known_pose
+from tests.walking_clip import walking_clip
 
 N = 45
 
@@ -24,11 +19,7 @@ N = 45
 @pytest.fixture(scope="module")
 def clip():
     """A walk's frames, its tracker, and its estimates from a start the right way round."""
-    scene = small_scene(1, N)
-    frames = list(scene.mask_frames())
-    body = scaled_to_height(human(), scene.subject.stature)
-    start = start_in_pose(body, prepare(frames[0], body, np.zeros(body.skeleton.dof)), KNOWN_POSES).pose
-    tracker = Tracker(body, default(body, particles=64))
+    scene, frames, tracker, start = walking_clip(N)
     return scene, frames, tracker, tracked(tracker, start, frames)
 
 
