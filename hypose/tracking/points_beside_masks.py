@@ -24,7 +24,7 @@ from hypose.tracking.keypoint_evidence import KeypointModel
 from hypose.tracking.keypoint_offsets import Residuals, residual_rows, solved_frames, triangulated_starts
 from hypose.tracking.refinement import anatomical_prior
 
-OUTLINES_M = 0.010
+OUTLINES_M = 0.012
 """m: points that scatter by no more weigh in full beside masks, whatever these say."""
 LEAST = 0.03
 """Share of their weight that points keep beside masks that are right."""
