@@ -41,8 +41,8 @@ _CHAINS = (
 class KeypointModel:
     """Where named key points sit on a body: joint (K,), offset (K, 3) m in that joint's frame, known (K,). sd (K,) m:
     noise of a detection at the body's distance, per axis, at confidence 1; None: not measured. view (C,): by how much
-    the noise of each view is larger (`hypose.tracking.view_noise`); None: all are alike. beside (K,): what is left of
-    each point's weight in solves beside masks (`hypose.tracking.points_beside_masks`); None: all."""
+    the noise of each view is larger (`hypose.tracking.view_noise`); None: all are alike. beside (C, K): what is
+    left of each point's weight in solves beside masks (`hypose.tracking.points_beside_masks`); None: all."""
 
     names: tuple[str, ...]
     joint: NDArray[np.int64]
@@ -112,10 +112,10 @@ def keypoint_term(
 
 def beside_masks(term: KeypointTerm, model: KeypointModel) -> KeypointTerm:
     """The term of a frame's key points as solves weigh it when there are masks as well."""
-    if model.beside is None:
+    if model.beside is None or len(model.beside) != len(term.points):
         return term
     points = term.points.copy()
-    points[..., 2] *= model.beside[model.known]
+    points[..., 2] *= model.beside[:, model.known]
     return replace(term, points=points)
 
 

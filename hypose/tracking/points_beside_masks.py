@@ -30,8 +30,8 @@ LEAST = 0.03
 """Share of their weight that points keep beside masks that are right."""
 FRAMES = 8
 """frames in which the two are compared"""
-_GROUPS = (("shoulder", "elbow", "wrist"), ("knee", "ankle", "toe", "heel"), ("hip", "neck"), ("",))
-_LEAST_FRAMES, _LEAST_ROWS, _LEAST_LEFT = 3, 20, 0.2
+_PARTS = (("elbow", "wrist"), ("knee", "ankle", "toe", "heel"), ("shoulder", "hip", "neck"), ("",))
+_LEAST_FRAMES, _LEAST_ROWS, _LEAST_LEFT = 3, 8, 0.2
 _SOLVE = SolveSettings(iterations=12, coarse_iterations=4)
 
 
@@ -39,8 +39,9 @@ def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Fram
     """The model with what is left of its points' weights beside masks (`KeypointModel.beside`); as it is when fewer
     than three of the frames (of one person) tell.
 
-    noise: variance per axis of the detections about the body that is solved for by them, which takes up a part of it;
-    wrong: by how much more they are off the body that is solved for by the outlines."""
+    Of the points of each part of the body, noise: variance per axis about the body that is solved for by them, which
+    takes up a part of it; away (C,): about the body that is solved for by the outlines. What is more of it in half of
+    the views is the outlines' fault, what is more of it in single views is that of the points there."""
     both = [f for f in frames if f.keypoints is not None and f.silhouettes is not None]
     both = [both[int(n)] for n in np.unique(np.linspace(0, len(both) - 1, min(FRAMES, len(both))).astype(int))]
     seen, by_points, by_masks = _solved_either_way(body, model, both)
@@ -49,13 +50,17 @@ def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Fram
     own, other = (residual_rows(body, model, seen, poses) for poses in (by_points, by_masks))
     rows = 2 * np.median((own.confidence[:, :, model.known] > 0).sum((1, 2)))
     left = max(1 - body.skeleton.dof / max(float(rows), 1.0), _LEAST_LEFT)
-    usual, beside = _scatter(own, model.known), np.ones(len(model.names))
-    for members in _groups(model.names):
+    usual, beside = np.nanmedian(_scatter(own, model.known)), np.ones((len(seen[0].rig), len(model.names)))
+    for members in _parts(model.names):
         told = members & model.known
-        noise = max(usual * _scatter(own, told) / left, 1e-8)
-        wrong = max(_scatter(other, told) ** 2 - noise, 0.0)
-        beside[members] = np.clip((OUTLINES_M**2 + wrong) / noise, LEAST, 1.0)
-    return replace(model, beside=beside)
+        scatter, away = _scatter(own, told), _scatter(other, told) ** 2
+        tell = np.isfinite(scatter) & np.isfinite(away)
+        if not tell.any():
+            continue
+        noise = max(float(usual * np.median(scatter[tell])) / left, 1e-8)
+        wrong = max(float(np.sort(away[tell])[(tell.sum() - 1) // 2]) - noise, 0.0)
+        beside[:, members] = (OUTLINES_M**2 + wrong) / np.fmax(noise, away - wrong)[:, None]
+    return replace(model, beside=np.clip(beside, LEAST, 1.0))
 
 
 def _solved_either_way(
@@ -77,17 +82,21 @@ def _solved_either_way(
     return kept, np.array(by_points), np.array(by_masks)
 
 
-def _groups(names: Sequence[str]) -> list[NDArray[np.bool_]]:
-    """(K,) each: the points of a part of the body."""
+def _parts(names: Sequence[str]) -> list[NDArray[np.bool_]]:
+    """(K,) each: the points of a limb, of the trunk, of the head."""
     out, free = [], np.ones(len(names), np.bool_)
-    for words in _GROUPS:
-        out.append(free & np.array([any(w in n.lower() for w in words) for n in names]))
-        free = free & ~out[-1]
+    for words in _PARTS:
+        own = free & np.array([any(w in n.lower() for w in words) for n in names])
+        left = own & np.array(["left" in n.lower() for n in names])
+        out += [left, own & ~left] if words in _PARTS[:2] else [own]
+        free = free & ~own
     return out
 
 
-def _scatter(rows: Residuals, members: NDArray[np.bool_]) -> float:
-    """m per axis: robust standard deviation of the distances of these points (K,); 0 where there are few."""
+def _scatter(rows: Residuals, members: NDArray[np.bool_]) -> Array:
+    """(C,) m per axis: robust standard deviation of the distances of these points (K,) in each view; NaN where there
+    are few."""
     used = (rows.confidence > 0) & members
-    metres = (np.abs(rows.residual) / rows.size[..., None, None])[used]
-    return 1.4826 * float(np.median(metres)) if len(metres) >= _LEAST_ROWS else 0.0
+    metres = np.abs(rows.residual) / rows.size[..., None, None]
+    views = [metres[:, c][used[:, c]] for c in range(used.shape[1])]
+    return np.array([1.4826 * np.median(m) if m.size >= 2 * _LEAST_ROWS else np.nan for m in views])
