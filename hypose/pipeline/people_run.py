@@ -163,7 +163,7 @@ class PeopleRun:
         look."""
         last = min(len(self.source), max(2, round(START_S * self.frame_rate)))
         looks = np.unique(np.linspace(0, last - 1, min(last, 6)).astype(int)).tolist()
-        paths = lasting(follow_places(self.source.frame, looks, self.frame_rate, floor=self.floor), len(looks))
+        paths = lasting(self._places([*looks, *range(last, self._named_at + 1, self._look_every)]), looks)
         if not paths:
             raise EvidenceError(
                 "Nobody stands in the masks at the beginning: no part of the visual hull is as large and tall as a "
@@ -172,7 +172,7 @@ class PeopleRun:
             )
         middle = self._middle()
         paths = sorted(paths, key=lambda p: float(np.linalg.norm(p.axis(0) - middle)))
-        names = names_at_places(self.wanted, len(paths), lambda k, t: paths[k].axis(t), self.frame_rate)
+        names = names_at_places(self.wanted, len(paths), lambda k, t: self._stood(paths[k], t), self.frame_rate)
         order = sorted(range(len(paths)), key=lambda k: (self._rank(names[k]), k))
         numbers, people = self._fit_numbers(0), list[Followed]()
         followed, names = self._followed(paths, numbers), list(names)
@@ -184,6 +184,20 @@ class PeopleRun:
             one.asked_for = self.count is None or len(people) < self.count
             people.append(one)
         return people
+
+    def _places(self, numbers: Sequence[int]) -> list[Path]:
+        """Everybody in the hull through the frames `numbers`."""
+        return follow_places(self.source.frame, numbers, self.frame_rate, floor=self.floor)
+
+    @property
+    def _named_at(self) -> int:
+        """The last frame for which somebody's place is given."""
+        times = [w.time for w in self.wanted if w.place is not None]
+        return min(round(max(times, default=0.0) * self.frame_rate), len(self.source) - 1)
+
+    def _stood(self, path: Path, t: int) -> Array:
+        """(2,) m: where somebody stood in about a frame; NaN where that is not known."""
+        return path.axis(t, within=START_S * self.frame_rate)
 
     def _roughly(self, paths: Sequence[Path], names: Sequence[str], numbers: Sequence[int]) -> list[Rough | None]:
         """Everybody's body and poses in the frames `numbers`, roughly; nobody's where key points tell who is where, and
@@ -218,8 +232,7 @@ class PeopleRun:
 
     def _followed(self, paths: Sequence[Path], numbers: Sequence[int]) -> list[Path]:
         """The same people through the frames from which bodies are fitted."""
-        found = follow_places(self.source.frame, numbers, self.frame_rate, floor=self.floor)
-        out: list[Path] = []
+        found, out = self._places(numbers), list[Path]()
         for p in paths:
             free = [q for q in found if not any(q is o for o in out)]
             near = [q for q in free if np.linalg.norm(q.axis(numbers[0]) - p.axis(numbers[0])) < 0.6]
@@ -380,14 +393,15 @@ class PeopleRun:
             return True
         numbers = self._fit_numbers(t)
         # beyond this frame nobody has been tracked yet: all are told apart by the hull alone
-        paths = follow_places(self.source.frame, numbers, self.frame_rate, floor=self.floor)
+        paths = self._places(numbers)
         mine = [k for k, q in enumerate(paths) if t in q.found and np.linalg.norm(q.found[t].axis - person.axis) < 0.4]
         if not mine or len(paths[mine[0]].found) < min(len(numbers), FEWEST):
             return False
-        taken = [p.name for p in people]
-        rest = [w.name for w in self.wanted if w.name not in taken]
+        taken, own_path = [p.name for p in people], paths[mine[0]]
+        rest = [w for w in self.wanted if w.name not in taken]
+        name = names_at_places(rest, 1, lambda _, t: self._stood(own_path, t), self.frame_rate)[0]
         try:
-            new = self._fitted(rest[0] if rest else free_name(taken, self.wanted), paths, mine[0], numbers)
+            new = self._fitted(name or free_name(taken, self.wanted), paths, mine[0], numbers)
         except HyposeError:
             return False
         nobody, done = nobody_in(frame), len(people[0].estimates)
