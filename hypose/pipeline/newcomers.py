@@ -84,3 +84,9 @@ def returned(
         return None
     higher = person.hull.height - best[1].subject.body.stature
     return (best[1], best[2]) if -SHORTER_M < higher < TALLER_M else None
+
+
+def unfollowed(coming: Sequence[Array]) -> tuple[str, ...]:
+    """Of whom or what no body could be fitted to, as the last look left them (x, y, tries, ...), in words."""
+    at = ", ".join(f"[{c[0]:.1f}, {c[1]:.1f}]" for c in coming if c[2] > 1)
+    return (f"somebody or something else stands at {at} m that no body explains, and is not followed",) if at else ()

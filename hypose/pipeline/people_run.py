@@ -28,7 +28,7 @@ from hypose.pipeline.doubts import as_now, in_words, looked_at, mask_change, run
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
 from hypose.pipeline.hull_paths import Path, follow_places, lasting
 from hypose.pipeline.kept_findings import keep_subject, kept_subject
-from hypose.pipeline.newcomers import evidence_of, explained_by, returned, somebody_more
+from hypose.pipeline.newcomers import evidence_of, explained_by, returned, somebody_more, unfollowed
 from hypose.pipeline.people_points import KeypointPeople, PointFrames, padded
 from hypose.pipeline.rough_bodies import HIDDEN, Rough, least_hidden, own_frame, rough_bodies
 from hypose.pipeline.run import TrackOptions, finish, track_source, tracker_of
@@ -107,7 +107,8 @@ class PeopleRun:
         done = [self._finished(p, people, complete) for p in asked]
         if complete and self.results is not None:
             self.results.checkpoint.unlink(missing_ok=True)
-        return PeopleResult(tuple(done), complete, said_of(done, self.frame_rate), len(people) - len(asked))
+        said = (*said_of(done, self.frame_rate), *unfollowed(coming))
+        return PeopleResult(tuple(done), complete, said, len(people) - len(asked))
 
     def _rank(self, name: str | None) -> int:
         """Wanted people come first, in their order."""
@@ -179,10 +180,17 @@ class PeopleRun:
         for k in order:
             names[k] = names[k] or free_name([n for n in names if n is not None], self.wanted)
         rough = self._roughly(followed, [str(n) for n in names], numbers)
+        unclear: list[HyposeError] = []
         for k in order:
-            one = self._fitted(str(names[k]), followed, k, numbers, rough, alone=len(paths) == 1)
+            try:
+                one = self._fitted(str(names[k]), followed, k, numbers, rough, alone=len(paths) == 1)
+            except HyposeError as error:  # the others may be seen well; who becomes so later is found later
+                unclear.append(error)
+                continue
             one.asked_for = self.count is None or len(people) < self.count
             people.append(one)
+        if not people:
+            raise unclear[0]
         return people
 
     def _places(self, numbers: Sequence[int]) -> list[Path]:
@@ -281,7 +289,7 @@ class PeopleRun:
     # ---- the loop ----------------------------------------------------------------------------------------------
 
     def _track(self, people: list[Followed], coming: list[Array]) -> bool:
-        """All frames that are not done; False when it was interrupted."""
+        """All frames that are not done; False when it was interrupted. coming: who may be somebody new, in place."""
         total, look = len(self.source), self._look_every
         first = saved = len(people[0].estimates)
         before = self.source.frame(first - 1) if first else None
@@ -292,7 +300,7 @@ class PeopleRun:
                 self._step(people, frame, before, t)
                 before = frame
                 if t % look == 0:
-                    coming = self._look(people, frame, t, coming)
+                    coming[:] = self._look(people, frame, t, coming)
                 if self.results is not None and t + 1 - saved >= max(self.options.checkpoint_every, saved // 20):
                     save_people(self.results, self.record, people, coming)
                     saved = t + 1
@@ -368,29 +376,39 @@ class PeopleRun:
 
     def _look(self, people: list[Followed], frame: Frame, t: int, before: Sequence[Array]) -> list[Array]:
         """Looks for somebody whom nobody explains; who was there at the last look as well is tracked from now on.
-        Returns where new people stand (2,)."""
+        Returns of everybody new (4,): where they stand, how often no body could be fitted, and the frame from which
+        that is tried again; before: of the last look."""
         silhouettes = frame.silhouettes
         if silhouettes is None:
             return []
         known = explained_by(people, silhouettes)
         if not somebody_more(known, silhouettes):
             return []
-        found = people_in_hull(silhouettes, known, floor=self.floor)
+        found, coming = people_in_hull(silhouettes, known, floor=self.floor), list[Array]()
         for person in found:
-            if any(np.linalg.norm(person.axis - b) < 0.5 for b in before):
+            seen = next((b for b in before if np.linalg.norm(person.axis - b[:2]) < 0.5), None)
+            tries, again = (0, t) if seen is None else (int(seen[2]), int(seen[3]))
+            if seen is not None:
                 own = evidence_of(person, frame, known, found)
-                if self._welcomed(people, person, own, frame, t):
+                if self._back(people, person, own) or (t >= again and self._new(people, person, frame, t)):
                     return []
-        return [p.axis for p in found]
+                if t >= again:  # a fit is dear, and who cannot be told now may not be for long
+                    tries, again = tries + 1, t + self._look_every * 2 ** min(tries, 3)
+            coming.append(np.array([*person.axis, tries, again], dtype=np.float64))
+        return coming
 
-    def _welcomed(self, people: list[Followed], person: HullPerson, own: Frame, frame: Frame, t: int) -> bool:
-        """Somebody who was away is back, or somebody new is there; False when no body can be fitted."""
+    def _back(self, people: list[Followed], person: HullPerson, own: Frame) -> bool:
+        """Whether somebody who was away is back."""
         back = returned(person, own, people, self.frame_rate)
-        if back is not None:
-            p, pose = back
-            p.member = Member(p.member.tracker, p.member.tracker.start(pose))
-            p.gone = 0
-            return True
+        if back is None:
+            return False
+        p, pose = back
+        p.member = Member(p.member.tracker, p.member.tracker.start(pose))
+        p.gone = 0
+        return True
+
+    def _new(self, people: list[Followed], person: HullPerson, frame: Frame, t: int) -> bool:
+        """Whether somebody new is there; False when no body can be fitted."""
         numbers = self._fit_numbers(t)
         # beyond this frame nobody has been tracked yet: all are told apart by the hull alone
         paths = self._places(numbers)
