@@ -76,8 +76,10 @@ def follow_places(
         if frame.silhouettes is None:
             continue
         here = people_in_hull(frame.silhouettes, () if known is None else known(t), floor=floor)
-        usual = np.median([h.litres for p in paths for h in p.found.values()]) if paths else 0.0
-        here = [h for h in here if h.litres > _PART * usual]  # a rest of somebody is nobody's place
+        known_hulls = [(h.litres, h.hull.height) for p in paths for h in p.found.values()]
+        litres, height = np.median(known_hulls, axis=0) if known_hulls else (0.0, 1.0)
+        # a rest of somebody is nobody's place; children have less, and are less tall
+        here = [h for h in here if h.litres > _PART * litres * min(1.0, (h.hull.height / height) ** 3)]
         alive = [p for p in paths if t - p.last <= max(_GONE_S * frame_rate, 2 * max(np.diff([*numbers, t + 1])))]
         taken: set[int] = set()
         if alive and here:

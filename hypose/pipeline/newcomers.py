@@ -47,6 +47,12 @@ def somebody_more(known: Sequence[Other], silhouettes: Silhouettes) -> bool:
     return int(views.sum()) >= min(VIEWS, int(thin.usable.sum()))
 
 
+def not_parts(found: Sequence[HullPerson], people: Sequence[Followed]) -> list[HullPerson]:
+    """Those in the hull who are no limb of somebody who is tracked: whoever is no taller than a child stands apart."""
+    at = [p.estimates[-1].pose[:2] for p in people if p.member.sure]
+    return [h for h in found if h.tall or all(np.linalg.norm(h.axis - q) > BESIDE for q in at)]
+
+
 def evidence_of(person: HullPerson, frame: Frame, known: Sequence[Other], beside: Sequence[HullPerson] = ()) -> Frame:
     """The frame as evidence for somebody in the hull; known: who is explained; beside: others in the hull."""
     s = frame.silhouettes

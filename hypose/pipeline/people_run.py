@@ -28,7 +28,7 @@ from hypose.pipeline.doubts import as_now, in_words, looked_at, mask_change, run
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
 from hypose.pipeline.hull_paths import Path, follow_places, lasting
 from hypose.pipeline.kept_findings import keep_subject, kept_subject
-from hypose.pipeline.newcomers import evidence_of, explained_by, returned, somebody_more, unfollowed
+from hypose.pipeline.newcomers import evidence_of, explained_by, not_parts, returned, somebody_more, unfollowed
 from hypose.pipeline.people_points import KeypointPeople, PointFrames, padded
 from hypose.pipeline.rough_bodies import HIDDEN, Rough, least_hidden, own_frame, rough_bodies
 from hypose.pipeline.run import TrackOptions, finish, track_source, tracker_of
@@ -384,7 +384,8 @@ class PeopleRun:
         known = explained_by(people, silhouettes)
         if not somebody_more(known, silhouettes):
             return []
-        found, coming = people_in_hull(silhouettes, known, floor=self.floor), list[Array]()
+        found = not_parts(people_in_hull(silhouettes, known, floor=self.floor), people)
+        coming = list[Array]()
         for person in found:
             seen = next((b for b in before if np.linalg.norm(person.axis - b[:2]) < 0.5), None)
             tries, again = (0, t) if seen is None else (int(seen[2]), int(seen[3]))
