@@ -128,7 +128,7 @@ def prepared_masks(silhouettes: Silhouettes) -> compute.PreparedMasks:
     norm = None
     if silhouettes.ignored is not None and silhouettes.expected is not None:
         expected = np.maximum(silhouettes.expected.areas, LEAST_AREA)
-        norm = np.where(silhouettes.shared, expected, silhouettes.areas)
+        norm = np.where(silhouettes.shared, expected, np.nan)
     made = compute.prepare_masks(
         silhouettes.masks, silhouettes.usable, rig.sizes, rig.projections, silhouettes.ignored, norm
     )

@@ -67,7 +67,7 @@ class Silhouettes:
     @property
     def told(self) -> NDArray[np.uint8]:
         """(C, h, w) the masks without what is ignored."""
-        return self.masks if self.ignored is None else self.masks & (1 - self.ignored)
+        return self.masks if self.ignored is None else np.greater(self.masks, self.ignored).view(np.uint8)
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,10 @@ from hypose.geometry import Array
 VOXEL = 0.04
 LITRES, TALL, FROM_FLOOR = 20.0, 1.0, 0.5
 """A person has at least so many litres of hull, reaches so high, m, and begins that near to the floor, m."""
+CHILD_LITRES, CHILD, SLENDER = 12.0, 0.75, 42.0
+"""A child has at least so many litres, reaches so high, m, and has no more litres than this times the cube of that: of
+children of 0.9 to 1.1 m it was 23 to 39 in four views, of people of any age 20 to 36; of stools, chairs, dogs, bins and
+suitcases 48 to 140."""
 VIEWS = 3
 """So many views must show a person in pixels that nobody else explains; with two there are ghosts."""
 ABOUT, REACH, APART = 0.3, 0.9, 0.42
@@ -53,6 +57,18 @@ class HullPerson:
     def litres(self) -> float:
         """Of the hull."""
         return 1e3 * self.hull.volume
+
+    @property
+    def tall(self) -> bool:
+        """As tall as most people are; a child may not be."""
+        return self.hull.height > TALL
+
+    @property
+    def is_somebody(self) -> bool:
+        """Whether there is as much of it as there is of a person, or of a child."""
+        if self.tall:
+            return self.litres > LITRES
+        return CHILD_LITRES < self.litres < SLENDER * self.hull.height**3
 
     def shape(self, rig: CameraRig, about: float = np.inf) -> DrawnShape:
         """What of the views it fills, its gaps closed; about: m, only what lies so near to the axis."""
@@ -117,8 +133,9 @@ def _axes(hull: Hull, floor: float, most: int) -> list[tuple[Array, NDArray[np.b
         # most places have too little around them for anybody
         part = np.ix_(*(np.flatnonzero(np.abs(at - axis[k]) < ABOUT) for k, at in enumerate((x, y))))
         near = np.sqrt((x[part[0]] - axis[0]) ** 2 + (y[part[1]] - axis[1]) ** 2) < ABOUT
-        if int(filled[part][near].sum()) * litre > LITRES:
-            if _stands(points[np.linalg.norm(points[:, :2] - axis, axis=1) < ABOUT], litre, floor):
+        if int(filled[part][near].sum()) * litre > CHILD_LITRES:
+            away = np.linalg.norm(points[:, :2] - axis, axis=1)
+            if _stands(points[away < ABOUT], np.count_nonzero(away < BESIDE) * litre, litre, floor):
                 axes.append(axis)
                 _taken(density, peak, APART / hull.voxel)
         _taken(density, peak, _FINE / hull.voxel)
@@ -128,7 +145,10 @@ def _axes(hull: Hull, floor: float, most: int) -> list[tuple[Array, NDArray[np.b
     while True:
         away = np.linalg.norm(points[:, None, :2] - np.array(axes), axis=2)
         nearest = away.argmin(1)
-        stands = [_stands(points[(nearest == k) & (away[:, k] < ABOUT)], litre, floor) for k in range(len(axes))]
+        beside = (away < BESIDE).sum(0) * litre
+        stands = [
+            _stands(points[(nearest == k) & (away[:, k] < ABOUT)], beside[k], litre, floor) for k in range(len(axes))
+        ]
         if all(stands) or len(axes) == 1:
             return [(axis, (nearest == k) & (away[:, k] < REACH)) for k, axis in enumerate(axes)]
         worst = max(k for k, ok in enumerate(stands) if not ok)  # they come in the order of their density
@@ -143,10 +163,15 @@ def _taken(density: Array, peak: NDArray[np.int64], radius: float) -> None:
     part[np.hypot(u + low[0] - peak[0], v + low[1] - peak[1]) < radius] = 0
 
 
-def _stands(near: Array, litre: float, floor: float) -> bool:
-    """Do the voxels (M, 3) m about an axis make a person?"""
-    enough = len(near) * litre > LITRES
-    return bool(enough and np.ptp(near[:, 2]) > TALL and near[:, 2].min() - floor < FROM_FLOOR)
+def _stands(near: Array, beside: float, litre: float, floor: float) -> bool:
+    """Do the voxels (M, 3) m about an axis make a person? beside: litres as near as BESIDE, of whomever: a part of
+    something wide is no child."""
+    if not len(near) or near[:, 2].min() - floor > FROM_FLOOR:
+        return False
+    litres, height = len(near) * litre, float(np.ptp(near[:, 2]))
+    if height > TALL:
+        return litres > LITRES
+    return height > CHILD and litres > CHILD_LITRES and beside < SLENDER * height**3
 
 
 def _not_ghosts(left: Silhouettes, found: list[HullPerson], least: int) -> list[HullPerson]:
@@ -160,7 +185,7 @@ def _not_ghosts(left: Silhouettes, found: list[HullPerson], least: int) -> list[
         rest = told & without(left, others).told
         own = np.array([int((shape.masks[c] & rest[c]).sum()) for c in np.flatnonzero(left.usable)])
         whole = np.array([max(int(shape.masks[c].sum()), 1) for c in np.flatnonzero(left.usable)])
-        if (own > OWN_SHARE * whole).sum() >= least and person.litres > LITRES:
+        if (own > OWN_SHARE * whole).sum() >= least and person.is_somebody:
             kept.append(person)
             others.append(Other(shape, _WIDENED))
     return kept

@@ -104,7 +104,7 @@ def shared_outline(
         mask, ignored = mask[part], ignored[part]
     if min(mask.shape) <= SMALLEST * factor or extent <= SMALLEST:
         return nothing
-    least, most = mask & (1 - ignored), mask | ignored
+    least, most = np.greater(mask, ignored).view(np.uint8), mask | ignored
     if factor > 1:
         least, most = _shrink(least, factor), _shrink(most, factor)
     size = (least.shape[1], least.shape[0])

@@ -13,19 +13,19 @@ from hypose.evidence.frame import Silhouettes
 _LARGE, _TALL = 0.3, 0.5
 """Share of the largest part's area, and of its height, from which a part of a mask is somebody, too: a person who is
 nearly twice as far away."""
-_OFTEN, _VIEWS = 0.5, 2
-"""Share of the frames in which a view must show several, and how many views must: an arm or a chair that a table cuts
-off is seen so by one."""
+OFTEN, NOW_AND_THEN, _VIEWS = 0.5, 0.25, 2
+"""Share of the frames in which a view must show several, without and with other evidence of them, and how many views
+must: an arm or a chair that a table cuts off is seen so by one."""
 
 
-def several_apart(silhouettes: Sequence[Silhouettes]) -> bool:
-    """Whether most of these frames, in two views or more, show people beside each other."""
+def several_apart(silhouettes: Sequence[Silhouettes], often: float = OFTEN) -> bool:
+    """Whether so many of these frames, a share of them, show people beside each other in two views or more."""
     if not silhouettes:
         return False
     usable = np.array([s.usable for s in silhouettes])
     shown = [[u and _beside(m) > 1 for m, u in zip(s.masks, s.usable, strict=True)] for s in silhouettes]
-    often = np.array(shown).sum(0) > _OFTEN * np.maximum(usable.sum(0), 1)
-    return int(often.sum()) >= _VIEWS
+    views = np.array(shown).sum(0) > often * np.maximum(usable.sum(0), 1)
+    return int(views.sum()) >= _VIEWS
 
 
 def _beside(mask: NDArray[np.uint8]) -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import cv2
 import numpy as np
@@ -43,6 +43,8 @@ class BodyShape:
         p = self.rig.projections
         x = p[:, :, :3] @ self.vertices.T + p[:, :, 3:]
         z = x[:, 2:]
+        if z.min() > _NEAR:
+            return x[:, :2] / z, x[:, 2]
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(z > _NEAR, x[:, :2] / z, np.nan), x[:, 2]
 
@@ -115,13 +117,17 @@ def hide(ignored: NDArray[np.uint8], shape: Shape, view: int, share: float, with
     if top >= bottom or left >= right:
         return
     drawn = shape.drawn(view)[top - y0 : bottom - y0, left - x0 : right - x0]
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * px + 1, 2 * px + 1))
     framed = cv2.copyMakeBorder(drawn, px, px, px, px, cv2.BORDER_CONSTANT, value=0)
-    wide = np.asarray(cv2.dilate(framed, disc), np.uint8)
+    wide = np.asarray(cv2.dilate(framed, _disc(px)), np.uint8)
     top, left = top - px, left - px
     y0, y1 = max(within[0], top), min(within[1], bottom + px)
     x0, x1 = max(within[2], left), min(within[3], right + px)
     ignored[y0:y1, x0:x1] |= wide[y0 - top : y1 - top, x0 - left : x1 - left]
+
+
+@cache
+def _disc(radius: int) -> cv2.typing.MatLike:
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
 
 
 def without(silhouettes: Silhouettes, others: Sequence[Other]) -> Silhouettes:
@@ -170,7 +176,7 @@ def own_silhouettes(
             areas[c] = np.count_nonzero(own.drawn(c))
         if anywhere and y1 <= y0:
             boxes[c] = part
-        told = masks[at] if ignored is None else masks[at] & (1 - ignored[at])
+        told = masks[at] if ignored is None else masks[at] > ignored[at]
         if not told.any():
             usable[c], reasons[c] = False, f"{silhouettes.rig.names[c]}: nothing of the person is to be seen"
     expected = None if ignored is None else Expected(boxes, areas)

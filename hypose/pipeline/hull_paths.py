@@ -54,9 +54,11 @@ class Path:
         speed = (last - self.found[known[0]].axis) / (known[-1] - known[0])
         return last + speed * (frame - known[-1])
 
-    def axis(self, frame: int) -> Array:
-        """(2,) m: where they stood in the frame nearest to this one in which they were found."""
-        return self.found[min(self.found, key=lambda k: abs(k - frame))].axis
+    def axis(self, frame: int, within: float = np.inf) -> Array:
+        """(2,) m: where they stood in the frame nearest to this one in which they were found; NaN where that is no
+        frame `within` so many."""
+        nearest = min(self.found, key=lambda k: abs(k - frame))
+        return self.found[nearest].axis if abs(nearest - frame) <= within else np.full(2, np.nan)
 
 
 def follow_places(
@@ -74,8 +76,10 @@ def follow_places(
         if frame.silhouettes is None:
             continue
         here = people_in_hull(frame.silhouettes, () if known is None else known(t), floor=floor)
-        usual = np.median([h.litres for p in paths for h in p.found.values()]) if paths else 0.0
-        here = [h for h in here if h.litres > _PART * usual]  # a rest of somebody is nobody's place
+        known_hulls = [(h.litres, h.hull.height) for p in paths for h in p.found.values()]
+        litres, height = np.median(known_hulls, axis=0) if known_hulls else (0.0, 1.0)
+        # a rest of somebody is nobody's place; children have less, and are less tall
+        here = [h for h in here if h.litres > _PART * litres * min(1.0, (h.hull.height / height) ** 3)]
         alive = [p for p in paths if t - p.last <= max(_GONE_S * frame_rate, 2 * max(np.diff([*numbers, t + 1])))]
         taken: set[int] = set()
         if alive and here:
@@ -89,9 +93,9 @@ def follow_places(
     return sorted(paths, key=lambda p: (-len(p.found), -p.litres))
 
 
-def lasting(paths: Sequence[Path], looks: int) -> list[Path]:
-    """Those who are found in most of so many looks."""
-    return [p for p in paths if len(p.found) >= max(2, SEEN_SHARE * looks)]
+def lasting(paths: Sequence[Path], looks: Sequence[int]) -> list[Path]:
+    """Those who are found in most of the frames `looks`."""
+    return [p for p in paths if sum(t in p.found for t in looks) >= max(2, SEEN_SHARE * len(looks))]
 
 
 CLEARLY_M = 0.6

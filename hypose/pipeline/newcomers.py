@@ -47,6 +47,12 @@ def somebody_more(known: Sequence[Other], silhouettes: Silhouettes) -> bool:
     return int(views.sum()) >= min(VIEWS, int(thin.usable.sum()))
 
 
+def not_parts(found: Sequence[HullPerson], people: Sequence[Followed]) -> list[HullPerson]:
+    """Those in the hull who are no limb of somebody who is tracked: whoever is no taller than a child stands apart."""
+    at = [p.estimates[-1].pose[:2] for p in people if p.member.sure]
+    return [h for h in found if h.tall or all(np.linalg.norm(h.axis - q) > BESIDE for q in at)]
+
+
 def evidence_of(person: HullPerson, frame: Frame, known: Sequence[Other], beside: Sequence[HullPerson] = ()) -> Frame:
     """The frame as evidence for somebody in the hull; known: who is explained; beside: others in the hull."""
     s = frame.silhouettes
@@ -84,3 +90,9 @@ def returned(
         return None
     higher = person.hull.height - best[1].subject.body.stature
     return (best[1], best[2]) if -SHORTER_M < higher < TALLER_M else None
+
+
+def unfollowed(coming: Sequence[Array]) -> tuple[str, ...]:
+    """Of whom or what no body could be fitted to, as the last look left them (x, y, tries, ...), in words."""
+    at = ", ".join(f"[{c[0]:.1f}, {c[1]:.1f}]" for c in coming if c[2] > 1)
+    return (f"somebody or something else stands at {at} m that no body explains, and is not followed",) if at else ()

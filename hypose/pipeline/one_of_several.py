@@ -16,7 +16,7 @@ import numpy as np
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.keypoints import keypoint_names
-from hypose.evidence.people_apart import several_apart
+from hypose.evidence.people_apart import NOW_AND_THEN, several_apart
 from hypose.io.motions.results import ResultsFolder, save_motion
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
@@ -101,7 +101,10 @@ def frames_to_examine(recording: Recording) -> tuple[FrameStream, bool]:
     whole = replace(one.options, people=True)
     everybody = FrameStream(recording, whole, one.backgrounds or None)
     rows = np.unique(np.linspace(0, len(everybody) - 1, _LOOKS).astype(int)).tolist()
-    several = several_apart([s for i in rows if (s := everybody.frame(i).silhouettes) is not None])
+    masks = [s for i in rows if (s := everybody.frame(i).silhouettes) is not None]
+    several = several_apart(masks)
+    if not several and several_apart(masks, NOW_AND_THEN):  # who pass behind each other: if the cameras agree on it
+        several = count_people(everybody.frame, len(everybody)) > 1
     (one if several else everybody).close()
     return (everybody, True) if several else (one, False)
 

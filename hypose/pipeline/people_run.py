@@ -28,7 +28,7 @@ from hypose.pipeline.doubts import as_now, in_words, looked_at, mask_change, run
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
 from hypose.pipeline.hull_paths import Path, follow_places, lasting
 from hypose.pipeline.kept_findings import keep_subject, kept_subject
-from hypose.pipeline.newcomers import evidence_of, explained_by, returned, somebody_more
+from hypose.pipeline.newcomers import evidence_of, explained_by, not_parts, returned, somebody_more, unfollowed
 from hypose.pipeline.people_points import KeypointPeople, PointFrames, padded
 from hypose.pipeline.rough_bodies import HIDDEN, Rough, least_hidden, own_frame, rough_bodies
 from hypose.pipeline.run import TrackOptions, finish, track_source, tracker_of
@@ -107,7 +107,8 @@ class PeopleRun:
         done = [self._finished(p, people, complete) for p in asked]
         if complete and self.results is not None:
             self.results.checkpoint.unlink(missing_ok=True)
-        return PeopleResult(tuple(done), complete, said_of(done, self.frame_rate), len(people) - len(asked))
+        said = (*said_of(done, self.frame_rate), *unfollowed(coming))
+        return PeopleResult(tuple(done), complete, said, len(people) - len(asked))
 
     def _rank(self, name: str | None) -> int:
         """Wanted people come first, in their order."""
@@ -163,7 +164,7 @@ class PeopleRun:
         look."""
         last = min(len(self.source), max(2, round(START_S * self.frame_rate)))
         looks = np.unique(np.linspace(0, last - 1, min(last, 6)).astype(int)).tolist()
-        paths = lasting(follow_places(self.source.frame, looks, self.frame_rate, floor=self.floor), len(looks))
+        paths = lasting(self._places([*looks, *range(last, self._named_at + 1, self._look_every)]), looks)
         if not paths:
             raise EvidenceError(
                 "Nobody stands in the masks at the beginning: no part of the visual hull is as large and tall as a "
@@ -172,18 +173,39 @@ class PeopleRun:
             )
         middle = self._middle()
         paths = sorted(paths, key=lambda p: float(np.linalg.norm(p.axis(0) - middle)))
-        names = names_at_places(self.wanted, len(paths), lambda k, t: paths[k].axis(t), self.frame_rate)
+        names = names_at_places(self.wanted, len(paths), lambda k, t: self._stood(paths[k], t), self.frame_rate)
         order = sorted(range(len(paths)), key=lambda k: (self._rank(names[k]), k))
         numbers, people = self._fit_numbers(0), list[Followed]()
         followed, names = self._followed(paths, numbers), list(names)
         for k in order:
             names[k] = names[k] or free_name([n for n in names if n is not None], self.wanted)
         rough = self._roughly(followed, [str(n) for n in names], numbers)
+        unclear: list[HyposeError] = []
         for k in order:
-            one = self._fitted(str(names[k]), followed, k, numbers, rough, alone=len(paths) == 1)
+            try:
+                one = self._fitted(str(names[k]), followed, k, numbers, rough, alone=len(paths) == 1)
+            except HyposeError as error:  # the others may be seen well; who becomes so later is found later
+                unclear.append(error)
+                continue
             one.asked_for = self.count is None or len(people) < self.count
             people.append(one)
+        if not people:
+            raise unclear[0]
         return people
+
+    def _places(self, numbers: Sequence[int]) -> list[Path]:
+        """Everybody in the hull through the frames `numbers`."""
+        return follow_places(self.source.frame, numbers, self.frame_rate, floor=self.floor)
+
+    @property
+    def _named_at(self) -> int:
+        """The last frame for which somebody's place is given."""
+        times = [w.time for w in self.wanted if w.place is not None]
+        return min(round(max(times, default=0.0) * self.frame_rate), len(self.source) - 1)
+
+    def _stood(self, path: Path, t: int) -> Array:
+        """(2,) m: where somebody stood in about a frame; NaN where that is not known."""
+        return path.axis(t, within=START_S * self.frame_rate)
 
     def _roughly(self, paths: Sequence[Path], names: Sequence[str], numbers: Sequence[int]) -> list[Rough | None]:
         """Everybody's body and poses in the frames `numbers`, roughly; nobody's where key points tell who is where, and
@@ -218,8 +240,7 @@ class PeopleRun:
 
     def _followed(self, paths: Sequence[Path], numbers: Sequence[int]) -> list[Path]:
         """The same people through the frames from which bodies are fitted."""
-        found = follow_places(self.source.frame, numbers, self.frame_rate, floor=self.floor)
-        out: list[Path] = []
+        found, out = self._places(numbers), list[Path]()
         for p in paths:
             free = [q for q in found if not any(q is o for o in out)]
             near = [q for q in free if np.linalg.norm(q.axis(numbers[0]) - p.axis(numbers[0])) < 0.6]
@@ -268,7 +289,7 @@ class PeopleRun:
     # ---- the loop ----------------------------------------------------------------------------------------------
 
     def _track(self, people: list[Followed], coming: list[Array]) -> bool:
-        """All frames that are not done; False when it was interrupted."""
+        """All frames that are not done; False when it was interrupted. coming: who may be somebody new, in place."""
         total, look = len(self.source), self._look_every
         first = saved = len(people[0].estimates)
         before = self.source.frame(first - 1) if first else None
@@ -279,7 +300,7 @@ class PeopleRun:
                 self._step(people, frame, before, t)
                 before = frame
                 if t % look == 0:
-                    coming = self._look(people, frame, t, coming)
+                    coming[:] = self._look(people, frame, t, coming)
                 if self.results is not None and t + 1 - saved >= max(self.options.checkpoint_every, saved // 20):
                     save_people(self.results, self.record, people, coming)
                     saved = t + 1
@@ -355,39 +376,51 @@ class PeopleRun:
 
     def _look(self, people: list[Followed], frame: Frame, t: int, before: Sequence[Array]) -> list[Array]:
         """Looks for somebody whom nobody explains; who was there at the last look as well is tracked from now on.
-        Returns where new people stand (2,)."""
+        Returns of everybody new (4,): where they stand, how often no body could be fitted, and the frame from which
+        that is tried again; before: of the last look."""
         silhouettes = frame.silhouettes
         if silhouettes is None:
             return []
         known = explained_by(people, silhouettes)
         if not somebody_more(known, silhouettes):
             return []
-        found = people_in_hull(silhouettes, known, floor=self.floor)
+        found = not_parts(people_in_hull(silhouettes, known, floor=self.floor), people)
+        coming = list[Array]()
         for person in found:
-            if any(np.linalg.norm(person.axis - b) < 0.5 for b in before):
+            seen = next((b for b in before if np.linalg.norm(person.axis - b[:2]) < 0.5), None)
+            tries, again = (0, t) if seen is None else (int(seen[2]), int(seen[3]))
+            if seen is not None:
                 own = evidence_of(person, frame, known, found)
-                if self._welcomed(people, person, own, frame, t):
+                if self._back(people, person, own) or (t >= again and self._new(people, person, frame, t)):
                     return []
-        return [p.axis for p in found]
+                if t >= again:  # a fit is dear, and who cannot be told now may not be for long
+                    tries, again = tries + 1, t + self._look_every * 2 ** min(tries, 3)
+            coming.append(np.array([*person.axis, tries, again], dtype=np.float64))
+        return coming
 
-    def _welcomed(self, people: list[Followed], person: HullPerson, own: Frame, frame: Frame, t: int) -> bool:
-        """Somebody who was away is back, or somebody new is there; False when no body can be fitted."""
+    def _back(self, people: list[Followed], person: HullPerson, own: Frame) -> bool:
+        """Whether somebody who was away is back."""
         back = returned(person, own, people, self.frame_rate)
-        if back is not None:
-            p, pose = back
-            p.member = Member(p.member.tracker, p.member.tracker.start(pose))
-            p.gone = 0
-            return True
+        if back is None:
+            return False
+        p, pose = back
+        p.member = Member(p.member.tracker, p.member.tracker.start(pose))
+        p.gone = 0
+        return True
+
+    def _new(self, people: list[Followed], person: HullPerson, frame: Frame, t: int) -> bool:
+        """Whether somebody new is there; False when no body can be fitted."""
         numbers = self._fit_numbers(t)
         # beyond this frame nobody has been tracked yet: all are told apart by the hull alone
-        paths = follow_places(self.source.frame, numbers, self.frame_rate, floor=self.floor)
+        paths = self._places(numbers)
         mine = [k for k, q in enumerate(paths) if t in q.found and np.linalg.norm(q.found[t].axis - person.axis) < 0.4]
         if not mine or len(paths[mine[0]].found) < min(len(numbers), FEWEST):
             return False
-        taken = [p.name for p in people]
-        rest = [w.name for w in self.wanted if w.name not in taken]
+        taken, own_path = [p.name for p in people], paths[mine[0]]
+        rest = [w for w in self.wanted if w.name not in taken]
+        name = names_at_places(rest, 1, lambda _, t: self._stood(own_path, t), self.frame_rate)[0]
         try:
-            new = self._fitted(rest[0] if rest else free_name(taken, self.wanted), paths, mine[0], numbers)
+            new = self._fitted(name or free_name(taken, self.wanted), paths, mine[0], numbers)
         except HyposeError:
             return False
         nobody, done = nobody_in(frame), len(people[0].estimates)

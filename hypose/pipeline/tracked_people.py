@@ -153,8 +153,8 @@ class Followed:
 def save_people(
     results: ResultsFolder, record: Mapping[str, Any], people: Sequence[Followed], coming: Sequence[Array]
 ) -> None:
-    """Writes the checkpoint. coming: (2,) m each, where somebody new was seen at the last look."""
-    arrays: dict[str, np.ndarray] = {"coming": np.array(coming, dtype=np.float64).reshape(-1, 2)}
+    """Writes the checkpoint. coming: (4,) each, of somebody new who was seen at the last look."""
+    arrays: dict[str, np.ndarray] = {"coming": np.array(coming, dtype=np.float64).reshape(-1, 4)}
     for k, p in enumerate(people):
         arrays |= {f"{k}_{n}": v for n, v in p.member.state.to_arrays().items()}
         arrays |= {f"{k}_done_{n}": v for n, v in estimates_to_arrays(p.estimates).items()}

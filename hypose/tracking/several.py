@@ -80,7 +80,7 @@ def step_together(
             own = replace(own, silhouettes=silhouettes)
         state, estimate = m.tracker.step(m.state, own)
         after[i], estimates[i], seen[i], done[i] = replace(m, state=state), estimate, own, True
-        if shapes is not None and rig is not None:
+        if shapes is not None and rig is not None and not done.all():
             shapes[i] = m.shape(rig, estimate.pose)
     return after, [e for e in estimates if e is not None], seen
 

@@ -2,27 +2,55 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 from hypose.body.ready_bodies import human
-from hypose.evidence.frame import Silhouettes
+from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.hull_people import people_in_hull
-from hypose.evidence.shared_masks import Other
+from hypose.evidence.shared_masks import BodyShape, Other
+from hypose.pipeline.hull_paths import follow_places
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.several import shape_of
 from hypose.tracking.starts import known_pose
+from hypose.tracking.subject import scaled_to_height
 
 
-def standing(places, rig):
-    body, shapes = human(), []
-    size = rig.sizes.max(0)
-    masks = np.zeros((len(rig), size[1], size[0]), np.uint8)
+def standing(places, rig, body=None):
+    body, shapes = body or human(), []
     for x, y in places:
         pose = known_pose(body, "standing")
         pose[:3] += (x, y, -body.skin(pose)[:, 2].min())
         shapes.append(shape_of(body, pose, rig))
-        for c, (y0, y1, x0, x1) in enumerate(shapes[-1].boxes):
-            masks[c, y0:y1, x0:x1] |= shapes[-1].drawn(c)
-    return Silhouettes(masks, rig, np.ones(len(rig), bool), ("",) * len(rig)), shapes
+    return seen(shapes, rig), shapes
+
+
+def seen(shapes, rig):
+    size = rig.sizes.max(0)
+    masks = np.zeros((len(rig), size[1], size[0]), np.uint8)
+    for shape in shapes:
+        for c, (y0, y1, x0, x1) in enumerate(shape.boxes):
+            masks[c, y0:y1, x0:x1] |= shape.drawn(c)
+    return Silhouettes(masks, rig, np.ones(len(rig), bool), ("",) * len(rig))
+
+
+def boxes(*corners):
+    """Vertices and faces of boxes from one corner to the other, m."""
+    parts = [trimesh.creation.box(bounds=c) for c in corners]
+    mesh = trimesh.util.concatenate(parts)
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32)
+
+
+CHAIR = boxes(
+    [(-0.22, -0.22, 0.42), (0.22, 0.22, 0.46)],
+    [(-0.22, 0.18, 0.46), (0.22, 0.22, 0.95)],
+    *([(x - 0.02, y - 0.02, 0), (x + 0.02, y + 0.02, 0.42)] for x in (-0.2, 0.2) for y in (-0.2, 0.2)),
+)
+DOG = boxes(
+    [(-0.4, -0.12, 0.35), (0.4, 0.12, 0.62)],
+    [(0.35, -0.08, 0.55), (0.6, 0.08, 0.85)],
+    *([(x - 0.04, y - 0.04, 0), (x + 0.04, y + 0.04, 0.35)] for x in (-0.35, 0.35) for y in (-0.08, 0.08)),
+)
+BIN = boxes([(-0.17, -0.17, 0), (0.17, 0.17, 0.9)])
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +73,24 @@ def test_who_is_explained_is_not_found_again(rig):
     found = people_in_hull(silhouettes, [Other(shapes[0])])
     assert len(found) == 1 and np.linalg.norm(found[0].axis - (0.5, 0.0)) < 0.15
     assert people_in_hull(silhouettes, [Other(s) for s in shapes]) == []
+
+
+@pytest.mark.parametrize("height", [0.9, 1.0, 1.1])
+def test_a_child_is_found_alone_and_beside_a_grown_up(rig, height):
+    child = scaled_to_height(human(), height)
+    alone, shapes = standing([(0.5, 0.1)], rig, child)
+    found = people_in_hull(alone)
+    assert len(found) == 1 and np.linalg.norm(found[0].axis - (0.5, 0.1)) < 0.12
+    _, grown = standing([(-0.4, -0.2)], rig)
+    both = people_in_hull(seen([*shapes, *grown], rig))
+    assert sorted(p.hull.height > 1.3 for p in both) == [False, True]
+    paths = follow_places(lambda t: Frame(t / 25, t, seen([*shapes, *grown], rig)), range(3), 25.0)
+    assert [len(p.found) for p in paths] == [3, 3]
+
+
+@pytest.mark.parametrize("thing", [CHAIR, DOG, BIN], ids=["chair", "dog", "bin"])
+def test_a_thing_as_low_as_a_child_is_nobody(rig, thing):
+    assert people_in_hull(seen([BodyShape(thing[0] + (0.3, 0.1, 0.0), thing[1], rig)], rig)) == []
 
 
 def test_what_floats_or_is_seen_by_two_views_alone_is_nobody(rig):

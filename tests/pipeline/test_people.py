@@ -109,9 +109,31 @@ def test_who_leaves_and_returns_is_the_same_person(rig):
     assert bert.verdict.word in ("good", "look", "not to be trusted")
 
 
+def test_a_place_at_a_later_time_names_who_will_stand_there(rig):
+    frames, _ = two_people(rig, 52)
+
+    def stop(stage, done, total):
+        if stage == "track" and done == 2:
+            raise KeyboardInterrupt
+
+    anna = Wanted("anna", body=human(), place=(0.55, -0.4), time=50 / RATE)  # where bert is nearer to at first
+    found = replace(both(frames, progress=stop), wanted=(anna, Wanted("bert", body=human())))()
+    assert [p.name for p in found.people] == ["anna", "bert"]
+    assert found.people[0].result.motion.joints[0, 0, 0] < 0
+
+
+def test_who_comes_later_is_not_taken_for_somebody_who_stands_elsewhere(rig):
+    frames, _ = two_people(rig, 24, away=range(12))
+    given = [Wanted("anna", body=human(), place=(-0.45, -0.4)), Wanted("carl", body=human(), place=(9.0, 9.0))]
+    given.append(Wanted("bert", body=human(), place=(0.05, 0.4), time=20 / RATE))
+    found = replace(both(frames), wanted=tuple(given))()
+    assert [p.name for p in found.people] == ["anna", "bert"]
+    assert not found.people[1].present[:10].any() and found.people[1].present[-4:].all()
+
+
 def test_whoever_is_found_in_half_of_the_looks_is_there():
     one, two, ghost = Path(dict.fromkeys(range(6))), Path(dict.fromkeys((0, 2, 7))), Path(dict.fromkeys((1, 2)))
-    assert lasting([one, two, ghost], 6) == [one, two] and lasting([ghost], 2) == [ghost]
+    assert lasting([one, two, ghost], range(6)) == [one] and lasting([two, ghost], (0, 1, 2)) == [two, ghost]
 
 
 def test_wanted_people_are_those_who_stand_at_their_places():

@@ -29,7 +29,7 @@ from hypose.pipeline.doubts import in_words, runs
 from hypose.pipeline.one_of_several import chosen_people, keypoint_people, people_frames, wanted_of
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import check_views
-from hypose.pipeline.tracked_people import OnePerson
+from hypose.pipeline.tracked_people import OnePerson, Wanted
 from hypose.pipeline.verdict import UNTRUSTED, Verdict
 from hypose.tracking.recipes import citation_of
 
@@ -75,7 +75,9 @@ def run_people(job: Job, people: str, progress: ProgressCall = ignore) -> Outcom
             progress,
             keypoint_people(recording, source.rig) if options.looks_at != "silhouettes" else None,
         )()
-        shown = [p for p in found.people if only is None or p.name == only] or list(found.people)
+        shown = [p for p in found.people if only is None or p.name == only]
+        absent = "" if shown else _nobody_called(str(only), wanted, found.people)
+        shown = shown or list(found.people)
         notes = [*recording.notes, *source.notes, *found.notes]
         files: list[Path] = []
         for one in shown:
@@ -87,10 +89,22 @@ def run_people(job: Job, people: str, progress: ProgressCall = ignore) -> Outcom
             files += top
             remove_stale(results, [*top])
     first = shown[0]
-    verdict = worst_verdict(shown)
+    verdict = Verdict(UNTRUSTED, (absent,)) if absent else worst_verdict(shown)
     results.write_json(VERDICT, verdict.document())
     said = (*notes, *(f"{p.name}: {n}" for p in shown for n in p.result.notes))
     return Outcome(first.result.motion, first.result.body, found.complete, tuple(files), said, None, verdict)
+
+
+def _nobody_called(name: str, wanted: Sequence[Wanted], people: Sequence[OnePerson]) -> str:
+    """That the one who was asked for is not there, and who is."""
+    one = next(w for w in wanted if w.name == name)
+    where = (
+        "" if one.place is None else f" at [{one.place[0]:g}, {one.place[1]:g}] m, {one.time:g} s from the first frame"
+    )
+    return (
+        f"nobody was found who is {name}{where}; the results are those of {', '.join(p.name for p in people)} instead: "
+        "correct place and time of the [[person]] in recording.toml"
+    )
 
 
 def worst_verdict(people: Sequence[OnePerson]) -> Verdict:

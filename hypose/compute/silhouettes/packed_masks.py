@@ -20,15 +20,17 @@ def prepare_masks(
     """Masks (C, h, w) non-zero = person, usable (C,), sizes (C, 2) width and height, pinhole projections (C, 3, 4).
 
     ignored (C, h, w) 0 and 1: pixels that say nothing, neither for nor against a body there; norm (C,) px: what counts
-    as the whole person (default: the masks' areas)."""
+    as the whole person (default, and where NaN: the masks' areas)."""
     m = np.ascontiguousarray(masks)
     if m.dtype != np.uint8:
         m = (m != 0).view(np.uint8)
     seen, hidden = m, _NO_BITS
     if ignored is not None:
-        m, seen, hidden = m & (1 - ignored), m | ignored, _packed(ignored)
+        m, seen, hidden = np.greater(m, ignored).view(np.uint8), m | ignored, _packed(ignored)
     areas = np.array([np.count_nonzero(view) for view in m], dtype=np.int64)
-    whole = areas.astype(np.float64) if norm is None else plain(norm, np.float64)
+    whole = areas.astype(np.float64)
+    if norm is not None:
+        whole = np.where(np.isnan(norm), whole, norm)
     return PreparedMasks(
         m,
         areas,
