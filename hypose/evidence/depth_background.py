@@ -82,6 +82,16 @@ def person_before(depth: DepthMap, background: DepthBackground, focal_px: float 
     return out
 
 
+def people_before(depth: DepthMap, background: DepthBackground) -> Mask:
+    """(h, w) 0/1: everything that stands before the empty room, specks left out, its holes filled."""
+    before = _calm(before_room(depth, background.depth, background.sd, _SDS, _LEAST_M))
+    _, found, stats, _ = cv2.connectedComponentsWithStats(before, connectivity=8)
+    keep = np.asarray(stats, dtype=np.int64)[:, cv2.CC_STAT_AREA] >= _LEAST_PX
+    keep[0] = False
+    labels = np.asarray(found, dtype=np.int32)
+    return _holes_filled(keep[labels].astype(np.uint8), depth, background.depth > 0)
+
+
 def person_on_floor(depth: DepthMap, camera: Camera) -> Mask:
     """(h, w) 0/1: of what stands on the floor (z = 0 in the world), cut apart at jumps of depth, what is most like a
     person; nobody when nothing is of a person's size."""
@@ -195,8 +205,11 @@ def _one_thing(before: Mask, depth: DepthMap, solid: NDArray[np.bool_], focal_px
         own = depth[(labels == k) & (depth > 0)]
         keep[k] = len(own) > 0 and abs(np.median(own) - usual) < 0.8
     keep[main] = True
-    out = keep[labels].astype(np.uint8)
-    # what the sensor did not measure between what it did measure of the person is the person's
+    return _holes_filled(keep[labels].astype(np.uint8), depth, solid)
+
+
+def _holes_filled(out: Mask, depth: DepthMap, solid: NDArray[np.bool_]) -> Mask:
+    """The mask with what the sensor did not measure between what it did measure of the person."""
     narrow, wide = (cv2.morphologyEx(out, cv2.MORPH_CLOSE, np.ones((k, k), np.uint8)) for k in (3, 5))
     closed = np.where(solid, wide, narrow)
     return ((out > 0) | ((closed > 0) & (depth <= 0))).astype(np.uint8)

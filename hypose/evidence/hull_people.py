@@ -44,10 +44,12 @@ _RIM = 12
 
 @dataclass(frozen=True)
 class HullPerson:
-    """hull: the part of it; axis (2,) m: where the person stands."""
+    """hull: the part of it; axis (2,) m: where the person stands; seen (C, h, w): their pixels, where these are known
+    (depth cameras)."""
 
     hull: Hull
     axis: Array
+    seen: NDArray[np.uint8] | None = None
 
     @property
     def litres(self) -> float:
@@ -55,7 +57,9 @@ class HullPerson:
         return 1e3 * self.hull.volume
 
     def shape(self, rig: CameraRig, about: float = np.inf) -> DrawnShape:
-        """What of the views it fills, its gaps closed; about: m, only what lies so near to the axis."""
+        """What of the views it fills, its gaps closed; about: m, only what lies so near to the axis, of a hull."""
+        if self.seen is not None:
+            return DrawnShape(self.seen)
         points = self.hull.points if np.isfinite(about) else self.hull.surface_points
         points = points[np.linalg.norm(points[:, :2] - self.axis, axis=1) < about]
         out = np.zeros((len(rig), int(rig.sizes[:, 1].max()), int(rig.sizes[:, 0].max())), np.uint8)
@@ -99,11 +103,16 @@ def people_in_hull(
         hull = visual_hull(left, bounds, VOXEL, min_views=least, largest=False, surely=least)
     except EvidenceError:
         return []
-    found = [HullPerson(_part(hull, own, axis), axis) for axis, own in _axes(hull, floor, most)]
+    found = people_of_hull(hull, floor, most)
     return _not_ghosts(left, sorted(found, key=lambda p: -p.litres), least)
 
 
-def _axes(hull: Hull, floor: float, most: int) -> list[tuple[Array, NDArray[np.bool_]]]:
+def people_of_hull(hull: Hull, floor: float, most: int, litres: float = LITRES) -> list[HullPerson]:
+    """Parts of a hull, or of a surface in voxels, that stand on the floor and have so many litres; ghosts as well."""
+    return [HullPerson(_part(hull, own, axis), axis) for axis, own in _axes(hull, floor, most, litres)]
+
+
+def _axes(hull: Hull, floor: float, most: int, litres: float) -> list[tuple[Array, NDArray[np.bool_]]]:
     """Where people stand (2,) m, by how much of the hull is near, and which of its voxels (M,) are theirs."""
     litre, points = 1e3 * hull.voxel**3, hull.points
     filled = hull.occupancy.sum(2)
@@ -117,8 +126,8 @@ def _axes(hull: Hull, floor: float, most: int) -> list[tuple[Array, NDArray[np.b
         # most places have too little around them for anybody
         part = np.ix_(*(np.flatnonzero(np.abs(at - axis[k]) < ABOUT) for k, at in enumerate((x, y))))
         near = np.sqrt((x[part[0]] - axis[0]) ** 2 + (y[part[1]] - axis[1]) ** 2) < ABOUT
-        if int(filled[part][near].sum()) * litre > LITRES:
-            if _stands(points[np.linalg.norm(points[:, :2] - axis, axis=1) < ABOUT], litre, floor):
+        if int(filled[part][near].sum()) * litre > litres:
+            if _stands(points[np.linalg.norm(points[:, :2] - axis, axis=1) < ABOUT], litre, floor, litres):
                 axes.append(axis)
                 _taken(density, peak, APART / hull.voxel)
         _taken(density, peak, _FINE / hull.voxel)
@@ -128,7 +137,8 @@ def _axes(hull: Hull, floor: float, most: int) -> list[tuple[Array, NDArray[np.b
     while True:
         away = np.linalg.norm(points[:, None, :2] - np.array(axes), axis=2)
         nearest = away.argmin(1)
-        stands = [_stands(points[(nearest == k) & (away[:, k] < ABOUT)], litre, floor) for k in range(len(axes))]
+        near = [points[(nearest == k) & (away[:, k] < ABOUT)] for k in range(len(axes))]
+        stands = [_stands(own, litre, floor, litres) for own in near]
         if all(stands) or len(axes) == 1:
             return [(axis, (nearest == k) & (away[:, k] < REACH)) for k, axis in enumerate(axes)]
         worst = max(k for k, ok in enumerate(stands) if not ok)  # they come in the order of their density
@@ -143,9 +153,9 @@ def _taken(density: Array, peak: NDArray[np.int64], radius: float) -> None:
     part[np.hypot(u + low[0] - peak[0], v + low[1] - peak[1]) < radius] = 0
 
 
-def _stands(near: Array, litre: float, floor: float) -> bool:
+def _stands(near: Array, litre: float, floor: float, litres: float) -> bool:
     """Do the voxels (M, 3) m about an axis make a person?"""
-    enough = len(near) * litre > LITRES
+    enough = len(near) * litre > litres
     return bool(enough and np.ptp(near[:, 2]) > TALL and near[:, 2].min() - floor < FROM_FLOOR)
 
 

@@ -19,11 +19,12 @@ from hypose.evidence.frame import Frame
 from hypose.geometry import Array, se3_inverse
 from hypose.io.file_names import file_name, text_of
 from hypose.io.recordings.depth_views import DepthSource
-from hypose.io.recordings.frames import FrameStream
+from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording, View, write_recording
 from hypose.io.sensors.depth import write_depth_png
 from hypose.io.sensors.depth_files import FOLDER_RATE, DepthFile, open_depth
 from hypose.io.videos.video import list_images
+from hypose.pipeline.hull_paths import count_people
 from hypose.pipeline.register_depth import register_depth
 
 LOOKED_AT = 400
@@ -132,6 +133,13 @@ def _imported(
         try:
             found = register_depth(clips, rate, seed=seed, progress=report)
         except HyposeError as error:
+            shared = [v.name for v, c in zip(views, cameras, strict=True) if empty and _several(folder, v, c, rate)]
+            if shared:
+                raise type(error)(
+                    f"Several people stand before {' and '.join(shared)}, and the places of cameras are found from one "
+                    f"person alone: let one move before all of them for the first {LOOKED_AT / rate:.0f} s, and the "
+                    f"others come then. ({error})"
+                ) from error
             places = ", ".join(f"{c.name} {c.position[2]:.2f} m" for c in cameras)
             raise type(error)(f"{error} By their maps the cameras hang above the floor: {places}.") from error
         late = np.rint((found.seconds.max() - found.seconds) * rate).astype(int)
@@ -257,6 +265,13 @@ def _clip(recording: Recording) -> list[Frame]:
     shown = np.array(areas)
     whole = np.flatnonzero(shown > 0.5 * np.median(shown[shown > 0]))
     return found[whole[0] : whole[-1] + 1]
+
+
+def _several(folder: Path, view: View, camera: Camera, rate: float) -> bool:
+    """Do the frames by which a camera is placed show several people? The empty room is known."""
+    recording = _recording(folder, CameraRig((camera,)), [view], rate)
+    with FrameStream(recording, FrameSettings(silhouettes=recording.silhouettes, people=True)) as frames:
+        return count_people(frames.frame, min(len(frames), LOOKED_AT)) > 1
 
 
 def _without_first(view: View, count: int) -> None:

@@ -16,11 +16,12 @@ import numpy as np
 
 from hypose.body.ready_bodies import human
 from hypose.errors import EvidenceError, HyposeError, InputError
+from hypose.evidence import depth_people
 from hypose.evidence.ahead import pack_once
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.hull import common_view_bounds
-from hypose.evidence.hull_people import HullPerson, people_in_hull
-from hypose.evidence.shared_masks import SOLVED, Other, own_silhouettes
+from hypose.evidence.hull_people import VIEWS, HullPerson
+from hypose.evidence.shared_masks import SOLVED, Other
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder, save_motion
 from hypose.io.recordings.provenance import identity
@@ -165,6 +166,11 @@ class PeopleRun:
         looks = np.unique(np.linspace(0, last - 1, min(last, 6)).astype(int)).tolist()
         paths = lasting(follow_places(self.source.frame, looks, self.frame_rate, floor=self.floor), len(looks))
         if not paths:
+            if self.source.frame(0).depth is not None:
+                raise EvidenceError(
+                    "Nobody stands before the depth cameras at the beginning; begin with --frames where people are "
+                    "seen, and record the empty room again if it has changed."
+                )
             raise EvidenceError(
                 "Nobody stands in the masks at the beginning: no part of the visual hull is as large and tall as a "
                 "person; begin with --frames where people are seen by three cameras, and check the masks with "
@@ -314,6 +320,7 @@ class PeopleRun:
         members, estimates, seen = step_together([p.member for p in people], frame, points)
         if frame.silhouettes is not None:
             pack_once(frame.silhouettes)
+        least = 2 if frame.depth is None else 1  # a depth camera alone shows where somebody is
         change = mask_change(frame, before)  # of the whole masks: what is ignored changes by itself
         looked = [
             looked_at(m.tracker, estimate, own, None if before is None else as_now(own, before), change)
@@ -330,7 +337,7 @@ class PeopleRun:
             p.member = member
             p.estimates.append(estimate)
             p.present.append(there)
-            p.hidden.append(bool(there and len(s := visible_share(own)) and (s > HIDDEN).sum() < 2))
+            p.hidden.append(bool(there and len(s := visible_share(own)) and (s > HIDDEN).sum() < least))
         if t % self._look_every == 0:
             for p, q, since in look_at_clothes(people, seen):
                 exchange(p, q, since)
@@ -360,9 +367,9 @@ class PeopleRun:
         if silhouettes is None:
             return []
         known = explained_by(people, silhouettes)
-        if not somebody_more(known, silhouettes):
+        if not somebody_more(known, silhouettes, VIEWS if frame.depth is None else 1):
             return []
-        found = people_in_hull(silhouettes, known, floor=self.floor)
+        found = depth_people.people_seen(frame, known, floor=self.floor)
         for person in found:
             if any(np.linalg.norm(person.axis - b) < 0.5 for b in before):
                 own = evidence_of(person, frame, known, found)
@@ -454,4 +461,4 @@ class _OwnFrames:
             for p in self._people
             if p is not self._who and p.present[index] and not p.estimates[index].lost
         ]
-        return replace(frame, silhouettes=own_silhouettes(s, own, others))
+        return depth_people.own_frame(frame, own, others)

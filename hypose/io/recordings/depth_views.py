@@ -16,6 +16,7 @@ from hypose.evidence.depth_background import (
     DepthBackground,
     DepthMap,
     learn_background,
+    people_before,
     person_before,
     person_on_floor,
 )
@@ -57,12 +58,18 @@ class DepthPreparer:
 
 class DepthSource:
     """Depth maps of a view whose `depth` is a folder of 16-bit PNG in millimetres; `background`: one of the empty room.
-    Used by one thread at a time, but for maps that are kept."""
+    people: several are to be seen, who stand before the empty room. Used by one thread at a time, but for maps that
+    are kept."""
 
-    def __init__(self, view: View, camera: Camera, small: Camera) -> None:
+    def __init__(self, view: View, camera: Camera, small: Camera, people: bool = False) -> None:
         if view.depth is None:
             raise InputError(f"View {view.name} has no depth; give its folder of 16-bit PNG in millimetres.")
-        self.view, self._small = view, small
+        if people and view.background is None:
+            raise InputError(
+                f"Several people before the depth camera {view.name} are told from the room by the recording of the "
+                "empty room; add background = ... to its view in recording.toml, or leave --people out."
+            )
+        self.view, self._small, self._people = view, small, people
         self._files = list_images(view.depth)
         self._prepared = DepthPreparer(camera, small, view.image_shift)
         self._stored: tuple[int, int] | None = None
@@ -80,9 +87,12 @@ class DepthSource:
         return found
 
     def person(self, frame: int) -> NDArray[np.uint8]:
-        """(h, w) 0/1: who stands before the empty room, or on the floor where that is not known."""
+        """(h, w) 0/1: who stands before the empty room, or on the floor where that is not known; everybody, if several
+        are to be seen."""
         room = self.room
         depth = self.map(frame)
+        if self._people and room is not None:
+            return people_before(depth, room)
         return person_on_floor(depth, self._small) if room is None else person_before(depth, room, self._small.K[0, 0])
 
     @cached_property
