@@ -89,7 +89,7 @@ class Depth:
 
     @cached_property
     def pixels(self) -> tuple[NDArray[np.int64], Array]:
-        """View, row and column (N, 3) of the person's pixels that were measured, and where these are (N, 3) m, world."""
+        """View, row, column (N, 3) of the person's pixels that were measured, and where these are, (N, 3) m, world."""
         at = np.argwhere((self.person > 0) & (self.maps > 0) & self.usable[:, None, None])
         points = np.empty((len(at), 3))
         for c, camera in enumerate(self.rig):

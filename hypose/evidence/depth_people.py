@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from hypose.evidence.depth_evidence import Depth
+from hypose.evidence.depth_evidence import JUMP_M, Depth
 from hypose.evidence.frame import Expected, Frame, Silhouettes
 from hypose.evidence.hull import Hull
-from hypose.evidence.hull_people import VOXEL, HullPerson, people_in_hull, people_of_hull
+from hypose.evidence.hull_people import BESIDE, SMALL, VOXEL, HullPerson, people_in_hull, people_of_hull
 from hypose.evidence.shared_masks import DrawnShape, Other, Shape, own_silhouettes
 from hypose.geometry import Array
 
@@ -46,9 +46,10 @@ def people_in_depth(
     depth: Depth, known: Sequence[Other] = (), *, floor: float = 0.0, most: int = 8
 ) -> list[HullPerson]:
     """Who is in the maps beside those that are known, the largest first; a pixel belongs to whose axis it is nearest
-    to."""
+    to. Values between both sides of an edge are nobody."""
     at, points = depth.pixels
-    rest = np.ones(len(points), dtype=np.bool_)
+    calm = np.stack([cv2.dilate(m, _EDGE[:3, :3]) - cv2.erode(m, _EDGE[:3, :3]) < 2 * JUMP_M for m in depth.maps])
+    rest = calm[tuple(at.T)]
     for one in known:
         rest &= _away(one.shape, at, points) > _EXPLAINED_M
     at, points = at[rest], points[rest]
@@ -61,7 +62,7 @@ def people_in_depth(
     solid = filled >= _PER_VOXEL
     if not solid.any():
         return []
-    found = []
+    found = list[HullPerson]()
     for person in people_of_hull(Hull(solid, low, VOXEL), floor, most, SURFACE_LITRES):
         own = person.hull
         inside = np.rint((points - own.origin) / VOXEL).astype(np.int64)
@@ -70,7 +71,22 @@ def people_in_depth(
         masks = np.zeros_like(depth.person)
         masks[tuple(at[within].T)] = 1
         found.append(replace(person, seen=masks))
-    return sorted(found, key=lambda p: -p.litres)
+    return _without_parts(sorted(found, key=lambda p: -p.litres))
+
+
+def _without_parts(found: Sequence[HullPerson]) -> list[HullPerson]:
+    """People, the largest first, with the pixels of what is only a part of them: an arm held out."""
+    kept = list[HullPerson]()
+    for person in found:
+        near = [k for k, o in enumerate(kept) if np.linalg.norm(o.axis - person.axis) < BESIDE]
+        larger = next((k for k in near if person.litres < SMALL * kept[k].litres), None)
+        if larger is None:
+            kept.append(person)
+            continue
+        own, rest = kept[larger].seen, person.seen
+        assert own is not None and rest is not None
+        kept[larger] = replace(kept[larger], seen=own | rest)
+    return kept
 
 
 def own_frame(frame: Frame, own: Shape, others: Sequence[Other], anywhere: bool = False) -> Frame:

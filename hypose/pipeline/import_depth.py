@@ -31,8 +31,8 @@ LOOKED_AT = 400
 """frames from which places are found; the person should have walked and turned by then"""
 _MADE = ("read", "depth", "background", "calibration.toml", "recording.toml")
 _CALM = 9
-_HIGHEST_M = 4.0
-"""m: no depth camera that sees a person hangs higher above the floor: larger distances are another unit"""
+_LOWEST_M, _HIGHEST_M = 0.05, 4.0
+"""m: no depth camera that sees a person hangs lower or higher above the floor: other distances are another unit"""
 _NEAR = 0.6
 """share of a frame's time by which a map may have been seen before or after its instant"""
 _LEAST_SHARE = 0.003
@@ -187,9 +187,9 @@ def _on_floor(source: str | Path, folder: Path, camera: Camera) -> Array:
     except EvidenceError as error:
         raise EvidenceError(f"{source}: {error}") from None
     height = float(se3_inverse(found)[2, 3])
-    if height > _HIGHEST_M:
+    if not _LOWEST_M < height < _HIGHEST_M:
         raise InputError(
-            f"{source}: the camera would hang {height:.1f} m above the floor; if the steps of its values are no "
+            f"{source}: the camera would hang {height:.2f} m above the floor; if the steps of its values are no "
             "millimetres, say with --millimetres how many one is."
         )
     return found

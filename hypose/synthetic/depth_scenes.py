@@ -101,7 +101,7 @@ def to_profile(frames: int, seed: int) -> Array:
 class DepthScene(OfPerformance):
     """subject: the truth body (dressed); performance; rig: the sensors, pinhole; faults; seed of everything random;
     furniture: boxes that stand where they may hide the person, x, y of their middle, width along x, along y, height,
-    m; beside: other people, with what they do."""
+    m; others: people beside, with what they do."""
 
     name: str
     subject: Subject
@@ -110,14 +110,14 @@ class DepthScene(OfPerformance):
     faults: SensorFaults = SensorFaults()
     seed: int = 0
     furniture: tuple[tuple[float, float, float, float, float], ...] = ()
-    beside: tuple[tuple[Subject, Performance], ...] = ()
+    others: tuple[tuple[Subject, Performance], ...] = ()
 
     def clean_map(self, view: int, index: int) -> tuple[DepthMap, NDArray[np.uint8]]:
         """What sensor `view` would measure of frame `index` without any fault, (h, w) m, and the person's pixels."""
         camera, p = self.rig[view], self.performance
         vertices = self.subject.skin(p.rotations[index], p.root[index])
         own, room = _drawn(camera, vertices, self.subject.faces), self._rooms[view]
-        for body, does in self.beside:
+        for body, does in self.others:
             room = np.minimum(room, _drawn(camera, body.skin(does.rotations[index], does.root[index]), body.faces))
         return np.minimum(own, room), (own < room).astype(np.uint8)
 
