@@ -27,7 +27,7 @@ def no_two_views(frame: Frame) -> str:
     if frame.depth is not None:
         return (
             f"No depth camera shows a person in frame {frame.index}{first}; begin with --frames where somebody stands "
-            "on the floor, and give the recording of the empty room if there is one."
+            "on the floor without holes in the maps (sunlight, dark clothes), and record the empty room."
         )
     return (
         f"The subject's shape needs silhouettes in at least two views from the first frame on{first}; check masks with "

@@ -45,7 +45,8 @@ def test_two_people_are_two_clusters_where_they_stand(scene):
     for place, own in zip(PLACES, owners, strict=True):
         person = min(found, key=lambda p: np.linalg.norm(p.axis - place))
         assert np.linalg.norm(person.axis - place) < 0.25  # their surface is nearer to the sensors than they are
-        assert (person.seen[own] > 0).mean() > 0.9 and own[person.seen > 0].mean() > 0.95
+        # values at edges are nobody's, for they may lie between both sides
+        assert (person.seen[own] > 0).mean() > 0.6 and own[person.seen > 0].mean() > 0.99
 
 
 def test_who_is_known_is_not_found_again(scene):

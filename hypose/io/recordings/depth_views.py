@@ -19,14 +19,15 @@ from hypose.evidence.depth_background import (
     people_before,
     person_before,
     person_on_floor,
+    with_still_things,
 )
 from hypose.io.recordings.recording_views import View
 from hypose.io.sensors.depth import read_depth_png
 from hypose.io.videos.video import frame_size, list_images
 
 _KEPT = 8
-_ROOM_FRAMES = 30
-"""maps of the empty room that are looked at, at most"""
+_ROOM_FRAMES, _STILL_FRAMES = 30, 16
+"""maps that are looked at, at most, of the empty room and of the recording, for things that stand still"""
 
 
 class DepthPreparer:
@@ -89,7 +90,7 @@ class DepthSource:
     def person(self, frame: int) -> NDArray[np.uint8]:
         """(h, w) 0/1: who stands before the empty room, or on the floor where that is not known; everybody, if several
         are to be seen."""
-        room = self.room
+        room = self.furnished[0]
         depth = self.map(frame)
         if self._people and room is not None:
             return people_before(depth, room)
@@ -103,6 +104,17 @@ class DepthSource:
         files = list_images(self.view.background)
         chosen = np.unique(np.linspace(0, len(files) - 1, min(_ROOM_FRAMES, len(files))).round().astype(int))
         return learn_background([self._prepared(self._read(files[k])) for k in chosen])
+
+    @cached_property
+    def furnished(self) -> tuple[DepthBackground | None, float]:
+        """The room with things that stand still in the recording and were not there when it was empty, and how much of
+        them is seen, m^2; as it was where several people are to be seen, who may stand still."""
+        room, count = self.room, len(self._files)
+        if room is None or self._people:
+            return room, 0.0
+        chosen = np.unique(np.linspace(0, count - 1, min(_STILL_FRAMES, count)).round().astype(int))
+        maps = [m for k in chosen if (m := self._prepared(self._read(self._files[k]))).shape == room.depth.shape]
+        return with_still_things(room, maps, self._small) if len(maps) > 4 else (room, 0.0)
 
     def _read(self, file: Path) -> DepthMap:
         """A map as it is stored; an InputError when it has not the size of the view's first."""

@@ -310,7 +310,12 @@ class FrameStream:
         named = zip(self.recording.views, self.backgrounds, strict=False)
         doubtful = [f"View {v.name}: {b.note}" for v, b in named if b is not None and b.note]
         unread = (f"View {s.view.name} {s.note}" for s in self._sources if s.note)
-        return (*self.people_notes, *doubtful, *unread)
+        things = (
+            f"View {s.view.name}: {area:.2f} m^2 of things that the empty room had not are left out"
+            for s in self._sources
+            if s.depth is not None and (area := s.depth.furnished[1]) > 0
+        )
+        return (*self.people_notes, *doubtful, *unread, *things)
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -352,7 +357,7 @@ class FrameStream:
             colours = pending.colours(silhouettes.masks.shape) if self.options.colours else None
             depth = self._depth(number, silhouettes)
             if not self.options.people:
-                rooms = [None if s.depth is None else s.depth.room for s in self._sources]
+                rooms = [None if s.depth is None else s.depth.furnished[0] for s in self._sources]
                 silhouettes = behind_things(silhouettes, depth, rooms)
         keypoints = None if self.keypoints is None else self.keypoints[index]
         return Frame(number / self.recording.frame_rate, number, silhouettes, keypoints, colours=colours, depth=depth)
