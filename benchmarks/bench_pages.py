@@ -160,8 +160,8 @@ _FUSION = (
         """Depth cameras as evidence, all simulated ([how](depth.md)): captured motion with turns to both profiles, one
         sensor in front, two at 90 degrees, three all round. Errors over 15 joints; `sdk`: simulated skeletons of the
         same sensors, fused. Coverage: joints in their 90 % regions. Told: which joints are wrong by more than 100 mm,
-        area under the curve. ms/frame: of one map, one thread, median. Late: live, two sensors. Two people pass each other
-        0.8 m apart. Seeds from 710 on, on which nothing was chosen.""",
+        area under the curve. ms/frame: of one map, one thread, median. Late: live, two sensors. Two people pass each
+        other 0.8 m apart. Seeds from 710 on, on which nothing was chosen.""",
         (
             Column("mean, mm", "mean_mm", spread=True),
             Column("95 %, mm", "p95_mm"),
