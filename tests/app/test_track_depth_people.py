@@ -56,6 +56,7 @@ def test_everybody_before_depth_cameras_has_a_folder(hypose, two, tmp_path):
         assert {"report.html", "motion.trc", "verdict.json"} <= {p.name for p in (tmp_path / name).iterdir()}
 
 
+@pytest.mark.slow
 def test_one_of_several_is_tracked_and_the_others_are_told(hypose, two, tmp_path):
     code, out, err = hypose("track", two, "--out", tmp_path, *LIGHT)
     assert code == 0, err
