@@ -98,7 +98,8 @@ def frames_to_examine(recording: Recording) -> tuple[FrameStream, bool]:
     """The frames of a recording whose calibration is in doubt, with all people in the masks when several stand beside
     each other there, and whether they do: what a view shows of whom cannot be told before the calibration is right."""
     one = FrameStream(recording)
-    if one.options.silhouettes is None or not recording.has_pictures or one.tells_apart:
+    depth = any(view.depth is not None for view in recording.views)  # where people are told apart by distance
+    if one.options.silhouettes is None or not recording.has_pictures or one.tells_apart or depth:
         return one, False
     whole = replace(one.options, people=True)
     everybody = FrameStream(recording, whole, one.backgrounds or None)
