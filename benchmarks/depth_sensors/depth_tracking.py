@@ -17,6 +17,7 @@ from scipy.stats import chi2
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.depth_sensors.depth_live import live_depth
+from benchmarks.depth_sensors.depth_people import people_apart
 from benchmarks.multiview.action_scenes import captured, subject_of_seed
 from benchmarks.multiview.doubt_fit import auroc, ece
 from hypose.body.motion import Motion
@@ -81,7 +82,9 @@ def depth(options: BenchOptions) -> BenchReport:
     simulated sensors report of the same scenes, fused. registration_*: two sensors brought together by the person.
     coverage_90: share of true joints in their 90 % regions. wrong_auroc, wrong_ece: how well it is told which joints
     are wrong by more than 100 mm, and how likely. ms_per_frame, ms_mean: processor time of one sensor's frame, from the
-    map to the pose, median and mean over a clip's frames: that of an instant over its sensors. latency_*: from the
+    map to the pose, median and mean over a clip's frames: that of an instant over its sensors. together_mm, alone_mm,
+    exchanged, invented: two people who walk past each other, 0.8 m apart, tracked together and each alone; share of the
+    frames in which a track is not its person's; people beyond the two. latency_*: from the
     later map's arrival to the pose, of two simulated sensors whose maps the live engine plays at their pace."""
     seeds = options.seed_range(10, first=FRESH_SEED, quick=1)
     seconds = 1.2 if options.quick else 2.0
@@ -93,6 +96,7 @@ def depth(options: BenchOptions) -> BenchReport:
 
     jobs = [(seed, case) for seed in seeds for case in (*SENSORS, "one+colour")]
     jobs += [(seed, what) for what in ("registration", "speed") for seed in seeds[:_FEW]]
+    jobs += [(seed, f"people/{case}") for seed, case in zip(seeds, SENSORS, strict=False)]
     jobs.append((seeds[0], "live"))
     inside: dict[str, list[float]] = {}
     told: dict[str, list[tuple[NDArray[np.float64], NDArray[np.bool_]]]] = {}
@@ -109,6 +113,9 @@ def depth(options: BenchOptions) -> BenchReport:
         for name, unit in (("registration_deg", "degrees"), ("registration_mm", "mm"), ("clock_ms", "ms")):
             if name in part:
                 keep(name, "two", unit, part[name])
+        for name, unit in (("together_mm", "mm"), ("alone_mm", "mm"), ("exchanged", "1"), ("invented", "1")):
+            if name in part:
+                keep(name, case, unit, part[name])
         for name in ("latency_p50_ms", "latency_p99_ms"):
             if name in part:
                 keep(name, "two", "ms", part[name])
@@ -147,6 +154,9 @@ def _measured(seed: int, case: str, seconds: float, options: BenchOptions) -> di
             return _registration(seed, options)
         if case == "speed":
             return _speed(seed, seconds, options)
+        if case.startswith("people/"):
+            sensors = SENSORS[case.removeprefix("people/")]
+            return people_apart(seed, sensors, seconds, RATE, aligned)
         if case == "live":
             return live_depth(seed, options.quick)
         if case == "one+colour":
@@ -154,9 +164,7 @@ def _measured(seed: int, case: str, seconds: float, options: BenchOptions) -> di
         return _tracked(seed, case, seconds, options)
     except HyposeError as error:  # a clip that the product refuses is a miss, and not left out
         return (
-            {"refused": str(error), "mean_mm": 1000.0}
-            if case not in ("registration", "speed", "live")
-            else {"refused": str(error)}
+            {"refused": str(error), "mean_mm": 1000.0} if case in (*SENSORS, "one+colour") else {"refused": str(error)}
         )
 
 

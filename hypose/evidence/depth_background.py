@@ -35,6 +35,10 @@ _BEFORE_M, _BESIDE_M, _HIDES = 0.25, 0.4, 0.03
 """m by which a thing stands before the middle of who is seen, and beside; share of a person's area that it covers"""
 _APART_M = 0.35
 """m between the sides of the person and of a thing that is none of theirs"""
+_STILL_SHARE, _STILL_M = 0.8, 0.01
+"""share of a recording's maps in which a thing is to be seen, and m by which its values may scatter"""
+_ELSEWHERE_M, _ELSEWHERE_SHARE, _SOMEBODY_PX = 0.9, 0.25, 300
+"""m that who moves stands away from a thing, in which share of the maps; px of somebody, at least"""
 _RIM = 3
 """px around what stands before the room that may still be the person's"""
 
@@ -66,6 +70,45 @@ def learn_background(maps: Sequence[DepthMap]) -> DepthBackground:
     return DepthBackground(np.where(known, middle, 0.0).astype(np.float32), sd.astype(np.float32))
 
 
+def with_still_things(room: DepthBackground, maps: Sequence[DepthMap], camera: Camera) -> tuple[DepthBackground, float]:
+    """The room with things in it that were not there when it was empty, and how much of them is seen, m^2, by maps
+    (h, w) m spread over a recording: what keeps its place while somebody moves elsewhere. The same room when nobody
+    is ever so far away that this can be told."""
+    stack = np.stack(maps)
+    before = np.stack([_calm(before_room(m, room.depth, room.sd, _SDS, _LEAST_M)) for m in maps]) > 0
+    often = before.sum(0) >= _STILL_SHARE * np.maximum((stack > 0).sum(0), 0.5 * len(maps))
+    if not often.any():
+        return room, 0.0
+    middle, sd = np.zeros_like(room.depth), np.zeros_like(room.sd)
+    values = np.where(before, stack, np.nan)[:, often]
+    middle[often] = np.nanmedian(values, axis=0)
+    sd[often] = 1.4826 * np.nanmedian(np.abs(values - middle[often]), axis=0)
+    still = _calm((often & (sd < np.maximum(_SDS * room.sd, _STILL_M))).astype(np.uint8)) > 0
+    others = before & (cv2.dilate(still.astype(np.uint8), np.ones((5, 5), np.uint8)) == 0)
+    at = [_place(camera, own, m) for own, m in zip(others, maps, strict=True) if own.sum() > _SOMEBODY_PX]
+    labels, n = _pieces(still, middle)
+    things, spread, area = np.full_like(room.depth, np.inf), room.sd.copy(), 0.0
+    for k in range(1, n + 1):
+        own = labels == k
+        if own.sum() < _LEAST_PX or not at:
+            continue
+        apart = np.linalg.norm(np.array(at) - _place(camera, own, middle), axis=1)
+        if (apart > _ELSEWHERE_M).sum() >= max(2, _ELSEWHERE_SHARE * len(maps)):
+            things[own], spread[own] = middle[own], np.maximum(sd[own], room.sd[own])
+            area += float((middle[own] ** 2).sum() / (camera.K[0, 0] * camera.K[1, 1]))
+    if not area:
+        return room, 0.0
+    near = cv2.erode(things, np.ones((5, 5), np.uint8))  # at its edges values lie before what is behind the thing
+    depth = np.where(np.isfinite(things), things, np.minimum(near, np.where(room.depth > 0, room.depth, np.inf)))
+    return DepthBackground(np.where(np.isfinite(depth), depth, 0.0).astype(np.float32), spread), area
+
+
+def _place(camera: Camera, own: NDArray[np.bool_], depth: DepthMap) -> NDArray[np.float64]:
+    """(2,) m: where on the floor the middle of some pixels (h, w) stands."""
+    v, u = np.nonzero(own & (depth > 0))
+    return np.median(in_world(camera, back_projected(camera, u, v, depth[v, u]))[:, :2], axis=0)
+
+
 def person_before(depth: DepthMap, background: DepthBackground, focal_px: float | None = None) -> Mask:
     """(h, w) 0/1: what stands before the empty room, its holes filled; the largest thing and what is near it, also to
     its sides, where the focal length is known: somebody else who stands beside the person is left out."""
@@ -80,6 +123,16 @@ def person_before(depth: DepthMap, background: DepthBackground, focal_px: float 
     own = slice(max(y - _RIM, 0), y + h + _RIM), slice(max(x - _RIM, 0), x + w + _RIM)
     out[own] = _one_thing(before[own], depth[own], background.depth[own] > 0, focal_px)
     return out
+
+
+def people_before(depth: DepthMap, background: DepthBackground) -> Mask:
+    """(h, w) 0/1: everything that stands before the empty room, specks left out, its holes filled."""
+    before = _calm(before_room(depth, background.depth, background.sd, _SDS, _LEAST_M))
+    _, found, stats, _ = cv2.connectedComponentsWithStats(before, connectivity=8)
+    keep = np.asarray(stats, dtype=np.int64)[:, cv2.CC_STAT_AREA] >= _LEAST_PX
+    keep[0] = False
+    labels = np.asarray(found, dtype=np.int32)
+    return _holes_filled(keep[labels].astype(np.uint8), depth, background.depth > 0)
 
 
 def person_on_floor(depth: DepthMap, camera: Camera) -> Mask:
@@ -195,8 +248,11 @@ def _one_thing(before: Mask, depth: DepthMap, solid: NDArray[np.bool_], focal_px
         own = depth[(labels == k) & (depth > 0)]
         keep[k] = len(own) > 0 and abs(np.median(own) - usual) < 0.8
     keep[main] = True
-    out = keep[labels].astype(np.uint8)
-    # what the sensor did not measure between what it did measure of the person is the person's
+    return _holes_filled(keep[labels].astype(np.uint8), depth, solid)
+
+
+def _holes_filled(out: Mask, depth: DepthMap, solid: NDArray[np.bool_]) -> Mask:
+    """The mask with what the sensor did not measure between what it did measure of the person."""
     narrow, wide = (cv2.morphologyEx(out, cv2.MORPH_CLOSE, np.ones((k, k), np.uint8)) for k in (3, 5))
     closed = np.where(solid, wide, narrow)
     return ((out > 0) | ((closed > 0) & (depth <= 0))).astype(np.uint8)

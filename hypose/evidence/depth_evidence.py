@@ -88,6 +88,17 @@ class Depth:
         return surface_points(self, POINTS)
 
     @cached_property
+    def pixels(self) -> tuple[NDArray[np.int64], Array]:
+        """View, row, column (N, 3) of the person's pixels that were measured, and where these are, (N, 3) m, world."""
+        at = np.argwhere((self.person > 0) & (self.maps > 0) & self.usable[:, None, None])
+        points = np.empty((len(at), 3))
+        for c, camera in enumerate(self.rig):
+            own = slice(*np.searchsorted(at[:, 0], (c, c + 1)))
+            v, u = at[own, 1], at[own, 2]
+            points[own] = in_world(camera, back_projected(camera, u, v, self.maps[c, v, u]))
+        return at, points
+
+    @cached_property
     def centre(self) -> Array | None:
         """(3,) m: median of the surface's points, None when there are none."""
         return np.median(self.surface.points, axis=0) if len(self.surface.points) else None

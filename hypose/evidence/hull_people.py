@@ -48,10 +48,12 @@ _RIM = 12
 
 @dataclass(frozen=True)
 class HullPerson:
-    """hull: the part of it; axis (2,) m: where the person stands."""
+    """hull: the part of it; axis (2,) m: where the person stands; seen (C, h, w): their pixels, where these are known
+    (depth cameras)."""
 
     hull: Hull
     axis: Array
+    seen: NDArray[np.uint8] | None = None
 
     @property
     def litres(self) -> float:
@@ -71,7 +73,9 @@ class HullPerson:
         return CHILD_LITRES < self.litres < SLENDER * self.hull.height**3
 
     def shape(self, rig: CameraRig, about: float = np.inf) -> DrawnShape:
-        """What of the views it fills, its gaps closed; about: m, only what lies so near to the axis."""
+        """What of the views it fills, its gaps closed; about: m, only what lies so near to the axis, of a hull."""
+        if self.seen is not None:
+            return DrawnShape(self.seen)
         points = self.hull.points if np.isfinite(about) else self.hull.surface_points
         points = points[np.linalg.norm(points[:, :2] - self.axis, axis=1) < about]
         out = np.zeros((len(rig), int(rig.sizes[:, 1].max()), int(rig.sizes[:, 0].max())), np.uint8)
@@ -115,11 +119,17 @@ def people_in_hull(
         hull = visual_hull(left, bounds, VOXEL, min_views=least, largest=False, surely=least)
     except EvidenceError:
         return []
-    found = [HullPerson(_part(hull, own, axis), axis) for axis, own in _axes(hull, floor, most)]
+    found = people_of_hull(hull, floor, most)
     return _not_ghosts(left, sorted(found, key=lambda p: -p.litres), least)
 
 
-def _axes(hull: Hull, floor: float, most: int) -> list[tuple[Array, NDArray[np.bool_]]]:
+def people_of_hull(hull: Hull, floor: float, most: int, surface: float = 0.0) -> list[HullPerson]:
+    """Parts of a hull that stand on the floor; ghosts as well. surface: litres that a person has where the voxels are
+    no more than their surface, 0: they are whole."""
+    return [HullPerson(_part(hull, own, axis), axis) for axis, own in _axes(hull, floor, most, surface)]
+
+
+def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Array, NDArray[np.bool_]]]:
     """Where people stand (2,) m, by how much of the hull is near, and which of its voxels (M,) are theirs."""
     litre, points = 1e3 * hull.voxel**3, hull.points
     filled = hull.occupancy.sum(2)
@@ -133,9 +143,9 @@ def _axes(hull: Hull, floor: float, most: int) -> list[tuple[Array, NDArray[np.b
         # most places have too little around them for anybody
         part = np.ix_(*(np.flatnonzero(np.abs(at - axis[k]) < ABOUT) for k, at in enumerate((x, y))))
         near = np.sqrt((x[part[0]] - axis[0]) ** 2 + (y[part[1]] - axis[1]) ** 2) < ABOUT
-        if int(filled[part][near].sum()) * litre > CHILD_LITRES:
+        if int(filled[part][near].sum()) * litre > (surface or CHILD_LITRES):
             away = np.linalg.norm(points[:, :2] - axis, axis=1)
-            if _stands(points[away < ABOUT], np.count_nonzero(away < BESIDE) * litre, litre, floor):
+            if _stands(points[away < ABOUT], np.count_nonzero(away < BESIDE) * litre, litre, floor, surface):
                 axes.append(axis)
                 _taken(density, peak, APART / hull.voxel)
         _taken(density, peak, _FINE / hull.voxel)
@@ -146,9 +156,8 @@ def _axes(hull: Hull, floor: float, most: int) -> list[tuple[Array, NDArray[np.b
         away = np.linalg.norm(points[:, None, :2] - np.array(axes), axis=2)
         nearest = away.argmin(1)
         beside = (away < BESIDE).sum(0) * litre
-        stands = [
-            _stands(points[(nearest == k) & (away[:, k] < ABOUT)], beside[k], litre, floor) for k in range(len(axes))
-        ]
+        near = [points[(nearest == k) & (away[:, k] < ABOUT)] for k in range(len(axes))]
+        stands = [_stands(own, beside[k], litre, floor, surface) for k, own in enumerate(near)]
         if all(stands) or len(axes) == 1:
             return [(axis, (nearest == k) & (away[:, k] < REACH)) for k, axis in enumerate(axes)]
         worst = max(k for k, ok in enumerate(stands) if not ok)  # they come in the order of their density
@@ -163,15 +172,15 @@ def _taken(density: Array, peak: NDArray[np.int64], radius: float) -> None:
     part[np.hypot(u + low[0] - peak[0], v + low[1] - peak[1]) < radius] = 0
 
 
-def _stands(near: Array, beside: float, litre: float, floor: float) -> bool:
+def _stands(near: Array, beside: float, litre: float, floor: float, surface: float) -> bool:
     """Do the voxels (M, 3) m about an axis make a person? beside: litres as near as BESIDE, of whomever: a part of
-    something wide is no child."""
+    something wide is no child; a child's surface alone is no more than a piece of furniture shows."""
     if not len(near) or near[:, 2].min() - floor > FROM_FLOOR:
         return False
     litres, height = len(near) * litre, float(np.ptp(near[:, 2]))
     if height > TALL:
-        return litres > LITRES
-    return height > CHILD and litres > CHILD_LITRES and beside < SLENDER * height**3
+        return litres > (surface or LITRES)
+    return not surface and height > CHILD and litres > CHILD_LITRES and beside < SLENDER * height**3
 
 
 def _not_ghosts(left: Silhouettes, found: list[HullPerson], least: int) -> list[HullPerson]:

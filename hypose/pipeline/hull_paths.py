@@ -10,8 +10,9 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from hypose.errors import HyposeError
+from hypose.evidence.depth_people import people_seen
 from hypose.evidence.frame import Frame
-from hypose.evidence.hull_people import HullPerson, people_in_hull
+from hypose.evidence.hull_people import HullPerson
 from hypose.evidence.shared_masks import Other
 from hypose.geometry import Array
 
@@ -75,7 +76,7 @@ def follow_places(
         frame = frame_at(t)
         if frame.silhouettes is None:
             continue
-        here = people_in_hull(frame.silhouettes, () if known is None else known(t), floor=floor)
+        here = people_seen(frame, () if known is None else known(t), floor=floor)
         known_hulls = [(h.litres, h.hull.height) for p in paths for h in p.found.values()]
         litres, height = np.median(known_hulls, axis=0) if known_hulls else (0.0, 1.0)
         # a rest of somebody is nobody's place; children have less, and are less tall
@@ -113,11 +114,12 @@ def _apart(people: Sequence[HullPerson]) -> int:
 
 def count_people(frame_at: Callable[[int], Frame], total: int, looks: int = 5) -> int:
     """How many people stand in the masks of a recording: the median over instants spread over it. Fewer than three
-    usable views tell of nobody."""
+    usable views tell of nobody, but depth cameras do."""
     found = []
     for t in np.unique(np.linspace(0, total - 1, min(total, looks)).astype(int)).tolist():
         with contextlib.suppress(HyposeError):
             frame = frame_at(t)
-            if frame.silhouettes is not None and int(frame.silhouettes.usable.sum()) >= 3:
-                found.append(_apart(people_in_hull(frame.silhouettes)))
+            views = 0 if frame.silhouettes is None else int(frame.silhouettes.usable.sum())
+            if views >= 3 or (views and frame.depth is not None):
+                found.append(_apart(people_seen(frame)))
     return int(np.median(found)) if found else 0

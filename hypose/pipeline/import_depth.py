@@ -19,19 +19,20 @@ from hypose.evidence.frame import Frame
 from hypose.geometry import Array, se3_inverse
 from hypose.io.file_names import file_name, text_of
 from hypose.io.recordings.depth_views import DepthSource
-from hypose.io.recordings.frames import FrameStream
+from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording, View, write_recording
 from hypose.io.sensors.depth import write_depth_png
 from hypose.io.sensors.depth_files import FOLDER_RATE, DepthFile, open_depth
 from hypose.io.videos.video import list_images
+from hypose.pipeline.hull_paths import count_people
 from hypose.pipeline.register_depth import register_depth
 
 LOOKED_AT = 400
 """frames from which places are found; the person should have walked and turned by then"""
 _MADE = ("read", "depth", "background", "calibration.toml", "recording.toml")
 _CALM = 9
-_HIGHEST_M = 4.0
-"""m: no depth camera that sees a person hangs higher above the floor: larger distances are another unit"""
+_LOWEST_M, _HIGHEST_M = 0.05, 4.0
+"""m: no depth camera that sees a person hangs lower or higher above the floor: other distances are another unit"""
 _NEAR = 0.6
 """share of a frame's time by which a map may have been seen before or after its instant"""
 _LEAST_SHARE = 0.003
@@ -132,6 +133,13 @@ def _imported(
         try:
             found = register_depth(clips, rate, seed=seed, progress=report)
         except HyposeError as error:
+            shared = [v.name for v, c in zip(views, cameras, strict=True) if empty and _several(folder, v, c, rate)]
+            if shared:
+                raise type(error)(
+                    f"Several people stand before {' and '.join(shared)}, and the places of cameras are found from one "
+                    f"person alone: let one move before all of them for the first {LOOKED_AT / rate:.0f} s, and the "
+                    f"others come then. ({error})"
+                ) from error
             places = ", ".join(f"{c.name} {c.position[2]:.2f} m" for c in cameras)
             raise type(error)(f"{error} By their maps the cameras hang above the floor: {places}.") from error
         late = np.rint((found.seconds.max() - found.seconds) * rate).astype(int)
@@ -179,9 +187,9 @@ def _on_floor(source: str | Path, folder: Path, camera: Camera) -> Array:
     except EvidenceError as error:
         raise EvidenceError(f"{source}: {error}") from None
     height = float(se3_inverse(found)[2, 3])
-    if height > _HIGHEST_M:
+    if not _LOWEST_M < height < _HIGHEST_M:
         raise InputError(
-            f"{source}: the camera would hang {height:.1f} m above the floor; if the steps of its values are no "
+            f"{source}: the camera would hang {height:.2f} m above the floor; if the steps of its values are no "
             "millimetres, say with --millimetres how many one is."
         )
     return found
@@ -257,6 +265,13 @@ def _clip(recording: Recording) -> list[Frame]:
     shown = np.array(areas)
     whole = np.flatnonzero(shown > 0.5 * np.median(shown[shown > 0]))
     return found[whole[0] : whole[-1] + 1]
+
+
+def _several(folder: Path, view: View, camera: Camera, rate: float) -> bool:
+    """Do the frames by which a camera is placed show several people? The empty room is known."""
+    recording = _recording(folder, CameraRig((camera,)), [view], rate)
+    with FrameStream(recording, FrameSettings(silhouettes=recording.silhouettes, people=True)) as frames:
+        return count_people(frames.frame, min(len(frames), LOOKED_AT)) > 1
 
 
 def _without_first(view: View, count: int) -> None:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from hypose.errors import EvidenceError
+from hypose.evidence.depth_people import own_frame
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.hull_people import VIEWS, HullPerson
-from hypose.evidence.shared_masks import Other, own_silhouettes, without
+from hypose.evidence.shared_masks import Other, without
 from hypose.geometry import Array
 from hypose.pipeline.hull_paths import OTHERS_WIDENED
 from hypose.pipeline.tracked_people import Followed
@@ -34,8 +34,8 @@ def explained_by(people: Sequence[Followed], silhouettes: Silhouettes) -> list[O
     return [Other(p.member.shape(silhouettes.rig, p.estimates[-1].pose)) for p in people if p.member.sure]
 
 
-def somebody_more(known: Sequence[Other], silhouettes: Silhouettes) -> bool:
-    """Is enough of the masks unexplained to look for a person in the hull? Every other pixel tells."""
+def somebody_more(known: Sequence[Other], silhouettes: Silhouettes, least: int = VIEWS) -> bool:
+    """Is enough of the masks unexplained, in `least` views or all, to look for a person? Every other pixel tells."""
     if not known:
         return True
     s, rig = silhouettes, silhouettes.rig.scaled(0.5)
@@ -44,7 +44,7 @@ def somebody_more(known: Sequence[Other], silhouettes: Silhouettes) -> bool:
     sizes = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
     usual = float(np.median(sizes[sizes > 0])) if (sizes > 0).any() else 0.0
     views = thin.usable & (without(thin, known).areas > LEFT_SHARE * usual)
-    return int(views.sum()) >= min(VIEWS, int(thin.usable.sum()))
+    return int(views.sum()) >= min(least, int(thin.usable.sum()))
 
 
 def not_parts(found: Sequence[HullPerson], people: Sequence[Followed]) -> list[HullPerson]:
@@ -58,7 +58,7 @@ def evidence_of(person: HullPerson, frame: Frame, known: Sequence[Other], beside
     s = frame.silhouettes
     assert s is not None
     rest = [Other(p.shape(s.rig), OTHERS_WIDENED) for p in beside if p is not person]
-    return replace(frame, silhouettes=own_silhouettes(s, person.shape(s.rig), [*known, *rest]))
+    return own_frame(frame, person.shape(s.rig), [*known, *rest])
 
 
 def returned(

@@ -82,11 +82,13 @@ def chosen_people(text: str, wanted: Sequence[Wanted]) -> tuple[int | None, str 
 
 
 def people_frames(recording: Recording, options: TrackOptions) -> FrameStream:
-    """The frames of a recording with all people in the masks, if masks are wanted. An InputError for depth cameras."""
-    if depth := [v.name for v in recording.views if v.depth is not None]:
+    """The frames of a recording with all people in the masks, if masks are wanted. An InputError for depth cameras
+    beside others."""
+    depth = [v.name for v in recording.views if v.depth is not None]
+    if depth and (len(depth) < len(recording.views) or options.looks_at != "silhouettes"):
         raise InputError(
-            f"In the maps of depth cameras ({', '.join(depth)}) people are not told apart; leave --people out, or take "
-            "these views out of recording.toml."
+            f"Several people before depth cameras ({', '.join(depth)}) are told apart by these alone; leave --people "
+            "out, or take the other views and key points out of recording.toml."
         )
     silhouettes = None if options.looks_at == "keypoints" else recording.silhouettes
     return FrameStream(recording, FrameSettings(silhouettes=silhouettes, people=True, colours=True))
@@ -96,7 +98,8 @@ def frames_to_examine(recording: Recording) -> tuple[FrameStream, bool]:
     """The frames of a recording whose calibration is in doubt, with all people in the masks when several stand beside
     each other there, and whether they do: what a view shows of whom cannot be told before the calibration is right."""
     one = FrameStream(recording)
-    if one.options.silhouettes is None or not recording.has_pictures or one.tells_apart:
+    depth = any(view.depth is not None for view in recording.views)  # where people are told apart by distance
+    if one.options.silhouettes is None or not recording.has_pictures or one.tells_apart or depth:
         return one, False
     whole = replace(one.options, people=True)
     everybody = FrameStream(recording, whole, one.backgrounds or None)
@@ -119,9 +122,14 @@ def with_everybody(source: FrameStream, options: TrackOptions) -> FrameStream | 
     """The frames of a recording with all people in the masks, when these show several; None when they do not, or masks
     are not what is looked at."""
     settings = source.options
-    # depth cameras keep one person, who stands apart in space
-    with_depth = any(view.depth is not None for view in source.recording.views)
-    if settings.silhouettes is None or options.of_picture or len(source.rig) < 3 or with_depth or source.tells_apart:
+    views = source.recording.views
+    if settings.silhouettes is None or options.of_picture or len(source.rig) < 2 or source.tells_apart:
+        return None
+    if any(view.depth is not None for view in views):
+        # one depth camera keeps whoever is largest; several may take different people for that
+        if any(view.depth is None or view.background is None for view in views) or options.looks_at != "silhouettes":
+            return None
+    elif len(views) < 3:
         return None
     whole = FrameSettings(settings.longer_side, settings.factor, settings.silhouettes, people=True, colours=True)
     everybody = FrameStream(source.recording, whole, source.backgrounds or None)

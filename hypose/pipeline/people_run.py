@@ -16,11 +16,12 @@ import numpy as np
 
 from hypose.body.ready_bodies import human
 from hypose.errors import EvidenceError, HyposeError, InputError
+from hypose.evidence import depth_people
 from hypose.evidence.ahead import pack_once
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.hull import common_view_bounds
-from hypose.evidence.hull_people import HullPerson, people_in_hull
-from hypose.evidence.shared_masks import SOLVED, Other, own_silhouettes
+from hypose.evidence.hull_people import VIEWS, HullPerson
+from hypose.evidence.shared_masks import SOLVED, Other
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder, save_motion
 from hypose.io.recordings.provenance import identity
@@ -166,6 +167,11 @@ class PeopleRun:
         looks = np.unique(np.linspace(0, last - 1, min(last, 6)).astype(int)).tolist()
         paths = lasting(self._places([*looks, *range(last, self._named_at + 1, self._look_every)]), looks)
         if not paths:
+            if self.source.frame(0).depth is not None:
+                raise EvidenceError(
+                    "Nobody stands before the depth cameras at the beginning; begin with --frames where people are "
+                    "seen, and record the empty room again if it has changed."
+                )
             raise EvidenceError(
                 "Nobody stands in the masks at the beginning: no part of the visual hull is as large and tall as a "
                 "person; begin with --frames where people are seen by three cameras, and check the masks with "
@@ -335,6 +341,7 @@ class PeopleRun:
         members, estimates, seen = step_together([p.member for p in people], frame, points)
         if frame.silhouettes is not None:
             pack_once(frame.silhouettes)
+        least = 2 if frame.depth is None else 1  # a depth camera alone shows where somebody is
         change = mask_change(frame, before)  # of the whole masks: what is ignored changes by itself
         looked = [
             looked_at(m.tracker, estimate, own, None if before is None else as_now(own, before), change)
@@ -351,7 +358,7 @@ class PeopleRun:
             p.member = member
             p.estimates.append(estimate)
             p.present.append(there)
-            p.hidden.append(bool(there and len(s := visible_share(own)) and (s > HIDDEN).sum() < 2))
+            p.hidden.append(bool(there and len(s := visible_share(own)) and (s > HIDDEN).sum() < least))
         if t % self._look_every == 0:
             for p, q, since in look_at_clothes(people, seen):
                 exchange(p, q, since)
@@ -382,9 +389,9 @@ class PeopleRun:
         if silhouettes is None:
             return []
         known = explained_by(people, silhouettes)
-        if not somebody_more(known, silhouettes):
+        if not somebody_more(known, silhouettes, VIEWS if frame.depth is None else 1):
             return []
-        found = not_parts(people_in_hull(silhouettes, known, floor=self.floor), people)
+        found = not_parts(depth_people.people_seen(frame, known, floor=self.floor), people)
         coming = list[Array]()
         for person in found:
             seen = next((b for b in before if np.linalg.norm(person.axis - b[:2]) < 0.5), None)
@@ -487,4 +494,4 @@ class _OwnFrames:
             for p in self._people
             if p is not self._who and p.present[index] and not p.estimates[index].lost
         ]
-        return replace(frame, silhouettes=own_silhouettes(s, own, others))
+        return depth_people.own_frame(frame, own, others)

@@ -8,16 +8,17 @@ looked for again on what the others' bodies leave.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from hypose.body.body import Body
 from hypose.cameras.camera import CameraRig
 from hypose.errors import HyposeError
+from hypose.evidence import depth_people
 from hypose.evidence.frame import Frame
 from hypose.evidence.hull_people import HullPerson
-from hypose.evidence.shared_masks import Other, own_silhouettes
+from hypose.evidence.shared_masks import Other
 from hypose.geometry import Array
 from hypose.pipeline.hull_paths import CORE_M, OTHERS_WIDENED, Path
 from hypose.pipeline.start_choice import best_ways, way_of
@@ -73,7 +74,7 @@ def own_frame(
         for k, p in enumerate(paths)
         if k != who and (other := _hiding(None if rough is None else rough[k], p.found.get(number), number, s.rig))
     ]
-    return replace(frame, silhouettes=own_silhouettes(s, here.shape(s.rig), others))
+    return depth_people.own_frame(frame, here.shape(s.rig), others)
 
 
 def _hiding(rough: Rough | None, hull: HullPerson | None, number: int, rig: CameraRig) -> Other | None:

@@ -22,11 +22,15 @@ _UNITS = {"cm": 0.01, "mm": 0.001, "m": 1.0}
 def no_two_views(frame: Frame) -> str:
     """Why a body cannot be measured in a frame with fewer than two usable views, or none of depth cameras, and what to
     do."""
-    needed = "two views" if frame.depth is None else "one view"
     why = [] if frame.silhouettes is None else [r for r in frame.silhouettes.reasons if r]
     first = f" ({why[0].rstrip('.')})" if why else ""
+    if frame.depth is not None:
+        return (
+            f"No depth camera shows a person in frame {frame.index}{first}; begin with --frames where somebody stands "
+            "on the floor without holes in the maps (sunlight, dark clothes), and record the empty room."
+        )
     return (
-        f"The subject's shape needs silhouettes in at least {needed} from the first frame on{first}; check masks with "
+        f"The subject's shape needs silhouettes in at least two views from the first frame on{first}; check masks with "
         "`hypose silhouettes`, or choose other frames."
     )
 

@@ -20,7 +20,13 @@ from numpy.typing import NDArray
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.compute import rasterize
 from hypose.errors import InputError
-from hypose.evidence.depth_background import DepthBackground, behind_things, learn_background, person_before
+from hypose.evidence.depth_background import (
+    DepthBackground,
+    behind_things,
+    learn_background,
+    people_before,
+    person_before,
+)
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
@@ -95,7 +101,7 @@ def to_profile(frames: int, seed: int) -> Array:
 class DepthScene(OfPerformance):
     """subject: the truth body (dressed); performance; rig: the sensors, pinhole; faults; seed of everything random;
     furniture: boxes that stand where they may hide the person, x, y of their middle, width along x, along y, height,
-    m."""
+    m; others: people beside, with what they do."""
 
     name: str
     subject: Subject
@@ -104,13 +110,15 @@ class DepthScene(OfPerformance):
     faults: SensorFaults = SensorFaults()
     seed: int = 0
     furniture: tuple[tuple[float, float, float, float, float], ...] = ()
+    others: tuple[tuple[Subject, Performance], ...] = ()
 
     def clean_map(self, view: int, index: int) -> tuple[DepthMap, NDArray[np.uint8]]:
         """What sensor `view` would measure of frame `index` without any fault, (h, w) m, and the person's pixels."""
         camera, p = self.rig[view], self.performance
         vertices = self.subject.skin(p.rotations[index], p.root[index])
-        own = _drawn(camera, vertices, self.subject.faces)
-        room = self._rooms[view]
+        own, room = _drawn(camera, vertices, self.subject.faces), self._rooms[view]
+        for body, does in self.others:
+            room = np.minimum(room, _drawn(camera, body.skin(does.rotations[index], does.root[index]), body.faces))
         return np.minimum(own, room), (own < room).astype(np.uint8)
 
     def depth_map(self, view: int, index: int) -> DepthMap:
@@ -142,12 +150,13 @@ class DepthScene(OfPerformance):
         """What is learnt of the empty room, sensor by sensor."""
         return [learn_background([self.empty_map(c, k) for k in range(frames)]) for c in range(len(self.rig))]
 
-    def frames(self) -> Iterator[Frame]:
-        """Frames with depth and the silhouettes that come with it: the room taken away as it is for recordings."""
+    def frames(self, people: bool = False) -> Iterator[Frame]:
+        """Frames with depth and the silhouettes that come with it: the room taken away as it is for recordings. people:
+        with everybody in them."""
         rooms = self.backgrounds()
         for t in range(len(self)):
             maps = [self.depth_map(c, t) for c in range(len(self.rig))]
-            yield seen_before(rooms, maps, self.rig, float(self.times[t]), t)
+            yield seen_before(rooms, maps, self.rig, float(self.times[t]), t, people)
 
     @cached_property
     def _rooms(self) -> list[DepthMap]:
@@ -165,14 +174,20 @@ class DepthScene(OfPerformance):
 
 
 def seen_before(
-    rooms: Sequence[DepthBackground], maps: Sequence[DepthMap], rig: CameraRig, at: float, index: int
+    rooms: Sequence[DepthBackground],
+    maps: Sequence[DepthMap],
+    rig: CameraRig,
+    at: float,
+    index: int,
+    people: bool = False,
 ) -> Frame:
-    """The frame of maps (h, w) m at a time (s), whose rooms are known, as it is for recordings."""
-    silhouettes = make_silhouettes(
-        [person_before(m, room, c.K[0, 0]) for m, room, c in zip(maps, rooms, rig, strict=True)], rig
-    )
+    """The frame of maps (h, w) m at a time (s), whose rooms are known, as it is for recordings; people: with everybody
+    in it."""
+    known = zip(maps, rooms, rig, strict=True)
+    masks = [people_before(m, room) if people else person_before(m, room, c.K[0, 0]) for m, room, c in known]
+    silhouettes = make_silhouettes(masks, rig)
     depth = Depth(np.stack(maps), silhouettes.masks, rig, silhouettes.usable.copy())
-    return Frame(at, index, behind_things(silhouettes, depth, rooms), depth=depth)
+    return Frame(at, index, silhouettes if people else behind_things(silhouettes, depth, rooms), depth=depth)
 
 
 def depth_scene(

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.ahead import pack_once
+from hypose.evidence.depth_people import own_frame
 from hypose.evidence.frame import Frame, Keypoints
-from hypose.evidence.shared_masks import PREDICTED, SOLVED, BodyShape, Other, own_silhouettes
+from hypose.evidence.shared_masks import PREDICTED, SOLVED, BodyShape, Other
 from hypose.geometry import Array
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
 
@@ -75,9 +76,9 @@ def step_together(
                 Other(shapes[j], SOLVED if done[j] else PREDICTED) for j in range(count) if j != i and after[j].sure
             ]
             lost = m.state.lost or m.state.blind > BLIND
-            silhouettes = own_silhouettes(frame.silhouettes, shapes[i], [*others, *beside], anywhere=lost)
-            pack_once(silhouettes)  # the tracker wants them, and whoever judges what it has found
-            own = replace(own, silhouettes=silhouettes)
+            own = own_frame(own, shapes[i], [*others, *beside], anywhere=lost)
+            assert own.silhouettes is not None
+            pack_once(own.silhouettes)  # the tracker wants them, and whoever judges what it has found
         state, estimate = m.tracker.step(m.state, own)
         after[i], estimates[i], seen[i], done[i] = replace(m, state=state), estimate, own, True
         if shapes is not None and rig is not None and not done.all():
@@ -94,7 +95,10 @@ def nobody_in(frame: Frame) -> Frame:
     k = frame.keypoints
     if k is not None:
         k = replace(k, points=np.zeros_like(k.points))
-    return replace(frame, silhouettes=s, keypoints=k)
+    d = frame.depth
+    if d is not None:
+        d = replace(d, usable=np.zeros_like(d.usable))
+    return replace(frame, silhouettes=s, keypoints=k, depth=d)
 
 
 def visible_share(frame: Frame) -> NDArray[np.float64]:

@@ -93,6 +93,11 @@ def starts_in_frame(
         for first in range(0, len(places), HEADINGS):
             for i in first + np.argsort(cost[first : first + HEADINGS], kind="stable")[:_PER_POSTURE]:
                 found.append(Start(body, places[i], float(cost[i])))
+    if not found and frame.depth is not None:
+        raise EvidenceError(
+            f"Frame {frame.frame.index}: what depth cameras see of somebody is {tall:.2f} m high, and no person; look "
+            "whether sunlight, dark clothes or the distance leave holes in their maps, or choose other frames."
+        )
     if not found:
         raise EvidenceError(
             f"Frame {frame.frame.index}: what all views have in common is {tall:.2f} m high, and no person; check the "

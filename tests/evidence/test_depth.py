@@ -8,13 +8,14 @@ import pytest
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError, InputError
-from hypose.evidence.depth_background import learn_background, person_before, person_on_floor
+from hypose.evidence.depth_background import learn_background, person_before, person_on_floor, with_still_things
 from hypose.evidence.depth_evidence import Depth, DepthNoise, back_projected, in_world, surface_points
 from hypose.evidence.depth_floor import camera_on_floor
 from hypose.evidence.depth_space import space_behind
 from hypose.geometry import se3, se3_inverse
 from hypose.synthetic.depth_scenes import depth_scene, without_faults
 from hypose.synthetic.motions import act
+from hypose.synthetic.performance import assemble, moved
 from hypose.synthetic.rigs import look_at
 from hypose.synthetic.subjects import load_subjects
 from hypose.tracking.starts import known_pose
@@ -132,6 +133,26 @@ def test_a_table_before_the_person_says_nothing_of_their_legs(scene):
     assert hidden.ignored[0][behind].mean() > 0.9
     assert hidden.told[0][person & ~behind].mean() > 0.85
     assert hidden.areas[0] < free.areas[0] < 1.5 * hidden.expected.areas[0]
+
+
+def test_things_that_were_not_in_the_empty_room_are_told_by_who_walks_about():
+    subject = load_subjects()["neutral"]
+    walk = act("walk", subject, 2.0, 25.0, np.random.default_rng(3))
+    empty = depth_scene(moved(walk, 0.0, tuple(-walk.root[:, :2].mean(0))), subject, "depth-2", seed=4)
+    chair = replace(empty, furniture=((0.5, 0.5, 0.5, 0.5, 0.9),))
+    for view, room in enumerate(empty.backgrounds(8)):
+        camera, at = chair.rig[view], range(0, len(walk), 4)
+        again, area = with_still_things(room, [empty.depth_map(view, k) for k in at], camera)
+        assert again is room and area == 0
+        furnished, area = with_still_things(room, [chair.depth_map(view, k) for k in at], camera)
+        assert 0.2 < area < 0.6
+        truth = chair.clean_map(view, 25)[1]
+        assert overlap(person_before(chair.depth_map(view, 25), furnished, camera.K[0, 0]), truth) > 0.85
+        assert overlap(person_before(chair.depth_map(view, 25), room, camera.K[0, 0]), truth) < 0.75
+    root = walk.root * [0, 0, 1]
+    stays = replace(chair, performance=assemble("stays", subject, walk.times, walk.rotations, root))
+    room = empty.backgrounds(8)[0]  # who stays beside a thing cannot be told from it
+    assert with_still_things(room, [stays.depth_map(0, k) for k in range(0, 50, 4)], stays.rig[0])[0] is room
 
 
 def test_rooms_of_another_size_or_without_maps_are_named(scene):

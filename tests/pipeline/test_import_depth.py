@@ -51,7 +51,7 @@ def test_the_floor_is_found_through_a_lens_that_bends(tmp_path):
 def test_values_of_another_unit_are_noticed_and_can_be_said(tmp_path):
     own = camera(distortion=np.zeros(5))
     source = folder(tmp_path / "fifths", own, [seen_in_room(own)] * 2, steps=0.2)
-    with pytest.raises(InputError, match=r"fifths: the camera would hang 6.5 m .* --millimetres"):
+    with pytest.raises(InputError, match=r"fifths: the camera would hang 6.50 m .* --millimetres"):
         import_depth([source], tmp_path / "rec")
     path, _ = import_depth([source], tmp_path / "rec", units=FolderUnits(12.5, 0.2))
     made = load_recording(path)
@@ -175,9 +175,28 @@ def test_what_cannot_be_used_is_named(tmp_path, monkeypatch):
     with pytest.raises(EvidenceError, match="c shows nobody"):
         import_depth(["c.bag", "f.bag"], tmp_path / "rec", empty=["c.bag", "f.bag"])
     monkeypatch.undo()
+    tiny = folder(tmp_path / "tiny", camera(), [seen_in_room(camera()) / 1000])
+    with pytest.raises(InputError, match=r"tiny: the camera would hang 0.00 m .* --millimetres"):
+        import_depth([tiny], tmp_path / "rec")
     small = folder(tmp_path / "small", camera(), [seen_in_room(own)])
     with pytest.raises(InputError, match=r"000000.png is 80 x 60 px, the lens in .* is for 160 x 120 px"):
         import_depth([small], tmp_path / "rec")
+
+
+def test_several_people_are_named_as_the_reason_when_cameras_cannot_be_brought_together(tmp_path, monkeypatch):
+    sources, empty = two_cameras(monkeypatch)
+
+    def fails(*_, **__):
+        raise CalibrationError("do not fit")
+
+    monkeypatch.setattr(module, "register_depth", fails)
+    monkeypatch.setattr(
+        module, "count_people", lambda frame_at, total: 2 if frame_at(0).depth.rig.names[0] == "b" else 1
+    )
+    with pytest.raises(
+        CalibrationError, match=r"^Several people stand before b, .* one move .* first 13 s.*do not fit"
+    ):
+        import_depth(sources, tmp_path / "rec", empty=empty)
 
 
 def test_names_of_cameras_differ():

@@ -87,8 +87,8 @@ def test_a_recording_is_read_back_as_depth(tmp_path):
     check_views(loaded)  # one depth camera is enough
     with pytest.raises(InputError, match="depth1 is a depth camera"):
         check_views(loaded, of_picture=True)
-    with pytest.raises(InputError, match=r"depth cameras \(depth1\) people are not told apart"):
-        people_frames(loaded, TrackOptions())
+    with pytest.raises(InputError, match=r"depth cameras \(depth1\) are told apart by these alone"):
+        people_frames(loaded, TrackOptions(evidence="both"))
     with FrameStream(loaded) as frames:
         frame = frames.frame(2)
         assert frame.depth is not None and frame.silhouettes is not None

@@ -16,16 +16,18 @@ from hypose.evidence.depth_background import (
     DepthBackground,
     DepthMap,
     learn_background,
+    people_before,
     person_before,
     person_on_floor,
+    with_still_things,
 )
 from hypose.io.recordings.recording_views import View
 from hypose.io.sensors.depth import read_depth_png
 from hypose.io.videos.video import frame_size, list_images
 
 _KEPT = 8
-_ROOM_FRAMES = 30
-"""maps of the empty room that are looked at, at most"""
+_ROOM_FRAMES, _STILL_FRAMES = 30, 16
+"""maps that are looked at, at most, of the empty room and of the recording, for things that stand still"""
 
 
 class DepthPreparer:
@@ -57,12 +59,18 @@ class DepthPreparer:
 
 class DepthSource:
     """Depth maps of a view whose `depth` is a folder of 16-bit PNG in millimetres; `background`: one of the empty room.
-    Used by one thread at a time, but for maps that are kept."""
+    people: several are to be seen, who stand before the empty room. Used by one thread at a time, but for maps that
+    are kept."""
 
-    def __init__(self, view: View, camera: Camera, small: Camera) -> None:
+    def __init__(self, view: View, camera: Camera, small: Camera, people: bool = False) -> None:
         if view.depth is None:
             raise InputError(f"View {view.name} has no depth; give its folder of 16-bit PNG in millimetres.")
-        self.view, self._small = view, small
+        if people and view.background is None:
+            raise InputError(
+                f"Several people before the depth camera {view.name} are told from the room by the recording of the "
+                "empty room; add background = ... to its view in recording.toml, or leave --people out."
+            )
+        self.view, self._small, self._people = view, small, people
         self._files = list_images(view.depth)
         self._prepared = DepthPreparer(camera, small, view.image_shift)
         self._stored: tuple[int, int] | None = None
@@ -80,9 +88,12 @@ class DepthSource:
         return found
 
     def person(self, frame: int) -> NDArray[np.uint8]:
-        """(h, w) 0/1: who stands before the empty room, or on the floor where that is not known."""
-        room = self.room
+        """(h, w) 0/1: who stands before the empty room, or on the floor where that is not known; everybody, if several
+        are to be seen."""
+        room = self.furnished[0]
         depth = self.map(frame)
+        if self._people and room is not None:
+            return people_before(depth, room)
         return person_on_floor(depth, self._small) if room is None else person_before(depth, room, self._small.K[0, 0])
 
     @cached_property
@@ -93,6 +104,17 @@ class DepthSource:
         files = list_images(self.view.background)
         chosen = np.unique(np.linspace(0, len(files) - 1, min(_ROOM_FRAMES, len(files))).round().astype(int))
         return learn_background([self._prepared(self._read(files[k])) for k in chosen])
+
+    @cached_property
+    def furnished(self) -> tuple[DepthBackground | None, float]:
+        """The room with things that stand still in the recording and were not there when it was empty, and how much of
+        them is seen, m^2; as it was where several people are to be seen, who may stand still."""
+        room, count = self.room, len(self._files)
+        if room is None or self._people:
+            return room, 0.0
+        chosen = np.unique(np.linspace(0, count - 1, min(_STILL_FRAMES, count)).round().astype(int))
+        maps = [m for k in chosen if (m := self._prepared(self._read(self._files[k]))).shape == room.depth.shape]
+        return with_still_things(room, maps, self._small) if len(maps) > 4 else (room, 0.0)
 
     def _read(self, file: Path) -> DepthMap:
         """A map as it is stored; an InputError when it has not the size of the view's first."""

@@ -284,7 +284,7 @@ class FrameStream:
             else tuple(backgrounds)
         )
         for view, camera, small, background in zip(r.views, r.rig, self.rig, self.backgrounds, strict=True):
-            source = ViewSource(view, camera, small)
+            source = ViewSource(view, camera, small, self.options.people)
             if background is not None:
                 source.segment = make_segmenter(background, self.options.silhouettes)
             self._sources.append(source)
@@ -310,7 +310,12 @@ class FrameStream:
         named = zip(self.recording.views, self.backgrounds, strict=False)
         doubtful = [f"View {v.name}: {b.note}" for v, b in named if b is not None and b.note]
         unread = (f"View {s.view.name} {s.note}" for s in self._sources if s.note)
-        return (*self.people_notes, *doubtful, *unread)
+        things = (
+            f"View {s.view.name}: {area:.2f} m^2 of things that the empty room had not are left out"
+            for s in self._sources
+            if s.depth is not None and (area := s.depth.furnished[1]) > 0
+        )
+        return (*self.people_notes, *doubtful, *unread, *things)
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -351,8 +356,9 @@ class FrameStream:
             make_ahead(silhouettes, pending.outlines)
             colours = pending.colours(silhouettes.masks.shape) if self.options.colours else None
             depth = self._depth(number, silhouettes)
-            rooms = [None if s.depth is None else s.depth.room for s in self._sources]
-            silhouettes = behind_things(silhouettes, depth, rooms)
+            if not self.options.people:
+                rooms = [None if s.depth is None else s.depth.furnished[0] for s in self._sources]
+                silhouettes = behind_things(silhouettes, depth, rooms)
         keypoints = None if self.keypoints is None else self.keypoints[index]
         return Frame(number / self.recording.frame_rate, number, silhouettes, keypoints, colours=colours, depth=depth)
 

@@ -105,13 +105,13 @@ class _MaskSource:
 
 
 class ViewSource:
-    """Masks of one view by frame number; used by one thread at a time."""
+    """Masks of one view by frame number; used by one thread at a time. people: of all in a depth camera's maps."""
 
-    def __init__(self, view: View, camera: Camera, small: Camera) -> None:
+    def __init__(self, view: View, camera: Camera, small: Camera, people: bool = False) -> None:
         self.view = view
         self._prepare = Preparer(camera, small, view.image_shift)
         self._masks = None if view.masks is None else _MaskSource(view.masks, self._prepare, small.size)
-        self.depth = None if view.depth is None else DepthSource(view, camera, small)
+        self.depth = None if view.depth is None else DepthSource(view, camera, small, people)
         self._reader: VideoReader | None = None
         self.segment: Segmenter | None = None
         self._broken: tuple[int, str] | None = None

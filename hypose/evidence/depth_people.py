@@ -1,0 +1,151 @@
+"""People before depth cameras: clusters of the points that all sensors measure, and which pixels are whose.
+
+A measured pixel is a place in the world, so that it belongs to whose body, or cluster, it is nearest to: nobody has to
+be told apart in the picture. Pixels of others say nothing of a person who may be hidden behind them; of others who
+stand behind the person they say that the person is not there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from hypose.evidence.depth_evidence import JUMP_M, Depth
+from hypose.evidence.frame import Expected, Frame, Silhouettes
+from hypose.evidence.hull import Hull
+from hypose.evidence.hull_people import BESIDE, SMALL, VOXEL, HullPerson, people_in_hull, people_of_hull
+from hypose.evidence.shared_masks import DrawnShape, Other, Shape, own_silhouettes
+from hypose.geometry import Array
+
+SURFACE_LITRES = 15.0
+"""A person shows at least so much of their surface, in voxels of VOXEL, to one sensor; arms between two show less."""
+_EXPLAINED_M, _REACH_M = 0.2, 0.5
+"""m: what lies so near to a body is explained by it; what lies further away than the second is nobody's yet"""
+_CLUSTER_M = 0.08
+"""m: a pixel of a cluster that is nearer than this to another's body is theirs"""
+_BEHIND_M = 0.4
+"""m behind what is seen of a person: others there do not hide them"""
+_LEAST_PX, _PER_VOXEL = 50, 2
+_EDGE = np.ones((5, 5), np.uint8)
+
+
+def people_seen(frame: Frame, known: Sequence[Other] = (), *, floor: float = 0.0) -> list[HullPerson]:
+    """Who stands before the cameras of a frame beside those that are known, the largest first: by depth where there is
+    depth, else by the visual hull. floor: m, its height."""
+    if frame.depth is not None:
+        return people_in_depth(frame.depth, known, floor=floor)
+    return [] if frame.silhouettes is None else people_in_hull(frame.silhouettes, known, floor=floor)
+
+
+def people_in_depth(
+    depth: Depth, known: Sequence[Other] = (), *, floor: float = 0.0, most: int = 8
+) -> list[HullPerson]:
+    """Who is in the maps beside those that are known, the largest first; a pixel belongs to whose axis it is nearest
+    to. Values between both sides of an edge are nobody."""
+    at, points = depth.pixels
+    calm = np.stack([cv2.dilate(m, _EDGE[:3, :3]) - cv2.erode(m, _EDGE[:3, :3]) < 2 * JUMP_M for m in depth.maps])
+    rest = calm[tuple(at.T)]
+    for one in known:
+        rest &= _away(one.shape, at, points) > _EXPLAINED_M
+    at, points = at[rest], points[rest]
+    if len(points) < _LEAST_PX:
+        return []
+    low = points.min(0)
+    index = np.rint((points - low) / VOXEL).astype(np.int64)
+    filled = np.zeros(index.max(0) + 1, np.int32)
+    np.add.at(filled, tuple(index.T), 1)
+    solid = filled >= _PER_VOXEL
+    if not solid.any():
+        return []
+    found = list[HullPerson]()
+    for person in people_of_hull(Hull(solid, low, VOXEL), floor, most, SURFACE_LITRES):
+        own = person.hull
+        inside = np.rint((points - own.origin) / VOXEL).astype(np.int64)
+        last = np.array(own.occupancy.shape) - 1
+        within = (inside == np.clip(inside, 0, last)).all(1) & own.occupancy[tuple(np.clip(inside, 0, last).T)]
+        masks = np.zeros_like(depth.person)
+        masks[tuple(at[within].T)] = 1
+        found.append(replace(person, seen=masks))
+    return _without_parts(sorted(found, key=lambda p: -p.litres))
+
+
+def _without_parts(found: Sequence[HullPerson]) -> list[HullPerson]:
+    """People, the largest first, with the pixels of what is only a part of them: an arm held out."""
+    kept = list[HullPerson]()
+    for person in found:
+        near = [k for k, o in enumerate(kept) if np.linalg.norm(o.axis - person.axis) < BESIDE]
+        larger = next((k for k in near if person.litres < SMALL * kept[k].litres), None)
+        if larger is None:
+            kept.append(person)
+            continue
+        own, rest = kept[larger].seen, person.seen
+        assert own is not None and rest is not None
+        kept[larger] = replace(kept[larger], seen=own | rest)
+    return kept
+
+
+def own_frame(frame: Frame, own: Shape, others: Sequence[Other], anywhere: bool = False) -> Frame:
+    """A frame of several people as evidence for one of them; own, others, anywhere: as for `own_silhouettes`."""
+    if frame.silhouettes is None:
+        return frame
+    if frame.depth is None:
+        return replace(frame, silhouettes=own_silhouettes(frame.silhouettes, own, others, anywhere))
+    silhouettes, depth = own_depth(frame.silhouettes, frame.depth, own, others, anywhere)
+    return replace(frame, silhouettes=silhouettes, depth=depth)
+
+
+def own_depth(
+    silhouettes: Silhouettes, depth: Depth, own: Shape, others: Sequence[Other], anywhere: bool = False
+) -> tuple[Silhouettes, Depth]:
+    """What of maps that show several people is one person's, and the outlines to it; all views are depth cameras."""
+    at, points = depth.pixels
+    mine_m = _away(own, at, points)
+    theirs_m = np.full(len(points), np.inf)
+    for other in others:
+        theirs_m = np.minimum(theirs_m, _away(other.shape, at, points))
+    mine = (mine_m <= theirs_m) & (mine_m < _REACH_M)
+    if anywhere:
+        mine = mine | (theirs_m > _EXPLAINED_M)
+    masks, taken, ignored = (np.zeros_like(depth.person) for _ in range(3))
+    masks[tuple(at[mine].T)] = 1
+    taken[tuple(at[~mine & (theirs_m < np.inf)].T)] = 1
+    usable, reasons = silhouettes.usable & depth.usable, list(silhouettes.reasons)
+    boxes, areas = own.boxes.copy(), np.zeros(len(usable), np.int64)
+    for c in np.flatnonzero(usable):
+        body, seen = masks[c], depth.maps[c]
+        if not np.count_nonzero(body) > _LEAST_PX:
+            usable[c], reasons[c] = False, f"{depth.rig.names[int(c)]}: nothing of the person is to be seen"
+            body[:] = 0
+            continue
+        whole, last = depth.person[c] > 0, float(np.percentile(seen[body > 0], 98)) + _BEHIND_M
+        # what lies between both sides of an edge, and holes, are of whoever is beside, as for one person alone
+        body[whole & (taken[c] == 0) & (cv2.dilate(body, _EDGE) > 0)] = 1
+        near = (taken[c] > 0) & (seen < last)
+        rim = cv2.dilate(near.astype(np.uint8), _EDGE) > 0
+        ignored[c] = (rim | (whole & (seen < last))) & (body == 0)
+        areas[c] = max(np.count_nonzero(own.drawn(int(c))), np.count_nonzero(body))
+        x, y, w, h = cv2.boundingRect(body)
+        if boxes[c, 1] <= boxes[c, 0]:
+            boxes[c] = y, y + h, x, x + w
+    shared = bool(ignored.any())
+    expected = Expected(boxes, areas) if shared else None
+    outlines = Silhouettes(masks, silhouettes.rig, usable, tuple(reasons), ignored if shared else None, expected)
+    return outlines, replace(depth, person=masks, usable=usable.copy())
+
+
+def _away(shape: Shape, at: NDArray[np.int64], points: Array) -> Array:
+    """(N,) m: how far measured pixels (N, 3), at points (N, 3) m, lie from somebody; inf where it is too far to
+    matter."""
+    if isinstance(shape, DrawnShape):
+        return np.where(shape.masks[tuple(at.T)] > 0, _CLUSTER_M, np.inf)
+    out = np.full(len(points), np.inf)
+    low, high = shape.vertices.min(0) - _REACH_M, shape.vertices.max(0) + _REACH_M
+    near = ((points > low) & (points < high)).all(1)
+    if near.any():
+        out[near] = KDTree(shape.vertices).query(points[near], distance_upper_bound=_REACH_M)[0]
+    return out

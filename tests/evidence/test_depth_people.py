@@ -1,0 +1,97 @@
+"""People before depth cameras: found as clusters, and which pixels are whose."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.body.ready_bodies import human
+from hypose.evidence.depth_evidence import Depth
+from hypose.evidence.depth_people import own_frame, people_in_depth, people_seen
+from hypose.evidence.frame import Frame
+from hypose.evidence.shared_masks import BodyShape, Other
+from hypose.evidence.silhouettes import make_silhouettes
+from hypose.tracking.several import nobody_in
+from hypose.tracking.starts import known_pose
+from tests.depth_pictures import WALL_M, drawn, sensors
+
+PLACES = ((-0.5, 0.0), (0.45, 0.3))
+
+
+def standing(body, place):
+    pose = known_pose(body, "standing")
+    pose[:3] = *place, 0.0
+    pose[2] -= body.skin(pose)[:, 2].min()
+    return pose
+
+
+@pytest.fixture(scope="module", params=[1, 2], ids=["one sensor", "two sensors"])
+def scene(request):
+    """Two people, poses; rig; the frame of both; each one's own pixels (2, C, h, w)."""
+    body, rig = human(), sensors(request.param)
+    poses = [standing(body, p) for p in PLACES]
+    alone = [drawn(body, q, rig)[0] for q in poses]
+    maps = np.minimum(*alone)
+    owners = np.stack([(a < WALL_M) & (a == maps) for a in alone])
+    silhouettes = make_silhouettes(list((maps < WALL_M).astype(np.uint8)), rig)
+    depth = Depth(maps, silhouettes.masks, rig, np.ones(len(rig), bool))
+    return body, poses, rig, Frame(0.0, 0, silhouettes, depth=depth), owners
+
+
+def test_two_people_are_two_clusters_where_they_stand(scene):
+    _, _, _, frame, owners = scene
+    found = people_seen(frame)
+    assert len(found) == 2
+    for place, own in zip(PLACES, owners, strict=True):
+        person = min(found, key=lambda p: np.linalg.norm(p.axis - place))
+        assert np.linalg.norm(person.axis - place) < 0.25  # their surface is nearer to the sensors than they are
+        # values at edges are nobody's, for they may lie between both sides
+        assert (person.seen[own] > 0).mean() > 0.6 and own[person.seen > 0].mean() > 0.99
+
+
+def test_who_is_known_is_not_found_again(scene):
+    body, poses, rig, frame, _ = scene
+    shapes = [Other(BodyShape(body.skin(q), body.coarse.faces, rig)) for q in poses]
+    left = people_in_depth(frame.depth, shapes[:1])
+    assert len(left) == 1 and np.linalg.norm(left[0].axis - PLACES[1]) < 0.25
+    assert people_in_depth(frame.depth, shapes) == []
+    assert people_in_depth(replace(frame.depth, person=np.zeros_like(frame.depth.person))) == []
+
+
+@pytest.mark.parametrize("who", [0, 1])
+def test_pixels_belong_to_whose_body_is_nearest(scene, who):
+    body, poses, rig, frame, owners = scene
+    moved = [q + np.eye(len(q))[0] * 0.06 for q in poses]  # they are expected 6 cm beside
+    shapes = [BodyShape(body.skin(q), body.coarse.faces, rig) for q in moved]
+    own = own_frame(frame, shapes[who], [Other(shapes[1 - who])])
+    mask, others = own.silhouettes.masks > 0, owners[1 - who]
+    assert mask[owners[who]].mean() > 0.97 and mask[others].mean() < 0.02
+    assert np.array_equal(own.depth.person, own.silhouettes.masks)
+    assert np.array_equal(own.depth.maps, frame.depth.maps)  # nobody is before what was seen of the others either
+    assert np.linalg.norm(own.depth.centre[:2] - PLACES[who]) < 0.2
+
+
+def test_others_before_a_person_say_nothing_of_them_and_others_behind_do():
+    """One behind the other, 0.9 m apart: who stands in front is seen as if alone."""
+    body, rig = human(), sensors(1)
+    poses = [standing(body, (0.0, -0.45)), standing(body, (0.2, 0.45))]
+    alone = [drawn(body, q, rig)[0] for q in poses]
+    maps = np.minimum(*alone)
+    silhouettes = make_silhouettes(list((maps < WALL_M).astype(np.uint8)), rig)
+    frame = Frame(0.0, 0, silhouettes, depth=Depth(maps, silhouettes.masks, rig, np.ones(1, bool)))
+    shapes = [BodyShape(body.skin(q), body.coarse.faces, rig) for q in poses]
+    front = own_frame(frame, shapes[0], [Other(shapes[1])]).silhouettes
+    assert front.ignored is None or front.ignored[0].mean() < 0.002
+    behind = own_frame(frame, shapes[1], [Other(shapes[0])]).silhouettes
+    hidden = (alone[1][0] < WALL_M) & (alone[0][0] < WALL_M)
+    assert hidden.sum() > 300 and behind.ignored[0][hidden].mean() > 0.97
+
+
+def test_who_is_not_there_gets_no_evidence(scene):
+    body, _, rig, frame, _ = scene
+    nowhere = BodyShape(body.skin(standing(body, (2.5, 2.5))), body.coarse.faces, rig)
+    own = own_frame(frame, nowhere, [])
+    assert not own.silhouettes.usable.any() and not own.depth.usable.any()
+    assert "nothing of the person" in own.silhouettes.reasons[0]
+    assert not nobody_in(frame).depth.usable.any()
+    assert len(nobody_in(frame).depth.surface.points) == 0
