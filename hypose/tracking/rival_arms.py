@@ -26,8 +26,8 @@ from hypose.tracking.pictured_arms import pictured_arms
 from hypose.tracking.reach_table import ArmReach, ends, ends_of
 from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, keep_hessians, member, mismatch, refine, solve
 
-_SOLVE, _LOOK = "rivals solved", "arms looked up"
-"""What has been begun beside other layers, in a frame's `shared`."""
+_SOLVE, _LOOK, _ORDERED = "rivals solved", "arms looked up", "rivals in order"
+"""What has been begun beside other layers, and the hypotheses of the last frame, in a frame's `shared`."""
 
 DEPTH_KEEPS = 2
 """hypotheses that live on where depth cameras see, which leave less open; a third one is no gain there. Chosen on the
@@ -282,7 +282,10 @@ def _farthest(ends: Array, other: Array) -> Array:
 def _best_first(frame: PreparedFrame) -> tuple[Hypotheses, Array]:
     """The hypotheses of the last frame, expected in this one, and what they were (N, D)."""
     assert frame.rivals is not None, "the recipe does not say how many rivals"
-    h = frame.rivals.take(np.argsort(-frame.rivals.relative_log_weights, kind="stable"))
+    of, h = frame.shared.get(_ORDERED, (None, frame.rivals))
+    if of is not frame.rivals:
+        h = frame.rivals.take(np.argsort(-frame.rivals.relative_log_weights, kind="stable"))
+        frame.shared[_ORDERED] = frame.rivals, h
     return h, h.columns[BEFORE]
 
 
