@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import sys
 import time
-from functools import lru_cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -53,11 +52,11 @@ from hypose.compute.pictures.picture_to_mask import Box, Lens, make_lens, order_
 from hypose.compute.pictures.shown_parts import colour_sums, rim_edges, shown_parts
 from hypose.compute.pictures.visibility import nearest_visible
 from hypose.compute.selection import beside, default_threads, over_chunks, require_cuda, use
-from hypose.compute.silhouettes import lane_mesh, reach
+from hypose.compute.silhouettes import reach
 from hypose.compute.silhouettes.glance import Glance, differing_box, glance_at, stored_pixels
-from hypose.compute.silhouettes.lane_scratch import lane_scratch
 from hypose.compute.silhouettes.mask_distance import signed_distance
 from hypose.compute.silhouettes.packed_masks import prepare_masks
+from hypose.compute.silhouettes.scorer import limb_energies, silhouette_xor
 from hypose.compute.solver.banded import frame_covariances, solve_coupled
 from hypose.compute.solver.losses import geman_mcclure, huber, lorentzian, lorentzian_weight
 from hypose.compute.solver.normal import SharedEquations, bounded_step, weighted_squares
@@ -74,7 +73,7 @@ from hypose.compute.solver.terms import (
     Workspace,
     no_depth,
 )
-from hypose.errors import InputError, SolverError
+from hypose.errors import SolverError
 
 if TYPE_CHECKING:
     from hypose.compute.pictures.render import blend_shaded, darken, expose, interpolate, rasterize, silhouette
@@ -162,6 +161,7 @@ __all__ = [
     "joint_covariances",
     "kept",
     "limb_depth_energy",
+    "limb_energies",
     "lorentzian",
     "lorentzian_weight",
     "make_lens",
@@ -223,87 +223,6 @@ def skin(rotations: ArrayLike, centres: ArrayLike, tree: TreeArrays, mesh: MeshA
     out = np.empty((len(r), len(mesh.vertices), 3))
     native("kinematics").skin_batch(r, c, tidy(tree), tidy(mesh), out)
     return out
-
-
-def silhouette_xor(
-    poses: ArrayLike,
-    tree: TreeArrays,
-    mesh: MeshArrays,
-    prepared: PreparedMasks,
-    boxes: ArrayLike | None = None,
-    threads: int | None = None,
-    faces: ArrayLike | None = None,
-    moving: ArrayLike | None = None,
-    rest: Standing | None = None,
-) -> NDArray[np.int64]:
-    """Silhouettes of the mesh at poses (N, D) against the frame's masks: (N, C, 3) = (xor, model, intersection) pixels.
-
-    boxes (C, 4) = x0, x1, y0, y1 (half open, px) restricts the counting; default: each view's whole image. faces (F,)
-    bool: only these triangles of the mesh, as seen from outside (body parts, where a hierarchical search has not placed
-    the rest yet). moving (J,) bool: only these joints turn, everything else stands as in the last pose, and what they
-    do not move is drawn once; rest: that drawing, where `reach.standing` has made it (then without boxes and faces).
-    Views that are not usable give zeros. The same counts for any number of threads, and for a pose alone or among
-    others. Exact up to 1-2 pixels of a silhouette whose edge passes through a pixel's centre.
-    Parts nearer than 0.05 m to a camera's plane, or behind it, are cut off. A SolverError for poses that are not
-    finite.
-    """
-    q = plain(poses, np.float64)
-    if q.size and not np.abs(q).max() < 1e6:
-        bad = int(np.argmax(~(np.abs(q).max(1) < 1e6)))
-        raise SolverError(f"Pose {bad} of {len(q)} is not finite; check the motion model that made it.")
-    n, c = len(q), len(prepared.masks)
-    b = reach.whole_images(prepared)
-    if boxes is not None:
-        whole, b = b, np.array(boxes, dtype=np.int64)
-        if b.shape != (c, 4):
-            raise InputError(f"boxes needs one row x0, x1, y0, y1 per view: shape {(c, 4)}, got {b.shape}.")
-        b = np.ascontiguousarray(np.clip(b, 0, whole[:, [1, 1, 3, 3]]))
-        b[:, 1::2] = np.maximum(b[:, 1::2], b[:, ::2])
-    wanted = None if faces is None else plain(faces, np.bool_)
-    if wanted is not None and wanted.shape != (len(mesh.faces),):
-        raise InputError(f"faces needs a truth value per face: shape {(len(mesh.faces),)}, got {wanted.shape}.")
-    turning = None if moving is None else plain(moving, np.bool_)
-    if turning is not None:
-        q = np.where(turning[tree.joint_of_dof], q, q[-1:])
-    if selection.backend() == "numpy":
-        return reference.silhouette_xor(q, tree, mesh, prepared, b, wanted)
-    t, prepared = tidy(tree), tidy(prepared)
-    areas = prepared.areas
-    if boxes is not None:
-        areas = np.empty(c, dtype=np.int64)
-        native("silhouettes.silhouettes").areas_in_boxes(prepared.masks, b, areas)
-    if selection.backend() == "cuda" and not prepared.hidden.size:  # the device knows of no pixels that say nothing
-        from hypose.compute.silhouettes import cuda
-
-        return cuda.silhouette_xor(q, t, lane_mesh.prepare(mesh, tree, wanted), prepared, b, areas)
-    drawn, drawn_counts = _nothing(prepared.bits.shape), np.zeros((c, 2), dtype=np.int64)
-    if turning is not None and n:
-        wanted, standing, corners = lane_mesh.moving_parts(mesh, tree, turning, wanted)
-        if rest is not None:
-            drawn, drawn_counts = rest
-        else:
-            drawn = np.zeros_like(prepared.bits)
-            native("silhouettes.standing").draw_standing(
-                q[-1], t, tidy(mesh), corners, standing, prepared, b, drawn, drawn_counts
-            )
-            reach.hide(prepared, drawn, drawn_counts)
-    elif prepared.hidden.size:
-        drawn = prepared.hidden  # one more standing part, of somebody else: it counts nowhere
-    m = lane_mesh.prepare(mesh, tree, wanted)
-    kernels = native("silhouettes.lanes")
-    out = np.zeros((n, c, 3), dtype=np.int64)
-
-    def score(first: int, last: int) -> None:
-        scratch = lane_scratch(m, prepared.masks.shape[1:], kernels.LANES, kernels.STRIP)
-        kernels.silhouette_xor(q, first, last, t, m, prepared, b, areas, drawn, drawn_counts, scratch, out)
-
-    over_chunks(score, -(-n // kernels.LANES), threads)
-    return out
-
-
-@lru_cache(4)
-def _nothing(shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    return np.zeros(shape, dtype=np.uint8)
 
 
 def outline_points(sdf: NDArray[np.float32], size: tuple[int, int], k: int) -> tuple[NDArray[np.float32], int]:

@@ -76,6 +76,7 @@ def _scorer(compute: Any) -> None:
     prepared = compute.prepare_masks(mask, np.array([True]), sizes, projection)
     limb = np.array([False, True])
     compute.silhouette_xor(q[None], tree, mesh, prepared, np.array([[0, 32, 0, 32]]), moving=limb)
+    compute.limb_energies(np.repeat(q[None], 40, 0), tree, mesh, prepared, limb)
     rest = reach.standing(q, tree, mesh, prepared, limb)
     reach.score_points(np.zeros((1, 1, 3)), np.ones(1), np.eye(3), q[:3], prepared, rest)
 

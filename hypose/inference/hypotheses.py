@@ -11,7 +11,7 @@ Asteriadis et al. 2013.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -87,8 +87,16 @@ class Hypotheses:
 
     def equal(self, values: FloatArray | None = None) -> Hypotheses:
         """The same hypotheses, or other values (*B, N, D) for them, with equal weights 1/N."""
-        states = self.values if values is None else values
-        return replace(self, values=states, log_weights=_equal_log_weights(states))
+        if values is not None:
+            return replace(self, values=values, log_weights=_equal_log_weights(values))
+        return self._with(log_weights=_equal_log_weights(self.values))
+
+    def _with(self, **changed: Any) -> Hypotheses:
+        """`dataclasses.replace` where shapes and types are known to be right: it is called often in every frame."""
+        out = object.__new__(Hypotheses)
+        for name in _FIELDS:
+            object.__setattr__(out, name, changed.get(name, getattr(self, name)))
+        return out
 
     def has(self, role: str) -> NDArray[np.bool_]:
         """(*B, N) True for the hypotheses in this role; a role that nobody has been given is nobody's."""
@@ -107,7 +115,7 @@ class Hypotheses:
         chosen = np.zeros(self.role.shape, np.bool_)
         chosen[np.asarray(members)] = True
         bit = np.int32(1 << names.index(role))
-        return replace(self, role=np.where(chosen, self.role | bit, self.role & ~bit), role_names=names)
+        return self._with(role=np.where(chosen, self.role | bit, self.role & ~bit), role_names=names)
 
     @property
     def count(self) -> int:
@@ -158,7 +166,7 @@ class Hypotheses:
         if extra.shape != self.log_weights.shape:
             raise ValueError(f"log-likelihoods must have the shape {self.log_weights.shape}, got {extra.shape}")
         usable = np.where(_usable(extra), extra, -np.inf)
-        return replace(self, log_weights=self.relative_log_weights + usable)
+        return self._with(log_weights=self.relative_log_weights + usable)
 
     def mean(self) -> FloatArray:
         """(*B, D) weighted Euclidean mean. For coordinates that are rotations use
@@ -184,8 +192,7 @@ class Hypotheses:
     def take(self, index: ArrayLike) -> Hypotheses:
         """The hypotheses at index (*B, M), with their log-weights, origins, roles, covariances and columns."""
         chosen = np.asarray(index, dtype=np.intp)
-        return replace(
-            self,
+        return self._with(
             values=_taken(self.values, chosen),
             log_weights=_taken(self.log_weights, chosen),
             origin=_taken(self.origin, chosen),
@@ -193,6 +200,9 @@ class Hypotheses:
             covariance=None if self.covariance is None else _taken(self.covariance, chosen),
             columns={name: _taken(column, chosen) for name, column in self.columns.items()},
         )
+
+
+_FIELDS = tuple(f.name for f in fields(Hypotheses))
 
 
 def _equal_log_weights(values: FloatArray) -> FloatArray:

@@ -68,13 +68,13 @@ class HeavyTail:
     def gain(self, count: int, dimension: int) -> FloatArray:
         """(N, D) factors on the steps."""
         gain = np.ones((count, dimension))
-        gain[np.ix_(_every(self.share, count), _mask(self.coordinates, dimension))] = self.factor
+        gain[np.ix_(every(self.share, count), _mask(self.coordinates, dimension))] = self.factor
         return gain
 
     def stretch(self, steps: FloatArray, own: NDArray[np.intp], dimension: int) -> None:
         """`gain` of the coordinates own (d,) times steps (*B, N, d), in place."""
         columns = np.flatnonzero(_mask(self.coordinates, dimension)[own])
-        steps[..., _every(self.share, steps.shape[-2])[:, None], columns] *= self.factor
+        steps[..., every(self.share, steps.shape[-2])[:, None], columns] *= self.factor
 
 
 @dataclass(frozen=True)
@@ -174,47 +174,6 @@ class Compose:
         for kernel in self.kernels:
             h = kernel(h, frame, rng)
         return h
-
-
-@dataclass(frozen=True)
-class UniformShare:
-    """A share of the hypotheses draws the chosen coordinates (D,) bool anew, uniformly between lower and upper (D,).
-
-    For what diffusion around the last state does not reach: a fast limb is found again wherever it is. The rows are
-    spread evenly over the set.
-    """
-
-    share: float
-    lower: FloatArray
-    upper: FloatArray
-    coordinates: NDArray[np.bool_]
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.share <= 1:
-            raise ValueError(f"the share must lie in [0, 1], got {self.share}")
-
-    def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
-        """The set with some rows drawn anew."""
-        own, rows = np.flatnonzero(_mask(self.coordinates, h.dimension)), _every(self.share, h.count)
-        low, high = np.asarray(self.lower)[own], np.asarray(self.upper)[own]
-        values = h.values.copy()
-        drawn = rng.random((*h.values.shape[:-2], rows.size, own.size))
-        values[..., rows[:, None], own] = low + (high - low) * drawn
-        return replace(h, values=values)
-
-
-@dataclass(frozen=True)
-class Except:
-    """A kernel that leaves the hypotheses in some roles where they are: a search never loses its start."""
-
-    kernel: Kernel
-    roles: tuple[str, ...]
-
-    def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
-        """The moved set with those as they were."""
-        moved = self.kernel(h, frame, rng)
-        staying = np.any([h.has(role) for role in self.roles], axis=0)
-        return replace(moved, values=np.where(staying[..., None], h.values, moved.values))
 
 
 @dataclass(frozen=True)
@@ -346,7 +305,7 @@ def semidefinite_cholesky(covariance: ArrayLike) -> FloatArray:
 
 
 @lru_cache(64)
-def _every(share: float, count: int) -> NDArray[np.intp]:
+def every(share: float, count: int) -> NDArray[np.intp]:
     """The numbers of a share of `count` rows, spread evenly; which of the first rows does not depend on count."""
     return np.flatnonzero(np.diff(np.floor(np.arange(count + 1) * share)) > 0)
 

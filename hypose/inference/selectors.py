@@ -107,36 +107,3 @@ class Prune:
         """The k best, equally weighted."""
         order = np.argsort(-h.relative_log_weights, axis=-1, kind="stable")
         return h.take(order[..., : self.k]).equal()
-
-
-@dataclass(frozen=True)
-class Elite:
-    """The chosen coordinates are copied from the k best hypotheses in turn; other coordinates and roles stay.
-
-    A greedy step of a coordinate search: with a budget of tens of hypotheses, resampling would leave most of them on
-    values that are known to be worse. coordinates (D,) bool; the hypotheses in the role `but` stay as they are.
-    """
-
-    k: int
-    coordinates: NDArray[np.bool_]
-    but: str | None = None
-
-    def __post_init__(self) -> None:
-        if self.k < 1:
-            raise ValueError(f"at least one hypothesis must be kept, got k = {self.k}")
-
-    def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
-        """Equal weights again."""
-        weights = h.relative_log_weights
-        if self.k == 1:
-            order = weights.argmax(axis=-1)[..., None]
-        else:
-            order = np.argsort(-weights, axis=-1, kind="stable")[..., : self.k]
-        own = np.flatnonzero(self.coordinates)
-        staying = np.zeros(weights.shape, np.bool_) if self.but is None else h.has(self.but)
-        turn = np.maximum(np.cumsum(~staying, axis=-1) - 1, 0) % order.shape[-1]
-        source = np.take_along_axis(order, turn, axis=-1)[..., None]
-        best = np.take_along_axis(h.values[..., own], source, axis=-2)
-        values = h.values.copy()
-        values[..., own] = np.where(staying[..., None], values[..., own], best)
-        return h.equal(values)

@@ -8,20 +8,24 @@ them that explains the masks best without jumping is the clip's. What else is li
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
+from hypose.compute import beside
+from hypose.evidence.ahead import look_ahead
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Memory
 from hypose.inference.paths import likeliest_path
 from hypose.pipeline.doubts import looked_at
-from hypose.pipeline.mend_sides import FrameRange, backwards, pace_of
+from hypose.pipeline.mend_sides import FrameRange, backwards, pace_of, read_once
 from hypose.tracking.costs import agreement, silhouette_iou
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.part_colours import ColourSettings, colour_scores
@@ -79,7 +83,7 @@ def look_both_ways(
     o, out = settings or BothWays(), list(estimates)
     if not tracker.recipe.rivals or tracker.settings.evidence not in ("silhouettes", "both") or len(out) < 3:
         return out, 0
-    jumps, pace = _jumps(tracker.body, out, o.jump), pace_of(tracker)
+    jumps, pace, frames = _jumps(tracker.body, out, o.jump), pace_of(tracker), read_once(frames)
     near = np.zeros(len(out), np.bool_)
     for t in np.flatnonzero(jumps):
         near[t : t + round(o.after * pace) + 1] = True
@@ -146,7 +150,7 @@ def _looked_back(
     out, met, pace = list[_Seen](), 0, pace_of(tracker)
     state = _turned(tracker, old, stop, memory)
     most = range(stop, max(-1, stop - round(o.longest * pace)), -1)
-    for t, (frame, last) in zip(most, backwards(frames, stop + 1), strict=False):
+    for t, (frame, last) in zip(most, _evidence_ahead(backwards(frames, stop + 1)), strict=False):
         prepared = replace(tracker.prepare_frame(frame, old[t].pose), memory=memory or {})
         if prepared.masks is None or frame.depth is not None or not _known(old[t]):
             break
@@ -159,6 +163,20 @@ def _looked_back(
         if not near[t] and met >= o.met_frames * pace:
             break
     return out
+
+
+def _evidence_ahead(frames: Iterator[tuple[Frame, Frame | None]]) -> Iterator[tuple[Frame, Frame | None]]:
+    """The same, with what tracking wants of their masks made once, by another thread."""
+    before = list[Frame | None]()
+
+    def alone() -> Iterator[Frame]:
+        for frame, last in frames:
+            before.append(last)
+            yield frame
+
+    with contextlib.closing(look_ahead(alone())) as coming:
+        for n, frame in enumerate(coming):
+            yield frame, before[n]
 
 
 def _turned(tracker: Tracker, old: Sequence[FrameEstimate], stop: int, memory: Memory | None) -> TrackerState:
@@ -207,7 +225,8 @@ def _chosen(
 
     path, weights = likeliest_path(costs, [step(a, b) for a, b in zip(poses[:-1], poses[1:], strict=True)])
     rows = zip(seen, path[before:], weights[before:], range(first, stop), strict=False)
-    return [_estimate(tracker, old[t], x, n, w) for x, n, w, t in rows]
+    begun = [beside(partial(_estimate, tracker, old[t], x, n, w)) for x, n, w, t in rows]
+    return [result() for result in reversed(begun)][::-1]  # others begin at the other end
 
 
 def _estimate(tracker: Tracker, old: FrameEstimate, seen: _Seen, best: int, weights: Array) -> FrameEstimate:

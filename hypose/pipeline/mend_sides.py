@@ -182,6 +182,23 @@ def backwards(frames: FrameRange, stop: int) -> Iterator[tuple[Frame, Frame | No
         stop = begin
 
 
+def read_once(frames: FrameRange) -> FrameRange:
+    """The same frames, of which those of the last block are kept with what has been made of them: who goes backwards
+    asks for them again from the next place on."""
+    known = dict[int, Frame]()
+
+    def of(numbers: range) -> Iterator[Frame]:
+        missing = [t for t in numbers if t not in known]
+        if missing:
+            anew = range(missing[0], missing[-1] + 1)
+            known.update(zip(anew, frames(anew), strict=True))
+        for t in set(known) - set(numbers):
+            del known[t]
+        yield from [known[t] for t in numbers]
+
+    return of
+
+
 def _much_the_same(body: Body, a: FrameEstimate, b: FrameEstimate) -> bool:
     """Do hips, knees and ankles lie on the same sides of each other in both, and all joints near?"""
     s = body.skeleton

@@ -22,16 +22,13 @@ class SilhouetteXor:
 
     M_v: silhouette of the posed coarse mesh in view v, S_v: the mask, C: its foreground pixels (those expected of the
     whole person where others hide a part: pixels that say nothing count nowhere). With no usable view
-    every hypothesis costs the same (0). moving (J,) bool: the joints that differ in the set, for a search of one limb;
-    everything else stands as in the last hypothesis and is drawn once. Source: Alcoverro 2014, eq. 2.8. What the user's
-    own evidence says, if there is any, is added.
+    every hypothesis costs the same (0). Source: Alcoverro 2014, eq. 2.8. What the user's own evidence says, if there is
+    any, is added.
     """
-
-    moving: NDArray[np.bool_] | None = None
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, /) -> Array:
         """(N,) energies of h.values (N, D)."""
-        return frame_energy(h.values, frame, self.moving)
+        return frame_energy(h.values, frame)
 
 
 def frame_energy(
@@ -41,6 +38,7 @@ def frame_energy(
     rest: compute.Standing | None = None,
 ) -> Array:
     """(N,) what poses (N, D) of the frame's body cost: eq. 2.8, what depth cameras say, and the user's own evidence.
+    moving (J,) bool: the joints that differ in the poses; everything else stands as in the last one and is drawn once.
     rest: what does not move, where it has been drawn."""
     return evidence_energy(frame.body, poses, frame, moving, rest) + frame.own_energy(poses)
 
@@ -62,6 +60,21 @@ def evidence_energy(
     return with_limb_depth(body, poses, frame, moving, cost)
 
 
+def limb_energy(
+    poses: Array,
+    frame: PreparedFrame,
+    moving: NDArray[np.bool_],
+    rest: compute.Standing | None = None,
+    slack: float = 1.0,
+) -> Array:
+    """`frame_energy` where only what costs at most `slack` times as much as the first pose counts: others may be
+    infinite."""
+    if frame.masks is None or frame.depth is not None or frame.own:
+        return frame_energy(poses, frame, moving, rest)
+    s, mesh = frame.body.skeleton, frame.body.coarse.arrays
+    return compute.limb_energies(poses, s.tree, mesh, frame.masks, moving, rest, slack)
+
+
 def xor_energy(
     body: Body,
     poses: Array,
@@ -69,8 +82,7 @@ def xor_energy(
     moving: NDArray[np.bool_] | None = None,
     rest: compute.Standing | None = None,
 ) -> Array:
-    """(N,) energies of eq. 2.8 for poses (N, D); zeros when no view is usable. moving: as for SilhouetteXor; rest: as
-    for `frame_energy`."""
+    """(N,) energies of eq. 2.8 for poses (N, D); zeros when no view is usable. moving, rest: as for `frame_energy`."""
     if frame.masks is None:
         return np.zeros(len(poses))
     counts = _counts(body, poses, frame) if moving is None else _count(body, poses, frame.masks, moving, rest)

@@ -11,26 +11,21 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from hypose.body.body import Body
 from hypose.errors import InputError
 from hypose.fitting.articulated import SolveSettings
-from hypose.inference.kernels import Compose, Except, HeavyTail, UniformShare
-from hypose.inference.layer import GoOn, Kernel, Layer, Recipe, Recovery
-from hypose.inference.selectivity import Annealed, FixedSelectivity
-from hypose.inference.selectors import Elite, keep
+from hypose.inference.layer import GoOn, Layer, Recipe, Recovery
+from hypose.inference.selectors import keep
 from hypose.tracking import published_recipes as published
-from hypose.tracking.costs import SilhouetteXor, no_evidence
+from hypose.tracking.costs import no_evidence
 from hypose.tracking.exchanged_sides import look_for_exchange
+from hypose.tracking.limb_search import LimbSearch
 from hypose.tracking.monocular.recipe import PICTURE_CUES, TRIGGS, monocular
 from hypose.tracking.part_colours import LearnColours
 from hypose.tracking.pose_covariance import uncertainty_of_pose
-from hypose.tracking.published_recipes import LIMB_LAYERS, diffusion, step_sigma
+from hypose.tracking.published_recipes import LIMB_LAYERS, step_sigma
 from hypose.tracking.reach_table import arm_reach, in_practice
 from hypose.tracking.refinement import (
-    COMPOSITE,
-    SOLVED,
     ContourRefinement,
     InTurn,
     SolvePrediction,
@@ -69,7 +64,7 @@ def default(
 
     The first solve puts the body within centimetres; the particles find limbs that went elsewhere (a local solve cannot
     pull in what lies beyond about 10 cm); the silhouettes choose between the first solve and the second. Each limb's
-    best is kept (`Elite`) instead of resampled: with 200 particles the mean of survivors mixes a found arm with a
+    best is kept (`LimbSearch`) instead of resampled: with 200 particles the mean of survivors mixes a found arm with a
     lost one. A quarter of an arm's particles are drawn anew over its whole reach, for a punch is faster than any
     diffusion. One leg and one arm are searched per frame, in turn; all four when the first solve overlaps the masks
     worse than usual, and below 20 frames per second, where more happens between two frames. In the same frames an arm's
@@ -85,18 +80,8 @@ def default(
     rival_arms = _rivals(body, turns, rivals, options)
     rows = [Layer(SolvePrediction(options, rival_arms), no_evidence, keep, "contours")]
     for (name, joints), turn in zip(LIMB_LAYERS, turns, strict=True):
-        own = s.dofs_of(*joints)
-        step = np.zeros(s.dof)
-        step[own] = sigma[own]
-        mask = np.zeros(s.dof, dtype=bool)
-        mask[own] = True
-        moves: list[Kernel] = [diffusion(s, step, HeavyTail(0.3, 4.0, mask))]
-        if name.endswith("arm"):
-            moves.append(UniformShare(0.25, *in_practice(s), mask))
-        kernel = Except(Compose(tuple(moves)), (SOLVED, COMPOSITE))
-        moving = np.isin(np.arange(len(s.joint_names)), [s.joint(j) for j in joints])
-        weigh = Annealed(SilhouetteXor(moving), FixedSelectivity(1.0))  # the best is best under any exponent
-        rows.append(Layer(kernel, weigh, Elite(1, mask, but=SOLVED), name, InTurn(turn, period, seldom=_SELDOM)))
+        search = LimbSearch(s, joints, sigma, *in_practice(s), anew=0.25 if name.endswith("arm") else 0.0)
+        rows.append(Layer(search, no_evidence, keep, name, InTurn(turn, period, seldom=_SELDOM)))
     rows.append(Layer(rival_arms, no_evidence, keep, "rivals"))
     base = Recipe("default", rows, particles, rivals=rivals)
     return _solving(replace(base, learn=LearnColours(), likes=("colours",)) if colours else base)

@@ -19,15 +19,15 @@ from hypose.compute import beside, over_chunks, reach
 from hypose.fitting.articulated import PoseFit, SolveSettings
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, Hypotheses
-from hypose.tracking.costs import frame_energy
+from hypose.tracking.costs import frame_energy, limb_energy
 from hypose.tracking.frame_evidence import PoseMemory, PreparedFrame
 from hypose.tracking.part_colours import ColourSettings, colour_scores, known_colours
 from hypose.tracking.pictured_arms import pictured_arms
 from hypose.tracking.reach_table import ArmReach, ends, ends_of
 from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, keep_hessians, member, mismatch, refine, solve
 
-_SOLVE, _LOOK = "rivals solved", "arms looked up"
-"""What has been begun beside other layers, in a frame's `shared`."""
+_SOLVE, _LOOK, _ORDERED = "rivals solved", "arms looked up", "rivals in order"
+"""What has been begun beside other layers, and the hypotheses of the last frame, in a frame's `shared`."""
 
 DEPTH_KEEPS = 2
 """hypotheses that live on where depth cameras see, which leave less open; a third one is no gain there. Chosen on the
@@ -251,15 +251,15 @@ def rival_arms(
     if not len(good):
         return []
     poses = np.repeat(pose[None], len(good) + 1, 0)
-    poses[:-1, arm.own] = arm.poses[good]  # the last one stands
-    energy = frame_energy(poses, frame, arm.moving, rest)
+    poses[1:, arm.own] = arm.poses[good]  # the first one stands
+    energy = limb_energy(poses, frame, arm.moving, rest, look.ratio)
     at, chosen = arm.ends[good], list[int]()
-    for n in np.argsort(energy[:-1], kind="stable"):
-        if energy[n] > look.ratio * energy[-1] or len(chosen) == look.most:
+    for n in np.argsort(energy[1:], kind="stable"):
+        if energy[1 + n] > look.ratio * energy[0] or len(chosen) == look.most:
             break
         if all(_farthest(at[n, None], at[k]) > look.far for k in chosen):
             chosen.append(int(n))
-    return [poses[n] for n in chosen]
+    return [poses[1 + n] for n in chosen]
 
 
 def _apart(at: Array, order: NDArray[np.intp], known: Array, look: LookedUp) -> NDArray[np.intp]:
@@ -282,7 +282,10 @@ def _farthest(ends: Array, other: Array) -> Array:
 def _best_first(frame: PreparedFrame) -> tuple[Hypotheses, Array]:
     """The hypotheses of the last frame, expected in this one, and what they were (N, D)."""
     assert frame.rivals is not None, "the recipe does not say how many rivals"
-    h = frame.rivals.take(np.argsort(-frame.rivals.relative_log_weights, kind="stable"))
+    of, h = frame.shared.get(_ORDERED, (None, frame.rivals))
+    if of is not frame.rivals:
+        h = frame.rivals.take(np.argsort(-frame.rivals.relative_log_weights, kind="stable"))
+        frame.shared[_ORDERED] = frame.rivals, h
     return h, h.columns[BEFORE]
 
 

@@ -44,8 +44,6 @@ KERNELS = {
         kernels.Compose((kernels.ConstantVelocity(np.ones(D), 1.0, LOWER, UPPER), gaussian())),
         kernels.Compose(()),
     ],
-    "UniformShare": [kernels.UniformShare(s, -np.ones(D), np.ones(D), SOME) for s in (0.3, 0.0)],
-    "Except": [kernels.Except(gaussian(), ("start", "nobody's")), kernels.Except(kernels.stay, ("start",))],
     "RejectionSampling": [
         kernels.RejectionSampling(gaussian(), lambda x: -np.square(x).sum(-1), tau=0.7, trials=5),
         kernels.RejectionSampling(gaussian(), lambda x: np.full(x.shape[:-1], -np.inf), trials=2),
@@ -62,7 +60,6 @@ SELECTORS = {
     "keep": [selectors.keep],
     "LayeredSystematic": [selectors.LayeredSystematic(SOME), selectors.LayeredSystematic(np.zeros(D, bool))],
     "Prune": [selectors.Prune(3), selectors.Prune(1000)],
-    "Elite": [selectors.Elite(1, SOME, but="start"), selectors.Elite(1000, SOME)],
 }
 SELECTIVITIES = {
     "FixedSelectivity": [selectivity.FixedSelectivity(0.5), selectivity.FixedSelectivity(0.0)],

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from hypose.inference.hypotheses import Hypotheses
-from hypose.inference.kernels import Except, GaussianDiffusion
 from hypose.inference.selectors import (
-    Elite,
     LayeredSystematic,
     Prune,
     roulette_indices,
@@ -97,20 +95,3 @@ def test_prune_keeps_the_best_first():
     np.testing.assert_allclose(best.weights, 1 / 3)
     with pytest.raises(ValueError, match="at least one"):
         Prune(0)
-
-
-def test_elite_copies_the_best_coordinates_in_turn():
-    values = np.arange(12.0).reshape(6, 2)
-    h = Hypotheses(values, np.array([0.0, 3.0, -1.0, 2.0, 1.0, -np.inf]), np.arange(6, dtype=np.int32))
-    out = Elite(2, np.array([True, False]))(h, np.random.default_rng(0))
-    assert out.values[:, 0].tolist() == [2.0, 6.0, 2.0, 6.0, 2.0, 6.0]
-    assert out.values[:, 1].tolist() == values[:, 1].tolist()
-    assert np.ptp(out.log_weights) == 0 and out.origin.tolist() == list(range(6))
-    kept = Elite(1, np.array([True, False]), but="start")(h.marked("start", [0, 4]), np.random.default_rng(0))
-    assert kept.values[:, 0].tolist() == [0.0, 2.0, 2.0, 2.0, 8.0, 2.0]
-
-
-def test_who_is_excepted_never_moves():
-    h = Hypotheses.uniform(np.zeros((5, 3))).marked("start", [0]).marked("found", [3])
-    moved = Except(GaussianDiffusion(np.ones(3)), ("start", "found"))(h, None, np.random.default_rng(0))
-    assert (moved.values[[0, 3]] == 0).all() and (moved.values[[1, 2, 4]] != 0).all()

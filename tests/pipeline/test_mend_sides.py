@@ -7,7 +7,7 @@ import pytest
 
 from hypose.pipeline.doubts import what_was_seen
 from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.mend_sides import look_back, look_back_notes, mend_sides, sides_notes
+from hypose.pipeline.mend_sides import look_back, look_back_notes, mend_sides, read_once, sides_notes
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.tracking.exchanged_sides import turned_around
 from hypose.tracking.starts import known_pose
@@ -160,3 +160,17 @@ def test_a_start_that_was_right_stays(clip):
     assert all(a is b for a, b in zip(same, good, strict=True))
     alone = replace(tracker, recipe=replace(tracker.recipe, recover=None))
     assert look_back(alone, good, reader(frames))[0] == good
+
+
+def test_frames_of_the_last_block_are_read_once(clip):
+    frames, read = clip[1], []
+
+    def of(numbers):
+        read.append(numbers)
+        return (frames[t] for t in numbers)
+
+    once = read_once(of)
+    for first, stop in ((15, 40), (15, 40), (10, 31), (0, 5), (12, 20)):
+        found = list(once(range(first, stop)))
+        assert len(found) == stop - first and all(a is b for a, b in zip(found, frames[first:stop], strict=True))
+    assert read == [range(15, 40), range(10, 15), range(0, 5), range(12, 20)]

@@ -266,8 +266,11 @@ def score_safely(mesh, points, u, v, p, lane, near, mask, drawn, origin, first_c
 
 
 @kernel
-def silhouette_xor(poses, first, last, tree, mesh, prepared, boxes, box_areas, drawn, drawn_counts, scratch, out):
-    """Blocks first..last (of LANES poses) of out (N, C, 3) = (xor, model, intersection) pixels inside boxes (C, 4).
+def silhouette_xor(
+    poses, first, last, tree, mesh, prepared, usable, boxes, box_areas, drawn, drawn_counts, scratch, out
+):
+    """Blocks first..last (of LANES poses) of out (N, C, 3) = (xor, model, intersection) pixels inside boxes (C, 4),
+    of the views that are usable (C,).
 
     drawn (C, h, B) packed as the masks, drawn_counts (C, 2) model, intersection: pixels that belong to the body in
     every pose. scratch: of lane_scratch.py, for this mesh and these images."""
@@ -284,7 +287,7 @@ def silhouette_xor(poses, first, last, tree, mesh, prepared, boxes, box_areas, d
             x, y, z = mesh.vertices[i, 0], mesh.vertices[i, 1], mesh.vertices[i, 2]
             skin_vertex(maps, mesh.joint, mesh.weight, mesh.start[i], mesh.start[i + 1], x, y, z, points, i)
         for c in range(views):
-            if not prepared.usable[c]:
+            if not usable[c]:
                 continue
             camera_lanes(prepared.projections[c], poses, begin, p)
             project_vertices(points, p, u, v, bounds)

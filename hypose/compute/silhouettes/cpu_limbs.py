@@ -1,0 +1,133 @@
+"""numba: which of many poses of a limb are no worse than the first one, drawing the others in as few views as tell.
+
+Before any of it is drawn a limb cannot explain more of a mask than what is uncovered in its window.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hypose.compute.compiled import kernel
+from hypose.compute.silhouettes.cpu_lanes import bone_maps, camera_lanes, lane_windows, silhouette_xor
+from hypose.compute.silhouettes.cpu_vectors import LANES, project_vertices, skin_vertex
+
+CELL = 8
+"""rows that are counted together, and columns: those of a byte"""
+
+u1 = np.uint8
+
+
+@kernel
+def uncovered(prepared, drawn, cells):
+    """cells (C, R + 1, B + 1) i4, zero: sums over the cells above and to the left of the masks' pixels that are not
+    drawn (C, h, B), both packed."""
+    for c in range(prepared.bits.shape[0]):
+        if not prepared.usable[c]:
+            continue
+        total = cells[c]
+        for r in range(prepared.bits.shape[1]):
+            mask, other, line = prepared.bits[c, r], drawn[c, r], total[r // CELL + 1, 1:]
+            for b in range(mask.shape[0]):
+                x = mask[b] & u1(~other[b])
+                x = u1(x - ((x >> 1) & 0x55))
+                x = u1((x & 0x33) + ((x >> 2) & 0x33))
+                line[b] += (x + (x >> 4)) & 0x0F
+        for r in range(1, total.shape[0]):
+            along = np.int32(0)
+            for b in range(1, total.shape[1]):
+                along += total[r, b]
+                total[r, b] = total[r - 1, b] + along
+
+
+@kernel
+def least_energies(poses, first, last, tree, mesh, prepared, boxes, drawn_counts, cells, scratch, out):
+    """Blocks first..last (of LANES poses) of out (N, C): no view costs less; cells as `uncovered` makes them, the other
+    arguments as for cpu_lanes.silhouette_xor."""
+    frames, centres, axis, turn, maps, points, u, v, p, bounds, window, origin = scratch[:12]
+    for block in range(first, last):
+        begin = block * LANES
+        lanes = min(LANES, poses.shape[0] - begin)
+        bone_maps(poses, begin, tree, mesh.needed, frames, centres, axis, turn, maps)
+        for i in range(points.shape[0]):
+            x, y, z = mesh.vertices[i, 0], mesh.vertices[i, 1], mesh.vertices[i, 2]
+            skin_vertex(maps, mesh.joint, mesh.weight, mesh.start[i], mesh.start[i + 1], x, y, z, points, i)
+        for c in range(prepared.bits.shape[0]):
+            if not prepared.usable[c]:
+                continue
+            camera_lanes(prepared.projections[c], poses, begin, p)
+            project_vertices(points, p, u, v, bounds)
+            lane_windows(bounds, boxes[c], lanes, window, origin)
+            sums = cells[c]
+            for k in range(lanes):
+                left, top = origin[k, 0] // CELL, origin[k, 1] // CELL
+                right = (origin[k, 0] + origin[k, 2] + CELL - 1) // CELL
+                bottom = (origin[k, 1] + origin[k, 3] + CELL - 1) // CELL
+                open_pixels = sums[bottom, right] - sums[bottom, left] - sums[top, right] + sums[top, left]
+                worst = drawn_counts[c, 0] + prepared.areas[c] - 2 * drawn_counts[c, 1]
+                out[begin + k, c] = (worst - open_pixels) / prepared.norm[c]
+
+
+@kernel
+def view_that_tells(cells, norm, left):
+    """The view among those left (C,) bool in which most is uncovered; -1 when none is left."""
+    best, found = -1.0, -1
+    for c in range(norm.shape[0]):
+        if left[c] and cells[c, -1, -1] / norm[c] > best:
+            best, found = cells[c, -1, -1] / norm[c], c
+    return found
+
+
+@kernel
+def limb_energies(poses, slack, tree, mesh, prepared, boxes, drawn, drawn_counts, cells, scratch, counts, told):
+    """counts (N, C, 3), zero, as of silhouette_xor, and told (N,), False: whether they are those of all views, as of
+    the first poses and of all that cost at most `slack` times as much as the first one. cells: zero; other arguments as
+    for silhouette_xor."""
+    n, views, n_dof = poses.shape[0], prepared.bits.shape[0], poses.shape[1]
+    areas, usable, norm = prepared.areas, prepared.usable, prepared.norm
+    silhouette_xor(poses, 0, 1, tree, mesh, prepared, usable, boxes, areas, drawn, drawn_counts, scratch, counts)
+    first = min(n, LANES)  # as much work as one alone
+    limit = 0.0
+    for c in range(views):
+        if usable[c]:
+            limit += counts[0, c, 0] / norm[c]
+    limit *= slack * (1 + 1e-9)  # sums may round otherwise
+    for i in range(first):
+        told[i] = True
+    uncovered(prepared, drawn, cells)
+    some, least, total = np.empty((n - first, n_dof)), np.zeros((n - first, views)), np.zeros(n - first)
+    for i in range(n - first):
+        for d in range(n_dof):
+            some[i, d] = poses[first + i, d]
+    least_energies(
+        some, 0, (n - first + LANES - 1) // LANES, tree, mesh, prepared, boxes, drawn_counts, cells, scratch, least
+    )
+    alive, n_alive = np.empty(n - first, np.int64), 0
+    for i in range(n - first):
+        for c in range(views):
+            total[i] += least[i, c]
+        alive[n_alive] = i
+        n_alive += total[i] <= limit
+    left = usable.copy()
+    while n_alive > 0:
+        c = view_that_tells(cells, norm, left)
+        if c < 0:
+            break
+        left[c] = False
+        only, tried = np.zeros(views, np.bool_), np.empty((n_alive, n_dof))
+        only[c] = True
+        for i in range(n_alive):
+            for d in range(n_dof):
+                tried[i, d] = some[alive[i], d]
+        out, blocks = np.empty((n_alive, views, 3), np.int64), (n_alive + LANES - 1) // LANES
+        silhouette_xor(tried, 0, blocks, tree, mesh, prepared, only, boxes, areas, drawn, drawn_counts, scratch, out)
+        kept = 0
+        for i in range(n_alive):
+            a = alive[i]
+            for k in range(3):
+                counts[first + a, c, k] = out[i, c, k]
+            total[a] += out[i, c, 0] / norm[c] - least[a, c]
+            alive[kept] = a
+            kept += total[a] <= limit
+        n_alive = kept
+    for i in range(n_alive):
+        told[first + alive[i]] = True

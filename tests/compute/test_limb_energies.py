@@ -1,0 +1,101 @@
+"""Which poses of a limb are no worse than the one that it is in, without drawing all of them."""
+
+import numpy as np
+import pytest
+
+from hypose import compute
+from tests.capsule_person import capsule_person, random_pose, ring
+
+ARM = ("left_shoulder", "left_elbow")
+
+
+@pytest.fixture(scope="module")
+def body():
+    return capsule_person(0.09)
+
+
+def scene(body, rng, views=3, joints=ARM, spread=0.4, n=150):
+    """Poses of a limb about the first one, near which the masks are, and which joints move."""
+    s, rig = body.skeleton, ring(views, f=210.0, size=(200, 230))
+    moving = np.isin(np.arange(len(s.joint_names)), [s.joint(j) for j in joints])
+    poses = np.repeat(random_pose(body, rng)[None], n, 0)
+    own = np.flatnonzero(moving[s.tree.joint_of_dof])
+    poses[1:, own] += spread * rng.standard_normal((n - 1, len(own)))
+    seen = poses[0].copy()
+    seen[own] += 0.15
+    vertices = body.skin(seen)
+    masks = [compute.reference.rasterize(vertices, body.coarse.faces, c.projection, c.size) for c in rig]
+    prepared = compute.prepare_masks(np.stack(masks), np.ones(views, bool), rig.sizes, rig.projections)
+    return poses, moving, prepared
+
+
+def energies(body, poses, moving, prepared, **options):
+    return compute.limb_energies(poses, body.skeleton.tree, body.coarse.arrays, prepared, moving, **options)
+
+
+def all_energies(body, poses, moving, prepared):
+    counts = compute.silhouette_xor(poses, body.skeleton.tree, body.coarse.arrays, prepared, moving=moving)
+    use = prepared.usable
+    return (counts[:, use, 0] / prepared.norm[use]).sum(1)
+
+
+@pytest.mark.parametrize("slack", [1.0, 1.04, 100.0])
+@pytest.mark.parametrize("joints", [ARM, ("right_hip", "right_knee"), ("pelvis",)])
+def test_who_is_told_has_the_energy_of_the_scorer_and_who_is_not_is_worse(body, rng, joints, slack):
+    poses, moving, prepared = scene(body, rng, joints=joints)
+    found, known = energies(body, poses, moving, prepared, slack=slack), all_energies(body, poses, moving, prepared)
+    told = np.isfinite(found)
+    np.testing.assert_array_equal(found[told], known[told])
+    assert (known[~told] > slack * known[0]).all()
+    assert told.all() if slack == 100 else (~told).sum() > 50
+    assert found.argmin() == known.argmin()
+
+
+@pytest.mark.parametrize("views", [1, 9])
+@pytest.mark.parametrize("n", [1, 16, 17])
+def test_few_poses_and_other_numbers_of_views(body, rng, n, views):
+    poses, moving, prepared = scene(body, rng, views=views, n=n)
+    known = all_energies(body, poses, moving, prepared)
+    found = energies(body, poses, moving, prepared, slack=10.0)
+    np.testing.assert_array_equal(found, known)
+
+
+def test_views_that_are_not_usable_tell_nothing(body, rng):
+    poses, moving, prepared = scene(body, rng)
+    prepared.usable[1] = False
+    prepared.norm[1] = 0
+    found, known = energies(body, poses, moving, prepared), all_energies(body, poses, moving, prepared)
+    told = np.isfinite(found)
+    np.testing.assert_array_equal(found[told], known[told])
+    assert found.argmin() == known.argmin() and (~told).any()
+    prepared.usable[:] = False
+    assert (energies(body, poses, moving, prepared) == 0).all()
+
+
+def test_pixels_that_say_nothing_bound_nothing(body, rng):
+    poses, moving, prepared = scene(body, rng)
+    ignored = np.zeros_like(prepared.masks)
+    ignored[:, :, 95:125] = 1
+    masked = compute.prepare_masks(prepared.masks, prepared.usable, prepared.sizes, prepared.projections, ignored)
+    found, known = energies(body, poses, moving, masked), all_energies(body, poses, moving, masked)
+    told = np.isfinite(found)
+    np.testing.assert_array_equal(found[told], known[told])
+    assert (known[~told] > known[0]).all() and (~told).any()
+
+
+def test_a_body_at_the_camera_is_measured_too(body, rng):
+    poses, moving, prepared = scene(body, rng)
+    poses[40:60, :3] += 2.9  # not the limb's own coordinates: the rest stands as in the last pose
+    poses[:, :3] += prepared.projections[0, 2, :3] * -2.2
+    found, known = energies(body, poses, moving, prepared, slack=1.5), all_energies(body, poses, moving, prepared)
+    told = np.isfinite(found)
+    np.testing.assert_array_equal(found[told], known[told])
+    assert (known[~told] > 1.5 * known[0]).all()
+
+
+def test_the_definition_measures_everybody(body, rng):
+    poses, moving, prepared = scene(body, rng, n=20)
+    with compute.use("reference"):
+        slow = energies(body, poses, moving, prepared)
+    found = energies(body, poses, moving, prepared, slack=100.0)
+    np.testing.assert_allclose(found, slow, atol=0.05)

@@ -1,0 +1,87 @@
+"""One limb at a time: the best of many poses of it is everybody's, and the start is never lost."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.inference.hypotheses import Hypotheses
+from hypose.tracking.costs import frame_energy, limb_energy
+from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.limb_search import LimbSearch
+from hypose.tracking.published_recipes import LIMB_LAYERS, step_sigma
+from hypose.tracking.reach_table import in_practice
+from hypose.tracking.refinement import COMPOSITE, SOLVED
+
+
+@pytest.fixture(scope="module")
+def search(body):
+    s = body.skeleton
+    return LimbSearch(s, dict(LIMB_LAYERS)["left_arm"], 2 * step_sigma(s, 25.0), *in_practice(s), anew=0.25)
+
+
+@pytest.fixture(scope="module")
+def raised(body, standing, search):
+    pose = standing.copy()
+    pose[search.own] += [0.0] * (len(search.own) - 4) + [-0.3, 0.2, 0.1, 0.4]
+    return body.skeleton.clamp(pose)
+
+
+def at(pose, count=96):
+    return Hypotheses.uniform(np.repeat(pose[None], count, 0)).marked(SOLVED, [0]).marked(COMPOSITE, [1])
+
+
+def test_the_best_limb_is_everybodys_but_the_solved_ones(body, search, standing, raised, frame_of, rng):
+    frame = prepare(frame_of(body, raised), body, standing)
+    out = search(at(standing), frame, rng).values
+    np.testing.assert_array_equal(out[0], standing)
+    np.testing.assert_array_equal(out[1:], np.repeat(out[1:2], 95, 0))
+    others = np.setdiff1d(np.arange(body.skeleton.dof), search.own)
+    np.testing.assert_array_equal(out[1, others], standing[others])
+    before, after = frame_energy(np.stack([standing, out[1]]), frame)
+    assert after < 0.8 * before
+
+
+def test_a_limb_that_is_right_stays(body, search, raised, frame_of, rng):
+    frame = prepare(frame_of(body, raised), body, raised)
+    np.testing.assert_array_equal(search(at(raised), frame, rng).values, np.repeat(raised[None], 96, 0))
+
+
+def test_it_never_leaves_the_limits_and_draws_the_same_from_the_same_seed(
+    body, search, standing, raised, frame_of, monkeypatch
+):
+    seen = []
+
+    def spy(poses, *given):
+        seen.append(poses.copy())
+        return limb_energy(poses, *given)
+
+    monkeypatch.setattr("hypose.tracking.limb_search.limb_energy", spy)
+    frame = prepare(frame_of(body, raised), body, standing)
+    outs = [search(at(standing), frame, np.random.default_rng(5)).values for _ in range(2)]
+    np.testing.assert_array_equal(outs[0], outs[1])
+    s, tried = body.skeleton, seen[0][:, search.own]
+    assert (tried >= s.lower[search.own]).all() and (tried <= s.upper[search.own]).all()
+    np.testing.assert_array_equal(tried[:2], np.repeat(standing[None, search.own], 2, 0))
+    assert len(np.unique(tried, axis=0)) == 95
+    # a quarter lies over the whole range, far beyond what steps reach
+    assert 0.1 < (np.abs(tried - standing[search.own]).max(1) > 0.8).mean() < 0.4
+
+
+def test_evidence_of_ones_own_decides_too(body, search, standing, raised, frame_of, rng):
+    class Wants:
+        def rows(self, body, frame):
+            return None
+
+        def energy(self, body, poses, frame):
+            return 1e3 * (poses[:, search.own[-1]] > standing[search.own[-1]] + 0.05)
+
+    frame = prepare(frame_of(body, raised), body, standing, own=(Wants(),))
+    out = search(at(standing), frame, rng).values
+    assert out[1, search.own[-1]] <= standing[search.own[-1]] + 0.05
+    assert not np.isinf(limb_energy(out, frame, search.moving)).any()
+
+
+def test_without_masks_nobody_is_better(body, search, standing, frame_of, rng):
+    frame = replace(prepare(frame_of(body, standing), body, standing), masks=None)
+    np.testing.assert_array_equal(search(at(standing), frame, rng).values, at(standing).values)
