@@ -77,7 +77,7 @@ def look_both_ways(
     """The estimates of frames 0, 1, ... with those replaced that are told better by what comes after them, and in how
     many an arm lies elsewhere now. memory: what has been remembered of the person; progress(done, total): frames."""
     o, out = settings or BothWays(), list(estimates)
-    if not tracker.recipe.rivals or tracker.settings.evidence != "silhouettes" or len(out) < 3:
+    if not tracker.recipe.rivals or tracker.settings.evidence not in ("silhouettes", "both") or len(out) < 3:
         return out, 0
     jumps, pace = _jumps(tracker.body, out, o.jump), pace_of(tracker)
     near = np.zeros(len(out), np.bool_)

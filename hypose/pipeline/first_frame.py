@@ -21,6 +21,7 @@ from hypose.tracking.frame_evidence import PreparedFrame, prepare
 from hypose.tracking.keypoint_clip import LEAST_POINTS
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, keypoint_model, keypoint_term
 from hypose.tracking.keypoint_offsets import calibrate_keypoints
+from hypose.tracking.points_beside_masks import weighed_beside_masks
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.start_search import Start, start_from_hull
 from hypose.tracking.starts import KNOWN_POSES, hull_of, start_from_keypoints
@@ -121,6 +122,7 @@ def _from_keypoints(
         notes.append(note)
     # the landmarks on the skin moved with the girths: where the key points sit is measured on the body as it is now
     model = calibrate_keypoints(body, keypoint_model(body, model.names), keypoints, poses)
+    model = weighed_beside_masks(body, model, seen)
     notes.append(_noise_note(model))
     start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
     if at:
@@ -131,10 +133,12 @@ def _from_keypoints(
 def _known_by_points(
     body: Body, frame_at: FrameAt, sampled: np.ndarray, n_frames: int, options: SubjectOptions
 ) -> Subject:
-    seen = [k for k in (frame_at(int(i)).keypoints for i in sampled) if k is not None]
+    seen = [f for f in (frame_at(int(i)) for i in sampled) if f.keypoints is not None]
     if not seen:
         raise EvidenceError("No frame has key points to start from; use the start 'hull'.")
-    model = calibrate_keypoints(body, keypoint_model(body, seen[0].names), seen)
+    keypoints = [f.keypoints for f in seen if f.keypoints is not None]
+    model = calibrate_keypoints(body, keypoint_model(body, keypoints[0].names), keypoints)
+    model = weighed_beside_masks(body, model, seen)
     start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
     notes = [GIVEN, _noise_note(model)]
     if at:

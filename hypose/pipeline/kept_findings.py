@@ -21,7 +21,8 @@ from hypose.pipeline.first_frame import Subject
 from hypose.tracking.keypoint_evidence import KeypointModel
 
 SUBJECT = "subject.npz"
-_MODEL = ("joint", "offset", "known", "sd", "view")
+_OPTIONAL = ("sd", "view", "beside")
+_MODEL = ("joint", "offset", "known", *_OPTIONAL)
 
 
 def keep_subject(subject: Subject, results: ResultsFolder, identity: Mapping[str, Any]) -> None:
@@ -52,7 +53,7 @@ def kept_subject(results: ResultsFolder, identity: Mapping[str, Any]) -> Subject
         if "keypoints" in saved.meta:
             a = saved.arrays
             names, known = tuple(saved.meta["keypoints"]), a["known"].astype(np.bool_)
-            model = KeypointModel(names, a["joint"].astype(np.int64), a["offset"], known, a.get("sd"), a.get("view"))
+            model = KeypointModel(names, a["joint"].astype(np.int64), a["offset"], known, *map(a.get, _OPTIONAL))
         a, rivals = saved.arrays, None
         if "rivals" in a:
             rivals = Hypotheses(a["rivals"], a["rivals_weights"])

@@ -23,7 +23,7 @@ from hypose.fitting.articulated import ContourTerm, KeypointTerm, PointTerm, con
 from hypose.fitting.own_rows import RowTerm
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term
+from hypose.tracking.keypoint_evidence import KeypointModel, beside_masks, keypoint_model, keypoint_term
 from hypose.tracking.refuted_views import without_refuted
 
 _Found = TypeVar("_Found")
@@ -82,7 +82,8 @@ class PreparedFrame:
     see. rivals: the hypotheses that the last frame left, each where it is expected now (None: the set
     moves as one). done: frames tracked before this one. memory: what the recipe has remembered so far. counts: of the
     silhouettes of single poses, (C, 3); hessians: of their solves, (D, D); shared: whatever else one layer of a
-    recipe has found out for the next ones."""
+    recipe has found out for the next ones. beside_masks: the key points as solves weigh them beside the contours (None:
+    as they are); what chooses between solutions takes them as they are."""
 
     frame: Frame
     body: Body
@@ -102,6 +103,7 @@ class PreparedFrame:
     hessians: PoseMemory[Array] = field(default_factory=PoseMemory, compare=False, repr=False)
     shared: dict[Any, Any] = field(default_factory=dict, compare=False, repr=False)
     depth: DepthTerm | None = None
+    beside_masks: KeypointTerm | None = None
 
     @property
     def usable(self) -> bool:
@@ -171,7 +173,8 @@ def prepare(
     rows = tuple(one for one in said if isinstance(one, RowTerm))
     pieces = (masks, contours, term, prediction_weight, usual_iou, points, rows, tuple(own), done)
     depth = None if frame.depth is None or masks is None else depth_term(frame.depth)
-    return PreparedFrame(frame, body, prediction, *pieces, depth=depth)
+    weaker = None if term is None or model is None or contours is None else beside_masks(term, model)
+    return PreparedFrame(frame, body, prediction, *pieces, depth=depth, beside_masks=weaker)
 
 
 def _joined(terms: Sequence[PointTerm], frame: Frame) -> PointTerm | None:

@@ -3,7 +3,7 @@ detector gets wrong (left for right, somebody else)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,8 @@ _CHAINS = (
 class KeypointModel:
     """Where named key points sit on a body: joint (K,), offset (K, 3) m in that joint's frame, known (K,). sd (K,) m:
     noise of a detection at the body's distance, per axis, at confidence 1; None: not measured. view (C,): by how much
-    the noise of each view is larger (`hypose.tracking.view_noise`); None: all are alike."""
+    the noise of each view is larger (`hypose.tracking.view_noise`); None: all are alike. beside (C, K): what is
+    left of each point's weight in solves beside masks (`hypose.tracking.points_beside_masks`); None: all."""
 
     names: tuple[str, ...]
     joint: NDArray[np.int64]
@@ -49,6 +50,7 @@ class KeypointModel:
     known: NDArray[np.bool_]
     sd: Array | None = None
     view: Array | None = None
+    beside: Array | None = None
 
     def positions(self, body: Body, poses: Array) -> Array:
         """(..., K, 3) m: the points in the world at poses (..., D)."""
@@ -106,6 +108,15 @@ def keypoint_term(
         scale_px,
         min_confidence=0.0,
     )
+
+
+def beside_masks(term: KeypointTerm, model: KeypointModel) -> KeypointTerm:
+    """The term of a frame's key points as solves weigh it when there are masks as well."""
+    if model.beside is None or len(model.beside) != len(term.points):
+        return term
+    points = term.points.copy()
+    points[..., 2] *= model.beside[:, model.known]
+    return replace(term, points=points)
 
 
 def shows_somebody_else(keypoints: Keypoints, body: Body, model: KeypointModel, expected: Array, reach: float) -> bool:

@@ -61,23 +61,24 @@ def calibrate_keypoints(
     An EvidenceError when no frame has enough points.
     """
     model = replace(model, view=view_factors(keypoints))
-    start = _starts(body, model, keypoints) if poses is None else poses
+    start = triangulated_starts(body, model, keypoints) if poses is None else poses
     chosen = np.flatnonzero(np.isfinite(start).all(1))
     if len(chosen) == 0:
         raise EvidenceError("No frame has 6 triangulated key points; check the key points' folder and the calibration.")
     used, q = [keypoints[int(t)] for t in chosen], start[chosen].copy()
     base, found = model, model
     for n in range(rounds):
-        q = _solve(body, found, used, q, leg_weights(model.names))
-        rows = _rows(body, found, used, q)
+        q = solved_frames(body, found, used, q, leg_weights(model.names))
+        rows = residual_rows(body, found, used, q)
         found = replace(found, offset=_offsets(base, found, rows))
-        found = replace(found, sd=_noise(_rows(body, found, used, q)))
+        found = replace(found, sd=_noise(residual_rows(body, found, used, q)))
         if n == rounds - 1:
-            q = _solve(body, found, used, q)
-    return replace(found, sd=_noise(_rows(body, found, used, q)))
+            q = solved_frames(body, found, used, q)
+    return replace(found, sd=_noise(residual_rows(body, found, used, q)))
 
 
-def _starts(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints]) -> Array:
+def triangulated_starts(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints]) -> Array:
+    """(T, D): poses from triangulated points, NaN where there are fewer than six."""
     points, _, _ = triangulate_keypoints(keypoints, worse=model.worse(len(keypoints[0].rig)))
     known = model.known
     out = np.full((len(points), body.skeleton.dof), np.nan)
@@ -87,7 +88,7 @@ def _starts(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints]) ->
     return out
 
 
-def _solve(
+def solved_frames(
     body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], poses: Array, weights: Array | None = None
 ) -> Array:
     """Each frame alone, from its pose (T, D); weights (K,) of the points."""
@@ -102,7 +103,7 @@ def _solve(
     return out
 
 
-class _Rows:
+class Residuals:
     """Residual (T, C, K, 2) px, its derivative by the offset (T, C, K, 2, 3) px/m, confidence (T, C, K) and pixels per
     metre (T, C), times how much worse the view is than others, of all points; confidence 0 where there is none."""
 
@@ -110,7 +111,8 @@ class _Rows:
         self.residual, self.slope, self.confidence, self.size = residual, slope, confidence, size
 
 
-def _rows(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], poses: Array) -> _Rows:
+def residual_rows(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], poses: Array) -> Residuals:
+    """Of key points, exchanged sides put right, about a body in these poses (T, D)."""
     rotations, centres = body.skeleton.forward(poses)
     r = rotations[:, model.joint]
     x = centres[:, model.joint] + np.einsum("tkab,kb->tka", r, model.offset)
@@ -134,10 +136,10 @@ def _rows(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], pose
             residual[t, c, model.known] = uv[model.known] - term.points[c, :, :2]
     bad = ~np.isfinite(residual).all(-1) | ~np.isfinite(slope).all((-1, -2))
     confidence[bad], residual[bad], slope[bad] = 0.0, 0.0, 0.0
-    return _Rows(residual, slope, confidence, size)
+    return Residuals(residual, slope, confidence, size)
 
 
-def _offsets(base: KeypointModel, model: KeypointModel, rows: _Rows) -> Array:
+def _offsets(base: KeypointModel, model: KeypointModel, rows: Residuals) -> Array:
     """(K, 3): one robust Gauss-Newton step of every offset on all frames, held by its prior and cut at its limit."""
     limit = offset_limits(base.names)
     sd_px = (model.sd if model.sd is not None else np.full(len(limit), 0.02)) * rows.size[..., None]
@@ -156,7 +158,7 @@ def _offsets(base: KeypointModel, model: KeypointModel, rows: _Rows) -> Array:
     return np.where(model.known[:, None], base.offset + moved, base.offset)
 
 
-def _noise(rows: _Rows) -> Array:
+def _noise(rows: Residuals) -> Array:
     """(K,) m per axis at confidence 1, from the median distances; see TOGETHER."""
     metres = np.abs(rows.residual) / rows.size[..., None, None]
     by_point = [

@@ -230,7 +230,7 @@ def solve(body: Body, starts: Array, frame: PreparedFrame, options: SolveSetting
         body,
         starts,
         contours=frame.contours,
-        keypoints=frame.keypoints,
+        keypoints=frame.keypoints if frame.beside_masks is None else frame.beside_masks,
         points=frame.points,
         rows=frame.rows,
         depth=frame.depth,

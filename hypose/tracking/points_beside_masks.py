@@ -1,0 +1,102 @@
+"""How much key points may say beside masks: measured on a few frames of the clip, limb by limb.
+
+Outlines know where they are right to about a centimetre, but their cost hardly grows beyond that: points that scatter
+by more pull a limb out of its outline, and are not averaged against it as two measurements would be. So beside masks
+points weigh as if they knew no better than outlines that hold, and in full where outlines do not. Whether they do is
+told by the points: a body that is fitted to the outlines alone lies as near to them as they scatter, or else further
+(a skirt, a bag, a chair, somebody else, shadows).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.evidence.frame import Frame, Keypoints
+from hypose.fitting import SolveSettings, fit_pose
+from hypose.geometry import Array
+from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.keypoint_evidence import KeypointModel
+from hypose.tracking.keypoint_offsets import Residuals, residual_rows, solved_frames, triangulated_starts
+from hypose.tracking.refinement import anatomical_prior
+
+OUTLINES_M = 0.012
+"""m: points that scatter by no more weigh in full beside masks, whatever these say."""
+LEAST = 0.03
+"""Share of their weight that points keep beside masks that are right."""
+FRAMES = 8
+"""frames in which the two are compared"""
+_PARTS = (("elbow", "wrist"), ("knee", "ankle", "toe", "heel"), ("shoulder", "hip", "neck"), ("",))
+_LEAST_FRAMES, _LEAST_ROWS, _LEAST_LEFT = 3, 8, 0.2
+_SOLVE = SolveSettings(iterations=12, coarse_iterations=4)
+
+
+def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Frame]) -> KeypointModel:
+    """The model with what is left of its points' weights beside masks (`KeypointModel.beside`); as it is when fewer
+    than three of the frames (of one person) tell.
+
+    Of the points of each part of the body, noise: variance per axis about the body that is solved for by them, which
+    takes up a part of it; away (C,): about the body that is solved for by the outlines. What is more of it in half of
+    the views is the outlines' fault, what is more of it in single views is that of the points there."""
+    both = [f for f in frames if f.keypoints is not None and f.silhouettes is not None]
+    both = [both[int(n)] for n in np.unique(np.linspace(0, len(both) - 1, min(FRAMES, len(both))).astype(int))]
+    seen, by_points, by_masks = _solved_either_way(body, model, both)
+    if len(seen) < _LEAST_FRAMES:
+        return model
+    own, other = (residual_rows(body, model, seen, poses) for poses in (by_points, by_masks))
+    rows = 2 * np.median((own.confidence[:, :, model.known] > 0).sum((1, 2)))
+    left = max(1 - body.skeleton.dof / max(float(rows), 1.0), _LEAST_LEFT)
+    usual, beside = np.nanmedian(_scatter(own, model.known)), np.ones((len(seen[0].rig), len(model.names)))
+    for members in _parts(model.names):
+        told = members & model.known
+        scatter, away = _scatter(own, told), _scatter(other, told) ** 2
+        tell = np.isfinite(scatter) & np.isfinite(away)
+        if not tell.any():
+            continue
+        noise = max(float(usual * np.median(scatter[tell])) / left, 1e-8)
+        wrong = max(float(np.sort(away[tell])[(tell.sum() - 1) // 2]) - noise, 0.0)
+        beside[:, members] = (OUTLINES_M**2 + wrong) / np.fmax(noise, away - wrong)[:, None]
+    return replace(model, beside=np.clip(beside, LEAST, 1.0))
+
+
+def _solved_either_way(
+    body: Body, model: KeypointModel, frames: Sequence[Frame]
+) -> tuple[list[Keypoints], Array, Array]:
+    """The key points of those of the frames in which both tell the pose; poses (T, D) by points, and by outlines."""
+    seen = [f.keypoints for f in frames if f.keypoints is not None]
+    starts = triangulated_starts(body, model, seen) if seen else np.zeros((0, body.skeleton.dof))
+    prior, kept, by_points, by_masks = anatomical_prior(body.skeleton), list[Keypoints](), list[Array](), list[Array]()
+    for frame, points, start in zip(frames, seen, starts, strict=True):
+        if not np.isfinite(start).all():
+            continue
+        pose = solved_frames(body, model, [points], start[None])[0]
+        contours = prepare(replace(frame, keypoints=None), body, pose).contours
+        if contours is not None:
+            kept.append(points)
+            by_points.append(pose)
+            by_masks.append(fit_pose(body, pose, contours=contours, priors=(prior,), options=_SOLVE).pose)
+    return kept, np.array(by_points), np.array(by_masks)
+
+
+def _parts(names: Sequence[str]) -> list[NDArray[np.bool_]]:
+    """(K,) each: the points of a limb, of the trunk, of the head."""
+    out, free = [], np.ones(len(names), np.bool_)
+    for words in _PARTS:
+        own = free & np.array([any(w in n.lower() for w in words) for n in names])
+        left = own & np.array(["left" in n.lower() for n in names])
+        out += [left, own & ~left] if words in _PARTS[:2] else [own]
+        free = free & ~own
+    return out
+
+
+def _scatter(rows: Residuals, members: NDArray[np.bool_]) -> Array:
+    """(C,) m per axis: robust standard deviation of the distances of these points (K,) in each view; NaN where there
+    are few."""
+    used = (rows.confidence > 0) & members
+    metres = np.abs(rows.residual) / rows.size[..., None, None]
+    views = [metres[:, c][used[:, c]] for c in range(used.shape[1])]
+    return np.array([1.4826 * np.median(m) if m.size >= 2 * _LEAST_ROWS else np.nan for m in views])

@@ -1,0 +1,76 @@
+"""Key points weigh less beside masks that know better, and in full beside those that do not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.robustness.small_recordings import small_scene
+from hypose.body.ready_bodies import human
+from hypose.cameras.camera import CameraRig
+from hypose.evidence.keypoints import BODY_25
+from hypose.geometry import se3
+from hypose.synthetic.spoilt_keypoints import spoilt
+from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.keypoint_evidence import keypoint_model
+from hypose.tracking.keypoint_offsets import calibrate_keypoints
+from hypose.tracking.points_beside_masks import weighed_beside_masks
+from hypose.tracking.subject import scaled_to_height
+
+N = 6
+
+
+@pytest.fixture(scope="module")
+def clip():
+    """A walk's frames with masks and key points, and a body of its size."""
+    scene = small_scene(1, N)
+    return list(scene.mask_frames(1.0, keypoints=True)), scaled_to_height(human(), scene.subject.stature)
+
+
+def calibrated(body, frames):
+    return calibrate_keypoints(body, keypoint_model(body, BODY_25), [f.keypoints for f in frames], rounds=1)
+
+
+@pytest.fixture(scope="module")
+def model(clip):
+    """Where the points sit on the body, and how they scatter."""
+    frames, body = clip
+    return calibrated(body, frames)
+
+
+def test_the_more_points_scatter_the_less_they_weigh(clip, model):
+    frames, body = clip
+    rough = spoilt(frames, "noisy", np.random.default_rng(0))
+    plain, noisy = (
+        weighed_beside_masks(body, m, f).beside for m, f in ((model, frames), (calibrated(body, rough), rough))
+    )
+    assert plain.shape == (4, len(BODY_25)) and (plain <= 1).all() and (noisy > 0).all()
+    assert np.median(noisy[:, model.known]) < 0.5 * np.median(plain[:, model.known])
+
+
+def test_points_weigh_in_full_beside_masks_that_are_elsewhere(clip, model):
+    frames, body = clip
+    there = se3(np.eye(3), (0.0, 0.0, 0.1))
+    rig = CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ there) for c in frames[0].silhouettes.rig))
+    aside = [replace(f, silhouettes=replace(f.silhouettes, rig=rig)) for f in frames]
+    right, wrong = (weighed_beside_masks(body, model, f).beside[:, model.known] for f in (frames, aside))
+    assert np.median(right) < 0.6 and np.median(wrong) == 1 and (wrong > right).mean() > 0.9
+
+
+def test_without_masks_nothing_is_measured(clip, model):
+    frames, body = clip
+    assert weighed_beside_masks(body, model, [replace(f, silhouettes=None) for f in frames]) is model
+    assert weighed_beside_masks(body, model, frames[:2]) is model
+
+
+def test_solves_weigh_points_less_where_there_are_masks(clip, model):
+    frames, body = clip
+    model = replace(model, beside=np.where(np.indices((4, len(BODY_25))).sum(0) % 2, 0.25, 1.0))
+    pose = np.zeros(body.skeleton.dof)
+    pose[:3] = (0, 0, 1)
+    alone = prepare(replace(frames[0], silhouettes=None), body, pose, use_keypoints=True, keypoints_on_body=model)
+    assert alone.beside_masks is None
+    both = prepare(frames[0], body, pose, use_keypoints=True, keypoints_on_body=model)
+    np.testing.assert_array_equal(both.keypoints.points, alone.keypoints.points)
+    expected = both.keypoints.points[..., 2] * model.beside[:, model.known]
+    np.testing.assert_allclose(both.beside_masks.points[..., 2], expected)
