@@ -192,7 +192,7 @@ class DoubtModel:
 
 @cache
 def doubt_models() -> Mapping[str, DoubtModel]:
-    """The fitted models by evidence."""
+    """The fitted models by evidence; that of depth is what `DepthDoubt` was fitted to: masks' as they were then."""
     kept = json.loads(files("hypose.assets").joinpath("doubt.json").read_text(encoding="utf-8"))
     if kept["features"] != list(FEATURES) or kept["groups"] != list(GROUPS):
         raise ValueError("assets/doubt.json belongs to other features; run scripts/train_doubt.py")
@@ -221,7 +221,7 @@ def judged(
     names = motion.skeleton.joint_names
     groups = np.array([group_of(n) for n in names])
     evidence = evidence_of(audit)
-    model = doubt_models()[evidence]
+    model = doubt_models()[known if known == "depth" else evidence]
     odds = model.log_odds(clip_features(motion, raw_joints, audit), groups)
     threshold = model.threshold[groups]
     if known == "depth":
@@ -245,8 +245,9 @@ def probability(odds: Array) -> Array:
 
 @dataclass(frozen=True)
 class DepthDoubt:
-    """What the log-odds by silhouettes are worth where depth cameras saw, which keep little else wrong than what they
-    do not see: level (S, G) of a group's joint before one sensor, two, S or more; slope (G,)."""
+    """What the log-odds of the model of depth, which is one of silhouettes, are worth where depth cameras saw, which
+    keep little else wrong than what they do not see: level (S, G) of a group's joint before one sensor, two, S or more;
+    slope (G,)."""
 
     level: Array
     slope: Array
